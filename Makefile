@@ -1,0 +1,68 @@
+# Every target makes the environment it needs in .venv; a stamp file per step makes the second call quick.
+PYTHON ?= python3
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMPS := $(VENV)/stamps
+INTERFACES := $(shell find rosfront/interfaces -type f -not -name '*.pyc')
+COMPILED := $(shell find motion shm rtloop -name '*.py')
+SOURCES := config motion shm rtloop rosfront sim rtarm bench tests
+
+# Set by the ROS wheels inside a Python of theirs: an inherited one would make ours skip its library path.
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: help env demo test check bench clean
+
+help:
+	@echo 'make demo   play a recorded MoveIt goal on a simulated arm'
+	@echo 'make test   run the tests'
+	@echo 'make check  ruff and mypy'
+	@echo 'make bench  run the benchmarks'
+	@echo 'make env    only make the environment in $(VENV)'
+	@echo 'make clean  remove the environment and all caches'
+
+env: $(STAMPS)/warm
+
+demo: env
+	$(BIN)/rtarm demo
+
+test: env
+	$(BIN)/python -m pytest
+
+check: $(STAMPS)/interfaces
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: env
+	$(BIN)/python -m pytest bench
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	find $(wildcard $(SOURCES)) -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(STAMPS)/venv:
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null || { \
+	  echo "$(PYTHON) is `$(PYTHON) --version 2>/dev/null || echo missing`, rtarm needs Python 3.11 to 3.13: install one and name it, as in 'make env PYTHON=python3.12'." >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+	  echo "$(PYTHON) cannot make virtual environments: install its venv module with 'apt-get install python3-venv' and run make again." >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV)
+	@mkdir -p $(STAMPS) && touch $@
+
+# Where a ROS installation is sourced, rclpy comes from there and the wheels are left out.
+$(STAMPS)/packages: pyproject.toml constraints.txt $(STAMPS)/venv
+	@echo 'installing the packages into $(VENV), about a minute the first time …'
+	@$(BIN)/pip install --quiet --constraint constraints.txt 'setuptools>=77'
+	@extras=dev,ros; if [ -n "$$ROS_DISTRO" ] && $(PYTHON) -c 'import rclpy' 2>/dev/null; then extras=dev; fi; \
+	$(BIN)/pip install --quiet --constraint constraints.txt --use-pep517 --no-build-isolation --editable ".[$$extras]"
+	@touch $@
+
+$(STAMPS)/interfaces: $(INTERFACES) $(STAMPS)/packages
+	@$(BIN)/python -m rosfront.interfaces.build
+	@touch $@
+
+# Compiles the control cycle into numba's cache, so that neither the demo nor a test waits for the compiler.
+$(STAMPS)/warm: $(COMPILED) $(STAMPS)/interfaces
+	@$(BIN)/python -m rtloop.warm
+	@touch $@
