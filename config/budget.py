@@ -1,0 +1,259 @@
+"""What one control cycle puts on the bus and on the serial line to the adapter, and whether it fits.
+
+Everything is worst case: bit stuffing at its most, every frame of the cycle sent. Frame lengths follow
+from the CAN 2.0 frame format, the three bits between frames included; the frames of a ZDT cycle from the
+Emm_V5 manual; characters from the LAWICEL SLCAN protocol.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from config.errors import ConfigError
+from config.schema import SERIAL_BAUDS, SLCAN_BITRATES, ArmConfig, ControlConfig
+
+UART_BITS_PER_CHARACTER = 10
+"""Start bit, eight data bits, stop bit."""
+
+UART_LOAD_LIMIT = 0.95
+"""Share of a UART's speed that the cycle may plan with."""
+
+SLCAN_TRANSMIT_REPLY_CHARS = 2
+"""`Z` and carriage return, the adapter's answer to each extended frame handed to it."""
+
+HIGHEST_BITRATE = max(SLCAN_BITRATES)
+"""The fastest bus an SLCAN adapter offers (bit/s)."""
+
+LOWEST_RATE_HZ = float(
+    next(bound.ge for bound in ControlConfig.model_fields["rate_hz"].metadata if hasattr(bound, "ge"))
+)
+"""The lowest control rate the schema allows (Hz)."""
+
+
+def frame_bits(extended: bool, data_bytes: int) -> int:
+    """Bits of a classic CAN data frame with worst-case stuffing and the three bits of interframe space."""
+    if not 0 <= data_bytes <= 8:
+        raise ValueError(f"a classic CAN frame has 0 to 8 data bytes, not {data_bytes}")
+    if extended:
+        return 67 + 8 * data_bytes + (53 + 8 * data_bytes) // 4
+    return 47 + 8 * data_bytes + (33 + 8 * data_bytes) // 4
+
+
+def slcan_chars(extended: bool, data_bytes: int) -> int:
+    """Characters of an SLCAN data frame: letter, identifier, length digit, two a byte, carriage return."""
+    if not 0 <= data_bytes <= 8:
+        raise ValueError(f"a classic CAN frame has 0 to 8 data bytes, not {data_bytes}")
+    return 1 + (8 if extended else 3) + 1 + 2 * data_bytes + 1
+
+
+@dataclass(frozen=True)
+class CycleFrames:
+    """Frames of one kind in one control cycle."""
+
+    what: str
+    count: int
+    data_bytes: int
+    from_host: bool
+    extended: bool = True
+
+    @property
+    def bits(self) -> int:
+        """Bits of all of them on the bus."""
+        return self.count * frame_bits(self.extended, self.data_bytes)
+
+    @property
+    def chars(self) -> int:
+        """Characters of all of them on an SLCAN serial line, without the adapter's replies."""
+        return self.count * slcan_chars(self.extended, self.data_bytes)
+
+
+def zdt_cycle(drives: int, acknowledge: bool) -> tuple[CycleFrames, ...]:
+    """A cycle of ZDT drives: a target and a position reading for each, a status reading for one in turn.
+
+    The position command FD has 13 bytes and goes out as frames of 8 and 5 bytes; acknowledged, it is
+    answered with 3. Reading the position (36) is 2 bytes out and 7 back, the status (3A) 2 out and 3 back.
+    """
+    if drives == 0:
+        return ()
+    acknowledgements = (CycleFrames("command acknowledged", drives, 3, from_host=False),) if acknowledge else ()
+    return (
+        CycleFrames("position command, first part", drives, 8, from_host=True),
+        CycleFrames("position command, second part", drives, 5, from_host=True),
+        *acknowledgements,
+        CycleFrames("position request", drives, 2, from_host=True),
+        CycleFrames("position reply", drives, 7, from_host=False),
+        CycleFrames("status request", 1, 2, from_host=True),
+        CycleFrames("status reply", 1, 3, from_host=False),
+    )
+
+
+def cycle_frames(arm: ArmConfig) -> tuple[CycleFrames, ...]:
+    """The frames of one control cycle of this arm; none with mock drives."""
+    zdt_drives = sum(joint.drive.family == "zdt" for joint in arm.joints)
+    return zdt_cycle(zdt_drives, arm.bus.acknowledge)
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The load of one arm's control cycle on its bus and on its serial line."""
+
+    frames: tuple[CycleFrames, ...]
+    rate_hz: float
+    bitrate: int
+    load_limit: float
+    serial_baud: int | None
+    """Speed of the UART to the adapter; None where no UART limits (USB device, mock)."""
+
+    @property
+    def frames_per_cycle(self) -> int:
+        """Frames on the bus in one cycle."""
+        return sum(frames.count for frames in self.frames)
+
+    @property
+    def bits_per_cycle(self) -> int:
+        """Worst-case bits on the bus in one cycle."""
+        return sum(frames.bits for frames in self.frames)
+
+    @property
+    def bus_load(self) -> float:
+        """Share of the bit rate that the cycle uses at the control rate."""
+        return self.bits_per_cycle * self.rate_hz / self.bitrate
+
+    @property
+    def bus_highest_rate_hz(self) -> float:
+        """Highest control rate within the load limit (Hz); infinite without frames."""
+        if self.bits_per_cycle == 0:
+            return math.inf
+        return self.bitrate * self.load_limit / self.bits_per_cycle
+
+    @property
+    def chars_out_per_cycle(self) -> int:
+        """Characters from the host to the adapter in one cycle."""
+        return sum(frames.chars for frames in self.frames if frames.from_host)
+
+    @property
+    def chars_in_per_cycle(self) -> int:
+        """Characters from the adapter to the host in one cycle, replies to transmitted frames included."""
+        received = sum(frames.chars for frames in self.frames if not frames.from_host)
+        transmitted = sum(frames.count for frames in self.frames if frames.from_host)
+        return received + transmitted * SLCAN_TRANSMIT_REPLY_CHARS
+
+    @property
+    def serial_bits_per_cycle(self) -> int:
+        """Bits of the busier direction in one cycle; a UART carries both directions at once."""
+        return UART_BITS_PER_CHARACTER * max(self.chars_out_per_cycle, self.chars_in_per_cycle)
+
+    @property
+    def serial_baud_needed(self) -> float:
+        """Slowest UART that carries the cycle within its limit (baud)."""
+        return self.serial_bits_per_cycle * self.rate_hz / UART_LOAD_LIMIT
+
+    @property
+    def serial_load(self) -> float | None:
+        """Share of the UART that the busier direction uses; None where no UART limits."""
+        if self.serial_baud is None:
+            return None
+        return self.serial_bits_per_cycle * self.rate_hz / self.serial_baud
+
+    @property
+    def serial_highest_rate_hz(self) -> float:
+        """Highest control rate that the UART carries (Hz); infinite where no UART limits."""
+        if self.serial_baud is None or self.serial_bits_per_cycle == 0:
+            return math.inf
+        return self.serial_baud * UART_LOAD_LIMIT / self.serial_bits_per_cycle
+
+    @property
+    def highest_rate_hz(self) -> float:
+        """Highest control rate that fits bus and serial line (Hz); infinite without a bus."""
+        return min(self.bus_highest_rate_hz, self.serial_highest_rate_hz)
+
+    @property
+    def fits(self) -> bool:
+        """The control rate is one that bus and serial line carry."""
+        return self.rate_hz <= self.highest_rate_hz
+
+
+def budget(arm: ArmConfig) -> Budget:
+    """The load of the arm's control cycle at its control rate."""
+    baud = arm.bus.serial_baud
+    return Budget(
+        frames=cycle_frames(arm),
+        rate_hz=arm.control.rate_hz,
+        bitrate=arm.bus.bitrate,
+        load_limit=arm.bus.load_limit,
+        serial_baud=None if baud == "cdc" or arm.bus.interface != "slcan" else baud,
+    )
+
+
+def check_budget(arm: ArmConfig) -> Budget:
+    """The budget of an arm whose rate fits.
+
+    Raises:
+        ConfigError: the bus, the serial line or both cannot carry the control rate; the sentence holds
+            the arithmetic and the highest rate that fits.
+    """
+    found = budget(arm)
+    sentences: list[str] = []
+    if found.rate_hz > found.bus_highest_rate_hz:
+        sentences.append(_bus_sentence(found, arm.bus.acknowledge))
+    if found.rate_hz > found.serial_highest_rate_hz:
+        sentences.append(_serial_sentence(found))
+    if sentences:
+        raise ConfigError.of([_at_rate(arm, sentence) for sentence in sentences])
+    return found
+
+
+def shown_rate(rate_hz: float) -> str:
+    """A highest rate for people: rounded down to a tenth, so that the number shown does fit."""
+    return f"{math.floor(rate_hz * 10.0) / 10.0:g}"
+
+
+def _bus_sentence(found: Budget, acknowledge: bool) -> str:
+    ways = [f"use a faster bus (bus.bitrate, up to {HIGHEST_BITRATE})"] if found.bitrate < HIGHEST_BITRATE else []
+    if acknowledge:
+        ways.append("turn bus.acknowledge off")
+    return (
+        f"rate_hz is {found.rate_hz:g}, but {found.bits_per_cycle} bits a cycle × {found.rate_hz:g} Hz = "
+        f"{found.bits_per_cycle * found.rate_hz:.0f} bit/s is {found.bus_load:.1%} of the {found.bitrate} "
+        f"bit/s bus, above its load_limit of {found.load_limit:.0%}; {_remedy(found, ways)}"
+    )
+
+
+def _serial_sentence(found: Budget) -> str:
+    chars = max(found.chars_out_per_cycle, found.chars_in_per_cycle)
+    load = found.serial_load or 0.0
+    faster = [baud for baud in SERIAL_BAUDS if baud >= found.serial_baud_needed]
+    ways = [f"set adapter and bus.serial_baud to {faster[0]}"] if faster else ["use an adapter without UART (cdc)"]
+    return (
+        f"rate_hz is {found.rate_hz:g}, but {chars} characters a cycle × {UART_BITS_PER_CHARACTER} bits × "
+        f"{found.rate_hz:g} Hz = {found.serial_bits_per_cycle * found.rate_hz:.0f} bit/s is {load:.1%} of "
+        f"the {found.serial_baud} baud serial line, above its limit of {UART_LOAD_LIMIT:.0%}; "
+        f"{_remedy(found, ways)}"
+    )
+
+
+def _remedy(found: Budget, other_ways: list[str]) -> str:
+    highest = found.highest_rate_hz
+    fits = f"the highest rate that fits is {shown_rate(highest)} Hz"
+    if highest < LOWEST_RATE_HZ:
+        fits += f", below the lowest allowed {LOWEST_RATE_HZ:g} Hz"
+        ways = other_ways or ["put fewer drives on the bus"]
+    else:
+        ways = [f"lower rate_hz to {shown_rate(highest)}", *other_ways]
+    return f"{fits}: {', or '.join(ways)}."
+
+
+def _at_rate(arm: ArmConfig, sentence: str) -> ConfigError:
+    location = "control.rate_hz"
+    source = arm.source
+    if source is None:
+        return ConfigError(sentence, location=location)
+    overridden = location in source.overridden
+    return ConfigError(
+        sentence,
+        file=source.file,
+        line=None if overridden else source.lines.get(location),
+        location=location,
+        overridden=overridden,
+    )

@@ -1,0 +1,141 @@
+"""What `rtarm config check ARM` prints: the derived figures of an arm that loads, as rich renderables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from config.budget import UART_LOAD_LIMIT, Budget, budget, shown_rate
+from config.derived import DerivedJoint, derived_table
+from config.errors import ConfigError
+from config.schema import LOWEST_JOINT_STATES_HZ, ArmConfig
+
+
+def render_check(arm: ArmConfig) -> RenderableType:
+    """The derived tables of an arm and its bus budget, whether it fits or not; 80 columns are enough."""
+    joints = derived_table(arm)
+    heading = f"{arm.name}: {len(joints)} joints, {arm.bus.interface} on {arm.bus.resolved_channel}"
+    parts: list[RenderableType] = [
+        Text(heading, style="bold"),
+        limits_table(joints),
+        resolution_table(joints),
+    ]
+    if any(joint.silence is not None for joint in joints):
+        parts.append(silence_table(joints))
+    parts.append(budget_table(arm, budget(arm)))
+    return Group(*parts)
+
+
+def render_errors(error: ConfigError) -> RenderableType:
+    """Every problem of a configuration, one a line, each with its place."""
+    return Text("\n".join(str(problem) for problem in error.errors))
+
+
+def limits_table(joints: Iterable[DerivedJoint]) -> Table:
+    """Position, velocity and acceleration limits of each joint."""
+    table = _table("Limits", "lower °", "upper °", "lower rad", "upper rad", "°/s", "rad/s", "rad/s²")
+    for joint in joints:
+        table.add_row(
+            escape(joint.name),
+            f"{joint.lower_deg:g}",
+            f"{joint.upper_deg:g}",
+            f"{joint.lower_rad:.4f}",
+            f"{joint.upper_rad:.4f}",
+            f"{joint.max_velocity_deg_s:.2f}",
+            f"{joint.max_velocity_rad_s:.4f}",
+            f"{joint.max_acceleration_rad_s2:g}",
+        )
+    return table
+
+
+def resolution_table(joints: Iterable[DerivedJoint]) -> Table:
+    """Pulses and counts a radian, and what one of each is as a joint angle."""
+    table = _table("Resolution", "pulses/rad", "counts/rad", "pulse °", "count °")
+    for joint in joints:
+        table.add_row(
+            escape(joint.name),
+            f"{joint.command_pulses_per_rad:.2f}",
+            f"{joint.encoder_counts_per_rad:.2f}",
+            f"{joint.command_pulse_deg:.6f}",
+            f"{joint.encoder_count_deg:.6f}",
+        )
+    return table
+
+
+def silence_table(joints: Iterable[DerivedJoint]) -> Table:
+    """What each drive does by itself, from full speed, when it hears nothing more.
+
+    `acc byte` is what motion frames carry; `at limit` the gentlest byte that reaches the acceleration limit.
+    """
+    table = _table("Silence", "acc byte", "at limit", "rad/s²", "× limit", "coast °", "stop s")
+    for joint in joints:
+        stop = joint.silence
+        if stop is None:
+            table.add_row(escape(joint.name), "-", "-", "-", "-", "-", "-")
+            continue
+        table.add_row(
+            escape(joint.name),
+            str(stop.acc_byte),
+            str(joint.acc_byte),
+            f"{stop.deceleration_rad_s2:.3f}",
+            f"{stop.factor:.2f}",
+            f"{stop.coast_deg:.2f}",
+            f"{stop.stop_time_s:.3f}",
+        )
+    return table
+
+
+def budget_table(arm: ArmConfig, found: Budget) -> Table:
+    """Load of the bus and of the serial line at the control rate, and the highest rate that fits."""
+    table = Table("Budget", "value", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_row("control rate", f"{found.rate_hz:g} Hz, a cycle every {arm.control.period_ns / 1e6:.3f} ms")
+    if not found.frames:
+        table.add_row("bus", "none: mock drives, no limit on the rate")
+    else:
+        table.add_row("frames a cycle", f"{found.frames_per_cycle}, {found.bits_per_cycle} bits at worst")
+        table.add_row(
+            "bus load",
+            f"{found.bus_load:.1%} of {found.bitrate} bit/s, limit {found.load_limit:.0%}"
+            + _verdict(found.rate_hz <= found.bus_highest_rate_hz),
+        )
+        table.add_row("serial a cycle", f"{found.chars_out_per_cycle} out, {found.chars_in_per_cycle} in")
+        table.add_row("serial load", _serial_words(found))
+        table.add_row("highest rate", _highest_words(found))
+    if found.rate_hz < LOWEST_JOINT_STATES_HZ:
+        table.add_row(
+            "note",
+            f"/joint_states at {found.rate_hz:g} Hz, MoveIt asks for {LOWEST_JOINT_STATES_HZ:g} or more",
+        )
+    return table
+
+
+def _serial_words(found: Budget) -> str:
+    if found.serial_load is None:
+        return "no limit: cdc, the adapter is a USB device"
+    return f"{found.serial_load:.1%} of {found.serial_baud} baud, limit {UART_LOAD_LIMIT:.0%}" + _verdict(
+        found.rate_hz <= found.serial_highest_rate_hz
+    )
+
+
+def _highest_words(found: Budget) -> str:
+    words = f"{shown_rate(found.highest_rate_hz)} Hz (bus {shown_rate(found.bus_highest_rate_hz)} Hz"
+    if math.isfinite(found.serial_highest_rate_hz):
+        words += f", serial {shown_rate(found.serial_highest_rate_hz)} Hz"
+    return words + ")"
+
+
+def _verdict(fits: bool) -> str:
+    return "" if fits else ": TOO MUCH"
+
+
+def _table(first: str, *columns: str) -> Table:
+    table = Table(first, box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    return table

@@ -1,0 +1,58 @@
+"""The one exception of this package: something in an arm's configuration is not usable."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class ConfigError(Exception):
+    """An arm file, or what was overridden in it, cannot be used.
+
+    Attributes:
+        problem: one sentence: what is wrong, with the value; what is allowed; what to do.
+        file: the YAML file as it was named, or None when no file is involved.
+        line: the line in that file, counted from 1, or None when the place is not in the file.
+        location: the field, such as `joints[2].lower_deg`, or None for the file as a whole.
+        overridden: the offending value came from an override (a command-line option), not from the file.
+        errors: this error followed by all others found in the same pass, each an error of its own.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        file: str | None = None,
+        line: int | None = None,
+        location: str | None = None,
+        overridden: bool = False,
+        others: Sequence[ConfigError] = (),
+    ) -> None:
+        super().__init__(problem)
+        self.problem = problem
+        self.file = file
+        self.line = line
+        self.location = location
+        self.overridden = overridden
+        self.errors: tuple[ConfigError, ...] = (self, *others)
+
+    @classmethod
+    def of(cls, problems: Sequence[ConfigError]) -> ConfigError:
+        """One error for all problems of a pass: the first speaks, `errors` holds them all."""
+        first = problems[0]
+        return cls(
+            first.problem,
+            file=first.file,
+            line=first.line,
+            location=first.location,
+            overridden=first.overridden,
+            others=problems[1:],
+        )
+
+    def __str__(self) -> str:
+        """The sentence, led by its place: `my_arm.yaml:14: joints[2].lower_deg: …`."""
+        parts: list[str] = []
+        if self.file is not None:
+            parts.append(self.file if self.line is None else f"{self.file}:{self.line}")
+        if self.location is not None:
+            parts.append(f"{self.location} (overridden)" if self.overridden else self.location)
+        return ": ".join([*parts, self.problem])

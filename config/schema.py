@@ -1,0 +1,571 @@
+"""The schema of an arm file: one frozen model a section, every field with its unit and its bounds.
+
+The reference documentation is generated from the descriptions here, and the loader builds its sentences
+from the bounds, so a field is declared once. Degrees and rpm occur because people think in them; every
+model offers what the program uses (radians, rad/s, pulses per radian) as properties.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+
+from config import derived
+
+SLCAN_BITRATES: dict[int, str] = {
+    10_000: "S0",
+    20_000: "S1",
+    50_000: "S2",
+    100_000: "S3",
+    125_000: "S4",
+    250_000: "S5",
+    500_000: "S6",
+    1_000_000: "S8",
+}
+"""CAN bit rates that every SLCAN adapter understands alike, with the command that sets them."""
+
+AMBIGUOUS_SLCAN_BITRATES = (750_000, 800_000)
+"""S7 is 800 kbit/s in LAWICEL, USBtin and Nakakiyo firmware and 750 kbit/s in the canable original."""
+
+SERIAL_BAUDS = (
+    9_600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 500_000, 576_000, 921_600, 1_000_000,
+    1_152_000, 1_500_000, 2_000_000, 2_500_000, 3_000_000, 3_500_000, 4_000_000,
+)  # fmt: skip
+"""Serial speeds that Linux knows by name (termios B9600 … B4000000)."""
+
+ENCODER_COUNTS_PER_REVOLUTION = 65_536
+"""Counts a motor revolution in the positions a ZDT drive reports (Emm_V5, command 36)."""
+
+FULL_STEPS_PER_REVOLUTION = 200
+"""Steps a revolution of a 1.8° motor; a command pulse is one microstep of these."""
+
+LOWEST_JOINT_STATES_HZ = 50.0
+"""MoveIt asks for joint states at 50 Hz or more."""
+
+
+def refuse(field: str, sentence: str) -> PydanticCustomError:
+    """A refusal whose place is `field`, relative to the model that is being validated."""
+    return PydanticCustomError("arm_config", "{sentence}", {"field": field, "sentence": sentence})
+
+
+def _no_bool(value: Any, info: ValidationInfo) -> Any:
+    if isinstance(value, bool):  # Python takes true for 1, a reader of the file does not
+        sentence = f"{info.field_name} is {str(value).lower()}, but must be a number; write the number."
+        raise refuse("", sentence)
+    return value
+
+
+_NoBool = BeforeValidator(_no_bool)
+
+
+class _Section(BaseModel):
+    # Strict, so that `ratio: "25"` or `rate_hz: yes` is refused instead of being guessed at.
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class ControlConfig(_Section):
+    """The control cycle."""
+
+    rate_hz: float = Field(
+        ge=10, le=2000, description="Control cycles a second (Hz); the bus must be able to carry them."
+    )
+    init_mode: Annotated[Literal[0, 1], _NoBool] = Field(
+        default=1,
+        description="What bring-up does: 1 adopts the pose the arm stands in, moving nothing; 0 runs homing.",
+    )
+
+    @property
+    def period_ns(self) -> int:
+        """Length of a control cycle in whole nanoseconds."""
+        return round(1e9 / self.rate_hz)
+
+
+class BusConfig(_Section):
+    """The CAN bus and the adapter it is reached through."""
+
+    interface: Literal["slcan", "mock"] = Field(
+        description="How the bus is reached: slcan is a serial CAN adapter, mock is no bus at all."
+    )
+    channel: str | None = Field(
+        default=None, min_length=1, description="Device of the adapter, such as /dev/ttyACM0 (slcan only)."
+    )
+    usb_index: int | None = Field(
+        default=None, ge=0, le=255, description="Short for channel: n means /dev/ttyUSB<n> (slcan only)."
+    )
+    bitrate: int = Field(default=500_000, gt=0, description="CAN bit rate (bit/s); the drives' menu must agree.")
+    serial_baud: int | Literal["cdc"] = Field(
+        default="cdc",
+        description="Speed of the serial line to the adapter (baud) where it is a true UART; cdc where the "
+        "adapter is a USB device for which the number means nothing.",
+    )
+    load_limit: float = Field(
+        default=0.85,
+        gt=0,
+        le=1,
+        description="Highest planned bus load (share of the bit rate, worst-case bit stuffing); the rest is "
+        "for bring-up, diagnosis and repeated frames.",
+    )
+    acknowledge: bool = Field(
+        default=False,
+        description="Whether drives acknowledge motion commands; false turns it off at bring-up, in the "
+        "drives' volatile memory only.",
+    )
+
+    @field_validator("serial_baud", mode="before")
+    @classmethod
+    def _known_baud(cls, value: Any) -> Any:
+        if value == "cdc" or (type(value) is int and value in SERIAL_BAUDS):
+            return value
+        allowed = ", ".join(str(baud) for baud in SERIAL_BAUDS)
+        raise refuse(
+            "",
+            f"serial_baud is {value!r}, but a serial line knows {allowed}; choose the one your adapter is "
+            "set to, or cdc if it is a USB device without a true UART.",
+        )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> BusConfig:
+        if self.interface == "mock":
+            for field in ("channel", "usb_index"):
+                value = getattr(self, field)
+                if value is not None:
+                    raise refuse(
+                        field,
+                        f"{field} is {value!r}, but interface mock opens no device; remove {field}, or set "
+                        "interface to slcan.",
+                    )
+            return self
+        if self.channel is not None and self.usb_index is not None:
+            raise refuse(
+                "usb_index",
+                f"usb_index {self.usb_index} (/dev/ttyUSB{self.usb_index}) and channel {self.channel} both "
+                "name the adapter, and only one may; remove one of them.",
+            )
+        if self.channel is None and self.usb_index is None:
+            raise refuse(
+                "interface",
+                "interface slcan needs the adapter's device and the file names none; add channel "
+                "(such as /dev/ttyACM0) or usb_index (1 means /dev/ttyUSB1).",
+            )
+        if self.bitrate in AMBIGUOUS_SLCAN_BITRATES:
+            raise refuse(
+                "bitrate",
+                f"bitrate is {self.bitrate}, which no SLCAN command names for certain (S7 is 800000 in some "
+                "adapters and 750000 in others); set the drives to 500000 or 1000000 and use that.",
+            )
+        if self.bitrate not in SLCAN_BITRATES:
+            allowed = ", ".join(str(bitrate) for bitrate in SLCAN_BITRATES)
+            raise refuse(
+                "bitrate",
+                f"bitrate is {self.bitrate}, but an SLCAN adapter offers {allowed}; choose the one the "
+                "drives are set to.",
+            )
+        return self
+
+    @property
+    def resolved_channel(self) -> str:
+        """The device to open; `mock` where there is none."""
+        if self.channel is not None:
+            return self.channel
+        return "mock" if self.usb_index is None else f"/dev/ttyUSB{self.usb_index}"
+
+
+class ZdtDrive(_Section):
+    """A ZDT closed-loop stepper with Emm_V5 firmware on the CAN bus."""
+
+    family: Literal["zdt"] = Field(description="Drive family.")
+    address: int = Field(ge=1, le=255, description="Address set in the drive's menu (1 to 255).")
+    microsteps: int = Field(
+        default=16,
+        ge=1,
+        le=256,
+        description="Microsteps a full step as set in the drive (200 full steps a turn).",
+    )
+    firmware: Literal["auto"] = Field(
+        default="auto", description="Firmware generation; auto asks the drive at bring-up."
+    )
+
+    @property
+    def command_pulses_per_revolution(self) -> int:
+        """Pulses of a position command for one motor turn."""
+        return self.microsteps * FULL_STEPS_PER_REVOLUTION
+
+
+class MockDrive(_Section):
+    """No drive: what is commanded is at once measured."""
+
+    family: Literal["mock"] = Field(description="Drive family.")
+
+    @property
+    def command_pulses_per_revolution(self) -> int:
+        """A mock drive is commanded in the same counts in which it is measured."""
+        return ENCODER_COUNTS_PER_REVOLUTION
+
+
+DriveConfig = Annotated[ZdtDrive | MockDrive, Field(discriminator="family")]
+
+
+class JointConfig(_Section):
+    """One joint: its drive, its gear and its limits."""
+
+    name: str = Field(pattern=r"^[A-Za-z_][A-Za-z0-9_./-]{0,62}$", description="Joint name exactly as in the URDF.")
+    drive: DriveConfig = Field(description="The drive that moves the joint.")
+    ratio: float = Field(gt=0, description="Gear ratio: motor turns for one turn of the joint.")
+    direction: Annotated[Literal[1, -1], _NoBool] = Field(
+        default=1, description="1 when a positive motor angle turns the joint positively, else -1."
+    )
+    zero_deg: float = Field(
+        default=0.0,
+        ge=-36_000,
+        le=36_000,
+        description="Offset of the joint zero (degrees): joint = direction * m - zero_deg, where m is the "
+        "motor's turns * 360 / ratio, counted from its homing stop.",
+    )
+    lower_deg: float = Field(ge=-36_000, le=36_000, description="Lowest joint angle (degrees).")
+    upper_deg: float = Field(ge=-36_000, le=36_000, description="Highest joint angle (degrees).")
+    motor_rpm: float = Field(
+        gt=0,
+        le=3000,
+        description="Highest motor speed (rpm); with the ratio it gives the joint's highest velocity.",
+    )
+    max_acceleration_rad_s2: float = Field(gt=0, description="Acceleration limit of the joint (rad/s²).")
+
+    @model_validator(mode="after")
+    def _range_is_not_empty(self) -> JointConfig:
+        if self.lower_deg > self.upper_deg:
+            raise refuse(
+                "lower_deg",
+                f"lower_deg of {self.name} is {self.lower_deg:g}, above its upper_deg {self.upper_deg:g}; "
+                "the lower limit must be the smaller one: exchange them or correct one.",
+            )
+        if self.lower_deg == self.upper_deg:
+            raise refuse(
+                "lower_deg",
+                f"lower_deg and upper_deg of {self.name} are both {self.lower_deg:g}, which leaves no room "
+                "to move; enter the range the joint really has.",
+            )
+        return self
+
+    @property
+    def max_velocity_rad_s(self) -> float:
+        """Highest joint velocity, from the motor's rpm and the ratio (rad/s)."""
+        return self.motor_rpm / self.ratio * 2.0 * math.pi / 60.0
+
+    @property
+    def lower_rad(self) -> float:
+        """Lowest joint angle (rad)."""
+        return math.radians(self.lower_deg)
+
+    @property
+    def upper_rad(self) -> float:
+        """Highest joint angle (rad)."""
+        return math.radians(self.upper_deg)
+
+    @property
+    def zero_rad(self) -> float:
+        """Offset of the joint zero (rad); see `zero_deg`."""
+        return math.radians(self.zero_deg)
+
+    @property
+    def command_pulses_per_rad(self) -> float:
+        """Pulses of a position command for one radian of the joint."""
+        return self.drive.command_pulses_per_revolution * self.ratio / (2.0 * math.pi)
+
+    @property
+    def encoder_counts_per_rad(self) -> float:
+        """Counts of a reported position for one radian of the joint."""
+        return ENCODER_COUNTS_PER_REVOLUTION * self.ratio / (2.0 * math.pi)
+
+    @property
+    def command_pulse_rad(self) -> float:
+        """Joint angle of one command pulse (rad)."""
+        return 1.0 / self.command_pulses_per_rad
+
+    @property
+    def encoder_count_rad(self) -> float:
+        """Joint angle of one encoder count (rad)."""
+        return 1.0 / self.encoder_counts_per_rad
+
+
+class LimitsConfig(_Section):
+    """Margins and watchdogs of the control process."""
+
+    velocity_margin: float = Field(
+        default=1.05, ge=1, le=2, description="Accepted velocity as a multiple of the joint's limit."
+    )
+    acceleration_margin: float = Field(
+        default=2.0,
+        ge=1,
+        le=5,
+        description="Accepted acceleration, sampled at the control rate, as a multiple of the joint's limit.",
+    )
+    braking_factor: float = Field(
+        default=1.5,
+        ge=1,
+        le=5,
+        description="Acceleration a stop on the path may use, as a multiple of the joint's limit.",
+    )
+    silence_brake_factor: float = Field(
+        default=1.75,
+        ge=1.5,
+        le=2.0,
+        description="Braking of a drive that hears nothing more, as a multiple of the joint's acceleration "
+        "limit; rounded to the nearest ramp the drive knows between 1.5 and 2.",
+    )
+    following_error_rad: float = Field(
+        default=0.1, gt=0, description="Largest distance between commanded and measured position (rad)."
+    )
+    start_tolerance_rad: float = Field(
+        default=0.05,
+        gt=0,
+        description="Largest distance between a goal's first point and the commanded position (rad).",
+    )
+    stale_brake_s: float = Field(
+        default=0.020,
+        gt=0,
+        description="Age of a measured position above which the arm brakes on its path (s); at least three "
+        "reply periods are always allowed.",
+    )
+    stale_fault_s: float = Field(
+        default=0.100, gt=0, description="Age of a measured position above which a fault is latched (s)."
+    )
+    front_timeout_s: float = Field(
+        default=0.25,
+        gt=0,
+        description="Silence of the ROS process, during a goal, after which the arm stops on its path (s).",
+    )
+    position_jump_rad: float = Field(
+        default=0.05,
+        gt=0,
+        description="Jump of a measured position that means the drive lost its reference (rad).",
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> LimitsConfig:
+        if self.stale_fault_s <= self.stale_brake_s:
+            raise refuse(
+                "stale_fault_s",
+                f"stale_fault_s is {self.stale_fault_s:g}, not above stale_brake_s {self.stale_brake_s:g}; a "
+                "silent drive must be braked before it becomes a fault: raise stale_fault_s.",
+            )
+        if self.braking_factor > self.acceleration_margin:
+            raise refuse(
+                "braking_factor",
+                f"braking_factor is {self.braking_factor:g}, above acceleration_margin "
+                f"{self.acceleration_margin:g}, so the arm's own stop would be refused as too hard; lower "
+                "braking_factor or raise acceleration_margin.",
+            )
+        return self
+
+
+class TrajectoryConfig(_Section):
+    """How goals are interpolated and judged."""
+
+    interpolation: Literal["spline", "linear"] = Field(
+        default="spline",
+        description="spline uses the points' velocities and accelerations; linear is the tutorial's way.",
+    )
+    interpolation_factor: int = Field(
+        default=15, ge=1, le=1000, description="Points put between each two given ones (linear only)."
+    )
+    max_points: int = Field(default=200_000, ge=2, le=10_000_000, description="Most points a goal may have.")
+    goal_tolerance_rad: float = Field(
+        default=0.01, gt=0, description="Distance from the last point at which a goal has succeeded (rad)."
+    )
+    path_tolerance_rad: float = Field(
+        default=0.1, gt=0, description="Distance from the path at which a goal is aborted (rad)."
+    )
+    goal_time_s: float = Field(
+        default=0.4, gt=0, description="Time after the last point within which the arm must have arrived (s)."
+    )
+    stopped_velocity_rad_s: float = Field(
+        default=0.05, gt=0, description="Velocity below which a joint counts as standing (rad/s)."
+    )
+    strict_reject: bool = Field(
+        default=False,
+        description="true rejects a bad goal, which ROS can only do without a reason; false accepts it and "
+        "aborts it at once with a sentence.",
+    )
+
+
+class FrontConfig(_Section):
+    """The ROS process."""
+
+    controller_name: str = Field(
+        default="episode_arm_controller",
+        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$",
+        description="Name of the ROS node, as in MoveIt's moveit_controllers.yaml.",
+    )
+    joint_states_hz: float | None = Field(
+        default=None,
+        ge=LOWEST_JOINT_STATES_HZ,
+        le=2000,
+        description="Rate of /joint_states (Hz): the control rate divided by a whole number, 50 or more; "
+        "left out, it is the control rate.",
+    )
+    frame_id: str = Field(default="base_link", description="Frame in the header of /joint_states.")
+    discovery: Literal["localhost", "subnet"] = Field(
+        default="localhost", description="How far ROS 2 discovery reaches: this machine, or its network."
+    )
+
+
+class RealtimeConfig(_Section):
+    """Scheduling of the control process."""
+
+    priority: int = Field(default=80, ge=1, le=90, description="SCHED_FIFO priority (1 to 90).")
+    cpu: int | None = Field(
+        default=None, ge=0, le=4095, description="CPU the control cycle is pinned to; left out, any."
+    )
+    require: bool = Field(
+        default=False,
+        description="true refuses to run without real-time scheduling; false says so and goes on.",
+    )
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where an arm was read from, so that later checks can still name the line."""
+
+    file: str
+    lines: Mapping[str, int]
+    """Line of every field that stands in the file, by its location (`joints[2].ratio`)."""
+    overridden: frozenset[str]
+    """Locations whose value came from an override."""
+
+
+class ArmConfig(_Section):
+    """An arm: everything rtarm knows about it."""
+
+    schema_version: Annotated[Literal[1], _NoBool] = Field(default=1, description="Version of this file's format.")
+    name: str = Field(
+        pattern=r"^[a-z][a-z0-9_]{0,31}$",
+        description="Name of the arm: small letters, digits and _, at most 32; also names its shared memory.",
+    )
+    description: str = Field(default="", description="One line for people.")
+    control: ControlConfig = Field(description="The control cycle.")
+    bus: BusConfig = Field(description="The CAN bus and its adapter.")
+    joints: list[JointConfig] = Field(
+        min_length=1, max_length=32, description="The joints, in the order of /joint_states."
+    )
+    limits: LimitsConfig = Field(
+        default_factory=LimitsConfig, description="Margins and watchdogs of the control process."
+    )
+    trajectory: TrajectoryConfig = Field(
+        default_factory=TrajectoryConfig, description="How goals are interpolated and judged."
+    )
+    front: FrontConfig = Field(default_factory=FrontConfig, description="The ROS process.")
+    realtime: RealtimeConfig = Field(default_factory=RealtimeConfig, description="Scheduling of the control process.")
+
+    _source: Source | None = PrivateAttr(default=None)
+
+    @property
+    def source(self) -> Source | None:
+        """Where the arm was read from; None for an arm built in memory."""
+        return self._source
+
+    @property
+    def joint_states_every_cycles(self) -> int:
+        """Joint states are published after every n-th control cycle; this is n."""
+        wanted_hz = self.front.joint_states_hz
+        return 1 if wanted_hz is None else max(1, round(self.control.rate_hz / wanted_hz))
+
+    @model_validator(mode="after")
+    def _joints_are_distinct(self) -> ArmConfig:
+        first_with_name: dict[str, int] = {}
+        first_with_address: dict[int, str] = {}
+        for index, joint in enumerate(self.joints):
+            if joint.name in first_with_name:
+                raise refuse(
+                    f"joints[{index}].name",
+                    f"name {joint.name} is used by joints[{first_with_name[joint.name]}] and "
+                    f"joints[{index}]; every joint needs a name of its own: rename one.",
+                )
+            first_with_name[joint.name] = index
+            if isinstance(joint.drive, ZdtDrive):
+                address = joint.drive.address
+                if address in first_with_address:
+                    raise refuse(
+                        f"joints[{index}].drive.address",
+                        f"address {address} is used by {first_with_address[address]} and {joint.name}; every "
+                        "drive on the bus needs an address of its own: change one, in its menu and here.",
+                    )
+                first_with_address[address] = joint.name
+        return self
+
+    @model_validator(mode="after")
+    def _drives_suit_the_bus(self) -> ArmConfig:
+        mock_bus = self.bus.interface == "mock"
+        for index, joint in enumerate(self.joints):
+            if (joint.drive.family == "mock") == mock_bus:
+                continue
+            if mock_bus:
+                sentence = (
+                    f"{joint.name} has a {joint.drive.family} drive, but interface mock reaches no drives; "
+                    "set bus.interface to slcan, or use an arm file whose drives are all mock (such as mock)."
+                )
+            else:
+                sentence = (
+                    f"{joint.name} has a mock drive, but interface {self.bus.interface} needs a real drive "
+                    "for every joint; give it one (family zdt), or set bus.interface to mock for all joints."
+                )
+            raise refuse(f"joints[{index}].drive.family", sentence)
+        return self
+
+    @model_validator(mode="after")
+    def _silence_is_a_controlled_stop(self) -> ArmConfig:
+        for index, joint in enumerate(self.joints):
+            if not isinstance(joint.drive, ZdtDrive):
+                continue
+            limit = joint.max_acceleration_rad_s2
+            if derived.nearest_silence_byte(joint.ratio, limit, self.limits.silence_brake_factor) is None:
+                nearest = derived.nearest_usable_acceleration_rad_s2(joint.ratio, limit)
+                raise refuse(
+                    f"joints[{index}].max_acceleration_rad_s2",
+                    f"max_acceleration_rad_s2 of {joint.name} is {limit:g}, for which a ZDT drive with ratio "
+                    f"{joint.ratio:g} has no ramp that brakes at 1.5 to 2 times that limit when it hears "
+                    f"nothing more; the nearest limit that has one is {nearest:.4g}.",
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _joint_states_follow_the_cycle(self) -> ArmConfig:
+        wanted_hz = self.front.joint_states_hz
+        if wanted_hz is None:
+            return self
+        rate_hz = self.control.rate_hz
+        if rate_hz < LOWEST_JOINT_STATES_HZ:
+            sentence = (
+                f"joint_states_hz is {wanted_hz:g}, above control.rate_hz {rate_hz:g}; states are measured "
+                "once a cycle: remove joint_states_hz or raise control.rate_hz."
+            )
+            raise refuse("front.joint_states_hz", sentence)
+        if not math.isclose(rate_hz, self.joint_states_every_cycles * wanted_hz, rel_tol=1e-6):
+            choices = sorted(
+                {
+                    rate_hz / every
+                    for every in (math.floor(rate_hz / wanted_hz), math.ceil(rate_hz / wanted_hz))
+                    if every >= 1 and rate_hz / every >= LOWEST_JOINT_STATES_HZ
+                }
+            )
+            raise refuse(
+                "front.joint_states_hz",
+                f"joint_states_hz is {wanted_hz:g}, but states are published after every n-th of "
+                f"{rate_hz:g} control cycles a second, so the nearest possible is "
+                f"{' or '.join(f'{choice:.9g}' for choice in choices)}: choose one, or "
+                "remove joint_states_hz.",
+            )
+        return self

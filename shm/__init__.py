@@ -1,0 +1,1 @@
+"""The two memory files through which the control process and everybody else talk."""

@@ -1,0 +1,162 @@
+"""Plain Python's side of the border: reading snapshots, writing goals and requests.
+
+CPython has no memory fences, so nothing here rests on order: what is read is checked by sequence and CRC,
+what is written carries a CRC that the loop checks before it believes a word.
+"""
+
+import struct
+import threading
+import time
+import zlib
+
+import numpy as np
+
+from shm import layout
+from shm.errors import RingFull, TornRead
+from shm.files import MemoryFile, producers_lock
+from shm.words import Request, Setpoint
+
+READ_TRIES = 1000
+
+_SNAPSHOT_AT = layout.STATE.fields["snapshot"][1]  # type: ignore[index]
+_SEQUENCE_AT = layout.STATE.fields["snapshot_sequence"][1] // 8  # type: ignore[index]
+_CONSUMED_AT = layout.STATE.fields["consumed"][1] // 8  # type: ignore[index]
+_COMMAND_WORD = {
+    name: layout.COMMAND.fields[name][1] // 8  # type: ignore[index]
+    for name in ("heartbeat_ns", "announced_goal", "setpoints_written", "requests_written")
+}
+_REQUESTS_AT = layout.COMMAND.fields["requests"][1]  # type: ignore[index]
+_SETPOINTS_AT = layout.COMMAND.fields["setpoints"][1]  # type: ignore[index]
+_BEGIN_HEAD = struct.Struct("<qqqqqqdq")
+_KNOT_HEAD = struct.Struct("<qqqqqqqq")
+_REQUEST = struct.Struct("<qqqqdqqq")
+
+
+class StateReader:
+    """Consistent snapshots of a mapped state file."""
+
+    def __init__(self, memory: MemoryFile) -> None:
+        self.memory = memory
+        self.joint_count = int(memory.record["header"]["joint_count"])
+        self._bytes = memoryview(memory.map)
+        self._words = self._bytes.cast("q")
+        self._end = _SNAPSHOT_AT + layout.used_bytes(layout.SNAPSHOT, self.joint_count)
+
+    def snapshot(self) -> np.void:
+        """The newest complete snapshot as a record of its own (joints beyond `joint_count` are zero).
+
+        Raises TornRead after a bounded number of tries: a dead writer never makes a reader wait.
+        """
+        for attempt in range(READ_TRIES):
+            before = self._words[_SEQUENCE_AT]
+            if not before & 1:
+                copy = bytes(self._bytes[_SNAPSHOT_AT : self._end])
+                if self._words[_SEQUENCE_AT] == before:
+                    crc = int.from_bytes(copy[:8], "little")
+                    if crc == zlib.crc32(memoryview(copy)[8:]):
+                        full = bytearray(layout.SNAPSHOT.itemsize)
+                        full[: len(copy)] = copy
+                        record: np.void = np.frombuffer(full, layout.SNAPSHOT)[0]
+                        return record
+            if attempt > 10:
+                time.sleep(0)
+        raise TornRead(
+            f"No consistent snapshot in {self.memory.path} after {READ_TRIES} tries: the control process "
+            "died or hangs in mid-write; look at `rtarm status`, then start it again."
+        )
+
+    def setpoints_consumed(self) -> int:
+        return self._words[_CONSUMED_AT]
+
+    def close(self) -> None:
+        self._words.release()
+        self._bytes.release()
+        self.memory.close()
+
+
+class CommandWriter:
+    """Writes requests and, for the front that owns the file, goals and the heartbeat."""
+
+    def __init__(self, memory: MemoryFile) -> None:
+        self.memory = memory
+        self.joint_count = int(memory.record["header"]["joint_count"])
+        self._bytes = memoryview(memory.map)
+        self._words = self._bytes.cast("q")
+        self._threads = threading.Lock()
+
+    def beat(self, now_ns: int | None = None) -> None:
+        """The front's sign of life."""
+        self._words[_COMMAND_WORD["heartbeat_ns"]] = time.monotonic_ns() if now_ns is None else now_ns
+
+    @property
+    def setpoints_written(self) -> int:
+        return self._words[_COMMAND_WORD["setpoints_written"]]
+
+    @property
+    def announced_goal(self) -> int:
+        return self._words[_COMMAND_WORD["announced_goal"]]
+
+    def announce(self, goal_id: int) -> None:
+        """Say that records of a newer goal follow: the loop stops taking knots of older ones."""
+        self._words[_COMMAND_WORD["announced_goal"]] = goal_id
+
+    def begin(
+        self,
+        goal_id: int,
+        *,
+        start_ns: int,
+        joint_mask: int,
+        goal_time_s: float,
+        bridge: bool,
+        tolerances: np.ndarray,
+        consumed: int,
+    ) -> None:
+        """Open a goal; `tolerances` is (joint_count, 3): path rad, goal rad, goal velocity rad/s."""
+        head = _BEGIN_HEAD.pack(
+            0, self.setpoints_written, goal_id, Setpoint.BEGIN, start_ns, joint_mask, goal_time_s, int(bridge)
+        )
+        self._append(head, np.ascontiguousarray(tolerances, "f8").tobytes(), consumed)
+
+    def knot(self, goal_id: int, time_ns: int, order: int, joints: np.ndarray, consumed: int) -> None:
+        """Append a knot; `joints` is (joint_count, 3): position, velocity, acceleration in SI.
+
+        Raises RingFull when the loop has not taken earlier records yet.
+        """
+        head = _KNOT_HEAD.pack(0, self.setpoints_written, goal_id, Setpoint.KNOT, time_ns, order, 0, 0)
+        self._append(head, np.ascontiguousarray(joints, "f8").tobytes(), consumed)
+
+    def end(self, goal_id: int, consumed: int) -> None:
+        """Close a goal: no knot follows."""
+        head = _KNOT_HEAD.pack(0, self.setpoints_written, goal_id, Setpoint.END, 0, 0, 0, 0)
+        self._append(head, bytes(24 * self.joint_count), consumed)
+
+    def _append(self, head: bytes, joints: bytes, consumed: int) -> None:
+        written = self.setpoints_written
+        if written - consumed >= layout.SETPOINT_SLOTS - 1:
+            raise RingFull(f"{written - consumed} records wait in the ring of {layout.SETPOINT_SLOTS}.")
+        body = head[8:] + joints
+        at = _SETPOINTS_AT + (written % layout.SETPOINT_SLOTS) * layout.SETPOINT.itemsize
+        self._bytes[at : at + 8 + len(body)] = zlib.crc32(body).to_bytes(8, "little") + body
+        self._words[_COMMAND_WORD["setpoints_written"]] = written + 1
+
+    def request(self, kind: Request, *, goal_id: int = 0, value: float = 0.0) -> int:
+        """Append a request and return its sequence number, under which the snapshot will answer."""
+        with self._threads, producers_lock(self.memory.fd):
+            written = self._words[_COMMAND_WORD["requests_written"]]
+            packed = _REQUEST.pack(0, written + 1, kind, goal_id, value, time.monotonic_ns(), 0, 0)
+            at = _REQUESTS_AT + (written % layout.REQUEST_SLOTS) * layout.REQUEST.itemsize
+            crc = zlib.crc32(packed[8:]).to_bytes(8, "little")
+            self._bytes[at : at + len(packed)] = crc + packed[8:]
+            self._words[_COMMAND_WORD["requests_written"]] = written + 1
+        return int(written) + 1
+
+    def close(self) -> None:
+        self._words.release()
+        self._bytes.release()
+        self.memory.close()
+
+
+def find(records: np.ndarray, key: str, value: int) -> np.void | None:
+    """The record of a small table (results, answers) whose `key` is `value`, or None."""
+    record: np.void = records[value % len(records)]
+    return record if int(record[key]) == value else None

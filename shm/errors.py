@@ -1,0 +1,33 @@
+"""What can be wrong with a memory file; each error's text is one sentence with its remedy."""
+
+
+class SharedMemoryError(Exception):
+    """Root of everything that can go wrong with an arm's memory files."""
+
+
+class NotRunning(SharedMemoryError):
+    """No control process holds the arm's memory files."""
+
+
+class AlreadyHeld(SharedMemoryError):
+    """Another process already owns this side of the arm."""
+
+
+class WrongLayout(SharedMemoryError):
+    """The file was built by another version of rtarm, or is not one of ours at all."""
+
+
+class WrongArm(SharedMemoryError):
+    """The control process runs another configuration of the arm."""
+
+
+class NotPermitted(SharedMemoryError):
+    """The file belongs to somebody else, or is not what it should be."""
+
+
+class TornRead(SharedMemoryError, TimeoutError):
+    """No consistent snapshot within a bounded number of tries: the writer died or is frozen in mid-write."""
+
+
+class RingFull(SharedMemoryError):
+    """The consumer has not taken earlier records yet."""

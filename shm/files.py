@@ -1,0 +1,357 @@
+"""Creating, finding and locking the two memory files of an arm.
+
+Liveness is an `flock` on the file, held by its owner: it falls with the process, even by kill -9, so there
+is no stale pid to clean up. A file that somebody may have mapped is never truncated or rewritten: a new
+control process builds its files aside and puts them in place by name; the state file of a dead one is kept
+as `.state.prev`.
+"""
+
+import contextlib
+import errno
+import fcntl
+import mmap
+import os
+import stat
+import struct
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from shm import layout
+from shm.errors import AlreadyHeld, NotPermitted, NotRunning, SharedMemoryError, WrongArm, WrongLayout
+
+DIRECTORY = Path("/dev/shm")
+_FLOCK = struct.Struct("hhqqi4x")
+"""struct flock of 64-bit Linux: type, whence, start, length, pid."""
+
+
+def state_path(arm: str) -> Path:
+    return DIRECTORY / f"rtarm.{arm}.state"
+
+
+def command_path(arm: str) -> Path:
+    return DIRECTORY / f"rtarm.{arm}.command"
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What the headers say about an arm and its configuration."""
+
+    arm: str
+    joints: tuple[str, ...]
+    arm_hash: int
+    period_ns: int
+    bitrate: int = 0
+    """Of the bus (bit/s), 0 where there is none."""
+
+
+@dataclass
+class MemoryFile:
+    """An open, mapped memory file; `record` is the whole file as one numpy record of its dtype."""
+
+    path: Path
+    fd: int
+    map: mmap.mmap
+    array: np.ndarray = field(repr=False)
+
+    @property
+    def address(self) -> int:
+        return int(self.array.ctypes.data)
+
+    @property
+    def record(self) -> np.void:
+        record: np.void = self.array[0]
+        return record
+
+    def close(self) -> None:
+        """Release the lock and the mapping (the pages live on while views of them do)."""
+        self.array = np.empty(0)
+        with contextlib.suppress(BufferError):
+            self.map.close()
+        if self.fd >= 0:
+            fcntl.flock(self.fd, fcntl.LOCK_UN)  # the mapping has a descriptor of its own that keeps the lock
+            os.close(self.fd)
+            self.fd = -1
+
+
+@dataclass
+class LoopFiles:
+    """The control process' pair: `state` locked and writable, `command` mapped for reading."""
+
+    state: MemoryFile
+    command: MemoryFile
+
+    def remove(self) -> None:
+        """Orderly end: the names go first, then the locks."""
+        for memory in (self.command, self.state):
+            with contextlib.suppress(FileNotFoundError):
+                if os.stat(memory.path).st_ino == os.fstat(memory.fd).st_ino:
+                    os.unlink(memory.path)
+            memory.close()
+
+
+def _name_bytes(names: Sequence[str], slots: int) -> np.ndarray:
+    text = b"".join(name.encode().ljust(layout.NAME_BYTES, b"\0") for name in names)
+    return np.frombuffer(text.ljust(slots * layout.NAME_BYTES, b"\0"), np.uint8)
+
+
+def arm_name(header: np.void) -> str:
+    """The arm's name from a header."""
+    return bytes(header["arm_name"]).rstrip(b"\0").decode()
+
+
+def joint_names(header: np.void) -> tuple[str, ...]:
+    """The joints' names from a header, in configuration order."""
+    slots = bytes(header["joint_names"])
+    starts = range(0, int(header["joint_count"]) * layout.NAME_BYTES, layout.NAME_BYTES)
+    return tuple(slots[at : at + layout.NAME_BYTES].rstrip(b"\0").decode() for at in starts)
+
+
+def _map(path: Path, fd: int, dtype: np.dtype, *, writable: bool) -> MemoryFile:
+    protection = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
+    mapped = mmap.mmap(fd, dtype.itemsize, mmap.MAP_SHARED, protection)
+    return MemoryFile(path, fd, mapped, np.frombuffer(mapped, dtype=dtype, count=1))
+
+
+def _try_lock(fd: int, patience_s: float) -> bool:
+    """Take the owner's lock; readers asking who is alive hold it for microseconds, hence the patience."""
+    deadline = time.monotonic() + patience_s
+    while True:
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(0.002)
+        else:
+            return True
+
+
+def is_held(fd: int) -> bool:
+    """Whether some process owns the file behind `fd` (which must not be the owner's own descriptor)."""
+    try:
+        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    fcntl.flock(fd, fcntl.LOCK_UN)
+    return False
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Remove files aside whose builder was killed before it could put them in place."""
+    for aside in path.parent.glob(f"{path.name}.*.new"):
+        with contextlib.suppress(OSError):
+            fd = os.open(aside, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+            try:
+                if not is_held(fd):
+                    os.unlink(aside)
+            finally:
+                os.close(fd)
+
+
+def _build_aside(path: Path, dtype: np.dtype, identity: Identity) -> MemoryFile:
+    """A complete, locked file under a temporary name, every page allocated."""
+    _remove_abandoned(path)
+    aside = path.with_name(f"{path.name}.{os.getpid()}.new")
+    fd = os.open(aside, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.posix_fallocate(fd, 0, dtype.itemsize)
+        memory = _map(aside, fd, dtype, writable=True)
+    except OSError as problem:
+        os.close(fd)
+        os.unlink(aside)
+        if problem.errno == errno.ENOSPC:
+            raise NotPermitted(
+                f"{DIRECTORY} has no room for the {dtype.itemsize} bytes of {path.name}: free some space there, "
+                "then start again."
+            ) from problem
+        raise
+    memory.array.view(np.uint8)[:: mmap.PAGESIZE] = 0  # touch every page now, not in the first cycle
+    header = memory.record["header"]
+    header["layout_hash"] = layout.layout_hash()
+    header["arm_hash"] = identity.arm_hash
+    header["pid"] = os.getpid()
+    header["start_monotonic_ns"] = time.monotonic_ns()
+    header["start_epoch_ns"] = time.time_ns()
+    header["period_ns"] = identity.period_ns
+    header["bitrate"] = identity.bitrate
+    header["joint_count"] = len(identity.joints)
+    header["arm_name"] = _name_bytes((identity.arm,), 1)
+    header["joint_names"] = _name_bytes(identity.joints, layout.MAX_JOINTS)
+    header["magic"] = layout.MAGIC
+    return memory
+
+
+def _put_in_place(memory: MemoryFile, path: Path, *, keep_previous: bool) -> None:
+    """Give a file built aside its name, unless a living owner has it; raises AlreadyHeld."""
+    while True:
+        try:
+            old = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+        except FileNotFoundError:
+            old = -1
+        except OSError as problem:
+            raise _not_ours(path, problem) from problem
+        try:
+            if old >= 0:
+                if not _try_lock(old, 0.2):
+                    pid = int(np.frombuffer(os.pread(old, 32, 0), "i8")[3])
+                    raise AlreadyHeld(
+                        f"A control process for this arm is already running (pid {pid}, {path}): only one may drive "
+                        "an arm; stop that one first."
+                    )
+                with contextlib.suppress(FileNotFoundError):
+                    if os.stat(path, follow_symlinks=False).st_ino == os.fstat(old).st_ino:
+                        if keep_previous:
+                            os.replace(path, path.with_name(path.name + ".prev"))
+                        else:
+                            os.unlink(path)
+            try:
+                os.link(memory.path, path)
+            except FileExistsError:
+                continue  # somebody was quicker: look again who it is
+            os.unlink(memory.path)
+            memory.path = path
+            return
+        finally:
+            if old >= 0:
+                os.close(old)
+
+
+def _not_ours(path: Path, problem: OSError) -> NotPermitted:
+    return NotPermitted(
+        f"{path} cannot be opened ({problem.strerror}): memory files are private to the user who runs the control "
+        "process and never links; run as that user, or remove what stands in their place."
+    )
+
+
+def create(identity: Identity) -> LoopFiles:
+    """Build both files for a starting control process.
+
+    Raises AlreadyHeld when another control process drives this arm.
+    """
+    state = _build_aside(state_path(identity.arm), layout.STATE, identity)
+    command = None
+    try:
+        command = _build_aside(command_path(identity.arm), layout.COMMAND, identity)
+        fcntl.flock(command.fd, fcntl.LOCK_UN)  # that lock is the front's
+        _put_in_place(state, state_path(identity.arm), keep_previous=True)
+        path = command_path(identity.arm)
+        os.replace(command.path, path)  # the state file's lock already settled who owns the arm
+        command.path = path
+    except BaseException:
+        for memory in (state, command):
+            if memory is not None:
+                with contextlib.suppress(FileNotFoundError):
+                    os.unlink(memory.path)
+                memory.close()
+        raise
+    return LoopFiles(state, command)
+
+
+def _open(path: Path, dtype: np.dtype, arm: str, arm_hash: int | None, *, writable: bool) -> MemoryFile:
+    # O_NONBLOCK: opening a pipe that somebody put there would wait for its other end
+    flags = (os.O_RDWR if writable else os.O_RDONLY) | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    try:
+        fd = os.open(path, flags)
+    except FileNotFoundError as problem:
+        raise NotRunning(
+            f"No control process is running for arm '{arm}' ({path} is not there): start it with `rtarm up {arm}`."
+        ) from problem
+    except OSError as problem:
+        raise _not_ours(path, problem) from problem
+    try:
+        status = os.fstat(fd)
+        if not stat.S_ISREG(status.st_mode) or status.st_uid != os.geteuid() or status.st_mode & 0o077:
+            raise NotPermitted(
+                f"{path} is owned by uid {status.st_uid} with mode {stat.S_IMODE(status.st_mode):o}: a memory file "
+                "must be this user's own and mode 600; remove it if it is not yours."
+            )
+        found = np.frombuffer(os.pread(fd, layout.HEADER.itemsize, 0).ljust(layout.HEADER.itemsize), layout.HEADER)
+        ours = layout.layout_hash()
+        if found["magic"][0] != layout.MAGIC or found["layout_hash"][0] != ours or status.st_size != dtype.itemsize:
+            raise WrongLayout(
+                f"{path} has layout {int(found['layout_hash'][0]):016x}, this rtarm has {ours:016x}: the two "
+                "processes come from different versions; stop both and start them from one installation."
+            )
+        if arm_hash is not None and int(found["arm_hash"][0]) != arm_hash:
+            raise WrongArm(
+                f"The control process for '{arm}' runs configuration {int(found['arm_hash'][0]):016x}, this process "
+                f"has {arm_hash:016x}: start both from the same arm file."
+            )
+        return _map(path, fd, dtype, writable=writable)
+    except BaseException:
+        os.close(fd)
+        raise
+
+
+def open_state(arm: str, arm_hash: int | None = None) -> MemoryFile:
+    """Map the state file read-only; raises NotRunning when no control process holds it."""
+    memory = _open(state_path(arm), layout.STATE, arm, arm_hash, writable=False)
+    if not is_held(memory.fd):
+        pid = int(memory.record["header"]["pid"])
+        memory.close()
+        raise NotRunning(
+            f"The control process of arm '{arm}' (pid {pid}) is gone without an orderly end: start it again with "
+            f"`rtarm up {arm}`."
+        )
+    return memory
+
+
+def open_command(arm: str, arm_hash: int | None = None) -> MemoryFile:
+    """Map the command file for writing requests; take no ownership."""
+    return _open(command_path(arm), layout.COMMAND, arm, arm_hash, writable=True)
+
+
+def own_command(arm: str, arm_hash: int) -> MemoryFile:
+    """Map the command file as the front; raises AlreadyHeld when another front owns it."""
+    memory = open_command(arm, arm_hash)
+    if not _try_lock(memory.fd, 0.2):
+        memory.close()
+        raise AlreadyHeld(
+            f"Another front already serves arm '{arm}' ({memory.path}): only one may send goals; stop that one first."
+        )
+    memory.record["front_pid"][0] = os.getpid()
+    return memory
+
+
+def front_of(arm: str) -> tuple[int, int] | None:
+    """Pid and last sign of life (CLOCK_MONOTONIC, ns) of the living front of an arm; None when there is none."""
+    try:
+        memory = _open(command_path(arm), layout.COMMAND, arm, None, writable=False)
+    except NotRunning:
+        return None
+    try:
+        if not is_held(memory.fd):
+            return None
+        return int(memory.record["front_pid"][0]), int(memory.record["heartbeat_ns"][0])
+    finally:
+        memory.close()
+
+
+def running_arms() -> list[str]:
+    """Names of this user's arms whose control process lives, sorted."""
+    arms = []
+    for path in DIRECTORY.glob("rtarm.*.state"):
+        arm = path.name.removeprefix("rtarm.").removesuffix(".state")
+        with contextlib.suppress(SharedMemoryError):
+            open_state(arm).close()
+            arms.append(arm)
+    return sorted(arms)
+
+
+@contextlib.contextmanager
+def producers_lock(fd: int) -> Iterator[None]:
+    """The lock that processes producing requests take among themselves; the loop never does.
+
+    An open-file-description lock, independent of the owner's flock; it falls with its holder, and with no other
+    descriptor of the same file.
+    """
+    fcntl.fcntl(fd, fcntl.F_OFD_SETLKW, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 1, 0))
+    try:
+        yield
+    finally:
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_UNLCK, os.SEEK_SET, 0, 1, 0))

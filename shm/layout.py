@@ -1,0 +1,355 @@
+"""Every word of the two memory files of an arm, in one table.
+
+`/dev/shm/rtarm.<arm>.state` is written by the control process alone, `/dev/shm/rtarm.<arm>.command` by the
+front (and, for requests, by anyone holding the producers' lock). The dtypes below *are* the layout: Python
+views, jitted accessors and the reference page all come from them, and their hash stands in both headers, so
+that two processes built from different tables refuse each other instead of misreading.
+
+Rules of the table
+- every field is a multiple of 8 bytes wide and 8-byte aligned, so that words can be copied atomically;
+- words that two processes poll stand on cache lines of their own (`LINE_BYTES`);
+- a record that crosses the border starts with its CRC-32 (zlib polynomial) over the bytes that follow it, up
+  to and including the last joint in use: joints stand last in each record, so a record of a six-joint arm
+  costs six joints although there is room for `MAX_JOINTS`.
+"""
+
+import hashlib
+from typing import NamedTuple
+
+import numpy as np
+
+MAX_JOINTS = 32
+NAME_BYTES = 64
+LINE_BYTES = 128
+MAGIC = int.from_bytes(b"rtarm\x00\x00\x01", "little")
+
+SETPOINT_SLOTS = 4096
+REQUEST_SLOTS = 64
+EVENT_SLOTS = 1024
+RESULT_SLOTS = 8
+ANSWER_SLOTS = 16
+HISTOGRAM_SUB_BITS = 6
+HISTOGRAM_BUCKETS = 2048
+
+
+class Word(NamedTuple):
+    """One field: its name, numpy type, unit ("" where it has none) and what it says."""
+
+    name: str
+    type: object
+    unit: str
+    meaning: str
+
+
+TABLES: dict[str, list[Word]] = {}
+
+
+def _record(table: str, words: list[Word]) -> np.dtype:
+    """Build the dtype of a record and keep its words for the reference page."""
+    TABLES[table] = words
+    return np.dtype([(w.name, *w.type) if isinstance(w.type, tuple) else (w.name, w.type) for w in words])
+
+
+def _padding(used_bytes: int) -> Word:
+    return Word("padding", ("i8", ((-used_bytes % LINE_BYTES) // 8,)), "", "keeps writers on lines of their own")
+
+
+HEADER = _record(
+    "header",
+    [
+        Word("magic", "i8", "", "'rtarm', version 1"),
+        Word("layout_hash", "i8", "", "hash of this table"),
+        Word("arm_hash", "i8", "", "hash of the arm's configuration"),
+        Word("pid", "i8", "", "process that built the file (for people; liveness is the flock)"),
+        Word("start_monotonic_ns", "i8", "ns", "CLOCK_MONOTONIC at creation"),
+        Word("start_epoch_ns", "i8", "ns", "CLOCK_REALTIME at creation"),
+        Word("period_ns", "i8", "ns", "control period"),
+        Word("joint_count", "i8", "", "joints in use"),
+        Word("arm_name", ("u1", (NAME_BYTES,)), "", "name of the arm, UTF-8"),
+        Word(
+            "joint_names",
+            ("u1", (MAX_JOINTS * NAME_BYTES,)),
+            "",
+            "names of the joints in configuration order",
+        ),
+        Word("bitrate", "i8", "bit/s", "bit rate of the bus, 0 where there is none"),
+        Word("padding", ("i8", (15,)), "", ""),
+    ],
+)
+
+SCHEDULING = _record(
+    "scheduling",
+    [
+        Word("policy", "i8", "", "scheduling policy read back from the kernel (0 other, 1 FIFO, 2 RR)"),
+        Word("priority", "i8", "", "real-time priority read back"),
+        Word("memory_locked", "i8", "", "1 when mlockall succeeded"),
+        Word("cpu", "i8", "", "CPU the cycle is pinned to, -1 when free"),
+        Word("dma_latency_held", "i8", "", "1 while /dev/cpu_dma_latency is held at 0"),
+        Word("padding", ("i8", (11,)), "", ""),
+    ],
+)
+
+JOINT = _record(
+    "joint",
+    [
+        Word("commanded_position_rad", "f8", "rad", "setpoint of this cycle"),
+        Word("commanded_velocity_rad_s", "f8", "rad/s", "its velocity"),
+        Word("commanded_acceleration_rad_s2", "f8", "rad/s²", "its acceleration"),
+        Word("measured_position_rad", "f8", "rad", "what the encoder said last"),
+        Word("measured_velocity_rad_s", "f8", "rad/s", "difference of the last two readings"),
+        Word("measured_effort", "f8", "Nm", "NaN where the drive measures none"),
+        Word("measured_ns", "i8", "ns", "CLOCK_MONOTONIC at which the encoder was read; 0 = never"),
+        Word("reference_position_rad", "f8", "rad", "commanded position at measured_ns"),
+        Word("reference_velocity_rad_s", "f8", "rad/s", "commanded velocity at measured_ns"),
+        Word("drive_status", "i8", "", "drive status bits, common to all families (shm.words.DriveStatus)"),
+        Word("referenced", "i8", "", "1 when the drive's count is known to mean a joint angle"),
+        Word("unreferenced_reason", "i8", "", "shm.words.Unreferenced"),
+    ],
+)
+
+RESULT = _record(
+    "result",
+    [
+        Word("goal_id", "i8", "", "goal this result belongs to; slot = goal_id % RESULT_SLOTS"),
+        Word("outcome", "i8", "", "shm.words.Outcome; 0 while undecided"),
+        Word("joint", "i8", "", "joint it is about, -1 for none"),
+        Word("value", "f8", "", "the value that decided"),
+        Word("limit", "f8", "", "what was allowed"),
+        Word("monotonic_ns", "i8", "ns", "when it was decided"),
+    ],
+)
+
+ANSWER = _record(
+    "answer",
+    [
+        Word("sequence", "i8", "", "request answered; slot = sequence % ANSWER_SLOTS"),
+        Word("answer", "i8", "", "shm.words.Answer"),
+    ],
+)
+
+SNAPSHOT = _record(
+    "snapshot",
+    [
+        Word("crc", "i8", "", "CRC-32 of the bytes that follow, joints in use included"),
+        Word("cycle", "i8", "", "number of this cycle"),
+        Word("monotonic_ns", "i8", "ns", "planned time of this cycle, CLOCK_MONOTONIC"),
+        Word("epoch_ns", "i8", "ns", "the same instant on CLOCK_REALTIME (ROS time)"),
+        Word("mode", "i8", "", "shm.words.Mode"),
+        Word("fault", "i8", "", "latched fault, shm.words.Fault; 0 none"),
+        Word("fault_joint", "i8", "", "joint it names, -1 for none"),
+        Word("fault_value", "f8", "", "value that broke the limit"),
+        Word("fault_limit", "f8", "", "the limit"),
+        Word("fault_ns", "i8", "ns", "CLOCK_MONOTONIC when it was latched"),
+        Word("goal_id", "i8", "", "goal being executed or stopped, 0 none"),
+        Word("goal_phase", "i8", "", "shm.words.Phase"),
+        Word("trajectory_clock_ns", "f8", "ns", "time along the trajectory"),
+        Word("trajectory_end_ns", "i8", "ns", "its duration once END is known, else -1"),
+        Word("speed_scale", "f8", "", "present rate of the trajectory clock"),
+        Word("speed_scale_target", "f8", "", "where the speed scale is going"),
+        Word("motion_started", "i8", "", "1 once the first motion frame was sent since bring-up"),
+        Word("results", (RESULT, (RESULT_SLOTS,)), "", "results of the newest goals"),
+        Word("answers", (ANSWER, (ANSWER_SLOTS,)), "", "answers to the newest requests"),
+        Word("joints", (JOINT, (MAX_JOINTS,)), "", "one record a joint"),
+    ],
+)
+
+COUNTERS = _record(
+    "counters",
+    [
+        Word("cycles", "i8", "", "cycles run"),
+        Word("overruns", "i8", "", "cycles missed because one began or ended late; never made up"),
+        Word("frames_sent", "i8", "", "CAN frames written"),
+        Word("frames_received", "i8", "", "CAN frames decoded"),
+        Word("bits_on_bus", "i8", "bit", "worst-case stuffed bits of both"),
+        Word("bytes_sent", "i8", "", "bytes written to the wire"),
+        Word("bytes_received", "i8", "", "bytes read from the wire"),
+        Word("wire_errors", "i8", "", "BEL and garbled lines"),
+        Word("bytes_unsent", "i8", "", "bytes the wire did not take in their cycle"),
+        Word("receive_overflows", "i8", "", "bytes lost because the cycle did not take them in time"),
+        Word(
+            "stale_reads",
+            "i8",
+            "",
+            "cycles in which a drive's reading was older than the age ladder's first rung",
+        ),
+        Word("drive_errors", "i8", "", "commands a drive refused or did not understand"),
+        Word("knots_taken", "i8", "", "knots taken from the setpoint ring"),
+        Word("padding", ("i8", (3,)), "", ""),
+    ],
+)
+
+HISTOGRAM = _record(
+    "histogram",
+    [
+        Word("max_ns", "i8", "ns", "largest value recorded"),
+        Word("count", "i8", "", "values recorded"),
+        Word("sum_ns", "i8", "ns", "their sum"),
+        Word("buckets", ("i8", (HISTOGRAM_BUCKETS,)), "", "counts, logarithmic buckets (shm.histogram)"),
+        Word("padding", ("i8", (13,)), "", ""),
+    ],
+)
+
+EVENT = _record(
+    "event",
+    [
+        Word("monotonic_ns", "i8", "ns", "CLOCK_MONOTONIC"),
+        Word("kind", "i8", "", "shm.words.Event"),
+        Word("joint", "i8", "", "joint it is about, -1 for none"),
+        Word("code", "i8", "", "mode, fault, outcome … according to the kind"),
+        Word("value", "f8", "", ""),
+        Word("limit", "f8", "", ""),
+    ],
+)
+
+CONSUMED = _record(
+    "consumed",
+    [
+        Word("setpoints", "i8", "", "records taken from the setpoint ring"),
+        Word("requests", "i8", "", "requests taken from the request ring"),
+        Word("padding", ("i8", (14,)), "", ""),
+    ],
+)
+
+LINE_WORD = ("i8", (LINE_BYTES // 8,))
+
+STATE = _record(
+    "state file (written by the control process)",
+    [
+        Word("header", HEADER, "", ""),
+        Word("scheduling", SCHEDULING, "", "what real-time set-up was really obtained"),
+        Word("consumed", CONSUMED, "", "how far the loop has read the command file"),
+        Word(
+            "snapshot_sequence",
+            LINE_WORD,
+            "",
+            "seqlock of the snapshot in its first word: odd while it is written",
+        ),
+        Word("snapshot", SNAPSHOT, "", ""),
+        _padding(SNAPSHOT.itemsize),
+        Word("counters", COUNTERS, "", ""),
+        Word("lateness", HISTOGRAM, "", "wake-up lateness against the planned deadline"),
+        Word("cycle_time", HISTOGRAM, "", "from wake-up to the end of the write"),
+        Word(
+            "events_written",
+            LINE_WORD,
+            "",
+            "events ever written in its first word; slot = number % EVENT_SLOTS",
+        ),
+        Word("events", (EVENT, (EVENT_SLOTS,)), "", "history, overwritten from the oldest"),
+    ],
+)
+
+SETPOINT_JOINT = _record(
+    "setpoint joint",
+    [
+        Word("position_rad", "f8", "rad", ""),
+        Word("velocity_rad_s", "f8", "rad/s", ""),
+        Word("acceleration_rad_s2", "f8", "rad/s²", ""),
+    ],
+)
+
+SETPOINT = _record(
+    "setpoint (KNOT and END)",
+    [
+        Word("crc", "i8", "", "CRC-32 of the bytes that follow, joints in use included"),
+        Word("sequence", "i8", "", "number of this record in the ring, from 0"),
+        Word("goal_id", "i8", "", "goal it belongs to"),
+        Word("kind", "i8", "", "shm.words.Setpoint: BEGIN, KNOT or END"),
+        Word("time_ns", "i8", "ns", "KNOT: time from the start of the trajectory, strictly rising"),
+        Word("order", "i8", "", "KNOT: order of the segment that ends here: 1 linear, 3 cubic, 5 quintic"),
+        Word("reserved", ("i8", (2,)), "", ""),
+        Word(
+            "joints",
+            (SETPOINT_JOINT, (MAX_JOINTS,)),
+            "",
+            "KNOT: complete, derived fields filled in by the front",
+        ),
+    ],
+)
+
+BEGIN_JOINT = _record(
+    "begin joint",
+    [
+        Word("path_tolerance_rad", "f8", "rad", "largest |commanded - measured| on the way; 0 = off"),
+        Word("goal_tolerance_rad", "f8", "rad", "largest error at the end; 0 = off"),
+        Word("goal_velocity_rad_s", "f8", "rad/s", "largest measured speed at the end; 0 = off"),
+    ],
+)
+
+BEGIN = _record(
+    "setpoint (BEGIN: the same record, seen as a goal's opening)",
+    [
+        Word("crc", "i8", "", "as above"),
+        Word("sequence", "i8", "", "as above"),
+        Word("goal_id", "i8", "", "1, 2, 3 …; never reused while the loop lives"),
+        Word("kind", "i8", "", "shm.words.Setpoint.BEGIN"),
+        Word("start_ns", "i8", "ns", "CLOCK_MONOTONIC at which the trajectory's time is 0; 0 = at once"),
+        Word("joint_mask", "i8", "", "bit i: joint i is part of the goal; the others come to rest and hold"),
+        Word("goal_time_s", "f8", "s", "patience after the last point; 0 = without limit"),
+        Word(
+            "bridge",
+            "i8",
+            "",
+            "1: the first knot's time is > 0 and the way to it starts where the arm is commanded",
+        ),
+        Word("joints", (BEGIN_JOINT, (MAX_JOINTS,)), "", ""),
+    ],
+)
+
+REQUEST = _record(
+    "request",
+    [
+        Word("crc", "i8", "", "CRC-32 of the bytes that follow"),
+        Word("sequence", "i8", "", "number of this request, from 1"),
+        Word("kind", "i8", "", "shm.words.Request"),
+        Word("goal_id", "i8", "", "CANCEL: the goal meant, 0 = whichever runs"),
+        Word("value", "f8", "", "SPEED_SCALE: the factor 0…1"),
+        Word("monotonic_ns", "i8", "ns", "when it was made"),
+        Word("padding", ("i8", (2,)), "", ""),
+    ],
+)
+
+COMMAND = _record(
+    "command file (written by the front)",
+    [
+        Word("header", HEADER, "", ""),
+        Word("front_pid", LINE_WORD, "", "pid of the front that last took the file, in its first word"),
+        Word(
+            "heartbeat_ns",
+            LINE_WORD,
+            "ns",
+            "CLOCK_MONOTONIC of the front's last sign of life, in its first word",
+        ),
+        Word(
+            "announced_goal",
+            LINE_WORD,
+            "",
+            "newest goal whose records are (being) written, in its first word",
+        ),
+        Word("setpoints_written", LINE_WORD, "", "records ever written to the ring, in its first word"),
+        Word("requests_written", LINE_WORD, "", "requests ever written, in its first word"),
+        Word("requests", (REQUEST, (REQUEST_SLOTS,)), "", "slot = (sequence - 1) % REQUEST_SLOTS"),
+        Word("setpoints", (SETPOINT, (SETPOINT_SLOTS,)), "", "slot = sequence % SETPOINT_SLOTS"),
+    ],
+)
+
+assert BEGIN.itemsize == SETPOINT.itemsize  # one record, two readings
+
+
+def used_bytes(record: np.dtype, joint_count: int) -> int:
+    """Bytes of a joints-last record that an arm of `joint_count` joints uses."""
+    joints = record.fields["joints"]  # type: ignore[index]
+    return int(joints[1]) + joint_count * joints[0].base.itemsize
+
+
+def layout_hash() -> int:
+    """63-bit hash of the two file layouts: names, types, offsets of every word."""
+
+    def describe(dtype: np.dtype) -> object:
+        base = dtype.base
+        if base.fields is None:
+            return (base.str, dtype.shape)
+        return ([(n, base.fields[n][1], describe(base.fields[n][0])) for n in base.fields], dtype.shape)
+
+    text = repr((MAX_JOINTS, describe(STATE), describe(COMMAND)))
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") >> 1

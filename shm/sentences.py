@@ -1,0 +1,316 @@
+"""What the numbers in shared memory mean to a person: one table for messages and for the documentation.
+
+Every outcome, fault, answer and reason has a `Meaning`: the sentence (what happened, with the value; what is
+allowed; what to do), why the check exists, and the ways out. Placeholders in a sentence are `{joint}`,
+`{value}` and `{limit}`; `{value:mode}` writes the value as the name of a mode.
+"""
+
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from typing import NamedTuple, TypeVar
+
+from shm.words import Answer, Fault, Mode, Outcome, Unreferenced
+
+Key = TypeVar("Key", bound=IntEnum)
+
+
+class Meaning(NamedTuple):
+    """One row of the table."""
+
+    sentence: str
+    reason: str
+    """Why this exists."""
+    remedy: str
+    """The ways out, in the order in which to try them."""
+
+
+class _Value(float):
+    """A number that can be written as the name of a mode."""
+
+    def __format__(self, spec: str) -> str:
+        if spec == "mode":
+            return mode_name(int(self))
+        return super().__format__(spec)
+
+
+OUTCOMES: dict[Outcome, Meaning] = {
+    Outcome.NONE: Meaning(
+        "The goal is not decided yet.",
+        "A goal stays undecided from its announcement until the control process ends it.",
+        "Wait for its result, or cancel it.",
+    ),
+    Outcome.SUCCEEDED: Meaning(
+        "Goal reached: the largest error is {value:.4f} rad, of {joint}; {limit:.4f} rad are allowed.",
+        "Success means that every measured joint is inside its goal tolerance, not that time has passed.",
+        "Nothing to do.",
+    ),
+    Outcome.CANCELED: Meaning(
+        "Canceled: the arm has come to rest on its path.",
+        "A cancel slows the trajectory's clock to a stop, so the arm never leaves the planned path.",
+        "Plan from where the arm stands.",
+    ),
+    Outcome.REPLACED: Meaning(
+        "The goal was replaced by a newer goal.",
+        "One goal moves the arm at a time, and the newest is what its user wants.",
+        "Send goals one after the other if each is to be completed.",
+    ),
+    Outcome.STOPPED: Meaning(
+        "The arm was stopped by a person (`rtarm stop`); it has come to rest on its path.",
+        "A stop must work when the ROS side does not.",
+        "Find out why, then plan from where the arm stands.",
+    ),
+    Outcome.PATH_TOLERANCE: Meaning(
+        "{joint} was {value:.4f} rad from its setpoint and {limit:.4f} rad are allowed: check what hinders "
+        "it, move more slowly, or allow more in path_tolerance.",
+        "A joint that falls behind its setpoint makes the arm leave the planned, collision-free path.",
+        "Look for an obstacle, a load or a current limit that is too low; slow the motion down; then, if the "
+        "error is acceptable, raise the goal's path_tolerance or trajectory.path_tolerance_rad.",
+    ),
+    Outcome.GOAL_TOLERANCE: Meaning(
+        "{joint} was {value:.4f} rad from its target when the time to arrive was over, and {limit:.4f} rad "
+        "are allowed: check what hinders it, or allow more in goal_tolerance or goal_time_tolerance.",
+        "A goal that never arrives must end, or its client would wait for ever.",
+        "Look for an obstacle or a load; allow more time in goal_time_tolerance or trajectory.goal_time_s, "
+        "or a larger error in goal_tolerance or trajectory.goal_tolerance_rad.",
+    ),
+    Outcome.FAULT: Meaning(
+        "The control process latched a fault and stopped the arm: see `rtarm status`, remove the cause, then "
+        "`rtarm clear-fault`.",
+        "A latched fault ends every goal; nothing moves until a person has cleared it.",
+        "Read the fault, remove its cause, clear it.",
+    ),
+    Outcome.STARVED: Meaning(
+        "The trajectory stopped arriving from the ROS process, so the arm braked on the part it had: look at "
+        "that process' log and at the machine's load, then send the goal again.",
+        "Braking begins while there is still path to brake on.",
+        "Look for a blocked or overloaded ROS process, then send the goal again.",
+    ),
+    Outcome.FRONT_LOST: Meaning(
+        "The ROS process gave no sign of life for {value:.3f} s and {limit:.3f} s are allowed; the arm "
+        "stopped on its path: restart that process, or relieve the machine.",
+        "Nobody could cancel a motion whose ROS process is gone.",
+        "`rtarm up` restarts the process by itself; look at its log and at the machine's load.",
+    ),
+    Outcome.SHUTDOWN: Meaning(
+        "The control process is shutting down; the arm has come to rest on its path: start it again to go on.",
+        "An orderly end stops the arm before anything is closed.",
+        "Start it again with `rtarm up`, then plan from where the arm stands.",
+    ),
+    Outcome.REFUSED_MODE: Meaning(
+        "The control process takes no goals while it is {value:mode}; goals are taken while it is holding or "
+        "executing: wait, or see `rtarm status`.",
+        "A goal is begun only from a state in which the drives are known to follow.",
+        "Wait until bring-up is over, or clear the fault.",
+    ),
+    Outcome.REFUSED_UNREFERENCED: Meaning(
+        "{joint} has no reference, so its angle is not known and no goal is taken: see `rtarm status` for "
+        "the reason and what to do about it.",
+        "Moving to an angle needs to know the present one.",
+        "Follow what `rtarm status` says of the joint.",
+    ),
+    Outcome.REFUSED_START: Meaning(
+        "The first point has {joint} {value:.4f} rad from where it is commanded and {limit:.4f} rad are "
+        "allowed: plan from the present state, or give the first point a time_from_start above 0.",
+        "A start elsewhere would be a jump.",
+        "Plan from the present state.",
+    ),
+    Outcome.REFUSED_LIMITS: Meaning(
+        "From the arm's present motion no way onto the trajectory keeps the limits of every joint: start "
+        "from rest, or allow the trajectory more time.",
+        "A new trajectory starts from the commanded position, velocity and acceleration, without a jump.",
+        "Wait for the arm to stand, or send a trajectory that begins more gently.",
+    ),
+    Outcome.REFUSED_CORRUPT: Meaning(
+        "The control process refused a trajectory point ({joint}, value {value:g}, limit {limit:g}), "
+        "although the ROS process had checked it: both must come from one installation and one arm file; "
+        "report this.",
+        "The control process believes nothing it reads from shared memory.",
+        "Restart both processes from one installation; if it happens again, report it with the goal.",
+    ),
+    Outcome.CLOCK_GAP: Meaning(
+        "The control cycle was away for {value:.3f} s and the drives look ahead for {limit:.3f} s, so they "
+        "had stopped by themselves: look for what suspends or overloads the machine.",
+        "After such a gap the drives stand where nobody planned, and the trajectory must not go on.",
+        "Find what suspends or overloads the machine; plan from where the arm stands.",
+    ),
+}
+
+FAULTS: dict[Fault, Meaning] = {
+    Fault.NONE: Meaning("There is no fault.", "", ""),
+    Fault.NOT_FINITE: Meaning(
+        "The setpoint of {joint} was {value:g}, which is no number, and was not sent: report this with the "
+        "goal, then `rtarm clear-fault`.",
+        "Last line of defence: such a setpoint can only come from a defect of the program.",
+        "Clear the fault; report it with the goal and the log.",
+    ),
+    Fault.POSITION_LIMIT: Meaning(
+        "The setpoint of {joint} was {value:.4f} rad, beyond its limit {limit:.4f} rad, and was not sent: "
+        "check the trajectory and the limits in the arm file, then `rtarm clear-fault`.",
+        "Last line of defence behind the goal checks: no setpoint beyond a joint limit is ever sent.",
+        "Check the trajectory and the arm file's limits; clear the fault.",
+    ),
+    Fault.VELOCITY_LIMIT: Meaning(
+        "The setpoint of {joint} moved at {value:.4f} rad/s and {limit:.4f} rad/s are allowed, so it was not "
+        "sent: give the trajectory more time, then `rtarm clear-fault`.",
+        "Last line of defence behind the goal checks.",
+        "Allow the trajectory more time; clear the fault.",
+    ),
+    Fault.ACCELERATION_LIMIT: Meaning(
+        "The setpoint of {joint} accelerated with {value:.3f} rad/s² and {limit:.3f} rad/s² are allowed, so "
+        "it was not sent: smooth the trajectory, then `rtarm clear-fault`.",
+        "Last line of defence behind the goal checks.",
+        "Give the trajectory more time or smooth it; clear the fault.",
+    ),
+    Fault.FOLLOWING_ERROR: Meaning(
+        "{joint} was {value:.4f} rad from where it was commanded and {limit:.4f} rad are allowed: look for "
+        "an obstacle, a load or a weak drive, then `rtarm clear-fault`.",
+        "A joint that does not follow is blocked, overloaded or not driven.",
+        "Free the arm, check the drive's current limit and supply, clear the fault.",
+    ),
+    Fault.STALE_READING: Meaning(
+        "{joint} has not answered for {value:.3f} s and {limit:.3f} s are allowed: check the drive's supply, "
+        "its cable and the adapter, see that the joint stands where `rtarm status` says, then start rtarm again.",
+        "Without readings nobody knows where the joint is.",
+        "Check supply, cable, termination and adapter; see that the joint stands where it reads; start rtarm again.",
+    ),
+    Fault.DRIVE_FAULT: Meaning(
+        "The drive of {joint} reports a fault of its own (stalled, protected or not enabled): remove the "
+        "cause, then `rtarm clear-fault`.",
+        "A drive in protection does not follow setpoints.",
+        "Free the joint, let the drive cool, clear the fault.",
+    ),
+    Fault.REFERENCE_LOST: Meaning(
+        "{joint} lost its reference, so its angle is not known and it gets no motion: see `rtarm status` for the "
+        "reason and what to do about it.",
+        "After a loss of power or a jump the drive's count does not mean an angle any more.",
+        "Follow what `rtarm status` says of the joint; `rtarm clear-fault` alone never references it.",
+    ),
+    Fault.COMMAND_RING: Meaning(
+        "The command memory holds what cannot be right (value {value:g}, limit {limit:g}), and nothing of it "
+        "was used: restart the ROS process, then `rtarm clear-fault`.",
+        "The control process believes nothing it reads: a corrupt ring must never move the arm.",
+        "Restart the ROS process from the same installation; clear the fault.",
+    ),
+    Fault.WIRE: Meaning(
+        "The CAN adapter is gone or refuses: check its cable and that nothing else has opened it, then start "
+        "rtarm again.",
+        "Without the adapter no drive can be told anything.",
+        "Plug it in again and start rtarm again.",
+    ),
+    Fault.BRING_UP: Meaning(
+        "Bringing up the drives failed: see the control process' message for the drive and the reason, mend "
+        "it, then `rtarm clear-fault`.",
+        "A drive that does not answer as it should at the start is not moved.",
+        "Follow the message of the control process; clear the fault.",
+    ),
+}
+
+UNREFERENCED: dict[Unreferenced, Meaning] = {
+    Unreferenced.REFERENCED: Meaning("{joint} is referenced.", "", ""),
+    Unreferenced.NOT_BROUGHT_UP: Meaning(
+        "{joint} has not been brought up yet, so its angle is not known: wait for bring-up to end.",
+        "Only bring-up tells what a drive's count means.",
+        "Wait, or see why bring-up does not end.",
+    ),
+    Unreferenced.POWER_LOST: Meaning(
+        "The drive of {joint} lost power, so its angle is not known: home it with the drive's own means, clear its "
+        "power-lost flag, then start rtarm again.",
+        "A drive counts from where it stood when it was switched on.",
+        "Home the joint with the drive's own means and clear its flag (50 00 6B); start rtarm again.",
+    ),
+    Unreferenced.POSITION_JUMP: Meaning(
+        "The measured position of {joint} jumped, so its angle is not known: check the drive, see whether "
+        "the joint stands where `rtarm status` says (home it if not), then start rtarm again.",
+        "No joint moves that far in one cycle; the count must have changed its meaning.",
+        "Check encoder and supply; home the joint if it does not stand where it reads; start rtarm again.",
+    ),
+    Unreferenced.SILENT: Meaning(
+        "The drive of {joint} was silent for too long, so its angle is not known: check supply and cable, "
+        "see whether the joint stands where `rtarm status` says (home it if not), then start rtarm again.",
+        "A drive that was away may have been switched off and moved meanwhile.",
+        "Check supply and cable; home the joint if it does not stand where it reads; start rtarm again.",
+    ),
+    Unreferenced.TARGET_FAR: Meaning(
+        "The drive of {joint} stands far from its own target, so adopting either would move it or lie: free "
+        "the joint, then bring the arm up again.",
+        "Where target and position disagree the joint is held off its target by force, or its count is wrong.",
+        "Free the joint, switch the drive off and on, bring the arm up again.",
+    ),
+    Unreferenced.OUTSIDE_LIMITS: Meaning(
+        "{joint} stands outside its limits, so its count or its zero must be wrong: check zero_deg, "
+        "direction and limits in the arm file and the pose, then start rtarm again.",
+        "A joint cannot stand where the arm file says it never is.",
+        "Check zero_deg, direction and limits in the arm file; home the joint; start rtarm again.",
+    ),
+}
+
+ANSWERS: dict[Answer, Meaning] = {
+    Answer.NONE: Meaning("The request has not been answered yet.", "", ""),
+    Answer.DONE: Meaning("Done.", "", ""),
+    Answer.REFUSED_MODE: Meaning(
+        "The control process cannot do this in its present mode: see `rtarm status`.",
+        "One table says which change of mode is allowed.",
+        "Wait for the mode in which it is possible.",
+    ),
+    Answer.REFUSED_NO_GOAL: Meaning(
+        "No such goal is running, so there is nothing to do.",
+        "A request about a goal may arrive after the goal has ended.",
+        "Nothing to do.",
+    ),
+    Answer.REFUSED_VALUE: Meaning(
+        "The value is not allowed; a speed scale lies between 0 and 1: correct it.",
+        "A factor above 1 would break the limits the goal was checked against.",
+        "Give a value from 0 to 1.",
+    ),
+    Answer.REFUSED_MOVING: Meaning(
+        "The arm is still coming to rest after the fault: ask again in a moment.",
+        "What brakes the arm is not interrupted.",
+        "Ask again once nothing moves.",
+    ),
+    Answer.REFUSED_UNKNOWN: Meaning(
+        "The control process does not know this request: start both processes from one installation.",
+        "An unknown request is refused, never guessed at.",
+        "Restart both processes from one installation.",
+    ),
+}
+
+
+def mode_name(mode: int) -> str:
+    """A mode as people read it."""
+    try:
+        return Mode(mode).name.lower().replace("_", " ")
+    except ValueError:
+        return f"in unknown mode {mode}"
+
+
+def joint_name(joint: int, joints: Sequence[str]) -> str:
+    """The name of the joint a record is about, "no joint" where it is about none."""
+    return joints[joint] if 0 <= joint < len(joints) else "no joint"
+
+
+def _say(table: Mapping[Key, Meaning], kind: type[Key], number: int, joint: str, value: float, limit: float) -> str:
+    try:
+        meaning = table[kind(number)]
+    except ValueError:
+        return f"Unknown {kind.__name__.lower()} {number}: start all processes from one installation."
+    return meaning.sentence.format(joint=joint, value=_Value(value), limit=_Value(limit))
+
+
+def outcome_sentence(outcome: int, joint: str = "", value: float = 0.0, limit: float = 0.0) -> str:
+    """How a goal ended."""
+    return _say(OUTCOMES, Outcome, outcome, joint, value, limit)
+
+
+def fault_sentence(fault: int, joint: str = "", value: float = 0.0, limit: float = 0.0) -> str:
+    """What a latched fault says."""
+    return _say(FAULTS, Fault, fault, joint, value, limit)
+
+
+def unreferenced_sentence(reason: int, joint: str) -> str:
+    """Why a joint's count does not mean an angle."""
+    return _say(UNREFERENCED, Unreferenced, reason, joint, 0.0, 0.0)
+
+
+def answer_sentence(answer: int) -> str:
+    """How a request was answered."""
+    return _say(ANSWERS, Answer, answer, "", 0.0, 0.0)

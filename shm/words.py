@@ -1,0 +1,134 @@
+"""The numbers that travel in shared memory, by name.
+
+Integers in the files, enumerations in Python; jitted code compares the members as plain integers.
+What a person reads about a fault, an outcome or an answer comes from `shm.sentences`, never from here.
+"""
+
+from enum import IntEnum, IntFlag
+
+
+class Mode(IntEnum):
+    """What the control process is doing; allowed changes stand in `rtloop.modes`."""
+
+    OFFLINE = 0
+    BRINGING_UP = 1
+    HOLDING = 2
+    EXECUTING = 3
+    STOPPING = 4
+    FAULT = 5
+
+
+class Phase(IntEnum):
+    """Where the goal `snapshot.goal_id` stands."""
+
+    NONE = 0
+    WAITING = 1  # start time lies ahead
+    RUNNING = 2
+    SETTLING = 3  # the last point is commanded, the measured joints are on their way
+    STOPPING = 4  # slowing down on its path
+    PAUSED = 5
+
+
+class Setpoint(IntEnum):
+    """Kind of a record in the setpoint ring."""
+
+    BEGIN = 1
+    KNOT = 2
+    END = 3
+
+
+class Request(IntEnum):
+    """What a request asks for."""
+
+    HOLD = 1  # stop on the path, keep the goal: pause
+    RESUME = 2
+    CANCEL = 3  # stop on the path, end the goal as canceled
+    SPEED_SCALE = 4
+    CLEAR_FAULT = 5
+    STOP = 6  # stop on the path, end the goal as stopped by a person
+
+
+class Answer(IntEnum):
+    """How a request was answered."""
+
+    NONE = 0
+    DONE = 1
+    REFUSED_MODE = 2
+    REFUSED_NO_GOAL = 3
+    REFUSED_VALUE = 4
+    REFUSED_UNKNOWN = 5
+    REFUSED_MOVING = 6
+
+
+class Outcome(IntEnum):
+    """How a goal ended."""
+
+    NONE = 0
+    SUCCEEDED = 1
+    CANCELED = 2
+    REPLACED = 3
+    STOPPED = 4  # by `rtarm stop`
+    PATH_TOLERANCE = 5
+    GOAL_TOLERANCE = 6
+    FAULT = 7  # the latched fault says why
+    STARVED = 8  # the front stopped sending knots
+    FRONT_LOST = 9
+    SHUTDOWN = 10
+    REFUSED_MODE = 11  # value: the mode
+    REFUSED_UNREFERENCED = 12
+    REFUSED_START = 13  # first point too far: value, limit
+    REFUSED_LIMITS = 14  # no way onto the trajectory inside the limits
+    REFUSED_CORRUPT = 15  # a knot that is not finite, out of order or out of limits
+    CLOCK_GAP = 16  # the cycle was away for longer than the drives' look-ahead
+
+
+class Fault(IntEnum):
+    """Latched faults; sentence, reason and remedy of each in `shm.sentences`."""
+
+    NONE = 0
+    NOT_FINITE = 1
+    POSITION_LIMIT = 2
+    VELOCITY_LIMIT = 3
+    ACCELERATION_LIMIT = 4
+    FOLLOWING_ERROR = 5
+    STALE_READING = 6
+    DRIVE_FAULT = 7  # the drive reports stall protection or is not enabled
+    REFERENCE_LOST = 8
+    COMMAND_RING = 9  # corrupt record or index in the command file
+    WIRE = 10  # the adapter refuses or is gone
+    BRING_UP = 11
+
+
+class Unreferenced(IntEnum):
+    """Why a joint's count does not mean an angle."""
+
+    REFERENCED = 0
+    NOT_BROUGHT_UP = 1
+    POWER_LOST = 2
+    POSITION_JUMP = 3
+    SILENT = 4
+    TARGET_FAR = 5  # measured position and the drive's own target disagree
+    OUTSIDE_LIMITS = 6
+
+
+class DriveStatus(IntFlag):
+    """Status bits common to all drive families."""
+
+    ENABLED = 1
+    REACHED = 2
+    STALLED = 4
+    PROTECTED = 8
+    POWER_LOST = 16
+    ANSWERED = 32  # at least one reading since bring-up
+
+
+class Event(IntEnum):
+    """Kind of a record in the event ring."""
+
+    MODE = 1
+    FAULT = 2
+    GOAL = 3
+    RESULT = 4
+    REQUEST = 5
+    OVERRUN = 6
+    REFERENCE = 7
