@@ -1,0 +1,1 @@
+"""The control process: one compiled cycle between shared memory and the bus."""

@@ -1,0 +1,84 @@
+"""The control cycle, from top to bottom: bytes in, motion, bytes out.
+
+`step(loop, shared, now_ns)` is one cycle as a function of its inputs: the state, the time and what the wire
+brought (in the state's receive ring); its output stands in the state's transmit buffer. It sleeps for
+nothing, asks the system for nothing and allocates nothing. `rtloop.run` calls it in real time, tests in
+virtual time.
+"""
+
+from typing import Any
+
+from rtloop import frames, goals, guard, intake, measured, orders, setpoints
+from rtloop.drives import zdt
+from rtloop.events import record_event, set_result
+from rtloop.show import show
+from rtloop.state import HISTORY_SLOTS
+from shm.jit import jit
+from shm.layout import MAX_JOINTS
+from shm.words import Event, Outcome
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+GAP_NS = 100_000_000
+"""A cycle later than this finds drives that have braked by themselves: the goal is over."""
+
+
+@jit
+def step(loop: Loop, shared: Shared, now_ns: int) -> int:
+    """Run one cycle whose planned time is now_ns; returns the bytes to write, which stand in `loop.tx`."""
+    begin_cycle(loop, shared, now_ns)
+    measured.take_what_the_bus_brought(loop, shared)
+    orders.take_service_orders(loop, shared)
+    intake.take_requests(loop, shared)
+    intake.take_setpoints(loop, shared)
+    guard.check_measured(loop, shared)
+    goals.enter_newer_goal(loop, shared)
+    goals.steer(loop, shared)
+    setpoints.move(loop, shared)
+    goals.judge_goal(loop, shared)
+    frames.encode(loop, shared)
+    show(loop, shared)
+    return int(loop.core.tx_length)
+
+
+@jit
+def begin_cycle(loop: Loop, shared: Shared, now_ns: int) -> None:
+    """The setpoint that was sent for this instant becomes the present one; a long gap ends the goal."""
+    core = loop.core
+    gap_ns = now_ns - core.now_ns if core.cycle > 0 else 0
+    core.now_ns = now_ns
+    core.cycle += 1
+    period_s = loop.params.period_ns * 1e-9
+    slot = core.history_next & (HISTORY_SLOTS - 1)
+    loop.history_ns[slot] = now_ns
+    for joint in range(loop.params.joint_count):
+        axis = loop.axes[joint]
+        axis.difference_velocity_rad_s = (axis.next_position_rad - axis.position_rad) / period_s
+        axis.position_rad = axis.next_position_rad
+        axis.velocity_rad_s = axis.next_velocity_rad_s
+        axis.acceleration_rad_s2 = axis.next_acceleration_rad_s2
+        away_ns = min(max(gap_ns - loop.params.period_ns, 0), GAP_NS)
+        if axis.unanswered_since_ns != 0:
+            axis.unanswered_since_ns += max(gap_ns - loop.params.period_ns, 0)  # the loop was away, not the drive
+        axis.slip_rad *= 1.0 - min(zdt.ERROR_SHARE_1_S * period_s, 1.0)
+        axis.slip_rad += abs(axis.velocity_rad_s) * away_ns * 1e-9
+        loop.history_rad[slot * MAX_JOINTS + joint] = axis.position_rad
+        loop.history_rad_s[slot * MAX_JOINTS + joint] = axis.velocity_rad_s
+    core.history_next += 1
+    shared.counters.cycles = core.cycle
+    if gap_ns > GAP_NS:
+        stand_where_the_drives_stopped(loop, shared, gap_ns)
+
+
+@jit
+def stand_where_the_drives_stopped(loop: Loop, shared: Shared, gap_ns: int) -> None:
+    """After a gap longer than the drives' look-ahead: the goal is over, the arm is where it came to rest."""
+    core = loop.core
+    record_event(loop, shared, Event.OVERRUN, -1, gap_ns, gap_ns * 1e-9, GAP_NS * 1e-9)
+    if core.goal_id == 0 and core.own_brake == 0:
+        return
+    if core.goal_id != 0:
+        set_result(loop, shared, core.goal_id, Outcome.CLOCK_GAP, -1, gap_ns * 1e-9, GAP_NS * 1e-9)
+        goals.finish_goal(loop, shared)
+    core.rebase_ns = core.now_ns

@@ -1,0 +1,1 @@
+"""Drives: what the frames of each drive family mean."""

@@ -1,0 +1,144 @@
+"""ZDT (Emm_V5) closed-loop stepper: numbers to CAN frames and back, in the cycle.
+
+Protocol facts (extended data frames, id = address << 8 | packet, 6B as constant checksum, big-endian fields
+with the sign in a byte of its own):
+- `FD dir rpm16 acc pulses32 mode=01 sync=00 6B`, two packets: go to an absolute target with at most that
+  speed and a ramp of 1 rpm every (256 - acc) · 50 µs;
+- `36 6B` → `36 sign counts32 6B`, 65536 counts a turn; `3A 6B` → `3A flags 6B`; `FE 98 00 6B` stops at once;
+- acknowledgements are `func 02 6B`, refusals `func E2 6B`, misunderstandings `00 EE 6B` or `func EE 6B`.
+Requests and replies share their ids; they differ in length for every function used here, which is how a
+reply is told from an echo of one's own request.
+
+Streaming: the drive plans its own ramp to whatever target it heard last. A target at the setpoint makes it
+sprint and stop in every cycle, so the target lies ahead of the setpoint by one period of motion plus the
+braking distance of the ramp it is given, and the speed field alone sets the pace: the planned mean velocity
+of the coming period plus a small share of the measured error. Since the ramp is 1.5 to 2 times the joint's
+acceleration limit, a drive that hears nothing more brakes by itself, bounded, on the target's last word.
+"""
+
+import math
+from typing import Any
+
+from config.derived import LEAD_PERIODS
+from rtloop import status as status_bits
+from shm.jit import jit
+
+Loop = Any
+
+ERROR_SHARE_1_S = 8.0
+"""Share of the measured error that goes into the speed, per second: corrected within about 1/8 s."""
+ERROR_SPEED_SHARE = 0.25
+"""That part of the speed never exceeds this share of the joint's highest velocity: a held joint is not rushed at."""
+HIGHEST_RPM = 3000
+
+CHECKSUM = 0x6B
+
+OTHER = 0
+POSITION = 1
+STATUS = 2
+REFUSED = 3
+ACCEPTED = 4
+
+
+@jit
+def pack_target(rpm: int, acc_byte: int, pulses: int) -> tuple[int, int]:
+    """Data words of the two packets of `FD`, absolute; first byte lowest."""
+    sign = 1 if pulses < 0 else 0
+    magnitude = min(abs(pulses), 0xFFFFFFFF)
+    first = (
+        0xFD
+        | (sign << 8)
+        | (((rpm >> 8) & 255) << 16)
+        | ((rpm & 255) << 24)
+        | (acc_byte << 32)
+        | (((magnitude >> 24) & 255) << 40)
+        | (((magnitude >> 16) & 255) << 48)
+        | (((magnitude >> 8) & 255) << 56)
+    )
+    second = 0xFD | ((magnitude & 255) << 8) | (0x01 << 16) | (0x00 << 24) | (CHECKSUM << 32)
+    return first, second
+
+
+READ_POSITION = 0x36 | (CHECKSUM << 8)
+READ_STATUS = 0x3A | (CHECKSUM << 8)
+STOP = 0xFE | (0x98 << 8) | (CHECKSUM << 24)
+
+
+@jit
+def to_pulses(loop: Loop, joint: int, position_rad: float) -> int:
+    row = loop.joints[joint]
+    return round((position_rad + row.zero_rad) * row.pulses_per_rad)
+
+
+@jit
+def to_radians(loop: Loop, joint: int, counts: int) -> float:
+    row = loop.joints[joint]
+    return counts / row.counts_per_rad - row.zero_rad
+
+
+@jit
+def command(loop: Loop, joint: int) -> tuple[int, int]:
+    """The two packets that lead a drive through the coming period; carries the speed's rounding over."""
+    row, axis = loop.joints[joint], loop.axes[joint]
+    period_s = loop.params.period_ns * 1e-9
+    planned = (axis.next_position_rad - axis.position_rad) / period_s
+    # the frame arrives command_delay_s into the cycle and is in force for one period from there
+    speed = planned + axis.next_acceleration_rad_s2 * row.command_delay_s
+    most = ERROR_SPEED_SHARE * row.max_velocity_rad_s
+    speed += min(max(ERROR_SHARE_1_S * (axis.reference_rad - axis.measured_rad), -most), most)
+    most = loop.params.velocity_margin * row.max_velocity_rad_s
+    speed = min(max(speed, -most), most)
+    lead = period_s * LEAD_PERIODS + row.command_delay_s
+    brake = speed * speed / (2.0 * row.silence_deceleration_rad_s2)
+    target = axis.next_position_rad
+    standing = axis.velocity_rad_s == 0.0 and axis.next_velocity_rad_s == 0.0
+    if not standing:
+        target += speed * lead + math.copysign(brake, speed)
+        target = min(max(target, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad)
+    wanted_rpm = abs(speed) * row.rpm_per_rad_s + axis.rpm_remainder
+    rpm = round(wanted_rpm)
+    axis.rpm_remainder = min(max(wanted_rpm - rpm, -1.0), 1.0)
+    rpm = max(rpm, 1)  # so that the last pulse is reached
+    return pack_target(min(rpm, HIGHEST_RPM), row.acc_byte, to_pulses(loop, joint, target))
+
+
+@jit
+def decode(packet: int, length: int, data: int) -> tuple[int, int]:
+    """(kind, value) of a frame from a drive: POSITION in counts, STATUS as common bits, …"""
+    function = data & 255
+    if packet != 0:
+        return OTHER, 0
+    if length == 7 and function == 0x36 and (data >> 48) & 255 == CHECKSUM:
+        counts = (
+            (((data >> 16) & 255) << 24)
+            | (((data >> 24) & 255) << 16)
+            | (((data >> 32) & 255) << 8)
+            | ((data >> 40) & 255)
+        )
+        return POSITION, -counts if (data >> 8) & 255 else counts
+    if length == 3 and (data >> 16) & 255 == CHECKSUM:
+        code = (data >> 8) & 255
+        if function == 0x3A:
+            return STATUS, common_status(code)
+        if code == 0xE2 or code == 0xEE:
+            return REFUSED, function
+        if code == 0x02:
+            return ACCEPTED, function
+    return OTHER, 0
+
+
+@jit
+def common_status(flags: int) -> int:
+    """3A's flags (0 enabled, 1 reached, 2 stalled, 3 protection tripped, 7 power was lost) in common bits."""
+    status = 0
+    if flags & 0x01:
+        status |= status_bits.ENABLED
+    if flags & 0x02:
+        status |= status_bits.REACHED
+    if flags & 0x04:
+        status |= status_bits.STALLED
+    if flags & 0x08:
+        status |= status_bits.PROTECTED
+    if flags & 0x80:
+        status |= status_bits.POWER_LOST
+    return status

@@ -1,0 +1,40 @@
+"""Latching a fault: the first one stands until it is cleared, and the arm brakes."""
+
+from typing import Any
+
+from rtloop.events import record_event, set_result
+from rtloop.modes import change_mode
+from shm.jit import jit
+from shm.words import Event, Fault, Mode, Outcome
+
+Loop = Any
+Shared = Any
+
+
+@jit
+def path_is_trusted(fault: int) -> bool:
+    """Whether the arm may brake along its path after this fault; else each joint brakes by itself."""
+    return fault == Fault.COMMAND_RING or fault == Fault.WIRE or fault == Fault.BRING_UP
+
+
+@jit
+def latch_fault(loop: Loop, shared: Shared, fault: int, joint: int, value: float, limit: float) -> None:
+    """Latch a fault, end every goal with it and let the arm brake."""
+    core = loop.core
+    if core.fault != Fault.NONE:
+        return
+    core.fault = fault
+    core.fault_joint = joint
+    core.fault_value = value
+    core.fault_limit = limit
+    core.fault_ns = core.now_ns
+    record_event(loop, shared, Event.FAULT, joint, fault, value, limit)
+    change_mode(loop, shared, Mode.FAULT)
+    if not path_is_trusted(fault):
+        core.own_brake = 1
+    set_result(loop, shared, core.incoming_goal, Outcome.FAULT, joint, value, limit)
+    core.incoming_goal = 0
+    core.incoming_waits = 0
+    if core.goal_id != 0:
+        set_result(loop, shared, core.goal_id, Outcome.FAULT, joint, value, limit)
+        core.ending = Outcome.FAULT

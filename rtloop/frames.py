@@ -1,0 +1,95 @@
+"""The frames of a cycle: motion first, then readings, then what conversations want to say."""
+
+from typing import Any
+
+from config.budget import frame_bits as frame_bits_of
+from rtloop import guard, service
+from rtloop import status as status_bits
+from rtloop.drives import zdt
+from rtloop.state import FAMILY_MOCK, FAMILY_ZDT, SLCAN_LONGEST_LINE, TX_BYTES
+from rtloop.wire import slcan
+from shm.jit import jit
+from shm.words import Mode
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+frame_bits = jit(frame_bits_of)
+
+
+@jit
+def encode(loop: Loop, shared: Shared) -> None:
+    """Put this cycle's frames into the transmit buffer: motion first, then readings, then service."""
+    core, params = loop.core, loop.params
+    core.tx_bits = 0
+    shared.counters.bytes_unsent += slcan.drop_stale_lines(loop)
+    leads = guard.drives_are_led(loop)
+    for joint in range(params.joint_count):
+        axis = loop.axes[joint]
+        if loop.joints[joint].family == FAMILY_MOCK:
+            mirror(loop, joint)
+        elif axis.stop_frames_due > 0:
+            axis.stop_frames_due -= 1
+            send(loop, shared, loop.joints[joint].address << 8, 4, zdt.STOP)
+        elif leads and axis.referenced == 1 and axis.bad_statuses == 0:
+            first, second = zdt.command(loop, joint)
+            send(loop, shared, loop.joints[joint].address << 8, 8, first)
+            send(loop, shared, (loop.joints[joint].address << 8) | 1, 5, second)
+    if core.mode != Mode.OFFLINE:
+        ask(loop, shared)
+    send_service_frames(loop, shared)
+
+
+@jit
+def mirror(loop: Loop, joint: int) -> None:
+    """A mock drive: what is commanded is measured, at this very instant."""
+    axis = loop.axes[joint]
+    axis.measured_rad = axis.reference_rad = axis.position_rad
+    axis.measured_velocity_rad_s = axis.reference_velocity_rad_s = axis.velocity_rad_s
+    axis.measured_ns = loop.core.now_ns
+    axis.readings += 1
+    axis.status = status_bits.ENABLED | status_bits.REACHED | status_bits.ANSWERED
+
+
+@jit
+def send(loop: Loop, shared: Shared, frame_id: int, length: int, data: int) -> None:
+    """Append one extended frame for the wire."""
+    if slcan.encode_frame(loop, frame_id, True, length, data):
+        bits = frame_bits(True, length)
+        loop.core.tx_bits += bits
+        shared.counters.bits_on_bus += bits
+        shared.counters.frames_sent += 1
+
+
+@jit
+def ask(loop: Loop, shared: Shared) -> None:
+    """Ask every drive for its position, and one of them in turn for its status."""
+    core, params = loop.core, loop.params
+    for joint in range(params.joint_count):
+        if loop.joints[joint].family == FAMILY_ZDT:
+            axis = loop.axes[joint]
+            send(loop, shared, loop.joints[joint].address << 8, 2, zdt.READ_POSITION)
+            if axis.unanswered_since_ns == 0:
+                axis.unanswered_since_ns = core.now_ns
+    core.status_turn = (core.status_turn + 1) % params.joint_count
+    if loop.joints[core.status_turn].family == FAMILY_ZDT:
+        send(loop, shared, loop.joints[core.status_turn].address << 8, 2, zdt.READ_STATUS)
+
+
+@jit
+def send_service_frames(loop: Loop, shared: Shared) -> None:
+    """Send what conversations want to say in the bus time this cycle leaves; packets of one command together."""
+    core = loop.core
+    spare = loop.params.service_bits - core.tx_bits
+    core.service_credit_bits = min(core.service_credit_bits + spare, loop.params.service_bits)
+    while service.inbox(loop) > 0 and core.service_credit_bits > 0:
+        if loop.service_in.records[service.inbox_slot(loop)].kind != service.SEND:
+            break
+        packets = service.command_length(loop)
+        if packets == 0 or core.tx_length + packets * SLCAN_LONGEST_LINE > TX_BYTES:
+            break
+        for _ in range(packets):
+            order = loop.service_in.records[service.inbox_slot(loop)]
+            send(loop, shared, order.id, order.length, order.data)
+            core.service_credit_bits -= frame_bits(True, order.length)
+            service.inbox_done(loop)

@@ -1,0 +1,165 @@
+"""The last line of defence: what is about to be commanded, and what was measured, against the limits.
+
+A next setpoint that breaks a limit is never sent: the fault is latched first and the arm brakes from the
+last good one.
+"""
+
+import math
+from typing import Any
+
+from rtloop import status as status_bits
+from rtloop.events import record_event
+from rtloop.faults import latch_fault
+from rtloop.trajectory import in_goal
+from shm.jit import jit
+from shm.words import Event, Fault, Mode, Outcome, Unreferenced
+
+Loop = Any
+Shared = Any
+
+ROUNDING = 1.0 + 1e-6
+STATUSES_TO_BELIEVE = 2
+
+
+@jit
+def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
+    """Whether every joint's next setpoint is finite and inside its limits; latches the first that is not.
+
+    Velocity and acceleration are differences of the positions themselves, not of what the sampler claims.
+    """
+    params = loop.params
+    period_s = params.period_ns * 1e-9
+    for joint in range(params.joint_count):
+        row, axis = loop.joints[joint], loop.axes[joint]
+        p = axis.next_position_rad
+        if not (math.isfinite(p) and math.isfinite(axis.next_velocity_rad_s)):
+            latch_fault(loop, shared, Fault.NOT_FINITE, joint, p, 0.0)
+            return False
+        low, high = row.lower_rad - row.slack_rad, row.upper_rad + row.slack_rad
+        # a joint that was found outside may move in
+        if (p < low and p < axis.position_rad) or (p > high and p > axis.position_rad):
+            latch_fault(loop, shared, Fault.POSITION_LIMIT, joint, p, low if p < low else high)
+            return False
+        velocity = (p - axis.position_rad) / period_s
+        limit = params.velocity_margin * row.max_velocity_rad_s * ROUNDING
+        if abs(velocity) > limit:
+            latch_fault(loop, shared, Fault.VELOCITY_LIMIT, joint, velocity, limit)
+            return False
+        acceleration = (velocity - axis.difference_velocity_rad_s) / period_s
+        limit = params.acceleration_margin * row.max_acceleration_rad_s2 * ROUNDING
+        # one step of a position in double precision, differenced twice, is not an acceleration
+        if abs(acceleration) > limit + 1e-15 / (period_s * period_s):
+            latch_fault(loop, shared, Fault.ACCELERATION_LIMIT, joint, acceleration, limit)
+            return False
+    return True
+
+
+@jit
+def check_measured(loop: Loop, shared: Shared) -> None:
+    """Following error, the age ladder's upper rung, and what the drives say of themselves.
+
+    A drive that ran on while the loop was away is not to blame for the distance (`slip_rad`): the error share
+    in the speed field takes it back at the rate at which that allowance decays.
+    """
+    core, params = loop.core, loop.params
+    core.stale = 0
+    for joint in range(params.joint_count):
+        axis = loop.axes[joint]
+        if axis.referenced == 0:
+            continue
+        if axis.unanswered_since_ns != 0:
+            age_ns = core.now_ns - axis.unanswered_since_ns
+            if age_ns > params.stale_brake_ns:
+                core.stale = 1
+                shared.counters.stale_reads += 1
+            if age_ns > params.stale_fault_ns:
+                lose_reference(loop, shared, joint, Unreferenced.SILENT)
+                latch_fault(loop, shared, Fault.STALE_READING, joint, age_ns * 1e-9, params.stale_fault_ns * 1e-9)
+                continue
+        if axis.bad_statuses >= STATUSES_TO_BELIEVE:
+            if axis.status & status_bits.POWER_LOST:
+                lose_reference(loop, shared, joint, Unreferenced.POWER_LOST)
+                latch_fault(loop, shared, Fault.REFERENCE_LOST, joint, 0.0, 0.0)
+                continue
+            latch_fault(loop, shared, Fault.DRIVE_FAULT, joint, float(axis.status), 0.0)
+        error = axis.reference_rad - axis.measured_rad
+        if core.goal_id != 0 and core.ending == Outcome.NONE and in_goal(loop, core.active, joint):
+            tolerance = loop.paths[core.active].tolerances[joint].path_tolerance_rad
+            if tolerance > 0.0 and abs(error) > tolerance + axis.slip_rad:
+                core.ending = Outcome.PATH_TOLERANCE
+                core.ending_joint, core.ending_value, core.ending_limit = joint, error, tolerance
+        if (
+            core.motion_started == 1
+            and core.rebase_ns == 0
+            and (abs(error) > params.following_error_rad + axis.slip_rad)
+        ):
+            latch_fault(loop, shared, Fault.FOLLOWING_ERROR, joint, error, params.following_error_rad)
+
+
+@jit
+def take_status(loop: Loop, joint: int, status: int) -> None:
+    """Believe a bad status when it comes twice: the serial line has no checksum, one garbled digit is enough."""
+    axis = loop.axes[joint]
+    axis.status = status | status_bits.ANSWERED
+    axis.status_readings += 1
+    bad = status & (status_bits.PROTECTED | status_bits.POWER_LOST) != 0 or status & status_bits.ENABLED == 0
+    axis.bad_statuses = axis.bad_statuses + 1 if bad else 0
+
+
+@jit
+def lose_reference(loop: Loop, shared: Shared, joint: int, reason: int) -> None:
+    """The drive's count means nothing any more: stop command, then no motion frame until it is referenced."""
+    axis = loop.axes[joint]
+    if axis.referenced == 1:
+        record_event(loop, shared, Event.REFERENCE, joint, reason, 0.0, 0.0)
+    axis.referenced = 0
+    axis.unreferenced_reason = reason
+    axis.stop_frames_due = 3
+
+
+@jit
+def believable(loop: Loop, shared: Shared, joint: int, position_rad: float, now_ns: int) -> bool:
+    """Whether a reading can have come about by motion since the last one.
+
+    One that cannot is put aside; when the next one agrees with it, the drive's count has truly jumped.
+    """
+    axis, row = loop.axes[joint], loop.joints[joint]
+    since_s = max(now_ns - axis.measured_ns, 0) * 1e-9
+    possible = loop.params.position_jump_rad + 2.0 * row.max_velocity_rad_s * since_s
+    jump = position_rad - axis.measured_rad
+    if axis.readings == 0 or axis.referenced == 0 or abs(jump) <= possible:
+        axis.doubted = 0
+        return True
+    if axis.doubted == 1 and abs(position_rad - axis.doubted_rad) <= possible:
+        axis.doubted = 0
+        lose_reference(loop, shared, joint, Unreferenced.POSITION_JUMP)
+        latch_fault(loop, shared, Fault.REFERENCE_LOST, joint, jump, loop.params.position_jump_rad)
+        return True
+    axis.doubted = 1
+    axis.doubted_rad = position_rad
+    return False
+
+
+@jit
+def drives_are_led(loop: Loop) -> bool:
+    """Whether motion frames leave in this cycle.
+
+    In a latched fault only until the arm stands: what moved it away afterwards must not be followed up, and the
+    drives hold their last target by themselves.
+    """
+    core = loop.core
+    if core.motion_started == 0 or core.rebase_ns != 0:
+        return False
+    if core.mode == Mode.FAULT:
+        return not at_rest(loop)
+    return core.mode == Mode.HOLDING or core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING
+
+
+@jit
+def at_rest(loop: Loop) -> bool:
+    """Whether nothing is commanded to move, now and next."""
+    for joint in range(loop.params.joint_count):
+        axis = loop.axes[joint]
+        if axis.velocity_rad_s != 0.0 or axis.acceleration_rad_s2 != 0.0 or axis.next_velocity_rad_s != 0.0:
+            return False
+    return True

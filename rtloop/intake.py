@@ -1,0 +1,348 @@
+"""What the loop takes from the command file: goals knot by knot, and requests.
+
+Nothing read there is believed: positions in the rings are bounded, each record is copied first and then
+checked by sequence number and CRC, every number must be finite and inside the limits. A record whose CRC is
+wrong may be one whose last bytes have not become visible yet, so it is looked at again for a few cycles
+before it counts as corrupt.
+"""
+
+import math
+from typing import Any
+
+from rtloop.events import answer_request, record_event, set_result
+from rtloop.faults import latch_fault
+from rtloop.guard import at_rest
+from rtloop.state import LOOP, WINDOW_KNOTS, offset_of
+from rtloop.trajectory import end_s, slot
+from shm import layout
+from shm.atomics import load_acquire, store_release
+from shm.jit import jit
+from shm.seqlock import copy_words, crc32_at
+from shm.words import Answer, Event, Fault, Mode, Outcome, Request, Setpoint
+
+Loop = Any
+Shared = Any
+
+RECORDS_A_CYCLE = 64
+REQUESTS_A_CYCLE = 4
+REQUESTS_AHEAD = 1_000_000
+CYCLES_TO_BECOME_VISIBLE = 5
+GOALS_AHEAD = 1_000_000
+"""Goal ids rise by one; a word that is this far ahead was not written by a front."""
+COVER_S = 1.0
+"""A new path may be entered when this much of it is known, or all of it."""
+
+_ANNOUNCED = offset_of(layout.COMMAND, "announced_goal")
+_SETPOINTS_WRITTEN = offset_of(layout.COMMAND, "setpoints_written")
+_SETPOINTS = offset_of(layout.COMMAND, "setpoints")
+_SETPOINT_BYTES = layout.SETPOINT.itemsize
+_REQUESTS_WRITTEN = offset_of(layout.COMMAND, "requests_written")
+_REQUESTS = offset_of(layout.COMMAND, "requests")
+_REQUEST_BYTES = layout.REQUEST.itemsize
+_HEARTBEAT = offset_of(layout.COMMAND, "heartbeat_ns")
+_CONSUMED_SETPOINTS = offset_of(layout.STATE, "consumed", "setpoints")
+_CONSUMED_REQUESTS = offset_of(layout.STATE, "consumed", "requests")
+_SCRATCH = offset_of(LOOP, "scratch")
+_SCRATCH_BEGIN = offset_of(LOOP, "scratch_begin")
+_SCRATCH_REQUEST = offset_of(LOOP, "scratch_request")
+_SETPOINT_HEAD_WORDS = offset_of(layout.SETPOINT, "joints") // 8
+_SETPOINT_JOINT_WORDS = layout.SETPOINT_JOINT.itemsize // 8
+
+
+@jit
+def front_age_ns(loop: Loop) -> int:
+    """Time between now and the front's last sign of life, which may be a little later than the planned now.
+
+    A heartbeat from the far future is no sign of life: nothing read in the command file is believed.
+    """
+    heartbeat_ns = max(load_acquire(loop.params.command_address + _HEARTBEAT), 0)  # so that nothing overflows
+    return abs(loop.core.now_ns - heartbeat_ns)
+
+
+@jit
+def leave_corrupt_records(loop: Loop) -> None:
+    """After a corrupt setpoint ring was cleared: begin again with what the front writes from now on."""
+    command = loop.params.command_address
+    loop.core.setpoints_taken = load_acquire(command + _SETPOINTS_WRITTEN)
+    loop.core.announced_goal = loop.core.newest_goal
+    loop.core.setpoint_waits = 0
+
+
+@jit
+def take_setpoints(loop: Loop, shared: Shared) -> None:
+    """Take a bounded batch of records from the setpoint ring."""
+    core = loop.core
+    command = loop.params.command_address
+    if command == 0 or core.fault == Fault.COMMAND_RING:
+        return
+    written = load_acquire(command + _SETPOINTS_WRITTEN)
+    waiting = written - core.setpoints_taken
+    if waiting < 0 or waiting > layout.SETPOINT_SLOTS:
+        latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(waiting), float(layout.SETPOINT_SLOTS))
+        return
+    announced = load_acquire(command + _ANNOUNCED)
+    if announced > max(core.announced_goal, core.newest_goal) + GOALS_AHEAD:
+        latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(announced), float(core.newest_goal + GOALS_AHEAD))
+        return
+    core.announced_goal = max(core.announced_goal, announced)
+    words = _SETPOINT_HEAD_WORDS + loop.params.joint_count * _SETPOINT_JOINT_WORDS
+    for _ in range(min(waiting, RECORDS_A_CYCLE)):
+        source = command + _SETPOINTS + (core.setpoints_taken & (layout.SETPOINT_SLOTS - 1)) * _SETPOINT_BYTES
+        scratch = loop.params.address + _SCRATCH
+        copy_words(scratch, source, words)
+        record = loop.scratch
+        if record.crc != crc32_at(scratch + 8, words - 1) or record.sequence != core.setpoints_taken:
+            core.setpoint_waits += 1
+            if core.setpoint_waits > CYCLES_TO_BECOME_VISIBLE:
+                latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(core.setpoints_taken), 0.0)
+            break
+        core.setpoint_waits = 0
+        if not _take_record(loop, shared, words):
+            break
+        core.setpoints_taken += 1
+    store_release(loop.params.state_address + _CONSUMED_SETPOINTS, core.setpoints_taken)
+
+
+@jit
+def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
+    """Use the record in the scratch; False leaves it in the ring because its window is full."""
+    core = loop.core
+    record = loop.scratch
+    if record.kind == Setpoint.BEGIN:
+        copy_words(loop.params.address + _SCRATCH_BEGIN, loop.params.address + _SCRATCH, words)
+        _begin_goal(loop, shared)
+        return True
+    # Knots of the running goal are taken until a newer one has really entered: it may yet be refused.
+    if record.goal_id == core.incoming_goal:
+        path_index = core.incoming_path
+    elif record.goal_id == core.goal_id and core.goal_id != 0:
+        path_index = core.active
+    else:
+        return True  # of a goal that has ended
+    path = loop.paths[path_index]
+    if path.torn == 1:
+        return True
+    if record.kind == Setpoint.END:
+        path.ended = 1
+        return True
+    if path.taken - path.segment >= WINDOW_KNOTS - 1:
+        if record.goal_id == core.announced_goal:
+            return False
+        # A newer goal must not wait behind old knots. The running one has a whole window left, and it matters
+        # only if the newer one is refused: then it ends at the tear by lack of path.
+        path.torn = 1
+        return True
+    joint, value, limit = _wrong_knot(loop, path_index)
+    if joint == SOUND:
+        loop.knots[slot(path_index, path.taken)] = record
+        path.taken += 1
+        if path_index == core.incoming_path:
+            core.incoming_ns = core.now_ns
+        shared.counters.knots_taken += 1
+        return True
+    _refuse_knot(loop, shared, joint, value, limit)
+    return True
+
+
+SOUND = -2
+
+
+@jit
+def _wrong_knot(loop: Loop, path_index: int) -> tuple[int, float, float]:
+    """(SOUND, …) for a knot that may be used, else the joint (-1: the record), the value and its limit."""
+    record = loop.scratch
+    path = loop.paths[path_index]
+    if record.kind != Setpoint.KNOT:
+        return -1, float(record.kind), 2.0
+    if record.order != 1 and record.order != 3 and record.order != 5:
+        return -1, float(record.order), 5.0
+    previous_ns = -1 if path.taken == 0 else loop.knots[slot(path_index, path.taken - 1)].time_ns
+    if record.time_ns <= previous_ns:
+        return -1, float(record.time_ns), float(previous_ns)
+    for joint in range(loop.params.joint_count):
+        if (path.joint_mask >> joint) & 1 == 0:
+            continue
+        row, knot = loop.joints[joint], record.joints[joint]
+        p, v, a = knot.position_rad, knot.velocity_rad_s, knot.acceleration_rad_s2
+        if not (math.isfinite(p) and math.isfinite(v) and math.isfinite(a)):
+            return joint, p, row.upper_rad
+        if p < row.lower_rad - row.slack_rad:
+            return joint, p, row.lower_rad
+        if p > row.upper_rad + row.slack_rad:
+            return joint, p, row.upper_rad
+        if abs(v) > loop.params.velocity_margin * row.max_velocity_rad_s * (1.0 + 1e-9):
+            return joint, v, loop.params.velocity_margin * row.max_velocity_rad_s
+        if abs(a) > loop.params.acceleration_margin * row.max_acceleration_rad_s2 * (1.0 + 1e-9):
+            return joint, a, loop.params.acceleration_margin * row.max_acceleration_rad_s2
+    return SOUND, 0.0, 0.0
+
+
+@jit
+def _refuse_knot(loop: Loop, shared: Shared, joint: int, value: float, limit: float) -> None:
+    """A knot that cannot be used ends its goal; what came before it is still a path to stop on."""
+    core = loop.core
+    if loop.scratch.goal_id == core.incoming_goal:
+        set_result(loop, shared, core.incoming_goal, Outcome.REFUSED_CORRUPT, joint, value, limit)
+        core.incoming_goal = 0
+    elif core.ending == Outcome.NONE:
+        core.ending = Outcome.REFUSED_CORRUPT
+        core.ending_joint, core.ending_value, core.ending_limit = joint, value, limit
+
+
+@jit
+def _begin_goal(loop: Loop, shared: Shared) -> None:
+    core = loop.core
+    begin = loop.scratch_begin
+    goal_id = begin.goal_id
+    if goal_id <= core.newest_goal:
+        return  # taken before: a goal is never run twice
+    core.newest_goal = goal_id
+    if core.incoming_goal != 0:
+        set_result(loop, shared, core.incoming_goal, Outcome.REPLACED, -1, 0.0, 0.0)
+        core.incoming_goal = 0
+    core.incoming_waits = 0
+    record_event(loop, shared, Event.GOAL, -1, goal_id, 0.0, 0.0)
+    outcome, joint = _wrong_begin(loop)
+    if outcome != Outcome.NONE:
+        set_result(loop, shared, goal_id, outcome, joint, float(core.mode), 0.0)
+        return
+    core.incoming_goal = goal_id
+    core.incoming_path = 1 - core.active
+    core.incoming_ns = core.now_ns
+    path = loop.paths[core.incoming_path]
+    path.goal_id = goal_id
+    path.segment = 0
+    path.ended = 0
+    path.start_ns = begin.start_ns
+    path.joint_mask = begin.joint_mask
+    path.goal_time_s = begin.goal_time_s
+    path.bridge = begin.bridge
+    path.blend_s = 0.0
+    path.torn = 0
+    path.taken = 0
+    for joint in range(loop.params.joint_count):
+        path.tolerances[joint] = begin.joints[joint]
+    if path.bridge == 1:
+        first = loop.knots[slot(core.incoming_path, 0)]  # filled in where the arm is when it enters
+        first.time_ns = 0
+        first.order = 5
+        path.taken = 1
+
+
+@jit
+def _wrong_begin(loop: Loop) -> tuple[int, int]:
+    """Why a goal cannot be begun now: outcome (NONE when it can) and joint."""
+    core, begin = loop.core, loop.scratch_begin
+    if core.mode != Mode.HOLDING and core.mode != Mode.EXECUTING and core.mode != Mode.STOPPING:
+        return Outcome.REFUSED_MODE, -1
+    if core.closing == 1:
+        return Outcome.SHUTDOWN, -1
+    for joint in range(loop.params.joint_count):
+        if loop.axes[joint].referenced == 0:
+            return Outcome.REFUSED_UNREFERENCED, joint
+        row = begin.joints[joint]
+        if not (
+            math.isfinite(row.path_tolerance_rad)
+            and math.isfinite(row.goal_tolerance_rad)
+            and math.isfinite(row.goal_velocity_rad_s)
+        ):
+            return Outcome.REFUSED_CORRUPT, joint
+    if begin.joint_mask <= 0 or begin.joint_mask >> loop.params.joint_count != 0:
+        return Outcome.REFUSED_CORRUPT, -1
+    if not math.isfinite(begin.goal_time_s) or (begin.bridge != 0 and begin.bridge != 1):
+        return Outcome.REFUSED_CORRUPT, -1
+    return Outcome.NONE, -1
+
+
+@jit
+def incoming_is_ready(loop: Loop) -> bool:
+    """Whether enough of the newer goal is here to enter it."""
+    path = loop.paths[loop.core.incoming_path]
+    if path.taken <= path.bridge:
+        return False  # not one knot of its own
+    return path.ended == 1 or path.taken >= WINDOW_KNOTS // 2 or end_s(loop, loop.core.incoming_path) >= COVER_S
+
+
+# --- requests -----------------------------------------------------------------------------------------
+
+
+@jit
+def take_requests(loop: Loop, shared: Shared) -> None:
+    """Take and answer a bounded batch of requests."""
+    core = loop.core
+    command = loop.params.command_address
+    if command == 0:
+        return
+    written = load_acquire(command + _REQUESTS_WRITTEN)
+    waiting = written - core.requests_taken
+    if waiting < 0 or waiting > REQUESTS_AHEAD:
+        latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(waiting), float(REQUESTS_AHEAD))
+        core.requests_taken = written
+        waiting = 0
+    if waiting > layout.REQUEST_SLOTS:  # the loop was away for long and the oldest are overwritten
+        waiting = layout.REQUEST_SLOTS // 2
+        core.requests_taken = written - waiting
+    scratch = loop.params.address + _SCRATCH_REQUEST
+    for _ in range(min(waiting, REQUESTS_A_CYCLE)):
+        source = command + _REQUESTS + (core.requests_taken & (layout.REQUEST_SLOTS - 1)) * _REQUEST_BYTES
+        copy_words(scratch, source, _REQUEST_BYTES // 8)
+        request = loop.scratch_request
+        if request.crc != crc32_at(scratch + 8, _REQUEST_BYTES // 8 - 1) or (
+            request.sequence != core.requests_taken + 1
+        ):
+            core.request_waits += 1
+            if core.request_waits > CYCLES_TO_BECOME_VISIBLE:
+                latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(core.requests_taken), 0.0)
+                core.requests_taken = written
+                core.request_waits = 0
+            break
+        core.request_waits = 0
+        core.requests_taken += 1
+        answer_request(loop, shared, request.sequence, _obey(loop, shared))
+    store_release(loop.params.state_address + _CONSUMED_REQUESTS, core.requests_taken)
+
+
+@jit
+def _obey(loop: Loop, shared: Shared) -> int:
+    core, request = loop.core, loop.scratch_request
+    kind = request.kind
+    if kind == Request.SPEED_SCALE:
+        if not (request.value >= 0.0 and request.value <= 1.0):
+            return Answer.REFUSED_VALUE
+        core.speed_scale = request.value
+        return Answer.DONE
+    if kind == Request.CLEAR_FAULT:
+        if core.mode != Mode.FAULT:
+            return Answer.REFUSED_MODE
+        if core.goal_id != 0 or not at_rest(loop):
+            return Answer.REFUSED_MOVING
+        core.bring_up_asked = 1
+        return Answer.DONE
+    if kind == Request.CANCEL or kind == Request.STOP:
+        outcome = Outcome.CANCELED if kind == Request.CANCEL else Outcome.STOPPED
+        return _end_goals(loop, shared, request.goal_id, outcome)
+    if kind == Request.HOLD or kind == Request.RESUME:
+        if core.goal_id == 0:
+            return Answer.REFUSED_NO_GOAL
+        core.paused = 1 if kind == Request.HOLD else 0
+        return Answer.DONE
+    return Answer.REFUSED_UNKNOWN
+
+
+@jit
+def _end_goals(loop: Loop, shared: Shared, goal_id: int, outcome: int) -> int:
+    """End the goal meant (0: every goal), the running one by a stop on its path."""
+    core = loop.core
+    found = False
+    if core.incoming_goal != 0 and (goal_id == 0 or goal_id == core.incoming_goal):
+        set_result(loop, shared, core.incoming_goal, outcome, -1, 0.0, 0.0)
+        core.incoming_goal = 0
+        core.incoming_waits = 0
+        found = True
+    if core.goal_id != 0 and (goal_id == 0 or goal_id == core.goal_id):
+        if core.ending == Outcome.NONE:
+            core.ending = outcome
+            core.ending_joint = -1
+            core.ending_value = core.ending_limit = 0.0
+        found = True
+    return Answer.DONE if found else Answer.REFUSED_NO_GOAL

@@ -1,0 +1,120 @@
+"""What the bus brought: bytes to lines, lines to frames, frames to the measured state of the joints.
+
+A reading is stamped with the time at which the encoder was read (the arrival of its bytes less the way back) and
+compared with what was commanded at that very instant.
+"""
+
+from typing import Any
+
+from rtloop import guard, service
+from rtloop.drives import zdt
+from rtloop.faults import latch_fault
+from rtloop.frames import frame_bits
+from rtloop.state import ADDRESSES, HISTORY_SLOTS, RX_BYTES, RX_CHUNKS, WIRE_SLCAN
+from rtloop.wire import received, slcan
+from shm.jit import jit
+from shm.layout import MAX_JOINTS
+from shm.words import Fault, Mode
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+
+@jit
+def take_what_the_bus_brought(loop: Loop, shared: Shared) -> None:
+    """Decode every byte that has come since the last cycle into measured state."""
+    core = loop.core
+    if loop.params.wire != WIRE_SLCAN:
+        return
+    chunks = received.chunks_waiting(loop)
+    ring = loop.received.bytes
+    while core.rx_chunks_taken < chunks:
+        chunk = core.rx_chunks_taken & (RX_CHUNKS - 1)
+        time_ns = loop.received.chunk_time_ns[chunk]
+        end = loop.received.chunk_end[chunk]
+        shared.counters.bytes_received += end - core.rx_taken
+        for i in range(core.rx_taken, end):
+            byte = ring[i & (RX_BYTES - 1)]
+            if byte == slcan.BEL:
+                shared.counters.wire_errors += 1
+                core.line_length = core.line_spoilt = 0
+            elif slcan.collect(loop, byte):
+                take_line(loop, shared, time_ns)
+                core.line_length = core.line_spoilt = 0
+        core.rx_taken = end
+        core.rx_chunks_taken += 1
+    received.taken(loop, core.rx_taken)
+    shared.counters.receive_overflows = received.lost(loop)
+    if received.closed(loop) != 0 and core.mode != Mode.OFFLINE:
+        latch_fault(loop, shared, Fault.WIRE, -1, float(received.closed(loop) - 1), 0.0)
+
+
+@jit
+def take_line(loop: Loop, shared: Shared, time_ns: int) -> None:
+    kind, frame_id, extended, length, data = slcan.decode_line(loop)
+    if kind == slcan.LINE_WRONG or loop.core.line_spoilt == 1:
+        shared.counters.wire_errors += 1
+    elif kind == slcan.LINE_FRAME:
+        shared.counters.frames_received += 1
+        shared.counters.bits_on_bus += frame_bits(extended == 1, length)
+        take_frame(loop, shared, frame_id, extended, length, data, time_ns)
+
+
+@jit
+def take_frame(loop: Loop, shared: Shared, frame_id: int, extended: int, length: int, data: int, time_ns: int) -> None:
+    """A frame from a drive: into the axis it belongs to, and to the conversation that may wait for it."""
+    core = loop.core
+    address = frame_id >> 8
+    if extended == 0 or address >= ADDRESSES or loop.joint_at[address] < 0:
+        return
+    joint = loop.joint_at[address]
+    service.hand_out(loop, frame_id, length, data, time_ns)
+    kind, value = zdt.decode(frame_id & 255, length, data)
+    if kind == zdt.POSITION:
+        take_position(loop, shared, joint, value, time_ns - loop.joints[joint].reply_delay_ns)
+    elif kind == zdt.STATUS:
+        guard.take_status(loop, joint, value)
+        if loop.axes[joint].bad_statuses == 1:
+            core.status_turn = joint - 1  # ask this drive again at once
+    elif kind == zdt.REFUSED:
+        shared.counters.drive_errors += 1
+
+
+@jit
+def take_position(loop: Loop, shared: Shared, joint: int, counts: int, read_ns: int) -> None:
+    axis = loop.axes[joint]
+    position_rad = zdt.to_radians(loop, joint, counts)
+    axis.unanswered_since_ns = 0
+    if not guard.believable(loop, shared, joint, position_rad, read_ns):
+        return
+    since_s = (read_ns - axis.measured_ns) * 1e-9
+    if axis.readings > 0 and since_s > 1e-4:
+        axis.measured_velocity_rad_s = (position_rad - axis.measured_rad) / since_s
+    axis.measured_rad = position_rad
+    axis.measured_ns = read_ns
+    axis.readings += 1
+    axis.reference_rad, axis.reference_velocity_rad_s = commanded_at(loop, joint, read_ns)
+
+
+@jit
+def commanded_at(loop: Loop, joint: int, time_ns: int) -> tuple[float, float]:
+    """Commanded position and velocity at an instant of the recent past, between the cycles' own."""
+    core, axis = loop.core, loop.axes[joint]
+    newest = core.history_next - 1
+    later_ns = core.now_ns + loop.params.period_ns
+    later, later_v = axis.next_position_rad, axis.next_velocity_rad_s
+    if core.cycle == core.shown_cycle + 1:  # this cycle's next setpoint is not made yet
+        later_ns = core.now_ns
+        later, later_v = axis.position_rad, axis.velocity_rad_s
+    for back in range(min(HISTORY_SLOTS, core.history_next)):
+        slot = (newest - back) & (HISTORY_SLOTS - 1)
+        at_ns = loop.history_ns[slot]
+        here = loop.history_rad[slot * MAX_JOINTS + joint]
+        here_v = loop.history_rad_s[slot * MAX_JOINTS + joint]
+        if at_ns <= time_ns:
+            if later_ns <= at_ns or time_ns >= later_ns:
+                return later, later_v
+            share = (time_ns - at_ns) / (later_ns - at_ns)
+            return here + share * (later - here), here_v + share * (later_v - here_v)
+        later_ns, later, later_v = at_ns, here, here_v
+    return later, later_v

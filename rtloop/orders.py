@@ -1,0 +1,88 @@
+"""Orders of the conversation in ordinary Python: how bring-up tells the cycle where the joints stand."""
+
+from typing import Any
+
+from rtloop import intake, service
+from rtloop.faults import latch_fault
+from rtloop.modes import change_mode
+from rtloop.state import HISTORY_SLOTS
+from shm.jit import jit
+from shm.layout import MAX_JOINTS
+from shm.words import Fault, Mode, Unreferenced
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+
+@jit
+def take_service_orders(loop: Loop, shared: Shared) -> None:
+    """Obey bring-up's decisions up to the next frame it wants sent (frames leave in `encode`)."""
+    core = loop.core
+    while service.inbox(loop) > 0:
+        order = loop.service_in.records[service.inbox_slot(loop)]
+        if order.kind == service.SEND:
+            break
+        if order.kind == service.BRING_UP_BEGINS:
+            begin_bring_up(loop, shared)
+        elif order.kind == service.ADOPT:
+            if core.mode == Mode.BRINGING_UP:
+                adopt(loop, order.joint, order.value, order.code)
+        elif order.kind == service.BRING_UP_DONE:
+            if core.mode == Mode.BRINGING_UP:
+                change_mode(loop, shared, Mode.HOLDING)
+        elif order.kind == service.BRING_UP_FAILED:
+            latch_fault(loop, shared, order.code, order.joint, order.value, 0.0)
+        service.inbox_done(loop)
+
+
+@jit
+def begin_bring_up(loop: Loop, shared: Shared) -> None:
+    """Forget the fault, but no reason for which a reference was lost; no motion frame leaves until a goal runs."""
+    core = loop.core
+    if not change_mode(loop, shared, Mode.BRINGING_UP):
+        return
+    if core.fault == Fault.COMMAND_RING:
+        intake.leave_corrupt_records(loop)
+    core.fault = Fault.NONE
+    core.fault_joint = -1
+    core.fault_value = core.fault_limit = 0.0
+    core.own_brake = core.stale = core.rebase_ns = 0
+    core.motion_started = 0
+    core.bring_up_asked = 0
+    for joint in range(loop.params.joint_count):
+        axis = loop.axes[joint]
+        axis.referenced = 0
+        if not outlives_a_clear(axis.unreferenced_reason):
+            axis.unreferenced_reason = Unreferenced.NOT_BROUGHT_UP
+        axis.readings = axis.status_readings = axis.bad_statuses = axis.doubted = 0
+        axis.status = 0
+        axis.unanswered_since_ns = 0
+
+
+@jit
+def outlives_a_clear(reason: int) -> bool:
+    """Whether a joint stays unreferenced although the drive looks sound again: clearing a fault never references."""
+    return reason == Unreferenced.POWER_LOST or reason == Unreferenced.POSITION_JUMP or reason == Unreferenced.SILENT
+
+
+@jit
+def adopt(loop: Loop, joint: int, position_rad: float, reason: int) -> None:
+    """The joint stands here; it is commanded to stay."""
+    axis = loop.axes[joint]
+    axis.position_rad = axis.next_position_rad = position_rad
+    axis.velocity_rad_s = axis.next_velocity_rad_s = 0.0
+    axis.acceleration_rad_s2 = axis.next_acceleration_rad_s2 = 0.0
+    axis.difference_velocity_rad_s = 0.0
+    axis.rpm_remainder = 0.0
+    for slot in range(HISTORY_SLOTS):
+        loop.history_rad[slot * MAX_JOINTS + joint] = position_rad
+        loop.history_rad_s[slot * MAX_JOINTS + joint] = 0.0
+    axis.reference_rad, axis.reference_velocity_rad_s = position_rad, 0.0
+    if axis.readings == 0:
+        axis.measured_rad = position_rad
+        axis.measured_ns = loop.core.now_ns
+    axis.slip_rad = 0.0
+    if not outlives_a_clear(axis.unreferenced_reason):
+        axis.unreferenced_reason = reason
+    axis.referenced = 1 if axis.unreferenced_reason == Unreferenced.REFERENCED else 0
+    axis.stop_frames_due = 0

@@ -1,0 +1,202 @@
+"""The control process around the cycle: memory files, wire, threads, bring-up, orderly end."""
+
+import signal
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from config.budget import check_budget
+from config.loader import arm_hash
+from config.schema import ArmConfig
+from rtloop import realtime
+from rtloop.bringup import BringUp
+from rtloop.run import READ_BYTES, read_wire, run
+from rtloop.service import ServicePort
+from rtloop.state import new_loop
+from rtloop.wire.tty import close_slcan, open_slcan
+from shm import files
+from shm.atomics import store_release
+from shm.jit import jit
+
+BUSY_POLL_S = 0.004
+IDLE_POLL_S = 0.05
+FIRST_CYCLE_POLL_S = 0.001
+EPOCH_EVERY_S = 1.0
+
+
+class CannotStart(Exception):
+    """The control process refuses to start; the text is the sentence people read."""
+
+
+@jit
+def set_word(address: int, value: int) -> None:
+    store_release(address, value)
+
+
+class ControlProcess:
+    """One arm's control process, from opening the wire to closing it.
+
+    `tell` gets every sentence for people. Raises CannotStart, WireRefused, SharedMemoryError or ConfigError
+    before anything has moved.
+    """
+
+    def __init__(self, arm: ArmConfig, tell: Callable[[str], None]) -> None:
+        check_budget(arm)
+        if arm.control.init_mode == 0 and arm.bus.interface != "mock":
+            raise CannotStart(
+                "init_mode is 0, but homing is not part of this version: move the arm to a pose whose position the "
+                "drives know and start with init_mode 1."
+            )
+        self._arm = arm
+        self._tell = tell
+        self._stop_asked = False
+        identity = files.Identity(
+            arm.name,
+            tuple(joint.name for joint in arm.joints),
+            arm_hash(arm),
+            arm.control.period_ns,
+            arm.bus.bitrate if arm.bus.interface != "mock" else 0,
+        )
+        self._files = files.create(identity)
+        self._fd = -1
+        try:
+            if arm.bus.interface == "slcan":
+                self._fd = open_slcan(arm.bus.resolved_channel, arm.bus.serial_baud, arm.bus.bitrate)
+            self._loop = new_loop(arm, self._files.state.address, self._files.command.address)
+            self._port = ServicePort(self._loop)
+            self._obtained = realtime.prepare_process()
+            self._threads: list[threading.Thread] = []
+        except BaseException:
+            self._release()
+            raise
+
+    def ask_to_stop(self) -> None:
+        """Begin the orderly end (signal-safe)."""
+        self._stop_asked = True  # an Event has a lock, on which a second signal would wait for the first
+
+    def serve(self, ready: Callable[[], None]) -> int:
+        """Run until asked to stop; the exit code: 0 orderly, 2 bring-up failed, 3 the cycle ended by itself."""
+        try:
+            self._start_threads()
+            code = self._supervise(ready)
+        finally:
+            self._end_threads()
+            self._release()
+        return code
+
+    # --- threads
+
+    def _start_threads(self) -> None:
+        scheduled = threading.Event()
+        self._threads = [threading.Thread(target=self._run_cycle, args=(scheduled,), name="cycle", daemon=True)]
+        if self._fd >= 0:
+            self._threads.append(threading.Thread(target=self._run_reader, name="reader", daemon=True))
+        self._set_epoch()
+        for thread in reversed(self._threads):
+            thread.start()
+        while not scheduled.wait(FIRST_CYCLE_POLL_S) and self._threads[0].is_alive():
+            pass
+        while int(self._core["cycle"]) == 0 and self._threads[0].is_alive():
+            time.sleep(FIRST_CYCLE_POLL_S)  # compiled code is being loaded; no conversation may count that time
+        for complaint in self._obtained.complaints:
+            self._tell(complaint)
+        if self._arm.realtime.require and self._obtained.priority == 0:
+            raise CannotStart(
+                "realtime.require is true and no real-time priority was given: give the permission named above, or set "
+                "realtime.require to false."
+            )
+
+    def _run_cycle(self, scheduled: threading.Event) -> None:
+        realtime.prepare_thread(self._arm.realtime, self._obtained)
+        words = self._files.state.record["scheduling"]
+        words["policy"], words["priority"] = self._obtained.policy, self._obtained.priority
+        words["memory_locked"], words["cpu"] = self._obtained.memory_locked, self._obtained.cpu
+        words["dma_latency_held"] = self._obtained.dma_latency_fd >= 0
+        scheduled.set()
+        run(self._loop[0], self._files.state.array[0], self._fd)
+
+    def _run_reader(self) -> None:
+        realtime.prepare_thread(self._arm.realtime, self._obtained, below=10)
+        buffer = np.zeros(READ_BYTES, np.uint8)
+        request = np.zeros(1, np.int64)
+        read_wire(self._loop[0], self._fd, buffer, buffer.ctypes.data, request.ctypes.data)
+
+    def _end_threads(self) -> None:
+        set_word(self._loop.ctypes.data + self._loop.dtype.fields["stop"][1], 1)  # type: ignore[index]
+        for thread in self._threads:
+            thread.join(5.0)
+
+    def _release(self) -> None:
+        if self._fd >= 0:
+            close_slcan(self._fd)
+            self._fd = -1
+        self._files.remove()
+
+    # --- supervision
+
+    @property
+    def _core(self) -> np.void:
+        core: np.void = self._loop[0]["core"]
+        return core
+
+    def _set_epoch(self) -> None:
+        self._core["epoch_offset_ns"] = time.time_ns() - time.monotonic_ns()
+
+    def _bring_up(self, *, clears_protection: bool) -> BringUp:
+        measured = self._loop[0]["axes"]["measured_rad"][: len(self._arm.joints)]
+        known = [0.0 if np.isnan(position) else float(position) for position in measured]
+        return BringUp(
+            self._arm,
+            self._port,
+            now_ns=time.monotonic_ns(),
+            clears_protection=clears_protection,
+            tell=self._tell,
+            mock_positions_rad=known,
+        )
+
+    def _supervise(self, ready: Callable[[], None]) -> int:
+        talk: BringUp | None = self._bring_up(clears_protection=False)  # fresh rings have room for its beginning
+        first = True
+        next_epoch_s = time.monotonic()
+        closing_until_s = 0.0
+        while True:
+            time.sleep(BUSY_POLL_S if talk or closing_until_s else IDLE_POLL_S)
+            now_s = time.monotonic()
+            if now_s >= next_epoch_s:
+                self._set_epoch()
+                next_epoch_s = now_s + EPOCH_EVERY_S
+            if talk is not None and talk.poll(time.monotonic_ns()):
+                if talk.failure is not None:
+                    self._tell(str(talk.failure))
+                    if first:
+                        return 2
+                elif first:
+                    ready()
+                    first = False
+                talk = None
+            if talk is None and int(self._core["bring_up_asked"]) == 1:
+                self._core["bring_up_asked"] = 0
+                talk = self._bring_up(clears_protection=True)
+            if not self._threads[0].is_alive():
+                return 3
+            if self._stop_asked:
+                if closing_until_s == 0.0:
+                    self._core["closing"] = 1
+                    closing_until_s = now_s + float(self._loop[0]["params"]["longest_stop_s"]) + 1.0
+                if self._stands() or now_s > closing_until_s:
+                    return 0
+                time.sleep(BUSY_POLL_S)
+
+    def _stands(self) -> bool:
+        """Whether nothing is commanded to move any more."""
+        axes = self._loop[0]["axes"][: len(self._arm.joints)]
+        moving = bool(np.any(axes["velocity_rad_s"] != 0.0))
+        return not moving and int(self._core["goal_id"]) == 0
+
+
+def install_signals(process: ControlProcess) -> None:
+    """SIGTERM and SIGINT end the process in order."""
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda _number, _frame: process.ask_to_stop())

@@ -1,0 +1,101 @@
+"""Making the next setpoint: along the path, standing, braking joint by joint, or where the drives came to rest."""
+
+import math
+from typing import Any
+
+from rtloop import guard
+from rtloop.faults import path_is_trusted
+from rtloop.orders import adopt
+from rtloop.state import FAMILY_MOCK
+from rtloop.trajectory import advance_clock, find_knot, path
+from rtloop.trajectory import along as along_path
+from shm.jit import jit
+from shm.words import Unreferenced
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+STILL_SHARE = 0.002
+STILL_COUNTS = 3.0
+"""Below this share of its highest velocity, or this many encoder counts a cycle, a joint stands after a gap."""
+REBASE_PATIENCE_NS = 3_000_000_000
+"""Drives without a motion frame stand after this time, whatever their readings look like."""
+
+
+@jit
+def move(loop: Loop, shared: Shared) -> None:
+    """Make the next setpoint; one that breaks a limit is replaced by braking from the present one."""
+    core = loop.core
+    if core.rebase_ns != 0:
+        hold_measured(loop)
+        return
+    if core.own_brake == 0:
+        if core.goal_id != 0:
+            follow_path(loop)
+        else:
+            hold(loop)
+        if not guard.check_next_setpoint(loop, shared) and path_is_trusted(core.fault):
+            core.own_brake = 1
+    if core.own_brake == 1:
+        brake_each_joint(loop)
+
+
+@jit
+def hold(loop: Loop) -> None:
+    for joint in range(loop.params.joint_count):
+        axis = loop.axes[joint]
+        axis.next_position_rad = axis.position_rad
+        axis.next_velocity_rad_s = 0.0
+        axis.next_acceleration_rad_s2 = 0.0
+
+
+@jit
+def hold_measured(loop: Loop) -> None:
+    """Command where the drives really are, once they stand: they braked by themselves while the loop was away.
+
+    Until then no motion frame leaves, since the last commanded positions lie behind them.
+    """
+    core = loop.core
+    hold(loop)
+    for joint in range(loop.params.joint_count):
+        axis, row = loop.axes[joint], loop.joints[joint]
+        if axis.referenced == 1 and row.family != FAMILY_MOCK:
+            dither = STILL_COUNTS / abs(row.counts_per_rad) / (loop.params.period_ns * 1e-9)
+            still = abs(axis.measured_velocity_rad_s) < max(STILL_SHARE * row.max_velocity_rad_s, dither)
+            seen = axis.measured_ns >= core.rebase_ns + 2 * loop.params.period_ns
+            if not (seen and still) and core.now_ns - core.rebase_ns < REBASE_PATIENCE_NS:
+                return
+    for joint in range(loop.params.joint_count):
+        axis = loop.axes[joint]
+        if axis.referenced == 1:
+            adopt(loop, joint, axis.measured_rad, Unreferenced.REFERENCED)
+    core.rebase_ns = 0
+    core.own_brake = 0
+
+
+@jit
+def follow_path(loop: Loop) -> None:
+    """Advance the clock by a period at its rate and sample the path there."""
+    core = loop.core
+    advance_clock(loop)
+    running = loop.paths[core.active]
+    running.segment = find_knot(loop, core.active, core.clock_s, running.segment)
+    for joint in range(loop.params.joint_count):
+        axis = loop.axes[joint]
+        p, v, a = path(loop, core.active, joint, core.clock_s, running.segment)
+        axis.next_position_rad = p
+        axis.next_velocity_rad_s, axis.next_acceleration_rad_s2 = along_path(core.rate, core.slope, v, a)
+
+
+@jit
+def brake_each_joint(loop: Loop) -> None:
+    """Every joint comes to rest by itself with the braking acceleration: for when the path is not trusted."""
+    period_s = loop.params.period_ns * 1e-9
+    for joint in range(loop.params.joint_count):
+        axis, row = loop.axes[joint], loop.joints[joint]
+        most = loop.params.braking_factor * row.max_acceleration_rad_s2 * period_s
+        v = axis.velocity_rad_s
+        slower = 0.0 if abs(v) <= most else v - math.copysign(most, v)
+        axis.next_position_rad = axis.position_rad + 0.5 * (v + slower) * period_s
+        axis.next_velocity_rad_s = slower
+        axis.next_acceleration_rad_s2 = (slower - v) / period_s if slower != 0.0 else 0.0

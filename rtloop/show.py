@@ -1,0 +1,76 @@
+"""What everybody may see: the snapshot, published at the end of each cycle."""
+
+import math
+from typing import Any
+
+from rtloop.state import LOOP, offset_of
+from rtloop.trajectory import end_s
+from shm import layout
+from shm.jit import jit
+from shm.seqlock import crc32_at, publish
+from shm.words import Fault, Outcome, Phase
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+_SNAPSHOT = offset_of(LOOP, "snapshot")
+_SNAPSHOT_HEAD_WORDS = offset_of(layout.SNAPSHOT, "joints") // 8
+_SNAPSHOT_JOINT_WORDS = layout.JOINT.itemsize // 8
+_SHARED_SEQUENCE = offset_of(layout.STATE, "snapshot_sequence")
+_SHARED_SNAPSHOT = offset_of(layout.STATE, "snapshot")
+
+
+@jit
+def phase_of(loop: Loop) -> int:
+    core = loop.core
+    if core.goal_id == 0:
+        return Phase.WAITING if core.incoming_goal != 0 else Phase.NONE
+    if core.ending != Outcome.NONE or core.fault != Fault.NONE:
+        return Phase.STOPPING
+    if core.settle_ns != 0:
+        return Phase.SETTLING
+    if core.paused == 1:
+        return Phase.PAUSED
+    return Phase.RUNNING
+
+
+@jit
+def show(loop: Loop, shared: Shared) -> None:
+    """Publish the snapshot."""
+    core, params, snapshot = loop.core, loop.params, loop.snapshot
+    core.shown_cycle = core.cycle
+    snapshot.cycle = core.cycle
+    snapshot.monotonic_ns = core.now_ns
+    snapshot.epoch_ns = core.now_ns + core.epoch_offset_ns
+    snapshot.mode = core.mode
+    snapshot.fault = core.fault
+    snapshot.fault_joint = core.fault_joint
+    snapshot.fault_value = core.fault_value
+    snapshot.fault_limit = core.fault_limit
+    snapshot.fault_ns = core.fault_ns
+    snapshot.goal_id = core.goal_id
+    snapshot.goal_phase = phase_of(loop)
+    snapshot.trajectory_clock_ns = core.clock_s * 1e9
+    running = loop.paths[core.active]
+    snapshot.trajectory_end_ns = int(end_s(loop, core.active) * 1e9) if running.ended == 1 else -1
+    snapshot.speed_scale = core.rate
+    snapshot.speed_scale_target = core.rate_target
+    snapshot.motion_started = core.motion_started
+    for joint in range(params.joint_count):
+        axis, shown = loop.axes[joint], snapshot.joints[joint]
+        shown.commanded_position_rad = axis.position_rad
+        shown.commanded_velocity_rad_s = axis.velocity_rad_s
+        shown.commanded_acceleration_rad_s2 = axis.acceleration_rad_s2
+        shown.measured_position_rad = axis.measured_rad
+        shown.measured_velocity_rad_s = axis.measured_velocity_rad_s
+        shown.measured_effort = math.nan
+        shown.measured_ns = axis.measured_ns
+        shown.reference_position_rad = axis.reference_rad
+        shown.reference_velocity_rad_s = axis.reference_velocity_rad_s
+        shown.drive_status = axis.status
+        shown.referenced = axis.referenced
+        shown.unreferenced_reason = axis.unreferenced_reason
+    words = _SNAPSHOT_HEAD_WORDS + params.joint_count * _SNAPSHOT_JOINT_WORDS
+    source = params.address + _SNAPSHOT
+    snapshot.crc = crc32_at(source + 8, words - 1)
+    publish(params.state_address + _SHARED_SEQUENCE, params.state_address + _SHARED_SNAPSHOT, source, words)

@@ -1,0 +1,361 @@
+"""Everything the cycle remembers, as one structured record: `step(loop, shared, now_ns)` is a function of it.
+
+`LOOP` is private to the control process; what others may see is copied into the state file's snapshot at the
+end of a cycle. One record instead of objects keeps the compiled cycle free of allocation and makes a state
+something that can be copied, compared and replayed.
+"""
+
+import math
+
+import numpy as np
+
+from config.budget import frame_bits
+from config.derived import braking_deceleration_rad_s2, silence_acc_byte
+from config.schema import ArmConfig, JointConfig, ZdtDrive
+from shm import layout
+from shm.layout import MAX_JOINTS
+from shm.words import Mode, Unreferenced
+
+WINDOW_KNOTS = 1024
+"""Knots the loop keeps of a trajectory: at least its stopping distance at any sensible spacing."""
+HISTORY_SLOTS = 64
+"""Cycles of commanded positions kept, to compare a measurement with the command of its own instant."""
+SERVICE_SLOTS = 256
+TX_BYTES = 8192
+RX_BYTES = 1 << 16
+RX_CHUNKS = 1024
+LINE_BYTES = 64
+ADDRESSES = 256
+BLEND_SAMPLES = 32
+
+WIRE_MOCK = 0
+WIRE_SLCAN = 1
+
+FAMILY_MOCK = 0
+FAMILY_ZDT = 1
+
+SERIAL_BITS_PER_CHARACTER = 10
+SLCAN_LONGEST_LINE = 27
+REPLY_PROCESSING_NS = 300_000
+"""Time a ZDT drive is assumed to take from a request to its answer (unproven on hardware)."""
+
+PARAMS = np.dtype(
+    [
+        ("joint_count", "i8"),
+        ("period_ns", "i8"),
+        ("wire", "i8"),
+        ("address", "i8"),  # of this record itself
+        ("state_address", "i8"),  # of the mapped state file
+        ("command_address", "i8"),  # of the mapped command file
+        ("start_tolerance_rad", "f8"),
+        ("velocity_margin", "f8"),
+        ("acceleration_margin", "f8"),
+        ("braking_factor", "f8"),
+        ("following_error_rad", "f8"),
+        ("position_jump_rad", "f8"),
+        ("stale_brake_ns", "i8"),
+        ("stale_fault_ns", "i8"),
+        ("front_timeout_ns", "i8"),
+        ("longest_stop_s", "f8"),
+        ("service_bits", "i8"),  # bits of bus time a cycle may use in all, service frames included
+    ]
+)
+
+JOINT_PARAMS = np.dtype(
+    [
+        ("family", "i8"),
+        ("address", "i8"),
+        ("pulses_per_rad", "f8"),  # signed: the joint's direction is in it
+        ("counts_per_rad", "f8"),  # likewise
+        ("zero_rad", "f8"),
+        ("lower_rad", "f8"),
+        ("upper_rad", "f8"),
+        ("slack_rad", "f8"),  # what rounding to pulses and counts may put a joint at its limit beyond it
+        ("max_velocity_rad_s", "f8"),
+        ("max_acceleration_rad_s2", "f8"),
+        ("silence_deceleration_rad_s2", "f8"),
+        ("acc_byte", "i8"),
+        ("rpm_per_rad_s", "f8"),
+        ("command_delay_s", "f8"),  # from the start of the cycle until its target has reached the drive
+        ("reply_delay_ns", "i8"),  # from the drive's reading of its encoder until the reply has arrived
+    ]
+)
+
+AXIS = np.dtype(
+    [
+        # what is commanded: at this cycle, and at the next (which the frames of this cycle carry)
+        ("position_rad", "f8"),
+        ("velocity_rad_s", "f8"),
+        ("acceleration_rad_s2", "f8"),
+        ("next_position_rad", "f8"),
+        ("next_velocity_rad_s", "f8"),
+        ("next_acceleration_rad_s2", "f8"),
+        ("difference_velocity_rad_s", "f8"),  # of the last two commanded positions, for the last defence
+        # what is measured
+        ("measured_rad", "f8"),
+        ("measured_velocity_rad_s", "f8"),
+        ("measured_ns", "i8"),
+        ("reference_rad", "f8"),
+        ("reference_velocity_rad_s", "f8"),
+        ("readings", "i8"),
+        ("doubted", "i8"),  # 1: the last reading was implausible and waits for the next one to agree
+        ("doubted_rad", "f8"),
+        ("bad_statuses", "i8"),  # statuses in a row that say the drive does not hold its position
+        ("unanswered_since_ns", "i8"),
+        ("status", "i8"),
+        ("status_readings", "i8"),
+        ("referenced", "i8"),
+        ("unreferenced_reason", "i8"),
+        ("stop_frames_due", "i8"),
+        ("rpm_remainder", "f8"),
+        ("slip_rad", "f8"),  # how far the drive may have run ahead while the loop was away
+    ]
+)
+
+BLEND = np.dtype(
+    [
+        ("held_rad", "f8"),  # where a joint outside the goal comes to rest
+        ("c0", "f8"),
+        ("c1", "f8"),
+        ("c2", "f8"),
+        ("c3", "f8"),
+        ("c4", "f8"),
+        ("c5", "f8"),
+        ("faded", "f8"),  # difference in acceleration, which fades first
+    ]
+)
+
+PATH = np.dtype(
+    [
+        ("goal_id", "i8"),
+        ("taken", "i8"),  # knots taken; the newest is at (taken - 1) % WINDOW_KNOTS
+        ("segment", "i8"),  # knot at the start of the running segment
+        ("ended", "i8"),
+        ("torn", "i8"),  # knots are missing after the newest one
+        ("start_ns", "i8"),
+        ("joint_mask", "i8"),
+        ("goal_time_s", "f8"),
+        ("bridge", "i8"),
+        ("tolerances", layout.BEGIN_JOINT, (MAX_JOINTS,)),
+        ("blend_s", "f8"),  # path time the blend lasts
+        ("fade_s", "f8"),  # path time in which its difference in acceleration fades
+        ("blends", BLEND, (MAX_JOINTS,)),
+    ]
+)
+
+CORE = np.dtype(
+    [
+        ("cycle", "i8"),
+        ("now_ns", "i8"),
+        ("epoch_offset_ns", "i8"),
+        ("mode", "i8"),
+        ("fault", "i8"),
+        ("fault_joint", "i8"),
+        ("fault_value", "f8"),
+        ("fault_limit", "f8"),
+        ("fault_ns", "i8"),
+        ("own_brake", "i8"),  # each joint brakes by itself: the path cannot be trusted
+        ("motion_started", "i8"),
+        ("rebase_ns", "i8"),  # since when the measured positions wait to be commanded, 0 = they do not
+        ("shown_cycle", "i8"),
+        ("bring_up_asked", "i8"),
+        ("closing", "i8"),  # a shutdown is stopping the arm
+        # the goal
+        ("active", "i8"),  # which of the two paths runs
+        ("goal_id", "i8"),
+        ("clock_s", "f8"),
+        ("settle_ns", "i8"),
+        ("ending", "i8"),  # outcome the goal gets when the arm has stopped; 0 = it goes on
+        ("ending_joint", "i8"),
+        ("ending_value", "f8"),
+        ("ending_limit", "f8"),
+        # the clock's rate
+        ("rate", "f8"),
+        ("slope", "f8"),
+        ("rate_target", "f8"),
+        ("rate_start", "f8"),
+        ("slope_start", "f8"),
+        ("ramp_s", "f8"),  # duration of the running ramp, 0 = steady
+        ("ramp_elapsed_s", "f8"),
+        ("speed_scale", "f8"),  # what people asked for
+        ("entry_share", "f8"),  # of the wanted rate, while the blend runs
+        ("paused", "i8"),
+        ("starving", "i8"),
+        ("starving_ns", "i8"),
+        ("stale", "i8"),
+        # the newer goal
+        ("incoming_goal", "i8"),  # goal whose records are being taken, 0 none
+        ("incoming_path", "i8"),
+        ("incoming_ns", "i8"),  # when its last record came
+        ("incoming_waits", "i8"),  # 1 while the arm stops on the old path to make way
+        ("newest_goal", "i8"),  # highest id ever begun
+        ("announced_goal", "i8"),
+        ("setpoints_taken", "i8"),
+        ("setpoint_waits", "i8"),  # cycles the next record has not passed its CRC
+        ("requests_taken", "i8"),
+        ("request_waits", "i8"),
+        # the wire
+        ("tx_length", "i8"),
+        ("tx_bits", "i8"),
+        ("service_credit_bits", "i8"),
+        ("line_length", "i8"),
+        ("line_spoilt", "i8"),
+        ("status_turn", "i8"),
+        ("rx_taken", "i8"),  # bytes taken from the receive ring
+        ("rx_chunks_taken", "i8"),
+        ("history_next", "i8"),
+    ]
+)
+
+FRAME = np.dtype(
+    [
+        ("kind", "i8"),
+        ("id", "i8"),
+        ("length", "i8"),
+        ("joined", "i8"),  # 1: the next record must leave in the same cycle (packets of one command)
+        ("data", "i8"),  # eight bytes, the first lowest
+        ("time_ns", "i8"),
+        ("joint", "i8"),
+        ("value", "f8"),
+        ("code", "i8"),
+    ]
+)
+
+RING = np.dtype([("written", "i8", (16,)), ("taken", "i8", (16,)), ("records", FRAME, (SERVICE_SLOTS,))])
+
+RECEIVED = np.dtype(
+    [
+        ("written", "i8", (16,)),
+        ("chunks_written", "i8", (16,)),
+        ("taken", "i8", (16,)),
+        ("lost", "i8", (16,)),
+        ("closed", "i8", (16,)),  # errno + 1 once the wire is gone
+        ("chunk_time_ns", "i8", (RX_CHUNKS,)),
+        ("chunk_end", "i8", (RX_CHUNKS,)),
+        ("bytes", "u1", (RX_BYTES,)),
+    ]
+)
+
+LOOP = np.dtype(
+    [
+        ("params", PARAMS),
+        ("joints", JOINT_PARAMS, (MAX_JOINTS,)),
+        ("joint_at", "i8", (ADDRESSES,)),  # drive address → joint, -1 none
+        ("core", CORE),
+        ("axes", AXIS, (MAX_JOINTS,)),
+        ("paths", PATH, (2,)),
+        ("knots", layout.SETPOINT, (2 * WINDOW_KNOTS,)),
+        ("history_ns", "i8", (HISTORY_SLOTS,)),
+        ("history_rad", "f8", (HISTORY_SLOTS * MAX_JOINTS,)),
+        ("history_rad_s", "f8", (HISTORY_SLOTS * MAX_JOINTS,)),
+        ("snapshot", layout.SNAPSHOT),
+        ("scratch", layout.SETPOINT),
+        ("scratch_begin", layout.BEGIN),
+        ("scratch_request", layout.REQUEST),
+        ("stop", "i8"),
+        ("wake_up", "i8", (2,)),  # timespecs
+        ("clock", "i8", (2,)),
+        ("reader_clock", "i8", (2,)),
+        ("line", "u1", (LINE_BYTES,)),
+        ("tx", "u1", (TX_BYTES,)),
+        ("received", RECEIVED),
+        ("service_in", RING),  # bring-up → cycle
+        ("service_out", RING),  # cycle → bring-up
+    ]
+)
+
+
+def offset_of(dtype: np.dtype, *path: str) -> int:
+    """Byte offset of a nested field."""
+    at = 0
+    for name in path:
+        assert dtype.fields is not None
+        dtype, here = dtype.fields[name][:2]
+        at += here
+    return at
+
+
+def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.ndarray:
+    """The state of a control process that has not run a cycle yet, shape (1,), dtype LOOP.
+
+    The addresses are those of mapped memory of dtypes layout.STATE and layout.COMMAND, which must outlive it.
+    """
+    loop = np.zeros(1, LOOP)
+    params, core = loop[0]["params"], loop[0]["core"]
+    params["address"] = loop.ctypes.data
+    params["state_address"] = state_address
+    params["command_address"] = command_address
+    _fill_params(params, arm)
+    loop[0]["joint_at"][:] = -1
+    for index, joint in enumerate(arm.joints):
+        _fill_joint(loop[0]["joints"][index], joint, arm, index)
+        if isinstance(joint.drive, ZdtDrive):
+            loop[0]["joint_at"][joint.drive.address] = index
+        axis = loop[0]["axes"][index]
+        axis["unreferenced_reason"] = Unreferenced.NOT_BROUGHT_UP
+        axis["measured_rad"] = math.nan
+        axis["reference_rad"] = math.nan
+    core["mode"] = Mode.OFFLINE
+    core["fault_joint"] = -1
+    core["ending_joint"] = -1
+    core["rate"] = core["rate_target"] = core["speed_scale"] = core["entry_share"] = 1.0
+    return loop
+
+
+def longest_stop_s(arm: ArmConfig) -> float:
+    """Duration within which every stop on the path ends, whatever the arm is doing.
+
+    A stop lowers the clock's rate along a cubic whose steepest slope is 1.5 / T. The plan may use the whole
+    acceleration limit A at velocity V, so (braking_factor - 1) A is left for V · 1.5 / T; a quarter more
+    covers plans that exceed their limits between two points, as real ones do.
+    """
+    spare = max(arm.limits.braking_factor - 1.0, 0.1)
+    slowest = max(joint.max_velocity_rad_s / joint.max_acceleration_rad_s2 for joint in arm.joints)
+    return 1.25 * 1.5 * slowest / spare
+
+
+def _fill_params(params: np.void, arm: ArmConfig) -> None:
+    limits = arm.limits
+    period_ns = arm.control.period_ns
+    params["joint_count"] = len(arm.joints)
+    params["period_ns"] = period_ns
+    params["wire"] = WIRE_MOCK if arm.bus.interface == "mock" else WIRE_SLCAN
+    for name in ("start_tolerance_rad", "velocity_margin", "acceleration_margin", "braking_factor"):
+        params[name] = getattr(limits, name)
+    params["following_error_rad"] = limits.following_error_rad
+    params["position_jump_rad"] = limits.position_jump_rad
+    params["stale_brake_ns"] = max(round(limits.stale_brake_s * 1e9), 3 * period_ns)
+    params["stale_fault_ns"] = max(round(limits.stale_fault_s * 1e9), 4 * period_ns)
+    params["front_timeout_ns"] = round(limits.front_timeout_s * 1e9)
+    params["longest_stop_s"] = longest_stop_s(arm)
+    params["service_bits"] = round(arm.bus.bitrate * period_ns * 1e-9 * 0.95)
+
+
+def _fill_joint(row: np.void, joint: JointConfig, arm: ArmConfig, index: int) -> None:
+    row["zero_rad"] = joint.zero_rad
+    row["lower_rad"], row["upper_rad"] = joint.lower_rad, joint.upper_rad
+    row["slack_rad"] = joint.command_pulse_rad + joint.encoder_count_rad
+    row["max_velocity_rad_s"] = joint.max_velocity_rad_s
+    row["max_acceleration_rad_s2"] = joint.max_acceleration_rad_s2
+    row["silence_deceleration_rad_s2"] = joint.max_acceleration_rad_s2 * arm.limits.silence_brake_factor
+    row["rpm_per_rad_s"] = joint.ratio * 60.0 / (2.0 * math.pi)
+    row["pulses_per_rad"] = joint.direction * joint.command_pulses_per_rad
+    row["counts_per_rad"] = joint.direction * joint.encoder_counts_per_rad
+    if isinstance(joint.drive, ZdtDrive):
+        row["family"] = FAMILY_ZDT
+        row["address"] = joint.drive.address
+        row["acc_byte"] = silence_acc_byte(joint, arm.limits)
+        row["silence_deceleration_rad_s2"] = braking_deceleration_rad_s2(joint, int(row["acc_byte"]))
+        bit_s = 1.0 / arm.bus.bitrate
+        command_bits = frame_bits(True, 8) + frame_bits(True, 5)
+        row["command_delay_s"] = (index + 1) * command_bits * bit_s + _character_s(arm) * SLCAN_LONGEST_LINE
+        reply_s = frame_bits(True, 7) * bit_s + _character_s(arm) * (SLCAN_LONGEST_LINE - 2)
+        row["reply_delay_ns"] = round(reply_s * 1e9) + REPLY_PROCESSING_NS
+    else:
+        row["family"] = FAMILY_MOCK
+
+
+def _character_s(arm: ArmConfig) -> float:
+    """Time of one character on the serial line; a USB device's is not worth counting."""
+    baud = arm.bus.serial_baud
+    return 0.0 if baud == "cdc" else SERIAL_BITS_PER_CHARACTER / float(baud)

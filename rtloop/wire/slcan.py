@@ -1,0 +1,126 @@
+"""SLCAN (LAWICEL) lines to and from CAN frames, in the cycle.
+
+`T` + 8 hex digits of id + length digit + data (extended), `t` + 3 digits (standard), every line closed by CR;
+BEL (07) is the adapter's refusal. Transmit answers (`z`, `Z`), empty lines and anything unknown are dropped:
+adapters differ in what they answer, so nothing here waits for an answer. A time stamp after the data
+(`Z1`, `Z2`) is ignored because the length digit says where the data end.
+"""
+
+from typing import Any
+
+from rtloop.state import LINE_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
+from shm.jit import jit
+
+Loop = Any
+
+CR = 13
+BEL = 7
+_T_EXTENDED = ord("T")
+_T_STANDARD = ord("t")
+
+
+@jit
+def hex_digit(value: int) -> int:
+    """ASCII code of a nibble, upper case."""
+    return 48 + value if value < 10 else 55 + value
+
+
+@jit
+def hex_value(code: int) -> int:
+    """Value of an ASCII hex digit of either case, -1 for anything else."""
+    if 48 <= code <= 57:
+        return code - 48
+    if 65 <= code <= 70:
+        return code - 55
+    if 97 <= code <= 102:
+        return code - 87
+    return -1
+
+
+@jit
+def encode_frame(loop: Loop, frame_id: int, extended: int, length: int, data: int) -> bool:
+    """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full."""
+    core, tx = loop.core, loop.tx
+    at = core.tx_length
+    if at + SLCAN_LONGEST_LINE > TX_BYTES:
+        return False
+    digits = 8 if extended else 3
+    tx[at] = _T_EXTENDED if extended else _T_STANDARD
+    at += 1
+    for i in range(digits):
+        tx[at] = hex_digit((frame_id >> (4 * (digits - 1 - i))) & 15)
+        at += 1
+    tx[at] = 48 + length
+    at += 1
+    for i in range(length):
+        byte = (data >> (8 * i)) & 255
+        tx[at] = hex_digit(byte >> 4)
+        tx[at + 1] = hex_digit(byte & 15)
+        at += 2
+    tx[at] = CR
+    core.tx_length = at + 1
+    return True
+
+
+@jit
+def drop_stale_lines(loop: Loop) -> int:
+    """Drop what the wire did not take in the last cycle, all but the line it may have taken half of.
+
+    Returns the bytes dropped. Newer frames say it better, and a drive may have lost its reference meanwhile.
+    """
+    core, tx = loop.core, loop.tx
+    for at in range(core.tx_length):
+        if tx[at] == CR:
+            dropped = core.tx_length - (at + 1)
+            core.tx_length = at + 1
+            return dropped
+    return 0
+
+
+LINE_OTHER = 0
+LINE_FRAME = 1
+LINE_WRONG = 2
+
+
+@jit
+def decode_line(loop: Loop) -> tuple[int, int, int, int, int]:
+    """(LINE_…, id, extended, length, data) of the line collected in `loop.line`."""
+    line, count = loop.line, loop.core.line_length
+    if count == 0 or (line[0] != _T_EXTENDED and line[0] != _T_STANDARD):
+        return LINE_OTHER, 0, 0, 0, 0
+    extended = 1 if line[0] == _T_EXTENDED else 0
+    digits = 8 if extended else 3
+    if count < digits + 2:
+        return LINE_WRONG, 0, 0, 0, 0
+    frame_id = 0
+    for i in range(1, digits + 1):
+        value = hex_value(line[i])
+        if value < 0:
+            return LINE_WRONG, 0, 0, 0, 0
+        frame_id = (frame_id << 4) | value
+    length = hex_value(line[digits + 1])
+    highest_id = 0x1FFFFFFF if extended == 1 else 0x7FF
+    if length < 0 or length > 8 or count < digits + 2 + 2 * length or frame_id > highest_id:
+        return LINE_WRONG, 0, 0, 0, 0
+    data = 0
+    for i in range(length):
+        high = hex_value(line[digits + 2 + 2 * i])
+        low = hex_value(line[digits + 3 + 2 * i])
+        if high < 0 or low < 0:
+            return LINE_WRONG, 0, 0, 0, 0
+        data |= ((high << 4) | low) << (8 * i)
+    return LINE_FRAME, frame_id, extended, length, data
+
+
+@jit
+def collect(loop: Loop, byte: int) -> bool:
+    """Add a received byte to the line; True when it completes one (an overlong line is spoilt, not kept)."""
+    core = loop.core
+    if byte == CR:
+        return True
+    if core.line_length < LINE_BYTES:
+        loop.line[core.line_length] = byte
+        core.line_length += 1
+    else:
+        core.line_spoilt = 1
+    return False
