@@ -1,0 +1,129 @@
+"""A simulated arm in real time behind a pseudo-terminal, as if it were `/dev/ttyUSB0`.
+
+One thread waits for bytes from the host or for the arm's next own moment, whichever comes first. Bytes
+for the host travel in packets, as through USB: the first after a silence at once, then at most one
+packet a millisecond.
+
+The slave side is kept open here too, so a host may close the port and open it again; what the adapter
+sends meanwhile waits in the terminal, and is lost when that is full.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import time
+import tty
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+
+from sim.arm import SimulatedArm
+
+READ_SIZE = 65536
+PACKET_NS = 1_000_000
+"""Time between two packets of a full-speed USB adapter."""
+
+
+class PtyServer:
+    """Serves an arm, whose time must be CLOCK_MONOTONIC, at a pseudo-terminal.
+
+    Args:
+        arm: made with `start_ns=time.monotonic_ns()`.
+        link: symbolic link to the terminal; one left behind by somebody else is replaced.
+
+    Attributes:
+        tty_path: the terminal a host opens.
+        dropped_bytes: bytes to the host that found the terminal full.
+
+    Raises:
+        FileNotFoundError: there is no folder for the link.
+        FileExistsError: the link's path holds something that is not a symbolic link.
+    """
+
+    def __init__(self, arm: SimulatedArm, link: Path | None = None) -> None:
+        self.arm = arm
+        self.dropped_bytes = 0
+        self._link = link
+        self._master, self._slave = os.openpty()
+        self._wake_read, self._wake_write = os.pipe()
+        for descriptor in (self._master, self._wake_read, self._wake_write):
+            os.set_blocking(descriptor, False)
+        tty.setraw(self._slave)
+        self.tty_path = os.ttyname(self._slave)
+        if link is not None:
+            try:
+                self._make_link(link)
+            except OSError:
+                self._close_descriptors()
+                raise
+
+    def __enter__(self) -> PtyServer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def wake_descriptor(self) -> int:
+        """A byte written here, by a signal or another thread, makes `serve` look up."""
+        return self._wake_write
+
+    def serve(self, attend: Callable[[], bool], watched: Sequence[int] = ()) -> None:
+        """Serve until `attend` says False.
+
+        Args:
+            attend: called at the start, after every byte at `wake_descriptor`, and whenever one of
+                `watched` has something to read, which it must then read.
+            watched: further descriptors; may change from call to call of `attend`.
+        """
+        arm = self.arm
+        packet_ns = time.monotonic_ns()
+        going = attend()
+        while going:
+            due_ns = arm.next_due_ns()
+            wait_s = None
+            if due_ns is not None:
+                wait_s = max(0, max(due_ns, packet_ns) - time.monotonic_ns()) * 1e-9
+            readable, _, _ = select.select((self._master, self._wake_read, *watched), (), (), wait_s)
+            now_ns = time.monotonic_ns()
+            if self._master in readable:
+                arm.feed(now_ns, os.read(self._master, READ_SIZE))
+            if now_ns >= packet_ns and (data := arm.collect(now_ns)):
+                self._write(data)
+                packet_ns = now_ns + PACKET_NS
+            if self._wake_read in readable:
+                os.read(self._wake_read, READ_SIZE)
+            if not {self._master}.issuperset(readable):
+                going = attend()
+
+    def close(self) -> None:
+        """Remove the link, if it is still ours, and end the terminal."""
+        if self._link is not None and os.path.islink(self._link) and os.readlink(self._link) == self.tty_path:
+            self._link.unlink()
+        self._close_descriptors()
+
+    def _make_link(self, link: Path) -> None:
+        if not link.parent.is_dir():
+            raise FileNotFoundError(f"there is no folder {link.parent} for {link}; create it or choose another.")
+        if link.exists() and not link.is_symlink():
+            raise FileExistsError(
+                f"{link} exists and is not a symbolic link, so it is not replaced; choose another path."
+            )
+        fresh = link.with_name(f".{link.name}.{os.getpid()}")
+        fresh.unlink(missing_ok=True)
+        fresh.symlink_to(self.tty_path)
+        os.replace(fresh, link)
+
+    def _write(self, data: bytes) -> None:
+        written = 0
+        with contextlib.suppress(BlockingIOError):
+            written = os.write(self._master, data)
+        self.dropped_bytes += len(data) - written
+
+    def _close_descriptors(self) -> None:
+        for descriptor in (self._master, self._slave, self._wake_read, self._wake_write):
+            os.close(descriptor)
