@@ -1,0 +1,1 @@
+"""The ROS process: goals come in, the arm's state goes out."""

@@ -1,0 +1,1 @@
+"""Interface definitions of control_msgs, and what makes a Python package of them where ROS has none."""

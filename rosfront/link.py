@@ -1,0 +1,88 @@
+"""The front's hold on an arm's two memory files."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from config.loader import arm_hash
+from config.schema import ArmConfig
+from shm.client import CommandWriter, StateReader
+from shm.errors import NotRunning, WrongLayout
+from shm.files import MemoryFile, is_held, open_command, open_state, own_command
+
+
+@dataclass
+class Link:
+    """Both files of one control process, mapped; lives as long as that process."""
+
+    arm: str
+    reader: StateReader
+    writer: CommandWriter
+
+    @property
+    def loop_pid(self) -> int:
+        return int(self.reader.memory.record["header"]["pid"])
+
+    def loop_has_run(self) -> bool:
+        """Whether the control process has run a cycle; until then there is no snapshot to read."""
+        return int(self.reader.memory.record["snapshot_sequence"][0]) > 0
+
+    def loop_is_gone(self) -> bool:
+        """Whether the control process these files belong to has ended, however it ended."""
+        return not is_held(self.reader.memory.fd)
+
+    def close(self) -> None:
+        """Let go of both files; another front may own the arm from here on."""
+        self.writer.close()
+        self.reader.close()
+
+
+def attach(arm: ArmConfig) -> Link:
+    """Own the arm's command file and map its state.
+
+    A starting control process puts its state file in place first; in the moment before its command file is
+    there too, that name still belongs to the file of a dead one, which says nothing about this one.
+
+    Raises shm.errors.NotRunning while there is no control process, AlreadyHeld when another front serves
+    the arm, WrongLayout, WrongArm or NotPermitted when the files cannot be ours.
+    """
+    identity = arm_hash(arm)
+    undo: list[Callable[[], None]] = []
+    try:
+        state = open_state(arm.name, identity)
+        undo.append(state.close)
+        _await_command_of(state, arm.name)
+        command = own_command(arm.name, identity)
+        undo.append(command.close)
+        if not _of_one_loop(state, command):  # replaced since the look at it
+            raise _just_starting(arm.name)
+        return Link(arm.name, StateReader(state), CommandWriter(command))
+    except BaseException:
+        for close in undo:
+            close()
+        raise
+
+
+def _await_command_of(state: MemoryFile, arm: str) -> None:
+    """Raise NotRunning while the command file is not that of the loop whose state file this is."""
+    try:
+        command = open_command(arm)
+    except WrongLayout as problem:  # the state file's layout is right, so this one is older
+        raise _just_starting(arm) from problem
+    try:
+        if not _of_one_loop(state, command):
+            raise _just_starting(arm)
+    finally:
+        command.close()
+
+
+def _of_one_loop(state: MemoryFile, command: MemoryFile) -> bool:
+    """Whether one control process made both: the same pid, and (as pids come back) the command file made later."""
+    ours, other = state.record["header"], command.record["header"]
+    return bool(other["pid"] == ours["pid"] and other["start_monotonic_ns"] >= ours["start_monotonic_ns"])
+
+
+def _just_starting(arm: str) -> NotRunning:
+    return NotRunning(
+        f"The control process of arm '{arm}' is just starting (its command file is still the one of its "
+        "predecessor): try again in a moment."
+    )

@@ -1,0 +1,245 @@
+"""Why a goal is refused: one exception a reason, each holding what it is about, each one sentence.
+
+The error codes are those of control_msgs/action/FollowJointTrajectory (facts: control_msgs 5.x, Result).
+"""
+
+import math
+from collections.abc import Sequence
+
+SUCCESSFUL = 0
+INVALID_GOAL = -1
+INVALID_JOINTS = -2
+OLD_HEADER_TIMESTAMP = -3
+PATH_TOLERANCE_VIOLATED = -4
+GOAL_TOLERANCE_VIOLATED = -5
+
+
+def angle(value_rad: float) -> str:
+    """An angle as people read it: radians, then degrees."""
+    return f"{value_rad:.4f} rad ({math.degrees(value_rad):.2f}°)"
+
+
+class GoalRefused(Exception):
+    """Root: a goal that cannot be executed; `sentence` says why, `code` is the action's error code.
+
+    `joint`, `point` (index), `value` and `limit` say what it is about, None where that means nothing.
+    """
+
+    code = INVALID_GOAL
+
+    def __init__(
+        self,
+        sentence: str,
+        *,
+        joint: str | None = None,
+        point: int | None = None,
+        value: float | None = None,
+        limit: float | None = None,
+    ) -> None:
+        super().__init__(sentence)
+        self.sentence = sentence
+        self.joint = joint
+        self.point = point
+        self.value = value
+        self.limit = limit
+
+
+class NotServing(GoalRefused):
+    """The arm cannot take goals at present: no control process, a fault, a joint without reference."""
+
+
+class BadJoints(GoalRefused):
+    """The joint names do not fit the arm."""
+
+    code = INVALID_JOINTS
+
+
+class NoJoints(BadJoints):
+    def __init__(self, known: Sequence[str]) -> None:
+        super().__init__(f"The goal names no joint; name one or more of {', '.join(known)}.")
+
+
+class UnknownJoint(BadJoints):
+    def __init__(self, joint: str, known: Sequence[str], where: str = "joint_names") -> None:
+        super().__init__(
+            f"'{joint}' in {where} is no joint of this arm, which has {', '.join(known)}; correct the name.",
+            joint=joint,
+        )
+
+
+class DuplicateJoint(BadJoints):
+    def __init__(self, joint: str, where: str = "joint_names") -> None:
+        super().__init__(f"'{joint}' stands in {where} more than once; name each joint once.", joint=joint)
+
+
+class BadShape(GoalRefused):
+    """The message's arrays do not fit together."""
+
+
+class EmptyTrajectory(BadShape):
+    def __init__(self) -> None:
+        super().__init__("The trajectory has no points; send at least one.")
+
+
+class TooManyPoints(BadShape):
+    def __init__(self, count: int, allowed: int) -> None:
+        super().__init__(
+            f"The trajectory has {count} points and at most {allowed} are allowed; send it in parts, or "
+            "raise trajectory.max_points in the arm file.",
+            value=count,
+            limit=allowed,
+        )
+
+
+class WrongSize(BadShape):
+    def __init__(self, point: int, field: str, size: int, expected: int) -> None:
+        allowed = f"{expected}" if field == "positions" else f"{expected} or none"
+        super().__init__(
+            f"Point {point} has {size} {field} for {expected} joint name{'s' if expected != 1 else ''}; give "
+            f"{allowed}, in the order of joint_names.",
+            point=point,
+            value=size,
+            limit=expected,
+        )
+
+
+class AccelerationsAlone(BadShape):
+    def __init__(self, point: int) -> None:
+        super().__init__(
+            f"Point {point} has accelerations but no velocities, which leaves the motion undefined; add the "
+            "velocities or leave the accelerations out.",
+            point=point,
+        )
+
+
+class NotSupported(GoalRefused):
+    """The goal asks for something this arm cannot do, and ignoring it silently would mislead."""
+
+
+class NotFinite(GoalRefused):
+    def __init__(self, point: int, joint: str, field: str, value: float) -> None:
+        super().__init__(
+            f"Point {point} has {value:g} as {field} of {joint}; all numbers must be finite: correct the sender.",
+            joint=joint,
+            point=point,
+            value=value,
+        )
+
+
+class BadTimes(GoalRefused):
+    """The points' times cannot be followed."""
+
+
+class NegativeTime(BadTimes):
+    def __init__(self, time_s: float) -> None:
+        super().__init__(
+            f"Point 0 has time_from_start {time_s:.6f} s; times start at 0 or later: shift them.",
+            point=0,
+            value=time_s,
+            limit=0.0,
+        )
+
+
+class TimesNotRising(BadTimes):
+    def __init__(self, point: int, before_s: float, time_s: float) -> None:
+        super().__init__(
+            f"Point {point} has time_from_start {time_s:.6f} s after {before_s:.6f} s at point {point - 1}; "
+            "times must rise strictly: remove the point or correct its time.",
+            point=point,
+            value=time_s,
+            limit=before_s,
+        )
+
+
+class Unparameterised(BadTimes):
+    def __init__(self, count: int) -> None:
+        super().__init__(
+            f"All {count} points have time_from_start 0, so the trajectory has a path but no timing; run "
+            "time parameterisation (in MoveIt AddTimeOptimalParameterization) before sending it."
+        )
+
+
+class EndsInThePast(BadTimes):
+    code = OLD_HEADER_TIMESTAMP
+
+    def __init__(self, late_s: float) -> None:
+        super().__init__(
+            f"The trajectory, counted from its header stamp, ended {late_s:.3f} s ago; send a stamp of zero "
+            "to start at once, or check that both machines' clocks agree.",
+            value=late_s,
+            limit=0.0,
+        )
+
+
+class EndsMoving(GoalRefused):
+    def __init__(self, joint: str, velocity_rad_s: float, allowed_rad_s: float) -> None:
+        super().__init__(
+            f"The last point leaves {joint} moving at {velocity_rad_s:.4f} rad/s; at most {allowed_rad_s:g} "
+            "rad/s is taken for rest: end the trajectory at rest.",
+            joint=joint,
+            value=velocity_rad_s,
+            limit=allowed_rad_s,
+        )
+
+
+class BadTolerance(GoalRefused):
+    def __init__(self, joint: str | None, field: str, value: float) -> None:
+        super().__init__(
+            f"{field}{f' of {joint}' if joint else ''} is {value:g}; allowed are a positive limit, 0 for the "
+            "default and -1 for none: correct it.",
+            joint=joint,
+            value=value,
+        )
+
+
+class TooFar(GoalRefused):
+    """The first point is not where the arm stands."""
+
+    def __init__(self, joint: str, distance_rad: float, limit_rad: float, first_rad: float) -> None:
+        super().__init__(
+            f"The first point has {joint} at {angle(first_rad)}, {angle(distance_rad)} from where it is "
+            f"commanded; allowed are {angle(limit_rad)}: plan from the present state, or give the first "
+            "point a time_from_start above 0.",
+            joint=joint,
+            point=0,
+            value=distance_rad,
+            limit=limit_rad,
+        )
+
+
+class BeyondLimits(GoalRefused):
+    """The motion breaks a limit of a joint."""
+
+
+class PositionBeyondLimit(BeyondLimits):
+    def __init__(self, place: str, joint: str, value_rad: float, lower_rad: float, upper_rad: float) -> None:
+        limit = upper_rad if value_rad > upper_rad else lower_rad
+        super().__init__(
+            f"{joint} would be at {angle(value_rad)} {place}; allowed are {angle(lower_rad)} to "
+            f"{angle(upper_rad)}: keep the trajectory inside, between its points too.",
+            joint=joint,
+            value=value_rad,
+            limit=limit,
+        )
+
+
+class VelocityBeyondLimit(BeyondLimits):
+    def __init__(self, place: str, joint: str, value_rad_s: float, limit_rad_s: float) -> None:
+        super().__init__(
+            f"{joint} would move at {value_rad_s:.4f} rad/s {place}; allowed are {limit_rad_s:.4f} rad/s: "
+            "give the trajectory more time.",
+            joint=joint,
+            value=value_rad_s,
+            limit=limit_rad_s,
+        )
+
+
+class AccelerationBeyondLimit(BeyondLimits):
+    def __init__(self, place: str, joint: str, value_rad_s2: float, limit_rad_s2: float) -> None:
+        super().__init__(
+            f"{joint} would accelerate with {value_rad_s2:.3f} rad/s² {place}; allowed are "
+            f"{limit_rad_s2:.3f} rad/s²: give the trajectory more time or smooth it there.",
+            joint=joint,
+            value=value_rad_s2,
+            limit=limit_rad_s2,
+        )

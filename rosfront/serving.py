@@ -1,0 +1,261 @@
+"""Goals between the action server and the control process, without any ROS in it.
+
+Two threads meet here. The server's thread starts and cancels goals; the publisher's thread, which sees every
+snapshot first, feeds the ring and finds out how goals end. What the loop says about a goal reaches its owner
+through `on_verdict`, exactly once, always from the publisher's thread.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from config.schema import ArmConfig
+from rosfront.link import Link
+from rosfront.plan import NS, GoalPlan, Present
+from rosfront.refusals import NotServing
+from rosfront.streamer import Streamer
+from rosfront.verdict import Verdict, aborted, fault_of, final_error, judge, with_final_error
+from shm.client import find
+from shm.errors import TornRead
+from shm.sentences import outcome_sentence, unreferenced_sentence
+from shm.words import Answer, Mode, Outcome, Request
+
+STALLED_NS = 400_000_000
+"""A loop whose snapshots are older counts as hung: goals are refused and running ones aborted."""
+FAULT_PATIENCE_NS = 500_000_000
+"""A goal that a faulted loop has not decided by then never will be."""
+CANCEL_AGAIN_NS = 50_000_000
+CLOSING = "The ROS process is shutting down and takes no goals: start it again."
+_TAKES_GOALS = (Mode.HOLDING, Mode.EXECUTING, Mode.STOPPING)
+
+
+@dataclass
+class Execution:
+    """A goal that was handed to the control process and is not decided yet."""
+
+    goal_id: int
+    target_rad: np.ndarray
+    joint_mask: int
+    on_verdict: Callable[[Verdict], None]
+    cancel_wanted: bool = False
+    cancel_sequence: int = 0
+    cancel_sent_ns: int = 0
+    fault_since_ns: int = 0
+
+
+class Serving:
+    """The goals of one arm."""
+
+    def __init__(self, arm: ArmConfig) -> None:
+        self.arm = arm
+        self.joints = [joint.name for joint in arm.joints]
+        self._lock = threading.Lock()
+        self._link: Link | None = None
+        self._absence = f"The control process of arm '{arm.name}' is not running: start it with `rtarm up {arm.name}`."
+        self._undecided: dict[int, Execution] = {}
+        self._streams: dict[int, Streamer] = {}  # by goal: what is still on its way into the ring
+        self._closing = False
+        self.ever_attached = threading.Event()
+
+    # --- from the publisher's thread ---
+
+    def attached(self, link: Link) -> None:
+        """Goals can be handed on from now."""
+        with self._lock:
+            self._link = link
+        self.ever_attached.set()
+
+    def lost(self, reason: str) -> None:
+        """The control process is gone, hangs or has not begun: goals end with the `reason`, later ones are refused."""
+        with self._lock:
+            ended = list(self._undecided.values())
+            if self._link is not None:
+                for execution in ended:  # should it only hang, it must not go on with them later
+                    self._send_cancel(self._link, execution)
+            self._link, self._absence = None, reason
+            self._streams.clear()
+            self._undecided.clear()
+        for execution in ended:
+            execution.on_verdict(aborted(reason))
+
+    def look(self, snapshot: np.void) -> Execution | None:
+        """Feed the ring and decide what the snapshot decides; returns the execution that moves the arm."""
+        verdicts: list[tuple[Execution, Verdict]] = []
+        with self._lock:
+            link = self._link
+            if link is None or not self._undecided:
+                return None
+            moving = self._undecided.get(int(snapshot["goal_id"]))
+            self._pump(link, int(snapshot["goal_id"]), float(snapshot["trajectory_clock_ns"]))
+            for execution in list(self._undecided.values()):
+                verdict = self._decide(execution, snapshot)
+                if verdict is not None:
+                    del self._undecided[execution.goal_id]
+                    verdicts.append((execution, verdict))
+                    self._streams.pop(execution.goal_id, None)
+                elif execution.cancel_wanted:
+                    self._cancel_again(link, execution, snapshot)
+        for execution, verdict in verdicts:
+            execution.on_verdict(verdict)
+        return moving
+
+    def _pump(self, link: Link, running_goal: int, clock_ns: float) -> None:
+        """Feed every goal that is not decided: the running one goes on until a newer one has really entered."""
+        for goal_id, stream in list(self._streams.items()):
+            stream.pump(link.writer, link.reader.setpoints_consumed(), clock_ns if goal_id == running_goal else 0.0)
+            if stream.done:
+                del self._streams[goal_id]
+
+    def _decide(self, execution: Execution, snapshot: np.void) -> Verdict | None:
+        """What a snapshot says about a goal; None while it is undecided."""
+        goal_id, running = execution.goal_id, int(snapshot["goal_id"])
+        results = snapshot["results"]
+        result = find(results, "goal_id", goal_id)
+        if result is not None and int(result["outcome"]) != Outcome.NONE:
+            return judge(
+                int(result["outcome"]),
+                int(result["joint"]),
+                float(result["value"]),
+                float(result["limit"]),
+                snapshot,
+                execution.target_rad,
+                execution.joint_mask,
+                self.joints,
+            )
+        # A goal replaced before the loop saw its BEGIN gets no result of its own.
+        if running > goal_id or (running != goal_id and _newest_decided(results) > goal_id):
+            return with_final_error(
+                aborted(outcome_sentence(Outcome.REPLACED)),
+                final_error(snapshot, execution.target_rad, execution.joint_mask, self.joints),
+            )
+        if int(snapshot["mode"]) != Mode.FAULT:
+            execution.fault_since_ns = 0
+            return None
+        now_ns = int(snapshot["monotonic_ns"])
+        execution.fault_since_ns = execution.fault_since_ns or now_ns
+        if now_ns - execution.fault_since_ns < FAULT_PATIENCE_NS:
+            return None
+        return aborted(fault_of(snapshot, self.joints))
+
+    def _cancel_again(self, link: Link, execution: Execution, snapshot: np.void) -> None:
+        """A cancel that came before its goal was taken found nothing to cancel: repeat it."""
+        answer = find(snapshot["answers"], "sequence", execution.cancel_sequence)
+        if answer is None or int(answer["answer"]) != Answer.REFUSED_NO_GOAL:
+            return
+        if time.monotonic_ns() - execution.cancel_sent_ns >= CANCEL_AGAIN_NS:
+            self._send_cancel(link, execution)
+
+    # --- from the server's thread ---
+
+    def present(self) -> Present:
+        """Where the arm is commanded; raises NotServing with the reason when no goal can be taken now."""
+        with self._lock:
+            snapshot = self._snapshot()
+        age_ns = time.monotonic_ns() - int(snapshot["monotonic_ns"])
+        if age_ns > STALLED_NS:
+            raise NotServing(hung(self.arm.name, age_ns))
+        mode = int(snapshot["mode"])
+        if mode == Mode.FAULT:
+            raise NotServing(fault_of(snapshot, self.joints))
+        if mode not in _TAKES_GOALS:
+            raise NotServing(outcome_sentence(Outcome.REFUSED_MODE, value=float(mode)))
+        rows = snapshot["joints"][: len(self.joints)]
+        for name, row in zip(self.joints, rows, strict=True):
+            if not row["referenced"]:
+                raise NotServing(unreferenced_sentence(int(row["unreferenced_reason"]), name), joint=name)
+        words = ("commanded_position_rad", "commanded_velocity_rad_s", "commanded_acceleration_rad_s2")
+        return Present(
+            np.stack([rows[word] for word in words], axis=1),
+            mode == Mode.HOLDING,
+            int(snapshot["monotonic_ns"]),
+            int(snapshot["epoch_ns"]),
+        )
+
+    def start(self, plan: GoalPlan, on_verdict: Callable[[Verdict], None]) -> Execution:
+        """Hand a checked goal to the control process; an older one is replaced.
+
+        `on_verdict` is called once, later, from the publisher's thread. Raises NotServing.
+        """
+        with self._lock:
+            snapshot = self._snapshot()
+            assert self._link is not None
+            writer = self._link.writer
+            known = (
+                writer.announced_goal,
+                int(snapshot["goal_id"]),
+                int(snapshot["results"]["goal_id"].max()),
+            )
+            execution = Execution(max(known) + 1, plan.joints[-1, :, 0].copy(), plan.joint_mask, on_verdict)
+            self._undecided[execution.goal_id] = execution
+            self._streams[execution.goal_id] = Streamer(execution.goal_id, plan)
+            writer.beat()
+            writer.announce(execution.goal_id)
+            self._pump(self._link, int(snapshot["goal_id"]), float(snapshot["trajectory_clock_ns"]))
+            return execution
+
+    def cancel(self, execution: Execution) -> None:
+        """Ask for a stop on the path; the verdict follows as for any other end."""
+        with self._lock:
+            if self._link is not None and execution.goal_id in self._undecided:
+                execution.cancel_wanted = True
+                self._send_cancel(self._link, execution)
+
+    def close(self) -> None:
+        """Take no goal any more and ask for the end of those there are."""
+        with self._lock:
+            self._closing = True
+            executions = list(self._undecided.values())
+        for execution in executions:
+            self.cancel(execution)
+
+    def _snapshot(self) -> np.void:
+        if self._closing:
+            raise NotServing(CLOSING)
+        if self._link is None:
+            raise NotServing(self._absence)
+        try:
+            return self._link.reader.snapshot()
+        except TornRead as problem:
+            raise NotServing(str(problem)) from problem
+
+    def _send_cancel(self, link: Link, execution: Execution) -> None:
+        execution.cancel_sent_ns = time.monotonic_ns()
+        execution.cancel_sequence = link.writer.request(Request.CANCEL, goal_id=execution.goal_id)
+
+    @property
+    def idle(self) -> bool:
+        """Whether no goal is undecided."""
+        with self._lock:
+            return not self._undecided
+
+
+def _newest_decided(results: np.ndarray) -> int:
+    """The highest number of a goal with a result."""
+    return int(results["goal_id"][results["outcome"] != Outcome.NONE].max(initial=0))
+
+
+def starting(arm: str, pid: int) -> str:
+    """The sentence about a control process that has run no cycle yet."""
+    return (
+        f"The control process of arm '{arm}' (pid {pid}) has not run its first cycle yet, which takes about a "
+        "minute after a change, while it compiles: wait for it."
+    )
+
+
+def gone(arm: str, pid: int) -> str:
+    """The sentence about a control process that has ended."""
+    return (
+        f"The control process of arm '{arm}' (pid {pid}) has ended and the drives brake by their own ramps: "
+        f"find out why, then start it again with `rtarm up {arm}`."
+    )
+
+
+def hung(arm: str, age_ns: int) -> str:
+    """The sentence about a control process that lives but runs no cycles."""
+    return (
+        f"The control process of arm '{arm}' has run no cycle for {age_ns / NS:.2f} s: look for what "
+        "suspends or overloads it (`rtarm doctor`), or start it again."
+    )

@@ -1,0 +1,57 @@
+"""Writing a goal into the setpoint ring, a little at a time.
+
+The control process enters a trajectory when a second of it is known; what lies further ahead than
+`HORIZON_S` stays here, so that a newer goal never waits behind thousands of old knots and a trajectory of any
+length needs the same memory. When the ring is full the rest waits for the next call.
+"""
+
+import numpy as np
+
+from rosfront.plan import NS, GoalPlan
+from shm.client import CommandWriter
+from shm.errors import RingFull
+
+HORIZON_S = 2.5
+KNOTS_A_CALL = 256  # bounds the time a call holds up its thread, about 2 ms
+
+
+class Streamer:
+    """One goal on its way into the ring: BEGIN, its knots, END."""
+
+    def __init__(self, goal_id: int, plan: GoalPlan) -> None:
+        self.goal_id = goal_id
+        self._plan = plan
+        self._begun = False
+        self._next = 0
+        self.done = False
+
+    def pump(self, writer: CommandWriter, consumed: int, clock_ns: float) -> None:
+        """Write what is due: up to `HORIZON_S` ahead of the trajectory clock (ns), as far as there is room.
+
+        `consumed` is the number of records the control process has taken.
+        """
+        plan = self._plan
+        try:
+            if not self._begun:
+                writer.begin(
+                    self.goal_id,
+                    start_ns=plan.start_ns,
+                    joint_mask=plan.joint_mask,
+                    goal_time_s=plan.goal_time_s,
+                    bridge=plan.bridge,
+                    tolerances=plan.tolerances,
+                    consumed=consumed,
+                )
+                self._begun = True
+            due = int(np.searchsorted(plan.times_ns, clock_ns + HORIZON_S * NS, side="right")) + 1
+            last = min(due, len(plan.times_ns), self._next + KNOTS_A_CALL)
+            while self._next < last:
+                at = self._next
+                time_ns, order = int(plan.times_ns[at]), int(plan.orders[at])
+                writer.knot(self.goal_id, time_ns, order, plan.joints[at], consumed)
+                self._next = at + 1
+            if self._next == len(plan.times_ns) and not self.done:
+                writer.end(self.goal_id, consumed)
+                self.done = True
+        except RingFull:
+            return

@@ -1,0 +1,99 @@
+"""How a goal ended, in the action's terms: status, error code and sentence."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from rosfront import refusals
+from shm.sentences import fault_sentence, joint_name, outcome_sentence
+from shm.words import Fault, Outcome
+
+
+class Status(Enum):
+    """The three ends an action goal can have."""
+
+    SUCCEEDED = 1
+    CANCELED = 2
+    ABORTED = 3
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The end of a goal."""
+
+    status: Status
+    code: int
+    sentence: str
+
+
+_CODES = {
+    Outcome.SUCCEEDED: refusals.SUCCESSFUL,
+    Outcome.CANCELED: refusals.SUCCESSFUL,
+    Outcome.PATH_TOLERANCE: refusals.PATH_TOLERANCE_VIOLATED,
+    Outcome.GOAL_TOLERANCE: refusals.GOAL_TOLERANCE_VIOLATED,
+}
+_STATUS = {Outcome.SUCCEEDED: Status.SUCCEEDED, Outcome.CANCELED: Status.CANCELED}
+_NOT_BEGUN = {
+    Outcome.REFUSED_MODE,
+    Outcome.REFUSED_UNREFERENCED,
+    Outcome.REFUSED_START,
+    Outcome.REFUSED_LIMITS,
+    Outcome.REFUSED_CORRUPT,
+}
+
+
+def aborted(sentence: str, code: int = refusals.INVALID_GOAL) -> Verdict:
+    return Verdict(Status.ABORTED, code, sentence)
+
+
+def refused(reason: refusals.GoalRefused) -> Verdict:
+    """The end of a goal that was never begun."""
+    return aborted(reason.sentence, reason.code)
+
+
+def with_final_error(verdict: Verdict, distance: str) -> Verdict:
+    """The same verdict, its sentence ending in how far the arm is from the goal's target."""
+    return Verdict(verdict.status, verdict.code, f"{verdict.sentence.removesuffix('.')}; {distance}.")
+
+
+def final_error(snapshot: np.void, target_rad: np.ndarray, joint_mask: int, joints: Sequence[str]) -> str:
+    """The largest distance between measured and target position among the goal's joints, in words."""
+    mask = np.array([bool(joint_mask >> joint & 1) for joint in range(len(joints))])
+    measured = snapshot["joints"]["measured_position_rad"][: len(joints)]
+    errors = np.where(mask, np.abs(measured - target_rad), -1.0)
+    worst = int(errors.argmax())
+    return f"{joints[worst]} is {errors[worst]:.4f} rad from its target"
+
+
+def fault_of(snapshot: np.void, joints: Sequence[str]) -> str:
+    """The sentence of the latched fault."""
+    return fault_sentence(
+        int(snapshot["fault"]),
+        joint_name(int(snapshot["fault_joint"]), joints),
+        float(snapshot["fault_value"]),
+        float(snapshot["fault_limit"]),
+    )
+
+
+def judge(
+    outcome: int,
+    joint: int,
+    value: float,
+    limit: float,
+    snapshot: np.void,
+    target_rad: np.ndarray,
+    joint_mask: int,
+    joints: Sequence[str],
+) -> Verdict:
+    """The verdict on a goal whose result stands in the snapshot."""
+    if outcome == Outcome.FAULT and int(snapshot["fault"]) != Fault.NONE:
+        sentence = fault_of(snapshot, joints)
+    else:
+        sentence = outcome_sentence(outcome, joint_name(joint, joints), value, limit)
+    known = Outcome(outcome) if outcome in set(Outcome) else Outcome.NONE
+    verdict = Verdict(_STATUS.get(known, Status.ABORTED), _CODES.get(known, refusals.INVALID_GOAL), sentence)
+    if known is Outcome.SUCCEEDED or known in _NOT_BEGUN:
+        return verdict
+    return with_final_error(verdict, final_error(snapshot, target_rad, joint_mask, joints))
