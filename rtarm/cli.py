@@ -1,0 +1,280 @@
+"""The command line. Everything heavy is imported inside the command that needs it, so that help is quick."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from rtarm.errors import AlreadySaid, ExitCode, Refusal, exit_code_table
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from rtarm.reporter import Reporter
+
+UsageError: type[Exception] = typer.BadParameter.__mro__[1]
+"""The class of all wrong usages, whose module differs between the versions of typer."""
+
+
+class Commands(TyperGroup):
+    """The commands, with the exit code of our table for wrong usage."""
+
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:
+        with _usage_is_refused():
+            return super().make_context(*args, **kwargs)
+
+    def invoke(self, ctx: Any) -> Any:
+        with _usage_is_refused():
+            return super().invoke(ctx)
+
+
+@contextmanager
+def _usage_is_refused() -> Iterator[None]:
+    try:
+        yield
+    except UsageError as error:
+        error.exit_code = int(ExitCode.REFUSED)  # type: ignore[attr-defined]
+        raise
+
+
+app = typer.Typer(
+    cls=Commands,
+    name="rtarm",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    help="Drives a robot arm of CAN servo drives from MoveIt 2.\n\nExample: [bold]rtarm demo[/bold] plays a "
+    "recorded MoveIt goal on a simulated arm; [bold]rtarm up episode1 --sim[/bold] keeps one running.",
+    epilog="Exit codes:\n\n" + exit_code_table(),
+)
+config_app = typer.Typer(
+    no_args_is_help=True,
+    cls=Commands,
+    help="Arm files.\n\nExample: [bold]rtarm config check ./my_arm.yaml[/bold]",
+)
+app.add_typer(config_app, name="config")
+
+ArmArgument = Annotated[
+    str, typer.Argument(metavar="ARM", help="Name of an arm, or path of an arm file (./my_arm.yaml).")
+]
+RunningArm = Annotated[
+    str | None,
+    typer.Argument(metavar="[ARM]", help="Name or file of a running arm; left out: the only one that runs."),
+]
+
+
+def _show_version(wanted: bool) -> None:
+    if not wanted:
+        return
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        typer.echo(f"rtarm {version('rtarm')}")
+    except PackageNotFoundError:
+        typer.echo("rtarm (not installed, run from its source folder)")
+    raise typer.Exit
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_show_version, help="Show the version.")
+    ] = False,
+) -> None:
+    """Options of `rtarm` itself."""
+
+
+@app.command()
+def up(
+    arm: ArmArgument,
+    sim: Annotated[bool, typer.Option("--sim", help="Simulate the drives; no hardware is opened.")] = False,
+    interface: Annotated[str | None, typer.Option(help="How the bus is reached (slcan, mock).")] = None,
+    channel: Annotated[str | None, typer.Option(help="Device of the CAN adapter (/dev/ttyACM0).")] = None,
+    rate: Annotated[float | None, typer.Option(metavar="HZ", help="Control rate (Hz).")] = None,
+    init_mode: Annotated[
+        int | None,
+        typer.Option(metavar="0|1", help="1: take over the pose the arm stands in; 0: run homing."),
+    ] = None,
+) -> None:
+    """Start an arm: control process and ROS process, and with --sim the simulated drives.
+
+    Runs until Ctrl-C, which stops the arm on its path first. A dead ROS process is started again; when the
+    control process ends by itself, everything ends with exit code 3 and nothing is started again.
+
+    Example: [bold]rtarm up episode1 --interface slcan --channel /dev/ttyACM0[/bold]
+    """
+    with _sentences():
+        from rtarm.launcher import load_plan
+        from rtarm.up import up as run
+
+        if sim and (interface is not None or channel is not None):
+            raise Refusal(
+                "--sim brings its own adapter, so --interface and --channel cannot be given with it: leave "
+                "out either --sim or those two."
+            )
+        overrides = _overrides(
+            {
+                "bus": {"interface": interface, "channel": channel},
+                "control": {"rate_hz": rate, "init_mode": init_mode},
+            }
+        )
+        plan = load_plan(arm, overrides, simulated=sim, again=_again())
+        raise typer.Exit(run(plan, _reporter()))
+
+
+@app.command()
+def demo(
+    arm: Annotated[str, typer.Option(metavar="ARM", help="Name or file of the arm to simulate.")] = "episode1",
+    goal: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Recorded FollowJointTrajectory goal (JSON); left out: a tour of four."),
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write all figures to this file.")
+    ] = None,
+) -> None:
+    """Play goals that MoveIt planned on a simulated arm, and show how well it followed them.
+
+    Starts the simulated drives, the control process, the ROS process and an action client of its own, in a
+    ROS domain of their own. The exit code is 0 only if every goal succeeded.
+
+    Example: [bold]rtarm demo --json figures.json[/bold]
+    """
+    with _sentences():
+        from rtarm.demo import run_demo
+
+        raise typer.Exit(run_demo(arm, goal, json_file, _reporter()))
+
+
+@app.command(epilog="Exit codes:\n\n" + exit_code_table())
+def status(
+    arm: RunningArm = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
+) -> None:
+    """Show what a running arm does, from its shared memory alone.
+
+    The exit code is 0 when it is running and healthy: holding, executing or stopping, no latched fault, all
+    joints referenced, and a living ROS process.
+
+    Example: [bold]rtarm status --json[/bold]
+    """
+    with _sentences():
+        import json
+
+        from rtarm.status import read_status, render_status, resolve_arm
+        from shm.errors import SharedMemoryError
+
+        try:
+            report = read_status(resolve_arm(arm))
+        except (Refusal, SharedMemoryError) as refused:
+            if as_json:
+                typer.echo(json.dumps({"arm": arm, "running": False, "healthy": False, "problems": [str(refused)]}))
+                raise typer.Exit(int(ExitCode.REFUSED)) from None
+            raise
+        if as_json:
+            typer.echo(json.dumps(report, indent=2, allow_nan=False))
+        else:
+            _print(render_status(report))
+        raise typer.Exit(int(ExitCode.DONE if report["healthy"] else ExitCode.UNHEALTHY))
+
+
+@app.command()
+def stop(arm: RunningArm = None) -> None:
+    """Stop a running arm on its path and wait until it stands; works without the ROS process.
+
+    Example: [bold]rtarm stop[/bold]
+    """
+    with _sentences():
+        from rtarm import requests
+        from rtarm.status import resolve_arm
+
+        typer.echo(requests.stop(resolve_arm(arm)))
+
+
+@app.command("clear-fault")
+def clear_fault(arm: RunningArm = None) -> None:
+    """Clear a latched fault, once its cause is removed, and bring the drives up again.
+
+    Example: [bold]rtarm clear-fault episode1[/bold]
+    """
+    with _sentences():
+        from rtarm import requests
+        from rtarm.status import resolve_arm
+
+        typer.echo(requests.clear_fault(resolve_arm(arm)))
+
+
+@config_app.command("check")
+def config_check(arm: ArmArgument) -> None:
+    """Check an arm file and print what follows from it: limits, resolution, bus load, highest rate.
+
+    Example: [bold]rtarm config check ./my_arm.yaml[/bold]
+    """
+    with _sentences():
+        from config.budget import check_budget
+        from config.check import render_check
+        from config.loader import load_arm
+
+        loaded = load_arm(arm)
+        _print(render_check(loaded))
+        check_budget(loaded)
+
+
+def _overrides(options: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """The options that were given, as overrides of the arm file."""
+    given = {
+        section: {key: value for key, value in fields.items() if value is not None}
+        for section, fields in options.items()
+    }
+    return {section: fields for section, fields in given.items() if fields}
+
+
+def _again() -> str:
+    """The command line that was given, for a person to give again."""
+    return shlex.join(["rtarm", *sys.argv[1:]])
+
+
+def _reporter() -> Reporter:
+    from rtarm.reporter import LastingConsole, Reporter
+
+    return Reporter(LastingConsole(highlight=False, emoji=False))
+
+
+def _print(what: RenderableType) -> None:
+    from rich.console import Console
+
+    Console(highlight=False, emoji=False).print(what)
+
+
+@contextmanager
+def _sentences() -> Iterator[None]:
+    """Foreseeable errors end as their sentence on standard error and an exit code, never as a traceback."""
+    from config.errors import ConfigError
+
+    try:
+        yield
+    except AlreadySaid as refusal:
+        if sys.stdout.isatty():  # a person has just read it
+            raise typer.Exit(int(refusal.code)) from None
+        _end(refusal.sentence, refusal.code)
+    except Refusal as refusal:
+        _end(refusal.sentence, refusal.code)
+    except ConfigError as error:
+        _end("\n".join(str(problem) for problem in error.errors), ExitCode.REFUSED)
+    except Exception as error:
+        if "shm.errors" not in sys.modules or not isinstance(error, sys.modules["shm.errors"].SharedMemoryError):
+            raise
+        _end(str(error), ExitCode.REFUSED)
+
+
+def _end(sentence: str, code: ExitCode) -> NoReturn:
+    typer.echo(sentence, err=True)
+    raise typer.Exit(int(code)) from None

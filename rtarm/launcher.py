@@ -1,0 +1,385 @@
+"""The processes of an arm, started and ended in the right order: simulated arm, control process, ROS process.
+
+The order of the end is the reverse: first the ROS process (no new goals), then the control process (it stops
+the arm on its path), then the simulated arm. A dead ROS process is started again; a dead control process
+never is, because nobody but a person knows whether the arm may move again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from rtarm.errors import AlreadySaid, ExitCode, Refusal
+from rtarm.processes import Child, describe_end, has_module, plain_environment, ros_environment
+from rtarm.reporter import Reporter
+
+if TYPE_CHECKING:
+    from config.schema import ArmConfig
+
+SIMULATED_CHANNEL = "simulated"
+"""Stands for a pseudo-terminal that does not exist yet, so that an arm file without adapter loads."""
+
+SIM_PATIENCE_S = 30.0
+LOOP_PATIENCE_S = 300.0
+"""A first start compiles the control cycle, which takes a minute or more."""
+FRONT_PATIENCE_S = 60.0
+
+FRONT_STOP_S = 5.0
+LOOP_STOP_S = 10.0
+"""The control process stops the arm on its path before it ends."""
+LOOP_STOP_EARLY_S = 3.0
+"""Before it was ready nothing moves, and it may be compiling, which does not listen."""
+SIM_STOP_S = 5.0
+
+HINT_AFTER_S = 5.0
+
+RESTART_FIRST_S = 0.2
+RESTART_LONGEST_S = 10.0
+STEADY_AFTER_S = 10.0
+"""A ROS process that lived this long is started again at once."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to start."""
+
+    arm: ArmConfig
+    arm_argument: str
+    """The name or path a person gave; every process loads the arm from it."""
+    overrides: Mapping[str, Any]
+    """What the options change in the arm file, in nested form."""
+    simulated: bool
+    start_deg: Sequence[float] | None = None
+    """Joint angles at which the simulated arm starts; None for its default."""
+    again: str = ""
+    """The command that starts all this again, for people."""
+    front_environment: Mapping[str, str] = field(default_factory=dict)
+    front_arguments: Sequence[str] = ()
+    """What the ROS process is given besides, such as `--ros-args`."""
+
+
+def override_arguments(overrides: Mapping[str, Any], above: str = "") -> list[str]:
+    """Nested overrides as the `--set section.key=value` arguments that every process of an arm takes."""
+    arguments: list[str] = []
+    for key, value in overrides.items():
+        if isinstance(value, Mapping):
+            arguments += override_arguments(value, f"{above}{key}.")
+        else:
+            arguments += ["--set", f"{above}{key}={_as_yaml(value)}"]
+    return arguments
+
+
+def _as_yaml(value: Any) -> str:
+    import yaml
+
+    style = '"' if isinstance(value, str) else None  # so that "5" stays a text
+    text: str = yaml.safe_dump(value, default_style=style, width=math.inf, allow_unicode=True)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def load_plan(
+    arm_argument: str,
+    overrides: Mapping[str, Any],
+    *,
+    simulated: bool,
+    start_deg: Sequence[float] | None = None,
+    again: str = "",
+    front_environment: Mapping[str, str] | None = None,
+    front_arguments: Sequence[str] = (),
+) -> Plan:
+    """Check the configuration, the budget and what is installed before anything is started.
+
+    Raises:
+        ConfigError: the arm, an option or the budget is not right.
+        Refusal: there is nothing to simulate, or the ROS process cannot run here.
+    """
+    from config.budget import check_budget
+    from config.loader import load_arm
+
+    loaded_with = overrides
+    if simulated:
+        if _needs_no_bus(arm_argument):
+            raise Refusal(
+                f"Arm {arm_argument} has mock drives and no bus, so there is nothing to simulate: leave --sim out."
+            )
+        loaded_with = _with_channel(overrides, SIMULATED_CHANNEL)
+    arm = load_arm(arm_argument, overrides=loaded_with)
+    check_budget(arm)
+    check_ros()
+    environment = front_environment or {}
+    return Plan(arm, arm_argument, overrides, simulated, start_deg, again, environment, front_arguments)
+
+
+def _needs_no_bus(arm_argument: str) -> bool:
+    from config.errors import ConfigError
+    from config.loader import load_arm
+
+    try:
+        return load_arm(arm_argument).bus.interface == "mock"
+    except ConfigError:
+        return False  # with the overrides it may load, and if not, that error is the one to show
+
+
+def check_ros() -> None:
+    """Refuse, with what to install, where the ROS process could not start."""
+    if not has_module("rclpy"):
+        raise Refusal(
+            "rclpy is not installed, and the ROS process needs it: install the extra `rtarm[ros]`, or "
+            "source a ROS 2 installation, then start again."
+        )
+    if not has_module("control_msgs"):
+        raise Refusal(
+            "control_msgs is not installed, and the ROS process needs it: generate it with `python -m "
+            "rosfront.interfaces.build`, or install it with your ROS 2, then start again."
+        )
+
+
+def _with_channel(overrides: Mapping[str, Any], channel: str) -> dict[str, Any]:
+    return {**overrides, "bus": {**overrides.get("bus", {}), "channel": channel}}
+
+
+class Launcher:
+    """Starts, watches and stops the processes of one arm; `stop` belongs in a `finally`."""
+
+    def __init__(self, plan: Plan, reporter: Reporter) -> None:
+        self.plan = plan
+        self.front_restarts = 0
+        self._reporter = reporter
+        self._arguments: list[str] = []
+        self._sim: Child | None = None
+        self._loop: Child | None = None
+        self._front: Child | None = None
+
+    async def start(self) -> None:
+        """Start everything and return when it is ready.
+
+        Raises:
+            Refusal: a process ended instead, or was not ready in time.
+        """
+        plan = self.plan
+        overrides = plan.overrides
+        if plan.simulated:
+            overrides = _with_channel(overrides, await self._start_sim())
+        self._arguments = [plan.arm_argument, *override_arguments(overrides)]
+        started = time.monotonic()
+        self._loop = await self._spawn("loop", "rtloop", self._arguments, plain_environment())
+        # Both start at once: the ROS process takes its second to load while the drives are brought up.
+        self._front = await self._start_front()
+        await self._wait_ready(self._loop, LOOP_PATIENCE_S, "control process starting")
+        self._say(self._loop, f"ready, {describe_bus(plan.arm)} ({time.monotonic() - started:.1f} s)")
+        await self._wait_ready(self._front, FRONT_PATIENCE_S, "ROS process starting")
+        self._say(self._front, f"ready, action {action_name(plan.arm)} ({time.monotonic() - started:.1f} s)")
+
+    async def watch(self) -> None:
+        """Keep the ROS process alive; returns never, and raises when the rest cannot go on.
+
+        Raises:
+            Refusal: the control process or the simulated arm ended.
+        """
+        assert self._loop is not None
+        others = [asyncio.create_task(self._watch_loop()), asyncio.create_task(self._keep_front())]
+        if self._sim is not None:
+            others.append(asyncio.create_task(self._watch_sim(self._sim)))
+        try:
+            done, _ = await asyncio.wait(others, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            for task in others:
+                task.cancel()
+            await asyncio.gather(*others, return_exceptions=True)
+
+    async def stop(self) -> None:
+        """End what runs, in order, each within its patience."""
+        loop_moves = self._loop is not None and self._loop.was_ready
+        for child, patience_s in (
+            (self._front, FRONT_STOP_S),
+            (self._loop, LOOP_STOP_S if loop_moves else LOOP_STOP_EARLY_S),
+            (self._sim, SIM_STOP_S),
+        ):
+            if child is None or child.has_ended:
+                continue
+            if not await child.stop(patience_s):
+                self._say(child, f"did not end within {patience_s:g} s and was killed", style="bold red")
+
+    def say_stopping(self, why: str) -> None:
+        """The line between a signal and the end."""
+        self._reporter.say(f"{why}: stopping the arm on its path and ending its processes")
+
+    def check_orderly_end(self) -> None:
+        """After `stop`: refuse when a control process that was ready did not end in order."""
+        loop = self._loop
+        if loop is None or not loop.was_ready or not loop.code:
+            return
+        end = describe_end(loop.code)
+        raise Refusal(
+            f"The control process ended {end} instead of in order; the drives have braked by themselves: "
+            f"look at the arm and at the lines above before you start again with `{self.plan.again}`.",
+            ExitCode.LOOP_DIED,
+        )
+
+    # --- starting ---------------------------------------------------------------------------------------
+
+    async def _start_sim(self) -> str:
+        """Start the simulated arm; returns the terminal it listens at."""
+        overrides = _with_channel(self.plan.overrides, SIMULATED_CHANNEL)
+        arguments = ["--arm", self.plan.arm_argument, *override_arguments(overrides)]
+        if self.plan.start_deg is not None:
+            arguments += ["--start-deg=" + ",".join(f"{angle:.9g}" for angle in self.plan.start_deg)]
+        self._sim = await self._spawn("sim", "sim", arguments, plain_environment())
+        terminal = await self._wait_ready(self._sim, SIM_PATIENCE_S, "simulated arm starting")
+        self._say(self._sim, f"ready, {len(self.plan.arm.joints)} simulated drives behind {terminal}")
+        return terminal
+
+    async def _start_front(self) -> Child:
+        environment = {
+            LOG_FORMAT: PLAIN_LOG,
+            **ros_environment(),
+            **self.plan.front_environment,
+        }
+        arguments = [*self._arguments, *self.plan.front_arguments]
+        return await self._spawn("front", "rosfront", arguments, environment)
+
+    async def _spawn(self, name: str, module: str, arguments: Sequence[str], environment: Mapping[str, str]) -> Child:
+        def show(line: str) -> None:
+            self._reporter.say(_without_name(line), name)
+
+        return await Child.start(name, module, arguments, environment, show)
+
+    async def _wait_ready(self, child: Child, patience_s: float, what: str) -> str:
+        """What followed "ready"; the control process' end is noticed whoever is waited for."""
+        if child.was_ready and self._loop is not None and not self._loop.has_ended:
+            return await child.ready() or ""
+        waited = asyncio.create_task(child.ready())
+        ends = [asyncio.create_task(self._loop.ended())] if self._loop not in (None, child) else []
+        try:
+            with self._reporter.waiting(what, child.name):
+                if not await _any_done((waited, *ends), HINT_AFTER_S):
+                    self._say(child, HINTS[child.name])
+                    await _any_done((waited, *ends), patience_s - HINT_AFTER_S)
+            if self._loop is not None and self._loop.has_ended:
+                raise await self._loop_refusal(self._loop)
+            if not waited.done():
+                raise Refusal(
+                    f"The {NAMES[child.name]} was not ready within {patience_s:g} s: see its lines above, "
+                    "and relieve the machine if it is busy."
+                )
+            ready = waited.result()
+        finally:
+            for task in (waited, *ends):
+                task.cancel()
+        if ready is None:
+            raise await self._start_refusal(child)
+        return ready
+
+    async def _start_refusal(self, child: Child) -> Refusal:
+        code = await child.ended()
+        if child.last_line and code > 0:
+            return AlreadySaid(_sentence(child))
+        return Refusal(f"The {NAMES[child.name]} ended {describe_end(code)} before it was ready: see its lines above.")
+
+    async def _loop_refusal(self, child: Child) -> Refusal:
+        """Why the control process ended while everything was starting."""
+        code = await child.ended()
+        if child.was_ready or code not in (1, 2):
+            return self._loop_died(code)
+        if child.last_line:
+            return AlreadySaid(_sentence(child), ExitCode.LOOP_REFUSED)
+        return Refusal(
+            f"The control process refused to start ({describe_end(code)}) and did not say why: run `python "
+            f"-m rtloop {self.plan.arm_argument}` to see more.",
+            ExitCode.LOOP_REFUSED,
+        )
+
+    # --- watching ---------------------------------------------------------------------------------------
+
+    async def _watch_loop(self) -> None:
+        assert self._loop is not None
+        raise self._loop_died(await self._loop.ended())
+
+    def _loop_died(self, code: int) -> Refusal:
+        return Refusal(
+            f"The control process ended {describe_end(code)}; the drives have braked by themselves; look at "
+            f"the arm, then start again with `{self.plan.again}`.",
+            ExitCode.LOOP_DIED,
+        )
+
+    async def _watch_sim(self, sim: Child) -> None:
+        code = await sim.ended()
+        raise Refusal(
+            f"The simulated arm ended {describe_end(code)}, so there is nothing left to control: start "
+            f"again with `{self.plan.again}`."
+        )
+
+    async def _keep_front(self) -> None:
+        """Start the ROS process again whenever it ends, more patiently when it does so at once."""
+        pause_s = RESTART_FIRST_S
+        started = time.monotonic()
+        while True:
+            assert self._front is not None
+            code = await self._front.ended()
+            if time.monotonic() - started > STEADY_AFTER_S:
+                pause_s = RESTART_FIRST_S
+            self._say(
+                self._front,
+                f"the ROS process ended {describe_end(code)}; starting it again in {pause_s:g} s",
+                style="yellow",
+            )
+            await asyncio.sleep(pause_s)
+            pause_s = min(2.0 * pause_s, RESTART_LONGEST_S)
+            started = time.monotonic()
+            self._front = await self._start_front()
+            self.front_restarts += 1
+            if await self._front.ready() is not None:
+                self._say(self._front, f"ready again ({time.monotonic() - started:.1f} s)")
+
+    def _say(self, child: Child, text: str, style: str = "") -> None:
+        self._reporter.say(text, child.name, style)
+
+
+def _without_name(line: str) -> str:
+    """A line of one of our programs, which puts its name in front."""
+    return line.removeprefix("rtloop: ").removeprefix("sim: ")
+
+
+def _sentence(child: Child) -> str:
+    """The last thing a child that refused has said."""
+    return _without_name(child.last_line)
+
+
+async def _any_done(tasks: Iterable[asyncio.Task[Any]], patience_s: float) -> bool:
+    done, _ = await asyncio.wait(tasks, timeout=patience_s, return_when=asyncio.FIRST_COMPLETED)
+    return bool(done)
+
+
+LOG_FORMAT = "RCUTILS_CONSOLE_OUTPUT_FORMAT"
+PLAIN_LOG = "{severity}: {message}"
+"""How ROS writes its log lines; without one of his own, a person need not see time and node in each."""
+
+HINTS = {
+    "sim": "still starting: the machine is busy",
+    "loop": "still starting: compiling the control cycle, once after a change, takes about a minute",
+    "front": "still starting: loading ROS 2",
+}
+"""What a wait of more than `HINT_AFTER_S` is probably for."""
+
+NAMES = {"sim": "simulated arm", "loop": "control process", "front": "ROS process"}
+"""What the processes are called in sentences."""
+
+
+def describe_bus(arm: ArmConfig) -> str:
+    """The rate and the bus, in a line."""
+    bus = arm.bus
+    if bus.interface == "mock":
+        return f"{arm.name} at {arm.control.rate_hz:g} Hz without a bus (mock drives)"
+    return f"{arm.name} at {arm.control.rate_hz:g} Hz on {bus.interface}, {bus.bitrate // 1000} kbit/s"
+
+
+def action_name(arm: ArmConfig) -> str:
+    """The action that MoveIt sends its goals to."""
+    return f"/{arm.front.controller_name}/follow_joint_trajectory"

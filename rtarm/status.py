@@ -1,0 +1,349 @@
+"""What `rtarm status` says of a running arm, read from its memory files alone."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from rtarm.errors import Refusal
+from shm import files, histogram
+from shm.client import StateReader
+from shm.layout import RESULT_SLOTS
+from shm.sentences import fault_sentence, joint_name, outcome_sentence, unreferenced_sentence
+from shm.words import Fault, Mode, Outcome, Phase, Unreferenced
+
+Report = dict[str, Any]
+"""What `--json` prints; keys carry their units."""
+
+MOVING_MODES = (Mode.EXECUTING, Mode.STOPPING)
+FIT_MODES = (Mode.HOLDING, *MOVING_MODES)
+CYCLE_OVERDUE_S = 0.5
+"""A cycle this late is a control process that hangs, not one that was preempted."""
+FRONT_SILENT_S = 1.0
+
+PERCENTS = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9}
+POLICIES = {0: "other", 1: "fifo", 2: "rr"}
+
+
+def resolve_arm(argument: str | None) -> str:
+    """Name of the arm meant: a name, the path of an arm file, or None for the only one that runs.
+
+    Raises:
+        Refusal: none or several run, or the argument can be no arm's name.
+        ConfigError: the arm file cannot be read.
+    """
+    if argument is None:
+        running = files.running_arms()
+        if not running:
+            raise Refusal("No arm is running here: start one with `rtarm up ARM`, or try `rtarm demo`.")
+        if len(running) > 1:
+            raise Refusal(f"Several arms are running ({', '.join(running)}): name the one you mean.")
+        return running[0]
+    if "/" in argument or argument.endswith((".yaml", ".yml")):
+        from config.loader import load_arm
+
+        return load_arm(argument).name
+    if re.fullmatch(r"[a-z][a-z0-9_]{0,31}", argument) is None:
+        raise Refusal(
+            f"{argument!r} is no name of an arm, which has small letters, digits and _ (at most 32); give "
+            "such a name, or the path of an arm file."
+        )
+    return argument
+
+
+def read_status(arm: str) -> Report:
+    """Everything `status` tells about a running arm.
+
+    Raises:
+        SharedMemoryError: it is not running, or its files are not what they should be.
+    """
+    reader = StateReader(files.open_state(arm))
+    try:
+        snapshot = reader.snapshot()
+        record = reader.memory.record
+        header = record["header"]
+        joints = files.joint_names(header)
+        now_ns = time.monotonic_ns()
+        front = files.front_of(arm)
+        report: Report = {
+            "arm": arm,
+            "running": True,
+            "mode": key(Mode, int(snapshot["mode"])),
+            "fault": _fault(snapshot, joints, now_ns),
+            "goal": _goal(snapshot),
+            "last_result": _last_result(snapshot, joints),
+            "speed_scale": float(snapshot["speed_scale"]),
+            "rate_hz": 1e9 / int(header["period_ns"]),
+            "uptime_s": (now_ns - int(header["start_monotonic_ns"])) * 1e-9,
+            "cycle_age_ms": (now_ns - int(snapshot["monotonic_ns"])) * 1e-6,
+            "loop": {"pid": int(header["pid"])},
+            "front": {
+                "pid": None if front is None else front[0],
+                "heartbeat_age_ms": None if not front or not front[1] else (now_ns - front[1]) * 1e-6,
+            },
+            "joints": [_joint(name, snapshot["joints"][index], now_ns) for index, name in enumerate(joints)],
+            "lateness_us": percentiles_us(record["lateness"]),
+            "cycle_us": percentiles_us(record["cycle_time"]),
+            "scheduling": scheduling(record["scheduling"]),
+            **counters(record["counters"], int(header["bitrate"]), now_ns - int(header["start_monotonic_ns"])),
+        }
+    finally:
+        reader.close()
+    report["problems"] = problems(report)
+    report["healthy"] = not report["problems"]
+    return report
+
+
+def key(kind: type[IntEnum], number: int) -> str:
+    """A number of shared memory as JSON names it, such as `bringing_up`."""
+    try:
+        return kind(number).name.lower()
+    except ValueError:
+        return f"unknown_{number}"
+
+
+def scheduling(record: np.void) -> Report:
+    """What real-time set-up the control process really obtained."""
+    cpu = int(record["cpu"])
+    return {
+        "policy": POLICIES.get(int(record["policy"]), f"unknown {int(record['policy'])}"),
+        "priority": int(record["priority"]),
+        "memory_locked": bool(record["memory_locked"]),
+        "cpu": None if cpu < 0 else cpu,
+        "dma_latency_held": bool(record["dma_latency_held"]),
+    }
+
+
+def describe_scheduling(found: Mapping[str, Any]) -> str:
+    """The same in words."""
+    policy = found["policy"]
+    words = [f"SCHED_{policy.upper()} {found['priority']}" if policy != "other" else "no real-time priority"]
+    words.append("memory locked" if found["memory_locked"] else "memory not locked")
+    words.append("any CPU" if found["cpu"] is None else f"CPU {found['cpu']}")
+    words.append("CPU latency held low" if found["dma_latency_held"] else "CPU latency not held")
+    return ", ".join(words)
+
+
+def percentiles_us(record: np.void) -> Report:
+    """Percentiles of a histogram of durations, in microseconds, with the number of values."""
+    values = histogram.percentiles_ns(record, list(PERCENTS.values()))
+    found: Report = {percent: value * 1e-3 for percent, value in zip(PERCENTS, values, strict=True)}
+    return {**found, "max": int(record["max_ns"]) * 1e-3, "count": int(record["count"])}
+
+
+def counters(record: np.void, bitrate: int, elapsed_ns: int) -> Report:
+    """The counters, and the bus load as the mean over `elapsed_ns` (None without a bus)."""
+    seconds = elapsed_ns * 1e-9
+    load = int(record["bits_on_bus"]) / (bitrate * seconds) if bitrate > 0 and seconds > 0 else None
+    return {
+        "cycles": int(record["cycles"]),
+        "overruns": int(record["overruns"]),
+        "bus": {
+            "frames_tx": int(record["frames_sent"]),
+            "frames_rx": int(record["frames_received"]),
+            "load": load,
+            "wire_errors": int(record["wire_errors"]),
+            "bytes_unsent": int(record["bytes_unsent"]),
+            "receive_overflows": int(record["receive_overflows"]),
+            "stale_reads": int(record["stale_reads"]),
+            "drive_errors": int(record["drive_errors"]),
+        },
+    }
+
+
+def problems(report: Mapping[str, Any]) -> list[str]:
+    """Why the arm is not fit to move, a sentence each; empty when it is healthy."""
+    found: list[str] = []
+    if report["fault"] is not None:
+        found.append(report["fault"]["sentence"])
+    elif report["mode"] not in {key(Mode, mode) for mode in FIT_MODES}:
+        found.append(f"The control process is {report['mode'].replace('_', ' ')}: wait until it is holding.")
+    if report["cycle_age_ms"] > CYCLE_OVERDUE_S * 1e3:
+        found.append(
+            f"The last control cycle was {report['cycle_age_ms'] / 1e3:.1f} s ago, so the control process "
+            "hangs: stop it and start it again."
+        )
+    found += [joint["unreferenced"] for joint in report["joints"] if joint["unreferenced"] is not None]
+    front = report["front"]
+    if front["pid"] is None:
+        found.append("No ROS process serves the arm, so it takes no goals: `rtarm up` starts one and keeps it alive.")
+    elif front["heartbeat_age_ms"] is None or front["heartbeat_age_ms"] > FRONT_SILENT_S * 1e3:
+        found.append(f"The ROS process (pid {front['pid']}) gives no sign of life: look at its log.")
+    return found
+
+
+def _fault(snapshot: np.void, joints: Sequence[str], now_ns: int) -> Report | None:
+    number = int(snapshot["fault"])
+    if number == Fault.NONE:
+        return None
+    joint = int(snapshot["fault_joint"])
+    value, limit = float(snapshot["fault_value"]), float(snapshot["fault_limit"])
+    return {
+        "name": key(Fault, number),
+        "sentence": fault_sentence(number, joint_name(joint, joints), value, limit),
+        "joint": joints[joint] if 0 <= joint < len(joints) else None,
+        "value": _finite(value),
+        "limit": _finite(limit),
+        "age_s": (now_ns - int(snapshot["fault_ns"])) * 1e-9,
+    }
+
+
+def _goal(snapshot: np.void) -> Report | None:
+    goal_id = int(snapshot["goal_id"])
+    if goal_id == 0:
+        return None
+    phase, end_ns = int(snapshot["goal_phase"]), int(snapshot["trajectory_end_ns"])
+    return {
+        "id": goal_id,
+        "phase": key(Phase, phase),
+        "clock_s": _finite(float(snapshot["trajectory_clock_ns"]) * 1e-9),
+        "duration_s": None if end_ns < 0 else end_ns * 1e-9,
+    }
+
+
+def _last_result(snapshot: np.void, joints: Sequence[str]) -> Report | None:
+    decided = [result for result in snapshot["results"][:RESULT_SLOTS] if int(result["outcome"]) != Outcome.NONE]
+    if not decided:
+        return None
+    last = max(decided, key=lambda result: int(result["monotonic_ns"]))
+    outcome = int(last["outcome"])
+    return {
+        "goal_id": int(last["goal_id"]),
+        "outcome": key(Outcome, outcome),
+        "sentence": outcome_sentence(
+            outcome, joint_name(int(last["joint"]), joints), float(last["value"]), float(last["limit"])
+        ),
+    }
+
+
+def _joint(name: str, record: np.void, now_ns: int) -> Report:
+    measured_ns, referenced = int(record["measured_ns"]), bool(record["referenced"])
+    read = measured_ns != 0
+    reason = int(record["unreferenced_reason"])
+    return {
+        "name": name,
+        "position_rad": _finite(float(record["measured_position_rad"])) if read else None,
+        "velocity_rad_s": _finite(float(record["measured_velocity_rad_s"])) if read else None,
+        "commanded_rad": _finite(float(record["commanded_position_rad"])),
+        "age_ms": (now_ns - measured_ns) * 1e-6 if read else None,
+        "referenced": referenced,
+        "unreferenced": None if referenced else unreferenced_sentence(reason or Unreferenced.NOT_BROUGHT_UP, name),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+# --- for people -----------------------------------------------------------------------------------------
+
+
+def render_status(report: Mapping[str, Any]) -> RenderableType:
+    """The report as tables that fit 80 columns."""
+    healthy = report["healthy"]
+    heading = Text.assemble(
+        (f"{report['arm']}: {report['mode'].replace('_', ' ')}", "bold"),
+        ", ",
+        ("healthy", "green") if healthy else ("not fit to move", "bold red"),
+    )
+    return Group(
+        heading,
+        *(Text(f"- {sentence}", style="yellow") for sentence in report["problems"]),
+        _joints_table(report["joints"]),
+        _facts_table(report),
+        timing_table(report),
+    )
+
+
+def _joints_table(joints: Sequence[Mapping[str, Any]]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("joint")
+    for column in ("measured °", "rad", "°/s", "commanded °", "age ms"):
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("referenced")
+    for joint in joints:
+        position, velocity = joint["position_rad"], joint["velocity_rad_s"]
+        table.add_row(
+            joint["name"],
+            _shown(position, 3, degrees=True),
+            _shown(position, 5),
+            _shown(velocity, 2, degrees=True),
+            _shown(joint["commanded_rad"], 3, degrees=True),
+            _shown(joint["age_ms"], 1),
+            "yes" if joint["referenced"] else "NO",
+        )
+    return table
+
+
+def _shown(value: float | None, digits: int, *, degrees: bool = False) -> str:
+    if value is None:
+        return "-"
+    return f"{math.degrees(value) if degrees else value:.{digits}f}"
+
+
+def _facts_table(report: Mapping[str, Any]) -> Table:
+    goal, bus, front = report["goal"], report["bus"], report["front"]
+    table = Table.grid(padding=(0, 2))
+    table.add_column(no_wrap=True)
+    table.add_column()
+    if goal is None:
+        table.add_row("goal", "none" if report["last_result"] is None else _last_words(report["last_result"]))
+    else:
+        end = "" if goal["duration_s"] is None else f" of {goal['duration_s']:.2f}"
+        table.add_row("goal", f"{goal['id']} {goal['phase']}, {goal['clock_s'] or 0.0:.2f}{end} s")
+    table.add_row("speed scale", f"{report['speed_scale']:.2f}")
+    served = "none" if front["pid"] is None else f"pid {front['pid']}"
+    pids = f"control pid {report['loop']['pid']}, ROS {served}"
+    table.add_row("processes", f"{pids}, up {_duration(report['uptime_s'])}")
+    table.add_row("cycles", f"{report['cycles']} at {report['rate_hz']:g} Hz, {report['overruns']} overruns")
+    table.add_row("scheduling", describe_scheduling(report["scheduling"]))
+    load = "" if bus["load"] is None else f", load {bus['load']:.1%}"
+    table.add_row("bus", f"{bus['frames_tx']} frames sent, {bus['frames_rx']} received{load}")
+    trouble = ", ".join(
+        f"{bus[name]} {name.replace('_', ' ')}"
+        for name in ("wire_errors", "bytes_unsent", "receive_overflows", "stale_reads", "drive_errors")
+        if bus[name]
+    )
+    if trouble:
+        table.add_row("bus trouble", trouble)
+    return table
+
+
+def _last_words(result: Mapping[str, Any]) -> str:
+    return f"none; the last one ({result['goal_id']}): {result['sentence']}"
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(int(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s" if minutes else f"{seconds:.1f} s"
+
+
+def timing_rows(report: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Lateness and cycle time in microseconds, a row each: name and the columns of `TIMING_COLUMNS`."""
+    return [
+        (name, *(f"{report[figure][column]:.1f}" for column in (*PERCENTS, "max")))
+        for name, figure in (("wake-up lateness µs", "lateness_us"), ("cycle time µs", "cycle_us"))
+    ]
+
+
+TIMING_COLUMNS = ("p50", "p99", "p99.9", "max")
+
+
+def timing_table(report: Mapping[str, Any]) -> Table:
+    table = Table("timing", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in TIMING_COLUMNS:
+        table.add_column(column, justify="right")
+    for row in timing_rows(report):
+        table.add_row(*row)
+    return table
