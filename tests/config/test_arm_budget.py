@@ -1,0 +1,145 @@
+"""The budget: golden values of the facts, what fits, and the sentences with the arithmetic."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from config import ConfigError, check_budget, load_arm
+from config.budget import Budget, budget, frame_bits, shown_rate, slcan_chars, zdt_cycle
+
+
+def episode1(**changes: dict[str, Any]) -> Budget:
+    return budget(load_arm("episode1", overrides=changes))
+
+
+def test_frame_bits_are_those_of_the_facts() -> None:
+    assert [frame_bits(True, n) for n in range(9)] == [80, 90, 100, 110, 120, 130, 140, 150, 160]
+    assert [frame_bits(False, n) for n in range(9)] == [55, 65, 75, 85, 95, 105, 115, 125, 135]
+
+
+def test_slcan_frames_are_as_long_as_the_vectors_of_the_protocol() -> None:
+    assert slcan_chars(True, 2) == len("T12ABCDEF2AA55\r")
+    assert slcan_chars(False, 3) == len("t4563112233\r")
+    assert slcan_chars(True, 8) == 27
+
+
+@pytest.mark.parametrize("data_bytes", [-1, 9])
+def test_a_classic_frame_has_at_most_8_bytes(data_bytes: int) -> None:
+    with pytest.raises(ValueError, match="0 to 8"):
+        frame_bits(True, data_bytes)
+    with pytest.raises(ValueError, match="0 to 8"):
+        slcan_chars(True, data_bytes)
+
+
+@pytest.mark.parametrize(("acknowledge", "bits"), [(True, 3900), (False, 3240)])
+def test_a_cycle_of_six_axes_is_that_of_the_facts_plus_one_status(acknowledge: bool, bits: int) -> None:
+    frames = zdt_cycle(6, acknowledge)
+    without_status = [frame for frame in frames if "status" not in frame.what]
+    assert sum(frame.bits for frame in without_status) == bits
+    assert sum(frame.bits for frame in frames) == bits + 100 + 110
+
+
+def test_episode1_loads_the_bus_to_83_percent() -> None:
+    found = check_budget(load_arm("episode1"))
+    assert (found.bits_per_cycle, found.frames_per_cycle) == (3450, 26)
+    assert found.bus_load == pytest.approx(0.828)
+    assert found.bus_highest_rate_hz == pytest.approx(500_000 * 0.85 / 3450)
+    assert found.highest_rate_hz == found.bus_highest_rate_hz
+
+
+def test_with_acknowledgements_100_hz_is_what_fits() -> None:
+    found = episode1(bus={"acknowledge": True})
+    assert not found.fits
+    assert 100 < found.highest_rate_hz < 104
+
+
+def test_serial_characters_and_baud() -> None:
+    found = episode1()
+    assert found.chars_out_per_cycle == 6 * (27 + 21 + 15) + 15
+    assert found.chars_in_per_cycle == 6 * 25 + 17 + 2 * (6 * 3 + 1)
+    assert found.serial_load == pytest.approx(0.4716)
+    assert found.serial_baud_needed == pytest.approx(393 * 10 * 120 / 0.95)
+
+
+def test_cdc_sets_no_limit() -> None:
+    found = episode1(bus={"serial_baud": "cdc"})
+    assert found.serial_load is None
+    assert found.serial_highest_rate_hz == math.inf
+
+
+def test_mock_drives_need_no_bus() -> None:
+    found = check_budget(load_arm("mock", overrides={"control": {"rate_hz": 2000.0}}))
+    assert (found.bits_per_cycle, found.bus_load, found.highest_rate_hz) == (0, 0.0, math.inf)
+
+
+def test_a_rate_beyond_the_bus() -> None:
+    arm = load_arm("episode1", overrides={"control": {"rate_hz": 160.0}})
+    with pytest.raises(ConfigError) as caught:
+        check_budget(arm)
+    assert str(caught.value) == (
+        "episode1.yaml: control.rate_hz (overridden): rate_hz is 160, but 3450 bits a cycle × 160 Hz = "
+        "552000 bit/s is 110.4% of the 500000 bit/s bus, above its load_limit of 85%; the highest rate that "
+        "fits is 123.1 Hz: lower rate_hz to 123.1, or use a faster bus (bus.bitrate, up to 1000000)."
+    )
+
+
+def test_a_rate_beyond_the_bus_because_of_acknowledgements() -> None:
+    with pytest.raises(ConfigError) as caught:
+        check_budget(load_arm("episode1", overrides={"bus": {"acknowledge": True}}))
+    error = caught.value
+    assert "the highest rate that fits is 103.4 Hz" in error.problem
+    assert "or turn bus.acknowledge off" in error.problem
+    assert (error.file, error.line, error.location) == ("episode1.yaml", 12, "control.rate_hz")
+
+
+def test_a_rate_beyond_the_serial_link() -> None:
+    with pytest.raises(ConfigError) as caught:
+        check_budget(load_arm("episode1", overrides={"bus": {"serial_baud": 115_200}}))
+    assert caught.value.problem == (
+        "rate_hz is 120, but 393 characters a cycle × 10 bits × 120 Hz = 471600 bit/s is 409.4% of the "
+        "115200 baud serial line, above its limit of 95%; the highest rate that fits is 27.8 Hz: lower "
+        "rate_hz to 27.8, or set adapter and bus.serial_baud to 500000."
+    )
+
+
+def test_a_rate_beyond_both_gives_both_sentences_and_one_highest_rate() -> None:
+    arm = load_arm("episode1", overrides={"control": {"rate_hz": 200.0}, "bus": {"serial_baud": 115_200}})
+    with pytest.raises(ConfigError) as caught:
+        check_budget(arm)
+    bus, serial = caught.value.errors
+    assert "bit/s bus" in bus.problem
+    assert "baud serial line" in serial.problem
+    for error in (bus, serial):
+        assert "the highest rate that fits is 27.8 Hz" in error.problem
+
+
+def test_a_bus_too_slow_for_any_rate() -> None:
+    arm = load_arm("episode1", overrides={"bus": {"bitrate": 10_000}})
+    with pytest.raises(ConfigError, match=r"2\.4 Hz, below the lowest allowed 10 Hz: use a faster bus"):
+        check_budget(arm)
+
+
+@given(
+    rate_hz=st.floats(10, 2000),
+    bitrate=st.sampled_from([125_000, 250_000, 500_000, 1_000_000]),
+    baud=st.sampled_from([115_200, 500_000, 1_000_000, 4_000_000, None]),
+    drives=st.integers(1, 32),
+    acknowledge=st.booleans(),
+)
+def test_the_highest_rate_fits_and_no_higher_one_does(
+    rate_hz: float, bitrate: int, baud: int | None, drives: int, acknowledge: bool
+) -> None:
+    def at(rate: float) -> Budget:
+        return Budget(zdt_cycle(drives, acknowledge), rate, bitrate, 0.85, baud)
+
+    highest = at(rate_hz).highest_rate_hz
+    assert at(highest).fits
+    assert at(float(shown_rate(highest))).fits
+    assert not at(highest * 1.001).fits
+    loads = (at(highest).bus_load / 0.85, (at(highest).serial_load or 0.0) / 0.95)
+    assert max(loads) == pytest.approx(1.0)

@@ -1,0 +1,188 @@
+"""A stand-in for the control process, small enough to be obviously right: plays knots without dynamics.
+
+It owns an arm's memory files, takes every record, follows the positions of the newest complete goal by
+straight lines in real time, and reports what happened. Faults are switched on from the test.
+"""
+
+import fcntl
+import sys
+import threading
+import time
+import zlib
+
+import numpy as np
+
+from config.loader import arm_hash, load_arm
+from shm import files, layout
+from shm.words import Answer, Mode, Outcome, Phase, Request, Setpoint, Unreferenced
+
+
+class FakeLoop(threading.Thread):
+    def __init__(self, arm, position_rad=None):
+        super().__init__(daemon=True)
+        self.arm, self.joints = arm, len(arm.joints)
+        self.period_ns = arm.control.period_ns
+        identity = files.Identity(arm.name, tuple(j.name for j in arm.joints), arm_hash(arm), self.period_ns)
+        self.files = files.create(identity)
+        self.state, self.command = self.files.state.record, self.files.command.record
+        self.snapshot = np.zeros(1, layout.SNAPSHOT)[0]
+        rows = self.snapshot["joints"][: self.joints]
+        rows["referenced"] = 1
+        rows["measured_effort"] = np.nan
+        rows["commanded_position_rad"] = 0.0 if position_rad is None else position_rad
+        self.rows = rows
+        self.snapshot["mode"] = Mode.HOLDING
+        self.snapshot["speed_scale"] = 1.0
+        self.goals = {}
+        self.records = []
+        self.taken = self.requests = 0
+        self.active = self.incoming = 0
+        self.cancel_at = 0
+        self.measuring = self.taking = self.alive = True
+        self.pause = threading.Event()
+        self.cycle_hook = lambda loop: None
+
+    def run(self):
+        due = time.monotonic_ns()
+        while self.alive:
+            due += self.period_ns
+            time.sleep(max(0, due - time.monotonic_ns()) * 1e-9)
+            if not self.pause.is_set():
+                self.cycle(due)
+
+    def die(self):
+        """As by kill -9: the lock falls, the files stay."""
+        self.alive = False
+        if self.is_alive():
+            self.join()
+        fcntl.flock(self.files.state.fd, fcntl.LOCK_UN)
+
+    def sweep(self):
+        """Remove what a dead one left."""
+        for memory in (self.files.state, self.files.command):
+            memory.path.unlink(missing_ok=True)
+            memory.close()
+        files.state_path(f"{self.arm.name}").with_suffix(".state.prev").unlink(missing_ok=True)
+
+    def stop(self):
+        self.die()
+        self.files.remove()
+
+    # --- one cycle ---
+
+    def cycle(self, now_ns):
+        s = self.snapshot
+        s["cycle"] += 1
+        s["monotonic_ns"] = now_ns
+        s["epoch_ns"] = time.time_ns() - (time.monotonic_ns() - now_ns)
+        if self.taking:
+            self.take_setpoints()
+            self.take_requests()
+        self.follow(now_ns)
+        self.cycle_hook(self)
+        if self.measuring:
+            self.rows["measured_ns"] = now_ns
+            for quantity in ("position_rad", "velocity_rad_s"):
+                self.rows[f"measured_{quantity}"] = self.rows[f"commanded_{quantity}"]
+                self.rows[f"reference_{quantity}"] = self.rows[f"commanded_{quantity}"]
+        self.write()
+
+    def take_setpoints(self):
+        while self.taken < self.command["setpoints_written"][0]:
+            slot = self.command["setpoints"][self.taken % layout.SETPOINT_SLOTS]
+            raw = slot.tobytes()[: layout.used_bytes(layout.SETPOINT, self.joints)]
+            assert int.from_bytes(raw[:8], "little") == zlib.crc32(raw[8:])
+            assert slot["sequence"] == self.taken
+            self.taken += 1
+            goal_id, kind = int(slot["goal_id"]), int(slot["kind"])
+            self.records.append((goal_id, kind))
+            if goal_id < self.command["announced_goal"][0]:
+                continue
+            if kind == Setpoint.BEGIN:
+                begin = slot.copy().view(layout.BEGIN)
+                self.goals[goal_id] = {"begin": begin, "times": [], "points": [], "ended": False}
+                self.incoming = goal_id
+            elif kind == Setpoint.KNOT:
+                self.goals[goal_id]["times"].append(int(slot["time_ns"]))
+                self.goals[goal_id]["points"].append(slot["joints"]["position_rad"][: self.joints].copy())
+            else:
+                self.goals[goal_id]["ended"] = True
+        self.state["consumed"]["setpoints"] = self.taken
+
+    def take_requests(self):
+        while self.requests < self.command["requests_written"][0]:
+            request = self.command["requests"][self.requests % layout.REQUEST_SLOTS]
+            self.requests += 1
+            goal_id = int(request["goal_id"])
+            known = goal_id in (self.active, self.incoming) and goal_id != 0
+            if request["kind"] == Request.CANCEL and known:
+                self.cancel_at = int(self.snapshot["cycle"]) + 5
+            answer = self.snapshot["answers"][self.requests % layout.ANSWER_SLOTS]
+            answer["sequence"] = self.requests
+            answer["answer"] = Answer.DONE if known else Answer.REFUSED_NO_GOAL
+
+    def follow(self, now_ns):
+        s = self.snapshot
+        goal = self.goals.get(self.incoming)
+        if goal and (goal["ended"] or (goal["times"] and goal["times"][-1] > 1e9)):
+            if self.active:
+                self.decide(self.active, Outcome.REPLACED)
+            self.active, self.incoming = self.incoming, 0
+            self.origin = self.rows["commanded_position_rad"].copy()
+            self.start_ns = max(now_ns, int(goal["begin"]["start_ns"]))
+            s["mode"], s["goal_phase"] = Mode.EXECUTING, Phase.RUNNING
+        s["goal_id"] = self.active
+        if not self.active:
+            return
+        goal = self.goals[self.active]
+        clock = now_ns - self.start_ns
+        s["trajectory_clock_ns"] = clock
+        times, points = np.array([0, *goal["times"]]), np.array([self.origin, *goal["points"]])
+        for joint in range(self.joints):
+            if int(goal["begin"]["joint_mask"]) >> joint & 1:
+                self.rows["commanded_position_rad"][joint] = np.interp(clock, times, points[:, joint])
+        if self.cancel_at and s["cycle"] >= self.cancel_at:
+            self.finish(Outcome.CANCELED)
+        elif goal["ended"] and clock >= times[-1]:
+            self.finish(Outcome.SUCCEEDED, joint=0, limit=0.01)
+
+    def decide(self, goal_id, outcome, joint=-1, value=0.0, limit=0.0):
+        row = self.snapshot["results"][goal_id % layout.RESULT_SLOTS]
+        for name, what in (("goal_id", goal_id), ("joint", joint), ("value", value), ("limit", limit)):
+            row[name] = what
+        row["outcome"] = outcome
+
+    def finish(self, outcome, **details):
+        self.decide(self.active, outcome, **details)
+        self.active = self.cancel_at = 0
+        self.snapshot["goal_id"] = 0
+        self.snapshot["mode"], self.snapshot["goal_phase"] = Mode.HOLDING, Phase.NONE
+
+    def write(self):
+        used = layout.used_bytes(layout.SNAPSHOT, self.joints)
+        raw = self.snapshot.tobytes()[:used]
+        at = layout.STATE.fields["snapshot"][1]
+        target = self.files.state.array.view(np.uint8)
+        self.state["snapshot_sequence"][0] += 1
+        target[at + 8 : at + used] = np.frombuffer(raw[8:], np.uint8)
+        target[at : at + 8] = np.frombuffer(zlib.crc32(raw[8:]).to_bytes(8, "little"), np.uint8)
+        self.state["snapshot_sequence"][0] += 1
+
+    # --- what a test can do to it ---
+
+    def fault(self, fault, joint, value, limit):
+        s = self.snapshot
+        s["fault"], s["fault_joint"], s["fault_value"], s["fault_limit"] = fault, joint, value, limit
+        if self.active:
+            self.finish(Outcome.FAULT, joint=joint, value=value, limit=limit)
+        s["mode"] = Mode.FAULT
+
+    def unreference(self, joint):
+        self.rows["referenced"][joint] = 0
+        self.rows["unreferenced_reason"][joint] = Unreferenced.POWER_LOST
+
+
+if __name__ == "__main__":  # a process of its own, for measuring
+    loop = FakeLoop(load_arm(sys.argv[1]))
+    loop.start()
+    loop.join()

@@ -1,0 +1,111 @@
+"""The front with the real control process behind it, on mock drives."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+
+from shm.files import command_path, state_path
+
+pytest.importorskip("rclpy")
+pytest.importorskip("control_msgs")
+
+from builtin_interfaces.msg import Duration
+from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, recorded, until
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.process
+
+
+@pytest.fixture
+def processes(arm_name, tmp_path):
+    """Loop and front of an arm with mock drives, ready."""
+    values = yaml.safe_load((ROOT / "config" / "arms" / "mock.yaml").read_text())
+    values["name"] = arm_name
+    values.setdefault("front", {})["controller_name"] = f"controller_{arm_name}"
+    path = tmp_path / "arm.yaml"
+    path.write_text(yaml.safe_dump(values))
+    started = []
+    for module in ("rtloop", "rosfront"):
+        process = subprocess.Popen(
+            [sys.executable, "-m", module, str(path)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+        )
+        started.append(process)
+        assert process.stdout.readline().startswith("ready")
+    client = Client(f"controller_{arm_name}")
+    yield client, *started
+    client.close()
+    for process in reversed(started):
+        if process.poll() is None:
+            process.terminate()
+        process.communicate(timeout=20)
+    for left in (state_path(arm_name), command_path(arm_name)):  # of a killed loop
+        left.unlink(missing_ok=True)
+
+
+def positions(client):
+    client.states.clear()
+    until(lambda: client.states, "a joint state")
+    return list(client.states[-1][1].position)
+
+
+def test_recorded_goals_cancel_replacement_and_a_killed_loop(processes):
+    client, loop, _ = processes
+    small, back = recorded("small"), recorded("single_joint")
+    status, code, words = client.run(small)
+    assert (status, code) == (SUCCEEDED, 0), words
+    assert positions(client) == pytest.approx(list(small.trajectory.points[-1].positions), abs=0.001)
+    status, _, words = client.run(back)
+    assert status == SUCCEEDED, words
+
+    large = recorded("large")
+    handle = client.send(large)
+    begun = time.monotonic()
+    until(lambda: abs(positions(client)[0] - large.trajectory.points[0].positions[0]) > 0.1, "motion")
+    handle.cancel_goal_async()
+    status, code, words = client.result(handle)
+    assert (status, code) == (CANCELED, 0) and words.startswith("Canceled: the arm has come to rest")
+    assert time.monotonic() - begun < 3.0
+    resting = positions(client)
+
+    away = recorded("small")
+    away.trajectory.points = [
+        JointTrajectoryPoint(positions=[p + 0.2 for p in resting], time_from_start=Duration(sec=3)),
+    ]
+    home = recorded("small")
+    home.trajectory.points = [JointTrajectoryPoint(positions=resting, time_from_start=Duration(sec=3))]
+    older = client.send(away)
+    until(lambda: abs(positions(client)[0] - resting[0]) > 0.05, "motion")
+    newer = client.send(home)
+    status, code, words = client.result(older)
+    assert (status, code) == (ABORTED, -1) and words.startswith("The goal was replaced by a newer goal")
+    status, _, words = client.result(newer)
+    assert status == SUCCEEDED, words
+    assert positions(client) == pytest.approx(resting, abs=0.001)
+
+    running = client.send(away)
+    until(lambda: abs(positions(client)[0] - resting[0]) > 0.05, "motion")
+    loop.kill()
+    killed = time.monotonic()
+    status, _, words = client.result(running)
+    assert status == ABORTED and "has ended and the drives brake by their own ramps" in words
+    assert time.monotonic() - killed < 0.5
+
+
+def test_a_refused_newer_goal_does_not_end_a_long_running_one(processes):
+    """The running goal's later knots go on coming while the control process looks at the newer one."""
+    client, _, _ = processes
+    long_goal = recorded("near_limits_high")
+    running = client.send(long_goal)
+    until(lambda: abs(positions(client)[0]) > 0.1, "motion")
+    far = recorded("near_limits_high")  # it begins where the arm is not any more
+    until(lambda: abs(positions(client)[3]) > 0.2, "motion")
+    status, code, words = client.run(far)
+    assert (status, code) == (ABORTED, -1) and "first point" in words
+    status, _, words = client.result(running)
+    assert status == SUCCEEDED, words
+    assert positions(client) == pytest.approx(list(long_goal.trajectory.points[-1].positions), abs=0.001)

@@ -1,0 +1,489 @@
+"""The node as its clients meet it: a real action client, a stand-in for the control process."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from fake_loop import FakeLoop
+
+rclpy = pytest.importorskip("rclpy")
+pytest.importorskip("control_msgs")
+
+from builtin_interfaces.msg import Duration  # noqa: E402
+from control_msgs.action import FollowJointTrajectory  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.signals import SignalHandlerOptions  # noqa: E402
+from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, until  # noqa: E402
+from trajectory_msgs.msg import JointTrajectoryPoint  # noqa: E402
+
+from config.loader import load_arm  # noqa: E402
+from rosfront import node  # noqa: E402
+from rosfront.link import attach  # noqa: E402
+from rosfront.node import FrontNode  # noqa: E402
+from shm.words import Fault, Outcome  # noqa: E402
+
+ROOT = Path(__file__).parents[2]
+
+
+class Stage:
+    def __init__(self, name):
+        self.arm = load_arm("mock", overrides={"name": name})
+        self.loop = FakeLoop(self.arm)
+        self.loop.start()
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        self.executor = SingleThreadedExecutor()
+        self.front = FrontNode(self.arm, self.executor, attach(self.arm))
+        self.thread = threading.Thread(target=self.front.spin, daemon=True)
+        self.thread.start()
+        self.client = Client()
+
+    def new_loop(self):
+        position = self.loop.rows["commanded_position_rad"].copy()
+        if self.loop.is_alive():
+            self.loop.stop()
+        self.loop = FakeLoop(self.arm, position)
+        self.loop.start()
+        until(self.serves, "serving again")
+
+    def serves(self):
+        try:
+            self.front.serving.present()
+        except Exception:
+            return False
+        return True
+
+    def close(self):
+        self.client.close()
+        self.front.close(1.0)
+        self.thread.join(5.0)
+        self.executor.shutdown()
+        self.front.node.destroy_node()
+        rclpy.try_shutdown()
+        self.loop.stop()
+        self.loop.sweep()
+
+
+@pytest.fixture(scope="module")
+def whole_stage(new_arm_name):
+    stage = Stage(new_arm_name())
+    yield stage
+    stage.close()
+
+
+@pytest.fixture
+def stage(whole_stage):
+    """The one stage, with a sound loop and the arm at zero."""
+    loop = whole_stage.loop
+    if not loop.is_alive() or loop.snapshot["fault"] or not loop.rows["referenced"].all():
+        whole_stage.new_loop()
+    loop = whole_stage.loop
+    until(lambda: loop.active == 0 and loop.incoming == 0, "an idle arm")
+    loop.cycle_hook = lambda loop: None
+    loop.rows["commanded_position_rad"] = 0.0
+    whole_stage.client.feedback.clear()
+    return whole_stage
+
+
+def goal(seconds=0.3, to_rad=0.01, names=None):
+    message = FollowJointTrajectory.Goal()
+    message.trajectory.joint_names = names or [f"joint{i}" for i in range(1, 7)]
+    width = len(message.trajectory.joint_names)
+    for share in (0.0, 0.5, 1.0):
+        nanoseconds = round(share * seconds * 1e9)
+        message.trajectory.points.append(
+            JointTrajectoryPoint(
+                positions=[share * to_rad] * width,
+                time_from_start=Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9),
+            )
+        )
+    return message
+
+
+def test_a_goal_succeeds_with_feedback_on_the_way(stage):
+    status, code, words = stage.client.run(goal(seconds=1.0))
+    assert (status, code) == (SUCCEEDED, 0), words
+    assert words.startswith("Goal reached: the largest error is 0.0000 rad")
+    assert stage.loop.rows["commanded_position_rad"].tolist() == pytest.approx([0.01] * 6)
+    assert 5 <= len(stage.client.feedback) <= 12
+    assert all(feedback.header.frame_id == "base_link" for feedback in stage.client.feedback)
+    for feedback in stage.client.feedback:
+        assert list(feedback.joint_names) == [f"joint{i}" for i in range(1, 7)]
+        desired, actual = np.array(feedback.desired.positions), np.array(feedback.actual.positions)
+        assert (desired - actual).tolist() == list(feedback.error.positions)
+        assert len(feedback.desired.velocities) == 6
+    clocks = [f.desired.time_from_start.nanosec for f in stage.client.feedback]
+    assert clocks == sorted(clocks)
+
+
+def test_any_order_of_joints_and_a_subset(stage):
+    status, _, _ = stage.client.run(goal(names=["joint5", "joint2"]))
+    assert status == SUCCEEDED
+    assert stage.loop.rows["commanded_position_rad"].tolist() == pytest.approx([0, 0.01, 0, 0, 0.01, 0])
+
+
+def test_a_bad_goal_is_accepted_and_aborted_with_its_reason(stage):
+    message = goal(names=["elbow"])
+    handle = stage.client.send(message)
+    assert handle.accepted
+    status, code, words = stage.client.result(handle)
+    assert (status, code) == (ABORTED, -2)
+    assert words.startswith("'elbow' in joint_names is no joint of this arm")
+
+
+def test_a_bad_goal_does_not_disturb_the_running_one(stage):
+    running = stage.client.send(goal(seconds=0.5))
+    bad = goal()
+    bad.trajectory.points[1].positions[2] = float("nan")
+    status, code, words = stage.client.run(bad)
+    assert (status, code) == (ABORTED, -1) and "nan as position of joint3" in words
+    assert stage.client.result(running)[0] == SUCCEEDED
+
+
+def test_a_cancel_is_answered_at_once_and_stops_the_goal(stage):
+    handle = stage.client.send(goal(seconds=5))
+    until(lambda: stage.loop.active, "motion")
+    begun = time.monotonic()
+    future = handle.cancel_goal_async()
+    until(future.done, "the answer to a cancel")
+    assert time.monotonic() - begun < 1.0
+    assert len(future.result().goals_canceling) == 1
+    status, code, words = stage.client.result(handle)
+    assert (status, code) == (CANCELED, 0) and words.startswith("Canceled: the arm has come to rest")
+
+
+def test_a_cancel_right_behind_its_goal(stage):
+    stage.loop.taking = False
+    handle = stage.client.send(goal(seconds=5))
+    future = handle.cancel_goal_async()
+    until(future.done, "the answer to a cancel")
+    stage.loop.taking = True
+    assert stage.client.result(handle)[0] == CANCELED
+
+
+def test_a_goal_that_succeeds_while_it_is_being_canceled_has_succeeded(stage):
+    def succeed(loop):
+        if loop.cancel_at:
+            loop.finish(Outcome.SUCCEEDED, joint=0, limit=0.01)
+
+    stage.loop.cycle_hook = succeed
+    handle = stage.client.send(goal(seconds=5))
+    until(lambda: stage.loop.active, "motion")
+    handle.cancel_goal_async()
+    status, code, words = stage.client.result(handle)
+    assert (status, code) == (SUCCEEDED, 0) and words.startswith("Goal reached")
+
+
+def test_a_stop_by_a_person_is_no_cancel(stage):
+    handle = stage.client.send(goal(seconds=5))
+    until(lambda: stage.loop.active, "motion")
+    stage.loop.cycle_hook = lambda loop: loop.active and loop.finish(Outcome.STOPPED)
+    status, code, words = stage.client.result(handle)
+    assert (status, code) == (ABORTED, -1) and "rtarm stop" in words
+
+
+def test_a_newer_goal_replaces_the_older(stage):
+    older = stage.client.send(goal(seconds=5))
+    until(lambda: stage.loop.active, "motion")
+    newer = stage.client.send(goal(seconds=0.3))
+    status, code, words = stage.client.result(older)
+    assert (status, code) == (ABORTED, -1)
+    assert words.startswith("The goal was replaced by a newer goal; joint1 is")
+    assert stage.client.result(newer)[0] == SUCCEEDED
+
+
+def test_a_client_that_vanishes_leaves_the_next_one_undisturbed(stage):
+    passing = Client()
+    passing.send(goal(seconds=0.5))
+    passing.close()
+    until(lambda: not stage.loop.active, "the end of the orphaned goal")
+    assert stage.client.run(goal())[0] == SUCCEEDED
+
+
+def test_joint_states(stage):
+    stage.client.states.clear()
+    heard = stage.client.sensor_data
+    until(lambda: len(stage.client.states) > 60, "60 joint states")
+    messages = [message for _, message in stage.client.states]
+    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]
+    for message in messages:
+        assert list(message.name) == [f"joint{i}" for i in range(1, 7)]
+        assert message.header.frame_id == "base_link"
+        assert len(message.position) == len(message.velocity) == 6
+        assert np.isnan(message.effort).all()
+    assert (np.diff(stamps) > 0).all()
+    assert np.median(np.diff(stamps)) == pytest.approx(10_000_000, rel=0.01)
+    assert abs(stamps[-1] - time.time_ns()) < 5e9
+    assert stage.client.sensor_data > heard
+
+
+def test_after_a_fault_joint_states_go_on_and_goals_are_refused(stage):
+    handle = stage.client.send(goal(seconds=5))
+    until(lambda: stage.loop.active, "motion")
+    stage.loop.cycle_hook = lambda loop: loop.active and loop.fault(Fault.FOLLOWING_ERROR, 3, 0.12, 0.1)
+    status, code, words = stage.client.result(handle)
+    assert (status, code) == (ABORTED, -1)
+    assert words.startswith("joint4 was 0.1200 rad from where it was commanded")
+    stage.client.states.clear()
+    assert stage.client.run(goal())[2].startswith("joint4 was 0.1200 rad from where it was commanded")
+    until(lambda: len(stage.client.states) > 5, "joint states after a fault")
+
+
+def test_no_goal_while_a_joint_has_no_reference(stage):
+    stage.loop.unreference(1)
+    until(lambda: not stage.serves(), "the loss of a reference")
+    status, _, words = stage.client.run(goal())
+    assert status == ABORTED and words.startswith("The drive of joint2 lost power")
+
+
+def test_a_dead_loop_aborts_the_goal_and_a_new_one_is_found(stage):
+    handle = stage.client.send(goal(seconds=5))
+    until(lambda: stage.loop.active, "motion")
+    stage.loop.die()
+    died = time.monotonic()
+    status, code, words = stage.client.result(handle)
+    assert time.monotonic() - died < 0.5
+    assert (status, code) == (ABORTED, -1) and "has ended and the drives brake by their own ramps" in words
+    stage.client.states.clear()
+    assert "has ended" in stage.client.run(goal())[2]
+    stage.new_loop()
+    until(lambda: stage.client.states, "joint states from the new loop")
+    assert stage.client.states[0][0] - died > 0
+    stage.loop.rows["commanded_position_rad"] = 0.0
+    assert stage.client.run(goal())[0] == SUCCEEDED
+
+
+def test_a_hung_loop_aborts_the_goal_and_is_served_again_when_it_wakes(stage):
+    handle = stage.client.send(goal(seconds=30))
+    until(lambda: stage.loop.active, "motion")
+    stage.loop.pause.set()
+    status, _, words = stage.client.result(handle)
+    assert status == ABORTED and "has run no cycle for" in words
+    assert "has run no cycle for" in stage.client.run(goal())[2]
+    stage.loop.pause.clear()
+    until(stage.serves, "serving again")
+    until(lambda: not stage.loop.active, "the end of the hung goal")
+    stage.loop.rows["commanded_position_rad"] = 0.0
+    until(lambda: stage.serves() and not stage.front.serving.present().commanded[:, 0].any(), "the arm at zero")
+    assert stage.client.run(goal())[0] == SUCCEEDED
+
+
+@contextlib.contextmanager
+def serving_alone(name, **trajectory):
+    """A front and a client of their own: loop, front, client, and the thread in which the front spins."""
+    controller = f"alone_{name}"
+    arm = load_arm("mock", overrides={"name": name, "trajectory": trajectory, "front": {"controller_name": controller}})
+    loop = FakeLoop(arm)
+    loop.start()
+    alone = not rclpy.ok()
+    if alone:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    executor = SingleThreadedExecutor()
+    front = FrontNode(arm, executor, attach(arm))
+    thread = threading.Thread(target=front.spin, daemon=True)
+    thread.start()
+    client = Client(controller)
+    try:
+        until(front.serving.ever_attached.is_set, "a front that serves")
+        yield loop, front, client, thread
+    finally:
+        client.close()
+        front.close(2.0)
+        thread.join(5.0)
+        executor.shutdown()
+        front.node.destroy_node()
+        if alone:
+            rclpy.shutdown()
+        loop.stop()
+
+
+def test_strict_reject(arm_name):
+    with serving_alone(arm_name, strict_reject=True) as (_, _, client, _):
+        assert not client.send(goal(names=["elbow"])).accepted
+        until(lambda: client.send(goal()).accepted, "an accepted goal")
+
+
+def test_at_the_end_a_client_that_asks_late_still_gets_its_result(arm_name):
+    with serving_alone(arm_name) as (loop, front, client, thread):
+        handle = client.send(goal(seconds=30))
+        until(lambda: loop.active, "motion")
+        closer = threading.Thread(target=front.close, args=(5.0,))
+        closer.start()
+        until(lambda: not loop.active, "the stop on the path")
+        until(lambda: front.serving.idle, "the verdict")
+        status, _, words = client.result(handle)
+        assert status == ABORTED and words.startswith("The ROS process was stopped: the arm has come to rest")
+        closer.join(5.0)
+        assert not thread.is_alive() and not closer.is_alive()
+
+
+def test_a_goal_that_comes_at_the_end_is_told_why_it_is_not_begun(arm_name):
+    with serving_alone(arm_name) as (loop, front, client, _):
+        front.serving.close()
+        status, _, words = client.run(goal())
+        assert status == ABORTED and words.startswith("The ROS process is shutting down and takes no goals")
+        assert not loop.records
+
+
+def test_a_client_that_never_asks_holds_up_the_end_for_a_moment_only(arm_name, monkeypatch):
+    monkeypatch.setattr(node, "RESULT_GRACE_S", 0.05)
+    with serving_alone(arm_name) as (loop, front, client, thread):
+        client.send(goal(seconds=30))
+        until(lambda: loop.active, "motion")
+        front.close(5.0)
+        thread.join(5.0)
+        assert not thread.is_alive() and not loop.active
+
+
+def test_an_arm_that_does_not_stop_does_not_hold_up_the_end(arm_name):
+    with serving_alone(arm_name) as (loop, front, client, thread):
+        handle = client.send(goal(seconds=30))
+        until(lambda: loop.active, "motion")
+        loop.taking = False
+        closer = threading.Thread(target=front.close, args=(0.1,))
+        closer.start()
+        status, _, words = client.result(handle)
+        assert (status, words) == (ABORTED, "The ROS process was stopped before the arm had come to rest.")
+        closer.join(5.0)
+        assert not thread.is_alive()
+
+
+# --- the process ---
+
+
+@pytest.fixture
+def loop(arm_file):
+    """A loop for the arm of `arm_file`."""
+    loop = FakeLoop(load_arm(arm_file))
+    yield loop
+    loop.stop()
+
+
+@pytest.fixture
+def start_front():
+    """Starts front processes, and ends those that a failed test leaves."""
+    started = []
+
+    def start(*arguments, **environment):
+        clean = {key: value for key, value in os.environ.items() if key != "_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
+        front = subprocess.Popen(
+            [sys.executable, "-m", "rosfront", *map(str, arguments)],
+            cwd=ROOT,
+            env=clean | environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(front)
+        return front
+
+    yield start
+    for front in started:
+        if front.poll() is None:
+            front.kill()
+        front.communicate()
+
+
+@pytest.fixture
+def arm_file(arm_name, tmp_path):
+    values = yaml.safe_load((ROOT / "config" / "arms" / "mock.yaml").read_text())
+    values["name"] = arm_name
+    values.setdefault("front", {})["controller_name"] = "process_controller"
+    path = tmp_path / "arm.yaml"
+    path.write_text(yaml.safe_dump(values))
+    return path
+
+
+def ended(front):
+    out, err = front.communicate(timeout=20)
+    return front.returncode, out, err
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT])
+def test_the_process_ends_orderly_in_the_middle_of_a_goal(arm_file, loop, start_front, end):
+    loop.start()
+    front = start_front(arm_file)
+    assert front.stdout.readline() == "ready /process_controller/follow_joint_trajectory\n"
+    client = Client("process_controller")
+    handle = client.send(goal(seconds=30))
+    until(lambda: loop.active, "motion")
+    second = start_front(arm_file)
+    code, _, err = ended(second)
+    assert code == 1 and err.startswith("Another front already serves arm")
+    front.send_signal(end)
+    status, _, words = client.result(handle)
+    assert status == ABORTED
+    assert words.startswith("The ROS process was stopped: the arm has come to rest on its path; joint1 is")
+    assert ended(front)[0] == 0
+    client.close()
+
+
+@pytest.mark.process
+def test_the_process_waits_for_a_loop_without_a_word(arm_file, start_front):
+    front = start_front(arm_file)
+    until(lambda: hears_sigterm(front), "a front that has looked for its loop")
+    loop = FakeLoop(load_arm(arm_file))
+    loop.start()
+    assert front.stdout.readline().startswith("ready ")
+    front.terminate()
+    code, _, err = ended(front)
+    assert code == 0 and len(err.splitlines()) == 1 and "Attached to the control process" in err
+    loop.stop()
+
+
+def hears_sigterm(front):
+    """Whether the process has come as far as handling SIGTERM itself."""
+    status = Path(f"/proc/{front.pid}/status").read_text()
+    caught = next(line.split()[1] for line in status.splitlines() if line.startswith("SigCgt:"))
+    return bool(int(caught, 16) >> (signal.SIGTERM - 1) & 1)
+
+
+@pytest.mark.process
+def test_the_process_ends_orderly_before_it_is_ready(arm_file, start_front):
+    front = start_front(arm_file)
+    until(lambda: hears_sigterm(front), "a front that handles signals")
+    front.terminate()
+    assert ended(front) == (0, "", "")
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("ends", [(signal.SIGTERM,) * 3, (signal.SIGINT, signal.SIGTERM)])
+def test_signals_in_quick_succession_are_one(arm_file, loop, start_front, ends):
+    loop.start()
+    front = start_front(arm_file)
+    assert front.stdout.readline().startswith("ready ")
+    client = Client("process_controller")
+    handle = client.send(goal(seconds=30))
+    until(lambda: loop.active, "motion")
+    result = handle.get_result_async()
+    for end in ends:
+        front.send_signal(end)
+    until(result.done, "a result")
+    front.send_signal(ends[0])  # in the very last moments
+    assert result.result().status == ABORTED
+    assert result.result().result.error_string.startswith("The ROS process was stopped")
+    code, _, err = ended(front)
+    assert code == 0 and "Traceback" not in err
+    client.close()
+
+
+@pytest.mark.process
+def test_what_keeps_the_process_from_serving_is_one_sentence(arm_file, loop, start_front, tmp_path):
+    code, out, err = ended(start_front("no_such_arm"))
+    assert (code, out) == (1, "") and err.count("\n") == 1 and "no_such_arm" in err
+    (tmp_path / "stubs").mkdir()
+    (tmp_path / "stubs" / "control_msgs.py").write_text("raise ImportError('no control_msgs')")
+    code, out, err = ended(start_front(arm_file, PYTHONPATH=str(tmp_path / "stubs")))
+    assert (code, out) == (1, "")
+    assert err == (
+        "ROS 2 is not usable here (no control_msgs): source a ROS 2 Jazzy installation that has "
+        "control_msgs, or run `make env` for the wheels.\n"
+    )

@@ -1,0 +1,468 @@
+"""From a goal message to knots: every refusal with its sentence, and what a good goal becomes."""
+
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import BPoly, PchipInterpolator
+
+from config.loader import load_arm
+from rosfront import refusals
+from rosfront.goal import densify, plan_goal
+from rosfront.plan import Present
+
+GOALS = Path(__file__).parents[1] / "data" / "moveit"
+ARM = load_arm("episode1")
+NAMES = [joint.name for joint in ARM.joints]
+
+
+def as_message(value):
+    """A JSON value with attribute access, as a ROS message has."""
+    if isinstance(value, dict):
+        return SimpleNamespace(**{key: as_message(entry) for key, entry in value.items()})
+    return [as_message(entry) for entry in value] if isinstance(value, list) else value
+
+
+def recorded(name: str):
+    return as_message(json.loads((GOALS / f"{name}.json").read_text()))
+
+
+def duration(seconds: float):
+    whole = math.floor(seconds)
+    return SimpleNamespace(sec=whole, nanosec=round((seconds - whole) * 1e9))
+
+
+def point(time_s, positions, velocities=(), accelerations=(), effort=()):
+    return SimpleNamespace(
+        time_from_start=duration(time_s),
+        positions=list(positions),
+        velocities=list(velocities),
+        accelerations=list(accelerations),
+        effort=list(effort),
+    )
+
+
+def goal(points, names=None, stamp_s=0.0):
+    return SimpleNamespace(
+        trajectory=SimpleNamespace(
+            header=SimpleNamespace(stamp=duration(stamp_s), frame_id=""),
+            joint_names=list(NAMES if names is None else names),
+            points=list(points),
+        ),
+        multi_dof_trajectory=SimpleNamespace(joint_names=[], points=[]),
+        path_tolerance=[],
+        component_path_tolerance=[],
+        goal_tolerance=[],
+        component_goal_tolerance=[],
+        goal_time_tolerance=duration(0.0),
+    )
+
+
+def tolerance(name, position=0.0, velocity=0.0, acceleration=0.0):
+    return SimpleNamespace(name=name, position=position, velocity=velocity, acceleration=acceleration)
+
+
+def present(positions=(0.0,) * 6, *, standing=True, monotonic_ns=5_000_000_000, epoch_ns=1_800_000_000 * 10**9):
+    commanded = np.zeros((6, 3))
+    commanded[:, 0] = positions
+    return Present(commanded, standing, monotonic_ns, epoch_ns)
+
+
+def one_joint(*points, name="joint1"):
+    return goal(points, names=[name])
+
+
+ZERO = [0.0] * 6
+NAN, INF = math.nan, math.inf
+
+BAD = {
+    "no joint names": (
+        goal([point(0, [])], names=[]),
+        -2,
+        "names no joint; name one or more of joint1, joint2",
+    ),
+    "unknown joint": (
+        goal([point(0, [0.0])], names=["elbow"]),
+        -2,
+        "'elbow' in joint_names is no joint of this arm, which has joint1, joint2",
+    ),
+    "duplicate joint": (
+        goal([point(0, [0.0, 0.0])], names=["joint1", "joint1"]),
+        -2,
+        "'joint1' stands in joint_names more than once",
+    ),
+    "empty": (goal([]), -1, "has no points"),
+    "positions missing": (
+        goal([point(0, [])]),
+        -1,
+        "Point 0 has 0 positions for 6 joint names; give 6, in the",
+    ),
+    "positions too few": (
+        goal([point(0, ZERO), point(1, [0.0])]),
+        -1,
+        "Point 1 has 1 positions for 6 joint names",
+    ),
+    "velocities too many": (
+        one_joint(point(0, [0.0], [0.0, 0.0])),
+        -1,
+        "Point 0 has 2 velocities for 1 joint name; give 1 or none",
+    ),
+    "accelerations too few": (goal([point(0, ZERO, ZERO, [0.0])]), -1, "Point 0 has 1 accelerations for 6"),
+    "accelerations alone": (
+        one_joint(point(0, [0.0], [], [0.0])),
+        -1,
+        "Point 0 has accelerations but no velocities",
+    ),
+    "effort": (one_joint(point(0, [0.0], effort=[1.0])), -1, "Point 0 has effort"),
+    "NaN position": (
+        goal([point(0, ZERO), point(1, [0, 0, NAN, 0, 0, 0])]),
+        -1,
+        "Point 1 has nan as position of joint3",
+    ),
+    "infinite velocity": (
+        one_joint(point(0, [0.0], [INF]), point(1, [0.0], [0.0])),
+        -1,
+        "inf as velocity of joint1",
+    ),
+    "NaN acceleration": (one_joint(point(0, [0.0], [0.0], [NAN])), -1, "nan as acceleration of joint1"),
+    "NaN last velocity": (one_joint(point(0, [0.0], [0.0]), point(1, [0.0], [NAN])), -1, "nan as velocity"),
+    "negative time": (one_joint(point(-0.5, [0.0])), -1, "Point 0 has time_from_start -0.500000 s"),
+    "times equal": (
+        one_joint(point(1, [0.0]), point(1, [0.0])),
+        -1,
+        "Point 1 has time_from_start 1.000000 s after 1.000000 s at point 0",
+    ),
+    "times falling": (
+        one_joint(point(0, [0.0]), point(2, [0.0]), point(1, [0.0])),
+        -1,
+        "Point 2 has time_from_start 1.000000 s after 2.000000 s at point 1",
+    ),
+    "no timing": (one_joint(point(0, [0.0]), point(0, [0.1])), -1, "All 2 points have time_from_start 0"),
+    "ends moving": (
+        one_joint(point(0, [0.0], [0.0]), point(1, [0.1], [0.2])),
+        -1,
+        "The last point leaves joint1 moving at 0.2000 rad/s; at most 0.001 rad/s",
+    ),
+    "old stamp": (
+        goal([point(0, ZERO), point(1, ZERO)], stamp_s=1_799_999_990.0),
+        -3,
+        "counted from its header stamp, ended 9.000 s ago",
+    ),
+    "too far away": (
+        one_joint(point(0, [0.3]), point(1, [0.3])),
+        -1,
+        "The first point has joint1 at 0.3000 rad (17.19°), 0.3000 rad (17.19°) from where it is commanded; "
+        "allowed are 0.0500 rad (2.86°)",
+    ),
+    "out of limits at a point": (
+        one_joint(point(0, [0.0]), point(20, [1.6]), name="joint2"),
+        -1,
+        "joint2 would be at 1.6000 rad (91.67°) at 20.0000 s, at point 1; allowed are -1.5708 rad (-90.00°) "
+        "to 1.5708 rad (90.00°)",
+    ),
+    "out of limits between points": (
+        one_joint(
+            point(0, [0.0]),
+            point(10, [1.55], [0.2]),
+            point(11, [1.55], [-0.2]),
+            point(21, [0.0]),
+            name="joint2",
+        ),
+        -1,
+        "joint2 would be at 1.6000 rad (91.67°) at 10.5000 s, between points 1 and 2",
+    ),
+    "out of limits on the way to the first point": (
+        one_joint(point(4, [1.55], [0.3]), point(10, [1.0]), name="joint2"),
+        -1,
+        "joint2 would be at",
+    ),
+    "too fast at a point": (
+        one_joint(point(0, [0.0], [0.0]), point(1, [0.3], [0.6]), point(2, [0.6], [0.0])),
+        -1,
+        "joint1 would move at 0.6000 rad/s at 1.0000 s, at point 1; allowed are 0.4398 rad/s",
+    ),
+    "too fast between points": (
+        one_joint(point(0, [0.0]), point(2, [1.0])),
+        -1,
+        "joint1 would move at 0.7500 rad/s at 1.0000 s, between points 0 and 1; allowed are 0.4398 rad/s",
+    ),
+    "too fast on the way to the first point": (
+        one_joint(point(0.1, [0.1])),
+        -1,
+        "on the way to point 0; allowed are 0.4398 rad/s",
+    ),
+    "a jump that no cycle falls into": (
+        one_joint(point(0, [0.0]), point(0.101, [0.0]), point(0.102, [0.04]), point(1, [0.04])),
+        -1,
+        "joint1 would move at 4.8000 rad/s",
+    ),
+    "too hard at a point": (
+        one_joint(point(0, [0.0], [0.0], [5.0]), point(1, [0.0], [0.0], [0.0])),
+        -1,
+        "joint1 would accelerate with 5.000 rad/s² at 0.0000 s, at point 0; allowed are 4.000 rad/s²",
+    ),
+    "too hard between points": (
+        one_joint(point(0, [0.0], [0.0]), point(0.2, [0.05], [0.0])),
+        -1,
+        "joint1 would accelerate with",
+    ),
+    "too hard in a long segment": (
+        one_joint(
+            point(0, [0.0], [0.0]),
+            point(1.5, [0.3], [0.43]),
+            point(2.1, [0.3], [0.43]),
+            point(3.6, [0.6], [0.0]),
+        ),
+        -1,
+        "joint1 would accelerate with 4.300 rad/s² at 1.5000 s, at point 1",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_goals_are_refused_with_a_sentence(case):
+    message, code, words = BAD[case]
+    with pytest.raises(refusals.GoalRefused) as refused:
+        plan_goal(message, ARM, present())
+    assert refused.value.code == code
+    assert words in refused.value.sentence
+    assert refused.value.sentence.endswith(".") and ". " not in refused.value.sentence
+
+
+def test_too_many_points():
+    message = goal([point(i, ZERO) for i in range(6)])
+    arm = load_arm("episode1", overrides={"trajectory": {"max_points": 5}})
+    with pytest.raises(refusals.TooManyPoints, match="has 6 points and at most 5 are allowed"):
+        plan_goal(message, arm, present())
+
+
+@pytest.mark.parametrize("field", ["multi_dof_trajectory", "component_path_tolerance", "component_goal_tolerance"])
+def test_what_the_arm_cannot_do_is_refused_and_not_ignored(field):
+    message = goal([point(0, ZERO)])
+    if field == "multi_dof_trajectory":
+        message.multi_dof_trajectory.joint_names = ["base"]
+    else:
+        setattr(message, field, [tolerance("joint1")])
+    with pytest.raises(refusals.NotSupported, match=f"The goal has a {field}"):
+        plan_goal(message, ARM, present())
+
+
+def test_a_refusal_holds_joint_value_and_limit():
+    with pytest.raises(refusals.PositionBeyondLimit) as refused:
+        plan_goal(*[BAD["out of limits at a point"][0], ARM, present()])
+    assert (refused.value.joint, refused.value.value) == ("joint2", 1.6)
+    assert refused.value.limit == pytest.approx(math.pi / 2)
+
+
+@pytest.mark.parametrize("file", sorted(GOALS.glob("*.json")), ids=lambda f: f.stem)
+def test_recorded_moveit_goals_are_accepted_from_their_start(file):
+    message = recorded(file.stem)
+    plan = plan_goal(message, ARM, present(message.trajectory.points[0].positions))
+    assert not plan.bridge and plan.start_ns == 0 and plan.joint_mask == 0b111111
+    assert set(plan.orders.tolist()) == {5}
+    assert plan.joints[:, :, 0].tolist() == [p.positions for p in message.trajectory.points]
+    assert plan.joints[:, :, 1].tolist() == [p.velocities for p in message.trajectory.points]
+    assert plan.joints[:, :, 2].tolist() == [p.accelerations for p in message.trajectory.points]
+
+
+def test_recorded_goals_from_elsewhere_are_refused():
+    with pytest.raises(refusals.TooFar, match="from where it is commanded"):
+        plan_goal(recorded("large_back"), ARM, present())
+
+
+def test_while_the_arm_moves_the_first_point_is_left_to_the_control_process():
+    plan_goal(recorded("large_back"), ARM, present(standing=False))
+
+
+def test_any_joint_order_and_a_subset():
+    message = goal([point(0, [0.01, 0.02]), point(2, [0.3, 0.1])], names=["joint4", "joint2"])
+    plan = plan_goal(message, ARM, present([0.5, 0.02, 0.7, 0.01, 0.9, 1.0]))
+    assert plan.joint_mask == 0b001010
+    assert plan.joints[1, :, 0].tolist() == [0.5, 0.1, 0.7, 0.3, 0.9, 1.0]
+    assert not plan.joints[:, [0, 2, 4, 5], 1:].any()
+
+
+def test_positions_only_becomes_a_monotone_cubic_at_rest_at_both_ends():
+    p = [0.0, 0.05, 0.25, 0.3]
+    plan = plan_goal(one_joint(*[point(i, [x]) for i, x in enumerate(p)]), ARM, present())
+    assert set(plan.orders.tolist()) == {3}
+    expected = PchipInterpolator(range(4), p).derivative()(range(4))
+    assert plan.joints[:, 0, 1] == pytest.approx([0.0, expected[1], expected[2], 0.0])
+
+
+def test_fewer_fields_on_some_points_give_the_lower_order_there():
+    rest = ([0.0], [0.0])
+    message = one_joint(
+        point(0, [0.0], *rest),
+        point(1, [0.1], [0.1], [0.0]),
+        point(2, [0.2], [0.1]),
+        point(3, [0.3]),
+        point(4, [0.3], *rest),
+    )
+    plan = plan_goal(message, ARM, present())
+    assert plan.orders[1:].tolist() == [5, 3, 3, 3]
+    assert plan.joints[2, 0, 2] == 0.0
+
+
+def test_a_first_point_later_than_zero_is_a_bridge_from_the_commanded_state():
+    plan = plan_goal(one_joint(point(2, [0.4])), ARM, present())
+    assert plan.bridge and plan.times_ns.tolist() == [2_000_000_000]
+    assert plan.orders.tolist() == [3]
+
+
+def test_stamps():
+    message = [point(0, ZERO), point(1, ZERO)]
+    ahead = plan_goal(goal(message, stamp_s=1_800_000_002.5), ARM, present())
+    assert ahead.start_ns == 5_000_000_000 + 2_500_000_000
+    begun = plan_goal(goal(message, stamp_s=1_799_999_999.5), ARM, present())
+    assert begun.start_ns == 0
+
+
+def test_tolerances_default_replace_and_switch_off():
+    message = goal([point(0, ZERO)])
+    message.path_tolerance = [tolerance("joint3", 0.2), tolerance("joint1", -1.0)]
+    message.goal_tolerance = [tolerance("joint2", 0.5, 0.7), tolerance("joint6", 0.0, -1.0)]
+    plan = plan_goal(message, ARM, present())
+    default = [0.1, 0.01, 0.05]
+    assert plan.tolerances.tolist() == [
+        [0.0, 0.01, 0.05],
+        [0.1, 0.5, 0.7],
+        [0.2, 0.01, 0.05],
+        default,
+        default,
+        [0.1, 0.01, 0.0],
+    ]
+    assert plan.goal_time_s == 0.4
+
+
+@pytest.mark.parametrize(("given_s", "expected_s"), [(0.0, 0.4), (1.5, 1.5), (-1.0, 0.0)])
+def test_goal_time(given_s, expected_s):
+    message = goal([point(0, ZERO)])
+    message.goal_time_tolerance = duration(given_s)
+    assert plan_goal(message, ARM, present()).goal_time_s == expected_s
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        (
+            tolerance("joint1", -0.5),
+            "path_tolerance position of joint1 is -0.5; allowed are a positive limit",
+        ),
+        (tolerance("joint1", NAN), "path_tolerance position of joint1 is nan"),
+        (
+            tolerance("joint1", 0.1, 0.2),
+            "path_tolerance of joint1 limits its velocity to 0.2, which is not watched",
+        ),
+        (tolerance("elbow", 0.1), "'elbow' in path_tolerance is no joint"),
+    ],
+)
+def test_bad_tolerances(entry, words):
+    message = goal([point(0, ZERO)])
+    message.path_tolerance = [entry]
+    with pytest.raises(refusals.GoalRefused, match=words):
+        plan_goal(message, ARM, present())
+
+
+def test_a_bad_goal_time():
+    message = goal([point(0, ZERO)])
+    message.goal_time_tolerance = duration(-3.0)
+    with pytest.raises(refusals.BadTolerance, match=r"goal_time_tolerance \(s\) is -3"):
+        plan_goal(message, ARM, present())
+
+
+def test_the_residue_of_a_planners_last_velocity_stays_in_the_plan():
+    plan = plan_goal(one_joint(point(0, [0.0], [0.0]), point(1, [0.1], [5e-4])), ARM, present())
+    assert plan.joints[-1, 0, 1] == 5e-4
+
+
+def test_a_residual_segment_is_not_judged_by_its_curvature():
+    # 1.3e-7 rad in 0.36 ms, as at the end of near_limits_low: 6 rad/s² on paper, nothing for a drive
+    message = one_joint(point(0, [0.0], [0.0]), point(1, [0.1], [0.0]), point(1.00036, [0.10000013], [0.0]))
+    plan_goal(message, ARM, present())
+
+
+def test_an_arm_at_its_limit_may_leave_it():
+    upper = ARM.joints[1].upper_rad + ARM.joints[1].encoder_count_rad
+    plan_goal(one_joint(point(0, [upper]), point(5, [1.0]), name="joint2"), ARM, present([0, upper, 0, 0, 0, 0]))
+
+
+def test_a_very_long_trajectory_costs_no_more_than_its_points():
+    message = one_joint(point(0, [0.0], [0.0]), point(2_000_000, [1.0], [0.0]))
+    plan_goal(message, ARM, present())
+    message = one_joint(point(0, [0.0], [0.0]), point(1_000_000, [1.0], [0.44]), point(2_000_000, [1.0], [0.0]))
+    with pytest.raises(refusals.BeyondLimits):
+        plan_goal(message, ARM, present())
+
+
+LINEAR = load_arm("episode1", overrides={"trajectory": {"interpolation": "linear"}})
+
+
+def test_the_tutorials_densification():
+    points = [point(0.1 * i, [0.0001 * i], [0.001]) for i in range(104)] + [point(10.4, [0.0104], [0.0])]
+    plan = plan_goal(one_joint(*points), LINEAR, present())
+    assert len(plan.times_ns) == 1665
+    assert set(plan.orders.tolist()) == {1}
+    assert plan.times_ns[::16].tolist() == [100_000_000 * i for i in range(105)]
+    assert np.diff(plan.times_ns).tolist() == [6_250_000] * 1664
+    assert plan.joints[::16, 0, 0] == pytest.approx([0.0001 * i for i in range(105)])
+
+
+def test_straight_lines_are_refused_where_their_corners_ask_for_too_much():
+    with pytest.raises(refusals.AccelerationBeyondLimit, match=r"joint\d would accelerate with"):
+        message = recorded("scale_1_0")
+        plan_goal(message, LINEAR, present(message.trajectory.points[0].positions))
+
+
+def test_densification_counts_against_the_most_points():
+    arm = load_arm("episode1", overrides={"trajectory": {"interpolation": "linear", "max_points": 33}})
+    plan_goal(one_joint(*[point(i, [0.0]) for i in range(3)]), arm, present())
+    with pytest.raises(refusals.TooManyPoints):
+        plan_goal(one_joint(*[point(i, [0.0]) for i in range(4)]), arm, present())
+
+
+@settings(deadline=None)
+@given(st.lists(st.integers(1, 40), min_size=0, max_size=20), st.integers(1, 20))
+def test_densified_times_rise_and_keep_the_given_knots(gaps_ns, factor):
+    times = np.concatenate([[0], np.cumsum(np.array(gaps_ns, dtype=np.int64))]).astype(np.int64)
+    knots = np.arange(len(times), dtype=float)[:, np.newaxis, np.newaxis] * np.ones((1, 2, 3))
+    dense_times, dense = densify(times, knots, factor)
+    assert (np.diff(dense_times) > 0).all()
+    for time, value in zip(times, knots, strict=True):
+        assert (dense[dense_times.tolist().index(time)][:, :2] == value[:, :2]).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6))
+def test_whatever_is_accepted_keeps_the_limits_everywhere(seed):
+    """Random quintic goals: an accepted one, sampled finely by scipy, is inside the limits."""
+    rng = np.random.default_rng(seed)
+    joint = ARM.joints[0]
+    count = int(rng.integers(2, 8))
+    times = np.concatenate([[0.0], np.cumsum(rng.uniform(0.005, 1.5, count - 1))])
+    rows = np.stack(
+        [
+            np.concatenate([[2.3], 2.3 + np.cumsum(rng.normal(0, 0.1, count - 1))]),
+            rng.normal(0, 0.2, count),
+            rng.normal(0, 1.0, count),
+        ]
+    )
+    rows[1, -1] = 0.0
+    message = one_joint(*[point(t, [p], [v], [a]) for t, p, v, a in zip(times, *rows, strict=True)])
+    times = np.array([p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in message.trajectory.points])
+    spline = BPoly.from_derivatives(times, rows.T[:, :])
+    period = 1.0 / ARM.control.rate_hz
+    fine, cycles = np.linspace(0, times[-1], 4000), np.arange(0, times[-1], period)
+    inside = spline(fine).max() <= joint.upper_rad + 1e-4
+    slow = np.abs(np.diff(spline(cycles))).max(initial=0.0) / period <= 1.05 * joint.max_velocity_rad_s * (1 + 1e-6)
+    soft = np.abs(np.diff(spline(cycles), 2)).max(initial=0.0) / period**2 <= 4.0 * (1 + 1e-6)
+    try:
+        plan_goal(message, ARM, present([2.3, 0, 0, 0, 0, 0]))
+    except refusals.BeyondLimits:
+        return
+    assert inside and slow and soft

@@ -1,0 +1,305 @@
+"""Goals on their way to the control process and back, without ROS: a stand-in loop stepped by hand."""
+
+import time
+
+import numpy as np
+import pytest
+from fake_loop import FakeLoop
+
+from config.loader import load_arm
+from rosfront.link import attach
+from rosfront.plan import GoalPlan
+from rosfront.refusals import NotServing
+from rosfront.serving import Serving
+from rosfront.verdict import Status
+from shm import layout
+from shm.errors import AlreadyHeld, NotRunning, WrongArm
+from shm.words import Fault, Mode, Outcome, Setpoint
+
+MS = 1_000_000
+
+
+class Stage:
+    """A serving front and a loop whose cycles the test runs."""
+
+    def __init__(self, name):
+        self.arm = load_arm("mock", overrides={"name": name})
+        self.loop = FakeLoop(self.arm)
+        self.now_ns = time.monotonic_ns()
+        self.step()
+        self.link = attach(self.arm)
+        self.serving = Serving(self.arm)
+        self.serving.attached(self.link)
+        self.verdicts = {}
+
+    def step(self, count=1, look=True):
+        for _ in range(count):
+            self.now_ns += self.loop.period_ns
+            self.loop.cycle(self.now_ns)
+            if look and hasattr(self, "serving"):
+                self.look()
+
+    def look(self):
+        self.serving.look(self.link.reader.snapshot())
+
+    def start(self, name, plan):
+        return self.serving.start(plan, lambda verdict: self.verdicts.setdefault(name, []).append(verdict))
+
+    def verdict(self, name):
+        assert len(self.verdicts[name]) == 1
+        return self.verdicts[name][0]
+
+    def close(self):
+        self.link.close()
+        self.loop.files.remove()
+
+
+@pytest.fixture
+def stage(arm_name):
+    stage = Stage(arm_name)
+    yield stage
+    stage.close()
+
+
+def plan(seconds=0.5, spacing_ns=100 * MS, to_rad=0.1):
+    times = np.arange(0, int(seconds * 1e9) + 1, spacing_ns)
+    joints = np.zeros((len(times), 6, 3))
+    joints[:, :, 0] = np.linspace(0.0, to_rad, len(times))[:, np.newaxis]
+    return GoalPlan(times, np.full(len(times), 3), joints, 0b111111, np.full((6, 3), 0.1), 0.4, 0, False)
+
+
+def test_a_goal_arrives_whole_and_succeeds(stage):
+    stage.start("a", plan())
+    stage.step(70)
+    verdict = stage.verdict("a")
+    assert verdict.status is Status.SUCCEEDED and verdict.code == 0
+    assert verdict.sentence == "Goal reached: the largest error is 0.0000 rad, of joint1; 0.0100 rad are allowed."
+    kinds = [kind for _, kind in stage.loop.records]
+    assert kinds == [Setpoint.BEGIN, *[Setpoint.KNOT] * 6, Setpoint.END]
+    assert stage.serving.idle
+
+
+def test_goal_numbers_rise_above_everything_the_loop_knows(stage):
+    stage.loop.decide(41, Outcome.SUCCEEDED)
+    stage.step()
+    assert stage.start("a", plan()).goal_id == 42
+    stage.loop.snapshot["goal_id"] = 50
+    stage.loop.active, stage.loop.goals[50] = 50, {"begin": None, "times": [], "points": [], "ended": False}
+    stage.loop.follow = lambda now_ns: None
+    stage.step()
+    assert stage.start("b", plan()).goal_id == 51
+
+
+def test_a_long_goal_keeps_seconds_ahead_of_the_clock_and_no_more(stage):
+    execution = stage.start("a", plan(seconds=20, spacing_ns=10 * MS))
+    stage.step(10)
+    goal = stage.loop.goals[execution.goal_id]
+    ahead = []
+    for _ in range(1800):
+        stage.step()
+        if not goal["ended"]:
+            ahead.append((goal["times"][-1] - stage.loop.snapshot["trajectory_clock_ns"]) / 1e9)
+    assert min(ahead) > 2.4 and max(ahead) < 2.6
+    assert goal["ended"]
+
+
+def test_a_full_ring_waits_and_loses_nothing(stage):
+    stage.loop.taking = False
+    long = plan(seconds=2, spacing_ns=MS // 4)
+    execution = stage.start("a", long)
+    stage.step(20)
+    assert stage.link.writer.setpoints_written == layout.SETPOINT_SLOTS - 1
+    stage.loop.taking = True
+    stage.step(300)
+    goal = stage.loop.goals[execution.goal_id]
+    assert goal["times"] == long.times_ns.tolist() and goal["ended"]
+    assert stage.verdict("a").status is Status.SUCCEEDED
+
+
+def test_a_newer_goal_abandons_the_older_stream_at_once(stage):
+    older = stage.start("old", plan(seconds=20, spacing_ns=10 * MS))
+    stage.step(20)
+    written = stage.link.writer.setpoints_written
+    newer = stage.start("new", plan())
+    stage.step(80)
+    old, new = stage.verdict("old"), stage.verdict("new")
+    assert (old.status, old.code) == (Status.ABORTED, -1)
+    assert old.sentence.startswith("The goal was replaced by a newer goal; joint1 is")
+    assert old.sentence.endswith("rad from its target.")
+    assert new.status is Status.SUCCEEDED
+    assert stage.link.writer.setpoints_written == written + 8
+    assert newer.goal_id == older.goal_id + 1
+
+
+def test_a_goal_the_loop_never_saw_is_replaced_too(stage):
+    stage.loop.taking = False
+    stage.start("first", plan())
+    stage.step(3)
+    stage.start("second", plan())
+    stage.loop.taking = True
+    stage.step(80)
+    assert stage.verdict("first").sentence.startswith("The goal was replaced by a newer goal;")
+    assert stage.verdict("second").status is Status.SUCCEEDED
+
+
+def test_the_older_goal_goes_on_when_the_newer_is_refused(stage):
+    older = stage.start("old", plan(seconds=1.0))
+    stage.step(10)
+    newer = stage.start("new", plan())
+    stage.loop.goals.pop(newer.goal_id, None)
+    stage.loop.decide(newer.goal_id, Outcome.REFUSED_START, 2, 0.2, 0.05)
+    stage.loop.taking = False
+    stage.step()
+    verdict = stage.verdict("new")
+    assert (verdict.status, verdict.code) == (Status.ABORTED, -1)
+    assert verdict.sentence.startswith("The first point has joint3 0.2000 rad from where it is commanded")
+    assert "old" not in stage.verdicts
+    stage.step(100)
+    assert stage.verdict("old").status is Status.SUCCEEDED
+    assert older.goal_id < newer.goal_id
+
+
+@pytest.mark.parametrize(
+    ("outcome", "code", "words"),
+    [
+        (Outcome.PATH_TOLERANCE, -4, "joint2 was 0.1312 rad from its setpoint and 0.1000 rad are allowed"),
+        (
+            Outcome.GOAL_TOLERANCE,
+            -5,
+            "joint2 was 0.1312 rad from its target when the time to arrive was over",
+        ),
+        (Outcome.STOPPED, -1, "stopped by a person"),
+        (Outcome.STARVED, -1, "stopped arriving"),
+        (Outcome.FRONT_LOST, -1, "no sign of life for 0.131 s and 0.100 s are allowed"),
+        (Outcome.CLOCK_GAP, -1, "was away for 0.131 s"),
+        (99, -1, "Unknown outcome 99"),
+    ],
+)
+def test_what_ends_a_goal_reaches_its_client_with_the_final_error(stage, outcome, code, words):
+    stage.start("a", plan())
+    stage.step(10)
+    stage.loop.finish(outcome, joint=1, value=0.1312, limit=0.1)
+    stage.step()
+    verdict = stage.verdict("a")
+    assert (verdict.status, verdict.code) == (Status.ABORTED, code)
+    assert words in verdict.sentence and verdict.sentence.endswith("rad from its target.")
+
+
+def test_a_cancel_stops_the_goal(stage):
+    execution = stage.start("a", plan())
+    stage.step(10)
+    stage.serving.cancel(execution)
+    stage.step(10)
+    verdict = stage.verdict("a")
+    assert (verdict.status, verdict.code) == (Status.CANCELED, 0)
+    assert verdict.sentence.startswith("Canceled: the arm has come to rest on its path; joint1 is")
+    stage.serving.cancel(execution)  # too late: nothing more is asked
+    assert stage.link.writer.memory.record["requests_written"][0] == 1
+
+
+def test_a_cancel_that_comes_before_its_goal_is_repeated(stage):
+    take, stage.loop.take_setpoints = stage.loop.take_setpoints, lambda: None
+    execution = stage.start("a", plan(seconds=3))
+    stage.serving.cancel(execution)
+    stage.step(2)
+    assert stage.verdicts == {}
+    stage.loop.take_setpoints = take
+    deadline = time.monotonic() + 2.0
+    while "a" not in stage.verdicts and time.monotonic() < deadline:
+        stage.step()
+        time.sleep(0.001)
+    assert stage.verdict("a").status is Status.CANCELED
+
+
+def test_a_fault_ends_the_goal_with_its_sentence_and_refuses_the_next(stage):
+    stage.start("a", plan())
+    stage.step(10)
+    stage.loop.fault(Fault.FOLLOWING_ERROR, 3, 0.12, 0.1)
+    stage.step()
+    said = "joint4 was 0.1200 rad from where it was commanded and 0.1000 rad are allowed"
+    assert stage.verdict("a").sentence.startswith(said)
+    with pytest.raises(NotServing, match=said):
+        stage.serving.present()
+
+
+def test_a_faulted_loop_that_never_takes_a_goal_does_not_leave_it_hanging(stage):
+    stage.loop.taking = False
+    stage.start("a", plan())
+    stage.loop.fault(Fault.COMMAND_RING, -1, 5000.0, 4096.0)
+    stage.step(45)
+    assert stage.verdicts == {}
+    stage.step(10)
+    assert stage.verdict("a").sentence.startswith("The command memory holds what cannot be right")
+
+
+@pytest.mark.parametrize("mode", [Mode.OFFLINE, Mode.BRINGING_UP])
+def test_no_goals_before_the_arm_holds(stage, mode):
+    stage.loop.snapshot["mode"] = mode
+    stage.step()
+    with pytest.raises(NotServing, match=f"while it is {mode.name.lower().replace('_', ' ')}"):
+        stage.serving.present()
+
+
+def test_no_goals_while_a_joint_has_no_reference(stage):
+    stage.loop.unreference(4)
+    stage.step()
+    with pytest.raises(NotServing, match="The drive of joint5 lost power") as refused:
+        stage.serving.present()
+    assert refused.value.joint == "joint5"
+
+
+def test_no_goals_while_the_loop_runs_no_cycles(stage):
+    stage.now_ns -= 3_000 * MS
+    stage.step()
+    with pytest.raises(NotServing, match=r"has run no cycle for [23]\.\d\d s"):
+        stage.serving.present()
+
+
+def test_a_torn_snapshot_refuses_the_goal(stage):
+    stage.loop.state["snapshot_sequence"][0] += 1
+    with pytest.raises(NotServing, match="No consistent snapshot"):
+        stage.serving.present()
+
+
+def test_a_lost_loop_ends_every_goal_once_and_asks_a_hung_one_to_stop(stage):
+    stage.start("a", plan(seconds=3))
+    stage.step(5)
+    stage.start("b", plan(seconds=3))
+    stage.serving.lost("Gone.")
+    assert [stage.verdict(name).sentence for name in "ab"] == ["Gone.", "Gone."]
+    stage.serving.lost("Gone again.")
+    stage.look()
+    assert len(stage.verdicts["a"]) == 1
+    assert stage.link.writer.memory.record["requests_written"][0] == 2
+    with pytest.raises(NotServing, match="Gone again"):
+        stage.start("c", plan())
+
+
+def test_present_says_where_the_arm_is_commanded(stage):
+    stage.loop.rows["commanded_position_rad"] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    stage.step()
+    present = stage.serving.present()
+    assert present.commanded[:, 0].tolist() == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    assert present.standing
+    assert present.monotonic_ns == stage.now_ns
+
+
+def test_one_front_an_arm_and_the_right_arm(stage):
+    with pytest.raises(AlreadyHeld, match="Another front already serves"):
+        attach(stage.arm)
+    with pytest.raises(WrongArm, match="start both from the same arm file"):
+        attach(load_arm("mock", overrides={"name": stage.arm.name, "limits": {"start_tolerance_rad": 0.01}}))
+
+
+def test_the_files_of_a_dead_loop_are_not_attached_to(arm_name):
+    arm = load_arm("mock", overrides={"name": arm_name})
+    with pytest.raises(NotRunning, match="No control process is running"):
+        attach(arm)
+    loop = FakeLoop(arm)
+    link = attach(arm)
+    assert not link.loop_is_gone()
+    link.close()
+    loop.die()
+    with pytest.raises(NotRunning, match="is gone without an orderly end"):
+        attach(arm)
+    loop.sweep()

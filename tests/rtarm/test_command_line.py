@@ -1,0 +1,137 @@
+"""Help, usage and the sentences with which commands refuse."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import Result
+
+from rtarm import launcher
+from rtarm.errors import MEANINGS, ExitCode
+
+COMMANDS = [("up",), ("demo",), ("status",), ("stop",), ("clear-fault",), ("config", "check")]
+
+Rtarm = Callable[..., Result]
+
+
+@pytest.mark.parametrize("command", [(), *COMMANDS], ids=" ".join)
+def test_help_says_what_it_does_with_an_example(command: tuple[str, ...], rtarm: Rtarm) -> None:
+    result = rtarm(*command, "--help")
+    assert result.exit_code == 0
+    assert f"Example: rtarm {command[0] if command else 'demo'}" in " ".join(result.stdout.split())
+
+
+def test_the_exit_codes_are_in_the_help(rtarm: Rtarm) -> None:
+    for command in ((), ("status",)):
+        text = " ".join(rtarm(*command, "--help").stdout.split())
+        for code in ExitCode:
+            assert f"{code.value} {MEANINGS[code]}" in text
+
+
+def test_help_loads_nothing_heavy() -> None:
+    program = (
+        "import sys; from rtarm.cli import app; app(['up', '--help'], standalone_mode=False); "
+        "print(sorted({'numpy', 'yaml', 'asyncio', 'rclpy', 'numba', 'config.schema'} & set(sys.modules)))"
+    )
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert result.stdout.rstrip().endswith("[]")
+
+
+def test_version(rtarm: Rtarm) -> None:
+    result = rtarm("--version")
+    assert (result.exit_code, result.stdout.split()[0]) == (0, "rtarm")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("nonsense",), ("up",), ("up", "mock", "--rate", "fast"), ("status", "--speed"), ("config", "chek")],
+    ids=" ".join,
+)
+def test_wrong_usage_has_exit_code_1(arguments: tuple[str, ...], rtarm: Rtarm) -> None:
+    result = rtarm(*arguments)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "Usage:" in result.stderr
+
+
+REFUSED = [
+    (("up", "episode2"), "no arm is called 'episode2' (did you mean episode1?)"),
+    (("up", "./nowhere.yaml"), "nowhere.yaml: there is no such file"),
+    (("up", "episode1", "--rate", "500"), "the highest rate that fits is 123.1 Hz"),
+    (("up", "episode1", "--rate", "5"), "rate_hz is 5, but must be at least 10"),
+    (
+        ("up", "episode1", "--interface", "vcan"),
+        "interface is the text 'vcan', but must be 'slcan' or 'mock'",
+    ),
+    (("up", "episode1", "--init-mode", "2"), "init_mode is 2, but must be 0 or 1"),
+    (("up", "mock", "--channel", "can0"), "channel is 'can0', but interface mock opens no device"),
+    (("up", "mock", "--sim"), "Arm mock has mock drives and no bus, so there is nothing to simulate"),
+    (("up", "episode1", "--sim", "--channel", "/dev/ttyACM0"), "--sim brings its own adapter"),
+    (("config", "check", "epi"), "no arm is called 'epi'"),
+    (("demo", "--arm", "nobody"), "no arm is called 'nobody'"),
+    (("demo", "--goal", "nowhere.json"), "nowhere.json cannot be read (No such file or directory)"),
+    (("demo", "--json", "nowhere/figures.json"), "nowhere/figures.json cannot be written"),
+    (("status", "Big"), "'Big' is no name of an arm"),
+    (("status", "t_nobody_runs_me"), "No control process is running for arm 't_nobody_runs_me'"),
+    (("stop", "t_nobody_runs_me"), "start it with `rtarm up t_nobody_runs_me`"),
+    (("clear-fault", "t_nobody_runs_me"), "No control process is running"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "said"), REFUSED, ids=[" ".join(case[0]) for case in REFUSED])
+def test_a_refusal_is_a_sentence_and_exit_code_1(arguments: tuple[str, ...], said: str, rtarm: Rtarm) -> None:
+    result = rtarm(*arguments)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert said in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_status_in_json_stays_json_when_nothing_runs(rtarm: Rtarm) -> None:
+    result = rtarm("status", "t_nobody_runs_me", "--json")
+    report = json.loads(result.stdout)
+    assert (result.exit_code, report["running"], report["healthy"]) == (1, False, False)
+    assert "No control process is running" in report["problems"][0]
+
+
+def test_config_check_prints_what_follows_from_an_arm(rtarm: Rtarm) -> None:
+    result = rtarm("config", "check", "episode1")
+    assert result.exit_code == 0
+    assert "highest rate     123.1 Hz" in result.stdout
+
+
+def test_config_check_prints_every_error_with_its_line(arm_file: Path, rtarm: Rtarm) -> None:
+    text = arm_file.read_text(encoding="utf-8").replace("ratio: 25", "ratio: -25")
+    arm_file.write_text(text, encoding="utf-8")
+    result = rtarm("config", "check", str(arm_file))
+    assert (result.exit_code, result.stdout) == (1, "")
+    lines = result.stderr.splitlines()
+    assert len(lines) == 2
+    for line, joint in zip(lines, (0, 2), strict=True):
+        assert line.startswith(f"{arm_file}:")
+        assert f"joints[{joint}].ratio" in line
+
+
+def test_config_check_shows_the_budget_of_a_rate_that_does_not_fit(arm_file: Path, rtarm: Rtarm) -> None:
+    text = arm_file.read_text(encoding="utf-8").replace("rate_hz: 120", "rate_hz: 130")
+    arm_file.write_text(text, encoding="utf-8")
+    result = rtarm("config", "check", str(arm_file))
+    assert result.exit_code == 1
+    assert "TOO MUCH" in result.stdout
+    assert "the highest rate that fits is 123.1 Hz" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("missing", "remedy"), [("rclpy", "rtarm[ros]"), ("control_msgs", "rosfront.interfaces.build")]
+)
+def test_missing_ros_is_said_before_anything_starts(
+    missing: str, remedy: str, rtarm: Rtarm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(launcher, "has_module", lambda name: name != missing)
+    result = rtarm("up", "mock")
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr.startswith(f"{missing} is not installed")
+    assert remedy in result.stderr

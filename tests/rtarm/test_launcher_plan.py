@@ -1,0 +1,70 @@
+"""What the launcher decides before it starts anything."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from config.loader import load_arm, parse_overrides
+from rtarm import processes
+from rtarm.launcher import action_name, describe_bus, load_plan, override_arguments
+from rtarm.processes import WHEELS_GUARD, describe_end, plain_environment, ros_environment
+
+keys = st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True)
+scalars = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text()
+
+
+@given(st.dictionaries(keys, scalars | st.dictionaries(keys, scalars, min_size=1)))
+def test_overrides_arrive_in_the_processes_as_they_were(overrides: dict[str, Any]) -> None:
+    arguments = override_arguments(overrides)
+    assert arguments[::2] == ["--set"] * (len(arguments) // 2)
+    assert parse_overrides(arguments[1::2]) == overrides
+
+
+def test_a_simulated_arm_needs_no_adapter_in_its_file(arm_file: Path) -> None:
+    text = arm_file.read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if "usb_index:" not in line]
+    arm_file.write_text("\n".join(lines), encoding="utf-8")
+    plan = load_plan(str(arm_file), {}, simulated=True)
+    assert plan.arm.bus.interface == "slcan"
+    assert plan.overrides == {}  # the real channel is made when the simulator starts
+
+
+def test_options_are_part_of_what_is_checked() -> None:
+    plan = load_plan("episode1", {"control": {"rate_hz": 100.0}, "bus": {"channel": "/dev/x"}}, simulated=False)
+    assert (plan.arm.control.rate_hz, plan.arm.bus.resolved_channel) == (100.0, "/dev/x")
+
+
+def test_what_a_person_reads_about_an_arm() -> None:
+    assert describe_bus(load_arm("episode1")) == "episode1 at 120 Hz on slcan, 500 kbit/s"
+    assert describe_bus(load_arm("mock")) == "mock at 100 Hz without a bus (mock drives)"
+    assert action_name(load_arm("mock")) == "/episode_arm_controller/follow_joint_trajectory"
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [(0, "with exit code 0"), (3, "with exit code 3"), (-9, "by SIGKILL"), (-200, "by signal 200")],
+)
+def test_how_a_process_ended(code: int, words: str) -> None:
+    assert describe_end(code) == words
+
+
+def test_children_find_our_packages_and_start_python_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", "elsewhere")
+    environment = plain_environment()
+    assert environment[WHEELS_GUARD] == "1"
+    assert environment["PYTHONPATH"] == f"{processes.ROOT}{os.pathsep}elsewhere"
+
+
+@pytest.mark.parametrize("prepared", [True, False])
+def test_a_ros_child_gets_the_wheels_library_path(prepared: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Taken over where this process has it, else left to the wheels' own start-up file."""
+    library = Path(processes.sysconfig.get_path("data")) / "lib"
+    monkeypatch.setenv("LD_LIBRARY_PATH", f"elsewhere{os.pathsep}{library}" if prepared else "elsewhere")
+    monkeypatch.setenv(WHEELS_GUARD, "1")
+    assert (WHEELS_GUARD in ros_environment()) == prepared

@@ -1,0 +1,142 @@
+"""`rtarm stop` and `rtarm clear-fault` against memory files that a test answers."""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Callable
+
+import pytest
+from typer.testing import Result
+from written_arm import WrittenArm
+
+from rtarm import requests
+from shm.words import Answer, Fault, Mode, Request, Unreferenced
+
+Rtarm = Callable[..., Result]
+
+
+def moving(arm: WrittenArm) -> None:
+    arm.snapshot["mode"], arm.snapshot["goal_id"] = Mode.EXECUTING, 3
+    arm.rows["commanded_velocity_rad_s"][0] = 0.2
+
+
+def test_stop_waits_until_the_arm_stands_and_needs_no_front(arm: WrittenArm, rtarm: Rtarm) -> None:
+    moving(arm)
+    braking = 0
+
+    def obey(arm: WrittenArm, kind: int) -> int:
+        nonlocal braking
+        assert kind == Request.STOP
+        arm.snapshot["mode"] = Mode.STOPPING
+        braking = 30
+        return Answer.DONE
+
+    publish = arm.publish
+
+    def brake() -> None:
+        nonlocal braking
+        if braking:
+            braking -= 1
+            if braking == 0:
+                arm.snapshot["mode"], arm.snapshot["goal_id"] = Mode.HOLDING, 0
+                arm.rows["commanded_velocity_rad_s"] = 0.0
+        publish()
+
+    arm.publish = brake  # type: ignore[method-assign]
+    with arm.answering(obey):
+        result = rtarm("stop", arm.name)
+        assert arm.snapshot["mode"] == Mode.HOLDING  # it came back no earlier
+    assert (result.exit_code, result.stdout) == (
+        0,
+        f"Arm {arm.name} stopped on its path and stands; its goal has ended.\n",
+    )
+
+
+def test_stop_of_a_standing_arm_says_so(arm: WrittenArm, rtarm: Rtarm) -> None:
+    with arm.answering(lambda _arm, _kind: Answer.REFUSED_NO_GOAL):
+        result = rtarm("stop", arm.name)
+    assert (result.exit_code, result.stdout) == (0, f"Arm {arm.name} stands; no goal was running.\n")
+
+
+def test_stop_gives_up_on_a_control_process_that_hangs(
+    arm: WrittenArm, rtarm: Rtarm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(requests, "ANSWER_PATIENCE_S", 0.05)
+    result = rtarm("stop", arm.name)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "has not answered for 0.05 s, so it hangs" in result.stderr
+
+
+def test_stop_gives_up_on_an_arm_that_goes_on_moving(
+    arm: WrittenArm, rtarm: Rtarm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(requests, "STOP_PATIENCE_S", 0.05)
+    moving(arm)
+    with arm.answering(lambda _arm, _kind: Answer.DONE):
+        result = rtarm("stop", arm.name)
+    assert result.exit_code == 1
+    assert "still moves 0.05 s after the stop was accepted: use the emergency stop" in result.stderr
+
+
+def test_stop_notices_the_end_of_the_control_process(arm: WrittenArm, rtarm: Rtarm) -> None:
+    moving(arm)
+
+    def obey(arm: WrittenArm, _kind: int) -> int:
+        fcntl.flock(arm.files.state.fd, fcntl.LOCK_UN)  # as by kill -9: the lock falls, the file stays
+        return Answer.DONE
+
+    with arm.answering(obey):
+        result = rtarm("stop", arm.name)
+    assert result.exit_code == 1
+    assert "ended meanwhile; the drives have braked by themselves" in result.stderr
+
+
+def faulty(arm: WrittenArm) -> None:
+    arm.snapshot["mode"], arm.snapshot["fault"] = Mode.FAULT, Fault.STALE_READING
+    arm.snapshot["fault_joint"], arm.snapshot["fault_value"], arm.snapshot["fault_limit"] = 0, 0.2, 0.1
+    arm.snapshot["fault_ns"] = 1000
+    arm.publish()
+
+
+def test_clear_fault_without_a_fault(arm: WrittenArm, rtarm: Rtarm) -> None:
+    result = rtarm("clear-fault", arm.name)
+    assert result.exit_code == 0
+    assert "has no latched fault, so there is nothing to clear" in result.stdout
+
+
+def test_clear_fault_waits_for_the_drives_and_names_lost_references(arm: WrittenArm, rtarm: Rtarm) -> None:
+    faulty(arm)
+
+    def obey(arm: WrittenArm, kind: int) -> int:
+        assert kind == Request.CLEAR_FAULT
+        arm.snapshot["mode"], arm.snapshot["fault"] = Mode.HOLDING, Fault.NONE
+        arm.rows["referenced"][1] = 0
+        arm.rows["unreferenced_reason"][1] = Unreferenced.SILENT
+        return Answer.DONE
+
+    with arm.answering(obey):
+        result = rtarm("clear-fault", arm.name)
+    assert result.exit_code == 0
+    assert f"The fault is cleared; arm {arm.name} holds where it stands." in result.stdout
+    assert "The drive of elbow was silent for too long" in result.stdout
+
+
+def test_a_fault_that_comes_back_is_said(arm: WrittenArm, rtarm: Rtarm) -> None:
+    faulty(arm)
+
+    def obey(arm: WrittenArm, _kind: int) -> int:
+        arm.snapshot["fault"], arm.snapshot["fault_ns"] = Fault.WIRE, 2000
+        return Answer.DONE
+
+    with arm.answering(obey):
+        result = rtarm("clear-fault", arm.name)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "The fault was cleared and came back. The CAN adapter is gone or refuses" in result.stderr
+
+
+def test_a_refused_clear_is_said(arm: WrittenArm, rtarm: Rtarm) -> None:
+    faulty(arm)
+    with arm.answering(lambda _arm, _kind: Answer.REFUSED_MODE):
+        result = rtarm("clear-fault", arm.name)
+    assert result.exit_code == 1
+    assert "cannot do this in its present mode" in result.stderr

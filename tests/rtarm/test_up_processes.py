@@ -1,0 +1,280 @@
+"""`rtarm up` and `rtarm demo` with the real processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from shm import files
+
+pytestmark = pytest.mark.process
+
+LONG_S = 60.0
+RECORDED = Path(__file__).resolve().parents[1] / "data" / "moveit"
+
+
+class Command:
+    """A running `rtarm`, whose output is waited for line by line."""
+
+    def __init__(self, *arguments: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "rtarm", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            stdin=subprocess.DEVNULL,
+        )
+        assert self.process.stdout is not None
+        self.output = ""
+        self.errors = ""
+        self._seen = 0
+        os.set_blocking(self.process.stdout.fileno(), False)
+
+    def until(self, text: str) -> None:
+        """Wait for a text that has not been waited for yet."""
+        deadline = time.monotonic() + LONG_S
+        while (at := self.output.find(text, self._seen)) < 0:
+            assert self._read(deadline), f"{text!r} never came:\n{self.output}\n{self._rest_of_errors()}"
+        self._seen = at + len(text)
+
+    def end(self, number: int | None = None) -> int:
+        """Send a signal, if one is given, and wait for the end; its exit code."""
+        if number is not None:
+            self.process.send_signal(number)
+        deadline = time.monotonic() + LONG_S
+        while self._read(deadline):
+            pass
+        code = self.process.wait(LONG_S)
+        self.errors += self._rest_of_errors()
+        return code
+
+    def _read(self, deadline: float) -> bool:
+        stream = self.process.stdout
+        assert stream is not None
+        select.select([stream], [], [], max(0.0, deadline - time.monotonic()))
+        data = stream.read()
+        self.output += (data or b"").decode()
+        return bool(data)
+
+    def _rest_of_errors(self) -> str:
+        assert self.process.stderr is not None
+        return "" if self.process.poll() is None else self.process.stderr.read().decode()
+
+    def close(self) -> None:
+        """Leave nothing behind, whatever the test did."""
+        if self.process.poll() is None:
+            self.process.terminate()
+            self.process.wait(LONG_S)
+        for stream in (self.process.stdout, self.process.stderr):
+            assert stream is not None
+            stream.close()
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Command]]:
+    started: list[Command] = []
+
+    def run(*arguments: str) -> Command:
+        started.append(Command(*arguments))
+        return started[-1]
+
+    yield run
+    for command in started:
+        command.close()
+
+
+@pytest.fixture
+def clean(arm_name: str) -> Iterator[None]:
+    """What a killed control process leaves is evidence for its user, and litter for a test."""
+    yield
+    for path in files.DIRECTORY.glob(f"rtarm.{arm_name}.*"):
+        path.unlink()
+
+
+def status(arm: str) -> dict[str, Any]:
+    result = subprocess.run(
+        [sys.executable, "-m", "rtarm", "status", arm, "--json"], capture_output=True, text=True, check=False
+    )
+    report: dict[str, Any] = json.loads(result.stdout)
+    assert (result.returncode == 0) == report["healthy"]
+    return report
+
+
+def eventually(condition: Callable[[], bool]) -> bool:
+    deadline = time.monotonic() + LONG_S
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def ended(pids: list[int]) -> bool:
+    return not any(Path(f"/proc/{pid}").exists() for pid in pids)
+
+
+def test_up_serves_restarts_the_front_and_ends_in_order(
+    start: Callable[..., Command], arm_file: Path, arm_name: str
+) -> None:
+    up = start("up", str(arm_file), "--sim")
+    up.until("rtarm  running")
+    report = status(arm_name)
+    assert (report["mode"], report["healthy"], report["problems"]) == ("holding", True, [])
+    assert [joint["referenced"] for joint in report["joints"]] == [True] * 6
+    assert report["bus"]["frames_tx"] > 0
+
+    second = start("up", str(arm_file), "--sim")
+    assert second.end() == 2
+    assert second.errors.startswith("A control process for this arm is already running (pid")
+
+    os.kill(report["front"]["pid"], signal.SIGKILL)
+    up.until("the ROS process ended by SIGKILL; starting it again")
+    up.until("ready again")
+    assert eventually(lambda: bool(status(arm_name)["healthy"]))
+    again = status(arm_name)
+    assert again["front"]["pid"] != report["front"]["pid"]
+    assert again["loop"]["pid"] == report["loop"]["pid"]
+
+    stopped = start("stop", arm_name)
+    assert stopped.end() == 0
+    assert "stands; no goal was running" in stopped.output
+
+    assert up.end(signal.SIGINT) == 0
+    assert "rtarm  SIGINT: stopping the arm on its path" in up.output
+    assert up.output.endswith("rtarm  ended in order\n")
+    assert up.errors == ""
+    assert ended([again["loop"]["pid"], again["front"]["pid"]])
+    assert not list(files.DIRECTORY.glob(f"rtarm.{arm_name}.*"))
+
+
+@pytest.mark.usefixtures("clean")
+def test_a_dead_control_process_ends_everything_with_code_3(
+    start: Callable[..., Command], arm_file: Path, arm_name: str
+) -> None:
+    up = start("up", str(arm_file), "--sim")
+    up.until("rtarm  running")
+    report = status(arm_name)
+    os.kill(report["loop"]["pid"], signal.SIGKILL)
+    assert up.end() == 3
+    assert up.errors == (
+        "The control process ended by SIGKILL; the drives have braked by themselves; look at the arm, then "
+        f"start again with `rtarm up {arm_file} --sim`.\n"
+    )
+    assert ended([report["front"]["pid"]])
+    gone = status(arm_name)
+    assert (gone["running"], "is gone without an orderly end" in gone["problems"][0]) == (False, True)
+
+
+@pytest.mark.usefixtures("clean")
+def test_kill_9_of_the_launcher_leaves_no_process(start: Callable[..., Command], arm_file: Path, arm_name: str) -> None:
+    up = start("up", str(arm_file), "--sim")
+    up.until("rtarm  running")
+    report = status(arm_name)
+    children = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(up.process.pid)], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert {str(report["loop"]["pid"]), str(report["front"]["pid"])} < set(children)
+    assert len(children) == 3
+    up.process.kill()
+    assert eventually(lambda: ended([int(pid) for pid in children]))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [(("--channel", "/dev/no_such_adapter"), "/dev/no_such_adapter")],
+    ids=["missing port"],
+)
+def test_a_control_process_that_refuses_is_exit_code_2(
+    options: tuple[str, ...], said: str, start: Callable[..., Command], arm_file: Path
+) -> None:
+    up = start("up", str(arm_file), *options)
+    assert up.end() == 2
+    assert said in up.errors
+    assert len(up.errors.splitlines()) == 1
+    assert "Traceback" not in up.output + up.errors
+
+
+def test_a_signal_while_starting_ends_in_order(start: Callable[..., Command], arm_file: Path, arm_name: str) -> None:
+    up = start("up", str(arm_file), "--sim")
+    up.until("sim    ready")
+    assert up.end(signal.SIGTERM) == 0
+    assert up.output.endswith("rtarm  ended in order\n")
+    assert not list(files.DIRECTORY.glob(f"rtarm.{arm_name}.*"))
+
+
+def test_a_reader_that_goes_away_does_not_end_the_arm(
+    start: Callable[..., Command], mock_file: Path, arm_name: str
+) -> None:
+    up = start("up", str(mock_file))
+    up.until("control process starting")
+    assert up.process.stdout is not None
+    up.process.stdout.close()
+    assert eventually(lambda: bool(status(arm_name)["healthy"]))
+    front = status(arm_name)["front"]["pid"]
+    os.kill(front, signal.SIGKILL)  # which the launcher has to say, to nobody
+    assert eventually(lambda: status(arm_name)["front"]["pid"] not in (None, front))
+    up.process.send_signal(signal.SIGTERM)
+    assert up.process.wait(LONG_S) == 0
+    assert up.process.stderr is not None
+    assert up.process.stderr.read() == b""
+
+
+def test_the_demo_plays_a_goal_and_writes_its_figures(
+    start: Callable[..., Command], arm_file: Path, tmp_path: Path
+) -> None:
+    figures = tmp_path / "figures.json"
+    goal = RECORDED / "small.json"
+    command = start("demo", "--arm", str(arm_file), "--goal", str(goal), "--json", str(figures))
+    assert command.end() == 0, command.output + command.errors
+    assert "1 of 1 goals succeeded" in command.output
+    report = json.loads(figures.read_text(encoding="utf-8"))
+    assert report["result"]["error_code"] == 0
+    assert "Goal reached" in report["result"]["error_string"]
+    assert report["planned_s"] == pytest.approx(0.457, abs=1e-3)
+    assert report["actual_s"] > report["planned_s"]
+    for name in ("rms", "max", "final"):
+        assert len(report["tracking_rad"][name]) == 6
+    assert max(report["tracking_rad"]["final"]) < 0.01
+    assert report["joint_states"]["rate_hz"] > 0
+    assert set(report["joint_states"]["interval_ms"]) == {"p50", "p99", "max"}
+    for name in ("lateness_us", "cycle_us"):
+        assert set(report[name]) == {"p50", "p99", "p99_9", "max", "count"}
+    assert report["cycles"] > 40
+    assert report["overruns"] >= 0
+    assert report["bus"]["frames_tx"] > 0
+    assert report["bus"]["frames_rx"] > 0
+    assert 0.3 < report["bus"]["load"] < 1.0
+    assert set(report["scheduling"]) == {"policy", "priority", "memory_locked", "cpu", "dma_latency_held"}
+
+
+def test_a_demo_whose_goal_is_refused_fails_with_its_sentence(
+    start: Callable[..., Command], arm_file: Path, tmp_path: Path
+) -> None:
+    document = json.loads((RECORDED / "small.json").read_text(encoding="utf-8"))
+    document["trajectory"]["points"][2]["positions"][1] = 3.0
+    goal = tmp_path / "beyond.json"
+    goal.write_text(json.dumps(document), encoding="utf-8")
+    command = start("demo", "--arm", str(arm_file), "--goal", str(goal))
+    assert command.end() == 4
+    assert "0 of 1 goals succeeded" in command.output
+    assert "joint2" in command.output
+
+
+def test_rtarm_stop_stops_a_moving_demo(start: Callable[..., Command], arm_file: Path, arm_name: str) -> None:
+    command = start("demo", "--arm", str(arm_file), "--goal", str(RECORDED / "near_limits_high.json"))
+    command.until("arm    near_limits_high: ")
+    (running,) = [arm for arm in files.running_arms() if arm.startswith(f"{arm_name}_demo_")]
+    stopped = start("stop", running)
+    assert stopped.end() == 0, stopped.errors
+    assert "stopped on its path and stands; its goal has ended" in stopped.output
+    assert command.end() == 4
+    assert "stopped by a person" in command.output

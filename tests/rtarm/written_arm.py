@@ -1,0 +1,85 @@
+"""Memory files of an arm that no control process writes: a test says what stands in them."""
+
+from __future__ import annotations
+
+import threading
+import time
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from shm import files, layout
+from shm.words import Mode
+
+JOINTS = ("shoulder", "elbow")
+PERIOD_NS = 10_000_000
+
+
+class WrittenArm:
+    """Both files of a two-joint arm, held as its control process would; `publish` shows a snapshot."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        identity = files.Identity(name, JOINTS, arm_hash=7, period_ns=PERIOD_NS, bitrate=500_000)
+        self.files = files.create(identity)
+        self.state = self.files.state.record
+        self.command = self.files.command.record
+        self.snapshot = np.zeros(1, layout.SNAPSHOT)[0]
+        self.snapshot["mode"] = Mode.HOLDING
+        self.snapshot["speed_scale"] = 1.0
+        self.rows = self.snapshot["joints"][: len(JOINTS)]
+        self.rows["referenced"] = 1
+        self.rows["measured_effort"] = np.nan
+        self.state["counters"]["cycles"] = 1234
+        self.state["scheduling"]["cpu"] = -1
+        self.publish()
+
+    def publish(self, read: bool = True) -> None:
+        """Another cycle: the snapshot with check sum and time, joints read a moment before or never."""
+        now_ns = time.monotonic_ns()
+        self.snapshot["cycle"] += 1
+        self.snapshot["monotonic_ns"] = now_ns
+        self.rows["measured_ns"] = now_ns - 1_000_000 if read else 0
+        used = layout.used_bytes(layout.SNAPSHOT, len(JOINTS))
+        body = self.snapshot.tobytes()[8:used]
+        at = layout.STATE.fields["snapshot"][1]
+        self.state["snapshot_sequence"][0] += 1
+        target = self.files.state.array.view(np.uint8)
+        target[at : at + used] = np.frombuffer(zlib.crc32(body).to_bytes(8, "little") + body, np.uint8)
+        self.state["snapshot_sequence"][0] += 1
+
+    @contextmanager
+    def served(self) -> Iterator[None]:
+        """With a living front."""
+        front = files.own_command(self.name, 7)
+        front.record["heartbeat_ns"][0] = time.monotonic_ns()
+        try:
+            yield
+        finally:
+            front.close()
+
+    @contextmanager
+    def answering(self, obey: Callable[[WrittenArm, int], int]) -> Iterator[None]:
+        """With a thread that answers requests with what `obey(arm, kind)` returns, and publishes."""
+        ended = threading.Event()
+
+        def live() -> None:
+            taken = 0
+            while not ended.wait(0.001):
+                while taken < int(self.command["requests_written"][0]):
+                    request = self.command["requests"][taken % layout.REQUEST_SLOTS]
+                    taken += 1
+                    answer = obey(self, int(request["kind"]))
+                    slot = self.snapshot["answers"][taken % layout.ANSWER_SLOTS]
+                    slot["sequence"], slot["answer"] = taken, answer
+                self.publish()
+
+        thread = threading.Thread(target=live)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()

@@ -1,0 +1,367 @@
+"""Faults in virtual time: what is latched, what the other joints do, and the way back."""
+
+import numpy as np
+import pytest
+from virtual import VirtualArm, recorded_goal
+
+from rtloop.bringup import split_packets
+from rtloop.cycle import step
+from rtloop.service import SEND
+from rtloop.wire import received
+from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
+from sim.faults import CorruptBytes, LostReplies, PowerLoss, Silent, Stall
+
+FD = "FD"
+
+
+def executing(name: str = "large", at_s: float = 1.0) -> VirtualArm:
+    goal = recorded_goal(name)
+    arm = VirtualArm(start_rad=goal["joints"][0, :, 0])
+    assert arm.bring_up().failure is None
+    arm.goal = arm.play(name)
+    arm.cycles(round(at_s * 1e9 / arm.period_ns))
+    assert arm.core["mode"] == Mode.EXECUTING
+    return arm
+
+
+def motion_frames(arm: VirtualArm, address: int, since: int) -> int:
+    """FD first packets sent to a drive since a position in the list of writes."""
+    mark = f"T{address << 8:08X}8{FD}".encode()
+    return sum(data.count(mark) for _, data in arm.sent[since:])
+
+
+def test_a_silent_drive_is_braked_then_latched() -> None:
+    """The age ladder: brake on the path, then a fault that names the joint; the others come to rest."""
+    arm = executing()
+    arm.sim.inject(Silent("joint2", at_s=0.0), since_ns=arm.now_ns)
+    began_ns = arm.now_ns
+    arm.until(lambda: arm.core["stale"] == 1)
+    assert arm.now_ns - began_ns <= 6 * arm.period_ns
+    assert arm.core["mode"] == Mode.EXECUTING
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    assert arm.now_ns - began_ns <= 150_000_000
+    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.STALE_READING, 1)
+    assert arm.outcome(arm.goal) == Outcome.FAULT
+    assert arm.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.SILENT
+    since = len(arm.sent)
+    arm.cycles(200)
+    assert motion_frames(arm, 2, since) == 0
+    assert not np.any(arm.loop[0]["axes"]["velocity_rad_s"])
+    arm.close()
+
+
+def test_a_short_silence_only_slows_the_arm() -> None:
+    arm = executing()
+    arm.sim.inject(Silent("joint2", at_s=0.0, until_s=0.05), since_ns=arm.now_ns)
+    arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE)
+    assert arm.outcome(arm.goal) == Outcome.SUCCEEDED
+    assert arm.state.record["counters"]["stale_reads"] > 0
+    arm.close()
+
+
+def test_lost_replies_do_not_stop_the_arm() -> None:
+    arm = executing()
+    arm.sim.inject(LostReplies(0.1), since_ns=arm.now_ns)
+    arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE)
+    assert arm.outcome(arm.goal) == Outcome.SUCCEEDED
+    arm.close()
+
+
+def test_a_drive_that_lost_power_gets_its_stop_and_no_motion_frame() -> None:
+    """It boots enabled and counts from zero: the next absolute target would be many turns away."""
+    arm = executing()
+    arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=0.03), since_ns=arm.now_ns)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    since = len(arm.sent)
+    assert arm.core["fault_joint"] == 1
+    assert arm.loop[0]["axes"][1]["referenced"] == 0
+    arm.cycles(300)
+    assert motion_frames(arm, 2, since) == 0
+    assert any(b"T000002004FE98006B" in data for _, data in arm.sent)
+    moved = [arm.sim.true_position_rad(1, arm.now_ns - 1)]
+    arm.cycles(100)
+    assert arm.sim.true_position_rad(1, arm.now_ns - 1) == moved[0]
+
+    # clearing the fault brings the arm up again, but never references
+    clear(arm)
+    assert any("joint2 is not referenced" in sentence for sentence in arm.told)
+    assert arm.core["mode"] == Mode.HOLDING
+    goal = arm.play("large")
+    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    assert arm.outcome(goal) == Outcome.REFUSED_UNREFERENCED
+    assert arm.result(goal)["joint"] == 1
+    arm.close()
+
+
+@pytest.mark.parametrize("flags", [0x09, 0x00], ids=["protection tripped", "disabled"])
+def test_a_drive_that_reports_a_fault_of_its_own_is_named_and_not_led(flags: int) -> None:
+    """Twice in a row, since one garbled digit is no report."""
+    arm = executing()
+    since = len(arm.sent)
+    line = f"T0000030033A{flags:02X}6B\r".encode()
+    received.push(arm.loop[0], arm.now_ns, np.frombuffer(line * 2, np.uint8), 2 * len(line))
+    arm.cycle()
+    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.DRIVE_FAULT, 2)
+    assert arm.outcome(arm.goal) == Outcome.FAULT
+    assert motion_frames(arm, 3, since) == 0
+    arm.close()
+
+
+def test_a_held_shaft_is_a_following_error() -> None:
+    arm = executing()
+    arm.sim.inject(Stall("joint1", at_s=0.0), since_ns=arm.now_ns)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.FOLLOWING_ERROR, 0)
+    assert abs(arm.core["fault_value"]) > arm.core["fault_limit"]
+    arm.close()
+
+
+def test_a_vanished_wire_is_a_fault() -> None:
+    arm = executing()
+    received.close(arm.loop[0], 5)
+    arm.cycle()
+    assert (arm.core["fault"], arm.core["fault_value"]) == (Fault.WIRE, 5.0)
+    assert arm.outcome(arm.goal) == Outcome.FAULT
+    arm.close()
+
+
+def test_an_arm_that_lost_power_before_the_start_is_unreferenced() -> None:
+    arm = VirtualArm(homed=False)
+    assert arm.bring_up().failure is None
+    assert len([told for told in arm.told if "not referenced" in told]) == 6
+    goal = arm.play("small")
+    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    assert arm.outcome(goal) == Outcome.REFUSED_UNREFERENCED
+    arm.cycles(50)
+    assert not any(FD.encode() in data for _, data in arm.sent)
+    arm.close()
+
+
+def test_a_drive_that_does_not_answer_is_named() -> None:
+    arm = VirtualArm(faults=[Silent("joint4", at_s=0.0)])
+    failure = arm.bring_up().failure
+    assert failure is not None
+    assert failure.joint == 3
+    assert "joint4 (address 4) does not answer" in str(failure)
+    assert arm.core["fault"] == Fault.BRING_UP
+    arm.close()
+
+
+def test_old_firmware_is_told_apart() -> None:
+    arm = VirtualArm(firmware="old")
+    assert arm.bring_up().failure is None
+    assert arm.core["mode"] == Mode.HOLDING
+    goal = arm.play("small")
+    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    arm.close()
+
+
+def test_old_firmware_that_lost_power_stays_unreferenced_when_the_fault_is_cleared() -> None:
+    """It has no flag for lost power: what the loop noticed itself must not be forgotten by a clear."""
+    goal = recorded_goal("large")
+    arm = VirtualArm(start_rad=goal["joints"][0, :, 0], firmware="old")
+    arm.bring_up()
+    arm.play("large")
+    arm.cycles(120)
+    arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=0.03), since_ns=arm.now_ns)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.core["goal_id"] == 0)
+    arm.cycles(60)
+    clear(arm)
+    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.loop[0]["axes"][1]["referenced"] == 0
+    newer = arm.play("large")
+    arm.until(lambda: arm.outcome(newer) != Outcome.NONE)
+    assert arm.outcome(newer) == Outcome.REFUSED_UNREFERENCED
+    arm.close()
+
+
+def clear(arm: VirtualArm) -> None:
+    sequence = arm.writer.request(Request.CLEAR_FAULT)
+    arm.cycle()
+    assert arm.reader.snapshot()["answers"][sequence % 16]["answer"] == Answer.DONE
+    arm.core["bring_up_asked"] = 0
+    assert arm.bring_up(clears_protection=True).failure is None
+
+
+@pytest.mark.parametrize("after", [1, 8, 20])
+def test_a_fault_is_not_cleared_while_the_arm_still_moves(after: int) -> None:
+    arm = executing()
+    arm.writer.announce(2**60)  # a corrupt word: latched, the arm stops on its path
+    arm.cycles(after)
+    assert arm.core["fault"] == Fault.COMMAND_RING
+    arm.writer.announce(arm.goal)
+    sequence = arm.writer.request(Request.CLEAR_FAULT)
+    arm.cycle()
+    moving = bool(np.any(arm.loop[0]["axes"]["velocity_rad_s"]))
+    answer = arm.reader.snapshot()["answers"][sequence % 16]["answer"]
+    assert answer == (Answer.REFUSED_MOVING if moving else Answer.DONE)
+    arm.until(lambda: not np.any(arm.loop[0]["axes"]["velocity_rad_s"]) and arm.core["goal_id"] == 0)
+    clear(arm)
+    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.core["fault"] == Fault.NONE
+    arm.close()
+
+
+def test_a_held_joint_is_not_rushed_at_when_it_comes_free() -> None:
+    """The error's part of the speed is limited, and a faulted arm at rest is not led at all."""
+    arm = executing()
+    arm.sim.inject(Stall("joint1", at_s=0.0), since_ns=arm.now_ns)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: not np.any(arm.loop[0]["axes"]["velocity_rad_s"]))
+    limit = arm.arm.joints[0].motor_rpm
+    speeds = [
+        int(frame[14:18], 16)
+        for _, data in arm.sent
+        for frame in data.split(b"\r")
+        if frame.startswith(b"T000001008FD")
+    ]
+    assert max(speeds) <= 1.06 * limit
+    arm.cycles(2)
+    since = len(arm.sent)
+    arm.cycles(60)
+    assert all(motion_frames(arm, address, since) == 0 for address in range(1, 7))
+    arm.close()
+
+
+def test_one_garbled_digit_neither_faults_nor_is_published() -> None:
+    arm = executing()
+    for line in (b"T00000100736002FFFFFFF6B\r", b"T000001003" + b"3A" + b"08" + b"6B\r"):
+        before = arm.loop[0]["axes"][0]["measured_rad"]
+        data = np.frombuffer(line, np.uint8)
+        received.push(arm.loop[0], arm.now_ns, data, len(data))
+        arm.cycle()
+        assert arm.core["fault"] == Fault.NONE
+        assert abs(arm.loop[0]["axes"][0]["measured_rad"] - before) < 0.05
+    arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE)
+    assert arm.outcome(arm.goal) == Outcome.SUCCEEDED
+    arm.close()
+
+
+def test_corrupted_bytes_do_not_stop_the_arm() -> None:
+    arm = executing()
+    arm.sim.inject(CorruptBytes(0.001), since_ns=arm.now_ns)
+    arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE)
+    assert arm.outcome(arm.goal) == Outcome.SUCCEEDED
+    assert arm.state.record["counters"]["wire_errors"] > 0
+    arm.close()
+
+
+def test_a_count_that_truly_jumps_loses_the_reference() -> None:
+    arm = executing()
+    for _ in range(2):
+        line = b"T00000100736002FFFFFFF6B\r"
+        received.push(arm.loop[0], arm.now_ns, np.frombuffer(line, np.uint8), len(line))
+    arm.cycle()
+    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.REFERENCE_LOST, 0)
+    assert arm.loop[0]["axes"][0]["unreferenced_reason"] == Unreferenced.POSITION_JUMP
+    arm.close()
+
+
+def test_frames_the_wire_did_not_take_are_not_sent_late() -> None:
+    """What is left over is at most the line that may be half sent; newer frames say it better."""
+    arm = executing()
+    arm.now_ns += arm.period_ns
+    arm.listen(arm.now_ns)
+    arm.writer.beat(arm.now_ns)
+    step(arm.loop[0], arm.state.array[0], arm.now_ns)  # a cycle whose write takes nothing
+    stuck = int(arm.core["tx_length"])
+    arm.now_ns += arm.period_ns
+    arm.listen(arm.now_ns)
+    arm.writer.beat(arm.now_ns)
+    count = step(arm.loop[0], arm.state.array[0], arm.now_ns)
+    lines = arm.loop[0]["tx"][:count].tobytes().split(b"\r")
+    firsts = [line for line in lines if line.startswith(b"T000002008FD")]
+    assert len(firsts) == 1
+    assert 0 < arm.state.record["counters"]["bytes_unsent"] < stuck
+    arm.core["tx_length"] = 0
+    arm.close()
+
+
+def test_the_slip_allowance_after_a_long_gap_is_bounded_and_forgotten() -> None:
+    arm = executing()
+    arm.cycle(1200)
+    assert arm.loop[0]["axes"]["slip_rad"][:6].max() <= 0.1 * 10.5
+    arm.until(lambda: arm.core["rebase_ns"] == 0)
+    assert not np.any(arm.loop[0]["axes"]["slip_rad"][:6])
+    arm.close()
+
+
+def test_acknowledgements_are_turned_off_in_volatile_memory_only() -> None:
+    arm = VirtualArm()
+    arm.bring_up()
+    writes = [data for _, data in arm.sent if b"848D1" in data]
+    assert writes
+    assert all(b"848D100" in data for data in writes)
+    before = len(arm.sent)
+    arm.core["mode"] = Mode.FAULT
+    arm.bring_up()  # nothing differs any more, so nothing is written
+    assert not any(b"848D1" in data for _, data in arm.sent[before:])
+    arm.close()
+
+
+def test_an_echoing_adapter_changes_nothing() -> None:
+    """Own frames that come back share their ids with replies."""
+    goal = recorded_goal("small")
+    arm = VirtualArm(start_rad=goal["joints"][0, :, 0], echo=True)
+    assert arm.bring_up().failure is None
+    goal_id = arm.play("small")
+    arm.until(lambda: arm.outcome(goal_id) != Outcome.NONE)
+    assert arm.outcome(goal_id) == Outcome.SUCCEEDED
+    arm.close()
+
+
+def test_a_silent_adapter_is_enough() -> None:
+    """The original canable firmware answers nothing at all."""
+    goal = recorded_goal("small")
+    arm = VirtualArm(start_rad=goal["joints"][0, :, 0], dialect="canable")
+    assert arm.bring_up().failure is None
+    goal_id = arm.play("small")
+    arm.until(lambda: arm.outcome(goal_id) != Outcome.NONE)
+    assert arm.outcome(goal_id) == Outcome.SUCCEEDED
+    arm.close()
+
+
+@pytest.mark.parametrize("request_kind", [Request.CLEAR_FAULT])
+def test_there_is_nothing_to_clear_without_a_fault(virtual_arm, request_kind: Request) -> None:
+    arm = virtual_arm("mock")
+    sequence = arm.writer.request(request_kind)
+    arm.cycle()
+    assert arm.reader.snapshot()["answers"][sequence % 16]["answer"] == Answer.REFUSED_MODE
+
+
+def test_the_drives_wait_for_a_coasting_arm_to_stand() -> None:
+    """A loop killed in mid-motion and started at once adopts the drives' own targets, without a jump."""
+    arm = executing()
+    arm.sim.run_until(arm.now_ns + 30_000_000)  # the drives brake by their own ramp
+    again = VirtualArm.__new__(VirtualArm)
+    again.__dict__.update(arm.__dict__)
+    from rtloop.service import ServicePort
+    from rtloop.state import new_loop
+
+    again.loop = new_loop(arm.arm, arm.state.address, arm.command.address)
+    again.port = ServicePort(again.loop)
+    again.now_ns = arm.sim.now_ns
+    again.pending = []
+    assert again.bring_up().failure is None
+    again.cycles(60)
+    for joint, config in enumerate(arm.arm.joints):
+        commanded = again.loop[0]["axes"][joint]["position_rad"]
+        assert commanded == pytest.approx(again.sim.true_position_rad(joint, again.sim.now_ns - 1), abs=1e-3)
+        assert again.loop[0]["axes"][joint]["referenced"] == 1
+        assert config.lower_rad <= commanded <= config.upper_rad
+    arm.close()
+
+
+def test_packets_of_a_command_leave_together_however_slowly_they_were_put_in(virtual_arm) -> None:
+    """A drive refuses a command whose packets have another frame between them (found on a busy machine)."""
+    arm = virtual_arm()
+    packets = split_packets(1, b"\x48\xd1\x00" + bytes(28) + b"\x6b")
+    for number, frame in enumerate(packets):
+        before = len(arm.sent)
+        arm.port.post(SEND, frame=frame, joined=number < len(packets) - 1)
+        arm.cycle()
+        written = b"".join(data for _, data in arm.sent[before:])
+        last = number == len(packets) - 1
+        assert [f"T{p.id:08X}{len(p.data)}{p.data.hex().upper()}".encode() in written for p in packets] == [last] * 5

@@ -1,0 +1,293 @@
+"""SLCAN lines in both directions: golden ones, hostile ones, and python-can as an independent opinion."""
+
+import io
+
+import can
+import numpy as np
+import pytest
+from can.interfaces.slcan import slcanBus
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from config.loader import load_arm
+from rtloop.measured import take_what_the_bus_brought
+from rtloop.state import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES, new_loop
+from rtloop.wire import received, slcan
+from shm import layout
+
+relaxed = settings(deadline=None)  # the first call loads the compiled cycle
+
+# facts: the LAWICEL vectors, then frames as a ZDT drive and its master exchange them
+GOLDEN = [
+    (b"T12ABCDEF2AA55\r", (0x12ABCDEF, 1, b"\xaa\x55")),
+    (b"t4563112233\r", (0x456, 0, b"\x11\x22\x33")),
+    (b"T000001002366B\r", (0x100, 1, b"\x36\x6b")),
+    (b"T0000010073601000100006B\r", (0x100, 1, b"\x36\x01\x00\x01\x00\x00\x6b")),
+    (b"T000001008FD010FA0000001FA\r", (0x100, 1, b"\xfd\x01\x0f\xa0\x00\x00\x01\xfa")),
+    (b"T000001015FD0000006B\r", (0x101, 1, b"\xfd\x00\x00\x00\x6b")),
+    (b"t7FF0\r", (0x7FF, 0, b"")),
+    (b"T1FFFFFFF8FFFFFFFFFFFFFFFF\r", (0x1FFFFFFF, 1, b"\xff" * 8)),
+]
+
+frames = st.one_of(
+    st.tuples(st.integers(0, 0x7FF), st.just(0), st.binary(max_size=8)),
+    st.tuples(st.integers(0, 0x1FFFFFFF), st.just(1), st.binary(max_size=8)),
+)
+
+
+class Plain:
+    """A record whose fields are attributes, as jitted code sees it, for functions run uncompiled."""
+
+    def __init__(self, record):
+        object.__setattr__(self, "record", record)
+
+    def __getattr__(self, name):
+        value = self.record[name]
+        return Plain(value) if isinstance(value, np.void) else value
+
+    def __setattr__(self, name, value):
+        self.record[name] = value
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_arm("episode1")
+
+
+@pytest.fixture
+def loop(arm):
+    return new_loop(arm, 0, 0)
+
+
+@pytest.fixture
+def shared():
+    return np.zeros(1, layout.STATE)
+
+
+def word(data):
+    return int.from_bytes(data.ljust(8, b"\0"), "little", signed=True)
+
+
+def encoded(loop, frame):
+    """The line of a frame, by the compiled function."""
+    frame_id, extended, data = frame
+    loop[0]["core"]["tx_length"] = 0
+    assert slcan.encode_frame(loop[0], frame_id, bool(extended), len(data), word(data))
+    return loop[0]["tx"][: int(loop[0]["core"]["tx_length"])].tobytes()
+
+
+def decoded(loop, line, decode=slcan.decode_line):
+    """What a line (without its CR) means, by the compiled function unless another is given."""
+    loop[0]["core"]["line_length"] = len(line)
+    loop[0]["line"][: len(line)] = np.frombuffer(line, np.uint8)
+    record = loop[0] if decode is slcan.decode_line else Plain(loop[0])
+    kind, frame_id, extended, length, data = (int(value) for value in decode(record))
+    return kind, (frame_id, extended, (data % 2**64).to_bytes(8, "little")[:length])
+
+
+def taken(loop, shared, data):
+    """Feed bytes through the receive ring as the wire does; the frames counted, and the errors."""
+    before = shared[0]["counters"].copy()
+    for at in range(0, len(data), RX_BYTES // 2):
+        part = np.frombuffer(data[at : at + RX_BYTES // 2], np.uint8)
+        received.push(loop[0], 1_000, part, len(part))
+        take_what_the_bus_brought(loop[0], shared[0])
+    now = shared[0]["counters"]
+    return tuple(int(now[name] - before[name]) for name in ("frames_received", "wire_errors"))
+
+
+# --- one line -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("line", "frame"), GOLDEN)
+def test_golden_lines_both_ways(loop, line, frame):
+    assert encoded(loop, frame) == line
+    assert decoded(loop, line[:-1]) == (slcan.LINE_FRAME, frame)
+
+
+@pytest.mark.parametrize(("line", "frame"), GOLDEN)
+def test_golden_lines_without_the_compiler(loop, line, frame):
+    assert decoded(loop, line[:-1], slcan.decode_line.py_func) == (slcan.LINE_FRAME, frame)
+    frame_id, extended, data = frame
+    loop[0]["core"]["tx_length"] = 0
+    slcan.encode_frame.py_func(Plain(loop[0]), frame_id, bool(extended), len(data), word(data))
+    assert loop[0]["tx"][: len(line)].tobytes() == line
+
+
+@pytest.mark.parametrize("stamp", [b"0000", b"EA5F", b"00000001"])
+def test_a_time_stamp_after_the_data_is_ignored(loop, stamp):
+    assert decoded(loop, b"t4563112233" + stamp) == (slcan.LINE_FRAME, (0x456, 0, b"\x11\x22\x33"))
+
+
+def test_small_hex_digits_are_understood(loop):
+    assert decoded(loop, b"T12abcdef2aa55") == (slcan.LINE_FRAME, (0x12ABCDEF, 1, b"\xaa\x55"))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"T",
+        b"t456",
+        b"T1234567",
+        b"T123456782AA5",  # half a byte short
+        b"t4569112233",  # nine bytes do not exist
+        b"t456A112233",
+        b"t45G3112233",
+        b"t456311 233",
+        b"T2000000000",  # 30 bits of id
+        b"TFFFFFFFF0",
+        b"t8000",  # 12 bits of id
+        b"t-561AA",
+        b"T\xb2\xb2\xb2\xb2\xb2\xb2\xb2\xb20",
+    ],
+)
+def test_garbled_frames_are_wrong_and_not_guessed(loop, line):
+    assert decoded(loop, line)[0] == slcan.LINE_WRONG
+
+
+@pytest.mark.parametrize("line", [b"", b"z", b"Z", b"V1013", b"NA123", b"F00", b"r4560", b"R000001000", b"\0"])
+def test_answers_of_adapters_are_dropped_without_complaint(loop, line):
+    assert decoded(loop, line)[0] == slcan.LINE_OTHER
+
+
+@relaxed
+@given(frames)
+def test_every_frame_comes_back(frame):
+    loop = new_loop(load_arm("episode1"), 0, 0)
+    assert decoded(loop, encoded(loop, frame)[:-1]) == (slcan.LINE_FRAME, frame)
+
+
+@relaxed
+@given(st.binary(max_size=LINE_BYTES))
+def test_any_line_is_a_frame_or_refused(line):
+    loop = new_loop(load_arm("episode1"), 0, 0)
+    kind, (frame_id, extended, _) = decoded(loop, line)
+    assert kind in (slcan.LINE_OTHER, slcan.LINE_FRAME, slcan.LINE_WRONG)
+    assert 0 <= frame_id <= (0x1FFFFFFF if extended else 0x7FF)
+
+
+def test_a_full_transmit_buffer_takes_no_half_lines(loop):
+    core = loop[0]["core"]
+    core["tx_length"] = TX_BYTES - SLCAN_LONGEST_LINE + 1
+    before = loop[0]["tx"].copy()
+    assert not slcan.encode_frame(loop[0], 0x100, True, 2, 0x6B36)
+    assert core["tx_length"] == TX_BYTES - SLCAN_LONGEST_LINE + 1
+    assert np.array_equal(loop[0]["tx"], before)
+
+
+# --- python-can's opinion -----------------------------------------------------------------------------
+
+
+class MemoryPort(io.BytesIO):
+    """A serial port whose other end is a bytes object."""
+
+    write_timeout = None
+    in_waiting = 64
+
+    def reset_input_buffer(self):
+        pass
+
+
+@pytest.fixture
+def other(monkeypatch):
+    """python-can's slcan bus over a port in memory."""
+    monkeypatch.setattr("can.interfaces.slcan.serial.serial_for_url", lambda *_, **__: MemoryPort())
+    with slcanBus("memory", sleep_after_open=0, bitrate=500_000) as bus:
+        yield bus
+        bus.serialPortOrig.close = lambda: None
+
+
+def test_python_can_writes_the_same_lines(loop, other):
+    random = np.random.default_rng(5)
+    for _ in range(300):
+        extended = bool(random.integers(2))
+        frame_id = int(random.integers(0, 1 << (29 if extended else 11)))
+        data = random.bytes(int(random.integers(9)))
+        other.serialPortOrig = MemoryPort()
+        other.send(can.Message(arbitration_id=frame_id, is_extended_id=extended, data=data))
+        assert encoded(loop, (frame_id, int(extended), data)) == other.serialPortOrig.getvalue()
+
+
+def test_python_can_reads_our_lines_as_we_do(loop, other):
+    random = np.random.default_rng(6)
+    sent = []
+    for _ in range(300):
+        extended = int(random.integers(2))
+        frame_id = int(random.integers(0, 1 << (29 if extended else 11)))
+        sent.append((frame_id, extended, random.bytes(int(random.integers(9)))))
+    lines = [encoded(loop, frame) for frame in sent]
+    other.serialPortOrig = MemoryPort(b"".join(lines))
+    for line, frame in zip(lines, sent, strict=True):
+        message = other.recv(0.0)
+        theirs = (message.arbitration_id, int(message.is_extended_id), bytes(message.data))
+        assert theirs == frame == decoded(loop, line[:-1])[1]
+
+
+# --- a stream of bytes --------------------------------------------------------------------------------
+
+POSITION = b"T00000100736000001000" + b"06B\r"
+
+
+def test_a_frame_may_arrive_in_pieces(loop, shared):
+    for at in range(len(POSITION)):
+        counts = taken(loop, shared, POSITION[at : at + 1])
+    assert counts == (1, 0)
+    assert loop[0]["axes"][0]["readings"] == 1
+
+
+@pytest.mark.parametrize(
+    ("noise", "errors"),
+    [
+        (b"\x07", 1),  # BEL: the adapter refused something
+        (b"z\rZ\r\r\r", 0),
+        (b"T0000\r", 1),
+        (b"T00000100736\x07", 1),  # BEL in the middle ends the line
+        (b"x" * 500 + b"\r", 1),  # longer than any line
+        (b"T" + b"0" * 500 + b"\r", 1),
+        (b"\x00\xff\r", 0),
+    ],
+)
+def test_the_next_frame_is_found_after_noise(loop, shared, noise, errors):
+    assert taken(loop, shared, noise + POSITION) == (1, errors)
+    assert loop[0]["axes"][0]["readings"] == 1
+    assert loop[0]["axes"][0]["measured_rad"] == pytest.approx(
+        65536 / loop[0]["joints"][0]["counts_per_rad"] - loop[0]["joints"][0]["zero_rad"]
+    )
+
+
+@relaxed
+@given(st.binary(max_size=2000))
+def test_no_bytes_whatever_hinder_the_next_frame(noise):
+    loop, shared = new_loop(load_arm("episode1"), 0, 0), np.zeros(1, layout.STATE)
+    taken(loop, shared, noise + b"\r")
+    assert taken(loop, shared, POSITION) == (1, 0)
+    assert 0 <= loop[0]["core"]["line_length"] <= LINE_BYTES
+
+
+@relaxed
+@given(st.lists(st.one_of(frames, st.just(None)), max_size=40), st.randoms())
+def test_every_frame_of_a_stream_is_counted(stream, random):
+    loop, shared = new_loop(load_arm("episode1"), 0, 0), np.zeros(1, layout.STATE)
+    answers = (b"z\r", b"Z\r", b"\r")
+    data = b"".join(random.choice(answers) if frame is None else encoded(loop, frame) for frame in stream)
+    assert taken(loop, shared, data) == (sum(frame is not None for frame in stream), 0)
+
+
+def test_an_overflowing_ring_drops_counts_and_recovers(loop, shared):
+    flood = np.frombuffer(POSITION * (RX_BYTES // len(POSITION) + 10), np.uint8)
+    received.push(loop[0], 1, flood, len(flood))
+    take_what_the_bus_brought(loop[0], shared[0])
+    assert shared[0]["counters"]["receive_overflows"] == len(flood) - RX_BYTES
+    assert shared[0]["counters"]["frames_received"] == RX_BYTES // len(POSITION)
+    assert taken(loop, shared, b"\r" + POSITION)[0] == 1
+
+
+def test_too_many_small_chunks_are_dropped_and_counted(loop, shared):
+    one = np.frombuffer(b"\r", np.uint8)
+    for _ in range(3000):
+        received.push(loop[0], 1, one, 1)
+    take_what_the_bus_brought(loop[0], shared[0])
+    counters = shared[0]["counters"]
+    assert counters["receive_overflows"] > 0
+    assert counters["bytes_received"] + counters["receive_overflows"] == 3000
+    assert taken(loop, shared, POSITION) == (1, 0)

@@ -1,0 +1,239 @@
+"""Plain Python's side of the border: goals, requests, heartbeats and snapshots, byte by byte."""
+
+import itertools
+import mmap
+import os
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shm import client, files, layout
+from shm.client import CommandWriter, StateReader
+from shm.errors import RingFull, TornRead
+from shm.files import MemoryFile
+from shm.words import Request, Setpoint
+
+ROOT = Path(__file__).resolve().parents[2]
+JOINTS = 3
+USED = layout.used_bytes(layout.SETPOINT, JOINTS)
+
+
+def private_file(dtype):
+    """A memory file nobody else can find, for an arm of three joints."""
+    fd = os.memfd_create("rtarm-test")
+    os.truncate(fd, dtype.itemsize)
+    mapped = mmap.mmap(fd, dtype.itemsize)
+    memory = MemoryFile(Path("memfd"), fd, mapped, np.frombuffer(mapped, dtype, 1))
+    memory.record["header"]["joint_count"] = JOINTS
+    return memory
+
+
+@pytest.fixture
+def writer():
+    made = CommandWriter(private_file(layout.COMMAND))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def reader():
+    made = StateReader(private_file(layout.STATE))
+    yield made
+    made.close()
+
+
+def slot(writer, sequence, dtype=layout.SETPOINT):
+    return writer.memory.record["setpoints"][sequence % layout.SETPOINT_SLOTS].view(dtype)
+
+
+def is_whole(record, used):
+    data = record.tobytes()[:used]
+    return int(record["crc"]) == zlib.crc32(data[8:])
+
+
+# --- goals --------------------------------------------------------------------------------------------
+
+
+def test_a_goal_record_by_record(writer):
+    tolerances = np.arange(9.0).reshape(JOINTS, 3)
+    knot = np.arange(9.0).reshape(JOINTS, 3) / 8
+    writer.announce(12)
+    writer.begin(12, start_ns=99, joint_mask=0b101, goal_time_s=0.4, bridge=True, tolerances=tolerances, consumed=0)
+    writer.knot(12, 5_000_000, 3, knot, 0)
+    writer.end(12, 0)
+    assert writer.announced_goal == 12 and writer.setpoints_written == 3
+
+    begin = slot(writer, 0, layout.BEGIN)
+    names = ("sequence", "goal_id", "kind", "start_ns", "joint_mask", "bridge")
+    assert [int(begin[name]) for name in names] == [0, 12, Setpoint.BEGIN, 99, 0b101, 1]
+    assert begin["goal_time_s"] == 0.4
+    assert begin["joints"]["goal_tolerance_rad"][:JOINTS].tolist() == [1.0, 4.0, 7.0]
+
+    record = slot(writer, 1)
+    names = ("sequence", "goal_id", "kind", "time_ns", "order")
+    assert [int(record[name]) for name in names] == [1, 12, Setpoint.KNOT, 5_000_000, 3]
+    assert record["joints"]["position_rad"][:JOINTS].tolist() == knot[:, 0].tolist()
+    assert record["joints"]["velocity_rad_s"][:JOINTS].tolist() == knot[:, 1].tolist()
+    assert record["joints"]["acceleration_rad_s2"][:JOINTS].tolist() == knot[:, 2].tolist()
+
+    assert (slot(writer, 2)["kind"], slot(writer, 2)["sequence"]) == (Setpoint.END, 2)
+    assert all(is_whole(slot(writer, sequence), USED) for sequence in range(3))
+
+
+@given(
+    time_ns=st.integers(0, 2**62),
+    order=st.sampled_from([1, 3, 5]),
+    values=st.lists(st.floats(), min_size=3 * JOINTS, max_size=3 * JOINTS),
+)
+def test_every_knot_arrives_bit_by_bit(time_ns, order, values):
+    writer = CommandWriter(private_file(layout.COMMAND))
+    knot = np.array(values).reshape(JOINTS, 3)
+    writer.knot(1, time_ns, order, knot, 0)
+    record = slot(writer, 0)
+    assert is_whole(record, USED)
+    assert record.tobytes()[USED - 8 * knot.size : USED] == knot.tobytes()
+    assert (record["time_ns"], record["order"]) == (time_ns, order)
+    writer.close()
+
+
+def test_a_full_ring_refuses_and_overwrites_nothing(writer):
+    for goal in range(layout.SETPOINT_SLOTS - 1):
+        writer.end(goal, 0)
+    before = writer.memory.array.tobytes()
+    for put in (
+        lambda: writer.end(1, 0),
+        lambda: writer.knot(1, 1, 5, np.zeros((JOINTS, 3)), 0),
+    ):
+        with pytest.raises(RingFull, match=f"{layout.SETPOINT_SLOTS - 1} records wait"):
+            put()
+    assert writer.memory.array.tobytes() == before
+    writer.end(7777, 1)  # one was taken
+    assert slot(writer, layout.SETPOINT_SLOTS - 1)["goal_id"] == 7777
+
+
+def test_the_ring_goes_round(writer):
+    for number in range(2 * layout.SETPOINT_SLOTS + 5):
+        writer.end(number, number)
+        assert slot(writer, number)["sequence"] == number
+    assert writer.setpoints_written == 2 * layout.SETPOINT_SLOTS + 5
+    assert is_whole(slot(writer, 3), USED)
+
+
+# --- requests and the heartbeat -------------------------------------------------------------------------
+
+
+def test_requests_are_numbered_from_one(writer):
+    assert writer.request(Request.SPEED_SCALE, value=0.25) == 1
+    assert writer.request(Request.CANCEL, goal_id=9) == 2
+    first, second = writer.memory.record["requests"][:2]
+    assert (first["sequence"], first["kind"], first["value"]) == (1, Request.SPEED_SCALE, 0.25)
+    assert (second["sequence"], second["kind"], second["goal_id"]) == (2, Request.CANCEL, 9)
+    assert is_whole(first, layout.REQUEST.itemsize) and is_whole(second, layout.REQUEST.itemsize)
+    assert second["monotonic_ns"] >= first["monotonic_ns"] > 0
+
+
+PRODUCER = """
+import sys
+from shm import files
+from shm.client import CommandWriter
+from shm.words import Request
+writer = CommandWriter(files.open_command(sys.argv[1]))
+print("ready", flush=True)
+sys.stdin.readline()
+print(*(writer.request(Request.HOLD, goal_id=int(sys.argv[2])) for _ in range(int(sys.argv[3]))))
+"""
+
+
+@pytest.mark.process
+def test_producers_in_several_processes_never_take_the_same_number(arm_name):
+    producers, requests = 3, 400
+    pair = files.create(files.Identity(arm_name, tuple("abc"), 1, 1))
+    children = [
+        subprocess.Popen(
+            [sys.executable, "-c", PRODUCER, arm_name, str(number), str(requests)],
+            cwd=ROOT,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for number in range(producers)
+    ]
+    for child in children:
+        assert child.stdout.readline() == "ready\n"
+    for child in children:
+        child.stdin.write("go\n")
+        child.stdin.flush()
+    taken = [[int(number) for number in child.communicate()[0].split()] for child in children]
+    assert sorted(itertools.chain(*taken)) == list(range(1, producers * requests + 1))
+    record = pair.command.record
+    assert record["requests_written"][0] == producers * requests
+    owner = {number: index for index, numbers in enumerate(taken) for number in numbers}
+    for request in record["requests"]:
+        assert is_whole(request, layout.REQUEST.itemsize)
+        assert request["goal_id"] == owner[int(request["sequence"])]
+    pair.remove()
+
+
+def test_the_heartbeat(writer):
+    writer.beat(77)
+    assert writer.memory.record["heartbeat_ns"][0] == 77
+    writer.beat()
+    assert writer.memory.record["heartbeat_ns"][0] > 77
+
+
+# --- snapshots ----------------------------------------------------------------------------------------
+
+
+def publish(reader, sequence=2, **words):
+    """A snapshot as the loop would leave it."""
+    record = reader.memory.record
+    for name, value in words.items():
+        record["snapshot"][name] = value
+    used = layout.used_bytes(layout.SNAPSHOT, JOINTS)
+    record["snapshot"]["crc"] = zlib.crc32(record["snapshot"].tobytes()[8:used])
+    record["snapshot_sequence"][0] = sequence
+
+
+def test_a_snapshot_is_a_copy(reader):
+    publish(reader, cycle=5)
+    first = reader.snapshot()
+    publish(reader, sequence=4, cycle=6)
+    assert (first["cycle"], reader.snapshot()["cycle"]) == (5, 6)
+
+
+def test_joints_that_are_not_there_read_as_zero(reader):
+    reader.memory.record["snapshot"]["joints"]["measured_position_rad"] = 1.5
+    publish(reader)
+    assert reader.snapshot()["joints"]["measured_position_rad"].tolist() == [1.5] * JOINTS + [0.0] * (
+        layout.MAX_JOINTS - JOINTS
+    )
+
+
+@pytest.mark.parametrize("damage", ["odd sequence", "wrong crc"])
+def test_a_snapshot_that_never_becomes_whole_is_an_error(reader, damage, monkeypatch):
+    monkeypatch.setattr(client, "READ_TRIES", 20)
+    publish(reader, cycle=5)
+    if damage == "odd sequence":
+        reader.memory.record["snapshot_sequence"][0] = 3
+    else:
+        reader.memory.record["snapshot"]["cycle"] = 6
+    with pytest.raises(TornRead, match="after 20 tries"):
+        reader.snapshot()
+
+
+def test_results_are_found_by_their_goal(reader):
+    results = reader.memory.record["snapshot"]["results"]
+    results[3]["goal_id"] = 3 + layout.RESULT_SLOTS
+    assert client.find(results, "goal_id", 3 + layout.RESULT_SLOTS) is not None
+    assert client.find(results, "goal_id", 3) is None
+
+
+def test_consumed_records_are_read_from_the_loops_file(reader):
+    reader.memory.record["consumed"]["setpoints"] = 31
+    assert reader.setpoints_consumed() == 31

@@ -1,0 +1,326 @@
+"""The two memory files: built, found, owned, refused, and gone with their owner."""
+
+import errno
+import fcntl
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shm import files, layout
+from shm.errors import AlreadyHeld, NotPermitted, NotRunning, WrongArm, WrongLayout
+from shm.files import Identity
+
+ROOT = Path(__file__).resolve().parents[2]
+ARM_HASH = 0x1234_5678_9ABC
+
+
+def identity(arm):
+    return Identity(arm, ("shoulder", "ellbögen"), ARM_HASH, 8_333_333, 500_000)
+
+
+@pytest.fixture
+def created(arm_name):
+    """The arm's files, held by this process, and nothing left of them afterwards."""
+    pair = files.create(identity(arm_name))
+    yield pair
+    pair.remove()
+
+
+@pytest.fixture
+def swept(arm_name):
+    """An arm name whose files, however they came about, are removed afterwards."""
+    yield arm_name
+    for path in left_of(arm_name):
+        path.rmdir() if path.is_dir() else path.unlink()
+
+
+def left_of(arm):
+    return sorted(files.DIRECTORY.glob(f"rtarm.{arm}.*"))
+
+
+def run_python(program, *arguments):
+    """A Python process of its own that prints a line when it is where the test wants it."""
+    child = subprocess.Popen(
+        [sys.executable, "-c", program, *arguments],
+        cwd=ROOT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    return child
+
+
+def reap(child):
+    child.stdin.close()
+    child.stdout.close()
+    child.wait()
+
+
+HOLD = """
+import sys
+from shm import files
+pair = files.create(files.Identity(sys.argv[1], ("a", "b"), int(sys.argv[2]), 10_000_000))
+print("ready", flush=True)
+sys.stdin.readline()
+pair.remove()
+"""
+
+HOLD_AS_FRONT = """
+import sys
+from shm import files
+memory = files.own_command(sys.argv[1], int(sys.argv[2]))
+print("ready", flush=True)
+sys.stdin.readline()
+"""
+
+
+@pytest.fixture
+def loop_process(swept):
+    """A process that holds the arm's files as a control process does."""
+    child = run_python(HOLD, swept, str(ARM_HASH))
+    assert child.stdout.readline() == "ready\n"
+    yield child
+    child.kill()
+    reap(child)
+
+
+# --- what is created ----------------------------------------------------------------------------------
+
+
+def test_files_are_private_complete_and_described(created, arm_name):
+    for memory, dtype in ((created.state, layout.STATE), (created.command, layout.COMMAND)):
+        status = os.stat(memory.path, follow_symlinks=False)
+        assert stat.S_ISREG(status.st_mode) and stat.S_IMODE(status.st_mode) == 0o600
+        assert status.st_size == dtype.itemsize
+        assert status.st_blocks * 512 >= dtype.itemsize  # every page is there
+        header = memory.record["header"]
+        assert header["magic"] == layout.MAGIC and header["layout_hash"] == layout.layout_hash()
+        assert header["arm_hash"] == ARM_HASH and header["pid"] == os.getpid()
+        assert header["period_ns"] == 8_333_333 and header["bitrate"] == 500_000
+        assert files.arm_name(header) == arm_name
+        assert files.joint_names(header) == ("shoulder", "ellbögen")
+    assert len(left_of(arm_name)) == 2
+
+
+def test_an_orderly_end_leaves_nothing(arm_name):
+    files.create(identity(arm_name)).remove()
+    assert left_of(arm_name) == []
+
+
+def test_a_reader_sees_what_the_loop_writes_and_cannot_write(created, arm_name):
+    memory = files.open_state(arm_name, ARM_HASH)
+    created.state.record["counters"]["cycles"] = 7
+    assert memory.record["counters"]["cycles"] == 7
+    with pytest.raises(ValueError, match="read-only"):
+        memory.record["counters"]["cycles"] = 8
+    memory.close()
+
+
+def test_an_end_does_not_take_a_successors_files_away(arm_name, swept):
+    first = files.create(identity(arm_name))
+    os.unlink(files.state_path(arm_name))  # as if somebody had cleaned up by hand
+    second = files.create(identity(arm_name))
+    first.remove()
+    assert files.running_arms().count(arm_name) == 1
+    second.remove()
+
+
+def test_no_room_is_one_sentence_and_leaves_nothing(arm_name, monkeypatch):
+    def full(fd, start, size):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(NotPermitted, match=f"no room for the {layout.STATE.itemsize} bytes"):
+        files.create(identity(arm_name))
+    assert left_of(arm_name) == []
+
+
+# --- who is refused -----------------------------------------------------------------------------------
+
+
+def test_a_second_loop_is_refused_and_told_who_runs(created, arm_name):
+    before = [path.stat().st_ino for path in left_of(arm_name)]
+    with pytest.raises(AlreadyHeld, match=rf"already running \(pid {os.getpid()}, .*stop that one first"):
+        files.create(identity(arm_name))
+    assert [path.stat().st_ino for path in left_of(arm_name)] == before
+
+
+def test_of_many_loops_that_start_at_once_one_wins(swept):
+    program = f"""
+import sys
+from shm import errors, files
+sys.stdin.readline()
+try:
+    files.create(files.Identity(sys.argv[1], ("a",), {ARM_HASH}, 1))
+    print("won", flush=True)
+    sys.stdin.readline()
+except errors.AlreadyHeld:
+    print("refused", flush=True)
+"""
+    stale = files.create(identity(swept))  # a dead loop's file is in the way
+    stale.state.close()
+    stale.command.close()
+    children = [run_python(program, swept) for _ in range(4)]
+    for child in children:
+        child.stdin.write("go\n")
+        child.stdin.flush()
+    answers = [child.stdout.readline().strip() for child in children]
+    for child in children:
+        child.kill()
+        reap(child)
+    assert sorted(answers) == ["refused"] * 3 + ["won"]
+    assert [path.name.rsplit(".", 1)[-1] for path in left_of(swept)] == ["command", "state", "prev"]
+
+
+def test_no_loop_is_said_so(arm_name):
+    with pytest.raises(NotRunning, match=rf"No control process is running for arm '{arm_name}' .*rtarm up"):
+        files.open_state(arm_name)
+    assert files.front_of(arm_name) is None
+
+
+def test_another_layout_is_refused_naming_both(created, arm_name, monkeypatch):
+    theirs = layout.layout_hash()
+    monkeypatch.setattr(layout, "layout_hash", lambda: 0xABC)
+    with pytest.raises(WrongLayout, match=f"layout {theirs:016x}, this rtarm has {0xABC:016x}"):
+        files.open_state(arm_name)
+
+
+@pytest.mark.parametrize("content", [b"", b"short", bytes(layout.STATE.itemsize)], ids=["empty", "short", "zeros"])
+def test_a_file_that_is_not_ours_is_refused(swept, content):
+    path = files.state_path(swept)
+    path.write_bytes(content)
+    path.chmod(0o600)
+    with pytest.raises(WrongLayout):
+        files.open_state(swept)
+
+
+def test_a_file_of_another_size_is_refused(created, arm_name):
+    os.truncate(created.state.path, layout.STATE.itemsize + 8)
+    with pytest.raises(WrongLayout):
+        files.open_state(arm_name)
+
+
+def test_another_configuration_is_refused_naming_both(created, arm_name):
+    with pytest.raises(WrongArm, match=f"{ARM_HASH:016x}, this process has {ARM_HASH + 1:016x}"):
+        files.open_state(arm_name, ARM_HASH + 1)
+    with pytest.raises(WrongArm):
+        files.own_command(arm_name, ARM_HASH + 1)
+
+
+def test_a_file_others_may_read_is_refused(created, arm_name):
+    created.state.path.chmod(0o644)
+    with pytest.raises(NotPermitted, match="mode 644"):
+        files.open_state(arm_name)
+
+
+def test_somebody_elses_file_is_refused(created, arm_name, monkeypatch):
+    monkeypatch.setattr(os, "geteuid", lambda: 4321)
+    with pytest.raises(NotPermitted, match=r"owned by uid \d+"):
+        files.open_state(arm_name)
+
+
+def test_links_are_never_followed(swept, tmp_path):
+    target = tmp_path / "target"
+    target.write_bytes(b"precious")
+    files.state_path(swept).symlink_to(target)
+    for attempt in (lambda: files.open_state(swept), lambda: files.create(identity(swept))):
+        with pytest.raises(NotPermitted, match="never links"):
+            attempt()
+    assert target.read_bytes() == b"precious"
+    assert left_of(swept) == [files.state_path(swept)]
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+def test_what_is_no_file_is_refused_without_waiting(swept, make):
+    make(files.state_path(swept), 0o600)
+    with pytest.raises(NotPermitted):
+        files.open_state(swept)
+
+
+# --- who owns what, and what a death leaves ------------------------------------------------------------
+
+
+def test_a_killed_loop_lets_go_and_its_state_is_kept(loop_process, swept):
+    assert files.running_arms().count(swept) == 1
+    reader = files.open_state(swept)
+    loop_process.kill()
+    loop_process.wait()
+    assert not files.is_held(reader.fd)
+    reader.close()
+    with pytest.raises(NotRunning, match=rf"\(pid {loop_process.pid}\) is gone without an orderly end"):
+        files.open_state(swept)
+    assert swept not in files.running_arms()
+    successor = files.create(identity(swept))
+    kept = files.state_path(swept).with_name(f"rtarm.{swept}.state.prev")
+    header = np.fromfile(kept, layout.HEADER, count=1)[0]
+    assert header["pid"] == loop_process.pid
+    assert successor.state.record["header"]["pid"] == os.getpid()
+    successor.remove()
+    assert left_of(swept) == [kept]
+
+
+def test_a_reader_of_a_dead_loop_keeps_its_pages(loop_process, swept):
+    reader = files.open_state(swept)
+    loop_process.kill()
+    loop_process.wait()
+    successor = files.create(identity(swept))
+    assert reader.record["header"]["pid"] == loop_process.pid
+    reader.close()
+    successor.remove()
+
+
+def test_one_front_at_a_time(created, arm_name):
+    front = files.own_command(arm_name, ARM_HASH)
+    front.record["heartbeat_ns"][0] = 42
+    assert files.front_of(arm_name) == (os.getpid(), 42)
+    with pytest.raises(AlreadyHeld, match=f"Another front already serves arm '{arm_name}'"):
+        files.own_command(arm_name, ARM_HASH)
+    files.open_command(arm_name).close()  # requests need no ownership
+    front.close()
+    assert files.front_of(arm_name) is None
+    files.own_command(arm_name, ARM_HASH).close()
+
+
+def test_a_killed_front_lets_go(created, arm_name):
+    child = run_python(HOLD_AS_FRONT, arm_name, str(ARM_HASH))
+    assert child.stdout.readline() == "ready\n"
+    assert files.front_of(arm_name) == (child.pid, 0)
+    child.kill()
+    reap(child)
+    assert files.front_of(arm_name) is None
+    files.own_command(arm_name, ARM_HASH).close()
+
+
+def test_closing_lets_go_even_while_a_view_lives(created, arm_name):
+    front = files.own_command(arm_name, ARM_HASH)
+    view = front.record["header"]
+    front.close()
+    assert files.front_of(arm_name) is None
+    assert view["arm_hash"] == ARM_HASH
+
+
+def test_files_aside_of_killed_builders_are_removed_and_of_living_ones_kept(swept):
+    path = files.state_path(swept)
+    abandoned, living = (path.with_name(f"{path.name}.{n}.new") for n in (1, 2))
+    abandoned.touch(0o600)
+    with living.open("w") as builder:
+        fcntl.flock(builder, fcntl.LOCK_EX)
+        pair = files.create(identity(swept))
+        assert not abandoned.exists() and living.exists()
+        pair.remove()
+
+
+def test_asking_who_lives_never_makes_a_starting_loop_fail(swept, monkeypatch):
+    """`is_held` takes the lock for a moment; a loop that starts in it waits instead of giving up."""
+    dead = files.create(identity(swept))
+    dead.state.close()
+    dead.command.close()
+    with files.state_path(swept).open() as curious:
+        fcntl.flock(curious, fcntl.LOCK_SH)
+        monkeypatch.setattr(files.time, "sleep", lambda seconds: fcntl.flock(curious, fcntl.LOCK_UN))
+        files.create(identity(swept)).remove()

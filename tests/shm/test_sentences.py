@@ -1,0 +1,47 @@
+"""Every number has its sentence, and every sentence says what, with which value, and what to do."""
+
+import pytest
+
+from shm import sentences
+from shm.words import Answer, Fault, Mode, Outcome, Unreferenced
+
+TABLES = {
+    Outcome: sentences.OUTCOMES,
+    Fault: sentences.FAULTS,
+    Unreferenced: sentences.UNREFERENCED,
+    Answer: sentences.ANSWERS,
+}
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_every_member_has_a_row(kind):
+    assert set(TABLES[kind]) == set(kind)
+
+
+@pytest.mark.parametrize("member", [m for kind in TABLES for m in kind], ids=lambda m: f"{type(m).__name__}.{m.name}")
+def test_each_sentence_is_one_and_fills_in(member):
+    text = sentences._say(TABLES[type(member)], type(member), int(member), "joint2", 0.1312, 0.1)
+    assert text.endswith(".") and ". " not in text and "{" not in text
+    bad_news = member not in (Outcome.NONE, Fault.NONE, Answer.NONE, Answer.DONE, Unreferenced.REFERENCED)
+    if bad_news:
+        row = TABLES[type(member)][member]
+        assert row.reason.endswith(".") and row.remedy.endswith(".")
+
+
+def test_the_values_are_in_the_sentence():
+    text = sentences.outcome_sentence(Outcome.PATH_TOLERANCE, "joint2", 0.1312, 0.1)
+    assert "joint2 was 0.1312 rad from its setpoint and 0.1000 rad are allowed" in text
+
+
+def test_a_mode_is_written_by_name():
+    text = sentences.outcome_sentence(Outcome.REFUSED_MODE, "", float(Mode.BRINGING_UP))
+    assert "while it is bringing up" in text
+
+
+def test_an_unknown_number_is_said_and_not_hidden():
+    assert "Unknown outcome 99" in sentences.outcome_sentence(99)
+
+
+def test_joint_names():
+    assert sentences.joint_name(1, ["a", "b"]) == "b"
+    assert sentences.joint_name(-1, ["a", "b"]) == "no joint"

@@ -1,0 +1,589 @@
+"""The simulated ZDT drive against the byte examples and the behaviour of the facts (zdt-emm-v5.md)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from sim.bus import Frame
+from sim.drives.ramp import GRAINS_PER_REVOLUTION as TURN
+from sim.drives.zdt import Homing, Settings
+
+EE = "00 EE 6B"
+TO_2_TURNS = "FD 00 00 64 00 00 00 19 00 01 00 6B"  # 100 rpm, no ramp, absolute 6400 pulses
+
+
+@pytest.mark.parametrize(
+    ("request_hex", "answer"),
+    [
+        ("F3 AB 01 00 6B", ["F3 02 6B"]),
+        ("F3 AB 00 00 6B", ["F3 02 6B"]),
+        ("F6 01 05 DC 0A 00 6B", ["F6 02 6B"]),
+        ("FD 01 0F A0 00 00 01 FA 00 00 00 6B", ["FD 02 6B"]),
+        ("F1 03 20 64 00 00 6B", ["F1 02 6B"]),
+        ("FC 00 00 0C 80 6B", ["FC E2 6B"]),  # before the first F1
+        ("FE 98 00 6B", ["FE 02 6B"]),
+        ("93 88 01 6B", ["93 02 6B"]),
+        ("9A 02 00 6B", ["9A 02 6B"]),
+        ("9A 00 00 6B", ["9A 12 6B"]),  # already at zero
+        ("9C 48 6B", ["9C E2 6B"]),  # not homing
+        ("3B 6B", ["3B 03 6B"]),
+        ("4C AE 01 00 00 00 1E 00 00 27 10 01 2C 03 20 00 3C 00 6B", ["4C 02 6B"]),
+        ("22 6B", ["22 00 00 00 1E 00 00 27", "1: 22 10 01 2C 03 20 00 3C", "2: 22 00 6B"]),
+        ("1F 6B", ["1F 00 C8 00 6F 6B"]),
+        ("20 6B", ["20 04 7A 0D 28 6B"]),
+        ("21 6B", ["21 00 00 46 50 00 00 00", "1: 21 0A 00 00 46 50 6B"]),
+        ("24 6B", ["24 2E E0 6B"]),
+        ("26 6B", ["26 00 C8 6B"]),
+        ("27 6B", ["27 02 73 6B"]),
+        ("31 6B", ["31 00 00 6B"]),
+        ("35 6B", ["35 00 00 00 6B"]),
+        ("36 6B", ["36 00 00 00 00 00 6B"]),
+        ("37 6B", ["37 00 00 00 00 00 6B"]),
+        ("39 6B", ["39 01 19 6B"]),
+        ("3A 6B", ["3A 03 6B"]),
+        ("3C 6B", ["3C 03 03 6B"]),
+        ("15 6B", ["15 01 6B"]),
+        ("16 6B", ["16 00 00 00 00 6B"]),
+        ("0A 6D 6B", ["0A 02 6B"]),
+        ("0E 52 6B", ["0E E2 6B"]),  # no protection active
+        ("50 00 6B", ["50 02 6B"]),
+        ("AE 4B 01 01 6B", ["AE 02 6B"]),
+        ("84 8A 01 20 6B", ["84 02 6B"]),
+        ("44 33 00 04 B0 6B", ["44 02 6B"]),
+        ("45 66 00 0B B8 6B", ["45 02 6B"]),
+        ("46 69 00 01 6B", ["46 02 6B"]),
+        ("68 38 01 00 00 13 88 6B", ["68 02 6B"]),
+        ("11 18 3A 00 0A 6B", ["11 02 6B"]),
+        ("FF 66 6B", ["FF 02 6B"]),
+    ],
+)
+def test_golden_requests(bench, request_hex, answer):
+    assert bench.ask(request_hex) == answer
+
+
+def test_configuration_block_as_in_the_manual(bench):
+    assert bench.ask("42 6C 6B") == [
+        "42 21 15 19 02 02 02 00",
+        "1: 42 10 01 00 03 E8 0B B8",
+        "2: 42 0F A0 05 07 01 00 01",
+        "3: 42 01 00 28 09 60 0F A0",
+        "4: 42 00 01 6B",
+    ]
+
+
+def test_everything_at_once_one_turn_back(make_bench):
+    bench = make_bench(position_pulses=-3200)
+    bench.send("43 7A 6B")
+    assert bench.heard() == [
+        "43 1F 09 2E E0 02 73 00",
+        "1: 43 00 01 00 01 00 00 00",
+        "2: 43 00 00 01 00 01 00 00",
+        "3: 43 00 00 00 00 00 03 03",
+        "4: 43 6B",
+    ]
+
+
+def test_positions_one_turn_back_as_in_the_manual(make_bench):
+    bench = make_bench(position_pulses=-3200)
+    assert bench.ask("32 6B") == ["32 01 00 00 0C 80 6B"]
+    assert bench.ask("33 6B") == ["33 01 00 01 00 00 6B"]
+    assert bench.ask("34 6B") == ["34 01 00 01 00 00 6B"]
+    assert bench.ask("36 6B") == ["36 01 00 01 00 00 6B"]
+
+
+def test_speed_reading_as_in_the_manual(bench):
+    bench.ask("F6 01 05 DC 00 00 6B")
+    assert bench.ask("35 6B") == ["35 01 05 DC 6B"]
+
+
+def test_the_manual_position_move_ends_40_turns_and_a_half_back(bench):
+    bench.ask("FD 01 0F A0 00 00 01 FA 00 00 00 6B")
+    bench.wait(5000)
+    assert bench.ask("32 6B") == ["32 01 00 01 FA 00 6B"]
+    assert bench.drive.position_counts == -129_536 * 65536 // 3200
+
+
+def test_power_up_status_is_the_manuals_sample(make_bench):
+    bench = make_bench(homed=False, position_pulses=12345)
+    assert bench.ask("3A 6B") == ["3A 83 6B"]
+    assert bench.ask("36 6B") == ["36 00 00 00 00 00 6B"]
+    assert bench.ask("50 00 6B") == ["50 02 6B"]
+    assert bench.ask("3A 6B") == ["3A 03 6B"]
+
+
+# --- framing --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "request_hex",
+    [
+        "36 6C",  # checksum
+        "36",  # no checksum
+        "6B",
+        "36 00 6B",  # too long
+        "F3 AB 01 6B",  # too short
+        "F3 AA 01 00 6B",  # argument
+        "43 7B 6B",
+        "7E 6B",  # unknown
+        "A6 69 00 01 6B",  # one manual's misprint of 46
+        "FD 01 0F A0 00 00 01 FA 00 00 00 6A",
+        "FD 01 0F A0 00 00 01 FA 00 00 6B",
+        "FD 01 0F A0 00 00 01 FA 00 00 00 00 6B",
+        "FD 01 0F A0 00 6B",
+        "48 D1 00 6B",
+    ],
+)
+def test_format_errors_change_nothing(bench, request_hex):
+    assert bench.ask(request_hex) == [EE]
+    assert not bench.drive.moving
+    assert bench.ask("36 6B") == ["36 00 00 00 00 00 6B"]
+
+
+def test_empty_frame_is_a_format_error(bench):
+    bench.frame(Frame(0x100, b""))
+    assert bench.heard() == [EE]
+
+
+def test_second_packet_without_the_first(bench):
+    bench.frame(Frame(0x101, bytes.fromhex("FD 00 01 00 6B")))
+    assert bench.heard() == [EE]
+
+
+def test_lost_second_packet_then_a_whole_command(bench):
+    bench.packets([bytes.fromhex("FD 00 00 64 00 00 00 19")])
+    bench.send(TO_2_TURNS)
+    assert bench.heard() == [EE, "FD 02 6B"]
+    bench.wait(3000)
+    assert bench.drive.position_counts == 2 * 65536
+
+
+def test_another_command_between_the_packets_breaks_it(bench):
+    bench.packets([bytes.fromhex("FD 00 00 64 00 00 00 19")])
+    assert bench.ask("36 6B") == [EE, "36 00 00 00 00 00 6B"]
+    bench.frame(Frame(0x101, bytes.fromhex("FD 00 01 00 6B")))
+    assert bench.heard() == [EE]
+    assert not bench.drive.moving
+
+
+@pytest.mark.parametrize(
+    "second",
+    [
+        Frame(0x102, bytes.fromhex("FD 00 01 00 6B")),  # number skipped
+        Frame(0x101, bytes.fromhex("FE 00 01 00 6B")),  # another function
+        Frame(0x101, bytes.fromhex("FD 00 01 00")),  # no checksum
+        Frame(0x101, b""),
+    ],
+)
+def test_wrong_second_packets(bench, second):
+    bench.packets([bytes.fromhex("FD 00 00 64 00 00 00 19")])
+    bench.frame(second)
+    assert bench.heard() == [EE]
+    assert not bench.drive.moving
+
+
+def test_checksum_in_every_packet_is_refused(bench):
+    bench.packets([bytes.fromhex("FD 00 00 64 00 00 00 6B"), bytes.fromhex("FD 19 00 01 00 6B")])
+    assert bench.heard() == [EE]
+
+
+def test_standard_remote_and_foreign_frames_meet_silence(bench):
+    read = bytes.fromhex("36 6B")
+    for frame in (
+        Frame(0x100, read, extended=False),
+        Frame(0x100, read, remote=True),
+        Frame(0x200, read),
+        Frame(0x10000, read),
+        Frame(0x1FFFFFFF, read),
+    ):
+        bench.frame(frame)
+    assert bench.heard() == []
+
+
+def test_broadcasts_are_obeyed_silently_but_address_1_answers_the_trigger(make_bench):
+    for address, answers in ((1, ["FF 02 6B"]), (2, [])):
+        bench = make_bench(settings=Settings(address=address))
+        bench.send("F6 00 00 64 00 00 6B", address=0)
+        bench.send("36 6B", address=0)
+        bench.send("7E 6B", address=0)
+        assert bench.heard() == []
+        assert bench.drive.moving
+        bench.send("FF 66 6B", address=0)
+        assert bench.heard() == answers
+
+
+def test_who_is_there(make_bench):
+    bench = make_bench(settings=Settings(address=9))
+    bench.send("15 6B", address=0)
+    ((ready_ns, frame),) = bench.drive.outbox
+    assert frame == Frame(0x900, bytes.fromhex("15 09 6B"))
+    assert 200_000 <= ready_ns <= 400_000
+
+
+# --- motion ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("mode", "pulses"), [(0, 1600 + 3200), (1, 3200), (2, 800 + 3200)])
+def test_modes_relative_absolute_and_measured(bench, mode, pulses):
+    bench.ask("FD 00 00 3C 00 00 00 06 40 01 00 6B")  # 1600 pulses at 60 rpm take 500 ms
+    bench.wait(250)
+    bench.ask(f"FD 00 00 3C 00 00 00 0C 80 {mode:02X} 00 6B")
+    bench.wait(5000)
+    assert bench.drive.position_counts == pulses * 65536 // 3200
+
+
+def test_fast_position_moves_as_set_up(bench):
+    bench.ask("F1 03 20 64 00 00 6B")
+    for turns in (1, 2):
+        assert bench.ask("FC 00 00 0C 80 6B") == ["FC 02 6B"]
+        bench.wait(10_000)
+        assert bench.drive.position_counts == turns * 65536
+    bench.ask("F1 03 20 64 01 00 6B")
+    bench.ask("FC FF FF F3 80 6B")
+    bench.wait(10_000)
+    assert bench.drive.position_counts == -65536
+
+
+def test_speed_is_clamped_by_firmware(make_bench):
+    for firmware, limit in (("new", 6000), ("old", 3000)):
+        bench = make_bench(firmware=firmware)
+        bench.ask("F6 00 FF FF 00 00 6B")
+        bench.wait(1)
+        assert bench.drive.shaft.speed_at(bench.now_ns) == limit
+
+
+@pytest.mark.parametrize(
+    "request_hex",
+    [
+        "FD 02 00 64 00 00 00 19 00 01 00 6B",  # direction
+        "FD 00 00 64 00 00 00 19 00 03 00 6B",  # mode
+        "FD 00 00 64 00 00 00 19 00 01 02 6B",  # sync
+        "F6 02 00 64 00 00 6B",
+        "F3 AB 02 00 6B",
+        "9A 04 00 6B",
+        "AE 4B 00 00 6B",
+        "46 69 00 02 6B",
+        "11 18 7E 00 0A 6B",
+        "11 18 43 00 0A 6B",
+        "4C AE 00 09 00 00 1E 00 00 27 10 01 2C 03 20 00 3C 00 6B",
+    ],
+)
+def test_bad_parameters(bench, request_hex):
+    assert bench.ask(request_hex) == [request_hex[:2] + " E2 6B"]
+    assert not bench.drive.moving
+
+
+def test_disabled_drive_refuses_and_does_not_move(bench):
+    bench.ask("F3 AB 00 00 6B")
+    assert bench.ask(TO_2_TURNS) == ["FD E2 6B"]
+    assert bench.ask("F6 00 00 64 00 00 6B") == ["F6 E2 6B"]
+    assert bench.ask("9A 02 00 6B") == ["9A E2 6B"]
+    assert bench.ask("3A 6B") == ["3A 02 6B"]
+    bench.wait(1000)
+    assert bench.drive.position_counts == 0
+
+
+def test_released_in_motion_it_coasts_and_counts(bench):
+    bench.ask("F6 00 00 64 00 00 6B")
+    bench.wait(100)
+    before = bench.drive.position_counts
+    bench.ask("F3 AB 00 00 6B")
+    bench.wait(1000)
+    coasted = (bench.drive.position_counts - before) / 65536
+    assert coasted == pytest.approx(100 / 60 * 0.1 / 2, rel=0.05)
+    bench.ask("F3 AB 01 00 6B")
+    assert bench.drive.target_counts == bench.drive.position_counts
+    assert bench.ask("3A 6B") == ["3A 03 6B"]
+
+
+def test_stop_is_at_once_and_makes_the_position_the_target(bench):
+    bench.ask("F6 00 05 DC 00 00 6B")
+    bench.wait(123)
+    bench.ask("FE 98 00 6B")
+    there = bench.drive.position_counts
+    bench.wait(500)
+    assert bench.drive.position_counts == bench.drive.target_counts == there
+    assert bench.ask("3A 6B") == ["3A 03 6B"]
+
+
+def test_synchronous_start_takes_the_latest(bench):
+    assert bench.ask("FD 00 00 64 00 00 00 19 00 01 01 6B") == ["FD 02 6B"]
+    bench.ask("FD 00 00 64 00 00 00 0C 80 01 01 6B")
+    bench.wait(1000)
+    assert bench.drive.position_counts == 0
+    assert bench.ask("FF 66 6B") == ["FF 02 6B"]
+    bench.wait(3000)
+    assert bench.drive.position_counts == 65536
+    bench.ask("FE 98 00 6B")
+    bench.ask("FF 66 6B")
+    assert not bench.drive.moving
+
+
+def test_old_firmware_may_refuse_retargeting(make_bench):
+    bench = make_bench(firmware="old", retarget="reject")
+    assert bench.ask(TO_2_TURNS) == ["FD 02 6B"]
+    assert bench.ask(TO_2_TURNS) == ["FD E2 6B"]
+    bench.wait(3000)
+    assert bench.ask(TO_2_TURNS) == ["FD 02 6B"]
+
+
+def test_old_firmware_knows_less(make_bench):
+    bench = make_bench(firmware="old", homed=False)
+    assert bench.ask("1F 6B") == ["1F 7D 6F 6B"]
+    assert bench.ask("21 6B") == ["21 00 00 F2 30 00 00 00", "1: 21 64 00 00 F2 30 6B"]
+    assert bench.ask("3A 6B") == ["3A 03 6B"]  # no bit for lost power
+    for request_hex in ("F1 03 20 64 00 00 6B", "FC 00 00 0C 80 6B", "26 6B", "39 6B", "3C 6B", "15 6B",
+                        "16 6B", "50 00 6B", "68 38 01 00 00 13 88 6B", "11 18 3A 00 0A 6B"):  # fmt: skip
+        assert bench.ask(request_hex) == [EE]
+    assert bench.ask("FD 00 00 64 00 00 00 19 00 02 00 6B") == ["FD E2 6B"]  # no mode 02
+
+
+@pytest.mark.parametrize(
+    ("response", "acknowledged", "completed", "stop_acknowledged"),
+    [(0, False, False, False), (1, True, False, True), (2, False, True, False), (3, True, True, True),
+     (4, False, True, True)],
+)  # fmt: skip
+def test_response_modes(make_bench, response, acknowledged, completed, stop_acknowledged):
+    bench = make_bench(settings=Settings(response=response))
+    assert bench.ask(TO_2_TURNS) == (["FD 02 6B"] if acknowledged else [])
+    bench.wait(2000)
+    assert bench.heard() == (["FD 9F 6B"] if completed else [])
+    bench.wait(2000)
+    assert bench.ask("FE 98 00 6B") == (["FE 02 6B"] if stop_acknowledged else [])
+    assert bench.ask("36 6B") == ["36 00 00 02 00 00 6B"]
+    assert bench.ask("36 6C") == [EE]
+
+
+def test_completion_comes_when_the_target_is_reached_and_only_once(make_bench):
+    bench = make_bench(settings=Settings(response=3))
+    bench.ask(TO_2_TURNS)
+    bench.wait(600)
+    bench.ask("FD 00 00 64 00 00 00 00 00 01 00 6B")
+    bench.wait(599)
+    assert bench.heard() == []
+    bench.wait(5)
+    assert bench.heard() == ["FD 9F 6B"]
+
+
+def test_lagging_shaft_settles_before_it_is_reached(make_bench):
+    bench = make_bench(settings=Settings(response=3), lag_s=0.05)
+    bench.ask(TO_2_TURNS)
+    bench.wait(1205)
+    assert bench.heard() == ["FD 02 6B"] or bench.heard() == []
+    assert not bench.drive.reached
+    bench.wait(1000)
+    assert bench.heard()[-1:] == ["FD 9F 6B"]
+    assert bench.drive.reached
+
+
+# --- settings -------------------------------------------------------------------------------------------
+
+
+def test_block_read_back_and_rewritten_turns_answers_off_in_volatile_memory_only(bench):
+    block = bytearray(bench.body("42 6C 6B")[2:])
+    assert len(block) == 28
+    block[7] = block[16] = 0
+    block[18] = 0  # response mode
+    assert bench.ask(b"\x48\xd1\x00" + bytes(block) + b"\x6b") == ["48 02 6B"]
+    assert bench.ask("FE 98 00 6B") == []
+    assert bench.body("42 6C 6B")[2:] == bytes(replace(Settings(), response=0).pack())
+    bench.drive.power_off(bench.now_ns)
+    bench.drive.power_on(bench.now_ns)
+    assert bench.ask("FE 98 00 6B") == ["FE 02 6B"]
+
+
+def test_block_with_store_survives_power_loss(bench):
+    data = bytearray(Settings(response=3, microstep=32).pack())
+    data[7] = data[16] = 0
+    assert bench.ask(b"\x48\xd1\x01" + bytes(data) + b"\x6b") == ["48 02 6B"]
+    bench.drive.power_off(bench.now_ns)
+    bench.drive.power_on(bench.now_ns)
+    assert bench.body("42 6C 6B")[2:] == Settings(response=3, microstep=32).pack()
+
+
+def test_block_with_impossible_values_is_refused(bench):
+    data = bytearray(Settings(response=9).pack())
+    assert bench.ask(b"\x48\xd1\x00" + bytes(data) + b"\x6b") == ["48 E2 6B"]
+
+
+def test_microsteps_change_what_a_pulse_is(bench):
+    bench.ask("84 8A 00 20 6B")
+    bench.ask(TO_2_TURNS)
+    bench.wait(3000)
+    assert bench.drive.position_counts == 65536
+    bench.ask("84 8A 00 00 6B")
+    assert bench.drive.settings.pulses_per_revolution == 51_200
+
+
+def test_new_address(bench):
+    assert bench.ask("AE 4B 01 07 6B") == ["AE 02 6B"]
+    assert bench.ask("36 6B") == []
+    bench.send("36 6B", address=7)
+    assert bench.drive.outbox[0][1].can_id == 0x700
+
+
+def test_zeroing_moves_the_count_not_the_shaft(bench):
+    bench.ask(TO_2_TURNS)
+    bench.wait(3000)
+    bench.ask("0A 6D 6B")
+    assert bench.drive.position_counts == bench.drive.target_counts == 0
+    assert bench.drive.shaft.position_at(bench.now_ns) == 2 * TURN
+    bench.ask(TO_2_TURNS)
+    bench.wait(3000)
+    assert bench.drive.shaft.position_at(bench.now_ns) == 4 * TURN
+
+
+def test_watchdog_stops_a_drive_that_hears_nothing(bench):
+    bench.ask("68 38 00 00 00 00 64 6B")
+    bench.ask("F6 00 00 3C 00 00 6B")
+    for _ in range(5):
+        bench.wait(90)
+        bench.ask("3A 6B")
+    assert bench.drive.moving
+    bench.wait(1000)
+    assert not bench.drive.moving
+    assert bench.drive.position_counts == pytest.approx(0.55 * 65536, abs=2)
+
+
+def test_periodic_reports_keep_their_own_clock(bench):
+    bench.ask("11 18 3A 00 0A 6B")
+    bench.ask("11 18 36 00 14 6B")
+    bench.wait(100.5)
+    frames = bench.heard()
+    assert frames.count("3A 03 6B") == 10
+    assert frames.count("36 00 00 00 00 00 6B") == 5
+    bench.ask("11 18 3A 00 00 6B")
+    bench.wait(100)
+    assert bench.heard().count("3A 03 6B") == 0
+
+
+# --- homing, stall, power -------------------------------------------------------------------------------
+
+
+def homing_bench(make_bench, **options):
+    bench = make_bench(
+        position_pulses=3200,
+        homing=Homing(mode=2, direction=1, rpm=60, timeout_ms=5000),
+        settings=Settings(**options),
+    )
+    bench.drive.shaft.low = 0
+    return bench
+
+
+def test_collision_homing_ends_at_the_stop_and_counts_from_there(make_bench):
+    bench = homing_bench(make_bench, response=3)
+    bench.drive.shaft.low = -1600 * TURN // 3200
+    assert bench.ask("9A 02 00 6B") == ["9A 02 6B"]
+    assert bench.ask("3B 6B") == ["3B 07 6B"]
+    assert bench.ask(TO_2_TURNS) == ["FD E2 6B"]
+    bench.wait(1700)
+    assert bench.heard() == ["9A 9F 6B"]
+    assert bench.ask("3B 6B") == ["3B 03 6B"]
+    assert bench.drive.position_counts == bench.drive.target_counts == 0
+    assert bench.drive.shaft.position_at(bench.now_ns) == -TURN // 2
+    assert bench.ask("3A 6B") == ["3A 03 6B"]
+
+
+def test_homing_without_a_stop_fails_after_its_time(bench):
+    bench.ask("9A 02 00 6B")
+    bench.wait(9_999)
+    assert bench.ask("3B 6B") == ["3B 07 6B"]
+    bench.wait(2)
+    assert bench.ask("3B 6B") == ["3B 0B 6B"]
+    assert not bench.drive.moving
+    bench.ask("9A 02 00 6B")
+    assert bench.ask("3B 6B") == ["3B 07 6B"]
+
+
+def test_homing_aborted(make_bench):
+    bench = homing_bench(make_bench)
+    bench.ask("9A 02 00 6B")
+    bench.wait(300)
+    assert bench.ask("9C 48 6B") == ["9C 02 6B"]
+    assert bench.ask("3B 6B") == ["3B 03 6B"]
+    assert not bench.drive.moving
+    bench.ask("9A 02 00 6B")
+    bench.ask("FE 98 00 6B")
+    assert bench.ask("3B 6B") == ["3B 0B 6B"]
+
+
+@pytest.mark.parametrize(("mode", "turns"), [(0, 1), (1, 0)])
+def test_single_turn_homing(make_bench, mode, turns):
+    bench = make_bench(position_pulses=2400, homing=Homing(direction=1))
+    bench.ask(f"9A {mode:02X} 00 6B")
+    bench.wait(3000)
+    assert bench.drive.shaft.position_at(bench.now_ns) == turns * TURN
+    assert bench.drive.position_counts == 0
+    assert bench.ask(f"9A {mode:02X} 00 6B") == ["9A 12 6B"]
+
+
+def test_stall_trips_the_protection_which_can_be_cleared(make_bench):
+    bench = make_bench(settings=Settings(stall_ms=1000))
+    bench.ask("F6 00 00 64 00 00 6B")
+    bench.wait(100)
+    bench.drive.block_shaft(bench.now_ns)
+    held = bench.drive.position_counts
+    bench.wait(20)
+    assert bench.ask("3A 6B") == ["3A 05 6B"]  # enabled, stalled
+    assert bench.drive.position_counts == held
+    bench.wait(1000)
+    assert bench.ask("3A 6B") == ["3A 0B 6B"]  # protection tripped
+    assert bench.ask(TO_2_TURNS) == ["FD E2 6B"]
+    assert bench.ask("0E 52 6B") == ["0E 02 6B"]
+    assert bench.ask(TO_2_TURNS) == ["FD 02 6B"]
+    assert bench.drive.position_counts == held
+
+
+def test_without_stall_protection_the_error_grows(make_bench):
+    bench = make_bench(settings=Settings(stall_mode=0))
+    bench.ask(TO_2_TURNS)
+    bench.drive.block_shaft(bench.now_ns)
+    bench.wait(60_000)
+    assert bench.ask("37 6B") == ["37 00 00 02 00 00 6B"]
+    assert bench.ask("3A 6B") == ["3A 05 6B"]
+
+
+def test_shaft_leaves_a_stop_where_the_ramp_comes_back(make_bench):
+    bench = make_bench(settings=Settings(stall_mode=0))
+    bench.drive.shaft.high = TURN
+    bench.ask(TO_2_TURNS)
+    bench.wait(3000)
+    assert bench.drive.position_counts == 65536
+    assert bench.drive.stalled
+    bench.ask("FD 00 00 64 00 00 00 00 00 01 00 6B")
+    bench.wait(600)
+    assert bench.drive.position_counts == 65536
+    bench.wait(300)
+    assert bench.drive.position_counts == 65536 // 2
+    assert not bench.drive.stalled
+    positions, _ = bench.drive.shaft.history(bench.drive.shaft.changes_ns())
+    assert positions.max() == 1.0
+
+
+def test_power_loss_forgets_position_and_buffers_and_says_so(bench):
+    bench.ask("11 18 3A 00 0A 6B")
+    bench.ask("FD 00 00 64 00 00 00 19 00 01 01 6B")
+    bench.ask("F6 00 00 3C 00 00 6B")
+    bench.wait(1000)
+    bench.heard()
+    bench.drive.power_off(bench.now_ns)
+    assert not bench.drive.listening
+    bench.wait(500)
+    bench.drive.power_on(bench.now_ns)
+    bench.wait(100)
+    assert bench.heard() == []
+    assert bench.ask("3A 6B") == ["3A 83 6B"]
+    assert bench.ask("36 6B") == ["36 00 00 00 00 00 6B"]
+    assert bench.drive.shaft.position_at(bench.now_ns) > TURN
+    bench.ask("FF 66 6B")
+    assert not bench.drive.moving
+
+
+def test_unplugged_drive_says_nothing_and_carries_on(bench):
+    bench.ask(TO_2_TURNS)
+    bench.drive.unplug(bench.now_ns)
+    assert not bench.drive.listening
+    bench.wait(3000)
+    bench.drive.plug_in(bench.now_ns)
+    assert bench.ask("36 6B") == ["36 00 00 02 00 00 6B"]

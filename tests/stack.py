@@ -1,0 +1,143 @@
+"""The whole arm as real processes: simulated drives behind a pseudo-terminal, control process, ROS front."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from queue import Empty, Queue
+
+import yaml
+
+from config.loader import ARMS_FOLDER
+from shm.files import DIRECTORY
+from sim.truth import JointTruth, load_truth
+
+ROOT = Path(__file__).parents[1]
+PATIENCE_S = 60.0
+
+
+class Process:
+    """A module of ours, whose lines are read as they come."""
+
+    def __init__(self, module: str, *arguments: str, needs_ros: bool = False) -> None:
+        environment = dict(os.environ)
+        if not needs_ros:
+            environment["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
+        self.lines: list[str] = []
+        self._queue: Queue[str | None] = Queue()
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            cwd=ROOT,
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        for line in self.process.stdout:
+            self._queue.put(line.rstrip("\n"))
+        self._queue.put(None)
+
+    def line_with(self, text: str) -> str:
+        """The next line that contains a text; fails when the process ends before it says so."""
+        while True:
+            try:
+                line = self._queue.get(timeout=PATIENCE_S)
+            except Empty:
+                raise AssertionError(f"{text!r} never came: {self.lines}") from None
+            assert line is not None, f"{text!r} never came: {self.lines}"
+            self.lines.append(line)
+            if text in line:
+                return line
+
+    def code(self) -> int:
+        """Exit code, once it has ended; all lines are read then."""
+        code = self.process.wait(PATIENCE_S)
+        self._reader.join(PATIENCE_S)
+        while not self._queue.empty():
+            line = self._queue.get()
+            if line is not None:
+                self.lines.append(line)
+        return code
+
+    @property
+    def text(self) -> str:
+        return "\n".join(self.lines)
+
+    def say(self, line: str) -> None:
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGCONT)
+            self.process.terminate()
+            try:
+                self.process.wait(20.0)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+        self._reader.join(PATIENCE_S)
+        self.process.stdin.close()
+        self.process.stdout.close()
+
+
+class Stack:
+    """Simulated arm, control process and front of one arm; each may be started, killed, started again."""
+
+    def __init__(self, name: str, folder: Path, *, start_deg: Sequence[float] | None = None) -> None:
+        self.name = name
+        self.folder = folder
+        self.link = folder / "tty"
+        self.truth_file = folder / "truth.npz"
+        values = yaml.safe_load((ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8"))
+        values["name"] = name
+        values["bus"].pop("usb_index", None)
+        values["bus"]["channel"] = str(self.link)
+        values.setdefault("front", {})["controller_name"] = f"controller_{name}"
+        self.arm_file = folder / f"{name}.yaml"
+        self.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
+        self._start_deg = start_deg
+        self._processes: list[Process] = []
+
+    def start_sim(self, *options: str) -> Process:
+        arguments = ["--arm", str(self.arm_file), "--link", str(self.link), "--truth", str(self.truth_file)]
+        if self._start_deg is not None:
+            arguments.append("--start-deg=" + ",".join(str(angle) for angle in self._start_deg))
+        self.sim = self._keep(Process("sim", *arguments, "--faults-from-stdin", *options))
+        self.sim.line_with("ready")
+        return self.sim
+
+    def start_loop(self, *options: str, ready: bool = True) -> Process:
+        self.loop = self._keep(Process("rtloop", str(self.arm_file), *options))
+        if ready:
+            self.loop.line_with("ready")
+        return self.loop
+
+    def start_front(self) -> Process:
+        self.front = self._keep(Process("rosfront", str(self.arm_file), needs_ros=True))
+        self.front.line_with("ready")
+        return self.front
+
+    def _keep(self, process: Process) -> Process:
+        self._processes.append(process)
+        return process
+
+    def truth(self) -> dict[str, JointTruth]:
+        """The drives' true motion so far, written by the simulated arm when asked."""
+        self.sim.process.send_signal(signal.SIGUSR1)
+        self.sim.line_with("truth")
+        return load_truth(self.truth_file)
+
+    def close(self) -> None:
+        for process in reversed(self._processes):
+            process.close()
+        for left in DIRECTORY.glob(f"rtarm.{self.name}.*"):  # of a killed control process
+            left.unlink()

@@ -1,0 +1,127 @@
+"""The folders are the architecture: who may import whom, and what no file may say."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+ALLOWED_IMPORTS = {
+    "config": set(),
+    "motion": set(),
+    "shm": set(),
+    "rtloop": {"config", "motion", "shm"},
+    "rosfront": {"config", "motion", "shm"},
+    "sim": {"config"},
+    "rtarm": {"config", "motion", "shm", "rtloop", "rosfront", "sim"},
+}
+FORBIDDEN_IMPORTS = {
+    "rtloop": {"rclpy", "control_msgs", "sensor_msgs", "trajectory_msgs", "std_msgs", "std_srvs"},
+    "rosfront": {"numba", "llvmlite", "can"},
+}
+GENERATED_FOLDERS = {"build", "dist", "__pycache__"}
+
+MACHINE_PATHS = re.compile(r"(?<![\w.~])/(?:root|work|opt/python|opt/pypi|opt/wheels|tmp/\w)[\w/.-]*")
+REGISTRIES = re.compile(r"pypi\.org|pythonhosted|npmjs|deb\.debian|index-url|find-links", re.IGNORECASE)
+
+
+def imported_modules(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and full name of everything that a file imports, wherever in the file it does so."""
+    package = path.relative_to(ROOT).with_suffix("").parts[:-1]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            yield node.lineno, ".".join([*base, *(node.module or "").split(".")]).strip(".")
+
+
+def module_names(folder: str) -> list[str]:
+    """Every module of a package that can be imported without running a program."""
+    names = []
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        if all(part.isidentifier() for part in parts) and parts[-1] != "__main__":
+            names.append(".".join(parts).removesuffix(".__init__"))
+    return names
+
+
+def text_files() -> Iterator[tuple[str, str]]:
+    """Path and text of every file of the project but this one."""
+    for directory, folders, files in os.walk(ROOT):
+        folders[:] = [
+            name
+            for name in folders
+            if name not in GENERATED_FOLDERS
+            and not name.endswith(".egg-info")
+            and not (name.startswith(".") and name != ".ci")
+        ]
+        for name in files:
+            path = Path(directory, name)
+            if path == Path(__file__).resolve():
+                continue
+            try:
+                yield str(path.relative_to(ROOT)), path.read_text(encoding="utf-8")
+            except UnicodeDecodeError:
+                continue
+
+
+@pytest.mark.parametrize("folder", ALLOWED_IMPORTS)
+def test_packages_import_only_what_the_layout_allows(folder: str) -> None:
+    refused = (set(ALLOWED_IMPORTS) | {"tests", "bench"}) - ALLOWED_IMPORTS[folder] - {folder}
+    refused |= FORBIDDEN_IMPORTS.get(folder, set())
+    offences = [
+        f"{path.relative_to(ROOT)}:{line} imports {module}"
+        for path in (ROOT / folder).rglob("*.py")
+        for line, module in imported_modules(path)
+        if module.split(".")[0] in refused
+    ]
+    assert offences == []
+
+
+def test_motion_depends_on_nothing_but_numpy() -> None:
+    offences = [
+        f"{path.relative_to(ROOT)}:{line} imports {module}"
+        for path in (ROOT / "motion").rglob("*.py")
+        for line, module in imported_modules(path)
+        if module.split(".")[0] not in {"motion", "numpy", *sys.stdlib_module_names}
+    ]
+    assert offences == []
+
+
+@pytest.mark.parametrize(
+    ("modules", "forbidden"),
+    [
+        pytest.param(module_names("rosfront"), {"numba", "llvmlite", "can"}, id="rosfront"),
+        pytest.param(module_names("rtloop"), {"rclpy"}, id="rtloop"),
+        pytest.param(module_names("rtarm"), {"numba", "rclpy", "can"}, id="rtarm"),
+    ],
+)
+def test_importing_modules_loads_nothing_they_must_live_without(modules: list[str], forbidden: set[str]) -> None:
+    """The same rules for what arrives indirectly, through our own packages or anybody else's."""
+    program = f"import sys, {', '.join(modules)}; print(*sorted({forbidden!r} & set(sys.modules)))"
+    result = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout.strip(), result.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("folder", ALLOWED_IMPORTS)
+def test_packages_are_typed_and_say_what_they_are(folder: str) -> None:
+    assert (ROOT / folder / "py.typed").exists()
+    assert ast.get_docstring(ast.parse((ROOT / folder / "__init__.py").read_text(encoding="utf-8")))
+
+
+@pytest.mark.parametrize("pattern", [MACHINE_PATHS, REGISTRIES], ids=["machine path", "registry"])
+def test_no_file_names_a_machine_or_a_registry(pattern: re.Pattern[str]) -> None:
+    offences = [
+        f"{name}: {match.group()}" for name, text in text_files() if (match := pattern.search(text)) is not None
+    ]
+    assert offences == []

@@ -1,0 +1,219 @@
+"""The control cycle and the simulated arm in virtual time: one object, advanced cycle by cycle.
+
+Real bytes in both directions, the real cycle function, the real bring-up conversation; only time is ours.
+"""
+
+import json
+import math
+import mmap
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from config.loader import load_arm
+from config.schema import ArmConfig
+from rtloop.bringup import BringUp
+from rtloop.cycle import step
+from rtloop.service import ServicePort
+from rtloop.state import new_loop
+from rtloop.wire import received
+from shm import layout
+from shm.client import CommandWriter, StateReader
+from shm.errors import RingFull
+from shm.files import MemoryFile
+from shm.words import Mode
+from sim.arm import SimulatedArm
+
+GOALS = Path(__file__).parent / "data" / "moveit"
+START_NS = 1_000_000_000
+
+
+def private_file(dtype: np.dtype, arm: ArmConfig) -> MemoryFile:
+    """A memory file nobody else can find, with a valid header."""
+    fd = os.memfd_create("rtarm-test")
+    os.truncate(fd, dtype.itemsize)
+    mapped = mmap.mmap(fd, dtype.itemsize)
+    memory = MemoryFile(Path("memfd"), fd, mapped, np.frombuffer(mapped, dtype, 1))
+    memory.record["header"]["joint_count"] = len(arm.joints)
+    return memory
+
+
+def recorded_goal(name: str) -> dict[str, np.ndarray]:
+    """times_ns (n,), joints (n, 6, 3) of a recorded MoveIt goal."""
+    points = json.loads((GOALS / f"{name}.json").read_text())["trajectory"]["points"]
+    times = [p["time_from_start"]["sec"] * 10**9 + p["time_from_start"]["nanosec"] for p in points]
+    joints = [[p["positions"], p["velocities"], p["accelerations"]] for p in points]
+    return {"times_ns": np.array(times), "joints": np.array(joints).transpose(0, 2, 1).copy()}
+
+
+class VirtualArm:
+    """An arm in virtual time; `cycle()` is one control period."""
+
+    def __init__(
+        self,
+        arm: ArmConfig | str = "episode1",
+        *,
+        start_rad: Sequence[float] | None = None,
+        faults: Sequence[Any] = (),
+        seed: int = 0,
+        jitter_ns: int = 100_000,
+        **sim_options: Any,
+    ) -> None:
+        self.arm = load_arm(arm) if isinstance(arm, str) else arm
+        self.state = private_file(layout.STATE, self.arm)
+        self.command = private_file(layout.COMMAND, self.arm)
+        self.loop = new_loop(self.arm, self.state.address, self.command.address)
+        self.reader = StateReader(self.state)
+        self.writer = CommandWriter(self.command)
+        self.port = ServicePort(self.loop)
+        self.now_ns = START_NS
+        self.random = np.random.default_rng(seed)
+        self.jitter_ns = jitter_ns
+        self.sent: list[tuple[int, bytes]] = []
+        self.told: list[str] = []
+        self.front_alive = True
+        self.pending: list[Callable[[], None]] = []
+        self.sim: SimulatedArm | None = None
+        if self.arm.bus.interface != "mock":
+            self.sim = SimulatedArm(
+                self.arm,
+                start_ns=START_NS,
+                joint_position_rad=start_rad,
+                seed=seed,
+                faults=faults,
+                **sim_options,
+            )
+            self.sim.feed(START_NS, b"C\rS6\rO\r")
+
+    @property
+    def core(self) -> np.void:
+        return self.loop[0]["core"]
+
+    @property
+    def period_ns(self) -> int:
+        return self.arm.control.period_ns
+
+    def listen(self, until_ns: int) -> None:
+        """Push what the adapter sends up to a time into the receive ring, each chunk with its time."""
+        assert self.sim is not None
+        while True:
+            due = self.sim.next_due_ns()
+            at = until_ns if due is None else min(max(due, self.sim.now_ns), until_ns)
+            data = self.sim.collect(at)
+            if data:
+                received.push(self.loop[0], at, np.frombuffer(data, np.uint8), len(data))
+            if due is None or due >= until_ns:
+                break
+        rest = self.sim.collect(until_ns)
+        if rest:
+            received.push(self.loop[0], until_ns, np.frombuffer(rest, np.uint8), len(rest))
+
+    def cycle(self, periods: int = 1) -> None:
+        """Let `periods` periods pass and run one cycle at the end of them."""
+        self.now_ns += periods * self.period_ns
+        if self.sim is not None:
+            self.listen(self.now_ns)
+        if self.front_alive:
+            self.writer.beat(self.now_ns)
+            self._feed_ring()
+        count = step(self.loop[0], self.state.array[0], self.now_ns)
+        if count:
+            data = self.loop[0]["tx"][:count].tobytes()
+            self.core["tx_length"] = 0
+            self.sent.append((self.now_ns, data))
+            if self.sim is not None:
+                at = self.now_ns + int(self.random.integers(0, self.jitter_ns + 1))
+                self.sim.feed(at, data)
+
+    def cycles(self, count: int) -> None:
+        for _ in range(count):
+            self.cycle()
+
+    def until(self, condition: Callable[[], bool], *, at_most_s: float = 30.0) -> None:
+        """Cycle until a condition holds; fails when it does not within virtual seconds."""
+        for _ in range(math.ceil(at_most_s * 1e9 / self.period_ns)):
+            if condition():
+                return
+            self.cycle()
+        raise AssertionError(f"not within {at_most_s} virtual seconds; mode {Mode(int(self.core['mode'])).name}")
+
+    def bring_up(self, *, clears_protection: bool = False, at_most_s: float = 10.0) -> BringUp:
+        talk = BringUp(
+            self.arm,
+            self.port,
+            now_ns=self.now_ns,
+            clears_protection=clears_protection,
+            tell=self.told.append,
+        )
+        self.until(lambda: talk.poll(self.now_ns), at_most_s=at_most_s)
+        self.cycles(2)
+        return talk
+
+    # --- goals
+
+    def _feed_ring(self) -> None:
+        while self.pending:
+            try:
+                self.pending[0]()
+            except RingFull:
+                return
+            self.pending.pop(0)
+
+    def send_goal(
+        self,
+        times_ns: np.ndarray,
+        joints: np.ndarray,
+        *,
+        order: int = 5,
+        end: bool = True,
+        bridge: bool = False,
+        start_ns: int = 0,
+        goal_id: int | None = None,
+        joint_mask: int | None = None,
+        tolerances: Sequence[float] = (0.1, 0.01, 0.05),
+        goal_time_s: float = 0.4,
+    ) -> int:
+        """Announce a goal and queue its records; they enter the ring as room allows."""
+        count = len(self.arm.joints)
+        goal = goal_id if goal_id is not None else self.writer.announced_goal + 1
+        table = np.tile(np.array(tolerances), (count, 1))
+        mask = (1 << count) - 1 if joint_mask is None else joint_mask
+
+        def consumed() -> int:
+            return self.reader.setpoints_consumed()
+
+        self.pending = [lambda: self.writer.announce(goal)]
+        self.pending.append(
+            lambda: self.writer.begin(
+                goal,
+                start_ns=start_ns,
+                joint_mask=mask,
+                goal_time_s=goal_time_s,
+                bridge=bridge,
+                tolerances=table,
+                consumed=consumed(),
+            )
+        )
+        for at, knot in zip(times_ns, joints, strict=True):
+            self.pending.append(lambda at=at, knot=knot: self.writer.knot(goal, int(at), order, knot, consumed()))
+        if end:
+            self.pending.append(lambda: self.writer.end(goal, consumed()))
+        return goal
+
+    def play(self, name: str, **options: Any) -> int:
+        goal = recorded_goal(name)
+        return self.send_goal(goal["times_ns"], goal["joints"], **options)
+
+    def result(self, goal: int) -> np.void:
+        return self.loop[0]["snapshot"]["results"][goal % layout.RESULT_SLOTS]
+
+    def outcome(self, goal: int) -> int:
+        result = self.result(goal)
+        return int(result["outcome"]) if int(result["goal_id"]) == goal else 0
+
+    def close(self) -> None:
+        self.reader.close()
+        self.writer.close()
