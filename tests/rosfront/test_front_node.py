@@ -30,6 +30,8 @@ from rosfront.link import attach  # noqa: E402
 from rosfront.node import FrontNode  # noqa: E402
 from shm.words import Fault, Outcome  # noqa: E402
 
+pytestmark = pytest.mark.process  # a real client, real threads, real time
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -44,6 +46,7 @@ class Stage:
         self.thread = threading.Thread(target=self.front.spin, daemon=True)
         self.thread.start()
         self.client = Client()
+        until(self.serves, "serving")
 
     def new_loop(self):
         position = self.loop.rows["commanded_position_rad"].copy()
@@ -406,7 +409,6 @@ def ended(front):
     return front.returncode, out, err
 
 
-@pytest.mark.process
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT])
 def test_the_process_ends_orderly_in_the_middle_of_a_goal(arm_file, loop, start_front, end):
     loop.start()
@@ -426,7 +428,6 @@ def test_the_process_ends_orderly_in_the_middle_of_a_goal(arm_file, loop, start_
     client.close()
 
 
-@pytest.mark.process
 def test_the_process_waits_for_a_loop_without_a_word(arm_file, start_front):
     front = start_front(arm_file)
     until(lambda: hears_sigterm(front), "a front that has looked for its loop")
@@ -446,7 +447,6 @@ def hears_sigterm(front):
     return bool(int(caught, 16) >> (signal.SIGTERM - 1) & 1)
 
 
-@pytest.mark.process
 def test_the_process_ends_orderly_before_it_is_ready(arm_file, start_front):
     front = start_front(arm_file)
     until(lambda: hears_sigterm(front), "a front that handles signals")
@@ -454,7 +454,6 @@ def test_the_process_ends_orderly_before_it_is_ready(arm_file, start_front):
     assert ended(front) == (0, "", "")
 
 
-@pytest.mark.process
 @pytest.mark.parametrize("ends", [(signal.SIGTERM,) * 3, (signal.SIGINT, signal.SIGTERM)])
 def test_signals_in_quick_succession_are_one(arm_file, loop, start_front, ends):
     loop.start()
@@ -475,7 +474,6 @@ def test_signals_in_quick_succession_are_one(arm_file, loop, start_front, ends):
     client.close()
 
 
-@pytest.mark.process
 def test_what_keeps_the_process_from_serving_is_one_sentence(arm_file, loop, start_front, tmp_path):
     code, out, err = ended(start_front("no_such_arm"))
     assert (code, out) == (1, "") and err.count("\n") == 1 and "no_such_arm" in err
