@@ -64,7 +64,6 @@ def begin_cycle(loop: Loop, shared: Shared, now_ns: int) -> None:
         axis.slip_rad *= 1.0 - min(zdt.ERROR_SHARE_1_S * period_s, 1.0)
         axis.slip_rad += abs(axis.velocity_rad_s) * away_ns * 1e-9
         loop.history_rad[slot * MAX_JOINTS + joint] = axis.position_rad
-        loop.history_rad_s[slot * MAX_JOINTS + joint] = axis.velocity_rad_s
     core.history_next += 1
     shared.counters.cycles = core.cycle
     if gap_ns > GAP_NS:

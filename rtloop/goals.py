@@ -6,12 +6,20 @@ from rtloop import guard, intake
 from rtloop.events import set_result
 from rtloop.modes import change_mode
 from rtloop.trajectory import (
+    due_s,
     end_s,
+    ends_moving,
     enter,
-    first_point_distance,
+    entry_distance,
+    goes_on_past_end,
+    has_arrived,
+    has_bridge,
     in_goal,
     must_brake_for_lack_of_path,
+    rate_while_blending,
+    rate_with_room_to_arrive,
     set_rate,
+    slow_down_to_arrive,
     steer_rate,
 )
 from shm.jit import jit
@@ -33,24 +41,30 @@ def enter_newer_goal(loop: Loop, shared: Shared) -> None:
         if core.now_ns - core.incoming_ns > STARVED_FOR_NS:
             refuse_incoming(loop, shared, Outcome.STARVED, -1, 0.0, 0.0)
         return
-    incoming = loop.paths[core.incoming_path]
-    if incoming.start_ns > core.now_ns:
+    if loop.paths[core.incoming_path].start_ns > core.now_ns:
         return  # what runs may run until then
-    if incoming.bridge == 0:
-        joint, distance = first_point_distance(loop, core.incoming_path)
+    entry_s = due_s(loop, core.incoming_path)
+    if not has_bridge(loop, core.incoming_path, entry_s):
+        joint, distance = entry_distance(loop, core.incoming_path, entry_s)
         if distance > loop.params.start_tolerance_rad:
             refuse_incoming(loop, shared, Outcome.REFUSED_START, joint, distance, loop.params.start_tolerance_rad)
             return
-    if core.mode == Mode.STOPPING and core.ending != Outcome.NONE and not guard.at_rest(loop):
+    if core.mode == Mode.STOPPING and not guard.at_rest(loop):
         return  # a stop that was asked for is finished first
     if core.mode != Mode.HOLDING and core.mode != Mode.EXECUTING and core.mode != Mode.STOPPING:
         return
     if core.speed_scale <= 0.0:
         core.incoming_waits = 1  # paused altogether: nothing starts
         return
-    if enter(loop, core.incoming_path):
+    if enter(loop, core.incoming_path, entry_s):
         start_incoming(loop, shared)
-    elif guard.at_rest(loop):
+        return
+    if loop.paths[core.incoming_path].stream == 1:  # its run-up lies where the arm should be: is that too far away?
+        joint, distance = entry_distance(loop, core.incoming_path, entry_s)
+        if distance > loop.params.start_tolerance_rad:
+            refuse_incoming(loop, shared, Outcome.REFUSED_START, joint, distance, loop.params.start_tolerance_rad)
+            return
+    if guard.at_rest(loop):
         refuse_incoming(loop, shared, Outcome.REFUSED_LIMITS, -1, 0.0, 0.0)
     else:
         core.incoming_waits = 1
@@ -68,14 +82,15 @@ def refuse_incoming(loop: Loop, shared: Shared, outcome: int, joint: int, value:
 def start_incoming(loop: Loop, shared: Shared) -> None:
     core = loop.core
     if core.goal_id != 0:
-        outcome = core.ending if core.ending != Outcome.NONE else Outcome.REPLACED
+        goes_on = core.ending == Outcome.NONE or core.ending == Outcome.RAN_DRY
+        outcome = Outcome.REPLACED if goes_on else core.ending
         set_result(loop, shared, core.goal_id, outcome, core.ending_joint, core.ending_value, core.ending_limit)
     core.goal_id = core.incoming_goal
     core.incoming_goal = 0
     core.incoming_waits = 0
     core.ending = Outcome.NONE
     core.ending_joint = -1
-    core.paused = core.starving = 0
+    core.paused = core.starving = core.arriving = 0
     core.settle_ns = 0
     core.motion_started = 1
     change_mode(loop, shared, Mode.EXECUTING)
@@ -89,7 +104,7 @@ def finish_goal(loop: Loop, shared: Shared) -> None:
     core.ending = Outcome.NONE
     core.ending_joint = -1
     core.ending_value = core.ending_limit = 0.0
-    core.paused = core.starving = 0
+    core.paused = core.starving = core.arriving = 0
     core.settle_ns = 0
     set_rate(loop, 1.0)
     if core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING:
@@ -111,7 +126,9 @@ def steer(loop: Loop, shared: Shared) -> None:
         elif core.closing == 1:
             core.ending = Outcome.SHUTDOWN
     judge_supply(loop)
-    if core.ending != Outcome.NONE and core.ending != Outcome.CANCELED and core.ending != Outcome.STOPPED:
+    if core.ending == Outcome.NONE and has_run_dry(loop):
+        core.ending = Outcome.RAN_DRY
+    if is_told_at_once(core.ending):
         set_result(loop, shared, core.goal_id, core.ending, core.ending_joint, core.ending_value, core.ending_limit)
     if core.own_brake == 1:
         return
@@ -123,14 +140,39 @@ def steer(loop: Loop, shared: Shared) -> None:
         or core.incoming_waits == 1
         or core.fault != Fault.NONE
     )
-    if core.ending != Outcome.NONE and core.mode == Mode.EXECUTING:
+    if core.ending != Outcome.NONE and core.ending != Outcome.RAN_DRY and core.mode == Mode.EXECUTING:
         change_mode(loop, shared, Mode.STOPPING)
+    running = loop.paths[core.active]
+    must_arrive = running.ended == 1 and not goes_on_past_end(loop, core.active)
     if stop:
         steer_rate(loop, 0.0)
-    elif core.clock_s < loop.paths[core.active].blend_s:
-        steer_rate(loop, core.entry_share * core.speed_scale)
-    else:
-        steer_rate(loop, core.speed_scale)
+    elif core.arriving == 0:
+        wanted = rate_while_blending(loop, core.speed_scale)
+        steer_rate(loop, rate_with_room_to_arrive(loop, wanted) if must_arrive else wanted)
+    if must_arrive:
+        slow_down_to_arrive(loop)
+
+
+@jit
+def has_run_dry(loop: Loop) -> bool:
+    """Whether a stream's last point is passed in motion and nothing newer has taken over."""
+    core = loop.core
+    return (
+        loop.paths[core.active].stream == 1
+        and ends_moving(loop, core.active)
+        and core.clock_s >= end_s(loop, core.active)
+    )
+
+
+@jit
+def is_told_at_once(outcome: int) -> bool:
+    """Whether the goal's client hears of its end while the arm still stops; a cancel ends when the arm stands."""
+    return not (
+        outcome == Outcome.NONE
+        or outcome == Outcome.CANCELED
+        or outcome == Outcome.STOPPED
+        or outcome == Outcome.RAN_DRY
+    )
 
 
 @jit
@@ -171,7 +213,10 @@ def judge_goal(loop: Loop, shared: Shared) -> None:
             finish_goal(loop, shared)
         return
     running = loop.paths[core.active]
-    if running.ended == 0 or core.clock_s < max(end_s(loop, core.active), running.blend_s):
+    if goes_on_past_end(loop, core.active):
+        if core.clock_s < max(end_s(loop, core.active), running.entry_s + running.blend_s):
+            return
+    elif not has_arrived(loop):
         return
     if core.settle_ns == 0:
         core.settle_ns = core.now_ns + loop.params.period_ns  # when the last point is the commanded one
@@ -181,28 +226,63 @@ def judge_goal(loop: Loop, shared: Shared) -> None:
 
 @jit
 def judge_arrival(loop: Loop, shared: Shared) -> None:
+    """Success once every joint was measured, at rest on the last point, inside its tolerances; patience ends."""
     core = loop.core
     running = loop.paths[core.active]
-    worst_joint, worst, worst_limit, worst_ratio = -1, 0.0, 0.0, -1.0
-    arrived = True
-    for joint in range(loop.params.joint_count):
-        axis = loop.axes[joint]
-        if not in_goal(loop, core.active, joint):
-            continue
-        if axis.measured_ns < core.settle_ns:
-            arrived = False
-        tolerance = running.tolerances[joint]
-        error = axis.position_rad - axis.measured_rad
-        ratio = abs(error) / tolerance.goal_tolerance_rad if tolerance.goal_tolerance_rad > 0.0 else 0.0
-        if ratio > worst_ratio:
-            worst_joint, worst, worst_limit, worst_ratio = joint, error, tolerance.goal_tolerance_rad, ratio
-        if ratio > 1.0:
-            arrived = False
-        if tolerance.goal_velocity_rad_s > 0.0 and (abs(axis.measured_velocity_rad_s) > tolerance.goal_velocity_rad_s):
-            arrived = False
-    if arrived:
-        set_result(loop, shared, core.goal_id, Outcome.SUCCEEDED, worst_joint, worst, worst_limit)
+    joint, ratio = worst_of_goal(loop, POSITION)
+    fast_joint, fast_ratio = worst_of_goal(loop, VELOCITY)
+    rough_joint, rough_ratio = worst_of_goal(loop, ACCELERATION)
+    within = max(ratio, fast_ratio, rough_ratio) <= 1.0
+    value, limit = goal_error(loop, joint, POSITION)
+    if within and everything_is_measured(loop):
+        set_result(loop, shared, core.goal_id, Outcome.SUCCEEDED, joint, value, limit)
         finish_goal(loop, shared)
     elif running.goal_time_s > 0.0 and (core.now_ns - core.settle_ns) * 1e-9 > running.goal_time_s:
-        set_result(loop, shared, core.goal_id, Outcome.GOAL_TOLERANCE, worst_joint, worst, worst_limit)
+        outcome = Outcome.GOAL_TOLERANCE
+        if ratio <= 1.0 and fast_ratio > 1.0:
+            outcome, joint = Outcome.GOAL_VELOCITY, fast_joint
+            value, limit = goal_error(loop, joint, VELOCITY)
+        elif ratio <= 1.0 and rough_ratio > 1.0:
+            outcome, joint = Outcome.GOAL_ACCELERATION, rough_joint
+            value, limit = goal_error(loop, joint, ACCELERATION)
+        set_result(loop, shared, core.goal_id, outcome, joint, value, limit)
         finish_goal(loop, shared)
+
+
+POSITION = 0
+VELOCITY = 1
+ACCELERATION = 2
+
+
+@jit
+def goal_error(loop: Loop, joint: int, quantity: int) -> tuple[float, float]:
+    """A joint's error at the end of its goal and what is allowed, 0 = anything."""
+    axis, allowed = loop.axes[joint], loop.paths[loop.core.active].goal_tolerances[joint]
+    if quantity == POSITION:
+        return axis.position_rad - axis.measured_rad, allowed.position_rad
+    if quantity == VELOCITY:
+        return axis.measured_velocity_rad_s, allowed.velocity_rad_s
+    return axis.error_acceleration_rad_s2, allowed.acceleration_rad_s2
+
+
+@jit
+def worst_of_goal(loop: Loop, quantity: int) -> tuple[int, float]:
+    """The joint of the goal whose error is the largest share of what is allowed, and that share."""
+    worst_joint, worst = -1, -1.0
+    for joint in range(loop.params.joint_count):
+        if in_goal(loop, loop.core.active, joint):
+            error, allowed = goal_error(loop, joint, quantity)
+            ratio = abs(error) / allowed if allowed > 0.0 else 0.0
+            if ratio > worst:
+                worst_joint, worst = joint, ratio
+    return worst_joint, worst
+
+
+@jit
+def everything_is_measured(loop: Loop) -> bool:
+    """Whether every joint of the goal was measured since its last point is the commanded one."""
+    core = loop.core
+    for joint in range(loop.params.joint_count):
+        if in_goal(loop, core.active, joint) and loop.axes[joint].measured_ns < core.settle_ns:
+            return False
+    return True

@@ -10,6 +10,7 @@ from typing import Any
 from rtloop import status as status_bits
 from rtloop.events import record_event
 from rtloop.faults import latch_fault
+from rtloop.modes import is_limp
 from rtloop.trajectory import in_goal
 from shm.jit import jit
 from shm.words import Event, Fault, Mode, Outcome, Unreferenced
@@ -76,24 +77,52 @@ def check_measured(loop: Loop, shared: Shared) -> None:
                 lose_reference(loop, shared, joint, Unreferenced.SILENT)
                 latch_fault(loop, shared, Fault.STALE_READING, joint, age_ns * 1e-9, params.stale_fault_ns * 1e-9)
                 continue
-        if axis.bad_statuses >= STATUSES_TO_BELIEVE:
+        if axis.bad_statuses >= STATUSES_TO_BELIEVE and not let_go_on_purpose(loop, axis.status):
             if axis.status & status_bits.POWER_LOST:
                 lose_reference(loop, shared, joint, Unreferenced.POWER_LOST)
                 latch_fault(loop, shared, Fault.REFERENCE_LOST, joint, 0.0, 0.0)
                 continue
             latch_fault(loop, shared, Fault.DRIVE_FAULT, joint, float(axis.status), 0.0)
         error = axis.reference_rad - axis.measured_rad
-        if core.goal_id != 0 and core.ending == Outcome.NONE and in_goal(loop, core.active, joint):
-            tolerance = loop.paths[core.active].tolerances[joint].path_tolerance_rad
-            if tolerance > 0.0 and abs(error) > tolerance + axis.slip_rad:
-                core.ending = Outcome.PATH_TOLERANCE
-                core.ending_joint, core.ending_value, core.ending_limit = joint, error, tolerance
+        judge_way(loop, joint)
         if (
             core.motion_started == 1
             and core.rebase_ns == 0
             and (abs(error) > params.following_error_rad + axis.slip_rad)
         ):
             latch_fault(loop, shared, Fault.FOLLOWING_ERROR, joint, error, params.following_error_rad)
+
+
+@jit
+def let_go_on_purpose(loop: Loop, status: int) -> bool:
+    """Whether all that is wrong with a drive is that it holds nothing, as it was told."""
+    return is_limp(loop.core.mode) and status & (status_bits.PROTECTED | status_bits.POWER_LOST) == 0
+
+
+@jit
+def judge_way(loop: Loop, joint: int) -> None:
+    """End a goal whose joint is too far from its setpoint; once the last point is commanded its end is judged."""
+    core, axis = loop.core, loop.axes[joint]
+    if core.goal_id == 0 or core.ending != Outcome.NONE or core.settle_ns != 0 or not in_goal(loop, core.active, joint):
+        return
+    allowed = loop.paths[core.active].tolerances[joint]
+    error = axis.reference_rad - axis.measured_rad
+    velocity_error = axis.reference_velocity_rad_s - axis.measured_velocity_rad_s
+    if allowed.position_rad > 0.0 and abs(error) > allowed.position_rad + axis.slip_rad:
+        end_for(loop, Outcome.PATH_TOLERANCE, joint, error, allowed.position_rad)
+    elif allowed.velocity_rad_s > 0.0 and abs(velocity_error) > allowed.velocity_rad_s:
+        end_for(loop, Outcome.PATH_VELOCITY, joint, velocity_error, allowed.velocity_rad_s)
+    elif allowed.acceleration_rad_s2 > 0.0 and abs(axis.error_acceleration_rad_s2) > allowed.acceleration_rad_s2:
+        limit = allowed.acceleration_rad_s2
+        end_for(loop, Outcome.PATH_ACCELERATION, joint, axis.error_acceleration_rad_s2, limit)
+
+
+@jit
+def end_for(loop: Loop, outcome: int, joint: int, value: float, limit: float) -> None:
+    """Let the running goal end with this outcome once the arm has stopped."""
+    core = loop.core
+    core.ending = outcome
+    core.ending_joint, core.ending_value, core.ending_limit = joint, value, limit
 
 
 @jit

@@ -12,18 +12,19 @@ from typing import Any
 from rtloop.events import answer_request, record_event, set_result
 from rtloop.faults import latch_fault
 from rtloop.guard import at_rest
+from rtloop.modes import change_mode, is_limp
 from rtloop.state import LOOP, WINDOW_KNOTS, offset_of
-from rtloop.trajectory import end_s, slot
+from rtloop.trajectory import due_s, end_s, slot
 from shm import layout
 from shm.atomics import load_acquire, store_release
 from shm.jit import jit
 from shm.seqlock import copy_words, crc32_at
-from shm.words import Answer, Event, Fault, Mode, Outcome, Request, Setpoint
+from shm.words import Answer, Entry, Event, Fault, Mode, Outcome, Request, Setpoint
 
 Loop = Any
 Shared = Any
 
-RECORDS_A_CYCLE = 64
+RECORDS_A_CYCLE = 256
 REQUESTS_A_CYCLE = 4
 REQUESTS_AHEAD = 1_000_000
 CYCLES_TO_BECOME_VISIBLE = 5
@@ -32,6 +33,7 @@ GOALS_AHEAD = 1_000_000
 COVER_S = 1.0
 """A new path may be entered when this much of it is known, or all of it."""
 
+_BRIDGE, _STREAM = int(Entry.BRIDGE), int(Entry.STREAM)
 _ANNOUNCED = offset_of(layout.COMMAND, "announced_goal")
 _SETPOINTS_WRITTEN = offset_of(layout.COMMAND, "setpoints_written")
 _SETPOINTS = offset_of(layout.COMMAND, "setpoints")
@@ -123,7 +125,7 @@ def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
     if path.torn == 1:
         return True
     if record.kind == Setpoint.END:
-        path.ended = 1
+        _end_goal(loop, shared, path_index)
         return True
     if path.taken - path.segment >= WINDOW_KNOTS - 1:
         if record.goal_id == core.announced_goal:
@@ -148,6 +150,27 @@ SOUND = -2
 
 
 @jit
+def _finite(row: Any) -> bool:
+    """Whether all three numbers of a record's joint are numbers."""
+    return (
+        math.isfinite(row.position_rad) and math.isfinite(row.velocity_rad_s) and math.isfinite(row.acceleration_rad_s2)
+    )
+
+
+@jit
+def _end_goal(loop: Loop, shared: Shared, path_index: int) -> None:
+    """No knot follows; the record in the scratch says what is allowed at the end."""
+    path = loop.paths[path_index]
+    for joint in range(loop.params.joint_count):
+        row = loop.scratch.joints[joint]
+        if not _finite(row):
+            _refuse_knot(loop, shared, joint, row.position_rad, 0.0)
+            return
+        path.goal_tolerances[joint] = row
+    path.ended = 1
+
+
+@jit
 def _wrong_knot(loop: Loop, path_index: int) -> tuple[int, float, float]:
     """(SOUND, …) for a knot that may be used, else the joint (-1: the record), the value and its limit."""
     record = loop.scratch
@@ -164,7 +187,7 @@ def _wrong_knot(loop: Loop, path_index: int) -> tuple[int, float, float]:
             continue
         row, knot = loop.joints[joint], record.joints[joint]
         p, v, a = knot.position_rad, knot.velocity_rad_s, knot.acceleration_rad_s2
-        if not (math.isfinite(p) and math.isfinite(v) and math.isfinite(a)):
+        if not _finite(knot):
             return joint, p, row.upper_rad
         if p < row.lower_rad - row.slack_rad:
             return joint, p, row.lower_rad
@@ -202,6 +225,9 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
         core.incoming_goal = 0
     core.incoming_waits = 0
     record_event(loop, shared, Event.GOAL, -1, goal_id, 0.0, 0.0)
+    if goal_id == core.canceled_goal:
+        set_result(loop, shared, goal_id, Outcome.CANCELED, -1, 0.0, 0.0)
+        return
     outcome, joint = _wrong_begin(loop)
     if outcome != Outcome.NONE:
         set_result(loop, shared, goal_id, outcome, joint, float(core.mode), 0.0)
@@ -216,8 +242,9 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
     path.start_ns = begin.start_ns
     path.joint_mask = begin.joint_mask
     path.goal_time_s = begin.goal_time_s
-    path.bridge = begin.bridge
-    path.blend_s = 0.0
+    path.bridge = 1 if begin.entry & _BRIDGE else 0
+    path.stream = 1 if begin.entry & _STREAM else 0
+    path.entry_s = path.blend_s = 0.0
     path.torn = 0
     path.taken = 0
     for joint in range(loop.params.joint_count):
@@ -241,26 +268,29 @@ def _wrong_begin(loop: Loop) -> tuple[int, int]:
         if loop.axes[joint].referenced == 0:
             return Outcome.REFUSED_UNREFERENCED, joint
         row = begin.joints[joint]
-        if not (
-            math.isfinite(row.path_tolerance_rad)
-            and math.isfinite(row.goal_tolerance_rad)
-            and math.isfinite(row.goal_velocity_rad_s)
-        ):
+        if not _finite(row):
             return Outcome.REFUSED_CORRUPT, joint
     if begin.joint_mask <= 0 or begin.joint_mask >> loop.params.joint_count != 0:
         return Outcome.REFUSED_CORRUPT, -1
-    if not math.isfinite(begin.goal_time_s) or (begin.bridge != 0 and begin.bridge != 1):
+    if not math.isfinite(begin.goal_time_s) or begin.entry & ~(_BRIDGE | _STREAM) != 0:
         return Outcome.REFUSED_CORRUPT, -1
     return Outcome.NONE, -1
 
 
 @jit
+def known_s(loop: Loop) -> float:
+    """Path time of the newer goal that is known beyond the place at which it would be entered now."""
+    path_index = loop.core.incoming_path
+    return end_s(loop, path_index) - due_s(loop, path_index)
+
+
+@jit
 def incoming_is_ready(loop: Loop) -> bool:
-    """Whether enough of the newer goal is here to enter it."""
+    """Whether enough of the newer goal is here to enter it where it is due."""
     path = loop.paths[loop.core.incoming_path]
     if path.taken <= path.bridge:
         return False  # not one knot of its own
-    return path.ended == 1 or path.taken >= WINDOW_KNOTS // 2 or end_s(loop, loop.core.incoming_path) >= COVER_S
+    return path.ended == 1 or path.taken >= WINDOW_KNOTS // 2 or known_s(loop) >= COVER_S
 
 
 # --- requests -----------------------------------------------------------------------------------------
@@ -318,6 +348,13 @@ def _obey(loop: Loop, shared: Shared) -> int:
             return Answer.REFUSED_MOVING
         core.bring_up_asked = 1
         return Answer.DONE
+    if kind == Request.ENABLE:
+        if not is_limp(core.mode):
+            return Answer.DONE if core.mode == Mode.HOLDING or core.mode == Mode.EXECUTING else Answer.REFUSED_MODE
+        core.bring_up_asked = 1
+        return Answer.DONE
+    if kind == Request.DISABLE or kind == Request.FREE:
+        return _let_go(loop, shared, Mode.DISABLED if kind == Request.DISABLE else Mode.FREE)
     if kind == Request.CANCEL or kind == Request.STOP:
         outcome = Outcome.CANCELED if kind == Request.CANCEL else Outcome.STOPPED
         return _end_goals(loop, shared, request.goal_id, outcome)
@@ -330,10 +367,28 @@ def _obey(loop: Loop, shared: Shared) -> int:
 
 
 @jit
+def _let_go(loop: Loop, shared: Shared, mode: int) -> int:
+    """Let the drives of a standing arm go limp; nothing else ever does."""
+    core = loop.core
+    if core.mode == mode:
+        return Answer.DONE
+    if core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING or core.incoming_goal != 0 or core.rebase_ns != 0:
+        return Answer.REFUSED_MOVING
+    if core.bring_up_asked == 1 or not change_mode(loop, shared, mode):
+        return Answer.REFUSED_MODE
+    core.motion_started = 0
+    core.release_asked = 1
+    return Answer.DONE
+
+
+@jit
 def _end_goals(loop: Loop, shared: Shared, goal_id: int, outcome: int) -> int:
     """End the goal meant (0: every goal), the running one by a stop on its path."""
     core = loop.core
     found = False
+    if goal_id > core.newest_goal:  # a cancel that overtook its goal: requests are taken before setpoints
+        core.canceled_goal = goal_id
+        return Answer.DONE
     if core.incoming_goal != 0 and (goal_id == 0 or goal_id == core.incoming_goal):
         set_result(loop, shared, core.incoming_goal, outcome, -1, 0.0, 0.0)
         core.incoming_goal = 0

@@ -19,6 +19,11 @@ from shm.words import Fault, Mode
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
+SHORTEST_S = 1e-4
+"""Two readings nearer than this say nothing about a velocity."""
+SMOOTHING_S = 0.1
+"""One encoder count differenced twice is more than most acceleration limits; over this time it averages out."""
+
 
 @jit
 def take_what_the_bus_brought(loop: Loop, shared: Shared) -> None:
@@ -87,34 +92,39 @@ def take_position(loop: Loop, shared: Shared, joint: int, counts: int, read_ns: 
     axis.unanswered_since_ns = 0
     if not guard.believable(loop, shared, joint, position_rad, read_ns):
         return
+    reference_rad = commanded_at(loop, joint, read_ns)
     since_s = (read_ns - axis.measured_ns) * 1e-9
-    if axis.readings > 0 and since_s > 1e-4:
+    if axis.readings > 0 and since_s > SHORTEST_S:
+        before = axis.reference_velocity_rad_s - axis.measured_velocity_rad_s
         axis.measured_velocity_rad_s = (position_rad - axis.measured_rad) / since_s
+        axis.reference_velocity_rad_s = (reference_rad - axis.reference_rad) / since_s
+        change = (axis.reference_velocity_rad_s - axis.measured_velocity_rad_s - before) / since_s
+        share = since_s / (since_s + SMOOTHING_S)
+        axis.error_acceleration_rad_s2 += share * (change - axis.error_acceleration_rad_s2)
     axis.measured_rad = position_rad
+    axis.reference_rad = reference_rad
     axis.measured_ns = read_ns
     axis.readings += 1
-    axis.reference_rad, axis.reference_velocity_rad_s = commanded_at(loop, joint, read_ns)
 
 
 @jit
-def commanded_at(loop: Loop, joint: int, time_ns: int) -> tuple[float, float]:
-    """Commanded position and velocity at an instant of the recent past, between the cycles' own."""
+def commanded_at(loop: Loop, joint: int, time_ns: int) -> float:
+    """Commanded position at an instant of the recent past, between the cycles' own."""
     core, axis = loop.core, loop.axes[joint]
     newest = core.history_next - 1
     later_ns = core.now_ns + loop.params.period_ns
-    later, later_v = axis.next_position_rad, axis.next_velocity_rad_s
+    later = axis.next_position_rad
     if core.cycle == core.shown_cycle + 1:  # this cycle's next setpoint is not made yet
         later_ns = core.now_ns
-        later, later_v = axis.position_rad, axis.velocity_rad_s
+        later = axis.position_rad
     for back in range(min(HISTORY_SLOTS, core.history_next)):
         slot = (newest - back) & (HISTORY_SLOTS - 1)
         at_ns = loop.history_ns[slot]
         here = loop.history_rad[slot * MAX_JOINTS + joint]
-        here_v = loop.history_rad_s[slot * MAX_JOINTS + joint]
         if at_ns <= time_ns:
             if later_ns <= at_ns or time_ns >= later_ns:
-                return later, later_v
+                return later
             share = (time_ns - at_ns) / (later_ns - at_ns)
-            return here + share * (later - here), here_v + share * (later_v - here_v)
-        later_ns, later, later_v = at_ns, here, here_v
-    return later, later_v
+            return here + share * (later - here)
+        later_ns, later = at_ns, here
+    return later

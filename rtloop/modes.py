@@ -1,7 +1,8 @@
 """The modes of the control process and the one table of allowed changes.
 
 offline → bringing_up → holding ⇄ executing → stopping → holding
-any of them → fault → bringing_up (an explicit clear brings the drives up again)
+holding → disabled ⇄ free → bringing_up (being enabled brings the drives up again)
+any of them → fault → bringing_up (an explicit clear does too)
 """
 
 from typing import Any
@@ -16,13 +17,21 @@ Shared = Any
 ALLOWED = {
     Mode.OFFLINE: (Mode.BRINGING_UP, Mode.FAULT),
     Mode.BRINGING_UP: (Mode.HOLDING, Mode.FAULT),
-    Mode.HOLDING: (Mode.EXECUTING, Mode.FAULT),
+    Mode.HOLDING: (Mode.EXECUTING, Mode.DISABLED, Mode.FREE, Mode.FAULT),
     Mode.EXECUTING: (Mode.STOPPING, Mode.HOLDING, Mode.FAULT),
     Mode.STOPPING: (Mode.HOLDING, Mode.EXECUTING, Mode.FAULT),
     Mode.FAULT: (Mode.BRINGING_UP,),
+    Mode.DISABLED: (Mode.FREE, Mode.BRINGING_UP, Mode.FAULT),
+    Mode.FREE: (Mode.DISABLED, Mode.BRINGING_UP, Mode.FAULT),
 }
 
 _ALLOWED_BITS = tuple(sum(1 << int(to) for to in ALLOWED[mode]) for mode in Mode)
+
+
+@jit
+def is_limp(mode: int) -> bool:
+    """Whether the drives were let go."""
+    return mode == Mode.DISABLED or mode == Mode.FREE
 
 
 @jit

@@ -76,12 +76,11 @@ def adopt(loop: Loop, joint: int, position_rad: float, reason: int) -> None:
     axis.rpm_remainder = 0.0
     for slot in range(HISTORY_SLOTS):
         loop.history_rad[slot * MAX_JOINTS + joint] = position_rad
-        loop.history_rad_s[slot * MAX_JOINTS + joint] = 0.0
     axis.reference_rad, axis.reference_velocity_rad_s = position_rad, 0.0
     if axis.readings == 0:
         axis.measured_rad = position_rad
         axis.measured_ns = loop.core.now_ns
-    axis.slip_rad = 0.0
+    axis.slip_rad = axis.error_acceleration_rad_s2 = 0.0
     if not outlives_a_clear(axis.unreferenced_reason):
         axis.unreferenced_reason = reason
     axis.referenced = 1 if axis.unreferenced_reason == Unreferenced.REFERENCED else 0

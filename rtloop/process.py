@@ -12,6 +12,7 @@ from config.loader import arm_hash
 from config.schema import ArmConfig
 from rtloop import realtime
 from rtloop.bringup import BringUp
+from rtloop.release import Release
 from rtloop.run import READ_BYTES, read_wire, run
 from rtloop.service import ServicePort
 from rtloop.state import new_loop
@@ -157,7 +158,8 @@ class ControlProcess:
         )
 
     def _supervise(self, ready: Callable[[], None]) -> int:
-        talk: BringUp | None = self._bring_up(clears_protection=False)  # fresh rings have room for its beginning
+        # fresh rings have room for its beginning
+        talk: BringUp | Release | None = self._bring_up(clears_protection=False)
         first = True
         next_epoch_s = time.monotonic()
         closing_until_s = 0.0
@@ -179,6 +181,9 @@ class ControlProcess:
             if talk is None and int(self._core["bring_up_asked"]) == 1:
                 self._core["bring_up_asked"] = 0
                 talk = self._bring_up(clears_protection=True)
+            elif talk is None and int(self._core["release_asked"]) == 1:
+                self._core["release_asked"] = 0
+                talk = Release(self._arm, self._port, now_ns=time.monotonic_ns())
             if not self._threads[0].is_alive():
                 return 3
             if self._stop_asked:

@@ -5,6 +5,7 @@ from typing import Any
 
 from rtloop import guard
 from rtloop.faults import path_is_trusted
+from rtloop.modes import is_limp
 from rtloop.orders import adopt
 from rtloop.state import FAMILY_MOCK
 from rtloop.trajectory import advance_clock, find_knot, path
@@ -29,6 +30,9 @@ def move(loop: Loop, shared: Shared) -> None:
     if core.rebase_ns != 0:
         hold_measured(loop)
         return
+    if is_limp(core.mode):
+        follow_by_hand(loop)
+        return
     if core.own_brake == 0:
         if core.goal_id != 0:
             follow_path(loop)
@@ -47,6 +51,18 @@ def hold(loop: Loop) -> None:
         axis.next_position_rad = axis.position_rad
         axis.next_velocity_rad_s = 0.0
         axis.next_acceleration_rad_s2 = 0.0
+
+
+@jit
+def follow_by_hand(loop: Loop) -> None:
+    """Limp joints are commanded to be where they are, so that nothing pulls when the drives are enabled again."""
+    for joint in range(loop.params.joint_count):
+        axis = loop.axes[joint]
+        if axis.referenced == 1 and axis.readings > 0:
+            axis.position_rad = axis.measured_rad
+            axis.reference_rad, axis.reference_velocity_rad_s = axis.measured_rad, axis.measured_velocity_rad_s
+            axis.difference_velocity_rad_s = axis.error_acceleration_rad_s2 = 0.0
+    hold(loop)
 
 
 @jit

@@ -55,6 +55,7 @@ def show(loop: Loop, shared: Shared) -> None:
     snapshot.trajectory_end_ns = int(end_s(loop, core.active) * 1e9) if running.ended == 1 else -1
     snapshot.speed_scale = core.rate
     snapshot.speed_scale_target = core.rate_target
+    snapshot.speed_scale_asked = core.speed_scale
     snapshot.motion_started = core.motion_started
     for joint in range(params.joint_count):
         axis, shown = loop.axes[joint], snapshot.joints[joint]

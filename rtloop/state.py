@@ -16,7 +16,7 @@ from shm import layout
 from shm.layout import MAX_JOINTS
 from shm.words import Mode, Unreferenced
 
-WINDOW_KNOTS = 1024
+WINDOW_KNOTS = 4096
 """Knots the loop keeps of a trajectory: at least its stopping distance at any sensible spacing."""
 HISTORY_SLOTS = 64
 """Cycles of commanded positions kept, to compare a measurement with the command of its own instant."""
@@ -96,7 +96,8 @@ AXIS = np.dtype(
         ("measured_velocity_rad_s", "f8"),
         ("measured_ns", "i8"),
         ("reference_rad", "f8"),
-        ("reference_velocity_rad_s", "f8"),
+        ("reference_velocity_rad_s", "f8"),  # mean between the last two readings, as measured_velocity_rad_s is
+        ("error_acceleration_rad_s2", "f8"),  # smoothed change of the error in velocity
         ("readings", "i8"),
         ("doubted", "i8"),  # 1: the last reading was implausible and waits for the next one to agree
         ("doubted_rad", "f8"),
@@ -136,7 +137,10 @@ PATH = np.dtype(
         ("joint_mask", "i8"),
         ("goal_time_s", "f8"),
         ("bridge", "i8"),
-        ("tolerances", layout.BEGIN_JOINT, (MAX_JOINTS,)),
+        ("stream", "i8"),
+        ("tolerances", layout.SETPOINT_JOINT, (MAX_JOINTS,)),  # on the way
+        ("goal_tolerances", layout.SETPOINT_JOINT, (MAX_JOINTS,)),  # at the end
+        ("entry_s", "f8"),  # path time at which it was entered, where the blend begins
         ("blend_s", "f8"),  # path time the blend lasts
         ("fade_s", "f8"),  # path time in which its difference in acceleration fades
         ("blends", BLEND, (MAX_JOINTS,)),
@@ -159,6 +163,7 @@ CORE = np.dtype(
         ("rebase_ns", "i8"),  # since when the measured positions wait to be commanded, 0 = they do not
         ("shown_cycle", "i8"),
         ("bring_up_asked", "i8"),
+        ("release_asked", "i8"),
         ("closing", "i8"),  # a shutdown is stopping the arm
         # the goal
         ("active", "i8"),  # which of the two paths runs
@@ -178,10 +183,11 @@ CORE = np.dtype(
         ("ramp_s", "f8"),  # duration of the running ramp, 0 = steady
         ("ramp_elapsed_s", "f8"),
         ("speed_scale", "f8"),  # what people asked for
-        ("entry_share", "f8"),  # of the wanted rate, while the blend runs
+        ("entry_rate", "f8"),  # for which the running path's blend was made
         ("paused", "i8"),
         ("starving", "i8"),
         ("starving_ns", "i8"),
+        ("arriving", "i8"),  # the last ramp ends where the path does
         ("stale", "i8"),
         # the newer goal
         ("incoming_goal", "i8"),  # goal whose records are being taken, 0 none
@@ -189,6 +195,7 @@ CORE = np.dtype(
         ("incoming_ns", "i8"),  # when its last record came
         ("incoming_waits", "i8"),  # 1 while the arm stops on the old path to make way
         ("newest_goal", "i8"),  # highest id ever begun
+        ("canceled_goal", "i8"),  # goal that was canceled before it came
         ("announced_goal", "i8"),
         ("setpoints_taken", "i8"),
         ("setpoint_waits", "i8"),  # cycles the next record has not passed its CRC
@@ -247,7 +254,6 @@ LOOP = np.dtype(
         ("knots", layout.SETPOINT, (2 * WINDOW_KNOTS,)),
         ("history_ns", "i8", (HISTORY_SLOTS,)),
         ("history_rad", "f8", (HISTORY_SLOTS * MAX_JOINTS,)),
-        ("history_rad_s", "f8", (HISTORY_SLOTS * MAX_JOINTS,)),
         ("snapshot", layout.SNAPSHOT),
         ("scratch", layout.SETPOINT),
         ("scratch_begin", layout.BEGIN),
@@ -298,7 +304,7 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
     core["mode"] = Mode.OFFLINE
     core["fault_joint"] = -1
     core["ending_joint"] = -1
-    core["rate"] = core["rate_target"] = core["speed_scale"] = core["entry_share"] = 1.0
+    core["rate"] = core["rate_target"] = core["speed_scale"] = core["entry_rate"] = 1.0
     return loop
 
 

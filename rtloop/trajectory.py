@@ -10,6 +10,7 @@ to slow are sampled at a fixed number of instants, and the first that keeps the 
 made once per goal and once per change of the wanted rate.
 """
 
+import math
 from typing import Any
 
 from motion import scaling, segment
@@ -28,6 +29,8 @@ ramp = jit(scaling.ramp)
 along = jit(scaling.along)
 
 BLENDS_S = (0.3, 0.6, 1.2, 2.4)
+STREAM_BLENDS_S = (0.1, 0.2, 0.4, 0.8)
+"""A blend of T follows points without a time 0.6 T behind, so a stream gets the shortest one the limits allow."""
 FADE_S = 0.02
 FADE_PERIODS = 3
 """A difference in acceleration fades within this time, at least so many periods."""
@@ -41,6 +44,11 @@ SLOWEST_ENTRY = 0.02
 """A path is laid for at least this rate, since a blend for next to none would last for ever."""
 PLAN_SHARE = 0.35
 """What a blend or a ramp may add, as a share of the limit, where the plan alone already asks for much."""
+REST_RAD_S = 1e-3
+"""A last point that is slower is meant to be at rest: planners leave residues."""
+ARRIVED_S = 1e-6
+ARRIVAL_SHARE = 0.25
+"""Getting to the full rate and back to rest takes less path time than this share of the longest stop."""
 HEADROOM = 0.9
 """Candidates are sampled, so they stay this far below the bound at which the last defence would stop the arm."""
 
@@ -79,13 +87,15 @@ def find_knot(loop: Loop, path_index: int, clock_s: float, first: int) -> int:
 def plan(loop: Loop, path_index: int, joint: int, clock_s: float, knot: int) -> tuple[float, float, float]:
     """Position and its first two derivatives by path time of the plan alone; `knot` from find_knot.
 
-    Before the first knot the plan stands at it, after the newest it stands there.
+    Before the first knot the plan stands at it, after the newest it stands there; a stream runs on straight.
     """
     if not in_goal(loop, path_index, joint):
         return loop.paths[path_index].blends[joint].held_rad, 0.0, 0.0
     start = loop.knots[slot(path_index, knot)]
     a = start.joints[joint]
     start_s = start.time_ns * 1e-9
+    if knot >= loop.paths[path_index].taken - 1 and loop.paths[path_index].stream == 1 and clock_s >= start_s:
+        return straight_on(loop, a, clock_s - start_s)
     if knot >= loop.paths[path_index].taken - 1 or clock_s < start_s:
         return a.position_rad, 0.0, 0.0
     end = loop.knots[slot(path_index, knot + 1)]
@@ -109,15 +119,30 @@ def plan(loop: Loop, path_index: int, joint: int, clock_s: float, knot: int) -> 
 
 
 @jit
+def straight_on(loop: Loop, last: Any, t: float) -> tuple[float, float, float]:
+    """Beyond the last point of a stream, t ≥ 0 s after it: its acceleration fades, its velocity stays."""
+    fade_s = fade_duration_s(loop)
+    p, v, a = fade(last.acceleration_rad_s2, fade_s, min(t, fade_s))
+    p0, v0, _ = fade(last.acceleration_rad_s2, fade_s, 0.0)
+    return last.position_rad - p0 + (last.velocity_rad_s - v0) * t + p, last.velocity_rad_s - v0 + v, a
+
+
+@jit
+def fade_duration_s(loop: Loop) -> float:
+    return max(FADE_S, FADE_PERIODS * loop.params.period_ns * 1e-9)
+
+
+@jit
 def blend(loop: Loop, path_index: int, joint: int, clock_s: float) -> tuple[float, float, float]:
     """The offset from the plan at a path time."""
-    if clock_s >= loop.paths[path_index].blend_s:
+    t = clock_s - loop.paths[path_index].entry_s
+    if t >= loop.paths[path_index].blend_s:
         return 0.0, 0.0, 0.0
     b = loop.paths[path_index].blends[joint]
-    p, v, a = evaluate(b.c0, b.c1, b.c2, b.c3, b.c4, b.c5, clock_s)
+    p, v, a = evaluate(b.c0, b.c1, b.c2, b.c3, b.c4, b.c5, t)
     fade_s = loop.paths[path_index].fade_s
-    if clock_s < fade_s:
-        fp, fv, fa = fade(b.faded, fade_s, clock_s)
+    if t < fade_s:
+        fp, fv, fa = fade(b.faded, fade_s, t)
         return p + fp, v + fv, a + fa
     return p, v, a
 
@@ -175,14 +200,14 @@ def ramp_strain(loop: Loop, target: float, duration_s: float) -> float:
     worst = 0.0
     knot = loop.paths[active].segment
     known_s = end_s(loop, active)
-    ended = loop.paths[active].ended == 1
+    goes_on = goes_on_past_end(loop, active)
     highest_rate = max(core.rate, target, core.rate_target) + 1e-6
     for i in range(1, BLEND_SAMPLES + 1):
         rate, slope, advance = ramp(core.rate, core.slope, target, duration_s, duration_s * i / BLEND_SAMPLES)
         clock_s = core.clock_s + advance
         if rate < -1e-9 or rate > highest_rate:
             return IMPOSSIBLE
-        if clock_s > known_s and not ended:
+        if clock_s > known_s and not goes_on:
             worst = max(worst, NO_PATH + clock_s - known_s)
         knot = find_knot(loop, active, clock_s, knot)
         for joint in range(loop.params.joint_count):
@@ -224,6 +249,13 @@ def steer_rate(loop: Loop, target: float) -> None:
     speeds_up_amid_a_ramp = target > core.rate_target and core.ramp_s > 0.0
     if duration_s <= 0.0 or (strain > 1.0 and speeds_up_amid_a_ramp):
         return
+    core.arriving = 0
+    begin_ramp(loop, target, duration_s)
+
+
+@jit
+def begin_ramp(loop: Loop, target: float, duration_s: float) -> None:
+    core = loop.core
     core.rate_target = target
     core.rate_start, core.slope_start = core.rate, core.slope
     core.ramp_s, core.ramp_elapsed_s = duration_s, 0.0
@@ -257,56 +289,176 @@ def must_brake_for_lack_of_path(loop: Loop, braking_already: bool) -> bool:
     return left_s <= 0.5 * core.rate * duration_s
 
 
+# --- the end of a path --------------------------------------------------------------------------------
+
+
+@jit
+def ends_moving(loop: Loop, path_index: int) -> bool:
+    """Whether the last point of a path, which is known, leaves a joint in motion."""
+    path = loop.paths[path_index]
+    if path.ended == 0 or path.taken == 0:
+        return False
+    last = loop.knots[slot(path_index, path.taken - 1)]
+    for joint in range(loop.params.joint_count):
+        if in_goal(loop, path_index, joint) and abs(last.joints[joint].velocity_rad_s) > REST_RAD_S:
+            return True
+    return False
+
+
+@jit
+def goes_on_past_end(loop: Loop, path_index: int) -> bool:
+    """Whether the clock may pass the last knot: the plan then stands there, or runs on straight as a stream's."""
+    path = loop.paths[path_index]
+    return path.ended == 1 and (path.stream == 1 or not ends_moving(loop, path_index))
+
+
+@jit
+def slow_down_to_arrive(loop: Loop) -> None:
+    """Begin the ramp that ends at rest exactly where the path does, as late as the limits allow.
+
+    Along a ramp from rate s with slope u to zero within T the clock advances T (s / 2 + u T / 12), so the path that
+    is left decides T; it begins when T is longer than the shortest stop by no more than two cycles make of it.
+    """
+    core = loop.core
+    left_s = end_s(loop, core.active) - core.clock_s
+    if left_s <= ARRIVED_S and core.rate == 0.0:
+        core.arriving = 1
+    if core.rate_target == 0.0 or core.rate <= 0.0 or left_s <= 0.0:
+        return
+    if left_s > 0.5 * core.rate * loop.params.longest_stop_s:
+        return
+    discriminant = 0.25 * core.rate * core.rate + core.slope * left_s / 3.0
+    if discriminant < 0.0:
+        return  # a rate that falls so steeply stops before the end; it is about to turn
+    shortest_s, _ = ramp_duration(loop, 0.0)
+    duration_s = 2.0 * left_s / (0.5 * core.rate + math.sqrt(discriminant))
+    if duration_s <= shortest_s + 4.0 * loop.params.period_ns * 1e-9:
+        core.arriving = 1
+        begin_ramp(loop, 0.0, duration_s)
+
+
+@jit
+def rate_with_room_to_arrive(loop: Loop, wanted: float) -> float:
+    """The rate that may be sped up to when the path ends soon, and at rest: what is left must do for both ramps."""
+    core = loop.core
+    left_s = end_s(loop, core.active) - core.clock_s
+    return min(wanted, max(core.rate_target, left_s / (ARRIVAL_SHARE * loop.params.longest_stop_s)))
+
+
+@jit
+def has_arrived(loop: Loop) -> bool:
+    """Whether the ramp that ends where the path does is over; puts the clock right there."""
+    core = loop.core
+    if core.arriving == 0 or core.ramp_s > 0.0 or core.rate > 0.0:
+        return False
+    left_s = end_s(loop, core.active) - core.clock_s
+    if abs(left_s) > ARRIVED_S:
+        core.arriving = 0  # it was turned round on the way
+        return False
+    core.clock_s = end_s(loop, core.active)
+    return True
+
+
 # --- the way onto a path ------------------------------------------------------------------------------
 
 
 @jit
-def first_point_distance(loop: Loop, path_index: int) -> tuple[int, float]:
-    """The joint that is farthest from the path's first knot, and how far (rad)."""
+def due_s(loop: Loop, path_index: int) -> float:
+    """Path time at which a path would be entered now: its beginning, or where its start time says it is due."""
+    path = loop.paths[path_index]
+    if path.start_ns == 0:
+        return 0.0
+    due = max((loop.core.now_ns - path.start_ns) * 1e-9, 0.0)
+    return min(due, end_s(loop, path_index)) if path.ended == 1 else due
+
+
+@jit
+def has_bridge(loop: Loop, path_index: int, entry_s: float) -> bool:
+    """Whether the first knot of the goal is still ahead, and the way to it begins where the arm is commanded."""
+    path = loop.paths[path_index]
+    return path.bridge == 1 and path.taken > 1 and entry_s < loop.knots[slot(path_index, 1)].time_ns * 1e-9
+
+
+@jit
+def entry_distance(loop: Loop, path_index: int, entry_s: float) -> tuple[int, float]:
+    """The joint that is farthest from the plan where it would be entered, and how far (rad)."""
     worst_joint, worst = -1, 0.0
-    first = loop.knots[slot(path_index, 0)]
+    first = 0 if has_bridge(loop, path_index, entry_s) else loop.paths[path_index].bridge
+    knot = find_knot(loop, path_index, entry_s, first)
     for joint in range(loop.params.joint_count):
         if in_goal(loop, path_index, joint):
-            distance = abs(first.joints[joint].position_rad - loop.axes[joint].position_rad)
+            p, _, _ = plan(loop, path_index, joint, entry_s, knot)
+            distance = abs(p - loop.axes[joint].position_rad)
             if distance >= worst:
                 worst_joint, worst = joint, distance
     return worst_joint, worst
 
 
 @jit
-def lay_blend(loop: Loop, path_index: int, rate: float, duration_s: float) -> None:
-    """Make the path start exactly at the commanded state when it is run at `rate`."""
-    loop.paths[path_index].blend_s = duration_s
-    fade_s = rate * max(FADE_S, FADE_PERIODS * loop.params.period_ns * 1e-9)
-    loop.paths[path_index].fade_s = fade_s
-    bridge = loop.paths[path_index].bridge == 1
+def lay_bridge(loop: Loop, path_index: int, rate: float, entry_s: float) -> None:
+    """Let the path begin at the commanded state, so that its first segment is the way to the goal's first point."""
+    first = loop.knots[slot(path_index, 0)]
+    first.time_ns = round(entry_s * 1e9)
+    for joint in range(loop.params.joint_count):
+        axis, row = loop.axes[joint], first.joints[joint]
+        row.position_rad = axis.position_rad
+        row.velocity_rad_s = axis.velocity_rad_s / rate
+        row.acceleration_rad_s2 = axis.acceleration_rad_s2 / (rate * rate)
+
+
+@jit
+def lay_run_up(loop: Loop, path_index: int, entry_s: float) -> None:
+    """Let the path begin on the straight line that leads through the first point at its velocity.
+
+    The points of a stream may lie only milliseconds ahead, too near to be reached exactly: what is between the
+    arm and this line is then left to the blend.
+    """
+    first, second = loop.knots[slot(path_index, 0)], loop.knots[slot(path_index, 1)]
+    first.time_ns = round(entry_s * 1e9)
+    ahead_s = (second.time_ns - first.time_ns) * 1e-9
+    for joint in range(loop.params.joint_count):
+        row, target = first.joints[joint], second.joints[joint]
+        row.position_rad = target.position_rad - target.velocity_rad_s * ahead_s
+        row.velocity_rad_s = target.velocity_rad_s
+        row.acceleration_rad_s2 = 0.0
+
+
+@jit
+def lay_blend(loop: Loop, path_index: int, rate: float, entry_s: float, duration_s: float) -> None:
+    """Make the path start exactly at the commanded state when it is entered at `rate`."""
+    path = loop.paths[path_index]
+    path.entry_s = entry_s
+    path.blend_s = duration_s
+    path.fade_s = rate * fade_duration_s(loop)
+    knot = find_knot(loop, path_index, entry_s, 0)
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
         v, a = axis.velocity_rad_s / rate, axis.acceleration_rad_s2 / (rate * rate)
-        first = loop.knots[slot(path_index, 0)].joints[joint]
-        b = loop.paths[path_index].blends[joint]
+        b = path.blends[joint]
         if not in_goal(loop, path_index, joint):
             # comes to rest half a blend's way ahead
             b.held_rad = axis.position_rad + 0.5 * v * duration_s
-        elif bridge:
-            first.position_rad, first.velocity_rad_s, first.acceleration_rad_s2 = axis.position_rad, v, a
-        p0, v0, a0 = plan(loop, path_index, joint, 0.0, 0)
+        p0, v0, a0 = plan(loop, path_index, joint, entry_s, knot)
         b.faded = a - a0
-        fp, fv, _ = fade(b.faded, fade_s, 0.0)
+        fp, fv, _ = fade(b.faded, path.fade_s, 0.0)
         b.c0, b.c1, b.c2, b.c3, b.c4, b.c5 = decay(axis.position_rad - p0 - fp, v - v0 - fv, 0.0, duration_s)
 
 
 @jit
-def entry_strain(loop: Loop, path_index: int, rate: float, duration_s: float) -> float:
-    """Largest ratio of velocity or acceleration to its limit on the first stretch of a path; ≤ 1 keeps them."""
+def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> float:
+    """Largest ratio of velocity or acceleration to its limit from a path time to the blend's end; ≤ 1 keeps them."""
+    entering = loop.paths[path_index]
+    until_s = entering.entry_s + entering.blend_s
     worst = 0.0
     knot = 0
     known_s = end_s(loop, path_index)
-    ended = loop.paths[path_index].ended == 1
+    goes_on = goes_on_past_end(loop, path_index)
     for i in range(BLEND_SAMPLES + 1):
-        clock_s = duration_s * i / BLEND_SAMPLES
-        if clock_s > known_s and not ended:
+        clock_s = from_s + (until_s - from_s) * i / BLEND_SAMPLES
+        if clock_s > known_s and not goes_on:
             return IMPOSSIBLE
+        # Past the end of a stream the arm will be stopping; the front has seen to it that there is room.
+        within = entering.stream == 0 or clock_s <= known_s
         knot = find_knot(loop, path_index, clock_s, knot)
         for joint in range(loop.params.joint_count):
             row = loop.joints[joint]
@@ -315,7 +467,7 @@ def entry_strain(loop: Loop, path_index: int, rate: float, duration_s: float) ->
             here = loop.axes[joint].position_rad  # a joint that was found outside may move in
             low = min(row.lower_rad - row.slack_rad, here)
             high = max(row.upper_rad + row.slack_rad, here)
-            if p < low - BESIDE_RAD or p > high + BESIDE_RAD:
+            if within and (p < low - BESIDE_RAD or p > high + BESIDE_RAD):
                 return IMPOSSIBLE
             speed = rate * abs(v) / (loop.params.velocity_margin * row.max_velocity_rad_s)
             push = rate * rate * abs(a) / allowed_acceleration(loop, joint, rate * rate * planned)
@@ -326,27 +478,58 @@ def entry_strain(loop: Loop, path_index: int, rate: float, duration_s: float) ->
 
 
 @jit
-def enter(loop: Loop, path_index: int) -> bool:
+def enter(loop: Loop, path_index: int, entry_s: float) -> bool:
     """Find a bounded way from the commanded state onto a path and lay it; False when there is none.
 
     Tries the wanted rate before slower ones, and short blends before long ones. On success the path's clock
-    stands at zero and runs at `core.entry_share` of the wanted rate until the blend is over.
+    stands at `entry_s` and runs at a rate that may be lower than the wanted one, see `rate_while_blending`.
     """
-    core = loop.core
-    wanted = max(core.speed_scale, SLOWEST_ENTRY)
-    bridge = loop.paths[path_index].bridge == 1
+    wanted = max(loop.core.speed_scale, SLOWEST_ENTRY)
+    bridged = has_bridge(loop, path_index, entry_s)
     for slower in ENTRY_RATES:
         rate = wanted * slower
-        for blend_s in BLENDS_S:
-            duration_s = loop.knots[slot(path_index, 1)].time_ns * 1e-9 if bridge else blend_s
-            lay_blend(loop, path_index, rate, duration_s)
-            if entry_strain(loop, path_index, rate, duration_s) <= 1.0:
-                core.active = path_index
-                core.clock_s = 0.0
-                core.entry_share = slower
-                loop.paths[path_index].segment = 0
-                set_rate(loop, rate)
+        if bridged:
+            lay_bridge(loop, path_index, rate, entry_s)
+            ahead_s = loop.knots[slot(path_index, 1)].time_ns * 1e-9 - entry_s
+            lay_blend(loop, path_index, rate, entry_s, ahead_s)
+            if blend_strain(loop, path_index, rate, entry_s) <= 1.0:
+                begin_path(loop, path_index, rate)
                 return True
-            if bridge:
-                break
+            if loop.paths[path_index].stream == 0:
+                continue
+            lay_run_up(loop, path_index, entry_s)
+            if entry_distance(loop, path_index, entry_s)[1] > loop.params.start_tolerance_rad:
+                continue
+        blends_s = STREAM_BLENDS_S if loop.paths[path_index].stream == 1 else BLENDS_S
+        for blend_s in blends_s:
+            lay_blend(loop, path_index, rate, entry_s, blend_s)
+            if blend_strain(loop, path_index, rate, entry_s) <= 1.0:
+                begin_path(loop, path_index, rate)
+                return True
     return False
+
+
+@jit
+def rate_while_blending(loop: Loop, wanted: float) -> float:
+    """The wanted rate, or that of the entry as long as the rest of the blend would be too fast with more.
+
+    A blend that begins in motion carries the joints' velocity divided by the rate, so it is made for its rate.
+    """
+    core = loop.core
+    entered = loop.paths[core.active]
+    blending = core.clock_s < entered.entry_s + entered.blend_s
+    if blending and wanted > core.entry_rate and blend_strain(loop, core.active, wanted, core.clock_s) > 1.0:
+        return float(core.entry_rate)
+    return wanted
+
+
+@jit
+def begin_path(loop: Loop, path_index: int, rate: float) -> None:
+    """Run this path from now on, from where it was entered."""
+    core = loop.core
+    core.active = path_index
+    core.clock_s = loop.paths[path_index].entry_s
+    core.entry_rate = rate
+    core.arriving = 0
+    loop.paths[path_index].segment = 0
+    set_rate(loop, rate)

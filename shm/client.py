@@ -107,13 +107,13 @@ class CommandWriter:
         start_ns: int,
         joint_mask: int,
         goal_time_s: float,
-        bridge: bool,
+        entry: int,
         tolerances: np.ndarray,
         consumed: int,
     ) -> None:
-        """Open a goal; `tolerances` is (joint_count, 3): path rad, goal rad, goal velocity rad/s."""
+        """Open a goal; `entry` is a shm.words.Entry, `tolerances` (joint_count, 3) those on the way, in SI."""
         head = _BEGIN_HEAD.pack(
-            0, self.setpoints_written, goal_id, Setpoint.BEGIN, start_ns, joint_mask, goal_time_s, int(bridge)
+            0, self.setpoints_written, goal_id, Setpoint.BEGIN, start_ns, joint_mask, goal_time_s, entry
         )
         self._append(head, np.ascontiguousarray(tolerances, "f8").tobytes(), consumed)
 
@@ -125,10 +125,10 @@ class CommandWriter:
         head = _KNOT_HEAD.pack(0, self.setpoints_written, goal_id, Setpoint.KNOT, time_ns, order, 0, 0)
         self._append(head, np.ascontiguousarray(joints, "f8").tobytes(), consumed)
 
-    def end(self, goal_id: int, consumed: int) -> None:
-        """Close a goal: no knot follows."""
+    def end(self, goal_id: int, tolerances: np.ndarray, consumed: int) -> None:
+        """Close a goal: no knot follows; `tolerances` (joint_count, 3) are those at its end, in SI."""
         head = _KNOT_HEAD.pack(0, self.setpoints_written, goal_id, Setpoint.END, 0, 0, 0, 0)
-        self._append(head, bytes(24 * self.joint_count), consumed)
+        self._append(head, np.ascontiguousarray(tolerances, "f8").tobytes(), consumed)
 
     def _append(self, head: bytes, joints: bytes, consumed: int) -> None:
         written = self.setpoints_written

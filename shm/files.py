@@ -146,19 +146,32 @@ def _remove_abandoned(path: Path) -> None:
         with contextlib.suppress(OSError):
             fd = os.open(aside, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
             try:
-                if not is_held(fd):
-                    os.unlink(aside)
+                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)  # held until it is gone, so that nobody takes it up
+                os.unlink(aside)
             finally:
                 os.close(fd)
+
+
+def _create_locked(path: Path) -> int:
+    """A new file of this name with its lock held.
+
+    Between its creation and its lock another starting process may take it for abandoned and remove it.
+    """
+    while True:
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+        if _try_lock(fd, 0.0) and os.fstat(fd).st_nlink > 0:
+            return fd
+        os.close(fd)
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(path)
 
 
 def _build_aside(path: Path, dtype: np.dtype, identity: Identity) -> MemoryFile:
     """A complete, locked file under a temporary name, every page allocated."""
     _remove_abandoned(path)
     aside = path.with_name(f"{path.name}.{os.getpid()}.new")
-    fd = os.open(aside, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    fd = _create_locked(aside)
     try:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         os.posix_fallocate(fd, 0, dtype.itemsize)
         memory = _map(aside, fd, dtype, writable=True)
     except OSError as problem:

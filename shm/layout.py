@@ -146,6 +146,7 @@ SNAPSHOT = _record(
         Word("trajectory_end_ns", "i8", "ns", "its duration once END is known, else -1"),
         Word("speed_scale", "f8", "", "present rate of the trajectory clock"),
         Word("speed_scale_target", "f8", "", "where the speed scale is going"),
+        Word("speed_scale_asked", "f8", "", "what people asked for, 0…1; the scale goes there unless something stops"),
         Word("motion_started", "i8", "", "1 once the first motion frame was sent since bring-up"),
         Word("results", (RESULT, (RESULT_SLOTS,)), "", "results of the newest goals"),
         Word("answers", (ANSWER, (ANSWER_SLOTS,)), "", "answers to the newest requests"),
@@ -262,17 +263,8 @@ SETPOINT = _record(
             "joints",
             (SETPOINT_JOINT, (MAX_JOINTS,)),
             "",
-            "KNOT: complete, derived fields filled in by the front",
+            "KNOT: complete, derived fields filled in by the front; END: the tolerances at the end, as in BEGIN",
         ),
-    ],
-)
-
-BEGIN_JOINT = _record(
-    "begin joint",
-    [
-        Word("path_tolerance_rad", "f8", "rad", "largest |commanded - measured| on the way; 0 = off"),
-        Word("goal_tolerance_rad", "f8", "rad", "largest error at the end; 0 = off"),
-        Word("goal_velocity_rad_s", "f8", "rad/s", "largest measured speed at the end; 0 = off"),
     ],
 )
 
@@ -283,16 +275,27 @@ BEGIN = _record(
         Word("sequence", "i8", "", "as above"),
         Word("goal_id", "i8", "", "1, 2, 3 …; never reused while the loop lives"),
         Word("kind", "i8", "", "shm.words.Setpoint.BEGIN"),
-        Word("start_ns", "i8", "ns", "CLOCK_MONOTONIC at which the trajectory's time is 0; 0 = at once"),
+        Word(
+            "start_ns",
+            "i8",
+            "ns",
+            "CLOCK_MONOTONIC at which the trajectory's time is (or was) 0: it is entered where it is due by then; "
+            "0 = at once, at its beginning",
+        ),
         Word("joint_mask", "i8", "", "bit i: joint i is part of the goal; the others come to rest and hold"),
         Word("goal_time_s", "f8", "s", "patience after the last point; 0 = without limit"),
         Word(
-            "bridge",
+            "entry",
             "i8",
             "",
-            "1: the first knot's time is > 0 and the way to it starts where the arm is commanded",
+            "shm.words.Entry: how it begins and ends",
         ),
-        Word("joints", (BEGIN_JOINT, (MAX_JOINTS,)), "", ""),
+        Word(
+            "joints",
+            (SETPOINT_JOINT, (MAX_JOINTS,)),
+            "",
+            "tolerances on the way: largest |commanded - measured|, accelerations smoothed; 0 = off",
+        ),
     ],
 )
 

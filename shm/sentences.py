@@ -50,7 +50,7 @@ OUTCOMES: dict[Outcome, Meaning] = {
         "Plan from where the arm stands.",
     ),
     Outcome.REPLACED: Meaning(
-        "The goal was replaced by a newer goal.",
+        "The goal was replaced by a newer goal, or by a trajectory on ~/joint_trajectory.",
         "One goal moves the arm at a time, and the newest is what its user wants.",
         "Send goals one after the other if each is to be completed.",
     ),
@@ -98,9 +98,9 @@ OUTCOMES: dict[Outcome, Meaning] = {
     ),
     Outcome.REFUSED_MODE: Meaning(
         "The control process takes no goals while it is {value:mode}; goals are taken while it is holding or "
-        "executing: wait, or see `rtarm status`.",
+        "executing: wait, enable the drives if they are limp, or see `rtarm status`.",
         "A goal is begun only from a state in which the drives are known to follow.",
-        "Wait until bring-up is over, or clear the fault.",
+        "Wait until bring-up is over, clear the fault, or enable the drives.",
     ),
     Outcome.REFUSED_UNREFERENCED: Meaning(
         "{joint} has no reference, so its angle is not known and no goal is taken: see `rtarm status` for "
@@ -109,8 +109,9 @@ OUTCOMES: dict[Outcome, Meaning] = {
         "Follow what `rtarm status` says of the joint.",
     ),
     Outcome.REFUSED_START: Meaning(
-        "The first point has {joint} {value:.4f} rad from where it is commanded and {limit:.4f} rad are "
-        "allowed: plan from the present state, or give the first point a time_from_start above 0.",
+        "Where it would be entered, the trajectory has {joint} {value:.4f} rad from where it is commanded and "
+        "{limit:.4f} rad are allowed: plan from the present state, or give the first point a time_from_start "
+        "above 0.",
         "A start elsewhere would be a jump.",
         "Plan from the present state.",
     ),
@@ -126,6 +127,37 @@ OUTCOMES: dict[Outcome, Meaning] = {
         "report this.",
         "The control process believes nothing it reads from shared memory.",
         "Restart both processes from one installation; if it happens again, report it with the goal.",
+    ),
+    Outcome.RAN_DRY: Meaning(
+        "The stream of points ended while the arm moved, so it came to rest in a straight line beyond the last "
+        "point: end a stream with a point at rest.",
+        "What the sender meant to do next is not known; straight on is the least surprising way to stop.",
+        "Nothing to do when the stream ended on purpose; otherwise look for what delays its sender.",
+    ),
+    Outcome.PATH_VELOCITY: Meaning(
+        "The velocity of {joint} was {value:.4f} rad/s from its setpoint and {limit:.4f} rad/s are allowed: check "
+        "what hinders it, move more slowly, or allow more in path_tolerance.",
+        "The goal asked for its velocity to be watched on the way.",
+        "Look for an obstacle or a load; slow the motion down; then raise the goal's path_tolerance.",
+    ),
+    Outcome.PATH_ACCELERATION: Meaning(
+        "The acceleration of {joint}, smoothed, was {value:.3f} rad/s² from its setpoint and {limit:.3f} rad/s² are "
+        "allowed: check what hinders it, move more slowly, or allow more in path_tolerance.",
+        "The goal asked for its acceleration to be watched on the way.",
+        "Look for an obstacle or a load; slow the motion down; then raise the goal's path_tolerance.",
+    ),
+    Outcome.GOAL_VELOCITY: Meaning(
+        "{joint} still moved at {value:.4f} rad/s when the time to arrive was over, and {limit:.4f} rad/s are "
+        "allowed: check what moves it, or allow more in goal_tolerance or goal_time_tolerance.",
+        "A goal is reached by an arm that stands there, not by one that passes.",
+        "Look for an oscillation or a load; allow more time, or a larger velocity in goal_tolerance or "
+        "trajectory.stopped_velocity_rad_s.",
+    ),
+    Outcome.GOAL_ACCELERATION: Meaning(
+        "The acceleration of {joint}, smoothed, was {value:.3f} rad/s² from its setpoint when the time to arrive was "
+        "over, and {limit:.3f} rad/s² are allowed: check what moves it, or allow more in goal_tolerance.",
+        "The goal asked for its acceleration to be watched at the end.",
+        "Look for an oscillation; allow more time, or more in goal_tolerance.",
     ),
     Outcome.CLOCK_GAP: Meaning(
         "The control cycle was away for {value:.3f} s and the drives look ahead for {limit:.3f} s, so they "
@@ -203,6 +235,12 @@ FAULTS: dict[Fault, Meaning] = {
         "A drive that does not answer as it should at the start is not moved.",
         "Follow the message of the control process; clear the fault.",
     ),
+    Fault.RELEASE: Meaning(
+        "The drive of {joint} stays enabled although the arm was to go limp: keep clear, look at the drive's display, "
+        "then `rtarm clear-fault`.",
+        "An arm of which some joints are limp and others hold must not be taken for one that can be led by hand.",
+        "Look at the drive's display; clear the fault, which brings all drives up again.",
+    ),
 }
 
 UNREFERENCED: dict[Unreferenced, Meaning] = {
@@ -263,8 +301,8 @@ ANSWERS: dict[Answer, Meaning] = {
         "Give a value from 0 to 1.",
     ),
     Answer.REFUSED_MOVING: Meaning(
-        "The arm is still coming to rest after the fault: ask again in a moment.",
-        "What brakes the arm is not interrupted.",
+        "The arm is moving or still coming to rest: ask again when it stands.",
+        "What brakes the arm is not interrupted, and an arm in motion is not let go.",
         "Ask again once nothing moves.",
     ),
     Answer.REFUSED_UNKNOWN: Meaning(

@@ -16,6 +16,8 @@ class Mode(IntEnum):
     EXECUTING = 3
     STOPPING = 4
     FAULT = 5
+    DISABLED = 6  # the drives are limp, the arm is out of service
+    FREE = 7  # the drives are limp, so that a person can lead the arm by hand
 
 
 class Phase(IntEnum):
@@ -46,6 +48,16 @@ class Request(IntEnum):
     SPEED_SCALE = 4
     CLEAR_FAULT = 5
     STOP = 6  # stop on the path, end the goal as stopped by a person
+    ENABLE = 7  # bring limp drives up again; the arm holds where it stands
+    DISABLE = 8  # let the drives of a standing arm go limp
+    FREE = 9  # the same, to lead it by hand
+
+
+class Entry(IntFlag):
+    """How a goal begins and ends, in its BEGIN record."""
+
+    BRIDGE = 1  # the first knot lies ahead and the way to it starts where the arm is commanded
+    STREAM = 2  # newer points are expected: past the last one the arm runs on straight while it stops
 
 
 class Answer(IntEnum):
@@ -80,6 +92,11 @@ class Outcome(IntEnum):
     REFUSED_LIMITS = 14  # no way onto the trajectory inside the limits
     REFUSED_CORRUPT = 15  # a knot that is not finite, out of order or out of limits
     CLOCK_GAP = 16  # the cycle was away for longer than the drives' look-ahead
+    RAN_DRY = 17  # a stream of points ended in motion: stopped in a straight line
+    PATH_VELOCITY = 18
+    PATH_ACCELERATION = 19
+    GOAL_VELOCITY = 20
+    GOAL_ACCELERATION = 21
 
 
 class Fault(IntEnum):
@@ -97,6 +114,7 @@ class Fault(IntEnum):
     COMMAND_RING = 9  # corrupt record or index in the command file
     WIRE = 10  # the adapter refuses or is gone
     BRING_UP = 11
+    RELEASE = 12  # a drive that was to go limp stays enabled
 
 
 class Unreferenced(IntEnum):

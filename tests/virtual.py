@@ -17,6 +17,7 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from rtloop.bringup import BringUp
 from rtloop.cycle import step
+from rtloop.release import Release
 from rtloop.service import ServicePort
 from rtloop.state import new_loop
 from rtloop.wire import received
@@ -24,7 +25,7 @@ from shm import layout
 from shm.client import CommandWriter, StateReader
 from shm.errors import RingFull
 from shm.files import MemoryFile
-from shm.words import Mode
+from shm.words import Entry, Mode
 from sim.arm import SimulatedArm
 
 GOALS = Path(__file__).parent / "data" / "moveit"
@@ -152,6 +153,14 @@ class VirtualArm:
         self.cycles(2)
         return talk
 
+    def release(self, *, at_most_s: float = 10.0) -> Release:
+        """Run the conversation that lets the drives go; the request was made before."""
+        self.until(lambda: bool(self.core["release_asked"]), at_most_s=1.0)
+        self.core["release_asked"] = 0
+        talk = Release(self.arm, self.port, now_ns=self.now_ns)
+        self.until(lambda: talk.poll(self.now_ns), at_most_s=at_most_s)
+        return talk
+
     # --- goals
 
     def _feed_ring(self) -> None:
@@ -173,13 +182,16 @@ class VirtualArm:
         start_ns: int = 0,
         goal_id: int | None = None,
         joint_mask: int | None = None,
-        tolerances: Sequence[float] = (0.1, 0.01, 0.05),
+        stream: bool = False,
+        tolerances: np.ndarray | Sequence[float] = (0.1, 0.0, 0.0),
+        goal_tolerances: np.ndarray | Sequence[float] = (0.01, 0.05, 0.0),
         goal_time_s: float = 0.4,
     ) -> int:
         """Announce a goal and queue its records; they enter the ring as room allows."""
         count = len(self.arm.joints)
         goal = goal_id if goal_id is not None else self.writer.announced_goal + 1
-        table = np.tile(np.array(tolerances), (count, 1))
+        way, arrival = np.broadcast_to(tolerances, (count, 3)), np.broadcast_to(goal_tolerances, (count, 3))
+        entry = (Entry.BRIDGE if bridge else 0) | (Entry.STREAM if stream else 0)
         mask = (1 << count) - 1 if joint_mask is None else joint_mask
 
         def consumed() -> int:
@@ -192,15 +204,15 @@ class VirtualArm:
                 start_ns=start_ns,
                 joint_mask=mask,
                 goal_time_s=goal_time_s,
-                bridge=bridge,
-                tolerances=table,
+                entry=entry,
+                tolerances=way,
                 consumed=consumed(),
             )
         )
         for at, knot in zip(times_ns, joints, strict=True):
             self.pending.append(lambda at=at, knot=knot: self.writer.knot(goal, int(at), order, knot, consumed()))
         if end:
-            self.pending.append(lambda: self.writer.end(goal, consumed()))
+            self.pending.append(lambda: self.writer.end(goal, arrival, consumed()))
         return goal
 
     def play(self, name: str, **options: Any) -> int:

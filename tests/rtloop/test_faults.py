@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from virtual import VirtualArm, recorded_goal
 
-from rtloop.bringup import split_packets
+from rtloop.conversation import split_packets
 from rtloop.cycle import step
 from rtloop.service import SEND
 from rtloop.wire import received

@@ -131,7 +131,7 @@ def test_path_tolerance_is_judged_on_measured_positions(virtual_arm) -> None:
     from sim.faults import Stall
 
     arm = virtual_arm(goal="scale_1_0")
-    goal = arm.play("scale_1_0", tolerances=(0.02, 0.01, 0.05))
+    goal = arm.play("scale_1_0", tolerances=(0.02, 0.0, 0.0))
     arm.sim.inject(Stall(joint="joint2", at_s=0.3), since_ns=arm.now_ns)
     assert finish(arm, goal) == Outcome.PATH_TOLERANCE
     result = arm.result(goal)
@@ -290,3 +290,14 @@ def test_the_same_inputs_give_the_same_bytes() -> None:
         streams.append(arm.sent)
         arm.close()
     assert streams[0] == streams[1]
+
+
+def test_a_cancel_that_overtakes_its_goal_keeps_it_from_starting(virtual_arm) -> None:
+    """Requests are taken before setpoints, so both may come in one cycle, the cancel first."""
+    arm = virtual_arm("mock")
+    arm.writer.request(Request.CANCEL, goal_id=1)
+    goal = straight(arm, [0.1] * 6, 1.0)
+    assert finish(arm, goal) == Outcome.CANCELED
+    arm.cycles(20)
+    assert not np.any(arm.loop[0]["axes"]["position_rad"][:6])
+    assert finish(arm, straight(arm, [0.1] * 6, 1.0)) == Outcome.SUCCEEDED

@@ -109,10 +109,10 @@ class Judged(VirtualArm):
     def set_word(self, name, value):
         self.command.record[name][0] = value
 
-    def begin(self, goal_id, *, start_ns=0, mask=0b111111, goal_time_s=0.4, bridge=0, tolerances=None):
+    def begin(self, goal_id, *, start_ns=0, mask=0b111111, goal_time_s=0.4, entry=0, tolerances=None):
         self.set_word("announced_goal", goal_id)
-        rows = np.tile((0.1, 0.01, 0.05), len(self.limits)) if tolerances is None else tolerances
-        self.put(Setpoint.BEGIN, goal_id=goal_id, words=(start_ns, mask, float(goal_time_s), bridge), numbers=rows)
+        rows = np.tile((0.1, 0.0, 0.0), len(self.limits)) if tolerances is None else tolerances
+        self.put(Setpoint.BEGIN, goal_id=goal_id, words=(start_ns, mask, float(goal_time_s), entry), numbers=rows)
 
     def knot(self, goal_id, time_ns, position, order=5, velocity=0.0, acceleration=0.0):
         rows = np.stack(np.broadcast_arrays(position, velocity, acceleration, np.zeros(len(self.limits)))[:3], -1)
@@ -191,7 +191,7 @@ def test_a_record_that_becomes_visible_late_is_taken(arm, late):
         start_ns=0,
         joint_mask=1,
         goal_time_s=0.4,
-        bridge=False,
+        entry=0,
         tolerances=np.zeros((6, 3)),
         consumed=arm.reader.setpoints_consumed(),
     )
@@ -280,8 +280,8 @@ def test_a_result_names_joint_value_and_limit(arm):
     [
         {"goal_time_s": float("nan")},
         {"goal_time_s": float("inf")},
-        {"bridge": 2},
-        {"bridge": -1},
+        {"entry": 4},
+        {"entry": -1},
         {"tolerances": np.full(18, np.nan)},
         {"tolerances": np.full(18, np.inf)},
     ],

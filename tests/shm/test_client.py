@@ -17,7 +17,7 @@ from shm import client, files, layout
 from shm.client import CommandWriter, StateReader
 from shm.errors import RingFull, TornRead
 from shm.files import MemoryFile
-from shm.words import Request, Setpoint
+from shm.words import Entry, Request, Setpoint
 
 ROOT = Path(__file__).resolve().parents[2]
 JOINTS = 3
@@ -52,6 +52,9 @@ def slot(writer, sequence, dtype=layout.SETPOINT):
     return writer.memory.record["setpoints"][sequence % layout.SETPOINT_SLOTS].view(dtype)
 
 
+NO_TOLERANCES = np.zeros((JOINTS, 3))
+
+
 def is_whole(record, used):
     data = record.tobytes()[:used]
     return int(record["crc"]) == zlib.crc32(data[8:])
@@ -64,16 +67,17 @@ def test_a_goal_record_by_record(writer):
     tolerances = np.arange(9.0).reshape(JOINTS, 3)
     knot = np.arange(9.0).reshape(JOINTS, 3) / 8
     writer.announce(12)
-    writer.begin(12, start_ns=99, joint_mask=0b101, goal_time_s=0.4, bridge=True, tolerances=tolerances, consumed=0)
+    terms = {"goal_time_s": 0.4, "entry": Entry.BRIDGE, "tolerances": tolerances}
+    writer.begin(12, start_ns=99, joint_mask=0b101, consumed=0, **terms)
     writer.knot(12, 5_000_000, 3, knot, 0)
-    writer.end(12, 0)
+    writer.end(12, 2 * tolerances, 0)
     assert writer.announced_goal == 12 and writer.setpoints_written == 3
 
     begin = slot(writer, 0, layout.BEGIN)
-    names = ("sequence", "goal_id", "kind", "start_ns", "joint_mask", "bridge")
+    names = ("sequence", "goal_id", "kind", "start_ns", "joint_mask", "entry")
     assert [int(begin[name]) for name in names] == [0, 12, Setpoint.BEGIN, 99, 0b101, 1]
     assert begin["goal_time_s"] == 0.4
-    assert begin["joints"]["goal_tolerance_rad"][:JOINTS].tolist() == [1.0, 4.0, 7.0]
+    assert begin["joints"]["velocity_rad_s"][:JOINTS].tolist() == [1.0, 4.0, 7.0]
 
     record = slot(writer, 1)
     names = ("sequence", "goal_id", "kind", "time_ns", "order")
@@ -82,7 +86,9 @@ def test_a_goal_record_by_record(writer):
     assert record["joints"]["velocity_rad_s"][:JOINTS].tolist() == knot[:, 1].tolist()
     assert record["joints"]["acceleration_rad_s2"][:JOINTS].tolist() == knot[:, 2].tolist()
 
-    assert (slot(writer, 2)["kind"], slot(writer, 2)["sequence"]) == (Setpoint.END, 2)
+    end = slot(writer, 2)
+    assert (end["kind"], end["sequence"]) == (Setpoint.END, 2)
+    assert end["joints"]["acceleration_rad_s2"][:JOINTS].tolist() == [4.0, 10.0, 16.0]
     assert all(is_whole(slot(writer, sequence), USED) for sequence in range(3))
 
 
@@ -104,22 +110,22 @@ def test_every_knot_arrives_bit_by_bit(time_ns, order, values):
 
 def test_a_full_ring_refuses_and_overwrites_nothing(writer):
     for goal in range(layout.SETPOINT_SLOTS - 1):
-        writer.end(goal, 0)
+        writer.end(goal, NO_TOLERANCES, 0)
     before = writer.memory.array.tobytes()
     for put in (
-        lambda: writer.end(1, 0),
+        lambda: writer.end(1, NO_TOLERANCES, 0),
         lambda: writer.knot(1, 1, 5, np.zeros((JOINTS, 3)), 0),
     ):
         with pytest.raises(RingFull, match=f"{layout.SETPOINT_SLOTS - 1} records wait"):
             put()
     assert writer.memory.array.tobytes() == before
-    writer.end(7777, 1)  # one was taken
+    writer.end(7777, NO_TOLERANCES, 1)  # one was taken
     assert slot(writer, layout.SETPOINT_SLOTS - 1)["goal_id"] == 7777
 
 
 def test_the_ring_goes_round(writer):
     for number in range(2 * layout.SETPOINT_SLOTS + 5):
-        writer.end(number, number)
+        writer.end(number, NO_TOLERANCES, number)
         assert slot(writer, number)["sequence"] == number
     assert writer.setpoints_written == 2 * layout.SETPOINT_SLOTS + 5
     assert is_whole(slot(writer, 3), USED)

@@ -1,0 +1,160 @@
+"""Conversations with the drives in ordinary Python, beside the cycle and through its service rings.
+
+Every drive has a dialogue of its own, a generator that yields what it wants to ask and gets the answer; all
+dialogues advance together. `poll(now_ns)` is called from time to time and never waits, so the same
+conversation works at start, at run time, and in tests in virtual time.
+"""
+
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field
+
+from config.schema import ArmConfig, ZdtDrive
+from rtloop.service import SEND, Frame, ServicePort
+
+ANSWER_PATIENCE_NS = 60_000_000
+TRIES = 5
+
+
+class TalkFailed(Exception):
+    """A conversation cannot go on; the text is the sentence people read."""
+
+    def __init__(self, joint: int, sentence: str) -> None:
+        super().__init__(sentence)
+        self.joint = joint
+
+
+@dataclass(frozen=True)
+class Ask:
+    """A command and how to know its answer: function byte and number of packets, or one short reply."""
+
+    payload: bytes
+    reply_lengths: tuple[int, ...]
+    packets: int = 1
+    answered: bool = True
+
+
+Dialogue = Generator[Ask, bytes | None, None]
+
+
+@dataclass
+class _Exchange:
+    """A running question to one drive."""
+
+    ask: Ask
+    sent_ns: int
+    tries: int
+    packets: dict[int, bytes] = field(default_factory=dict)
+
+
+def split_packets(address: int, payload: bytes) -> list[Frame]:
+    """CAN frames of a ZDT command: ≤ 8 bytes in one; longer ones repeat the function byte in every packet."""
+    if len(payload) <= 8:
+        return [Frame(address << 8, payload)]
+    function, rest = payload[:1], payload[1:]
+    pieces = [rest[at : at + 7] for at in range(0, len(rest), 7)]
+    return [Frame((address << 8) | number, function + piece) for number, piece in enumerate(pieces)]
+
+
+def drive_addresses(arm: ArmConfig) -> dict[int, int]:
+    """Joint → address, of every joint whose drive is spoken to on the bus."""
+    return {j: joint.drive.address for j, joint in enumerate(arm.joints) if isinstance(joint.drive, ZdtDrive)}
+
+
+class Conversation:
+    """What one exchange of questions and answers with many drives needs: who was asked what, and when.
+
+    `addresses` gives the drive address of every joint that is spoken to.
+    """
+
+    def __init__(self, port: ServicePort, addresses: Mapping[int, int], now_ns: int) -> None:
+        self.now_ns = now_ns
+        self._port = port
+        self._addresses = addresses
+        self._dialogues: dict[int, Dialogue] = {}
+        self._exchanges: dict[int, _Exchange] = {}
+        self._outbox: list[tuple[Frame, bool]] = []
+        port.received()  # what was said before this conversation does not belong to it
+
+    def begin(self, dialogues: Mapping[int, Dialogue]) -> None:
+        """Let every joint's dialogue ask its first question."""
+        self._dialogues.update(dialogues)
+        for joint in dialogues:
+            self._advance(joint, None)
+
+    def poll(self, now_ns: int) -> bool:
+        """Take answers, ask on; True once every dialogue has ended. Raises TalkFailed."""
+        self.now_ns = now_ns
+        for frame in self._port.received():
+            self._hear(frame)
+        for joint in list(self._exchanges):
+            self._repeat_or_give_up(joint)
+        self._flush()
+        return not self._dialogues and not self._outbox
+
+    def post(self, kind: int, joint: int = -1, value: float = 0.0, code: int = 0) -> None:
+        """Tell the cycle a decision."""
+        if not self._port.post(kind, joint=joint, value=value, code=code):
+            raise TalkFailed(joint, "The control cycle takes no orders: it has stopped; start rtarm again.")
+
+    def _flush(self) -> None:
+        while self._outbox:
+            frame, joined = self._outbox[0]
+            if not self._port.post(SEND, frame=frame, joined=joined):
+                return
+            self._outbox.pop(0)
+
+    def _advance(self, joint: int, answer: bytes | None) -> None:
+        self._exchanges.pop(joint, None)
+        try:
+            ask = self._dialogues[joint].send(answer)
+        except StopIteration:
+            del self._dialogues[joint]
+            return
+        self._exchanges[joint] = _Exchange(ask, self.now_ns, 1)
+        self._say(joint, ask)
+
+    def _say(self, joint: int, ask: Ask) -> None:
+        frames = split_packets(self._addresses[joint], ask.payload)
+        self._outbox += [(frame, number < len(frames) - 1) for number, frame in enumerate(frames)]
+        self._flush()
+
+    def _hear(self, frame: Frame) -> None:
+        for joint, exchange in list(self._exchanges.items()):
+            if frame.id >> 8 != self._addresses[joint] or not frame.data:
+                continue
+            if frame.time_ns < exchange.sent_ns:
+                continue  # the late answer to an earlier question
+            packet, ask = frame.id & 255, exchange.ask
+            if packet == 0 and (_is_refusal(frame.data, ask.payload[0])):
+                self._advance(joint, frame.data)
+            elif frame.data[0] == ask.payload[0] and packet < ask.packets:
+                if ask.packets == 1 and len(frame.data) not in ask.reply_lengths:
+                    continue  # an echo of the question, or an answer to somebody else's
+                exchange.packets[packet] = frame.data
+                if len(exchange.packets) == ask.packets:
+                    joined = exchange.packets[0][:1]
+                    for number in range(ask.packets):
+                        joined += exchange.packets[number][1:]
+                    if joined[-1] == 0x6B:
+                        self._advance(joint, joined)
+                    else:
+                        exchange.packets.clear()
+
+    def _repeat_or_give_up(self, joint: int) -> None:
+        exchange = self._exchanges[joint]
+        if self.now_ns - exchange.sent_ns < ANSWER_PATIENCE_NS:
+            return
+        if not exchange.ask.answered or exchange.tries >= TRIES:
+            self._advance(joint, None)
+            return
+        exchange.tries += 1
+        exchange.sent_ns = self.now_ns
+        exchange.packets.clear()
+        self._say(joint, exchange.ask)
+
+
+def _is_refusal(data: bytes, function: int) -> bool:
+    """`func E2 6B`, `func EE 6B` or `00 EE 6B`."""
+    if len(data) != 3 or data[2] != 0x6B:
+        return False
+    return (data[0] == function and data[1] in (0xE2, 0xEE) and function != 0x3A) or data[:2] == b"\x00\xee"

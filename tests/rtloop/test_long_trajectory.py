@@ -1,0 +1,57 @@
+"""A trajectory of a million knots: the ring takes them as they are used up, and nothing grows."""
+
+import resource
+
+import numpy as np
+from virtual import VirtualArm
+
+from shm.errors import RingFull
+from shm.words import Entry, Fault, Outcome
+
+KNOTS = 1_000_000
+SPACING_NS = 1_000_000
+CHUNK = 1000
+GROWTH_KB = 4096
+
+
+def wave(first: int, count: int) -> np.ndarray:
+    """(count, 6, 3): a slow wave of all joints, at rest in its first and its last knot."""
+    t = (first + np.arange(count)) * SPACING_NS * 1e-9
+    w = 2 * np.pi * 50 / ((KNOTS - 1) * SPACING_NS * 1e-9)
+    one = 0.2 * np.stack([1 - np.cos(w * t), w * np.sin(w * t), w * w * np.cos(w * t)], axis=-1)
+    return np.repeat(one[:, None, :], 6, axis=1)
+
+
+def test_a_million_knots_in_flat_memory() -> None:
+    """Seventeen minutes of motion in virtual time, through the real ring and the real cycle."""
+    arm = VirtualArm("mock")
+    assert arm.bring_up().failure is None
+    none = np.zeros((6, 3))
+    arm.writer.announce(1)
+    arm.writer.begin(1, start_ns=0, joint_mask=0b111111, goal_time_s=0.4, entry=Entry(0), tolerances=none, consumed=0)
+    begun_ns = arm.now_ns
+    written, peak_kb = 0, 0
+    rows = wave(0, CHUNK)
+    while written < KNOTS:
+        consumed = arm.reader.setpoints_consumed()
+        try:
+            arm.writer.knot(1, written * SPACING_NS, 5, rows[written % CHUNK], consumed)
+        except RingFull:
+            arm.cycle()
+            continue
+        written += 1
+        if written % CHUNK == 0 and written < KNOTS:
+            rows = wave(written, CHUNK)
+        if written == KNOTS // 10:
+            peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    while True:
+        try:
+            arm.writer.end(1, none, arm.reader.setpoints_consumed())
+            break
+        except RingFull:
+            arm.cycle()
+    arm.until(lambda: arm.outcome(1) != Outcome.NONE)
+    assert arm.outcome(1) == Outcome.SUCCEEDED and arm.core["fault"] == Fault.NONE
+    assert (arm.now_ns - begun_ns) * 1e-9 < KNOTS * SPACING_NS * 1e-9 + 1.0  # it never waited for knots
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak_kb < GROWTH_KB
+    arm.close()

@@ -1,0 +1,115 @@
+"""Whatever is asked of a moving arm, in any order: accelerations stay inside their margins and never step.
+
+On the mock arm, so that the commanded motion is judged to the last digit, for many more cases than the simulated
+drives would allow (they have their own in test_true_motion.py).
+"""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from virtual import VirtualArm, recorded_goal
+
+from shm.words import Fault, Outcome, Request
+
+MOVING = ("large", "scale_1_0", "near_limits_high", "around_box", "cartesian", "large_back")
+ACCELERATION_RATIO = 1.9
+"""Commanded acceleration as a multiple of the limit; 2.0 is the margin of the last line of defence."""
+CHANGE_RATIO = 1.3
+"""Change of the commanded acceleration from one cycle of 10 ms to the next, likewise: the bound on jerk."""
+
+actions = st.lists(
+    st.tuples(
+        st.integers(1, 60),
+        st.one_of(
+            st.sampled_from(["hold", "resume", "back", "again", "stamped", "cancel"]),
+            st.floats(0.0, 1.0),
+        ),
+    ),
+    min_size=1,
+    max_size=8,
+)
+
+
+class Asked(VirtualArm):
+    """A mock arm somewhere in a recorded goal, to be asked for things."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__("mock")
+        self.name, self.goal = name, recorded_goal(name)
+        start = self.goal["joints"][0, :, 0]
+        assert self.bring_up().failure is None
+        for word in ("position_rad", "next_position_rad", "measured_rad", "reference_rad"):
+            self.loop[0]["axes"][word][: len(start)] = start
+        self.positions = [start.copy()]
+        self.newest = self.play(name)
+
+    def cycle(self, periods: int = 1) -> None:
+        super().cycle(periods)
+        if hasattr(self, "positions"):
+            self.positions.append(self.loop[0]["axes"]["position_rad"][: len(self.arm.joints)].copy())
+
+    def ask(self, action: str | float) -> None:
+        """Do what an action of the strategy says."""
+        if isinstance(action, float):
+            self.writer.request(Request.SPEED_SCALE, value=action)
+        elif action == "hold":
+            self.writer.request(Request.HOLD)
+        elif action == "resume":
+            self.writer.request(Request.RESUME)
+        elif action == "cancel":
+            self.writer.request(Request.CANCEL)
+        elif action == "back":
+            self.newest = self.send_goal(np.array([self.time_back_ns()]), self.start_again(), bridge=True)
+        elif action == "stamped":
+            joints = self.start_again()
+            start_ns = self.now_ns + 200_000_000
+            self.newest = self.send_goal(np.array([self.time_back_ns()]), joints, bridge=True, start_ns=start_ns)
+        elif action == "again" and int(self.core["goal_id"]) != 0:
+            clock_ns = round(float(self.core["clock_s"]) * 1e9)
+            self.newest = self.play(self.name, start_ns=self.now_ns - clock_ns)
+
+    def start_again(self) -> np.ndarray:
+        joints = self.goal["joints"][:1].copy()
+        joints[:, :, 1:] = 0.0
+        return joints
+
+    def time_back_ns(self) -> int:
+        here = self.positions[-1]
+        speeds = np.array([joint.max_velocity_rad_s for joint in self.arm.joints])
+        return int(1e9 * max(0.8, float((2.5 * np.abs(self.goal["joints"][0, :, 0] - here) / speeds).max())))
+
+    def ratios(self) -> tuple[float, float]:
+        """Largest acceleration, and largest change of it in a cycle, as multiples of the limits."""
+        limits = np.array([joint.max_acceleration_rad_s2 for joint in self.arm.joints])
+        acceleration = np.diff(np.array(self.positions), 2, axis=0) / (self.period_ns * 1e-9) ** 2 / limits
+        return float(np.abs(acceleration).max()), float(np.abs(np.diff(acceleration, axis=0)).max())
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_an_undisturbed_goal_for_comparison(name: str) -> None:
+    arm = Asked(name)
+    arm.until(lambda: arm.outcome(arm.newest) != Outcome.NONE)
+    acceleration, change = arm.ratios()
+    assert acceleration <= 1.5 and change <= 1.1
+    arm.close()
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.sampled_from(MOVING), st.integers(2, 150), actions)
+def test_whatever_is_asked_in_motion(name: str, begin: int, asked: list[tuple[int, str | float]]) -> None:
+    arm = Asked(name)
+    arm.cycles(begin)
+    for wait, action in asked:
+        arm.ask(action)
+        arm.cycles(wait)
+    arm.writer.request(Request.SPEED_SCALE, value=1.0)
+    arm.writer.request(Request.RESUME)
+    arm.until(lambda: arm.outcome(arm.newest) != Outcome.NONE, at_most_s=100)
+    arm.cycles(5)
+    assert arm.core["fault"] == Fault.NONE
+    assert arm.outcome(arm.newest) in (Outcome.SUCCEEDED, Outcome.CANCELED, Outcome.REFUSED_START)
+    acceleration, change = arm.ratios()
+    assert acceleration <= ACCELERATION_RATIO
+    assert change <= CHANGE_RATIO
+    arm.close()

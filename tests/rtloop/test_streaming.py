@@ -1,0 +1,165 @@
+"""Streams of points: smooth whatever their rate, and a stop in a straight line when they dry up."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from motion_figures import accelerations, sampled_truth
+from servo import Servo, SinglePoints, waves
+from virtual import VirtualArm
+
+from shm.words import Fault, Mode, Outcome, Phase
+
+trials = settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+
+class Recorded(VirtualArm):
+    """An arm that keeps every commanded position."""
+
+    def __init__(self, name: str = "mock", **options: object) -> None:
+        super().__init__(name, **options)
+        self.positions: list[np.ndarray] = []
+        self.times: list[int] = []
+        assert self.bring_up().failure is None
+
+    def cycle(self, periods: int = 1) -> None:
+        super().cycle(periods)
+        self.positions.append(self.loop[0]["axes"]["position_rad"][: len(self.arm.joints)].copy())
+        self.times.append(self.now_ns)
+
+    def acceleration_ratio(self, first: int = 0) -> float:
+        """Largest commanded acceleration as a multiple of its joint's limit."""
+        return ratio(np.array(self.positions[first:]), self)
+
+    def error_to(self, way, begun_ns: int, delay_s: float, first: int) -> float:
+        """Largest distance between what was commanded and the way, a delay ago, as a share of the way's size."""
+        at = [way(max((t - begun_ns) * 1e-9 - delay_s, 0.0))[0] for t in self.times[first:]]
+        wanted, got = np.array(at), np.array(self.positions[first:])
+        return float((np.abs(got - wanted) / np.ptp(wanted, axis=0)).max())
+
+
+def ratio(positions: np.ndarray, arm: VirtualArm) -> float:
+    """Largest acceleration of positions at consecutive cycles as a multiple of its joint's limit."""
+    limits = np.array([joint.max_acceleration_rad_s2 for joint in arm.arm.joints])
+    return float((np.abs(np.diff(positions, 2, axis=0)) / (arm.period_ns * 1e-9) ** 2 / limits).max())
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 125.0, 250.0])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_servo_window_is_followed_exactly_when_it_is_due(rate_hz: float, seed: int) -> None:
+    """Every entry is carried out at its own stamp: Servo's own latency is all there is."""
+    arm = Recorded()
+    way = waves(arm, 0.7, seed)
+    servo = Servo(arm, way, rate_hz)
+    servo.run(4.0)
+    assert arm.core["fault"] == Fault.NONE and servo.sent > 3.5 * rate_hz
+    planned = np.array([way(i * arm.period_ns * 1e-9)[0] for i in range(400)])
+    assert arm.acceleration_ratio() <= 1.05 * ratio(planned, arm)
+    assert arm.error_to(way, servo.begun_ns, 0.1, first=100) < 0.003
+    arm.close()
+
+
+@pytest.mark.parametrize("velocities", [True, False])
+@pytest.mark.parametrize("rate_hz", [30.0, 50.0, 100.0, 250.0])
+def test_single_points_are_followed_smoothly(rate_hz: float, velocities: bool) -> None:
+    """Points without a stamp, to be reached at once: the arm follows softly, a little behind."""
+    arm = Recorded()
+    way = waves(arm, 0.5 if velocities else 0.05, 3)  # positions alone say "rest here" at each of them
+    sender = SinglePoints(arm, way, rate_hz, velocities=velocities)
+    sender.run(4.0)
+    assert arm.core["fault"] == Fault.NONE
+    assert arm.acceleration_ratio() <= 1.5
+    errors = {delay: arm.error_to(way, sender.begun_ns, delay, first=100) for delay in np.arange(0.0, 0.5, 0.01)}
+    lag_s = min(errors, key=lambda delay: errors[delay])
+    assert lag_s <= (0.04 if velocities else 0.1)
+    assert errors[lag_s] < 0.1
+    arm.close()
+
+
+@trials
+@given(st.integers(0, 10**6), st.sampled_from([50.0, 100.0, 250.0]), st.floats(0.6, 3.0))
+def test_a_dried_up_stream_stops_in_a_straight_line(seed: int, rate_hz: float, seconds: float) -> None:
+    arm = Recorded()
+    servo = Servo(arm, waves(arm, 0.7, seed), rate_hz)
+    servo.run(seconds)
+    arm.cycle()  # the last message is in
+    running = int(arm.core["goal_id"])
+    last = len(arm.positions)
+    arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=3.0)
+    assert arm.outcome(running) == Outcome.RAN_DRY and arm.core["fault"] == Fault.NONE
+    assert arm.acceleration_ratio(last - 3) <= 1.6
+    # where the path ended, and how fast: from there on all joints are the same share of that velocity along
+    end_s, end_v = servo.entries[-2][0], servo.entries[-2][1][:, 1]
+    times, positions = np.array(arm.times), np.array(arm.positions)
+    after = positions[times >= end_s]
+    beyond = after - servo.entries[-2][1][:, 0]
+    fast = np.abs(end_v) > 0.05 * np.abs(end_v).max()
+    along = beyond[:, fast] / end_v[fast]
+    assert np.abs(along - along.mean(axis=1, keepdims=True)).max() < 0.03 * along.max()
+    assert (np.diff(along.mean(axis=1)) >= -1e-9).all()  # never back
+    arm.close()
+
+
+def test_a_stream_that_ends_at_rest_is_a_goal_that_succeeds() -> None:
+    arm = Recorded()
+    rows = np.zeros((1, 6, 3))
+    rows[0, :, 0] = 0.02
+    goal = arm.send_goal(np.array([500_000_000]), rows, stream=True, bridge=True)
+    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    assert arm.positions[-1] == pytest.approx([0.02] * 6)
+    arm.close()
+
+
+def test_a_late_message_is_taken_up_while_the_arm_is_stopping() -> None:
+    """The stream breaks off for 0.2 s: the arm slows down and goes on, and no setpoint jumps."""
+    arm = Recorded()
+    way = waves(arm, 0.4, 5)
+    servo = Servo(arm, way, 100.0)
+    servo.run(1.0)
+    arm.cycles(22)
+    assert arm.reader.snapshot()["goal_phase"] == Phase.STOPPING
+    servo.begun_ns += arm.now_ns - servo.due_ns
+    servo.due_ns = arm.now_ns
+    servo.entries.clear()
+    servo.run(1.5)
+    assert arm.core["mode"] == Mode.EXECUTING and arm.core["fault"] == Fault.NONE
+    assert arm.acceleration_ratio() <= 1.9
+    assert arm.error_to(way, servo.begun_ns, 0.1, first=len(arm.positions) - 60) < 0.03
+    arm.close()
+
+
+def test_a_point_too_far_away_is_refused_and_the_stream_before_it_goes_on() -> None:
+    arm = Recorded()
+    servo = Servo(arm, waves(arm, 0.4, 6), 100.0)
+    servo.run(1.0)
+    running = int(arm.core["goal_id"])
+    rows = np.zeros((1, 6, 3))
+    rows[0, :, 0] = arm.positions[-1] + 0.3
+    far = arm.send_goal(np.array([10_000_000]), rows, order=3, stream=True, bridge=True)
+    arm.cycles(2)
+    arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=3.0)
+    assert arm.outcome(far) in (Outcome.REFUSED_LIMITS, Outcome.REFUSED_START)
+    assert arm.outcome(running) in (Outcome.RAN_DRY, Outcome.REPLACED)
+    assert arm.acceleration_ratio() <= 1.6 and arm.core["fault"] == Fault.NONE
+    arm.close()
+
+
+@settings(max_examples=4, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.integers(0, 10**6), st.floats(0.6, 2.5))
+def test_the_drives_truly_move_like_that(seed: int, seconds: float) -> None:
+    """The same on the simulated drives' true motion, until they stand."""
+    arm = Recorded("episode1", start_rad=[0.3, 0.2, -0.1, 1.0, 0.5, 2.0])
+    begun_ns = arm.now_ns
+    servo = Servo(arm, waves(arm, 0.6, seed), 100.0)
+    servo.run(seconds)
+    arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=3.0)
+    arm.cycles(40)
+    assert arm.core["fault"] == Fault.NONE
+    assert arm.sim is not None
+    for joint, config in enumerate(arm.arm.joints):
+        _, position_rad, _ = sampled_truth(arm.sim, joint, begun_ns, arm.sim.now_ns)
+        assert np.abs(accelerations(position_rad)).max() <= 2.0 * config.max_acceleration_rad_s2
+        end = arm.sim.true_position_rad(joint, arm.sim.now_ns - 1)
+        assert abs(end - arm.positions[-1][joint]) <= config.command_pulse_rad + config.encoder_count_rad
+    arm.close()

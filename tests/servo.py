@@ -1,0 +1,89 @@
+"""What senders of a stream do: MoveIt Servo's sliding window, and points sent one by one."""
+
+from collections.abc import Callable
+
+import numpy as np
+from virtual import VirtualArm
+
+LATENCY_NS = 100_000_000
+"""Servo's `max_expected_latency`: every entry is for this much later than it was made; older ones are dropped."""
+
+Way = Callable[[float], tuple[np.ndarray, np.ndarray]]
+"""Positions and velocities (joints,) at a time in s."""
+
+
+def waves(arm: VirtualArm, share: float, seed: int) -> Way:
+    """A smooth way through random directions that begins at rest, with `share` of the limits at its hardest."""
+    random = np.random.default_rng(seed)
+    here = arm.loop[0]["axes"]["position_rad"][: len(arm.arm.joints)].copy()
+    velocity = np.array([joint.max_velocity_rad_s for joint in arm.arm.joints])
+    acceleration = np.array([joint.max_acceleration_rad_s2 for joint in arm.arm.joints])
+    omega = random.uniform(1.0, 3.0, len(here))
+    sign = random.choice([-1.0, 1.0], len(here))
+    room = np.array([min(j.upper_rad - p, p - j.lower_rad) for j, p in zip(arm.arm.joints, here, strict=True)])
+    size = sign * np.minimum(share * np.minimum(velocity / omega, acceleration / omega**2), 0.2 * room)
+
+    def at(t: float) -> tuple[np.ndarray, np.ndarray]:
+        # 1 - cos begins at rest; fading it in takes away the first step of its acceleration
+        fade = min(t / 0.5, 1.0) ** 2 * (3 - 2 * min(t / 0.5, 1.0))
+        slope = 6 * (t / 0.5) * (1 - t / 0.5) / 0.5 if t < 0.5 else 0.0
+        shape, speed = 1 - np.cos(omega * t), omega * np.sin(omega * t)
+        return here + size * fade * shape, size * (fade * speed + slope * shape)
+
+    return at
+
+
+class Servo:
+    """MoveIt Servo: windows of the last entries, stamped with the oldest, the newest one withheld."""
+
+    def __init__(self, arm: VirtualArm, way: Way, rate_hz: float) -> None:
+        self.arm, self.way = arm, way
+        self.period_ns = round(1e9 / rate_hz)
+        self.begun_ns = self.due_ns = arm.now_ns
+        self.entries: list[tuple[int, np.ndarray]] = []
+        self.sent = 0
+
+    def run(self, seconds: float) -> None:
+        """Send at the rate while the arm runs its cycles."""
+        until_ns = self.arm.now_ns + round(seconds * 1e9)
+        while self.arm.now_ns < until_ns:
+            while self.due_ns <= self.arm.now_ns:
+                self.make(self.due_ns)
+                self.due_ns += self.period_ns
+            self.arm.cycle()
+
+    def make(self, now_ns: int) -> None:
+        """One turn of Servo's loop."""
+        position, velocity = self.way((now_ns - self.begun_ns) * 1e-9)
+        rows = np.stack([position, velocity, np.zeros_like(position)], axis=1)
+        self.entries.append((now_ns + LATENCY_NS, rows))
+        self.entries = [entry for entry in self.entries if entry[0] >= now_ns - LATENCY_NS]
+        if len(self.entries) > 2:
+            self.send([entry[0] for entry in self.entries[:-1]], [entry[1] for entry in self.entries[:-1]])
+
+    def send(self, stamps_ns: list[int], rows: list[np.ndarray]) -> None:
+        stamps = np.array(stamps_ns)
+        first = max(int(np.searchsorted(stamps, self.arm.now_ns, side="right")) - 1, 0)  # the front leaves out the past
+        self.sent += 1
+        self.arm.send_goal(
+            stamps[first:] - stamps[0],
+            np.array(rows[first:]),
+            order=3,
+            stream=True,
+            start_ns=int(stamps[0]),
+        )
+
+
+class SinglePoints(Servo):
+    """A sender that knows no time: one point, to be reached a period from now."""
+
+    def __init__(self, arm: VirtualArm, way: Way, rate_hz: float, *, velocities: bool) -> None:
+        super().__init__(arm, way, rate_hz)
+        self.velocities = velocities
+
+    def make(self, now_ns: int) -> None:
+        """One turn of the sender's loop."""
+        position, velocity = self.way((now_ns - self.begun_ns + self.period_ns) * 1e-9)
+        rows = np.stack([position, velocity * self.velocities, np.zeros_like(position)], axis=1)
+        self.sent += 1
+        self.arm.send_goal(np.array([self.period_ns]), rows[None], order=3, stream=True, bridge=True)
