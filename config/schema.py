@@ -395,6 +395,11 @@ class TrajectoryConfig(_Section):
     stopped_velocity_rad_s: float = Field(
         default=0.05, gt=0, description="Velocity below which a joint counts as standing (rad/s)."
     )
+    allow_nonzero_end_velocity: bool = Field(
+        default=False,
+        description="true takes goals whose last point still moves, and brings them to rest at that point by slowing "
+        "down on the path; false refuses them.",
+    )
     strict_reject: bool = Field(
         default=False,
         description="true rejects a bad goal, which ROS can only do without a reason; false accepts it and "
@@ -416,6 +421,9 @@ class FrontConfig(_Section):
         le=2000,
         description="Rate of /joint_states (Hz): the control rate divided by a whole number, 50 or more; "
         "left out, it is the control rate.",
+    )
+    feedback_hz: float = Field(
+        default=20.0, ge=0.1, le=200, description="Rate of the action's feedback (Hz); never above /joint_states."
     )
     frame_id: str = Field(default="base_link", description="Frame in the header of /joint_states.")
     discovery: Literal["localhost", "subnet"] = Field(

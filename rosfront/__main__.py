@@ -97,6 +97,7 @@ def _serve(arm: ArmConfig, link: Link | None, ros_arguments: list[str], end: End
         from rclpy.utilities import try_shutdown
 
         from rosfront.node import FrontNode
+        from rosfront.parameters import BadParameter
     except ImportError as problem:
         raise RosMissing(
             f"ROS 2 is not usable here ({problem}): source a ROS 2 Jazzy installation that has control_msgs, "
@@ -106,7 +107,12 @@ def _serve(arm: ArmConfig, link: Link | None, ros_arguments: list[str], end: End
     sys.setswitchinterval(GIL_SWITCH_S)
     rclpy.init(args=ros_arguments, signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor()
-    front = FrontNode(arm, executor, link)
+    try:
+        front = FrontNode(arm, executor, link)
+    except BadParameter as problem:
+        print(problem, file=sys.stderr)
+        try_shutdown()
+        return 1
     failures: list[BaseException] = []
 
     def spin() -> None:

@@ -5,19 +5,22 @@ the arm is commanded. A goal is checked completely before anything moves:
 
 - effort is refused, as the drives are told positions and ignoring a wish for force would mislead;
 - a last velocity up to `REST_RAD_S` counts as rest (planners leave residues); it stays in the plan, and the
-  control process ends at rest all the same;
+  control process ends at rest all the same; a larger one is taken where the settings allow it;
 - position limits hold along the interpolant without margin, but for the rounding to pulses and counts that
   may put an arm standing at a limit just beyond it;
 - velocity and acceleration hold with the configured margins as a drive sees them that is told one setpoint a
   cycle: a residual segment of 0.4 ms at the end of a MoveIt plan is not judged by its curvature;
 - the way to a first point whose time is above 0 is checked as the control process would make it from the
   present commanded state;
-- a header stamp in the past whose trajectory still has a part to come is started at once, from its beginning;
-  one that lies in the past as a whole is refused.
+- a trajectory whose header stamp lies in the past is entered where it is due by now, or at the latest earlier
+  place that is near enough to the arm; one that lies in the past as a whole is refused.
 """
 
+from __future__ import annotations
+
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
@@ -26,7 +29,8 @@ import numpy as np
 from config.schema import ArmConfig
 from motion import slopes
 from rosfront.limits import check_limits
-from rosfront.plan import NS, GoalPlan, Present
+from rosfront.path import PlannedPath
+from rosfront.plan import NS, GoalPlan, Present, Terms
 from rosfront.refusals import (
     AccelerationsAlone,
     BadTolerance,
@@ -36,41 +40,79 @@ from rosfront.refusals import (
     EndsMoving,
     NegativeTime,
     NoJoints,
+    NoRoomToStop,
     NotFinite,
     NotSupported,
+    PartialGoal,
     TimesNotRising,
+    TooDense,
     TooFar,
     TooManyPoints,
     UnknownJoint,
     Unparameterised,
     WrongSize,
 )
+from rosfront.settings import Settings
+from shm.words import Entry
 
 REST_RAD_S = 1e-3
 OFF = -1.0
+OFF_WITHIN = 1.2e-7  # the spacing of single-precision numbers near 1, as upstream allows it
+ENTER_WITHIN = 0.8
+"""Share of the start tolerance within which an entry is looked for: the plan moves on until it is entered."""
+ENTRIES_A_CHUNK = 4096
+DENSE_POINTS, DENSE_S = 4000, 0.4
+"""The control process sees 4096 points ahead; they must last longer than most stops on the path."""
+STOP_LENGTHENING = 1.6
+"""A stop takes the next of the control process' candidates, each at most so much longer than the one before."""
 
 
-def plan_goal(goal: Any, arm: ArmConfig, present: Present) -> GoalPlan:
+def plan_goal(goal: Any, arm: ArmConfig, present: Present, settings: Settings) -> GoalPlan:
     """Check a FollowJointTrajectory goal and translate it into knots; raises GoalRefused."""
     with np.errstate(over="ignore", invalid="ignore"):  # hostile numbers end up beyond a limit
-        return _plan(goal, arm, present)
+        _refuse_unsupported(goal)
+        names = [joint.name for joint in arm.joints]
+        columns = _columns(goal.trajectory.joint_names, names, settings)
+        given = _read_points(goal.trajectory, arm)
+        if not settings.allow_nonzero_end_velocity:
+            _check_end(given, goal.trajectory.joint_names)
+        terms = _terms(goal, settings, names)
+        return _plan(goal.trajectory, given, columns, arm, present, terms, Entry(0))
 
 
-def _plan(goal: Any, arm: ArmConfig, present: Present) -> GoalPlan:
-    names = [joint.name for joint in arm.joints]
-    trajectory = goal.trajectory
-    _refuse_unsupported(goal)
-    columns = _columns(trajectory.joint_names, names)
-    given = _read_points(trajectory.points, [str(name) for name in trajectory.joint_names], arm)
-    start_ns = _start_ns(trajectory.header.stamp, int(given.times_ns[-1]), present)
-    tolerances = _tolerances(goal, arm, names)
-    goal_time_s = _goal_time_s(goal.goal_time_tolerance, arm.trajectory.goal_time_s)
+def plan_stream(trajectory: Any, arm: ArmConfig, present: Present, settings: Settings) -> GoalPlan:
+    """Check a message of `~/joint_trajectory` and translate it into knots; raises GoalRefused.
 
-    bridge = bool(given.times_ns[0] > 0)
-    if not bridge and present.standing:
-        _check_start(given.positions[0], columns, arm, present.commanded)
-    plan = _complete(given, columns, arm, present, bridge, (start_ns, tolerances, goal_time_s))
-    check_limits(plan, arm, present)
+    Like a goal, but newer points are expected: the last one may be in motion if there is room to stop behind it,
+    and the way to the first one is made gently, however near its time is.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        names = [joint.name for joint in arm.joints]
+        columns = _columns(trajectory.joint_names, names, settings)
+        given = _read_points(trajectory, arm)
+        terms = default_terms(settings)
+        plan = _plan(trajectory, given, columns, arm, present, terms, Entry.STREAM)
+        _check_room_to_stop(plan, arm)
+        return plan
+
+
+def _plan(
+    trajectory: Any,
+    given: _Points,
+    columns: np.ndarray,
+    arm: ArmConfig,
+    present: Present,
+    terms: Terms,
+    entry: Entry,
+) -> GoalPlan:
+    start_ns, elapsed_ns = _start(trajectory.header.stamp, int(given.times_ns[-1]), present)
+    if elapsed_ns < given.times_ns[0]:
+        entry |= Entry.BRIDGE
+    mask = sum(1 << int(column) for column in columns)
+    times_ns, orders, joints = _complete(given, columns, arm, present, entry)
+    whole = GoalPlan(times_ns, orders, joints, mask, terms, start_ns, elapsed_ns, entry, present.commanded)
+    plan = _from_its_entry(whole, arm, present)
+    check_limits(plan, arm)
     return plan
 
 
@@ -96,7 +138,7 @@ def _refuse_unsupported(goal: Any) -> None:
             )
 
 
-def _columns(joint_names: Sequence[str], known: list[str]) -> np.ndarray:
+def _columns(joint_names: Sequence[str], known: list[str], settings: Settings) -> np.ndarray:
     """Index in the configuration of each named joint."""
     if not joint_names:
         raise NoJoints(known)
@@ -107,10 +149,13 @@ def _columns(joint_names: Sequence[str], known: list[str]) -> np.ndarray:
         if name in seen:
             raise DuplicateJoint(name)
         seen.add(name)
+    if len(seen) < len(known) and not settings.allow_partial_joints_goal:
+        raise PartialGoal([name for name in known if name not in seen])
     return np.array([known.index(name) for name in joint_names])
 
 
-def _read_points(points: Sequence[Any], joint_names: list[str], arm: ArmConfig) -> _Points:
+def _read_points(trajectory: Any, arm: ArmConfig) -> _Points:
+    points, joint_names = trajectory.points, trajectory.joint_names
     count, width = len(points), len(joint_names)
     if count == 0:
         raise EmptyTrajectory()
@@ -144,10 +189,6 @@ def _read_points(points: Sequence[Any], joint_names: list[str], arm: ArmConfig) 
         (point.time_from_start.sec * NS + point.time_from_start.nanosec for point in points), np.int64, count
     )
     _check_times(times_ns)
-    if has_velocities[-1]:
-        column = int(np.abs(velocities[-1]).argmax())
-        if abs(velocities[-1, column]) > REST_RAD_S:
-            raise EndsMoving(joint_names[column], float(velocities[-1, column]), REST_RAD_S)
     return _Points(times_ns, positions, velocities, accelerations, has_velocities, has_accelerations)
 
 
@@ -173,35 +214,55 @@ def _check_times(times_ns: np.ndarray) -> None:
     if len(stuck):
         point = int(stuck[0]) + 1
         raise TimesNotRising(point, float(times_ns[point - 1]) / NS, float(times_ns[point]) / NS)
+    spans_ns = times_ns[DENSE_POINTS:] - times_ns[:-DENSE_POINTS]
+    dense = np.flatnonzero(spans_ns < DENSE_S * NS)
+    if len(dense):
+        raise TooDense(int(dense[0]), DENSE_POINTS, float(spans_ns[dense[0]]) / NS, DENSE_S)
 
 
-def _start_ns(stamp: Any, duration_ns: int, present: Present) -> int:
+def _check_end(given: _Points, joint_names: Sequence[str]) -> None:
+    """The last point is at rest, but for the residues that planners leave."""
+    if given.has_velocities[-1]:
+        column = int(np.abs(given.velocities[-1]).argmax())
+        if abs(given.velocities[-1, column]) > REST_RAD_S:
+            raise EndsMoving(joint_names[column], float(given.velocities[-1, column]), REST_RAD_S)
+
+
+def _start(stamp: Any, duration_ns: int, present: Present) -> tuple[int, int]:
+    """CLOCK_MONOTONIC of the trajectory's beginning, 0 for at once, and how much of it is over by now (ns)."""
     stamp_ns = int(stamp.sec) * NS + int(stamp.nanosec)
     if stamp_ns == 0:
-        return 0
+        return 0, 0
     ahead_ns = stamp_ns - present.epoch_ns
     if ahead_ns + duration_ns < 0:
         raise EndsInThePast(-(ahead_ns + duration_ns) / NS)
-    return present.monotonic_ns + ahead_ns if ahead_ns > 0 else 0
+    return present.monotonic_ns + ahead_ns or 1, max(-ahead_ns, 0)
 
 
 def _resolve(given: float, default: float, joint: str | None, field: str) -> float:
-    """A tolerance: above 0 it replaces the default, 0 keeps it, -1 switches it off (0 in shared memory)."""
+    """A tolerance: above 0 it replaces the default, 0 keeps it, -1 and infinity switch it off (0 in the result)."""
     if given == 0.0:
         return default
-    if given == OFF:
+    if abs(given - OFF) <= OFF_WITHIN or given == math.inf:
         return 0.0
-    if not np.isfinite(given) or given < 0.0:
+    if not given > 0.0:
         raise BadTolerance(joint, field, given)
     return given
 
 
-def _tolerances(goal: Any, arm: ArmConfig, names: list[str]) -> np.ndarray:
-    defaults = arm.trajectory
-    row = (defaults.path_tolerance_rad, defaults.goal_tolerance_rad, defaults.stopped_velocity_rad_s)
-    tolerances = np.tile(np.array(row), (len(names), 1))
-    judged = {"path_tolerance": {"position": 0}, "goal_tolerance": {"position": 1, "velocity": 2}}
-    for field, slots in judged.items():
+def default_terms(settings: Settings) -> Terms:
+    """What a goal is allowed that says nothing about it."""
+    count = len(settings.path_tolerance_rad)
+    way, arrival = np.zeros((count, 3)), np.zeros((count, 3))
+    way[:, 0] = settings.path_tolerance_rad
+    arrival[:, 0] = settings.goal_tolerance_rad
+    arrival[:, 1] = settings.stopped_velocity_rad_s
+    return Terms(way, arrival, settings.goal_time_s)
+
+
+def _terms(goal: Any, settings: Settings, names: list[str]) -> Terms:
+    defaults = default_terms(settings)
+    for field, rows in (("path_tolerance", defaults.path_tolerances), ("goal_tolerance", defaults.goal_tolerances)):
         seen: set[str] = set()
         for entry in getattr(goal, field):
             if entry.name not in names:
@@ -209,45 +270,81 @@ def _tolerances(goal: Any, arm: ArmConfig, names: list[str]) -> np.ndarray:
             if entry.name in seen:
                 raise DuplicateJoint(entry.name, field)
             seen.add(entry.name)
-            index = names.index(entry.name)
-            for quantity in ("position", "velocity", "acceleration"):
+            row = rows[names.index(entry.name)]
+            for column, quantity in enumerate(("position", "velocity", "acceleration")):
                 value = float(getattr(entry, quantity))
-                if quantity in slots:
-                    slot = slots[quantity]
-                    tolerances[index, slot] = _resolve(value, row[slot], entry.name, f"{field} {quantity}")
-                elif _resolve(value, 0.0, entry.name, f"{field} {quantity}") > 0.0:
-                    raise NotSupported(
-                        f"{field} of {entry.name} limits its {quantity} to {value:g}, which is not watched; "
-                        f"give 0 there and limit its {' or '.join(slots)}.",
-                        joint=entry.name,
-                        value=value,
-                    )
-    return tolerances
+                row[column] = _resolve(value, row[column], entry.name, f"{field} {quantity}")
+    duration = goal.goal_time_tolerance
+    goal_time_s = _resolve(duration.sec + duration.nanosec / NS, settings.goal_time_s, None, "goal_time_tolerance (s)")
+    return Terms(defaults.path_tolerances, defaults.goal_tolerances, goal_time_s)
 
 
-def _goal_time_s(duration: Any, default_s: float) -> float:
-    return _resolve(duration.sec + duration.nanosec / NS, default_s, None, "goal_time_tolerance (s)")
+def _from_its_entry(plan: GoalPlan, arm: ArmConfig, present: Present) -> GoalPlan:
+    """The part of a plan that is still to come, entered where the arm stands near it.
+
+    That is the place that is due by now. Where it is too far away, it is the latest earlier one that is not, so
+    that a goal that was on its way for long is carried out late instead of with a jump. In motion the control
+    process judges the distance itself, when the time has come.
+    """
+    if plan.bridge:
+        return plan
+    if present.standing:
+        plan = _entered_near(plan, arm, present)
+    first = max(int(np.searchsorted(plan.times_ns, plan.entry_ns, side="right")) - 1, 0)
+    return replace(plan, times_ns=plan.times_ns[first:], orders=plan.orders[first:], joints=plan.joints[first:])
 
 
-def _check_start(first: np.ndarray, columns: np.ndarray, arm: ArmConfig, commanded: np.ndarray) -> None:
-    distances = np.abs(first - commanded[columns, 0])
-    worst = int(distances.argmax())
-    limit = arm.limits.start_tolerance_rad
-    if distances[worst] > limit:
-        raise TooFar(arm.joints[columns[worst]].name, float(distances[worst]), limit, float(first[worst]))
+def _entered_near(plan: GoalPlan, arm: ArmConfig, present: Present) -> GoalPlan:
+    path = PlannedPath(plan)
+    commanded, limit = present.commanded[path.mask, 0], arm.limits.start_tolerance_rad
+
+    def distances(times_ns: np.ndarray) -> np.ndarray:
+        away: np.ndarray = np.abs(path.at(times_ns)[0] - commanded)
+        return away
+
+    due = distances(np.array([plan.entry_ns]))[0]
+    if due.max() <= limit * (ENTER_WITHIN if plan.entry_ns > plan.times_ns[0] else 1.0):
+        return plan
+    for first in range(plan.entry_ns, int(plan.times_ns[0]) - 1, -ENTRIES_A_CHUNK * arm.control.period_ns):
+        times_ns = first - arm.control.period_ns * np.arange(ENTRIES_A_CHUNK)
+        times_ns = np.unique(np.maximum(times_ns, plan.times_ns[0]))
+        near = np.flatnonzero(distances(times_ns).max(axis=1) <= limit * ENTER_WITHIN)
+        if len(near):
+            entry_ns = int(times_ns[near[-1]])
+            return replace(plan, entry_ns=entry_ns, start_ns=present.monotonic_ns - entry_ns or 1)
+    worst = int(due.argmax())
+    joint = int(np.flatnonzero(path.mask)[worst])
+    place = "The first point"
+    if plan.entry_ns > plan.times_ns[0]:
+        place = f"The trajectory, by now {plan.entry_ns / NS:.3f} s after its start and nowhere nearer before,"
+    planned = float(path.at(np.array([plan.entry_ns]))[0][0, worst])
+    raise TooFar(place, arm.joints[joint].name, float(due[worst]), limit, planned)
+
+
+def _check_room_to_stop(plan: GoalPlan, arm: ArmConfig) -> None:
+    """A stream that ends in motion can stop in a straight line behind its last point, inside the limits.
+
+    All joints stop together within T, along a rate that falls as a cubic: it is steepest with 1.5 / T and takes
+    T / 2 of the way that the last velocity would have made.
+    """
+    position, velocity = plan.joints[-1, :, 0], plan.joints[-1, :, 1]
+    braking = arm.limits.braking_factor * np.array([joint.max_acceleration_rad_s2 for joint in arm.joints])
+    duration_s = STOP_LENGTHENING * float((1.5 * np.abs(velocity) / braking).max())
+    stop = position + velocity * (0.5 * duration_s + 2.0 * arm.control.period_ns / NS)
+    for joint, limits in enumerate(arm.joints):
+        slack = limits.command_pulse_rad + limits.encoder_count_rad
+        if velocity[joint] > 0.0 and stop[joint] > limits.upper_rad + slack:
+            raise NoRoomToStop(limits.name, float(velocity[joint]), float(stop[joint]), limits.upper_rad)
+        if velocity[joint] < 0.0 and stop[joint] < limits.lower_rad - slack:
+            raise NoRoomToStop(limits.name, float(velocity[joint]), float(stop[joint]), limits.lower_rad)
 
 
 def _complete(
-    given: _Points,
-    columns: np.ndarray,
-    arm: ArmConfig,
-    present: Present,
-    bridge: bool,
-    terms: tuple[int, np.ndarray, float],
-) -> GoalPlan:
-    """Fill in what the points lack, and put the columns into the arm's order."""
+    given: _Points, columns: np.ndarray, arm: ArmConfig, present: Present, entry: Entry
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fill in what the points lack, and put the columns into the arm's order: times, orders and knots."""
     times_ns, positions = given.times_ns, given.positions
-    if bridge:
+    if Entry.BRIDGE in entry and Entry.STREAM not in entry:
         knots_s = np.concatenate([[0.0], times_ns / NS])
         derived = slopes.monotone(knots_s, np.vstack([present.commanded[columns, 0], positions]))[1:]
     else:
@@ -258,15 +355,13 @@ def _complete(
     orders[1:] = np.where(given.has_accelerations[1:] & given.has_accelerations[:-1], 5, 3)
 
     knots = np.stack([positions, velocities, accelerations], axis=2)
-    if arm.trajectory.interpolation == "linear":
+    if arm.trajectory.interpolation == "linear" and Entry.STREAM not in entry:
         times_ns, knots = densify(times_ns, knots, arm.trajectory.interpolation_factor)
         orders = np.ones(len(times_ns), dtype=int)
     joints = np.zeros((len(times_ns), len(arm.joints), 3))
     joints[:, :, 0] = present.commanded[:, 0]
     joints[:, columns] = knots
-    start_ns, tolerances, goal_time_s = terms
-    mask = sum(1 << int(column) for column in columns)
-    return GoalPlan(times_ns, orders, joints, mask, tolerances, goal_time_s, start_ns, bridge)
+    return times_ns, orders, joints
 
 
 def densify(times_ns: np.ndarray, knots: np.ndarray, factor: int) -> tuple[np.ndarray, np.ndarray]:

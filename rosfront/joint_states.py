@@ -12,16 +12,16 @@ nothing was measured since the last message, nor before every joint has been mea
 """
 
 import math
-import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 
 from config.schema import ArmConfig
 from rosfront.link import Link, attach
+from rosfront.message_bytes import MessageBytes, finite
 from rosfront.plan import NS
 from rosfront.serving import STALLED_NS, Serving, gone, hung, starting
 from shm.errors import NotRunning, SharedMemoryError, TornRead
@@ -34,7 +34,7 @@ ATTACH_EVERY_S = 0.1
 FIRST_CYCLE_EVERY_S = 0.02
 QUIET_START_S = 5.0
 """Both processes are usually started at once, and the loop is the slower: that is not worth a line."""
-_STAMP = struct.Struct("<iI")
+ASIDE_EVERY_NS = NS
 
 
 class Publisher(Protocol):
@@ -44,48 +44,29 @@ class Publisher(Protocol):
         """Send a serialised message."""
 
 
-class JointStateBytes:
-    """A serialised sensor_msgs/JointState whose numbers are replaced in place."""
-
-    def __init__(self, serialised: Callable[[tuple[int, int], list[list[float]]], bytes], joint_count: int) -> None:
-        """`serialised` makes the message from (sec, nanosec) and the three arrays; called once."""
-        stamp = (0x5A5B5C5D, 0x3A2B1C0D)
-        rows = [[1e3 * (kind + 1) + joint + 0.123456789 for joint in range(joint_count)] for kind in range(3)]
-        self._bytes = bytearray(serialised(stamp, rows))
-        self._stamp_at = self._find(_STAMP.pack(*stamp))
-        self._numbers = struct.Struct(f"<{joint_count}d")
-        self._row_at = [self._find(self._numbers.pack(*row)) for row in rows]
-
-    def _find(self, marker: bytes) -> int:
-        if self._bytes.count(marker) != 1:
-            raise ValueError("A serialised JointState does not hold its numbers once each, little-endian.")
-        return self._bytes.index(marker)
-
-    def fill(
-        self, stamp_ns: int, position: Sequence[float], velocity: Sequence[float], effort: Sequence[float]
-    ) -> bytes:
-        """The message with these numbers, one a joint."""
-        _STAMP.pack_into(self._bytes, self._stamp_at, *divmod(stamp_ns, NS))
-        for at, row in zip(self._row_at, (position, velocity, effort), strict=True):
-            self._numbers.pack_into(self._bytes, at, *row)
-        return bytes(self._bytes)
-
-
 class Pulse(threading.Thread):
-    """The publisher's thread: /joint_states, the front's heartbeat, and whatever looks at every snapshot."""
+    """The publisher's thread: /joint_states, the front's heartbeat, and whatever looks at every snapshot.
+
+    It alone maps and unmaps the control process' files, so whatever else reads them does so from here.
+    """
 
     def __init__(
         self,
         arm: ArmConfig,
         serving: Serving,
-        message: JointStateBytes,
+        message: MessageBytes,
         publisher: Publisher,
-        look: Callable[[np.void, int], None],
+        look: Callable[[np.void, int, bool], None],
+        aside: Callable[[Link | None], None],
         say: Callable[[str], None],
         link: Link | None,
     ) -> None:
-        """`look` gets every new snapshot and the epoch stamp (ns) of its newest measurement; `say` is told
-        when the control process goes and comes, in a sentence."""
+        """`message` is a JointState of one time and three rows.
+
+        `look` gets every new snapshot, the epoch stamp (ns) of its newest measurement, and whether a message was
+        published for it. `aside` is called once a second, between two messages, with the control process' files or
+        None. `say` is told when that process goes and comes, in a sentence.
+        """
         super().__init__(name="joint-states", daemon=True)
         self._arm = arm
         self._joints = len(arm.joints)
@@ -96,6 +77,7 @@ class Pulse(threading.Thread):
         self._message = message
         self._publisher = publisher
         self._look = look
+        self._aside = aside
         self._say = say
         self._link = link
         self._leave = threading.Event()
@@ -105,6 +87,7 @@ class Pulse(threading.Thread):
         self._hung = False
         self._obstacle = ""
         self._absence_is_news = True
+        self._aside_at_ns = 0
         if link is not None and link.loop_has_run():
             serving.attached(link)  # not first in the thread: a goal may come before it gets its turn
         self.published = 0
@@ -126,6 +109,7 @@ class Pulse(threading.Thread):
             if self._link is None:
                 self._try_to_attach(quiet_until_s)
             if self._link is None:
+                self._turn_aside(None, time.monotonic_ns())
                 self._leave.wait(ATTACH_EVERY_S)
                 continue
             self._absence_is_news = False  # from now on it is said when it goes
@@ -163,6 +147,7 @@ class Pulse(threading.Thread):
                 self._say(reason)
                 said_at_s = math.inf
             link.writer.beat()
+            self._turn_aside(None, time.monotonic_ns())
             if self._leave.wait(FIRST_CYCLE_EVERY_S):
                 return False
         return True
@@ -185,15 +170,16 @@ class Pulse(threading.Thread):
                 self._publish(snapshot)
                 due_ns = int(snapshot["monotonic_ns"]) + SETTLE_NS  # may be past: then the next one is there already
                 due_ns += (self._every - self._cycle % self._every) * self._period_ns
-                continue
-            if link.loop_is_gone():
+            elif link.loop_is_gone():
                 self._lose(link)
                 return
-            if now_ns - self._advanced_ns > STALLED_NS and not self._hung:
-                self._hung = True
-                self._tell_lost(hung(self._arm.name, now_ns - self._advanced_ns))
-            if due_ns <= now_ns:
-                due_ns += ((now_ns - due_ns) // self._interval_ns + 1) * self._interval_ns
+            else:
+                if now_ns - self._advanced_ns > STALLED_NS and not self._hung:
+                    self._hung = True
+                    self._tell_lost(hung(self._arm.name, now_ns - self._advanced_ns))
+                if due_ns <= now_ns:
+                    due_ns += ((now_ns - due_ns) // self._interval_ns + 1) * self._interval_ns
+            self._turn_aside(link, now_ns)
 
     def _fresh(self, link: Link, until_ns: int) -> np.void | None:
         """The snapshot of a cycle not seen yet; None when there is none by `until_ns` (CLOCK_MONOTONIC)."""
@@ -217,13 +203,19 @@ class Pulse(threading.Thread):
         newest_ns = max(measured_ns)
         stamp_ns = int(snapshot["epoch_ns"]) + newest_ns - int(snapshot["monotonic_ns"])
         position = joints["measured_position_rad"].tolist()
-        if newest_ns > self._measured_ns and all(measured_ns) and all(map(math.isfinite, position)):
-            velocity = [v if math.isfinite(v) else 0.0 for v in joints["measured_velocity_rad_s"].tolist()]
+        fresh = newest_ns > self._measured_ns and all(measured_ns) and all(map(math.isfinite, position))
+        if fresh:
+            velocity = finite(joints["measured_velocity_rad_s"].tolist())
             effort = joints["measured_effort"].tolist()
-            self._publisher.publish(self._message.fill(stamp_ns, position, velocity, effort))
+            self._publisher.publish(self._message.fill((stamp_ns,), (position, velocity, effort)))
             self._measured_ns = newest_ns
             self.published += 1
-        self._look(snapshot, stamp_ns)
+        self._look(snapshot, stamp_ns, fresh)
+
+    def _turn_aside(self, link: Link | None, now_ns: int) -> None:
+        if now_ns >= self._aside_at_ns:
+            self._aside_at_ns = now_ns + ASIDE_EVERY_NS
+            self._aside(link)
 
     def _lose(self, link: Link) -> None:
         reason = gone(self._arm.name, link.loop_pid)

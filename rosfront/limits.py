@@ -6,73 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from config.schema import ArmConfig
-from motion import bounds, segment
-from rosfront.plan import NS, GoalPlan, Present
+from motion import bounds
+from rosfront.path import PlannedPath
+from rosfront.plan import NS, GoalPlan
 from rosfront.refusals import AccelerationBeyondLimit, PositionBeyondLimit, VelocityBeyondLimit
 
 LONG_SEGMENT_CYCLES = 64  # beyond, the exact extremes of a segment say the same as its samples
 SEGMENTS_A_CHUNK = 8192  # bounds the memory of a check, whatever the number of points
 SAMPLES_A_CHUNK = 16384
-
-
-class _Path:
-    """The interpolant of a plan from its very start (the bridge included), for checking."""
-
-    def __init__(self, plan: GoalPlan, present: Present) -> None:
-        self.mask = np.array([bool(plan.joint_mask >> joint & 1) for joint in range(plan.joints.shape[1])])
-        knots = plan.joints[:, self.mask]
-        if plan.bridge:
-            self.times_ns = np.concatenate([[0], plan.times_ns])
-            self.knots = np.concatenate([present.commanded[np.newaxis, self.mask], knots])
-            self.orders = plan.orders
-        else:
-            self.times_ns, self.knots, self.orders = plan.times_ns, knots, plan.orders[1:]
-        self.shift = int(plan.bridge)  # knots before the goal's first point
-
-    @property
-    def segments(self) -> int:
-        return len(self.orders)
-
-    def coefficients(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients (6, m, joints) and durations (m, 1) in s of the segments `index` (m,)."""
-        duration = ((self.times_ns[index + 1] - self.times_ns[index]) / NS)[:, np.newaxis]
-        start, end, order = self.knots[index], self.knots[index + 1], self.orders[index]
-        result = np.zeros((6, *start.shape[:2]))
-        for kind in np.unique(order):
-            chosen = order == kind
-            p0, v0, a0 = np.moveaxis(start[chosen], 2, 0)
-            p1, v1, a1 = np.moveaxis(end[chosen], 2, 0)
-            if kind == 5:
-                parts = segment.quintic(p0, v0, a0, p1, v1, a1, duration[chosen])
-            elif kind == 3:
-                parts = segment.cubic(p0, v0, p1, v1, duration[chosen])
-            else:
-                parts = segment.linear(p0, p1, duration[chosen])
-            result[:, chosen] = np.stack(parts)
-        return result, duration
-
-    def at(self, times_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position and velocity (m, joints) at `times_ns` (m,); at rest on the last point after the end."""
-        index = np.clip(np.searchsorted(self.times_ns, times_ns, side="right") - 1, 0, self.segments - 1)
-        coefficients, _ = self.coefficients(index)
-        local_s = ((np.minimum(times_ns, self.times_ns[-1]) - self.times_ns[index]) / NS)[:, np.newaxis]
-        position = bounds.value(coefficients, local_s)
-        velocity = bounds.value(bounds.derivative(coefficients), local_s)
-        velocity[times_ns > self.times_ns[-1]] = 0.0
-        return position, velocity
-
-    def place(self, time_ns: float) -> str:
-        """Where a moment is, in words."""
-        after = int(np.searchsorted(self.times_ns, time_ns, side="left"))
-        at = f"at {time_ns / NS:.4f} s"
-        shift = self.shift
-        if after >= len(self.times_ns):
-            return f"{at}, after the last point"
-        if self.times_ns[after] == time_ns and after >= shift:
-            return f"{at}, at point {after - shift}"
-        if after <= shift:
-            return f"{at}, on the way to point 0"
-        return f"{at}, between points {after - 1 - shift} and {after - shift}"
 
 
 @dataclass(frozen=True)
@@ -89,12 +30,12 @@ class _Limits:
     period_ns: int
 
 
-def check_limits(plan: GoalPlan, arm: ArmConfig, present: Present) -> None:
+def check_limits(plan: GoalPlan, arm: ArmConfig) -> None:
     """Position, velocity and acceleration of every joint of the goal, at the points and between them.
 
     Raises PositionBeyondLimit, VelocityBeyondLimit or AccelerationBeyondLimit for the first violation found.
     """
-    path = _Path(plan, present)
+    path = PlannedPath(plan)
     joints = [joint for joint, chosen in zip(arm.joints, path.mask, strict=True) if chosen]
     limits = _Limits(
         names=[joint.name for joint in joints],
@@ -115,7 +56,7 @@ def check_limits(plan: GoalPlan, arm: ArmConfig, present: Present) -> None:
     _check_samples(path, limits, suspicious)
 
 
-def _check_points(path: _Path, limits: _Limits) -> None:
+def _check_points(path: PlannedPath, limits: _Limits) -> None:
     points = path.knots[path.shift :]
     times_ns = path.times_ns[path.shift :]
     position, velocity, acceleration = np.moveaxis(points, 2, 0)
@@ -130,17 +71,19 @@ def _check_points(path: _Path, limits: _Limits) -> None:
         raise _acceleration(path, limits, times_ns[point], joint, acceleration[point, joint])
 
 
-def _position(path: _Path, limits: _Limits, time_ns: float, joint: int, value: float) -> PositionBeyondLimit:
+def _position(path: PlannedPath, limits: _Limits, time_ns: float, joint: int, value: float) -> PositionBeyondLimit:
     lower, upper = float(limits.lower[joint]), float(limits.upper[joint])
     return PositionBeyondLimit(path.place(time_ns), limits.names[joint], float(value), lower, upper)
 
 
-def _velocity(path: _Path, limits: _Limits, time_ns: float, joint: int, value: float) -> VelocityBeyondLimit:
+def _velocity(path: PlannedPath, limits: _Limits, time_ns: float, joint: int, value: float) -> VelocityBeyondLimit:
     limit = float(limits.velocity[joint])
     return VelocityBeyondLimit(path.place(time_ns), limits.names[joint], abs(float(value)), limit)
 
 
-def _acceleration(path: _Path, limits: _Limits, time_ns: float, joint: int, value: float) -> AccelerationBeyondLimit:
+def _acceleration(
+    path: PlannedPath, limits: _Limits, time_ns: float, joint: int, value: float
+) -> AccelerationBeyondLimit:
     limit = float(limits.acceleration[joint])
     return AccelerationBeyondLimit(path.place(time_ns), limits.names[joint], abs(float(value)), limit)
 
@@ -154,7 +97,7 @@ def _first(measure: np.ndarray, allowed: float) -> tuple[int, int] | None:
 
 
 def _check_positions(
-    path: _Path, limits: _Limits, index: np.ndarray, coefficients: np.ndarray, duration: np.ndarray
+    path: PlannedPath, limits: _Limits, index: np.ndarray, coefficients: np.ndarray, duration: np.ndarray
 ) -> None:
     """Positions of the segments `index`: hulls first, exact extremes where a hull is not enough."""
     low, high = bounds.hull(coefficients, duration)
@@ -172,7 +115,7 @@ def _check_positions(
 
 
 def _check_derivatives(
-    path: _Path, limits: _Limits, index: np.ndarray, coefficients: np.ndarray, duration: np.ndarray
+    path: PlannedPath, limits: _Limits, index: np.ndarray, coefficients: np.ndarray, duration: np.ndarray
 ) -> np.ndarray:
     """Which of the segments `index` must be sampled; long ones are judged here, by their exact extremes."""
     first = bounds.derivative(coefficients)
@@ -195,11 +138,11 @@ def _check_derivatives(
     return suspicious
 
 
-def _check_samples(path: _Path, limits: _Limits, suspicious: np.ndarray) -> None:
+def _check_samples(path: PlannedPath, limits: _Limits, suspicious: np.ndarray) -> None:
     """Judge what a drive sees that is told one setpoint a cycle, around the segments in question."""
     for cycles in _cycles_around(path, suspicious, limits.period_ns):
         times_ns = cycles * limits.period_ns
-        position, speed = path.at(times_ns)
+        position, speed, _ = path.at(times_ns)
         velocity, acceleration = bounds.cycle_differences(position, speed, limits.period_ns / NS)
         if broken := _first(velocity / limits.velocity, 1.0):
             raise _velocity(path, limits, times_ns[broken[0]], broken[1], velocity[broken])
@@ -207,7 +150,7 @@ def _check_samples(path: _Path, limits: _Limits, suspicious: np.ndarray) -> None
             raise _acceleration(path, limits, times_ns[broken[0] + 1], broken[1], acceleration[broken])
 
 
-def _cycles_around(path: _Path, suspicious: np.ndarray, period_ns: int) -> Iterator[np.ndarray]:
+def _cycles_around(path: PlannedPath, suspicious: np.ndarray, period_ns: int) -> Iterator[np.ndarray]:
     """Runs of cycle numbers, two cycles wider on either side, in bounded pieces: the suspicious segments, and
     both ends of straight ones, which meet in corners that no segment shows by itself."""
     segments, straight = np.flatnonzero(suspicious), np.flatnonzero(path.orders == 1)

@@ -1,8 +1,8 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""The ROS node: the action server, and the publisher of /joint_states beside it.
+"""The ROS node: the action server, what stands beside it, and the publisher's thread.
 
-One single-threaded executor serves the action; its callbacks never wait. A goal is a coroutine that awaits a
+One single-threaded executor serves all of them; its callbacks never wait. A goal is a coroutine that awaits a
 future, which the publisher's thread fulfils when the control process has decided the goal: an idle or
 executing arm costs the executor nothing, because nothing wakes it (a timer at the rate of /joint_states would
 cost several per cent of a processor, facts: ros-from-wheels).
@@ -18,39 +18,33 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from control_msgs.action import FollowJointTrajectory
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from config.schema import ArmConfig
 from rosfront import verdict as verdicts
+from rosfront.diagnostics import Counts, Diagnostics
 from rosfront.goal import plan_goal
-from rosfront.joint_states import JointStateBytes, Pulse
+from rosfront.inputs import Inputs
+from rosfront.joint_states import Pulse
 from rosfront.link import Link
+from rosfront.parameters import INITIAL_SCALE, CheckedNode
 from rosfront.plan import NS
 from rosfront.refusals import GoalRefused
+from rosfront.services import Services
 from rosfront.serving import Execution, Serving
+from rosfront.state_topics import STATE_QOS, Progress, StateTopics, along_ns, differences, joint_state_bytes
 from rosfront.verdict import Status, Verdict
 
-FEEDBACK_NS = 100_000_000
 RESULT_KEPT_S = 60
 """How long a result can be asked for; clients ask at once, and a kept result keeps its whole goal."""
 RESULT_GRACE_S = 1.0
 """At the end of this process a result that nobody has asked for yet is kept for so long."""
 LEAVE_EVERY_S = 0.02
-JOINT_STATES_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=10,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
-"""Matches reliable and sensor-data subscribers alike (MoveIt, RViz; facts: moveit-client, section 4)."""
 
 
 class _TellingServer(ActionServer):
@@ -71,9 +65,10 @@ class FrontNode:
     """The node, its action server and the publisher's thread; `spin` serves until `close`."""
 
     def __init__(self, arm: ArmConfig, executor: SingleThreadedExecutor, link: Link | None = None) -> None:
+        """Raises rosfront.parameters.BadParameter when a parameter given at the start cannot be taken."""
         self.arm = arm
         self.serving = Serving(arm)
-        self.node = Node(arm.front.controller_name)
+        self.node = CheckedNode(arm, self.serving)
         self._executor = executor
         self._executions: dict[bytes, Execution] = {}
         self._moving: dict[int, ServerGoalHandle] = {}
@@ -82,13 +77,25 @@ class FrontNode:
         self._untold: dict[bytes, float] = {}  # goals whose client has no result yet, and until when that counts
         self._closing = False
         self._has_spun = threading.Event()
-        publisher = self.node.create_publisher(JointState, "joint_states", JOINT_STATES_QOS)
+        self._counts = Counts()
+        self._progress = Progress()
+        self._latest: np.void | None = None
+        self._services = Services(self.node, executor, self.serving, lambda: self._latest)
+        initial_factor = float(self.node.get_parameter(INITIAL_SCALE).value)
+        self._inputs = Inputs(self.node, self.serving, self._counts, initial_factor)
+        self._state_topics = StateTopics(self.node, arm, self._progress)
         self.pulse = Pulse(
             arm,
             self.serving,
-            self._joint_state_bytes(),
-            publisher,
+            joint_state_bytes(arm),
+            self.node.create_publisher(JointState, "joint_states", STATE_QOS),
             self._look,
+            Diagnostics(
+                arm,
+                self.serving,
+                self._counts,
+                self.node.create_publisher(DiagnosticArray, "/diagnostics", STATE_QOS),
+            ).report,
             self.node.get_logger().info,
             link,
         )
@@ -106,23 +113,12 @@ class FrontNode:
         executor.add_node(self.node)
         self.pulse.start()
 
-    def _joint_state_bytes(self) -> JointStateBytes:
-        def serialised(stamp: tuple[int, int], rows: list[list[float]]) -> bytes:
-            message = JointState()
-            message.header.stamp = Time(sec=stamp[0], nanosec=stamp[1])
-            message.header.frame_id = self.arm.front.frame_id
-            message.name = [joint.name for joint in self.arm.joints]
-            message.position, message.velocity, message.effort = rows
-            return bytes(serialize_message(message))
-
-        return JointStateBytes(serialised, len(self.arm.joints))
-
     # --- goals, in the executor's thread ---
 
     def spin(self) -> None:
-        """Serve; returns after `close`, when every client has its result."""
+        """Serve; returns after `close`, when every client has its result or its answer."""
         try:
-            while not (self._closing and self._all_told()):
+            while not (self._closing and self._services.idle and self._all_told()):
                 self._executor.spin_once(LEAVE_EVERY_S if self._closing else None)
         finally:
             self._has_spun.set()
@@ -135,13 +131,14 @@ class FrontNode:
         """Accept every goal, so that a bad one can be told why; `strict_reject` rejects bad ones instead."""
         if self.arm.trajectory.strict_reject:
             try:
-                plan_goal(goal, self.arm, self.serving.present())
+                plan_goal(goal, self.arm, self.serving.present(), self.serving.settings)
             except GoalRefused as reason:
                 self.node.get_logger().warning(f"Goal rejected: {reason.sentence}")
                 return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
     def _accepted(self, handle: ServerGoalHandle) -> None:
+        self._counts.goals_taken += 1
         now_s = time.monotonic()
         self._untold = {goal: until_s for goal, until_s in self._untold.items() if until_s >= now_s}
         self._untold[bytes(handle.goal_id.uuid)] = math.inf
@@ -163,12 +160,15 @@ class FrontNode:
         logger = self.node.get_logger()
         if verdict.status is Status.SUCCEEDED:
             handle.succeed()
+            self._counts.goals_succeeded += 1
             logger.info(verdict.sentence)
         elif verdict.status is Status.CANCELED and canceling:
             handle.canceled()
+            self._counts.goals_canceled += 1
             logger.info(verdict.sentence)
         else:
             handle.abort()
+            self._counts.goals_aborted += 1
             logger.warning(f"Goal aborted: {verdict.sentence}")
             if verdict.status is Status.CANCELED:
                 result.error_code = FollowJointTrajectory.Result.INVALID_GOAL
@@ -184,7 +184,7 @@ class FrontNode:
             self._executor.wake()
 
         try:
-            plan = plan_goal(handle.request, self.arm, self.serving.present())
+            plan = plan_goal(handle.request, self.arm, self.serving.present(), self.serving.settings)
             execution = self.serving.start(plan, on_verdict)
         except GoalRefused as reason:
             return verdicts.refused(reason)
@@ -209,16 +209,31 @@ class FrontNode:
 
     # --- every snapshot, in the publisher's thread ---
 
-    def _look(self, snapshot: np.void, stamp_ns: int) -> None:
+    def _look(self, snapshot: np.void, stamp_ns: int, fresh: bool) -> None:
+        """`fresh`: something has been measured since the last snapshot, so it is worth telling."""
+        if self._inputs.factor != 1.0:
+            self._tell_factor(snapshot)
+        self._latest = snapshot
         execution = self.serving.look(snapshot)
+        if execution is not None:
+            self._progress.look(snapshot)
+        if fresh:
+            self._state_topics.publish(snapshot, stamp_ns)
         if execution is None:
             return
         now_ns = int(snapshot["monotonic_ns"])
         handle = self._moving.get(execution.goal_id)
-        if handle is not None and now_ns - self._feedback_ns >= FEEDBACK_NS - self.arm.control.period_ns // 2:
+        every_ns = NS / self.serving.settings.feedback_hz
+        if handle is not None and now_ns - self._feedback_ns >= every_ns - self.arm.control.period_ns // 2:
             self._feedback_ns = now_ns
             self._fill_feedback(snapshot, stamp_ns)
             handle.publish_feedback(self._feedback)
+
+    def _tell_factor(self, snapshot: np.void) -> None:
+        """Tell a control process that is new to this node how fast it is to be, unless somebody has told it already."""
+        is_new = self._latest is None or snapshot["cycle"] < self._latest["cycle"]
+        if is_new and snapshot["speed_scale_asked"] == 1.0:
+            self._inputs.ask_factor()
 
     def _empty_feedback(self) -> Any:
         """The feedback message, made once: making one costs as much as sending it."""
@@ -228,20 +243,24 @@ class FrontNode:
         return feedback
 
     def _fill_feedback(self, snapshot: np.void, stamp_ns: int) -> None:
-        """Desired, actual and error; for each joint all three belong to the instant of its measurement."""
+        """Desired, actual and error; for each joint all three belong to the instant of its measurement, but for
+        the acceleration, which is that of now."""
         joints = snapshot["joints"][: len(self.arm.joints)]
         feedback = self._feedback
         desired, actual, error = feedback.desired, feedback.actual, feedback.error
-        stamp, along = feedback.header.stamp, desired.time_from_start
-        stamp.sec, stamp.nanosec = divmod(stamp_ns, NS)
-        along.sec, along.nanosec = divmod(max(0, int(snapshot["trajectory_clock_ns"])), NS)
-        actual.time_from_start = along
+        for moment, time_ns in (
+            (feedback.header.stamp, stamp_ns),
+            (desired.time_from_start, along_ns(snapshot)),
+            (actual.time_from_start, self._progress.ns),
+        ):
+            moment.sec, moment.nanosec = divmod(time_ns, NS)
         desired.positions = wanted = joints["reference_position_rad"].tolist()
         actual.positions = found = joints["measured_position_rad"].tolist()
-        error.positions = [a - b for a, b in zip(wanted, found, strict=True)]
+        error.positions = differences(wanted, found)
         desired.velocities = wanted = joints["reference_velocity_rad_s"].tolist()
         actual.velocities = found = joints["measured_velocity_rad_s"].tolist()
-        error.velocities = [a - b for a, b in zip(wanted, found, strict=True)]
+        error.velocities = differences(wanted, found)
+        desired.accelerations = joints["commanded_acceleration_rad_s2"].tolist()
 
     # --- the end ---
 
@@ -252,6 +271,7 @@ class FrontNode:
         """
         self._closing = True
         self.serving.close()
+        self._services.close()
         self._executor.create_task(lambda: None)  # a turn of `spin`, which may wait for ever
         if not self._has_spun.wait(patience_s):
             self.serving.lost("The ROS process was stopped before the arm had come to rest.")

@@ -4,7 +4,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shm.words import Entry
+
 NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What a goal is allowed; all in SI, 0 = off."""
+
+    path_tolerances: np.ndarray
+    """(joints, 3): largest error in position, velocity, acceleration on the way."""
+    goal_tolerances: np.ndarray
+    """(joints, 3): the same at the end."""
+    goal_time_s: float
+    """Patience after the last point; 0 = without limit."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What a trajectory asks for at one moment; arrays (joints,) in configuration order."""
+
+    position_rad: np.ndarray
+    velocity_rad_s: np.ndarray
+    acceleration_rad_s2: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -18,13 +41,24 @@ class GoalPlan:
     joints: np.ndarray
     """(n, joints, 3): position rad, velocity rad/s, acceleration rad/s²."""
     joint_mask: int
-    tolerances: np.ndarray
-    """(joints, 3): path rad, goal rad, goal velocity rad/s; 0 = off."""
-    goal_time_s: float
-    """Patience after the last point; 0 = without limit."""
+    terms: Terms
     start_ns: int
-    """CLOCK_MONOTONIC at which the trajectory's time is 0; 0 = at once."""
-    bridge: bool
+    """CLOCK_MONOTONIC at which the trajectory's time is (or was) 0; 0 = at once."""
+    entry_ns: int
+    """Time of the trajectory at which it would have been entered when it was planned."""
+    entry: Entry
+    origin: np.ndarray
+    """(joints, 3): where the arm was commanded when it was planned, from where a bridge begins."""
+
+    @property
+    def bridge(self) -> bool:
+        """Whether the way to the first point begins where the arm is commanded."""
+        return bool(self.entry & Entry.BRIDGE)
+
+    @property
+    def stream(self) -> bool:
+        """Whether newer points are expected, so that the arm runs on straight past the last one."""
+        return bool(self.entry & Entry.STREAM)
 
     @property
     def duration_s(self) -> float:

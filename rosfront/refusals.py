@@ -67,6 +67,15 @@ class UnknownJoint(BadJoints):
         )
 
 
+class PartialGoal(BadJoints):
+    def __init__(self, missing: Sequence[str]) -> None:
+        super().__init__(
+            f"The goal leaves out {', '.join(missing)}; name every joint, or set the parameter "
+            "allow_partial_joints_goal.",
+            joint=missing[0],
+        )
+
+
 class DuplicateJoint(BadJoints):
     def __init__(self, joint: str, where: str = "joint_names") -> None:
         super().__init__(f"'{joint}' stands in {where} more than once; name each joint once.", joint=joint)
@@ -151,6 +160,17 @@ class TimesNotRising(BadTimes):
         )
 
 
+class TooDense(BadTimes):
+    def __init__(self, point: int, count: int, span_s: float, allowed_s: float) -> None:
+        super().__init__(
+            f"The {count} points from point {point} on last only {span_s:.4f} s, and the control process must know at "
+            f"least {allowed_s:g} s ahead to be able to stop on the path: thin the trajectory out.",
+            point=point,
+            value=span_s,
+            limit=allowed_s,
+        )
+
+
 class Unparameterised(BadTimes):
     def __init__(self, count: int) -> None:
         super().__init__(
@@ -175,10 +195,24 @@ class EndsMoving(GoalRefused):
     def __init__(self, joint: str, velocity_rad_s: float, allowed_rad_s: float) -> None:
         super().__init__(
             f"The last point leaves {joint} moving at {velocity_rad_s:.4f} rad/s; at most {allowed_rad_s:g} "
-            "rad/s is taken for rest: end the trajectory at rest.",
+            "rad/s is taken for rest: end the trajectory at rest, or set the parameter "
+            "allow_nonzero_velocity_at_trajectory_end.",
             joint=joint,
             value=velocity_rad_s,
             limit=allowed_rad_s,
+        )
+
+
+class NoRoomToStop(GoalRefused):
+    """A stream whose last point leaves no room to stop in a straight line."""
+
+    def __init__(self, joint: str, velocity_rad_s: float, stop_rad: float, limit_rad: float) -> None:
+        super().__init__(
+            f"The last point leaves {joint} moving at {velocity_rad_s:.4f} rad/s, and stopping from there ends at "
+            f"{angle(stop_rad)}, beyond its limit {angle(limit_rad)}: slow down before the limit.",
+            joint=joint,
+            value=stop_rad,
+            limit=limit_rad,
         )
 
 
@@ -193,15 +227,13 @@ class BadTolerance(GoalRefused):
 
 
 class TooFar(GoalRefused):
-    """The first point is not where the arm stands."""
+    """The trajectory is not where the arm stands; `place` says what of it."""
 
-    def __init__(self, joint: str, distance_rad: float, limit_rad: float, first_rad: float) -> None:
+    def __init__(self, place: str, joint: str, distance_rad: float, limit_rad: float, planned_rad: float) -> None:
         super().__init__(
-            f"The first point has {joint} at {angle(first_rad)}, {angle(distance_rad)} from where it is "
-            f"commanded; allowed are {angle(limit_rad)}: plan from the present state, or give the first "
-            "point a time_from_start above 0.",
+            f"{place} has {joint} at {angle(planned_rad)}, {angle(distance_rad)} from where it is commanded; allowed "
+            f"are {angle(limit_rad)}: plan from the present state, or give the first point a time_from_start above 0.",
             joint=joint,
-            point=0,
             value=distance_rad,
             limit=limit_rad,
         )

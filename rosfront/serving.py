@@ -13,14 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from config.schema import ArmConfig
+from rosfront.goal import plan_stream
 from rosfront.link import Link
-from rosfront.plan import NS, GoalPlan, Present
+from rosfront.path import PlannedPath
+from rosfront.plan import NS, GoalPlan, Present, Sample
 from rosfront.refusals import NotServing
+from rosfront.settings import Settings
 from rosfront.streamer import Streamer
 from rosfront.verdict import Verdict, aborted, fault_of, final_error, judge, with_final_error
 from shm.client import find
 from shm.errors import TornRead
-from shm.sentences import outcome_sentence, unreferenced_sentence
+from shm.sentences import answer_sentence, outcome_sentence, unreferenced_sentence
 from shm.words import Answer, Mode, Outcome, Request
 
 STALLED_NS = 400_000_000
@@ -37,17 +40,34 @@ class Execution:
     """A goal that was handed to the control process and is not decided yet."""
 
     goal_id: int
-    target_rad: np.ndarray
-    joint_mask: int
+    plan: GoalPlan
     on_verdict: Callable[[Verdict], None]
     cancel_wanted: bool = False
     cancel_sequence: int = 0
     cancel_sent_ns: int = 0
     fault_since_ns: int = 0
 
+    @property
+    def target_rad(self) -> np.ndarray:
+        """Where the joints are to be at the end, (joints,)."""
+        target: np.ndarray = self.plan.joints[-1, :, 0]
+        return target
+
+
+@dataclass
+class _Request:
+    """A request whose answer, or whose effect, has not been seen yet."""
+
+    sequence: int
+    on_reply: Callable[[bool, str], None]
+    until: Callable[[np.void], bool] | None
+    too_late_ns: int
+    patience_s: float
+    answered: bool = False
+
 
 class Serving:
-    """The goals of one arm."""
+    """The goals and requests of one arm."""
 
     def __init__(self, arm: ArmConfig) -> None:
         self.arm = arm
@@ -57,6 +77,8 @@ class Serving:
         self._absence = f"The control process of arm '{arm.name}' is not running: start it with `rtarm up {arm.name}`."
         self._undecided: dict[int, Execution] = {}
         self._streams: dict[int, Streamer] = {}  # by goal: what is still on its way into the ring
+        self._requests: list[_Request] = []
+        self.settings = Settings.of(arm)
         self._closing = False
         self.ever_attached = threading.Event()
 
@@ -78,16 +100,23 @@ class Serving:
             self._link, self._absence = None, reason
             self._streams.clear()
             self._undecided.clear()
+            requests, self._requests = self._requests, []
         for execution in ended:
             execution.on_verdict(aborted(reason))
+        for request in requests:
+            request.on_reply(False, reason)
 
     def look(self, snapshot: np.void) -> Execution | None:
         """Feed the ring and decide what the snapshot decides; returns the execution that moves the arm."""
+        if not self._undecided and not self._requests:
+            return None  # without the lock: what comes in this moment is seen in the next snapshot
         verdicts: list[tuple[Execution, Verdict]] = []
+        replies: list[tuple[_Request, bool, str]] = []
         with self._lock:
             link = self._link
-            if link is None or not self._undecided:
+            if link is None:
                 return None
+            replies = self._answered(snapshot)
             moving = self._undecided.get(int(snapshot["goal_id"]))
             self._pump(link, int(snapshot["goal_id"]), float(snapshot["trajectory_clock_ns"]))
             for execution in list(self._undecided.values()):
@@ -100,7 +129,28 @@ class Serving:
                     self._cancel_again(link, execution, snapshot)
         for execution, verdict in verdicts:
             execution.on_verdict(verdict)
+        for request, done, sentence in replies:
+            request.on_reply(done, sentence)
         return moving
+
+    def _answered(self, snapshot: np.void) -> list[tuple[_Request, bool, str]]:
+        """Take the requests out of the list that are answered, and done or too late."""
+        replies: list[tuple[_Request, bool, str]] = []
+        for request in list(self._requests):
+            answer = find(snapshot["answers"], "sequence", request.sequence)
+            if answer is not None and int(answer["answer"]) != Answer.DONE:
+                replies.append((request, False, answer_sentence(int(answer["answer"]))))
+            elif (answer is not None or request.answered) and (request.until is None or request.until(snapshot)):
+                replies.append((request, True, answer_sentence(Answer.DONE)))
+            elif int(snapshot["monotonic_ns"]) > request.too_late_ns:
+                replies.append((request, False, f"Not within {request.patience_s:g} s: see `rtarm status`."))
+            elif answer is not None:
+                request.answered = True  # later answers overwrite this one
+                continue
+            else:
+                continue
+            self._requests.remove(request)
+        return replies
 
     def _pump(self, link: Link, running_goal: int, clock_ns: float) -> None:
         """Feed every goal that is not decided: the running one goes on until a newer one has really entered."""
@@ -122,14 +172,14 @@ class Serving:
                 float(result["limit"]),
                 snapshot,
                 execution.target_rad,
-                execution.joint_mask,
+                execution.plan.joint_mask,
                 self.joints,
             )
         # A goal replaced before the loop saw its BEGIN gets no result of its own.
         if running > goal_id or (running != goal_id and _newest_decided(results) > goal_id):
             return with_final_error(
                 aborted(outcome_sentence(Outcome.REPLACED)),
-                final_error(snapshot, execution.target_rad, execution.joint_mask, self.joints),
+                final_error(snapshot, execution.target_rad, execution.plan.joint_mask, self.joints),
             )
         if int(snapshot["mode"]) != Mode.FAULT:
             execution.fault_since_ns = 0
@@ -188,13 +238,65 @@ class Serving:
                 int(snapshot["goal_id"]),
                 int(snapshot["results"]["goal_id"].max()),
             )
-            execution = Execution(max(known) + 1, plan.joints[-1, :, 0].copy(), plan.joint_mask, on_verdict)
+            execution = Execution(max(known) + 1, plan, on_verdict)
             self._undecided[execution.goal_id] = execution
             self._streams[execution.goal_id] = Streamer(execution.goal_id, plan)
             writer.beat()
             writer.announce(execution.goal_id)
             self._pump(self._link, int(snapshot["goal_id"]), float(snapshot["trajectory_clock_ns"]))
             return execution
+
+    def stream(self, trajectory: object, on_verdict: Callable[[Verdict], None]) -> None:
+        """Hand a message of `~/joint_trajectory` to the control process; it replaces what runs.
+
+        `on_verdict` is called once, later, from the publisher's thread. Raises GoalRefused.
+        """
+        self.start(plan_stream(trajectory, self.arm, self.present(), self.settings), on_verdict)
+
+    def request(
+        self,
+        kind: Request,
+        on_reply: Callable[[bool, str], None],
+        *,
+        value: float = 0.0,
+        until: Callable[[np.void], bool] | None = None,
+        patience_s: float = 2.0,
+    ) -> None:
+        """Ask the control process for something.
+
+        `on_reply(done, sentence)` is called once: from the publisher's thread when the request is answered and
+        `until(snapshot)` holds, or is refused, or takes too long; at once when there is nobody to ask.
+        """
+        with self._lock:
+            link, absence = self._link, CLOSING if self._closing else self._absence
+            if link is not None and not self._closing:
+                sequence = link.writer.request(kind, value=value)
+                too_late_ns = time.monotonic_ns() + round(patience_s * NS)
+                self._requests.append(_Request(sequence, on_reply, until, too_late_ns, patience_s))
+                return
+        on_reply(False, absence)
+
+    def sample(self, time_epoch_ns: int) -> Sample:
+        """What the running trajectory asks for at a moment of ROS time, at its present speed; raises NotServing."""
+        with self._lock:
+            snapshot = self._snapshot()
+            execution = self._undecided.get(int(snapshot["goal_id"]))
+        if execution is None:
+            raise NotServing("No trajectory is being executed: ask while one is.")
+        plan = execution.plan
+        ahead_ns = (time_epoch_ns - int(snapshot["epoch_ns"])) * float(snapshot["speed_scale"])
+        clock_ns = round(float(snapshot["trajectory_clock_ns"]) + ahead_ns)
+        last_ns = int(plan.times_ns[-1])
+        if not plan.entry_ns <= clock_ns < last_ns:
+            raise NotServing(
+                f"That is {clock_ns / NS:.3f} s after the start of the trajectory, which runs from "
+                f"{plan.entry_ns / NS:.3f} to {last_ns / NS:.3f} s: ask for a time in between."
+            )
+        path = PlannedPath(plan)
+        everything = plan.origin.copy()
+        everything[:, 1:] = 0.0
+        everything[path.mask] = np.stack(path.at(np.array([clock_ns])), axis=2)[0]
+        return Sample(everything[:, 0], everything[:, 1], everything[:, 2])
 
     def cancel(self, execution: Execution) -> None:
         """Ask for a stop on the path; the verdict follows as for any other end."""

@@ -31,15 +31,16 @@ class Streamer:
         `consumed` is the number of records the control process has taken.
         """
         plan = self._plan
+        clock_ns = max(clock_ns, plan.entry_ns)  # one that is entered midway has not begun at zero
         try:
             if not self._begun:
                 writer.begin(
                     self.goal_id,
                     start_ns=plan.start_ns,
                     joint_mask=plan.joint_mask,
-                    goal_time_s=plan.goal_time_s,
-                    bridge=plan.bridge,
-                    tolerances=plan.tolerances,
+                    goal_time_s=plan.terms.goal_time_s,
+                    entry=plan.entry,
+                    tolerances=plan.terms.path_tolerances,
                     consumed=consumed,
                 )
                 self._begun = True
@@ -51,7 +52,7 @@ class Streamer:
                 writer.knot(self.goal_id, time_ns, order, plan.joints[at], consumed)
                 self._next = at + 1
             if self._next == len(plan.times_ns) and not self.done:
-                writer.end(self.goal_id, consumed)
+                writer.end(self.goal_id, plan.terms.goal_tolerances, consumed)
                 self.done = True
         except RingFull:
             return

@@ -1,7 +1,7 @@
 """How a goal ended, in the action's terms: status, error code and sentence."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -26,13 +26,19 @@ class Verdict:
     status: Status
     code: int
     sentence: str
+    outcome: Outcome = Outcome.NONE
+    """What the control process decided; NONE where it never heard of the goal."""
 
 
 _CODES = {
     Outcome.SUCCEEDED: refusals.SUCCESSFUL,
     Outcome.CANCELED: refusals.SUCCESSFUL,
     Outcome.PATH_TOLERANCE: refusals.PATH_TOLERANCE_VIOLATED,
+    Outcome.PATH_VELOCITY: refusals.PATH_TOLERANCE_VIOLATED,
+    Outcome.PATH_ACCELERATION: refusals.PATH_TOLERANCE_VIOLATED,
     Outcome.GOAL_TOLERANCE: refusals.GOAL_TOLERANCE_VIOLATED,
+    Outcome.GOAL_VELOCITY: refusals.GOAL_TOLERANCE_VIOLATED,
+    Outcome.GOAL_ACCELERATION: refusals.GOAL_TOLERANCE_VIOLATED,
 }
 _STATUS = {Outcome.SUCCEEDED: Status.SUCCEEDED, Outcome.CANCELED: Status.CANCELED}
 _NOT_BEGUN = {
@@ -55,7 +61,7 @@ def refused(reason: refusals.GoalRefused) -> Verdict:
 
 def with_final_error(verdict: Verdict, distance: str) -> Verdict:
     """The same verdict, its sentence ending in how far the arm is from the goal's target."""
-    return Verdict(verdict.status, verdict.code, f"{verdict.sentence.removesuffix('.')}; {distance}.")
+    return replace(verdict, sentence=f"{verdict.sentence.removesuffix('.')}; {distance}.")
 
 
 def final_error(snapshot: np.void, target_rad: np.ndarray, joint_mask: int, joints: Sequence[str]) -> str:
@@ -93,7 +99,8 @@ def judge(
     else:
         sentence = outcome_sentence(outcome, joint_name(joint, joints), value, limit)
     known = Outcome(outcome) if outcome in set(Outcome) else Outcome.NONE
-    verdict = Verdict(_STATUS.get(known, Status.ABORTED), _CODES.get(known, refusals.INVALID_GOAL), sentence)
+    status, code = _STATUS.get(known, Status.ABORTED), _CODES.get(known, refusals.INVALID_GOAL)
+    verdict = Verdict(status, code, sentence, known)
     if known is Outcome.SUCCEEDED or known in _NOT_BEGUN:
         return verdict
     return with_final_error(verdict, final_error(snapshot, target_rad, joint_mask, joints))

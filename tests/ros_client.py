@@ -1,4 +1,4 @@
-"""What MoveIt is to the arm: an action client and a listener to /joint_states, in a thread of its own."""
+"""What other nodes are to the arm, each in a thread of its own: MoveIt, and a person at a terminal."""
 
 import contextlib
 import json
@@ -10,9 +10,11 @@ import rclpy
 from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.action import ActionClient
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
@@ -91,6 +93,70 @@ class Client(Spinner):
 
     def run(self, goal):
         return self.result(self.send(goal))
+
+
+class Operator(Spinner):
+    """A person at a terminal: listens, publishes, calls services, sets parameters."""
+
+    def __init__(self, controller="episode_arm_controller"):
+        super().__init__()
+        self.node = Node("operator", context=self.context)
+        self.executor.add_node(self.node)
+        self.controller = controller
+        self._clients, self.publishers = {}, []
+        self.thread.start()
+
+    def name(self, topic):
+        """A name with ~ as the arm's node means it."""
+        return topic.replace("~", f"/{self.controller}")
+
+    def listen(self, kind, topic, qos=10):
+        """The list of messages that grows from now on, once the arm's publisher is found."""
+        heard = []
+        subscription = self.node.create_subscription(kind, self.name(topic), heard.append, qos)
+        until(subscription.get_publisher_count, f"a publisher of {topic}")
+        return heard
+
+    def publisher(self, kind, topic, qos=10, *, awaited=True):
+        """A publisher, whom the arm has found if that is awaited."""
+        publisher = self.node.create_publisher(kind, self.name(topic), qos)
+        self.publishers.append(publisher)
+        if awaited:
+            until(publisher.get_subscription_count, f"a subscriber of {topic}")
+        return publisher
+
+    def forget(self):
+        """Listen to nothing and publish nothing any more."""
+        for subscription in list(self.node.subscriptions):
+            self.node.destroy_subscription(subscription)
+        for publisher in self.publishers:
+            self.node.destroy_publisher(publisher)
+        self.publishers.clear()
+
+    def ask(self, kind, service, request=None):
+        """The future of a service's response."""
+        if service not in self._clients:
+            self._clients[service] = self.node.create_client(kind, self.name(service))
+        client = self._clients[service]
+        assert client.wait_for_service(PATIENCE_S)
+        return client.call_async(request or kind.Request())
+
+    def call(self, kind, service, request=None):
+        """A service's response."""
+        future = self.ask(kind, service, request)
+        until(future.done, f"the answer of {service}", LONGEST_GOAL_S)
+        return future.result()
+
+    def set_parameter(self, name, value):
+        """Whether a parameter was set, and the reason why not."""
+        parameter = Parameter(name, value=value).to_parameter_msg()
+        response = self.call(SetParameters, "~/set_parameters", SetParameters.Request(parameters=[parameter]))
+        return response.results[0].successful, response.results[0].reason
+
+    def get_parameters(self, *names):
+        """The values of parameters."""
+        response = self.call(GetParameters, "~/get_parameters", GetParameters.Request(names=names))
+        return [parameter_value_to_python(value) for value in response.values]
 
 
 def recorded(name):

@@ -1,7 +1,7 @@
 """A stand-in for the control process, small enough to be obviously right: plays knots without dynamics.
 
 It owns an arm's memory files, takes every record, follows the positions of the newest complete goal by
-straight lines in real time, and reports what happened. Faults are switched on from the test.
+straight lines in real time, answers every request, and reports what happened. Faults are switched on from the test.
 """
 
 import fcntl
@@ -14,7 +14,10 @@ import numpy as np
 
 from config.loader import arm_hash, load_arm
 from shm import files, layout
-from shm.words import Answer, Mode, Outcome, Phase, Request, Setpoint, Unreferenced
+from shm.words import Answer, DriveStatus, Fault, Mode, Outcome, Phase, Request, Setpoint, Unreferenced
+
+BRING_UP_CYCLES = 5
+LIMP = (Mode.DISABLED, Mode.FREE)
 
 
 class FakeLoop(threading.Thread):
@@ -29,15 +32,20 @@ class FakeLoop(threading.Thread):
         rows = self.snapshot["joints"][: self.joints]
         rows["referenced"] = 1
         rows["measured_effort"] = np.nan
+        rows["drive_status"] = DriveStatus.ENABLED | DriveStatus.ANSWERED
         rows["commanded_position_rad"] = 0.0 if position_rad is None else position_rad
         self.rows = rows
         self.snapshot["mode"] = Mode.HOLDING
-        self.snapshot["speed_scale"] = 1.0
+        for word in ("speed_scale", "speed_scale_target", "speed_scale_asked"):
+            self.snapshot[word] = 1.0
         self.goals = {}
         self.records = []
         self.taken = self.requests = 0
         self.active = self.incoming = 0
-        self.cancel_at = 0
+        self.cancel_at = self.up_at = 0
+        self.paused = False
+        self.bring_up_fails = False
+        self.asked = []
         self.measuring = self.taking = self.alive = True
         self.pause = threading.Event()
         self.cycle_hook = lambda loop: None
@@ -75,9 +83,12 @@ class FakeLoop(threading.Thread):
         s["cycle"] += 1
         s["monotonic_ns"] = now_ns
         s["epoch_ns"] = time.time_ns() - (time.monotonic_ns() - now_ns)
+        self.state["counters"]["cycles"] += 1
         if self.taking:
             self.take_setpoints()
             self.take_requests()
+        if self.up_at:
+            self.bring_up()
         self.follow(now_ns)
         self.cycle_hook(self)
         if self.measuring:
@@ -107,19 +118,53 @@ class FakeLoop(threading.Thread):
                 self.goals[goal_id]["points"].append(slot["joints"]["position_rad"][: self.joints].copy())
             else:
                 self.goals[goal_id]["ended"] = True
+                self.goals[goal_id]["goal_tolerances"] = slot["joints"][: self.joints].copy()
         self.state["consumed"]["setpoints"] = self.taken
 
     def take_requests(self):
         while self.requests < self.command["requests_written"][0]:
             request = self.command["requests"][self.requests % layout.REQUEST_SLOTS]
             self.requests += 1
-            goal_id = int(request["goal_id"])
-            known = goal_id in (self.active, self.incoming) and goal_id != 0
-            if request["kind"] == Request.CANCEL and known:
-                self.cancel_at = int(self.snapshot["cycle"]) + 5
+            self.asked.append((Request(int(request["kind"])), float(request["value"])))
             answer = self.snapshot["answers"][self.requests % layout.ANSWER_SLOTS]
             answer["sequence"] = self.requests
-            answer["answer"] = Answer.DONE if known else Answer.REFUSED_NO_GOAL
+            answer["answer"] = self.obey(*self.asked[-1], int(request["goal_id"]))
+
+    def obey(self, kind, value, goal_id):
+        s, mode = self.snapshot, self.snapshot["mode"]
+        limp = {Request.DISABLE: Mode.DISABLED, Request.FREE: Mode.FREE}
+        if kind == Request.SPEED_SCALE:
+            if not 0.0 <= value <= 1.0:
+                return Answer.REFUSED_VALUE
+            s["speed_scale_asked"] = value
+        elif kind in limp:
+            if self.active:
+                return Answer.REFUSED_MOVING
+            if mode not in (Mode.HOLDING, *LIMP):
+                return Answer.REFUSED_MODE
+            s["mode"] = limp[kind]
+        elif kind == Request.CLEAR_FAULT or (kind == Request.ENABLE and mode in LIMP):
+            if kind == Request.CLEAR_FAULT and mode != Mode.FAULT:
+                return Answer.REFUSED_MODE
+            self.up_at = int(s["cycle"]) + BRING_UP_CYCLES
+        elif kind == Request.ENABLE:
+            return Answer.DONE if mode in (Mode.HOLDING, Mode.EXECUTING) else Answer.REFUSED_MODE
+        elif not any((self.active, self.incoming)) or goal_id not in (self.active, self.incoming, 0):
+            return Answer.REFUSED_NO_GOAL
+        elif kind in (Request.HOLD, Request.RESUME):
+            self.paused = kind == Request.HOLD
+        else:
+            self.cancel_at = int(s["cycle"]) + 5
+        return Answer.DONE
+
+    def bring_up(self):
+        s = self.snapshot
+        s["mode"], s["fault"] = Mode.BRINGING_UP, Fault.NONE
+        if s["cycle"] >= self.up_at:
+            self.up_at = 0
+            s["mode"] = Mode.HOLDING
+            if self.bring_up_fails:
+                self.fault(Fault.BRING_UP, -1, 0.0, 0.0)
 
     def follow(self, now_ns):
         s = self.snapshot
@@ -129,11 +174,15 @@ class FakeLoop(threading.Thread):
                 self.decide(self.active, Outcome.REPLACED)
             self.active, self.incoming = self.incoming, 0
             self.origin = self.rows["commanded_position_rad"].copy()
-            self.start_ns = max(now_ns, int(goal["begin"]["start_ns"]))
+            self.start_ns = int(goal["begin"]["start_ns"]) or now_ns
+            self.paused = False
             s["mode"], s["goal_phase"] = Mode.EXECUTING, Phase.RUNNING
         s["goal_id"] = self.active
+        s["speed_scale"] = 0.0 if self.paused else s["speed_scale_asked"]
         if not self.active:
             return
+        s["goal_phase"] = Phase.PAUSED if self.paused else Phase.RUNNING
+        self.start_ns += round((1.0 - s["speed_scale"]) * self.period_ns)
         goal = self.goals[self.active]
         clock = now_ns - self.start_ns
         s["trajectory_clock_ns"] = clock
@@ -155,6 +204,7 @@ class FakeLoop(threading.Thread):
     def finish(self, outcome, **details):
         self.decide(self.active, outcome, **details)
         self.active = self.cancel_at = 0
+        self.paused = False
         self.snapshot["goal_id"] = 0
         self.snapshot["mode"], self.snapshot["goal_phase"] = Mode.HOLDING, Phase.NONE
 
@@ -173,6 +223,7 @@ class FakeLoop(threading.Thread):
     def fault(self, fault, joint, value, limit):
         s = self.snapshot
         s["fault"], s["fault_joint"], s["fault_value"], s["fault_limit"] = fault, joint, value, limit
+        s["fault_ns"] = s["monotonic_ns"]
         if self.active:
             self.finish(Outcome.FAULT, joint=joint, value=value, limit=limit)
         s["mode"] = Mode.FAULT

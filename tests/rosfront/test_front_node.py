@@ -1,6 +1,5 @@
 """The node as its clients meet it: a real action client, a stand-in for the control process."""
 
-import contextlib
 import os
 import signal
 import subprocess
@@ -14,64 +13,19 @@ import pytest
 import yaml
 from fake_loop import FakeLoop
 
-rclpy = pytest.importorskip("rclpy")
+pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
-from builtin_interfaces.msg import Duration  # noqa: E402
-from control_msgs.action import FollowJointTrajectory  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.signals import SignalHandlerOptions  # noqa: E402
-from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, until  # noqa: E402
-from trajectory_msgs.msg import JointTrajectoryPoint  # noqa: E402
+from front_stage import Stage, goal, serving_alone
+from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, until
 
-from config.loader import load_arm  # noqa: E402
-from rosfront import node  # noqa: E402
-from rosfront.link import attach  # noqa: E402
-from rosfront.node import FrontNode  # noqa: E402
-from shm.words import Fault, Outcome  # noqa: E402
+from config.loader import load_arm
+from rosfront import node
+from shm.words import Fault, Outcome
 
 pytestmark = pytest.mark.process  # a real client, real threads, real time
 
 ROOT = Path(__file__).parents[2]
-
-
-class Stage:
-    def __init__(self, name):
-        self.arm = load_arm("mock", overrides={"name": name})
-        self.loop = FakeLoop(self.arm)
-        self.loop.start()
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        self.executor = SingleThreadedExecutor()
-        self.front = FrontNode(self.arm, self.executor, attach(self.arm))
-        self.thread = threading.Thread(target=self.front.spin, daemon=True)
-        self.thread.start()
-        self.client = Client()
-        until(self.serves, "serving")
-
-    def new_loop(self):
-        position = self.loop.rows["commanded_position_rad"].copy()
-        if self.loop.is_alive():
-            self.loop.stop()
-        self.loop = FakeLoop(self.arm, position)
-        self.loop.start()
-        until(self.serves, "serving again")
-
-    def serves(self):
-        try:
-            self.front.serving.present()
-        except Exception:
-            return False
-        return True
-
-    def close(self):
-        self.client.close()
-        self.front.close(1.0)
-        self.thread.join(5.0)
-        self.executor.shutdown()
-        self.front.node.destroy_node()
-        rclpy.try_shutdown()
-        self.loop.stop()
-        self.loop.sweep()
 
 
 @pytest.fixture(scope="module")
@@ -84,30 +38,8 @@ def whole_stage(new_arm_name):
 @pytest.fixture
 def stage(whole_stage):
     """The one stage, with a sound loop and the arm at zero."""
-    loop = whole_stage.loop
-    if not loop.is_alive() or loop.snapshot["fault"] or not loop.rows["referenced"].all():
-        whole_stage.new_loop()
-    loop = whole_stage.loop
-    until(lambda: loop.active == 0 and loop.incoming == 0, "an idle arm")
-    loop.cycle_hook = lambda loop: None
-    loop.rows["commanded_position_rad"] = 0.0
-    whole_stage.client.feedback.clear()
+    whole_stage.reset()
     return whole_stage
-
-
-def goal(seconds=0.3, to_rad=0.01, names=None):
-    message = FollowJointTrajectory.Goal()
-    message.trajectory.joint_names = names or [f"joint{i}" for i in range(1, 7)]
-    width = len(message.trajectory.joint_names)
-    for share in (0.0, 0.5, 1.0):
-        nanoseconds = round(share * seconds * 1e9)
-        message.trajectory.points.append(
-            JointTrajectoryPoint(
-                positions=[share * to_rad] * width,
-                time_from_start=Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9),
-            )
-        )
-    return message
 
 
 def test_a_goal_succeeds_with_feedback_on_the_way(stage):
@@ -115,7 +47,7 @@ def test_a_goal_succeeds_with_feedback_on_the_way(stage):
     assert (status, code) == (SUCCEEDED, 0), words
     assert words.startswith("Goal reached: the largest error is 0.0000 rad")
     assert stage.loop.rows["commanded_position_rad"].tolist() == pytest.approx([0.01] * 6)
-    assert 5 <= len(stage.client.feedback) <= 12
+    assert 12 <= len(stage.client.feedback) <= 22
     assert all(feedback.header.frame_id == "base_link" for feedback in stage.client.feedback)
     for feedback in stage.client.feedback:
         assert list(feedback.joint_names) == [f"joint{i}" for i in range(1, 7)]
@@ -198,7 +130,7 @@ def test_a_newer_goal_replaces_the_older(stage):
     newer = stage.client.send(goal(seconds=0.3))
     status, code, words = stage.client.result(older)
     assert (status, code) == (ABORTED, -1)
-    assert words.startswith("The goal was replaced by a newer goal; joint1 is")
+    assert words.startswith("The goal was replaced by a newer goal") and "; joint1 is" in words
     assert stage.client.result(newer)[0] == SUCCEEDED
 
 
@@ -276,35 +208,6 @@ def test_a_hung_loop_aborts_the_goal_and_is_served_again_when_it_wakes(stage):
     stage.loop.rows["commanded_position_rad"] = 0.0
     until(lambda: stage.serves() and not stage.front.serving.present().commanded[:, 0].any(), "the arm at zero")
     assert stage.client.run(goal())[0] == SUCCEEDED
-
-
-@contextlib.contextmanager
-def serving_alone(name, **trajectory):
-    """A front and a client of their own: loop, front, client, and the thread in which the front spins."""
-    controller = f"alone_{name}"
-    arm = load_arm("mock", overrides={"name": name, "trajectory": trajectory, "front": {"controller_name": controller}})
-    loop = FakeLoop(arm)
-    loop.start()
-    alone = not rclpy.ok()
-    if alone:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    executor = SingleThreadedExecutor()
-    front = FrontNode(arm, executor, attach(arm))
-    thread = threading.Thread(target=front.spin, daemon=True)
-    thread.start()
-    client = Client(controller)
-    try:
-        until(front.serving.ever_attached.is_set, "a front that serves")
-        yield loop, front, client, thread
-    finally:
-        client.close()
-        front.close(2.0)
-        thread.join(5.0)
-        executor.shutdown()
-        front.node.destroy_node()
-        if alone:
-            rclpy.shutdown()
-        loop.stop()
 
 
 def test_strict_reject(arm_name):
@@ -472,6 +375,32 @@ def test_signals_in_quick_succession_are_one(arm_file, loop, start_front, ends):
     code, _, err = ended(front)
     assert code == 0 and "Traceback" not in err
     client.close()
+
+
+def test_a_bad_parameter_ends_the_start_with_one_sentence(arm_file, loop, start_front):
+    loop.start()
+    code, out, err = ended(start_front(arm_file, "--ros-args", "-p", "constraints.goal_time:=-1.0"))
+    assert (code, out) == (1, "")
+    assert err == ("Parameter constraints.goal_time is -1, and allowed are 0 to 86400: give a value between them.\n")
+
+
+def test_an_initial_speed_scale_is_for_a_control_process_that_has_none(arm_file, start_front):
+    """The front may be there first; and who has slowed the arm down meanwhile is not overruled by a restart."""
+    front = start_front(arm_file, "--ros-args", "-p", "speed_scaling.initial_scaling_factor:=0.5")
+    until(lambda: hears_sigterm(front), "a front that has looked for its loop")
+    loop = FakeLoop(load_arm(arm_file))
+    loop.start()
+    until(lambda: loop.snapshot["speed_scale_asked"] == 0.5, "the initial factor")
+    front.terminate()
+    assert ended(front)[0] == 0
+    loop.snapshot["speed_scale_asked"] = 0.25
+    loop.asked.clear()
+    front = start_front(arm_file, "--ros-args", "-p", "speed_scaling.initial_scaling_factor:=0.5")
+    assert front.stdout.readline().startswith("ready ")
+    front.terminate()
+    assert ended(front)[0] == 0
+    assert loop.snapshot["speed_scale_asked"] == 0.25 and not loop.asked
+    loop.stop()
 
 
 def test_what_keeps_the_process_from_serving_is_one_sentence(arm_file, loop, start_front, tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,8 +14,10 @@ from scipy.interpolate import BPoly, PchipInterpolator
 
 from config.loader import load_arm
 from rosfront import refusals
-from rosfront.goal import densify, plan_goal
+from rosfront.goal import densify, plan_goal, plan_stream
+from rosfront.path import PlannedPath
 from rosfront.plan import Present
+from rosfront.settings import Settings
 
 GOALS = Path(__file__).parents[1] / "data" / "moveit"
 ARM = load_arm("episode1")
@@ -75,6 +78,16 @@ def present(positions=(0.0,) * 6, *, standing=True, monotonic_ns=5_000_000_000, 
 
 def one_joint(*points, name="joint1"):
     return goal(points, names=[name])
+
+
+def planned(message, at=None, arm=ARM, **changes):
+    """The plan of a goal for an arm that stands at zero, with the arm's settings but for `changes`."""
+    return plan_goal(message, arm, at or present(), replace(Settings.of(arm), **changes))
+
+
+def streamed(message, at=None, arm=ARM):
+    """The plan of the same trajectory as a message of ~/joint_trajectory."""
+    return plan_stream(message.trajectory, arm, at or present(), Settings.of(arm))
 
 
 ZERO = [0.0] * 6
@@ -228,7 +241,7 @@ BAD = {
 def test_bad_goals_are_refused_with_a_sentence(case):
     message, code, words = BAD[case]
     with pytest.raises(refusals.GoalRefused) as refused:
-        plan_goal(message, ARM, present())
+        planned(message)
     assert refused.value.code == code
     assert words in refused.value.sentence
     assert refused.value.sentence.endswith(".") and ". " not in refused.value.sentence
@@ -238,7 +251,7 @@ def test_too_many_points():
     message = goal([point(i, ZERO) for i in range(6)])
     arm = load_arm("episode1", overrides={"trajectory": {"max_points": 5}})
     with pytest.raises(refusals.TooManyPoints, match="has 6 points and at most 5 are allowed"):
-        plan_goal(message, arm, present())
+        planned(message, arm=arm)
 
 
 @pytest.mark.parametrize("field", ["multi_dof_trajectory", "component_path_tolerance", "component_goal_tolerance"])
@@ -249,12 +262,12 @@ def test_what_the_arm_cannot_do_is_refused_and_not_ignored(field):
     else:
         setattr(message, field, [tolerance("joint1")])
     with pytest.raises(refusals.NotSupported, match=f"The goal has a {field}"):
-        plan_goal(message, ARM, present())
+        planned(message)
 
 
 def test_a_refusal_holds_joint_value_and_limit():
     with pytest.raises(refusals.PositionBeyondLimit) as refused:
-        plan_goal(*[BAD["out of limits at a point"][0], ARM, present()])
+        planned(BAD["out of limits at a point"][0])
     assert (refused.value.joint, refused.value.value) == ("joint2", 1.6)
     assert refused.value.limit == pytest.approx(math.pi / 2)
 
@@ -262,7 +275,7 @@ def test_a_refusal_holds_joint_value_and_limit():
 @pytest.mark.parametrize("file", sorted(GOALS.glob("*.json")), ids=lambda f: f.stem)
 def test_recorded_moveit_goals_are_accepted_from_their_start(file):
     message = recorded(file.stem)
-    plan = plan_goal(message, ARM, present(message.trajectory.points[0].positions))
+    plan = planned(message, present(message.trajectory.points[0].positions))
     assert not plan.bridge and plan.start_ns == 0 and plan.joint_mask == 0b111111
     assert set(plan.orders.tolist()) == {5}
     assert plan.joints[:, :, 0].tolist() == [p.positions for p in message.trajectory.points]
@@ -272,16 +285,16 @@ def test_recorded_moveit_goals_are_accepted_from_their_start(file):
 
 def test_recorded_goals_from_elsewhere_are_refused():
     with pytest.raises(refusals.TooFar, match="from where it is commanded"):
-        plan_goal(recorded("large_back"), ARM, present())
+        planned(recorded("large_back"))
 
 
 def test_while_the_arm_moves_the_first_point_is_left_to_the_control_process():
-    plan_goal(recorded("large_back"), ARM, present(standing=False))
+    planned(recorded("large_back"), present(standing=False))
 
 
 def test_any_joint_order_and_a_subset():
     message = goal([point(0, [0.01, 0.02]), point(2, [0.3, 0.1])], names=["joint4", "joint2"])
-    plan = plan_goal(message, ARM, present([0.5, 0.02, 0.7, 0.01, 0.9, 1.0]))
+    plan = planned(message, present([0.5, 0.02, 0.7, 0.01, 0.9, 1.0]))
     assert plan.joint_mask == 0b001010
     assert plan.joints[1, :, 0].tolist() == [0.5, 0.1, 0.7, 0.3, 0.9, 1.0]
     assert not plan.joints[:, [0, 2, 4, 5], 1:].any()
@@ -289,7 +302,7 @@ def test_any_joint_order_and_a_subset():
 
 def test_positions_only_becomes_a_monotone_cubic_at_rest_at_both_ends():
     p = [0.0, 0.05, 0.25, 0.3]
-    plan = plan_goal(one_joint(*[point(i, [x]) for i, x in enumerate(p)]), ARM, present())
+    plan = planned(one_joint(*[point(i, [x]) for i, x in enumerate(p)]))
     assert set(plan.orders.tolist()) == {3}
     expected = PchipInterpolator(range(4), p).derivative()(range(4))
     assert plan.joints[:, 0, 1] == pytest.approx([0.0, expected[1], expected[2], 0.0])
@@ -304,47 +317,161 @@ def test_fewer_fields_on_some_points_give_the_lower_order_there():
         point(3, [0.3]),
         point(4, [0.3], *rest),
     )
-    plan = plan_goal(message, ARM, present())
+    plan = planned(message)
     assert plan.orders[1:].tolist() == [5, 3, 3, 3]
     assert plan.joints[2, 0, 2] == 0.0
 
 
 def test_a_first_point_later_than_zero_is_a_bridge_from_the_commanded_state():
-    plan = plan_goal(one_joint(point(2, [0.4])), ARM, present())
+    plan = planned(one_joint(point(2, [0.4])))
     assert plan.bridge and plan.times_ns.tolist() == [2_000_000_000]
     assert plan.orders.tolist() == [3]
 
 
-def test_stamps():
-    message = [point(0, ZERO), point(1, ZERO)]
-    ahead = plan_goal(goal(message, stamp_s=1_800_000_002.5), ARM, present())
-    assert ahead.start_ns == 5_000_000_000 + 2_500_000_000
-    begun = plan_goal(goal(message, stamp_s=1_799_999_999.5), ARM, present())
-    assert begun.start_ns == 0
+NOW_S = 1_800_000_000.0
+NOW_NS = 5_000_000_000
+
+
+def test_a_stamp_ahead_is_a_start_ahead():
+    ahead = planned(goal([point(0, ZERO), point(1, ZERO)], stamp_s=NOW_S + 2.5))
+    assert (ahead.start_ns, ahead.entry_ns) == (NOW_NS + 2_500_000_000, 0)
+
+
+def slow_way(stamp_s):
+    """joint1 by 0.3 rad in 3 s, gently, in knots 0.1 s apart."""
+    times = np.arange(0.0, 3.01, 0.1)
+    x = times / 3.0
+    shape = 0.3 * (10 * x**3 - 15 * x**4 + 6 * x**5)
+    speed = 0.3 * (30 * x**2 - 60 * x**3 + 30 * x**4) / 3.0
+    return goal([point(t, [p], [v]) for t, p, v in zip(times, shape, speed, strict=True)], ["joint1"], stamp_s)
+
+
+def test_a_stamp_in_the_past_enters_where_the_trajectory_is_due():
+    plan = planned(slow_way(NOW_S - 0.75))
+    assert plan.start_ns == NOW_NS - 750_000_000 and plan.entry_ns == 750_000_000
+    assert plan.times_ns[0] == 700_000_000 and not plan.bridge
+    assert len(plan.times_ns) == len(plan.orders) == len(plan.joints) == 24
+
+
+def test_where_that_is_too_far_it_is_entered_late_where_the_arm_is_near():
+    plan = planned(slow_way(NOW_S - 2.0))
+    assert 0.7e9 < plan.entry_ns < 1.2e9
+    assert plan.start_ns == NOW_NS - plan.entry_ns
+    path = PlannedPath(plan)
+    here = path.at(np.array([plan.entry_ns]))[0][0, 0]
+    assert 0.8 * 0.8 * 0.05 < here <= 0.8 * 0.05
+    with pytest.raises(refusals.TooFar, match=r"The trajectory, by now 2\.000 s after its start .* has joint1 at"):
+        planned(slow_way(NOW_S - 2.0), present([-0.2, 0, 0, 0, 0, 0]))
+
+
+def test_a_moving_arm_is_left_to_the_control_process():
+    plan = planned(slow_way(NOW_S - 2.0), present(standing=False))
+    assert (plan.entry_ns, plan.start_ns) == (2 * 10**9, NOW_NS - 2 * 10**9)
+
+
+def test_the_way_to_a_first_point_that_is_still_ahead_gets_the_time_that_is_left():
+    message = goal([point(2, [0.2])], ["joint1"], NOW_S - 1.0)
+    plan = planned(message)
+    assert plan.bridge and plan.entry_ns == 10**9
+    with pytest.raises(refusals.VelocityBeyondLimit):
+        planned(goal([point(2, [0.2])], ["joint1"], NOW_S - 1.5))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.0, 2.9))
+def test_an_entry_is_always_near_the_arm_and_never_late_without_need(late_s):
+    plan = planned(slow_way(NOW_S - late_s))
+    distance = float(PlannedPath(plan).at(np.array([plan.entry_ns]))[0][0, 0])
+    assert distance <= 0.05
+    elapsed_ns = NOW_NS - plan.start_ns if plan.start_ns else 0
+    assert elapsed_ns == plan.entry_ns
+    assert plan.entry_ns == pytest.approx(late_s * 1e9, abs=300) or distance > 0.75 * 0.8 * 0.05
+
+
+# --- the end --------------------------------------------------------------------------------------------
+
+
+def moving_end(velocity=0.3):
+    return one_joint(point(0, [0.0], [0.0]), point(1, [0.15], [velocity]))
+
+
+def test_a_moving_end_needs_the_setting():
+    with pytest.raises(refusals.EndsMoving, match="allow_nonzero_velocity_at_trajectory_end"):
+        planned(moving_end())
+    assert planned(moving_end(), allow_nonzero_end_velocity=True).joints[-1, 0, 1] == 0.3
+
+
+def test_partial_goals_can_be_forbidden():
+    with pytest.raises(refusals.PartialGoal, match="The goal leaves out joint2, joint3") as refused:
+        planned(moving_end(0.0), allow_partial_joints_goal=False)
+    assert refused.value.code == -2
+
+
+# --- streams --------------------------------------------------------------------------------------------
+
+
+def test_a_stream_may_end_in_motion_and_its_first_point_may_be_near():
+    plan = streamed(one_joint(point(0.01, [0.004], [0.4])))
+    assert plan.stream and plan.bridge
+    with pytest.raises(refusals.GoalRefused):
+        planned(one_joint(point(0.01, [0.004], [0.4])))
+
+
+def test_a_stream_needs_room_to_stop():
+    upper = ARM.joints[0].upper_rad
+    at = present([upper - 0.02, 0, 0, 0, 0, 0])
+    with pytest.raises(refusals.NoRoomToStop, match=r"joint1 moving at 0\.4000 rad/s, and stopping from there ends at"):
+        streamed(one_joint(point(0.01, [upper - 0.02], [0.4])), at)
+    streamed(one_joint(point(0.01, [upper - 0.02], [0.0])), at)
+    streamed(one_joint(point(0.01, [upper - 0.02], [-0.4])), at)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        one_joint(point(0.01, [NAN], [0.0])),
+        one_joint(point(0.01, [0.0], [9.0])),
+        one_joint(point(0.01, [9.0], [0.0])),
+        goal([]),
+        goal([point(0, [0.0])], ["elbow"]),
+        goal([point(0, ZERO)], stamp_s=NOW_S - 1.0),
+        one_joint(point(0.01, [0.0], [0.0], effort=[1.0])),
+    ],
+)
+def test_a_bad_message_of_a_stream_is_refused_like_a_goal(message):
+    with pytest.raises(refusals.GoalRefused):
+        streamed(message)
 
 
 def test_tolerances_default_replace_and_switch_off():
     message = goal([point(0, ZERO)])
-    message.path_tolerance = [tolerance("joint3", 0.2), tolerance("joint1", -1.0)]
-    message.goal_tolerance = [tolerance("joint2", 0.5, 0.7), tolerance("joint6", 0.0, -1.0)]
-    plan = plan_goal(message, ARM, present())
-    default = [0.1, 0.01, 0.05]
-    assert plan.tolerances.tolist() == [
-        [0.0, 0.01, 0.05],
-        [0.1, 0.5, 0.7],
-        [0.2, 0.01, 0.05],
-        default,
-        default,
-        [0.1, 0.01, 0.0],
-    ]
-    assert plan.goal_time_s == 0.4
+    message.path_tolerance = [tolerance("joint3", 0.2, 0.3, 0.4), tolerance("joint1", -1.0)]
+    message.goal_tolerance = [tolerance("joint2", 0.5, 0.7, 0.9), tolerance("joint6", 0.0, -1.0 - 1e-8)]
+    message.goal_tolerance.append(tolerance("joint5", math.inf))
+    terms = planned(message).terms
+    way, arrival = [0.1, 0.0, 0.0], [0.01, 0.05, 0.0]
+    assert terms.path_tolerances.tolist() == [[0.0, 0.0, 0.0], way, [0.2, 0.3, 0.4], way, way, way]
+    last = [[0.0, 0.05, 0.0], [0.01, 0.0, 0.0]]
+    assert terms.goal_tolerances.tolist() == [arrival, [0.5, 0.7, 0.9], arrival, arrival, *last]
+    assert terms.goal_time_s == 0.4
+
+
+def test_the_defaults_are_the_settings_of_the_moment():
+    changed = {
+        "path_tolerance_rad": tuple(0.1 * i for i in range(6)),
+        "stopped_velocity_rad_s": 0.2,
+        "goal_time_s": 2.0,
+    }
+    terms = planned(goal([point(0, ZERO)]), **changed).terms
+    assert terms.path_tolerances[:, 0].tolist() == [0.1 * i for i in range(6)]
+    assert set(terms.goal_tolerances[:, 1]) == {0.2} and terms.goal_time_s == 2.0
 
 
 @pytest.mark.parametrize(("given_s", "expected_s"), [(0.0, 0.4), (1.5, 1.5), (-1.0, 0.0)])
 def test_goal_time(given_s, expected_s):
     message = goal([point(0, ZERO)])
     message.goal_time_tolerance = duration(given_s)
-    assert plan_goal(message, ARM, present()).goal_time_s == expected_s
+    assert planned(message).terms.goal_time_s == expected_s
 
 
 @pytest.mark.parametrize(
@@ -355,10 +482,7 @@ def test_goal_time(given_s, expected_s):
             "path_tolerance position of joint1 is -0.5; allowed are a positive limit",
         ),
         (tolerance("joint1", NAN), "path_tolerance position of joint1 is nan"),
-        (
-            tolerance("joint1", 0.1, 0.2),
-            "path_tolerance of joint1 limits its velocity to 0.2, which is not watched",
-        ),
+        (tolerance("joint1", 0.1, -2.0), "path_tolerance velocity of joint1 is -2; allowed"),
         (tolerance("elbow", 0.1), "'elbow' in path_tolerance is no joint"),
     ],
 )
@@ -366,38 +490,46 @@ def test_bad_tolerances(entry, words):
     message = goal([point(0, ZERO)])
     message.path_tolerance = [entry]
     with pytest.raises(refusals.GoalRefused, match=words):
-        plan_goal(message, ARM, present())
+        planned(message)
 
 
 def test_a_bad_goal_time():
     message = goal([point(0, ZERO)])
     message.goal_time_tolerance = duration(-3.0)
     with pytest.raises(refusals.BadTolerance, match=r"goal_time_tolerance \(s\) is -3"):
-        plan_goal(message, ARM, present())
+        planned(message)
 
 
 def test_the_residue_of_a_planners_last_velocity_stays_in_the_plan():
-    plan = plan_goal(one_joint(point(0, [0.0], [0.0]), point(1, [0.1], [5e-4])), ARM, present())
+    plan = planned(one_joint(point(0, [0.0], [0.0]), point(1, [0.1], [5e-4])))
     assert plan.joints[-1, 0, 1] == 5e-4
 
 
 def test_a_residual_segment_is_not_judged_by_its_curvature():
     # 1.3e-7 rad in 0.36 ms, as at the end of near_limits_low: 6 rad/s² on paper, nothing for a drive
     message = one_joint(point(0, [0.0], [0.0]), point(1, [0.1], [0.0]), point(1.00036, [0.10000013], [0.0]))
-    plan_goal(message, ARM, present())
+    planned(message)
 
 
 def test_an_arm_at_its_limit_may_leave_it():
     upper = ARM.joints[1].upper_rad + ARM.joints[1].encoder_count_rad
-    plan_goal(one_joint(point(0, [upper]), point(5, [1.0]), name="joint2"), ARM, present([0, upper, 0, 0, 0, 0]))
+    planned(one_joint(point(0, [upper]), point(5, [1.0]), name="joint2"), present([0, upper, 0, 0, 0, 0]))
 
 
 def test_a_very_long_trajectory_costs_no_more_than_its_points():
     message = one_joint(point(0, [0.0], [0.0]), point(2_000_000, [1.0], [0.0]))
-    plan_goal(message, ARM, present())
+    planned(message)
     message = one_joint(point(0, [0.0], [0.0]), point(1_000_000, [1.0], [0.44]), point(2_000_000, [1.0], [0.0]))
     with pytest.raises(refusals.BeyondLimits):
-        plan_goal(message, ARM, present())
+        planned(message)
+
+
+def test_points_that_last_for_too_short_a_time_to_stop_in():
+    points = [point(0.00005 * i, [0.0]) for i in range(8000)]
+    with pytest.raises(refusals.TooDense, match=r"The 4000 points from point 0 on last only 0\.2000 s"):
+        planned(one_joint(*points))
+    planned(one_joint(*points[:4000]))
+    planned(one_joint(*[point(0.0001 * i, [0.0]) for i in range(8000)]))
 
 
 LINEAR = load_arm("episode1", overrides={"trajectory": {"interpolation": "linear"}})
@@ -405,7 +537,7 @@ LINEAR = load_arm("episode1", overrides={"trajectory": {"interpolation": "linear
 
 def test_the_tutorials_densification():
     points = [point(0.1 * i, [0.0001 * i], [0.001]) for i in range(104)] + [point(10.4, [0.0104], [0.0])]
-    plan = plan_goal(one_joint(*points), LINEAR, present())
+    plan = planned(one_joint(*points), arm=LINEAR)
     assert len(plan.times_ns) == 1665
     assert set(plan.orders.tolist()) == {1}
     assert plan.times_ns[::16].tolist() == [100_000_000 * i for i in range(105)]
@@ -416,14 +548,14 @@ def test_the_tutorials_densification():
 def test_straight_lines_are_refused_where_their_corners_ask_for_too_much():
     with pytest.raises(refusals.AccelerationBeyondLimit, match=r"joint\d would accelerate with"):
         message = recorded("scale_1_0")
-        plan_goal(message, LINEAR, present(message.trajectory.points[0].positions))
+        planned(message, present(message.trajectory.points[0].positions), LINEAR)
 
 
 def test_densification_counts_against_the_most_points():
     arm = load_arm("episode1", overrides={"trajectory": {"interpolation": "linear", "max_points": 33}})
-    plan_goal(one_joint(*[point(i, [0.0]) for i in range(3)]), arm, present())
+    planned(one_joint(*[point(i, [0.0]) for i in range(3)]), arm=arm)
     with pytest.raises(refusals.TooManyPoints):
-        plan_goal(one_joint(*[point(i, [0.0]) for i in range(4)]), arm, present())
+        planned(one_joint(*[point(i, [0.0]) for i in range(4)]), arm=arm)
 
 
 @settings(deadline=None)
@@ -462,7 +594,7 @@ def test_whatever_is_accepted_keeps_the_limits_everywhere(seed):
     slow = np.abs(np.diff(spline(cycles))).max(initial=0.0) / period <= 1.05 * joint.max_velocity_rad_s * (1 + 1e-6)
     soft = np.abs(np.diff(spline(cycles), 2)).max(initial=0.0) / period**2 <= 4.0 * (1 + 1e-6)
     try:
-        plan_goal(message, ARM, present([2.3, 0, 0, 0, 0, 0]))
+        planned(message, present([2.3, 0, 0, 0, 0, 0]))
     except refusals.BeyondLimits:
         return
     assert inside and slow and soft

@@ -1,4 +1,4 @@
-"""Snapshot to bytes, and when a message may be published."""
+"""When a message may be published, and what the publisher's thread does beside it."""
 
 import struct
 import time
@@ -9,55 +9,24 @@ from fake_loop import FakeLoop
 
 from config.loader import load_arm
 from rosfront import joint_states
-from rosfront.joint_states import JointStateBytes, Pulse
+from rosfront.joint_states import Pulse
 from rosfront.link import attach
+from rosfront.message_bytes import MessageBytes
 from rosfront.refusals import NotServing
 from rosfront.serving import Serving
 
-NAMES = [f"joint{i}" for i in range(1, 7)]
+
+def template(times, rows):
+    return b"head" + struct.pack("<iI", *times[0]) + b"names" + b"".join(struct.pack("<I6d", 6, *row) for row in rows)
 
 
-def template(stamp, rows):
-    return b"head" + struct.pack("<iI", *stamp) + b"names" + b"".join(struct.pack("<I6d", 6, *row) for row in rows)
+def joint_state():
+    return MessageBytes(template, 1, [6, 6, 6])
 
 
 def decode(message):
     stamp = struct.unpack_from("<iI", message, 4)
     return stamp, [struct.unpack_from("<6d", message, 17 + 4 + 52 * kind) for kind in range(3)]
-
-
-def test_the_numbers_are_replaced_and_nothing_else():
-    message = JointStateBytes(template, 6)
-    rows = np.arange(18.0).reshape(3, 6)
-    filled = message.fill(1_800_000_000_123_456_789, *rows)
-    assert decode(filled) == ((1_800_000_000, 123_456_789), [tuple(row) for row in rows])
-    assert len(filled) == len(template((0, 0), rows.tolist()))
-
-
-def test_a_serialisation_that_is_not_understood_is_not_patched():
-    with pytest.raises(ValueError, match="does not hold its numbers"):
-        JointStateBytes(lambda stamp, rows: b"something else", 6)
-
-
-def test_it_fits_the_real_serialisation():
-    pytest.importorskip("rclpy")
-    from builtin_interfaces.msg import Time
-    from rclpy.serialization import deserialize_message, serialize_message
-    from sensor_msgs.msg import JointState
-
-    def serialised(stamp, rows):
-        message = JointState(name=NAMES, position=rows[0], velocity=rows[1], effort=rows[2])
-        message.header.stamp = Time(sec=stamp[0], nanosec=stamp[1])
-        message.header.frame_id = "base_link"
-        return bytes(serialize_message(message))
-
-    values = np.random.default_rng(3).normal(size=(3, 6))
-    values[2] = np.nan
-    back = deserialize_message(JointStateBytes(serialised, 6).fill(1_800_000_000_000_000_007, *values), JointState)
-    assert list(back.name) == NAMES and back.header.frame_id == "base_link"
-    assert (back.header.stamp.sec, back.header.stamp.nanosec) == (1_800_000_000, 7)
-    assert list(back.position) == values[0].tolist() and list(back.velocity) == values[1].tolist()
-    assert np.isnan(back.effort).all()
 
 
 @pytest.fixture
@@ -70,9 +39,10 @@ def stage(arm_name):
     class Publisher:
         publish = staticmethod(sent.append)
 
-    pulse = Pulse(
-        arm, Serving(arm), JointStateBytes(template, 6), Publisher(), lambda s, t: seen.append(t), print, None
-    )
+    def look(snapshot, stamp_ns, fresh):
+        seen.append((stamp_ns, fresh))
+
+    pulse = Pulse(arm, Serving(arm), joint_state(), Publisher(), look, lambda link: None, print, None)
 
     def cycle(now_ns):
         loop.cycle(now_ns)
@@ -93,7 +63,7 @@ def test_the_stamp_is_the_time_of_the_newest_measurement(stage):
     epoch = int(loop.snapshot["epoch_ns"])
     stamp, rows = decode(sent[0])
     assert stamp == divmod(epoch - 5, 10**9)
-    assert seen == [epoch - 5]
+    assert seen == [(epoch - 5, True)]
     assert rows[0] == (1, 2, 3, 4, 5, 6)
     assert np.isnan(rows[2]).all()
 
@@ -108,7 +78,7 @@ def test_nothing_is_published_before_every_joint_was_measured(stage):
     assert cycle(20) == 0
     loop.rows["measured_position_rad"][2] = 0.0
     assert cycle(30) == 1
-    assert len(seen) == 3
+    assert [fresh for _, fresh in seen] == [False, False, True]
 
 
 def test_nothing_is_published_twice(stage):
@@ -136,15 +106,17 @@ class Thread:
     """The publisher's thread, with what it publishes, shows and says."""
 
     def __init__(self, arm):
-        self.cycles, self.said = [], []
+        self.cycles, self.said, self.asides = [], [], []
         self.serving = Serving(arm)
         self.busy = lambda: None
-        self.pulse = Pulse(arm, self.serving, JointStateBytes(template, 6), self, self.look, self.said.append, None)
+        self.pulse = Pulse(
+            arm, self.serving, joint_state(), self, self.look, self.asides.append, self.said.append, None
+        )
 
     def publish(self, message):
         self.busy()
 
-    def look(self, snapshot, stamp_ns):
+    def look(self, snapshot, stamp_ns, fresh):
         self.cycles.append(int(snapshot["cycle"]))
 
 
@@ -254,3 +226,29 @@ def test_a_loop_that_goes_before_its_first_cycle_is_missed_at_once(loop, thread)
     loop.die()
     until(lambda: len(thread.said) > 1)
     assert "has ended" in thread.said[1]
+
+
+def test_it_turns_aside_once_a_second_with_a_loop_and_without(arm, loop, thread, monkeypatch):
+    monkeypatch.setattr(joint_states, "ASIDE_EVERY_NS", 20_000_000)
+    loop.start()
+    thread.pulse.start()
+    until(lambda: len(thread.asides) > 5 and thread.asides[-1] is not None)
+    loop.die()
+    until(lambda: thread.asides[-1] is None)
+    aside = len(thread.asides)
+    until(lambda: len(thread.asides) > aside + 2)
+    assert thread.asides[-1] is None
+    assert thread.pulse.published > 0
+
+
+def test_a_loop_that_hangs_is_still_looked_at(arm, loop, thread, monkeypatch):
+    monkeypatch.setattr(joint_states, "ASIDE_EVERY_NS", 20_000_000)
+    loop.start()
+    thread.pulse.start()
+    until(lambda: thread.cycles)
+    loop.pause.set()
+    until(lambda: thread.said and "has run no cycle for" in thread.said[-1])
+    aside = len(thread.asides)
+    until(lambda: len(thread.asides) > aside + 2)
+    assert thread.asides[-1] is not None
+    loop.pause.clear()

@@ -8,13 +8,13 @@ from fake_loop import FakeLoop
 
 from config.loader import load_arm
 from rosfront.link import attach
-from rosfront.plan import GoalPlan
+from rosfront.plan import GoalPlan, Terms
 from rosfront.refusals import NotServing
 from rosfront.serving import Serving
 from rosfront.verdict import Status
 from shm import layout
 from shm.errors import AlreadyHeld, NotRunning, WrongArm
-from shm.words import Fault, Mode, Outcome, Setpoint
+from shm.words import Entry, Fault, Mode, Outcome, Setpoint
 
 MS = 1_000_000
 
@@ -65,7 +65,9 @@ def plan(seconds=0.5, spacing_ns=100 * MS, to_rad=0.1):
     times = np.arange(0, int(seconds * 1e9) + 1, spacing_ns)
     joints = np.zeros((len(times), 6, 3))
     joints[:, :, 0] = np.linspace(0.0, to_rad, len(times))[:, np.newaxis]
-    return GoalPlan(times, np.full(len(times), 3), joints, 0b111111, np.full((6, 3), 0.1), 0.4, 0, False)
+    terms = Terms(np.full((6, 3), 0.1), np.full((6, 3), 0.1), 0.4)
+    origin = np.zeros((6, 3))
+    return GoalPlan(times, np.full(len(times), 3), joints, 0b111111, terms, 0, 0, Entry(0), origin)
 
 
 def test_a_goal_arrives_whole_and_succeeds(stage):
@@ -124,7 +126,7 @@ def test_a_newer_goal_abandons_the_older_stream_at_once(stage):
     stage.step(80)
     old, new = stage.verdict("old"), stage.verdict("new")
     assert (old.status, old.code) == (Status.ABORTED, -1)
-    assert old.sentence.startswith("The goal was replaced by a newer goal; joint1 is")
+    assert old.sentence.startswith("The goal was replaced by a newer goal, or by a trajectory")
     assert old.sentence.endswith("rad from its target.")
     assert new.status is Status.SUCCEEDED
     assert stage.link.writer.setpoints_written == written + 8
@@ -138,7 +140,7 @@ def test_a_goal_the_loop_never_saw_is_replaced_too(stage):
     stage.start("second", plan())
     stage.loop.taking = True
     stage.step(80)
-    assert stage.verdict("first").sentence.startswith("The goal was replaced by a newer goal;")
+    assert stage.verdict("first").sentence.startswith("The goal was replaced by a newer goal,")
     assert stage.verdict("second").status is Status.SUCCEEDED
 
 
@@ -152,7 +154,7 @@ def test_the_older_goal_goes_on_when_the_newer_is_refused(stage):
     stage.step()
     verdict = stage.verdict("new")
     assert (verdict.status, verdict.code) == (Status.ABORTED, -1)
-    assert verdict.sentence.startswith("The first point has joint3 0.2000 rad from where it is commanded")
+    assert verdict.sentence.startswith("Where it would be entered, the trajectory has joint3 0.2000 rad")
     assert "old" not in stage.verdicts
     stage.step(100)
     assert stage.verdict("old").status is Status.SUCCEEDED

@@ -1,0 +1,224 @@
+"""/diagnostics: once a second, how the arm, its bus, its cycle, each joint and this process are.
+
+Made in the publisher's thread between two messages, from the control process' memory alone, and only while somebody
+listens. A level speaks of now: what only happened once is told by the report that follows it.
+"""
+
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.publisher import Publisher
+from std_msgs.msg import Header
+
+from config.schema import ArmConfig
+from rosfront.link import Link
+from rosfront.plan import NS
+from rosfront.refusals import NotServing
+from rosfront.serving import STALLED_NS, Serving, hung
+from rosfront.verdict import fault_of
+from shm.errors import TornRead
+from shm.histogram import percentiles_ns
+from shm.sentences import mode_name, unreferenced_sentence
+from shm.words import DriveStatus, Fault, Mode, Phase, Unreferenced
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+PERCENTS = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
+BUS_TROUBLE = ("wire_errors", "bytes_unsent", "receive_overflows", "stale_reads", "drive_errors")
+DRIVE_TROUBLE = DriveStatus.STALLED | DriveStatus.PROTECTED | DriveStatus.POWER_LOST
+POLICIES = {0: "no real-time priority", 1: "SCHED_FIFO", 2: "SCHED_RR"}
+_TOLD_BY_MODE = {
+    Mode.OFFLINE: "The drives have not been brought up yet: wait for it.",
+    Mode.BRINGING_UP: "The drives are being brought up: wait until the arm holds.",
+    Mode.DISABLED: "The drives are limp and the arm is out of service: ~/enable brings it back.",
+    Mode.FREE: "The drives are limp and the arm can be led by hand: ~/enable takes hold of it again.",
+}
+
+Values = Mapping[str, object]
+
+
+@dataclass
+class Counts:
+    """What this process has been asked since it started."""
+
+    goals_taken: int = 0
+    goals_succeeded: int = 0
+    goals_canceled: int = 0
+    goals_aborted: int = 0
+    messages_taken: int = 0
+    messages_refused: int = 0
+
+
+class Diagnostics:
+    """Makes and publishes the report; used by the publisher's thread alone."""
+
+    def __init__(self, arm: ArmConfig, serving: Serving, counts: Counts, publisher: Publisher) -> None:
+        self._arm = arm
+        self._serving = serving
+        self._counts = counts
+        self._publisher = publisher
+        self._late_s = max(arm.limits.stale_brake_s, 3 * arm.control.period_ns / NS)
+        self._before: dict[str, int] = {}
+        self._before_ns = 0
+        self._refused_before = 0
+
+    def report(self, link: Link | None) -> None:
+        """Publish how everything is, if anybody listens."""
+        if not self._publisher.get_subscription_count():
+            return
+        now_ns = time.time_ns()
+        stamp = Time(sec=now_ns // NS, nanosec=now_ns % NS)
+        self._publisher.publish(DiagnosticArray(header=Header(stamp=stamp), status=self.statuses(link)))
+
+    def statuses(self, link: Link | None) -> list[Any]:
+        """A status for each part that can be spoken of at present."""
+        if link is None:
+            return [self._status("arm", ERROR, self._absence(), {}), self._front({})]
+        try:
+            snapshot = link.reader.snapshot()
+        except TornRead as problem:
+            return [self._status("arm", ERROR, str(problem), {}), self._front({})]
+        record = link.reader.memory.record
+        age_ns = time.monotonic_ns() - int(snapshot["monotonic_ns"])
+        return [
+            self._arm_status(snapshot, age_ns),
+            *self._of_counters(record),
+            *(self._joint(index, snapshot) for index in range(len(self._arm.joints))),
+            self._front({"snapshot age": f"{age_ns * 1e-6:.1f} ms"}),
+        ]
+
+    def _status(self, part: str, level: bytes, message: str, values: Values) -> Any:
+        return DiagnosticStatus(
+            name=f"{self._arm.front.controller_name}: {part}",
+            level=level,
+            message=message,
+            hardware_id=self._arm.name,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+
+    def _absence(self) -> str:
+        try:
+            self._serving.present()
+        except NotServing as reason:
+            return reason.sentence
+        return "The control process is just being attached to."
+
+    def _arm_status(self, snapshot: np.void, age_ns: int) -> Any:
+        mode, goal = int(snapshot["mode"]), int(snapshot["goal_id"])
+        if age_ns > STALLED_NS:
+            level, message = ERROR, hung(self._arm.name, age_ns)
+        elif int(snapshot["fault"]) != Fault.NONE:
+            level, message = ERROR, fault_of(snapshot, self._serving.joints)
+        elif mode in _TOLD_BY_MODE:
+            level, message = WARN, _TOLD_BY_MODE[Mode(mode)]
+        else:
+            level, message = OK, mode_name(mode)
+        values = {
+            "mode": mode_name(mode),
+            "goal": f"{goal} {_word(Phase, int(snapshot['goal_phase']))}" if goal else "none",
+            "time along the trajectory": f"{float(snapshot['trajectory_clock_ns']) / NS:.3f} s",
+            "speed scale asked": f"{float(snapshot['speed_scale_asked']):.3f}",
+            "speed scale": f"{float(snapshot['speed_scale']):.3f}",
+        }
+        return self._status("arm", level, message, values)
+
+    def _of_counters(self, record: np.void) -> Iterable[Any]:
+        """Bus and cycle: totals, and levels from what has changed since the report before."""
+        now_ns = time.monotonic_ns()
+        counters = record["counters"]
+        now = {name: int(counters[name]) for name in counters.dtype.names if name != "padding"}
+        if now["cycles"] < self._before.get("cycles", 0):  # another control process
+            self._before = {}
+        before_ns = self._before_ns if self._before else int(record["header"]["start_monotonic_ns"])
+        elapsed_s = max(now_ns - before_ns, 1) / NS
+        grown = {name: value - self._before.get(name, 0) for name, value in now.items()}
+        self._before, self._before_ns = now, now_ns
+        yield self._bus(now, grown, elapsed_s, int(record["header"]["bitrate"]))
+        yield self._cycle(record, now, grown)
+
+    def _bus(self, now: Mapping[str, int], grown: Mapping[str, int], elapsed_s: float, bitrate: int) -> Any:
+        values: dict[str, object] = {}
+        load = "no bus"
+        if bitrate:
+            load = f"load {grown['bits_on_bus'] / (bitrate * elapsed_s):.1%}"
+            values["load"] = load.removeprefix("load ")
+            values["frames sent per second"] = f"{grown['frames_sent'] / elapsed_s:.0f}"
+            values["frames received per second"] = f"{grown['frames_received'] / elapsed_s:.0f}"
+        for name in ("frames_sent", "frames_received", *BUS_TROUBLE):
+            values[name.replace("_", " ")] = now[name]
+        trouble = [f"{grown[name]} {name.replace('_', ' ')}" for name in BUS_TROUBLE if grown[name]]
+        if trouble:
+            return self._status("bus", WARN, f"In the last {elapsed_s:.1f} s: {', '.join(trouble)}; {load}.", values)
+        return self._status("bus", OK, load, values)
+
+    def _cycle(self, record: np.void, now: Mapping[str, int], grown: Mapping[str, int]) -> Any:
+        rate_hz = NS / int(record["header"]["period_ns"])
+        values: dict[str, object] = {"rate": f"{rate_hz:g} Hz", "cycles": now["cycles"], "overruns": now["overruns"]}
+        for figure in ("lateness", "cycle_time"):
+            found = percentiles_ns(record[figure], list(PERCENTS.values()))
+            for name, value_ns in zip((*PERCENTS, "max"), (*found, int(record[figure]["max_ns"])), strict=True):
+                values[f"{figure.replace('_', ' ')} {name}"] = f"{value_ns * 1e-3:.1f} µs"
+        scheduling = record["scheduling"]
+        policy, cpu = int(scheduling["policy"]), int(scheduling["cpu"])
+        values["scheduling"] = POLICIES.get(policy, f"policy {policy}") + (
+            f" {int(scheduling['priority'])}" if policy else ""
+        )
+        values["memory locked"] = bool(scheduling["memory_locked"])
+        values["CPU"] = "any" if cpu < 0 else cpu
+        values["CPU latency held low"] = bool(scheduling["dma_latency_held"])
+        if grown["overruns"]:
+            return self._status(
+                "cycle", WARN, f"{grown['overruns']} cycles missed since the last report: see `rtarm doctor`.", values
+            )
+        return self._status("cycle", OK, f"{rate_hz:g} Hz, no cycle missed since the last report", values)
+
+    def _joint(self, index: int, snapshot: np.void) -> Any:
+        name, row = self._serving.joints[index], snapshot["joints"][index]
+        status = DriveStatus(int(row["drive_status"]))
+        measured_ns = int(row["measured_ns"])
+        age_s = (int(snapshot["monotonic_ns"]) - measured_ns) / NS
+        level, message = OK, "referenced"
+        if not row["referenced"]:
+            reason = int(row["unreferenced_reason"]) or Unreferenced.NOT_BROUGHT_UP
+            message = unreferenced_sentence(reason, name)
+            level = WARN if reason == Unreferenced.NOT_BROUGHT_UP else ERROR
+        elif status & DRIVE_TROUBLE:
+            level, message = ERROR, f"The drive of {name} says: {_words(status & DRIVE_TROUBLE)}; remove the cause."
+        elif measured_ns and age_s > self._arm.limits.stale_fault_s:
+            level, message = ERROR, f"{name} was last read {age_s:.3f} s ago: check its drive, cable and supply."
+        elif measured_ns and age_s > self._late_s:
+            level, message = WARN, f"{name} was last read {age_s:.3f} s ago: its drive answers late."
+        values = {
+            "drive": _words(status) or "nothing reported",
+            "referenced": bool(row["referenced"]),
+            "age of the reading": f"{age_s * 1e3:.1f} ms" if measured_ns else "never read",
+            "measured": f"{float(row['measured_position_rad']):.5f} rad",
+            "commanded": f"{float(row['commanded_position_rad']):.5f} rad",
+            "error": f"{float(row['reference_position_rad'] - row['measured_position_rad']):.5f} rad",
+        }
+        return self._status(name, level, message, values)
+
+    def _front(self, values: Values) -> Any:
+        counts = {name.replace("_", " "): value for name, value in vars(self._counts).items()}
+        refused = self._counts.messages_refused - self._refused_before
+        self._refused_before += refused
+        if refused:
+            message = f"{refused} trajectory messages refused since the last report: the log says why."
+            return self._status("front", WARN, message, {**counts, **values})
+        return self._status("front", OK, "serving", {**counts, **values})
+
+
+def _word(kind: Any, number: int) -> str:
+    try:
+        return str(kind(number).name).lower()
+    except ValueError:
+        return f"unknown {number}"
+
+
+def _words(status: DriveStatus) -> str:
+    """The drive's bits in words."""
+    return ", ".join(str(flag.name).lower().replace("_", " ") for flag in status)

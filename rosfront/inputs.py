@@ -1,0 +1,91 @@
+# mypy: allow-untyped-calls
+# (rclpy annotates some of its functions and leaves the others untyped)
+"""The node's input topics: streamed trajectories and the speed scaling factor."""
+
+from typing import Any
+
+from control_msgs.msg import SpeedScalingFactor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from trajectory_msgs.msg import JointTrajectory
+
+from rosfront.diagnostics import Counts
+from rosfront.refusals import GoalRefused
+from rosfront.serving import Serving
+from rosfront.verdict import Verdict
+from shm.words import Outcome, Request
+
+WARN_EVERY_S = 1.0
+DEPTH = 10
+_USUAL_ENDS = (Outcome.NONE, Outcome.SUCCEEDED, Outcome.REPLACED, Outcome.RAN_DRY)
+
+
+def _qos(durability: DurabilityPolicy, depth: int) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability
+    )
+
+
+class Inputs:
+    """~/joint_trajectory and ~/speed_scaling_input; their callbacks run in the executor's thread.
+
+    A volatile reader matches every publisher but is not given what a transient-local one said before; a transient-local
+    reader is, but matches no volatile publisher such as `ros2 topic pub`. So the factor has one of each, and what
+    comes to both counts once.
+    """
+
+    def __init__(self, node: Node, serving: Serving, counts: Counts, factor: float) -> None:
+        """`factor`: the speed scaling factor to begin with."""
+        self._log = node.get_logger()
+        self._serving = serving
+        self._counts = counts
+        self.factor = factor
+        """What was asked for last, whether or not there was a control process to ask."""
+        self._factor_stamp_ns = 0
+        volatile = DurabilityPolicy.VOLATILE
+        node.create_subscription(JointTrajectory, "~/joint_trajectory", self._stream, _qos(volatile, DEPTH))
+        for durability in (volatile, DurabilityPolicy.TRANSIENT_LOCAL):
+            node.create_subscription(
+                SpeedScalingFactor,
+                "~/speed_scaling_input",
+                self._scale,  # type: ignore[arg-type]  # rclpy also calls callbacks that want the message's info
+                _qos(durability, 1),
+            )
+
+    def _stream(self, message: Any) -> None:
+        try:
+            self._serving.stream(message, self._on_verdict)
+        except GoalRefused as reason:
+            self._counts.messages_refused += 1
+            self._log.warning(f"Trajectory message dropped: {reason.sentence}", throttle_duration_sec=WARN_EVERY_S)
+        else:
+            self._counts.messages_taken += 1
+
+    def _on_verdict(self, verdict: Verdict) -> None:
+        """Streamed motion usually ends by being replaced or running dry; only what went wrong is worth a line."""
+        if verdict.outcome not in _USUAL_ENDS:
+            self._log.warning(f"Streamed motion stopped: {verdict.sentence}", throttle_duration_sec=WARN_EVERY_S)
+
+    def _scale(self, message: Any, info: dict[str, Any]) -> None:
+        stamp_ns = int(info["source_timestamp"])
+        if stamp_ns == self._factor_stamp_ns:
+            return
+        self._factor_stamp_ns = stamp_ns
+        factor = float(message.factor)
+        if 0.0 <= factor <= 1.0:
+            self.factor = factor
+            self.ask_factor()
+            return
+        self._log.warning(
+            f"The speed scaling factor {factor:g} is ignored; allowed are 0 to 1, as trajectories are checked at the "
+            "speed they ask for: send one of those.",
+            throttle_duration_sec=WARN_EVERY_S,
+        )
+
+    def ask_factor(self) -> None:
+        """Ask the control process for the factor; may be called from any thread."""
+        self._serving.request(Request.SPEED_SCALE, self._on_reply, value=self.factor)
+
+    def _on_reply(self, done: bool, sentence: str) -> None:
+        if not done:
+            self._log.warning(f"The speed scaling factor was not taken: {sentence}", throttle_duration_sec=WARN_EVERY_S)

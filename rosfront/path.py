@@ -1,0 +1,77 @@
+"""What a plan asks for between its points."""
+
+import numpy as np
+
+from motion import bounds, segment
+from rosfront.plan import NS, GoalPlan
+
+
+class PlannedPath:
+    """The interpolant of a plan, joints of the goal only.
+
+    A goal's bridge belongs to it. How a stream gets to its first point is the control process' matter, which
+    takes it gently whatever its time says.
+    """
+
+    def __init__(self, plan: GoalPlan) -> None:
+        self.mask = np.array([bool(plan.joint_mask >> joint & 1) for joint in range(plan.joints.shape[1])])
+        knots = plan.joints[:, self.mask]
+        bridged = plan.bridge and not plan.stream
+        if bridged:
+            self.times_ns = np.concatenate([[plan.entry_ns], plan.times_ns])
+            self.knots = np.concatenate([plan.origin[np.newaxis, self.mask], knots])
+            self.orders = plan.orders
+        else:
+            self.times_ns, self.knots, self.orders = plan.times_ns, knots, plan.orders[1:]
+        self.shift = int(bridged)  # knots before the goal's first point
+
+    @property
+    def segments(self) -> int:
+        return len(self.orders)
+
+    def coefficients(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (6, m, joints) and durations (m, 1) in s of the segments `index` (m,)."""
+        duration = ((self.times_ns[index + 1] - self.times_ns[index]) / NS)[:, np.newaxis]
+        start, end, order = self.knots[index], self.knots[index + 1], self.orders[index]
+        result = np.zeros((6, *start.shape[:2]))
+        for kind in np.unique(order):
+            chosen = order == kind
+            p0, v0, a0 = np.moveaxis(start[chosen], 2, 0)
+            p1, v1, a1 = np.moveaxis(end[chosen], 2, 0)
+            if kind == 5:
+                parts = segment.quintic(p0, v0, a0, p1, v1, a1, duration[chosen])
+            elif kind == 3:
+                parts = segment.cubic(p0, v0, p1, v1, duration[chosen])
+            else:
+                parts = segment.linear(p0, p1, duration[chosen])
+            result[:, chosen] = np.stack(parts)
+        return result, duration
+
+    def at(self, times_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position, velocity and acceleration (m, joints) at `times_ns` (m,); at rest before and after."""
+        within_ns = np.clip(times_ns, self.times_ns[0], self.times_ns[-1])
+        if self.segments == 0:
+            position = np.repeat(self.knots[:1, :, 0], len(times_ns), axis=0)
+            return position, np.zeros_like(position), np.zeros_like(position)
+        index = np.clip(np.searchsorted(self.times_ns, within_ns, side="right") - 1, 0, self.segments - 1)
+        coefficients, _ = self.coefficients(index)
+        local_s = ((within_ns - self.times_ns[index]) / NS)[:, np.newaxis]
+        slope = bounds.derivative(coefficients)
+        position, velocity = bounds.value(coefficients, local_s), bounds.value(slope, local_s)
+        acceleration = bounds.value(bounds.derivative(slope), local_s)
+        outside = (times_ns < self.times_ns[0]) | (times_ns > self.times_ns[-1])
+        velocity[outside] = acceleration[outside] = 0.0
+        return position, velocity, acceleration
+
+    def place(self, time_ns: float) -> str:
+        """Where a moment is, in words."""
+        after = int(np.searchsorted(self.times_ns, time_ns, side="left"))
+        at = f"at {time_ns / NS:.4f} s"
+        shift = self.shift
+        if after >= len(self.times_ns):
+            return f"{at}, after the last point"
+        if self.times_ns[after] == time_ns and after >= shift:
+            return f"{at}, at point {after - shift}"
+        if after <= shift:
+            return f"{at}, on the way to point 0"
+        return f"{at}, between points {after - 1 - shift} and {after - shift}"

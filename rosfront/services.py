@@ -1,0 +1,236 @@
+# mypy: allow-untyped-calls
+# (rclpy annotates some of its functions and leaves the others untyped)
+"""The node's services: what people ask of the arm beside goals.
+
+Each Trigger is answered when what it asks for is so, or cannot become so any more; meanwhile the executor serves
+everybody else. That takes a callback group in which a waiting service holds up nobody: in the node's own one the next
+cancel would wait behind a hold.
+"""
+
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from control_msgs.srv import QueryTrajectoryState
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import Executor
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from rosfront.plan import NS
+from rosfront.refusals import GoalRefused
+from rosfront.serving import Serving
+from rosfront.verdict import fault_of
+from shm.sentences import unreferenced_sentence
+from shm.words import Fault, Mode, Phase, Request
+
+BRING_UP_PATIENCE_S = 30.0
+STOP_PATIENCE_S = 10.0
+MODE_PATIENCE_S = 2.0
+CLOSING = "The ROS process was stopped before the control process had answered: look at `rtarm status`."
+
+
+class Reply(NamedTuple):
+    """What a Trigger says."""
+
+    success: bool
+    message: str
+
+
+Judge = Callable[[np.void], Reply | None]
+"""From a snapshot to the reply, None while it is not decided."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """A service and the request behind it."""
+
+    name: str
+    request: Request
+    patience_s: float
+    judge: Callable[[np.void | None, Sequence[str]], Judge]
+    """Makes the judge from the last snapshot before the request and the joints' names."""
+    answer_now: Callable[[np.void, Sequence[str]], Reply | None] = lambda before, joints: None
+    """The reply for which nothing need be asked."""
+
+
+def _fault(snapshot: np.void, joints: Sequence[str]) -> Reply | None:
+    return Reply(False, fault_of(snapshot, joints)) if int(snapshot["mode"]) == Mode.FAULT else None
+
+
+def _unreferenced(snapshot: np.void, joints: Sequence[str]) -> list[str]:
+    rows = snapshot["joints"]
+    return [
+        unreferenced_sentence(int(rows[index]["unreferenced_reason"]), name)
+        for index, name in enumerate(joints)
+        if not rows[index]["referenced"]
+    ]
+
+
+def _holds(snapshot: np.void, joints: Sequence[str], begin: str) -> Reply | None:
+    doing = {Mode.HOLDING: "the arm holds where it stands", Mode.EXECUTING: "a goal is running"}
+    mode = int(snapshot["mode"])
+    if mode not in doing:
+        return None
+    return Reply(True, " ".join([f"{begin}; {doing[Mode(mode)]}.", *_unreferenced(snapshot, joints)]))
+
+
+def _enabled(before: np.void | None, joints: Sequence[str]) -> Judge:
+    return lambda now: _fault(now, joints) or _holds(now, joints, "The drives are enabled")
+
+
+def _not_with_a_fault(before: np.void, joints: Sequence[str]) -> Reply | None:
+    fault = _fault(before, joints)
+    if fault is None:
+        return None
+    return Reply(False, f"A fault is latched; clear it first, which enables the drives too. {fault.message}")
+
+
+def _cleared(before: np.void | None, joints: Sequence[str]) -> Judge:
+    latched_ns = None if before is None else int(before["fault_ns"])
+
+    def judge(now: np.void) -> Reply | None:
+        again = _fault(now, joints)
+        if again is None:
+            return _holds(now, joints, "The fault is cleared")
+        if int(now["fault_ns"]) == latched_ns:
+            return None  # bring-up has not begun yet
+        return Reply(False, f"The fault was cleared and came back. {again.message}")
+
+    return judge
+
+
+def _nothing_to_clear(before: np.void, joints: Sequence[str]) -> Reply | None:
+    if int(before["fault"]) != Fault.NONE:
+        return None
+    return Reply(True, "No fault is latched, so there is nothing to clear.")
+
+
+def _limp(mode: Mode, words: str) -> Callable[[np.void | None, Sequence[str]], Judge]:
+    def judge_of(before: np.void | None, joints: Sequence[str]) -> Judge:
+        return lambda now: _fault(now, joints) or (Reply(True, words) if int(now["mode"]) == mode else None)
+
+    return judge_of
+
+
+def _held(before: np.void | None, joints: Sequence[str]) -> Judge:
+    def judge(now: np.void) -> Reply | None:
+        fault = _fault(now, joints)
+        if fault is not None:
+            return fault
+        if np.any(now["joints"]["commanded_velocity_rad_s"]):
+            return None
+        if int(now["goal_id"]) == 0:
+            return Reply(True, "The arm stands; its goal has ended meanwhile.")
+        if int(now["goal_phase"]) != Phase.PAUSED:
+            return None
+        return Reply(True, "The arm stands on its path; its goal goes on with ~/resume or ends with a cancel.")
+
+    return judge
+
+
+def _resumed(before: np.void | None, joints: Sequence[str]) -> Judge:
+    return lambda now: Reply(True, "The goal goes on.")
+
+
+ORDERS = (
+    Order("enable", Request.ENABLE, BRING_UP_PATIENCE_S, _enabled, _not_with_a_fault),
+    Order(
+        "disable",
+        Request.DISABLE,
+        MODE_PATIENCE_S,
+        _limp(Mode.DISABLED, "The drives are limp and the arm is out of service until ~/enable."),
+    ),
+    Order(
+        "free",
+        Request.FREE,
+        MODE_PATIENCE_S,
+        _limp(Mode.FREE, "The drives are limp and the arm can be led by hand until ~/enable."),
+    ),
+    Order("hold", Request.HOLD, STOP_PATIENCE_S, _held),
+    Order("resume", Request.RESUME, MODE_PATIENCE_S, _resumed),
+    Order("clear_fault", Request.CLEAR_FAULT, BRING_UP_PATIENCE_S, _cleared, _nothing_to_clear),
+)
+
+
+class Services:
+    """The services of one node."""
+
+    def __init__(self, node: Node, executor: Executor, serving: Serving, latest: Callable[[], np.void | None]) -> None:
+        """`latest` gives the newest snapshot, None before the first."""
+        self._executor = executor
+        self._serving = serving
+        self._latest = latest
+        self._waiting: set[Future] = set()
+        self._closing = False
+        group = ReentrantCallbackGroup()
+        for order in ORDERS:
+            node.create_service(Trigger, f"~/{order.name}", self._handler(order), callback_group=group)
+        node.create_service(QueryTrajectoryState, "~/query_state", self._query, callback_group=group)
+
+    @property
+    def idle(self) -> bool:
+        """Whether nobody waits for an answer."""
+        return not self._waiting
+
+    def close(self) -> None:
+        """Answer whoever waits, and from now on everybody at once."""
+        self._closing = True
+        for future in list(self._waiting):
+            self._fulfil(future, Reply(False, CLOSING))
+
+    def _handler(self, order: Order) -> Callable[[Any, Any], Awaitable[Any]]:
+        async def handle(_request: Any, response: Any) -> Any:
+            response.success, response.message = await self._ask(order)
+            return response
+
+        return handle
+
+    async def _ask(self, order: Order) -> Reply:
+        before, joints = self._latest(), self._serving.joints
+        known = None if before is None else order.answer_now(before, joints)
+        if known is not None:
+            return known
+        judge = order.judge(before, joints)
+        decided: list[Reply] = []
+
+        def until(snapshot: np.void) -> bool:
+            reply = judge(snapshot)
+            if reply is not None:
+                decided.append(reply)
+            return reply is not None
+
+        def on_reply(done: bool, sentence: str) -> None:
+            self._fulfil(answered, decided[-1] if done else Reply(False, sentence))
+
+        answered: Future = Future()
+        self._waiting.add(answered)
+        try:
+            self._serving.request(order.request, on_reply, until=until, patience_s=order.patience_s)
+            if self._closing:  # since before this one was waiting
+                self._fulfil(answered, Reply(False, CLOSING))
+            reply: Reply = await answered
+        finally:
+            self._waiting.discard(answered)
+        return reply
+
+    def _fulfil(self, future: Future, reply: Reply) -> None:
+        """Answer once, from whichever thread comes first."""
+        if not future.done():
+            future.set_result(reply)
+            self._executor.wake()
+
+    def _query(self, request: Any, response: Any) -> Any:
+        try:
+            sample = self._serving.sample(request.time.sec * NS + request.time.nanosec)
+        except GoalRefused as reason:
+            response.success, response.message = False, reason.sentence
+            return response
+        response.success = True
+        response.name = self._serving.joints
+        response.position = sample.position_rad.tolist()
+        response.velocity = sample.velocity_rad_s.tolist()
+        response.acceleration = sample.acceleration_rad_s2.tolist()
+        return response

@@ -1,0 +1,38 @@
+"""What of the goal checks can be changed while the front runs, and with what it starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from config.schema import ArmConfig
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Defaults of every goal; replaced as a whole, so that a goal is judged by one set of them."""
+
+    path_tolerance_rad: tuple[float, ...]
+    """One a joint; 0 = off."""
+    goal_tolerance_rad: tuple[float, ...]
+    """One a joint; 0 = off."""
+    stopped_velocity_rad_s: float
+    """Below it a joint counts as standing; 0 = not watched."""
+    goal_time_s: float
+    """Patience after the last point; 0 = without limit."""
+    allow_nonzero_end_velocity: bool
+    allow_partial_joints_goal: bool
+    feedback_hz: float
+
+    @classmethod
+    def of(cls, arm: ArmConfig) -> Settings:
+        """What the arm file says."""
+        trajectory, count = arm.trajectory, len(arm.joints)
+        return cls(
+            path_tolerance_rad=(trajectory.path_tolerance_rad,) * count,
+            goal_tolerance_rad=(trajectory.goal_tolerance_rad,) * count,
+            stopped_velocity_rad_s=trajectory.stopped_velocity_rad_s,
+            goal_time_s=trajectory.goal_time_s,
+            allow_nonzero_end_velocity=trajectory.allow_nonzero_end_velocity,
+            allow_partial_joints_goal=True,
+            feedback_hz=arm.front.feedback_hz,
+        )

@@ -1,0 +1,206 @@
+# mypy: allow-untyped-calls
+# (rclpy annotates some of its functions and leaves the others untyped)
+"""What is said of the arm at every reading: /joint_states, ~/controller_state and /dynamic_joint_states.
+
+All three are patched into messages that were serialised once. The first is the publisher's own; the other two are
+filled only while somebody listens.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from control_msgs.msg import DynamicJointState, InterfaceValue, JointTrajectoryControllerState
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from config.schema import ArmConfig
+from rosfront.message_bytes import Instant, MessageBytes, finite
+from rosfront.plan import NS
+
+STATE_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=10,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""Matches reliable and sensor-data subscribers alike (MoveIt, RViz; facts: moveit-client, section 4)."""
+INTERFACES = (
+    "position",
+    "velocity",
+    "effort",
+    "commanded_position",
+    "commanded_velocity",
+    "commanded_acceleration",
+    "drive_status",
+    "referenced",
+    "reading_age",
+)
+"""Of each joint in /dynamic_joint_states; the age in seconds, the others as in shared memory."""
+LISTENERS_EVERY_S = 0.25
+
+
+def _header(arm: ArmConfig, stamp: Instant) -> Header:
+    return Header(stamp=Time(sec=stamp[0], nanosec=stamp[1]), frame_id=arm.front.frame_id)
+
+
+def _names(arm: ArmConfig) -> list[str]:
+    return [joint.name for joint in arm.joints]
+
+
+def joint_state_bytes(arm: ArmConfig) -> MessageBytes:
+    """sensor_msgs/JointState; rows: position, velocity, effort."""
+
+    def serialised(times: Sequence[Instant], rows: Sequence[list[float]]) -> bytes:
+        position, velocity, effort = rows
+        message = JointState(
+            header=_header(arm, times[0]), name=_names(arm), position=position, velocity=velocity, effort=effort
+        )
+        return bytes(serialize_message(message))
+
+    return MessageBytes(serialised, 1, [len(arm.joints)] * 3)
+
+
+def controller_state_bytes(arm: ArmConfig) -> MessageBytes:
+    """control_msgs/JointTrajectoryControllerState.
+
+    Times: stamp, time from start of the reference, of the feedback. Rows: reference position, velocity and
+    acceleration; feedback position and velocity; error of both; output position; the speed scaling factor alone.
+    """
+
+    def serialised(times: Sequence[Instant], rows: Sequence[list[float]]) -> bytes:
+        stamp, reference_time, feedback_time = times
+        positions, velocities, accelerations, found, moving, off, off_moving, output, (factor,) = rows
+        message = JointTrajectoryControllerState(
+            header=_header(arm, stamp),
+            joint_names=_names(arm),
+            reference=JointTrajectoryPoint(
+                positions=positions,
+                velocities=velocities,
+                accelerations=accelerations,
+                time_from_start=Duration(sec=reference_time[0], nanosec=reference_time[1]),
+            ),
+            feedback=JointTrajectoryPoint(
+                positions=found,
+                velocities=moving,
+                time_from_start=Duration(sec=feedback_time[0], nanosec=feedback_time[1]),
+            ),
+            error=JointTrajectoryPoint(positions=off, velocities=off_moving),
+            output=JointTrajectoryPoint(positions=output),
+            speed_scaling_factor=factor,
+        )
+        return bytes(serialize_message(message))
+
+    return MessageBytes(serialised, 3, [len(arm.joints)] * 8 + [1])
+
+
+def dynamic_joint_state_bytes(arm: ArmConfig) -> MessageBytes:
+    """control_msgs/DynamicJointState; a row a joint, its values in the order of `INTERFACES`."""
+
+    def serialised(times: Sequence[Instant], rows: Sequence[list[float]]) -> bytes:
+        message = DynamicJointState(
+            header=_header(arm, times[0]),
+            joint_names=_names(arm),
+            interface_values=[InterfaceValue(interface_names=list(INTERFACES), values=row) for row in rows],
+        )
+        return bytes(serialize_message(message))
+
+    return MessageBytes(serialised, 1, [len(INTERFACES)] * len(arm.joints))
+
+
+def differences(wanted: Sequence[float], found: Sequence[float]) -> list[float]:
+    """wanted - found, one by one."""
+    return [a - b for a, b in zip(wanted, found, strict=True)]
+
+
+class Progress:
+    """How long the goal has been running on the wall, whatever the speed scale makes of its own clock."""
+
+    def __init__(self) -> None:
+        self._goal = 0
+        self._begun_ns = 0
+        self.ns = 0
+        """Of the running goal, else of the last one."""
+
+    def look(self, snapshot: np.void) -> None:
+        """Take the time from a new snapshot of a running goal."""
+        goal, now_ns = int(snapshot["goal_id"]), int(snapshot["monotonic_ns"])
+        if goal != self._goal:
+            self._goal = goal
+            self._begun_ns = now_ns - along_ns(snapshot)
+        self.ns = now_ns - self._begun_ns
+
+
+def along_ns(snapshot: np.void) -> int:
+    """Time along the trajectory (ns), as the speed scale lets it pass."""
+    return max(0, int(snapshot["trajectory_clock_ns"]))
+
+
+class StateTopics:
+    """~/controller_state and /dynamic_joint_states; used by the publisher's thread alone."""
+
+    def __init__(self, node: Node, arm: ArmConfig, progress: Progress) -> None:
+        self._joints = len(arm.joints)
+        self._progress = progress
+        self._controller_state = controller_state_bytes(arm)
+        self._dynamic = dynamic_joint_state_bytes(arm)
+        topics: list[tuple[type, str, Callable[[np.void, int], bytes]]] = [
+            (JointTrajectoryControllerState, "~/controller_state", self._fill_controller_state),
+            (DynamicJointState, "dynamic_joint_states", self._fill_dynamic),
+        ]
+        self._topics: list[tuple[Publisher, Callable[[np.void, int], bytes]]] = [
+            (node.create_publisher(kind, name, STATE_QOS), fill) for kind, name, fill in topics
+        ]
+        self._heard = self._topics[:0]
+        rate_hz = NS / (arm.control.period_ns * arm.joint_states_every_cycles)
+        self._ask_every = max(1, round(rate_hz * LISTENERS_EVERY_S))
+        self._ask_in = 0
+
+    def publish(self, snapshot: np.void, stamp_ns: int) -> None:
+        """Say what this snapshot holds, stamped with the time of its newest measurement, to whoever listens."""
+        if self._ask_in == 0:
+            self._ask_in = self._ask_every
+            self._heard = [topic for topic in self._topics if topic[0].get_subscription_count()]
+        self._ask_in -= 1
+        for publisher, fill in self._heard:
+            publisher.publish(fill(snapshot, stamp_ns))
+
+    def _fill_controller_state(self, snapshot: np.void, stamp_ns: int) -> bytes:
+        """Reference, feedback and error of the instant of measurement; the acceleration and the output of now."""
+        joints = snapshot["joints"][: self._joints]
+        wanted, wanted_velocity = joints["reference_position_rad"].tolist(), joints["reference_velocity_rad_s"].tolist()
+        found, velocity = joints["measured_position_rad"].tolist(), finite(joints["measured_velocity_rad_s"].tolist())
+        rows = (
+            wanted,
+            wanted_velocity,
+            joints["commanded_acceleration_rad_s2"].tolist(),
+            found,
+            velocity,
+            differences(wanted, found),
+            differences(wanted_velocity, velocity),
+            joints["commanded_position_rad"].tolist(),
+            (float(snapshot["speed_scale_asked"]),),
+        )
+        return self._controller_state.fill((stamp_ns, along_ns(snapshot), self._progress.ns), rows)
+
+    def _fill_dynamic(self, snapshot: np.void, stamp_ns: int) -> bytes:
+        joints = snapshot["joints"][: self._joints]
+        now_ns = int(snapshot["monotonic_ns"])
+        rows = zip(
+            joints["measured_position_rad"].tolist(),
+            finite(joints["measured_velocity_rad_s"].tolist()),
+            joints["measured_effort"].tolist(),
+            joints["commanded_position_rad"].tolist(),
+            joints["commanded_velocity_rad_s"].tolist(),
+            joints["commanded_acceleration_rad_s2"].tolist(),
+            joints["drive_status"].tolist(),
+            joints["referenced"].tolist(),
+            [(now_ns - measured_ns) / NS for measured_ns in joints["measured_ns"].tolist()],
+            strict=True,
+        )
+        return self._dynamic.fill((stamp_ns,), list(rows))

@@ -1,0 +1,113 @@
+"""A front in this process, between a stand-in for the control process and a real client."""
+
+import contextlib
+import threading
+
+import rclpy
+from builtin_interfaces.msg import Duration
+from control_msgs.action import FollowJointTrajectory
+from fake_loop import LIMP, FakeLoop
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from ros_client import Client, until
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from config.loader import load_arm
+from rosfront.link import attach
+from rosfront.node import FrontNode
+
+
+class Stage:
+    def __init__(self, name):
+        self.arm = load_arm("mock", overrides={"name": name})
+        self.loop = FakeLoop(self.arm)
+        self.loop.start()
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        self.executor = SingleThreadedExecutor()
+        self.front = FrontNode(self.arm, self.executor, attach(self.arm))
+        self.thread = threading.Thread(target=self.front.spin, daemon=True)
+        self.thread.start()
+        self.client = Client()
+        until(self.serves, "serving")
+
+    def new_loop(self):
+        position = self.loop.rows["commanded_position_rad"].copy()
+        if self.loop.is_alive():
+            self.loop.stop()
+        self.loop = FakeLoop(self.arm, position)
+        self.loop.start()
+        until(self.serves, "serving again")
+
+    def reset(self):
+        """A sound loop, and the arm at zero."""
+        self.front._inputs.factor = 1.0
+        loop = self.loop
+        loop.cycle_hook = lambda loop: None
+        limp = loop.snapshot["mode"] in LIMP
+        if not loop.is_alive() or loop.snapshot["fault"] or not loop.rows["referenced"].all() or limp:
+            self.new_loop()
+        loop = self.loop
+        loop.paused = False
+        loop.snapshot["speed_scale_asked"] = 1.0
+        until(lambda: loop.active == 0 and loop.incoming == 0, "an idle arm")
+        loop.asked.clear()
+        loop.rows["commanded_position_rad"] = 0.0
+        self.client.feedback.clear()
+
+    def serves(self):
+        try:
+            self.front.serving.present()
+        except Exception:
+            return False
+        return True
+
+    def close(self):
+        self.client.close()
+        self.front.close(1.0)
+        self.thread.join(5.0)
+        self.executor.shutdown()
+        self.front.node.destroy_node()
+        rclpy.try_shutdown()
+        self.loop.stop()
+        self.loop.sweep()
+
+
+def goal(seconds=0.3, to_rad=0.01, names=None):
+    message = FollowJointTrajectory.Goal()
+    message.trajectory.joint_names = names or [f"joint{i}" for i in range(1, 7)]
+    width = len(message.trajectory.joint_names)
+    for share in (0.0, 0.5, 1.0):
+        nanoseconds = round(share * seconds * 1e9)
+        message.trajectory.points.append(
+            JointTrajectoryPoint(
+                positions=[share * to_rad] * width,
+                time_from_start=Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9),
+            )
+        )
+    return message
+
+
+@contextlib.contextmanager
+def serving_alone(name, **trajectory):
+    """A front and a client of their own: loop, front, client, and the thread in which the front spins."""
+    controller = f"alone_{name}"
+    arm = load_arm("mock", overrides={"name": name, "trajectory": trajectory, "front": {"controller_name": controller}})
+    with contextlib.ExitStack() as ends:
+        loop = FakeLoop(arm)
+        ends.callback(loop.stop)
+        loop.start()
+        if not rclpy.ok():
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            ends.callback(rclpy.shutdown)
+        executor = SingleThreadedExecutor()
+        front = FrontNode(arm, executor, attach(arm))
+        ends.callback(front.node.destroy_node)
+        ends.callback(executor.shutdown)
+        thread = threading.Thread(target=front.spin, daemon=True)
+        thread.start()
+        ends.callback(thread.join, 5.0)
+        ends.callback(front.close, 2.0)
+        client = Client(controller)
+        ends.callback(client.close)
+        until(front.serving.ever_attached.is_set, "a front that serves")
+        yield loop, front, client, thread
