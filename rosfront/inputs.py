@@ -5,6 +5,7 @@
 from typing import Any
 
 from control_msgs.msg import SpeedScalingFactor
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from trajectory_msgs.msg import JointTrajectory
@@ -17,6 +18,8 @@ from shm.words import Outcome, Request
 
 WARN_EVERY_S = 1.0
 DEPTH = 10
+_NO_COMPLAINTS = SubscriptionEventCallbacks(use_default_callbacks=False)
+"""That one of the two readers does not match a publisher is meant to be so."""
 _USUAL_ENDS = (Outcome.NONE, Outcome.SUCCEEDED, Outcome.REPLACED, Outcome.RAN_DRY)
 
 
@@ -50,6 +53,7 @@ class Inputs:
                 "~/speed_scaling_input",
                 self._scale,  # type: ignore[arg-type]  # rclpy also calls callbacks that want the message's info
                 _qos(durability, 1),
+                event_callbacks=_NO_COMPLAINTS,
             )
 
     def _stream(self, message: Any) -> None:

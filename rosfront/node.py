@@ -78,9 +78,9 @@ class FrontNode:
         self._closing = False
         self._has_spun = threading.Event()
         self._counts = Counts()
+        self._last_cycle = 0
         self._progress = Progress()
-        self._latest: np.void | None = None
-        self._services = Services(self.node, executor, self.serving, lambda: self._latest)
+        self._services = Services(self.node, executor, self.serving)
         initial_factor = float(self.node.get_parameter(INITIAL_SCALE).value)
         self._inputs = Inputs(self.node, self.serving, self._counts, initial_factor)
         self._state_topics = StateTopics(self.node, arm, self._progress)
@@ -213,7 +213,7 @@ class FrontNode:
         """`fresh`: something has been measured since the last snapshot, so it is worth telling."""
         if self._inputs.factor != 1.0:
             self._tell_factor(snapshot)
-        self._latest = snapshot
+        self._last_cycle = int(snapshot["cycle"])
         execution = self.serving.look(snapshot)
         if execution is not None:
             self._progress.look(snapshot)
@@ -231,7 +231,7 @@ class FrontNode:
 
     def _tell_factor(self, snapshot: np.void) -> None:
         """Tell a control process that is new to this node how fast it is to be, unless somebody has told it already."""
-        is_new = self._latest is None or snapshot["cycle"] < self._latest["cycle"]
+        is_new = self._last_cycle == 0 or int(snapshot["cycle"]) < self._last_cycle
         if is_new and snapshot["speed_scale_asked"] == 1.0:
             self._inputs.ask_factor()
 

@@ -131,6 +131,12 @@ def _held(before: np.void | None, joints: Sequence[str]) -> Judge:
     return judge
 
 
+def _already_holds(before: np.void, joints: Sequence[str]) -> Reply | None:
+    if int(before["mode"]) != Mode.HOLDING or int(before["goal_phase"]) != Phase.NONE:
+        return None
+    return Reply(True, "The arm holds already; no goal is running.")
+
+
 def _resumed(before: np.void | None, joints: Sequence[str]) -> Judge:
     return lambda now: Reply(True, "The goal goes on.")
 
@@ -149,7 +155,7 @@ ORDERS = (
         MODE_PATIENCE_S,
         _limp(Mode.FREE, "The drives are limp and the arm can be led by hand until ~/enable."),
     ),
-    Order("hold", Request.HOLD, STOP_PATIENCE_S, _held),
+    Order("hold", Request.HOLD, STOP_PATIENCE_S, _held, _already_holds),
     Order("resume", Request.RESUME, MODE_PATIENCE_S, _resumed),
     Order("clear_fault", Request.CLEAR_FAULT, BRING_UP_PATIENCE_S, _cleared, _nothing_to_clear),
 )
@@ -158,11 +164,9 @@ ORDERS = (
 class Services:
     """The services of one node."""
 
-    def __init__(self, node: Node, executor: Executor, serving: Serving, latest: Callable[[], np.void | None]) -> None:
-        """`latest` gives the newest snapshot, None before the first."""
+    def __init__(self, node: Node, executor: Executor, serving: Serving) -> None:
         self._executor = executor
         self._serving = serving
-        self._latest = latest
         self._waiting: set[Future] = set()
         self._closing = False
         group = ReentrantCallbackGroup()
@@ -189,7 +193,7 @@ class Services:
         return handle
 
     async def _ask(self, order: Order) -> Reply:
-        before, joints = self._latest(), self._serving.joints
+        before, joints = self._serving.newest(), self._serving.joints
         known = None if before is None else order.answer_now(before, joints)
         if known is not None:
             return known

@@ -224,6 +224,14 @@ class Serving:
             int(snapshot["epoch_ns"]),
         )
 
+    def newest(self) -> np.void | None:
+        """The newest snapshot; None when there is no control process to speak of."""
+        try:
+            with self._lock:
+                return self._snapshot()
+        except NotServing:
+            return None
+
     def start(self, plan: GoalPlan, on_verdict: Callable[[Verdict], None]) -> Execution:
         """Hand a checked goal to the control process; an older one is replaced.
 

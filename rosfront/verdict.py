@@ -41,6 +41,8 @@ _CODES = {
     Outcome.GOAL_ACCELERATION: refusals.GOAL_TOLERANCE_VIOLATED,
 }
 _STATUS = {Outcome.SUCCEEDED: Status.SUCCEEDED, Outcome.CANCELED: Status.CANCELED}
+_TOLD = {Outcome.SUCCEEDED, Outcome.GOAL_TOLERANCE}
+"""Outcomes whose sentence says how far the arm is from its target."""
 _NOT_BEGUN = {
     Outcome.REFUSED_MODE,
     Outcome.REFUSED_UNREFERENCED,
@@ -101,6 +103,6 @@ def judge(
     known = Outcome(outcome) if outcome in set(Outcome) else Outcome.NONE
     status, code = _STATUS.get(known, Status.ABORTED), _CODES.get(known, refusals.INVALID_GOAL)
     verdict = Verdict(status, code, sentence, known)
-    if known is Outcome.SUCCEEDED or known in _NOT_BEGUN:
+    if known in _TOLD or known in _NOT_BEGUN:
         return verdict
     return with_final_error(verdict, final_error(snapshot, target_rad, joint_mask, joints))

@@ -27,6 +27,7 @@ Report = dict[str, Any]
 
 MOVING_MODES = (Mode.EXECUTING, Mode.STOPPING)
 FIT_MODES = (Mode.HOLDING, *MOVING_MODES)
+LIMP_MODES = (Mode.DISABLED, Mode.FREE)
 CYCLE_OVERDUE_S = 0.5
 """A cycle this late is a control process that hangs, not one that was preempted."""
 FRONT_SILENT_S = 1.0
@@ -166,6 +167,11 @@ def problems(report: Mapping[str, Any]) -> list[str]:
     found: list[str] = []
     if report["fault"] is not None:
         found.append(report["fault"]["sentence"])
+    elif report["mode"] in {key(Mode, mode) for mode in LIMP_MODES}:
+        found.append(
+            f"The drives are limp ({report['mode']}): clear the arm's surroundings, then call the ROS service "
+            "~/enable, and the arm holds where it stands."
+        )
     elif report["mode"] not in {key(Mode, mode) for mode in FIT_MODES}:
         found.append(f"The control process is {report['mode'].replace('_', ' ')}: wait until it is holding.")
     if report["cycle_age_ms"] > CYCLE_OVERDUE_S * 1e3:

@@ -45,7 +45,7 @@ OUTCOMES: dict[Outcome, Meaning] = {
         "Nothing to do.",
     ),
     Outcome.CANCELED: Meaning(
-        "Canceled: the arm has come to rest on its path.",
+        "Canceled: the arm is at rest and has not left its path.",
         "A cancel slows the trajectory's clock to a stop, so the arm never leaves the planned path.",
         "Plan from where the arm stands.",
     ),

@@ -66,16 +66,23 @@ def middleware_files() -> set[Path]:
     return {path for mark in ("fastrtps_*", "sem.fastrtps_*") for path in Path("/dev/shm").glob(mark)}
 
 
-def sweep_middleware_files(before: set[Path]) -> None:
-    """Remove segments that came during this session and that no other process maps."""
-    mapped = set()
-    for maps in Path("/proc").glob("[0-9]*/maps"):
-        if maps.parent.name == str(os.getpid()):
-            continue  # what this process still maps, it does not need any more
+def files_in_use() -> set[str]:
+    """Shared-memory files that another process maps or holds open (Fast DDS does not map its lock files)."""
+    used: set[str] = set()
+    for process in Path("/proc").glob("[0-9]*"):
+        if process.name == str(os.getpid()):
+            continue  # what this process still uses, it does not need any more
         with contextlib.suppress(OSError):
-            mapped |= {line.split()[-1] for line in maps.read_text().splitlines() if "/dev/shm/" in line}
+            used |= {line.split()[-1] for line in (process / "maps").read_text().splitlines() if "/dev/shm/" in line}
+            used |= {os.readlink(descriptor) for descriptor in (process / "fd").iterdir()}
+    return used
+
+
+def sweep_middleware_files(before: set[Path]) -> None:
+    """Remove segments that came during this session and that no other process uses."""
+    used = files_in_use()
     for path in middleware_files() - before:
-        if str(path) not in mapped:
+        if str(path) not in used:
             path.unlink(missing_ok=True)
 
 

@@ -155,6 +155,16 @@ def test_several_clients_at_once_each_get_one_answer(stack):
     assert np.abs(last - results[-1][3]).max() < 0.01
 
 
+def call(stack, name):
+    """A Trigger service of the controller: its answer."""
+    service = stack.client.node.create_client(Trigger, f"/controller_{stack.name}/{name}")
+    assert service.wait_for_service(10.0)
+    future = service.call_async(Trigger.Request())
+    until(future.done, f"the answer of {name}", 40.0)
+    stack.client.node.destroy_client(service)
+    return future.result()
+
+
 def measure(pid):
     """Resident kB, threads and open files of a process."""
     status = Path(f"/proc/{pid}/status").read_text()
@@ -186,16 +196,35 @@ def test_hold_and_resume_over_ros_keep_the_goal(stack):
     handle = client.send(goal_to([angle - 0.2 for angle in START_RAD], 3.0))
     until(lambda: stack.reader.snapshot()["joints"]["commanded_velocity_rad_s"][0] < -0.05, "motion")
     for name in ("hold", "resume"):
-        service = client.node.create_client(Trigger, f"/controller_{stack.name}/{name}")
-        assert service.wait_for_service(10.0)
-        future = service.call_async(Trigger.Request())
-        until(future.done, f"the answer of {name}")
-        assert future.result().success, future.result().message
+        answer = call(stack, name)
+        assert answer.success, answer.message
         if name == "hold":
             rows = stack.reader.snapshot()["joints"][:6]
             assert not rows["commanded_velocity_rad_s"].any()
     status, code, words = client.result(handle)
     assert (status, code) == (SUCCEEDED, 0), words
+
+
+def test_limp_drives_over_ros_and_back(stack):
+    """free → disable → enable with real drives' bytes: not a count of motion, and a goal afterwards."""
+    before = stack.reader.snapshot()["joints"]["measured_position_rad"][:6].copy()
+    for name, mode in (("free", Mode.FREE), ("disable", Mode.DISABLED)):
+        answer = call(stack, name)
+        assert answer.success and "limp" in answer.message
+        assert int(stack.reader.snapshot()["mode"]) == mode
+    status, code, words = stack.client.run(goal_to(START_RAD, 1.0))
+    assert (status, code) == (ABORTED, -1) and "disabled" in words
+    states = len(stack.client.states)
+    until(lambda: len(stack.client.states) > states + 20, "joint states of limp drives")
+    answer = call(stack, "enable")
+    assert answer.success, answer.message
+    after = stack.reader.snapshot()["joints"]["measured_position_rad"][:6]
+    assert np.abs(after - before).max() < 1e-3
+    status, code, words = stack.client.run(goal_to([angle - 0.05 for angle in START_RAD], 1.0))
+    assert (status, code) == (SUCCEEDED, 0), words
+    assert not call(stack, "resume").success
+    assert call(stack, "hold").success
+    assert call(stack, "clear_fault").success
 
 
 def test_a_goal_of_a_hundred_thousand_points(stack):

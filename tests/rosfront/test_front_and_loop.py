@@ -68,7 +68,7 @@ def test_recorded_goals_cancel_replacement_and_a_killed_loop(processes):
     until(lambda: abs(positions(client)[0] - large.trajectory.points[0].positions[0]) > 0.1, "motion")
     handle.cancel_goal_async()
     status, code, words = client.result(handle)
-    assert (status, code) == (CANCELED, 0) and words.startswith("Canceled: the arm has come to rest")
+    assert (status, code) == (CANCELED, 0) and words.startswith("Canceled: the arm is at rest")
     assert time.monotonic() - begun < 3.0
     resting = positions(client)
 

@@ -91,7 +91,7 @@ def test_a_cancel_is_answered_at_once_and_stops_the_goal(stage):
     assert time.monotonic() - begun < 1.0
     assert len(future.result().goals_canceling) == 1
     status, code, words = stage.client.result(handle)
-    assert (status, code) == (CANCELED, 0) and words.startswith("Canceled: the arm has come to rest")
+    assert (status, code) == (CANCELED, 0) and words.startswith("Canceled: the arm is at rest")
 
 
 def test_a_cancel_right_behind_its_goal(stage):
@@ -225,7 +225,7 @@ def test_at_the_end_a_client_that_asks_late_still_gets_its_result(arm_name):
         until(lambda: not loop.active, "the stop on the path")
         until(lambda: front.serving.idle, "the verdict")
         status, _, words = client.result(handle)
-        assert status == ABORTED and words.startswith("The ROS process was stopped: the arm has come to rest")
+        assert status == ABORTED and words.startswith("The ROS process was stopped: the arm is at rest")
         closer.join(5.0)
         assert not thread.is_alive() and not closer.is_alive()
 
@@ -326,7 +326,7 @@ def test_the_process_ends_orderly_in_the_middle_of_a_goal(arm_file, loop, start_
     front.send_signal(end)
     status, _, words = client.result(handle)
     assert status == ABORTED
-    assert words.startswith("The ROS process was stopped: the arm has come to rest on its path; joint1 is")
+    assert words.startswith("The ROS process was stopped: the arm is at rest and has not left its path; joint1 is")
     assert ended(front)[0] == 0
     client.close()
 

@@ -262,9 +262,9 @@ def test_a_hold_that_waits_holds_up_nobody(stage, operator, moving):
     assert holding.result().message == "The arm stands; its goal has ended meanwhile."
 
 
-def test_there_must_be_something_to_hold(stage, operator):
-    for name in ("hold", "resume"):
-        assert trigger(operator, name) == (False, "No such goal is running, so there is nothing to do.")
+def test_without_a_goal_the_arm_holds_already(stage, operator):
+    assert trigger(operator, "hold") == (True, "The arm holds already; no goal is running.")
+    assert trigger(operator, "resume") == (False, "No such goal is running, so there is nothing to do.")
 
 
 @pytest.mark.parametrize(("name", "mode"), [("disable", Mode.DISABLED), ("free", Mode.FREE)])

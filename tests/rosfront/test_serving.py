@@ -184,7 +184,7 @@ def test_what_ends_a_goal_reaches_its_client_with_the_final_error(stage, outcome
     stage.step()
     verdict = stage.verdict("a")
     assert (verdict.status, verdict.code) == (Status.ABORTED, code)
-    assert words in verdict.sentence and verdict.sentence.endswith("rad from its target.")
+    assert words in verdict.sentence and "rad from its target" in verdict.sentence
 
 
 def test_a_cancel_stops_the_goal(stage):
@@ -194,7 +194,7 @@ def test_a_cancel_stops_the_goal(stage):
     stage.step(10)
     verdict = stage.verdict("a")
     assert (verdict.status, verdict.code) == (Status.CANCELED, 0)
-    assert verdict.sentence.startswith("Canceled: the arm has come to rest on its path; joint1 is")
+    assert verdict.sentence.startswith("Canceled: the arm is at rest and has not left its path; joint1 is")
     stage.serving.cancel(execution)  # too late: nothing more is asked
     assert stage.link.writer.memory.record["requests_written"][0] == 1
 
