@@ -11,8 +11,8 @@ from collections.abc import Callable, Generator
 
 from config.budget import budget
 from config.schema import ArmConfig, JointConfig, ZdtDrive
-from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, drive_addresses
-from rtloop.service import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, BRING_UP_FAILED, ServicePort
+from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed
+from rtloop.service import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, ServicePort
 from shm.words import Fault, Unreferenced
 
 SETTLE_PATIENCE_NS = 3_000_000_000
@@ -28,7 +28,7 @@ _BLOCK_HEAD = bytes((33, 21))  # byte count and field count of that block
 _SCREEN, _ID, _CHECKSUM, _RESPONSE, _MICROSTEPS = 7, 16, 17, 18, 5
 
 
-class BringUp:
+class BringUp(Conversation):
     """One bring-up of a whole arm."""
 
     def __init__(
@@ -41,13 +41,10 @@ class BringUp:
         tell: Callable[[str], None],
         mock_positions_rad: list[float] | None = None,
     ) -> None:
-        self._arm = arm
+        super().__init__(arm, port, now_ns, fault=Fault.BRING_UP, last_order=BRING_UP_DONE)
         self._tell = tell
         self._clears_protection = clears_protection
-        self._talk = Conversation(port, drive_addresses(arm), now_ns)
-        self.done = False
-        self.failure: TalkFailed | None = None
-        self._talk.post(BRING_UP_BEGINS)
+        self.post(BRING_UP_BEGINS)
         dialogues = {}
         for joint, config in enumerate(arm.joints):
             if isinstance(config.drive, ZdtDrive):
@@ -55,25 +52,10 @@ class BringUp:
             else:
                 start = mock_positions_rad[joint] if mock_positions_rad else 0.0
                 self._adopt(joint, min(max(start, config.lower_rad), config.upper_rad), Unreferenced.REFERENCED)
-        self._talk.begin(dialogues)
-
-    def poll(self, now_ns: int) -> bool:
-        """Take answers, ask on; True once the conversation is over (see `failure`)."""
-        if self.done:
-            return True
-        try:
-            self.done = self._talk.poll(now_ns)
-        except TalkFailed as failure:
-            self.failure = failure
-            self.done = True
-            self._talk.post(BRING_UP_FAILED, joint=failure.joint, code=Fault.BRING_UP)
-            return True
-        if self.done:
-            self._talk.post(BRING_UP_DONE)
-        return self.done
+        self.begin(dialogues)
 
     def _adopt(self, joint: int, position_rad: float, reason: Unreferenced) -> None:
-        self._talk.post(ADOPT, joint=joint, value=position_rad, code=reason)
+        self.post(ADOPT, joint=joint, value=position_rad, code=reason)
 
     # --- what is said to a ZDT drive
 
@@ -83,7 +65,7 @@ class BringUp:
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} (address {drive.address}) does not answer: check its power, its address "
-                f"and the bit rate ({self._arm.bus.bitrate} bit/s) in its menu, and the CAN wires with 120 Ω at both "
+                f"and the bit rate ({self.arm.bus.bitrate} bit/s) in its menu, and the CAN wires with 120 Ω at both "
                 "ends.",
             )
         version = _version(firmware)
@@ -112,7 +94,7 @@ class BringUp:
             )
         yield from self._settle_configuration(joint, config, drive, version)
         if not flags & 0x01:
-            yield Ask(b"\xf3\xab\x01\x00\x6b", (3,), answered=self._arm.bus.acknowledge)
+            yield Ask(b"\xf3\xab\x01\x00\x6b", (3,), answered=self.arm.bus.acknowledge)
             flags = yield from self._status(joint, config)
             if not flags & 0x01:
                 raise TalkFailed(
@@ -130,10 +112,10 @@ class BringUp:
 
     def _settle_configuration(self, joint: int, config: JointConfig, drive: ZdtDrive, version: int) -> Dialogue:
         """Check what would make motion wrong; set the response mode in volatile memory."""
-        wanted = RESPONSE_RECEIVE if self._arm.bus.acknowledge else RESPONSE_NONE
+        wanted = RESPONSE_RECEIVE if self.arm.bus.acknowledge else RESPONSE_NONE
         block = yield from self._read_block()
         if block is None or version not in KNOWN_FIRMWARE:
-            if not self._arm.bus.acknowledge:
+            if not self.arm.bus.acknowledge:
                 self._require_budget_with_acknowledgements(joint, config, version)
             return
         if block[_CHECKSUM] != 0:
@@ -173,19 +155,19 @@ class BringUp:
         return answer[3 : 3 + _BLOCK_BYTES]
 
     def _require_budget_with_acknowledgements(self, joint: int, config: JointConfig, version: int) -> None:
-        loud = self._arm.model_copy(update={"bus": self._arm.bus.model_copy(update={"acknowledge": True})})
+        loud = self.arm.model_copy(update={"bus": self.arm.bus.model_copy(update={"acknowledge": True})})
         found = budget(loud)
         if not found.fits:
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} (firmware {version}) keeps acknowledging commands, and with "
                 f"acknowledgements the bus carries {found.highest_rate_hz:.0f} Hz, not "
-                f"{self._arm.control.rate_hz:g} Hz: lower control.rate_hz, or turn its Response off in its menu.",
+                f"{self.arm.control.rate_hz:g} Hz: lower control.rate_hz, or turn its Response off in its menu.",
             )
 
     def _adopt_position(self, joint: int, config: JointConfig, reason: Unreferenced) -> Dialogue:
         """Take the drive's own target as the commanded position, once the joint stands near it."""
-        started_ns = self._talk.now_ns
+        started_ns = self.now_ns
         counts_per_rad = config.direction * config.encoder_counts_per_rad
         while True:
             answer = yield Ask(b"\x36\x6b", (7,))
@@ -198,7 +180,7 @@ class BringUp:
             target_rad = target / counts_per_rad - config.zero_rad
             if abs(target_rad - measured_rad) <= ADOPT_WITHIN_RAD:
                 break
-            if self._talk.now_ns - started_ns > SETTLE_PATIENCE_NS:
+            if self.now_ns - started_ns > SETTLE_PATIENCE_NS:
                 if reason == Unreferenced.REFERENCED:
                     reason = Unreferenced.TARGET_FAR
                     self._tell(

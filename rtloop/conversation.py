@@ -9,7 +9,8 @@ from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 
 from config.schema import ArmConfig, ZdtDrive
-from rtloop.service import SEND, Frame, ServicePort
+from rtloop.service import BRING_UP_FAILED, SEND, Frame, ServicePort
+from shm.words import Fault
 
 ANSWER_PATIENCE_NS = 60_000_000
 TRIES = 5
@@ -61,15 +62,23 @@ def drive_addresses(arm: ArmConfig) -> dict[int, int]:
 
 
 class Conversation:
-    """What one exchange of questions and answers with many drives needs: who was asked what, and when.
+    """One exchange of questions and answers with the drives of an arm, from its beginning to `done`.
 
-    `addresses` gives the drive address of every joint that is spoken to.
+    `failure` says why it could not go on, and the cycle is then told to latch `fault`; an orderly end is told to it by
+    `last_order`, if there is one.
     """
 
-    def __init__(self, port: ServicePort, addresses: Mapping[int, int], now_ns: int) -> None:
+    def __init__(
+        self, arm: ArmConfig, port: ServicePort, now_ns: int, *, fault: Fault, last_order: int | None = None
+    ) -> None:
+        self.arm = arm
         self.now_ns = now_ns
+        self.done = False
+        self.failure: TalkFailed | None = None
         self._port = port
-        self._addresses = addresses
+        self._addresses = drive_addresses(arm)
+        self._fault = fault
+        self._last_order = last_order
         self._dialogues: dict[int, Dialogue] = {}
         self._exchanges: dict[int, _Exchange] = {}
         self._outbox: list[tuple[Frame, bool]] = []
@@ -82,14 +91,25 @@ class Conversation:
             self._advance(joint, None)
 
     def poll(self, now_ns: int) -> bool:
-        """Take answers, ask on; True once every dialogue has ended. Raises TalkFailed."""
+        """Take answers, ask on; True once the conversation is over (see `failure`)."""
         self.now_ns = now_ns
-        for frame in self._port.received():
-            self._hear(frame)
-        for joint in list(self._exchanges):
-            self._repeat_or_give_up(joint)
+        if self.done:
+            return True
+        try:
+            for frame in self._port.received():
+                self._hear(frame)
+            for joint in list(self._exchanges):
+                self._repeat_or_give_up(joint)
+        except TalkFailed as failure:
+            self.failure = failure
+            self.done = True
+            self.post(BRING_UP_FAILED, joint=failure.joint, code=self._fault)
+            return True
         self._flush()
-        return not self._dialogues and not self._outbox
+        self.done = not self._dialogues and not self._outbox
+        if self.done and self._last_order is not None:
+            self.post(self._last_order)
+        return self.done
 
     def post(self, kind: int, joint: int = -1, value: float = 0.0, code: int = 0) -> None:
         """Tell the cycle a decision."""

@@ -12,6 +12,7 @@ from config.loader import arm_hash
 from config.schema import ArmConfig
 from rtloop import realtime
 from rtloop.bringup import BringUp
+from rtloop.conversation import Conversation
 from rtloop.release import Release
 from rtloop.run import READ_BYTES, read_wire, run
 from rtloop.service import ServicePort
@@ -159,7 +160,7 @@ class ControlProcess:
 
     def _supervise(self, ready: Callable[[], None]) -> int:
         # fresh rings have room for its beginning
-        talk: BringUp | Release | None = self._bring_up(clears_protection=False)
+        talk: Conversation | None = self._bring_up(clears_protection=False)
         first = True
         next_epoch_s = time.monotonic()
         closing_until_s = 0.0

@@ -5,7 +5,7 @@ The cycle has stopped leading the drives before this begins, and follows where t
 
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, drive_addresses
-from rtloop.service import BRING_UP_FAILED, ServicePort
+from rtloop.service import ServicePort
 from shm.words import Fault
 
 _DISABLE = b"\xf3\xab\x00\x00\x6b"
@@ -13,33 +13,17 @@ _READ_STATUS = b"\x3a\x6b"
 _ENABLED = 0x01
 
 
-class Release:
+class Release(Conversation):
     """One release of a whole arm; a drive that stays enabled is a latched fault."""
 
     def __init__(self, arm: ArmConfig, port: ServicePort, *, now_ns: int) -> None:
-        self._arm = arm
-        addresses = drive_addresses(arm)
-        self._talk = Conversation(port, addresses, now_ns)
-        self.done = False
-        self.failure: TalkFailed | None = None
-        self._talk.begin({joint: self._let_go(joint) for joint in addresses})
-
-    def poll(self, now_ns: int) -> bool:
-        """Take answers, ask on; True once the conversation is over (see `failure`)."""
-        if self.done:
-            return True
-        try:
-            self.done = self._talk.poll(now_ns)
-        except TalkFailed as failure:
-            self.failure = failure
-            self.done = True
-            self._talk.post(BRING_UP_FAILED, joint=failure.joint, code=Fault.RELEASE)
-        return self.done
+        super().__init__(arm, port, now_ns, fault=Fault.RELEASE)
+        self.begin({joint: self._let_go(joint) for joint in drive_addresses(arm)})
 
     def _let_go(self, joint: int) -> Dialogue:
-        name = self._arm.joints[joint].name
+        name = self.arm.joints[joint].name
         for _ in range(TRIES):
-            yield Ask(_DISABLE, (3,), answered=self._arm.bus.acknowledge)
+            yield Ask(_DISABLE, (3,), answered=self.arm.bus.acknowledge)
             status = yield Ask(_READ_STATUS, (3,))
             if status is not None and status[0] == _READ_STATUS[0] and not status[1] & _ENABLED:
                 return
