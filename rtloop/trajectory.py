@@ -40,8 +40,9 @@ IMPOSSIBLE = 1e9
 NO_PATH = 100.0
 RESERVE_PERIODS = 3.0
 BESIDE_RAD = 1e-9
+SLOWEST_ENTRY_IN_MOTION = 0.2
 SLOWEST_ENTRY = 0.02
-"""A path is laid for at least this rate, since a blend for next to none would last for ever."""
+"""A path is laid for at least such a rate, since a blend for next to none would last for ever."""
 PLAN_SHARE = 0.35
 """What a blend or a ramp may add, as a share of the limit, where the plan alone already asks for much."""
 REST_RAD_S = 1e-3
@@ -51,6 +52,8 @@ ARRIVAL_SHARE = 0.25
 """Getting to the full rate and back to rest takes less path time than this share of the longest stop."""
 HEADROOM = 0.9
 """Candidates are sampled, so they stay this far below the bound at which the last defence would stop the arm."""
+SPEED_HEADROOM = 0.99
+"""The same of the speed, which changes less between two samples."""
 
 
 @jit
@@ -240,14 +243,13 @@ def steer_rate(loop: Loop, target: float) -> None:
 
     Turning a ramp round in its steepest part can be impossible, without the clock running backwards or the
     joints being pushed too hard. The running ramp then goes on and the question is asked again in the next
-    cycle; a stop that can be begun at all is begun at once, as gently as can be.
+    cycle. From a steady rate a stop is begun at once, as gently as can be.
     """
     core = loop.core
     if target == core.rate_target:
         return
     duration_s, strain = ramp_duration(loop, target)
-    speeds_up_amid_a_ramp = target > core.rate_target and core.ramp_s > 0.0
-    if duration_s <= 0.0 or (strain > 1.0 and speeds_up_amid_a_ramp):
+    if duration_s <= 0.0 or (strain > 1.0 and core.ramp_s > 0.0):
         return
     core.arriving = 0
     begin_ramp(loop, target, duration_s)
@@ -453,6 +455,7 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
     knot = 0
     known_s = end_s(loop, path_index)
     goes_on = goes_on_past_end(loop, path_index)
+    bridged = has_bridge(loop, path_index, entering.entry_s)
     for i in range(BLEND_SAMPLES + 1):
         clock_s = from_s + (until_s - from_s) * i / BLEND_SAMPLES
         if clock_s > known_s and not goes_on:
@@ -462,14 +465,17 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
         knot = find_knot(loop, path_index, clock_s, knot)
         for joint in range(loop.params.joint_count):
             row = loop.joints[joint]
-            _, _, planned = plan(loop, path_index, joint, clock_s, knot)
+            _, planned_speed, planned = plan(loop, path_index, joint, clock_s, knot)
             p, v, a = path(loop, path_index, joint, clock_s, knot)
             here = loop.axes[joint].position_rad  # a joint that was found outside may move in
             low = min(row.lower_rad - row.slack_rad, here)
             high = max(row.upper_rad + row.slack_rad, here)
             if within and (p < low - BESIDE_RAD or p > high + BESIDE_RAD):
                 return IMPOSSIBLE
-            speed = rate * abs(v) / (loop.params.velocity_margin * row.max_velocity_rad_s)
+            fastest = SPEED_HEADROOM * loop.params.velocity_margin * row.max_velocity_rad_s
+            if not bridged:
+                fastest = max(fastest, abs(planned_speed))  # what the goal's own points ask for was checked exactly
+            speed = rate * abs(v) / fastest
             push = rate * rate * abs(a) / allowed_acceleration(loop, joint, rate * rate * planned)
             if not (speed <= IMPOSSIBLE and push <= IMPOSSIBLE):
                 return IMPOSSIBLE  # not a number
@@ -481,10 +487,15 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
 def enter(loop: Loop, path_index: int, entry_s: float) -> bool:
     """Find a bounded way from the commanded state onto a path and lay it; False when there is none.
 
-    Tries the wanted rate before slower ones, and short blends before long ones. On success the path's clock
+    The first rate to be tried is the wanted one, or the higher one of a clock that is just slowing down: a blend made
+    for a rate far below that of the motion would carry that motion on for ever. Slower ones follow, and longer blends
+    after short ones. On success the path's clock
     stands at `entry_s` and runs at a rate that may be lower than the wanted one, see `rate_while_blending`.
     """
-    wanted = max(loop.core.speed_scale, SLOWEST_ENTRY)
+    core = loop.core
+    wanted = max(core.speed_scale, SLOWEST_ENTRY)
+    if core.goal_id != 0:
+        wanted = max(wanted, core.rate, SLOWEST_ENTRY_IN_MOTION)
     bridged = has_bridge(loop, path_index, entry_s)
     for slower in ENTRY_RATES:
         rate = wanted * slower

@@ -6,7 +6,7 @@ drives would allow (they have their own in test_true_motion.py).
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm, recorded_goal
 
@@ -97,6 +97,10 @@ def test_an_undisturbed_goal_for_comparison(name: str) -> None:
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.sampled_from(MOVING), st.integers(2, 150), actions)
+@example("large", 51, [(180, "resume"), (13, "stamped"), (6, 0.0078125)])  # a bridge too fast between two samples
+@example("large", 101, [(19, 0.0), (11, "stamped"), (10, 0.015625)])  # entered while almost standing: slow for ever
+@example("large", 2, [(14, 1.0), (13, 0.0), (15, 1.0), (4, "hold")])  # a ramp turned round in its steepest part
+@example("scale_1_0", 21, [(2, "stamped"), (18, 0.5)])  # entered slowly, then sped up
 def test_whatever_is_asked_in_motion(name: str, begin: int, asked: list[tuple[int, str | float]]) -> None:
     arm = Asked(name)
     arm.cycles(begin)
