@@ -60,9 +60,13 @@ OFF = -1.0
 OFF_WITHIN = 1.2e-7  # the spacing of single-precision numbers near 1, as upstream allows it
 ENTER_WITHIN = 0.8
 """Share of the start tolerance within which an entry is looked for: the plan moves on until it is entered."""
+LOOK_BACK_S = 60.0
+"""A goal that is later than this is not looked at for an earlier entry: nobody waits for it any more."""
 ENTRIES_A_CHUNK = 4096
 DENSE_POINTS, DENSE_S = 4000, 0.4
 """The control process sees 4096 points ahead; they must last longer than most stops on the path."""
+FADE_S = 0.03
+"""Longest time in which the control process lets a difference in acceleration fade, at 100 Hz and more."""
 STOP_LENGTHENING = 1.6
 """A stop takes the next of the control process' candidates, each at most so much longer than the one before."""
 
@@ -305,9 +309,10 @@ def _entered_near(plan: GoalPlan, arm: ArmConfig, present: Present) -> GoalPlan:
     due = distances(np.array([plan.entry_ns]))[0]
     if due.max() <= limit * (ENTER_WITHIN if plan.entry_ns > plan.times_ns[0] else 1.0):
         return plan
-    for first in range(plan.entry_ns, int(plan.times_ns[0]) - 1, -ENTRIES_A_CHUNK * arm.control.period_ns):
+    earliest_ns = max(int(plan.times_ns[0]), plan.entry_ns - round(LOOK_BACK_S * NS))
+    for first in range(plan.entry_ns, earliest_ns - 1, -ENTRIES_A_CHUNK * arm.control.period_ns):
         times_ns = first - arm.control.period_ns * np.arange(ENTRIES_A_CHUNK)
-        times_ns = np.unique(np.maximum(times_ns, plan.times_ns[0]))
+        times_ns = np.unique(np.maximum(times_ns, earliest_ns))
         near = np.flatnonzero(distances(times_ns).max(axis=1) <= limit * ENTER_WITHIN)
         if len(near):
             entry_ns = int(times_ns[near[-1]])
@@ -327,7 +332,8 @@ def _check_room_to_stop(plan: GoalPlan, arm: ArmConfig) -> None:
     All joints stop together within T, along a rate that falls as a cubic: it is steepest with 1.5 / T and takes
     T / 2 of the way that the last velocity would have made.
     """
-    position, velocity = plan.joints[-1, :, 0], plan.joints[-1, :, 1]
+    position, velocity, acceleration = np.moveaxis(plan.joints[-1], 1, 0)
+    velocity = velocity + acceleration * (FADE_S / 3.0)  # what the fading acceleration still adds
     braking = arm.limits.braking_factor * np.array([joint.max_acceleration_rad_s2 for joint in arm.joints])
     duration_s = STOP_LENGTHENING * float((1.5 * np.abs(velocity) / braking).max())
     stop = position + velocity * (0.5 * duration_s + 2.0 * arm.control.period_ns / NS)

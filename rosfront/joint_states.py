@@ -73,6 +73,7 @@ class Pulse(threading.Thread):
         self._every = arm.joint_states_every_cycles
         self._period_ns = arm.control.period_ns
         self._interval_ns = self._every * self._period_ns
+        self._settle_ns = min(SETTLE_NS, self._period_ns // 4)
         self._serving = serving
         self._message = message
         self._publisher = publisher
@@ -168,7 +169,9 @@ class Pulse(threading.Thread):
                     self._hung = False
                     self._serving.attached(link)
                 self._publish(snapshot)
-                due_ns = int(snapshot["monotonic_ns"]) + SETTLE_NS  # may be past: then the next one is there already
+                due_ns = (
+                    int(snapshot["monotonic_ns"]) + self._settle_ns
+                )  # may be past: then the next one is there already
                 due_ns += (self._every - self._cycle % self._every) * self._period_ns
             elif link.loop_is_gone():
                 self._lose(link)

@@ -8,6 +8,7 @@ from config.schema import ArmConfig
 from shm.client import CommandWriter, StateReader
 from shm.errors import NotRunning, WrongLayout
 from shm.files import MemoryFile, is_held, open_command, open_state, own_command
+from shm.words import Request
 
 
 @dataclass
@@ -55,7 +56,9 @@ def attach(arm: ArmConfig) -> Link:
         undo.append(command.close)
         if not _of_one_loop(state, command):  # replaced since the look at it
             raise _just_starting(arm.name)
-        return Link(arm.name, StateReader(state), CommandWriter(command))
+        link = Link(arm.name, StateReader(state), CommandWriter(command))
+        link.writer.request(Request.CANCEL)  # what a dead front left, perhaps waiting for its start, is nobody's
+        return link
     except BaseException:
         for close in undo:
             close()

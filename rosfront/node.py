@@ -36,7 +36,7 @@ from rosfront.parameters import INITIAL_SCALE, CheckedNode
 from rosfront.plan import NS
 from rosfront.refusals import GoalRefused
 from rosfront.services import Services
-from rosfront.serving import Execution, Serving
+from rosfront.serving import NEVER_BEGUN, Execution, Serving
 from rosfront.state_topics import STATE_QOS, Progress, StateTopics, along_ns, differences, joint_state_bytes
 from rosfront.verdict import Status, Verdict
 
@@ -176,7 +176,7 @@ class FrontNode:
 
     async def _run(self, handle: ServerGoalHandle) -> Verdict:
         if handle.is_cancel_requested:
-            return Verdict(Status.CANCELED, 0, "Canceled before it was begun; the arm was not moved.")
+            return Verdict(Status.CANCELED, 0, NEVER_BEGUN)
         decided: Future = Future()
 
         def on_verdict(verdict: Verdict) -> None:

@@ -23,6 +23,7 @@ class PlannedPath:
             self.orders = plan.orders
         else:
             self.times_ns, self.knots, self.orders = plan.times_ns, knots, plan.orders[1:]
+        self._stream = plan.stream
         self.shift = int(bridged)  # knots before the goal's first point
 
     @property
@@ -48,19 +49,37 @@ class PlannedPath:
         return result, duration
 
     def at(self, times_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Position, velocity and acceleration (m, joints) at `times_ns` (m,); at rest before and after."""
+        """Position, velocity and acceleration (m, joints) at `times_ns` (m,).
+
+        Before and after, a goal is at rest; a stream comes and goes on in a straight line.
+        """
         within_ns = np.clip(times_ns, self.times_ns[0], self.times_ns[-1])
         if self.segments == 0:
-            position = np.repeat(self.knots[:1, :, 0], len(times_ns), axis=0)
-            return position, np.zeros_like(position), np.zeros_like(position)
+            position, velocity = (np.repeat(self.knots[:1, :, column], len(times_ns), axis=0) for column in (0, 1))
+            return self._beyond(times_ns, within_ns, position, velocity, np.zeros_like(position))
         index = np.clip(np.searchsorted(self.times_ns, within_ns, side="right") - 1, 0, self.segments - 1)
         coefficients, _ = self.coefficients(index)
         local_s = ((within_ns - self.times_ns[index]) / NS)[:, np.newaxis]
         slope = bounds.derivative(coefficients)
         position, velocity = bounds.value(coefficients, local_s), bounds.value(slope, local_s)
         acceleration = bounds.value(bounds.derivative(slope), local_s)
-        outside = (times_ns < self.times_ns[0]) | (times_ns > self.times_ns[-1])
-        velocity[outside] = acceleration[outside] = 0.0
+        return self._beyond(times_ns, within_ns, position, velocity, acceleration)
+
+    def _beyond(
+        self,
+        times_ns: np.ndarray,
+        within_ns: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        acceleration: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same with what lies outside the points put right."""
+        outside = times_ns != within_ns
+        acceleration[outside] = 0.0
+        if self._stream:
+            position += velocity * ((times_ns - within_ns) / NS)[:, np.newaxis]
+        else:
+            velocity[outside] = 0.0
         return position, velocity, acceleration
 
     def place(self, time_ns: float) -> str:

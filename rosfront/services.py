@@ -24,11 +24,12 @@ from rosfront.refusals import GoalRefused
 from rosfront.serving import Serving
 from rosfront.verdict import fault_of
 from shm.sentences import unreferenced_sentence
-from shm.words import Fault, Mode, Phase, Request
+from shm.words import DriveStatus, Fault, Mode, Phase, Request
 
 BRING_UP_PATIENCE_S = 30.0
 STOP_PATIENCE_S = 10.0
-MODE_PATIENCE_S = 2.0
+RELEASE_PATIENCE_S = 5.0
+RESUME_PATIENCE_S = 2.0
 CLOSING = "The ROS process was stopped before the control process had answered: look at `rtarm status`."
 
 
@@ -110,7 +111,11 @@ def _nothing_to_clear(before: np.void, joints: Sequence[str]) -> Reply | None:
 
 def _limp(mode: Mode, words: str) -> Callable[[np.void | None, Sequence[str]], Judge]:
     def judge_of(before: np.void | None, joints: Sequence[str]) -> Judge:
-        return lambda now: _fault(now, joints) or (Reply(True, words) if int(now["mode"]) == mode else None)
+        def judge(now: np.void) -> Reply | None:
+            limp = not np.any(now["joints"]["drive_status"][: len(joints)] & DriveStatus.ENABLED)
+            return _fault(now, joints) or (Reply(True, words) if limp and int(now["mode"]) == mode else None)
+
+        return judge
 
     return judge_of
 
@@ -146,17 +151,17 @@ ORDERS = (
     Order(
         "disable",
         Request.DISABLE,
-        MODE_PATIENCE_S,
+        RELEASE_PATIENCE_S,
         _limp(Mode.DISABLED, "The drives are limp and the arm is out of service until ~/enable."),
     ),
     Order(
         "free",
         Request.FREE,
-        MODE_PATIENCE_S,
+        RELEASE_PATIENCE_S,
         _limp(Mode.FREE, "The drives are limp and the arm can be led by hand until ~/enable."),
     ),
     Order("hold", Request.HOLD, STOP_PATIENCE_S, _held, _already_holds),
-    Order("resume", Request.RESUME, MODE_PATIENCE_S, _resumed),
+    Order("resume", Request.RESUME, RESUME_PATIENCE_S, _resumed),
     Order("clear_fault", Request.CLEAR_FAULT, BRING_UP_PATIENCE_S, _cleared, _nothing_to_clear),
 )
 

@@ -20,7 +20,7 @@ from rosfront.plan import NS, GoalPlan, Present, Sample
 from rosfront.refusals import NotServing
 from rosfront.settings import Settings
 from rosfront.streamer import Streamer
-from rosfront.verdict import Verdict, aborted, fault_of, final_error, judge, with_final_error
+from rosfront.verdict import Status, Verdict, aborted, fault_of, final_error, judge, with_final_error
 from shm.client import find
 from shm.errors import TornRead
 from shm.sentences import answer_sentence, outcome_sentence, unreferenced_sentence
@@ -31,6 +31,7 @@ STALLED_NS = 400_000_000
 FAULT_PATIENCE_NS = 500_000_000
 """A goal that a faulted loop has not decided by then never will be."""
 CANCEL_AGAIN_NS = 50_000_000
+NEVER_BEGUN = "Canceled before it was begun; the arm was not moved."
 CLOSING = "The ROS process is shutting down and takes no goals: start it again."
 _TAKES_GOALS = (Mode.HOLDING, Mode.EXECUTING, Mode.STOPPING)
 
@@ -43,6 +44,8 @@ class Execution:
     plan: GoalPlan
     on_verdict: Callable[[Verdict], None]
     cancel_wanted: bool = False
+    never_begun: bool = False
+    """Canceled before the control process heard of it."""
     cancel_sequence: int = 0
     cancel_sent_ns: int = 0
     fault_since_ns: int = 0
@@ -154,14 +157,20 @@ class Serving:
 
     def _pump(self, link: Link, running_goal: int, clock_ns: float) -> None:
         """Feed every goal that is not decided: the running one goes on until a newer one has really entered."""
+        now_ns = time.monotonic_ns()
         for goal_id, stream in list(self._streams.items()):
-            stream.pump(link.writer, link.reader.setpoints_consumed(), clock_ns if goal_id == running_goal else 0.0)
+            if stream.is_held_back(now_ns):
+                continue
+            at_ns = clock_ns if goal_id == running_goal else stream.due_ns(now_ns)
+            stream.pump(link.writer, link.reader.setpoints_consumed(), at_ns)
             if stream.done:
                 del self._streams[goal_id]
 
     def _decide(self, execution: Execution, snapshot: np.void) -> Verdict | None:
         """What a snapshot says about a goal; None while it is undecided."""
         goal_id, running = execution.goal_id, int(snapshot["goal_id"])
+        if execution.never_begun:
+            return Verdict(Status.CANCELED, 0, NEVER_BEGUN, Outcome.CANCELED)
         results = snapshot["results"]
         result = find(results, "goal_id", goal_id)
         if result is not None and int(result["outcome"]) != Outcome.NONE:
@@ -245,12 +254,12 @@ class Serving:
                 writer.announced_goal,
                 int(snapshot["goal_id"]),
                 int(snapshot["results"]["goal_id"].max()),
+                *self._undecided,
             )
             execution = Execution(max(known) + 1, plan, on_verdict)
             self._undecided[execution.goal_id] = execution
             self._streams[execution.goal_id] = Streamer(execution.goal_id, plan)
             writer.beat()
-            writer.announce(execution.goal_id)
             self._pump(self._link, int(snapshot["goal_id"]), float(snapshot["trajectory_clock_ns"]))
             return execution
 
@@ -310,6 +319,11 @@ class Serving:
         """Ask for a stop on the path; the verdict follows as for any other end."""
         with self._lock:
             if self._link is not None and execution.goal_id in self._undecided:
+                stream = self._streams.get(execution.goal_id)
+                if stream is not None and not stream.begun:
+                    execution.never_begun = True
+                    del self._streams[execution.goal_id]
+                    return
                 execution.cancel_wanted = True
                 self._send_cancel(self._link, execution)
 

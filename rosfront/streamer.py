@@ -12,6 +12,8 @@ from shm.client import CommandWriter
 from shm.errors import RingFull
 
 HORIZON_S = 2.5
+HELD_BACK_NS = 3_000_000_000
+"""A goal that starts later than this stays here until then, so that its knots do not stand before those of others."""
 KNOTS_A_CALL = 256  # bounds the time a call holds up its thread, about 2 ms
 
 
@@ -21,9 +23,17 @@ class Streamer:
     def __init__(self, goal_id: int, plan: GoalPlan) -> None:
         self.goal_id = goal_id
         self._plan = plan
-        self._begun = False
+        self.begun = False
         self._next = 0
         self.done = False
+
+    def is_held_back(self, now_ns: int) -> bool:
+        """Whether its start is so far ahead that nothing of it is written yet."""
+        return not self.begun and self._plan.start_ns > now_ns + HELD_BACK_NS
+
+    def due_ns(self, now_ns: int) -> int:
+        """Time along the trajectory at which it would be entered now."""
+        return max(now_ns - self._plan.start_ns, 0) if self._plan.start_ns else 0
 
     def pump(self, writer: CommandWriter, consumed: int, clock_ns: float) -> None:
         """Write what is due: up to `HORIZON_S` ahead of the trajectory clock (ns), as far as there is room.
@@ -33,7 +43,8 @@ class Streamer:
         plan = self._plan
         clock_ns = max(clock_ns, plan.entry_ns)  # one that is entered midway has not begun at zero
         try:
-            if not self._begun:
+            if not self.begun:
+                writer.announce(self.goal_id)
                 writer.begin(
                     self.goal_id,
                     start_ns=plan.start_ns,
@@ -43,7 +54,7 @@ class Streamer:
                     tolerances=plan.terms.path_tolerances,
                     consumed=consumed,
                 )
-                self._begun = True
+                self.begun = True
             due = int(np.searchsorted(plan.times_ns, clock_ns + HORIZON_S * NS, side="right")) + 1
             last = min(due, len(plan.times_ns), self._next + KNOTS_A_CALL)
             while self._next < last:

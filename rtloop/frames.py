@@ -6,6 +6,7 @@ from config.budget import frame_bits as frame_bits_of
 from rtloop import guard, service
 from rtloop import status as status_bits
 from rtloop.drives import zdt
+from rtloop.modes import is_limp
 from rtloop.state import FAMILY_MOCK, FAMILY_ZDT, SLCAN_LONGEST_LINE, TX_BYTES
 from rtloop.wire import slcan
 from shm.jit import jit
@@ -48,7 +49,8 @@ def mirror(loop: Loop, joint: int) -> None:
     axis.measured_velocity_rad_s = axis.reference_velocity_rad_s = axis.velocity_rad_s
     axis.measured_ns = loop.core.now_ns
     axis.readings += 1
-    axis.status = status_bits.ENABLED | status_bits.REACHED | status_bits.ANSWERED
+    enabled = 0 if is_limp(loop.core.mode) else status_bits.ENABLED
+    axis.status = enabled | status_bits.REACHED | status_bits.ANSWERED
 
 
 @jit

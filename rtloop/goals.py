@@ -6,9 +6,9 @@ from rtloop import guard, intake
 from rtloop.events import set_result
 from rtloop.modes import change_mode
 from rtloop.trajectory import (
+    asked_rate,
     due_s,
     end_s,
-    ends_moving,
     enter,
     entry_distance,
     goes_on_past_end,
@@ -37,6 +37,16 @@ def enter_newer_goal(loop: Loop, shared: Shared) -> None:
     core = loop.core
     if core.incoming_goal == 0 or core.rebase_ns != 0:
         return
+    if core.closing == 1:
+        refuse_incoming(loop, shared, Outcome.SHUTDOWN, -1, 0.0, 0.0)
+        return
+    if front_is_lost(loop):  # a goal that waits for its start must not outlive who sent it
+        age_s, limit_s = intake.front_age_ns(loop) * 1e-9, loop.params.front_timeout_ns * 1e-9
+        refuse_incoming(loop, shared, Outcome.FRONT_LOST, -1, age_s, limit_s)
+        return
+    if core.paused == 1 and loop.paths[core.incoming_path].stream == 1:
+        refuse_incoming(loop, shared, Outcome.REFUSED_HELD, -1, 0.0, 0.0)
+        return
     if not intake.incoming_is_ready(loop):
         if core.now_ns - core.incoming_ns > STARVED_FOR_NS:
             refuse_incoming(loop, shared, Outcome.STARVED, -1, 0.0, 0.0)
@@ -53,8 +63,8 @@ def enter_newer_goal(loop: Loop, shared: Shared) -> None:
         return  # a stop that was asked for is finished first
     if core.mode != Mode.HOLDING and core.mode != Mode.EXECUTING and core.mode != Mode.STOPPING:
         return
-    if core.speed_scale <= 0.0:
-        core.incoming_waits = 1  # paused altogether: nothing starts
+    if core.speed_scale <= 0.0 or core.paused == 1:
+        core.incoming_waits = 1  # held: nothing starts
         return
     if enter(loop, core.incoming_path, entry_s):
         start_incoming(loop, shared)
@@ -112,14 +122,18 @@ def finish_goal(loop: Loop, shared: Shared) -> None:
 
 
 @jit
+def front_is_lost(loop: Loop) -> bool:
+    return loop.params.command_address != 0 and intake.front_age_ns(loop) > loop.params.front_timeout_ns
+
+
+@jit
 def steer(loop: Loop, shared: Shared) -> None:
     """Decide how fast the trajectory clock should run, and begin stops that nobody asked for."""
     core = loop.core
     if core.goal_id == 0:
         return
-    front_lost = loop.params.command_address != 0 and intake.front_age_ns(loop) > loop.params.front_timeout_ns
     if core.ending == Outcome.NONE:
-        if front_lost:
+        if front_is_lost(loop):
             core.ending = Outcome.FRONT_LOST
             core.ending_value = intake.front_age_ns(loop) * 1e-9
             core.ending_limit = loop.params.front_timeout_ns * 1e-9
@@ -147,7 +161,7 @@ def steer(loop: Loop, shared: Shared) -> None:
     if stop:
         steer_rate(loop, 0.0)
     elif core.arriving == 0:
-        wanted = rate_while_blending(loop, core.speed_scale)
+        wanted = rate_while_blending(loop, asked_rate(loop, core.active))
         steer_rate(loop, rate_with_room_to_arrive(loop, wanted) if must_arrive else wanted)
     if must_arrive:
         slow_down_to_arrive(loop)
@@ -159,7 +173,8 @@ def has_run_dry(loop: Loop) -> bool:
     core = loop.core
     return (
         loop.paths[core.active].stream == 1
-        and ends_moving(loop, core.active)
+        and core.paused == 0
+        and loop.paths[core.active].ends_moving == 1
         and core.clock_s >= end_s(loop, core.active)
     )
 
@@ -228,6 +243,9 @@ def judge_goal(loop: Loop, shared: Shared) -> None:
 def judge_arrival(loop: Loop, shared: Shared) -> None:
     """Success once every joint was measured, at rest on the last point, inside its tolerances; patience ends."""
     core = loop.core
+    if core.paused == 1:
+        core.settle_ns += loop.params.period_ns  # the time to arrive does not run
+        return
     running = loop.paths[core.active]
     joint, ratio = worst_of_goal(loop, POSITION)
     fast_joint, fast_ratio = worst_of_goal(loop, VELOCITY)

@@ -14,7 +14,7 @@ from rtloop.faults import latch_fault
 from rtloop.guard import at_rest
 from rtloop.modes import change_mode, is_limp
 from rtloop.state import LOOP, WINDOW_KNOTS, offset_of
-from rtloop.trajectory import due_s, end_s, slot
+from rtloop.trajectory import due_s, end_s, leaves_a_joint_moving, slot
 from shm import layout
 from shm.atomics import load_acquire, store_release
 from shm.jit import jit
@@ -168,6 +168,7 @@ def _end_goal(loop: Loop, shared: Shared, path_index: int) -> None:
             return
         path.goal_tolerances[joint] = row
     path.ended = 1
+    path.ends_moving = 1 if leaves_a_joint_moving(loop, path_index) else 0
 
 
 @jit
@@ -206,7 +207,7 @@ def _refuse_knot(loop: Loop, shared: Shared, joint: int, value: float, limit: fl
     core = loop.core
     if loop.scratch.goal_id == core.incoming_goal:
         set_result(loop, shared, core.incoming_goal, Outcome.REFUSED_CORRUPT, joint, value, limit)
-        core.incoming_goal = 0
+        core.incoming_goal = core.incoming_waits = 0
     elif core.ending == Outcome.NONE:
         core.ending = Outcome.REFUSED_CORRUPT
         core.ending_joint, core.ending_value, core.ending_limit = joint, value, limit
@@ -238,7 +239,7 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
     path = loop.paths[core.incoming_path]
     path.goal_id = goal_id
     path.segment = 0
-    path.ended = 0
+    path.ended = path.ends_moving = 0
     path.start_ns = begin.start_ns
     path.joint_mask = begin.joint_mask
     path.goal_time_s = begin.goal_time_s
@@ -290,7 +291,7 @@ def incoming_is_ready(loop: Loop) -> bool:
     path = loop.paths[loop.core.incoming_path]
     if path.taken <= path.bridge:
         return False  # not one knot of its own
-    return path.ended == 1 or path.taken >= WINDOW_KNOTS // 2 or known_s(loop) >= COVER_S
+    return path.ended == 1 or path.taken >= WINDOW_KNOTS - 1 or known_s(loop) >= COVER_S
 
 
 # --- requests -----------------------------------------------------------------------------------------
@@ -352,6 +353,7 @@ def _obey(loop: Loop, shared: Shared) -> int:
         if not is_limp(core.mode):
             return Answer.DONE if core.mode == Mode.HOLDING or core.mode == Mode.EXECUTING else Answer.REFUSED_MODE
         core.bring_up_asked = 1
+        core.release_asked = 0
         return Answer.DONE
     if kind == Request.DISABLE or kind == Request.FREE:
         return _let_go(loop, shared, Mode.DISABLED if kind == Request.DISABLE else Mode.FREE)
@@ -374,10 +376,14 @@ def _let_go(loop: Loop, shared: Shared, mode: int) -> int:
         return Answer.DONE
     if core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING or core.incoming_goal != 0 or core.rebase_ns != 0:
         return Answer.REFUSED_MOVING
-    if core.bring_up_asked == 1 or not change_mode(loop, shared, mode):
+    if core.bring_up_asked == 1:
+        return Answer.REFUSED_MODE
+    limp_already = is_limp(core.mode)
+    if not change_mode(loop, shared, mode):
         return Answer.REFUSED_MODE
     core.motion_started = 0
-    core.release_asked = 1
+    if not limp_already:
+        core.release_asked = 1
     return Answer.DONE
 
 
@@ -395,7 +401,7 @@ def _end_goals(loop: Loop, shared: Shared, goal_id: int, outcome: int) -> int:
         core.incoming_waits = 0
         found = True
     if core.goal_id != 0 and (goal_id == 0 or goal_id == core.goal_id):
-        if core.ending == Outcome.NONE:
+        if core.ending == Outcome.NONE or core.ending == Outcome.RAN_DRY:
             core.ending = outcome
             core.ending_joint = -1
             core.ending_value = core.ending_limit = 0.0

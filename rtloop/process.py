@@ -21,6 +21,7 @@ from rtloop.wire.tty import close_slcan, open_slcan
 from shm import files
 from shm.atomics import store_release
 from shm.jit import jit
+from shm.words import Mode
 
 BUSY_POLL_S = 0.004
 IDLE_POLL_S = 0.05
@@ -165,7 +166,7 @@ class ControlProcess:
         next_epoch_s = time.monotonic()
         closing_until_s = 0.0
         while True:
-            time.sleep(BUSY_POLL_S if talk or closing_until_s else IDLE_POLL_S)
+            time.sleep(BUSY_POLL_S if talk or first or closing_until_s else IDLE_POLL_S)
             now_s = time.monotonic()
             if now_s >= next_epoch_s:
                 self._set_epoch()
@@ -175,15 +176,15 @@ class ControlProcess:
                     self._tell(str(talk.failure))
                     if first:
                         return 2
-                elif first:
-                    ready()
-                    first = False
                 talk = None
+            if first and int(self._core["mode"]) not in (Mode.OFFLINE, Mode.BRINGING_UP):
+                ready()
+                first = False
             if talk is None and int(self._core["bring_up_asked"]) == 1:
                 self._core["bring_up_asked"] = 0
                 talk = self._bring_up(clears_protection=True)
             elif talk is None and int(self._core["release_asked"]) == 1:
-                self._core["release_asked"] = 0
+                self._core["release_asked"] = 0  # taken back by the cycle when the drives are enabled meanwhile
                 talk = Release(self._arm, self._port, now_ns=time.monotonic_ns())
             if not self._threads[0].is_alive():
                 return 3

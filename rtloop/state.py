@@ -132,6 +132,7 @@ PATH = np.dtype(
         ("taken", "i8"),  # knots taken; the newest is at (taken - 1) % WINDOW_KNOTS
         ("segment", "i8"),  # knot at the start of the running segment
         ("ended", "i8"),
+        ("ends_moving", "i8"),  # 1: the last point, which is known, leaves a joint in motion
         ("torn", "i8"),  # knots are missing after the newest one
         ("start_ns", "i8"),
         ("joint_mask", "i8"),

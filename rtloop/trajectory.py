@@ -36,6 +36,7 @@ FADE_PERIODS = 3
 """A difference in acceleration fades within this time, at least so many periods."""
 ENTRY_RATES = (1.0, 0.5, 0.25)
 STOP_FRACTIONS = (0.04, 0.06, 0.08, 0.12, 0.16, 0.25, 0.33, 0.5, 0.7, 1.0)
+STOP_LENGTHENING = 1.6
 IMPOSSIBLE = 1e9
 NO_PATH = 100.0
 RESERVE_PERIODS = 3.0
@@ -97,9 +98,10 @@ def plan(loop: Loop, path_index: int, joint: int, clock_s: float, knot: int) -> 
     start = loop.knots[slot(path_index, knot)]
     a = start.joints[joint]
     start_s = start.time_ns * 1e-9
-    if knot >= loop.paths[path_index].taken - 1 and loop.paths[path_index].stream == 1 and clock_s >= start_s:
-        return straight_on(loop, a, clock_s - start_s)
     if knot >= loop.paths[path_index].taken - 1 or clock_s < start_s:
+        runs_on = loop.paths[path_index].stream == 1 and loop.paths[path_index].ends_moving == 1
+        if runs_on and clock_s >= start_s:
+            return straight_on(loop, a, clock_s - start_s)
         return a.position_rad, 0.0, 0.0
     end = loop.knots[slot(path_index, knot + 1)]
     b = end.joints[joint]
@@ -295,10 +297,10 @@ def must_brake_for_lack_of_path(loop: Loop, braking_already: bool) -> bool:
 
 
 @jit
-def ends_moving(loop: Loop, path_index: int) -> bool:
-    """Whether the last point of a path, which is known, leaves a joint in motion."""
+def leaves_a_joint_moving(loop: Loop, path_index: int) -> bool:
+    """Whether the newest knot of a path leaves a joint of its goal in motion."""
     path = loop.paths[path_index]
-    if path.ended == 0 or path.taken == 0:
+    if path.taken == 0:
         return False
     last = loop.knots[slot(path_index, path.taken - 1)]
     for joint in range(loop.params.joint_count):
@@ -311,7 +313,7 @@ def ends_moving(loop: Loop, path_index: int) -> bool:
 def goes_on_past_end(loop: Loop, path_index: int) -> bool:
     """Whether the clock may pass the last knot: the plan then stands there, or runs on straight as a stream's."""
     path = loop.paths[path_index]
-    return path.ended == 1 and (path.stream == 1 or not ends_moving(loop, path_index))
+    return path.ended == 1 and (path.stream == 1 or path.ends_moving == 0)
 
 
 @jit
@@ -447,6 +449,25 @@ def lay_blend(loop: Loop, path_index: int, rate: float, entry_s: float, duration
 
 
 @jit
+def stop_reach_s(loop: Loop, path_index: int) -> float:
+    """Path time beyond the end of a stream at which the arm stands if nothing newer comes; 0 for other goals.
+
+    A stop of duration T takes T / 2 of path time and pushes with 1.5 v / T at the most; the candidate that is taken is
+    up to STOP_LENGTHENING times the shortest possible.
+    """
+    path = loop.paths[path_index]
+    if path.stream == 0 or path.ends_moving == 0:
+        return 0.0
+    last = loop.knots[slot(path_index, path.taken - 1)]
+    shortest_s = 0.0
+    for joint in range(loop.params.joint_count):
+        if in_goal(loop, path_index, joint):
+            braking = loop.params.braking_factor * loop.joints[joint].max_acceleration_rad_s2
+            shortest_s = max(shortest_s, 1.5 * abs(last.joints[joint].velocity_rad_s) / braking)
+    return 0.5 * STOP_LENGTHENING * shortest_s + 2.0 * loop.params.period_ns * 1e-9
+
+
+@jit
 def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> float:
     """Largest ratio of velocity or acceleration to its limit from a path time to the blend's end; ≤ 1 keeps them."""
     entering = loop.paths[path_index]
@@ -456,12 +477,11 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
     known_s = end_s(loop, path_index)
     goes_on = goes_on_past_end(loop, path_index)
     bridged = has_bridge(loop, path_index, entering.entry_s)
+    stands_s = known_s + stop_reach_s(loop, path_index)
     for i in range(BLEND_SAMPLES + 1):
         clock_s = from_s + (until_s - from_s) * i / BLEND_SAMPLES
         if clock_s > known_s and not goes_on:
             return IMPOSSIBLE
-        # Past the end of a stream the arm will be stopping; the front has seen to it that there is room.
-        within = entering.stream == 0 or clock_s <= known_s
         knot = find_knot(loop, path_index, clock_s, knot)
         for joint in range(loop.params.joint_count):
             row = loop.joints[joint]
@@ -470,7 +490,9 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
             here = loop.axes[joint].position_rad  # a joint that was found outside may move in
             low = min(row.lower_rad - row.slack_rad, here)
             high = max(row.upper_rad + row.slack_rad, here)
-            if within and (p < low - BESIDE_RAD or p > high + BESIDE_RAD):
+            if clock_s > stands_s and in_goal(loop, path_index, joint):  # the arm will have stopped there
+                p += plan(loop, path_index, joint, stands_s, knot)[0] - plan(loop, path_index, joint, clock_s, knot)[0]
+            if p < low - BESIDE_RAD or p > high + BESIDE_RAD:
                 return IMPOSSIBLE
             fastest = SPEED_HEADROOM * loop.params.velocity_margin * row.max_velocity_rad_s
             if not bridged:
@@ -484,6 +506,14 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
 
 
 @jit
+def asked_rate(loop: Loop, path_index: int) -> float:
+    """The rate people asked for; a stream keeps its own time, which nothing but a factor of 0 stops."""
+    if loop.paths[path_index].stream == 1 and loop.core.speed_scale > 0.0:
+        return 1.0
+    return float(loop.core.speed_scale)
+
+
+@jit
 def enter(loop: Loop, path_index: int, entry_s: float) -> bool:
     """Find a bounded way from the commanded state onto a path and lay it; False when there is none.
 
@@ -493,7 +523,7 @@ def enter(loop: Loop, path_index: int, entry_s: float) -> bool:
     stands at `entry_s` and runs at a rate that may be lower than the wanted one, see `rate_while_blending`.
     """
     core = loop.core
-    wanted = max(core.speed_scale, SLOWEST_ENTRY)
+    wanted = max(asked_rate(loop, path_index), SLOWEST_ENTRY)
     if core.goal_id != 0:
         wanted = max(wanted, core.rate, SLOWEST_ENTRY_IN_MOTION)
     bridged = has_bridge(loop, path_index, entry_s)

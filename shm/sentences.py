@@ -102,6 +102,11 @@ OUTCOMES: dict[Outcome, Meaning] = {
         "A goal is begun only from a state in which the drives are known to follow.",
         "Wait until bring-up is over, clear the fault, or enable the drives.",
     ),
+    Outcome.REFUSED_HELD: Meaning(
+        "The arm is held, so nothing of a stream is taken: resume first.",
+        "Whoever holds the arm means it, and a stream does not know of it.",
+        "Call the service ~/resume, or cancel the goal that is held.",
+    ),
     Outcome.REFUSED_UNREFERENCED: Meaning(
         "{joint} has no reference, so its angle is not known and no goal is taken: see `rtarm status` for "
         "the reason and what to do about it.",

@@ -97,6 +97,7 @@ class Outcome(IntEnum):
     PATH_ACCELERATION = 19
     GOAL_VELOCITY = 20
     GOAL_ACCELERATION = 21
+    REFUSED_HELD = 22  # a stream while a person holds the arm
 
 
 class Fault(IntEnum):

@@ -94,8 +94,8 @@ def test_servo_streams_and_the_arm_stops_when_it_ends(stack):
     size, omega = 0.08, 2.0
 
     def way(t):
-        fade = min(t, 1.0)
-        rise = 1.0 if t < 1.0 else 0.0
+        x = min(t, 1.0)
+        fade, rise = x * x * (3 - 2 * x), 6 * x * (1 - x)
         shape, speed = 1 - math.cos(omega * t), omega * math.sin(omega * t)
         position = [angle - size * fade * shape for angle in START_RAD]
         return position, [-size * (fade * speed + rise * shape)] * 6

@@ -85,8 +85,8 @@ class FakeLoop(threading.Thread):
         s["epoch_ns"] = time.time_ns() - (time.monotonic_ns() - now_ns)
         self.state["counters"]["cycles"] += 1
         if self.taking:
+            self.take_requests()  # in the order of the real cycle
             self.take_setpoints()
-            self.take_requests()
         if self.up_at:
             self.bring_up()
         self.follow(now_ns)
@@ -125,10 +125,12 @@ class FakeLoop(threading.Thread):
         while self.requests < self.command["requests_written"][0]:
             request = self.command["requests"][self.requests % layout.REQUEST_SLOTS]
             self.requests += 1
-            self.asked.append((Request(int(request["kind"])), float(request["value"])))
+            kind, value = Request(int(request["kind"])), float(request["value"])
+            if kind != Request.CANCEL:  # a new front cancels whatever an old one left
+                self.asked.append((kind, value))
             answer = self.snapshot["answers"][self.requests % layout.ANSWER_SLOTS]
             answer["sequence"] = self.requests
-            answer["answer"] = self.obey(*self.asked[-1], int(request["goal_id"]))
+            answer["answer"] = self.obey(kind, value, int(request["goal_id"]))
 
     def obey(self, kind, value, goal_id):
         s, mode = self.snapshot, self.snapshot["mode"]
@@ -143,6 +145,7 @@ class FakeLoop(threading.Thread):
             if mode not in (Mode.HOLDING, *LIMP):
                 return Answer.REFUSED_MODE
             s["mode"] = limp[kind]
+            self.rows["drive_status"] &= ~int(DriveStatus.ENABLED)
         elif kind == Request.CLEAR_FAULT or (kind == Request.ENABLE and mode in LIMP):
             if kind == Request.CLEAR_FAULT and mode != Mode.FAULT:
                 return Answer.REFUSED_MODE
@@ -163,6 +166,7 @@ class FakeLoop(threading.Thread):
         if s["cycle"] >= self.up_at:
             self.up_at = 0
             s["mode"] = Mode.HOLDING
+            self.rows["drive_status"] |= int(DriveStatus.ENABLED)
             if self.bring_up_fails:
                 self.fault(Fault.BRING_UP, -1, 0.0, 0.0)
 

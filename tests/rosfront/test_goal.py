@@ -2,6 +2,7 @@
 
 import json
 import math
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -426,6 +427,21 @@ def test_a_stream_needs_room_to_stop():
     streamed(one_joint(point(0.01, [upper - 0.02], [-0.4])), at)
 
 
+def test_a_stream_is_judged_as_the_arm_will_run_on_past_it():
+    """A change of velocity between the last two points, a millisecond apart, is no standstill behind them."""
+    message = goal([point(0.0102, [0.0], [0.0]), point(0.0112, [-0.00013], [-0.27])], ["joint3"])
+    with pytest.raises(refusals.AccelerationBeyondLimit):
+        streamed(message)
+
+
+def test_a_stamp_long_past_is_refused_without_a_long_search():
+    message = goal([point(0.0, [1.0], [0.0]), point(2_000_000_000, [1.1], [0.0])], ["joint1"], NOW_S - 1_900_000_000)
+    begun = time.monotonic()
+    with pytest.raises(refusals.TooFar):
+        planned(message)
+    assert time.monotonic() - begun < 5.0
+
+
 @pytest.mark.parametrize(
     "message",
     [
@@ -565,8 +581,8 @@ def test_densified_times_rise_and_keep_the_given_knots(gaps_ns, factor):
     knots = np.arange(len(times), dtype=float)[:, np.newaxis, np.newaxis] * np.ones((1, 2, 3))
     dense_times, dense = densify(times, knots, factor)
     assert (np.diff(dense_times) > 0).all()
-    for time, value in zip(times, knots, strict=True):
-        assert (dense[dense_times.tolist().index(time)][:, :2] == value[:, :2]).all()
+    for at, value in zip(times, knots, strict=True):
+        assert (dense[dense_times.tolist().index(at)][:, :2] == value[:, :2]).all()
 
 
 @settings(max_examples=60, deadline=None)

@@ -1,12 +1,14 @@
 """Goals on their way to the control process and back, without ROS: a stand-in loop stepped by hand."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from fake_loop import FakeLoop
 
 from config.loader import load_arm
+from rosfront import serving
 from rosfront.link import attach
 from rosfront.plan import GoalPlan, Terms
 from rosfront.refusals import NotServing
@@ -196,7 +198,7 @@ def test_a_cancel_stops_the_goal(stage):
     assert (verdict.status, verdict.code) == (Status.CANCELED, 0)
     assert verdict.sentence.startswith("Canceled: the arm is at rest and has not left its path; joint1 is")
     stage.serving.cancel(execution)  # too late: nothing more is asked
-    assert stage.link.writer.memory.record["requests_written"][0] == 1
+    assert stage.link.writer.memory.record["requests_written"][0] == 2  # with the one at attaching
 
 
 def test_a_cancel_that_comes_before_its_goal_is_repeated(stage):
@@ -272,7 +274,7 @@ def test_a_lost_loop_ends_every_goal_once_and_asks_a_hung_one_to_stop(stage):
     stage.serving.lost("Gone again.")
     stage.look()
     assert len(stage.verdicts["a"]) == 1
-    assert stage.link.writer.memory.record["requests_written"][0] == 2
+    assert stage.link.writer.memory.record["requests_written"][0] == 3
     with pytest.raises(NotServing, match="Gone again"):
         stage.start("c", plan())
 
@@ -305,3 +307,39 @@ def test_the_files_of_a_dead_loop_are_not_attached_to(arm_name):
     with pytest.raises(NotRunning, match="is gone without an orderly end"):
         attach(arm)
     loop.sweep()
+
+
+# --- goals that start later ---
+
+
+def later(stage, ahead_s):
+    return replace(plan(), start_ns=stage.now_ns + round(ahead_s * 1e9))
+
+
+def test_a_goal_far_ahead_is_kept_back_until_it_is_nearly_due(stage, monkeypatch):
+    """Nothing of it stands in the ring before knots that are needed sooner."""
+    monkeypatch.setattr(serving.time, "monotonic_ns", lambda: stage.now_ns)
+    stage.start("later", later(stage, 5.0))
+    stage.step(100)
+    assert not stage.loop.records
+    stage.step(110)  # 2.9 s before its start
+    assert stage.loop.records[0] == (1, Setpoint.BEGIN)
+    stage.step(400)
+    assert stage.verdict("later").status is Status.SUCCEEDED
+
+
+def test_a_goal_kept_back_is_canceled_without_the_loop(stage):
+    execution = stage.start("later", later(stage, 3600.0))
+    stage.step(3)
+    stage.serving.cancel(execution)
+    stage.step()
+    assert stage.verdict("later").status is Status.CANCELED
+    assert "before it was begun" in stage.verdict("later").sentence and stage.serving.idle
+
+
+def test_a_goal_kept_back_is_replaced_by_a_newer_one(stage):
+    stage.start("later", later(stage, 3600.0))
+    stage.start("now", plan())
+    stage.step(80)
+    assert stage.verdict("now").status is Status.SUCCEEDED
+    assert (stage.verdict("later").status, stage.verdict("later").code) == (Status.ABORTED, -1)

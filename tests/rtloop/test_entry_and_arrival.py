@@ -286,3 +286,51 @@ def test_losing_power_while_limp_still_loses_the_reference(virtual_arm) -> None:
     arm.until(lambda: arm.core["fault"] != Fault.NONE, at_most_s=3.0)
     assert arm.core["fault"] in (Fault.REFERENCE_LOST, Fault.STALE_READING)
     assert math.isfinite(arm.loop[0]["axes"][3]["position_rad"])
+
+
+def test_enabling_at_once_takes_a_release_back(virtual_arm) -> None:
+    """free and enable before the conversation has begun: the drives are never let go afterwards."""
+    arm = virtual_arm()
+    assert ask(arm, Request.FREE) == Answer.DONE
+    assert ask(arm, Request.DISABLE) == Answer.DONE
+    assert ask(arm, Request.ENABLE) == Answer.DONE
+    assert (arm.core["release_asked"], arm.core["bring_up_asked"]) == (0, 1)
+    assert arm.bring_up().failure is None
+    assert arm.core["release_asked"] == 0 and all(drive.enabled for drive in arm.sim.drives)
+
+
+# --- goals that wait ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("comes_back", [True, False])
+def test_a_goal_that_waits_does_not_outlive_its_front(comes_back: bool) -> None:
+    arm = Watched()
+    joints = np.full((1, 6, 3), 0.0)
+    joints[:, :, 0] = 0.2
+    goal = arm.send_goal(np.array([10**9]), joints, bridge=True, start_ns=arm.now_ns + 2 * 10**9)
+    arm.cycles(20)
+    arm.front_alive = False
+    arm.cycles(100)
+    arm.front_alive = comes_back
+    arm.cycles(300)
+    assert arm.outcome(goal) == Outcome.FRONT_LOST
+    assert np.ptp(np.array(arm.positions), axis=0).max() == 0.0
+    arm.close()
+
+
+def test_held_means_held_for_a_newer_goal_too() -> None:
+    arm = Watched()
+    joints = np.zeros((1, 6, 3))
+    joints[:, :, 0] = 0.2
+    first = arm.send_goal(np.array([2 * 10**9]), joints, bridge=True)
+    arm.cycles(60)
+    arm.writer.request(Request.HOLD)
+    arm.cycles(100)
+    stood = arm.commanded()
+    newer = arm.send_goal(np.array([2 * 10**9]), joints * 0.5, bridge=True)
+    arm.cycles(200)
+    assert (arm.commanded() == stood).all()
+    arm.writer.request(Request.RESUME)
+    assert arm.finish(newer) == Outcome.SUCCEEDED and arm.outcome(first) == Outcome.REPLACED
+    assert arm.acceleration_ratio <= 1.9
+    arm.close()

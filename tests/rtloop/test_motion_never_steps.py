@@ -112,7 +112,9 @@ def test_whatever_is_asked_in_motion(name: str, begin: int, asked: list[tuple[in
     arm.until(lambda: arm.outcome(arm.newest) != Outcome.NONE, at_most_s=100)
     arm.cycles(5)
     assert arm.core["fault"] == Fault.NONE
-    assert arm.outcome(arm.newest) in (Outcome.SUCCEEDED, Outcome.CANCELED, Outcome.REFUSED_START)
+    # a goal whose time went by while the arm was held may be too far away, or too fast, by now
+    refused = (Outcome.REFUSED_START, Outcome.REFUSED_LIMITS)
+    assert arm.outcome(arm.newest) in (Outcome.SUCCEEDED, Outcome.CANCELED, *refused)
     acceleration, change = arm.ratios()
     assert acceleration <= ACCELERATION_RATIO
     assert change <= CHANGE_RATIO

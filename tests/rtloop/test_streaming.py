@@ -8,7 +8,7 @@ from motion_figures import accelerations, sampled_truth
 from servo import Servo, SinglePoints, waves
 from virtual import VirtualArm
 
-from shm.words import Fault, Mode, Outcome, Phase
+from shm.words import Fault, Mode, Outcome, Phase, Request
 
 trials = settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
@@ -162,4 +162,87 @@ def test_the_drives_truly_move_like_that(seed: int, seconds: float) -> None:
         assert np.abs(accelerations(position_rad)).max() <= 2.0 * config.max_acceleration_rad_s2
         end = arm.sim.true_position_rad(joint, arm.sim.now_ns - 1)
         assert abs(end - arm.positions[-1][joint]) <= config.command_pulse_rad + config.encoder_count_rad
+    arm.close()
+
+
+# --- people against streams -----------------------------------------------------------------------------
+
+
+def test_a_hold_stops_a_stream_and_what_comes_meanwhile_is_refused() -> None:
+    arm = Recorded()
+    servo = Servo(arm, waves(arm, 0.5, 7), 100.0)
+    servo.run(1.0)
+    arm.writer.request(Request.HOLD)
+    servo.run(1.0)
+    assert arm.core["paused"] == 1 and not arm.loop[0]["axes"]["velocity_rad_s"].any()
+    stood = arm.positions[-1]
+    servo.run(0.5)
+    assert (arm.positions[-1] == stood).all()
+    assert arm.outcome(servo.sent - 1) == Outcome.REFUSED_HELD
+    assert arm.acceleration_ratio() <= 1.9
+    arm.close()
+
+
+@pytest.mark.parametrize("dry_cycles", [0, 14])
+def test_a_stop_ends_a_stream_even_while_it_runs_dry(dry_cycles: int) -> None:
+    arm = Recorded()
+    servo = Servo(arm, waves(arm, 0.6, 8), 100.0)
+    servo.run(1.2)
+    arm.cycles(dry_cycles)
+    running = int(arm.core["goal_id"])
+    arm.writer.request(Request.STOP)
+    arm.cycle()
+    servo.due_ns = arm.now_ns
+    servo.run(0.1)  # its messages wait until the arm stands
+    assert arm.core["mode"] in (Mode.STOPPING, Mode.HOLDING) and arm.core["goal_id"] in (running, 0)
+    arm.until(lambda: arm.outcome(running) != Outcome.NONE)
+    assert arm.outcome(running) == Outcome.STOPPED
+    assert arm.acceleration_ratio() <= 1.9
+    arm.close()
+
+
+@pytest.mark.parametrize("scale", [0.05, 0.5])
+def test_a_speed_scale_leaves_a_stream_its_own_time(scale: float) -> None:
+    """A stream says where to be when; only a factor of 0 stops it."""
+    arm = Recorded()
+    arm.writer.request(Request.SPEED_SCALE, value=scale)
+    way = waves(arm, 0.5, 9)
+    servo = Servo(arm, way, 100.0)
+    servo.run(3.0)
+    assert arm.error_to(way, servo.begun_ns, 0.1, first=100) < 0.003
+    arm.writer.request(Request.SPEED_SCALE, value=0.0)
+    servo.run(1.0)
+    assert not arm.loop[0]["axes"]["velocity_rad_s"].any() and arm.core["fault"] == Fault.NONE
+    arm.close()
+
+
+def test_a_last_point_at_rest_with_an_acceleration_is_the_end() -> None:
+    """Nothing is added to a stream that says it ends: the arm stands at its last point."""
+    arm = Recorded()
+    rows = np.zeros((2, 6, 3))
+    rows[1, :, 0] = 0.01
+    rows[1, :, 2] = -1.0
+    goal = arm.send_goal(np.array([0, 400_000_000]), rows, order=5, stream=True)
+    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    assert np.array(arm.positions).max() <= 0.0105 and arm.positions[-1] == pytest.approx([0.01] * 6)
+    arm.close()
+
+
+def test_a_stream_for_one_joint_stops_the_others_inside_their_limits() -> None:
+    """joint5 is on its way to a stop just before its limit when a message for joint1 alone takes over."""
+    arm = Recorded()
+    upper = arm.arm.joints[4].upper_rad
+    times = np.array([0, 700_000_000, 1_000_000_000])
+    joints = np.zeros((3, 6, 3))
+    joints[:, 4, 0] = [0.0, upper - 0.3, upper - 0.002]
+    joints[:, 4, 1] = [0.0, 2.4, 0.0]
+    first = arm.send_goal(times, joints, order=3)
+    arm.cycles(80)
+    alone = np.zeros((1, 6, 3))
+    alone[0, 0] = [0.0, 0.05, 0.0]
+    arm.send_goal(np.array([10_000_000]), alone, order=3, stream=True, bridge=True, joint_mask=1)
+    arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=5.0)
+    assert arm.core["fault"] == Fault.NONE and arm.outcome(first) != Outcome.FAULT
+    assert np.array(arm.positions)[:, 4].max() <= upper + 1e-3
     arm.close()

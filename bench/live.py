@@ -1,0 +1,139 @@
+"""What the benchmarks with real processes share: an arm of their own, its clients, and what the kernel knows of it."""
+
+from __future__ import annotations
+
+import os
+import random
+import secrets
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+# Before rclpy is imported: this run's ROS traffic stays on this machine and apart from others'.
+os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(1, 102))
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+import numpy as np
+import yaml
+from builtin_interfaces.msg import Duration
+from control_msgs.action import FollowJointTrajectory
+from ros_client import Client, until
+from stack import Process, Stack
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from config.loader import ARMS_FOLDER
+from shm.client import StateReader
+from shm.files import DIRECTORY, open_state
+from shm.words import Mode
+
+NAMES = [f"joint{i}" for i in range(1, 7)]
+START_DEG = [17.0, 12.0, -6.0, 57.0, 29.0, 115.0]
+NS = 1_000_000_000
+TICKS_A_SECOND = os.sysconf("SC_CLK_TCK")
+
+
+class LiveStack(Stack):
+    """The processes of episode1 behind a simulated adapter that keeps the motion commands, or of a mock arm."""
+
+    def __init__(self, folder: Path, *, mock_hz: float | None = None) -> None:
+        """`mock_hz`: the control rate of a mock arm, None for episode1."""
+        super().__init__(f"b{secrets.token_hex(4)}", folder, start_deg=START_DEG)
+        self.commands_file = folder / "commands.npy"
+        self.mock = mock_hz is not None
+        if self.mock:
+            values = yaml.safe_load((ARMS_FOLDER / "mock.yaml").read_text(encoding="utf-8"))
+            values["name"] = self.name
+            values["control"]["rate_hz"] = mock_hz
+            values.setdefault("front", {})["controller_name"] = f"controller_{self.name}"
+            self.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
+
+    def start_sim(self, *options: str) -> Process:
+        start = "--start-deg=" + ",".join(map(str, START_DEG))
+        arm = ("--arm", str(self.arm_file), "--link", str(self.link), start)
+        self.sim = self._keep(Process("bench.tapped_sim", str(self.commands_file), *arm, *options))
+        self.sim.line_with("ready")
+        return self.sim
+
+    def commands(self) -> np.ndarray:
+        """What the simulated adapter has read, (n, 3): CLOCK_MONOTONIC ns, address, target in pulses; ends it."""
+        self.loop.close()
+        self.sim.close()
+        return np.load(self.commands_file)
+
+
+class Quiet(Client):
+    """A client that does not listen to /joint_states, which would cost its interpreter more than the rest."""
+
+    def __init__(self, controller: str) -> None:
+        super().__init__(controller)
+        for subscription in list(self.node.subscriptions):
+            self.node.destroy_subscription(subscription)
+
+
+@contextmanager
+def live(folder: Path, *, mock_hz: float | None = None, front: bool = True) -> Iterator[LiveStack]:
+    """An arm that holds, its `reader`, and with `front` a `client`; fails when it leaves a memory file."""
+    stack = LiveStack(folder, mock_hz=mock_hz)
+    closers = [stack.close]
+    try:
+        if not stack.mock:
+            stack.start_sim()
+        stack.start_loop()
+        stack.reader = StateReader(open_state(stack.name))
+        closers.append(stack.reader.close)
+        until(lambda: stack.reader.snapshot()["mode"] == Mode.HOLDING, "holding")
+        if front:
+            stack.start_front()
+            stack.client = Quiet(f"controller_{stack.name}")
+            closers.append(stack.client.close)
+        yield stack
+    finally:
+        for close in reversed(closers):
+            close()
+    assert not list(DIRECTORY.glob(f"rtarm.{stack.name}.*"))
+
+
+def commanded_rad(stack: LiveStack) -> np.ndarray:
+    """Where the arm is commanded to be, (joints,)."""
+    return stack.reader.snapshot()["joints"]["commanded_position_rad"][:6].copy()
+
+
+def point(time_s: float, positions: Sequence[float], velocities: Sequence[float] = ()) -> JointTrajectoryPoint:
+    sec, nanosec = divmod(round(time_s * NS), NS)
+    return JointTrajectoryPoint(
+        positions=list(positions), velocities=list(velocities), time_from_start=Duration(sec=sec, nanosec=nanosec)
+    )
+
+
+def goal_to(positions: Sequence[float], seconds: float) -> Any:
+    """A goal of one point, reached in so many seconds from where the arm is."""
+    goal = FollowJointTrajectory.Goal()
+    goal.trajectory.joint_names = NAMES
+    goal.trajectory.points = [point(seconds, positions)]
+    return goal
+
+
+class Usage:
+    """What a process holds and has used, as the kernel tells it."""
+
+    def __init__(self, process: Process) -> None:
+        pid = process.process.pid
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+        words = {name: value.split() for name, value in (line.split(":", 1) for line in lines)}
+        self.resident_kb = int(words["VmRSS"][0])
+        self.peak_kb = int(words["VmHWM"][0])
+        self.threads = int(words["Threads"][0])
+        self.files = len(os.listdir(f"/proc/{pid}/fd"))
+        times = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        self.processor_s = (int(times[11]) + int(times[12])) / TICKS_A_SECOND
+
+
+def percentiles(values: Sequence[float], *wanted: float) -> dict[str, float]:
+    """Percentiles by name, and the largest value."""
+    found = {f"p{p:g}": float(np.percentile(values, p)) for p in wanted}
+    return {**found, "max": float(np.max(values))}
+
+
+def in_words(figures: dict[str, float], digits: int = 1) -> str:
+    return ", ".join(f"{name} {value:.{digits}f}" for name, value in figures.items())
