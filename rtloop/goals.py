@@ -37,28 +37,15 @@ def enter_newer_goal(loop: Loop, shared: Shared) -> None:
     core = loop.core
     if core.incoming_goal == 0 or core.rebase_ns != 0:
         return
-    if core.closing == 1:
-        refuse_incoming(loop, shared, Outcome.SHUTDOWN, -1, 0.0, 0.0)
+    outcome, value, limit = why_not_to_wait(loop)
+    if outcome != Outcome.NONE:
+        refuse_incoming(loop, shared, outcome, -1, value, limit)
         return
-    if front_is_lost(loop):  # a goal that waits for its start must not outlive who sent it
-        age_s, limit_s = intake.front_age_ns(loop) * 1e-9, loop.params.front_timeout_ns * 1e-9
-        refuse_incoming(loop, shared, Outcome.FRONT_LOST, -1, age_s, limit_s)
-        return
-    if core.paused == 1 and loop.paths[core.incoming_path].stream == 1:
-        refuse_incoming(loop, shared, Outcome.REFUSED_HELD, -1, 0.0, 0.0)
-        return
-    if not intake.incoming_is_ready(loop):
-        if core.now_ns - core.incoming_ns > STARVED_FOR_NS:
-            refuse_incoming(loop, shared, Outcome.STARVED, -1, 0.0, 0.0)
-        return
-    if loop.paths[core.incoming_path].start_ns > core.now_ns:
+    if not intake.incoming_is_ready(loop) or loop.paths[core.incoming_path].start_ns > core.now_ns:
         return  # what runs may run until then
     entry_s = due_s(loop, core.incoming_path)
-    if not has_bridge(loop, core.incoming_path, entry_s):
-        joint, distance = entry_distance(loop, core.incoming_path, entry_s)
-        if distance > loop.params.start_tolerance_rad:
-            refuse_incoming(loop, shared, Outcome.REFUSED_START, joint, distance, loop.params.start_tolerance_rad)
-            return
+    if not has_bridge(loop, core.incoming_path, entry_s) and refused_as_too_far(loop, shared, entry_s):
+        return
     if core.mode == Mode.STOPPING and not guard.at_rest(loop):
         return  # a stop that was asked for is finished first
     if core.mode != Mode.HOLDING and core.mode != Mode.EXECUTING and core.mode != Mode.STOPPING:
@@ -69,15 +56,39 @@ def enter_newer_goal(loop: Loop, shared: Shared) -> None:
     if enter(loop, core.incoming_path, entry_s):
         start_incoming(loop, shared)
         return
-    if loop.paths[core.incoming_path].stream == 1:  # its run-up lies where the arm should be: is that too far away?
-        joint, distance = entry_distance(loop, core.incoming_path, entry_s)
-        if distance > loop.params.start_tolerance_rad:
-            refuse_incoming(loop, shared, Outcome.REFUSED_START, joint, distance, loop.params.start_tolerance_rad)
-            return
+    # the run-up of a stream lies where the arm should be
+    if loop.paths[core.incoming_path].stream == 1 and refused_as_too_far(loop, shared, entry_s):
+        return
     if guard.at_rest(loop):
         refuse_incoming(loop, shared, Outcome.REFUSED_LIMITS, -1, 0.0, 0.0)
     else:
         core.incoming_waits = 1
+
+
+@jit
+def why_not_to_wait(loop: Loop) -> tuple[int, float, float]:
+    """Outcome, value and limit of a newer goal for which there is no point in waiting any more; NONE otherwise."""
+    core = loop.core
+    if core.closing == 1:
+        return Outcome.SHUTDOWN, 0.0, 0.0
+    if front_is_lost(loop):  # a goal that waits for its start must not outlive who sent it
+        return Outcome.FRONT_LOST, intake.front_age_ns(loop) * 1e-9, loop.params.front_timeout_ns * 1e-9
+    if core.paused == 1 and loop.paths[core.incoming_path].stream == 1:
+        return Outcome.REFUSED_HELD, 0.0, 0.0
+    if not intake.incoming_is_ready(loop) and core.now_ns - core.incoming_ns > STARVED_FOR_NS:
+        return Outcome.STARVED, 0.0, 0.0
+    return Outcome.NONE, 0.0, 0.0
+
+
+@jit
+def refused_as_too_far(loop: Loop, shared: Shared, entry_s: float) -> bool:
+    """Refuse the newer goal if the place where it would be entered is not where the arm is."""
+    joint, distance = entry_distance(loop, loop.core.incoming_path, entry_s)
+    tolerance = loop.params.start_tolerance_rad
+    if distance <= tolerance:
+        return False
+    refuse_incoming(loop, shared, Outcome.REFUSED_START, joint, distance, tolerance)
+    return True
 
 
 @jit

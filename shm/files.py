@@ -250,11 +250,11 @@ def create(identity: Identity) -> LoopFiles:
     command = None
     try:
         command = _build_aside(command_path(identity.arm), layout.COMMAND, identity)
-        fcntl.flock(command.fd, fcntl.LOCK_UN)  # that lock is the front's
         _put_in_place(state, state_path(identity.arm), keep_previous=True)
         path = command_path(identity.arm)
         os.replace(command.path, path)  # the state file's lock already settled who owns the arm
         command.path = path
+        fcntl.flock(command.fd, fcntl.LOCK_UN)  # held so far, or it would be removed as abandoned
     except BaseException:
         for memory in (state, command):
             if memory is not None:
