@@ -519,8 +519,8 @@ def enter(loop: Loop, path_index: int, entry_s: float) -> bool:
 
     The first rate to be tried is the wanted one, or the higher one of a clock that is just slowing down: a blend made
     for a rate far below that of the motion would carry that motion on for ever. Slower ones follow, and longer blends
-    after short ones. On success the path's clock
-    stands at `entry_s` and runs at a rate that may be lower than the wanted one, see `rate_while_blending`.
+    after short ones. On success the path's clock stands at `entry_s` and runs at a rate that may differ from the
+    wanted one for as long as the blend lasts, see `rate_while_blending`.
     """
     core = loop.core
     wanted = max(asked_rate(loop, path_index), SLOWEST_ENTRY)
