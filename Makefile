@@ -4,9 +4,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMPS := $(VENV)/stamps
+ROS_SETUP := /opt/ros/jazzy/setup.bash
 INTERFACES := $(shell find rosfront/interfaces -type f -not -name '*.pyc')
 COMPILED := $(shell find motion shm rtloop -name '*.py')
-SOURCES := config motion shm rtloop rosfront sim rtarm bench tests
+SOURCES := config motion shm rtloop rosfront sim rtarm ros bench tests
 
 # Set by the ROS wheels inside a Python of theirs: an inherited one would make ours skip its library path.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
@@ -27,7 +28,7 @@ env: $(STAMPS)/warm
 demo: env
 	$(BIN)/rtarm demo
 
-test: env
+test: env $(STAMPS)/colcon
 	$(BIN)/python -m pytest
 
 check: $(STAMPS)/interfaces
@@ -54,12 +55,20 @@ $(STAMPS)/venv:
 $(STAMPS)/packages: pyproject.toml constraints.txt $(STAMPS)/venv
 	@echo 'installing the packages into $(VENV), about a minute the first time …'
 	@$(BIN)/pip install --quiet --constraint constraints.txt 'setuptools>=77'
-	@extras=dev,ros; if [ -n "$$ROS_DISTRO" ] && $(PYTHON) -c 'import rclpy' 2>/dev/null; then extras=dev; fi; \
+	@extras=dev,ros; if [ -n "$$ROS_DISTRO" ] && $(PYTHON) -c 'import rclpy' 2>/dev/null; then extras=dev; \
+	elif [ -e $(ROS_SETUP) ]; then \
+	  echo "ROS 2 comes from wheels, though $(ROS_SETUP) is here but not sourced: to use that one, source it and run make clean env"; fi; \
 	$(BIN)/pip install --quiet --constraint constraints.txt --use-pep517 --no-build-isolation --editable ".[$$extras]"
 	@touch $@
 
 $(STAMPS)/interfaces: $(INTERFACES) $(STAMPS)/packages
 	@$(BIN)/python -m rosfront.interfaces.build
+	@touch $@
+
+# colcon builds the ROS packages in a test.
+$(STAMPS)/colcon: ros/colcon.txt $(STAMPS)/venv
+	@$(PYTHON) -m venv $(VENV)/colcon
+	@$(VENV)/colcon/bin/pip install --quiet --requirement ros/colcon.txt
 	@touch $@
 
 # Compiles the control cycle into numba's cache, so that neither the demo nor a test waits for the compiler.

@@ -53,6 +53,9 @@ ENCODER_COUNTS_PER_REVOLUTION = 65_536
 FULL_STEPS_PER_REVOLUTION = 200
 """Steps a revolution of a 1.8° motor; a command pulse is one microstep of these."""
 
+FIXED_JOINTS = ("virtual_joint", "flange_joint")
+"""Joints that the generated robot model has besides the arm's own."""
+
 LOWEST_JOINT_STATES_HZ = 50.0
 """MoveIt asks for joint states at 50 Hz or more."""
 
@@ -444,6 +447,92 @@ class RealtimeConfig(_Section):
     )
 
 
+class DhRow(_Section):
+    """One joint of the arm's geometry: a row of its standard Denavit–Hartenberg table."""
+
+    d_mm: float = Field(default=0.0, ge=-10_000, le=10_000, description="Way along the joint's own axis (mm).")
+    a_mm: float = Field(
+        default=0.0, ge=-10_000, le=10_000, description="Way across, from the joint's axis to the next one (mm)."
+    )
+    alpha_deg: float = Field(
+        default=0.0, ge=-360, le=360, description="Twist from the joint's axis to the next one (degrees)."
+    )
+    sign: Annotated[Literal[1, -1], _NoBool] = Field(
+        default=1, description="1 when a positive joint angle turns positively about the axis of the table, else -1."
+    )
+    offset_deg: float = Field(
+        default=0.0,
+        ge=-360,
+        le=360,
+        description="Angle of the table at joint angle 0 (degrees): table = sign * joint + offset_deg.",
+    )
+    radius_mm: float = Field(
+        default=30.0,
+        gt=0,
+        le=1_000,
+        description="Radius of the simple shapes that stand for the link behind this joint (mm); the first row's is "
+        "also that of the base.",
+    )
+
+    @property
+    def d_m(self) -> float:
+        """Way along the joint's own axis (m)."""
+        return self.d_mm / 1000.0
+
+    @property
+    def a_m(self) -> float:
+        """Way across to the next axis (m)."""
+        return self.a_mm / 1000.0
+
+    @property
+    def alpha_rad(self) -> float:
+        """Twist to the next axis (rad)."""
+        return math.radians(self.alpha_deg)
+
+    @property
+    def offset_rad(self) -> float:
+        """Angle of the table at joint angle 0 (rad)."""
+        return math.radians(self.offset_deg)
+
+    @property
+    def radius_m(self) -> float:
+        """Radius of the link's simple shapes (m)."""
+        return self.radius_mm / 1000.0
+
+
+class KinematicsConfig(_Section):
+    """The arm's geometry, from which its MoveIt configuration is generated."""
+
+    base_link: str = Field(
+        default="base_link",
+        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$",
+        description="Root link of the robot model: a letter, then letters, digits and _.",
+    )
+    group: str = Field(
+        default="arm",
+        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$",
+        description="MoveIt's planning group: a letter, then letters, digits and _.",
+    )
+    dh: list[DhRow] = Field(
+        min_length=1, max_length=32, description="The standard Denavit–Hartenberg table, one row a joint."
+    )
+
+    @model_validator(mode="after")
+    def _base_has_a_name_of_its_own(self) -> KinematicsConfig:
+        if self.base_link in {"world", "flange", *self.link_names}:
+            raise refuse(
+                "base_link",
+                f"base_link is {self.base_link}, but world, flange and link1 to link{len(self.dh)} are names of other "
+                "frames; choose another, such as base_link.",
+            )
+        return self
+
+    @property
+    def link_names(self) -> list[str]:
+        """The moving links, in the order of the joints."""
+        return [f"link{number}" for number in range(1, len(self.dh) + 1)]
+
+
 @dataclass(frozen=True)
 class Source:
     """Where an arm was read from, so that later checks can still name the line."""
@@ -477,6 +566,9 @@ class ArmConfig(_Section):
     )
     front: FrontConfig = Field(default_factory=FrontConfig, description="The ROS process.")
     realtime: RealtimeConfig = Field(default_factory=RealtimeConfig, description="Scheduling of the control process.")
+    kinematics: KinematicsConfig | None = Field(
+        default=None, description="The arm's geometry; only `rtarm moveit-config` needs it."
+    )
 
     _source: Source | None = PrivateAttr(default=None)
 
@@ -546,6 +638,25 @@ class ArmConfig(_Section):
                     f"max_acceleration_rad_s2 of {joint.name} is {limit:g}, for which a ZDT drive with ratio "
                     f"{joint.ratio:g} has no ramp that brakes at 1.5 to 2 times that limit when it hears "
                     f"nothing more; the nearest limit that has one is {nearest:.4g}.",
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _kinematics_fit_the_joints(self) -> ArmConfig:
+        if self.kinematics is None:
+            return self
+        if len(self.kinematics.dh) != len(self.joints):
+            raise refuse(
+                "kinematics.dh",
+                f"dh has {len(self.kinematics.dh)} rows, but the arm has {len(self.joints)} joints; give one row a "
+                "joint, in the same order.",
+            )
+        for index, joint in enumerate(self.joints):
+            if joint.name in FIXED_JOINTS:
+                raise refuse(
+                    f"joints[{index}].name",
+                    f"name of joints[{index}] is {joint.name}, which the robot model calls a fixed joint of its own; "
+                    "choose another, or remove the section kinematics.",
                 )
         return self
 

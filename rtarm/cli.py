@@ -228,6 +228,28 @@ def config_check(arm: ArmArgument) -> None:
         check_budget(loaded)
 
 
+@app.command("moveit-config")
+def moveit_config(
+    arm: ArmArgument,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Existing folder, such as src of a colcon workspace.")
+    ],
+    force: Annotated[bool, typer.Option("--force", help="Also replace generated files that you changed.")] = False,
+) -> None:
+    """Generate the MoveIt configuration package of an arm, or bring the one that is there up to date.
+
+    Writes DIR/<arm>_moveit_config: robot model, collision pairs, limits, controllers, launch files. Files of your own
+    in it stay as they are, and so do generated ones that you changed: then nothing is written, unless with --force.
+
+    Example: [bold]rtarm moveit-config ./my_arm.yaml -o ~/ros2_ws/src[/bold]
+    """
+    with _sentences():
+        from config.loader import load_arm
+        from config.moveit import write_package
+
+        typer.echo(str(write_package(load_arm(arm), output, force=force)))
+
+
 def _overrides(options: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """The options that were given, as overrides of the arm file."""
     given = {

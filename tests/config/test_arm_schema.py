@@ -17,8 +17,10 @@ from config.schema import (
     ArmConfig,
     BusConfig,
     ControlConfig,
+    DhRow,
     FrontConfig,
     JointConfig,
+    KinematicsConfig,
     LimitsConfig,
     MockDrive,
     RealtimeConfig,
@@ -37,8 +39,8 @@ EPISODE1 = [
 ]
 
 SECTIONS: list[type[BaseModel]] = [
-    ArmConfig, BusConfig, ControlConfig, FrontConfig, JointConfig, LimitsConfig, MockDrive, RealtimeConfig,
-    TrajectoryConfig, ZdtDrive,
+    ArmConfig, BusConfig, ControlConfig, DhRow, FrontConfig, JointConfig, KinematicsConfig, LimitsConfig, MockDrive,
+    RealtimeConfig, TrajectoryConfig, ZdtDrive,
 ]  # fmt: skip
 
 
@@ -147,6 +149,7 @@ def test_every_field_says_what_it_means_and_numbers_say_their_unit() -> None:
             assert field.description, f"{model.__name__}.{name}"
     units = {
         "_hz": "(Hz)",
+        "_mm": "(mm)",
         "_rad": "(rad)",
         "_deg": "(degrees",
         "_s": "(s)",

@@ -14,7 +14,7 @@ from typer.testing import Result
 from rtarm import launcher
 from rtarm.errors import MEANINGS, ExitCode
 
-COMMANDS = [("up",), ("demo",), ("status",), ("stop",), ("clear-fault",), ("config", "check")]
+COMMANDS = [("up",), ("demo",), ("status",), ("stop",), ("clear-fault",), ("config", "check"), ("moveit-config",)]
 
 Rtarm = Callable[..., Result]
 

@@ -1,0 +1,55 @@
+"""`rtarm moveit-config`: the package where it is wanted, or a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import Result
+
+Rtarm = Callable[..., Result]
+
+
+def test_an_own_arm_gets_its_package(arm_name: str, arm_file: Path, tmp_path: Path, rtarm: Rtarm) -> None:
+    result = rtarm("moveit-config", str(arm_file), "-o", str(tmp_path))
+    folder = tmp_path / f"{arm_name}_moveit_config"
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.stdout.startswith(f"{folder}: ") and result.stdout.endswith(" files written, 0 as they were.\n")
+    assert (folder / "config" / f"{arm_name}.srdf").exists()
+    again = rtarm("moveit-config", str(arm_file), "--output", str(tmp_path))
+    assert again.stdout.startswith(f"{folder}: 0 files written, ")
+
+
+def test_force_is_what_the_refusal_says(arm_file: Path, arm_name: str, tmp_path: Path, rtarm: Rtarm) -> None:
+    rtarm("moveit-config", str(arm_file), "-o", str(tmp_path))
+    (tmp_path / f"{arm_name}_moveit_config" / "package.xml").write_text("mine", encoding="utf-8")
+    refused = rtarm("moveit-config", str(arm_file), "-o", str(tmp_path))
+    assert (refused.exit_code, refused.stdout) == (1, "")
+    assert "changed by hand" in refused.stderr and "--force" in refused.stderr
+    forced = rtarm("moveit-config", str(arm_file), "-o", str(tmp_path), "--force")
+    assert (forced.exit_code, forced.stdout.split(": ")[1].split(",")[0]) == (0, "1 files written")
+
+
+@pytest.mark.parametrize(
+    ("arm", "folder", "said"),
+    [
+        ("mock", ".", "mock has no section kinematics, which the robot model is made of; add it"),
+        ("episode1", "nowhere", "nowhere does not exist; name an existing folder"),
+        ("nobody", ".", "no arm is called 'nobody'"),
+    ],
+)
+def test_a_refusal_is_a_sentence(arm: str, folder: str, said: str, rtarm: Rtarm, tmp_path: Path) -> None:
+    result = rtarm("moveit-config", arm, "-o", str(tmp_path / folder))
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert said in result.stderr and len(result.stderr.splitlines()) == 1
+
+
+def test_help_has_an_example(rtarm: Rtarm) -> None:
+    assert "Example: rtarm moveit-config ./my_arm.yaml -o" in " ".join(rtarm("moveit-config", "--help").stdout.split())
+
+
+def test_a_folder_must_be_named(rtarm: Rtarm) -> None:
+    result = rtarm("moveit-config", "episode1")
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "--output" in result.stderr
