@@ -1,4 +1,4 @@
-"""How far a trajectory goes between its knots: hulls, exact extremes, and samples at the cycle rate.
+"""How far a trajectory goes between its knots: hulls, exact extremes, and how much it changes within a window of time.
 
 Segments are the coefficients of `motion.segment`, stacked along the first axis: (6, …), with durations that
 broadcast against the rest. A hull is cheap and never too narrow, so it decides most segments; the exact
@@ -53,11 +53,17 @@ def _turning_points(unit: np.ndarray) -> np.ndarray:
     which the derivative is monotone itself: so down to the linear one, and up again by bisection. Where an
     interval holds no zero its upper end is returned, which does no harm.
     """
+    while len(unit) > 2 and not unit[-1].any():
+        unit = unit[:-1]
     ends = np.zeros((2, *unit.shape[1:]))
     ends[1] = 1.0
     if len(unit) <= 2:
         return ends
     slope = derivative(unit)
+    if len(slope) == 2:
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            zero = -slope[0] / slope[1]
+        return np.stack([ends[0], np.where((zero > 0.0) & (zero < 1.0), zero, 1.0), ends[1]])
     between = _turning_points(slope)
     low, high = between[:-1], between[1:]
     at_low = value(slope[:, np.newaxis], low)
@@ -72,31 +78,49 @@ def _turning_points(unit: np.ndarray) -> np.ndarray:
 
 def extremes(coefficients: np.ndarray, duration_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Exact lowest value and its time, highest value and its time, of every polynomial on [0, duration]."""
-    duration_s = np.broadcast_to(np.asarray(duration_s, dtype=float), coefficients.shape[1:])
-    unit = _on_unit_interval(coefficients, duration_s)
-    candidates = _turning_points(unit)
-    values = value(unit[:, np.newaxis], candidates)
+    times_s, values = turning_points(coefficients, duration_s)
     lowest, highest = values.argmin(axis=0)[np.newaxis], values.argmax(axis=0)[np.newaxis]
     return (
         np.take_along_axis(values, lowest, axis=0)[0],
-        np.take_along_axis(candidates, lowest, axis=0)[0] * duration_s,
+        np.take_along_axis(times_s, lowest, axis=0)[0],
         np.take_along_axis(values, highest, axis=0)[0],
-        np.take_along_axis(candidates, highest, axis=0)[0] * duration_s,
+        np.take_along_axis(times_s, highest, axis=0)[0],
     )
 
 
-def cycle_differences(
-    positions_rad: np.ndarray, velocities_rad_s: np.ndarray, period_s: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity and acceleration as a drive that is told a setpoint a cycle gets to see them.
+def turning_points(coefficients: np.ndarray, duration_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times on [0, duration], rising along the first axis, and the values there: all the local extremes, both ends."""
+    duration_s = np.broadcast_to(np.asarray(duration_s, dtype=float), coefficients.shape[1:])
+    unit = _on_unit_interval(coefficients, duration_s)
+    candidates = _turning_points(unit)
+    return candidates * duration_s, value(unit[:, np.newaxis], candidates)
 
-    From samples at consecutive cycles, (n, joints): the larger in magnitude of the planned velocity and the
-    change of position a cycle (first row: the planned one); the larger of the change of velocity and the
-    second difference of position a cycle (n - 2 rows, centred on rows 1 … n - 2).
+
+def shifted(coefficients: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Coefficients of p(t + u) in u: the same polynomials with their time counted from t on (Taylor's expansion)."""
+    result = np.array(coefficients, dtype=float)
+    for done in range(len(result) - 1):
+        for power in range(len(result) - 2, done - 1, -1):
+            result[power] += t * result[power + 1]
+    return result
+
+
+def widest_range(times: np.ndarray, values: np.ndarray, window: float) -> np.ndarray:
+    """Largest minus smallest of the values (n,) whose times lie in [t, t + window], for every t of the times (n,).
+
+    The times rise. Ranges over 2, 4, 8 … neighbours are made of those over half as many, and two of them, which may
+    overlap, make up any window: n log n operations.
     """
-    steps = np.abs(np.diff(positions_rad, axis=0)) / period_s
-    velocity = np.abs(velocities_rad_s)
-    velocity[1:] = np.maximum(velocity[1:], steps)
-    bend = np.abs(np.diff(positions_rad, n=2, axis=0)) / (period_s * period_s)
-    change = np.abs(np.diff(velocities_rad_s, axis=0)) / period_s
-    return velocity, np.maximum(bend, np.maximum(change[:-1], change[1:]))
+    first = np.arange(len(times))
+    count = np.searchsorted(times, times + window, side="right") - first
+    ranges = np.zeros(len(times))
+    highest, lowest, width = values, values, 1
+    while len(highest):
+        chosen = np.flatnonzero((count >= width) & (count < 2 * width))
+        second = first[chosen] + count[chosen] - width
+        ranges[chosen] = np.maximum(highest[chosen], highest[second]) - np.minimum(lowest[chosen], lowest[second])
+        if (count < 2 * width).all():
+            break
+        highest, lowest = np.maximum(highest[:-width], highest[width:]), np.minimum(lowest[:-width], lowest[width:])
+        width *= 2
+    return ranges

@@ -8,8 +8,8 @@ the arm is commanded. A goal is checked completely before anything moves:
   control process ends at rest all the same; a larger one is taken where the settings allow it;
 - position limits hold along the interpolant without margin, but for the rounding to pulses and counts that
   may put an arm standing at a limit just beyond it;
-- velocity and acceleration hold with the configured margins as a drive sees them that is told one setpoint a
-  cycle: a residual segment of 0.4 ms at the end of a MoveIt plan is not judged by its curvature;
+- velocity holds with its margin along the interpolant, acceleration as the mean over any cycle, wherever that
+  begins: a residual segment of 0.4 ms at the end of a MoveIt plan is not judged by its curvature;
 - the way to a first point whose time is above 0 is checked as the control process would make it from the
   present commanded state;
 - a trajectory whose header stamp lies in the past is entered where it is due by now, or at the latest earlier
@@ -20,37 +20,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import chain
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from config.schema import ArmConfig
-from motion import slopes
+from motion import slopes, stopping
 from rosfront.limits import check_limits
 from rosfront.path import PlannedPath
 from rosfront.plan import NS, GoalPlan, Present, Terms
+from rosfront.points import Points, columns_of, read_points, refuse_unsupported
 from rosfront.refusals import (
-    AccelerationsAlone,
     BadTolerance,
     DuplicateJoint,
-    EmptyTrajectory,
     EndsInThePast,
     EndsMoving,
-    NegativeTime,
-    NoJoints,
     NoRoomToStop,
-    NotFinite,
     NotSupported,
-    PartialGoal,
-    TimesNotRising,
     TooDense,
     TooFar,
     TooManyPoints,
     UnknownJoint,
-    Unparameterised,
-    WrongSize,
 )
 from rosfront.settings import Settings
 from shm.words import Entry
@@ -65,19 +56,15 @@ LOOK_BACK_S = 60.0
 ENTRIES_A_CHUNK = 4096
 DENSE_POINTS, DENSE_S = 4000, 0.4
 """The control process sees 4096 points ahead; they must last longer than most stops on the path."""
-FADE_S = 0.03
-"""Longest time in which the control process lets a difference in acceleration fade, at 100 Hz and more."""
-STOP_LENGTHENING = 1.6
-"""A stop takes the next of the control process' candidates, each at most so much longer than the one before."""
 
 
 def plan_goal(goal: Any, arm: ArmConfig, present: Present, settings: Settings) -> GoalPlan:
     """Check a FollowJointTrajectory goal and translate it into knots; raises GoalRefused."""
     with np.errstate(over="ignore", invalid="ignore"):  # hostile numbers end up beyond a limit
-        _refuse_unsupported(goal)
+        refuse_unsupported(goal)
         names = [joint.name for joint in arm.joints]
-        columns = _columns(goal.trajectory.joint_names, names, settings)
-        given = _read_points(goal.trajectory, arm)
+        columns = columns_of(goal.trajectory.joint_names, names, allow_partial=settings.allow_partial_joints_goal)
+        given = _read(goal.trajectory, arm)
         if not settings.allow_nonzero_end_velocity:
             _check_end(given, goal.trajectory.joint_names)
         terms = _terms(goal, settings, names)
@@ -92,8 +79,8 @@ def plan_stream(trajectory: Any, arm: ArmConfig, present: Present, settings: Set
     """
     with np.errstate(over="ignore", invalid="ignore"):
         names = [joint.name for joint in arm.joints]
-        columns = _columns(trajectory.joint_names, names, settings)
-        given = _read_points(trajectory, arm)
+        columns = columns_of(trajectory.joint_names, names, allow_partial=settings.allow_partial_joints_goal)
+        given = _read(trajectory, arm)
         terms = default_terms(settings)
         plan = _plan(trajectory, given, columns, arm, present, terms, Entry.STREAM)
         _check_room_to_stop(plan, arm)
@@ -102,7 +89,7 @@ def plan_stream(trajectory: Any, arm: ArmConfig, present: Present, settings: Set
 
 def _plan(
     trajectory: Any,
-    given: _Points,
+    given: Points,
     columns: np.ndarray,
     arm: ArmConfig,
     present: Present,
@@ -120,111 +107,29 @@ def _plan(
     return plan
 
 
-@dataclass(frozen=True)
-class _Points:
-    """The points as they came, columns in the order of the message; derivatives NaN where not given."""
-
-    times_ns: np.ndarray
-    positions: np.ndarray
-    velocities: np.ndarray
-    accelerations: np.ndarray
-    has_velocities: np.ndarray
-    has_accelerations: np.ndarray
-
-
-def _refuse_unsupported(goal: Any) -> None:
-    if goal.multi_dof_trajectory.joint_names or goal.multi_dof_trajectory.points:
-        raise NotSupported("The goal has a multi_dof_trajectory and this arm no such joints; leave it empty.")
-    for field in ("component_path_tolerance", "component_goal_tolerance"):
-        if getattr(goal, field):
-            raise NotSupported(
-                f"The goal has a {field}, which is for multi-dof joints, and this arm has none; empty it."
-            )
-
-
-def _columns(joint_names: Sequence[str], known: list[str], settings: Settings) -> np.ndarray:
-    """Index in the configuration of each named joint."""
-    if not joint_names:
-        raise NoJoints(known)
-    seen: set[str] = set()
-    for name in joint_names:
-        if name not in known:
-            raise UnknownJoint(name, known)
-        if name in seen:
-            raise DuplicateJoint(name)
-        seen.add(name)
-    if len(seen) < len(known) and not settings.allow_partial_joints_goal:
-        raise PartialGoal([name for name in known if name not in seen])
-    return np.array([known.index(name) for name in joint_names])
-
-
-def _read_points(trajectory: Any, arm: ArmConfig) -> _Points:
-    points, joint_names = trajectory.points, trajectory.joint_names
-    count, width = len(points), len(joint_names)
-    if count == 0:
-        raise EmptyTrajectory()
+def _read(trajectory: Any, arm: ArmConfig) -> Points:
+    """The points of a trajectory that this arm can take in."""
+    count = len(trajectory.points)
     allowed = arm.trajectory.max_points
     if arm.trajectory.interpolation == "linear":
         allowed = 1 + (allowed - 1) // (arm.trajectory.interpolation_factor + 1)
     if count > allowed:
         raise TooManyPoints(count, allowed)
-    for index, point in enumerate(points):
+    for index, point in enumerate(trajectory.points):
         if len(point.effort):
             raise NotSupported(
                 f"Point {index} has effort, and this arm's drives are told positions; leave effort empty.",
                 point=index,
             )
-    positions, _ = _read_field(points, "positions", width, required=True)
-    velocities, has_velocities = _read_field(points, "velocities", width, required=False)
-    accelerations, has_accelerations = _read_field(points, "accelerations", width, required=False)
-    alone = np.flatnonzero(has_accelerations & ~has_velocities)
-    if len(alone):
-        raise AccelerationsAlone(int(alone[0]))
-    for field, values, present in (
-        ("position", positions, np.ones(count, dtype=bool)),
-        ("velocity", velocities, has_velocities),
-        ("acceleration", accelerations, has_accelerations),
-    ):
-        bad = np.argwhere(~np.isfinite(values) & present[:, np.newaxis])
-        if len(bad):
-            point, column = (int(i) for i in bad[0])
-            raise NotFinite(point, joint_names[column], field, float(values[point, column]))
-    times_ns = np.fromiter(
-        (point.time_from_start.sec * NS + point.time_from_start.nanosec for point in points), np.int64, count
-    )
-    _check_times(times_ns)
-    return _Points(times_ns, positions, velocities, accelerations, has_velocities, has_accelerations)
-
-
-def _read_field(points: Sequence[Any], field: str, width: int, *, required: bool) -> tuple[np.ndarray, np.ndarray]:
-    """One field of all points as (n, width), NaN where a point does not have it, and which points have it."""
-    rows = [getattr(point, field) for point in points]
-    sizes = np.fromiter(map(len, rows), np.int64, len(rows))
-    wrong = np.flatnonzero((sizes != width) & ((sizes != 0) | required))
-    if len(wrong):
-        raise WrongSize(int(wrong[0]), field, int(sizes[wrong[0]]), width)
-    has = sizes == width
-    values = np.full((len(rows), width), np.nan)
-    values[has] = np.fromiter(chain.from_iterable(rows), float, int(sizes.sum())).reshape(-1, width)
-    return values, has
-
-
-def _check_times(times_ns: np.ndarray) -> None:
-    if times_ns[0] < 0:
-        raise NegativeTime(float(times_ns[0]) / NS)
-    if len(times_ns) > 1 and not times_ns.any():
-        raise Unparameterised(len(times_ns))
-    stuck = np.flatnonzero(np.diff(times_ns) <= 0)
-    if len(stuck):
-        point = int(stuck[0]) + 1
-        raise TimesNotRising(point, float(times_ns[point - 1]) / NS, float(times_ns[point]) / NS)
-    spans_ns = times_ns[DENSE_POINTS:] - times_ns[:-DENSE_POINTS]
+    points = read_points(trajectory)
+    spans_ns = points.times_ns[DENSE_POINTS:] - points.times_ns[:-DENSE_POINTS]
     dense = np.flatnonzero(spans_ns < DENSE_S * NS)
     if len(dense):
         raise TooDense(int(dense[0]), DENSE_POINTS, float(spans_ns[dense[0]]) / NS, DENSE_S)
+    return points
 
 
-def _check_end(given: _Points, joint_names: Sequence[str]) -> None:
+def _check_end(given: Points, joint_names: Sequence[str]) -> None:
     """The last point is at rest, but for the residues that planners leave."""
     if given.has_velocities[-1]:
         column = int(np.abs(given.velocities[-1]).argmax())
@@ -327,16 +232,16 @@ def _entered_near(plan: GoalPlan, arm: ArmConfig, present: Present) -> GoalPlan:
 
 
 def _check_room_to_stop(plan: GoalPlan, arm: ArmConfig) -> None:
-    """A stream that ends in motion can stop in a straight line behind its last point, inside the limits.
-
-    All joints stop together within T, along a rate that falls as a cubic: it is steepest with 1.5 / T and takes
-    T / 2 of the way that the last velocity would have made.
-    """
+    """A stream that ends in motion can stop behind its last point, in a straight line and inside the limits."""
+    period_s = arm.control.period_ns / NS
     position, velocity, acceleration = np.moveaxis(plan.joints[-1], 1, 0)
-    velocity = velocity + acceleration * (FADE_S / 3.0)  # what the fading acceleration still adds
-    braking = arm.limits.braking_factor * np.array([joint.max_acceleration_rad_s2 for joint in arm.joints])
-    duration_s = STOP_LENGTHENING * float((1.5 * np.abs(velocity) / braking).max())
-    stop = position + velocity * (0.5 * duration_s + 2.0 * arm.control.period_ns / NS)
+    fade_s = stopping.fade_duration_s(period_s)
+    position, velocity = stopping.line_beyond(position, velocity, acceleration, fade_s)
+    fastest = np.array([joint.max_velocity_rad_s for joint in arm.joints])
+    hardest = np.array([joint.max_acceleration_rad_s2 for joint in arm.joints])
+    to_brake_s = float((np.abs(velocity) / (arm.limits.braking_factor * hardest)).max())
+    longest_s = stopping.longest_s(float((fastest / hardest).max()), arm.limits.braking_factor)
+    stop = position + velocity * stopping.reach_s(to_brake_s, longest_s, period_s)
     for joint, limits in enumerate(arm.joints):
         slack = limits.command_pulse_rad + limits.encoder_count_rad
         if velocity[joint] > 0.0 and stop[joint] > limits.upper_rad + slack:
@@ -346,7 +251,7 @@ def _check_room_to_stop(plan: GoalPlan, arm: ArmConfig) -> None:
 
 
 def _complete(
-    given: _Points, columns: np.ndarray, arm: ArmConfig, present: Present, entry: Entry
+    given: Points, columns: np.ndarray, arm: ArmConfig, present: Present, entry: Entry
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fill in what the points lack, and put the columns into the arm's order: times, orders and knots."""
     times_ns, positions = given.times_ns, given.positions

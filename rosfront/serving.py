@@ -30,7 +30,6 @@ STALLED_NS = 400_000_000
 """A loop whose snapshots are older counts as hung: goals are refused and running ones aborted."""
 FAULT_PATIENCE_NS = 500_000_000
 """A goal that a faulted loop has not decided by then never will be."""
-CANCEL_AGAIN_NS = 50_000_000
 NEVER_BEGUN = "Canceled before it was begun; the arm was not moved."
 CLOSING = "The ROS process is shutting down and takes no goals: start it again."
 _TAKES_GOALS = (Mode.HOLDING, Mode.EXECUTING, Mode.STOPPING)
@@ -43,11 +42,8 @@ class Execution:
     goal_id: int
     plan: GoalPlan
     on_verdict: Callable[[Verdict], None]
-    cancel_wanted: bool = False
     never_begun: bool = False
     """Canceled before the control process heard of it."""
-    cancel_sequence: int = 0
-    cancel_sent_ns: int = 0
     fault_since_ns: int = 0
 
     @property
@@ -99,7 +95,7 @@ class Serving:
             ended = list(self._undecided.values())
             if self._link is not None:
                 for execution in ended:  # should it only hang, it must not go on with them later
-                    self._send_cancel(self._link, execution)
+                    _send_cancel(self._link, execution)
             self._link, self._absence = None, reason
             self._streams.clear()
             self._undecided.clear()
@@ -128,8 +124,6 @@ class Serving:
                     del self._undecided[execution.goal_id]
                     verdicts.append((execution, verdict))
                     self._streams.pop(execution.goal_id, None)
-                elif execution.cancel_wanted:
-                    self._cancel_again(link, execution, snapshot)
         for execution, verdict in verdicts:
             execution.on_verdict(verdict)
         for request, done, sentence in replies:
@@ -198,14 +192,6 @@ class Serving:
         if now_ns - execution.fault_since_ns < FAULT_PATIENCE_NS:
             return None
         return aborted(fault_of(snapshot, self.joints))
-
-    def _cancel_again(self, link: Link, execution: Execution, snapshot: np.void) -> None:
-        """A cancel that came before its goal was taken found nothing to cancel: repeat it."""
-        answer = find(snapshot["answers"], "sequence", execution.cancel_sequence)
-        if answer is None or int(answer["answer"]) != Answer.REFUSED_NO_GOAL:
-            return
-        if time.monotonic_ns() - execution.cancel_sent_ns >= CANCEL_AGAIN_NS:
-            self._send_cancel(link, execution)
 
     # --- from the server's thread ---
 
@@ -324,8 +310,7 @@ class Serving:
                     execution.never_begun = True
                     del self._streams[execution.goal_id]
                     return
-                execution.cancel_wanted = True
-                self._send_cancel(self._link, execution)
+                _send_cancel(self._link, execution)
 
     def close(self) -> None:
         """Take no goal any more and ask for the end of those there are."""
@@ -345,15 +330,16 @@ class Serving:
         except TornRead as problem:
             raise NotServing(str(problem)) from problem
 
-    def _send_cancel(self, link: Link, execution: Execution) -> None:
-        execution.cancel_sent_ns = time.monotonic_ns()
-        execution.cancel_sequence = link.writer.request(Request.CANCEL, goal_id=execution.goal_id)
-
     @property
     def idle(self) -> bool:
         """Whether no goal is undecided."""
         with self._lock:
             return not self._undecided
+
+
+def _send_cancel(link: Link, execution: Execution) -> None:
+    """Ask once: the loop remembers a cancel that reaches it before its goal does."""
+    link.writer.request(Request.CANCEL, goal_id=execution.goal_id)
 
 
 def _newest_decided(results: np.ndarray) -> int:

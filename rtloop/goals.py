@@ -3,25 +3,12 @@
 from typing import Any
 
 from rtloop import guard, intake
+from rtloop.arrival import has_arrived, rate_with_room_to_arrive, slow_down_to_arrive
+from rtloop.clock import must_brake_for_lack_of_path, set_rate, steer_rate
+from rtloop.entry import asked_rate, due_s, enter, entry_distance, has_bridge, rate_while_blending
 from rtloop.events import set_result
 from rtloop.modes import change_mode
-from rtloop.trajectory import (
-    asked_rate,
-    due_s,
-    end_s,
-    enter,
-    entry_distance,
-    goes_on_past_end,
-    has_arrived,
-    has_bridge,
-    in_goal,
-    must_brake_for_lack_of_path,
-    rate_while_blending,
-    rate_with_room_to_arrive,
-    set_rate,
-    slow_down_to_arrive,
-    steer_rate,
-)
+from rtloop.path import end_s, goes_on_past_end, in_goal
 from shm.jit import jit
 from shm.words import Fault, Mode, Outcome
 

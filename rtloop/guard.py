@@ -11,7 +11,7 @@ from rtloop import status as status_bits
 from rtloop.events import record_event
 from rtloop.faults import latch_fault
 from rtloop.modes import is_limp
-from rtloop.trajectory import in_goal
+from rtloop.path import in_goal
 from shm.jit import jit
 from shm.words import Event, Fault, Mode, Outcome, Unreferenced
 

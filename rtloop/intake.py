@@ -9,12 +9,13 @@ before it counts as corrupt.
 import math
 from typing import Any
 
+from rtloop.entry import due_s
 from rtloop.events import answer_request, record_event, set_result
 from rtloop.faults import latch_fault
 from rtloop.guard import at_rest
 from rtloop.modes import change_mode, is_limp
-from rtloop.state import LOOP, WINDOW_KNOTS, offset_of
-from rtloop.trajectory import due_s, end_s, leaves_a_joint_moving, slot
+from rtloop.path import end_s, leaves_a_joint_moving, slot
+from rtloop.state import CANCELED_SLOTS, LOOP, WINDOW_KNOTS, offset_of
 from shm import layout
 from shm.atomics import load_acquire, store_release
 from shm.jit import jit
@@ -30,6 +31,7 @@ REQUESTS_AHEAD = 1_000_000
 CYCLES_TO_BECOME_VISIBLE = 5
 GOALS_AHEAD = 1_000_000
 """Goal ids rise by one; a word that is this far ahead was not written by a front."""
+NEVER_CLOSE_NS = 1 << 62
 COVER_S = 1.0
 """A new path may be entered when this much of it is known, or all of it."""
 
@@ -137,6 +139,9 @@ def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
     joint, value, limit = _wrong_knot(loop, path_index)
     if joint == SOUND:
         loop.knots[slot(path_index, path.taken)] = record
+        if path.taken > path.bridge:
+            gap_ns = record.time_ns - loop.knots[slot(path_index, path.taken - 1)].time_ns
+            path.closest_ns = min(path.closest_ns, gap_ns)
         path.taken += 1
         if path_index == core.incoming_path:
             core.incoming_ns = core.now_ns
@@ -226,7 +231,7 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
         core.incoming_goal = 0
     core.incoming_waits = 0
     record_event(loop, shared, Event.GOAL, -1, goal_id, 0.0, 0.0)
-    if goal_id == core.canceled_goal:
+    if goal_id == core.canceled_goals[goal_id & (CANCELED_SLOTS - 1)]:
         set_result(loop, shared, goal_id, Outcome.CANCELED, -1, 0.0, 0.0)
         return
     outcome, joint = _wrong_begin(loop)
@@ -248,6 +253,7 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
     path.entry_s = path.blend_s = 0.0
     path.torn = 0
     path.taken = 0
+    path.closest_ns = NEVER_CLOSE_NS
     for joint in range(loop.params.joint_count):
         path.tolerances[joint] = begin.joints[joint]
     if path.bridge == 1:
@@ -393,7 +399,7 @@ def _end_goals(loop: Loop, shared: Shared, goal_id: int, outcome: int) -> int:
     core = loop.core
     found = False
     if goal_id > core.newest_goal:  # a cancel that overtook its goal: requests are taken before setpoints
-        core.canceled_goal = goal_id
+        core.canceled_goals[goal_id & (CANCELED_SLOTS - 1)] = goal_id
         return Answer.DONE
     if core.incoming_goal != 0 and (goal_id == 0 or goal_id == core.incoming_goal):
         set_result(loop, shared, core.incoming_goal, outcome, -1, 0.0, 0.0)

@@ -4,12 +4,12 @@ import math
 from typing import Any
 
 from rtloop import guard
+from rtloop.clock import advance_clock, along
 from rtloop.faults import path_is_trusted
 from rtloop.modes import is_limp
 from rtloop.orders import adopt
+from rtloop.path import find_knot, sample
 from rtloop.state import FAMILY_MOCK
-from rtloop.trajectory import advance_clock, find_knot, path
-from rtloop.trajectory import along as along_path
 from shm.jit import jit
 from shm.words import Unreferenced
 
@@ -98,9 +98,9 @@ def follow_path(loop: Loop) -> None:
     running.segment = find_knot(loop, core.active, core.clock_s, running.segment)
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
-        p, v, a = path(loop, core.active, joint, core.clock_s, running.segment)
+        p, v, a = sample(loop, core.active, joint, core.clock_s, running.segment)
         axis.next_position_rad = p
-        axis.next_velocity_rad_s, axis.next_acceleration_rad_s2 = along_path(core.rate, core.slope, v, a)
+        axis.next_velocity_rad_s, axis.next_acceleration_rad_s2 = along(core.rate, core.slope, v, a)
 
 
 @jit

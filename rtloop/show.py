@@ -3,8 +3,8 @@
 import math
 from typing import Any
 
+from rtloop.path import end_s
 from rtloop.state import LOOP, offset_of
-from rtloop.trajectory import end_s
 from shm import layout
 from shm.jit import jit
 from shm.seqlock import crc32_at, publish

@@ -12,6 +12,7 @@ import numpy as np
 from config.budget import frame_bits
 from config.derived import braking_deceleration_rad_s2, silence_acc_byte
 from config.schema import ArmConfig, JointConfig, ZdtDrive
+from motion import stopping
 from shm import layout
 from shm.layout import MAX_JOINTS
 from shm.words import Mode, Unreferenced
@@ -26,6 +27,8 @@ RX_BYTES = 1 << 16
 RX_CHUNKS = 1024
 LINE_BYTES = 64
 ADDRESSES = 256
+CANCELED_SLOTS = 16
+"""Goals in a row that can be canceled before the loop has seen any of them; a power of two."""
 BLEND_SAMPLES = 32
 
 WIRE_MOCK = 0
@@ -131,6 +134,7 @@ PATH = np.dtype(
         ("goal_id", "i8"),
         ("taken", "i8"),  # knots taken; the newest is at (taken - 1) % WINDOW_KNOTS
         ("segment", "i8"),  # knot at the start of the running segment
+        ("closest_ns", "i8"),  # least time between two of its knots
         ("ended", "i8"),
         ("ends_moving", "i8"),  # 1: the last point, which is known, leaves a joint in motion
         ("torn", "i8"),  # knots are missing after the newest one
@@ -196,7 +200,7 @@ CORE = np.dtype(
         ("incoming_ns", "i8"),  # when its last record came
         ("incoming_waits", "i8"),  # 1 while the arm stops on the old path to make way
         ("newest_goal", "i8"),  # highest id ever begun
-        ("canceled_goal", "i8"),  # goal that was canceled before it came
+        ("canceled_goals", "i8", (CANCELED_SLOTS,)),  # goals that were canceled before they came, each in its own slot
         ("announced_goal", "i8"),
         ("setpoints_taken", "i8"),
         ("setpoint_waits", "i8"),  # cycles the next record has not passed its CRC
@@ -310,15 +314,9 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
 
 
 def longest_stop_s(arm: ArmConfig) -> float:
-    """Duration within which every stop on the path ends, whatever the arm is doing.
-
-    A stop lowers the clock's rate along a cubic whose steepest slope is 1.5 / T. The plan may use the whole
-    acceleration limit A at velocity V, so (braking_factor - 1) A is left for V · 1.5 / T; a quarter more
-    covers plans that exceed their limits between two points, as real ones do.
-    """
-    spare = max(arm.limits.braking_factor - 1.0, 0.1)
-    slowest = max(joint.max_velocity_rad_s / joint.max_acceleration_rad_s2 for joint in arm.joints)
-    return 1.25 * 1.5 * slowest / spare
+    """Duration within which every stop on the path ends, whatever the arm is doing."""
+    slowest_s = max(joint.max_velocity_rad_s / joint.max_acceleration_rad_s2 for joint in arm.joints)
+    return stopping.longest_s(slowest_s, arm.limits.braking_factor)
 
 
 def _fill_params(params: np.void, arm: ArmConfig) -> None:

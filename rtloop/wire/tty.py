@@ -73,7 +73,7 @@ def _open_tty(channel: str) -> int:
         fd = os.open(channel, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError:
         raise WireRefused(
-            f"There is no serial port {channel}: plug the adapter in, or name its port with --channel "
+            f"There is no serial port {channel}: plug the adapter in, or name its port as the channel "
             "(`ls /dev/ttyUSB* /dev/ttyACM*` shows what is there)."
         ) from None
     except PermissionError:
@@ -85,11 +85,11 @@ def _open_tty(channel: str) -> int:
         if problem.errno == errno.EBUSY:
             raise WireRefused(_busy(channel)) from None
         raise WireRefused(
-            f"{channel} cannot be opened ({problem.strerror}): name the adapter's port with --channel."
+            f"{channel} cannot be opened ({problem.strerror}): name the adapter's port as the channel."
         ) from None
     if not os.isatty(fd):
         os.close(fd)
-        raise WireRefused(f"{channel} is not a serial port: name the adapter's port with --channel.")
+        raise WireRefused(f"{channel} is not a serial port: name the adapter's port as the channel.")
     try:
         # TIOCEXCL does not keep root out, so both kinds of exclusion are used
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)

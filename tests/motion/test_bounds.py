@@ -77,21 +77,23 @@ def test_segments_agree_with_scipy(seed):
     assert bounds.value(cubic, t) == pytest.approx(reference(t), abs=1e-9)
 
 
-@settings(deadline=None, max_examples=20)
-@given(st.floats(0.5, 5.0), st.floats(0.1, 3.0))
-def test_what_a_drive_sees_of_a_smooth_motion_is_its_velocity_and_acceleration(omega, amplitude):
-    period = 1e-3
-    t = np.arange(2000)[:, np.newaxis] * period
-    velocity, acceleration = bounds.cycle_differences(
-        amplitude * np.sin(omega * t), amplitude * omega * np.cos(omega * t), period
-    )
-    assert velocity == pytest.approx(np.abs(amplitude * omega * np.cos(omega * t)), abs=0.01 * amplitude * omega**2)
-    expected = np.abs(amplitude * omega**2 * np.sin(omega * t[1:-1]))
-    assert acceleration == pytest.approx(expected, abs=0.01 * amplitude * omega**3)
+@settings(deadline=None)
+@given(polynomials, durations, st.floats(-2.0, 2.0))
+def test_a_shifted_polynomial_is_the_same_one_later(coefficients, duration, by):
+    later = bounds.shifted(stacked(coefficients), np.array([by]))
+    polynomial = Polynomial(coefficients)
+    t = np.linspace(0.0, duration, 7)
+    scale = 1.0 + np.abs(Polynomial(np.abs(coefficients))(duration + 2.0))
+    assert bounds.value(later[:, 0], t) == pytest.approx(polynomial(by + t), abs=1e-9 * scale)
 
 
-def test_a_jump_that_no_sample_falls_into_is_seen():
-    position = np.array([[0.0], [0.0], [0.1], [0.1]])  # a step between two cycles, at rest in both
-    velocity, acceleration = bounds.cycle_differences(position, np.zeros((4, 1)), 0.01)
-    assert velocity.max() == pytest.approx(10.0)
-    assert acceleration.max() == pytest.approx(1000.0)
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 40), st.integers(-9, 9)), min_size=1, max_size=60), st.integers(0, 50))
+def test_the_widest_range_is_that_of_the_values_in_the_window(pairs, window):
+    pairs.sort(key=lambda pair: pair[0])
+    times, values = (np.array(column, dtype=float) for column in zip(*pairs, strict=True))
+    expected = []
+    for i, t in enumerate(times):
+        inside = values[i:][times[i:] <= t + window]
+        expected.append(inside.max() - inside.min())
+    assert bounds.widest_range(times, values, window).tolist() == expected

@@ -42,7 +42,8 @@ class FakeLoop(threading.Thread):
         self.records = []
         self.taken = self.requests = 0
         self.active = self.incoming = 0
-        self.cancel_at = self.up_at = 0
+        self.cancel_at = self.up_at = self.newest = 0
+        self.canceled = set()
         self.paused = False
         self.bring_up_fails = False
         self.asked = []
@@ -112,7 +113,11 @@ class FakeLoop(threading.Thread):
             if kind == Setpoint.BEGIN:
                 begin = slot.copy().view(layout.BEGIN)
                 self.goals[goal_id] = {"begin": begin, "times": [], "points": [], "ended": False}
-                self.incoming = goal_id
+                self.newest = goal_id
+                if goal_id in self.canceled:
+                    self.decide(goal_id, Outcome.CANCELED)
+                else:
+                    self.incoming = goal_id
             elif kind == Setpoint.KNOT:
                 self.goals[goal_id]["times"].append(int(slot["time_ns"]))
                 self.goals[goal_id]["points"].append(slot["joints"]["position_rad"][: self.joints].copy())
@@ -152,6 +157,8 @@ class FakeLoop(threading.Thread):
             self.up_at = int(s["cycle"]) + BRING_UP_CYCLES
         elif kind == Request.ENABLE:
             return Answer.DONE if mode in (Mode.HOLDING, Mode.EXECUTING) else Answer.REFUSED_MODE
+        elif kind == Request.CANCEL and goal_id > self.newest:
+            self.canceled.add(goal_id)  # it overtook its goal
         elif not any((self.active, self.incoming)) or goal_id not in (self.active, self.incoming, 0):
             return Answer.REFUSED_NO_GOAL
         elif kind in (Request.HOLD, Request.RESUME):

@@ -301,3 +301,22 @@ def test_a_cancel_that_overtakes_its_goal_keeps_it_from_starting(virtual_arm) ->
     arm.cycles(20)
     assert not np.any(arm.loop[0]["axes"]["position_rad"][:6])
     assert finish(arm, straight(arm, [0.1] * 6, 1.0)) == Outcome.SUCCEEDED
+
+
+@pytest.mark.parametrize("seen", [0, 5])
+def test_cancels_that_overtake_their_goals_keep_all_of_them_from_starting(virtual_arm, seen: int) -> None:
+    """Several at once, as when a front closes: not one starts, whichever is taken first."""
+    arm = virtual_arm("mock")
+    for _ in range(seen):
+        finish(arm, straight(arm, [0.0] * 6, 0.1))
+    goals = range(seen + 1, seen + 5)
+    for goal in goals:
+        arm.writer.request(Request.CANCEL, goal_id=goal)
+    arm.cycle()
+    for goal in goals:
+        assert straight(arm, [0.1] * 6, 1.0) == goal
+        arm.cycles(3)
+        assert arm.outcome(goal) == Outcome.CANCELED
+    arm.cycles(20)
+    assert not np.any(arm.loop[0]["axes"]["position_rad"][:6])
+    assert finish(arm, straight(arm, [0.1] * 6, 1.0)) == Outcome.SUCCEEDED

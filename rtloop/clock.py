@@ -1,0 +1,157 @@
+"""The trajectory clock: how fast the arm runs along its path.
+
+Whatever slows the arm down (cancel, pause, speed scale, starvation …) only lowers the clock's rate, so the arm stays
+on its path. A change of rate is a ramp, chosen once when another rate is wanted: ramps from short to long are sampled
+at a fixed number of instants, and the first that keeps the limits is taken.
+"""
+
+from typing import Any
+
+from motion import scaling
+from motion.stopping import STOP_FRACTIONS
+from rtloop.path import end_s, find_knot, goes_on_past_end, sample
+from rtloop.state import BLEND_SAMPLES
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+
+ramp = jit(scaling.ramp)
+along = jit(scaling.along)
+
+IMPOSSIBLE = 1e9
+NO_PATH = 100.0
+RESERVE_PERIODS = 3.0
+PLAN_SHARE = 0.35
+"""What a blend or a ramp may add, as a share of the limit, where the plan alone already asks for much."""
+HEADROOM = 0.9
+"""Candidates are sampled, so they stay this far below the bound at which the last defence would stop the arm."""
+
+
+@jit
+def advance_clock(loop: Loop) -> None:
+    """Move the trajectory clock by one period at the present rate, along the running ramp if there is one."""
+    core = loop.core
+    period_s = loop.params.period_ns * 1e-9
+    if core.ramp_s <= 0.0:
+        core.clock_s += core.rate * period_s
+        return
+    before_s = core.ramp_elapsed_s
+    after_s = min(before_s + period_s, core.ramp_s)
+    _, _, advance_before = ramp(core.rate_start, core.slope_start, core.rate_target, core.ramp_s, before_s)
+    rate, slope, advance_after = ramp(core.rate_start, core.slope_start, core.rate_target, core.ramp_s, after_s)
+    core.clock_s += advance_after - advance_before
+    core.ramp_elapsed_s = after_s
+    core.rate, core.slope = rate, slope
+    if after_s >= core.ramp_s:
+        core.clock_s += core.rate_target * (before_s + period_s - after_s)
+        core.rate, core.slope, core.ramp_s = core.rate_target, 0.0, 0.0
+
+
+@jit
+def allowed_acceleration(loop: Loop, joint: int, planned_rad_s2: float) -> float:
+    """What a change of rate or a blend may bring the joint's acceleration to (rad/s²)."""
+    limit = loop.joints[joint].max_acceleration_rad_s2
+    return max(
+        loop.params.braking_factor * limit,
+        min(abs(planned_rad_s2) + PLAN_SHARE * limit, HEADROOM * loop.params.acceleration_margin * limit),
+    )
+
+
+@jit
+def ramp_strain(loop: Loop, target: float, duration_s: float) -> float:
+    """Largest ratio of acceleration to what is allowed along a candidate ramp; ≤ 1 keeps the limits.
+
+    IMPOSSIBLE for a ramp on which the clock would run backwards or faster than it ever should; NO_PATH and
+    more for one that needs path which is not known yet.
+    """
+    core = loop.core
+    active = core.active
+    worst = 0.0
+    knot = loop.paths[active].segment
+    known_s = end_s(loop, active)
+    goes_on = goes_on_past_end(loop, active)
+    highest_rate = max(core.rate, target, core.rate_target) + 1e-6
+    for i in range(1, BLEND_SAMPLES + 1):
+        rate, slope, advance = ramp(core.rate, core.slope, target, duration_s, duration_s * i / BLEND_SAMPLES)
+        clock_s = core.clock_s + advance
+        if rate < -1e-9 or rate > highest_rate:
+            return IMPOSSIBLE
+        if clock_s > known_s and not goes_on:
+            worst = max(worst, NO_PATH + clock_s - known_s)
+        knot = find_knot(loop, active, clock_s, knot)
+        for joint in range(loop.params.joint_count):
+            _, v, a = sample(loop, active, joint, clock_s, knot)
+            _, acceleration = along(rate, slope, v, a)
+            worst = max(worst, abs(acceleration) / allowed_acceleration(loop, joint, rate * rate * a))
+    return worst
+
+
+@jit
+def ramp_duration(loop: Loop, target: float) -> tuple[float, float]:
+    """The shortest candidate in which the rate reaches `target` inside the limits, else the gentlest.
+
+    Duration and strain; the duration is 0 if no candidate is possible at all.
+    """
+    best_s, best_strain = 0.0, IMPOSSIBLE
+    for fraction in STOP_FRACTIONS:
+        duration_s = fraction * loop.params.longest_stop_s
+        strain = ramp_strain(loop, target, duration_s)
+        if strain <= 1.0:
+            return duration_s, strain
+        if strain < best_strain:
+            best_strain, best_s = strain, duration_s
+    return best_s, best_strain
+
+
+@jit
+def steer_rate(loop: Loop, target: float) -> None:
+    """Let the rate go to `target`; a ramp that already goes there runs on.
+
+    Turning a ramp round in its steepest part can be impossible, without the clock running backwards or the
+    joints being pushed too hard. The running ramp then goes on and the question is asked again in the next
+    cycle. From a steady rate a stop is begun at once, as gently as can be.
+    """
+    core = loop.core
+    if target == core.rate_target:
+        return
+    duration_s, strain = ramp_duration(loop, target)
+    if duration_s <= 0.0 or (strain > 1.0 and core.ramp_s > 0.0):
+        return
+    core.arriving = 0
+    begin_ramp(loop, target, duration_s)
+
+
+@jit
+def begin_ramp(loop: Loop, target: float, duration_s: float) -> None:
+    core = loop.core
+    core.rate_target = target
+    core.rate_start, core.slope_start = core.rate, core.slope
+    core.ramp_s, core.ramp_elapsed_s = duration_s, 0.0
+
+
+@jit
+def set_rate(loop: Loop, rate: float) -> None:
+    """Run at a rate from now on, without a ramp: for an arm at rest or a path made for that rate."""
+    core = loop.core
+    core.rate = core.rate_target = rate
+    core.slope = core.ramp_s = 0.0
+
+
+@jit
+def must_brake_for_lack_of_path(loop: Loop, braking_already: bool) -> bool:
+    """Whether the knots that are left last no longer than stopping takes, and no END is among them.
+
+    Once braking has begun for that reason it ends only when there is ample path again.
+    """
+    core = loop.core
+    active = core.active
+    if loop.paths[active].ended == 1:
+        return False
+    longest_s = 0.5 * loop.params.longest_stop_s * max(core.rate, core.speed_scale)
+    left_s = end_s(loop, active) - core.clock_s - RESERVE_PERIODS * loop.params.period_ns * 1e-9
+    if left_s > longest_s:
+        return False
+    if braking_already or core.rate_target == 0.0:
+        return True
+    duration_s, _ = ramp_duration(loop, 0.0)
+    return left_s <= 0.5 * core.rate * duration_s
