@@ -1,33 +1,27 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""The ROS node: the action server, what stands beside it, and the publisher's thread.
+"""The ROS node: the action, what stands beside it, and the publisher's thread.
 
-One single-threaded executor serves all of them; its callbacks never wait. A goal is a coroutine that awaits a
-future, which the publisher's thread fulfils when the control process has decided the goal: an idle or
-executing arm costs the executor nothing, because nothing wakes it (a timer at the rate of /joint_states would
-cost several per cent of a processor, facts: ros-from-wheels).
-
-The end: rclpy's `Executor.shutdown` frees what a spinning executor still uses, so the executor's thread leaves
-by itself first, and not before every client that was given a goal has been given its result.
+One single-threaded executor serves all of them; its callbacks never wait. A goal awaits a future, which the
+publisher's thread fulfils when the control process has decided the goal: an idle or executing arm costs the executor
+nothing, because nothing wakes it (a timer at the rate of /joint_states would cost several per cent of a processor,
+facts: ros-from-wheels).
 """
 
-import math
-import threading
-import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from control_msgs.action import FollowJointTrajectory
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
+from rclpy.action.server import GoalResponse, ServerGoalHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from config.schema import ArmConfig
 from rosfront import verdict as verdicts
-from rosfront.diagnostics import Counts, Diagnostics
+from rosfront.action import GoalServer
+from rosfront.diagnostics import Diagnostics
 from rosfront.goal import plan_goal
 from rosfront.inputs import Inputs
 from rosfront.joint_states import Pulse
@@ -39,26 +33,6 @@ from rosfront.services import Services
 from rosfront.serving import NEVER_BEGUN, Execution, Serving
 from rosfront.state_topics import STATE_QOS, Progress, StateTopics, along_ns, differences, joint_state_bytes
 from rosfront.verdict import Status, Verdict
-
-RESULT_KEPT_S = 60
-"""How long a result can be asked for; clients ask at once, and a kept result keeps its whole goal."""
-RESULT_GRACE_S = 1.0
-"""At the end of this process a result that nobody has asked for yet is kept for so long."""
-LEAVE_EVERY_S = 0.02
-
-
-class _TellingServer(ActionServer):
-    """An action server that also says whose result has been sent."""
-
-    def __init__(self, on_sent: Callable[[bytes], None], *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self._on_sent = on_sent
-
-    def _send_result_response(self, request_header: Any, future: Future) -> None:
-        super()._send_result_response(request_header, future)
-        for goal, result in self._result_futures.items():
-            if result is future:
-                self._on_sent(goal)
 
 
 class FrontNode:
@@ -74,15 +48,20 @@ class FrontNode:
         self._moving: dict[int, ServerGoalHandle] = {}
         self._feedback_ns = 0
         self._feedback = self._empty_feedback()
-        self._untold: dict[bytes, float] = {}  # goals whose client has no result yet, and until when that counts
-        self._closing = False
-        self._has_spun = threading.Event()
-        self._counts = Counts()
         self._last_cycle = 0
         self._progress = Progress()
         self._services = Services(self.node, executor, self.serving)
+        self._goals = GoalServer(
+            self.node,
+            executor,
+            "~/follow_joint_trajectory",
+            run=self._run,
+            cancel=self._cancel,
+            consider=self._consider,
+            idle=lambda: self._services.idle,
+        )
         initial_factor = float(self.node.get_parameter(INITIAL_SCALE).value)
-        self._inputs = Inputs(self.node, self.serving, self._counts, initial_factor)
+        self._inputs = Inputs(self.node, self.serving, self._goals.counts, initial_factor)
         self._state_topics = StateTopics(self.node, arm, self._progress)
         self.pulse = Pulse(
             arm,
@@ -93,22 +72,11 @@ class FrontNode:
             Diagnostics(
                 arm,
                 self.serving,
-                self._counts,
+                self._goals.counts,
                 self.node.create_publisher(DiagnosticArray, "/diagnostics", STATE_QOS),
             ).report,
             self.node.get_logger().info,
             link,
-        )
-        self._server = _TellingServer(
-            self._told,
-            self.node,
-            FollowJointTrajectory,
-            "~/follow_joint_trajectory",
-            execute_callback=self._execute,
-            goal_callback=self._consider,
-            handle_accepted_callback=self._accepted,
-            cancel_callback=self._cancel,
-            result_timeout=RESULT_KEPT_S,
         )
         executor.add_node(self.node)
         self.pulse.start()
@@ -117,15 +85,12 @@ class FrontNode:
 
     def spin(self) -> None:
         """Serve; returns after `close`, when every client has its result or its answer."""
-        try:
-            while not (self._closing and self._services.idle and self._all_told()):
-                self._executor.spin_once(LEAVE_EVERY_S if self._closing else None)
-        finally:
-            self._has_spun.set()
+        self._goals.spin()
 
-    def _all_told(self) -> bool:
-        now_s = time.monotonic()
-        return all(until_s < now_s for until_s in self._untold.values())
+    def announce(self) -> None:
+        """Print `ready` once: the server is up and the control process is there."""
+        self.serving.ever_attached.wait()
+        print(f"ready {self.node.get_fully_qualified_name()}/follow_joint_trajectory", flush=True)
 
     def _consider(self, goal: Any) -> GoalResponse:
         """Accept every goal, so that a bad one can be told why; `strict_reject` rejects bad ones instead."""
@@ -136,43 +101,6 @@ class FrontNode:
                 self.node.get_logger().warning(f"Goal rejected: {reason.sentence}")
                 return GoalResponse.REJECT
         return GoalResponse.ACCEPT
-
-    def _accepted(self, handle: ServerGoalHandle) -> None:
-        self._counts.goals_taken += 1
-        now_s = time.monotonic()
-        self._untold = {goal: until_s for goal, until_s in self._untold.items() if until_s >= now_s}
-        self._untold[bytes(handle.goal_id.uuid)] = math.inf
-        handle.execute()
-
-    def _told(self, goal: bytes) -> None:
-        self._untold.pop(goal, None)
-
-    async def _execute(self, handle: ServerGoalHandle) -> Any:
-        """One goal from its acceptance to its single terminal call."""
-        try:
-            return self._conclude(handle, await self._run(handle))
-        finally:
-            self._untold[bytes(handle.goal_id.uuid)] = time.monotonic() + RESULT_GRACE_S
-
-    def _conclude(self, handle: ServerGoalHandle, verdict: Verdict) -> Any:
-        canceling = handle.is_cancel_requested
-        result = FollowJointTrajectory.Result(error_code=verdict.code, error_string=verdict.sentence)
-        logger = self.node.get_logger()
-        if verdict.status is Status.SUCCEEDED:
-            handle.succeed()
-            self._counts.goals_succeeded += 1
-            logger.info(verdict.sentence)
-        elif verdict.status is Status.CANCELED and canceling:
-            handle.canceled()
-            self._counts.goals_canceled += 1
-            logger.info(verdict.sentence)
-        else:
-            handle.abort()
-            self._counts.goals_aborted += 1
-            logger.warning(f"Goal aborted: {verdict.sentence}")
-            if verdict.status is Status.CANCELED:
-                result.error_code = FollowJointTrajectory.Result.INVALID_GOAL
-        return result
 
     async def _run(self, handle: ServerGoalHandle) -> Verdict:
         if handle.is_cancel_requested:
@@ -195,17 +123,16 @@ class FrontNode:
             verdict: Verdict = await decided
         finally:
             del self._executions[key], self._moving[execution.goal_id]
-        if self._closing and verdict.status is Status.CANCELED and not handle.is_cancel_requested:
+        if self._goals.closing and verdict.status is Status.CANCELED and not handle.is_cancel_requested:
             rest = verdict.sentence.removeprefix("Canceled: ")
             return verdicts.aborted(f"The ROS process was stopped: {rest}")
         return verdict
 
-    def _cancel(self, handle: ServerGoalHandle) -> CancelResponse:
-        """Every cancel is accepted at once; the arm then stops on its path."""
+    def _cancel(self, handle: ServerGoalHandle) -> None:
+        """The arm then stops on its path."""
         execution = self._executions.get(bytes(handle.goal_id.uuid))
         if execution is not None:
             self.serving.cancel(execution)
-        return CancelResponse.ACCEPT
 
     # --- every snapshot, in the publisher's thread ---
 
@@ -269,11 +196,10 @@ class FrontNode:
 
         Returns when the thread in `spin` has left it, after `patience_s` and `RESULT_GRACE_S` at the latest.
         """
-        self._closing = True
+        self._goals.closing = True
         self.serving.close()
         self._services.close()
-        self._executor.create_task(lambda: None)  # a turn of `spin`, which may wait for ever
-        if not self._has_spun.wait(patience_s):
-            self.serving.lost("The ROS process was stopped before the arm had come to rest.")
-            self._has_spun.wait()  # every goal is decided, so nothing keeps it
+        self._goals.leave(
+            patience_s, lambda: self.serving.lost("The ROS process was stopped before the arm had come to rest.")
+        )
         self.pulse.stop()

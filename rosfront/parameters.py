@@ -19,21 +19,18 @@ from rclpy.parameter import Parameter
 from config.schema import ArmConfig
 from rosfront.serving import Serving
 from rosfront.settings import Settings
+from rosfront.start_parameters import START, BadParameter, facts, require_kind
 
 LARGEST_TOLERANCE = 100.0
 LONGEST_GOAL_TIME_S = 86_400.0
 INITIAL_SCALE = "speed_scaling.initial_scaling_factor"
-_KINDS = {bool: "true or false", float: "a number", str: "a text", list: "a list of texts"}
-
-
-class BadParameter(Exception):
-    """A parameter's value cannot be taken; the text is one sentence."""
 
 
 class Change(Enum):
     """When a parameter may be given another value."""
 
     NEVER = "The arm file says it; it is here to be read."
+    STARTED = "It was said when the arm was started; it is here to be read."
     AT_START = "Can be given at the start, not changed while the node runs."
     STANDING = "Can be changed while no goal runs; the next goal is judged by it."
     ALWAYS = "Can be changed at any time; the next goal is judged by it."
@@ -56,16 +53,13 @@ class Rule:
         """The value as the parameter's kind; raises BadParameter."""
         if type(self.default) is float and type(value) is int:
             value = float(value)  # what people and YAML write for a whole number
-        if type(value) is not type(self.default):
-            raise BadParameter(
-                f"Parameter {self.name} is {value!r}, and it must be {_KINDS[type(self.default)]}: give such a value."
-            )
+        require_kind(self.name, value, type(self.default))
         if type(value) is float and not self.lowest <= value <= self.highest:
             raise BadParameter(
                 f"Parameter {self.name} is {value:g}, and allowed are {self.lowest:g} to {self.highest:g}: "
                 "give a value between them."
             )
-        if self.change is Change.NEVER and value != self.default:
+        if self.change in (Change.NEVER, Change.STARTED) and value != self.default:
             raise BadParameter(
                 f"Parameter {self.name} is {value!r}, and this arm has {self.default!r}: leave the parameter out, "
                 "or change the arm file."
@@ -79,7 +73,7 @@ class Rule:
             ranges = [FloatingPointRange(from_value=self.lowest, to_value=self.highest, step=0.0)]
         return ParameterDescriptor(
             description=f"{self.description} {self.change.value}",
-            read_only=self.change in (Change.NEVER, Change.AT_START),
+            read_only=self.change in (Change.NEVER, Change.STARTED, Change.AT_START),
             floating_point_range=ranges,
         )
 
@@ -152,7 +146,20 @@ def rules(arm: ArmConfig) -> list[Rule]:
             adopt=lambda settings, allowed: replace(settings, allow_partial_joints_goal=allowed),
         ),
     ]
-    return fixed + live + [rule for index, name in enumerate(names) for rule in _of_joint(defaults, index, name)]
+    return (
+        fixed
+        + _of_the_start(arm)
+        + live
+        + [rule for index, name in enumerate(names) for rule in _of_joint(defaults, index, name)]
+    )
+
+
+def _of_the_start(arm: ArmConfig) -> list[Rule]:
+    """What `robot_interface` was given, as it came out; only the launcher knows whether the arm is simulated."""
+    return [
+        Rule(name, value, START[name][1], Change.AT_START if name == "sim" else Change.STARTED)
+        for name, value in facts(arm).items()
+    ]
 
 
 def _of_joint(defaults: Settings, index: int, name: str) -> list[Rule]:
@@ -186,6 +193,10 @@ def _of_joint(defaults: Settings, index: int, name: str) -> list[Rule]:
 
 def _with(values: tuple[float, ...], index: int, value: float) -> tuple[float, ...]:
     return (*values[:index], value, *values[index + 1 :])
+
+
+def _as_typed(value: Any) -> str:
+    return f"{value:g}" if type(value) is float else str(value).lower()
 
 
 class CheckedNode(Node):
@@ -239,11 +250,13 @@ class CheckedNode(Node):
             )
         if rule.change is Change.NEVER:
             raise BadParameter(f"Parameter {rule.name} is fixed by the arm file: change it there and start again.")
+        if rule.change is Change.STARTED:
+            raise BadParameter(f"Parameter {rule.name} is fixed while the arm runs: start the arm again with another.")
         value = rule.checked(parameter.value)
         if rule.change is Change.AT_START:
             raise BadParameter(
                 f"Parameter {rule.name} cannot be changed while the node runs: start it with "
-                f"`--ros-args -p {rule.name}:={value:g}`."
+                f"`--ros-args -p {rule.name}:={_as_typed(value)}`."
             )
         if rule.change is Change.STANDING and not self._serving.idle and value != self.get_parameter(rule.name).value:
             raise BadParameter(

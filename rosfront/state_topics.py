@@ -66,6 +66,17 @@ def joint_state_bytes(arm: ArmConfig) -> MessageBytes:
     return MessageBytes(serialised, 1, [len(arm.joints)] * 3)
 
 
+def position_bytes(arm: ArmConfig) -> MessageBytes:
+    """sensor_msgs/JointState of positions alone, in no frame."""
+
+    def serialised(times: Sequence[Instant], rows: Sequence[list[float]]) -> bytes:
+        (stamp,), (position,) = times, rows
+        header = Header(stamp=Time(sec=stamp[0], nanosec=stamp[1]))
+        return bytes(serialize_message(JointState(header=header, name=_names(arm), position=position)))
+
+    return MessageBytes(serialised, 1, [len(arm.joints)])
+
+
 def controller_state_bytes(arm: ArmConfig) -> MessageBytes:
     """control_msgs/JointTrajectoryControllerState.
 

@@ -7,12 +7,12 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from rtarm.errors import AlreadySaid, ExitCode, Refusal, exit_code_table
+from rtarm.errors import ExitCode, Refusal, exit_code_table, foreseen
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -279,24 +279,13 @@ def _print(what: RenderableType) -> None:
 @contextmanager
 def _sentences() -> Iterator[None]:
     """Foreseeable errors end as their sentence on standard error and an exit code, never as a traceback."""
-    from config.errors import ConfigError
-
     try:
         yield
-    except AlreadySaid as refusal:
-        if sys.stdout.isatty():  # a person has just read it
-            raise typer.Exit(int(refusal.code)) from None
-        _end(refusal.sentence, refusal.code)
-    except Refusal as refusal:
-        _end(refusal.sentence, refusal.code)
-    except ConfigError as error:
-        _end("\n".join(str(problem) for problem in error.errors), ExitCode.REFUSED)
     except Exception as error:
-        if "shm.errors" not in sys.modules or not isinstance(error, sys.modules["shm.errors"].SharedMemoryError):
+        told = foreseen(error)
+        if told is None:
             raise
-        _end(str(error), ExitCode.REFUSED)
-
-
-def _end(sentence: str, code: ExitCode) -> NoReturn:
-    typer.echo(sentence, err=True)
-    raise typer.Exit(int(code)) from None
+        sentence, code = told
+        if sentence:
+            typer.echo(sentence, err=True)
+        raise typer.Exit(int(code)) from None

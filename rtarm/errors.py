@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from enum import IntEnum
 
 
@@ -42,3 +43,25 @@ class Refusal(Exception):
 
 class AlreadySaid(Refusal):
     """A refusal whose sentence a process of the arm has already spoken."""
+
+
+SENTENCES_OF_OTHERS = (("shm.errors", "SharedMemoryError"), ("rosfront.program", "CannotServe"))
+"""Errors whose text is a sentence for a person; where their module was not imported, they cannot have come up."""
+
+
+def foreseen(error: Exception) -> tuple[str, ExitCode] | None:
+    """What a person is told of a foreseeable error ("" if it has just been read), and the exit code.
+
+    None for anything else: a defect shows its traceback.
+    """
+    from config.errors import ConfigError
+
+    if isinstance(error, Refusal):
+        heard = isinstance(error, AlreadySaid) and sys.stdout.isatty()
+        return "" if heard else error.sentence, error.code
+    if isinstance(error, ConfigError):
+        return "\n".join(str(problem) for problem in error.errors), ExitCode.REFUSED
+    for module, name in SENTENCES_OF_OTHERS:
+        if module in sys.modules and isinstance(error, getattr(sys.modules[module], name)):
+            return str(error), ExitCode.REFUSED
+    return None

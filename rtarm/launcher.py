@@ -12,6 +12,7 @@ import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from rtarm.errors import AlreadySaid, ExitCode, Refusal
@@ -63,6 +64,16 @@ class Plan:
     """What the ROS process is given besides, such as `--ros-args`."""
 
 
+def parameter_arguments(parameters: Mapping[str, Any]) -> list[str]:
+    """Values of ROS parameters as the arguments with which a node is started."""
+    if not parameters:
+        return []
+    return [
+        "--ros-args",
+        *chain.from_iterable(("-p", f"{name}:={_as_yaml(value)}") for name, value in parameters.items()),
+    ]
+
+
 def override_arguments(overrides: Mapping[str, Any], above: str = "") -> list[str]:
     """Nested overrides as the `--set section.key=value` arguments that every process of an arm takes."""
     arguments: list[str] = []
@@ -78,7 +89,7 @@ def _as_yaml(value: Any) -> str:
     import yaml
 
     style = '"' if isinstance(value, str) else None  # so that "5" stays a text
-    text: str = yaml.safe_dump(value, default_style=style, width=math.inf, allow_unicode=True)
+    text: str = yaml.safe_dump(value, default_style=style, default_flow_style=True, width=math.inf, allow_unicode=True)
     return text.removesuffix("\n").removesuffix("\n...")
 
 
@@ -105,7 +116,7 @@ def load_plan(
     if simulated:
         if _needs_no_bus(arm_argument):
             raise Refusal(
-                f"Arm {arm_argument} has mock drives and no bus, so there is nothing to simulate: leave --sim out."
+                f"Arm {arm_argument} has mock drives and no bus, so there is nothing to simulate: leave sim out."
             )
         loaded_with = _with_channel(overrides, SIMULATED_CHANNEL)
     arm = load_arm(arm_argument, overrides=loaded_with)
@@ -172,8 +183,8 @@ class Launcher:
         self._front = await self._start_front()
         await self._wait_ready(self._loop, LOOP_PATIENCE_S, "control process starting")
         self._say(self._loop, f"ready, {describe_bus(plan.arm)} ({time.monotonic() - started:.1f} s)")
-        await self._wait_ready(self._front, FRONT_PATIENCE_S, "ROS process starting")
-        self._say(self._front, f"ready, action {action_name(plan.arm)} ({time.monotonic() - started:.1f} s)")
+        action = await self._wait_ready(self._front, FRONT_PATIENCE_S, "ROS process starting")
+        self._say(self._front, f"ready, action {action} ({time.monotonic() - started:.1f} s)")
 
     async def watch(self) -> None:
         """Keep the ROS process alive; returns never, and raises when the rest cannot go on.
@@ -243,6 +254,8 @@ class Launcher:
             **self.plan.front_environment,
         }
         arguments = [*self._arguments, *self.plan.front_arguments]
+        if self.plan.simulated:
+            arguments += parameter_arguments({"sim": True})
         return await self._spawn("front", "rosfront", arguments, environment)
 
     async def _spawn(self, name: str, module: str, arguments: Sequence[str], environment: Mapping[str, str]) -> Child:

@@ -148,7 +148,7 @@ def test_robot_interface_takes_a_goal(workspace: Path, run, arm_name: str, tmp_p
     file = tmp_path / "mine.yaml"
     file.write_text(yaml.safe_dump(values), encoding="utf-8")
     program = run("robot_interface", "--ros-args", "-p", f"arm:={file}", "-p", "init_mode:=1")
-    until(lambda: program.says("running"), "the arm running", LONG_S)
+    until(lambda: program.says("rtarm  running"), "the arm running", LONG_S)
     client = Client(f"controller_{arm_name}")
     try:
         state, _, sentence = client.run(recorded("small"))

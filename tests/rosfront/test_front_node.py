@@ -20,7 +20,7 @@ from front_stage import Stage, goal, serving_alone
 from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, until
 
 from config.loader import load_arm
-from rosfront import node
+from rosfront import action
 from shm.words import Fault, Outcome
 
 pytestmark = pytest.mark.process  # a real client, real threads, real time
@@ -239,7 +239,7 @@ def test_a_goal_that_comes_at_the_end_is_told_why_it_is_not_begun(arm_name):
 
 
 def test_a_client_that_never_asks_holds_up_the_end_for_a_moment_only(arm_name, monkeypatch):
-    monkeypatch.setattr(node, "RESULT_GRACE_S", 0.05)
+    monkeypatch.setattr(action, "RESULT_GRACE_S", 0.05)
     with serving_alone(arm_name) as (loop, front, client, thread):
         client.send(goal(seconds=30))
         until(lambda: loop.active, "motion")

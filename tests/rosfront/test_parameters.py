@@ -42,7 +42,7 @@ def test_numbers_have_a_range_that_tools_can_show(rule):
 @pytest.mark.parametrize("rule", RULES.values(), ids=lambda rule: rule.name)
 def test_every_parameter_says_what_it_is_and_refuses_other_kinds(rule):
     assert rule.descriptor().description.count(".") >= 2
-    assert rule.descriptor().read_only == (rule.change in (Change.NEVER, Change.AT_START))
+    assert rule.descriptor().read_only == (rule.change in (Change.NEVER, Change.STARTED, Change.AT_START))
     for other in (None, {}, b"x", object()):
         with pytest.raises(BadParameter, match="must be"):
             rule.checked(other)
@@ -139,6 +139,19 @@ def test_an_unknown_one_is_mentioned(node_with, capfd):
     assert "use_sim_time" not in said
 
 
+def test_how_the_arm_was_started_can_be_read(node_with, capfd):
+    node, _ = node_with(sim="true", init_mode=1, arm=ARM.name)
+    names = ("arm", "sim", "usb_index", "channel", "init_mode", "interpolation_factor", "publish_mode")
+    values = [node.get_parameter(name).value for name in names]
+    assert values == [ARM.name, True, -1, "mock", 1, 15, "joint_states"]
+    assert "not known here" not in capfd.readouterr().err
+
+
+def test_a_start_parameter_that_is_not_true_is_refused(node_with):
+    with pytest.raises(BadParameter, match=r"^Parameter usb_index is 3, and this arm has -1: leave the parameter out"):
+        node_with(usb_index=3)
+
+
 def test_a_set_of_parameters_is_taken_as_a_whole_or_not_at_all(node_with):
     node, serving = node_with()
     good, bad = Parameter("constraints.goal_time", value=5), Parameter("constraints.joint1.goal", value=-5.0)
@@ -155,6 +168,8 @@ def test_a_set_of_parameters_is_taken_as_a_whole_or_not_at_all(node_with):
     [
         ("joints", ["joint1"], "is fixed by the arm file"),
         ("interpolation_method", "none", "is fixed by the arm file"),
+        ("usb_index", 2, "start the arm again with another"),
+        ("sim", True, "start it with `--ros-args -p sim:=true`"),
         ("action_monitor_rate", 10.0, "start it with `--ros-args -p action_monitor_rate:=10`"),
         ("constraints.goal_time", "soon", "must be a number"),
         ("constraints.goal_time", None, "must be a number"),

@@ -1,0 +1,151 @@
+# mypy: allow-untyped-calls
+# (rclpy annotates some of its functions and leaves the others untyped)
+"""The action follow_joint_trajectory, whoever carries the goals out: each goal gets one end, and its client hears it.
+
+A goal is a coroutine in the executor's thread. The end of the program: rclpy's `Executor.shutdown` frees what a
+spinning executor still uses, so the executor's thread leaves `spin` by itself first, and not before every client that
+was given a goal has been given its result.
+"""
+
+import math
+import threading
+import time
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from control_msgs.action import FollowJointTrajectory
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.task import Future
+
+from rosfront.diagnostics import Counts
+from rosfront.verdict import Status, Verdict
+
+RESULT_KEPT_S = 60
+"""How long a result can be asked for; clients ask at once, and a kept result keeps its whole goal."""
+RESULT_GRACE_S = 1.0
+"""At the end of this process a result that nobody has asked for yet is kept for so long."""
+LEAVE_EVERY_S = 0.02
+
+
+class _TellingServer(ActionServer):
+    """An action server that also says whose result has been sent."""
+
+    def __init__(self, on_sent: Callable[[bytes], None], *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._on_sent = on_sent
+
+    def _send_result_response(self, request_header: Any, future: Future) -> None:
+        super()._send_result_response(request_header, future)
+        for goal, result in self._result_futures.items():
+            if result is future:
+                self._on_sent(goal)
+
+
+class GoalServer:
+    """The action server and the executor's thread around it.
+
+    Attributes:
+        closing: no goal is begun any more, and `spin` returns as soon as it can; set by the owner or by `leave`.
+        counts: how the goals ended.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        executor: SingleThreadedExecutor,
+        name: str,
+        *,
+        run: Callable[[ServerGoalHandle], Awaitable[Verdict]],
+        cancel: Callable[[ServerGoalHandle], None] = lambda _: None,
+        consider: Callable[[Any], GoalResponse] = lambda _: GoalResponse.ACCEPT,
+        idle: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """`run` carries a goal out and returns how it ended; `cancel` hears that a client no longer wants one.
+
+        `consider` may reject a goal before it is one, without a reason. `idle` says whether nothing else of the node
+        keeps the executor's thread.
+        """
+        self.closing = False
+        self.counts = Counts()
+        self._log = node.get_logger()
+        self._executor = executor
+        self._run = run
+        self._cancel = cancel
+        self._idle = idle
+        self._untold: dict[bytes, float] = {}  # goals whose client has no result yet, and until when that counts
+        self._has_spun = threading.Event()
+        self._server = _TellingServer(
+            self._told,
+            node,
+            FollowJointTrajectory,
+            name,
+            execute_callback=self._execute,
+            goal_callback=consider,
+            handle_accepted_callback=self._accepted,
+            cancel_callback=self._cancel_asked,
+            result_timeout=RESULT_KEPT_S,
+        )
+
+    def spin(self) -> None:
+        """Serve; returns once it is `closing`, when every client has its result or its answer."""
+        try:
+            while not (self.closing and self._idle() and self._all_told()):
+                self._executor.spin_once(LEAVE_EVERY_S if self.closing else None)
+        finally:
+            self._has_spun.set()
+
+    def leave(self, patience_s: float, give_up: Callable[[], None]) -> None:
+        """Wait, in another thread, until `spin` has been left; after `patience_s`, `give_up` is to end every goal."""
+        self.closing = True
+        self._executor.create_task(lambda: None)  # a turn of `spin`, which may wait for ever
+        if not self._has_spun.wait(patience_s):
+            give_up()
+            self._has_spun.wait()  # every goal is decided, so nothing keeps it
+
+    def _all_told(self) -> bool:
+        now_s = time.monotonic()
+        return all(until_s < now_s for until_s in self._untold.values())
+
+    def _accepted(self, handle: ServerGoalHandle) -> None:
+        self.counts.goals_taken += 1
+        now_s = time.monotonic()
+        self._untold = {goal: until_s for goal, until_s in self._untold.items() if until_s >= now_s}
+        self._untold[bytes(handle.goal_id.uuid)] = math.inf
+        handle.execute()
+
+    def _told(self, goal: bytes) -> None:
+        self._untold.pop(goal, None)
+
+    def _cancel_asked(self, handle: ServerGoalHandle) -> CancelResponse:
+        """Every cancel is accepted at once: MoveIt waits for the answer (facts: moveit-client, section 1)."""
+        self._cancel(handle)
+        return CancelResponse.ACCEPT
+
+    async def _execute(self, handle: ServerGoalHandle) -> Any:
+        """One goal from its acceptance to its single terminal call."""
+        try:
+            return self._conclude(handle, await self._run(handle))
+        finally:
+            self._untold[bytes(handle.goal_id.uuid)] = time.monotonic() + RESULT_GRACE_S
+
+    def _conclude(self, handle: ServerGoalHandle, verdict: Verdict) -> Any:
+        canceling = handle.is_cancel_requested
+        result = FollowJointTrajectory.Result(error_code=verdict.code, error_string=verdict.sentence)
+        if verdict.status is Status.SUCCEEDED:
+            handle.succeed()
+            self.counts.goals_succeeded += 1
+            if verdict.sentence:
+                self._log.info(verdict.sentence)
+        elif verdict.status is Status.CANCELED and canceling:
+            handle.canceled()
+            self.counts.goals_canceled += 1
+            self._log.info(verdict.sentence)
+        else:
+            handle.abort()
+            self.counts.goals_aborted += 1
+            self._log.warning(f"Goal aborted: {verdict.sentence}")
+            if verdict.status is Status.CANCELED:
+                result.error_code = FollowJointTrajectory.Result.INVALID_GOAL
+        return result

@@ -1,0 +1,149 @@
+# mypy: allow-untyped-calls
+# (rclpy annotates some of its functions and leaves the others untyped)
+"""What the programs of this folder have in common: command line, signals, rclpy around a node, an orderly end."""
+
+import gc
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from rclpy.executors import SingleThreadedExecutor
+
+ROS_ARGS, END_OF_ROS_ARGS = "--ros-args", "--"
+LONGEST_STOP_S = 3.5
+"""What the arm may take to stop on its path; with what follows it is within the launcher's 5 s."""
+GIL_SWITCH_S = 0.0005
+"""A goal being checked holds up the publisher's thread for this long at most, instead of 5 ms."""
+
+
+class CannotServe(Exception):
+    """The program cannot do its work; the text is one sentence."""
+
+
+class Served(Protocol):
+    """A node at work, as the program around it sees it."""
+
+    node: Any
+
+    def spin(self) -> None:
+        """Serve in a thread of its own, until `close`."""
+
+    def announce(self) -> None:
+        """Say, in a thread that may wait, that goals can be sent."""
+
+    def close(self, patience_s: float) -> None:
+        """End what runs and make `spin` return."""
+
+
+class EndSignal:
+    """SIGTERM and SIGINT as something to wait for.
+
+    The kernel gives a signal to any thread, and a Python handler runs only when the main thread comes back to
+    the interpreter; the byte that the interpreter's C handler writes into a pipe arrives in every case.
+    """
+
+    def __init__(self) -> None:
+        self._read, self._write = os.pipe()
+        os.set_blocking(self._write, False)
+        signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: None)
+
+    def wait(self) -> None:
+        """Until a signal comes or has come, or `give` was called; a later one is ignored to the very end."""
+        os.read(self._read, 1)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, signal.SIG_IGN)
+
+    def give(self) -> None:
+        os.write(self._write, b"\0")
+
+
+def split_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """A command line as what is meant for the program and what is meant for ROS (from --ros-args to --, or the end)."""
+    own: list[str] = []
+    ros: list[str] = []
+    for_ros = False
+    for argument in arguments:
+        for_ros = for_ros or argument == ROS_ARGS
+        if for_ros or argument != END_OF_ROS_ARGS:
+            (ros if for_ros else own).append(argument)
+        for_ros = for_ros and argument != END_OF_ROS_ARGS
+    return own, ros
+
+
+@contextmanager
+def needs_ros() -> Iterator[None]:
+    """Around the imports of ROS: raises CannotServe where it is missing."""
+    try:
+        yield
+    except ImportError as problem:
+        raise CannotServe(
+            f"ROS 2 is not usable here ({problem}): source a ROS 2 Jazzy installation that has control_msgs, "
+            "or run `make env` for the wheels."
+        ) from problem
+
+
+def start_ros(ros_arguments: Sequence[str], context: Any = None) -> None:
+    """Initialise rclpy without its signal handlers; raises CannotServe when ROS refuses the arguments."""
+    with needs_ros():
+        import rclpy
+        from rclpy.signals import SignalHandlerOptions
+    try:
+        rclpy.init(args=list(ros_arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as problem:  # the root of all of rclpy's own, whose classes are private
+        reason = str(problem).removeprefix("failed to initialize rcl: ").partition(", at /")[0]
+        raise CannotServe(
+            f"ROS does not understand what follows {ROS_ARGS} ({reason.rstrip('.')}): correct it."
+        ) from problem
+
+
+def serve(
+    make: Callable[["SingleThreadedExecutor"], Served], ros_arguments: Sequence[str], discovery: str, end: EndSignal
+) -> None:
+    """Make a node and let it work until the end signal.
+
+    `discovery` is that of the arm file (`localhost` or `subnet`), which the environment may overrule. Raises
+    CannotServe, and whatever ended the executor's thread.
+    """
+    # Before rclpy is imported: an arm is a thing of its own machine until its file says otherwise.
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", {"localhost": "LOCALHOST", "subnet": "SUBNET"}[discovery])
+    start_ros(ros_arguments)
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.utilities import try_shutdown
+
+    sys.setswitchinterval(GIL_SWITCH_S)
+    executor = SingleThreadedExecutor()
+    try:
+        served = make(executor)
+    except CannotServe:
+        try_shutdown()
+        raise
+    failures: list[BaseException] = []
+
+    def spin() -> None:
+        try:
+            served.spin()
+        except BaseException as failure:  # a thread's exception is nobody's unless it is carried out
+            failures.append(failure)
+            end.give()
+
+    spinner = threading.Thread(target=spin, name="executor", daemon=True)
+    spinner.start()
+    announcer = threading.Thread(target=served.announce, name="announcer", daemon=True)
+    announcer.start()
+    gc.collect()
+    gc.freeze()  # what is alive now stays: later collections need not walk through it
+    end.wait()
+    served.close(LONGEST_STOP_S)
+    spinner.join()
+    executor.shutdown()
+    served.node.destroy_node()
+    try_shutdown()
+    if failures:
+        raise failures[0]

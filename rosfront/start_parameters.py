@@ -1,0 +1,127 @@
+# mypy: allow-untyped-calls
+# (rclpy annotates some of its functions and leaves the others untyped)
+"""The ROS parameters that say which arm is started and how: given to `robot_interface`, shown by the arm's node.
+
+`python -m rosfront.start_parameters [--ros-args …]` prints, as one JSON object, every parameter that a command line
+gives to the arm's node under any of the names people know it by. A launcher that shall know nothing of ROS runs it.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from rosfront.program import CannotServe, needs_ros, split_arguments, start_ros
+
+if TYPE_CHECKING:
+    from config.schema import ArmConfig
+
+DEFAULT_ARM = "episode1"
+NODE_NAMES = ("robot_interface", "robot_interface_full", "robot_interface_node")
+"""Names by which a parameter file or a launch file may mean the arm's node, besides the controller's own."""
+ANY_OTHER_NODE = "any_other_node"
+NO_USB_INDEX = -1
+
+JOINT_STATES, MOTOR_ANGLES = "joint_states", "motor_angles"
+PUBLISH_MODES = (JOINT_STATES, MOTOR_ANGLES)
+
+START: dict[str, tuple[type, str]] = {
+    "arm": (str, "The arm."),
+    "sim": (bool, "Whether the drives are simulated."),
+    "usb_index": (int, "The adapter as n of /dev/ttyUSB<n>; -1 where it is named by its channel alone."),
+    "channel": (str, "Device of the CAN adapter."),
+    "init_mode": (int, "What bring-up did: 1 took over the pose the arm stood in, 0 is homing."),
+    "interpolation_factor": (int, "Points put between each two given ones, if interpolation_method is linear."),
+    "publish_mode": (str, "What is published of the joints' positions."),
+}
+"""Name, kind and, for whoever reads them on the running node, the meaning of each."""
+
+_KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", list: "a list of texts"}
+
+
+class BadParameter(CannotServe):
+    """A parameter's value cannot be taken; the text is one sentence."""
+
+
+def require_kind(name: str, value: Any, kind: type) -> None:
+    """Raise BadParameter when a parameter's value is of another kind."""
+    if type(value) is not kind:
+        raise BadParameter(f"Parameter {name} is {value!r}, and it must be {_KINDS[kind]}: give such a value.")
+
+
+def facts(arm: "ArmConfig") -> dict[str, Any]:
+    """The start parameters as the arm was loaded; whether it is simulated is not known to its configuration."""
+    usb_index = arm.bus.usb_index
+    return {
+        "arm": arm.name,
+        "sim": False,
+        "usb_index": NO_USB_INDEX if usb_index is None else usb_index,
+        "channel": arm.bus.resolved_channel,
+        "init_mode": arm.control.init_mode,
+        "interpolation_factor": arm.trajectory.interpolation_factor,
+        "publish_mode": JOINT_STATES,
+    }
+
+
+def read_given(ros_arguments: Sequence[str]) -> dict[str, Any]:
+    """The parameters that ROS arguments give to the arm's node, by ROS's own reading of them.
+
+    Which ones they are depends on the node's name and namespace, and ROS tells them only to a node: so one after
+    the other is made here, alone in a context. What is addressed to one of the names goes before what is
+    addressed to all nodes. Raises CannotServe when ROS does not understand the arguments.
+    """
+    with needs_ros():
+        from rclpy.context import Context
+        from rclpy.node import Node
+    context = Context()
+    start_ros(ros_arguments, context)
+
+    def given_to(name: str) -> dict[str, Any]:
+        node = Node(name, context=context, enable_rosout=False, start_parameter_services=False)
+        given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
+        node.destroy_node()
+        return given
+
+    try:
+        to_all = given_to(ANY_OTHER_NODE)
+        merged = dict(to_all)
+
+        def add(name: str) -> None:
+            merged.update({key: value for key, value in given_to(name).items() if value != to_all.get(key)})
+
+        for name in NODE_NAMES:
+            add(name)
+        controller = _controller_name(merged.get("arm", DEFAULT_ARM))
+        if controller is not None:
+            add(controller)
+        return merged
+    finally:
+        context.try_shutdown()
+
+
+def _controller_name(arm: Any) -> str | None:
+    from config.errors import ConfigError
+    from config.loader import load_arm
+
+    try:
+        return load_arm(arm).front.controller_name if isinstance(arm, str) else None
+    except ConfigError:
+        return None  # whoever starts the arm says why
+
+
+def main() -> int:
+    """Print what is given, for the launcher."""
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"  # nobody need hear of these nodes
+    _, ros_arguments = split_arguments(sys.argv[1:])
+    try:
+        given = read_given(ros_arguments)
+    except CannotServe as problem:
+        print(problem, file=sys.stderr)
+        return 1
+    print(json.dumps(given, default=list))  # numbers come as arrays
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

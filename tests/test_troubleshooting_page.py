@@ -1,0 +1,37 @@
+"""docs/troubleshooting.md has every sentence with which the control process ends a goal or latches a fault."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from shm.sentences import FAULTS, OUTCOMES, UNREFERENCED, Meaning
+from shm.words import Fault, Outcome, Unreferenced
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "troubleshooting.md"
+TABLES = (
+    (OUTCOMES, {Outcome.NONE, Outcome.SUCCEEDED}),
+    (FAULTS, {Fault.NONE}),
+    (UNREFERENCED, {Unreferenced.REFERENCED}),
+)
+"""The tables, and in each what is no trouble."""
+
+
+def row(meaning: Meaning) -> str:
+    """A sentence with its values left out, why it exists, and the ways out."""
+    sentence = re.sub(r"\{[^}]*\}", "…", meaning.sentence)
+    return f"| {sentence} | {meaning.reason} | {meaning.remedy} |"
+
+
+def rows() -> Iterator[str]:
+    for table, untroubled in TABLES:
+        for key, meaning in table.items():
+            if key not in untroubled:
+                yield row(meaning)
+
+
+def test_every_sentence_stands_on_the_page() -> None:
+    page = PAGE.read_text(encoding="utf-8").splitlines()
+    missing = [wanted for wanted in rows() if wanted not in page]
+    assert not missing, "\n".join(["These rows belong into docs/troubleshooting.md:", *missing])
