@@ -43,10 +43,13 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A workspace whose only source is this repository, built."""
-    folder: Path = tmp_path_factory.mktemp("a workspace")
+    return built_in(tmp_path_factory.mktemp("a workspace"))
+
+
+def built_in(folder: Path, *options: str) -> Path:
     (folder / "src").mkdir()
     (folder / "src" / "rtarm").symlink_to(ROOT)
-    build(folder)
+    build(folder, *options)
     return folder
 
 
@@ -165,6 +168,16 @@ def test_the_printer_runs(run) -> None:
 
 
 def test_the_command_line_is_there_too(workspace: Path) -> None:
+    check_an_arm_file(workspace)
+
+
+def test_files_may_be_linked_instead_of_copied(tmp_path: Path) -> None:
+    workspace = built_in(tmp_path, "--symlink-install")
+    assert (workspace / "install" / "rtarm" / "lib" / "rtarm" / "python" / "rtarm" / "cli.py").is_symlink()
+    check_an_arm_file(workspace)
+
+
+def check_an_arm_file(workspace: Path) -> None:
     program = workspace / "install" / "rtarm" / "lib" / "rtarm" / "rtarm"
     checked = subprocess.run([program, "config", "check", "episode1"], capture_output=True, text=True, check=False)
     assert checked.returncode == 0 and "joint6" in checked.stdout, checked.stderr
