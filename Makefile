@@ -1,10 +1,15 @@
 # Every target makes the environment it needs in .venv; a stamp file per step makes the second call quick.
 PYTHON ?= python3
 
+COMMA := ,
 VENV := .venv
 BIN := $(VENV)/bin
 STAMPS := $(VENV)/stamps
 ROS_SETUP := /opt/ros/jazzy/setup.bash
+# Where a ROS installation is sourced, rclpy comes from there and the wheels are left out: the two do not mix.
+ROS := $(if $(ROS_DISTRO),$(shell $(PYTHON) -c 'import rclpy' 2>/dev/null && echo installation))
+ROS_FROM := $(or $(ROS),wheels)
+EXTRAS := dev$(if $(ROS),,$(COMMA)ros)
 INTERFACES := $(shell find rosfront/interfaces -type f -not -name '*.pyc')
 COMPILED := $(shell find motion shm rtloop -name '*.py')
 SOURCES := config motion shm rtloop rosfront sim rtarm ros bench tests
@@ -43,22 +48,21 @@ clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 	find $(wildcard $(SOURCES)) -name __pycache__ -type d -prune -exec rm -rf {} +
 
-$(STAMPS)/venv:
+# One environment, for one origin of ROS: with another it is made anew.
+$(STAMPS)/ros-from-$(ROS_FROM):
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null || { \
 	  echo "$(PYTHON) is `$(PYTHON) --version 2>/dev/null || echo missing`, rtarm needs Python 3.11 to 3.13: install one and name it, as in 'make env PYTHON=python3.12'." >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
 	  echo "$(PYTHON) cannot make virtual environments: install its venv module with 'apt-get install python3-venv' and run make again." >&2; exit 1; }
+	@if [ -z "$(ROS)" ] && [ -e $(ROS_SETUP) ]; then echo "ROS 2 comes from wheels; to use the installation, source $(ROS_SETUP) and run make again"; fi
+	@rm -rf $(VENV)
 	@$(PYTHON) -m venv $(VENV)
 	@mkdir -p $(STAMPS) && touch $@
 
-# Where a ROS installation is sourced, rclpy comes from there and the wheels are left out.
-$(STAMPS)/packages: pyproject.toml constraints.txt $(STAMPS)/venv
-	@echo 'installing the packages into $(VENV), about a minute the first time …'
+$(STAMPS)/packages: pyproject.toml constraints.txt $(STAMPS)/ros-from-$(ROS_FROM)
+	@echo 'installing the packages into $(VENV), ROS 2 from $(ROS_FROM), about a minute the first time …'
 	@$(BIN)/pip install --quiet --constraint constraints.txt 'setuptools>=77'
-	@extras=dev,ros; if [ -n "$$ROS_DISTRO" ] && $(PYTHON) -c 'import rclpy' 2>/dev/null; then extras=dev; \
-	elif [ -e $(ROS_SETUP) ]; then \
-	  echo "ROS 2 comes from wheels, though $(ROS_SETUP) is here but not sourced: to use that one, source it and run make clean env"; fi; \
-	$(BIN)/pip install --quiet --constraint constraints.txt --use-pep517 --no-build-isolation --editable ".[$$extras]"
+	@$(BIN)/pip install --quiet --constraint constraints.txt --use-pep517 --no-build-isolation --editable ".[$(EXTRAS)]"
 	@touch $@
 
 $(STAMPS)/interfaces: $(INTERFACES) $(STAMPS)/packages
@@ -66,7 +70,7 @@ $(STAMPS)/interfaces: $(INTERFACES) $(STAMPS)/packages
 	@touch $@
 
 # colcon builds the ROS packages in a test.
-$(STAMPS)/colcon: ros/colcon.txt $(STAMPS)/venv
+$(STAMPS)/colcon: ros/colcon.txt $(STAMPS)/ros-from-$(ROS_FROM)
 	@$(PYTHON) -m venv $(VENV)/colcon
 	@$(VENV)/colcon/bin/pip install --quiet --requirement ros/colcon.txt
 	@touch $@

@@ -63,7 +63,12 @@ def load_arm(name_or_path: str | Path, *, overrides: Mapping[str, Any] | None = 
     except ValidationError as error:
         problems = [_translate(details, values, root, file, overridden) for details in error.errors()]
         raise ConfigError.of(problems) from None
-    arm._source = Source(file=file, lines=dict(_lines(root, ())), overridden=frozenset(overridden))
+    arm._source = Source(
+        file=file,
+        lines=dict(_lines(root, ())),
+        overridden=frozenset(overridden),
+        built_in=path.resolve().parent == ARMS_FOLDER.resolve(),
+    )
     return arm
 
 

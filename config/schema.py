@@ -65,6 +65,25 @@ def refuse(field: str, sentence: str) -> PydanticCustomError:
     return PydanticCustomError("arm_config", "{sentence}", {"field": field, "sentence": sentence})
 
 
+YAML_WORDS = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null", "nan", "inf"))
+"""Names that some reader of YAML takes for a truth value, for nothing or for a number; ROS has one of its own."""
+KEYS_BESIDE_GROUPS = frozenset(("planner_configs", "planning_plugins", "request_adapters", "response_adapters"))
+KEYS_BESIDE_CONTROLLERS = frozenset(("controller_names", "controller_manager", "joint_state_broadcaster"))
+"""Keys of MoveIt's and ros2_control's files beside which the names of groups and controllers stand."""
+
+
+def refuse_name(field: str, name: str, taken: frozenset[str] = frozenset()) -> None:
+    """Refuse a name that ROS' parameter files would not keep as a name; `taken` are keys beside which it stands."""
+    if name.lower() in YAML_WORDS:
+        raise refuse(
+            field, f"{field} is {name}, which YAML readers take for a value instead of a name; choose another name."
+        )
+    if name in taken:
+        raise refuse(
+            field, f"{field} is {name}, which has a meaning of its own in MoveIt's configuration; choose another name."
+        )
+
+
 def _no_bool(value: Any, info: ValidationInfo) -> Any:
     if isinstance(value, bool):  # Python takes true for 1, a reader of the file does not
         sentence = f"{info.field_name} is {str(value).lower()}, but must be a number; write the number."
@@ -227,7 +246,7 @@ class JointConfig(_Section):
 
     name: str = Field(pattern=r"^[A-Za-z_][A-Za-z0-9_./-]{0,62}$", description="Joint name exactly as in the URDF.")
     drive: DriveConfig = Field(description="The drive that moves the joint.")
-    ratio: float = Field(gt=0, description="Gear ratio: motor turns for one turn of the joint.")
+    ratio: float = Field(ge=1e-3, le=1e6, description="Gear ratio: motor turns for one turn of the joint.")
     direction: Annotated[Literal[1, -1], _NoBool] = Field(
         default=1, description="1 when a positive motor angle turns the joint positively, else -1."
     )
@@ -246,6 +265,11 @@ class JointConfig(_Section):
         description="Highest motor speed (rpm); with the ratio it gives the joint's highest velocity.",
     )
     max_acceleration_rad_s2: float = Field(gt=0, description="Acceleration limit of the joint (rad/s²).")
+
+    @model_validator(mode="after")
+    def _name_is_a_name(self) -> JointConfig:
+        refuse_name("name", self.name)
+        return self
 
     @model_validator(mode="after")
     def _range_is_not_empty(self) -> JointConfig:
@@ -433,6 +457,11 @@ class FrontConfig(_Section):
         default="localhost", description="How far ROS 2 discovery reaches: this machine, or its network."
     )
 
+    @model_validator(mode="after")
+    def _controller_name_is_a_name(self) -> FrontConfig:
+        refuse_name("controller_name", self.controller_name, KEYS_BESIDE_CONTROLLERS)
+        return self
+
 
 class RealtimeConfig(_Section):
     """Scheduling of the control process."""
@@ -518,6 +547,12 @@ class KinematicsConfig(_Section):
     )
 
     @model_validator(mode="after")
+    def _names_are_names(self) -> KinematicsConfig:
+        refuse_name("base_link", self.base_link)
+        refuse_name("group", self.group, KEYS_BESIDE_GROUPS)
+        return self
+
+    @model_validator(mode="after")
     def _base_has_a_name_of_its_own(self) -> KinematicsConfig:
         if self.base_link in {"world", "flange", *self.link_names}:
             raise refuse(
@@ -542,6 +577,8 @@ class Source:
     """Line of every field that stands in the file, by its location (`joints[2].ratio`)."""
     overridden: frozenset[str]
     """Locations whose value came from an override."""
+    built_in: bool = False
+    """Whether the file is one of those that come with rtarm."""
 
 
 class ArmConfig(_Section):

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from rclpy.executors import SingleThreadedExecutor
 
 ROS_ARGS, END_OF_ROS_ARGS = "--ros-args", "--"
+HIGHEST_DOMAIN = 232
+"""Higher ROS domains have no UDP ports."""
 LONGEST_STOP_S = 3.5
 """What the arm may take to stop on its path; with what follows it is within the launcher's 5 s."""
 GIL_SWITCH_S = 0.0005
@@ -94,6 +96,7 @@ def start_ros(ros_arguments: Sequence[str], context: Any = None) -> None:
     with needs_ros():
         import rclpy
         from rclpy.signals import SignalHandlerOptions
+    _check_domain(os.environ.get("ROS_DOMAIN_ID", ""))
     try:
         rclpy.init(args=list(ros_arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as problem:  # the root of all of rclpy's own, whose classes are private
@@ -101,6 +104,15 @@ def start_ros(ros_arguments: Sequence[str], context: Any = None) -> None:
         raise CannotServe(
             f"ROS does not understand what follows {ROS_ARGS} ({reason.rstrip('.')}): correct it."
         ) from problem
+
+
+def _check_domain(domain: str) -> None:
+    """The middleware's own words about a domain that has no ports are not for people."""
+    if domain and not (domain.isascii() and domain.isdigit() and int(domain) <= HIGHEST_DOMAIN):
+        raise CannotServe(
+            f"ROS_DOMAIN_ID is {domain!r}, and allowed are whole numbers from 0 to {HIGHEST_DOMAIN}: correct it, or "
+            "unset it for 0."
+        )
 
 
 def serve(

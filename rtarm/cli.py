@@ -232,7 +232,7 @@ def config_check(arm: ArmArgument) -> None:
 def moveit_config(
     arm: ArmArgument,
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Existing folder, such as src of a colcon workspace.")
+        str, typer.Option("-o", "--output", metavar="DIR", help="Existing folder, such as src of a colcon workspace.")
     ],
     force: Annotated[bool, typer.Option("--force", help="Also replace generated files that you changed.")] = False,
 ) -> None:
@@ -247,7 +247,11 @@ def moveit_config(
         from config.loader import load_arm
         from config.moveit import write_package
 
-        typer.echo(str(write_package(load_arm(arm), output, force=force)))
+        if not output:  # a shell variable that is not set, rather than the folder one happens to stand in
+            raise Refusal(
+                "-o names no folder: give an existing one, such as the src of a colcon workspace, or . for here."
+            )
+        typer.echo(str(write_package(load_arm(arm), Path(output), force=force)))
 
 
 def _overrides(options: dict[str, dict[str, Any]]) -> dict[str, Any]:

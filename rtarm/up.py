@@ -50,6 +50,8 @@ async def run_launched(launcher: Launcher, work: Callable[[], Awaitable[None]]) 
         await launcher.stop()
         for number in STOP_SIGNALS:
             loop.remove_signal_handler(number)
+            if received:  # the end has been asked for and is near: who asks again does not make it a violent one
+                signal.signal(number, signal.SIG_IGN)
     if not task.cancelled():
         task.result()
     if received:

@@ -6,7 +6,6 @@ everybody's and follow MoveIt's next versions. Ours are only the two that put rt
 
 from __future__ import annotations
 
-from config.loader import known_arms
 from config.moveit.text import origin_sentence
 from config.schema import ArmConfig
 
@@ -17,7 +16,7 @@ GENERATED = {
     "moveit_rviz": "RViz with MoveIt's panel.",
     "spawn_controllers": "the controllers of ros2_control's mock hardware: for demo.launch.py, never beside rtarm.",
     "warehouse_db": "the database that demo.launch.py starts with db:=true.",
-    "demo": "MoveIt's own demo, without rtarm: everything above, and ros2_control's mock hardware as the arm.",
+    "demo": "MoveIt's own demo, without rtarm: ros2_control's mock hardware plays the arm.",
 }
 """The launch files that are a call of MoveIt's generator of the same name, and what they start."""
 
@@ -65,7 +64,8 @@ _SLOW_SLIDERS = """\
 
 
 def _real_arm(arm: ArmConfig) -> str:
-    default = f'default_value="{arm.name}", ' if arm.name in known_arms() else ""
+    built_in = arm.source is not None and arm.source.built_in
+    default = f'default_value="{arm.name}", ' if built_in else ""
     whose = "name or arm file of the arm" if default else "path of the arm file this package was generated from"
     starts = """MoveIt and rtarm: the one launch file for the real arm, and with sim:=true for the simulated one.
 

@@ -18,8 +18,8 @@ ACTION = "follow_joint_trajectory"
 MOVEIT_START_TOLERANCE_RAD = 0.01
 """MoveIt's own default for the distance between a plan's first point and where the arm is (rad)."""
 
-RESULT_TRAVEL_S = 0.6
-"""Room for a result on its way to MoveIt, and for a start that is blended in (s)."""
+LONGEST_HOLD_S = 3600.0
+"""How much longer than planned a goal may take: for so long a person may hold the arm."""
 
 JOINTS_OF_A_FULL_POSE = 6
 """With fewer, an arm cannot take every orientation at a place."""
@@ -29,14 +29,12 @@ DEMO_RATE_HZ = 100
 CONTROLLERS_COMMENT = """
 MoveIt is the client of rtarm's action server, {controller}/{action}.
 
-execution_duration_monitoring is off. With it, MoveIt cancels a goal that takes longer than planned; but ~/hold, a speed
-scale below 1 and a drive that answers late make a goal take longer with nothing being wrong. rtarm judges every goal
-itself (path tolerance on the way, goal tolerance at most {goal_time} s after the path's end, heartbeats of both
-processes) and answers with a sentence. Only when its ROS process is killed outright nobody answers: the arm stops by
-itself, and RViz' Stop button (the topic trajectory_execution_event) ends MoveIt's waiting.
-
-If monitoring is switched on all the same, the two allowances let rtarm's own sentence arrive first at full speed: the
-margin is goal_time_s of the arm file and {travel} s. For a speed scale of 0.5 the scaling would have to be above 2.
+MoveIt cancels a goal that takes longer than allowed_execution_duration_scaling times its duration and
+allowed_goal_duration_margin (s). But ~/hold, a speed scale below 1 and a drive that answers late make a goal take
+longer with nothing being wrong, and rtarm judges every goal itself: path tolerance on the way, goal tolerance at most
+{goal_time} s after the path's end, heartbeats of both processes; it answers with a sentence. So the margin is
+{margin} s: for so long a goal may be held. Monitoring stays on because of the one case in which nobody answers, a ROS
+process that is killed outright: without it MoveIt would wait for ever, and not even its Stop ends that.
 
 allowed_start_tolerance lies below the {start_tolerance} rad that rtarm accepts, so that MoveIt says that the arm is
 elsewhere before rtarm has to. It is also what MoveIt takes for standing still after a motion.
@@ -46,6 +44,7 @@ elsewhere before rtarm has to. It is also what MoveIt takes for standing still a
 def moveit_controllers(arm: ArmConfig) -> str:
     """How MoveIt executes what it planned: by rtarm's action."""
     start_tolerance_rad = min(MOVEIT_START_TOLERANCE_RAD, arm.limits.start_tolerance_rad / 2.0)
+    margin_s = LONGEST_HOLD_S + arm.trajectory.goal_time_s
     controller = arm.front.controller_name
     content = {
         "moveit_controller_manager": "moveit_simple_controller_manager/MoveItSimpleControllerManager",
@@ -59,9 +58,9 @@ def moveit_controllers(arm: ArmConfig) -> str:
             },
         },
         "trajectory_execution": {
-            "execution_duration_monitoring": False,
+            "execution_duration_monitoring": True,
             "allowed_execution_duration_scaling": 1.1,
-            "allowed_goal_duration_margin": round(arm.trajectory.goal_time_s + RESULT_TRAVEL_S, 3),
+            "allowed_goal_duration_margin": margin_s,
             "allowed_start_tolerance": start_tolerance_rad,
         },
     }
@@ -69,7 +68,7 @@ def moveit_controllers(arm: ArmConfig) -> str:
         controller=controller,
         action=ACTION,
         goal_time=f"{arm.trajectory.goal_time_s:g}",
-        travel=f"{RESULT_TRAVEL_S:g}",
+        margin=f"{margin_s:g}",
         start_tolerance=f"{arm.limits.start_tolerance_rad:g}",
     )
     return yaml_text(arm, content, comment)

@@ -112,7 +112,8 @@ def semantics(arm: ArmConfig, kinematics: KinematicsConfig) -> str:
   </group_state>
   <virtual_joint name="virtual_joint" type="fixed" parent_frame="world" child_link="{kinematics.base_link}"/>
 
-  <!-- Computed from shapes and joint limits, not set by hand. Pairs that can really collide are not here. -->
+  <!-- Computed from shapes and joint limits, not set by hand: pairs that never touch, and pairs whose shapes overlap
+       always (Adjacent, Always) or at home (Default), of which MoveIt can therefore see no collision. -->
 {pairs}
 </robot>""",
     )

@@ -12,9 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from config.errors import ConfigError
+from config.loader import known_arms
+from config.moveit.collisions import Unchecked, unchecked_pairs
 from config.moveit.package import package_files, package_name
 from config.moveit.text import origin_sentence
-from config.schema import ArmConfig
+from config.schema import ArmConfig, KinematicsConfig
 
 MANIFEST = ".rtarm"
 
@@ -27,11 +29,20 @@ class Written:
     written: tuple[str, ...]
     removed: tuple[str, ...]
     unchanged: int
+    blind: tuple[Unchecked, ...]
+    """Pairs of links that really might collide, of which MoveIt will not know because their shapes overlap."""
 
     def __str__(self) -> str:
-        """One line for people."""
+        """One line for people, and one more where MoveIt will be blind."""
         removed = f", {len(self.removed)} removed" if self.removed else ""
-        return f"{self.folder}: {len(self.written)} files written{removed}, {self.unchanged} as they were."
+        line = f"{self.folder}: {len(self.written)} files written{removed}, {self.unchanged} as they were."
+        if not self.blind:
+            return line
+        pairs = ", ".join(f"{pair.one} and {pair.other}" for pair in self.blind)
+        return (
+            f"{line}\nMoveIt will not look whether these collide, because their shapes overlap at home or in every "
+            f"pose: {pairs}; if the arm is thinner than that, lower radius_mm."
+        )
 
 
 def write_package(arm: ArmConfig, into: Path, *, force: bool = False) -> Written:
@@ -53,11 +64,17 @@ def write_package(arm: ArmConfig, into: Path, *, force: bool = False) -> Written
             "Denavit–Hartenberg table a joint, as in config/arms/episode1.yaml.",
             file=None if arm.source is None else arm.source.file,
         )
-    if not into.is_dir():
-        problem = "is no folder" if into.exists() else "does not exist"
-        raise ConfigError(f"{into} {problem}; name an existing folder, such as the src of a colcon workspace.")
+    if arm.source is not None and not arm.source.built_in and arm.name in known_arms():
+        raise ConfigError(
+            f"name is {arm.name}, which is that of an arm that comes with rtarm and has a package of this name; give "
+            "yours another name.",
+            file=arm.source.file,
+        )
     folder = into / package_name(arm)
     try:
+        if not into.is_dir():
+            problem = "is no folder" if into.exists() else "does not exist"
+            raise ConfigError(f"{into} {problem}; name an existing folder, such as the src of a colcon workspace.")
         generated = _generated_before(folder)
         texts = package_files(arm, arm.kinematics)
         edited = [] if force else _edited(folder, texts, generated)
@@ -66,7 +83,7 @@ def write_package(arm: ArmConfig, into: Path, *, force: bool = False) -> Written
                 f"{folder} holds files that were changed by hand and would be overwritten: {', '.join(edited)}; move "
                 "your changes to the arm file or to files of your own, or give --force to lose them."
             )
-        return _bring_up_to_date(arm, folder, texts, generated)
+        return _bring_up_to_date(arm, arm.kinematics, folder, texts, generated)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise ConfigError(f"{error.filename or folder} cannot be used ({reason}); choose another folder.") from None
@@ -107,7 +124,9 @@ def _edited(folder: Path, texts: dict[str, str], generated: dict[str, str]) -> l
     ]
 
 
-def _bring_up_to_date(arm: ArmConfig, folder: Path, texts: dict[str, str], generated: dict[str, str]) -> Written:
+def _bring_up_to_date(
+    arm: ArmConfig, kinematics: KinematicsConfig, folder: Path, texts: dict[str, str], generated: dict[str, str]
+) -> Written:
     sums = {path: _sum(text) for path, text in sorted(texts.items())}
     stale = tuple(path for path in sorted(generated) if path not in texts and (folder / path).exists())
     changed = tuple(path for path in sums if _sum_of_file(folder / path) != sums[path])
@@ -119,7 +138,8 @@ def _bring_up_to_date(arm: ArmConfig, folder: Path, texts: dict[str, str], gener
         (folder / path).unlink()
     # Last, so that a call that is cut short leaves files that the next finds as they were or as they shall be.
     _list(arm, folder, sums)
-    return Written(folder, changed, stale, len(texts) - len(changed))
+    blind = tuple(pair for pair in unchecked_pairs(arm, kinematics) if pair.reason in ("Always", "Default"))
+    return Written(folder, changed, stale, len(texts) - len(changed), blind)
 
 
 def _list(arm: ArmConfig, folder: Path, sums: dict[str, str]) -> None:

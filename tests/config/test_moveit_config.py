@@ -159,10 +159,11 @@ def test_the_sliders_start_slow(files: dict[str, str]) -> None:
 
 def test_moveit_leaves_judging_a_goal_to_rtarm(arm: ArmConfig, files: dict[str, str]) -> None:
     execution = content(files, "moveit_controllers")["trajectory_execution"]
-    assert execution["execution_duration_monitoring"] is False
-    # Were it on: rtarm gives up goal_time_s after the path's end, MoveIt at 1.1 times the duration and the margin.
+    # rtarm gives up goal_time_s after the path's end, MoveIt at 1.1 times the duration and the margin, which leaves an
+    # hour for who holds the arm. Not for ever: a node that was killed never answers.
+    assert execution["execution_duration_monitoring"] is True
     assert execution["allowed_execution_duration_scaling"] >= 1.1
-    assert execution["allowed_goal_duration_margin"] >= arm.trajectory.goal_time_s + 0.5
+    assert execution["allowed_goal_duration_margin"] >= arm.trajectory.goal_time_s + 3600.0
     assert 0.0 < execution["allowed_start_tolerance"] < arm.limits.start_tolerance_rad
 
 

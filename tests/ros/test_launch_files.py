@@ -134,6 +134,17 @@ def test_rtarm_without_moveit(ros_packages: Path) -> None:
     assert printer.arguments == ["--language", "zh"]
 
 
+@pytest.mark.parametrize(
+    ("given", "taken"),
+    [("1", 1), ("-1", -1), ("010", "010"), ("[1", "[1"), ("1: 2", "1: 2"), ("null", "null"), ("", None)],
+)
+def test_what_is_no_number_arrives_as_it_was_written(ros_packages: Path, given: str, taken: object) -> None:
+    """robot_interface says in a sentence what is wrong with it; the launch system would not."""
+    launch = ros_packages / "rtarm" / "launch" / "robot_interface.launch.py"
+    (server,) = everything_started(launch, usb_index=given)
+    assert server.parameters.get("usb_index") == taken
+
+
 def test_every_launch_file_says_what_it_starts(ros_packages: Path) -> None:
     files = sorted(ros_packages.glob("*/launch/*.launch.py"))
     assert len(files) >= 11

@@ -408,7 +408,8 @@ def test_what_keeps_the_process_from_serving_is_one_sentence(arm_file, loop, sta
     assert (code, out) == (1, "") and err.count("\n") == 1 and "no_such_arm" in err
     (tmp_path / "stubs").mkdir()
     (tmp_path / "stubs" / "control_msgs.py").write_text("raise ImportError('no control_msgs')")
-    code, out, err = ended(start_front(arm_file, PYTHONPATH=str(tmp_path / "stubs")))
+    search = os.pathsep.join(filter(None, [str(tmp_path / "stubs"), os.environ.get("PYTHONPATH")]))
+    code, out, err = ended(start_front(arm_file, PYTHONPATH=search))
     assert (code, out) == (1, "")
     assert err == (
         "ROS 2 is not usable here (no control_msgs): source a ROS 2 Jazzy installation that has "

@@ -87,6 +87,13 @@ def test_what_ros_does_not_understand_is_a_sentence(arguments):
         read_given(["--ros-args", *arguments])
 
 
+@pytest.mark.parametrize("domain", ["233", "-1", "abc", "1.0", "²"])
+def test_a_domain_without_ports_is_a_sentence(domain, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    with pytest.raises(CannotServe, match=f"^ROS_DOMAIN_ID is '{domain}', and allowed are whole numbers from 0 to 232"):
+        read_given(["--ros-args"])
+
+
 def test_the_facts_are_those_of_the_arm_as_loaded():
     assert facts(load_arm("episode1")) == {
         "arm": "episode1",

@@ -3,7 +3,8 @@
 Example: `ros2 launch rtarm robot_interface.launch.py usb_index:=1 init_mode:=1`
 """
 
-import yaml
+import re
+
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
@@ -23,6 +24,7 @@ ARGUMENTS = (
     ),
 )
 TEXTS = ("arm", "channel")
+TRUTH = {"true": True, "false": False}
 
 
 def generate_launch_description():
@@ -33,7 +35,7 @@ def generate_launch_description():
 def robot_interface(context):
     """The node; parameters that were left empty are not given, so that the arm file decides."""
     given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
-    parameters = {name: value if name in TEXTS else yaml.safe_load(value) for name, value in given.items() if value}
+    parameters = {name: value if name in TEXTS else typed(value) for name, value in given.items() if value}
     return [
         Node(
             package="rtarm",
@@ -46,3 +48,8 @@ def robot_interface(context):
             on_exit=Shutdown(reason="rtarm has ended, and with it what the others work with"),
         )
     ]
+
+
+def typed(text):
+    """A whole number or a truth value as what it is; anything else stays a text, which rtarm refuses in a sentence."""
+    return int(text) if re.fullmatch(r"-?(0|[1-9][0-9]*)", text) else TRUTH.get(text.lower(), text)
