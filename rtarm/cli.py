@@ -186,6 +186,39 @@ def status(
         raise typer.Exit(int(ExitCode.DONE if report["healthy"] else ExitCode.UNHEALTHY))
 
 
+@app.command(epilog="Exit codes:\n\n" + exit_code_table())
+def doctor(
+    arm: Annotated[
+        str | None,
+        typer.Argument(metavar="[ARM]", help="Name or file of the arm to run here; left out: this machine alone."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of lines.")] = False,
+    fix: Annotated[
+        bool, typer.Option("--fix", help="Set what a reboot brings back by itself (as root), and say how to undo it.")
+    ] = False,
+) -> None:
+    """Look for what makes control cycles late or the bus slow here, and say what mends it.
+
+    The exit code is 0 when nothing is worse than a note. Without --fix nothing is changed.
+
+    Example: [bold]rtarm doctor episode1[/bold]
+    """
+    with _sentences():
+        import json
+
+        from config.loader import load_arm
+        from rtarm.doctor.machine import Machine
+        from rtarm.doctor.report import examine, show
+        from rtarm.reporter import LastingConsole
+
+        report = examine(Machine(), None if arm is None else load_arm(arm), fix=fix)
+        if as_json:
+            typer.echo(json.dumps(report, indent=2))
+        else:
+            show(report, LastingConsole(highlight=False, emoji=False))
+        raise typer.Exit(int(ExitCode.DONE if report["healthy"] else ExitCode.UNHEALTHY))
+
+
 @app.command()
 def stop(arm: RunningArm = None) -> None:
     """Stop a running arm on its path and wait until it stands; works without the ROS process.

@@ -14,7 +14,10 @@ from typer.testing import Result
 from rtarm import launcher
 from rtarm.errors import MEANINGS, ExitCode
 
-COMMANDS = [("up",), ("demo",), ("status",), ("stop",), ("clear-fault",), ("config", "check"), ("moveit-config",)]
+COMMANDS = [
+    *(("up",), ("demo",), ("status",), ("stop",), ("clear-fault",)),
+    *(("doctor",), ("config", "check"), ("moveit-config",)),
+]
 
 Rtarm = Callable[..., Result]
 
@@ -27,7 +30,7 @@ def test_help_says_what_it_does_with_an_example(command: tuple[str, ...], rtarm:
 
 
 def test_the_exit_codes_are_in_the_help(rtarm: Rtarm) -> None:
-    for command in ((), ("status",)):
+    for command in ((), ("status",), ("doctor",)):
         text = " ".join(rtarm(*command, "--help").stdout.split())
         for code in ExitCode:
             assert f"{code.value} {MEANINGS[code]}" in text
@@ -59,6 +62,7 @@ def test_wrong_usage_has_exit_code_1(arguments: tuple[str, ...], rtarm: Rtarm) -
 
 
 REFUSED = [
+    (("doctor", "nobody"), "no arm is called 'nobody'"),
     (("up", "episode2"), "no arm is called 'episode2' (did you mean episode1?)"),
     (("up", "./nowhere.yaml"), "nowhere.yaml: there is no such file"),
     (("up", "episode1", "--rate", "500"), "the highest rate that fits is 123.1 Hz"),
