@@ -338,7 +338,8 @@ class LimitsConfig(_Section):
         default=2.0,
         ge=1,
         le=5,
-        description="Accepted acceleration, sampled at the control rate, as a multiple of the joint's limit.",
+        description="Accepted acceleration, as setpoints a control cycle apart have it at any phase of the cycle and "
+        "at any speed scale, as a multiple of the joint's limit.",
     )
     braking_factor: float = Field(
         default=1.5,

@@ -8,8 +8,8 @@ the arm is commanded. A goal is checked completely before anything moves:
   control process ends at rest all the same; a larger one is taken where the settings allow it;
 - position limits hold along the interpolant without margin, but for the rounding to pulses and counts that
   may put an arm standing at a limit just beyond it;
-- velocity holds with its margin along the interpolant, acceleration as the mean over any cycle, wherever that
-  begins: a residual segment of 0.4 ms at the end of a MoveIt plan is not judged by its curvature;
+- velocity and acceleration hold with their margins as a drive has them, from setpoints a cycle apart, wherever the
+  cycles fall: a residual segment of 0.4 ms at the end of a MoveIt plan is not judged by its curvature;
 - the way to a first point whose time is above 0 is checked as the control process would make it from the
   present commanded state;
 - a trajectory whose header stamp lies in the past is entered where it is due by now, or at the latest earlier
@@ -29,7 +29,7 @@ from config.schema import ArmConfig
 from motion import slopes, stopping
 from rosfront.limits import check_limits
 from rosfront.path import PlannedPath
-from rosfront.plan import NS, GoalPlan, Present, Terms
+from rosfront.plan import NS, REST_RAD_S, GoalPlan, Present, Terms
 from rosfront.points import Points, columns_of, read_points, refuse_unsupported
 from rosfront.refusals import (
     BadTolerance,
@@ -46,7 +46,6 @@ from rosfront.refusals import (
 from rosfront.settings import Settings
 from shm.words import Entry
 
-REST_RAD_S = 1e-3
 OFF = -1.0
 OFF_WITHIN = 1.2e-7  # the spacing of single-precision numbers near 1, as upstream allows it
 ENTER_WITHIN = 0.8

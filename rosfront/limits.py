@@ -1,6 +1,6 @@
 """Checking a plan against the limits of its joints, along the whole way and not only at its points."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 
@@ -9,11 +9,16 @@ import numpy as np
 from config.schema import ArmConfig
 from motion import bounds, stopping
 from rosfront.path import PlannedPath
-from rosfront.plan import NS, GoalPlan
+from rosfront.plan import NS, REST_RAD_S, GoalPlan
 from rosfront.refusals import AccelerationBeyondLimit, PositionBeyondLimit, VelocityBeyondLimit
 
 SEGMENTS_A_CHUNK = 8192  # bounds the memory of a check, whatever the number of points
-ROUNDING = 1.0 + 1e-9
+ROUNDING = 1.0 + 5e-7  # half of what the control process forgives
+ROUGHEST = 8.0
+"""A velocity that changes within a cycle by more than so many times what is allowed is refused at once."""
+MOST_LOOKS = 1_000_000  # at segments; bounds the time of a check, whatever the points
+HALVINGS = 8
+"""Where a velocity changes r times too much within a cycle, at most (r - 1) / 256 of the acceleration limit is lost."""
 
 
 @dataclass(frozen=True)
@@ -49,16 +54,18 @@ def check_limits(plan: GoalPlan, arm: ArmConfig) -> None:
     _check_points(path, limits)
     if plan.stream:
         _check_line_beyond(path, limits)
-    suspicious = np.zeros(path.segments, dtype=bool)
+    fast, bent = np.zeros(path.segments, dtype=bool), path.orders == 1
     for first in range(0, path.segments, SEGMENTS_A_CHUNK):
         index = np.arange(first, min(first + SEGMENTS_A_CHUNK, path.segments))
         coefficients, duration = path.coefficients(index)
         _check_positions(path, limits, index, coefficients, duration)
         velocity = bounds.derivative(coefficients)
-        _check_velocities(path, limits, index, velocity, duration)
-        low, high = bounds.hull(bounds.derivative(velocity), duration)
-        suspicious[index] = ~((low >= -limits.acceleration) & (high <= limits.acceleration)).all(axis=1)
-    _check_cycles(path, limits, suspicious | (path.orders == 1), stream=plan.stream)
+        fast[index] |= _exceeds(velocity, duration, limits.velocity)
+        bent[index] |= _exceeds(bounds.derivative(velocity), duration, limits.acceleration)
+    if fast.any():
+        _check_velocities(path, limits, _Cycles(path, limits.period_ns, fast, stream=plan.stream))
+    if bent.any():
+        _check_accelerations(path, limits, _Cycles(path, limits.period_ns, bent, stream=plan.stream))
 
 
 def _check_points(path: PlannedPath, limits: _Limits) -> None:
@@ -103,8 +110,11 @@ def _velocity(path: PlannedPath, limits: _Limits, time_ns: float, joint: int, va
 def _acceleration(
     path: PlannedPath, limits: _Limits, time_ns: float, joint: int, value: float
 ) -> AccelerationBeyondLimit:
-    limit = float(limits.acceleration[joint])
-    return AccelerationBeyondLimit(path.place(time_ns), limits.names[joint], abs(float(value)), limit)
+    limit, cycle_s = float(limits.acceleration[joint]), limits.period_ns / NS
+    first, last = np.searchsorted(path.times_ns, [time_ns - limits.period_ns, time_ns + limits.period_ns])
+    gaps_ns = np.diff(path.times_ns[max(first - 1, 0) : last + 1])
+    gap_s = float(np.median(gaps_ns)) / NS if len(gaps_ns) else cycle_s
+    return AccelerationBeyondLimit(path.place(time_ns), limits.names[joint], abs(float(value)), limit, gap_s, cycle_s)
 
 
 def _first(measure: np.ndarray, allowed: float) -> tuple[int, int] | None:
@@ -133,114 +143,217 @@ def _check_positions(
         raise _position(path, limits, time_ns, broken[1], value[broken])
 
 
-def _check_velocities(
-    path: PlannedPath, limits: _Limits, index: np.ndarray, velocity: np.ndarray, duration: np.ndarray
-) -> None:
-    """Velocities of the segments `index`, in the same way."""
-    low, high = bounds.hull(velocity, duration)
-    doubtful = np.flatnonzero(~((low >= -limits.velocity) & (high <= limits.velocity)).all(axis=1))
-    if not len(doubtful):
-        return
-    lowest, lowest_s, highest, highest_s = bounds.extremes(velocity[:, doubtful], duration[doubtful])
-    if broken := _first(np.maximum(-lowest, highest) / limits.velocity, ROUNDING):
-        above = highest[broken] > -lowest[broken]
-        value, at_s = (highest, highest_s) if above else (lowest, lowest_s)
-        time_ns = path.times_ns[index[doubtful[broken[0]]]] + at_s[broken] * NS
-        raise _velocity(path, limits, time_ns, broken[1], value[broken])
+def _exceeds(polynomials: np.ndarray, duration: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """Which of the segments (m,) may exceed a limit (joints,), by their hulls."""
+    low, high = bounds.hull(polynomials, duration)
+    inside = (low >= -limit) & (high <= limit)
+    return np.logical_not(inside.all(axis=1))
 
 
-def _check_cycles(path: PlannedPath, limits: _Limits, suspicious: np.ndarray, *, stream: bool) -> None:
-    """Accelerations around the suspicious segments, as an arm has them that is told one setpoint a cycle.
+def _check_velocities(path: PlannedPath, limits: _Limits, cycles: "_Cycles") -> None:
+    """Velocities around some segments, as a drive has them that is told one setpoint a cycle.
 
-    A residual segment of 0.4 ms at the end of a plan may bend as it likes, if that changes little. What counts is how
-    much the velocity v changes within a cycle P: for any two moments at most P apart the change must not exceed what
-    the acceleration limit A makes in P. Where the cycles fall on the trajectory does not matter then: three setpoints
-    that are h ≤ P of the trajectory apart have the second difference ∫ v(t + u) - v(t + u - h) du over 0 ≤ u ≤ h,
-    which is at most h · A P, so it is at most A P², at any phase and at any rate of the trajectory clock up to 1. And
-    the velocity of any moment, from which a newer trajectory goes on, differs by no more than A P from the mean of
-    the cycle before.
-
-    The largest change is found exactly. Of the two moments either each is a turning point of v (or a point of the
-    trajectory), or they are P apart and v(t + P) - v(t) is at an extreme, which is a polynomial in t as long as
-    neither moment passes a point. Segments that are not suspicious have no part in it unless one that is lies within
-    a cycle: their acceleration is below the limit everywhere.
+    What counts is how far the path goes within a cycle P: between any two moments at most P apart no farther than the
+    velocity limit does. Then it holds wherever the cycles fall and at any rate of the trajectory clock up to 1.
     """
-    if not suspicious.any():
-        return
-    cycles = _Cycles(path, limits.period_ns, suspicious, stream=stream)
-    allowed = limits.acceleration * limits.period_ns / NS
-    for times_ns, change in chain(cycles.whole(allowed), cycles.shorter()):
+    allowed = limits.velocity * limits.period_ns / NS
+    for _, times_ns, change in cycles.changes(cycles.position, allowed):
         if broken := _first(change / allowed, ROUNDING):
-            time_ns = min(max(times_ns[broken], path.times_ns[0]), path.times_ns[-1])
-            raise _acceleration(path, limits, time_ns, broken[1], change[broken] * NS / limits.period_ns)
+            time_ns = _within(path, times_ns[broken] + limits.period_ns / 2)
+            raise _velocity(path, limits, time_ns, broken[1], change[broken] * NS / limits.period_ns)
+
+
+def _check_accelerations(path: PlannedPath, limits: _Limits, cycles: "_Cycles") -> None:
+    """Accelerations around some segments, as a drive has them that is told one setpoint a cycle.
+
+    A residual segment of 0.4 ms at the end of a plan may bend as it likes, if that changes little. What counts are
+    the setpoints: with the trajectory clock at a rate s they are h = s P of the path apart, P being the cycle, and the
+    drive accelerates with D(t, h) / P², of the second difference D(t, h) = p(t + h) - 2 p(t) + p(t - h). It must keep
+    the limit A at every t, because cycles fall anywhere, and for every h with 0 < h ≤ P, because people may set any
+    rate up to 1 and a stop passes through all those below. Slower is not safe by itself: a smooth path is strained
+    with s², but a ripple that cancels out over P need not cancel out over a shorter h.
+
+    Most paths are decided by their velocity v. D(t, h) is the integral of v(t + u) - v(t + u - h) over 0 ≤ u ≤ h, so
+    |D| ≤ h w with the largest change w of v between two moments at most P apart, which is enough where w ≤ A P.
+
+    Noise of points that are close together makes w large and averages out in D. Where w exceeds A P, D itself is
+    judged: for h from A P² / w on, the shorter ones being safe by the same estimate, and at any t between two moments
+    whose velocities are too different, since no other D can exceed the limit. For one h the extremes over t are exact.
+    From there D gets away by |∂D/∂h| = |v(t + h) - v(t - h)| ≤ 2 w at the most, so an interval of h is decided by the
+    one in its middle, or halved. Full speed comes first, since it is what people are told of. Whether a way onto the
+    path, or a change of the rate, keeps the limits as well is judged where it is chosen, in the control process.
+    """
+    period_ns, period_s = limits.period_ns, limits.period_ns / NS
+    allowed = limits.acceleration * period_s
+    widest, rough = np.zeros_like(allowed), cycles.nowhere()
+    for ends, times_ns, change in cycles.changes(cycles.velocity, allowed):
+        if broken := _first(change / allowed, ROUGHEST):
+            raise _acceleration(path, limits, _within(path, times_ns[broken]), broken[1], change[broken] / period_s)
+        widest = np.maximum(widest, change.max(axis=0, initial=0.0))
+        rough |= cycles.between(ends[:, ~(change <= allowed * ROUNDING).all(axis=1)])
+    if not rough.any():
+        return
+    roughness = float((widest / allowed).max())
+    columns = np.flatnonzero(~(widest <= allowed))
+    widest, allowed = widest[columns], allowed[columns] * period_s
+    intervals = [(period_ns, period_ns, rough), (round(period_ns / roughness), period_ns, rough)]
+    looks = 0
+    for halvings in range(1 + HALVINGS):
+        undecided = []
+        for shortest_ns, longest_ns, where in intervals:
+            middle_ns = (shortest_ns + longest_ns) // 2
+            astray = widest * ((longest_ns - shortest_ns) / NS)
+            doubtful = cycles.nowhere()
+            looks += int(where.sum())
+            added = astray if halvings == HALVINGS or looks > MOST_LOOKS else 0.0
+            for segments, times_ns, bend in cycles.bends(middle_ns, where, columns, allowed - added):
+                if broken := _first((bend + added) / allowed, ROUNDING):
+                    time_ns, value = _within(path, times_ns[broken]), (bend + added)[broken] / period_s**2
+                    raise _acceleration(path, limits, time_ns, int(columns[broken[1]]), value)
+                doubtful[segments[~(bend + astray <= allowed * ROUNDING).all(axis=1)]] = True
+            if doubtful.any():
+                undecided += [(shortest_ns, middle_ns, doubtful), (middle_ns, longest_ns, doubtful)]
+        intervals = undecided
+
+
+def _within(path: PlannedPath, time_ns: float) -> float:
+    """The moment of the path that is nearest to a time."""
+    return float(min(max(time_ns, path.times_ns[0]), path.times_ns[-1]))
 
 
 class _Cycles:
-    """The velocity of a path and how it changes within a cycle, around some of its segments.
+    """How a path and its velocity change within a cycle, around some of its segments.
 
     Before its first point the path goes in a straight line, since the way there is the control process' matter; after
-    the last one a goal is at rest, and the acceleration of a stream fades (`motion.segment.fade`).
+    the last one the acceleration of a stream fades (`motion.segment.fade`). A goal is at rest there; if it ends in
+    motion the control process brings the clock to rest where it ends and nothing behind counts, so it goes straight on.
     """
 
     def __init__(self, path: PlannedPath, period_ns: int, around: np.ndarray, *, stream: bool) -> None:
         self._path, self._period_ns = path, period_ns
-        self._behind = np.zeros((5, path.knots.shape[1]))
+        position, velocity, acceleration = _last_point(path)
+        self._behind = np.zeros((6, len(position)))
+        self._behind[0] = position
+        if stream or (np.abs(velocity) > REST_RAD_S).any():
+            self._behind[1] = velocity
         if stream:
-            _, velocity, acceleration = _last_point(path)
             fade_s = stopping.fade_duration_s(period_ns / NS)
-            self._behind[:2] = velocity, acceleration
-            self._behind[2:4] = -acceleration / fade_s, acceleration / (3.0 * fade_s * fade_s)
+            for power, share in ((2, 0.5), (3, -1.0 / (3.0 * fade_s)), (4, 1.0 / (12.0 * fade_s * fade_s))):
+                self._behind[power] = share * acceleration
         times_ns = path.times_ns
         self._times_ns = np.concatenate([[times_ns[0] - 2 * period_ns], times_ns, [times_ns[-1] + 2 * period_ns]])
-        chosen = np.flatnonzero(around)
-        first = np.searchsorted(self._times_ns, times_ns[chosen] - period_ns, side="right") - 1
-        last = np.searchsorted(self._times_ns, times_ns[chosen + 1] + period_ns, side="left")
-        nesting = np.zeros(len(self._times_ns), dtype=int)
-        np.add.at(nesting, first, 1)
-        np.add.at(nesting, last, -1)
-        self._near = np.cumsum(nesting)[:-1] > 0
+        self._near = self._widened(np.concatenate([[False], around, [False]]), period_ns)
 
-    def _velocity(self, index: np.ndarray) -> np.ndarray:
-        """Coefficients (5, m, joints) of the velocity on the segments `index` (m,), 0 and the last those outside."""
+    def nowhere(self) -> np.ndarray:
+        """None of the segments: 0 is the one before the path, the last one that behind it."""
+        return np.zeros(len(self._times_ns) - 1, dtype=bool)
+
+    def between(self, ends: np.ndarray) -> np.ndarray:
+        """The segments from one to another, both included, for pairs of them (2, n)."""
+        nesting = np.zeros(len(self._times_ns), dtype=int)
+        np.add.at(nesting, ends[0], 1)
+        np.add.at(nesting, ends[1] + 1, -1)
+        return np.cumsum(nesting)[:-1] > 0
+
+    def _segment(self, times_ns: np.ndarray) -> np.ndarray:
+        """The segments of some moments."""
+        return np.clip(np.searchsorted(self._times_ns, times_ns, side="right") - 1, 0, len(self._times_ns) - 2)
+
+    def _widened(self, chosen: np.ndarray, by_ns: int) -> np.ndarray:
+        """The chosen segments and those less than `by_ns` away."""
+        index = np.flatnonzero(chosen)
+        first = self._segment(self._times_ns[index] - by_ns)
+        last = self._segment(self._times_ns[index + 1] + by_ns - 1)
+        return self.between(np.stack([first, last]))
+
+    def position(self, index: np.ndarray) -> np.ndarray:
+        """Coefficients (6, m, joints) of the positions on the segments `index` (m,)."""
         path = self._path
         coefficients, _ = path.coefficients(np.clip(index - 1, 0, path.segments - 1))
-        velocity = bounds.derivative(coefficients)
         before, after = index == 0, index == path.segments + 1
-        velocity[:, before] = 0.0
-        velocity[0, before] = path.knots[0, :, 1]
-        velocity[:, after] = self._behind[:, np.newaxis]
-        return velocity
+        position, velocity = path.knots[0, :, 0], path.knots[0, :, 1]
+        coefficients[:, before] = 0.0
+        coefficients[0, before] = position - velocity * (2 * self._period_ns / NS)
+        coefficients[1, before] = velocity
+        coefficients[:, after] = self._behind[:, np.newaxis]
+        return coefficients
 
-    def whole(self, allowed: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Moments (m, joints) and the changes of velocity in the whole cycle from there.
+    def velocity(self, index: np.ndarray) -> np.ndarray:
+        """Coefficients (5, m, joints) of the velocities on the segments `index` (m,)."""
+        return bounds.derivative(self.position(index))
 
-        The largest change between two moments; no more than a bound on it where that is allowed.
+    def changes(self, curve: "_Curve", allowed: np.ndarray) -> Iterator["_Findings"]:
+        """The largest changes of a curve between two moments at most a cycle apart.
+
+        The segments (2, m) of both moments, the earlier moments and the changes. Of the two moments either each is a
+        turning point of the curve, or a point of the trajectory, or they are a cycle apart.
         """
-        times_ns, period_ns = self._times_ns, self._period_ns
-        begin = np.unique(np.concatenate([times_ns, times_ns - period_ns]))
+        return chain(self._whole(curve, allowed), self._shorter(curve))
+
+    def _whole(self, curve: "_Curve", allowed: np.ndarray) -> Iterator["_Findings"]:
+        """The largest changes in a whole cycle; no more than a bound on them where that is `allowed`."""
+        shifts = ((0, -1.0), (self._period_ns, 1.0))
+        for times_ns, at_ns, change in self._combined(curve, shifts, self._near, allowed):
+            yield np.stack([self._segment(times_ns), self._segment(times_ns + self._period_ns)]), at_ns, change
+
+    def bends(
+        self, apart_ns: int, where: np.ndarray, columns: np.ndarray, allowed: np.ndarray
+    ) -> Iterator["_Findings"]:
+        """The largest second differences of positions `apart_ns`, at most a cycle, apart, with their middle in `where`.
+
+        The segments (m,) of the middle moments, those moments and the differences, for some columns of the joints; no
+        more than a bound on them where that is `allowed`.
+        """
+        shifts = ((0, -2.0), (-apart_ns, 1.0), (apart_ns, 1.0))
+        for times_ns, at_ns, bend in self._combined(
+            lambda index: self.position(index)[:, :, columns], shifts, where, allowed
+        ):
+            yield self._segment(times_ns), at_ns, bend
+
+    def _combined(
+        self, curve: "_Curve", shifts: tuple[tuple[int, float], ...], where: np.ndarray, allowed: np.ndarray
+    ) -> Iterator["_Findings"]:
+        """Extremes of a sum of the curve at shifted times, each with its factor, for times in the segments `where`.
+
+        The sum is a polynomial as long as none of the times passes a point. Yields the beginnings (m,) of such
+        pieces, and the moment and size (m, joints) of the largest value in each, or of a bound where that is `allowed`.
+        """
+        times_ns = self._times_ns
+        widest_ns = max(abs(shift_ns) for shift_ns, _ in shifts)
+        concerned = self._widened(where, widest_ns)
+        points_ns = times_ns[np.append(concerned, False) | np.append(False, concerned)]
+        begin = np.sort(np.concatenate([points_ns - shift_ns for shift_ns, _ in shifts]), kind="stable")
+        begin = begin[np.append(np.diff(begin) > 0, True)]
         begin, end = begin[:-1], begin[1:]
-        here, there = (np.searchsorted(times_ns, at, side="right") - 1 for at in (begin, begin + period_ns))
-        inside = np.flatnonzero((here >= 0) & (there < len(self._near)))
-        inside = inside[self._near[here[inside]] & self._near[there[inside]]]
+        lowest_ns, highest_ns = (f(shift_ns for shift_ns, _ in shifts) for f in (min, max))
+        inside = (begin + lowest_ns >= times_ns[0]) & (begin + highest_ns < times_ns[-1])
+        inside = np.flatnonzero(inside & where[self._segment(begin)])
         for low in range(0, len(inside), SEGMENTS_A_CHUNK):
             piece = inside[low : low + SEGMENTS_A_CHUNK]
-            first, second = here[piece], there[piece]
-            duration_s = ((end[piece] - begin[piece]) / NS)[:, np.newaxis]
-            first_s = ((begin[piece] - times_ns[first]) / NS)[:, np.newaxis]
-            second_s = ((begin[piece] + period_ns - times_ns[second]) / NS)[:, np.newaxis]
-            change = bounds.shifted(self._velocity(second), second_s) - bounds.shifted(self._velocity(first), first_s)
-            smallest, largest = bounds.hull(change, duration_s)
+            start = begin[piece]
+            duration_s = ((end[piece] - start) / NS)[:, np.newaxis]
+            at = [self._segment(start + shift_ns) for shift_ns, _ in shifts]
+            segments, at_segments = np.unique(at, return_inverse=True)
+            coefficients = curve(segments)
+            while len(coefficients) > 1 and not coefficients[-1].any():
+                coefficients = coefficients[:-1]
+            parts = []
+            for (shift_ns, factor), segment, chosen in zip(shifts, at, at_segments, strict=True):
+                local_s = ((start + shift_ns - times_ns[segment]) / NS)[:, np.newaxis]
+                parts.append(factor * bounds.shifted(coefficients[:, chosen], local_s))
+            total = np.sum(parts, axis=0)
+            smallest, largest = bounds.hull(total, duration_s)
             most = np.maximum(-smallest, largest)
-            at_ns = np.repeat(begin[piece, np.newaxis], most.shape[1], axis=1).astype(float)
+            at_ns = np.repeat(start[:, np.newaxis], most.shape[1], axis=1).astype(float)
             doubtful = np.flatnonzero(~(most <= allowed).all(axis=1))
             if len(doubtful):
-                smallest, smallest_s, largest, largest_s = bounds.extremes(change[:, doubtful], duration_s[doubtful])
+                smallest, smallest_s, largest, largest_s = bounds.extremes(total[:, doubtful], duration_s[doubtful])
                 most[doubtful] = np.maximum(-smallest, largest)
                 at_ns[doubtful] += np.where(largest > -smallest, largest_s, smallest_s) * NS
-            yield at_ns, most
+            yield start, at_ns, most
 
-    def shorter(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Moments (m, joints) at which a velocity turns, and the range of it within a cycle from there."""
+    def _shorter(self, curve: "_Curve") -> Iterator["_Findings"]:
+        """Moments (m, joints) at which the curve turns, and the range of its values within a cycle from there."""
         times_ns, near = self._times_ns, np.flatnonzero(self._near)
         for low in range(0, len(near), SEGMENTS_A_CHUNK):
             last = near[min(low + SEGMENTS_A_CHUNK, len(near)) - 1]
@@ -248,9 +361,16 @@ class _Cycles:
             index = near[low:high]
             start_ns = times_ns[index]
             duration_s = ((times_ns[index + 1] - start_ns) / NS)[:, np.newaxis]
-            times_s, velocity = bounds.turning_points(self._velocity(index), duration_s)
+            times_s, values = bounds.turning_points(curve(index), duration_s)
             times_s += ((start_ns - start_ns[0]) / NS)[:, np.newaxis]
-            times_s, velocity = (np.swapaxes(a, 0, 1).reshape(-1, a.shape[2]) for a in (times_s, velocity))
+            ends = np.stack([index, self._segment(times_ns[index + 1] + self._period_ns)])
+            ends = np.repeat(ends, len(times_s), axis=1)
+            times_s, values = (np.swapaxes(a, 0, 1).reshape(-1, a.shape[2]) for a in (times_s, values))
             window_s = self._period_ns / NS
-            ranges = [bounds.widest_range(t, v, window_s) for t, v in zip(times_s.T, velocity.T, strict=True)]
-            yield times_s * NS + start_ns[0], np.stack(ranges, axis=1)
+            ranges = [bounds.widest_range(t, v, window_s) for t, v in zip(times_s.T, values.T, strict=True)]
+            yield ends, times_s * NS + start_ns[0], np.stack(ranges, axis=1)
+
+
+_Curve = Callable[[np.ndarray], np.ndarray]
+_Findings = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Segments or moments that were looked at, and when (ns) the values found there are as large as that."""

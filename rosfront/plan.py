@@ -7,6 +7,8 @@ import numpy as np
 from shm.words import Entry
 
 NS = 1_000_000_000
+REST_RAD_S = 1e-3
+"""A last velocity up to this is a residue that planners leave, and rest to the control process."""
 
 
 @dataclass(frozen=True)

@@ -267,10 +267,20 @@ class VelocityBeyondLimit(BeyondLimits):
 
 
 class AccelerationBeyondLimit(BeyondLimits):
-    def __init__(self, place: str, joint: str, value_rad_s2: float, limit_rad_s2: float) -> None:
+    """`gap_s` is how far the points are apart there, `cycle_s` the control cycle."""
+
+    def __init__(
+        self, place: str, joint: str, value_rad_s2: float, limit_rad_s2: float, gap_s: float, cycle_s: float
+    ) -> None:
+        cure = "smooth it there"
+        if gap_s < cycle_s:
+            cure = (
+                f"where points only {gap_s * 1e3:.3g} ms apart are noisy or rounded, thin them to "
+                f"{2e3 * cycle_s:.3g} ms or smooth them"
+            )
         super().__init__(
             f"{joint} would accelerate with {value_rad_s2:.3f} rad/s² {place}; allowed are "
-            f"{limit_rad_s2:.3f} rad/s²: give the trajectory more time or smooth it there.",
+            f"{limit_rad_s2:.3f} rad/s²: give the trajectory more time or {cure}.",
             joint=joint,
             value=value_rad_s2,
             limit=limit_rad_s2,

@@ -75,6 +75,7 @@ class Serving:
         self._link: Link | None = None
         self._absence = f"The control process of arm '{arm.name}' is not running: start it with `rtarm up {arm.name}`."
         self._undecided: dict[int, Execution] = {}
+        self._newest_goal = 0  # no number serves twice: the loop remembers a cancel that comes before its goal
         self._streams: dict[int, Streamer] = {}  # by goal: what is still on its way into the ring
         self._requests: list[_Request] = []
         self.settings = Settings.of(arm)
@@ -95,7 +96,8 @@ class Serving:
             ended = list(self._undecided.values())
             if self._link is not None:
                 for execution in ended:  # should it only hang, it must not go on with them later
-                    _send_cancel(self._link, execution)
+                    if self._is_begun(execution):
+                        _send_cancel(self._link, execution)
             self._link, self._absence = None, reason
             self._streams.clear()
             self._undecided.clear()
@@ -240,9 +242,10 @@ class Serving:
                 writer.announced_goal,
                 int(snapshot["goal_id"]),
                 int(snapshot["results"]["goal_id"].max()),
-                *self._undecided,
+                self._newest_goal,
             )
-            execution = Execution(max(known) + 1, plan, on_verdict)
+            self._newest_goal = max(known) + 1
+            execution = Execution(self._newest_goal, plan, on_verdict)
             self._undecided[execution.goal_id] = execution
             self._streams[execution.goal_id] = Streamer(execution.goal_id, plan)
             writer.beat()
@@ -305,12 +308,11 @@ class Serving:
         """Ask for a stop on the path; the verdict follows as for any other end."""
         with self._lock:
             if self._link is not None and execution.goal_id in self._undecided:
-                stream = self._streams.get(execution.goal_id)
-                if stream is not None and not stream.begun:
+                if self._is_begun(execution):
+                    _send_cancel(self._link, execution)
+                else:
                     execution.never_begun = True
-                    del self._streams[execution.goal_id]
-                    return
-                _send_cancel(self._link, execution)
+                    self._streams.pop(execution.goal_id, None)
 
     def close(self) -> None:
         """Take no goal any more and ask for the end of those there are."""
@@ -319,6 +321,11 @@ class Serving:
             executions = list(self._undecided.values())
         for execution in executions:
             self.cancel(execution)
+
+    def _is_begun(self, execution: Execution) -> bool:
+        """Whether the control process has been told of a goal."""
+        stream = self._streams.get(execution.goal_id)
+        return not execution.never_begun and (stream is None or stream.begun)
 
     def _snapshot(self) -> np.void:
         if self._closing:

@@ -15,6 +15,8 @@ Loop = Any  # record of dtype rtloop.state.LOOP
 ARRIVED_S = 1e-6
 ARRIVAL_SHARE = 0.25
 """Getting to the full rate and back to rest takes less path time than this share of the longest stop."""
+SLOW_RATE = 0.25
+"""A stop from less than that, even while it rises, reaches less far than one from the full rate."""
 
 
 @jit
@@ -48,6 +50,23 @@ def rate_with_room_to_arrive(loop: Loop, wanted: float) -> float:
     core = loop.core
     left_s = end_s(loop, core.active) - core.clock_s
     return min(wanted, max(core.rate_target, left_s / (ARRIVAL_SHARE * loop.params.longest_stop_s)))
+
+
+@jit
+def rate_that_settles(loop: Loop, wanted: float) -> float:
+    """The rate that may be sped up to on a stream that may run out in motion: it must be steady before the end.
+
+    From a rate that still rises a stop reaches farther than from the same one when it is steady, and how far it may
+    reach was judged for a steady one. SLOW_RATE is always allowed, so that a stream held near its end goes on.
+    """
+    core = loop.core
+    if wanted <= core.rate_target:
+        return wanted
+    duration_s, _ = ramp_duration(loop, wanted)
+    advance_s = duration_s * (0.5 * (core.rate + wanted) + core.slope * duration_s / 12.0)
+    if core.clock_s + advance_s <= end_s(loop, core.active):
+        return wanted
+    return max(core.rate_target, min(wanted, SLOW_RATE))
 
 
 @jit

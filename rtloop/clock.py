@@ -5,10 +5,12 @@ on its path. A change of rate is a ramp, chosen once when another rate is wanted
 at a fixed number of instants, and the first that keeps the limits is taken.
 """
 
+import math
 from typing import Any
 
 from motion import scaling
 from motion.stopping import STOP_FRACTIONS
+from rtloop.ahead import look_from_here, may_look, next_keeps_limits
 from rtloop.path import end_s, find_knot, goes_on_past_end, sample
 from rtloop.state import BLEND_SAMPLES
 from shm.jit import jit
@@ -20,6 +22,8 @@ along = jit(scaling.along)
 
 IMPOSSIBLE = 1e9
 NO_PATH = 100.0
+BREAKS_A_LIMIT = 10.0
+"""Added to the strain of a ramp that the last line of defence would not let pass."""
 RESERVE_PERIODS = 3.0
 PLAN_SHARE = 0.35
 """What a blend or a ramp may add, as a share of the limit, where the plan alone already asks for much."""
@@ -87,8 +91,41 @@ def ramp_strain(loop: Loop, target: float, duration_s: float) -> float:
 
 
 @jit
+def is_rough(loop: Loop, duration_s: float) -> bool:
+    """Whether the running path may bend between the instants at which a ramp of a duration is sampled."""
+    sampled_s = max(duration_s / BLEND_SAMPLES, loop.params.period_ns * 1e-9)
+    return bool(loop.paths[loop.core.active].closest_ns * 1e-9 <= sampled_s)
+
+
+@jit
+def ramp_keeps_limits(loop: Loop, target: float, duration_s: float) -> bool:
+    """Whether the setpoints on a candidate ramp and shortly after it keep the limits.
+
+    When no more may be looked at in this cycle a lower rate is believed to keep them, since a stop cannot wait; a
+    higher one is not.
+    """
+    core = loop.core
+    active = core.active
+    period_s = loop.params.period_ns * 1e-9
+    knot = loop.paths[active].segment
+    look_from_here(loop)
+    for i in range(1, math.ceil(duration_s / period_s) + 2):
+        if not may_look(loop):
+            return bool(target <= core.rate)
+        past_s = max(i * period_s - duration_s, 0.0)
+        _, _, advance = ramp(core.rate, core.slope, target, duration_s, min(i * period_s, duration_s))
+        clock_s = core.clock_s + advance + target * past_s
+        knot = find_knot(loop, active, clock_s, knot)
+        if not next_keeps_limits(loop, active, clock_s, knot):
+            return False
+    return True
+
+
+@jit
 def ramp_duration(loop: Loop, target: float) -> tuple[float, float]:
     """The shortest candidate in which the rate reaches `target` inside the limits, else the gentlest.
+
+    Where points are closer than the instants at which a candidate is sampled, its setpoints are looked at too.
 
     Duration and strain; the duration is 0 if no candidate is possible at all.
     """
@@ -96,6 +133,8 @@ def ramp_duration(loop: Loop, target: float) -> tuple[float, float]:
     for fraction in STOP_FRACTIONS:
         duration_s = fraction * loop.params.longest_stop_s
         strain = ramp_strain(loop, target, duration_s)
+        if strain < NO_PATH and is_rough(loop, duration_s) and not ramp_keeps_limits(loop, target, duration_s):
+            strain += BREAKS_A_LIMIT
         if strain <= 1.0:
             return duration_s, strain
         if strain < best_strain:
@@ -109,13 +148,14 @@ def steer_rate(loop: Loop, target: float) -> None:
 
     Turning a ramp round in its steepest part can be impossible, without the clock running backwards or the
     joints being pushed too hard. The running ramp then goes on and the question is asked again in the next
-    cycle. From a steady rate a stop is begun at once, as gently as can be.
+    cycle. From a steady rate a stop is begun at once, as gently as can be; a higher rate can wait on a rough path.
     """
     core = loop.core
     if target == core.rate_target:
         return
     duration_s, strain = ramp_duration(loop, target)
-    if duration_s <= 0.0 or (strain > 1.0 and core.ramp_s > 0.0):
+    can_wait = target > core.rate > 0.0 and is_rough(loop, loop.params.longest_stop_s)
+    if duration_s <= 0.0 or (strain > 1.0 and (core.ramp_s > 0.0 or can_wait)):
         return
     core.arriving = 0
     begin_ramp(loop, target, duration_s)

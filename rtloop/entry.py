@@ -2,13 +2,17 @@
 
 The way is a blend, or for a goal whose first point is still ahead a segment that leads there. It is chosen once a
 goal: rates from the wanted one down, and for each rate blends from short to long, are sampled at a fixed number of
-instants, and the first way that keeps the limits is laid.
+instants, and those that keep the limits there are looked at from knot to knot or setpoint by setpoint
+(`rtloop.ahead`). The first that still keeps them is laid. How much of that fits into a cycle is bounded; the search
+then goes on in the next one.
 """
 
 from typing import Any
 
 from motion import segment, stopping
+from rtloop.ahead import LOOKS_A_CYCLE, blend_keeps_limits, rest_keeps_limits
 from rtloop.clock import IMPOSSIBLE, allowed_acceleration, set_rate
+from rtloop.guard import at_rest
 from rtloop.path import (
     end_s,
     fade,
@@ -33,15 +37,15 @@ BLENDS_S = (0.3, 0.6, 1.2, 2.4)
 STREAM_BLENDS_S = (0.1, 0.2, 0.4, 0.8)
 """A blend of T follows points without a time 0.6 T behind, so a stream gets the shortest one the limits allow."""
 ENTRY_RATES = (1.0, 0.5, 0.25)
+WAYS = 1 + len(BLENDS_S)
+"""Tried with each rate: the bridge, and the blends."""
+ON_ITS_WAY, NO_WAY, NOT_YET_KNOWN = 0, 1, 2
 BESIDE_RAD = 1e-9
 SLOWEST_ENTRY_IN_MOTION = 0.2
 SLOWEST_ENTRY = 0.02
 """A path is laid for at least such a rate, since a blend for next to none would last for ever."""
 SPEED_HEADROOM = 0.99
 """Candidates are sampled, so they stay below the speed at which the last defence would stop the arm."""
-CYCLES_AFTER_BLEND = 2.0
-SETPOINTS_AHEAD = 512.0
-"""Bounds the time a candidate takes in the cycle; a blend that lasts for more setpoints than that is a gentle one."""
 
 
 @jit
@@ -85,48 +89,73 @@ def entry_distance(loop: Loop, path_index: int, entry_s: float) -> tuple[int, fl
 
 
 @jit
-def enter(loop: Loop, path_index: int, entry_s: float) -> bool:
-    """Find a bounded way from the commanded state onto a path and lay it; False when there is none.
+def enter(loop: Loop, path_index: int, entry_s: float) -> int:
+    """Find a bounded way from the commanded state onto a path and lay it: ON_ITS_WAY, NO_WAY or NOT_YET_KNOWN.
 
     The first rate to be tried is the wanted one, or the higher one of a clock that is just slowing down: a blend made
     for a rate far below that of the motion would carry that motion on for ever. Slower ones follow, and longer blends
-    after short ones. On success the path's clock stands at `entry_s` and runs at a rate that may differ from the
-    wanted one for as long as the blend lasts, see `rate_while_blending`.
+    after short ones. When the cycle may look at no more setpoints, the search goes on in the next one: for an arm at
+    rest where it was, for one in motion with the same way seen from its new state; a way that takes more of them than
+    a whole cycle may look at then counts as none. On success the path's clock stands where the way was judged from,
+    which is `entry_s` unless that took several cycles, and runs at a rate that may differ from the wanted one for as
+    long as the blend lasts, see `rate_while_blending`.
     """
     core = loop.core
     wanted = max(asked_rate(loop, path_index), SLOWEST_ENTRY)
     if core.goal_id != 0:
         wanted = max(wanted, core.rate, SLOWEST_ENTRY_IN_MOTION)
+    stays = at_rest(loop)
+    core.looks_left = LOOKS_A_CYCLE
+    while core.ways_tried < len(ENTRY_RATES) * WAYS:
+        rate = wanted * ENTRY_RATES[core.ways_tried // WAYS]
+        if stays and core.judged_ahead > 0 and core.rate_ahead == rate:
+            from_s = float(loop.paths[path_index].entry_s)  # what was judged began there
+        else:
+            from_s, core.judged_ahead = entry_s, 0
+        core.rate_ahead = rate
+        duration_s = lay_way(loop, path_index, rate, from_s, core.ways_tried % WAYS)
+        if duration_s > 0.0:
+            untouched = core.looks_left == LOOKS_A_CYCLE
+            if blends_within_limits(loop, path_index, rate, from_s, duration_s):
+                core.ways_tried = core.judged_ahead = 0
+                begin_path(loop, path_index, rate)
+                return ON_ITS_WAY
+            if core.looks_left < 0:
+                core.ways_tried += 1 if untouched and not stays else 0
+                return NOT_YET_KNOWN
+        core.ways_tried += 1
+        core.judged_ahead = 0
+    core.ways_tried = 0
+    return NO_WAY
+
+
+@jit
+def lay_way(loop: Loop, path_index: int, rate: float, entry_s: float, way: int) -> float:
+    """Prepare one of the ways that are tried with each rate; path time it takes (s), 0 for one that is not there.
+
+    The first is the bridge to a point that is still ahead, which spares a goal all others; blends follow.
+    """
+    stream = loop.paths[path_index].stream == 1
     bridged = has_bridge(loop, path_index, entry_s)
-    for slower in ENTRY_RATES:
-        rate = wanted * slower
-        if bridged:
-            lay_bridge(loop, path_index, rate, entry_s)
-            ahead_s = loop.knots[slot(path_index, 1)].time_ns * 1e-9 - entry_s
-            if blends_within_limits(loop, path_index, rate, entry_s, ahead_s):
-                begin_path(loop, path_index, rate)
-                return True
-            if loop.paths[path_index].stream == 0:
-                continue
-            lay_run_up(loop, path_index, entry_s)
-            if entry_distance(loop, path_index, entry_s)[1] > loop.params.start_tolerance_rad:
-                continue
-        blends_s = STREAM_BLENDS_S if loop.paths[path_index].stream == 1 else BLENDS_S
-        for blend_s in blends_s:
-            if blends_within_limits(loop, path_index, rate, entry_s, blend_s):
-                begin_path(loop, path_index, rate)
-                return True
-    return False
+    if way == 0:
+        if not bridged:
+            return 0.0
+        lay_bridge(loop, path_index, rate, entry_s)
+        return float(loop.knots[slot(path_index, 1)].time_ns * 1e-9 - entry_s)
+    if bridged:
+        if not stream:
+            return 0.0
+        lay_run_up(loop, path_index, entry_s)
+        if entry_distance(loop, path_index, entry_s)[1] > loop.params.start_tolerance_rad:
+            return 0.0
+    return STREAM_BLENDS_S[way - 1] if stream else BLENDS_S[way - 1]
 
 
 @jit
 def blends_within_limits(loop: Loop, path_index: int, rate: float, entry_s: float, duration_s: float) -> bool:
-    """Lay a blend and say whether it keeps the limits."""
+    """Lay a blend and say whether it keeps the limits, as sampled and in each of its setpoints."""
     lay_blend(loop, path_index, rate, entry_s, duration_s)
-    if blend_strain(loop, path_index, rate, entry_s) > 1.0:
-        return False
-    rough = bends_between_samples(loop, path_index, entry_s) or leaves_a_rough_path(loop)
-    return not rough or setpoint_strain(loop, path_index, rate) <= 1.0
+    return blend_strain(loop, path_index, rate, entry_s) <= 1.0 and blend_keeps_limits(loop, path_index, rate)
 
 
 @jit
@@ -181,7 +210,10 @@ def lay_blend(loop: Loop, path_index: int, rate: float, entry_s: float, duration
 
 @jit
 def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> float:
-    """Largest ratio of velocity or acceleration to its limit from a path time to the blend's end; ≤ 1 keeps them."""
+    """Largest ratio of velocity or acceleration to its limit from a path time to the blend's end; ≤ 1 keeps them.
+
+    The first ratio above 1 ends the search.
+    """
     entering = loop.paths[path_index]
     until_s = entering.entry_s + entering.blend_s
     worst = 0.0
@@ -214,55 +246,8 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
             if not (speed <= IMPOSSIBLE and push <= IMPOSSIBLE):
                 return IMPOSSIBLE  # not a number
             worst = max(worst, speed, push)
-    return worst
-
-
-@jit
-def bends_between_samples(loop: Loop, path_index: int, from_s: float) -> bool:
-    """Whether knots from a path time to the blend's end are so close that `blend_strain` can miss what is between."""
-    path = loop.paths[path_index]
-    until_s = path.entry_s + path.blend_s
-    close_ns = max(round(path.blend_s / BLEND_SAMPLES * 1e9), loop.params.period_ns)
-    if path.closest_ns > close_ns:
-        return False
-    knot = find_knot(loop, path_index, from_s, path.segment)
-    while knot < path.taken - 1 and loop.knots[slot(path_index, knot)].time_ns * 1e-9 < until_s:
-        if loop.knots[slot(path_index, knot + 1)].time_ns - loop.knots[slot(path_index, knot)].time_ns <= close_ns:
-            return True
-        knot += 1
-    return False
-
-
-@jit
-def leaves_a_rough_path(loop: Loop) -> bool:
-    """Whether the running path has knots within a cycle: its velocity need not be that of the last setpoints."""
-    return bool(loop.core.goal_id != 0 and loop.paths[loop.core.active].closest_ns < loop.params.period_ns)
-
-
-@jit
-def setpoint_strain(loop: Loop, path_index: int, rate: float) -> float:
-    """Largest ratio of velocity or acceleration to its limit in the setpoints from now to the blend's end; ≤ 1 keeps.
-
-    They are made as they will be commanded and judged as the last line of defence will judge them. At most
-    SETPOINTS_AHEAD of them are looked at.
-    """
-    entering = loop.paths[path_index]
-    period_s = loop.params.period_ns * 1e-9
-    count = int(min(entering.blend_s / (rate * period_s) + CYCLES_AFTER_BLEND, SETPOINTS_AHEAD))
-    worst = 0.0
-    for joint in range(loop.params.joint_count):
-        axis, row = loop.axes[joint], loop.joints[joint]
-        fastest = loop.params.velocity_margin * row.max_velocity_rad_s
-        hardest = loop.params.acceleration_margin * row.max_acceleration_rad_s2
-        position, velocity = axis.position_rad, axis.difference_velocity_rad_s
-        knot = 0
-        for i in range(1, count + 1):
-            clock_s = entering.entry_s + i * rate * period_s
-            knot = find_knot(loop, path_index, clock_s, knot)
-            p, _, _ = sample(loop, path_index, joint, clock_s, knot)
-            v = (p - position) / period_s
-            worst = max(worst, abs(v) / fastest, abs(v - velocity) / period_s / hardest)
-            position, velocity = p, v
+        if worst > 1.0:
+            return worst
     return worst
 
 
@@ -308,6 +293,7 @@ def rate_while_blending(loop: Loop, wanted: float) -> float:
     blending = core.clock_s < entered.entry_s + entered.blend_s
     if not blending or wanted <= core.entry_rate:
         return wanted
-    if bends_between_samples(loop, core.active, core.clock_s):
-        return float(core.entry_rate)  # its setpoints were judged at this rate and no other
-    return float(core.entry_rate) if blend_strain(loop, core.active, wanted, core.clock_s) > 1.0 else wanted
+    keeps = blend_strain(loop, core.active, wanted, core.clock_s) <= 1.0
+    if keeps and rest_keeps_limits(loop, core.active, wanted, core.clock_s):
+        return wanted
+    return float(core.entry_rate)

@@ -3,9 +3,19 @@
 from typing import Any
 
 from rtloop import guard, intake
-from rtloop.arrival import has_arrived, rate_with_room_to_arrive, slow_down_to_arrive
+from rtloop.ahead import LOOKS_A_CYCLE
+from rtloop.arrival import has_arrived, rate_that_settles, rate_with_room_to_arrive, slow_down_to_arrive
 from rtloop.clock import must_brake_for_lack_of_path, set_rate, steer_rate
-from rtloop.entry import asked_rate, due_s, enter, entry_distance, has_bridge, rate_while_blending
+from rtloop.entry import (
+    NO_WAY,
+    ON_ITS_WAY,
+    asked_rate,
+    due_s,
+    enter,
+    entry_distance,
+    has_bridge,
+    rate_while_blending,
+)
 from rtloop.events import set_result
 from rtloop.modes import change_mode
 from rtloop.path import end_s, goes_on_past_end, in_goal
@@ -40,8 +50,10 @@ def enter_newer_goal(loop: Loop, shared: Shared) -> None:
     if core.speed_scale <= 0.0 or core.paused == 1:
         core.incoming_waits = 1  # held: nothing starts
         return
-    if enter(loop, core.incoming_path, entry_s):
+    found = enter(loop, core.incoming_path, entry_s)
+    if found == ON_ITS_WAY:
         start_incoming(loop, shared)
+    if found != NO_WAY:
         return
     # the run-up of a stream lies where the arm should be
     if loop.paths[core.incoming_path].stream == 1 and refused_as_too_far(loop, shared, entry_s):
@@ -128,6 +140,7 @@ def front_is_lost(loop: Loop) -> bool:
 def steer(loop: Loop, shared: Shared) -> None:
     """Decide how fast the trajectory clock should run, and begin stops that nobody asked for."""
     core = loop.core
+    core.looks_left = LOOKS_A_CYCLE
     if core.goal_id == 0:
         return
     if core.ending == Outcome.NONE:
@@ -156,11 +169,16 @@ def steer(loop: Loop, shared: Shared) -> None:
         change_mode(loop, shared, Mode.STOPPING)
     running = loop.paths[core.active]
     must_arrive = running.ended == 1 and not goes_on_past_end(loop, core.active)
+    runs_on = running.stream == 1 and (running.ended == 0 or running.ends_moving == 1)
     if stop:
         steer_rate(loop, 0.0)
     elif core.arriving == 0:
         wanted = rate_while_blending(loop, asked_rate(loop, core.active))
-        steer_rate(loop, rate_with_room_to_arrive(loop, wanted) if must_arrive else wanted)
+        if must_arrive:
+            wanted = rate_with_room_to_arrive(loop, wanted)
+        elif runs_on:
+            wanted = rate_that_settles(loop, wanted)
+        steer_rate(loop, wanted)
     if must_arrive:
         slow_down_to_arrive(loop)
 

@@ -23,6 +23,18 @@ STATUSES_TO_BELIEVE = 2
 
 
 @jit
+def highest_rad_s(loop: Loop, joint: int) -> float:
+    """Velocity between two setpoints that is still commanded."""
+    return float(loop.params.velocity_margin * loop.joints[joint].max_velocity_rad_s * ROUNDING)
+
+
+@jit
+def hardest_rad_s2(loop: Loop, joint: int) -> float:
+    """Acceleration between three setpoints that is still commanded."""
+    return float(loop.params.acceleration_margin * loop.joints[joint].max_acceleration_rad_s2 * ROUNDING)
+
+
+@jit
 def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
     """Whether every joint's next setpoint is finite and inside its limits; latches the first that is not.
 
@@ -42,12 +54,12 @@ def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
             latch_fault(loop, shared, Fault.POSITION_LIMIT, joint, p, low if p < low else high)
             return False
         velocity = (p - axis.position_rad) / period_s
-        limit = params.velocity_margin * row.max_velocity_rad_s * ROUNDING
+        limit = highest_rad_s(loop, joint)
         if abs(velocity) > limit:
             latch_fault(loop, shared, Fault.VELOCITY_LIMIT, joint, velocity, limit)
             return False
         acceleration = (velocity - axis.difference_velocity_rad_s) / period_s
-        limit = params.acceleration_margin * row.max_acceleration_rad_s2 * ROUNDING
+        limit = hardest_rad_s2(loop, joint)
         # one step of a position in double precision, differenced twice, is not an acceleration
         if abs(acceleration) > limit + 1e-15 / (period_s * period_s):
             latch_fault(loop, shared, Fault.ACCELERATION_LIMIT, joint, acceleration, limit)

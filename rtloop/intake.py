@@ -229,7 +229,7 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
     if core.incoming_goal != 0:
         set_result(loop, shared, core.incoming_goal, Outcome.REPLACED, -1, 0.0, 0.0)
         core.incoming_goal = 0
-    core.incoming_waits = 0
+    core.incoming_waits = core.ways_tried = core.judged_ahead = 0
     record_event(loop, shared, Event.GOAL, -1, goal_id, 0.0, 0.0)
     if goal_id == core.canceled_goals[goal_id & (CANCELED_SLOTS - 1)]:
         set_result(loop, shared, goal_id, Outcome.CANCELED, -1, 0.0, 0.0)

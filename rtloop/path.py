@@ -91,11 +91,18 @@ def plan(loop: Loop, path_index: int, joint: int, clock_s: float, knot: int) -> 
         if runs_on and clock_s >= start_s:
             return straight_on(loop, a, clock_s - start_s)
         return a.position_rad, 0.0, 0.0
-    end = loop.knots[slot(path_index, knot + 1)]
-    b = end.joints[joint]
+    c0, c1, c2, c3, c4, c5 = plan_coefficients(loop, path_index, joint, knot)
+    return evaluate(c0, c1, c2, c3, c4, c5, clock_s - start_s)
+
+
+@jit
+def plan_coefficients(loop: Loop, path_index: int, joint: int, knot: int) -> tuple[float, ...]:
+    """The polynomial of the plan between a knot and the next one, in time since the knot (`motion.segment`)."""
+    start, end = loop.knots[slot(path_index, knot)], loop.knots[slot(path_index, knot + 1)]
+    a, b = start.joints[joint], end.joints[joint]
     duration_s = (end.time_ns - start.time_ns) * 1e-9
     if end.order == 5:
-        c0, c1, c2, c3, c4, c5 = quintic(
+        return quintic(
             a.position_rad,
             a.velocity_rad_s,
             a.acceleration_rad_s2,
@@ -104,11 +111,9 @@ def plan(loop: Loop, path_index: int, joint: int, clock_s: float, knot: int) -> 
             b.acceleration_rad_s2,
             duration_s,
         )
-    elif end.order == 3:
-        c0, c1, c2, c3, c4, c5 = cubic(a.position_rad, a.velocity_rad_s, b.position_rad, b.velocity_rad_s, duration_s)
-    else:
-        c0, c1, c2, c3, c4, c5 = linear(a.position_rad, b.position_rad, duration_s)
-    return evaluate(c0, c1, c2, c3, c4, c5, clock_s - start_s)
+    if end.order == 3:
+        return cubic(a.position_rad, a.velocity_rad_s, b.position_rad, b.velocity_rad_s, duration_s)
+    return linear(a.position_rad, b.position_rad, duration_s)
 
 
 @jit

@@ -94,6 +94,8 @@ AXIS = np.dtype(
         ("next_velocity_rad_s", "f8"),
         ("next_acceleration_rad_s2", "f8"),
         ("difference_velocity_rad_s", "f8"),  # of the last two commanded positions, for the last defence
+        ("ahead_rad", "f8"),  # of a setpoint that is only looked at
+        ("ahead_rad_s", "f8"),  # difference_velocity_rad_s of it
         # what is measured
         ("measured_rad", "f8"),
         ("measured_velocity_rad_s", "f8"),
@@ -134,7 +136,7 @@ PATH = np.dtype(
         ("goal_id", "i8"),
         ("taken", "i8"),  # knots taken; the newest is at (taken - 1) % WINDOW_KNOTS
         ("segment", "i8"),  # knot at the start of the running segment
-        ("closest_ns", "i8"),  # least time between two of its knots
+        ("closest_ns", "i8"),  # least time between two of its knots, other than the beginning of a bridge
         ("ended", "i8"),
         ("ends_moving", "i8"),  # 1: the last point, which is known, leaves a joint in motion
         ("torn", "i8"),  # knots are missing after the newest one
@@ -199,6 +201,11 @@ CORE = np.dtype(
         ("incoming_path", "i8"),
         ("incoming_ns", "i8"),  # when its last record came
         ("incoming_waits", "i8"),  # 1 while the arm stops on the old path to make way
+        ("ways_tried", "i8"),  # onto it, of those that are tried from this state of the arm
+        ("looks_left", "i8"),  # spans and setpoints that may still be looked at ahead in this cycle, -1: too few
+        ("judged_ahead", "i8"),  # setpoints of the next way that cycles before have judged
+        ("span_ahead_s", "f8"),  # path time at which they went on
+        ("rate_ahead", "f8"),  # rate at which they would be entered
         ("newest_goal", "i8"),  # highest id ever begun
         ("canceled_goals", "i8", (CANCELED_SLOTS,)),  # goals that were canceled before they came, each in its own slot
         ("announced_goal", "i8"),

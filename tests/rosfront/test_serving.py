@@ -338,6 +338,28 @@ def test_a_goal_kept_back_is_canceled_without_the_loop(stage):
     assert "before it was begun" in stage.verdict("later").sentence and stage.serving.idle
 
 
+def test_a_goal_kept_back_is_lost_without_a_word_to_the_loop(stage):
+    """A cancel of its number would be remembered, and would meet another goal that got it."""
+    requests = stage.link.writer.memory.record["requests_written"]
+    before = int(requests[0])
+    stage.start("later", later(stage, 3600.0))
+    stage.step(3)
+    stage.serving.lost("Gone.")
+    assert stage.verdict("later").sentence == "Gone."
+    assert requests[0] == before
+
+
+def test_a_number_serves_once(stage):
+    """Also when the loop never heard of the goal that had it."""
+    first = stage.start("later", later(stage, 3600.0))
+    stage.serving.lost("Gone.")
+    stage.serving.attached(stage.link)
+    second = stage.start("now", plan())
+    assert second.goal_id > first.goal_id
+    stage.step(80)
+    assert stage.verdict("now").status is Status.SUCCEEDED
+
+
 def test_a_goal_kept_back_is_replaced_by_a_newer_one(stage):
     stage.start("later", later(stage, 3600.0))
     stage.start("now", plan())

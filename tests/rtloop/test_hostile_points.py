@@ -16,7 +16,7 @@ from rosfront.goal import plan_goal, plan_stream
 from rosfront.plan import GoalPlan, Present
 from rosfront.refusals import GoalRefused
 from rosfront.settings import Settings
-from shm.words import Fault, Mode, Outcome
+from shm.words import Fault, Mode, Outcome, Request
 
 trials = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 REFUSALS = (Outcome.REFUSED_START, Outcome.REFUSED_LIMITS)
@@ -106,6 +106,85 @@ class Hostile:
         )
 
 
+class Edge:
+    """A goal whose velocities ripple just as much as the front accepts, and an arm that it is sent to."""
+
+    def __init__(self, seed: int, rate_hz: float) -> None:
+        self.seed = seed
+        self.hostile = Hostile(seed, rate_hz)
+
+    def plan(self) -> GoalPlan | None:
+        """The plan of the strongest ripple that is accepted; None when not even the smooth way is."""
+        best = self.accepted(0.0)
+        if best is None:
+            return None
+        low, high = 0.0, 4.0
+        for _ in range(8):
+            middle = 0.5 * (low + high)
+            plan = self.accepted(middle)
+            if plan is None:
+                high = middle
+            else:
+                low, best = middle, plan
+        return best
+
+    def accepted(self, strength: float) -> GoalPlan | None:
+        hostile = self.hostile
+        try:
+            return plan_goal(as_goal(self.message(strength)), hostile.arm.arm, hostile.present(), hostile.settings)
+        except GoalRefused:
+            return None
+
+    def message(self, strength: float) -> SimpleNamespace:
+        """From standing to standing with constant acceleration and a cruise, plus a ripple of that strength."""
+        random = np.random.default_rng(self.seed)  # the same shape for every strength
+        arm = self.hostile.arm.arm
+        period_s = self.hostile.arm.period_ns * 1e-9
+        joints = random.permutation(len(arm.joints))[: int(random.choice([1, 2, 6]))]
+        gap_s = period_s * random.choice([0.05, 0.13, 0.25, 0.5, 0.5, 0.9, 1.0, 1.1, 2.5])
+        count = min(int(random.choice([0.8, 1.5, 3.0]) / gap_s), 2000)
+        times_s, at = np.arange(count) * gap_s, np.arange(count)
+        to_end = np.minimum(at, count - 1 - at)
+        positions, velocities = [], []
+        for joint in joints:
+            config = arm.joints[joint]
+            hardest = config.max_acceleration_rad_s2
+            pace = hardest * random.uniform(0.3, 0.9)
+            cruise = config.max_velocity_rad_s * random.uniform(0.3, 0.95)
+            ripple = [
+                np.where(at % 2 == 0, 1.0, -1.0),
+                random.uniform(-1.0, 1.0, count),
+                np.sin(
+                    2.0 * np.pi * times_s / period_s * random.choice([0.33, 0.5, 1.0, 2.0]) + random.uniform(0.0, 6.0)
+                ),
+                (random.random(count) < 0.03) * random.choice([-1.0, 1.0], count),
+            ][int(random.integers(4))]
+            if random.random() < 0.5:  # somewhere on the way only
+                ripple = ripple * (np.abs(times_s - random.uniform(0.0, 0.6)) < random.uniform(0.01, 0.2))
+            velocity = np.minimum(pace * gap_s * to_end, cruise) * random.choice([-1.0, 1.0])
+            velocity = velocity + strength * hardest * period_s * ripple * np.minimum(1.0, to_end / 5.0)
+            steps = 0.5 * gap_s * (velocity[1:] + velocity[:-1])
+            offset = random.uniform(-1.0, 1.0) * random.choice([0.0, 2e-3, 0.04, 0.045])
+            positions.append(offset + np.concatenate([[0.0], np.cumsum(steps)]))
+            velocities.append(velocity)
+        late_s = random.choice([0.0, 0.0, 0.001, 0.05])
+        points = [
+            SimpleNamespace(
+                time_from_start=SimpleNamespace(sec=0, nanosec=round((times_s[i] + late_s) * 1e9)),
+                positions=[way[i] for way in positions],
+                velocities=[way[i] for way in velocities],
+                accelerations=[],
+                effort=[],
+            )
+            for i in range(count)
+        ]
+        return SimpleNamespace(
+            header=SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0)),
+            joint_names=[arm.joints[joint].name for joint in joints],
+            points=points,
+        )
+
+
 def as_goal(trajectory: SimpleNamespace) -> SimpleNamespace:
     """A goal message around a trajectory, with the default tolerances."""
     return SimpleNamespace(
@@ -155,4 +234,40 @@ def test_hostile_messages_of_a_stream_are_refused_or_followed(seed: int, rate_hz
         arm.cycles(int(hostile.random.integers(1, 12)))
     arm.until(lambda: arm.core["mode"] != Mode.EXECUTING, at_most_s=5.0)
     assert arm.core["fault"] == Fault.NONE
+    arm.close()
+
+
+@trials
+@given(
+    st.integers(0, 10**9),
+    st.sampled_from([50.0, 100.0, 120.0, 200.0, 500.0]),
+    st.sampled_from(["nobody", "cancel", "hold", "speed", "slow"]),
+)
+@example(2575, 200.0, "hold")  # the ramp that resumes it hits a phase at which two setpoints are too far apart
+@example(2852, 50.0, "hold")
+def test_what_the_front_just_accepts_is_followed_whatever_the_clock_does(seed: int, rate_hz: float, who: str) -> None:
+    edge = Edge(seed, rate_hz)
+    arm = edge.hostile.arm
+    plan = edge.plan()
+    if plan is None:
+        return
+    random = np.random.default_rng(seed)
+    if who == "slow":
+        arm.writer.request(Request.SPEED_SCALE, value=float(random.uniform(0.2, 0.95)))
+        arm.cycles(2)
+    goal = edge.hostile.send(plan)
+    arm.cycles(int(random.integers(1, max(2, round(plan.duration_s * rate_hz)))))
+    if who == "cancel":
+        arm.writer.request(Request.CANCEL, goal_id=goal)
+    elif who == "hold":
+        arm.writer.request(Request.HOLD)
+        arm.cycles(round(0.3 * rate_hz))
+        arm.writer.request(Request.RESUME)
+    elif who == "speed":
+        arm.writer.request(Request.SPEED_SCALE, value=float(random.uniform(0.1, 0.9)))
+        arm.cycles(round(0.05 * rate_hz))
+        arm.writer.request(Request.SPEED_SCALE, value=1.0)
+    arm.until(lambda: arm.outcome(goal) != Outcome.NONE, at_most_s=60.0)
+    assert arm.core["fault"] == Fault.NONE
+    assert arm.outcome(goal) in (Outcome.CANCELED if who == "cancel" else Outcome.SUCCEEDED, *REFUSALS)
     arm.close()
