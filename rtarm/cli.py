@@ -186,6 +186,22 @@ def status(
         raise typer.Exit(int(ExitCode.DONE if report["healthy"] else ExitCode.UNHEALTHY))
 
 
+@app.command()
+def top(arm: RunningArm = None) -> None:
+    """Show live what a running arm does, until q or Ctrl-C.
+
+    Mode, goal, joints, lateness and cycle time of the last seconds and since the start, bus load, and what happened,
+    from its shared memory alone. Without a terminal use `rtarm status --json`.
+
+    Example: [bold]rtarm top episode1[/bold]
+    """
+    with _sentences():
+        from rtarm.status import resolve_arm
+        from rtarm.top.terminal import run
+
+        run(resolve_arm(arm))
+
+
 @app.command(epilog="Exit codes:\n\n" + exit_code_table())
 def doctor(
     arm: Annotated[

@@ -32,6 +32,7 @@ CYCLE_OVERDUE_S = 0.5
 """A cycle this late is a control process that hangs, not one that was preempted."""
 FRONT_SILENT_S = 1.0
 
+BUS_TROUBLE = ("wire_errors", "bytes_unsent", "receive_overflows", "stale_reads", "drive_errors")
 PERCENTS = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9}
 POLICIES = {0: "other", 1: "fifo", 2: "rr"}
 
@@ -70,36 +71,45 @@ def read_status(arm: str) -> Report:
     """
     reader = StateReader(files.open_state(arm))
     try:
-        snapshot = reader.snapshot()
-        record = reader.memory.record
-        header = record["header"]
-        joints = files.joint_names(header)
-        now_ns = time.monotonic_ns()
-        front = files.front_of(arm)
-        report: Report = {
-            "arm": arm,
-            "running": True,
-            "mode": key(Mode, int(snapshot["mode"])),
-            "fault": _fault(snapshot, joints, now_ns),
-            "goal": _goal(snapshot),
-            "last_result": _last_result(snapshot, joints),
-            "speed_scale": float(snapshot["speed_scale"]),
-            "rate_hz": 1e9 / int(header["period_ns"]),
-            "uptime_s": (now_ns - int(header["start_monotonic_ns"])) * 1e-9,
-            "cycle_age_ms": (now_ns - int(snapshot["monotonic_ns"])) * 1e-6,
-            "loop": {"pid": int(header["pid"])},
-            "front": {
-                "pid": None if front is None else front[0],
-                "heartbeat_age_ms": None if not front or not front[1] else (now_ns - front[1]) * 1e-6,
-            },
-            "joints": [_joint(name, snapshot["joints"][index], now_ns) for index, name in enumerate(joints)],
-            "lateness_us": percentiles_us(record["lateness"]),
-            "cycle_us": percentiles_us(record["cycle_time"]),
-            "scheduling": scheduling(record["scheduling"]),
-            **counters(record["counters"], int(header["bitrate"]), now_ns - int(header["start_monotonic_ns"])),
-        }
+        return report_of(arm, reader)
     finally:
         reader.close()
+
+
+def report_of(arm: str, reader: StateReader) -> Report:
+    """The same, from a state file that is mapped already.
+
+    Raises:
+        SharedMemoryError: it cannot be read, or the command file beside it is not what it should be.
+    """
+    snapshot = reader.snapshot()
+    record = reader.memory.record
+    header = record["header"]
+    joints = files.joint_names(header)
+    now_ns = time.monotonic_ns()
+    front = files.front_of(arm)
+    report: Report = {
+        "arm": arm,
+        "running": True,
+        "mode": key(Mode, int(snapshot["mode"])),
+        "fault": _fault(snapshot, joints, now_ns),
+        "goal": _goal(snapshot),
+        "last_result": _last_result(snapshot, joints),
+        "speed_scale": float(snapshot["speed_scale"]),
+        "rate_hz": 1e9 / int(header["period_ns"]),
+        "uptime_s": (now_ns - int(header["start_monotonic_ns"])) * 1e-9,
+        "cycle_age_ms": (now_ns - int(snapshot["monotonic_ns"])) * 1e-6,
+        "loop": {"pid": int(header["pid"])},
+        "front": {
+            "pid": None if front is None else front[0],
+            "heartbeat_age_ms": None if not front or not front[1] else (now_ns - front[1]) * 1e-6,
+        },
+        "joints": [_joint(name, snapshot["joints"][index], now_ns) for index, name in enumerate(joints)],
+        "lateness_us": percentiles_us(record["lateness"]),
+        "cycle_us": percentiles_us(record["cycle_time"]),
+        "scheduling": scheduling(record["scheduling"]),
+        **counters(record["counters"], int(header["bitrate"]), now_ns - int(header["start_monotonic_ns"])),
+    }
     report["problems"] = problems(report)
     report["healthy"] = not report["problems"]
     return report
@@ -241,6 +251,9 @@ def _joint(name: str, record: np.void, now_ns: int) -> Report:
         "position_rad": _finite(float(record["measured_position_rad"])) if read else None,
         "velocity_rad_s": _finite(float(record["measured_velocity_rad_s"])) if read else None,
         "commanded_rad": _finite(float(record["commanded_position_rad"])),
+        "error_rad": _finite(float(record["measured_position_rad"] - record["reference_position_rad"]))
+        if read
+        else None,
         "age_ms": (now_ns - measured_ns) * 1e-6 if read else None,
         "referenced": referenced,
         "unreferenced": None if referenced else unreferenced_sentence(reason or Unreferenced.NOT_BROUGHT_UP, name),
@@ -256,18 +269,21 @@ def _finite(value: float) -> float | None:
 
 def render_status(report: Mapping[str, Any]) -> RenderableType:
     """The report as tables that fit 80 columns."""
-    healthy = report["healthy"]
-    heading = Text.assemble(
-        (f"{report['arm']}: {report['mode'].replace('_', ' ')}", "bold"),
-        ", ",
-        ("healthy", "green") if healthy else ("not fit to move", "bold red"),
-    )
     return Group(
-        heading,
+        heading(report),
         *(Text(f"- {sentence}", style="yellow") for sentence in report["problems"]),
         _joints_table(report["joints"]),
         _facts_table(report),
         timing_table(report),
+    )
+
+
+def heading(report: Mapping[str, Any]) -> Text:
+    """Arm, mode and whether it is fit to move, in one line."""
+    return Text.assemble(
+        (f"{report['arm']}: {report['mode'].replace('_', ' ')}", "bold"),
+        ", ",
+        ("healthy", "green") if report["healthy"] else ("not fit to move", "bold red"),
     )
 
 
@@ -281,55 +297,59 @@ def _joints_table(joints: Sequence[Mapping[str, Any]]) -> Table:
         position, velocity = joint["position_rad"], joint["velocity_rad_s"]
         table.add_row(
             joint["name"],
-            _shown(position, 3, degrees=True),
-            _shown(position, 5),
-            _shown(velocity, 2, degrees=True),
-            _shown(joint["commanded_rad"], 3, degrees=True),
-            _shown(joint["age_ms"], 1),
+            shown(position, 3, degrees=True),
+            shown(position, 5),
+            shown(velocity, 2, degrees=True),
+            shown(joint["commanded_rad"], 3, degrees=True),
+            shown(joint["age_ms"], 1),
             "yes" if joint["referenced"] else "NO",
         )
     return table
 
 
-def _shown(value: float | None, digits: int, *, degrees: bool = False) -> str:
+def shown(value: float | None, digits: int, *, degrees: bool = False) -> str:
+    """A figure in so many decimals (with `degrees`: radians as degrees), or that there is none."""
     if value is None:
         return "-"
     return f"{math.degrees(value) if degrees else value:.{digits}f}"
 
 
 def _facts_table(report: Mapping[str, Any]) -> Table:
-    goal, bus, front = report["goal"], report["bus"], report["front"]
+    bus, front = report["bus"], report["front"]
     table = Table.grid(padding=(0, 2))
     table.add_column(no_wrap=True)
     table.add_column()
-    if goal is None:
-        table.add_row("goal", "none" if report["last_result"] is None else _last_words(report["last_result"]))
-    else:
-        end = "" if goal["duration_s"] is None else f" of {goal['duration_s']:.2f}"
-        table.add_row("goal", f"{goal['id']} {goal['phase']}, {goal['clock_s'] or 0.0:.2f}{end} s")
+    table.add_row("goal", goal_words(report))
     table.add_row("speed scale", f"{report['speed_scale']:.2f}")
     served = "none" if front["pid"] is None else f"pid {front['pid']}"
     pids = f"control pid {report['loop']['pid']}, ROS {served}"
-    table.add_row("processes", f"{pids}, up {_duration(report['uptime_s'])}")
+    table.add_row("processes", f"{pids}, up {duration_words(report['uptime_s'])}")
     table.add_row("cycles", f"{report['cycles']} at {report['rate_hz']:g} Hz, {report['overruns']} overruns")
     table.add_row("scheduling", describe_scheduling(report["scheduling"]))
     load = "" if bus["load"] is None else f", load {bus['load']:.1%}"
     table.add_row("bus", f"{bus['frames_tx']} frames sent, {bus['frames_rx']} received{load}")
-    trouble = ", ".join(
-        f"{bus[name]} {name.replace('_', ' ')}"
-        for name in ("wire_errors", "bytes_unsent", "receive_overflows", "stale_reads", "drive_errors")
-        if bus[name]
-    )
+    trouble = trouble_words(bus)
     if trouble:
         table.add_row("bus trouble", trouble)
     return table
 
 
-def _last_words(result: Mapping[str, Any]) -> str:
-    return f"none; the last one ({result['goal_id']}): {result['sentence']}"
+def trouble_words(bus: Mapping[str, Any]) -> str:
+    """What went wrong on the bus, counted; empty when nothing did."""
+    return ", ".join(f"{bus[name]} {name.replace('_', ' ')}" for name in BUS_TROUBLE if bus[name])
 
 
-def _duration(seconds: float) -> str:
+def goal_words(report: Mapping[str, Any]) -> str:
+    """Where the goal stands, or how the last one ended."""
+    goal, last = report["goal"], report["last_result"]
+    if goal is not None:
+        end = "" if goal["duration_s"] is None else f" of {goal['duration_s']:.2f}"
+        return f"{goal['id']} {goal['phase']}, {goal['clock_s'] or 0.0:.2f}{end} s"
+    return "none" if last is None else f"none; the last one ({last['goal_id']}): {last['sentence']}"
+
+
+def duration_words(seconds: float) -> str:
+    """Such as `2 h 5 min`, `3 min 12 s`, `4.2 s`."""
     minutes, rest = divmod(int(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s" if minutes else f"{seconds:.1f} s"

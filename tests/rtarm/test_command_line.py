@@ -16,7 +16,7 @@ from rtarm.errors import MEANINGS, ExitCode
 
 COMMANDS = [
     *(("up",), ("demo",), ("status",), ("stop",), ("clear-fault",)),
-    *(("doctor",), ("config", "check"), ("moveit-config",)),
+    *(("top",), ("doctor",), ("config", "check"), ("moveit-config",)),
 ]
 
 Rtarm = Callable[..., Result]

@@ -1,0 +1,278 @@
+"""A look drawn into the room that a terminal has: the same look and the same room give the same picture."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from textwrap import wrap
+from typing import Any, NamedTuple
+
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.segment import Segment
+from rich.style import Style
+from rich.text import Text
+
+from rtarm.status import describe_scheduling, duration_words, goal_words, heading, shown, trouble_words
+from rtarm.top.watch import BINS, BINS_A_DECADE, Look, Timing
+
+GAP = 1
+"""Blank columns between columns."""
+NAME_WIDTH = 12
+"""Longer names of joints are cut where there is no room."""
+FACT_WIDTH = 9
+JOINTS_AT_LEAST = 8
+EVENTS_AT_LEAST = 4
+NARROW = 60
+"""Below so many columns events are told without milliseconds."""
+SHORTEST_S = 0.1
+"""A rate measured over less is none: one cycle more or less would be most of it."""
+BARS = "▁▂▃▄▅▆▇█"
+SCALE = (" " + "".join(f"{edge:<{BINS_A_DECADE}}" for edge in ("1", "10", "100", "1ms", "10ms"))).ljust(BINS)
+"""Heading of a spectrum, whose first bin ends at 1 µs."""
+OF_THE_PAST = Style(dim=True)
+
+Lines = list[list[Segment]]
+
+
+class Column(NamedTuple):
+    """A column of figures: heading, width, the rank by which it is left out, and what it shows of a row."""
+
+    heading: str
+    width: int
+    rank: int
+    cell: Callable[[Any], str]
+
+
+JOINT_COLUMNS = (
+    Column("measured °", 10, 0, lambda joint: shown(joint["position_rad"], 3, degrees=True)),
+    Column("commanded °", 11, 2, lambda joint: shown(joint["commanded_rad"], 3, degrees=True)),
+    Column("°/s", 8, 3, lambda joint: shown(joint["velocity_rad_s"], 2, degrees=True)),
+    Column("error °", 9, 1, lambda joint: shown(joint["error_rad"], 4, degrees=True)),
+    Column("age ms", 9, 4, lambda joint: shown(joint["age_ms"], 1)),
+    Column("referenced", 10, 5, lambda joint: "yes" if joint["referenced"] else "NO"),
+)
+TIMING_COLUMNS = (
+    Column("p50", 7, 3, lambda timing: shown(timing.figures["p50"], 1)),
+    Column("p99", 7, 1, lambda timing: shown(timing.figures["p99"], 1)),
+    Column("p99.9", 8, 2, lambda timing: shown(timing.figures["p99_9"], 1)),
+    Column("max", 9, 0, lambda timing: shown(timing.figures["max"], 1)),
+    Column(SCALE, BINS, 4, lambda timing: bars(timing.spectrum)),
+)
+
+
+class Picture:
+    """What rich draws of a look: whole lines, never more than there is room for."""
+
+    def __init__(self, look: Look) -> None:
+        self.look = look
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        height = options.height or options.size.height
+        flowing = options.update(height=None)
+
+        def drawn(texts: Sequence[Text]) -> Lines:
+            return [line for text in texts for line in console.render_lines(text, flowing, pad=False)]
+
+        for line in _lines(self.look, options.max_width, height, drawn)[:height]:
+            yield from line
+            yield Segment.line()
+
+
+def _lines(look: Look, width: int, height: int, drawn: Callable[[Sequence[Text]], Lines]) -> Lines:
+    """All lines of the picture; what is most important keeps its room in a small terminal."""
+    head, events = drawn([_title(look, width), *_complaints(look, width)]), drawn(_events(look, width))
+    report = look.report
+    if report is None:
+        return head + events
+    head = head[: max(1, height // 2)]
+    facts, timing = drawn(_facts(look, width)), drawn(_timing(look.timings, width))
+    joints = _joints(report["joints"], width)
+    for_joints, for_facts, for_timing, for_events = share(
+        height - len(head),
+        [
+            (min(len(joints), 1 + JOINTS_AT_LEAST), len(joints)),
+            (len(facts), len(facts)),
+            (len(timing), len(timing)),
+            (min(len(events), EVENTS_AT_LEAST), len(events)),
+        ],
+    )
+    body = facts[:for_facts] + drawn(_cut(joints, for_joints)) + timing[:for_timing] + events[:for_events]
+    if look.trouble is not None:
+        body = [list(Segment.apply_style(line, OF_THE_PAST)) for line in body]
+    return head + body
+
+
+def share(room: int, wants: Sequence[tuple[int, int]]) -> list[int]:
+    """Share out lines: `wants` says at least and at most how many, the most important first."""
+    given = [0] * len(wants)
+    for wanted in (0, 1):
+        for index, want in enumerate(wants):
+            more = max(0, min(want[wanted] - given[index], room))
+            given[index] += more
+            room -= more
+    return given
+
+
+def _cut(joints: Sequence[Text], room: int) -> list[Text]:
+    """The table of joints in so many lines; the last one says what is missing."""
+    if room >= len(joints) or room < 2:
+        return list(joints[:room])
+    missing = len(joints) - room + 1
+    return [*joints[: room - 1], _line(Text(f"… {missing} more: make the terminal higher", style="dim"))]
+
+
+def _line(text: Text) -> Text:
+    """A line that is cut rather than wrapped."""
+    text.no_wrap, text.overflow = True, "ellipsis"
+    return text
+
+
+def _hanging(label: str, words: str, style: str, width: int, label_style: str = "dim") -> Text:
+    """A label, and words wrapped beside it."""
+    lines = wrap(words, max(1, width - len(label)))
+    return _line(Text.assemble((label, label_style), (("\n" + " " * len(label)).join(lines), style)))
+
+
+# --- head -----------------------------------------------------------------------------------------------
+
+
+def _title(look: Look, width: int) -> Text:
+    if look.report is None or look.trouble is not None:
+        title = Text.assemble((f"{look.arm}: ", "bold"), ("waiting", "bold red"))
+    else:
+        title = heading(look.report)
+    hint = "q ends"
+    space = width - cell_len(title.plain) - len(hint)
+    if space > 0:
+        title.append(" " * space + hint, style="dim")
+    return _line(title)
+
+
+def _complaints(look: Look, width: int) -> list[Text]:
+    """Why the arm is not fit to move, or why what is shown is not of now."""
+    if look.trouble is not None:
+        told = [look.trouble] if look.report is None else [look.trouble, "Waiting; below are the last figures."]
+    else:
+        told = [] if look.report is None else look.report["problems"]
+    return [_hanging("- ", sentence, "yellow", width, "yellow") for sentence in told]
+
+
+# --- facts ----------------------------------------------------------------------------------------------
+
+
+def _facts(look: Look, width: int) -> list[Text]:
+    report, recent = look.report, look.recent
+    assert report is not None and recent is not None
+    span = f"in the {look.recent_span}"
+    overruns = f"{report['overruns']} overruns ({recent['overruns']} {span})"
+    rows = (
+        ("goal", f"{goal_words(report)}; speed scale {report['speed_scale']:.2f}", ""),
+        (
+            "cycles",
+            f"{report['cycles']} at {report['rate_hz']:g} Hz, {overruns}",
+            "red" if recent["overruns"] else "",
+        ),
+        ("bus", *_bus(report["bus"], recent["bus"], look.recent_s, span)),
+        ("ROS", *_front(report["front"])),
+        (
+            "control",
+            f"pid {report['loop']['pid']}, up {duration_words(report['uptime_s'])}, "
+            f"{describe_scheduling(report['scheduling'])}",
+            "",
+        ),
+    )
+    return [_hanging(f"{name:<{FACT_WIDTH}}", words, style, width) for name, words, style in rows]
+
+
+def _bus(total: Mapping[str, Any], recent: Mapping[str, Any], seconds: float, span: str) -> tuple[str, str]:
+    """Load and frames of the last seconds, and everything that ever went wrong."""
+    if recent["load"] is None:
+        words = ["no bus"]
+    elif seconds < SHORTEST_S:
+        words = ["being measured"]
+    else:
+        sent, received = recent["frames_tx"] / seconds, recent["frames_rx"] / seconds
+        words = [f"load {recent['load']:.1%}", f"{sent:.0f} frames/s sent", f"{received:.0f} received"]
+    trouble, new_trouble = trouble_words(total), trouble_words(recent)
+    if trouble:
+        words.append(trouble + (f" ({new_trouble} {span})" if new_trouble else ""))
+    return ", ".join(words), "red" if new_trouble else ""
+
+
+def _front(front: Mapping[str, Any]) -> tuple[str, str]:
+    """Whether a ROS process serves the arm."""
+    if front["pid"] is None:
+        return "no process serves the arm", "red"
+    age_ms = front["heartbeat_age_ms"]
+    return f"pid {front['pid']}, " + ("no sign of life yet" if age_ms is None else f"alive {age_ms:.0f} ms ago"), ""
+
+
+# --- tables ---------------------------------------------------------------------------------------------
+
+
+def fitting(columns: Sequence[Column], width: int) -> list[Column]:
+    """The columns that fit side by side, in their order; those of the highest rank are left out first."""
+    chosen: list[Column] = []
+    for column in sorted(columns, key=lambda one: one.rank):
+        width -= column.width + GAP
+        if width < 0:
+            break
+        chosen.append(column)
+    return [column for column in columns if column in chosen]
+
+
+def _table(
+    first: str, first_width: int, columns: Sequence[Column], rows: Sequence[tuple[str, Any, str]], width: int
+) -> list[Text]:
+    """Heading and rows; a row is its label, what its cells are made of, and a style."""
+    columns = fitting(columns, width - first_width)
+
+    def line(label: str, cells: Sequence[str], style: str) -> Text:
+        text = Text(label, style=style)
+        text.truncate(first_width, overflow="ellipsis", pad=True)
+        for column, cell in zip(columns, cells, strict=True):
+            text.append(f"{'':{GAP}}{cell:>{column.width}}")
+        return _line(text)
+
+    head = line(first, [column.heading for column in columns], "dim")
+    return [head, *(line(label, [column.cell(row) for column in columns], style) for label, row, style in rows)]
+
+
+def _joints(joints: Sequence[Mapping[str, Any]], width: int) -> list[Text]:
+    rows = [(joint["name"], joint, "" if joint["referenced"] else "red") for joint in joints]
+    longest = max(cell_len(name) for name in ("joint", *(name for name, _, _ in rows)))
+    spare = width - sum(column.width + GAP for column in JOINT_COLUMNS)
+    return _table("joint", min(longest, max(NAME_WIDTH, spare)), JOINT_COLUMNS, rows, width)
+
+
+def _timing(timings: Sequence[Timing], width: int) -> list[Text]:
+    rows = [(f"{timing.what} {timing.span}", timing, "") for timing in timings]
+    longest = max((len(label) for label, _, _ in rows), default=0)
+    return _table("µs", longest, TIMING_COLUMNS, rows, width)
+
+
+def bars(counts: Sequence[int]) -> str:
+    """A bar for each bin, its height the logarithm of the count, so that a single late cycle is seen."""
+    most = max(counts, default=0)
+    scale = (len(BARS) - 1) / math.log(most) if most > 1 else 0.0
+    return "".join(BARS[round(math.log(count) * scale)] if count > 0 else " " for count in counts)
+
+
+# --- events ---------------------------------------------------------------------------------------------
+
+
+def _events(look: Look, width: int) -> list[Text]:
+    """Newest first; sentences are wrapped, since a fault's tells what to do only at its end."""
+    return [
+        _hanging(_clock(one.monotonic_ns + look.epoch_offset_ns, width) + "  ", one.sentence, one.style, width)
+        for one in look.happenings
+    ]
+
+
+def _clock(epoch_ns: int, width: int) -> str:
+    """Local time of day."""
+    seconds, rest_ns = divmod(epoch_ns, 1_000_000_000)
+    told = time.strftime("%H:%M:%S", time.localtime(seconds))
+    return told if width < NARROW else f"{told}.{rest_ns // 1_000_000:03d}"
