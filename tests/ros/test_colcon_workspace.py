@@ -25,6 +25,8 @@ from config.loader import ARMS_FOLDER
 ROOT = Path(__file__).resolve().parents[2]
 BUILT_FOLDERS = ("config", "motion", "rosfront", "rtarm", "rtloop", "shm", "sim")
 LONG_S = 60.0
+SEARCH = f"{sys.prefix}/bin{os.pathsep}{os.environ['PATH']}"
+"""Where programs are looked for: cmake may come from the environment's wheels."""
 
 
 def colcon() -> str | None:
@@ -36,7 +38,7 @@ def colcon() -> str | None:
 pytestmark = [
     pytest.mark.process,
     pytest.mark.skipif(colcon() is None, reason="colcon is not installed: `make test` does that"),
-    pytest.mark.skipif(shutil.which("cmake") is None, reason="cmake is not installed"),
+    pytest.mark.skipif(shutil.which("cmake", path=SEARCH) is None, reason="cmake is not installed"),
 ]
 
 
@@ -57,7 +59,7 @@ def build(workspace: Path, *options: str) -> str:
     environment = dict(os.environ)
     if not environment.get("ROS_DISTRO"):  # wheels: what sourcing an installation would set
         environment |= {"CMAKE_PREFIX_PATH": sys.prefix, "AMENT_PREFIX_PATH": sys.prefix}
-        environment["PATH"] = f"{sys.prefix}/bin{os.pathsep}{environment['PATH']}"
+        environment["PATH"] = SEARCH
     done = subprocess.run(
         [str(colcon()), "build", *options],
         cwd=workspace,
