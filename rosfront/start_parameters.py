@@ -76,12 +76,12 @@ def read_given(ros_arguments: Sequence[str]) -> dict[str, Any]:
         from rclpy.node import Node
     context = Context()
     start_ros(ros_arguments, context)
+    nodes = []  # all of them live to the end: with the last one the middleware would leave the network, to join it anew
 
     def given_to(name: str) -> dict[str, Any]:
         node = Node(name, context=context, enable_rosout=False, start_parameter_services=False)
-        given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
-        node.destroy_node()
-        return given
+        nodes.append(node)
+        return {name: parameter.value for name, parameter in node._parameter_overrides.items()}
 
     try:
         to_all = given_to(ANY_OTHER_NODE)
@@ -97,6 +97,8 @@ def read_given(ros_arguments: Sequence[str]) -> dict[str, Any]:
             add(controller)
         return merged
     finally:
+        for node in nodes:
+            node.destroy_node()
         context.try_shutdown()
 
 

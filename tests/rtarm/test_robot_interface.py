@@ -25,8 +25,9 @@ from rosfront.start_parameters import START, BadParameter, read_given
 from rtarm.launcher import parameter_arguments
 from rtarm.robot_interface import PARAMETER_FLAGS, Start, front_arguments, remarks
 
-# ROS takes names of letters, digits and _, and reads texts that look like something else only in quotes.
-names = st.from_regex(r"[a-z][a-z0-9_]{0,8}(\.[a-z][a-z0-9_]{0,8})?", fullmatch=True)
+# ROS takes names of letters, digits and single _, and reads texts that look like something else only in quotes.
+_WORD = "[a-z][a-z0-9]{0,3}(_[a-z0-9]{1,3})?"
+names = st.from_regex(rf"{_WORD}(\.{_WORD})?", fullmatch=True)
 integers = st.integers(-(2**63), 2**63 - 1)
 floats = st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=False)  # ROS reads those as texts
 texts = st.text(
@@ -89,8 +90,8 @@ def test_what_the_tutorials_program_would_do_otherwise_is_said() -> None:
 # --- what the arm's node is told ---
 
 
-@settings(deadline=None)
-@given(st.dictionaries(names, values | st.lists(integers, min_size=1) | st.lists(floats, min_size=1), max_size=5))
+@settings(deadline=None, max_examples=25)  # each joins the ROS network and leaves it
+@given(st.dictionaries(names, values | st.lists(integers, min_size=1) | st.lists(floats, min_size=1), max_size=20))
 def test_parameters_reach_the_node_as_they_were(parameters: dict[str, Any]) -> None:
     reached = read_given(parameter_arguments(parameters))
     assert {
