@@ -9,7 +9,7 @@ ROS_SETUP := /opt/ros/jazzy/setup.bash
 # Where a ROS installation is sourced, rclpy comes from there and the wheels are left out: the two do not mix.
 ROS := $(if $(ROS_DISTRO),$(shell $(PYTHON) -c 'import rclpy' 2>/dev/null && echo installation))
 ROS_FROM := $(or $(ROS),wheels)
-EXTRAS := dev$(if $(ROS),,$(COMMA)ros)
+EXTRAS := bench$(COMMA)dev$(if $(ROS),,$(COMMA)ros)
 INTERFACES := $(shell find rosfront/interfaces -type f -not -name '*.pyc')
 COMPILED := $(shell find motion shm rtloop -name '*.py')
 SOURCES := config motion shm rtloop rosfront sim rtarm ros bench tests
@@ -42,6 +42,7 @@ check: $(STAMPS)/interfaces
 	$(BIN)/mypy
 
 bench: env
+	$(BIN)/rtarm bench
 	$(BIN)/python -m pytest bench
 
 clean:

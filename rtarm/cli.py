@@ -236,6 +236,29 @@ def doctor(
 
 
 @app.command()
+def bench(
+    quick: Annotated[bool, typer.Option("--quick", help="Under a minute, at 1 kHz, instead of twenty.")] = False,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write all figures to this file.")
+    ] = None,
+    plot_file: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Draw the tails (.png, .svg or .pdf).")
+    ] = None,
+) -> None:
+    """Measure how late control cycles wake up on this machine, beside cyclictest and beside plain Python drivers.
+
+    Everybody has the same slices in turn, idle and under load; the machine should have nothing else to do. Ctrl-C ends
+    it early and shows what was measured until then.
+
+    Example: [bold]rtarm bench --quick --json figures.json[/bold]
+    """
+    with _sentences():
+        from rtarm.bench.run import FULL, QUICK, run_bench
+
+        raise typer.Exit(run_bench(QUICK if quick else FULL, json_file, plot_file, _reporter()))
+
+
+@app.command()
 def stop(arm: RunningArm = None) -> None:
     """Stop a running arm on its path and wait until it stands; works without the ROS process.
 

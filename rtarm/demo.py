@@ -26,6 +26,7 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from rtarm.errors import ExitCode, Refusal
 from rtarm.goals import Goal, load_goal, tour
+from rtarm.interrupt import Interrupted
 from rtarm.launcher import Launcher, Plan, action_name, load_plan
 from rtarm.processes import Child, describe_end, ros_environment
 from rtarm.reporter import Reporter
@@ -37,7 +38,7 @@ from rtarm.status import (
     timing_table,
 )
 from rtarm.tracking import Tracker, Window, errors_rad, plain
-from rtarm.up import Interrupted, run_launched
+from rtarm.up import run_launched
 from shm import files
 from shm.client import StateReader
 

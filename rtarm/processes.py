@@ -54,6 +54,19 @@ def has_module(name: str) -> bool:
     return importlib.util.find_spec(name) is not None
 
 
+def shared_death() -> Callable[[], None]:
+    """For `preexec_fn`: when this process dies, even by kill -9, the kernel sends the child SIGTERM."""
+    parent = os.getpid()
+    prctl = ctypes.CDLL(None, use_errno=True).prctl
+
+    def share() -> None:
+        prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+        if os.getppid() != parent:  # it died before the request was made
+            os._exit(1)
+
+    return share
+
+
 class Child:
     """A running Python module of ours.
 
@@ -90,14 +103,6 @@ class Child:
 
         With `told` the child reads, on its standard input, what `tell` says.
         """
-        parent = os.getpid()
-        prctl = ctypes.CDLL(None, use_errno=True).prctl
-
-        def share_death() -> None:
-            prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
-            if os.getppid() != parent:  # it died before the request was made
-                os._exit(1)
-
         process = await asyncio.create_subprocess_exec(
             # -P: a folder called config where the user happens to stand is not our package.
             *(sys.executable, "-P", "-m", module, *arguments),
@@ -106,7 +111,7 @@ class Child:
             stderr=asyncio.subprocess.PIPE,
             env=dict(environment),
             process_group=0,
-            preexec_fn=share_death,
+            preexec_fn=shared_death(),
         )
         return cls(name, process, on_line)
 

@@ -1,0 +1,101 @@
+# mypy: allow-untyped-calls
+# (rclpy annotates some of its functions and leaves the others untyped)
+"""`python -m rtarm.bench.goal_client`: sends goals and listens to /joint_states, like any MoveIt.
+
+Prints `ready`, then obeys every line on standard input: `play {"action": …, "goal": …}` sends a goal and reports
+`{"event": "accepted", "sent_ns": …}` (CLOCK_MONOTONIC) and in the end `{"event": "result", "succeeded": …,
+"sentence": …}`; `states FIRST_NS LAST_NS` reports the arrival of /joint_states between two such instants.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import sys
+import threading
+import time
+from typing import Any
+
+from rtarm.bench.measured import obey
+from rtarm.demo_client import Arrivals, goal_message, report, wait
+from rtarm.processes import READY
+
+SERVER_PATIENCE_S = 20.0
+MUTUAL_S = 0.3
+"""For the server to find the client too, without which its answer is lost: only the other direction can be seen."""
+ANSWER_PATIENCE_S = 5.0
+RESULT_PATIENCE_S = 30.0
+
+
+def play(node: Any, action: str, goal: dict[str, Any]) -> None:
+    """Send one goal to an action server that may just have come up, and report what becomes of it."""
+    from control_msgs.action import FollowJointTrajectory
+    from rclpy.action.client import ActionClient
+
+    gc.collect()
+    gc.freeze()  # before a slice rather than in it
+    client = ActionClient(node, FollowJointTrajectory, action)
+    try:
+        if not client.wait_for_server(timeout_sec=SERVER_PATIENCE_S):
+            return _failed(f"No action server {action} appeared within {SERVER_PATIENCE_S:g} s.")
+        time.sleep(MUTUAL_S)
+        message = goal_message(goal)
+        sent_ns = time.monotonic_ns()
+        sent = client.send_goal_async(message)
+        if not wait(sent, ANSWER_PATIENCE_S) or not sent.result().accepted:
+            return _failed(f"{action} did not accept the goal within {ANSWER_PATIENCE_S:g} s.")
+        report("accepted", sent_ns=sent_ns)
+        ended = sent.result().get_result_async()
+        if not wait(ended, RESULT_PATIENCE_S):
+            return _failed(f"{action} gave no result within {RESULT_PATIENCE_S:g} s.")
+        result = ended.result().result
+        report("result", succeeded=result.error_code == 0, sentence=result.error_string)
+    finally:
+        client.destroy()
+
+
+def _failed(sentence: str) -> None:
+    report("result", succeeded=False, sentence=sentence)
+
+
+def main() -> int:
+    """The process, until its standard input is closed."""
+    import rclpy
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.utilities import try_shutdown
+    from sensor_msgs.msg import JointState
+
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # SIGTERM simply ends it
+    node = rclpy.create_node("rtarm_bench")
+    arrivals = Arrivals()
+    node.create_subscription(JointState, "/joint_states", arrivals.take, 10, raw=True)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+
+    def spin() -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            executor.spin()
+
+    spinner = threading.Thread(target=spin, daemon=True)
+    spinner.start()
+    print(READY, flush=True)
+
+    def on_play(rest: str) -> None:
+        play(node, **json.loads(rest))
+
+    def on_states(rest: str) -> None:
+        first_ns, last_ns = map(int, rest.split())
+        report("states", **arrivals.between(first_ns, last_ns))
+
+    obey({"play": on_play, "states": on_states})
+    executor.shutdown()
+    spinner.join()
+    node.destroy_node()
+    try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,49 @@
+"""Work that a signal ends in order."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+T = TypeVar("T")
+
+
+class Interrupted(Exception):
+    """A signal asked for the end; the text is its name."""
+
+
+async def interruptible(work: Coroutine[Any, Any, T], heard: Callable[[str], None] = lambda _: None) -> T:
+    """Do the work, which ends what it started when it is cancelled.
+
+    The first SIGINT, SIGTERM or SIGHUP cancels it, after `heard` was called with the signal's name; further ones do
+    not disturb its end.
+
+    Raises:
+        Interrupted: a signal came, and the work has ended.
+    """
+    loop = asyncio.get_running_loop()
+    task = asyncio.ensure_future(work)
+    received: list[str] = []
+
+    def on_signal(number: int) -> None:
+        received.append(signal.Signals(number).name)
+        if len(received) == 1:
+            heard(received[0])
+            task.cancel()
+
+    for number in STOP_SIGNALS:
+        loop.add_signal_handler(number, on_signal, number)
+    try:
+        await asyncio.wait((task,))
+    finally:
+        for number in STOP_SIGNALS:
+            loop.remove_signal_handler(number)
+            if received:  # the end has been asked for and is near: who asks again does not make it a violent one
+                signal.signal(number, signal.SIG_IGN)
+    if received and (task.cancelled() or task.exception() is None):
+        raise Interrupted(received[0])
+    return task.result()
