@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from rtarm.bench.lateness import from_pairs, survival
+from rtarm.bench.report import describe_machine, describe_versions
 from rtarm.bench.results import LOADS, WHO
 from rtarm.errors import Refusal
 from rtarm.processes import has_module
+from rtarm.status import describe_scheduling
 
 FORMATS = (".png", ".svg", ".pdf")
 COLOURS = {
@@ -25,7 +27,7 @@ LABELS = {
     "rtarm": "rtarm, full cycle",
     "one_node": "one rclpy node",
     "plain_loop": "plain Python loop",
-    "one_node_fifo": "one rclpy node with rtarm's priority",
+    "one_node_fifo": "one rclpy node given that priority",
 }
 
 
@@ -49,7 +51,11 @@ def draw(report: Mapping[str, Any], path: Path) -> None:
 
     found = report["histogram_ns"]
     rates = sorted({rate for by_rate in found.values() for rate in by_rate}, key=int)
-    figure = Figure(figsize=(4.2 * len(rates) + 0.8, 7.6), layout="constrained")
+    labels = {
+        who: f"{LABELS[who]}: {describe_scheduling(obtained).partition(',')[0]}"
+        for who, obtained in report["scheduling"].items()
+    }
+    figure = Figure(figsize=(max(4.2 * len(rates), 8.0) + 0.8, 7.6), layout="constrained")
     panels = figure.subplots(len(LOADS), len(rates), sharex=True, sharey=True, squeeze=False)
     for row, load in enumerate(LOADS):
         for column, rate in enumerate(rates):
@@ -62,17 +68,13 @@ def draw(report: Mapping[str, Any], path: Path) -> None:
                 pairs = found.get(who, {}).get(rate, {}).get(load)
                 if pairs:
                     late_us, share = survival(from_pairs(pairs))
-                    panel.step(late_us, share, where="pre", color=COLOURS[who], label=LABELS[who], linewidth=1.6)
+                    panel.step(late_us, share, where="pre", color=COLOURS[who], label=labels[who], linewidth=1.6)
             if row == len(LOADS) - 1:
                 panel.set_xlabel("wake-up lateness (µs)")
             if column == 0:
                 panel.set_ylabel("share of cycles at least as late")
-    handles, labels = panels[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
-    machine = report["machine"]
-    figure.suptitle(
-        f"{machine['processors']} × {machine['processor']}{' (virtual)' if machine['virtual'] else ''}, "
-        f"Linux {machine['kernel']}",
-        fontsize=10,
+    figure.legend(
+        *panels[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=9
     )
+    figure.suptitle(f"{describe_machine(report['machine'])}\n{describe_versions(report['versions'])}", fontsize=8)
     figure.savefig(path, dpi=130)

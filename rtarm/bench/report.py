@@ -68,10 +68,10 @@ def _table(title: str, first: str) -> Table:
 
 
 def _facts(report: Mapping[str, Any]) -> list[RenderableType]:
-    machine = report["machine"]
     lines = [
-        f"{machine['processors']} × {machine['processor']}{' (virtual)' if machine['virtual'] else ''}, "
-        f"Linux {machine['kernel']}, {machine['kernel_build']}",
+        f"{describe_machine(report['machine'])}, {report['machine']['kernel_build']}",
+        describe_versions(report["versions"]),
+        "load average before: " + " ".join(f"{load:.2f}" for load in report["machine"]["load_average"]),
         f"load: {report['load']}",
         *(f"{who}: {describe_scheduling(found)}" for who, found in report["scheduling"].items()),
         *report["notes"],
@@ -81,6 +81,17 @@ def _facts(report: Mapping[str, Any]) -> list[RenderableType]:
             for load, troubles in by_load.items():
                 lines += [f"{who}, {rate} Hz {load}, a goal did not succeed: {trouble}" for trouble in troubles]
     return [Text(line) for line in lines]
+
+
+def describe_machine(machine: Mapping[str, Any]) -> str:
+    """Processors and kernel in a few words."""
+    virtual = " (virtual)" if machine["virtual"] else ""
+    return f"{machine['processors']} × {machine['processor']}{virtual}, Linux {machine['kernel']}"
+
+
+def describe_versions(versions: Mapping[str, str | None]) -> str:
+    """What is installed of what takes part."""
+    return ", ".join(f"{name} {version}" for name, version in versions.items() if version is not None)
 
 
 def _short(value: float) -> str:
