@@ -7,6 +7,7 @@ import json
 import os
 import random
 import shutil
+import subprocess
 import tempfile
 import time
 from collections.abc import Sequence
@@ -18,7 +19,7 @@ from config.budget import budget
 from config.loader import load_arm
 from config.schema import RealtimeConfig
 from rtarm.bench import plot
-from rtarm.bench.competitors import FASTEST_BUS, Bench, Client, Competitor, everybody
+from rtarm.bench.competitors import FASTEST_BUS, Bench, Client, Competitor, cyclictest, everybody
 from rtarm.bench.load import described, loaded
 from rtarm.bench.machine import machine, versions
 from rtarm.bench.report import render
@@ -27,7 +28,7 @@ from rtarm.demo import DOMAINS
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, interruptible
 from rtarm.launcher import SIMULATED_CHANNEL, check_ros
-from rtarm.processes import has_module
+from rtarm.processes import describe_end, has_module
 from rtarm.reporter import Reporter
 
 
@@ -124,6 +125,14 @@ def absent() -> dict[str, str]:
     found = {}
     if shutil.which("cyclictest") is None:
         found["cyclictest"] = "cyclictest is not installed and left out: `apt-get install rt-tests` brings it."
+    else:
+        tried = subprocess.run(cyclictest(RealtimeConfig().priority, 1), capture_output=True, text=True, check=False)
+        if tried.returncode != 0:
+            reason = (tried.stderr.splitlines() or [describe_end(tried.returncode)])[0]
+            found["cyclictest"] = (
+                f"cyclictest is left out, since it may not run here ({reason}): run as root, or see with `rtarm doctor` "
+                "which permission is missing."
+            )
     for who, modules in NEEDS.items():
         missing = [package for module, package in modules.items() if not has_module(module)]
         if missing:

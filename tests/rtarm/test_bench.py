@@ -310,6 +310,16 @@ def test_who_is_absent_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "for want of pyserial and loop-rate-limiters:" in found["plain_loop"]
 
 
+def test_cyclictest_is_left_out_where_it_may_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "cyclictest"
+    program.write_text("#!/bin/sh\necho 'Unable to change scheduling policy!' >&2\necho more >&2\nexit 1\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    assert absent()["cyclictest"].startswith(
+        "cyclictest is left out, since it may not run here (Unable to change scheduling policy!): "
+    )
+
+
 # --- what the baselines do ------------------------------------------------------------------------------
 
 
