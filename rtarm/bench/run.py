@@ -130,8 +130,8 @@ def absent() -> dict[str, str]:
         if tried.returncode != 0:
             reason = (tried.stderr.splitlines() or [describe_end(tried.returncode)])[0]
             found["cyclictest"] = (
-                f"cyclictest is left out, since it may not run here ({reason}): run as root, or see with `rtarm doctor` "
-                "which permission is missing."
+                f"cyclictest is left out, since it may not run here ({reason}): run as root, or see "
+                "with `rtarm doctor` which permission is missing."
             )
     for who, modules in NEEDS.items():
         missing = [package for module, package in modules.items() if not has_module(module)]
