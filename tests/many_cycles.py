@@ -10,10 +10,13 @@ import numpy as np
 from virtual import VirtualArm
 
 from rtloop.cycle import step
+from rtloop.run import monotonic_ns
 from rtloop.state import offset_of
+from rtloop.wire import received
 from shm import layout
 from shm.atomics import store_relaxed
 from shm.jit import jit
+from shm.words import Outcome
 
 HEARTBEAT = offset_of(layout.COMMAND, "heartbeat_ns")
 
@@ -46,3 +49,97 @@ def swing(arm: VirtualArm, duration_s: float, spacing_s: float = 0.1) -> int:
     arm.until(lambda: not arm.pending and arm.core["goal_id"] == goal)
     arm.until(lambda: arm.loop[0]["paths"][int(arm.core["active"])]["taken"] == len(times))
     return goal
+
+
+# --- the same cycles again, with what the wire brought -----------------------------------------------------
+
+
+class RecordingArm(VirtualArm):
+    """Keeps what the adapter sent in each cycle."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.chunks: list[tuple[int, int, bytes]] = []
+
+    def listen(self, until_ns: int) -> None:
+        before = int(self.loop[0]["received"]["chunks_written"][0])
+        super().listen(until_ns)
+        ring = self.loop[0]["received"]
+        for number in range(before, int(ring["chunks_written"][0])):
+            slot = number % len(ring["chunk_end"])
+            start = int(ring["chunk_end"][(number - 1) % len(ring["chunk_end"])]) if number else 0
+            at = np.arange(start, int(ring["chunk_end"][slot])) % len(ring["bytes"])
+            self.chunks.append((self.now_ns, int(ring["chunk_time_ns"][slot]), ring["bytes"][at].tobytes()))
+
+
+@jit
+def replay(
+    loop: Any,
+    shared: Any,
+    cycles_ns: np.ndarray,
+    chunks: np.ndarray,
+    data: np.ndarray,
+    heartbeat: int,
+    clock: int,
+    durations_ns: np.ndarray,
+) -> int:
+    """Run the recorded cycles again; the time of each `step` alone goes to durations_ns, bytes sent back."""
+    chunk = 0
+    sent = 0
+    for i in range(len(cycles_ns)):
+        now_ns = cycles_ns[i]
+        while chunk < len(chunks) and chunks[chunk, 0] <= now_ns:
+            received.push(loop, chunks[chunk, 1], data[chunks[chunk, 2] :], chunks[chunk, 3])
+            chunk += 1
+        store_relaxed(heartbeat, now_ns)
+        before_ns = monotonic_ns(clock)
+        sent += step(loop, shared, now_ns)
+        durations_ns[i] = monotonic_ns(clock) - before_ns
+        loop.core.tx_length = 0
+    return sent
+
+
+class Recording:
+    """A goal that was executed once in virtual time, to be executed again by the compiled cycle alone.
+
+    Attributes:
+        durations_ns: computing time of each cycle of the last `play`, (cycles,).
+    """
+
+    def __init__(self, arm: RecordingArm, goal: int) -> None:
+        """`goal` has just been sent, all its records fit into the ring; it is executed here."""
+        self.arm, self.goal = arm, goal
+        arm._feed_ring()
+        assert not arm.pending
+        arm.chunks.clear()
+        self._loop, self._state = arm.loop.copy(), arm.state.array.copy()
+        start_ns = arm.now_ns
+        arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+        assert arm.outcome(goal) == Outcome.SUCCEEDED
+        self._cycles_ns = np.arange(start_ns + arm.period_ns, arm.now_ns + 1, arm.period_ns)
+        starts = np.cumsum([0, *(len(data) for _, _, data in arm.chunks)])
+        table = [(cycle, at, start, len(data)) for (cycle, at, data), start in zip(arm.chunks, starts, strict=False)]
+        self._chunks = np.array(table, np.int64).reshape(-1, 4)
+        self._data = np.frombuffer(b"".join(data for _, _, data in arm.chunks), np.uint8)
+        self._clock = np.zeros(2, np.int64)
+        self.durations_ns = np.zeros(len(self._cycles_ns), np.int64)
+        self.rewind()
+        self.play()  # whatever is still to be compiled
+
+    def rewind(self) -> None:
+        """Back to the goal's beginning."""
+        self.arm.loop[:] = self._loop
+        self.arm.state.array[:] = self._state
+
+    def play(self) -> int:
+        """Execute the goal from its beginning, where `rewind` has put it; bytes sent."""
+        return replay(
+            self.arm.loop[0],
+            self.arm.state.array[0],
+            self._cycles_ns,
+            self._chunks,
+            self._data,
+            self.arm.command.address + HEARTBEAT,
+            self._clock.ctypes.data,
+            self.durations_ns,
+        )

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from many_cycles import advance, run_cycles, swing
+from many_cycles import Recording, RecordingArm, advance, replay, run_cycles, swing
 from numba.core.caching import FunctionCache
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime import _nrt_python, rtsys
-from virtual import VirtualArm
+from virtual import VirtualArm, recorded_goal
 
 import rtloop
 import shm
@@ -125,6 +125,31 @@ def test_ten_thousand_cycles_allocate_nothing_and_fault_no_page(swinging):
     assert after[1].ru_minflt == before[1].ru_minflt
     assert after[1].ru_majflt == before[1].ru_majflt
     assert {function: len(function.signatures) for function in signatures} == signatures
+
+
+def test_a_recorded_goal_on_six_drives_allocates_nothing_and_faults_no_page():
+    """The codecs of wire and drives, the way onto the path and the arrival included, which the mock arm lacks."""
+    arm = RecordingArm(start_rad=recorded_goal("large")["joints"][0, :, 0])
+    assert arm.bring_up().failure is None
+    recording = Recording(arm, arm.play("large"))
+    signatures = {function: len(function.signatures) for function in reachable(replay)}
+    _nrt_python.memsys_enable_stats()
+    try:
+        recording.rewind()
+        recording.play()
+        recording.rewind()
+        before = rtsys.get_allocation_stats(), resource.getrusage(resource.RUSAGE_THREAD)
+        sent = recording.play()
+        after = rtsys.get_allocation_stats(), resource.getrusage(resource.RUSAGE_THREAD)
+    finally:
+        _nrt_python.memsys_disable_stats()
+    assert arm.outcome(recording.goal) == Outcome.SUCCEEDED
+    assert sent > 300 * len(recording.durations_ns)
+    assert after[0].alloc - before[0].alloc == 4  # the call from Python holds its four arrays, whatever it does then
+    assert after[1].ru_minflt == before[1].ru_minflt
+    assert after[1].ru_majflt == before[1].ru_majflt
+    assert {function: len(function.signatures) for function in signatures} == signatures
+    arm.close()
 
 
 def test_the_allocation_counter_counts():
