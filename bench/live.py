@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import random
 import secrets
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,31 +22,45 @@ from ros_client import Client, until
 from stack import Process, Stack
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from config.loader import ARMS_FOLDER
+from config.budget import budget
+from config.loader import ARMS_FOLDER, load_arm
 from shm.client import StateReader
 from shm.files import DIRECTORY, open_state
 from shm.words import Mode
+
+Settings = Mapping[str, Mapping[str, Any]]
 
 NAMES = [f"joint{i}" for i in range(1, 7)]
 START_DEG = [17.0, 12.0, -6.0, 57.0, 29.0, 115.0]
 NS = 1_000_000_000
 TICKS_A_SECOND = os.sysconf("SC_CLK_TCK")
 
+FASTEST_BUS = {"bitrate": 1_000_000, "serial_baud": "cdc"}
+"""Of a simulated adapter: the fastest CAN bus, behind native USB."""
+
+
+def highest_hz(bus: Mapping[str, Any]) -> float:
+    """The highest control rate that a bus carries episode1 with, rounded down to ten."""
+    return budget(load_arm("episode1", overrides={"bus": bus})).highest_rate_hz // 10 * 10
+
 
 class LiveStack(Stack):
     """The processes of episode1 behind a simulated adapter that keeps the motion commands, or of a mock arm."""
 
-    def __init__(self, folder: Path, *, mock_hz: float | None = None) -> None:
-        """`mock_hz`: the control rate of a mock arm, None for episode1."""
+    def __init__(self, folder: Path, *, mock_hz: float | None = None, settings: Settings | None = None) -> None:
+        """`mock_hz`: the control rate of a mock arm, None for episode1; `settings`: {section: {key: value}} changed."""
         super().__init__(f"b{secrets.token_hex(4)}", folder, start_deg=START_DEG)
         self.commands_file = folder / "commands.npy"
         self.mock = mock_hz is not None
+        values = yaml.safe_load(self.arm_file.read_text(encoding="utf-8"))
         if self.mock:
             values = yaml.safe_load((ARMS_FOLDER / "mock.yaml").read_text(encoding="utf-8"))
             values["name"] = self.name
             values["control"]["rate_hz"] = mock_hz
             values.setdefault("front", {})["controller_name"] = f"controller_{self.name}"
-            self.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
+        for section, changed in (settings or {}).items():
+            values.setdefault(section, {}).update(changed)
+        self.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
 
     def start_sim(self, *options: str) -> Process:
         start = "--start-deg=" + ",".join(map(str, START_DEG))
@@ -72,9 +86,11 @@ class Quiet(Client):
 
 
 @contextmanager
-def live(folder: Path, *, mock_hz: float | None = None, front: bool = True) -> Iterator[LiveStack]:
+def live(
+    folder: Path, *, mock_hz: float | None = None, settings: Settings | None = None, front: bool = True
+) -> Iterator[LiveStack]:
     """An arm that holds, its `reader`, and with `front` a `client`; fails when it leaves a memory file."""
-    stack = LiveStack(folder, mock_hz=mock_hz)
+    stack = LiveStack(folder, mock_hz=mock_hz, settings=settings)
     closers = [stack.close]
     try:
         if not stack.mock:
