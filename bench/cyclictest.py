@@ -47,8 +47,9 @@ class Cyclictest:
 
     def close(self) -> None:
         """End it now, if it has not ended."""
-        self._process.kill()
-        self._process.communicate()
+        if self._process.returncode is None:
+            self._process.kill()
+            self._process.communicate()
 
 
 def installed() -> bool:
