@@ -45,7 +45,7 @@ _OVERRUNS = offset_of(layout.STATE, "counters", "overruns")
 def witness(
     state: int, timespec: int, period_ns: int, phase_ns: int, until_ns: int, missed: Any, late: Any
 ) -> tuple[int, int]:
-    """Sleep and look until a time; how many rows of `missed` and of `late` it filled.
+    """Sleep and look until a time; how many rows of `missed` and of `late` it would have filled, had they room for all.
 
     `late` is (n, 2); a wake-up is late when more than a quarter of the witness' own period has passed.
     """
@@ -53,7 +53,7 @@ def witness(
     seen = load_relaxed(state + _OVERRUNS)
     looked_ns = monotonic_ns(timespec)
     found, lates = 0, 0
-    while looked_ns < until_ns and found < len(missed) and lates < len(late):
+    while looked_ns < until_ns:
         store_relaxed(timespec, due_ns // 1_000_000_000)
         store_relaxed(timespec + 8, due_ns % 1_000_000_000)
         clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, timespec, 0)
@@ -61,11 +61,13 @@ def witness(
         overruns = load_relaxed(state + _OVERRUNS)
         late_ns = woke_ns - due_ns
         if 4 * late_ns > period_ns:
-            late[lates, 0], late[lates, 1] = woke_ns, late_ns
+            if lates < len(late):
+                late[lates, 0], late[lates, 1] = woke_ns, late_ns
             lates += 1
         if overruns > seen:
-            row = missed[found]
-            row.since_ns, row.until_ns, row.cycles, row.late_ns = looked_ns, woke_ns, overruns - seen, late_ns
+            if found < len(missed):
+                row = missed[found]
+                row.since_ns, row.until_ns, row.cycles, row.late_ns = looked_ns, woke_ns, overruns - seen, late_ns
             found += 1
         seen, looked_ns = overruns, woke_ns
         due_ns += period_ns * (late_ns // period_ns + 1)
