@@ -7,18 +7,20 @@ from shm.jit import jit
 
 
 def _slicing_tables() -> np.ndarray:
-    """Tables for CRC-32 (polynomial 0xEDB88320, as zlib) over eight bytes at a time, shape (8, 256)."""
-    first = np.zeros(256, np.int64)
+    """Tables for CRC-32 (polynomial 0xEDB88320, as zlib) over sixteen bytes at a time, shape (16, 256).
+
+    Row k says what a byte with k more behind it does to the sum. Half as wide as the words of jitted code, so that
+    they take half as many cache lines: the sign bit goes once it is summed up.
+    """
+    tables = np.zeros((16, 256), np.int64)
     for byte in range(256):
         crc = byte
         for _ in range(8):
             crc = (crc >> 1) ^ (0xEDB88320 if crc & 1 else 0)
-        first[byte] = crc
-    tables = np.zeros((8, 256), np.int64)
-    tables[0] = first
-    for k in range(1, 8):
-        tables[k] = (tables[k - 1] >> 8) ^ first[tables[k - 1] & 255]
-    return tables
+        tables[0, byte] = crc
+    for k in range(1, len(tables)):
+        tables[k] = (tables[k - 1] >> 8) ^ tables[0, tables[k - 1] & 255]
+    return tables.astype(np.uint32).view(np.int32)
 
 
 _TABLES = _slicing_tables()
@@ -27,23 +29,29 @@ READ_TRIES = 1000
 
 
 @jit
-def crc32_at(address: int, words: int) -> int:
-    """CRC-32 of the given number of 64-bit words at an address; equal to zlib.crc32 of the same bytes."""
-    crc = 0xFFFFFFFF
-    for i in range(words):
-        word = load_relaxed(address + 8 * i)
-        low = (word & 0xFFFFFFFF) ^ crc
-        high = (word >> 32) & 0xFFFFFFFF
-        crc = (
-            _TABLES[7, low & 255]
-            ^ _TABLES[6, (low >> 8) & 255]
-            ^ _TABLES[5, (low >> 16) & 255]
-            ^ _TABLES[4, (low >> 24) & 255]
-            ^ _TABLES[3, high & 255]
-            ^ _TABLES[2, (high >> 8) & 255]
-            ^ _TABLES[1, (high >> 16) & 255]
-            ^ _TABLES[0, (high >> 24) & 255]
-        )
+def _of_four_bytes(word: int, row: int) -> int:
+    """What the four lower bytes of a word do to the sum when `row` more stand behind the first of them."""
+    return (_TABLES[row, word & 255] ^ _TABLES[row - 1, (word >> 8) & 255]) ^ (
+        _TABLES[row - 2, (word >> 16) & 255] ^ _TABLES[row - 3, (word >> 24) & 255]
+    )
+
+
+@jit
+def crc32_at(address: int, words: int, before: int = 0) -> int:
+    """CRC-32 of the given number of 64-bit words at an address; equal to zlib.crc32 of the same bytes.
+
+    `before` is the CRC of what stands before them. A step takes two words, and all but four bytes of them are
+    looked up without waiting for the step before.
+    """
+    crc = before ^ 0xFFFFFFFF
+    for i in range(0, words - 1, 2):
+        first = load_relaxed(address + 8 * i)
+        second = load_relaxed(address + 8 * i + 8)
+        rest = _of_four_bytes(first >> 32, 11) ^ _of_four_bytes(second, 7) ^ _of_four_bytes(second >> 32, 3)
+        crc = (rest ^ _of_four_bytes(first ^ crc, 15)) & 0xFFFFFFFF
+    if words & 1:
+        last = load_relaxed(address + 8 * words - 8)
+        crc = (_of_four_bytes(last >> 32, 3) ^ _of_four_bytes(last ^ crc, 7)) & 0xFFFFFFFF
     return crc ^ 0xFFFFFFFF
 
 
