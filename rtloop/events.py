@@ -41,6 +41,7 @@ def set_result(loop: Loop, shared: Shared, goal_id: int, outcome: int, joint: in
     result.value = value
     result.limit = limit
     result.monotonic_ns = loop.core.now_ns
+    loop.core.decisions_shown = 0
     record_event(loop, shared, Event.RESULT, joint, outcome, value, limit)
 
 
@@ -49,4 +50,5 @@ def answer_request(loop: Loop, shared: Shared, sequence: int, answer: int) -> No
     row = loop.snapshot.answers[sequence & (layout.ANSWER_SLOTS - 1)]
     row.sequence = sequence
     row.answer = answer
+    loop.core.decisions_shown = 0
     record_event(loop, shared, Event.REQUEST, -1, answer, float(sequence), 0.0)

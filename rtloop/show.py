@@ -14,6 +14,7 @@ Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 _SNAPSHOT = offset_of(LOOP, "snapshot")
+_DECISION_WORDS = offset_of(layout.SNAPSHOT, "cycle") // 8 - 1  # results and answers, behind the CRC
 _SNAPSHOT_HEAD_WORDS = offset_of(layout.SNAPSHOT, "joints") // 8
 _SNAPSHOT_JOINT_WORDS = layout.JOINT.itemsize // 8
 _SHARED_SEQUENCE = offset_of(layout.STATE, "snapshot_sequence")
@@ -73,5 +74,12 @@ def show(loop: Loop, shared: Shared) -> None:
         shown.unreferenced_reason = axis.unreferenced_reason
     words = _SNAPSHOT_HEAD_WORDS + params.joint_count * _SNAPSHOT_JOINT_WORDS
     source = params.address + _SNAPSHOT
-    snapshot.crc = crc32_at(source + 8, words - 1)
-    publish(params.state_address + _SHARED_SEQUENCE, params.state_address + _SHARED_SNAPSHOT, source, words)
+    if core.decisions_shown == 0:
+        core.decisions_crc = crc32_at(source + 8, _DECISION_WORDS)
+    changing = 1 + _DECISION_WORDS
+    snapshot.crc = crc32_at(source + 8 * changing, words - changing, core.decisions_crc)
+    standing = _DECISION_WORDS if core.decisions_shown == 1 else 0
+    publish(
+        params.state_address + _SHARED_SEQUENCE, params.state_address + _SHARED_SNAPSHOT, source, words, standing
+    )
+    core.decisions_shown = 1

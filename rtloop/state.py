@@ -169,6 +169,8 @@ CORE = np.dtype(
         ("motion_started", "i8"),
         ("rebase_ns", "i8"),  # since when the measured positions wait to be commanded, 0 = they do not
         ("shown_cycle", "i8"),
+        ("decisions_shown", "i8"),  # 1: results and answers stand in the state file as they are
+        ("decisions_crc", "i8"),  # of them
         ("bring_up_asked", "i8"),
         ("release_asked", "i8"),
         ("closing", "i8"),  # a shutdown is stopping the arm

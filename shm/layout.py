@@ -10,7 +10,8 @@ Rules of the table
 - words that two processes poll stand on cache lines of their own (`LINE_BYTES`);
 - a record that crosses the border starts with its CRC-32 (zlib polynomial) over the bytes that follow it, up
   to and including the last joint in use: joints stand last in each record, so a record of a six-joint arm
-  costs six joints although there is room for `MAX_JOINTS`.
+  costs six joints although there is room for `MAX_JOINTS`;
+- what seldom changes in such a record stands first, so that its part of the CRC can be kept.
 """
 
 import hashlib
@@ -131,6 +132,8 @@ SNAPSHOT = _record(
     "snapshot",
     [
         Word("crc", "i8", "", "CRC-32 of the bytes that follow, joints in use included"),
+        Word("results", (RESULT, (RESULT_SLOTS,)), "", "results of the newest goals"),
+        Word("answers", (ANSWER, (ANSWER_SLOTS,)), "", "answers to the newest requests"),
         Word("cycle", "i8", "", "number of this cycle"),
         Word("monotonic_ns", "i8", "ns", "planned time of this cycle, CLOCK_MONOTONIC"),
         Word("epoch_ns", "i8", "ns", "the same instant on CLOCK_REALTIME (ROS time)"),
@@ -148,8 +151,6 @@ SNAPSHOT = _record(
         Word("speed_scale_target", "f8", "", "where the speed scale is going"),
         Word("speed_scale_asked", "f8", "", "what people asked for, 0…1; the scale goes there unless something stops"),
         Word("motion_started", "i8", "", "1 once the first motion frame was sent since bring-up"),
-        Word("results", (RESULT, (RESULT_SLOTS,)), "", "results of the newest goals"),
-        Word("answers", (ANSWER, (ANSWER_SLOTS,)), "", "answers to the newest requests"),
         Word("joints", (JOINT, (MAX_JOINTS,)), "", "one record a joint"),
     ],
 )

@@ -63,12 +63,17 @@ def copy_words(target_address: int, source_address: int, words: int) -> None:
 
 
 @jit
-def publish(sequence_address: int, target_address: int, source_address: int, words: int) -> None:
-    """Write a snapshot under the seqlock. One writer only; allocates nothing, waits for nobody."""
+def publish(sequence_address: int, target_address: int, source_address: int, words: int, standing: int = 0) -> None:
+    """Write a snapshot under the seqlock. One writer only; allocates nothing, waits for nobody.
+
+    So many `standing` words behind the first, which is the CRC, are known to be there already and are left alone.
+    """
     sequence = load_relaxed(sequence_address)
     store_relaxed(sequence_address, sequence + 1)
     fence_release()
-    copy_words(target_address, source_address, words)
+    copy_words(target_address, source_address, 1)
+    skipped = 1 + standing
+    copy_words(target_address + 8 * skipped, source_address + 8 * skipped, words - skipped)
     fence_release()
     store_relaxed(sequence_address, sequence + 2)
 
