@@ -6,7 +6,10 @@ adapters differ in what they answer, so nothing here waits for an answer. A time
 (`Z1`, `Z2`) is ignored because the length digit says where the data end.
 """
 
+from string import hexdigits
 from typing import Any
+
+import numpy as np
 
 from rtloop.state import LINE_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
 from shm.jit import jit
@@ -17,6 +20,8 @@ CR = 13
 BEL = 7
 _T_EXTENDED = ord("T")
 _T_STANDARD = ord("t")
+_HEX_VALUES = np.array([int(chr(code), 16) if chr(code) in hexdigits else -1 for code in range(256)], np.int8)
+"""A table, because nobody can guess whether the next digit is a letter: not even a branch predictor."""
 
 
 @jit
@@ -28,13 +33,7 @@ def hex_digit(value: int) -> int:
 @jit
 def hex_value(code: int) -> int:
     """Value of an ASCII hex digit of either case, -1 for anything else."""
-    if 48 <= code <= 57:
-        return code - 48
-    if 65 <= code <= 70:
-        return code - 55
-    if 97 <= code <= 102:
-        return code - 87
-    return -1
+    return int(_HEX_VALUES[code])
 
 
 @jit
