@@ -31,12 +31,11 @@ def take_what_the_bus_brought(loop: Loop, shared: Shared) -> None:
     core = loop.core
     if loop.params.wire != WIRE_SLCAN:
         return
-    chunks = received.chunks_waiting(loop)
+    chunks = received.chunks_arrived(loop)
     ring = loop.received.bytes
     while core.rx_chunks_taken < chunks:
-        chunk = core.rx_chunks_taken & (RX_CHUNKS - 1)
-        time_ns = loop.received.chunk_time_ns[chunk]
-        end = loop.received.chunk_end[chunk]
+        chunk = loop.received.chunks[core.rx_chunks_taken & (RX_CHUNKS - 1)]
+        time_ns, end = chunk.time_ns, chunk.end
         shared.counters.bytes_received += end - core.rx_taken
         for i in range(core.rx_taken, end):
             byte = ring[i & (RX_BYTES - 1)]
@@ -48,7 +47,7 @@ def take_what_the_bus_brought(loop: Loop, shared: Shared) -> None:
                 core.line_length = core.line_spoilt = 0
         core.rx_taken = end
         core.rx_chunks_taken += 1
-    received.taken(loop, core.rx_taken)
+    received.taken(loop, core.rx_taken, core.rx_chunks_taken)
     shared.counters.receive_overflows = received.lost(loop)
     if received.closed(loop) != 0 and core.mode != Mode.OFFLINE:
         latch_fault(loop, shared, Fault.WIRE, -1, float(received.closed(loop) - 1), 0.0)

@@ -37,7 +37,7 @@ _TX = offset_of(LOOP, "tx")
 _STOP = offset_of(LOOP, "stop")
 _WAKE_UP = offset_of(LOOP, "wake_up")
 _CLOCK = offset_of(LOOP, "clock")
-_READER_CLOCK = offset_of(LOOP, "reader_clock")
+_READER_CLOCK = offset_of(LOOP, "received", "arrived", "clock")
 
 READ_BYTES = 4096
 POLL_MS = 100

@@ -244,15 +244,27 @@ FRAME = np.dtype(
 
 RING = np.dtype([("written", "i8", (16,)), ("taken", "i8", (16,)), ("records", FRAME, (SERVICE_SLOTS,))])
 
+ARRIVED = np.dtype(
+    [
+        # what the reader thread says of the ring, on lines of its own (`LINE_BYTES` of shm.layout)
+        ("bytes", "i8"),
+        ("chunks", "i8"),
+        ("lost", "i8"),
+        ("closed", "i8"),  # errno + 1 once the wire is gone
+        ("clock", "i8", (2,)),
+        ("padding", "i8", (10,)),
+    ]
+)
+
+TAKEN = np.dtype([("bytes", "i8"), ("chunks", "i8"), ("padding", "i8", (14,))])  # what the cycle says of it
+
+CHUNK = np.dtype([("time_ns", "i8"), ("end", "i8")])
+
 RECEIVED = np.dtype(
     [
-        ("written", "i8", (16,)),
-        ("chunks_written", "i8", (16,)),
-        ("taken", "i8", (16,)),
-        ("lost", "i8", (16,)),
-        ("closed", "i8", (16,)),  # errno + 1 once the wire is gone
-        ("chunk_time_ns", "i8", (RX_CHUNKS,)),
-        ("chunk_end", "i8", (RX_CHUNKS,)),
+        ("arrived", ARRIVED),
+        ("taken", TAKEN),
+        ("chunks", CHUNK, (RX_CHUNKS,)),
         ("bytes", "u1", (RX_BYTES,)),
     ]
 )
@@ -260,6 +272,7 @@ RECEIVED = np.dtype(
 LOOP = np.dtype(
     [
         ("params", PARAMS),
+        ("stop", "i8"),  # both threads look at it, so it stands with what nobody writes
         ("joints", JOINT_PARAMS, (MAX_JOINTS,)),
         ("joint_at", "i8", (ADDRESSES,)),  # drive address → joint, -1 none
         ("core", CORE),
@@ -272,10 +285,8 @@ LOOP = np.dtype(
         ("scratch", layout.SETPOINT),
         ("scratch_begin", layout.BEGIN),
         ("scratch_request", layout.REQUEST),
-        ("stop", "i8"),
         ("wake_up", "i8", (2,)),  # timespecs
         ("clock", "i8", (2,)),
-        ("reader_clock", "i8", (2,)),
         ("line", "u1", (LINE_BYTES,)),
         ("tx", "u1", (TX_BYTES,)),
         ("received", RECEIVED),

@@ -62,14 +62,15 @@ class RecordingArm(VirtualArm):
         self.chunks: list[tuple[int, int, bytes]] = []
 
     def listen(self, until_ns: int) -> None:
-        before = int(self.loop[0]["received"]["chunks_written"][0])
-        super().listen(until_ns)
         ring = self.loop[0]["received"]
-        for number in range(before, int(ring["chunks_written"][0])):
-            slot = number % len(ring["chunk_end"])
-            start = int(ring["chunk_end"][(number - 1) % len(ring["chunk_end"])]) if number else 0
-            at = np.arange(start, int(ring["chunk_end"][slot])) % len(ring["bytes"])
-            self.chunks.append((self.now_ns, int(ring["chunk_time_ns"][slot]), ring["bytes"][at].tobytes()))
+        before = int(ring["arrived"]["chunks"])
+        super().listen(until_ns)
+        chunks = ring["chunks"]
+        for number in range(before, int(ring["arrived"]["chunks"])):
+            chunk = chunks[number % len(chunks)]
+            start = int(chunks[(number - 1) % len(chunks)]["end"]) if number else 0
+            at = np.arange(start, int(chunk["end"])) % len(ring["bytes"])
+            self.chunks.append((self.now_ns, int(chunk["time_ns"]), ring["bytes"][at].tobytes()))
 
 
 @jit

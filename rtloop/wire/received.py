@@ -7,28 +7,27 @@ bytes and counts them; the SLCAN parser finds the next line by itself.
 from typing import Any
 
 from rtloop.state import LOOP, RX_BYTES, RX_CHUNKS, offset_of
-from shm.atomics import load_acquire, load_relaxed, store_release
+from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
 from shm.jit import jit
 
 Loop = Any
 
-_BASE = offset_of(LOOP, "received")
-_WRITTEN = _BASE + offset_of(LOOP["received"], "written")
-_CHUNKS_WRITTEN = _BASE + offset_of(LOOP["received"], "chunks_written")
-_TAKEN = _BASE + offset_of(LOOP["received"], "taken")
-_LOST = _BASE + offset_of(LOOP["received"], "lost")
-_CLOSED = _BASE + offset_of(LOOP["received"], "closed")
+_ARRIVED = offset_of(LOOP, "received", "arrived", "bytes")
+_CHUNKS_ARRIVED = offset_of(LOOP, "received", "arrived", "chunks")
+_LOST = offset_of(LOOP, "received", "arrived", "lost")
+_CLOSED = offset_of(LOOP, "received", "arrived", "closed")
+_TAKEN = offset_of(LOOP, "received", "taken", "bytes")
+_CHUNKS_TAKEN = offset_of(LOOP, "received", "taken", "chunks")
 
 
 @jit
 def push(loop: Loop, time_ns: int, source: Any, count: int) -> None:
     """Producer: append `count` bytes of the uint8 array `source`, received at time_ns."""
     base = loop.params.address
-    written = load_relaxed(base + _WRITTEN)
-    chunks = load_relaxed(base + _CHUNKS_WRITTEN)
+    written = load_relaxed(base + _ARRIVED)
+    chunks = load_relaxed(base + _CHUNKS_ARRIVED)
     room = RX_BYTES - (written - load_acquire(base + _TAKEN))
-    taken_chunks = loop.core.rx_chunks_taken  # only ever grows, so an old value is on the safe side
-    if chunks - taken_chunks >= RX_CHUNKS - 1:
+    if chunks - load_acquire(base + _CHUNKS_TAKEN) >= RX_CHUNKS:
         room = 0
     kept = min(count, room)
     ring = loop.received.bytes
@@ -37,10 +36,11 @@ def push(loop: Loop, time_ns: int, source: Any, count: int) -> None:
     if kept < count:
         store_release(base + _LOST, load_relaxed(base + _LOST) + count - kept)
     if kept > 0:
-        loop.received.chunk_time_ns[chunks & (RX_CHUNKS - 1)] = time_ns
-        loop.received.chunk_end[chunks & (RX_CHUNKS - 1)] = written + kept
-        store_release(base + _WRITTEN, written + kept)
-        store_release(base + _CHUNKS_WRITTEN, chunks + 1)
+        chunk = loop.received.chunks[chunks & (RX_CHUNKS - 1)]
+        chunk.time_ns = time_ns
+        chunk.end = written + kept
+        store_relaxed(base + _ARRIVED, written + kept)  # for the producer alone
+        store_release(base + _CHUNKS_ARRIVED, chunks + 1)
 
 
 @jit
@@ -50,15 +50,16 @@ def close(loop: Loop, error: int) -> None:
 
 
 @jit
-def chunks_waiting(loop: Loop) -> int:
+def chunks_arrived(loop: Loop) -> int:
     """Consumer: number of chunks ever written (compare with core.rx_chunks_taken)."""
-    return load_acquire(loop.params.address + _CHUNKS_WRITTEN)
+    return load_acquire(loop.params.address + _CHUNKS_ARRIVED)
 
 
 @jit
-def taken(loop: Loop, count: int) -> None:
-    """Consumer: bytes up to `count` may be overwritten."""
+def taken(loop: Loop, count: int, chunks: int) -> None:
+    """Consumer: bytes up to `count` and so many chunks may be overwritten."""
     store_release(loop.params.address + _TAKEN, count)
+    store_release(loop.params.address + _CHUNKS_TAKEN, chunks)
 
 
 @jit
