@@ -6,52 +6,41 @@ from shm.atomics import fence_acquire, fence_release, load_relaxed, store_relaxe
 from shm.jit import jit
 
 
-def _slicing_tables() -> np.ndarray:
-    """Tables for CRC-32 (polynomial 0xEDB88320, as zlib) over sixteen bytes at a time, shape (16, 256).
+def _slicing_table() -> np.ndarray:
+    """Table for CRC-32 (polynomial 0xEDB88320, as zlib) of a 64-bit word by its half bytes, shape (16, 16).
 
-    Row k says what a byte with k more behind it does to the sum. Half as wide as the words of jitted code, so that
-    they take half as many cache lines: the sign bit goes once it is summed up.
+    Row k says what the word's k-th half byte, the lowest first, does to the sum. A table of whole bytes would take
+    eight times the memory for half the look-ups, and after a sleep the cache lines are what costs. The entries are half
+    as wide as jitted code's words; the sign bit goes once they are summed up.
     """
-    tables = np.zeros((16, 256), np.int64)
-    for byte in range(256):
-        crc = byte
-        for _ in range(8):
-            crc = (crc >> 1) ^ (0xEDB88320 if crc & 1 else 0)
-        tables[0, byte] = crc
-    for k in range(1, len(tables)):
-        tables[k] = (tables[k - 1] >> 8) ^ tables[0, tables[k - 1] & 255]
-    return tables.astype(np.uint32).view(np.int32)
+    table = np.zeros((16, 16), np.int64)
+    for k in range(15, -1, -1):
+        for value in range(16):
+            crc = value if k == 15 else table[k + 1, value]
+            for _ in range(4):
+                crc = (crc >> 1) ^ (0xEDB88320 if crc & 1 else 0)
+            table[k, value] = crc
+    return table.astype(np.uint32).view(np.int32)
 
 
-_TABLES = _slicing_tables()
+_TABLE = _slicing_table()
 
 READ_TRIES = 1000
-
-
-@jit
-def _of_four_bytes(word: int, row: int) -> int:
-    """What the four lower bytes of a word do to the sum when `row` more stand behind the first of them."""
-    return (_TABLES[row, word & 255] ^ _TABLES[row - 1, (word >> 8) & 255]) ^ (
-        _TABLES[row - 2, (word >> 16) & 255] ^ _TABLES[row - 3, (word >> 24) & 255]
-    )
 
 
 @jit
 def crc32_at(address: int, words: int, before: int = 0) -> int:
     """CRC-32 of the given number of 64-bit words at an address; equal to zlib.crc32 of the same bytes.
 
-    `before` is the CRC of what stands before them. A step takes two words, and all but four bytes of them are
-    looked up without waiting for the step before.
+    `before` is the CRC of what stands before them.
     """
     crc = before ^ 0xFFFFFFFF
-    for i in range(0, words - 1, 2):
-        first = load_relaxed(address + 8 * i)
-        second = load_relaxed(address + 8 * i + 8)
-        rest = _of_four_bytes(first >> 32, 11) ^ _of_four_bytes(second, 7) ^ _of_four_bytes(second >> 32, 3)
-        crc = (rest ^ _of_four_bytes(first ^ crc, 15)) & 0xFFFFFFFF
-    if words & 1:
-        last = load_relaxed(address + 8 * words - 8)
-        crc = (_of_four_bytes(last >> 32, 3) ^ _of_four_bytes(last ^ crc, 7)) & 0xFFFFFFFF
+    for i in range(words):
+        word = load_relaxed(address + 8 * i) ^ crc
+        crc = 0
+        for k in range(15, -1, -1):  # the upper half first, which need not wait for the word before
+            crc ^= _TABLE[k, (word >> (4 * k)) & 15]
+        crc &= 0xFFFFFFFF
     return crc ^ 0xFFFFFFFF
 
 
