@@ -25,7 +25,8 @@ from shm.words import Answer, Entry, Event, Fault, Mode, Outcome, Request, Setpo
 Loop = Any
 Shared = Any
 
-RECORDS_A_CYCLE = 256
+ROWS_A_CYCLE = 1024
+"""Rows of joints in the records that are taken in one cycle: 170 records of six joints, 32 of 32."""
 REQUESTS_A_CYCLE = 4
 REQUESTS_AHEAD = 1_000_000
 CYCLES_TO_BECOME_VISIBLE = 5
@@ -46,6 +47,7 @@ _REQUEST_BYTES = layout.REQUEST.itemsize
 _HEARTBEAT = offset_of(layout.COMMAND, "heartbeat_ns")
 _CONSUMED_SETPOINTS = offset_of(layout.STATE, "consumed", "setpoints")
 _CONSUMED_REQUESTS = offset_of(layout.STATE, "consumed", "requests")
+_KNOTS = offset_of(LOOP, "knots")
 _SCRATCH = offset_of(LOOP, "scratch")
 _SCRATCH_BEGIN = offset_of(LOOP, "scratch_begin")
 _SCRATCH_REQUEST = offset_of(LOOP, "scratch_request")
@@ -90,7 +92,7 @@ def take_setpoints(loop: Loop, shared: Shared) -> None:
         return
     core.announced_goal = max(core.announced_goal, announced)
     words = _SETPOINT_HEAD_WORDS + loop.params.joint_count * _SETPOINT_JOINT_WORDS
-    for _ in range(min(waiting, RECORDS_A_CYCLE)):
+    for _ in range(min(waiting, ROWS_A_CYCLE // loop.params.joint_count)):
         source = command + _SETPOINTS + (core.setpoints_taken & (layout.SETPOINT_SLOTS - 1)) * _SETPOINT_BYTES
         scratch = loop.params.address + _SCRATCH
         copy_words(scratch, source, words)
@@ -110,10 +112,10 @@ def take_setpoints(loop: Loop, shared: Shared) -> None:
 @jit
 def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
     """Use the record in the scratch; False leaves it in the ring because its window is full."""
-    core = loop.core
+    core, params = loop.core, loop.params
     record = loop.scratch
     if record.kind == Setpoint.BEGIN:
-        copy_words(loop.params.address + _SCRATCH_BEGIN, loop.params.address + _SCRATCH, words)
+        copy_words(params.address + _SCRATCH_BEGIN, params.address + _SCRATCH, words)
         _begin_goal(loop, shared)
         return True
     # Knots of the running goal are taken until a newer one has really entered: it may yet be refused.
@@ -138,7 +140,8 @@ def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
         return True
     joint, value, limit = _wrong_knot(loop, path_index)
     if joint == SOUND:
-        loop.knots[slot(path_index, path.taken)] = record
+        knot = params.address + _KNOTS + slot(path_index, path.taken) * _SETPOINT_BYTES
+        copy_words(knot, params.address + _SCRATCH, words)
         if path.taken > path.bridge:
             gap_ns = record.time_ns - loop.knots[slot(path_index, path.taken - 1)].time_ns
             path.closest_ns = min(path.closest_ns, gap_ns)

@@ -79,7 +79,5 @@ def show(loop: Loop, shared: Shared) -> None:
     changing = 1 + _DECISION_WORDS
     snapshot.crc = crc32_at(source + 8 * changing, words - changing, core.decisions_crc)
     standing = _DECISION_WORDS if core.decisions_shown == 1 else 0
-    publish(
-        params.state_address + _SHARED_SEQUENCE, params.state_address + _SHARED_SNAPSHOT, source, words, standing
-    )
+    publish(params.state_address + _SHARED_SEQUENCE, params.state_address + _SHARED_SNAPSHOT, source, words, standing)
     core.decisions_shown = 1

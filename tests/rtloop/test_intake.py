@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
 
-from rtloop.intake import CYCLES_TO_BECOME_VISIBLE
+from rtloop.intake import CYCLES_TO_BECOME_VISIBLE, ROWS_A_CYCLE
 from shm import layout
 from shm.words import Answer, Fault, Mode, Outcome, Request, Setpoint
 
@@ -136,6 +136,16 @@ def comes_to_rest(arm):
 
 
 # --- the ring itself ------------------------------------------------------------------------------------
+
+
+def test_a_cycle_takes_a_bounded_batch(arm):
+    goal = arm.wave(points=1000)
+    arm.cycle()
+    most = ROWS_A_CYCLE // 6
+    assert arm.reader.setpoints_consumed() == most
+    arm.until(lambda: arm.core["goal_id"] == goal)
+    arm.cycles(1002 // most + 1)
+    assert arm.reader.setpoints_consumed() == 1002
 
 
 @pytest.mark.parametrize("moving", [False, True], ids=["holding", "executing"])
