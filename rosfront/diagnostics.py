@@ -23,12 +23,12 @@ from rosfront.serving import STALLED_NS, Serving, hung
 from rosfront.verdict import fault_of
 from shm.errors import TornRead
 from shm.histogram import percentiles_ns
+from shm.layout import BUS_TROUBLE
 from shm.sentences import mode_name, unreferenced_sentence
 from shm.words import DriveStatus, Fault, Mode, Phase, Unreferenced
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 PERCENTS = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
-BUS_TROUBLE = ("wire_errors", "bytes_unsent", "receive_overflows", "stale_reads", "drive_errors")
 DRIVE_TROUBLE = DriveStatus.STALLED | DriveStatus.PROTECTED | DriveStatus.POWER_LOST
 POLICIES = {0: "no real-time priority", 1: "SCHED_FIFO", 2: "SCHED_RR"}
 _TOLD_BY_MODE = {

@@ -18,7 +18,7 @@ from rich.text import Text
 from rtarm.errors import Refusal
 from shm import files, histogram
 from shm.client import StateReader
-from shm.layout import RESULT_SLOTS
+from shm.layout import BUS_TROUBLE, RESULT_SLOTS
 from shm.sentences import fault_sentence, joint_name, outcome_sentence, unreferenced_sentence
 from shm.words import Fault, Mode, Outcome, Phase, Unreferenced
 
@@ -32,7 +32,6 @@ CYCLE_OVERDUE_S = 0.5
 """A cycle this late is a control process that hangs, not one that was preempted."""
 FRONT_SILENT_S = 1.0
 
-BUS_TROUBLE = ("wire_errors", "bytes_unsent", "receive_overflows", "stale_reads", "drive_errors")
 PERCENTS = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9}
 POLICIES = {0: "other", 1: "fifo", 2: "rr"}
 
@@ -163,11 +162,7 @@ def counters(record: np.void, bitrate: int, elapsed_ns: int) -> Report:
             "frames_tx": int(record["frames_sent"]),
             "frames_rx": int(record["frames_received"]),
             "load": load,
-            "wire_errors": int(record["wire_errors"]),
-            "bytes_unsent": int(record["bytes_unsent"]),
-            "receive_overflows": int(record["receive_overflows"]),
-            "stale_reads": int(record["stale_reads"]),
-            "drive_errors": int(record["drive_errors"]),
+            **{name: int(record[name]) for name in BUS_TROUBLE},
         },
     }
 

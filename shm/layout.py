@@ -180,6 +180,9 @@ COUNTERS = _record(
     ],
 )
 
+BUS_TROUBLE = ("wire_errors", "bytes_unsent", "receive_overflows", "stale_reads", "drive_errors")
+"""The counters that stand still while all is well with wire and bus."""
+
 HISTOGRAM = _record(
     "histogram",
     [

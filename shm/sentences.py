@@ -29,7 +29,7 @@ class _Value(float):
 
     def __format__(self, spec: str) -> str:
         if spec == "mode":
-            return mode_name(int(self))
+            return mode_name(int(self)) if self.is_integer() else f"in unknown mode {float(self)}"
         return super().__format__(spec)
 
 

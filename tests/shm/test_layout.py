@@ -108,3 +108,11 @@ def test_every_word_of_both_files_is_in_the_table():
     listed = {word.name for words in layout.TABLES.values() for word in words}
     for file in (layout.STATE, layout.COMMAND):
         assert {path.rsplit(".", 1)[-1] for path, _, _ in leaves(file)} <= listed
+
+
+def test_trouble_on_the_bus_is_counted():
+    assert set(layout.BUS_TROUBLE) <= set(layout.COUNTERS.names)
+
+
+def test_what_seldom_changes_in_a_snapshot_stands_before_what_changes_in_every_cycle():
+    assert layout.SNAPSHOT.names[:4] == ("crc", "results", "answers", "cycle")

@@ -38,6 +38,12 @@ def test_a_mode_is_written_by_name():
     assert "while it is bringing up" in text
 
 
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -1e308, 2.5, 99.0], ids=str)
+def test_a_number_that_is_no_mode_is_said_and_raises_nothing(value):
+    text = sentences.outcome_sentence(Outcome.REFUSED_MODE, "", value)
+    assert "while it is in unknown mode " in text
+
+
 def test_an_unknown_number_is_said_and_not_hidden():
     assert "Unknown outcome 99" in sentences.outcome_sentence(99)
 

@@ -36,6 +36,16 @@ def test_crc_of_a_known_string():
 
 
 @settings(deadline=None)
+@given(st.lists(st.integers(-(2**63), 2**63 - 1), max_size=40), st.integers(0, 40))
+def test_crc_goes_on_where_an_earlier_one_ended(values, first):
+    words = np.array([*values, 0], np.int64)
+    first = min(first, len(values))
+    before = crc32_at(words.ctypes.data, first)
+    whole = crc32_at(words.ctypes.data + 8 * first, len(values) - first, before)
+    assert whole == zlib.crc32(words[: len(values)].tobytes())
+
+
+@settings(deadline=None)
 @given(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=1, max_size=40))
 def test_what_is_published_is_read(values):
     source = np.array(values, np.int64)
@@ -46,6 +56,13 @@ def test_what_is_published_is_read(values):
     assert shared[0] == 2
     assert read(at, at + 8, target.ctypes.data, len(values))
     assert target.tolist() == values
+
+
+def test_words_that_stand_already_are_left_alone():
+    source, shared = np.arange(1, 7), np.array([4, -1, -2, -3, -4, -5, -6])
+    at = shared.ctypes.data
+    publish(at, at + 8, source.ctypes.data, len(source), 3)
+    assert shared.tolist() == [6, 1, -2, -3, -4, 5, 6]
 
 
 def test_an_odd_sequence_ends_a_read_after_bounded_tries():
