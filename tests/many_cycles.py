@@ -73,6 +73,9 @@ class RecordingArm(VirtualArm):
             self.chunks.append((self.now_ns, int(chunk["time_ns"]), ring["bytes"][at].tobytes()))
 
 
+WORDS_A_LINE = 8
+
+
 @jit
 def replay(
     loop: Any,
@@ -83,8 +86,12 @@ def replay(
     heartbeat: int,
     clock: int,
     durations_ns: np.ndarray,
+    others: np.ndarray,
 ) -> int:
-    """Run the recorded cycles again; the time of each `step` alone goes to durations_ns, bytes sent back."""
+    """Run the recorded cycles again; the time of each `step` alone goes to durations_ns, bytes sent back.
+
+    `others` is memory that is written between two cycles.
+    """
     chunk = 0
     sent = 0
     for i in range(len(cycles_ns)):
@@ -93,6 +100,8 @@ def replay(
             received.push(loop, chunks[chunk, 1], data[chunks[chunk, 2] :], chunks[chunk, 3])
             chunk += 1
         store_relaxed(heartbeat, now_ns)
+        for word in range(0, len(others), WORDS_A_LINE):
+            others[word] = now_ns
         before_ns = monotonic_ns(clock)
         sent += step(loop, shared, now_ns)
         durations_ns[i] = monotonic_ns(clock) - before_ns
@@ -105,6 +114,7 @@ class Recording:
 
     Attributes:
         durations_ns: computing time of each cycle of the last `play`, (cycles,).
+        others: words that are written between two cycles, so that they take our place in the caches; none at first.
     """
 
     def __init__(self, arm: RecordingArm, goal: int) -> None:
@@ -124,6 +134,7 @@ class Recording:
         self._data = np.frombuffer(b"".join(data for _, _, data in arm.chunks), np.uint8)
         self._clock = np.zeros(2, np.int64)
         self.durations_ns = np.zeros(len(self._cycles_ns), np.int64)
+        self.others = np.zeros(0, np.int64)
         self.rewind()
         self.play()  # whatever is still to be compiled
 
@@ -143,4 +154,5 @@ class Recording:
             self.arm.command.address + HEARTBEAT,
             self._clock.ctypes.data,
             self.durations_ns,
+            self.others,
         )

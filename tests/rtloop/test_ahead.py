@@ -35,7 +35,7 @@ def arm_with_blend(seed: int, rate_hz: float) -> tuple[VirtualArm, int, float]:
         knots[:, index, 1] = velocity
     arm.send_goal((times_s * 1e9).astype(int), knots, order=int(random.choice([1, 3, 3, 3])))
     arm.until(lambda: not arm.pending)
-    arm.cycles(10)  # until all of it is taken
+    arm.cycles(25)  # until all of it is taken
     assume(arm.core["incoming_goal"] != 0)  # it was not refused for a knot beyond its limits
     rate = float(random.choice([1.0, 0.5, 0.3]))
     index = int(arm.core["incoming_path"])
