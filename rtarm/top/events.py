@@ -48,10 +48,7 @@ def happening(event: np.void, joints: Sequence[str]) -> Happening:
     kind, code = int(event["kind"]), int(event["code"])
     value, limit = float(event["value"]), float(event["limit"])
     joint = joint_name(int(event["joint"]), joints)
-    try:
-        sentence, style = _told(kind, code, joint, value, limit)
-    except (ValueError, OverflowError):  # a half-written record: no mode has the number NaN
-        sentence, style = f"Event {kind} cannot be read.", ODD
+    sentence, style = _told(kind, code, joint, value, limit)
     return Happening(int(event["monotonic_ns"]), sentence, style)
 
 

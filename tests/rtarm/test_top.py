@@ -93,7 +93,10 @@ def event(kind: int, joint: int = -1, code: int = 0, value: float = 0.0, limit: 
         (event(Event.OVERRUN, -1, 0, 0.3, 0.1), "The control cycle was away for 0.300 s and the drives look ahead"),
         (event(Event.REFERENCE, 0, Unreferenced.POWER_LOST), "The drive of shoulder lost power"),
         (event(99), "Unknown event 99"),
-        (event(Event.RESULT, -1, Outcome.REFUSED_MODE, math.nan), "Event 4 cannot be read."),
+        (
+            event(Event.RESULT, -1, Outcome.REFUSED_MODE, math.nan),
+            "The control process takes no goals while it is in unknown mode nan",
+        ),
     ],
     ids=lambda value: value.split()[0] if isinstance(value, str) else "",
 )
