@@ -18,6 +18,8 @@ from shm.atomics import store_relaxed
 from shm.jit import jit
 from shm.words import Outcome
 
+WORDS_A_LINE = 8
+
 HEARTBEAT = offset_of(layout.COMMAND, "heartbeat_ns")
 
 
@@ -71,9 +73,6 @@ class RecordingArm(VirtualArm):
             start = int(chunks[(number - 1) % len(chunks)]["end"]) if number else 0
             at = np.arange(start, int(chunk["end"])) % len(ring["bytes"])
             self.chunks.append((self.now_ns, int(chunk["time_ns"]), ring["bytes"][at].tobytes()))
-
-
-WORDS_A_LINE = 8
 
 
 @jit
