@@ -35,6 +35,11 @@ def frame_bits(extended: bool, data_bytes: int) -> int:
     """Bits of a classic CAN data frame with worst-case stuffing and the three bits of interframe space."""
     if not 0 <= data_bytes <= 8:
         raise ValueError(f"a classic CAN frame has 0 to 8 data bytes, not {data_bytes}")
+    return unchecked_frame_bits(extended, data_bytes)
+
+
+def unchecked_frame_bits(extended: bool, data_bytes: int) -> int:
+    """The same without the check, which would bring the interpreter into compiled code."""
     if extended:
         return 67 + 8 * data_bytes + (53 + 8 * data_bytes) // 4
     return 47 + 8 * data_bytes + (33 + 8 * data_bytes) // 4

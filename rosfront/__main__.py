@@ -4,6 +4,13 @@ Prints `ready …` on standard output once goals can be sent. Exit codes: 0 afte
 cannot be served (one sentence on standard error says why), 2 for a wrong command line.
 """
 
+import os
+import signal
+
+for _number in (signal.SIGTERM, signal.SIGINT):
+    # Until they are waited for there is nothing to put in order, and an exception may be lost inside an import.
+    signal.signal(_number, lambda *_: os._exit(0))
+
 import argparse
 import sys
 from typing import TYPE_CHECKING

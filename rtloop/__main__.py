@@ -3,12 +3,27 @@
 Prints `ready` when the arm holds. Exit codes: 0 orderly end, 2 refused to start, 3 ended by a fault of its own.
 """
 
+import os
+import signal
+
+STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
+for _number in STOP_SIGNALS:
+    # While everything is loaded there is nothing to put in order, and an exception may be lost inside an import.
+    signal.signal(_number, lambda *_: os._exit(0))
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # numpy's threads have nothing to do here
+
 import argparse
+import subprocess
 import sys
+from typing import NoReturn
 
 from config.errors import ConfigError
 from config.loader import load_arm, parse_overrides
-from rtloop import warm
+from rtloop import compiled
+from rtloop.process import CannotStart, ControlProcess, StopAsked
+from rtloop.wire.tty import WireRefused
+from shm.cache import ROOT
 from shm.errors import SharedMemoryError
 
 
@@ -19,27 +34,48 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         arm = load_arm(options.arm, overrides=parse_overrides(options.set))
-    except ConfigError as error:
-        return refuse(error)
-    warm.main(tell)
-    from rtloop.process import CannotStart, ControlProcess, install_signals  # compiled code: only once it is needed
-    from rtloop.wire.tty import WireRefused
-
-    try:
-        process = ControlProcess(arm, tell)
-        install_signals(process)
-        return process.serve(lambda: print("ready", flush=True))
+        cycle = compiled_cycle()
+        stop_asked = StopAsked(STOP_SIGNALS)
+        return ControlProcess(arm, cycle, tell, stop_asked).serve(lambda: print("ready", flush=True))
     except (ConfigError, SharedMemoryError, CannotStart, WireRefused) as error:
-        return refuse(error)
+        tell(str(error))
+        return 2
+
+
+def compiled_cycle() -> compiled.CompiledCycle:
+    """The compiled cycle; where there is none, another process compiles it, so that this one never holds a compiler.
+
+    Raises CannotStart.
+    """
+    try:
+        return compiled.load()
+    except (FileNotFoundError, compiled.NotLoadable):
+        pass
+    for number in STOP_SIGNALS:
+        signal.signal(number, _leave)
+    search = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    made = subprocess.run(
+        [sys.executable, "-m", "rtloop.warm"],
+        env={**os.environ, "PYTHONPATH": search},
+        stdout=sys.stderr,
+        start_new_session=True,  # a Ctrl-C is for this process alone, which then ends it
+        check=False,
+    )
+    try:
+        return compiled.load()
+    except (OSError, compiled.NotLoadable) as problem:
+        raise CannotStart(
+            f"The control cycle could not be compiled ({problem}; the compiler ended with code {made.returncode}): see "
+            f"the lines above, and make sure that {compiled.path().parent} can be written."
+        ) from problem
+
+
+def _leave(*_: object) -> NoReturn:
+    raise SystemExit(0)
 
 
 def tell(sentence: str) -> None:
     print(f"rtloop: {sentence}", file=sys.stderr, flush=True)
-
-
-def refuse(error: Exception) -> int:
-    tell(str(error))
-    return 2
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from collections.abc import Callable, Generator
 from config.budget import budget
 from config.schema import ArmConfig, JointConfig, ZdtDrive
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed
-from rtloop.service import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, ServicePort
+from rtloop.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, ServicePort
 from shm.words import Fault, Unreferenced
 
 SETTLE_PATIENCE_NS = 3_000_000_000

@@ -9,7 +9,7 @@ from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 
 from config.schema import ArmConfig, ZdtDrive
-from rtloop.service import BRING_UP_FAILED, SEND, Frame, ServicePort
+from rtloop.port import BRING_UP_FAILED, SEND, Frame, ServicePort
 from shm.words import Fault
 
 ANSWER_PATIENCE_NS = 60_000_000

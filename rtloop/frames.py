@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from config.budget import frame_bits as frame_bits_of
-from rtloop import guard, service
+from config.budget import unchecked_frame_bits
+from rtloop import guard, port, service
 from rtloop import status as status_bits
 from rtloop.drives import zdt
 from rtloop.modes import is_limp
@@ -15,7 +15,7 @@ from shm.words import Mode
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
-frame_bits = jit(frame_bits_of)
+frame_bits = jit(unchecked_frame_bits)
 
 
 @jit
@@ -85,7 +85,7 @@ def send_service_frames(loop: Loop, shared: Shared) -> None:
     spare = loop.params.service_bits - core.tx_bits
     core.service_credit_bits = min(core.service_credit_bits + spare, loop.params.service_bits)
     while service.inbox(loop) > 0 and core.service_credit_bits > 0:
-        if loop.service_in.records[service.inbox_slot(loop)].kind != service.SEND:
+        if loop.service_in.records[service.inbox_slot(loop)].kind != port.SEND:
             break
         packets = service.command_length(loop)
         if packets == 0 or core.tx_length + packets * SLCAN_LONGEST_LINE > TX_BYTES:

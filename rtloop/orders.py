@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from rtloop import intake, service
+from rtloop import intake, port, service
 from rtloop.faults import latch_fault
 from rtloop.modes import change_mode
 from rtloop.state import HISTORY_SLOTS
@@ -20,17 +20,17 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
     core = loop.core
     while service.inbox(loop) > 0:
         order = loop.service_in.records[service.inbox_slot(loop)]
-        if order.kind == service.SEND:
+        if order.kind == port.SEND:
             break
-        if order.kind == service.BRING_UP_BEGINS:
+        if order.kind == port.BRING_UP_BEGINS:
             begin_bring_up(loop, shared)
-        elif order.kind == service.ADOPT:
+        elif order.kind == port.ADOPT:
             if core.mode == Mode.BRINGING_UP:
                 adopt(loop, order.joint, order.value, order.code)
-        elif order.kind == service.BRING_UP_DONE:
+        elif order.kind == port.BRING_UP_DONE:
             if core.mode == Mode.BRINGING_UP:
                 change_mode(loop, shared, Mode.HOLDING)
-        elif order.kind == service.BRING_UP_FAILED:
+        elif order.kind == port.BRING_UP_FAILED:
             latch_fault(loop, shared, order.code, order.joint, order.value, 0.0)
         service.inbox_done(loop)
 

@@ -3,7 +3,7 @@
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -12,15 +12,13 @@ from config.loader import arm_hash
 from config.schema import ArmConfig
 from rtloop import realtime
 from rtloop.bringup import BringUp
+from rtloop.compiled import CompiledCycle
 from rtloop.conversation import Conversation
+from rtloop.port import ServicePort
 from rtloop.release import Release
-from rtloop.run import READ_BYTES, read_wire, run
-from rtloop.service import ServicePort
-from rtloop.state import new_loop
+from rtloop.state import READ_BYTES, new_loop, offset_of
 from rtloop.wire.tty import close_slcan, open_slcan
 from shm import files
-from shm.atomics import store_release
-from shm.jit import jit
 from shm.words import Mode
 
 BUSY_POLL_S = 0.004
@@ -33,9 +31,16 @@ class CannotStart(Exception):
     """The control process refuses to start; the text is the sentence people read."""
 
 
-@jit
-def set_word(address: int, value: int) -> None:
-    store_release(address, value)
+class StopAsked:
+    """Whether a signal has asked for the end; the signals are taken over from now on."""
+
+    def __init__(self, signals: Iterable[signal.Signals]) -> None:
+        self.yes = False  # an Event has a lock, on which a second signal would wait for the first
+        for number in signals:
+            signal.signal(number, self._take)
+
+    def _take(self, *_: object) -> None:
+        self.yes = True
 
 
 class ControlProcess:
@@ -45,7 +50,9 @@ class ControlProcess:
     before anything has moved.
     """
 
-    def __init__(self, arm: ArmConfig, tell: Callable[[str], None]) -> None:
+    def __init__(
+        self, arm: ArmConfig, compiled: CompiledCycle, tell: Callable[[str], None], stop_asked: StopAsked
+    ) -> None:
         check_budget(arm)
         if arm.control.init_mode == 0 and arm.bus.interface != "mock":
             raise CannotStart(
@@ -53,8 +60,9 @@ class ControlProcess:
                 "drives know and start with init_mode 1."
             )
         self._arm = arm
+        self._compiled = compiled
         self._tell = tell
-        self._stop_asked = False
+        self._stop_asked = stop_asked
         identity = files.Identity(
             arm.name,
             tuple(joint.name for joint in arm.joints),
@@ -68,16 +76,22 @@ class ControlProcess:
             if arm.bus.interface == "slcan":
                 self._fd = open_slcan(arm.bus.resolved_channel, arm.bus.serial_baud, arm.bus.bitrate)
             self._loop = new_loop(arm, self._files.state.address, self._files.command.address)
-            self._port = ServicePort(self._loop)
-            self._obtained = realtime.prepare_process()
+            self._port = ServicePort(self._loop, compiled)
+            self._received = np.zeros(READ_BYTES, np.uint8)
+            self._poll_request = np.zeros(1, np.int64)
+            arrays = (
+                self._loop,
+                self._received,
+                self._poll_request,
+                self._files.state.array,
+                self._files.command.array,
+            )
+            used = [(array.ctypes.data, array.nbytes) for array in arrays]
+            self._obtained = realtime.prepare_process([*used, *compiled.memory])
             self._threads: list[threading.Thread] = []
         except BaseException:
             self._release()
             raise
-
-    def ask_to_stop(self) -> None:
-        """Begin the orderly end (signal-safe)."""
-        self._stop_asked = True  # an Event has a lock, on which a second signal would wait for the first
 
     def serve(self, ready: Callable[[], None]) -> int:
         """Run until asked to stop; the exit code: 0 orderly, 2 bring-up failed, 3 the cycle ended by itself."""
@@ -97,6 +111,7 @@ class ControlProcess:
         if self._fd >= 0:
             self._threads.append(threading.Thread(target=self._run_reader, name="reader", daemon=True))
         self._set_epoch()
+        threading.stack_size(realtime.THREAD_STACK_BYTES)
         for thread in reversed(self._threads):
             thread.start()
         while not scheduled.wait(FIRST_CYCLE_POLL_S) and self._threads[0].is_alive():
@@ -118,16 +133,16 @@ class ControlProcess:
         words["memory_locked"], words["cpu"] = self._obtained.memory_locked, self._obtained.cpu
         words["dma_latency_held"] = self._obtained.dma_latency_fd >= 0
         scheduled.set()
-        run(self._loop[0], self._files.state.array[0], self._fd)
+        kept = self._loop, self._files.state.array, self._files.command.array  # mapped for as long as this runs
+        self._compiled.run(kept[0].ctypes.data, kept[1].ctypes.data, self._fd)
 
     def _run_reader(self) -> None:
         realtime.prepare_thread(self._arm.realtime, self._obtained, below=10)
-        buffer = np.zeros(READ_BYTES, np.uint8)
-        request = np.zeros(1, np.int64)
-        read_wire(self._loop[0], self._fd, buffer, buffer.ctypes.data, request.ctypes.data)
+        buffer, request = self._received.ctypes.data, self._poll_request.ctypes.data
+        self._compiled.read_wire(self._loop.ctypes.data, self._fd, buffer, request)
 
     def _end_threads(self) -> None:
-        set_word(self._loop.ctypes.data + self._loop.dtype.fields["stop"][1], 1)  # type: ignore[index]
+        self._compiled.store_word(self._loop.ctypes.data + offset_of(self._loop.dtype, "stop"), 1)
         for thread in self._threads:
             thread.join(5.0)
 
@@ -188,7 +203,7 @@ class ControlProcess:
                 talk = Release(self._arm, self._port, now_ns=time.monotonic_ns())
             if not self._threads[0].is_alive():
                 return 3
-            if self._stop_asked:
+            if self._stop_asked.yes:
                 if closing_until_s == 0.0:
                     self._core["closing"] = 1
                     closing_until_s = now_s + float(self._loop[0]["params"]["longest_stop_s"]) + 1.0
@@ -201,9 +216,3 @@ class ControlProcess:
         axes = self._loop[0]["axes"][: len(self._arm.joints)]
         moving = bool(np.any(axes["velocity_rad_s"] != 0.0))
         return not moving and int(self._core["goal_id"]) == 0
-
-
-def install_signals(process: ControlProcess) -> None:
-    """SIGTERM and SIGINT end the process in order."""
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda _number, _frame: process.ask_to_stop())

@@ -7,12 +7,26 @@ configuration requires it.
 
 import ctypes
 import os
+import re
+import resource
+import signal
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from config.schema import RealtimeConfig
 
-_MCL_CURRENT, _MCL_FUTURE = 1, 2
+THREAD_STACK_BYTES = 512 * 1024
+"""Stack of the cycle's and the reader's thread, all of it locked; what they run nests a few small frames."""
+
+Range = tuple[int, int]
+"""Address and size (bytes) of memory of this process."""
+
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+_MADV_NOHUGEPAGE = 15
+_CAP_IPC_LOCK = 14
+_PTHREAD_ATTR_BYTES = 128  # 56 on x86-64, 64 on ARM
 _DMA_LATENCY = "/dev/cpu_dma_latency"
 
 
@@ -37,17 +51,18 @@ class Obtained:
         return ", ".join(parts)
 
 
-def prepare_process() -> Obtained:
-    """What concerns the whole process: locked memory, no deep sleep of the processors."""
-    obtained = Obtained()
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0:
-        obtained.memory_locked = True
-    else:
-        obtained.complaints.append(
-            f"Memory is not locked ({os.strerror(ctypes.get_errno())}): page faults may delay cycles; raise "
-            "RLIMIT_MEMLOCK (`ulimit -l unlimited`, or LimitMEMLOCK=infinity in a systemd unit)."
-        )
+def prepare_process(used: Iterable[Range]) -> Obtained:
+    """What concerns the whole process: memory in place, no deep sleep of the processors.
+
+    `used` is what the threads of the cycle and the reader touch besides their stacks (`prepare_thread`) and the C
+    library. It is fetched now and stays, so that no cycle waits for a page; what they never touch need not be there.
+    """
+    obtained = Obtained(memory_locked=True)
+    if _may_lock_everything():
+        # Ordinary Python's pages stay once they were used, so that it reacts in time to a signal on a full machine.
+        # Under a limit a later allocation would fail instead, or the main thread's stack could not grow.
+        _libc().mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT)
+    _lock([*used, *_c_library()], obtained)
     try:
         obtained.dma_latency_fd = os.open(_DMA_LATENCY, os.O_WRONLY | os.O_CLOEXEC)
         os.write(obtained.dma_latency_fd, struct.pack("i", 0))
@@ -63,7 +78,9 @@ def prepare_process() -> Obtained:
 
 
 def prepare_thread(wanted: RealtimeConfig, obtained: Obtained, *, below: int = 0) -> None:
-    """What concerns the calling thread: real-time priority (`below` the configured one) and its CPU."""
+    """What concerns the calling thread: its stack, real-time priority (`below` the configured one) and its CPU."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # the interpreter's handler is not for this thread
+    _lock([_own_stack()], obtained)
     priority = max(wanted.priority - below, 1)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
@@ -87,3 +104,53 @@ def prepare_thread(wanted: RealtimeConfig, obtained: Obtained, *, below: int = 0
         obtained.priority = os.sched_getparam(0).sched_priority
         allowed = os.sched_getaffinity(0)
         obtained.cpu = next(iter(allowed)) if len(allowed) == 1 else -1
+
+
+def _lock(ranges: Iterable[Range], obtained: Obtained) -> None:
+    """Fetch memory and keep it in place; what is refused is said once."""
+    libc = _libc()
+    for address, size in ranges:
+        if libc.mlock(ctypes.c_void_p(address), ctypes.c_size_t(size)) != 0:
+            if obtained.memory_locked:
+                obtained.complaints.append(
+                    f"Memory is not locked ({os.strerror(ctypes.get_errno())}): page faults may delay cycles; raise "
+                    "RLIMIT_MEMLOCK to 32 MiB or more (`ulimit -l unlimited`, or LimitMEMLOCK=infinity in a systemd "
+                    "unit)."
+                )
+            obtained.memory_locked = False
+            return
+        page = resource.getpagesize()
+        start, end = address // page * page, -(-(address + size) // page) * page
+        # Pages that the kernel gathers into a huge one later fault at their next use; huge ones that are there stay.
+        libc.madvise(ctypes.c_void_p(start), ctypes.c_size_t(end - start), _MADV_NOHUGEPAGE)
+
+
+def _may_lock_everything() -> bool:
+    """Whether no limit can be met later."""
+    if resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY:
+        return True
+    capabilities = re.search(r"^CapEff:\s*(\w+)$", Path("/proc/self/status").read_text(encoding="ascii"), re.M)
+    return capabilities is not None and bool(int(capabilities[1], 16) >> _CAP_IPC_LOCK & 1)
+
+
+def _c_library() -> list[Range]:
+    """Where the C library lies."""
+    maps = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace")
+    found = re.findall(r"^(\w+)-(\w+) r\S+ .*/libc[.-][^/]*$", maps, re.M)
+    return [(int(start, 16), int(end, 16) - int(start, 16)) for start, end in found]
+
+
+def _own_stack() -> Range:
+    """Where the calling thread's stack lies; not for the main thread, whose stack grows."""
+    libc = _libc()
+    attributes = ctypes.create_string_buffer(_PTHREAD_ATTR_BYTES)
+    address, size = ctypes.c_void_p(), ctypes.c_size_t()
+    libc.pthread_self.restype = ctypes.c_void_p
+    libc.pthread_getattr_np(ctypes.c_void_p(libc.pthread_self()), attributes)
+    libc.pthread_attr_getstack(attributes, ctypes.byref(address), ctypes.byref(size))
+    libc.pthread_attr_destroy(attributes)
+    return address.value or 0, size.value
+
+
+def _libc() -> ctypes.CDLL:
+    return ctypes.CDLL(None, use_errno=True)

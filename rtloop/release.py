@@ -5,7 +5,7 @@ The cycle has stopped leading the drives before this begins, and follows where t
 
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, drive_addresses
-from rtloop.service import ServicePort
+from rtloop.port import ServicePort
 from shm.words import Fault
 
 _DISABLE = b"\xf3\xab\x00\x00\x6b"

@@ -24,7 +24,7 @@ from rtloop.libc import (
     read,
     write,
 )
-from rtloop.state import LOOP, offset_of
+from rtloop.state import LOOP, READ_BYTES, offset_of
 from rtloop.wire import received
 from shm import histogram
 from shm.atomics import load_acquire, load_relaxed, store_relaxed
@@ -39,7 +39,6 @@ _WAKE_UP = offset_of(LOOP, "wake_up")
 _CLOCK = offset_of(LOOP, "clock")
 _READER_CLOCK = offset_of(LOOP, "received", "arrived", "clock")
 
-READ_BYTES = 4096
 POLL_MS = 100
 
 bucket = jit(histogram.bucket)

@@ -1,43 +1,26 @@
-"""The in-process rings between the cycle and ordinary Python: how bring-up speaks on the bus.
+"""The cycle's side of the in-process rings between it and ordinary Python, whose side is `rtloop.port`."""
 
-The cycle alone uses the bus. A conversation (bring-up, clearing a fault …) puts frames and decisions into
-`service_in`; the cycle sends the frames in bus time that is left over and hands every frame that a drive
-sends meanwhile to `service_out`.
-"""
+from typing import Any
 
-from typing import Any, NamedTuple
-
-import numpy as np
-
-from rtloop.state import LOOP, SERVICE_SLOTS, offset_of
+from rtloop.port import IN, OUT, SEND, TAKEN, WRITTEN
+from rtloop.state import SERVICE_SLOTS
 from shm.atomics import load_acquire, load_relaxed, store_release
 from shm.jit import jit
 
 Loop = Any
-
-SEND = 1  # send a CAN frame
-ADOPT = 2  # joint stands at `value`; code = Unreferenced reason (0: referenced)
-BRING_UP_BEGINS = 3
-BRING_UP_DONE = 4
-BRING_UP_FAILED = 5  # joint, code = shm.words.Fault
-
-_IN = offset_of(LOOP, "service_in")
-_OUT = offset_of(LOOP, "service_out")
-_WRITTEN = 0
-_TAKEN = 16 * 8
 
 
 @jit
 def waiting(loop: Loop, ring_at: int) -> int:
     """Records that can be taken."""
     base = loop.params.address + ring_at
-    return load_acquire(base + _WRITTEN) - load_relaxed(base + _TAKEN)
+    return load_acquire(base + WRITTEN) - load_relaxed(base + TAKEN)
 
 
 @jit
 def room(loop: Loop, ring_at: int) -> bool:
     base = loop.params.address + ring_at
-    return load_relaxed(base + _WRITTEN) - load_acquire(base + _TAKEN) < SERVICE_SLOTS
+    return load_relaxed(base + WRITTEN) - load_acquire(base + TAKEN) < SERVICE_SLOTS
 
 
 @jit
@@ -55,26 +38,26 @@ def pass_on(loop: Loop, ring_at: int, word: int) -> None:
 @jit
 def hand_out(loop: Loop, frame_id: int, length: int, data: int, time_ns: int) -> None:
     """Cycle side: give a received frame to ordinary Python; dropped when it does not listen."""
-    if not room(loop, _OUT):
+    if not room(loop, OUT):
         return
-    record = loop.service_out.records[next_slot(loop, _OUT, _WRITTEN)]
+    record = loop.service_out.records[next_slot(loop, OUT, WRITTEN)]
     record.kind = SEND
     record.id = frame_id
     record.length = length
     record.data = data
     record.time_ns = time_ns
-    pass_on(loop, _OUT, _WRITTEN)
+    pass_on(loop, OUT, WRITTEN)
 
 
 @jit
 def inbox(loop: Loop) -> int:
     """Cycle side: records that ordinary Python has put in."""
-    return waiting(loop, _IN)
+    return waiting(loop, IN)
 
 
 @jit
 def inbox_slot(loop: Loop) -> int:
-    return next_slot(loop, _IN, _TAKEN)
+    return next_slot(loop, IN, TAKEN)
 
 
 @jit
@@ -93,56 +76,4 @@ def command_length(loop: Loop) -> int:
 
 @jit
 def inbox_done(loop: Loop) -> None:
-    pass_on(loop, _IN, _TAKEN)
-
-
-class Frame(NamedTuple):
-    """A CAN frame as ordinary Python sees it."""
-
-    id: int
-    data: bytes
-    time_ns: int = 0
-
-
-class ServicePort:
-    """Ordinary Python's end of the rings; one conversation at a time, from one thread."""
-
-    def __init__(self, loop: np.ndarray) -> None:
-        self._loop = loop
-        self._record = loop[0]
-
-    def post(
-        self,
-        kind: int,
-        *,
-        frame: Frame | None = None,
-        joined: bool = False,
-        joint: int = -1,
-        value: float = 0.0,
-        code: int = 0,
-    ) -> bool:
-        """Put a record in; False when the ring is full."""
-        if not room(self._record, _IN):
-            return False
-        record = self._record["service_in"]["records"][next_slot(self._record, _IN, _WRITTEN)]
-        record["kind"] = kind
-        record["joint"] = joint
-        record["value"] = value
-        record["code"] = code
-        record["joined"] = int(joined)
-        if frame is not None:
-            record["id"] = frame.id
-            record["length"] = len(frame.data)
-            record["data"] = int.from_bytes(frame.data.ljust(8, b"\0"), "little", signed=True)
-        pass_on(self._record, _IN, _WRITTEN)
-        return True
-
-    def received(self) -> list[Frame]:
-        """Every frame handed out since the last call."""
-        frames = []
-        while waiting(self._record, _OUT) > 0:
-            record = self._record["service_out"]["records"][next_slot(self._record, _OUT, _TAKEN)]
-            data = int(record["data"]).to_bytes(8, "little", signed=True)[: int(record["length"])]
-            frames.append(Frame(int(record["id"]), data, int(record["time_ns"])))
-            pass_on(self._record, _OUT, _TAKEN)
-        return frames
+    pass_on(loop, IN, TAKEN)

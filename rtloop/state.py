@@ -26,6 +26,7 @@ TX_BYTES = 8192
 RX_BYTES = 1 << 16
 RX_CHUNKS = 1024
 LINE_BYTES = 64
+READ_BYTES = 4096
 ADDRESSES = 256
 CANCELED_SLOTS = 16
 """Goals in a row that can be canceled before the loop has seen any of them; a power of two."""

@@ -1,60 +1,80 @@
 """`python -m rtloop.warm`: compile the cycle ahead, so that no start has to wait for it.
 
-Compiles by running: a mock arm in memory, a few cycles of a goal, a wire that is closed at once. What was
-compiled lies in the cache directory of this very set of sources; older directories are removed.
+The result is one object file in the cache folder of these very sources; older folders are removed. The control
+process loads it and never the compiler.
 """
 
+import contextlib
 import shutil
 import sys
 import time
 from collections.abc import Callable
+from typing import Any
 
-import numpy as np
+import llvmlite.binding as llvm
+
+from rtloop import compiled
+from shm import cache
 
 KEPT_S = 24 * 3600.0
 """Compiled code of other sources is removed when it is older than this."""
+CODE_OPTIMISATION = 3
 
 
-def compile_everything() -> None:
-    """Run every function that the threads and the supervisor call, with the types they are called with."""
-    from config.loader import load_arm
-    from rtloop.process import set_word
-    from rtloop.run import READ_BYTES, read_wire, run
-    from rtloop.service import SEND, Frame, ServicePort
-    from rtloop.state import new_loop, offset_of
-    from rtloop.wire import received
-    from shm import layout
+def compile_object() -> bytes:
+    """Compile `rtloop.entries` and all it calls into one object file; raises NotLoadable when it wants too much."""
+    from numba import cfunc
+    from numba.core.registry import cpu_target
 
-    state = np.zeros(1, layout.STATE)
-    command = np.zeros(1, layout.COMMAND)
-    loop = new_loop(load_arm("episode1"), state.ctypes.data, command.ctypes.data)
-    port = ServicePort(loop)
-    port.post(SEND, frame=Frame(0x100, b"\x1f\x6b"))
-    port.received()
-    buffer = np.zeros(READ_BYTES, np.uint8)
-    request = np.zeros(1, np.int64)
-    received.push(loop[0], 0, buffer, 1)
-    set_word(loop.ctypes.data + offset_of(loop.dtype, "stop"), 1)
-    run(loop[0], state[0], -1)
-    read_wire(loop[0], -1, buffer, buffer.ctypes.data, request.ctypes.data)
+    from rtloop.entries import ENTRIES
+    from shm.jit import ERROR_MODEL
+
+    module: Any = None
+    names = set()
+    for function, signature in ENTRIES:
+        made = cfunc(signature, error_model=ERROR_MODEL)(function.py_func)
+        part = llvm.parse_assembly(made.inspect_llvm())
+        part.get_function(made.native_name).name = function.__name__
+        names.add(function.__name__)
+        if module is None:
+            module = part
+        else:
+            module.link_in(part)
+    for value in (*module.functions, *module.global_variables):
+        if not value.is_declaration and value.name not in names:
+            value.linkage = "internal"
+    triple, processor, features = cpu_target.target_context.codegen().magic_tuple()
+    # As numba makes code that is loaded at once: no assumption about how far away anything else lies.
+    machine = llvm.Target.from_triple(triple).create_target_machine(
+        cpu=processor,
+        features=features,
+        opt=CODE_OPTIMISATION,
+        codemodel="jitdefault",
+        jit=True,
+        reloc="static" if triple.startswith("x86") else "default",
+    )
+    # Functions that cannot raise are found out here, and what would tell the interpreter of it falls away.
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_ipsccp_pass()
+    passes.add_simplify_cfg_pass()
+    passes.add_global_dead_code_eliminate_pass()
+    passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+    code: bytes = machine.emit_object(module)
+    compiled.CompiledCycle(code)
+    return code
 
 
 def main(tell: Callable[[str], None] = print) -> int:
     """Compile unless it was done for these very sources; `tell` gets the lines for people."""
-    from shm.jit import use_cache
-
-    directory = use_cache()
-    mark = directory / "warm"
-    if mark.exists():
+    with contextlib.suppress(FileNotFoundError, compiled.NotLoadable):
+        compiled.load()
         return 0
     tell("compiling the control cycle, once for this version: about half a minute …")
     started = time.monotonic()
-    compile_everything()
-    for old in directory.parent.glob("compiled-*"):
-        if old != directory and time.time() - old.stat().st_mtime > KEPT_S:
+    compiled.store(compile_object())
+    for old in cache.folder().parent.glob("compiled-*"):
+        if old != cache.folder() and time.time() - old.stat().st_mtime > KEPT_S:
             shutil.rmtree(old, ignore_errors=True)
-    directory.mkdir(parents=True, exist_ok=True)
-    mark.touch()
     tell(f"compiled in {time.monotonic() - started:.0f} s")
     return 0
 

@@ -103,6 +103,7 @@ def test_motion_depends_on_nothing_but_numpy() -> None:
     [
         pytest.param(module_names("rosfront"), {"numba", "llvmlite", "can"}, id="rosfront"),
         pytest.param(module_names("rtloop"), {"rclpy"}, id="rtloop"),
+        pytest.param(["rtloop.process", "rtloop.compiled"], {"numba", "rclpy", "can"}, id="control process"),
         pytest.param(module_names("rtarm"), {"numba", "rclpy", "can"}, id="rtarm"),
     ],
 )

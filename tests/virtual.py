@@ -15,10 +15,11 @@ import numpy as np
 
 from config.loader import load_arm
 from config.schema import ArmConfig
+from rtloop import entries
 from rtloop.bringup import BringUp
 from rtloop.cycle import step
+from rtloop.port import ServicePort
 from rtloop.release import Release
-from rtloop.service import ServicePort
 from rtloop.state import new_loop
 from rtloop.wire import received
 from shm import layout
@@ -69,7 +70,7 @@ class VirtualArm:
         self.loop = new_loop(self.arm, self.state.address, self.command.address)
         self.reader = StateReader(self.state)
         self.writer = CommandWriter(self.command)
-        self.port = ServicePort(self.loop)
+        self.port = ServicePort(self.loop, entries)
         self.now_ns = START_NS
         self.random = np.random.default_rng(seed)
         self.jitter_ns = jitter_ns

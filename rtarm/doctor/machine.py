@@ -92,10 +92,10 @@ def can_links() -> Any:
 def compiled_folder() -> Path:
     """Where the compiled cycle of these very sources lies, or will lie."""
     try:
-        from shm.jit import use_cache
+        from shm import cache
     except ImportError as problem:
         raise Unknown(f"the compiler cannot be loaded ({problem})") from None
-    return use_cache()
+    return cache.folder()
 
 
 def _output(command: list[str]) -> str:

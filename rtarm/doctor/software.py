@@ -45,7 +45,7 @@ def _package(name: str) -> Found:
 
 def compiled_cycle(machine: Machine, _arm: ArmConfig | None) -> Found:
     folder = machine.compiled_folder()
-    if (folder / "warm").exists():
+    if (folder / "cycle.o").exists():
         return ok("in the cache")
     return note(
         "not in the cache, so the first start of an arm takes up to a minute",

@@ -6,7 +6,7 @@ from virtual import VirtualArm, recorded_goal
 
 from rtloop.conversation import split_packets
 from rtloop.cycle import step
-from rtloop.service import SEND
+from rtloop.port import SEND
 from rtloop.wire import received
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.faults import CorruptBytes, LostReplies, PowerLoss, Silent, Stall
@@ -337,11 +337,12 @@ def test_the_drives_wait_for_a_coasting_arm_to_stand() -> None:
     arm.sim.run_until(arm.now_ns + 30_000_000)  # the drives brake by their own ramp
     again = VirtualArm.__new__(VirtualArm)
     again.__dict__.update(arm.__dict__)
-    from rtloop.service import ServicePort
+    from rtloop import entries
+    from rtloop.port import ServicePort
     from rtloop.state import new_loop
 
     again.loop = new_loop(arm.arm, arm.state.address, arm.command.address)
-    again.port = ServicePort(again.loop)
+    again.port = ServicePort(again.loop, entries)
     again.now_ns = arm.sim.now_ns
     again.pending = []
     assert again.bring_up().failure is None

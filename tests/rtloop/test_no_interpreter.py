@@ -23,12 +23,12 @@ from virtual import VirtualArm, recorded_goal
 import rtloop
 import shm
 from config.loader import load_arm
-from rtloop import cycle, realtime
-from rtloop.process import set_word
+from rtloop import cycle, entries, realtime
 from rtloop.run import run
 from rtloop.state import offset_of
-from rtloop.warm import compile_everything
-from shm.jit import jit, sources_key
+from rtloop.warm import compile_object
+from shm import cache
+from shm.jit import jit
 from shm.words import Mode, Outcome
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -84,7 +84,7 @@ def test_all_are_compiled_the_one_way():
 
 
 def test_what_the_cycle_calls_is_compiled_without_the_interpreter():
-    compile_everything()
+    compile_object()
     called = reachable(run)
     assert cycle.step in called and len(called) > 70
     assert called <= set(dispatchers())
@@ -204,7 +204,7 @@ def test_holding_the_gil_for_two_seconds_costs_no_cycle():
             if late == 0:
                 break
     finally:
-        set_word(arm.loop.ctypes.data + offset_of(arm.loop.dtype, "stop"), 1)
+        entries.store_word(arm.loop.ctypes.data + offset_of(arm.loop.dtype, "stop"), 1)
         thread.join()
         arm.close()
     assert min(missed) == 0, f"cycles missed in windows of two seconds: {missed}"
@@ -242,15 +242,15 @@ def test_no_index_ever_leaves_its_array(request):
 
     Compiles the whole cycle once more (about 30 s); pytest's own cache keeps it until the sources change.
     """
-    cache = request.config.cache.mkdir("bounds-checked")
-    directory = cache / "rtarm" / f"compiled-{sources_key()}"
-    for old in cache.glob("rtarm/compiled-*"):
+    kept = request.config.cache.mkdir("bounds-checked")
+    directory = kept / "rtarm" / cache.folder().name
+    for old in kept.glob("rtarm/compiled-*"):
         if old != directory:
             shutil.rmtree(old)
     environment = {
         **os.environ,
         "NUMBA_BOUNDSCHECK": "1",
-        "XDG_CACHE_HOME": str(cache),
+        "XDG_CACHE_HOME": str(kept),
         "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
     }
     result = subprocess.run(

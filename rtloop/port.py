@@ -1,0 +1,93 @@
+"""The in-process rings between the cycle and ordinary Python: how bring-up speaks on the bus.
+
+The cycle alone uses the bus. A conversation (bring-up, clearing a fault …) puts frames and decisions into
+`service_in`; the cycle sends the frames in bus time that is left over and hands every frame that a drive
+sends meanwhile to `service_out`. The cycle's side is `rtloop.service`.
+"""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from rtloop.state import LOOP, SERVICE_SLOTS, offset_of
+
+SEND = 1  # send a CAN frame
+ADOPT = 2  # joint stands at `value`; code = Unreferenced reason (0: referenced)
+BRING_UP_BEGINS = 3
+BRING_UP_DONE = 4
+BRING_UP_FAILED = 5  # joint, code = shm.words.Fault
+
+IN = offset_of(LOOP, "service_in")
+OUT = offset_of(LOOP, "service_out")
+WRITTEN = 0
+TAKEN = 16 * 8
+
+
+class Frame(NamedTuple):
+    """A CAN frame as ordinary Python sees it."""
+
+    id: int
+    data: bytes
+    time_ns: int = 0
+
+
+class Words(Protocol):
+    """Access to words that another thread reads or writes; Python itself has no memory order to offer."""
+
+    def load_word(self, address: int, /) -> int:
+        """A 64-bit word; what was written before it is seen by what comes after."""
+
+    def store_word(self, address: int, value: int, /) -> None:
+        """Write a 64-bit word after everything that was written before."""
+
+
+class ServicePort:
+    """Ordinary Python's end of the rings; one conversation at a time, from one thread."""
+
+    def __init__(self, loop: np.ndarray, words: Words) -> None:
+        self._record = loop[0]
+        self._address = int(loop.ctypes.data)
+        self._words = words
+
+    def post(
+        self,
+        kind: int,
+        *,
+        frame: Frame | None = None,
+        joined: bool = False,
+        joint: int = -1,
+        value: float = 0.0,
+        code: int = 0,
+    ) -> bool:
+        """Put a record in; False when the ring is full."""
+        written, taken = self._counts(IN)
+        if written - taken >= SERVICE_SLOTS:
+            return False
+        record = self._record["service_in"]["records"][written % SERVICE_SLOTS]
+        record["kind"] = kind
+        record["joint"] = joint
+        record["value"] = value
+        record["code"] = code
+        record["joined"] = int(joined)
+        if frame is not None:
+            record["id"] = frame.id
+            record["length"] = len(frame.data)
+            record["data"] = int.from_bytes(frame.data.ljust(8, b"\0"), "little", signed=True)
+        self._words.store_word(self._address + IN + WRITTEN, written + 1)
+        return True
+
+    def received(self) -> list[Frame]:
+        """Every frame handed out since the last call."""
+        frames = []
+        written, taken = self._counts(OUT)
+        for number in range(taken, written):
+            record = self._record["service_out"]["records"][number % SERVICE_SLOTS]
+            data = int(record["data"]).to_bytes(8, "little", signed=True)[: int(record["length"])]
+            frames.append(Frame(int(record["id"]), data, int(record["time_ns"])))
+            self._words.store_word(self._address + OUT + TAKEN, number + 1)
+        return frames
+
+    def _counts(self, ring_at: int) -> tuple[int, int]:
+        """Records written into a ring and taken out of it, since the start."""
+        ring = self._address + ring_at
+        return self._words.load_word(ring + WRITTEN), self._words.load_word(ring + TAKEN)

@@ -1,0 +1,248 @@
+"""The control process around the cycle: what it is made of, what it holds, and how it begins and ends."""
+
+import ctypes
+import os
+import resource
+import secrets
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
+import yaml
+from stack import Process
+
+from config.loader import ARMS_FOLDER, arm_hash, load_arm
+from rtloop import compiled, warm
+from shm import cache
+from shm.client import CommandWriter, StateReader
+from shm.files import DIRECTORY, open_state, own_command
+from shm.words import Fault, Mode, Outcome, Request
+
+ROOT = Path(__file__).resolve().parents[2]
+MIB = 1 << 20
+PR_CAPBSET_DROP, CAP_IPC_LOCK = 24, 14
+
+
+# --- the compiled cycle ---------------------------------------------------------------------------------
+
+
+def python_in(folder: Path, program: str, *arguments: str) -> str:
+    """What a program prints that finds our packages in a folder."""
+    command = [sys.executable, "-c", program, *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout
+
+
+def copy_of_the_sources(folder: Path) -> Path:
+    for package in ("config", "motion", "shm", "rtloop"):
+        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    return folder
+
+
+def test_copies_of_the_same_sources_share_what_was_compiled(tmp_path):
+    warm.main()
+    program = "from rtloop import compiled; compiled.load(); print(compiled.path(), compiled.__file__)"
+    first, second = (copy_of_the_sources(tmp_path / name) for name in ("first", "second"))
+    for copy in (first, second):
+        assert python_in(copy, program).split() == [str(compiled.path()), str(copy / "rtloop/compiled.py")]
+
+
+@pytest.mark.parametrize("source", ["config/budget.py", "motion/segment.py", "shm/layout.py", "rtloop/drives/zdt.py"])
+def test_other_sources_are_compiled_anew(tmp_path, source):
+    copy = copy_of_the_sources(tmp_path / "copy")
+    with (copy / source).open("a", encoding="utf-8") as file:
+        file.write("\n")
+    assert python_in(copy, "from shm import cache; print(cache.key())").strip() != cache.key()
+
+
+def object_that_calls(name: str) -> bytes:
+    """An object with all the functions it should have, the last of which calls another one."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    functions = [f"define void @{entry}() {{\n call void @{name}()\n ret void\n}}" for entry in compiled.PROTOTYPES]
+    module = llvm.parse_assembly("\n".join([f"declare void @{name}()", *functions]))
+    return llvm.Target.from_default_triple().create_target_machine(jit=True, codemodel="jitdefault").emit_object(module)
+
+
+@pytest.mark.parametrize("name", ["PyErr_Clear", "NRT_Allocate", "malloc", "numba_gil_ensure"])
+def test_code_that_calls_more_than_it_may_is_not_loaded(name):
+    compiled.CompiledCycle(object_that_calls("poll"))
+    with pytest.raises(compiled.NotLoadable, match=name):
+        compiled.CompiledCycle(object_that_calls(name))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [lambda kept: kept[:-1], lambda kept: b"", lambda kept: kept[:100] + bytes([kept[100] ^ 1]) + kept[101:]],
+    ids=["shortened", "empty", "changed"],
+)
+def test_damaged_code_is_not_loaded(tmp_path, monkeypatch, damage):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    with pytest.raises(FileNotFoundError):
+        compiled.load()
+    compiled.store(object_that_calls("poll"))
+    compiled.load()
+    assert list(compiled.path().parent.iterdir()) == [compiled.path()]
+    compiled.path().write_bytes(damage(compiled.path().read_bytes()))
+    with pytest.raises(compiled.NotLoadable):
+        compiled.load()
+
+
+def test_words_are_read_and_written_whole():
+    cycle = compiled.load()
+    words = np.array([7, -(2**63)], np.int64)
+    assert [cycle.load_word(words.ctypes.data + at) for at in (0, 8)] == [7, -(2**63)]
+    cycle.store_word(words.ctypes.data, 2**63 - 1)
+    assert words.tolist() == [2**63 - 1, -(2**63)]
+
+
+# --- the process ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def mock_arm(tmp_path) -> Iterator[SimpleNamespace]:
+    """A mock arm of this test's own: `name`, `file`."""
+    values = yaml.safe_load((ARMS_FOLDER / "mock.yaml").read_text(encoding="utf-8"))
+    values["name"] = name = f"t{secrets.token_hex(4)}"
+    file = tmp_path / f"{name}.yaml"
+    file.write_text(yaml.safe_dump(values), encoding="utf-8")
+    yield SimpleNamespace(name=name, file=file)
+    assert not list(DIRECTORY.glob(f"rtarm.{name}.*"))
+
+
+def faults(pid: int) -> dict[int, tuple[int, int]]:
+    """Minor and major page faults of each thread of a process but the main one."""
+    found = {}
+    for task in sorted(int(entry) for entry in os.listdir(f"/proc/{pid}/task")):
+        words = Path(f"/proc/{pid}/task/{task}/stat").read_text().rpartition(")")[2].split()
+        if task != pid:
+            found[task] = int(words[7]), int(words[9])
+    return found
+
+
+def until(reader: StateReader, writer: CommandWriter, wanted) -> None:
+    """Wait for a snapshot, being a living front meanwhile."""
+    for _ in range(3000):
+        writer.beat()
+        if wanted(reader.snapshot()):
+            return
+        signal.sigtimedwait([], 0.01)
+    raise AssertionError(f"it never came: {reader.snapshot()}")
+
+
+def swing(reader: StateReader, writer: CommandWriter, goal: int) -> None:
+    """Send a goal of 4 s."""
+    home, off = reader.snapshot()["joints"]["commanded_position_rad"][:6].copy(), np.zeros((6, 3))
+    consumed = reader.setpoints_consumed()
+    writer.announce(goal)
+    writer.begin(goal, start_ns=0, joint_mask=63, goal_time_s=0.0, entry=0, tolerances=off, consumed=consumed)
+    for number, time_s in enumerate(np.linspace(0.0, 4.0, 41)):
+        joints = np.zeros((6, 3))
+        joints[:, 0] = home + 0.05 * (1 - np.cos(np.pi / 2 * time_s))
+        joints[:, 1] = 0.05 * np.pi / 2 * np.sin(np.pi / 2 * time_s) if 0 < number < 40 else 0.0
+        writer.knot(goal, round(time_s * 1e9), 3, joints, consumed)
+    writer.end(goal, off, consumed)
+
+
+@pytest.mark.process
+def test_whatever_happens_no_cycle_waits_for_a_page(mock_arm):
+    """From the first moment that the arm holds: motion, pause, cancel, a latched fault, its end, and the last stop."""
+    process = Process("rtloop", str(mock_arm.file))
+    try:
+        process.line_with("ready")
+        at_first = faults(process.process.pid)
+        reader = StateReader(open_state(mock_arm.name))
+        writer = CommandWriter(own_command(mock_arm.name, arm_hash(load_arm(mock_arm.file))))
+        swing(reader, writer, 1)
+        until(reader, writer, lambda now: now["trajectory_clock_ns"] > 1e9)
+        writer.request(Request.HOLD)
+        until(reader, writer, lambda now: now["speed_scale"] == 0 or now["mode"] != Mode.EXECUTING)
+        writer.request(Request.RESUME)
+        until(reader, writer, lambda now: now["mode"] == Mode.EXECUTING)
+        writer.request(Request.CANCEL, goal_id=1)
+        until(reader, writer, lambda now: now["results"][1]["outcome"] == Outcome.CANCELED)
+        swing(reader, writer, 2)
+        until(reader, writer, lambda now: now["mode"] == Mode.EXECUTING)
+        writer.memory.record["setpoints_written"] += 1  # a record that was never written
+        until(reader, writer, lambda now: now["mode"] == Mode.FAULT)
+        assert reader.snapshot()["fault"] == Fault.COMMAND_RING
+        assert len(at_first) == 1
+        assert faults(process.process.pid) == at_first
+        reader.close()
+        writer.close()
+    finally:
+        process.close()
+    assert process.code() == 0
+
+
+def limited(program: str, limit_bytes: int, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run a Python program that may lock only so much memory."""
+
+    def limit() -> None:
+        ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, CAP_IPC_LOCK, 0, 0, 0)
+        resource.setrlimit(resource.RLIMIT_MEMLOCK, (limit_bytes, limit_bytes))
+
+    return subprocess.run(
+        [sys.executable, "-c", program, *arguments],
+        cwd=ROOT,
+        preexec_fn=limit,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_memory_is_locked_under_a_limit_and_later_allocations_still_succeed():
+    """What the cycle uses counts, not what else the process holds or will hold."""
+    program = """
+import numpy as np
+from rtloop import realtime
+
+used = np.ones(1 << 20, np.uint8)
+obtained = realtime.prepare_process([(used.ctypes.data, used.nbytes)])
+print(obtained.memory_locked, *[line for line in obtained.complaints if "locked" in line])
+print(len(bytearray(64 << 20)) >> 20)
+"""
+    result = limited(program, 4 * MIB)
+    assert (result.stdout.split(), result.stderr) == (["True", "64"], "")
+
+
+@pytest.mark.process
+def test_without_the_permission_to_lock_memory_the_arm_runs_and_says_so(mock_arm):
+    program = """
+import os, signal, subprocess, sys
+process = subprocess.Popen([sys.executable, "-m", "rtloop", sys.argv[1]], stdout=subprocess.PIPE, text=True)
+print(process.stdout.readline())
+process.terminate()
+sys.exit(process.wait())
+"""
+    result = limited(program, MIB, str(mock_arm.file))
+    assert (result.returncode, result.stdout.split()) == (0, ["ready"])
+    assert result.stderr.count("Memory is not locked") == 1
+
+
+@pytest.mark.parametrize("module", ["rtloop", "rosfront"])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("loading", ["yaml", "config.loader", "shm.errors"])
+def test_a_signal_while_everything_is_loaded_ends_it_quietly(tmp_path, module, number, loading):
+    """A program that gets the signal just when it imports something."""
+    program = f"""
+import os, runpy, sys
+
+class Signals:
+    def find_spec(self, name, path=None, target=None):
+        if name == {loading!r}:
+            os.kill(os.getpid(), {int(number)})
+
+sys.meta_path.insert(0, Signals())
+sys.argv = [{module!r}, "no such arm"]
+runpy.run_module({module!r}, run_name="__main__")
+"""
+    result = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
