@@ -49,14 +49,15 @@ def compiled_cycle() -> compiled.CompiledCycle:
     """
     try:
         return compiled.load()
-    except (FileNotFoundError, compiled.NotLoadable):
+    except (OSError, compiled.NotLoadable):
         pass
     for number in STOP_SIGNALS:
         signal.signal(number, _leave)
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
     search = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     made = subprocess.run(
         [sys.executable, "-m", "rtloop.warm"],
-        env={**os.environ, "PYTHONPATH": search},
+        env={**kept, "PYTHONPATH": search},
         stdout=sys.stderr,
         start_new_session=True,  # a Ctrl-C is for this process alone, which then ends it
         check=False,

@@ -6,6 +6,7 @@ it can neither enter the interpreter nor allocate: an object that wants anything
 
 import ctypes
 import hashlib
+import os
 import struct
 from pathlib import Path
 from typing import Any
@@ -91,7 +92,7 @@ def store(code: bytes) -> None:
     """Put an object into the cache, whole or not at all."""
     target = path()
     target.parent.mkdir(parents=True, exist_ok=True)
-    aside = target.with_name(f"{target.name}.{hashlib.sha256(code).hexdigest()[:8]}.{id(code)}.new")
+    aside = target.with_name(f"{target.name}.{os.getpid()}.new")
     aside.write_bytes(hashlib.sha256(code).digest() + code)
     aside.replace(target)
 

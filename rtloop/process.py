@@ -134,7 +134,8 @@ class ControlProcess:
         words["dma_latency_held"] = self._obtained.dma_latency_fd >= 0
         scheduled.set()
         kept = self._loop, self._files.state.array, self._files.command.array  # mapped for as long as this runs
-        self._compiled.run(kept[0].ctypes.data, kept[1].ctypes.data, self._fd)
+        if self._compiled.run(kept[0].ctypes.data, kept[1].ctypes.data, self._fd) != 0:
+            self._tell("The control cycle ended by an exception, which is a defect of rtarm: please report it.")
 
     def _run_reader(self) -> None:
         realtime.prepare_thread(self._arm.realtime, self._obtained, below=10)

@@ -26,6 +26,7 @@ Range = tuple[int, int]
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _MADV_NOHUGEPAGE = 15
 _CAP_IPC_LOCK = 14
+_OWN_FAULTS = {signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT}
 _PTHREAD_ATTR_BYTES = 128  # 56 on x86-64, 64 on ARM
 _DMA_LATENCY = "/dev/cpu_dma_latency"
 
@@ -79,7 +80,7 @@ def prepare_process(used: Iterable[Range]) -> Obtained:
 
 def prepare_thread(wanted: RealtimeConfig, obtained: Obtained, *, below: int = 0) -> None:
     """What concerns the calling thread: its stack, real-time priority (`below` the configured one) and its CPU."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # the interpreter's handler is not for this thread
+    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals() - _OWN_FAULTS)  # handlers are the main thread's
     _lock([_own_stack()], obtained)
     priority = max(wanted.priority - below, 1)
     try:

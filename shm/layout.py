@@ -83,7 +83,7 @@ SCHEDULING = _record(
     [
         Word("policy", "i8", "", "scheduling policy read back from the kernel (0 other, 1 FIFO, 2 RR)"),
         Word("priority", "i8", "", "real-time priority read back"),
-        Word("memory_locked", "i8", "", "1 when mlockall succeeded"),
+        Word("memory_locked", "i8", "", "1 when what the cycle uses is locked"),
         Word("cpu", "i8", "", "CPU the cycle is pinned to, -1 when free"),
         Word("dma_latency_held", "i8", "", "1 while /dev/cpu_dma_latency is held at 0"),
         Word("padding", ("i8", (11,)), "", ""),

@@ -27,7 +27,7 @@ READ_LIMIT = 1 << 20
 """No file that a check reads is longer (bytes)."""
 LONGEST_NUMBER = 20
 HIGHEST_CPU = 4095
-LOCKED_BYTES = 1 << 30
+LOCKED_BYTES = 32 << 20
 """Address space that the control process must be able to lock: 0.55 GB measured on two processors, more on many."""
 COMMAND_S = 10.0
 KERNEL_THREAD = 0x0020_0000

@@ -74,11 +74,11 @@ def _scheduling_mend(machine: Machine) -> str:
 def locked_memory(machine: Machine, arm: ArmConfig | None) -> Found:
     got = granted(machine, arm)
     if got.locked:
-        return ok(f"1 GiB can be locked{_as_root(machine)}")
+        return ok(f"32 MiB can be locked{_as_root(machine)}")
     mend = "# start the container with: docker run --cap-add=IPC_LOCK --ulimit memlock=-1 …"
     reason = got.lock_refusal or "agreed to, but not done"
     return warn(
-        f"1 GiB cannot be locked ({reason}); the limit is {_memlock_limit(machine)}",
+        f"32 MiB cannot be locked ({reason}); the limit is {_memlock_limit(machine)}",
         mend if in_container(machine) else LIMITS,
     )
 

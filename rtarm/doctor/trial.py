@@ -11,7 +11,7 @@ import mmap
 import os
 import sys
 
-_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4  # on fault: counted against the limit, without using memory
+_MLOCK_ONFAULT = 1  # counted against the limit, without using memory
 _DMA_LATENCY = "/dev/cpu_dma_latency"
 
 
@@ -29,17 +29,17 @@ def try_scheduling(priority: int) -> dict[str, object]:
 
 
 def try_locking(size: int) -> dict[str, object]:
-    """Lock the process and `size` bytes of address space more, which is what mlockall counts."""
+    """Lock `size` bytes of memory."""
     libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
-        return {"locked": False, "lock_refusal": os.strerror(ctypes.get_errno())}
     try:
-        reserved = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS, prot=0)
+        reserved = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     except OSError as problem:
         return {"locked": False, "lock_refusal": problem.strerror}
+    first = ctypes.c_char.from_buffer(reserved)
+    if libc.mlock2(ctypes.byref(first), ctypes.c_size_t(size), _MLOCK_ONFAULT) != 0:
+        return {"locked": False, "lock_refusal": os.strerror(ctypes.get_errno())}
     with open("/proc/self/status", encoding="ascii", errors="replace") as status:
         locked_kib = next((int(line.split()[1]) for line in status if line.startswith("VmLck:")), 0)
-    reserved.close()
     return {"locked": locked_kib * 1024 >= size, "lock_refusal": None}
 
 

@@ -90,7 +90,7 @@ CASES: list[Case] = [
     ("real-time priority", {}, {"trial": refused(priority=1)}, Level.BAD, "is not kept", "limits.d"),
     ("real-time priority", {"/proc/self/status": "Uid:\t0\t0\t0\t0"}, {}, Level.OK, "to root: ask again as", None),
     ("locked memory", {}, NO_LOCK, Level.WARN, "(Cannot allocate memory); the limit is 8 MiB", "memlock unlimited"),
-    ("locked memory", DOCKER, NO_LOCK, Level.WARN, "1 GiB cannot be locked", "--ulimit memlock=-1"),
+    ("locked memory", DOCKER, NO_LOCK, Level.WARN, "32 MiB cannot be locked", "--ulimit memlock=-1"),
     ("locked memory", {"/proc/self/limits": ""}, NO_LOCK, Level.WARN, "the limit is unknown", "memlock"),
     ("locked memory", {}, {"trial": refused(locked=False)}, Level.WARN, "agreed to, but not done", "memlock"),
     ("real-time throttling", {RUNTIME: "-1"}, {}, Level.NOTE, "off: a real-time thread that runs wild", None),

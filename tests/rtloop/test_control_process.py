@@ -102,6 +102,14 @@ def test_words_are_read_and_written_whole():
     assert words.tolist() == [2**63 - 1, -(2**63)]
 
 
+def test_what_is_locked_of_the_code_is_where_it_runs():
+    cycle = compiled.load()
+    for function in (cycle.run, cycle.read_wire, cycle.load_word, cycle.store_word):
+        address = ctypes.cast(function, ctypes.c_void_p).value
+        assert any(start <= address < start + size for start, size in cycle.memory)
+    assert sum(size for _, size in cycle.memory) < MIB
+
+
 # --- the process ----------------------------------------------------------------------------------------
 
 
