@@ -32,7 +32,7 @@ CHECKS: tuple[Check, ...] = (
     ),
     Check(
         "locked memory",
-        "A page that has to be fetched delays a cycle, and a limit that is met later ends the control process.",
+        "A page that has to be fetched delays a cycle.",
         permissions.locked_memory,
     ),
     Check(

@@ -235,6 +235,22 @@ sys.exit(process.wait())
     assert result.stderr.count("Memory is not locked") == 1
 
 
+@pytest.mark.process
+def test_a_signal_while_the_cycle_is_compiled_ends_the_compiler_too(mock_arm, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    process = Process("rtloop", str(mock_arm.file))
+    try:
+        process.line_with("compiling")
+        pid = process.process.pid
+        (compiler,) = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        process.process.terminate()
+        assert process.code() == 0
+        assert len(process.lines) == 1
+        assert not Path(f"/proc/{compiler}").exists()
+    finally:
+        process.close()
+
+
 @pytest.mark.parametrize("module", ["rtloop", "rosfront"])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize("loading", ["yaml", "config.loader", "shm.errors"])
