@@ -66,12 +66,28 @@ def goes_on_past_end(loop: Loop, path_index: int) -> bool:
 
 
 @jit
+def is_reached(loop: Loop, path_index: int, knot: int, clock_s: float) -> bool:
+    """Whether a path has the knot already and the clock has come to it."""
+    if knot >= loop.paths[path_index].taken:
+        return False
+    return bool(loop.knots[slot(path_index, knot)].time_ns * 1e-9 <= clock_s)
+
+
+@jit
 def find_knot(loop: Loop, path_index: int, clock_s: float, first: int) -> int:
-    """The knot at the start of the segment that contains clock_s, searched forward from `first`."""
-    last = loop.paths[path_index].taken - 1
-    knot = first
-    while knot < last and loop.knots[slot(path_index, knot + 1)].time_ns * 1e-9 <= clock_s:
-        knot += 1
+    """The knot at the start of the segment that contains clock_s, searched forward from `first`.
+
+    The steps double until they go too far and are halved from there, for a window holds thousands of knots and the
+    one in question is mostly among the next.
+    """
+    knot, step = first, 1
+    while is_reached(loop, path_index, knot + step, clock_s):
+        knot += step
+        step *= 2
+    while step > 1:
+        step //= 2
+        if is_reached(loop, path_index, knot + step, clock_s):
+            knot += step
     return knot
 
 
