@@ -15,6 +15,7 @@ from typing import Any
 
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
@@ -59,7 +60,7 @@ class GoalServer:
         *,
         run: Callable[[ServerGoalHandle], Awaitable[Verdict]],
         cancel: Callable[[ServerGoalHandle], None] = lambda _: None,
-        consider: Callable[[Any], GoalResponse] = lambda _: GoalResponse.ACCEPT,
+        consider: Callable[[Any], GoalResponse | Awaitable[GoalResponse]] = lambda _: GoalResponse.ACCEPT,
         idle: Callable[[], bool] = lambda: True,
     ) -> None:
         """`run` carries a goal out and returns how it ended; `cancel` hears that a client no longer wants one.
@@ -81,6 +82,7 @@ class GoalServer:
             node,
             FollowJointTrajectory,
             name,
+            callback_group=ReentrantCallbackGroup(),  # a goal being considered holds up no cancel
             execute_callback=self._execute,
             goal_callback=consider,
             handle_accepted_callback=self._accepted,

@@ -1,6 +1,6 @@
 """Goals between the action server and the control process, without any ROS in it.
 
-Two threads meet here. The server's thread starts and cancels goals; the publisher's thread, which sees every
+Threads meet here. Those of the intake and of the executor start and cancel goals; the publisher's, which sees every
 snapshot first, feeds the ring and finds out how goals end. What the loop says about a goal reaches its owner
 through `on_verdict`, exactly once, always from the publisher's thread.
 """
@@ -42,6 +42,8 @@ class Execution:
     goal_id: int
     plan: GoalPlan
     on_verdict: Callable[[Verdict], None]
+    action_goal: bytes = b""
+    """The action's id of it; empty for a stream."""
     never_begun: bool = False
     """Canceled before the control process heard of it."""
     fault_since_ns: int = 0
@@ -195,7 +197,7 @@ class Serving:
             return None
         return aborted(fault_of(snapshot, self.joints))
 
-    # --- from the server's thread ---
+    # --- from any other thread ---
 
     def present(self) -> Present:
         """Where the arm is commanded; raises NotServing with the reason when no goal can be taken now."""
@@ -229,8 +231,8 @@ class Serving:
         except NotServing:
             return None
 
-    def start(self, plan: GoalPlan, on_verdict: Callable[[Verdict], None]) -> Execution:
-        """Hand a checked goal to the control process; an older one is replaced.
+    def start(self, plan: GoalPlan, on_verdict: Callable[[Verdict], None], action_goal: bytes = b"") -> Execution:
+        """Hand a checked goal to the control process; an older one is replaced. `action_goal` is its id as an action's.
 
         `on_verdict` is called once, later, from the publisher's thread. Raises NotServing.
         """
@@ -245,7 +247,7 @@ class Serving:
                 self._newest_goal,
             )
             self._newest_goal = max(known) + 1
-            execution = Execution(self._newest_goal, plan, on_verdict)
+            execution = Execution(self._newest_goal, plan, on_verdict, action_goal)
             self._undecided[execution.goal_id] = execution
             self._streams[execution.goal_id] = Streamer(execution.goal_id, plan)
             writer.beat()

@@ -1,15 +1,16 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""What is said of the arm at every reading: /joint_states, ~/controller_state and /dynamic_joint_states.
+"""What is said of the arm at every reading: /joint_states, ~/controller_state, /dynamic_joint_states; and feedback.
 
-All three are patched into messages that were serialised once. The first is the publisher's own; the other two are
-filled only while somebody listens.
+All are patched into messages that were serialised once. The first is the publisher's own; the next two are filled only
+while somebody listens.
 """
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
+from control_msgs.action import FollowJointTrajectory
 from control_msgs.msg import DynamicJointState, InterfaceValue, JointTrajectoryControllerState
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -110,6 +111,39 @@ def controller_state_bytes(arm: ArmConfig) -> MessageBytes:
     return MessageBytes(serialised, 3, [len(arm.joints)] * 8 + [1])
 
 
+def feedback_bytes(arm: ArmConfig, goal: bytes) -> MessageBytes:
+    """The action's feedback message about one goal, whose id has 16 bytes.
+
+    Times: stamp, time from start of what is desired, of what is. Rows: desired position, velocity and acceleration;
+    actual position and velocity; error of both.
+    """
+
+    def serialised(times: Sequence[Instant], rows: Sequence[list[float]]) -> bytes:
+        stamp, desired_time, actual_time = times
+        positions, velocities, accelerations, found, moving, off, off_moving = rows
+        feedback = FollowJointTrajectory.Feedback(
+            header=_header(arm, stamp),
+            joint_names=_names(arm),
+            desired=JointTrajectoryPoint(
+                positions=positions,
+                velocities=velocities,
+                accelerations=accelerations,
+                time_from_start=Duration(sec=desired_time[0], nanosec=desired_time[1]),
+            ),
+            actual=JointTrajectoryPoint(
+                positions=found,
+                velocities=moving,
+                time_from_start=Duration(sec=actual_time[0], nanosec=actual_time[1]),
+            ),
+            error=JointTrajectoryPoint(positions=off, velocities=off_moving),
+        )
+        message = FollowJointTrajectory.Impl.FeedbackMessage(feedback=feedback)
+        message.goal_id.uuid = list(goal)
+        return bytes(serialize_message(message))
+
+    return MessageBytes(serialised, 3, [len(arm.joints)] * 7)
+
+
 def dynamic_joint_state_bytes(arm: ArmConfig) -> MessageBytes:
     """control_msgs/DynamicJointState; a row a joint, its values in the order of `INTERFACES`."""
 
@@ -150,6 +184,43 @@ class Progress:
 def along_ns(snapshot: np.void) -> int:
     """Time along the trajectory (ns), as the speed scale lets it pass."""
     return max(0, int(snapshot["trajectory_clock_ns"]))
+
+
+class Feedback:
+    """What the client of a running goal is told; used by the publisher's thread alone.
+
+    rclpy's own way makes and converts a deeply nested message each time, which costs more than six /joint_states. So
+    this is a second writer on the action's feedback topic, of the same type and quality, whose bytes are patched.
+    """
+
+    def __init__(self, node: Node, action: str, arm: ArmConfig, progress: Progress) -> None:
+        """`action`: its name, as the server was given it."""
+        self._arm = arm
+        self._progress = progress
+        self._goal = b""
+        self._message: MessageBytes
+        self._publisher = node.create_publisher(
+            FollowJointTrajectory.Impl.FeedbackMessage, f"{action}/_action/feedback", STATE_QOS
+        )
+
+    def publish(self, goal: bytes, snapshot: np.void, stamp_ns: int) -> None:
+        """Desired, actual and error; for each joint all three belong to the instant of its measurement, but for the
+        acceleration, which is that of now."""
+        if goal != self._goal:
+            self._goal, self._message = goal, feedback_bytes(self._arm, goal)
+        joints = snapshot["joints"][: len(self._arm.joints)]
+        wanted, wanted_velocity = joints["reference_position_rad"].tolist(), joints["reference_velocity_rad_s"].tolist()
+        found, velocity = joints["measured_position_rad"].tolist(), joints["measured_velocity_rad_s"].tolist()
+        rows = (
+            wanted,
+            wanted_velocity,
+            joints["commanded_acceleration_rad_s2"].tolist(),
+            found,
+            velocity,
+            differences(wanted, found),
+            differences(wanted_velocity, velocity),
+        )
+        self._publisher.publish(self._message.fill((stamp_ns, along_ns(snapshot), self._progress.ns), rows))
 
 
 class StateTopics:

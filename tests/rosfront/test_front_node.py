@@ -17,10 +17,12 @@ pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
 from front_stage import Stage, goal, serving_alone
-from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, until
+from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, Operator, until
+from std_srvs.srv import Trigger
 
 from config.loader import load_arm
-from rosfront import action
+from rosfront import action, node
+from rosfront.serving import NEVER_BEGUN
 from shm.words import Fault, Outcome
 
 pytestmark = pytest.mark.process  # a real client, real threads, real time
@@ -214,6 +216,77 @@ def test_strict_reject(arm_name):
     with serving_alone(arm_name, strict_reject=True) as (_, _, client, _):
         assert not client.send(goal(names=["elbow"])).accepted
         until(lambda: client.send(goal()).accepted, "an accepted goal")
+
+
+class SlowJudge:
+    """Goals are judged when they are let pass; `judging` is set while one is not."""
+
+    def __init__(self, monkeypatch):
+        self.judging, self.pass_on = threading.Event(), threading.Event()
+        self._judge = node.plan_goal
+        monkeypatch.setattr(node, "plan_goal", self)
+
+    def __call__(self, *arguments):
+        self.judging.set()
+        assert self.pass_on.wait(20.0)
+        return self._judge(*arguments)
+
+
+def test_while_a_goal_is_judged_others_are_served_and_a_cancel_ends_it(arm_name, monkeypatch):
+    with serving_alone(arm_name) as (loop, _, client, _):
+        judge = SlowJudge(monkeypatch)
+        first, second = client.send(goal(seconds=5)), client.send(goal(to_rad=0.02))
+        until(judge.judging.is_set, "a goal being judged")
+        operator = Operator(f"alone_{arm_name}")
+        try:
+            assert operator.call(Trigger, "~/hold").success
+        finally:
+            operator.close()
+        future = first.cancel_goal_async()
+        until(future.done, "the answer to a cancel")
+        assert client.result(first) == (CANCELED, 0, NEVER_BEGUN)
+        assert not judge.pass_on.is_set() and not loop.records
+        judge.pass_on.set()
+        assert client.result(second)[0] == SUCCEEDED
+        assert loop.rows["commanded_position_rad"] == pytest.approx(0.02)
+
+
+def test_a_goal_that_strict_reject_considers_holds_up_no_cancel(arm_name, monkeypatch):
+    with serving_alone(arm_name, strict_reject=True) as (loop, _, client, _):
+        running = client.send(goal(seconds=5))
+        until(lambda: loop.active, "motion")
+        judge = SlowJudge(monkeypatch)
+        answer = client.action.send_goal_async(goal())
+        until(judge.judging.is_set, "a goal being judged")
+        running.cancel_goal_async()
+        assert client.result(running)[0] == CANCELED
+        assert not answer.done()
+        judge.pass_on.set()
+        until(answer.done, "the answer to a goal")
+        assert answer.result().accepted
+
+
+def test_a_defect_in_judging_ends_the_goal_and_no_more(arm_name, monkeypatch):
+    with serving_alone(arm_name) as (_, _, client, _):
+        with monkeypatch.context() as patched:
+            patched.setattr(node, "plan_goal", lambda *_: 1 / 0)
+            assert client.run(goal())[0] == ABORTED
+        assert client.run(goal())[0] == SUCCEEDED
+
+
+def test_the_end_does_not_wait_for_a_goal_being_judged(arm_name, monkeypatch):
+    with serving_alone(arm_name) as (loop, front, client, thread):
+        judge = SlowJudge(monkeypatch)
+        handle = client.send(goal())
+        until(judge.judging.is_set, "a goal being judged")
+        closer = threading.Thread(target=front.close, args=(5.0,))
+        closer.start()
+        status, _, words = client.result(handle)
+        assert status == ABORTED and words.startswith("The ROS process is shutting down and takes no goals")
+        closer.join(5.0)
+        assert not closer.is_alive() and not thread.is_alive() and not judge.pass_on.is_set()
+        judge.pass_on.set()
+        assert not loop.records
 
 
 def test_at_the_end_a_client_that_asks_late_still_gets_its_result(arm_name):

@@ -1,6 +1,7 @@
 """Numbers patched into serialised messages."""
 
 import struct
+from array import array
 
 import numpy as np
 import pytest
@@ -99,6 +100,26 @@ def test_controller_state(arm):
     assert list(message.error.velocities) == rows[6]
     assert list(message.output.positions) == rows[7]
     assert message.speed_scaling_factor == 0.25
+
+
+def test_feedback(arm):
+    from control_msgs.action import FollowJointTrajectory
+
+    from rosfront.state_topics import feedback_bytes
+
+    goal = bytes(range(240, 256))
+    rows = np.random.default_rng(6).normal(size=(7, 6)).tolist()
+    message = deserialised(feedback_bytes(arm, goal).fill(TIMES_NS, rows), FollowJointTrajectory.Impl.FeedbackMessage)
+    assert bytes(message.goal_id.uuid) == goal
+    feedback = message.feedback
+    desired, actual, error = feedback.desired, feedback.actual, feedback.error
+    assert feedback.header.frame_id == "base_link"
+    assert list(feedback.joint_names) == [joint.name for joint in arm.joints]
+    times = [feedback.header.stamp, desired.time_from_start, actual.time_from_start]
+    assert [nanoseconds(time) for time in times] == TIMES_NS
+    assert [desired.positions, desired.velocities, desired.accelerations] == [array("d", row) for row in rows[:3]]
+    assert [actual.positions, actual.velocities] == [array("d", row) for row in rows[3:5]]
+    assert [error.positions, error.velocities] == [array("d", row) for row in rows[5:]]
 
 
 def test_dynamic_joint_state(arm):
