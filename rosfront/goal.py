@@ -30,7 +30,7 @@ from motion import slopes, stopping
 from rosfront.limits import check_limits
 from rosfront.path import PlannedPath
 from rosfront.plan import NS, REST_RAD_S, GoalPlan, Present, Terms
-from rosfront.points import Points, columns_of, read_points, refuse_unsupported
+from rosfront.points import Columns, Points, columns_of, read_points, refuse_unsupported
 from rosfront.refusals import (
     BadTolerance,
     DuplicateJoint,
@@ -114,13 +114,14 @@ def _read(trajectory: Any, arm: ArmConfig) -> Points:
         allowed = 1 + (allowed - 1) // (arm.trajectory.interpolation_factor + 1)
     if count > allowed:
         raise TooManyPoints(count, allowed)
-    for index, point in enumerate(trajectory.points):
-        if len(point.effort):
-            raise NotSupported(
-                f"Point {index} has effort, and this arm's drives are told positions; leave effort empty.",
-                point=index,
-            )
-    points = read_points(trajectory)
+    given = trajectory.points if isinstance(trajectory.points, Columns) else Columns.of(trajectory.points)
+    pushed = np.flatnonzero(given.effort[0])
+    if len(pushed):
+        index = int(pushed[0])
+        raise NotSupported(
+            f"Point {index} has effort, and this arm's drives are told positions; leave effort empty.", point=index
+        )
+    points = read_points(given, trajectory.joint_names)
     spans_ns = points.times_ns[DENSE_POINTS:] - points.times_ns[:-DENSE_POINTS]
     dense = np.flatnonzero(spans_ns < DENSE_S * NS)
     if len(dense):

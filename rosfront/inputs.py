@@ -6,13 +6,17 @@ from typing import Any
 
 from control_msgs.msg import SpeedScalingFactor
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
+from rosfront.apart import SubscriptionApart
 from rosfront.diagnostics import Counts
 from rosfront.refusals import GoalRefused
 from rosfront.serving import Serving
+from rosfront.trajectory_bytes import parse
 from rosfront.verdict import Verdict
 from shm.words import Outcome, Request
 
@@ -30,14 +34,14 @@ def _qos(durability: DurabilityPolicy, depth: int) -> QoSProfile:
 
 
 class Inputs:
-    """~/joint_trajectory and ~/speed_scaling_input; their callbacks run in the executor's thread.
+    """~/joint_trajectory, which is taken in a thread of its own, and ~/speed_scaling_input.
 
     A volatile reader matches every publisher but is not given what a transient-local one said before; a transient-local
     reader is, but matches no volatile publisher such as `ros2 topic pub`. So the factor has one of each, and what
     comes to both counts once.
     """
 
-    def __init__(self, node: Node, serving: Serving, counts: Counts, factor: float) -> None:
+    def __init__(self, node: Node, executor: Executor, serving: Serving, counts: Counts, factor: float) -> None:
         """`factor`: the speed scaling factor to begin with."""
         self._log = node.get_logger()
         self._serving = serving
@@ -46,7 +50,9 @@ class Inputs:
         """What was asked for last, whether or not there was a control process to ask."""
         self._factor_stamp_ns = 0
         volatile = DurabilityPolicy.VOLATILE
-        node.create_subscription(JointTrajectory, "~/joint_trajectory", self._stream, _qos(volatile, DEPTH))
+        self._streams = SubscriptionApart(
+            node, executor, JointTrajectory, "~/joint_trajectory", _qos(volatile, DEPTH), self._stream
+        )
         for durability in (volatile, DurabilityPolicy.TRANSIENT_LOCAL):
             node.create_subscription(
                 SpeedScalingFactor,
@@ -56,9 +62,17 @@ class Inputs:
                 event_callbacks=_NO_COMPLAINTS,
             )
 
-    def _stream(self, message: Any) -> None:
+    def start(self) -> None:
+        """Take streams from now on."""
+        self._streams.start()
+
+    def stop(self) -> None:
+        """Take no stream any more."""
+        self._streams.stop()
+
+    def _stream(self, data: bytes) -> None:
         try:
-            self._serving.stream(message, self._on_verdict)
+            self._serving.stream(parse(data) or deserialize_message(data, JointTrajectory), self._on_verdict)
         except GoalRefused as reason:
             self._counts.messages_refused += 1
             self._log.warning(f"Trajectory message dropped: {reason.sentence}", throttle_duration_sec=WARN_EVERY_S)

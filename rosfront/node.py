@@ -63,7 +63,7 @@ class FrontNode:
             idle=lambda: self._services.idle,
         )
         initial_factor = float(self.node.get_parameter(INITIAL_SCALE).value)
-        self._inputs = Inputs(self.node, self.serving, self._goals.counts, initial_factor)
+        self._inputs = Inputs(self.node, executor, self.serving, self._goals.counts, initial_factor)
         self._feedback = Feedback(self.node, ACTION, arm, self._progress)
         self._state_topics = StateTopics(self.node, arm, self._progress)
         self.pulse = Pulse(
@@ -83,6 +83,7 @@ class FrontNode:
         )
         executor.add_node(self.node)
         self._intake.start()
+        self._inputs.start()
         self.pulse.start()
 
     # --- goals, in the executor's thread ---
@@ -202,5 +203,6 @@ class FrontNode:
         self._goals.leave(
             patience_s, lambda: self.serving.lost("The ROS process was stopped before the arm had come to rest.")
         )
+        self._inputs.stop()
         self._intake.stop()
         self.pulse.stop()

@@ -26,6 +26,37 @@ from rosfront.refusals import (
     WrongSize,
 )
 
+Rows = tuple[np.ndarray, np.ndarray]
+"""One field of all points: how many numbers each has (n,), and those numbers one after another."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The points of a message field by field; nothing of them is checked."""
+
+    times_ns: np.ndarray
+    positions: Rows
+    velocities: Rows
+    accelerations: Rows
+    effort: Rows
+
+    @classmethod
+    def of(cls, points: Sequence[Any]) -> "Columns":
+        """From messages, or anything shaped like them."""
+        times_ns = np.fromiter(
+            (point.time_from_start.sec * NS + point.time_from_start.nanosec for point in points), np.int64, len(points)
+        )
+        fields = ("positions", "velocities", "accelerations", "effort")
+        return cls(times_ns, *(_rows([getattr(point, field) for point in points]) for field in fields))
+
+    def __len__(self) -> int:
+        return len(self.times_ns)
+
+
+def _rows(rows: Sequence[Sequence[float]]) -> Rows:
+    sizes = np.fromiter(map(len, rows), np.int64, len(rows))
+    return sizes, np.fromiter(chain.from_iterable(rows), float, int(sizes.sum()))
+
 
 @dataclass(frozen=True)
 class Points:
@@ -66,44 +97,44 @@ def columns_of(joint_names: Sequence[str], known: list[str], *, allow_partial: b
     return np.array([known.index(name) for name in joint_names])
 
 
-def read_points(trajectory: Any) -> Points:
+def read_points(given: Columns, joint_names: Sequence[str]) -> Points:
     """Positions for every joint at rising times, and finite numbers only; raises GoalRefused."""
-    points, joint_names = trajectory.points, trajectory.joint_names
-    count, width = len(points), len(joint_names)
-    if count == 0:
+    width = len(joint_names)
+    if len(given) == 0:
         raise EmptyTrajectory()
-    positions, _ = _read_field(points, "positions", width, required=True)
-    velocities, has_velocities = _read_field(points, "velocities", width, required=False)
-    accelerations, has_accelerations = _read_field(points, "accelerations", width, required=False)
+    positions, has_positions = _read_field("positions", given.positions, width, required=True)
+    velocities, has_velocities = _read_field("velocities", given.velocities, width, required=False)
+    accelerations, has_accelerations = _read_field("accelerations", given.accelerations, width, required=False)
     alone = np.flatnonzero(has_accelerations & ~has_velocities)
     if len(alone):
         raise AccelerationsAlone(int(alone[0]))
     for field, values, present in (
-        ("position", positions, np.ones(count, dtype=bool)),
+        ("position", positions, has_positions),
         ("velocity", velocities, has_velocities),
         ("acceleration", accelerations, has_accelerations),
     ):
-        bad = np.argwhere(~np.isfinite(values) & present[:, np.newaxis])
+        finite = np.isfinite(values)
+        if finite.all():
+            continue
+        bad = np.argwhere(~finite & present[:, np.newaxis])
         if len(bad):
             point, column = (int(i) for i in bad[0])
             raise NotFinite(point, joint_names[column], field, float(values[point, column]))
-    times_ns = np.fromiter(
-        (point.time_from_start.sec * NS + point.time_from_start.nanosec for point in points), np.int64, count
-    )
-    _check_times(times_ns)
-    return Points(times_ns, positions, velocities, accelerations, has_velocities, has_accelerations)
+    _check_times(given.times_ns)
+    return Points(given.times_ns, positions, velocities, accelerations, has_velocities, has_accelerations)
 
 
-def _read_field(points: Sequence[Any], field: str, width: int, *, required: bool) -> tuple[np.ndarray, np.ndarray]:
+def _read_field(field: str, rows: Rows, width: int, *, required: bool) -> tuple[np.ndarray, np.ndarray]:
     """One field of all points as (n, width), NaN where a point does not have it, and which points have it."""
-    rows = [getattr(point, field) for point in points]
-    sizes = np.fromiter(map(len, rows), np.int64, len(rows))
-    wrong = np.flatnonzero((sizes != width) & ((sizes != 0) | required))
+    sizes, numbers = rows
+    has = sizes == width
+    if has.all():
+        return numbers.reshape(-1, width), has
+    wrong = np.flatnonzero(~has & ((sizes != 0) | required))
     if len(wrong):
         raise WrongSize(int(wrong[0]), field, int(sizes[wrong[0]]), width)
-    has = sizes == width
-    values = np.full((len(rows), width), np.nan)
-    values[has] = np.fromiter(chain.from_iterable(rows), float, int(sizes.sum())).reshape(-1, width)
+    values = np.full((len(sizes), width), np.nan)
+    values[has] = numbers.reshape(-1, width)
     return values, has
 
 

@@ -25,7 +25,7 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from rosfront import verdict as verdicts
 from rosfront.plan import NS
-from rosfront.points import Points, columns_of, read_points, refuse_unsupported
+from rosfront.points import Columns, Points, columns_of, read_points, refuse_unsupported
 from rosfront.program import CannotServe, EndSignal, needs_ros, serve, split_arguments
 from rosfront.refusals import SUCCESSFUL, GoalRefused
 from rosfront.start_parameters import DEFAULT_ARM
@@ -203,7 +203,7 @@ class PrinterNode:
         try:
             refuse_unsupported(handle.request)
             columns = columns_of(trajectory.joint_names, self._names, allow_partial=True)
-            points = read_points(trajectory)
+            points = read_points(Columns.of(trajectory.points), trajectory.joint_names)
         except GoalRefused as reason:
             return verdicts.refused(reason)
         printed: Future = Future()

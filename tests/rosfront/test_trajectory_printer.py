@@ -22,7 +22,7 @@ from sensor_msgs.msg import JointState
 from stack import Process
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from rosfront.points import read_points
+from rosfront.points import Columns, read_points
 from rosfront.trajectory_printer import LANGUAGES, ending, greeting, report
 
 JOINTS = [f"joint{n}" for n in range(1, 7)]
@@ -38,6 +38,7 @@ def message(times_s, positions, velocities=None):
             positions=list(position),
             velocities=[] if velocities is None else list(velocities[index]),
             accelerations=[],
+            effort=[],
             time_from_start=SimpleNamespace(sec=int(time_s), nanosec=round((time_s - int(time_s)) * 1e9)),
         )
         for index, (time_s, position) in enumerate(zip(times_s, positions, strict=True))
@@ -46,7 +47,10 @@ def message(times_s, positions, velocities=None):
 
 
 def printed(trajectory, words=ZH):
-    return [*report(trajectory.joint_names, read_points(trajectory), words), *ending(words)]
+    return [
+        *report(trajectory.joint_names, read_points(Columns.of(trajectory.points), trajectory.joint_names), words),
+        *ending(words),
+    ]
 
 
 def contract(trajectory):

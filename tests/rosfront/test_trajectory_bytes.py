@@ -1,0 +1,105 @@
+"""Trajectory messages read from their bytes: the same as from the message, or not at all."""
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+pytest.importorskip("rclpy")
+pytest.importorskip("trajectory_msgs")
+
+from builtin_interfaces.msg import Duration, Time
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from rosfront.points import Columns
+from rosfront.trajectory_bytes import parse
+
+
+def trajectory(points, width=6, velocities=True, accelerations=False, frame="", names=None):
+    random = np.random.default_rng(1)
+
+    def row(given):
+        return random.normal(size=width).tolist() if given else []
+
+    return JointTrajectory(
+        header=Header(stamp=Time(sec=1_700_000_000, nanosec=999_999_999), frame_id=frame),
+        joint_names=names or [f"joint{index}" for index in range(width)],
+        points=[
+            JointTrajectoryPoint(
+                positions=row(True),
+                velocities=row(velocities),
+                accelerations=row(accelerations),
+                time_from_start=Duration(sec=index - 1, nanosec=4_000_000_000 - index),
+            )
+            for index in range(points)
+        ],
+    )
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    points=st.integers(1, 20),
+    width=st.integers(1, 9),
+    velocities=st.booleans(),
+    accelerations=st.booleans(),
+    frame=st.text("aé", max_size=9),
+    name=st.text("bü", max_size=9),
+)
+def test_what_is_read_is_what_the_message_holds(points, width, velocities, accelerations, frame, name):
+    names = [name + "x" * index for index in range(width)]
+    message = trajectory(points, width, velocities, accelerations, frame, names)
+    found = parse(bytes(serialize_message(message)))
+    assert found is not None
+    assert found.header.stamp == (message.header.stamp.sec, message.header.stamp.nanosec)
+    assert found.joint_names == names
+    wanted = Columns.of(message.points)
+    assert len(found.points) == points
+    assert found.points.times_ns.tolist() == wanted.times_ns.tolist()
+    for field in ("positions", "velocities", "accelerations", "effort"):
+        for ours, theirs in zip(getattr(found.points, field), getattr(wanted, field), strict=True):
+            assert ours.tolist() == theirs.tolist()
+
+
+def odd_ones():
+    message = trajectory(0)
+    yield "no points", message
+    message = trajectory(3)
+    message.points[1].positions = [0.0] * 5
+    yield "a point with fewer positions", message
+    message = trajectory(3)
+    message.points[0].velocities = []
+    yield "a first point without velocities", message
+    message = trajectory(3)
+    message.points[2].velocities = []
+    yield "a last point without velocities", message
+    message = trajectory(3, accelerations=True)
+    message.points[1].accelerations = [0.0] * 7
+    yield "a point with more accelerations", message
+    for index in range(3):
+        message = trajectory(3)
+        message.points[index].effort = [1.0]
+        yield f"effort at point {index}", message
+    message = trajectory(1)
+    message.points[0].positions = []
+    yield "no positions", message
+
+
+@pytest.mark.parametrize("message", [pytest.param(message, id=name) for name, message in odd_ones()])
+def test_other_shapes_are_left_to_rclpy(message):
+    assert parse(bytes(serialize_message(message))) is None
+
+
+def test_broken_bytes_are_left_to_rclpy():
+    data = bytes(serialize_message(trajectory(3)))
+    assert parse(data) is not None
+    behind = data.index(struct.pack("<iI", 1, 3_999_999_998)) + 8  # what may follow is padding
+    for length in range(behind):
+        assert parse(data[:length]) is None, length
+    assert parse(data[:behind]) is not None
+    assert parse(b"\x00\x00" + data[2:]) is None
+    for at in range(2, len(data) - 3):
+        parse(data[:at] + b"\xff\xff\xff\xff" + data[at + 4 :])
