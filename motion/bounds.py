@@ -34,7 +34,7 @@ def _on_unit_interval(coefficients: np.ndarray, duration_s: np.ndarray) -> np.nd
 def hull(coefficients: np.ndarray, duration_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """An interval sure to contain every value on [0, duration]: extremes of the Bernstein coefficients."""
     unit = _on_unit_interval(coefficients, duration_s)
-    control = np.tensordot(_BERNSTEIN[len(unit) - 1], unit, axes=1)
+    control = (_BERNSTEIN[len(unit) - 1] @ unit.reshape(len(unit), -1)).reshape(unit.shape)
     return control.min(axis=0), control.max(axis=0)
 
 

@@ -107,7 +107,7 @@ class Diagnostics:
             return reason.sentence
         return "The control process is just being attached to."
 
-    def _arm_status(self, snapshot: np.void, age_ns: int) -> Any:
+    def _arm_status(self, snapshot: np.ndarray, age_ns: int) -> Any:
         mode, goal = int(snapshot["mode"]), int(snapshot["goal_id"])
         if age_ns > STALLED_NS:
             level, message = ERROR, hung(self._arm.name, age_ns)
@@ -176,7 +176,7 @@ class Diagnostics:
             )
         return self._status("cycle", OK, f"{rate_hz:g} Hz, no cycle missed since the last report", values)
 
-    def _joint(self, index: int, snapshot: np.void) -> Any:
+    def _joint(self, index: int, snapshot: np.ndarray) -> Any:
         name, row = self._serving.joints[index], snapshot["joints"][index]
         status = DriveStatus(int(row["drive_status"]))
         measured_ns = int(row["measured_ns"])

@@ -234,7 +234,7 @@ def _entered_near(plan: GoalPlan, arm: ArmConfig, present: Present) -> GoalPlan:
 def _check_room_to_stop(plan: GoalPlan, arm: ArmConfig) -> None:
     """A stream that ends in motion can stop behind its last point, in a straight line and inside the limits."""
     period_s = arm.control.period_ns / NS
-    position, velocity, acceleration = np.moveaxis(plan.joints[-1], 1, 0)
+    position, velocity, acceleration = plan.joints[-1].T
     fade_s = stopping.fade_duration_s(period_s)
     position, velocity = stopping.line_beyond(position, velocity, acceleration, fade_s)
     fastest = np.array([joint.max_velocity_rad_s for joint in arm.joints])

@@ -56,7 +56,7 @@ class Pulse(threading.Thread):
         serving: Serving,
         message: MessageBytes,
         publisher: Publisher,
-        look: Callable[[np.void, int, bool], None],
+        look: Callable[[np.ndarray, int, bool], None],
         aside: Callable[[Link | None], None],
         say: Callable[[str], None],
         link: Link | None,
@@ -184,7 +184,7 @@ class Pulse(threading.Thread):
                     due_ns += ((now_ns - due_ns) // self._interval_ns + 1) * self._interval_ns
             self._turn_aside(link, now_ns)
 
-    def _fresh(self, link: Link, until_ns: int) -> np.void | None:
+    def _fresh(self, link: Link, until_ns: int) -> np.ndarray | None:
         """The snapshot of a cycle not seen yet; None when there is none by `until_ns` (CLOCK_MONOTONIC)."""
         pause_s, longest_s = LOOK_AGAIN_S, self._period_ns / NS / 4
         while True:
@@ -200,7 +200,7 @@ class Pulse(threading.Thread):
             time.sleep(min(pause_s, left_s))
             pause_s = min(2.0 * pause_s, longest_s)
 
-    def _publish(self, snapshot: np.void) -> None:
+    def _publish(self, snapshot: np.ndarray) -> None:
         joints = snapshot["joints"][: self._joints]
         measured_ns = joints["measured_ns"].tolist()
         newest_ns = max(measured_ns)

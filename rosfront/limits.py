@@ -71,7 +71,7 @@ def check_limits(plan: GoalPlan, arm: ArmConfig) -> None:
 def _check_points(path: PlannedPath, limits: _Limits) -> None:
     points = path.knots[path.shift :]
     times_ns = path.times_ns[path.shift :]
-    position, velocity, acceleration = np.moveaxis(points, 2, 0)
+    position, velocity, acceleration = points.transpose(2, 0, 1)
     if broken := _first(np.maximum(limits.lower - position, position - limits.upper) / limits.slack, 1.0):
         point, joint = broken
         raise _position(path, limits, times_ns[point], joint, position[point, joint])
@@ -93,7 +93,7 @@ def _check_line_beyond(path: PlannedPath, limits: _Limits) -> None:
 
 def _last_point(path: PlannedPath) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Position, velocity and acceleration (joints,) of the last point."""
-    position, velocity, acceleration = np.moveaxis(path.knots[-1], 1, 0)
+    position, velocity, acceleration = path.knots[-1].T
     return position, velocity, acceleration
 
 
@@ -119,9 +119,10 @@ def _acceleration(
 
 def _first(measure: np.ndarray, allowed: float) -> tuple[int, int] | None:
     """The first row in which `measure` (n, joints) is not at most `allowed`, and in it the worst column."""
-    rows = np.flatnonzero(~(measure <= allowed).all(axis=1))
-    if not len(rows):
+    inside = measure <= allowed
+    if inside.all():
         return None
+    rows = np.flatnonzero(~inside.all(axis=1))
     return int(rows[0]), int(np.nan_to_num(measure[rows[0]], nan=np.inf).argmax())
 
 
@@ -130,11 +131,10 @@ def _check_positions(
 ) -> None:
     """Positions of the segments `index`: hulls first, exact extremes where a hull is not enough."""
     low, high = bounds.hull(coefficients, duration)
-    doubtful = np.flatnonzero(
-        ~((low >= limits.lower - limits.slack) & (high <= limits.upper + limits.slack)).all(axis=1)
-    )
-    if not len(doubtful):
+    inside = (low >= limits.lower - limits.slack) & (high <= limits.upper + limits.slack)
+    if inside.all():
         return
+    doubtful = np.flatnonzero(~inside.all(axis=1))
     lowest, lowest_s, highest, highest_s = bounds.extremes(coefficients[:, doubtful], duration[doubtful])
     below, above = limits.lower - lowest, highest - limits.upper
     if broken := _first(np.maximum(below, above) / limits.slack, 1.0):

@@ -164,7 +164,7 @@ class FrontNode:
 
     # --- every snapshot, in the publisher's thread ---
 
-    def _look(self, snapshot: np.void, stamp_ns: int, fresh: bool) -> None:
+    def _look(self, snapshot: np.ndarray, stamp_ns: int, fresh: bool) -> None:
         """`fresh`: something has been measured since the last snapshot, so it is worth telling."""
         if self._inputs.factor != 1.0:
             self._tell_factor(snapshot)
@@ -182,7 +182,7 @@ class FrontNode:
             self._feedback_ns = now_ns
             self._feedback.publish(execution.action_goal, snapshot, stamp_ns)
 
-    def _tell_factor(self, snapshot: np.void) -> None:
+    def _tell_factor(self, snapshot: np.ndarray) -> None:
         """Tell a control process that is new to this node how fast it is to be, unless somebody has told it already."""
         is_new = self._last_cycle == 0 or int(snapshot["cycle"]) < self._last_cycle
         if is_new and snapshot["speed_scale_asked"] == 1.0:

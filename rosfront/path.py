@@ -35,17 +35,19 @@ class PlannedPath:
         duration = ((self.times_ns[index + 1] - self.times_ns[index]) / NS)[:, np.newaxis]
         start, end, order = self.knots[index], self.knots[index + 1], self.orders[index]
         result = np.zeros((6, *start.shape[:2]))
-        for kind in np.unique(order):
-            chosen = order == kind
-            p0, v0, a0 = np.moveaxis(start[chosen], 2, 0)
-            p1, v1, a1 = np.moveaxis(end[chosen], 2, 0)
+        kinds = np.unique(order)
+        for kind in kinds:
+            chosen = order == kind if len(kinds) > 1 else slice(None)  # a copy of everything is dear
+            p0, v0, a0 = start[chosen].transpose(2, 0, 1)
+            p1, v1, a1 = end[chosen].transpose(2, 0, 1)
             if kind == 5:
                 parts = segment.quintic(p0, v0, a0, p1, v1, a1, duration[chosen])
             elif kind == 3:
                 parts = segment.cubic(p0, v0, p1, v1, duration[chosen])
             else:
                 parts = segment.linear(p0, p1, duration[chosen])
-            result[:, chosen] = np.stack(parts)
+            for power, part in enumerate(parts):
+                result[power, chosen] = part
         return result, duration
 
     def at(self, times_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -40,7 +40,7 @@ class Reply(NamedTuple):
     message: str
 
 
-Judge = Callable[[np.void], Reply | None]
+Judge = Callable[[np.ndarray], Reply | None]
 """From a snapshot to the reply, None while it is not decided."""
 
 
@@ -51,17 +51,17 @@ class Order:
     name: str
     request: Request
     patience_s: float
-    judge: Callable[[np.void | None, Sequence[str]], Judge]
+    judge: Callable[[np.ndarray | None, Sequence[str]], Judge]
     """Makes the judge from the last snapshot before the request and the joints' names."""
-    answer_now: Callable[[np.void, Sequence[str]], Reply | None] = lambda before, joints: None
+    answer_now: Callable[[np.ndarray, Sequence[str]], Reply | None] = lambda before, joints: None
     """The reply for which nothing need be asked."""
 
 
-def _fault(snapshot: np.void, joints: Sequence[str]) -> Reply | None:
+def _fault(snapshot: np.ndarray, joints: Sequence[str]) -> Reply | None:
     return Reply(False, fault_of(snapshot, joints)) if int(snapshot["mode"]) == Mode.FAULT else None
 
 
-def _unreferenced(snapshot: np.void, joints: Sequence[str]) -> list[str]:
+def _unreferenced(snapshot: np.ndarray, joints: Sequence[str]) -> list[str]:
     rows = snapshot["joints"]
     return [
         unreferenced_sentence(int(rows[index]["unreferenced_reason"]), name)
@@ -70,7 +70,7 @@ def _unreferenced(snapshot: np.void, joints: Sequence[str]) -> list[str]:
     ]
 
 
-def _holds(snapshot: np.void, joints: Sequence[str], begin: str) -> Reply | None:
+def _holds(snapshot: np.ndarray, joints: Sequence[str], begin: str) -> Reply | None:
     doing = {Mode.HOLDING: "the arm holds where it stands", Mode.EXECUTING: "a goal is running"}
     mode = int(snapshot["mode"])
     if mode not in doing:
@@ -78,21 +78,21 @@ def _holds(snapshot: np.void, joints: Sequence[str], begin: str) -> Reply | None
     return Reply(True, " ".join([f"{begin}; {doing[Mode(mode)]}.", *_unreferenced(snapshot, joints)]))
 
 
-def _enabled(before: np.void | None, joints: Sequence[str]) -> Judge:
+def _enabled(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
     return lambda now: _fault(now, joints) or _holds(now, joints, "The drives are enabled")
 
 
-def _not_with_a_fault(before: np.void, joints: Sequence[str]) -> Reply | None:
+def _not_with_a_fault(before: np.ndarray, joints: Sequence[str]) -> Reply | None:
     fault = _fault(before, joints)
     if fault is None:
         return None
     return Reply(False, f"A fault is latched; clear it first, which enables the drives too. {fault.message}")
 
 
-def _cleared(before: np.void | None, joints: Sequence[str]) -> Judge:
+def _cleared(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
     latched_ns = None if before is None else int(before["fault_ns"])
 
-    def judge(now: np.void) -> Reply | None:
+    def judge(now: np.ndarray) -> Reply | None:
         again = _fault(now, joints)
         if again is None:
             return _holds(now, joints, "The fault is cleared")
@@ -103,15 +103,15 @@ def _cleared(before: np.void | None, joints: Sequence[str]) -> Judge:
     return judge
 
 
-def _nothing_to_clear(before: np.void, joints: Sequence[str]) -> Reply | None:
+def _nothing_to_clear(before: np.ndarray, joints: Sequence[str]) -> Reply | None:
     if int(before["fault"]) != Fault.NONE:
         return None
     return Reply(True, "No fault is latched, so there is nothing to clear.")
 
 
-def _limp(mode: Mode, words: str) -> Callable[[np.void | None, Sequence[str]], Judge]:
-    def judge_of(before: np.void | None, joints: Sequence[str]) -> Judge:
-        def judge(now: np.void) -> Reply | None:
+def _limp(mode: Mode, words: str) -> Callable[[np.ndarray | None, Sequence[str]], Judge]:
+    def judge_of(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
+        def judge(now: np.ndarray) -> Reply | None:
             limp = not np.any(now["joints"]["drive_status"][: len(joints)] & DriveStatus.ENABLED)
             return _fault(now, joints) or (Reply(True, words) if limp and int(now["mode"]) == mode else None)
 
@@ -120,8 +120,8 @@ def _limp(mode: Mode, words: str) -> Callable[[np.void | None, Sequence[str]], J
     return judge_of
 
 
-def _held(before: np.void | None, joints: Sequence[str]) -> Judge:
-    def judge(now: np.void) -> Reply | None:
+def _held(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
+    def judge(now: np.ndarray) -> Reply | None:
         fault = _fault(now, joints)
         if fault is not None:
             return fault
@@ -136,13 +136,13 @@ def _held(before: np.void | None, joints: Sequence[str]) -> Judge:
     return judge
 
 
-def _already_holds(before: np.void, joints: Sequence[str]) -> Reply | None:
+def _already_holds(before: np.ndarray, joints: Sequence[str]) -> Reply | None:
     if int(before["mode"]) != Mode.HOLDING or int(before["goal_phase"]) != Phase.NONE:
         return None
     return Reply(True, "The arm holds already; no goal is running.")
 
 
-def _resumed(before: np.void | None, joints: Sequence[str]) -> Judge:
+def _resumed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
     return lambda now: Reply(True, "The goal goes on.")
 
 
@@ -205,7 +205,7 @@ class Services:
         judge = order.judge(before, joints)
         decided: list[Reply] = []
 
-        def until(snapshot: np.void) -> bool:
+        def until(snapshot: np.ndarray) -> bool:
             reply = judge(snapshot)
             if reply is not None:
                 decided.append(reply)

@@ -61,7 +61,7 @@ class _Request:
 
     sequence: int
     on_reply: Callable[[bool, str], None]
-    until: Callable[[np.void], bool] | None
+    until: Callable[[np.ndarray], bool] | None
     too_late_ns: int
     patience_s: float
     answered: bool = False
@@ -109,7 +109,7 @@ class Serving:
         for request in requests:
             request.on_reply(False, reason)
 
-    def look(self, snapshot: np.void) -> Execution | None:
+    def look(self, snapshot: np.ndarray) -> Execution | None:
         """Feed the ring and decide what the snapshot decides; returns the execution that moves the arm."""
         if not self._undecided and not self._requests:
             return None  # without the lock: what comes in this moment is seen in the next snapshot
@@ -134,7 +134,7 @@ class Serving:
             request.on_reply(done, sentence)
         return moving
 
-    def _answered(self, snapshot: np.void) -> list[tuple[_Request, bool, str]]:
+    def _answered(self, snapshot: np.ndarray) -> list[tuple[_Request, bool, str]]:
         """Take the requests out of the list that are answered, and done or too late."""
         replies: list[tuple[_Request, bool, str]] = []
         for request in list(self._requests):
@@ -164,7 +164,7 @@ class Serving:
             if stream.done:
                 del self._streams[goal_id]
 
-    def _decide(self, execution: Execution, snapshot: np.void) -> Verdict | None:
+    def _decide(self, execution: Execution, snapshot: np.ndarray) -> Verdict | None:
         """What a snapshot says about a goal; None while it is undecided."""
         goal_id, running = execution.goal_id, int(snapshot["goal_id"])
         if execution.never_begun:
@@ -223,7 +223,7 @@ class Serving:
             int(snapshot["epoch_ns"]),
         )
 
-    def newest(self) -> np.void | None:
+    def newest(self) -> np.ndarray | None:
         """The newest snapshot; None when there is no control process to speak of."""
         try:
             with self._lock:
@@ -267,7 +267,7 @@ class Serving:
         on_reply: Callable[[bool, str], None],
         *,
         value: float = 0.0,
-        until: Callable[[np.void], bool] | None = None,
+        until: Callable[[np.ndarray], bool] | None = None,
         patience_s: float = 2.0,
     ) -> None:
         """Ask the control process for something.
@@ -329,7 +329,7 @@ class Serving:
         stream = self._streams.get(execution.goal_id)
         return not execution.never_begun and (stream is None or stream.begun)
 
-    def _snapshot(self) -> np.void:
+    def _snapshot(self) -> np.ndarray:
         if self._closing:
             raise NotServing(CLOSING)
         if self._link is None:

@@ -172,7 +172,7 @@ class Progress:
         self.ns = 0
         """Of the running goal, else of the last one."""
 
-    def look(self, snapshot: np.void) -> None:
+    def look(self, snapshot: np.ndarray) -> None:
         """Take the time from a new snapshot of a running goal."""
         goal, now_ns = int(snapshot["goal_id"]), int(snapshot["monotonic_ns"])
         if goal != self._goal:
@@ -181,7 +181,7 @@ class Progress:
         self.ns = now_ns - self._begun_ns
 
 
-def along_ns(snapshot: np.void) -> int:
+def along_ns(snapshot: np.ndarray) -> int:
     """Time along the trajectory (ns), as the speed scale lets it pass."""
     return max(0, int(snapshot["trajectory_clock_ns"]))
 
@@ -203,7 +203,7 @@ class Feedback:
             FollowJointTrajectory.Impl.FeedbackMessage, f"{action}/_action/feedback", STATE_QOS
         )
 
-    def publish(self, goal: bytes, snapshot: np.void, stamp_ns: int) -> None:
+    def publish(self, goal: bytes, snapshot: np.ndarray, stamp_ns: int) -> None:
         """Desired, actual and error; for each joint all three belong to the instant of its measurement, but for the
         acceleration, which is that of now."""
         if goal != self._goal:
@@ -231,11 +231,11 @@ class StateTopics:
         self._progress = progress
         self._controller_state = controller_state_bytes(arm)
         self._dynamic = dynamic_joint_state_bytes(arm)
-        topics: list[tuple[type, str, Callable[[np.void, int], bytes]]] = [
+        topics: list[tuple[type, str, Callable[[np.ndarray, int], bytes]]] = [
             (JointTrajectoryControllerState, "~/controller_state", self._fill_controller_state),
             (DynamicJointState, "dynamic_joint_states", self._fill_dynamic),
         ]
-        self._topics: list[tuple[Publisher, Callable[[np.void, int], bytes]]] = [
+        self._topics: list[tuple[Publisher, Callable[[np.ndarray, int], bytes]]] = [
             (node.create_publisher(kind, name, STATE_QOS), fill) for kind, name, fill in topics
         ]
         self._heard = self._topics[:0]
@@ -243,7 +243,7 @@ class StateTopics:
         self._ask_every = max(1, round(rate_hz * LISTENERS_EVERY_S))
         self._ask_in = 0
 
-    def publish(self, snapshot: np.void, stamp_ns: int) -> None:
+    def publish(self, snapshot: np.ndarray, stamp_ns: int) -> None:
         """Say what this snapshot holds, stamped with the time of its newest measurement, to whoever listens."""
         if self._ask_in == 0:
             self._ask_in = self._ask_every
@@ -252,7 +252,7 @@ class StateTopics:
         for publisher, fill in self._heard:
             publisher.publish(fill(snapshot, stamp_ns))
 
-    def _fill_controller_state(self, snapshot: np.void, stamp_ns: int) -> bytes:
+    def _fill_controller_state(self, snapshot: np.ndarray, stamp_ns: int) -> bytes:
         """Reference, feedback and error of the instant of measurement; the acceleration and the output of now."""
         joints = snapshot["joints"][: self._joints]
         wanted, wanted_velocity = joints["reference_position_rad"].tolist(), joints["reference_velocity_rad_s"].tolist()
@@ -270,7 +270,7 @@ class StateTopics:
         )
         return self._controller_state.fill((stamp_ns, along_ns(snapshot), self._progress.ns), rows)
 
-    def _fill_dynamic(self, snapshot: np.void, stamp_ns: int) -> bytes:
+    def _fill_dynamic(self, snapshot: np.ndarray, stamp_ns: int) -> bytes:
         joints = snapshot["joints"][: self._joints]
         now_ns = int(snapshot["monotonic_ns"])
         rows = zip(

@@ -66,7 +66,7 @@ def with_final_error(verdict: Verdict, distance: str) -> Verdict:
     return replace(verdict, sentence=f"{verdict.sentence.removesuffix('.')}; {distance}.")
 
 
-def final_error(snapshot: np.void, target_rad: np.ndarray, joint_mask: int, joints: Sequence[str]) -> str:
+def final_error(snapshot: np.ndarray, target_rad: np.ndarray, joint_mask: int, joints: Sequence[str]) -> str:
     """The largest distance between measured and target position among the goal's joints, in words."""
     mask = np.array([bool(joint_mask >> joint & 1) for joint in range(len(joints))])
     measured = snapshot["joints"]["measured_position_rad"][: len(joints)]
@@ -75,7 +75,7 @@ def final_error(snapshot: np.void, target_rad: np.ndarray, joint_mask: int, join
     return f"{joints[worst]} is {errors[worst]:.4f} rad from its target"
 
 
-def fault_of(snapshot: np.void, joints: Sequence[str]) -> str:
+def fault_of(snapshot: np.ndarray, joints: Sequence[str]) -> str:
     """The sentence of the latched fault."""
     return fault_sentence(
         int(snapshot["fault"]),
@@ -90,7 +90,7 @@ def judge(
     joint: int,
     value: float,
     limit: float,
-    snapshot: np.void,
+    snapshot: np.ndarray,
     target_rad: np.ndarray,
     joint_mask: int,
     joints: Sequence[str],

@@ -306,7 +306,7 @@ class Moment:
     error_rad: np.ndarray
 
     @classmethod
-    def of(cls, goals: Sequence[Goal], played: Played, snapshot: np.void, names: Sequence[str]) -> Moment:
+    def of(cls, goals: Sequence[Goal], played: Played, snapshot: np.ndarray, names: Sequence[str]) -> Moment:
         """From the client's report so far and the newest snapshot."""
         done_s = sum(result["planned_s"] for result in played.results)
         now = next((goal for goal in goals if goal.name == played.playing), None)

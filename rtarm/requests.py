@@ -21,7 +21,7 @@ STOP_PATIENCE_S = 10.0
 BRING_UP_PATIENCE_S = 30.0
 POLL_S = 0.005
 
-Condition = Callable[[np.void], bool]
+Condition = Callable[[np.ndarray], bool]
 
 
 class Connection:
@@ -33,7 +33,7 @@ class Connection:
         self._reader = reader
         self._writer = writer
 
-    def snapshot(self) -> np.void:
+    def snapshot(self) -> np.ndarray:
         """The newest snapshot."""
         return self._reader.snapshot()
 
@@ -50,7 +50,7 @@ class Connection:
         assert answer is not None
         return Answer(int(answer["answer"]))
 
-    def wait(self, condition: Condition, patience_s: float, too_long: str) -> np.void:
+    def wait(self, condition: Condition, patience_s: float, too_long: str) -> np.ndarray:
         """The first snapshot that fulfils a condition.
 
         Raises:
@@ -105,7 +105,7 @@ def stop(arm: str) -> str:
     return f"Arm {arm} stopped on its path and stands; its goal has ended."
 
 
-def stands(snapshot: np.void) -> bool:
+def stands(snapshot: np.ndarray) -> bool:
     """Whether no motion is commanded and none going on."""
     return (
         int(snapshot["mode"]) not in MOVING_MODES
@@ -125,7 +125,7 @@ def clear_fault(arm: str) -> str:
             raise Refusal(answer_sentence(answer))
         latched_ns = int(before["fault_ns"])
 
-        def decided(now: np.void) -> bool:
+        def decided(now: np.ndarray) -> bool:
             again = int(now["fault"]) != Fault.NONE and int(now["fault_ns"]) != latched_ns
             return again or int(now["mode"]) in (Mode.HOLDING, Mode.EXECUTING)
 

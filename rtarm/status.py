@@ -193,7 +193,7 @@ def problems(report: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def _fault(snapshot: np.void, joints: Sequence[str], now_ns: int) -> Report | None:
+def _fault(snapshot: np.ndarray, joints: Sequence[str], now_ns: int) -> Report | None:
     number = int(snapshot["fault"])
     if number == Fault.NONE:
         return None
@@ -209,7 +209,7 @@ def _fault(snapshot: np.void, joints: Sequence[str], now_ns: int) -> Report | No
     }
 
 
-def _goal(snapshot: np.void) -> Report | None:
+def _goal(snapshot: np.ndarray) -> Report | None:
     goal_id = int(snapshot["goal_id"])
     if goal_id == 0:
         return None
@@ -222,7 +222,7 @@ def _goal(snapshot: np.void) -> Report | None:
     }
 
 
-def _last_result(snapshot: np.void, joints: Sequence[str]) -> Report | None:
+def _last_result(snapshot: np.ndarray, joints: Sequence[str]) -> Report | None:
     decided = [result for result in snapshot["results"][:RESULT_SLOTS] if int(result["outcome"]) != Outcome.NONE]
     if not decided:
         return None

@@ -47,7 +47,7 @@ class Tracker:
         self._ended.set()
         self._thread.join()
 
-    def take(self, snapshot: np.void) -> None:
+    def take(self, snapshot: np.ndarray) -> None:
         """Account for one snapshot."""
         skipped = int(snapshot["cycle"]) - int(self.latest["cycle"]) - 1
         running = int(snapshot["goal_id"]) != 0
@@ -83,7 +83,7 @@ class Tracker:
                 self.take(snapshot)
 
 
-def errors_rad(snapshot: np.void, count: int) -> np.ndarray:
+def errors_rad(snapshot: np.ndarray, count: int) -> np.ndarray:
     """Measured minus commanded, both at the instant of each joint's measurement."""
     joints = snapshot["joints"][:count]
     errors: np.ndarray = joints["measured_position_rad"] - joints["reference_position_rad"]
