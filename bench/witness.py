@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from config.schema import RealtimeConfig
 from rtloop import realtime
 from rtloop.libc import CLOCK_MONOTONIC, TIMER_ABSTIME, clock_nanosleep
 from rtloop.run import monotonic_ns
@@ -83,8 +82,9 @@ def main(arguments: list[str]) -> None:
     timespec = np.zeros(2, np.int64)
     rest = (state.ctypes.data, timespec.ctypes.data, int(period_ns), int(phase_ns))
     witness(*rest, 0, missed, late)  # compiles it
-    realtime.prepare_process()
-    realtime.prepare_thread(RealtimeConfig(priority=int(priority), cpu=int(cpu)), realtime.Obtained())
+    realtime.prepare_process((used.ctypes.data, used.nbytes) for used in (missed, late, timespec))
+    os.sched_setaffinity(0, {int(cpu)})
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(int(priority)))
     print("ready", flush=True)
     sys.stdin.readline()
     until_ns = time.monotonic_ns() + round(float(seconds) * 1e9)

@@ -129,7 +129,7 @@ class Partner:
         except TimeoutError:
             raise Refusal(f"{self._name} was not ready within {START_PATIENCE_S:g} s: relieve the machine.") from None
         if said is None:
-            raise await self._refusal()
+            raise await self.refusal()
         return said
 
     @property
@@ -157,7 +157,7 @@ class Partner:
             if heard.done() and (found := heard.result()) is not None:
                 return found
             if ended.done():
-                raise await self._refusal()
+                raise await self.refusal()
             raise Refusal(f"{self._name} said nothing for {WORD_PATIENCE_S:g} s: relieve the machine.")
         finally:
             heard.cancel()
@@ -168,7 +168,8 @@ class Partner:
         if self._child is not None:
             await self._child.stop(STOP_S)
 
-    async def _refusal(self) -> Refusal:
+    async def refusal(self) -> Refusal:
+        """How it ended, once it has."""
         assert self._child is not None
         end = describe_end(await self._child.ended())
         return Refusal(f"{self._name} ended {end}; its last words: {' / '.join(self._words[-3:]) or 'none'}.")
@@ -252,6 +253,16 @@ class OurCycle:
         await asyncio.sleep(SETTLE_S)
 
     async def measure(self, seconds: float) -> Slice:
+        assert self._watch is not None
+        try:
+            return await self._measure(seconds)
+        except OSError:  # a process that was looked at is gone: the launcher knows why
+            await asyncio.wait((self._watch,), timeout=STOP_S)
+            if self._watch.done():
+                self._watch.result()
+            raise
+
+    async def _measure(self, seconds: float) -> Slice:
         assert self._reader is not None and self._watch is not None
         loop = int(self._reader.memory.record["header"]["pid"])
         front = files.front_of(self._name)
@@ -330,6 +341,12 @@ class Baseline:
         return there_and_back(names, [0.0] * len(names), seconds + SETTLE_S + TAIL_S)
 
     async def measure(self, seconds: float) -> Slice:
+        try:
+            return await self._measure(seconds)
+        except OSError:  # the process that was looked at is gone
+            raise await self._partner.refusal() from None
+
+    async def _measure(self, seconds: float) -> Slice:
         pid = self._partner.pid
         before_ns, first_ns = usage.processor_ns([pid]), time.monotonic_ns()
         self._partner.say("begin")
@@ -369,12 +386,12 @@ class OneNode(Baseline):
         """Start what waits between slices."""
         environment = {**ros_environment(), **self._bench.environment}
         await self._start([f"{self._bench.rate_hz:g}", f"{STATES_HZ:g}", self.who], environment)
-        if self._urgent:
-            usage.give_priority(self._partner.pid, self._bench.priority)
 
     async def prepare(self, seconds: float) -> None:
         self._partner.say("run")
         await self._client.play(action_of(self.who), self._goal(seconds))
+        if self._urgent:  # all its threads are there now
+            usage.give_priority(self._partner.pid, self._bench.priority)
         await asyncio.sleep(SETTLE_S)
 
     async def _completed(self, found: Slice, first_ns: int, last_ns: int) -> Slice:

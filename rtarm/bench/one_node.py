@@ -64,6 +64,7 @@ class OneNode:
 
     def run(self, _: str = "") -> None:
         """Start the timer; its first deadline is a period from now."""
+        self._drives.listen()
         self._timer = self.node.create_timer(
             self._period_ns * 1e-9, self._on_timer, self._timer_group, self._clock, autostart=False
         )
@@ -73,10 +74,11 @@ class OneNode:
             self.node.executor.wake()
 
     def rest(self, _: str = "") -> None:
-        """End the timer."""
+        """End the timer and the reading."""
         timer, self._timer = self._timer, None
         if timer is not None:
             self.node.destroy_timer(timer)
+            self._drives.rest()
 
     def _on_timer(self) -> None:
         now_ns = time.monotonic_ns()

@@ -66,7 +66,9 @@ def main() -> int:
     print(READY, flush=True)
     while (path := goals.get()) is not None:
         resting.clear()
+        drives.listen()
         loop(path, options.rate_hz, drives, recording, resting)
+        drives.rest()
     drives.close()
     return 0
 

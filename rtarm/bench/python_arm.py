@@ -94,7 +94,19 @@ class PythonArm:
             self.bus = can.Bus(interface="slcan", channel=channel, bitrate=arm.bus.bitrate, sleep_after_open=0.0)
             for address in self._addresses:
                 self._end_acknowledgements(address)
+        self._notifier: can.Notifier | None = None
+
+    def listen(self) -> None:
+        """Read in a thread of its own, as python-can does it, until `rest`."""
+        import can
+
         self._notifier = can.Notifier(self.bus, [self._take])
+
+    def rest(self) -> None:
+        """End that thread: it would poll on."""
+        notifier, self._notifier = self._notifier, None
+        if notifier is not None:
+            notifier.stop()
 
     def cycle(self, positions_rad: Sequence[float]) -> None:
         """Send a target to every drive and ask each where it is, and one in turn for its status."""
@@ -111,7 +123,7 @@ class PythonArm:
 
     def close(self) -> None:
         """End the reading thread and close the bus."""
-        self._notifier.stop()
+        self.rest()
         self.bus.shutdown()
 
     def _send(self, identifier: int, data: bytes) -> None:

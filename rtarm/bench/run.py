@@ -8,6 +8,7 @@ import os
 import random
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -28,7 +29,7 @@ from rtarm.demo import DOMAINS
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, interruptible
 from rtarm.launcher import SIMULATED_CHANNEL, check_ros
-from rtarm.processes import describe_end, has_module
+from rtarm.processes import describe_end, has_module, plain_environment
 from rtarm.reporter import Reporter
 
 
@@ -53,6 +54,8 @@ class Extent:
 
 FULL = Extent((200, 500, 1000), repeats=5, slice_s=5.0, longest_s=1170.0)
 QUICK = Extent((1000,), repeats=2, slice_s=1.0, longest_s=55.0, who=WHO[:4])
+
+ATTEMPTS = 2
 
 NEEDS = {
     "one_node": {"can": "python-can", "serial": "pyserial"},
@@ -91,15 +94,17 @@ def run_bench(extent: Extent, json_file: Path | None, plot_file: Path | None, re
     simulated = {rate: rate <= highest_hz for rate in extent.rates_hz}
     measured = Measurements()
     who = set(extent.who) - set(missing)
+    # Where the cycle is not compiled yet, that is no part of any slice.
+    subprocess.run([sys.executable, "-P", "-m", "rtloop.warm"], env=plain_environment(), check=False)
+    cut_short, code = "", ExitCode.DONE
     try:
-        cut_short, code = (
-            asyncio.run(interruptible(_measure(extent, simulated, who, measured, reporter))),
-            ExitCode.DONE,
-        )
+        cut_short = asyncio.run(interruptible(_measure(extent, simulated, who, measured, reporter)))
     except Interrupted as signalled:
-        if not measured.slices:
-            raise Refusal(f"The benchmark was ended by {signalled} before anything was measured.") from None
-        cut_short, code = f"It was ended by {signalled} before it was complete.", ExitCode.REFUSED
+        cut_short, code = f"The benchmark was ended by {signalled} before it was complete.", ExitCode.REFUSED
+    except Refusal as refusal:
+        cut_short, code = f"The benchmark ended before it was complete. {refusal.sentence}", ExitCode.REFUSED
+    if not measured.slices:
+        raise Refusal(f"{cut_short} Nothing was measured.")
     report = {
         **document(measured),
         "machine": before,
@@ -190,12 +195,24 @@ async def _round(competitors: Sequence[Competitor], slice_s: float, folder: Path
             await competitor.start()
         for load in LOADS:
             for competitor in competitors:
-                try:
-                    await competitor.prepare(slice_s)
-                except Refusal:  # one message lost is no reason to lose all that was measured
-                    await competitor.rest()
-                    await competitor.prepare(slice_s)
-                async with loaded(folder, wanted=load == "loaded"):
-                    found.append((competitor.who, load, await competitor.measure(slice_s)))
-                await competitor.rest()
+                found.append((competitor.who, load, await _slice(competitor, slice_s, folder, load)))
     return found
+
+
+async def _slice(competitor: Competitor, slice_s: float, folder: Path, load: str) -> Slice:
+    """One slice of one of them; tried again once, since one message lost is no reason to lose all that was measured.
+
+    Raises:
+        Refusal: it failed twice.
+    """
+    for attempt in range(ATTEMPTS):
+        try:
+            await competitor.prepare(slice_s)
+            async with loaded(folder, wanted=load == "loaded"):
+                return await competitor.measure(slice_s)
+        except (Refusal, OSError, ValueError) as problem:  # OSError: a process that was looked at is gone
+            if attempt == ATTEMPTS - 1:
+                raise Refusal(f"{competitor.who} could not be measured ({load}): {problem}") from problem
+        finally:
+            await competitor.rest()
+    raise AssertionError("unreachable")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import io
 import json
 import math
@@ -10,6 +11,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +26,7 @@ from rich.console import Console
 
 from config.loader import load_arm
 from rtarm.bench import plot
+from rtarm.bench.competitors import PlainLoop
 from rtarm.bench.lateness import (
     PERCENTS,
     as_pairs,
@@ -352,6 +355,7 @@ def test_baselines_send_what_our_cycle_sends() -> None:
             frames = [drives.recv(1.0) for _ in range(19)]
             assert drives.recv(0) is None
             reply = can.Message(arbitration_id=0x100, data=b"\x36\x00\x00\x0c\x80\x00\x6b", is_extended_id=True)
+            arm.listen()
             drives.send(reply)  # 12.5 turns of 65536
             while math.isnan(arm.measured_rad[0]):
                 time.sleep(0.001)
@@ -362,6 +366,16 @@ def test_baselines_send_what_our_cycle_sends() -> None:
     assert sent[12:18] == [(joint << 8, b"\x36\x6b") for joint in range(1, 7)]
     assert sent[18][1] == b"\x3a\x6b"
     assert arm.measured_rad[0] == pytest.approx(0.0)
+
+
+def test_resting_baselines_do_not_poll() -> None:
+    arm = PythonArm(load_arm("mock"), None)
+    before = set(threading.enumerate())
+    arm.listen()
+    assert set(threading.enumerate()) > before
+    arm.rest()
+    assert set(threading.enumerate()) == before
+    arm.close()
 
 
 # --- all of it ------------------------------------------------------------------------------------------
@@ -402,6 +416,34 @@ def test_everything_with_tiny_slices(tmp_path: Path) -> None:
 
 
 @pytest.mark.process
+def test_what_was_measured_survives_a_competitor_that_dies(tmp_path: Path) -> None:
+    """After the first round a baseline's process dies each time that it is to be measured."""
+    rounds = 0
+
+    class Dies(PlainLoop):
+        async def measure(self, seconds: float) -> Slice:
+            if rounds > len(LOADS):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(self._partner.pid, signal.SIGKILL)
+            return await super().measure(seconds)
+
+        async def prepare(self, seconds: float) -> None:
+            nonlocal rounds
+            rounds += 1
+            await super().prepare(seconds)
+
+    console = Console(file=io.StringIO(), width=200)
+    extent = Extent((200,), repeats=3, slice_s=0.3, longest_s=100.0, who=("plain_loop",))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rtarm.bench.run.everybody", lambda bench, _: [Dies(bench)])
+        code = run_bench(extent, tmp_path / "figures.json", None, Reporter(console))
+    assert code == ExitCode.REFUSED
+    found = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
+    assert found["lateness_spread_us"]["plain_loop"]["200"]["idle"]["max"]["repeats"] == 1
+    assert "plain_loop could not be measured (idle): plain_loop ended by SIGKILL" in " ".join(found["notes"])
+
+
+@pytest.mark.process
 @pytest.mark.parametrize(("line", "kept"), [("repeat 1 ", False), ("repeat 2 ", True)])
 def test_control_c_keeps_what_was_measured(line: str, kept: bool, tmp_path: Path) -> None:
     program = (
@@ -427,10 +469,10 @@ def test_control_c_keeps_what_was_measured(line: str, kept: bool, tmp_path: Path
         output, errors = process.communicate(timeout=60.0)
     assert process.returncode == ExitCode.REFUSED
     if kept:
-        assert "It was ended by SIGINT before it was complete." in output
+        assert "The benchmark was ended by SIGINT before it was complete." in output
         ratios = json.loads(file.read_text())["ratios"]["plain_loop_to_rtarm"]["200"]
         assert {load: ratios[load]["max"]["repeats"] for load in LOADS} == dict.fromkeys(LOADS, 1)
     else:
-        assert errors.strip() == "The benchmark was ended by SIGINT before anything was measured."
+        assert errors.strip() == "The benchmark was ended by SIGINT before it was complete. Nothing was measured."
         assert not file.exists()
     assert arms_left() == []
