@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # numpy's threads have nothi
 import argparse
 import subprocess
 import sys
-from typing import NoReturn
+import time
 
 from config.errors import ConfigError
 from config.loader import load_arm, parse_overrides
@@ -26,6 +26,8 @@ from rtloop.wire.tty import WireRefused
 from shm.cache import ROOT
 from shm.errors import SharedMemoryError
 
+COMPILER_POLL_S = 0.02
+
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m rtloop", description="The control process of an arm.")
@@ -34,34 +36,36 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         arm = load_arm(options.arm, overrides=parse_overrides(options.set))
-        cycle = compiled_cycle()
         stop_asked = StopAsked(STOP_SIGNALS)
+        cycle = compiled_cycle(stop_asked)
         return ControlProcess(arm, cycle, tell, stop_asked).serve(lambda: print("ready", flush=True))
     except (ConfigError, SharedMemoryError, CannotStart, WireRefused) as error:
         tell(str(error))
         return 2
 
 
-def compiled_cycle() -> compiled.CompiledCycle:
+def compiled_cycle(stop_asked: StopAsked) -> compiled.CompiledCycle:
     """The compiled cycle; where there is none, another process compiles it, so that this one never holds a compiler.
 
-    Raises CannotStart.
+    Raises CannotStart, and SystemExit when a signal asks for the end meanwhile.
     """
     try:
         return compiled.load()
     except (OSError, compiled.NotLoadable):
         pass
-    for number in STOP_SIGNALS:
-        signal.signal(number, _leave)
-    kept = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
     search = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-    made = subprocess.run(
+    made = subprocess.Popen(
         [sys.executable, "-m", "rtloop.warm"],
-        env={**kept, "PYTHONPATH": search},
+        env={**os.environ, "PYTHONPATH": search},
         stdout=sys.stderr,
         start_new_session=True,  # a Ctrl-C is for this process alone, which then ends it
-        check=False,
     )
+    while made.poll() is None and not stop_asked.yes:  # an exception out of a signal's handler could lose the compiler
+        time.sleep(COMPILER_POLL_S)
+    if stop_asked.yes:
+        made.kill()
+        made.wait()
+        raise SystemExit(0)
     try:
         return compiled.load()
     except (OSError, compiled.NotLoadable) as problem:
@@ -69,10 +73,6 @@ def compiled_cycle() -> compiled.CompiledCycle:
             f"The control cycle could not be compiled ({problem}; the compiler ended with code {made.returncode}): see "
             f"the lines above, and make sure that {compiled.path().parent} can be written."
         ) from problem
-
-
-def _leave(*_: object) -> NoReturn:
-    raise SystemExit(0)
 
 
 def tell(sentence: str) -> None:

@@ -27,6 +27,8 @@ CALLED = (
     "write",
 )
 """Functions of the C library that compiled code may call; LLVM makes the mem* of loops."""
+ROUNDING = ("ceil", "floor", "rint")
+"""Functions of libm that LLVM calls where the processor has no instruction for them (x86-64 without SSE4.1)."""
 _SECTION, _SHT_SYMTAB = struct.Struct("<IIQQQQIIQQ"), 2
 _SYMBOL, _SHN_UNDEF = struct.Struct("<IBBHQQ"), 0
 DIGEST_BYTES = hashlib.sha256().digest_size
@@ -51,13 +53,13 @@ class CompiledCycle:
 
     def __init__(self, code: bytes) -> None:
         """Raises NotLoadable."""
-        beyond = sorted(undefined_symbols(code) - set(CALLED))
+        beyond = sorted(undefined_symbols(code) - {*CALLED, *ROUNDING})
         if beyond:
             raise NotLoadable(f"it calls {', '.join(beyond)}")
-        library = ctypes.CDLL(None)
         builder = llvm.JITLibraryBuilder().add_object_img(code)
-        for name in CALLED:
-            builder.import_symbol(name, _address(getattr(library, name)))
+        for library, names in ((ctypes.CDLL(None), CALLED), (ctypes.CDLL("libm.so.6"), ROUNDING)):
+            for name in names:
+                builder.import_symbol(name, _address(getattr(library, name)))
         for name in PROTOTYPES:
             builder.export_symbol(name)
         llvm.initialize_native_target()

@@ -25,8 +25,13 @@ from shm.words import Answer, Entry, Event, Fault, Mode, Outcome, Request, Setpo
 Loop = Any
 Shared = Any
 
-ROWS_A_CYCLE = 1024
-"""Rows of joints in the records that are taken in one cycle: 170 records of six joints, 32 of 32."""
+ROWS_A_CYCLE = 1440
+"""Rows of joints in the records that are taken in one cycle: 160 records of six joints, 41 of 32."""
+HEAD_ROWS = 3
+"""What the head of a record costs, in rows of joints."""
+MOST_RECORDS_A_CYCLE = 256
+PAYING_NS = 8_000_000
+"""A longer period pays for more: for as many such batches as it is times this long."""
 REQUESTS_A_CYCLE = 4
 REQUESTS_AHEAD = 1_000_000
 CYCLES_TO_BECOME_VISIBLE = 5
@@ -75,6 +80,12 @@ def leave_corrupt_records(loop: Loop) -> None:
 
 
 @jit
+def records_a_cycle(joint_count: int, period_ns: int) -> int:
+    """How many records of the setpoint ring one cycle takes at most: a goal must not starve beside a full ring."""
+    return min(ROWS_A_CYCLE // (joint_count + HEAD_ROWS), MOST_RECORDS_A_CYCLE) * max(1, period_ns // PAYING_NS)
+
+
+@jit
 def take_setpoints(loop: Loop, shared: Shared) -> None:
     """Take a bounded batch of records from the setpoint ring."""
     core = loop.core
@@ -92,7 +103,7 @@ def take_setpoints(loop: Loop, shared: Shared) -> None:
         return
     core.announced_goal = max(core.announced_goal, announced)
     words = _SETPOINT_HEAD_WORDS + loop.params.joint_count * _SETPOINT_JOINT_WORDS
-    for _ in range(min(waiting, ROWS_A_CYCLE // loop.params.joint_count)):
+    for _ in range(min(waiting, records_a_cycle(loop.params.joint_count, loop.params.period_ns))):
         source = command + _SETPOINTS + (core.setpoints_taken & (layout.SETPOINT_SLOTS - 1)) * _SETPOINT_BYTES
         scratch = loop.params.address + _SCRATCH
         copy_words(scratch, source, words)

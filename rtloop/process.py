@@ -106,16 +106,19 @@ class ControlProcess:
     # --- threads
 
     def _start_threads(self) -> None:
-        scheduled = threading.Event()
-        self._threads = [threading.Thread(target=self._run_cycle, args=(scheduled,), name="cycle", daemon=True)]
+        prepared = threading.Event()
+        self._threads = [threading.Thread(target=self._run_cycle, args=(prepared,), name="cycle", daemon=True)]
         if self._fd >= 0:
-            self._threads.append(threading.Thread(target=self._run_reader, name="reader", daemon=True))
+            self._threads.append(
+                threading.Thread(target=self._run_reader, args=(prepared,), name="reader", daemon=True)
+            )
         self._set_epoch()
         threading.stack_size(realtime.THREAD_STACK_BYTES)
-        for thread in reversed(self._threads):
+        for thread in reversed(self._threads):  # the cycle's last: it publishes what both were given
+            prepared.clear()
             thread.start()
-        while not scheduled.wait(FIRST_CYCLE_POLL_S) and self._threads[0].is_alive():
-            pass
+            while not prepared.wait(FIRST_CYCLE_POLL_S) and thread.is_alive():
+                pass
         while int(self._core["cycle"]) == 0 and self._threads[0].is_alive():
             time.sleep(FIRST_CYCLE_POLL_S)  # compiled code is being loaded; no conversation may count that time
         for complaint in self._obtained.complaints:
@@ -126,19 +129,20 @@ class ControlProcess:
                 "realtime.require to false."
             )
 
-    def _run_cycle(self, scheduled: threading.Event) -> None:
+    def _run_cycle(self, prepared: threading.Event) -> None:
         realtime.prepare_thread(self._arm.realtime, self._obtained)
         words = self._files.state.record["scheduling"]
         words["policy"], words["priority"] = self._obtained.policy, self._obtained.priority
         words["memory_locked"], words["cpu"] = self._obtained.memory_locked, self._obtained.cpu
         words["dma_latency_held"] = self._obtained.dma_latency_fd >= 0
-        scheduled.set()
+        prepared.set()
         kept = self._loop, self._files.state.array, self._files.command.array  # mapped for as long as this runs
         if self._compiled.run(kept[0].ctypes.data, kept[1].ctypes.data, self._fd) != 0:
             self._tell("The control cycle ended by an exception, which is a defect of rtarm: please report it.")
 
-    def _run_reader(self) -> None:
+    def _run_reader(self, prepared: threading.Event) -> None:
         realtime.prepare_thread(self._arm.realtime, self._obtained, below=10)
+        prepared.set()
         buffer, request = self._received.ctypes.data, self._poll_request.ctypes.data
         self._compiled.read_wire(self._loop.ctypes.data, self._fd, buffer, request)
 

@@ -24,12 +24,13 @@ Range = tuple[int, int]
 """Address and size (bytes) of memory of this process."""
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
-_MADV_NOHUGEPAGE = 15
+_MADV_NOHUGEPAGE, _MADV_POPULATE_READ, _MADV_POPULATE_WRITE = 15, 22, 23
 _PR_SET_TIMERSLACK = 29
 _CAP_IPC_LOCK = 14
 _OWN_FAULTS = {signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT}
 _PTHREAD_ATTR_BYTES = 128  # 56 on x86-64, 64 on ARM
 _DMA_LATENCY = "/dev/cpu_dma_latency"
+_C_LIBRARY = re.compile(r"/(libc|libm|libpthread|ld)(-[^/]*)?\.so[^/]*$")
 
 
 @dataclass
@@ -57,14 +58,14 @@ def prepare_process(used: Iterable[Range]) -> Obtained:
     """What concerns the whole process: memory in place, no deep sleep of the processors.
 
     `used` is what the threads of the cycle and the reader touch besides their stacks (`prepare_thread`) and the C
-    library. It is fetched now and stays, so that no cycle waits for a page; what they never touch need not be there.
+    libraries. It is fetched now and stays, so that no cycle waits for a page; what they never touch need not be there.
     """
     obtained = Obtained(memory_locked=True)
     if _may_lock_everything():
         # Ordinary Python's pages stay once they were used, so that it reacts in time to a signal on a full machine.
         # Under a limit a later allocation would fail instead, or the main thread's stack could not grow.
         _libc().mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT)
-    _lock([*used, *_c_library()], obtained)
+    _lock([*used, *_c_libraries()], obtained)
     try:
         obtained.dma_latency_fd = os.open(_DMA_LATENCY, os.O_WRONLY | os.O_CLOEXEC)
         os.write(obtained.dma_latency_fd, struct.pack("i", 0))
@@ -110,10 +111,13 @@ def prepare_thread(wanted: RealtimeConfig, obtained: Obtained, *, below: int = 0
 
 
 def _lock(ranges: Iterable[Range], obtained: Obtained) -> None:
-    """Fetch memory and keep it in place; what is refused is said once."""
+    """Fetch memory and keep it in place; what may not be kept is fetched all the same, and that is said once."""
     libc = _libc()
+    page = resource.getpagesize()
     for address, size in ranges:
-        if libc.mlock(ctypes.c_void_p(address), ctypes.c_size_t(size)) != 0:
+        first = address // page * page
+        start, length = ctypes.c_void_p(first), ctypes.c_size_t(-(-(address + size) // page) * page - first)
+        if libc.mlock(start, length) != 0:
             if obtained.memory_locked:
                 obtained.complaints.append(
                     f"Memory is not locked ({os.strerror(ctypes.get_errno())}): page faults may delay cycles; raise "
@@ -121,11 +125,11 @@ def _lock(ranges: Iterable[Range], obtained: Obtained) -> None:
                     "unit)."
                 )
             obtained.memory_locked = False
-            return
-        page = resource.getpagesize()
-        start, end = address // page * page, -(-(address + size) // page) * page
+            # Writing is refused where nothing may be written; before Linux 5.14 both are.
+            if libc.madvise(start, length, _MADV_POPULATE_WRITE) != 0:
+                libc.madvise(start, length, _MADV_POPULATE_READ)
         # Pages that the kernel gathers into a huge one later fault at their next use; huge ones that are there stay.
-        libc.madvise(ctypes.c_void_p(start), ctypes.c_size_t(end - start), _MADV_NOHUGEPAGE)
+        libc.madvise(start, length, _MADV_NOHUGEPAGE)
 
 
 def _may_lock_everything() -> bool:
@@ -136,11 +140,19 @@ def _may_lock_everything() -> bool:
     return capabilities is not None and bool(int(capabilities[1], 16) >> _CAP_IPC_LOCK & 1)
 
 
-def _c_library() -> list[Range]:
-    """Where the C library lies."""
-    maps = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace")
-    found = re.findall(r"^(\w+)-(\w+) r\S+ .*/libc[.-][^/]*$", maps, re.M)
-    return [(int(start, 16), int(end, 16) - int(start, 16)) for start, end in found]
+def _c_libraries() -> list[Range]:
+    """Where the C library lies, libm, libpthread (apart before glibc 2.34) and the loader, whose data others read."""
+    found = []
+    matched, last_end = False, 0
+    for line in Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines():
+        area, permissions, _offset, _device, _inode, *name = line.split(maxsplit=5)
+        start, end = (int(part, 16) for part in area.split("-"))
+        # What directly follows and belongs to no file are the variables that begin as zero.
+        matched = _C_LIBRARY.search(name[0]) is not None if name else matched and start == last_end
+        if matched and permissions[0] == "r":
+            found.append((start, end - start))
+        last_end = end
+    return found
 
 
 def _own_stack() -> Range:

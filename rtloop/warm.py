@@ -5,6 +5,7 @@ process loads it and never the compiler.
 """
 
 import contextlib
+import os
 import shutil
 import sys
 import time
@@ -80,4 +81,7 @@ def main(tell: Callable[[str], None] = print) -> int:
 
 
 if __name__ == "__main__":
+    # numba is not imported yet: what is compiled must not depend on settings that the cache's key does not know.
+    for setting in [name for name in os.environ if name.startswith("NUMBA_")]:
+        del os.environ[setting]
     sys.exit(main())

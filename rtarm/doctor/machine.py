@@ -28,7 +28,7 @@ READ_LIMIT = 1 << 20
 LONGEST_NUMBER = 20
 HIGHEST_CPU = 4095
 LOCKED_BYTES = 32 << 20
-"""Address space that the control process must be able to lock: 0.55 GB measured on two processors, more on many."""
+"""Memory that the control process locks (15 MB), with room."""
 COMMAND_S = 10.0
 KERNEL_THREAD = 0x0020_0000
 """Bit of a thread's flags in /proc/PID/stat (PF_KTHREAD)."""

@@ -2,12 +2,15 @@
 
 import ctypes
 import os
+import platform
+import pty
 import resource
 import secrets
 import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +22,8 @@ import yaml
 from stack import Process
 
 from config.loader import ARMS_FOLDER, arm_hash, load_arm
-from rtloop import compiled, warm
+from rtloop import compiled, realtime, warm
+from rtloop.process import ControlProcess, StopAsked
 from shm import cache
 from shm.client import CommandWriter, StateReader
 from shm.files import DIRECTORY, open_state, own_command
@@ -75,6 +79,46 @@ def test_code_that_calls_more_than_it_may_is_not_loaded(name):
     compiled.CompiledCycle(object_that_calls("poll"))
     with pytest.raises(compiled.NotLoadable, match=name):
         compiled.CompiledCycle(object_that_calls(name))
+
+
+@pytest.mark.parametrize(("name", "expected"), [("ceil", 3), ("floor", 2), ("rint", 2)])
+def test_a_processor_without_rounding_instructions_may_call_libm(name, expected):
+    """Code for the least processor there is: of 2.5 as a double's bits it makes a whole number."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    rounding = f"""declare double @llvm.{name}.f64(double)
+define i64 @load_word(i64 %bits) {{
+ %x = bitcast i64 %bits to double
+ %y = call double @llvm.{name}.f64(double %x)
+ %i = fptosi double %y to i64
+ ret i64 %i
+}}"""
+    others = [f"define void @{entry}() {{\n ret void\n}}" for entry in compiled.PROTOTYPES if entry != "load_word"]
+    machine = llvm.Target.from_default_triple().create_target_machine(jit=True, codemodel="jitdefault")
+    code = machine.emit_object(llvm.parse_assembly("\n".join([rounding, *others])))
+    if platform.machine() == "x86_64":
+        assert compiled.undefined_symbols(code) == {name}
+    assert compiled.CompiledCycle(code).load_word(int(np.array(2.5).view(np.int64))) == expected
+
+
+def test_what_is_compiled_ahead_does_not_depend_on_settings_of_numba(tmp_path):
+    program = """
+import os, runpy, sys
+
+class Settings:
+    def find_spec(self, name, path=None, target=None):
+        if name == "numba":
+            print(sorted(name for name in os.environ if name.startswith("NUMBA_")))
+            sys.stdout.flush()
+            os._exit(0)
+
+sys.meta_path.insert(0, Settings())
+runpy.run_module("rtloop.warm", run_name="__main__")
+"""
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "NUMBA_BOUNDSCHECK": "1", "NUMBA_CPU_NAME": "generic"}
+    command = [sys.executable, "-c", program]
+    result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert (result.stdout.splitlines()[-1:], result.stderr) == (["[]"], "")
 
 
 @pytest.mark.parametrize(
@@ -217,8 +261,100 @@ obtained = realtime.prepare_process([(used.ctypes.data, used.nbytes)])
 print(obtained.memory_locked, *[line for line in obtained.complaints if "locked" in line])
 print(len(bytearray(64 << 20)) >> 20)
 """
-    result = limited(program, 4 * MIB)
+    result = limited(program, 8 * MIB)
     assert (result.stdout.split(), result.stderr) == (["True", "64"], "")
+
+
+MAPPING = """
+import ctypes, mmap, re
+from rtloop import realtime
+
+def mapping(address):
+    found = None
+    for line in open("/proc/self/smaps"):
+        head = re.match("(\\w+)-(\\w+) ", line)
+        if head:
+            inside = int(head[1], 16) <= address < int(head[2], 16)
+            found = {} if inside else found
+        elif inside:
+            key, _, value = line.partition(":")
+            found[key] = value.split()
+    return found
+
+def whole(address):
+    found = mapping(address)
+    return found["Rss"] == found["Size"]
+
+def locked(address):
+    return "lo" in mapping(address)["VmFlags"]
+"""
+"""Whether the mapping with an address is in memory as a whole, and locked."""
+
+
+def test_all_that_the_c_library_reads_is_locked_with_it():
+    """Its code, its variables without and with a beginning, the loader's that it looks at, and libm's code."""
+    program = f"""{MAPPING}
+realtime.prepare_process([])
+libc, libm = ctypes.CDLL(None), ctypes.CDLL("libm.so.6")
+variables = [ctypes.addressof(ctypes.c_char.in_dll(libc, name)) for name in ("environ", "stdout", "_rtld_global_ro")]
+code = [ctypes.cast(function, ctypes.c_void_p).value for function in (libc.clock_gettime, libm.floor)]
+print(*[locked(address) for address in variables + code])
+"""
+    result = limited(program, 8 * MIB)
+    assert (result.stdout.split(), result.stderr) == (["True"] * 5, "")
+
+
+def test_what_cannot_be_locked_is_fetched_and_what_can_is_locked():
+    """A mapping beyond the limit, one that nobody may write, and one within the limit after both."""
+    program = f"""{MAPPING}
+import tempfile
+large = mmap.mmap(-1, 12 << 20)
+file = tempfile.TemporaryFile()
+file.write(bytes(12 << 20))
+file.flush()
+fixed = mmap.mmap(file.fileno(), 12 << 20, flags=mmap.MAP_PRIVATE, prot=mmap.PROT_READ)
+small = mmap.mmap(-1, 1 << 20)
+import numpy as np
+places = [(np.frombuffer(area, np.uint8).ctypes.data, len(area)) for area in (large, fixed, small)]
+obtained = realtime.prepare_process(places)
+print([locked(address) for address, _ in places], [whole(address) for address, _ in places])
+print(obtained.memory_locked, len([line for line in obtained.complaints if "not locked" in line]))
+"""
+    result = limited(program, 8 * MIB)
+    assert (result.stdout.splitlines(), result.stderr) == (
+        ["[False, False, True] [True, True, True]", "False 1"],
+        "",
+    )
+
+
+def test_memory_counts_as_locked_only_when_the_readers_stack_is(tmp_path, monkeypatch):
+    """The reader is given its answer late, and it is a refusal."""
+    monkeypatch.setattr(realtime, "prepare_process", lambda used: realtime.Obtained(memory_locked=True))
+
+    def prepare_thread(wanted, obtained, *, below=0):
+        if below:
+            time.sleep(0.2)
+            obtained.memory_locked = False
+
+    monkeypatch.setattr(realtime, "prepare_thread", prepare_thread)
+    master, slave = pty.openpty()
+    name = f"t{secrets.token_hex(4)}"
+    values = yaml.safe_load((ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8"))
+    values["name"] = name
+    file = tmp_path / f"{name}.yaml"
+    file.write_text(yaml.safe_dump(values), encoding="utf-8")
+    stop_asked = StopAsked([])
+    stop_asked.yes = True
+    arm = load_arm(file, overrides={"bus": {"channel": os.ttyname(slave)}})
+    process = ControlProcess(arm, compiled.load(), lambda sentence: None, stop_asked)
+    reader = StateReader(open_state(name))
+    try:
+        assert process.serve(lambda: None) == 0
+        assert reader.memory.record["scheduling"]["memory_locked"] == 0
+    finally:
+        reader.close()
+        os.close(master)
+        os.close(slave)
 
 
 @pytest.mark.process
@@ -249,6 +385,27 @@ def test_a_signal_while_the_cycle_is_compiled_ends_the_compiler_too(mock_arm, tm
         assert not Path(f"/proc/{compiler}").exists()
     finally:
         process.close()
+
+
+@pytest.mark.process
+def test_a_signal_just_when_the_compiler_begins_ends_it_too(mock_arm, tmp_path):
+    program = """
+import os, runpy, signal, subprocess, sys
+
+class Signalled(subprocess.Popen):
+    def __init__(self, *arguments, **options):
+        super().__init__(*arguments, **options)
+        print(self.pid, flush=True)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+subprocess.Popen = Signalled
+runpy.run_module("rtloop", run_name="__main__")
+"""
+    command = [sys.executable, "-c", program, str(mock_arm.file)]
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert result.returncode == 0
+    assert not Path(f"/proc/{int(result.stdout)}").exists()
 
 
 @pytest.mark.parametrize("module", ["rtloop", "rosfront"])

@@ -13,7 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
 
-from rtloop.intake import CYCLES_TO_BECOME_VISIBLE, ROWS_A_CYCLE
+from config.loader import load_arm
+from config.schema import ArmConfig
+from rtloop.intake import CYCLES_TO_BECOME_VISIBLE, records_a_cycle
 from shm import layout
 from shm.words import Answer, Fault, Mode, Outcome, Request, Setpoint
 
@@ -141,11 +143,35 @@ def comes_to_rest(arm):
 def test_a_cycle_takes_a_bounded_batch(arm):
     goal = arm.wave(points=1000)
     arm.cycle()
-    most = ROWS_A_CYCLE // 6
+    most = records_a_cycle(6, arm.period_ns)
     assert arm.reader.setpoints_consumed() == most
     arm.until(lambda: arm.core["goal_id"] == goal)
     arm.cycles(1002 // most + 1)
     assert arm.reader.setpoints_consumed() == 1002
+
+
+@pytest.mark.parametrize(
+    ("joints", "rate_hz", "most"), [(1, 120, 256), (6, 120, 160), (6, 2000, 160), (32, 125, 41), (32, 20, 246)]
+)
+def test_a_longer_period_pays_for_a_larger_batch(joints, rate_hz, most):
+    assert records_a_cycle(joints, round(1e9 / rate_hz)) == most
+
+
+def test_a_goal_of_many_joints_does_not_starve_beside_a_full_ring_in_slow_cycles():
+    """32 joints at 20 Hz with a point a millisecond: 50 records a cycle are used up."""
+    mock = load_arm("mock", overrides={"control": {"rate_hz": 20}}).model_dump()
+    mock["joints"] = [{**mock["joints"][0], "name": f"joint{number}"} for number in range(32)]
+    arm = VirtualArm(ArmConfig.model_validate(mock))
+    assert arm.bring_up().failure is None
+    times = np.arange(6001) * 1e-3
+    w = 2 * np.pi / 6.0
+    shape = np.stack([1 - np.cos(w * times), w * np.sin(w * times), w * w * np.cos(w * times)], axis=-1)
+    joints = 0.05 * np.repeat(shape[:, None, :], 32, axis=1)
+    joints[:, :, 0] += arm.loop[0]["axes"]["next_position_rad"][:32]
+    goal = arm.send_goal(np.arange(6001) * 1_000_000, joints)
+    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    arm.close()
 
 
 @pytest.mark.parametrize("moving", [False, True], ids=["holding", "executing"])
