@@ -33,8 +33,9 @@ env: $(STAMPS)/warm
 demo: env
 	$(BIN)/rtarm demo
 
+# What hangs in C code no signal interrupts: all stacks are printed and the run ends, instead of lasting for ever.
 test: env $(STAMPS)/colcon
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
 
 check: $(STAMPS)/interfaces
 	$(BIN)/ruff check .

@@ -10,13 +10,14 @@ was given a goal has been given its result.
 import math
 import threading
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine, Generator
+from types import coroutine
 from typing import Any
 
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor, await_or_execute
 from rclpy.node import Node
 from rclpy.task import Future
 
@@ -30,12 +31,42 @@ RESULT_GRACE_S = 1.0
 LEAVE_EVERY_S = 0.02
 
 
+@coroutine
+def _rest_of(begun: Coroutine[Any, Any, None]) -> Generator[Any, Any, None]:
+    """What is left of a coroutine that waits for something; `await` takes none that somebody else has begun."""
+    waiting = True
+    while waiting:
+        yield
+        waiting = _goes_on(begun)
+
+
+def _goes_on(begun: Coroutine[Any, Any, None]) -> bool:
+    """Let a coroutine run until it waits; whether it does."""
+    try:
+        begun.send(None)
+    except StopIteration:
+        return False
+    return True
+
+
 class _TellingServer(ActionServer):
-    """An action server that also says whose result has been sent."""
+    """An action server that also says whose result has been sent, and in which nothing waits for a considered goal."""
 
     def __init__(self, on_sent: Callable[[bytes], None], *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._on_sent = on_sent
+
+    async def execute(self, taken_data: dict[str, Any]) -> None:
+        """rclpy's own awaits a goal's consideration before the cancel that was taken with it.
+
+        A goal that need not be considered is still accepted first, so that a cancel of all goals means it too.
+        """
+        others = {kind: taken for kind, taken in taken_data.items() if kind != "goal"}
+        goal = super().execute({kind: taken for kind, taken in taken_data.items() if kind == "goal"})
+        waits = _goes_on(goal)
+        await super().execute(others)
+        if waits:
+            await _rest_of(goal)
 
     def _send_result_response(self, request_header: Any, future: Future) -> None:
         super()._send_result_response(request_header, future)
@@ -59,21 +90,26 @@ class GoalServer:
         name: str,
         *,
         run: Callable[[ServerGoalHandle], Awaitable[Verdict]],
+        accepted: Callable[[ServerGoalHandle], None] = lambda _: None,
         cancel: Callable[[ServerGoalHandle], None] = lambda _: None,
         consider: Callable[[Any], GoalResponse | Awaitable[GoalResponse]] = lambda _: GoalResponse.ACCEPT,
         idle: Callable[[], bool] = lambda: True,
     ) -> None:
         """`run` carries a goal out and returns how it ended; `cancel` hears that a client no longer wants one.
 
-        `consider` may reject a goal before it is one, without a reason. `idle` says whether nothing else of the node
-        keeps the executor's thread.
+        `accepted` hears of a goal at once, before it is run and before anything else is served. `consider` may reject a
+        goal before it is one, without a reason. `idle` says whether nothing else of the node keeps the executor's
+        thread.
         """
         self.closing = False
         self.counts = Counts()
         self._log = node.get_logger()
         self._executor = executor
         self._run = run
+        self._goal_accepted = accepted
         self._cancel = cancel
+        self._consider = consider
+        self._considering = 0
         self._idle = idle
         self._untold: dict[bytes, float] = {}  # goals whose client has no result yet, and until when that counts
         self._has_spun = threading.Event()
@@ -84,7 +120,7 @@ class GoalServer:
             name,
             callback_group=ReentrantCallbackGroup(),  # a goal being considered holds up no cancel
             execute_callback=self._execute,
-            goal_callback=consider,
+            goal_callback=self._considered,
             handle_accepted_callback=self._accepted,
             cancel_callback=self._cancel_asked,
             result_timeout=RESULT_KEPT_S,
@@ -93,7 +129,7 @@ class GoalServer:
     def spin(self) -> None:
         """Serve; returns once it is `closing`, when every client has its result or its answer."""
         try:
-            while not (self.closing and self._idle() and self._all_told()):
+            while not (self.closing and self._idle() and not self._considering and self._all_told()):
                 self._executor.spin_once(LEAVE_EVERY_S if self.closing else None)
         finally:
             self._has_spun.set()
@@ -110,11 +146,20 @@ class GoalServer:
         now_s = time.monotonic()
         return all(until_s < now_s for until_s in self._untold.values())
 
+    async def _considered(self, goal: Any) -> GoalResponse:
+        self._considering += 1
+        try:
+            response: GoalResponse = await await_or_execute(self._consider, goal)
+        finally:
+            self._considering -= 1
+        return response
+
     def _accepted(self, handle: ServerGoalHandle) -> None:
         self.counts.goals_taken += 1
         now_s = time.monotonic()
         self._untold = {goal: until_s for goal, until_s in self._untold.items() if until_s >= now_s}
         self._untold[bytes(handle.goal_id.uuid)] = math.inf
+        self._goal_accepted(handle)
         handle.execute()
 
     def _told(self, goal: bytes) -> None:

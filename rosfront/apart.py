@@ -46,12 +46,12 @@ class SubscriptionApart(threading.Thread):
         assert node.context.handle is not None
         self._context = node.context.handle
 
-    def stop(self) -> None:
-        """Return when no message is being taken any more, and none will be."""
+    def stop(self, patience_s: float) -> None:
+        """Take no further message; returns when none is being taken, after `patience_s` at the latest."""
         self._leaving = True
         self._leave.trigger()
         if self.is_alive():
-            self.join()
+            self.join(patience_s)
 
     def run(self) -> None:
         try:

@@ -14,14 +14,16 @@ from trajectory_msgs.msg import JointTrajectory
 
 from rosfront.apart import SubscriptionApart
 from rosfront.diagnostics import Counts
-from rosfront.refusals import GoalRefused
+from rosfront.refusals import GoalRefused, Unreadable
 from rosfront.serving import Serving
-from rosfront.trajectory_bytes import parse
+from rosfront.trajectory_bytes import Trajectory, parse
 from rosfront.verdict import Verdict
 from shm.words import Outcome, Request
 
 WARN_EVERY_S = 1.0
 DEPTH = 10
+LONGEST_STOP_S = 0.2
+"""At the end of the program; a longer message is left to be judged by a thread that ends with the process."""
 _NO_COMPLAINTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 """That one of the two readers does not match a publisher is meant to be so."""
 _USUAL_ENDS = (Outcome.NONE, Outcome.SUCCEEDED, Outcome.REPLACED, Outcome.RAN_DRY)
@@ -31,6 +33,18 @@ def _qos(durability: DurabilityPolicy, depth: int) -> QoSProfile:
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability
     )
+
+
+def read(data: bytes) -> Trajectory | JointTrajectory:
+    """A serialised message; raises Unreadable."""
+    plain = parse(data)
+    if plain is not None:
+        return plain
+    try:
+        message: JointTrajectory = deserialize_message(data, JointTrajectory)
+    except RuntimeError as problem:  # the root of all of rclpy's own, whose classes are private
+        raise Unreadable(len(data)) from problem
+    return message
 
 
 class Inputs:
@@ -67,12 +81,12 @@ class Inputs:
         self._streams.start()
 
     def stop(self) -> None:
-        """Take no stream any more."""
-        self._streams.stop()
+        """Take no stream any more; returns within `LONGEST_STOP_S`."""
+        self._streams.stop(LONGEST_STOP_S)
 
     def _stream(self, data: bytes) -> None:
         try:
-            self._serving.stream(parse(data) or deserialize_message(data, JointTrajectory), self._on_verdict)
+            self._serving.stream(read(data), self._on_verdict)
         except GoalRefused as reason:
             self._counts.messages_refused += 1
             self._log.warning(f"Trajectory message dropped: {reason.sentence}", throttle_duration_sec=WARN_EVERY_S)

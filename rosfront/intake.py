@@ -9,11 +9,15 @@ that is still being judged is told its end at once; what the judgement then says
 import threading
 from collections.abc import Callable
 from queue import SimpleQueue
+from typing import Generic, TypeVar
 
 from rclpy.task import Future
 
+from rosfront.refusals import GoalRefused
 from rosfront.serving import Execution
 from rosfront.verdict import Verdict
+
+End = TypeVar("End")
 
 
 class Intake(threading.Thread):
@@ -36,27 +40,20 @@ class Intake(threading.Thread):
             work()
 
 
-class PendingGoal:
-    """An action goal from its acceptance to its end, which is the first that any thread has to say."""
+class Pending(Generic[End]):
+    """What is awaited by the executor and ends with the first that any thread has to say."""
 
     def __init__(self, wake: Callable[[], None]) -> None:
         """`wake` makes the executor look at what has changed."""
         self.ended: Future = Future()
-        """Its Verdict."""
+        """Its End."""
         self._wake = wake
         self._lock = threading.Lock()
-        self._execution: Execution | None = None
 
-    def begin(self, start: Callable[[], Execution]) -> None:
-        """Hand it to the control process, unless it has ended meanwhile."""
+    def end(self, end: End) -> None:
         with self._lock:
             if not self.ended.done():
-                self._execution = start()
-
-    def end(self, verdict: Verdict) -> None:
-        with self._lock:
-            if not self.ended.done():
-                self.ended.set_result(verdict)
+                self.ended.set_result(end)
         self._wake()
 
     def fail(self, problem: BaseException) -> None:
@@ -65,6 +62,28 @@ class PendingGoal:
             if not self.ended.done():
                 self.ended.set_exception(problem)
         self._wake()
+
+
+class ConsideredGoal(Pending[GoalRefused | None]):
+    """An action goal that may still be rejected; ends with the reason, or with None."""
+
+
+class PendingGoal(Pending[Verdict]):
+    """An action goal from its acceptance to its end."""
+
+    def __init__(self, wake: Callable[[], None], turn: int) -> None:
+        """`turn` is that of its arrival."""
+        super().__init__(wake)
+        self.turn = turn
+        self.held = False
+        """Whether a hold is to end it."""
+        self._execution: Execution | None = None
+
+    def begin(self, start: Callable[[], Execution]) -> None:
+        """Hand it to the control process, unless it has ended meanwhile."""
+        with self._lock:
+            if not self.ended.done():
+                self._execution = start()
 
     def execution_or_end(self, verdict: Verdict) -> Execution | None:
         """What moves the arm for it; where nothing does yet, nothing ever will, and it ends with the `verdict`."""

@@ -44,6 +44,11 @@ class MessageBytes:
             raise ValueError("A serialised message does not hold its numbers once each, little-endian.")
         return self._bytes.index(marker)
 
+    def replace(self, place: bytes, value: bytes) -> None:
+        """Put bytes in the place of as many others; raises ValueError when those do not stand there once."""
+        at = self._find(place)
+        self._bytes[at : at + len(place)] = value
+
     def fill(self, times_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> bytes:
         """The message with these times (ns) and numbers."""
         for at, time_ns in zip(self._times_at, times_ns, strict=True):

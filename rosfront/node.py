@@ -23,7 +23,7 @@ from rosfront.action import GoalServer
 from rosfront.diagnostics import Diagnostics
 from rosfront.goal import plan_goal
 from rosfront.inputs import Inputs
-from rosfront.intake import Intake, PendingGoal
+from rosfront.intake import ConsideredGoal, Intake, PendingGoal
 from rosfront.joint_states import Pulse
 from rosfront.link import Link
 from rosfront.parameters import INITIAL_SCALE, CheckedNode
@@ -35,6 +35,7 @@ from rosfront.state_topics import STATE_QOS, Feedback, Progress, StateTopics, jo
 from rosfront.verdict import Status, Verdict
 
 ACTION = "~/follow_joint_trajectory"
+HELD = "Ended by ~/hold before it could begin; it did not move the arm: send it again when the arm may move."
 _NOT_SERVING = verdicts.refused(NotServing(CLOSING))
 
 
@@ -48,16 +49,18 @@ class FrontNode:
         self.node = CheckedNode(arm, self.serving)
         self._executor = executor
         self._pending: dict[bytes, PendingGoal] = {}
+        self._considered: set[ConsideredGoal] = set()
         self._intake = Intake()
         self._feedback_ns = 0
         self._last_cycle = 0
         self._progress = Progress()
-        self._services = Services(self.node, executor, self.serving)
+        self._services = Services(self.node, executor, self.serving, self._end_unbegun)
         self._goals = GoalServer(
             self.node,
             executor,
             ACTION,
             run=self._run,
+            accepted=self._accepted,
             cancel=self._cancel,
             consider=self._consider,
             idle=lambda: self._services.idle,
@@ -105,40 +108,53 @@ class FrontNode:
         """Accept every goal, so that a bad one can be told why; `strict_reject` rejects bad ones instead."""
         if not self.arm.trajectory.strict_reject:
             return GoalResponse.ACCEPT
-        judged: Future = Future()
+        considered = ConsideredGoal(self._executor.wake)
 
         def judge() -> None:
+            if considered.ended.done():
+                return
             try:
                 self._plan(goal)
             except GoalRefused as reason:
-                judged.set_result(reason)
+                considered.end(reason)
             except Exception as problem:
-                judged.set_exception(problem)
+                considered.fail(problem)
             else:
-                judged.set_result(None)
-            self._executor.wake()
+                considered.end(None)
 
+        self._considered.add(considered)
         self._intake.put(judge)
-        reason: GoalRefused | None = await judged
+        if self._goals.closing:
+            considered.end(NotServing(CLOSING))
+        try:
+            reason: GoalRefused | None = await considered.ended
+        finally:
+            self._considered.discard(considered)
         if reason is None:
             return GoalResponse.ACCEPT
         self.node.get_logger().warning(f"Goal rejected: {reason.sentence}")
         return GoalResponse.REJECT
 
-    async def _run(self, handle: ServerGoalHandle) -> Verdict:
-        if handle.is_cancel_requested:
-            return Verdict(Status.CANCELED, 0, NEVER_BEGUN)
+    def _accepted(self, handle: ServerGoalHandle) -> None:
         key = bytes(handle.goal_id.uuid)
-        goal = self._pending[key] = PendingGoal(self._executor.wake)
+        goal = self._pending[key] = PendingGoal(self._executor.wake, self.serving.turn())
         self._intake.put(lambda: self._begin(goal, handle.request, key))
         if self._goals.closing:
             goal.execution_or_end(_NOT_SERVING)
+
+    async def _run(self, handle: ServerGoalHandle) -> Verdict:
+        key = bytes(handle.goal_id.uuid)
+        goal = self._pending[key]
         try:
             verdict: Verdict = await goal.ended
         finally:
             del self._pending[key]
-        if self._goals.closing and verdict.status is Status.CANCELED and not handle.is_cancel_requested:
-            rest = verdict.sentence.removeprefix("Canceled: ")
+        if verdict.status is not Status.CANCELED or handle.is_cancel_requested:
+            return verdict
+        rest = verdict.sentence.removeprefix("Canceled: ")
+        if goal.held:
+            return verdicts.aborted(HELD if verdict.sentence == NEVER_BEGUN else f"Ended by ~/hold: {rest}")
+        if self._goals.closing:
             return verdicts.aborted(f"The ROS process was stopped: {rest}")
         return verdict
 
@@ -148,7 +164,7 @@ class FrontNode:
             return
         try:
             plan = self._plan(message)
-            goal.begin(lambda: self.serving.start(plan, goal.end, key))
+            goal.begin(lambda: self.serving.start(plan, goal.end, key, goal.turn))
         except GoalRefused as reason:
             goal.end(verdicts.refused(reason))
         except Exception as problem:
@@ -158,9 +174,22 @@ class FrontNode:
         """The arm then stops on its path."""
         goal = self._pending.get(bytes(handle.goal_id.uuid))
         if goal is not None:
-            execution = goal.execution_or_end(Verdict(Status.CANCELED, 0, NEVER_BEGUN))
-            if execution is not None:
-                self.serving.cancel(execution)
+            self._stop(goal)
+
+    def _stop(self, goal: PendingGoal) -> None:
+        execution = goal.execution_or_end(Verdict(Status.CANCELED, 0, NEVER_BEGUN))
+        if execution is not None:
+            self.serving.cancel(execution)
+
+    def _end_unbegun(self) -> list[Future]:
+        """End what would move an arm that holds, for a hold; returns futures that are done when it is so."""
+        for considered in self._considered:
+            considered.end(NotServing(HELD))
+        goals = [goal for goal in self._pending.values() if not goal.ended.done()]
+        for goal in goals:
+            goal.held = True
+            self._stop(goal)
+        return [goal.ended for goal in goals]
 
     # --- every snapshot, in the publisher's thread ---
 
@@ -196,6 +225,8 @@ class FrontNode:
         Returns when the thread in `spin` has left it, after `patience_s` and `RESULT_GRACE_S` at the latest.
         """
         self._goals.closing = True
+        for considered in list(self._considered):
+            considered.end(NotServing(CLOSING))
         for goal in list(self._pending.values()):
             goal.execution_or_end(_NOT_SERVING)
         self.serving.close()

@@ -48,6 +48,27 @@ class NotServing(GoalRefused):
     """The arm cannot take goals at present: no control process, a fault, a joint without reference."""
 
 
+class Overtaken(GoalRefused):
+    """A newer command was begun while this one was still being judged."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "Replaced by a newer goal, or by a trajectory on ~/joint_trajectory, before it could begin; it did not "
+            "move the arm: send one after the other if each is to be completed."
+        )
+
+
+class Unreadable(GoalRefused):
+    """Bytes that are no message of the type they came as."""
+
+    def __init__(self, size: int) -> None:
+        super().__init__(
+            f"Its {size} bytes are no trajectory_msgs/msg/JointTrajectory; look for a sender of another version or a "
+            "faulty one.",
+            value=size,
+        )
+
+
 class BadJoints(GoalRefused):
     """The joint names do not fit the arm."""
 

@@ -136,10 +136,11 @@ def _held(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
     return judge
 
 
-def _already_holds(before: np.ndarray, joints: Sequence[str]) -> Reply | None:
-    if int(before["mode"]) != Mode.HOLDING or int(before["goal_phase"]) != Phase.NONE:
-        return None
-    return Reply(True, "The arm holds already; no goal is running.")
+def _no_goal_runs(snapshot: np.ndarray | None) -> bool:
+    """Whether the arm holds without a goal that could be paused."""
+    if snapshot is None or int(snapshot["mode"]) != Mode.HOLDING:
+        return False
+    return int(snapshot["goal_phase"]) in (Phase.NONE, Phase.WAITING)
 
 
 def _resumed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
@@ -160,29 +161,36 @@ ORDERS = (
         RELEASE_PATIENCE_S,
         _limp(Mode.FREE, "The drives are limp and the arm can be led by hand until ~/enable."),
     ),
-    Order("hold", Request.HOLD, STOP_PATIENCE_S, _held, _already_holds),
     Order("resume", Request.RESUME, RESUME_PATIENCE_S, _resumed),
     Order("clear_fault", Request.CLEAR_FAULT, BRING_UP_PATIENCE_S, _cleared, _nothing_to_clear),
 )
+
+_HOLD = Order("hold", Request.HOLD, STOP_PATIENCE_S, _held)
 
 
 class Services:
     """The services of one node."""
 
-    def __init__(self, node: Node, executor: Executor, serving: Serving) -> None:
+    def __init__(
+        self, node: Node, executor: Executor, serving: Serving, end_unbegun: Callable[[], Sequence[Future]]
+    ) -> None:
+        """`end_unbegun` ends every action goal that does not move the arm yet; its futures are done when it is so."""
         self._executor = executor
         self._serving = serving
+        self._end_unbegun = end_unbegun
         self._waiting: set[Future] = set()
+        self._holds = 0
         self._closing = False
         group = ReentrantCallbackGroup()
         for order in ORDERS:
-            node.create_service(Trigger, f"~/{order.name}", self._handler(order), callback_group=group)
+            node.create_service(Trigger, f"~/{order.name}", self._handler(self._ask, order), callback_group=group)
+        node.create_service(Trigger, "~/hold", self._handler(self._hold), callback_group=group)
         node.create_service(QueryTrajectoryState, "~/query_state", self._query, callback_group=group)
 
     @property
     def idle(self) -> bool:
         """Whether nobody waits for an answer."""
-        return not self._waiting
+        return not self._waiting and not self._holds
 
     def close(self) -> None:
         """Answer whoever waits, and from now on everybody at once."""
@@ -190,12 +198,29 @@ class Services:
         for future in list(self._waiting):
             self._fulfil(future, Reply(False, CLOSING))
 
-    def _handler(self, order: Order) -> Callable[[Any, Any], Awaitable[Any]]:
+    def _handler(self, ask: Callable[..., Awaitable[Reply]], *order: Order) -> Callable[[Any, Any], Awaitable[Any]]:
         async def handle(_request: Any, response: Any) -> Any:
-            response.success, response.message = await self._ask(order)
+            response.success, response.message = await ask(*order)
             return response
 
         return handle
+
+    async def _hold(self) -> Reply:
+        """Pause the goal that runs, for which newer ones then wait; where none does, none that came before begins."""
+        self._holds += 1
+        try:
+            if not _no_goal_runs(self._serving.newest()):
+                reply = await self._ask(_HOLD)
+                if reply.success or not _no_goal_runs(self._serving.newest()):
+                    return reply  # else it has ended before the control process heard of the hold
+            unbegun = self._end_unbegun()
+            for ended in unbegun:
+                await ended
+        finally:
+            self._holds -= 1
+        if unbegun:
+            return Reply(True, "The arm holds; the goals that had not begun were ended by that.")
+        return Reply(True, "The arm holds already; no goal is running.")
 
     async def _ask(self, order: Order) -> Reply:
         before, joints = self._serving.newest(), self._serving.joints

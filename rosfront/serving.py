@@ -5,6 +5,7 @@ snapshot first, feeds the ring and finds out how goals end. What the loop says a
 through `on_verdict`, exactly once, always from the publisher's thread.
 """
 
+import itertools
 import threading
 import time
 from collections.abc import Callable
@@ -17,7 +18,7 @@ from rosfront.goal import plan_stream
 from rosfront.link import Link
 from rosfront.path import PlannedPath
 from rosfront.plan import NS, GoalPlan, Present, Sample
-from rosfront.refusals import NotServing
+from rosfront.refusals import NotServing, Overtaken
 from rosfront.settings import Settings
 from rosfront.streamer import Streamer
 from rosfront.verdict import Status, Verdict, aborted, fault_of, final_error, judge, with_final_error
@@ -78,6 +79,8 @@ class Serving:
         self._absence = f"The control process of arm '{arm.name}' is not running: start it with `rtarm up {arm.name}`."
         self._undecided: dict[int, Execution] = {}
         self._newest_goal = 0  # no number serves twice: the loop remembers a cancel that comes before its goal
+        self._turns = itertools.count()
+        self._newest_turn = -1
         self._streams: dict[int, Streamer] = {}  # by goal: what is still on its way into the ring
         self._requests: list[_Request] = []
         self.settings = Settings.of(arm)
@@ -231,13 +234,28 @@ class Serving:
         except NotServing:
             return None
 
-    def start(self, plan: GoalPlan, on_verdict: Callable[[Verdict], None], action_goal: bytes = b"") -> Execution:
+    def turn(self) -> int:
+        """A command's place in the order of arrival: that of whoever asks now."""
+        return next(self._turns)
+
+    def start(
+        self,
+        plan: GoalPlan,
+        on_verdict: Callable[[Verdict], None],
+        action_goal: bytes = b"",
+        turn: int | None = None,
+    ) -> Execution:
         """Hand a checked goal to the control process; an older one is replaced. `action_goal` is its id as an action's.
 
-        `on_verdict` is called once, later, from the publisher's thread. Raises NotServing.
+        `turn` is that of its arrival, None for now: judging takes its time, and what came later may have begun already.
+        `on_verdict` is called once, later, from the publisher's thread. Raises NotServing, Overtaken.
         """
         with self._lock:
             snapshot = self._snapshot()
+            turn = self.turn() if turn is None else turn
+            if turn < self._newest_turn:
+                raise Overtaken
+            self._newest_turn = turn
             assert self._link is not None
             writer = self._link.writer
             known = (
@@ -259,7 +277,8 @@ class Serving:
 
         `on_verdict` is called once, later, from the publisher's thread. Raises GoalRefused.
         """
-        self.start(plan_stream(trajectory, self.arm, self.present(), self.settings), on_verdict)
+        turn = self.turn()
+        self.start(plan_stream(trajectory, self.arm, self.present(), self.settings), on_verdict, turn=turn)
 
     def request(
         self,

@@ -44,6 +44,8 @@ INTERFACES = (
 )
 """Of each joint in /dynamic_joint_states; the age in seconds, the others as in shared memory."""
 LISTENERS_EVERY_S = 0.25
+_GOAL_PLACE = bytes(range(0xF0, 0x100))
+"""Stands for a goal's id, which a client chooses, while the places in a message are found out; never in UTF-8."""
 
 
 def _header(arm: ArmConfig, stamp: Instant) -> Header:
@@ -138,10 +140,12 @@ def feedback_bytes(arm: ArmConfig, goal: bytes) -> MessageBytes:
             error=JointTrajectoryPoint(positions=off, velocities=off_moving),
         )
         message = FollowJointTrajectory.Impl.FeedbackMessage(feedback=feedback)
-        message.goal_id.uuid = list(goal)
+        message.goal_id.uuid = list(_GOAL_PLACE)
         return bytes(serialize_message(message))
 
-    return MessageBytes(serialised, 3, [len(arm.joints)] * 7)
+    found = MessageBytes(serialised, 3, [len(arm.joints)] * 7)
+    found.replace(_GOAL_PLACE, goal)
+    return found
 
 
 def dynamic_joint_state_bytes(arm: ArmConfig) -> MessageBytes:

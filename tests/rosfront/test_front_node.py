@@ -1,5 +1,6 @@
 """The node as its clients meet it: a real action client, a stand-in for the control process."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -16,7 +17,8 @@ from fake_loop import FakeLoop
 pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
-from front_stage import Stage, goal, serving_alone
+from action_msgs.srv import CancelGoal
+from front_stage import SlowJudge, Stage, goal, serving_alone
 from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, Operator, until
 from std_srvs.srv import Trigger
 
@@ -218,30 +220,17 @@ def test_strict_reject(arm_name):
         until(lambda: client.send(goal()).accepted, "an accepted goal")
 
 
-class SlowJudge:
-    """Goals are judged when they are let pass; `judging` is set while one is not."""
-
-    def __init__(self, monkeypatch):
-        self.judging, self.pass_on = threading.Event(), threading.Event()
-        self._judge = node.plan_goal
-        monkeypatch.setattr(node, "plan_goal", self)
-
-    def __call__(self, *arguments):
-        self.judging.set()
-        assert self.pass_on.wait(20.0)
-        return self._judge(*arguments)
+def person_at(arm_name):
+    """An operator of the front that `serving_alone` makes."""
+    return contextlib.closing(Operator(f"alone_{arm_name}"))
 
 
 def test_while_a_goal_is_judged_others_are_served_and_a_cancel_ends_it(arm_name, monkeypatch):
-    with serving_alone(arm_name) as (loop, _, client, _):
+    with serving_alone(arm_name) as (loop, _, client, _), person_at(arm_name) as alone:
         judge = SlowJudge(monkeypatch)
         first, second = client.send(goal(seconds=5)), client.send(goal(to_rad=0.02))
         until(judge.judging.is_set, "a goal being judged")
-        operator = Operator(f"alone_{arm_name}")
-        try:
-            assert operator.call(Trigger, "~/hold").success
-        finally:
-            operator.close()
+        assert alone.get_parameters("constraints.goal_time") == [0.4]
         future = first.cancel_goal_async()
         until(future.done, "the answer to a cancel")
         assert client.result(first) == (CANCELED, 0, NEVER_BEGUN)
@@ -249,6 +238,129 @@ def test_while_a_goal_is_judged_others_are_served_and_a_cancel_ends_it(arm_name,
         judge.pass_on.set()
         assert client.result(second)[0] == SUCCEEDED
         assert loop.rows["commanded_position_rad"] == pytest.approx(0.02)
+
+
+def test_a_hold_ends_goals_that_are_being_judged(arm_name, monkeypatch):
+    with serving_alone(arm_name) as (loop, _, client, _), person_at(arm_name) as alone:
+        judge = SlowJudge(monkeypatch)
+        handles = [client.send(goal(seconds=5)), client.send(goal())]
+        until(judge.judging.is_set, "a goal being judged")
+        answer = alone.call(Trigger, "~/hold")
+        assert answer.success and answer.message == "The arm holds; the goals that had not begun were ended by that."
+        for handle in handles:
+            assert client.result(handle) == (ABORTED, -1, node.HELD)
+        judge.pass_on.set()
+        assert client.run(goal(to_rad=0.02))[0] == SUCCEEDED  # a later one; goals are judged one after the other
+        assert len({goal_id for goal_id, _ in loop.records}) == 1
+
+
+def test_a_hold_ends_a_goal_of_which_the_control_process_has_not_heard(arm_name):
+    with serving_alone(arm_name) as (loop, front, client, _), person_at(arm_name) as alone:
+        loop.taking = False
+        handle = client.send(goal(seconds=5))
+        until(lambda: not front.serving.idle, "a goal on its way")
+        holding = alone.ask(Trigger, "~/hold")
+        until(lambda: front._services._holds, "a hold")
+        loop.taking = True
+        status, code, words = client.result(handle)
+        assert (status, code) == (ABORTED, -1) and words.startswith("Ended by ~/hold: ")
+        until(holding.done, "the answer")
+        assert holding.result().success and not loop.active
+
+
+def test_a_hold_of_a_running_goal_leaves_those_being_judged_alone(arm_name, monkeypatch):
+    with serving_alone(arm_name) as (loop, _, client, _), person_at(arm_name) as alone:
+        running = client.send(goal(seconds=5))
+        until(lambda: loop.active, "motion")
+        judge = SlowJudge(monkeypatch)
+        newer = client.send(goal())
+        until(judge.judging.is_set, "a goal being judged")
+        answer = alone.call(Trigger, "~/hold")
+        assert answer.success and "~/resume" in answer.message, answer.message
+        judge.pass_on.set()
+        until(lambda: max(goal_id for goal_id, _ in loop.records) == 2, "the newer goal")  # the real one lets it wait
+        assert "replaced by a newer goal" in client.result(running)[2]
+        assert client.result(newer)[0] == SUCCEEDED
+
+
+def test_a_hold_ends_the_considering_of_a_goal(arm_name, monkeypatch):
+    with serving_alone(arm_name, strict_reject=True) as (loop, _, client, _), person_at(arm_name) as alone:
+        judge = SlowJudge(monkeypatch)
+        answer = client.action.send_goal_async(goal())
+        until(judge.judging.is_set, "a goal being judged")
+        assert alone.call(Trigger, "~/hold").success
+        until(answer.done, "the answer to a goal")
+        assert not answer.result().accepted and not judge.pass_on.is_set()
+        judge.pass_on.set()
+        assert not loop.records
+
+
+def test_at_the_end_a_goal_being_considered_is_rejected(arm_name, monkeypatch):
+    with serving_alone(arm_name, strict_reject=True) as (_, front, client, thread):
+        judge = SlowJudge(monkeypatch)
+        answer = client.action.send_goal_async(goal())
+        until(judge.judging.is_set, "a goal being judged")
+        closer = threading.Thread(target=front.close, args=(5.0,))
+        closer.start()
+        until(answer.done, "the answer to a goal")
+        assert not answer.result().accepted
+        closer.join(5.0)
+        assert not closer.is_alive() and not thread.is_alive() and not judge.pass_on.is_set()
+        judge.pass_on.set()
+
+
+def pile_up(front, monkeypatch):
+    """From now on the action server takes goals and cancels in pairs; returns what it has taken."""
+    server, taken = front._goals._server, []
+    is_ready, take_data = server.is_ready, server.take_data
+
+    def both_are_ready(wait_set):
+        ready = is_ready(wait_set)
+        if server._is_goal_request_ready != server._is_cancel_request_ready:
+            server._is_goal_request_ready = server._is_cancel_request_ready = False
+        return ready
+
+    def take():
+        data = take_data()
+        taken.append(set(data))
+        return data
+
+    monkeypatch.setattr(server, "is_ready", both_are_ready)
+    monkeypatch.setattr(server, "take_data", take)
+    return taken
+
+
+def test_a_cancel_that_is_taken_with_a_considered_goal_does_not_wait_for_it(arm_name, monkeypatch):
+    with serving_alone(arm_name, strict_reject=True) as (loop, front, client, _):
+        running = client.send(goal(seconds=5))
+        until(lambda: loop.active, "motion")
+        judge = SlowJudge(monkeypatch)
+        with monkeypatch.context() as patched:
+            taken = pile_up(front, patched)
+            answer = client.action.send_goal_async(goal())
+            running.cancel_goal_async()
+            until(lambda: {"goal", "cancel"} in taken, "both at once")
+            assert client.result(running)[0] == CANCELED
+            assert not answer.done()
+            judge.pass_on.set()
+            until(answer.done, "the answer to a goal")
+        assert answer.result().accepted
+        assert client.result(answer.result())[0] == SUCCEEDED
+
+
+def test_a_cancel_of_all_goals_means_the_one_that_is_taken_with_it(arm_name, monkeypatch):
+    with serving_alone(arm_name) as (_, front, client, _):
+        taken = pile_up(front, monkeypatch)
+        answer = client.action.send_goal_async(goal(seconds=5))
+        everything = client.node.create_client(
+            CancelGoal, f"/alone_{arm_name}/follow_joint_trajectory/_action/cancel_goal"
+        )
+        assert everything.wait_for_service(10.0)
+        canceling = everything.call_async(CancelGoal.Request())
+        until(canceling.done, "the answer to a cancel")
+        assert {"goal", "cancel"} in taken and len(canceling.result().goals_canceling) == 1
+        until(answer.done, "the answer to a goal")
+        assert client.result(answer.result())[0] == CANCELED
 
 
 def test_a_goal_that_strict_reject_considers_holds_up_no_cancel(arm_name, monkeypatch):

@@ -102,12 +102,17 @@ def test_controller_state(arm):
     assert message.speed_scaling_factor == 0.25
 
 
-def test_feedback(arm):
+def goal_ids():
+    first_time = struct.pack("<iI", 0x5A5B5C5D, 0x3A2B1C0D)
+    return [bytes(range(240, 256)), bytes(16), 2 * first_time, b"1234" + first_time + b"5678", struct.pack("<2d", 1, 2)]
+
+
+@pytest.mark.parametrize("goal", goal_ids(), ids=bytes.hex)
+def test_feedback_whatever_id_a_client_chose(arm, goal):
     from control_msgs.action import FollowJointTrajectory
 
     from rosfront.state_topics import feedback_bytes
 
-    goal = bytes(range(240, 256))
     rows = np.random.default_rng(6).normal(size=(7, 6)).tolist()
     message = deserialised(feedback_bytes(arm, goal).fill(TIMES_NS, rows), FollowJointTrajectory.Impl.FeedbackMessage)
     assert bytes(message.goal_id.uuid) == goal

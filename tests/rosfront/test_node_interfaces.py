@@ -13,12 +13,14 @@ from builtin_interfaces.msg import Duration, Time
 from control_msgs.msg import DynamicJointState, JointTrajectoryControllerState, SpeedScalingFactor
 from control_msgs.srv import QueryTrajectoryState
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from front_stage import Stage, goal, serving_alone
+from front_stage import SlowJudge, Stage, goal, serving_alone
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.serialization import serialize_message
 from ros_client import ABORTED, CANCELED, SUCCEEDED, Operator, until
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from rosfront import serving
 from rosfront.settings import Settings
 from rosfront.state_topics import INTERFACES
 from shm.words import DriveStatus, Entry, Fault, Mode, Outcome, Request
@@ -444,6 +446,48 @@ def test_a_bad_trajectory_on_the_topic_moves_nothing(stage, operator, capfd):
     assert sum(int(message.split()[0]) for message in told) == 3
     said = [line for line in capfd.readouterr().err.splitlines() if "Trajectory message dropped" in line]
     assert len(said) == 1  # of three within a second
+
+
+def test_bytes_on_the_topic_that_are_no_message_are_dropped(stage, operator, capfd):
+    counts = stage.front._goals.counts
+    refused = counts.messages_refused
+    publisher = operator.publisher(JointTrajectory, "~/joint_trajectory")
+    sound = bytes(serialize_message(streamed((0.2, 0.02, 0.0))))
+    publisher.publish(sound[:60])
+    until(lambda: counts.messages_refused == refused + 1, "a refusal")
+    publisher.publish(sound)
+    until(lambda: stage.loop.rows["commanded_position_rad"][0] == pytest.approx(0.02), "the motion")
+    assert (
+        "Trajectory message dropped: Its 60 bytes are no trajectory_msgs/msg/JointTrajectory" in capfd.readouterr().err
+    )
+
+
+def test_the_end_does_not_wait_for_a_message_being_judged(operator, arm_name, monkeypatch):
+    with serving_alone(arm_name) as (_, front, _, thread):
+        judge = SlowJudge(monkeypatch, serving, "plan_stream")
+        publisher = operator.publisher(JointTrajectory, f"/alone_{arm_name}/joint_trajectory")
+        publisher.publish(streamed((0.2, 0.02, 0.0)))
+        until(judge.judging.is_set, "a message being judged")
+        closer = threading.Thread(target=front.close, args=(2.0,))
+        closer.start()
+        closer.join(5.0)
+        assert not closer.is_alive() and not thread.is_alive()
+        judge.pass_on.set()
+
+
+def test_a_goal_does_not_replace_a_message_that_came_while_it_was_judged(operator, arm_name, monkeypatch):
+    with serving_alone(arm_name) as (loop, _, client, _):
+        judge = SlowJudge(monkeypatch)
+        handle = client.send(goal(seconds=5))
+        until(judge.judging.is_set, "a goal being judged")
+        publisher = operator.publisher(JointTrajectory, f"/alone_{arm_name}/joint_trajectory")
+        publisher.publish(streamed((20.0, 0.02, 0.0)))
+        until(lambda: loop.active, "streamed motion")
+        streamed_goal = loop.active
+        judge.pass_on.set()
+        status, code, words = client.result(handle)
+        assert (status, code) == (ABORTED, -1) and words.startswith("Replaced by a newer goal, or by a trajectory on")
+        assert loop.active == streamed_goal
 
 
 # --- parameters ---

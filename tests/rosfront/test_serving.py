@@ -11,7 +11,7 @@ from config.loader import load_arm
 from rosfront import serving
 from rosfront.link import attach
 from rosfront.plan import GoalPlan, Terms
-from rosfront.refusals import NotServing
+from rosfront.refusals import NotServing, Overtaken
 from rosfront.serving import Serving
 from rosfront.verdict import Status
 from shm import layout
@@ -366,3 +366,14 @@ def test_a_goal_kept_back_is_replaced_by_a_newer_one(stage):
     stage.step(80)
     assert stage.verdict("now").status is Status.SUCCEEDED
     assert (stage.verdict("later").status, stage.verdict("later").code) == (Status.ABORTED, -1)
+
+
+def test_what_came_earlier_does_not_replace_what_has_begun(stage):
+    first, second, third = (stage.serving.turn() for _ in range(3))
+    stage.serving.start(plan(seconds=3), lambda verdict: None, turn=second)
+    with pytest.raises(Overtaken, match="Replaced by a newer goal"):
+        stage.serving.start(plan(seconds=3), lambda verdict: None, turn=first)
+    newest = stage.serving.start(plan(seconds=3), lambda verdict: None, turn=third)
+    stage.step(5)
+    assert stage.loop.active == newest.goal_id
+    assert stage.start("now", plan()).goal_id == newest.goal_id + 1

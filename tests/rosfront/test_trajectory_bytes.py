@@ -15,7 +15,9 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from rosfront.inputs import read
 from rosfront.points import Columns
+from rosfront.refusals import Unreadable
 from rosfront.trajectory_bytes import parse
 
 
@@ -103,3 +105,17 @@ def test_broken_bytes_are_left_to_rclpy():
     assert parse(b"\x00\x00" + data[2:]) is None
     for at in range(2, len(data) - 3):
         parse(data[:at] + b"\xff\xff\xff\xff" + data[at + 4 :])
+
+
+def test_broken_bytes_that_rclpy_cannot_read_are_refused():
+    data = bytes(serialize_message(trajectory(3)))
+    cut = [data[:length] for length in range(len(data))]
+    overwritten = [data[:at] + b"\xff\xff\xff\xff" + data[at + 4 :] for at in range(len(data) - 3)]
+    refused = 0
+    for broken in (*cut, *overwritten):
+        try:
+            read(broken)
+        except Unreadable as reason:
+            assert f"{len(broken)} bytes" in reason.sentence
+            refused += 1
+    assert refused > len(cut) // 2
