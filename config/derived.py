@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # the schema checks its joints with these functions, so it is imported for types only
-    from config.schema import ArmConfig, JointConfig, LimitsConfig
+    from config.joint import JointConfig
+    from config.schema import ArmConfig, LimitsConfig
 
 RAMP_RPM_S = 20_000.0
 """Ramp of acc byte 255, in motor rpm per second; every smaller byte is a whole fraction of it."""

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema import DhRow, KinematicsConfig
+from config.geometry import DhRow, KinematicsConfig
 
 Poses = NDArray[np.float64]
 """Homogeneous matrices (…, 4, 4), metres."""

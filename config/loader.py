@@ -19,7 +19,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from config.errors import ConfigError
-from config.schema import ArmConfig, JointConfig, Source
+from config.joint import JointConfig
+from config.schema import ArmConfig, Source
 
 ARMS_FOLDER = Path(__file__).parent / "arms"
 """Where the arm files that come with rtarm live."""

@@ -13,18 +13,16 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
     Field,
     PrivateAttr,
-    ValidationInfo,
     field_validator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from config import derived
+from config.geometry import KinematicsConfig
+from config.joint import JointConfig, ZdtDrive
+from config.section import KEYS_BESIDE_CONTROLLERS, NoBool, Section, refuse, refuse_name
 
 SLCAN_BITRATES: dict[int, str] = {
     10_000: "S0",
@@ -47,12 +45,6 @@ SERIAL_BAUDS = (
 )  # fmt: skip
 """Serial speeds that Linux knows by name (termios B9600 … B4000000)."""
 
-ENCODER_COUNTS_PER_REVOLUTION = 65_536
-"""Counts a motor revolution in the positions a ZDT drive reports (Emm_V5, command 36)."""
-
-FULL_STEPS_PER_REVOLUTION = 200
-"""Steps a revolution of a 1.8° motor; a command pulse is one microstep of these."""
-
 FIXED_JOINTS = ("virtual_joint", "flange_joint")
 """Joints that the generated robot model has besides the arm's own."""
 
@@ -60,52 +52,13 @@ LOWEST_JOINT_STATES_HZ = 50.0
 """MoveIt asks for joint states at 50 Hz or more."""
 
 
-def refuse(field: str, sentence: str) -> PydanticCustomError:
-    """A refusal whose place is `field`, relative to the model that is being validated."""
-    return PydanticCustomError("arm_config", "{sentence}", {"field": field, "sentence": sentence})
-
-
-YAML_WORDS = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null", "nan", "inf"))
-"""Names that some reader of YAML takes for a truth value, for nothing or for a number; ROS has one of its own."""
-KEYS_BESIDE_GROUPS = frozenset(("planner_configs", "planning_plugins", "request_adapters", "response_adapters"))
-KEYS_BESIDE_CONTROLLERS = frozenset(("controller_names", "controller_manager", "joint_state_broadcaster"))
-"""Keys of MoveIt's and ros2_control's files beside which the names of groups and controllers stand."""
-
-
-def refuse_name(field: str, name: str, taken: frozenset[str] = frozenset()) -> None:
-    """Refuse a name that ROS' parameter files would not keep as a name; `taken` are keys beside which it stands."""
-    if name.lower() in YAML_WORDS:
-        raise refuse(
-            field, f"{field} is {name}, which YAML readers take for a value instead of a name; choose another name."
-        )
-    if name in taken:
-        raise refuse(
-            field, f"{field} is {name}, which has a meaning of its own in MoveIt's configuration; choose another name."
-        )
-
-
-def _no_bool(value: Any, info: ValidationInfo) -> Any:
-    if isinstance(value, bool):  # Python takes true for 1, a reader of the file does not
-        sentence = f"{info.field_name} is {str(value).lower()}, but must be a number; write the number."
-        raise refuse("", sentence)
-    return value
-
-
-_NoBool = BeforeValidator(_no_bool)
-
-
-class _Section(BaseModel):
-    # Strict, so that `ratio: "25"` or `rate_hz: yes` is refused instead of being guessed at.
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class ControlConfig(_Section):
+class ControlConfig(Section):
     """The control cycle."""
 
     rate_hz: float = Field(
         ge=10, le=2000, description="Control cycles a second (Hz); the bus must be able to carry them."
     )
-    init_mode: Annotated[Literal[0, 1], _NoBool] = Field(
+    init_mode: Annotated[Literal[0, 1], NoBool] = Field(
         default=1,
         description="What bring-up does: 1 adopts the pose the arm stands in, moving nothing; 0 runs homing.",
     )
@@ -116,7 +69,7 @@ class ControlConfig(_Section):
         return round(1e9 / self.rate_hz)
 
 
-class BusConfig(_Section):
+class BusConfig(Section):
     """The CAN bus and the adapter it is reached through."""
 
     interface: Literal["slcan", "mock"] = Field(
@@ -206,129 +159,7 @@ class BusConfig(_Section):
         return "mock" if self.usb_index is None else f"/dev/ttyUSB{self.usb_index}"
 
 
-class ZdtDrive(_Section):
-    """A ZDT closed-loop stepper with Emm_V5 firmware on the CAN bus."""
-
-    family: Literal["zdt"] = Field(description="Drive family.")
-    address: int = Field(ge=1, le=255, description="Address set in the drive's menu (1 to 255).")
-    microsteps: int = Field(
-        default=16,
-        ge=1,
-        le=256,
-        description="Microsteps a full step as set in the drive (200 full steps a turn).",
-    )
-    firmware: Literal["auto"] = Field(
-        default="auto", description="Firmware generation; auto asks the drive at bring-up."
-    )
-
-    @property
-    def command_pulses_per_revolution(self) -> int:
-        """Pulses of a position command for one motor turn."""
-        return self.microsteps * FULL_STEPS_PER_REVOLUTION
-
-
-class MockDrive(_Section):
-    """No drive: what is commanded is at once measured."""
-
-    family: Literal["mock"] = Field(description="Drive family.")
-
-    @property
-    def command_pulses_per_revolution(self) -> int:
-        """A mock drive is commanded in the same counts in which it is measured."""
-        return ENCODER_COUNTS_PER_REVOLUTION
-
-
-DriveConfig = Annotated[ZdtDrive | MockDrive, Field(discriminator="family")]
-
-
-class JointConfig(_Section):
-    """One joint: its drive, its gear and its limits."""
-
-    name: str = Field(pattern=r"^[A-Za-z_][A-Za-z0-9_./-]{0,62}$", description="Joint name exactly as in the URDF.")
-    drive: DriveConfig = Field(description="The drive that moves the joint.")
-    ratio: float = Field(ge=1e-3, le=1e6, description="Gear ratio: motor turns for one turn of the joint.")
-    direction: Annotated[Literal[1, -1], _NoBool] = Field(
-        default=1, description="1 when a positive motor angle turns the joint positively, else -1."
-    )
-    zero_deg: float = Field(
-        default=0.0,
-        ge=-36_000,
-        le=36_000,
-        description="Offset of the joint zero (degrees): joint = direction * m - zero_deg, where m is the "
-        "motor's turns * 360 / ratio, counted from its homing stop.",
-    )
-    lower_deg: float = Field(ge=-36_000, le=36_000, description="Lowest joint angle (degrees).")
-    upper_deg: float = Field(ge=-36_000, le=36_000, description="Highest joint angle (degrees).")
-    motor_rpm: float = Field(
-        gt=0,
-        le=3000,
-        description="Highest motor speed (rpm); with the ratio it gives the joint's highest velocity.",
-    )
-    max_acceleration_rad_s2: float = Field(gt=0, description="Acceleration limit of the joint (rad/s²).")
-
-    @model_validator(mode="after")
-    def _name_is_a_name(self) -> JointConfig:
-        refuse_name("name", self.name)
-        return self
-
-    @model_validator(mode="after")
-    def _range_is_not_empty(self) -> JointConfig:
-        if self.lower_deg > self.upper_deg:
-            raise refuse(
-                "lower_deg",
-                f"lower_deg of {self.name} is {self.lower_deg:g}, above its upper_deg {self.upper_deg:g}; "
-                "the lower limit must be the smaller one: exchange them or correct one.",
-            )
-        if self.lower_deg == self.upper_deg:
-            raise refuse(
-                "lower_deg",
-                f"lower_deg and upper_deg of {self.name} are both {self.lower_deg:g}, which leaves no room "
-                "to move; enter the range the joint really has.",
-            )
-        return self
-
-    @property
-    def max_velocity_rad_s(self) -> float:
-        """Highest joint velocity, from the motor's rpm and the ratio (rad/s)."""
-        return self.motor_rpm / self.ratio * 2.0 * math.pi / 60.0
-
-    @property
-    def lower_rad(self) -> float:
-        """Lowest joint angle (rad)."""
-        return math.radians(self.lower_deg)
-
-    @property
-    def upper_rad(self) -> float:
-        """Highest joint angle (rad)."""
-        return math.radians(self.upper_deg)
-
-    @property
-    def zero_rad(self) -> float:
-        """Offset of the joint zero (rad); see `zero_deg`."""
-        return math.radians(self.zero_deg)
-
-    @property
-    def command_pulses_per_rad(self) -> float:
-        """Pulses of a position command for one radian of the joint."""
-        return self.drive.command_pulses_per_revolution * self.ratio / (2.0 * math.pi)
-
-    @property
-    def encoder_counts_per_rad(self) -> float:
-        """Counts of a reported position for one radian of the joint."""
-        return ENCODER_COUNTS_PER_REVOLUTION * self.ratio / (2.0 * math.pi)
-
-    @property
-    def command_pulse_rad(self) -> float:
-        """Joint angle of one command pulse (rad)."""
-        return 1.0 / self.command_pulses_per_rad
-
-    @property
-    def encoder_count_rad(self) -> float:
-        """Joint angle of one encoder count (rad)."""
-        return 1.0 / self.encoder_counts_per_rad
-
-
-class LimitsConfig(_Section):
+class LimitsConfig(Section):
     """Margins and watchdogs of the control process."""
 
     velocity_margin: float = Field(
@@ -372,9 +203,10 @@ class LimitsConfig(_Section):
         default=0.100, gt=0, description="Age of a measured position above which a fault is latched (s)."
     )
     front_timeout_s: float = Field(
-        default=0.25,
+        default=0.5,
         gt=0,
-        description="Silence of the ROS process, during a goal, after which the arm stops on its path (s).",
+        description="Silence of the ROS process, during a goal, after which the arm stops on its path (s); it "
+        "stands still for 0.33 s at times.",
     )
     position_jump_rad: float = Field(
         default=0.05,
@@ -400,7 +232,7 @@ class LimitsConfig(_Section):
         return self
 
 
-class TrajectoryConfig(_Section):
+class TrajectoryConfig(Section):
     """How goals are interpolated and judged."""
 
     interpolation: Literal["spline", "linear"] = Field(
@@ -435,7 +267,7 @@ class TrajectoryConfig(_Section):
     )
 
 
-class FrontConfig(_Section):
+class FrontConfig(Section):
     """The ROS process."""
 
     controller_name: str = Field(
@@ -464,7 +296,7 @@ class FrontConfig(_Section):
         return self
 
 
-class RealtimeConfig(_Section):
+class RealtimeConfig(Section):
     """Scheduling of the control process."""
 
     priority: int = Field(default=80, ge=1, le=90, description="SCHED_FIFO priority (1 to 90).")
@@ -475,98 +307,6 @@ class RealtimeConfig(_Section):
         default=False,
         description="true refuses to run without real-time scheduling; false says so and goes on.",
     )
-
-
-class DhRow(_Section):
-    """One joint of the arm's geometry: a row of its standard Denavit–Hartenberg table."""
-
-    d_mm: float = Field(default=0.0, ge=-10_000, le=10_000, description="Way along the joint's own axis (mm).")
-    a_mm: float = Field(
-        default=0.0, ge=-10_000, le=10_000, description="Way across, from the joint's axis to the next one (mm)."
-    )
-    alpha_deg: float = Field(
-        default=0.0, ge=-360, le=360, description="Twist from the joint's axis to the next one (degrees)."
-    )
-    sign: Annotated[Literal[1, -1], _NoBool] = Field(
-        default=1, description="1 when a positive joint angle turns positively about the axis of the table, else -1."
-    )
-    offset_deg: float = Field(
-        default=0.0,
-        ge=-360,
-        le=360,
-        description="Angle of the table at joint angle 0 (degrees): table = sign * joint + offset_deg.",
-    )
-    radius_mm: float = Field(
-        default=30.0,
-        gt=0,
-        le=1_000,
-        description="Radius of the simple shapes that stand for the link behind this joint (mm); the first row's is "
-        "also that of the base.",
-    )
-
-    @property
-    def d_m(self) -> float:
-        """Way along the joint's own axis (m)."""
-        return self.d_mm / 1000.0
-
-    @property
-    def a_m(self) -> float:
-        """Way across to the next axis (m)."""
-        return self.a_mm / 1000.0
-
-    @property
-    def alpha_rad(self) -> float:
-        """Twist to the next axis (rad)."""
-        return math.radians(self.alpha_deg)
-
-    @property
-    def offset_rad(self) -> float:
-        """Angle of the table at joint angle 0 (rad)."""
-        return math.radians(self.offset_deg)
-
-    @property
-    def radius_m(self) -> float:
-        """Radius of the link's simple shapes (m)."""
-        return self.radius_mm / 1000.0
-
-
-class KinematicsConfig(_Section):
-    """The arm's geometry, from which its MoveIt configuration is generated."""
-
-    base_link: str = Field(
-        default="base_link",
-        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$",
-        description="Root link of the robot model: a letter, then letters, digits and _.",
-    )
-    group: str = Field(
-        default="arm",
-        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$",
-        description="MoveIt's planning group: a letter, then letters, digits and _.",
-    )
-    dh: list[DhRow] = Field(
-        min_length=1, max_length=32, description="The standard Denavit–Hartenberg table, one row a joint."
-    )
-
-    @model_validator(mode="after")
-    def _names_are_names(self) -> KinematicsConfig:
-        refuse_name("base_link", self.base_link)
-        refuse_name("group", self.group, KEYS_BESIDE_GROUPS)
-        return self
-
-    @model_validator(mode="after")
-    def _base_has_a_name_of_its_own(self) -> KinematicsConfig:
-        if self.base_link in {"world", "flange", *self.link_names}:
-            raise refuse(
-                "base_link",
-                f"base_link is {self.base_link}, but world, flange and link1 to link{len(self.dh)} are names of other "
-                "frames; choose another, such as base_link.",
-            )
-        return self
-
-    @property
-    def link_names(self) -> list[str]:
-        """The moving links, in the order of the joints."""
-        return [f"link{number}" for number in range(1, len(self.dh) + 1)]
 
 
 @dataclass(frozen=True)
@@ -582,10 +322,10 @@ class Source:
     """Whether the file is one of those that come with rtarm."""
 
 
-class ArmConfig(_Section):
+class ArmConfig(Section):
     """An arm: everything rtarm knows about it."""
 
-    schema_version: Annotated[Literal[1], _NoBool] = Field(default=1, description="Version of this file's format.")
+    schema_version: Annotated[Literal[1], NoBool] = Field(default=1, description="Version of this file's format.")
     name: str = Field(
         pattern=r"^[a-z][a-z0-9_]{0,31}$",
         description="Name of the arm: small letters, digits and _, at most 32; also names its shared memory.",

@@ -10,7 +10,8 @@ and target until the two agree.
 from collections.abc import Callable, Generator
 
 from config.budget import budget
-from config.schema import ArmConfig, JointConfig, ZdtDrive
+from config.joint import JointConfig, ZdtDrive
+from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed
 from rtloop.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, ServicePort
 from shm.words import Fault, Unreferenced

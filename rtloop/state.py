@@ -11,7 +11,8 @@ import numpy as np
 
 from config.budget import frame_bits
 from config.derived import braking_deceleration_rad_s2, silence_acc_byte
-from config.schema import ArmConfig, JointConfig, ZdtDrive
+from config.joint import JointConfig, ZdtDrive
+from config.schema import ArmConfig
 from motion import stopping
 from shm import layout
 from shm.layout import MAX_JOINTS

@@ -14,9 +14,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from config.geometry import KinematicsConfig
 from config.kinematics import link_poses
 from config.moveit.shapes import Link, distances_m, link_shapes
-from config.schema import ArmConfig, KinematicsConfig
+from config.schema import ArmConfig
 
 SAMPLES = 10_000
 """Poses that every pair is looked at in, all joints at random; a quarter of all angles are limits, where arms fold."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from config.geometry import KinematicsConfig
 from config.moveit import parameters, robot, rviz
 from config.moveit.launch_files import launch_files
 from config.moveit.text import origin_sentence, xml_text, yaml_text
-from config.schema import ArmConfig, KinematicsConfig
+from config.schema import ArmConfig
 
 RUN_WITH = (
     "controller_manager",

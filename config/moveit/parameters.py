@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from config.geometry import KinematicsConfig
 from config.moveit.collisions import home_rad
 from config.moveit.text import floored, yaml_text
-from config.schema import ArmConfig, KinematicsConfig
+from config.schema import ArmConfig
 
 ACTION = "follow_joint_trajectory"
 

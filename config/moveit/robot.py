@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from itertools import cycle, pairwise
 
+from config.geometry import DhRow, KinematicsConfig
+from config.joint import JointConfig
 from config.kinematics import Origin, flange_origin, joint_origins, tip_link
 from config.moveit.collisions import home_rad, unchecked_pairs
 from config.moveit.shapes import Bone, Link, Xyz, link_shapes
 from config.moveit.text import angles, floored, number, numbers, xml_text
-from config.schema import ArmConfig, DhRow, JointConfig, KinematicsConfig
+from config.schema import ArmConfig
 
 EFFORT_NM = 10.0
 """A nominal effort limit (N·m). A robot model must state one; rtarm and MoveIt's planners use none."""

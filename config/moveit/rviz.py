@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from config.geometry import KinematicsConfig
 from config.moveit.text import yaml_text
-from config.schema import ArmConfig, KinematicsConfig
+from config.schema import ArmConfig
 
 FIRST_SCALING = 0.1
 """Share of velocity and acceleration limits at which the sliders of MoveIt's panel start."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from config.geometry import DhRow, KinematicsConfig
 from config.kinematics import Poses, along_x, flange_origin, joint_origins
-from config.schema import DhRow, KinematicsConfig
 
 Points = NDArray[np.float64]
 """Points or directions (…, 3), metres."""

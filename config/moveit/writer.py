@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from config.errors import ConfigError
+from config.geometry import KinematicsConfig
 from config.loader import known_arms
 from config.moveit.collisions import Unchecked, unchecked_pairs
 from config.moveit.package import package_files, package_name
 from config.moveit.text import origin_sentence
-from config.schema import ArmConfig, KinematicsConfig
+from config.schema import ArmConfig
 
 MANIFEST = ".rtarm"
 

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import can
 
-    from config.schema import ArmConfig, JointConfig
+    from config.joint import JointConfig
+    from config.schema import ArmConfig
 
 PULSES_A_TURN = 3200
 COUNTS_A_TURN = 65_536

@@ -12,20 +12,17 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 from config import load_arm
+from config.geometry import DhRow, KinematicsConfig
+from config.joint import JointConfig, MockDrive, ZdtDrive
 from config.schema import (
     SERIAL_BAUDS,
     ArmConfig,
     BusConfig,
     ControlConfig,
-    DhRow,
     FrontConfig,
-    JointConfig,
-    KinematicsConfig,
     LimitsConfig,
-    MockDrive,
     RealtimeConfig,
     TrajectoryConfig,
-    ZdtDrive,
 )
 
 # Facts of the Episode1 arm: joint, ratio, zero, lower, upper, motor rpm, velocity, acceleration, pulse.

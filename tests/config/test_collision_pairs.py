@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from robot_models import Pinocchio, Positions, arm_of, arms, files_of
 
 from config import ArmConfig, load_arm
+from config.geometry import KinematicsConfig
 from config.kinematics import link_poses
 from config.moveit.collisions import home_rad, unchecked_pairs
 from config.moveit.shapes import distances_m, link_shapes, segment_distances_m
-from config.schema import KinematicsConfig
 
 Pairs = set[frozenset[str]]
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from robot_models import Pinocchio, Positions, arm_of, arms
 
 from config import ArmConfig, load_arm
+from config.geometry import KinematicsConfig
 from config.kinematics import flange_pose, joint_origins, link_poses, matrix, tip_link
-from config.schema import KinematicsConfig
 
 # Facts of the Episode1 arm: joint angles in degrees, flange in mm.
 FLANGE = [

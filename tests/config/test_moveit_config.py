@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from robot_models import arm_of, arms, files_of, robot_model
 
 from config import ArmConfig, load_arm
+from config.geometry import KinematicsConfig
 from config.kinematics import tip_link
 from config.moveit.parameters import moveit_controllers
 from config.moveit.text import floored, number
-from config.schema import KinematicsConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 JOINTS = [f"joint{number}" for number in range(1, 7)]

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from config import ArmConfig, ConfigError, load_arm
+from config.geometry import KinematicsConfig
 from config.moveit import package_files, write_package, writer
-from config.schema import KinematicsConfig
 
 Edit = Callable[[Path], None]
 
