@@ -22,6 +22,8 @@ from typing import Literal
 import numpy as np
 
 from config import schema
+from config.joint import JointConfig
+from config.joint import ZdtDrive as ZdtConfig
 from sim.adapter import Dialect, SlcanAdapter
 from sim.bus import Bus, Frame, Outbox
 from sim.drives.ramp import GRAINS_PER_REVOLUTION, NEVER
@@ -90,7 +92,7 @@ class SimulatedArm:
         )
         self.drives: list[ZdtDrive] = []
         for index, (joint, position_rad) in enumerate(zip(arm.joints, positions, strict=True)):
-            if not isinstance(joint.drive, schema.ZdtDrive):
+            if not isinstance(joint.drive, ZdtConfig):
                 raise ValueError(
                     f"joint {joint.name} of arm {arm.name} has a {joint.drive.family} drive, but only zdt "
                     "drives can be simulated; run an arm with such drives without a simulator."
@@ -287,5 +289,5 @@ _CAN_CODES = {
 """The drive's menu codes for its bit rate (zdt-emm-v5.md section 1)."""
 
 
-def _motor_turns(joint: schema.JointConfig, position_rad: float) -> float:
+def _motor_turns(joint: JointConfig, position_rad: float) -> float:
     return joint.direction * (position_rad + joint.zero_rad) * joint.ratio / (2.0 * math.pi)
