@@ -16,15 +16,18 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rtarm.errors import Refusal
 from rtarm.goals import Goal, load_goal
 from rtarm.processes import READY
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
 
 SERVER_PATIENCE_S = 60.0
 ACCEPT_PATIENCE_S = 5.0
@@ -184,21 +187,19 @@ def _failed(goal: Goal, code: int, sentence: str) -> bool:
     return False
 
 
-def run(action: str, goals: Sequence[Goal]) -> int:
-    """Connect, wait for the word, play the goals until one fails; exit code 0 only if all succeeded."""
+@contextlib.contextmanager
+def listening(name: str) -> Iterator[tuple[Node, Arrivals]]:
+    """A node of this name, served by a thread of its own, and how /joint_states arrive at it."""
     import rclpy
-    from control_msgs.action import FollowJointTrajectory
-    from rclpy.action.client import ActionClient
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import try_shutdown
     from sensor_msgs.msg import JointState
 
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # SIGTERM simply ends it
-    node = rclpy.create_node("rtarm_demo")
+    node = rclpy.create_node(name)
     arrivals = Arrivals()
     node.create_subscription(JointState, "/joint_states", arrivals.take, 10, raw=True)
-    client = ActionClient(node, FollowJointTrajectory, action)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
 
@@ -208,20 +209,32 @@ def run(action: str, goals: Sequence[Goal]) -> int:
 
     spinner = threading.Thread(target=spin, daemon=True)
     spinner.start()
-    if not client.wait_for_server(timeout_sec=SERVER_PATIENCE_S):
-        raise Refusal(f"No action server {action} appeared within {SERVER_PATIENCE_S:g} s.")
-    print(READY, flush=True)
-    if not sys.stdin.readline():
-        return 1  # the parent is gone
-    gc.collect()
-    gc.freeze()  # the collector would walk all of rclpy while intervals are measured
-    started_ns = time.monotonic_ns()
-    succeeded = all(play(client, goal) for goal in goals)
-    report("joint_states", **arrivals.between(started_ns, time.monotonic_ns()))
-    executor.shutdown()
-    spinner.join()
-    node.destroy_node()
-    try_shutdown()
+    try:
+        yield node, arrivals
+    finally:
+        executor.shutdown()
+        spinner.join()
+        node.destroy_node()
+        try_shutdown()
+
+
+def run(action: str, goals: Sequence[Goal]) -> int:
+    """Connect, wait for the word, play the goals until one fails; exit code 0 only if all succeeded."""
+    from control_msgs.action import FollowJointTrajectory
+    from rclpy.action.client import ActionClient
+
+    with listening("rtarm_demo") as (node, arrivals):
+        client = ActionClient(node, FollowJointTrajectory, action)
+        if not client.wait_for_server(timeout_sec=SERVER_PATIENCE_S):
+            raise Refusal(f"No action server {action} appeared within {SERVER_PATIENCE_S:g} s.")
+        print(READY, flush=True)
+        if not sys.stdin.readline():
+            return 1  # the parent is gone
+        gc.collect()
+        gc.freeze()  # the collector would walk all of rclpy while intervals are measured
+        started_ns = time.monotonic_ns()
+        succeeded = all(play(client, goal) for goal in goals)
+        report("joint_states", **arrivals.between(started_ns, time.monotonic_ns()))
     return 0 if succeeded else 1
 
 

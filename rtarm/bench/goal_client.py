@@ -9,16 +9,14 @@ Prints `ready`, then obeys every line on standard input: `play {"action": …, "
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import json
 import sys
-import threading
 import time
 from typing import Any
 
 from rtarm.bench.measured import obey
-from rtarm.demo_client import Arrivals, goal_message, report, wait
+from rtarm.demo_client import goal_message, listening, report, wait
 from rtarm.processes import READY
 
 SERVER_PATIENCE_S = 20.0
@@ -61,39 +59,17 @@ def _failed(sentence: str) -> None:
 
 def main() -> int:
     """The process, until its standard input is closed."""
-    import rclpy
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-    from rclpy.signals import SignalHandlerOptions
-    from rclpy.utilities import try_shutdown
-    from sensor_msgs.msg import JointState
+    with listening("rtarm_bench") as (node, arrivals):
+        print(READY, flush=True)
 
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # SIGTERM simply ends it
-    node = rclpy.create_node("rtarm_bench")
-    arrivals = Arrivals()
-    node.create_subscription(JointState, "/joint_states", arrivals.take, 10, raw=True)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+        def on_play(rest: str) -> None:
+            play(node, **json.loads(rest))
 
-    def spin() -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            executor.spin()
+        def on_states(rest: str) -> None:
+            first_ns, last_ns = map(int, rest.split())
+            report("states", **arrivals.between(first_ns, last_ns))
 
-    spinner = threading.Thread(target=spin, daemon=True)
-    spinner.start()
-    print(READY, flush=True)
-
-    def on_play(rest: str) -> None:
-        play(node, **json.loads(rest))
-
-    def on_states(rest: str) -> None:
-        first_ns, last_ns = map(int, rest.split())
-        report("states", **arrivals.between(first_ns, last_ns))
-
-    obey({"play": on_play, "states": on_states})
-    executor.shutdown()
-    spinner.join()
-    node.destroy_node()
-    try_shutdown()
+        obey({"play": on_play, "states": on_states})
     return 0
 
 
