@@ -46,7 +46,9 @@ def step(loop: Loop, shared: Shared, now_ns: int) -> int:
 def begin_cycle(loop: Loop, shared: Shared, now_ns: int) -> None:
     """The setpoint that was sent for this instant becomes the present one; a long gap ends the goal."""
     core = loop.core
-    gap_ns = now_ns - core.now_ns if core.cycle > 0 else 0
+    waited_ns = now_ns - core.now_ns if core.cycle > 0 else 0
+    gap_ns = waited_ns + core.suspended_ns
+    core.suspended_ns = 0
     core.now_ns = now_ns
     core.cycle += 1
     period_s = loop.params.period_ns * 1e-9
@@ -60,7 +62,7 @@ def begin_cycle(loop: Loop, shared: Shared, now_ns: int) -> None:
         axis.acceleration_rad_s2 = axis.next_acceleration_rad_s2
         away_ns = min(max(gap_ns - loop.params.period_ns, 0), GAP_NS)
         if axis.unanswered_since_ns != 0:
-            axis.unanswered_since_ns += max(gap_ns - loop.params.period_ns, 0)  # the loop was away, not the drive
+            axis.unanswered_since_ns += max(waited_ns - loop.params.period_ns, 0)  # the loop was away, not the drive
         axis.slip_rad *= 1.0 - min(zdt.ERROR_SHARE_1_S * period_s, 1.0)
         axis.slip_rad += abs(axis.velocity_rad_s) * away_ns * 1e-9
         loop.history_rad[slot * MAX_JOINTS + joint] = axis.position_rad

@@ -12,6 +12,7 @@ from numba import types
 from numba.extending import intrinsic
 
 CLOCK_MONOTONIC = 1
+CLOCK_BOOTTIME = 7
 TIMER_ABSTIME = 1
 POLLIN = 1
 EINTR = 4

@@ -24,7 +24,7 @@ from shm.words import Mode
 BUSY_POLL_S = 0.004
 IDLE_POLL_S = 0.05
 FIRST_CYCLE_POLL_S = 0.001
-EPOCH_EVERY_S = 1.0
+EPOCH_TRIES = 3
 
 
 class CannotStart(Exception):
@@ -41,6 +41,19 @@ class StopAsked:
 
     def _take(self, *_: object) -> None:
         self.yes = True
+
+
+def epoch_offset_ns() -> int:
+    """CLOCK_REALTIME minus CLOCK_MONOTONIC (ns), from the closest of a few pairs of looks at them.
+
+    Between the two looks of a pair the process may lose the processor, for milliseconds on a busy machine.
+    """
+    closest_ns, offset_ns = 1 << 62, 0
+    for _ in range(EPOCH_TRIES):
+        before_ns, epoch_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        if after_ns - before_ns < closest_ns:
+            closest_ns, offset_ns = after_ns - before_ns, epoch_ns - (before_ns + after_ns) // 2
+    return offset_ns
 
 
 class ControlProcess:
@@ -112,7 +125,7 @@ class ControlProcess:
             self._threads.append(
                 threading.Thread(target=self._run_reader, args=(prepared,), name="reader", daemon=True)
             )
-        self._set_epoch()
+        self._follow_the_clock()
         threading.stack_size(realtime.THREAD_STACK_BYTES)
         for thread in reversed(self._threads):  # the cycle's last: it publishes what both were given
             prepared.clear()
@@ -164,8 +177,9 @@ class ControlProcess:
         core: np.void = self._loop[0]["core"]
         return core
 
-    def _set_epoch(self) -> None:
-        self._core["epoch_offset_ns"] = time.time_ns() - time.monotonic_ns()
+    def _follow_the_clock(self) -> None:
+        """Stamps follow the system's clock, which may be set at any time; motion is timed by the monotonic one."""
+        self._core["epoch_offset_ns"] = epoch_offset_ns()
 
     def _bring_up(self, *, clears_protection: bool) -> BringUp:
         measured = self._loop[0]["axes"]["measured_rad"][: len(self._arm.joints)]
@@ -183,14 +197,11 @@ class ControlProcess:
         # fresh rings have room for its beginning
         talk: Conversation | None = self._bring_up(clears_protection=False)
         first = True
-        next_epoch_s = time.monotonic()
         closing_until_s = 0.0
         while True:
             time.sleep(BUSY_POLL_S if talk or first or closing_until_s else IDLE_POLL_S)
             now_s = time.monotonic()
-            if now_s >= next_epoch_s:
-                self._set_epoch()
-                next_epoch_s = now_s + EPOCH_EVERY_S
+            self._follow_the_clock()
             if talk is not None and talk.poll(time.monotonic_ns()):
                 if talk.failure is not None:
                     self._tell(str(talk.failure))

@@ -11,6 +11,7 @@ import numpy as np
 
 from rtloop.cycle import step
 from rtloop.libc import (
+    CLOCK_BOOTTIME,
     CLOCK_MONOTONIC,
     EAGAIN,
     EINTR,
@@ -45,10 +46,26 @@ bucket = jit(histogram.bucket)
 
 
 @jit
+def clock_ns(clock: int, timespec_address: int) -> int:
+    """A clock of the system, through a timespec at the given address."""
+    clock_gettime(clock, timespec_address)
+    return load_relaxed(timespec_address) * 1_000_000_000 + load_relaxed(timespec_address + 8)
+
+
+@jit
 def monotonic_ns(timespec_address: int) -> int:
     """CLOCK_MONOTONIC, through a timespec at the given address."""
-    clock_gettime(CLOCK_MONOTONIC, timespec_address)
-    return load_relaxed(timespec_address) * 1_000_000_000 + load_relaxed(timespec_address + 8)
+    return clock_ns(CLOCK_MONOTONIC, timespec_address)
+
+
+@jit
+def suspended_ns(timespec_address: int) -> int:
+    """For how long the machine has been suspended since it was started: CLOCK_MONOTONIC stands still meanwhile.
+
+    In this order a pause between the two looks can only make it less, which the next look makes good.
+    """
+    boot_ns = clock_ns(CLOCK_BOOTTIME, timespec_address)
+    return boot_ns - monotonic_ns(timespec_address)
 
 
 @jit
@@ -95,6 +112,7 @@ def run(loop: Loop, shared: Shared, fd: int) -> None:
     clock = params.address + _CLOCK
     period_ns = params.period_ns
     deadline_ns = monotonic_ns(clock) + period_ns
+    suspended_before_ns = suspended_ns(clock)
     while load_acquire(params.address + _STOP) == 0:
         sleep_until(loop, deadline_ns)
         woke_ns = monotonic_ns(clock)
@@ -104,6 +122,10 @@ def run(loop: Loop, shared: Shared, fd: int) -> None:
             missed = lateness_ns // period_ns
             shared.counters.overruns += missed
             deadline_ns += missed * period_ns
+        suspended_now_ns = suspended_ns(clock)
+        if suspended_now_ns - suspended_before_ns > period_ns:
+            loop.core.suspended_ns = suspended_now_ns - suspended_before_ns
+            suspended_before_ns = suspended_now_ns
         count = step(loop, shared, deadline_ns)
         if count > 0 and fd >= 0:
             send_bytes(loop, shared, fd, count)

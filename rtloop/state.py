@@ -161,6 +161,7 @@ CORE = np.dtype(
         ("cycle", "i8"),
         ("now_ns", "i8"),
         ("epoch_offset_ns", "i8"),
+        ("suspended_ns", "i8"),  # for how long the machine was suspended since the last cycle; now_ns stood still
         ("mode", "i8"),
         ("fault", "i8"),
         ("fault_joint", "i8"),

@@ -72,6 +72,7 @@ class VirtualArm:
         self.writer = CommandWriter(self.command)
         self.port = ServicePort(self.loop, entries)
         self.now_ns = START_NS
+        self.suspended_ns = 0
         self.random = np.random.default_rng(seed)
         self.jitter_ns = jitter_ns
         self.sent: list[tuple[int, bytes]] = []
@@ -101,17 +102,23 @@ class VirtualArm:
     def listen(self, until_ns: int) -> None:
         """Push what the adapter sends up to a time into the receive ring, each chunk with its time."""
         assert self.sim is not None
+        until_ns += self.suspended_ns
         while True:
             due = self.sim.next_due_ns()
             at = until_ns if due is None else min(max(due, self.sim.now_ns), until_ns)
-            data = self.sim.collect(at)
-            if data:
-                received.push(self.loop[0], at, np.frombuffer(data, np.uint8), len(data))
+            self._hear(at, self.sim.collect(at))
             if due is None or due >= until_ns:
                 break
-        rest = self.sim.collect(until_ns)
-        if rest:
-            received.push(self.loop[0], until_ns, np.frombuffer(rest, np.uint8), len(rest))
+        self._hear(until_ns, self.sim.collect(until_ns))
+
+    def _hear(self, sim_ns: int, data: bytes) -> None:
+        if data:
+            received.push(self.loop[0], sim_ns - self.suspended_ns, np.frombuffer(data, np.uint8), len(data))
+
+    def suspend(self, duration_s: float) -> None:
+        """The machine sleeps between two cycles: the drives live on, the loop's clock stands still."""
+        self.suspended_ns += round(duration_s * 1e9)
+        self.core["suspended_ns"] = round(duration_s * 1e9)
 
     def cycle(self, periods: int = 1) -> None:
         """Let `periods` periods pass and run one cycle at the end of them."""
@@ -128,7 +135,7 @@ class VirtualArm:
             self.sent.append((self.now_ns, data))
             if self.sim is not None:
                 at = self.now_ns + int(self.random.integers(0, self.jitter_ns + 1))
-                self.sim.feed(at, data)
+                self.sim.feed(at + self.suspended_ns, data)
 
     def cycles(self, count: int) -> None:
         for _ in range(count):

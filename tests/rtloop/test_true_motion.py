@@ -307,6 +307,29 @@ def test_a_long_gap_ends_the_goal_where_the_drives_stopped(moment: tuple[str, fl
 
 
 @trials
+@given(moments, st.floats(0.3, 3600.0))
+def test_a_suspended_machine_ends_the_goal_where_the_drives_stopped(
+    moment: tuple[str, float], duration_s: float
+) -> None:
+    """CLOCK_MONOTONIC stands still meanwhile, so that to the loop no time has passed; the drives braked long ago."""
+    arm, goal_id, started_ns = moving_arm(*moment)
+    assert arm.core["goal_id"] == goal_id
+    arm.cycles(1)
+    arm.suspend(duration_s)
+    arm.cycles(3)
+    assert arm.outcome(goal_id) == Outcome.CLOCK_GAP
+    stood = [arm.sim.true_position_rad(joint, arm.sim.now_ns - 1) for joint in range(6)]
+    arm.cycles(120)
+    assert arm.core["fault"] == Fault.NONE
+    assert arm.core["mode"] == Mode.HOLDING
+    for joint, config in enumerate(arm.arm.joints):
+        end = arm.sim.true_position_rad(joint, arm.sim.now_ns - 1)
+        assert abs(end - stood[joint]) <= 2 * config.command_pulse_rad
+    assert largest_acceleration_ratio(arm, max(started_ns, arm.sim.now_ns - 2_000_000_000)) <= 2.2
+    arm.close()
+
+
+@trials
 @given(moments, st.integers(2, 11))
 def test_a_short_gap_neither_faults_nor_ends_the_goal(moment: tuple[str, float], periods: int) -> None:
     """The machine stalls for less than the look-ahead: the drives ran on meanwhile, which is nobody's error."""
