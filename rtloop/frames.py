@@ -7,6 +7,7 @@ from rtloop import guard, port, service
 from rtloop import status as status_bits
 from rtloop.drives import zdt
 from rtloop.modes import is_limp
+from rtloop.recorder import EXTENDED, SENT, record_frame
 from rtloop.state import FAMILY_MOCK, FAMILY_ZDT, SLCAN_LONGEST_LINE, TX_BYTES
 from rtloop.wire import slcan
 from shm.jit import jit
@@ -61,6 +62,7 @@ def send(loop: Loop, shared: Shared, frame_id: int, length: int, data: int) -> N
         loop.core.tx_bits += bits
         shared.counters.bits_on_bus += bits
         shared.counters.frames_sent += 1
+        record_frame(loop, shared, loop.core.now_ns, frame_id, SENT | EXTENDED, length, data)
 
 
 @jit

@@ -10,6 +10,7 @@ from rtloop import guard, service
 from rtloop.drives import zdt
 from rtloop.faults import latch_fault
 from rtloop.frames import frame_bits
+from rtloop.recorder import EXTENDED, record_frame
 from rtloop.state import ADDRESSES, HISTORY_SLOTS, RX_BYTES, RX_CHUNKS, WIRE_SLCAN
 from rtloop.wire import received, slcan
 from shm.jit import jit
@@ -61,6 +62,7 @@ def take_line(loop: Loop, shared: Shared, time_ns: int) -> None:
     elif kind == slcan.LINE_FRAME:
         shared.counters.frames_received += 1
         shared.counters.bits_on_bus += frame_bits(extended == 1, length)
+        record_frame(loop, shared, time_ns, frame_id, EXTENDED if extended == 1 else 0, length, data)
         take_frame(loop, shared, frame_id, extended, length, data, time_ns)
 
 

@@ -16,7 +16,7 @@ from rtloop.compiled import CompiledCycle
 from rtloop.conversation import Conversation
 from rtloop.port import ServicePort
 from rtloop.release import Release
-from rtloop.state import READ_BYTES, new_loop, offset_of
+from rtloop.state import READ_BYTES, new_loop, offset_of, show_limits
 from rtloop.wire.tty import close_slcan, open_slcan
 from shm import files
 from shm.words import Mode
@@ -92,6 +92,7 @@ class ControlProcess:
             self._port = ServicePort(self._loop, compiled)
             self._received = np.zeros(READ_BYTES, np.uint8)
             self._poll_request = np.zeros(1, np.int64)
+            show_limits(self._files.state.record["limits"], self._loop)
             arrays = (
                 self._loop,
                 self._received,
@@ -144,6 +145,7 @@ class ControlProcess:
 
     def _run_cycle(self, prepared: threading.Event) -> None:
         realtime.prepare_thread(self._arm.realtime, self._obtained)
+        realtime.lock_recorder(self._files.state.rings, self._obtained)  # last, after what no cycle can do without
         words = self._files.state.record["scheduling"]
         words["policy"], words["priority"] = self._obtained.policy, self._obtained.priority
         words["memory_locked"], words["cpu"] = self._obtained.memory_locked, self._obtained.cpu

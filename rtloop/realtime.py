@@ -110,14 +110,25 @@ def prepare_thread(wanted: RealtimeConfig, obtained: Obtained, *, below: int = 0
         obtained.cpu = next(iter(allowed)) if len(allowed) == 1 else -1
 
 
+def lock_recorder(rings: Range, obtained: Obtained) -> None:
+    """Fetch the flight recorder's rings and keep them in place, if there is room within the limit for them too.
+
+    Each cycle writes to them; they are the largest part of what it touches, and grow with the arm's rate.
+    """
+    if not _keep(rings) and obtained.memory_locked:
+        size_mib, limit_mib = rings[1] / 2**20, resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] / 2**20
+        obtained.memory_locked = False
+        obtained.complaints.append(
+            f"The flight recorder's {size_mib:.0f} MiB are not locked, everything else is: page faults may delay "
+            f"cycles on a machine short of memory; raise RLIMIT_MEMLOCK from {limit_mib:.0f} to "
+            f"{limit_mib + size_mib:.0f} MiB (`ulimit -l unlimited`, or LimitMEMLOCK=infinity in a systemd unit)."
+        )
+
+
 def _lock(ranges: Iterable[Range], obtained: Obtained) -> None:
     """Fetch memory and keep it in place; what may not be kept is fetched all the same, and that is said once."""
-    libc = _libc()
-    page = resource.getpagesize()
-    for address, size in ranges:
-        first = address // page * page
-        start, length = ctypes.c_void_p(first), ctypes.c_size_t(-(-(address + size) // page) * page - first)
-        if libc.mlock(start, length) != 0:
+    for wanted in ranges:
+        if not _keep(wanted):
             if obtained.memory_locked:
                 obtained.complaints.append(
                     f"Memory is not locked ({os.strerror(ctypes.get_errno())}): page faults may delay cycles; raise "
@@ -125,11 +136,24 @@ def _lock(ranges: Iterable[Range], obtained: Obtained) -> None:
                     "unit)."
                 )
             obtained.memory_locked = False
-            # Writing is refused where nothing may be written; before Linux 5.14 both are.
-            if libc.madvise(start, length, _MADV_POPULATE_WRITE) != 0:
-                libc.madvise(start, length, _MADV_POPULATE_READ)
-        # Pages that the kernel gathers into a huge one later fault at their next use; huge ones that are there stay.
-        libc.madvise(start, length, _MADV_NOHUGEPAGE)
+
+
+def _keep(wanted: Range) -> bool:
+    """Fetch memory and keep it in place; False (and errno says why) when it was only fetched."""
+    libc = _libc()
+    page = resource.getpagesize()
+    address, size = wanted
+    first = address // page * page
+    start, length = ctypes.c_void_p(first), ctypes.c_size_t(-(-(address + size) // page) * page - first)
+    kept: bool = libc.mlock(start, length) == 0
+    reason = ctypes.get_errno()
+    # Writing is refused where nothing may be written; before Linux 5.14 both are.
+    if not kept and libc.madvise(start, length, _MADV_POPULATE_WRITE) != 0:
+        libc.madvise(start, length, _MADV_POPULATE_READ)
+    # Pages that the kernel gathers into a huge one later fault at their next use; huge ones that are there stay.
+    libc.madvise(start, length, _MADV_NOHUGEPAGE)
+    ctypes.set_errno(reason)
+    return kept
 
 
 def _may_lock_everything() -> bool:

@@ -118,6 +118,7 @@ def run(loop: Loop, shared: Shared, fd: int) -> None:
         woke_ns = monotonic_ns(clock)
         lateness_ns = woke_ns - deadline_ns
         record(shared.lateness, lateness_ns)
+        loop.core.lateness_ns = lateness_ns
         if lateness_ns >= period_ns:
             missed = lateness_ns // period_ns
             shared.counters.overruns += missed
@@ -129,7 +130,8 @@ def run(loop: Loop, shared: Shared, fd: int) -> None:
         count = step(loop, shared, deadline_ns)
         if count > 0 and fd >= 0:
             send_bytes(loop, shared, fd, count)
-        record(shared.cycle_time, monotonic_ns(clock) - woke_ns)
+        loop.core.cycle_time_ns = monotonic_ns(clock) - woke_ns
+        record(shared.cycle_time, loop.core.cycle_time_ns)
         deadline_ns += period_ns
 
 

@@ -1,9 +1,10 @@
-"""What everybody may see: the snapshot, published at the end of each cycle."""
+"""What everybody may see: the snapshot, published at the end of each cycle, and kept by the flight recorder."""
 
 import math
 from typing import Any
 
 from rtloop.path import end_s
+from rtloop.recorder import record_cycle
 from rtloop.state import LOOP, offset_of
 from shm import layout
 from shm.jit import jit
@@ -81,3 +82,4 @@ def show(loop: Loop, shared: Shared) -> None:
     standing = _DECISION_WORDS if core.decisions_shown == 1 else 0
     publish(params.state_address + _SHARED_SEQUENCE, params.state_address + _SHARED_SNAPSHOT, source, words, standing)
     core.decisions_shown = 1
+    record_cycle(loop, shared)

@@ -162,6 +162,8 @@ CORE = np.dtype(
         ("now_ns", "i8"),
         ("epoch_offset_ns", "i8"),
         ("suspended_ns", "i8"),  # for how long the machine was suspended since the last cycle; now_ns stood still
+        ("lateness_ns", "i8"),  # of this cycle's wake-up
+        ("cycle_time_ns", "i8"),  # of the cycle before
         ("mode", "i8"),
         ("fault", "i8"),
         ("fault_joint", "i8"),
@@ -285,6 +287,7 @@ LOOP = np.dtype(
         ("history_ns", "i8", (HISTORY_SLOTS,)),
         ("history_rad", "f8", (HISTORY_SLOTS * MAX_JOINTS,)),
         ("snapshot", layout.SNAPSHOT),
+        ("record", layout.RECORD),  # what the flight recorder adds to the snapshot; the rest of it is not used
         ("scratch", layout.SETPOINT),
         ("scratch_begin", layout.BEGIN),
         ("scratch_request", layout.REQUEST),
@@ -334,6 +337,17 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
     core["ending_joint"] = -1
     core["rate"] = core["rate_target"] = core["speed_scale"] = core["entry_rate"] = 1.0
     return loop
+
+
+def show_limits(limits: np.void, loop: np.ndarray) -> None:
+    """Say in the state file (a record of dtype layout.LIMITS) what the arm may do."""
+    params, joints = loop[0]["params"], loop[0]["joints"]
+    for name in layout.LIMITS.names or ():
+        if name in (PARAMS.names or ()):
+            limits[name] = params[name]
+    for name in ("lower_rad", "upper_rad", "max_velocity_rad_s", "max_acceleration_rad_s2"):
+        limits["joints"][name] = joints[name]
+    limits["joints"]["drive_address"] = joints["address"]
 
 
 def longest_stop_s(arm: ArmConfig) -> float:

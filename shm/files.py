@@ -32,6 +32,11 @@ def state_path(arm: str) -> Path:
     return DIRECTORY / f"rtarm.{arm}.state"
 
 
+def previous_path(arm: str) -> Path:
+    """Where a new control process leaves the state file of one that ended without order."""
+    return DIRECTORY / f"rtarm.{arm}.state.prev"
+
+
 def command_path(arm: str) -> Path:
     return DIRECTORY / f"rtarm.{arm}.command"
 
@@ -50,7 +55,7 @@ class Identity:
 
 @dataclass
 class MemoryFile:
-    """An open, mapped memory file; `record` is the whole file as one numpy record of its dtype."""
+    """An open, mapped memory file; `record` is its fixed part as one numpy record of its dtype."""
 
     path: Path
     fd: int
@@ -60,6 +65,11 @@ class MemoryFile:
     @property
     def address(self) -> int:
         return int(self.array.ctypes.data)
+
+    @property
+    def rings(self) -> tuple[int, int]:
+        """Address and size (bytes) of what follows the record: in a state file, the flight recorder's rings."""
+        return self.address + self.array.nbytes, len(self.map) - self.array.nbytes
 
     @property
     def record(self) -> np.void:
@@ -93,7 +103,7 @@ class LoopFiles:
             memory.close()
 
 
-def _name_bytes(names: Sequence[str], slots: int) -> np.ndarray:
+def name_bytes(names: Sequence[str], slots: int) -> np.ndarray:
     text = b"".join(name.encode().ljust(layout.NAME_BYTES, b"\0") for name in names)
     return np.frombuffer(text.ljust(slots * layout.NAME_BYTES, b"\0"), np.uint8)
 
@@ -110,9 +120,9 @@ def joint_names(header: np.void) -> tuple[str, ...]:
     return tuple(slots[at : at + layout.NAME_BYTES].rstrip(b"\0").decode() for at in starts)
 
 
-def _map(path: Path, fd: int, dtype: np.dtype, *, writable: bool) -> MemoryFile:
+def _map(path: Path, fd: int, dtype: np.dtype, size: int, *, writable: bool) -> MemoryFile:
     protection = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
-    mapped = mmap.mmap(fd, dtype.itemsize, mmap.MAP_SHARED, protection)
+    mapped = mmap.mmap(fd, size, mmap.MAP_SHARED, protection)
     return MemoryFile(path, fd, mapped, np.frombuffer(mapped, dtype=dtype, count=1))
 
 
@@ -166,24 +176,23 @@ def _create_locked(path: Path) -> int:
             os.unlink(path)
 
 
-def _build_aside(path: Path, dtype: np.dtype, identity: Identity) -> MemoryFile:
+def _build_aside(path: Path, dtype: np.dtype, size: int, identity: Identity) -> MemoryFile:
     """A complete, locked file under a temporary name, every page allocated."""
     _remove_abandoned(path)
     aside = path.with_name(f"{path.name}.{os.getpid()}.new")
     fd = _create_locked(aside)
     try:
-        os.posix_fallocate(fd, 0, dtype.itemsize)
-        memory = _map(aside, fd, dtype, writable=True)
+        os.posix_fallocate(fd, 0, size)
+        memory = _map(aside, fd, dtype, size, writable=True)
     except OSError as problem:
         os.close(fd)
         os.unlink(aside)
         if problem.errno == errno.ENOSPC:
             raise NotPermitted(
-                f"{DIRECTORY} has no room for the {dtype.itemsize} bytes of {path.name}: free some space there, "
-                "then start again."
+                f"{DIRECTORY} has no room for the {size} bytes of {path.name}: free some space there, then start again."
             ) from problem
         raise
-    memory.array.view(np.uint8)[:: mmap.PAGESIZE] = 0  # touch every page now, not in the first cycle
+    np.frombuffer(memory.map, np.uint8)[:: mmap.PAGESIZE] = 0  # touch every page now, not in the first cycle
     header = memory.record["header"]
     header["layout_hash"] = layout.layout_hash()
     header["arm_hash"] = identity.arm_hash
@@ -193,8 +202,8 @@ def _build_aside(path: Path, dtype: np.dtype, identity: Identity) -> MemoryFile:
     header["period_ns"] = identity.period_ns
     header["bitrate"] = identity.bitrate
     header["joint_count"] = len(identity.joints)
-    header["arm_name"] = _name_bytes((identity.arm,), 1)
-    header["joint_names"] = _name_bytes(identity.joints, layout.MAX_JOINTS)
+    header["arm_name"] = name_bytes((identity.arm,), 1)
+    header["joint_names"] = name_bytes(identity.joints, layout.MAX_JOINTS)
     header["magic"] = layout.MAGIC
     return memory
 
@@ -219,7 +228,7 @@ def _put_in_place(memory: MemoryFile, path: Path, *, keep_previous: bool) -> Non
                 with contextlib.suppress(FileNotFoundError):
                     if os.stat(path, follow_symlinks=False).st_ino == os.fstat(old).st_ino:
                         if keep_previous:
-                            os.replace(path, path.with_name(path.name + ".prev"))
+                            os.replace(path, path.with_name(f"{path.name}.prev"))
                         else:
                             os.unlink(path)
             try:
@@ -246,10 +255,12 @@ def create(identity: Identity) -> LoopFiles:
 
     Raises AlreadyHeld when another control process drives this arm.
     """
-    state = _build_aside(state_path(identity.arm), layout.STATE, identity)
+    rings = layout.rings(len(identity.joints), identity.period_ns, identity.bitrate)
+    state = _build_aside(state_path(identity.arm), layout.STATE, rings.file_bytes, identity)
     command = None
     try:
-        command = _build_aside(command_path(identity.arm), layout.COMMAND, identity)
+        state.record["recorder"] = rings.described()
+        command = _build_aside(command_path(identity.arm), layout.COMMAND, layout.COMMAND.itemsize, identity)
         _put_in_place(state, state_path(identity.arm), keep_previous=True)
         path = command_path(identity.arm)
         os.replace(command.path, path)  # the state file's lock already settled who owns the arm
@@ -285,7 +296,8 @@ def _open(path: Path, dtype: np.dtype, arm: str, arm_hash: int | None, *, writab
             )
         found = np.frombuffer(os.pread(fd, layout.HEADER.itemsize, 0).ljust(layout.HEADER.itemsize), layout.HEADER)
         ours = layout.layout_hash()
-        if found["magic"][0] != layout.MAGIC or found["layout_hash"][0] != ours or status.st_size != dtype.itemsize:
+        size = _size_said(found[0], dtype)
+        if found["magic"][0] != layout.MAGIC or found["layout_hash"][0] != ours or status.st_size != size:
             raise WrongLayout(
                 f"{path} has layout {int(found['layout_hash'][0]):016x}, this rtarm has {ours:016x}: the two "
                 "processes come from different versions; stop both and start them from one installation."
@@ -295,10 +307,18 @@ def _open(path: Path, dtype: np.dtype, arm: str, arm_hash: int | None, *, writab
                 f"The control process for '{arm}' runs configuration {int(found['arm_hash'][0]):016x}, this process "
                 f"has {arm_hash:016x}: start both from the same arm file."
             )
-        return _map(path, fd, dtype, writable=writable)
+        return _map(path, fd, dtype, size, writable=writable)
     except BaseException:
         os.close(fd)
         raise
+
+
+def _size_said(header: np.void, dtype: np.dtype) -> int:
+    """How large a file with this header must be; -1 when the header cannot be right."""
+    joints, period_ns, bitrate = (int(header[name]) for name in ("joint_count", "period_ns", "bitrate"))
+    if not 0 < joints <= layout.MAX_JOINTS or period_ns <= 0:
+        return -1
+    return layout.rings(joints, period_ns, bitrate).file_bytes if dtype is layout.STATE else dtype.itemsize
 
 
 def open_state(arm: str, arm_hash: int | None = None) -> MemoryFile:
@@ -312,6 +332,29 @@ def open_state(arm: str, arm_hash: int | None = None) -> MemoryFile:
             f"`rtarm up {arm}`."
         )
     return memory
+
+
+def left_behind(arm: str) -> MemoryFile:
+    """Map the newest state file of an arm read-only, whether or not its control process lives.
+
+    Raises NotRunning when none was left behind, and whatever else `open_state` does.
+    """
+    path = state_path(arm)
+    try:
+        return _open(path, layout.STATE, arm, None, writable=False)
+    except NotRunning:
+        return _open(previous_path(arm), layout.STATE, arm, None, writable=False)
+
+
+def arms_left_behind() -> list[str]:
+    """Names of this user's arms of whose control process there is a state file, whether or not it lives, sorted."""
+    arms = set()
+    for path in (*DIRECTORY.glob("rtarm.*.state"), *DIRECTORY.glob("rtarm.*.state.prev")):
+        arm = path.name.removeprefix("rtarm.").removesuffix(".prev").removesuffix(".state")
+        with contextlib.suppress(SharedMemoryError):
+            left_behind(arm).close()
+            arms.add(arm)
+    return sorted(arms)
 
 
 def open_command(arm: str, arm_hash: int | None = None) -> MemoryFile:

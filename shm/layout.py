@@ -29,6 +29,8 @@ REQUEST_SLOTS = 64
 EVENT_SLOTS = 1024
 RESULT_SLOTS = 16
 ANSWER_SLOTS = 16
+RECORDED_NS = 33_000_000_000
+"""What the flight recorder keeps: 30 s, the moment after a fault until it is read, and the reading itself."""
 HISTOGRAM_SUB_BITS = 6
 HISTOGRAM_BUCKETS = 2048
 
@@ -128,55 +130,65 @@ ANSWER = _record(
     ],
 )
 
+CHANGING = [
+    Word("cycle", "i8", "", "number of this cycle"),
+    Word("monotonic_ns", "i8", "ns", "planned time of this cycle, CLOCK_MONOTONIC"),
+    Word("epoch_ns", "i8", "ns", "the same instant on CLOCK_REALTIME (ROS time)"),
+    Word("mode", "i8", "", "shm.words.Mode"),
+    Word("fault", "i8", "", "latched fault, shm.words.Fault; 0 none"),
+    Word("fault_joint", "i8", "", "joint it names, -1 for none"),
+    Word("fault_value", "f8", "", "value that broke the limit"),
+    Word("fault_limit", "f8", "", "the limit"),
+    Word("fault_ns", "i8", "ns", "CLOCK_MONOTONIC when it was latched"),
+    Word("goal_id", "i8", "", "goal being executed or stopped, 0 none"),
+    Word("goal_phase", "i8", "", "shm.words.Phase"),
+    Word("trajectory_clock_ns", "f8", "ns", "time along the trajectory"),
+    Word("trajectory_end_ns", "i8", "ns", "its duration once END is known, else -1"),
+    Word("speed_scale", "f8", "", "present rate of the trajectory clock"),
+    Word("speed_scale_target", "f8", "", "where the speed scale is going"),
+    Word("speed_scale_asked", "f8", "", "what people asked for, 0…1; the scale goes there unless something stops"),
+    Word("motion_started", "i8", "", "1 once the first motion frame was sent since bring-up"),
+    Word("joints", (JOINT, (MAX_JOINTS,)), "", "one record a joint"),
+]
+"""The words of a snapshot that change in every cycle."""
+
 SNAPSHOT = _record(
     "snapshot",
     [
         Word("crc", "i8", "", "CRC-32 of the bytes that follow, joints in use included"),
         Word("results", (RESULT, (RESULT_SLOTS,)), "", "results of the newest goals"),
         Word("answers", (ANSWER, (ANSWER_SLOTS,)), "", "answers to the newest requests"),
-        Word("cycle", "i8", "", "number of this cycle"),
-        Word("monotonic_ns", "i8", "ns", "planned time of this cycle, CLOCK_MONOTONIC"),
-        Word("epoch_ns", "i8", "ns", "the same instant on CLOCK_REALTIME (ROS time)"),
-        Word("mode", "i8", "", "shm.words.Mode"),
-        Word("fault", "i8", "", "latched fault, shm.words.Fault; 0 none"),
-        Word("fault_joint", "i8", "", "joint it names, -1 for none"),
-        Word("fault_value", "f8", "", "value that broke the limit"),
-        Word("fault_limit", "f8", "", "the limit"),
-        Word("fault_ns", "i8", "ns", "CLOCK_MONOTONIC when it was latched"),
-        Word("goal_id", "i8", "", "goal being executed or stopped, 0 none"),
-        Word("goal_phase", "i8", "", "shm.words.Phase"),
-        Word("trajectory_clock_ns", "f8", "ns", "time along the trajectory"),
-        Word("trajectory_end_ns", "i8", "ns", "its duration once END is known, else -1"),
-        Word("speed_scale", "f8", "", "present rate of the trajectory clock"),
-        Word("speed_scale_target", "f8", "", "where the speed scale is going"),
-        Word("speed_scale_asked", "f8", "", "what people asked for, 0…1; the scale goes there unless something stops"),
-        Word("motion_started", "i8", "", "1 once the first motion frame was sent since bring-up"),
-        Word("joints", (JOINT, (MAX_JOINTS,)), "", "one record a joint"),
+        *CHANGING,
     ],
 )
+
+COUNTED = [
+    Word("overruns", "i8", "", "cycles missed because one began or ended late; never made up"),
+    Word("frames_sent", "i8", "", "CAN frames written"),
+    Word("frames_received", "i8", "", "CAN frames decoded"),
+    Word("bits_on_bus", "i8", "bit", "worst-case stuffed bits of both"),
+    Word("bytes_sent", "i8", "", "bytes written to the wire"),
+    Word("bytes_received", "i8", "", "bytes read from the wire"),
+    Word("wire_errors", "i8", "", "BEL and garbled lines"),
+    Word("bytes_unsent", "i8", "", "bytes the wire did not take in their cycle"),
+    Word("receive_overflows", "i8", "", "bytes lost because the cycle did not take them in time"),
+    Word(
+        "stale_reads",
+        "i8",
+        "",
+        "cycles in which a drive's reading was older than the age ladder's first rung",
+    ),
+    Word("drive_errors", "i8", "", "commands a drive refused or did not understand"),
+    Word("knots_taken", "i8", "", "knots taken from the setpoint ring"),
+]
+"""The counters that the flight recorder keeps with every cycle."""
 
 COUNTERS = _record(
     "counters",
     [
         Word("cycles", "i8", "", "cycles run"),
-        Word("overruns", "i8", "", "cycles missed because one began or ended late; never made up"),
-        Word("frames_sent", "i8", "", "CAN frames written"),
-        Word("frames_received", "i8", "", "CAN frames decoded"),
-        Word("bits_on_bus", "i8", "bit", "worst-case stuffed bits of both"),
-        Word("bytes_sent", "i8", "", "bytes written to the wire"),
-        Word("bytes_received", "i8", "", "bytes read from the wire"),
-        Word("wire_errors", "i8", "", "BEL and garbled lines"),
-        Word("bytes_unsent", "i8", "", "bytes the wire did not take in their cycle"),
-        Word("receive_overflows", "i8", "", "bytes lost because the cycle did not take them in time"),
-        Word(
-            "stale_reads",
-            "i8",
-            "",
-            "cycles in which a drive's reading was older than the age ladder's first rung",
-        ),
-        Word("drive_errors", "i8", "", "commands a drive refused or did not understand"),
-        Word("knots_taken", "i8", "", "knots taken from the setpoint ring"),
-        Word("padding", ("i8", (3,)), "", ""),
+        *COUNTED,
+        _padding(8 * (1 + len(COUNTED))),
     ],
 )
 
@@ -217,6 +229,76 @@ CONSUMED = _record(
 
 LINE_WORD = ("i8", (LINE_BYTES // 8,))
 
+LIMITS_JOINT = _record(
+    "limits of a joint",
+    [
+        Word("lower_rad", "f8", "rad", "lower position limit"),
+        Word("upper_rad", "f8", "rad", "upper position limit"),
+        Word("max_velocity_rad_s", "f8", "rad/s", "velocity limit"),
+        Word("max_acceleration_rad_s2", "f8", "rad/s²", "acceleration limit"),
+        Word("drive_address", "i8", "", "address of its drive on the bus, 0 where there is none"),
+        Word("reserved", ("i8", (3,)), "", ""),
+    ],
+)
+
+LIMITS = _record(
+    "limits",
+    [
+        Word("velocity_margin", "f8", "", "the last line of defence allows this factor of a velocity limit"),
+        Word("acceleration_margin", "f8", "", "the same of an acceleration limit"),
+        Word("braking_factor", "f8", "", "braking may use this factor of an acceleration limit"),
+        Word("following_error_rad", "f8", "rad", "largest |commanded - measured|"),
+        Word("position_jump_rad", "f8", "rad", "largest jump of a reading that is believed"),
+        Word("stale_brake_ns", "i8", "ns", "age of a reading at which the arm brakes"),
+        Word("stale_fault_ns", "i8", "ns", "age of a reading at which a fault is latched"),
+        Word("front_timeout_ns", "i8", "ns", "silence of the front after which the arm stops"),
+        Word("longest_stop_s", "f8", "s", "every stop on the path ends within this"),
+        Word("padding", ("i8", (7,)), "", ""),
+        Word("joints", (LIMITS_JOINT, (MAX_JOINTS,)), "", "one record a joint"),
+    ],
+)
+
+RECORDER = _record(
+    "flight recorder",
+    [
+        Word("record_bytes", "i8", "", "size of a cycle's record, the arm's joints included"),
+        Word("record_slots", "i8", "", "records that the ring of cycles has room for; it begins behind this table"),
+        Word("frame_slots", "i8", "", "frames that the ring of frames has room for; it follows the ring of cycles"),
+        Word("padding", ("i8", (13,)), "", ""),
+    ],
+)
+
+RECORD = _record(
+    "flight recorder's record of a cycle",
+    [
+        Word(
+            "crc",
+            "i8",
+            "",
+            "CRC-32 of results and answers (`decisions_crc`), then of all from `cycle` on, then of what lies between",
+        ),
+        Word("decisions_crc", "i8", "", "CRC-32 of the snapshot's results and answers"),
+        Word("number", "i8", "", "number of this record, from 0; slot = number % record_slots"),
+        Word("lateness_ns", "i8", "ns", "wake-up lateness of this cycle"),
+        Word("cycle_time_ns", "i8", "ns", "computing time of the cycle before"),
+        Word("heartbeat_ns", "i8", "ns", "the front's last sign of life (CLOCK_MONOTONIC)"),
+        Word("slowed", "i8", "", "why the arm is slowed down or stopped, shm.words.Slowed"),
+        Word("ending", "i8", "", "shm.words.Outcome that the goal gets once the arm stands; 0 = it goes on"),
+        *COUNTED,
+        *CHANGING,
+    ],
+)
+
+BUS_FRAME = _record(
+    "flight recorder's record of a CAN frame",
+    [
+        Word("check", "i8", "", "mixed of number and the words that follow (shm.recording.frame_check)"),
+        Word("monotonic_ns", "i8", "ns", "arrival of its bytes, or the cycle that sent it (CLOCK_MONOTONIC)"),
+        Word("head", "i8", "", "identifier, length << 32, 1 << 40 if extended, 1 << 41 if it was sent"),
+        Word("data", "i8", "", "eight bytes, the first lowest"),
+    ],
+)
+
 STATE = _record(
     "state file (written by the control process)",
     [
@@ -241,8 +323,13 @@ STATE = _record(
             "events ever written in its first word; slot = number % EVENT_SLOTS",
         ),
         Word("events", (EVENT, (EVENT_SLOTS,)), "", "history, overwritten from the oldest"),
+        Word("limits", LIMITS, "", "what the arm's configuration allows"),
+        Word("recorder", RECORDER, "", ""),
+        Word("records_written", LINE_WORD, "", "records of cycles ever written, in its first word"),
+        Word("frames_written", LINE_WORD, "", "records of frames ever written, in its first word"),
     ],
 )
+"""The fixed part of the state file; the flight recorder's two rings follow, in sizes that fit the arm."""
 
 SETPOINT_JOINT = _record(
     "setpoint joint",
@@ -349,6 +436,42 @@ def used_bytes(record: np.dtype, joint_count: int) -> int:
     return int(joints[1]) + joint_count * joints[0].base.itemsize
 
 
+class Rings(NamedTuple):
+    """Sizes of the flight recorder's rings, which stand behind the fixed part of the state file."""
+
+    record_bytes: int
+    record_slots: int
+    frame_slots: int
+
+    @property
+    def frames_at(self) -> int:
+        """Offset of the ring of frames in the state file."""
+        return STATE.itemsize + self.record_bytes * self.record_slots
+
+    @property
+    def file_bytes(self) -> int:
+        """Size of the whole state file."""
+        return self.frames_at + BUS_FRAME.itemsize * self.frame_slots
+
+    def described(self) -> np.ndarray:
+        """What the state file's `recorder` says of them."""
+        said = np.zeros((), RECORDER)
+        for name, value in self._asdict().items():
+            said[name] = value
+        return said
+
+
+def rings(joint_count: int, period_ns: int, bitrate: int) -> Rings:
+    """The rings that keep `RECORDED_NS` of an arm's cycles, and of the frames that they send and get answered.
+
+    A cycle sends three frames to each joint and asks one of them for its status; what others say besides shortens the
+    time that the ring of frames goes back.
+    """
+    slots = -(-RECORDED_NS // period_ns)
+    frames = slots * (4 * joint_count + 2) if bitrate > 0 else 0
+    return Rings(used_bytes(RECORD, joint_count), slots, frames)
+
+
 def layout_hash() -> int:
     """63-bit hash of the two file layouts: names, types, offsets of every word."""
 
@@ -358,5 +481,5 @@ def layout_hash() -> int:
             return (base.str, dtype.shape)
         return ([(n, base.fields[n][1], describe(base.fields[n][0])) for n in base.fields], dtype.shape)
 
-    text = repr((MAX_JOINTS, describe(STATE), describe(COMMAND)))
+    text = repr((MAX_JOINTS, RECORDED_NS, *(describe(record) for record in (STATE, RECORD, BUS_FRAME, COMMAND))))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") >> 1

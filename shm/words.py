@@ -151,3 +151,14 @@ class Event(IntEnum):
     REQUEST = 5
     OVERRUN = 6
     REFERENCE = 7
+
+
+class Slowed(IntFlag):
+    """Why the control process slows the arm down, holds or stops it; several may be true at once."""
+
+    HELD = 1  # a person paused the goal
+    LATE_DRIVE = 2  # a reading is older than the age ladder's first rung
+    STARVING = 4  # the rest of the trajectory has not come
+    MAKING_WAY = 8  # for a newer goal that no way leads to from here
+    CLOSING = 16  # an orderly end
+    OWN_BRAKE = 32  # each joint brakes by itself: the path cannot be trusted

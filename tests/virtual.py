@@ -20,12 +20,12 @@ from rtloop.bringup import BringUp
 from rtloop.cycle import step
 from rtloop.port import ServicePort
 from rtloop.release import Release
-from rtloop.state import new_loop
+from rtloop.state import new_loop, show_limits
 from rtloop.wire import received
 from shm import layout
 from shm.client import CommandWriter, StateReader
 from shm.errors import RingFull
-from shm.files import MemoryFile
+from shm.files import MemoryFile, name_bytes
 from shm.words import Entry, Mode
 from sim.arm import SimulatedArm
 
@@ -36,10 +36,20 @@ START_NS = 1_000_000_000
 def private_file(dtype: np.dtype, arm: ArmConfig) -> MemoryFile:
     """A memory file nobody else can find, with a valid header."""
     fd = os.memfd_create("rtarm-test")
-    os.truncate(fd, dtype.itemsize)
-    mapped = mmap.mmap(fd, dtype.itemsize)
+    bitrate = arm.bus.bitrate if arm.bus.interface != "mock" else 0
+    rings = layout.rings(len(arm.joints), arm.control.period_ns, bitrate)
+    size = rings.file_bytes if dtype is layout.STATE else dtype.itemsize
+    os.truncate(fd, size)
+    mapped = mmap.mmap(fd, size)
     memory = MemoryFile(Path("memfd"), fd, mapped, np.frombuffer(mapped, dtype, 1))
-    memory.record["header"]["joint_count"] = len(arm.joints)
+    header = memory.record["header"]
+    header["joint_count"] = len(arm.joints)
+    header["period_ns"] = arm.control.period_ns
+    header["bitrate"] = bitrate
+    header["arm_name"] = name_bytes((arm.name,), 1)
+    header["joint_names"] = name_bytes([joint.name for joint in arm.joints], layout.MAX_JOINTS)
+    if dtype is layout.STATE:
+        memory.record["recorder"] = rings.described()
     return memory
 
 
@@ -68,6 +78,7 @@ class VirtualArm:
         self.state = private_file(layout.STATE, self.arm)
         self.command = private_file(layout.COMMAND, self.arm)
         self.loop = new_loop(self.arm, self.state.address, self.command.address)
+        show_limits(self.state.record["limits"], self.loop)
         self.reader = StateReader(self.state)
         self.writer = CommandWriter(self.command)
         self.port = ServicePort(self.loop, entries)

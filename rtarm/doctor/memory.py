@@ -10,6 +10,7 @@ from config.schema import ArmConfig
 from rtarm.doctor.finding import Found, bad, note, ok, warn
 from rtarm.doctor.machine import Machine, Unknown
 from rtarm.doctor.permissions import granted, in_container
+from shm import layout
 
 SHARED_MEMORY = "/dev/shm"
 SPARE_SHARED_BYTES = 16 << 20
@@ -34,9 +35,7 @@ def swap(machine: Machine, arm: ArmConfig | None) -> Found:
     return note(said, "sudo swapoff -a && sudo swapon -a") if used_mib >= 1 else ok(said)
 
 
-def shared_memory(machine: Machine, _arm: ArmConfig | None) -> Found:
-    from shm import layout
-
+def shared_memory(machine: Machine, arm: ArmConfig | None) -> Found:
     path = machine.path(SHARED_MEMORY)
     if not path.is_dir():
         return bad(f"{SHARED_MEMORY} is not there", f"sudo mount -t tmpfs -o mode=1777 tmpfs {SHARED_MEMORY}")
@@ -44,7 +43,8 @@ def shared_memory(machine: Machine, _arm: ArmConfig | None) -> Found:
         return bad(f"{SHARED_MEMORY} may not be written", f"sudo chmod 1777 {SHARED_MEMORY}")
     free, total = _room(machine, path)
     said = f"{free / 2**20:.0f} of {total / 2**20:.0f} MiB free"
-    arm_bytes = 2 * layout.STATE.itemsize + layout.COMMAND.itemsize  # a dead control process' state is kept
+    state_bytes = layout.STATE.itemsize if arm is None else _rings(arm).file_bytes
+    arm_bytes = 2 * state_bytes + layout.COMMAND.itemsize  # a dead control process' state is kept
     larger = f"sudo mount -o remount,size=512M {SHARED_MEMORY}"
     if in_container(machine):
         larger = "# start the container with: docker run --shm-size=512m …"
@@ -55,6 +55,11 @@ def shared_memory(machine: Machine, _arm: ArmConfig | None) -> Found:
     if not _is_tmpfs(machine):
         return warn(f"{said}, but not in memory (no tmpfs)", f"sudo mount -t tmpfs -o mode=1777 tmpfs {SHARED_MEMORY}")
     return ok(said)
+
+
+def _rings(arm: ArmConfig) -> layout.Rings:
+    bitrate = 0 if arm.bus.interface == "mock" else arm.bus.bitrate
+    return layout.rings(len(arm.joints), arm.control.period_ns, bitrate)
 
 
 def _is_tmpfs(machine: Machine) -> bool:

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shm.layout import EVENT_SLOTS
 from shm.sentences import (
     answer_sentence,
     fault_sentence,
@@ -28,19 +27,6 @@ class Happening(NamedTuple):
     monotonic_ns: int
     sentence: str
     style: str = PLAIN
-
-
-def newest_events(record: np.void, count: int) -> np.ndarray:
-    """Copies of the newest `count` events of a mapped state file, oldest first.
-
-    Plain Python has no fences, so an event that is just being written may be read half: whoever shows it reads it
-    again at the next look and keeps nothing of it.
-    """
-    written = int(record["events_written"][0])
-    first = max(0, written - count)
-    events: np.ndarray = record["events"][np.arange(first, written) % EVENT_SLOTS]
-    intact_from = int(record["events_written"][0]) - EVENT_SLOTS + 1  # older ones were overwritten meanwhile
-    return events[max(0, intact_from - first) :]
 
 
 def happening(event: np.void, joints: Sequence[str]) -> Happening:

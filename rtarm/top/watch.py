@@ -16,13 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from rtarm.status import Report, counters, percentiles_us, report_of
-from rtarm.top.events import BAD, GOOD, Happening, happening, newest_events
+from rtarm.top.events import BAD, GOOD, Happening, happening
 from rtarm.tracking import Window
 from shm import files
 from shm.client import StateReader
 from shm.errors import SharedMemoryError
 from shm.histogram import upper_ns
 from shm.layout import HISTOGRAM_BUCKETS
+from shm.recording import newest_events
 
 NS = 1_000_000_000
 RECENT_S = 10

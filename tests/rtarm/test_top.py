@@ -29,12 +29,13 @@ from written_arm import JOINTS, WrittenArm
 
 from rtarm.errors import Refusal
 from rtarm.top import watch as watching
-from rtarm.top.events import Happening, happening, newest_events
+from rtarm.top.events import Happening, happening
 from rtarm.top.picture import JOINT_COLUMNS, TIMING_COLUMNS, Picture, bars, fitting, share
 from rtarm.top.terminal import run
 from rtarm.top.watch import BINS, HAPPENINGS, RECENT_S, Look, Timing, Watch, spectrum
 from shm import files, histogram, layout
 from shm.errors import NotRunning
+from shm.recording import newest_events
 from shm.words import Answer, Event, Fault, Mode, Outcome, Phase, Unreferenced
 
 PATIENCE_S = 60.0

@@ -327,6 +327,28 @@ print(obtained.memory_locked, len([line for line in obtained.complaints if "not 
     )
 
 
+def test_the_recorder_is_locked_last_and_its_size_is_said_where_there_is_no_room():
+    program = f"""{MAPPING}
+ring = mmap.mmap(-1, 4 << 20)
+import numpy as np
+place = np.frombuffer(ring, np.uint8).ctypes.data, len(ring)
+for limited in (False, True):
+    obtained = realtime.Obtained(memory_locked=True)
+    if limited:
+        import resource
+        libc = ctypes.CDLL(None)
+        libc.munlock(ctypes.c_void_p(place[0]), ctypes.c_size_t(place[1]))
+        resource.setrlimit(resource.RLIMIT_MEMLOCK, (1 << 20, 1 << 20))
+    realtime.lock_recorder(place, obtained)
+    print(locked(place[0]), whole(place[0]), obtained.memory_locked, *obtained.complaints)
+"""
+    result = limited(program, 8 * MIB)
+    first, second = result.stdout.splitlines()
+    assert (first, result.stderr) == ("True True True", "")
+    assert second.startswith("False True False The flight recorder's 4 MiB are not locked, everything else is: ")
+    assert "raise RLIMIT_MEMLOCK from 1 to 5 MiB" in second
+
+
 def test_memory_counts_as_locked_only_when_the_readers_stack_is(tmp_path, monkeypatch):
     """The reader is given its answer late, and it is a refusal."""
     monkeypatch.setattr(realtime, "prepare_process", lambda used: realtime.Obtained(memory_locked=True))

@@ -100,6 +100,8 @@ def test_what_the_cycle_calls_is_compiled_without_the_interpreter():
 def swinging():
     """The arm `mock` in the midst of a goal that lasts longer than the test; warmed up."""
     arm = VirtualArm("mock")
+    pages = np.frombuffer(arm.state.map, np.uint8)[:: resource.getpagesize()]
+    pages[:] = pages.copy()  # in memory, as the control process makes them
     assert arm.bring_up().failure is None
     goal = swing(arm, duration_s=(CYCLES + 1000) / 100)
     advance(arm, 200)

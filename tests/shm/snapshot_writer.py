@@ -50,7 +50,7 @@ def publish_half(sequence: int, target: int, source: int, words: int) -> None:
 
 
 def main(arm: str, behaviour: str) -> None:
-    pair = files.create(files.Identity(arm, tuple("abcdef"), 1, 1))
+    pair = files.create(files.Identity(arm, tuple("abcdef"), 1, 10_000_000))
     scratch = np.zeros(WORDS, np.int64)
     sequence, target, source = (
         pair.state.address + SEQUENCE,

@@ -159,7 +159,7 @@ print(*(writer.request(Request.HOLD, goal_id=int(sys.argv[2])) for _ in range(in
 @pytest.mark.process
 def test_producers_in_several_processes_never_take_the_same_number(arm_name):
     producers, requests = 3, 400
-    pair = files.create(files.Identity(arm_name, tuple("abc"), 1, 1))
+    pair = files.create(files.Identity(arm_name, tuple("abc"), 1, 10_000_000))
     children = [
         subprocess.Popen(
             [sys.executable, "-c", PRODUCER, arm_name, str(number), str(requests)],

@@ -1,5 +1,6 @@
 """The two memory files: built, found, owned, refused, and gone with their owner."""
 
+import contextlib
 import errno
 import fcntl
 import os
@@ -17,10 +18,12 @@ from shm.files import Identity
 
 ROOT = Path(__file__).resolve().parents[2]
 ARM_HASH = 0x1234_5678_9ABC
+PERIOD_NS, BITRATE = 8_333_333, 500_000
+RINGS = layout.rings(2, PERIOD_NS, BITRATE)
 
 
 def identity(arm):
-    return Identity(arm, ("shoulder", "ellbögen"), ARM_HASH, 8_333_333, 500_000)
+    return Identity(arm, ("shoulder", "ellbögen"), ARM_HASH, PERIOD_NS, BITRATE)
 
 
 @pytest.fixture
@@ -93,11 +96,11 @@ def loop_process(swept):
 
 
 def test_files_are_private_complete_and_described(created, arm_name):
-    for memory, dtype in ((created.state, layout.STATE), (created.command, layout.COMMAND)):
+    for memory, size in ((created.state, RINGS.file_bytes), (created.command, layout.COMMAND.itemsize)):
         status = os.stat(memory.path, follow_symlinks=False)
         assert stat.S_ISREG(status.st_mode) and stat.S_IMODE(status.st_mode) == 0o600
-        assert status.st_size == dtype.itemsize
-        assert status.st_blocks * 512 >= dtype.itemsize  # every page is there
+        assert status.st_size == len(memory.map) == size
+        assert status.st_blocks * 512 >= size  # every page is there
         header = memory.record["header"]
         assert header["magic"] == layout.MAGIC and header["layout_hash"] == layout.layout_hash()
         assert header["arm_hash"] == ARM_HASH and header["pid"] == os.getpid()
@@ -105,6 +108,10 @@ def test_files_are_private_complete_and_described(created, arm_name):
         assert files.arm_name(header) == arm_name
         assert files.joint_names(header) == ("shoulder", "ellbögen")
     assert len(left_of(arm_name)) == 2
+    recorder = created.state.record["recorder"]
+    assert [int(recorder[name]) for name in RINGS._fields] == list(RINGS)
+    start, size = created.state.rings
+    assert (start, size) == (created.state.address + layout.STATE.itemsize, RINGS.file_bytes - layout.STATE.itemsize)
 
 
 def test_an_orderly_end_leaves_nothing(arm_name):
@@ -135,7 +142,7 @@ def test_no_room_is_one_sentence_and_leaves_nothing(arm_name, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "posix_fallocate", full)
-    with pytest.raises(NotPermitted, match=f"no room for the {layout.STATE.itemsize} bytes"):
+    with pytest.raises(NotPermitted, match=f"no room for the {RINGS.file_bytes} bytes"):
         files.create(identity(arm_name))
     assert left_of(arm_name) == []
 
@@ -156,7 +163,7 @@ import sys
 from shm import errors, files
 sys.stdin.readline()
 try:
-    files.create(files.Identity(sys.argv[1], ("a",), {ARM_HASH}, 1))
+    files.create(files.Identity(sys.argv[1], ("a",), {ARM_HASH}, 10_000_000))
     print("won", flush=True)
     sys.stdin.readline()
 except errors.AlreadyHeld:
@@ -178,8 +185,9 @@ except errors.AlreadyHeld:
 
 
 def test_no_loop_is_said_so(arm_name):
-    with pytest.raises(NotRunning, match=rf"No control process is running for arm '{arm_name}' .*rtarm up"):
-        files.open_state(arm_name)
+    for attach in (files.open_state, files.left_behind):
+        with pytest.raises(NotRunning, match=rf"No control process is running for arm '{arm_name}' .*rtarm up"):
+            attach(arm_name)
     assert files.front_of(arm_name) is None
 
 
@@ -199,8 +207,28 @@ def test_a_file_that_is_not_ours_is_refused(swept, content):
         files.open_state(swept)
 
 
-def test_a_file_of_another_size_is_refused(created, arm_name):
-    os.truncate(created.state.path, layout.STATE.itemsize + 8)
+@pytest.mark.parametrize("size", [RINGS.file_bytes + 8, RINGS.file_bytes - 8, layout.STATE.itemsize])
+def test_a_file_of_another_size_is_refused(created, arm_name, size):
+    os.truncate(created.state.path, size)
+    with pytest.raises(WrongLayout):
+        files.open_state(arm_name)
+
+
+@pytest.mark.parametrize(("word", "value"), [("joint_count", 3), ("joint_count", 0), ("joint_count", 33)])
+@pytest.mark.parametrize("file", ["state", "command"])
+def test_a_header_that_does_not_fit_its_file_is_refused(created, arm_name, file, word, value):
+    getattr(created, file).record["header"][word] = value
+    attach = files.open_state if file == "state" else files.open_command
+    if file == "command" and value == 3:  # its size is the same for all arms
+        attach(arm_name).close()
+        return
+    with pytest.raises(WrongLayout):
+        attach(arm_name)
+
+
+@pytest.mark.parametrize("period_ns", [0, -1, 1, 2**62])
+def test_a_period_that_does_not_fit_its_file_is_refused(created, arm_name, period_ns):
+    created.state.record["header"]["period_ns"] = period_ns
     with pytest.raises(WrongLayout):
         files.open_state(arm_name)
 
@@ -260,8 +288,13 @@ def test_a_killed_loop_lets_go_and_its_state_is_kept(loop_process, swept):
     header = np.fromfile(kept, layout.HEADER, count=1)[0]
     assert header["pid"] == loop_process.pid
     assert successor.state.record["header"]["pid"] == os.getpid()
+    with contextlib.closing(files.left_behind(swept)) as living:
+        assert living.record["header"]["pid"] == os.getpid()
     successor.remove()
     assert left_of(swept) == [kept]
+    with contextlib.closing(files.left_behind(swept)) as dead:
+        assert (dead.record["header"]["pid"], files.is_held(dead.fd)) == (loop_process.pid, False)
+    assert swept in files.arms_left_behind() and swept not in files.running_arms()
 
 
 def test_a_reader_of_a_dead_loop_keeps_its_pages(loop_process, swept):

@@ -19,7 +19,7 @@ UNITS = {
 """Ending of a word's name → its unit; the longest ending that fits decides."""
 
 POLLED = {
-    "STATE": ("consumed", "snapshot_sequence", "counters", "events_written"),
+    "STATE": ("consumed", "snapshot_sequence", "counters", "events_written", "records_written", "frames_written"),
     "COMMAND": ("front_pid", "heartbeat_ns", "announced_goal", "setpoints_written", "requests_written"),
 }
 """Words that one process writes while another looks at them again and again."""
@@ -69,7 +69,7 @@ def test_a_goals_opening_fits_the_slot_of_a_knot():
     assert layout.BEGIN.fields["joints"][1] == layout.SETPOINT.fields["joints"][1]
 
 
-@pytest.mark.parametrize("record", ["SNAPSHOT", "SETPOINT", "BEGIN"])
+@pytest.mark.parametrize("record", ["SNAPSHOT", "SETPOINT", "BEGIN", "RECORD"])
 def test_joints_stand_last_so_that_small_arms_cost_little(record):
     dtype = getattr(layout, record)
     assert dtype.names[0] == "crc" and dtype.names[-1] == "joints"
@@ -106,8 +106,34 @@ def test_every_word_says_its_unit_and_meaning(table, word):
 
 def test_every_word_of_both_files_is_in_the_table():
     listed = {word.name for words in layout.TABLES.values() for word in words}
-    for file in (layout.STATE, layout.COMMAND):
+    for file in (layout.STATE, layout.COMMAND, layout.RECORD, layout.BUS_FRAME):
         assert {path.rsplit(".", 1)[-1] for path, _, _ in leaves(file)} <= listed
+
+
+def test_the_recorder_keeps_the_changing_part_of_a_snapshot_as_it_stands():
+    start, kept = layout.SNAPSHOT.fields["cycle"][1], layout.RECORD.fields["cycle"][1]
+    names = layout.SNAPSHOT.names[layout.SNAPSHOT.names.index("cycle") :]
+    assert layout.RECORD.names[-len(names) :] == names
+    for name in names:
+        dtype, at = layout.SNAPSHOT.fields[name][:2]
+        assert layout.RECORD.fields[name][:2] == (dtype, at - start + kept)
+
+
+def test_the_recorder_keeps_all_counters_that_move_apart_from_the_cycles_themselves():
+    assert [word.name for word in layout.COUNTED] == [
+        name for name in layout.COUNTERS.names if name not in ("cycles", "padding")
+    ]
+
+
+@pytest.mark.parametrize("rate_hz", [10, 120, 1000, 2000])
+@pytest.mark.parametrize("joints", [1, 6, 32])
+def test_the_recorder_keeps_half_a_minute_of_any_arm(joints, rate_hz):
+    rings = layout.rings(joints, round(1e9 / rate_hz), 500_000)
+    assert rings.record_slots >= 32 * rate_hz
+    assert rings.frame_slots >= rings.record_slots * (4 * joints + 2)
+    assert rings.record_bytes == layout.used_bytes(layout.RECORD, joints)
+    assert (layout.STATE.itemsize % layout.LINE_BYTES, rings.file_bytes % 8) == (0, 0)
+    assert layout.rings(joints, round(1e9 / rate_hz), 0).frame_slots == 0
 
 
 def test_trouble_on_the_bus_is_counted():
