@@ -9,7 +9,7 @@ shape is left to rclpy.
 from __future__ import annotations
 
 import struct
-from functools import cache
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -113,7 +113,7 @@ def _row_length(body: memoryview, at: int) -> tuple[int, int]:
     return length, _aligned(at, 8) + 8 * length if length else at
 
 
-@cache
+@lru_cache(16)  # senders say as many widths as they like
 def _record(width: int, has_velocities: bool, has_accelerations: bool) -> tuple[np.dtype, int]:
     """A point from its positions to the next one's, and how many of its bytes the last one has."""
     names, formats, offsets = ["positions"], [f"({width},)<f8"], [0]

@@ -30,6 +30,7 @@ def step(loop: Loop, shared: Shared, now_ns: int) -> int:
     begin_cycle(loop, shared, now_ns)
     measured.take_what_the_bus_brought(loop, shared)
     orders.take_service_orders(loop, shared)
+    intake.hear_the_front(loop)
     intake.take_requests(loop, shared)
     intake.take_setpoints(loop, shared)
     guard.check_measured(loop, shared)

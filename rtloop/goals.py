@@ -71,7 +71,7 @@ def why_not_to_wait(loop: Loop) -> tuple[int, float, float]:
     if core.closing == 1:
         return Outcome.SHUTDOWN, 0.0, 0.0
     if front_is_lost(loop):  # a goal that waits for its start must not outlive who sent it
-        return Outcome.FRONT_LOST, intake.front_age_ns(loop) * 1e-9, loop.params.front_timeout_ns * 1e-9
+        return Outcome.FRONT_LOST, loop.core.front_age_ns * 1e-9, loop.params.front_timeout_ns * 1e-9
     if core.paused == 1 and loop.paths[core.incoming_path].stream == 1:
         return Outcome.REFUSED_HELD, 0.0, 0.0
     if not intake.incoming_is_ready(loop) and core.now_ns - core.incoming_ns > STARVED_FOR_NS:
@@ -133,7 +133,7 @@ def finish_goal(loop: Loop, shared: Shared) -> None:
 
 @jit
 def front_is_lost(loop: Loop) -> bool:
-    return loop.params.command_address != 0 and intake.front_age_ns(loop) > loop.params.front_timeout_ns
+    return loop.params.command_address != 0 and loop.core.front_age_ns > loop.params.front_timeout_ns
 
 
 @jit
@@ -146,7 +146,7 @@ def steer(loop: Loop, shared: Shared) -> None:
     if core.ending == Outcome.NONE:
         if front_is_lost(loop):
             core.ending = Outcome.FRONT_LOST
-            core.ending_value = intake.front_age_ns(loop) * 1e-9
+            core.ending_value = loop.core.front_age_ns * 1e-9
             core.ending_limit = loop.params.front_timeout_ns * 1e-9
         elif core.closing == 1:
             core.ending = Outcome.SHUTDOWN

@@ -20,6 +20,8 @@ Shared = Any
 
 ROUNDING = 1.0 + 1e-6
 STATUSES_TO_BELIEVE = 2
+BESIDE_RAD = 1e-9
+"""What the arithmetic of a stop may put a joint beyond its limit."""
 
 
 @jit
@@ -38,7 +40,9 @@ def hardest_rad_s2(loop: Loop, joint: int) -> float:
 def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
     """Whether every joint's next setpoint is finite and inside its limits; latches the first that is not.
 
-    Velocity and acceleration are differences of the positions themselves, not of what the sampler claims.
+    Velocity and acceleration are differences of the positions themselves, not of what the sampler claims. A setpoint
+    from which the joint could not be stopped inside its position limits any more, with all the acceleration that may
+    be commanded, breaks them too: whatever followed would.
     """
     params = loop.params
     period_s = params.period_ns * 1e-9
@@ -54,6 +58,10 @@ def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
             latch_fault(loop, shared, Fault.POSITION_LIMIT, joint, p, low if p < low else high)
             return False
         velocity = (p - axis.position_rad) / period_s
+        stop = p + way_to_rest(velocity, hardest_rad_s2(loop, joint), period_s)
+        if (velocity > 0.0 and stop > high + BESIDE_RAD) or (velocity < 0.0 and stop < low - BESIDE_RAD):
+            latch_fault(loop, shared, Fault.POSITION_LIMIT, joint, stop, low if velocity < 0.0 else high)
+            return False
         limit = highest_rad_s(loop, joint)
         if abs(velocity) > limit:
             latch_fault(loop, shared, Fault.VELOCITY_LIMIT, joint, velocity, limit)
@@ -65,6 +73,18 @@ def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
             latch_fault(loop, shared, Fault.ACCELERATION_LIMIT, joint, acceleration, limit)
             return False
     return True
+
+
+@jit
+def way_to_rest(velocity_rad_s: float, braking_rad_s2: float, period_s: float) -> float:
+    """How far the setpoints of a joint still go (rad, signed) when each period takes as much velocity as can be.
+
+    `velocity_rad_s` is that between the last two of them. What such a step leaves of the way is just what this says
+    of the velocity that is left: a joint that can stop in time still can in the next cycle.
+    """
+    step = braking_rad_s2 * period_s
+    steps = math.floor(abs(velocity_rad_s) / step)
+    return math.copysign(steps * (abs(velocity_rad_s) - 0.5 * step * (steps + 1)) * period_s, velocity_rad_s)
 
 
 @jit

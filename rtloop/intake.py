@@ -1,7 +1,8 @@
 """What the loop takes from the command file: goals knot by knot, and requests.
 
-Nothing read there is believed: positions in the rings are bounded, each record is copied first and then
-checked by sequence number and CRC, every number must be finite and inside the limits. A record whose CRC is
+Nothing read there is believed: each word of it is read once, into memory of the loop's own, and judged there; positions
+in the rings are bounded, each record is checked by sequence number and CRC, every number must be finite and inside the
+limits. A record whose CRC is
 wrong may be one whose last bytes have not become visible yet, so it is looked at again for a few cycles
 before it counts as corrupt.
 """
@@ -38,6 +39,8 @@ CYCLES_TO_BECOME_VISIBLE = 5
 GOALS_AHEAD = 1_000_000
 """Goal ids rise by one; a word that is this far ahead was not written by a front."""
 NEVER_CLOSE_NS = 1 << 62
+FARTHEST_NS = 1 << 62
+"""146 years: times farther away than any message of ROS can say, so that no difference of two of them overflows."""
 COVER_S = 1.0
 """A new path may be entered when this much of it is known, or all of it."""
 
@@ -61,13 +64,15 @@ _SETPOINT_JOINT_WORDS = layout.SETPOINT_JOINT.itemsize // 8
 
 
 @jit
-def front_age_ns(loop: Loop) -> int:
-    """Time between now and the front's last sign of life, which may be a little later than the planned now.
+def hear_the_front(loop: Loop) -> None:
+    """Take the age of the front's last sign of life, once a cycle, which may be a little later than the planned now.
 
     A heartbeat from the far future is no sign of life: nothing read in the command file is believed.
     """
-    heartbeat_ns = max(load_acquire(loop.params.command_address + _HEARTBEAT), 0)  # so that nothing overflows
-    return abs(loop.core.now_ns - heartbeat_ns)
+    core = loop.core
+    if loop.params.command_address != 0:
+        heartbeat_ns = max(load_acquire(loop.params.command_address + _HEARTBEAT), 0)  # so that nothing overflows
+        core.front_age_ns = abs(core.now_ns - heartbeat_ns)
 
 
 @jit
@@ -130,7 +135,7 @@ def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
         _begin_goal(loop, shared)
         return True
     # Knots of the running goal are taken until a newer one has really entered: it may yet be refused.
-    if record.goal_id == core.incoming_goal:
+    if record.goal_id == core.incoming_goal and core.incoming_goal != 0:
         path_index = core.incoming_path
     elif record.goal_id == core.goal_id and core.goal_id != 0:
         path_index = core.active
@@ -138,6 +143,9 @@ def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
         return True  # of a goal that has ended
     path = loop.paths[path_index]
     if path.torn == 1:
+        return True
+    if path.ended == 1:  # what was judged for its end must not change any more
+        _refuse_knot(loop, shared, -1, float(record.kind), 0.0)
         return True
     if record.kind == Setpoint.END:
         _end_goal(loop, shared, path_index)
@@ -200,7 +208,7 @@ def _wrong_knot(loop: Loop, path_index: int) -> tuple[int, float, float]:
     if record.order != 1 and record.order != 3 and record.order != 5:
         return -1, float(record.order), 5.0
     previous_ns = -1 if path.taken == 0 else loop.knots[slot(path_index, path.taken - 1)].time_ns
-    if record.time_ns <= previous_ns:
+    if record.time_ns <= previous_ns or record.time_ns > FARTHEST_NS:
         return -1, float(record.time_ns), float(previous_ns)
     for joint in range(loop.params.joint_count):
         if (path.joint_mask >> joint) & 1 == 0:
@@ -239,6 +247,10 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
     goal_id = begin.goal_id
     if goal_id <= core.newest_goal:
         return  # taken before: a goal is never run twice
+    farthest = max(core.announced_goal, core.newest_goal) + GOALS_AHEAD
+    if goal_id > farthest:  # taken, it would make the loop deaf for every goal of a front
+        latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(goal_id), float(farthest))
+        return
     core.newest_goal = goal_id
     if core.incoming_goal != 0:
         set_result(loop, shared, core.incoming_goal, Outcome.REPLACED, -1, 0.0, 0.0)
@@ -292,6 +304,8 @@ def _wrong_begin(loop: Loop) -> tuple[int, int]:
         if not _finite(row):
             return Outcome.REFUSED_CORRUPT, joint
     if begin.joint_mask <= 0 or begin.joint_mask >> loop.params.joint_count != 0:
+        return Outcome.REFUSED_CORRUPT, -1
+    if begin.start_ns > FARTHEST_NS or begin.start_ns < -FARTHEST_NS:
         return Outcome.REFUSED_CORRUPT, -1
     if not math.isfinite(begin.goal_time_s) or begin.entry & ~(_BRIDGE | _STREAM) != 0:
         return Outcome.REFUSED_CORRUPT, -1

@@ -105,13 +105,21 @@ def follow_path(loop: Loop) -> None:
 
 @jit
 def brake_each_joint(loop: Loop) -> None:
-    """Every joint comes to rest by itself with the braking acceleration: for when the path is not trusted."""
+    """Every joint comes to rest by itself with the braking acceleration: for when the path is not trusted.
+
+    From the velocity between its last two setpoints, not from what the path claimed it to be; and harder, by as much as
+    the last line of defence lets pass, where it would leave its position limits otherwise.
+    """
     period_s = loop.params.period_ns * 1e-9
     for joint in range(loop.params.joint_count):
         axis, row = loop.axes[joint], loop.joints[joint]
-        most = loop.params.braking_factor * row.max_acceleration_rad_s2 * period_s
-        v = axis.velocity_rad_s
+        v = axis.difference_velocity_rad_s
+        braking = loop.params.braking_factor * row.max_acceleration_rad_s2
+        stop = axis.position_rad + guard.way_to_rest(v, braking, period_s)
+        if stop > row.upper_rad + row.slack_rad or stop < row.lower_rad - row.slack_rad:
+            braking = guard.hardest_rad_s2(loop, joint)
+        most = braking * period_s
         slower = 0.0 if abs(v) <= most else v - math.copysign(most, v)
-        axis.next_position_rad = axis.position_rad + 0.5 * (v + slower) * period_s
+        axis.next_position_rad = axis.position_rad + slower * period_s
         axis.next_velocity_rad_s = slower
         axis.next_acceleration_rad_s2 = (slower - v) / period_s if slower != 0.0 else 0.0

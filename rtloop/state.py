@@ -216,6 +216,7 @@ CORE = np.dtype(
         ("newest_goal", "i8"),  # highest id ever begun
         ("canceled_goals", "i8", (CANCELED_SLOTS,)),  # goals that were canceled before they came, each in its own slot
         ("announced_goal", "i8"),
+        ("front_age_ns", "i8"),  # time between now and its last sign of life
         ("setpoints_taken", "i8"),
         ("setpoint_waits", "i8"),  # cycles the next record has not passed its CRC
         ("requests_taken", "i8"),

@@ -181,9 +181,10 @@ FAULTS: dict[Fault, Meaning] = {
         "Clear the fault; report it with the goal and the log.",
     ),
     Fault.POSITION_LIMIT: Meaning(
-        "The setpoint of {joint} was {value:.4f} rad, beyond its limit {limit:.4f} rad, and was not sent: "
+        "The setpoint of {joint} led to {value:.4f} rad, beyond its limit {limit:.4f} rad, and was not sent: "
         "check the trajectory and the limits in the arm file, then `rtarm clear-fault`.",
-        "Last line of defence behind the goal checks: no setpoint beyond a joint limit is ever sent.",
+        "Last line of defence behind the goal checks: no setpoint beyond a joint limit is ever sent, nor one after "
+        "which the joint could not stop before it.",
         "Check the trajectory and the arm file's limits; clear the fault.",
     ),
     Fault.VELOCITY_LIMIT: Meaning(

@@ -267,6 +267,7 @@ WRONG_KNOTS = {
     "order huge": {"order": 2**62},
     "time not rising": {"time_ns": 0},
     "time negative": {"time_ns": -5},
+    "time beyond all measure": {"time_ns": 2**63 - 1},
 }
 
 
@@ -308,6 +309,61 @@ def test_a_result_names_joint_value_and_limit(arm):
     assert result["limit"] == pytest.approx(arm.arm.joints[2].upper_rad)
 
 
+def test_knots_of_no_goal_are_not_taken_for_the_running_ones(arm):
+    goal = arm.executing()
+    for number in range(3):
+        arm.knot(0, int(20e9) + number, arm.commanded() + 0.1)
+    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    assert (arm.outcome(goal), arm.fault) == (Outcome.SUCCEEDED, Fault.NONE)
+    assert arm.loop[0]["paths"]["taken"].max() == 81
+
+
+def test_a_knot_behind_the_end_ends_its_goal(arm):
+    """What was found out about the end, that it is at rest and how to arrive there, must stay true."""
+    goal = arm.executing()
+    arm.knot(goal, int(GOAL_S * 1e9) + 10_000_000, arm.commanded(), velocity=0.4)
+    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    assert (arm.outcome(goal), arm.fault) == (Outcome.REFUSED_CORRUPT, Fault.NONE)
+    comes_to_rest(arm)
+
+
+# --- the last line of defence ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("upper", [False, True], ids=["lower", "upper"])
+@pytest.mark.parametrize("joint", [1, 4, 5])
+def test_a_way_that_leads_through_a_limit_is_left_while_there_is_room_to_stop(arm, joint, upper):
+    """Every knot is inside the limits, what lies between two of them is not: the front would have refused it."""
+    config, side = arm.arm.joints[joint], 1.0 if upper else -1.0
+    limit, speed = (config.upper_rad if upper else config.lower_rad), side * config.max_velocity_rad_s
+    here = arm.commanded()
+    rise_s = abs(speed) / config.max_acceleration_rad_s2
+    here[joint] = limit - 0.6 * speed * rise_s
+    for word in ("position_rad", "next_position_rad"):
+        arm.loop[0]["axes"][word][: len(here)] = here
+    arm.positions = [here] * 3
+    at_limit, velocity = here.copy(), np.zeros(len(here))
+    at_limit[joint], velocity[joint] = limit - 1e-3 * side, speed
+    arm.begin(1, tolerances=np.zeros(18))
+    arm.knot(1, 0, here)
+    arm.knot(1, round(rise_s * 1e9), at_limit, velocity=velocity)
+    arm.knot(1, round(3e9 * rise_s), here)
+    arm.end(1)
+    arm.until(lambda: arm.outcome(1) != Outcome.NONE)
+    assert (arm.outcome(1), arm.fault) == (Outcome.FAULT, Fault.POSITION_LIMIT)
+    comes_to_rest(arm)
+    assert side * (limit - arm.commanded()[joint]) < 0.1 * abs(speed) * rise_s  # not much earlier than needed
+
+
+def test_a_brake_begins_with_the_velocity_there_is_and_not_with_one_that_was_claimed(arm):
+    goal = arm.executing()
+    arm.loop[0]["axes"]["next_velocity_rad_s"][:6] = [joint.max_velocity_rad_s for joint in arm.arm.joints]
+    arm.core["own_brake"] = 1
+    arm.core["fault"], arm.core["mode"] = Fault.FOLLOWING_ERROR, Mode.FAULT
+    comes_to_rest(arm)
+    assert arm.outcome(goal) == Outcome.NONE  # finished by hand: only its motion is judged, cycle by cycle
+
+
 # --- goals ----------------------------------------------------------------------------------------------
 
 
@@ -318,6 +374,8 @@ def test_a_result_names_joint_value_and_limit(arm):
         {"goal_time_s": float("inf")},
         {"entry": 4},
         {"entry": -1},
+        {"start_ns": -(2**63)},
+        {"start_ns": 2**63 - 1},
         {"tolerances": np.full(18, np.nan)},
         {"tolerances": np.full(18, np.inf)},
     ],
@@ -530,6 +588,19 @@ def test_an_announcement_out_of_all_measure_is_a_fault_and_not_a_deaf_loop(arm):
     arm.writer.announce(2**60)
     arm.cycle()
     assert arm.fault == Fault.COMMAND_RING
+
+
+@pytest.mark.parametrize("goal_id", [2**62, 2**63 - 1])
+def test_an_opening_out_of_all_measure_does_not_make_the_loop_deaf(arm, goal_id):
+    arm.put(Setpoint.BEGIN, goal_id=goal_id, words=(0, 1, 0.4, 0))
+    arm.cycle()
+    assert arm.fault == Fault.COMMAND_RING
+    arm.writer.request(Request.CLEAR_FAULT)
+    arm.until(lambda: arm.core["bring_up_asked"] == 1)
+    assert arm.bring_up(clears_protection=True).failure is None
+    goal = arm.wave()
+    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    assert (arm.outcome(goal), arm.fault) == (Outcome.SUCCEEDED, Fault.NONE)
 
 
 def test_more_requests_than_the_ring_holds_are_no_corruption(arm):
