@@ -10,13 +10,16 @@ Commands: S0-S6 S8, O, L, C, t T r R, V, N, F, and Z0 Z1 for the stamps. S7 and 
 in different firmwares, and raw timing (`s`), filters and polling are not modelled: they are errors.
 An empty line is answered like a command that did nothing [inf].
 
-Not modelled: USB frame times, and the adapter's own receive overflow.
+Not modelled: USB frame times.
 """
 
 from __future__ import annotations
 
+import heapq
+import itertools
 import random
 from collections import deque
+from dataclasses import dataclass
 from typing import Literal
 
 from sim.bus import Frame, Outbox
@@ -38,7 +41,23 @@ OK, ERROR = b"\r", b"\x07"
 HEX_DIGITS = b"0123456789ABCDEFabcdef"
 LONGEST_LINE = 64
 CANABLE_BITRATE = 500_000
-FLAG_TRANSMIT_FULL, FLAG_PASSIVE, FLAG_BUS_ERROR = 0x02, 0x20, 0x80
+FLAG_RECEIVE_FULL, FLAG_TRANSMIT_FULL, FLAG_PASSIVE, FLAG_BUS_ERROR = 0x01, 0x02, 0x20, 0x80
+
+
+@dataclass(frozen=True)
+class LineFault:
+    """What happens to a share (0 to 1) of the lines of frames on their way to the host.
+
+    Attributes:
+        kind: "twice", "late" or "cut".
+        delay_ns: until the line comes again, or at all, or the rest of it; None never.
+        address: drive whose frames it strikes; None all.
+    """
+
+    kind: Literal["twice", "late", "cut"]
+    share: float
+    delay_ns: int | None
+    address: int | None = None
 
 
 class SlcanAdapter:
@@ -58,6 +77,11 @@ class SlcanAdapter:
         refuses_open: fault, `O` and `L` are errors.
         corruption: fault, share of bytes to the host that are changed.
         lost_frames: transmissions lost because the buffer was full.
+        depth: frames its transmit buffer holds.
+        line_faults: faults, what happens to lines on their way to the host.
+        refusals: fault, share of transmissions that are answered BEL and lost.
+        takes_characters: fault if not, the host's characters wait on the host's side: `feed` nothing.
+        lost_receptions: received frames lost because the host's side of it was stuck.
     """
 
     def __init__(
@@ -78,11 +102,19 @@ class SlcanAdapter:
         self.refuses_open = False
         self.corruption = 0.0
         self.lost_frames = 0
+        self.depth = depth
+        self.line_faults: list[LineFault] = []
+        self.refusals = 0.0
+        self.takes_characters = True
+        self.lost_receptions = 0
+        self._stalled: list[bytes] | None = None
+        self._stall_depth = 0
+        self._held: list[tuple[int, int, bytes]] = []
+        self._order = itertools.count()
         self._bus_bitrate = bus_bitrate
         self._bitrate: int | None = CANABLE_BITRATE if dialect == "canable" else None
         self._answers = dialect == "lawicel"
         self._byte_ns = 10_000_000_000 // baud if baud else 0
-        self._depth = depth
         self._echo = echo
         self._random = random.Random(seed)
         self._listen_only = False
@@ -111,7 +143,7 @@ class SlcanAdapter:
             self._overlong = False
             if self._byte_ns:
                 self._lines.append((begin_ns + position * self._byte_ns, line))
-                self.wake_ns = self._lines[0][0]
+                self._schedule()
             else:
                 self._command(now_ns, line)
         self._gather(data[position:])
@@ -145,7 +177,17 @@ class SlcanAdapter:
             head = ("r" if frame.remote else "t") + f"{frame.can_id:03X}{len(frame.data)}"
         tail = "" if frame.remote else frame.data.hex().upper()
         stamp = f"{now_ns // 1_000_000 % 60_000:04X}" if self._stamped else ""
-        self._say(now_ns, f"{head}{tail}{stamp}\r".encode())
+        line = f"{head}{tail}{stamp}\r".encode()
+        for fault in self.line_faults:
+            mine = fault.address is None or fault.address == frame.can_id >> 8
+            if mine and self._random.random() < fault.share:
+                cut = {"twice": len(line), "late": 0, "cut": self._random.randrange(1, len(line))}[fault.kind]
+                if fault.delay_ns is not None:
+                    again = line if fault.kind == "twice" else line[cut:]
+                    heapq.heappush(self._held, (now_ns + fault.delay_ns, next(self._order), again))
+                    self._schedule()
+                line = line[:cut]
+        self._pass_on(now_ns, line)
 
     def sent(self, now_ns: int, frame: Frame) -> None:
         """A frame of its own went out."""
@@ -157,7 +199,22 @@ class SlcanAdapter:
         while self._lines and self._lines[0][0] <= now_ns:
             due_ns, line = self._lines.popleft()
             self._command(due_ns, line)
-        self.wake_ns = self._lines[0][0] if self._lines else NEVER
+        while self._held and self._held[0][0] <= now_ns:
+            due_ns, _, part = heapq.heappop(self._held)
+            self._pass_on(due_ns, part)
+        self._schedule()
+
+    # -- what goes wrong -----------------------------------------------------------------------------
+
+    def stall(self, depth: int) -> None:
+        """Pass nothing on to the host any more; keep `depth` frames."""
+        self._stalled, self._stall_depth = [], depth
+
+    def recover(self, now_ns: int) -> None:
+        """Say everything that was kept."""
+        kept, self._stalled = self._stalled or [], None
+        for line in kept:
+            self._say(now_ns, line)
 
     # -- commands ------------------------------------------------------------------------------------
 
@@ -222,7 +279,9 @@ class SlcanAdapter:
         data = bytes(length) if remote else bytes.fromhex(rest[digits + 1 :].decode())
         if can_id > (0x1FFFFFFF if extended else 0x7FF) or not self.is_open or self._listen_only:
             return ERROR
-        if len(self.outbox) + self._unheard >= self._depth:
+        if self.refusals and self._random.random() < self.refusals:
+            return ERROR
+        if len(self.outbox) + self._unheard >= self.depth:
             self._flags |= FLAG_TRANSMIT_FULL
             self.lost_frames += 1
             return ERROR
@@ -231,6 +290,21 @@ class SlcanAdapter:
         else:
             self.outbox.append((now_ns, Frame(can_id, data, extended, remote)))
         return b"Z\r" if extended else b"z\r"
+
+    def _schedule(self) -> None:
+        line_ns = self._lines[0][0] if self._lines else NEVER
+        held_ns = self._held[0][0] if self._held else NEVER
+        self.wake_ns = min(line_ns, held_ns)
+
+    def _pass_on(self, now_ns: int, line: bytes) -> None:
+        """Say a received frame, unless the host's side is stuck."""
+        if self._stalled is None:
+            self._say(now_ns, line)
+        elif len(self._stalled) < self._stall_depth:
+            self._stalled.append(line)
+        else:
+            self.lost_receptions += 1
+            self._flags |= FLAG_RECEIVE_FULL
 
     def _say(self, now_ns: int, data: bytes) -> None:
         if self.corruption:

@@ -24,15 +24,26 @@ import numpy as np
 from config import schema
 from config.joint import JointConfig
 from config.joint import ZdtDrive as ZdtConfig
-from sim.adapter import Dialect, SlcanAdapter
+from sim import faults as wrong
+from sim.adapter import Dialect, LineFault, SlcanAdapter
+from sim.babble import Babbler
 from sim.bus import Bus, Frame, Outbox
 from sim.drives.ramp import GRAINS_PER_REVOLUTION, NEVER
 from sim.drives.shaft import Reals, Times
 from sim.drives.zdt import Homing, Settings, ZdtDrive
-from sim.faults import CorruptBytes, Fault, LostReplies, OpenRefused, PowerLoss, Silent, SlowReplies, Stall
+from sim.faults import Fault
 
 HOMING_RPM = 30
 HOMING_TIMEOUT_MS = 120_000
+
+At = Callable[[float | None, Callable[[int], None]], None]
+"""Lets something happen at a time [s] after the one a fault's times count from; never, if that is None."""
+
+HIGHEST_PRIORITY = Frame(0, b"", extended=False)
+"""Nothing wins against it; drives take no standard frames."""
+COUNT_RANGE = 1 << 32
+TRIP_FLAGS = {"stall": 0x00, "temperature": 0x10, "current": 0x20}
+"""Bits of `3B` (zdt-emm-v5.md section 4); a stall is told by `3A` alone."""
 
 
 class SimulatedArm:
@@ -124,6 +135,8 @@ class SimulatedArm:
             else:
                 drive.shaft.high = stop
             self.drives.append(drive)
+        self._seed = seed
+        self._firmware = firmware
         self._script = _Script()
         self.bus.nodes += [self.adapter, *self.drives, self._script]
         for fault in faults:
@@ -170,33 +183,117 @@ class SimulatedArm:
         """
         origin_ns = self.start_ns if since_ns is None else since_ns
 
-        def at(at_s: float, action: Callable[[int], None]) -> None:
-            self._script.add(max(origin_ns + round(at_s * 1e9), self.now_ns), action)
+        def at(at_s: float | None, action: Callable[[int], None]) -> None:
+            if at_s is not None:
+                self._script.add(max(origin_ns + round(at_s * 1e9), self.now_ns), action)
 
+        if not self._inject_in_drive(fault, at) and not self._inject_on_the_way(fault, at):
+            raise ValueError(f"{fault} is no fault this arm can have.")
+
+    def _inject_in_drive(self, fault: Fault, at: At) -> bool:
         match fault:
-            case OpenRefused():
-                self.adapter.refuses_open = True
-            case CorruptBytes(share, at_s):
-                at(at_s, partial(_set, self.adapter, "corruption", share))
-            case Silent(joint, at_s, until_s):
-                drive = self._drive(joint)
-                at(at_s, drive.unplug)
-                if until_s is not None:
-                    at(until_s, drive.plug_in)
-            case PowerLoss(joint, at_s, off_s):
-                drive = self._drive(joint)
-                at(at_s, drive.power_off)
-                at(at_s + off_s, drive.power_on)
-            case Stall(joint, at_s):
+            case wrong.Silent(joint, at_s, until_s):
+                at(at_s, self._drive(joint).unplug)
+                at(until_s, self._drive(joint).plug_in)
+            case wrong.PowerLoss(joint, at_s, off_s):
+                at(at_s, self._drive(joint).power_off)
+                at(at_s + off_s, self._drive(joint).power_on)
+            case wrong.Stall(joint, at_s):
                 at(at_s, self._drive(joint).block_shaft)
-            case LostReplies(share, at_s, joint_or_all):
+            case wrong.Protection(joint, at_s, until_s, cause):
+                drive = self._drive(joint)
+                at(at_s, partial(_set, drive, "cause_lasts", until_s is not None))
+                at(at_s, partial(_call, drive.trip, TRIP_FLAGS[cause]))
+                at(until_s, partial(_set, drive, "cause_lasts", False))
+            case wrong.Disabled(joint, at_s):
+                at(at_s, self._drive(joint).disable)
+            case wrong.Refusing(joint, at_s, until_s):
+                at(at_s, partial(_set, self._drive(joint), "refuses", True))
+                at(until_s, partial(_set, self._drive(joint), "refuses", False))
+            case wrong.CountSlip(joint, at_s, deg):
+                at(at_s, partial(_call, self._drive(joint).slip, self._counts(joint, deg)))
+            case wrong.CountWrap(joint, at_s):
+                at(at_s, partial(_set, self._drive(joint), "count_shift", -COUNT_RANGE))
+            case wrong.SameAddress(joint, at_s):
+                at(at_s, partial(self._add_drive, self._drive(joint)))
+            case wrong.LostReplies(share, at_s, joint_or_all):
                 for drive in self._chosen(joint_or_all):
                     at(at_s, partial(_set, drive, "reply_loss", share))
-            case SlowReplies(extra_s, jitter_s, at_s, joint_or_all):
+            case wrong.SlowReplies(extra_s, jitter_s, at_s, joint_or_all):
                 for drive in self._chosen(joint_or_all):
                     least, greatest = drive.reply_delay_ns
                     slow = (least + round(extra_s * 1e9), greatest + round((extra_s + jitter_s) * 1e9))
                     at(at_s, partial(_set, drive, "reply_delay_ns", slow))
+            case wrong.WrongChecksums(share, at_s, joint_or_all):
+                for drive in self._chosen(joint_or_all):
+                    at(at_s, partial(_set, drive, "wrong_checksums", share))
+            case wrong.WrongValues(share, most_deg, at_s, joint_or_all):
+                for joint_config, drive in zip(self.config.joints, self.drives, strict=True):
+                    if joint_or_all in (None, joint_config.name):
+                        most = abs(self._counts(joint_config.name, most_deg))
+                        at(at_s, partial(_set, drive, "wrong_values", (share, most)))
+            case _:
+                return False
+        return True
+
+    def _inject_on_the_way(self, fault: Fault, at: At) -> bool:
+        adapter = self.adapter
+        match fault:
+            case wrong.OpenRefused():
+                adapter.refuses_open = True
+            case wrong.CorruptBytes(share, at_s):
+                at(at_s, partial(_set, adapter, "corruption", share))
+            case wrong.DuplicateReplies(share, gap_s, at_s, joint):
+                self._spoil_lines(at, at_s, LineFault("twice", share, round(gap_s * 1e9), self._address(joint)))
+            case wrong.LateReplies(share, late_s, at_s, joint):
+                self._spoil_lines(at, at_s, LineFault("late", share, round(late_s * 1e9), self._address(joint)))
+            case wrong.CutLines(share, rest_s, at_s, joint):
+                rest_ns = None if rest_s is None else round(rest_s * 1e9)
+                self._spoil_lines(at, at_s, LineFault("cut", share, rest_ns, self._address(joint)))
+            case wrong.Babble(at_s, until_s, joint):
+                babbler = Babbler()
+                self.bus.nodes.append(babbler)
+                at(at_s, partial(self._babble, babbler, joint))
+                at(until_s, babbler.end)
+            case wrong.ReceiveStall(at_s, stall_s, depth):
+                at(at_s, lambda _: adapter.stall(int(depth)))
+                at(at_s + stall_s, adapter.recover)
+            case wrong.TransmitOverflow(depth, at_s, until_s):
+                at(at_s, partial(_set, adapter, "depth", int(depth)))
+                at(until_s, partial(_set, adapter, "depth", adapter.depth))
+            case wrong.Bels(share, at_s):
+                at(at_s, partial(_set, adapter, "refusals", share))
+            case wrong.SerialBlocked(at_s, until_s):
+                at(at_s, partial(_set, adapter, "takes_characters", False))
+                at(until_s, partial(_set, adapter, "takes_characters", True))
+            case _:
+                return False
+        return True
+
+    def _spoil_lines(self, at: At, at_s: float, fault: LineFault) -> None:
+        at(at_s, lambda _: self.adapter.line_faults.append(fault))
+
+    def _babble(self, babbler: Babbler, joint: str | None, now_ns: int) -> None:
+        frame = HIGHEST_PRIORITY
+        if joint is not None:
+            drive = self._drive(joint)
+            drive.advance(now_ns)
+            frame = Frame(drive.settings.address << 8, drive.position_answer())
+        babbler.begin(now_ns, frame)
+
+    def _add_drive(self, other: ZdtDrive, now_ns: int) -> None:
+        self.bus.nodes.append(
+            ZdtDrive(
+                other.settings, start_ns=now_ns, firmware=self._firmware, seed=self._seed * 1000 + len(self.bus.nodes)
+            )
+        )
+
+    def _address(self, joint: str | None) -> int | None:
+        return None if joint is None else self._drive(joint).settings.address
+
+    def _counts(self, joint: str, deg: float) -> int:
+        config = next(config for config in self.config.joints if config.name == joint)
+        return round(config.direction * math.radians(deg) * config.encoder_counts_per_rad)
 
     def true_position_rad(self, joint: int, t_ns: int) -> float:
         """Where the joint truly was at `t_ns`, between the start and now [rad]."""
@@ -248,6 +345,10 @@ class SimulatedArm:
 
 def _set(owner: object, name: str, value: object, _: int) -> None:
     setattr(owner, name, value)
+
+
+def _call(action: Callable[[int, int], None], value: int, now_ns: int) -> None:
+    action(now_ns, value)
 
 
 class _Script:

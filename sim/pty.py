@@ -88,7 +88,8 @@ class PtyServer:
             wait_s = None
             if due_ns is not None:
                 wait_s = max(0, max(due_ns, packet_ns) - time.monotonic_ns()) * 1e-9
-            readable, _, _ = select.select((self._master, self._wake_read, *watched), (), (), wait_s)
+            listens = (self._master,) if arm.adapter.takes_characters else ()
+            readable, _, _ = select.select((*listens, self._wake_read, *watched), (), (), wait_s)
             now_ns = time.monotonic_ns()
             if self._master in readable:
                 arm.feed(now_ns, os.read(self._master, READ_SIZE))

@@ -32,8 +32,9 @@ rounded down to whole encoder counts; an error is the ramp minus the shaft.
 
 Not modelled: load, inertia and belt (the shaft is the ramp, or follows it with a first-order lag),
 other checksums, multi-motor `AA`, X firmware, limit switches (homing mode 03 runs until its time-out),
-over-temperature and over-current, the En and Dir inputs, calibration, factory reset, PID and all
-other settings not listed here (answered `00 EE 6B`); the wire's bit rate never changes.
+temperature and current (only the trip they cause, and that while they last it cannot be cleared [inf]),
+the En and Dir inputs, calibration, factory reset, PID and all other settings not listed here (answered
+`00 EE 6B`); the wire's bit rate never changes.
 """
 
 from __future__ import annotations
@@ -162,6 +163,12 @@ class ZdtDrive:
         shaft: its true motion.
         reply_delay_ns: least and greatest time from a request to its answer.
         reply_loss: share of its answers that never leave it.
+        wrong_checksums: share of its answers that end in another byte.
+        wrong_values: share of its position answers that are wrong, and by how many counts at most.
+        refuses: whether it refuses every motion command.
+        causes: why its protection tripped, as bits of `3B` (4 over-temperature, 5 over-current; a stall has none).
+        cause_lasts: whether that cause is still there, so that the protection cannot be cleared.
+        count_shift: what its count reads beside what it is [counts].
         connected: whether its CAN plug is in.
         listening, address: what the bus asks; see `sim.bus.Node`.
     """
@@ -187,6 +194,12 @@ class ZdtDrive:
         self.address: int | None = self.settings.address
         self.reply_delay_ns = (200_000, 400_000)
         self.reply_loss = 0.0
+        self.wrong_checksums = 0.0
+        self.wrong_values = (0.0, 0)
+        self.refuses = False
+        self.causes = 0
+        self.cause_lasts = False
+        self.count_shift = 0
         self.connected = True
         self.powered = True
         self.enabled = True
@@ -316,6 +329,7 @@ class ZdtDrive:
         self._hold()
         self._origin = self._ramp.position
         self.enabled, self.protected, self.power_lost = True, False, True
+        self.causes = self.count_shift = 0
         self._homing_failed = False
         self._watchdog_ns = self._watchdog_flash_ns
         self._feed_watchdog()
@@ -343,12 +357,32 @@ class ZdtDrive:
         self.shaft.block(now_ns)
         self._watch_contact()
 
+    def trip(self, now_ns: int, causes: int) -> None:
+        """Trip the protection, which lets the shaft go; `causes` are the bits of `3B` that then stand."""
+        self.advance(now_ns)
+        self.causes |= causes
+        self.protected = True
+        self._release()
+        self._schedule()
+
+    def disable(self, now_ns: int) -> None:
+        """Be let go by somebody, not over the bus."""
+        self.advance(now_ns)
+        self.enabled = False
+        self._release()
+        self._schedule()
+
+    def slip(self, now_ns: int, counts: int) -> None:
+        """Count so many counts more from now on; neither shaft nor ramp notices."""
+        self.advance(now_ns)
+        self._origin -= counts * GRAINS_PER_REVOLUTION // COUNTS_PER_REVOLUTION
+
     # -- what its registers say ----------------------------------------------------------------------
 
     @property
     def position_counts(self) -> int:
         """Encoder position since zero [65536 to the revolution], as `36` reads it."""
-        return self._counts(self.shaft.position_at(self._now_ns) - self._origin)
+        return self._counts(self.shaft.position_at(self._now_ns) - self._origin) + self.count_shift
 
     @property
     def target_counts(self) -> int:
@@ -383,8 +417,8 @@ class ZdtDrive:
 
     @property
     def homing_byte(self) -> int:
-        """The flags of `3B`: encoder and calibration ready, homing, homing failed."""
-        return 0b11 | self.homing_now << 2 | self._homing_failed << 3
+        """The flags of `3B`: encoder and calibration ready, homing, homing failed, too hot, too much current."""
+        return 0b11 | self.homing_now << 2 | self._homing_failed << 3 | self.causes
 
     @property
     def _target(self) -> int:
@@ -456,6 +490,8 @@ class ZdtDrive:
         """Queue a message, in several packets if it is long."""
         if not self.connected or (self.reply_loss and self._random.random() < self.reply_loss):
             return
+        if self.wrong_checksums and self._random.random() < self.wrong_checksums:
+            message = message[:-1] + bytes((self._random.choice([b for b in range(256) if b != CHECKSUM]),))
         ready_ns = self._replied_ns = max(ready_ns, self._replied_ns)
         base = self.settings.address << 8
         if len(message) <= 8:
@@ -469,7 +505,7 @@ class ZdtDrive:
 
     @property
     def _able(self) -> bool:
-        return self.enabled and not self.protected and self._homing_mode is None
+        return self.enabled and not self.protected and not self.refuses and self._homing_mode is None
 
     @staticmethod
     def _tick_ns(acc: int) -> int:
@@ -721,9 +757,10 @@ class ZdtDrive:
         return DONE
 
     def _do_clear_protection(self, _: bytes) -> int:
-        if not self.protected:
+        if not self.protected or self.cause_lasts:
             return REFUSED
         self.protected = False
+        self.causes = 0
         self._hold()
         return DONE
 
@@ -800,6 +837,15 @@ class ZdtDrive:
     def _encoder(self) -> int:
         return self._counts(self.shaft.position_at(self._now_ns)) % COUNTS_PER_REVOLUTION
 
+    def position_answer(self) -> bytes:
+        """What it would now answer to `36 6B`."""
+        return self._signed(0x36, self.position_counts, 4) + bytes((CHECKSUM,))
+
+    def _read_position(self) -> bytes:
+        share, most = self.wrong_values
+        wrong = round(self._random.uniform(-most, most)) if share and self._random.random() < share else 0
+        return self._signed(0x36, self.position_counts + wrong, 4)
+
     def _read_version(self) -> bytes:
         return struct.pack(">BHH", 0x1F, 200, 111) if self._new else b"\x1f\x7d\x6f"
 
@@ -867,7 +913,7 @@ def _tables(drive: ZdtDrive) -> tuple[dict[int, Callable[[], bytes]], dict[int, 
         0x33: lambda: d._signed(0x33, d.target_counts, 4),
         0x34: lambda: d._signed(0x34, d._counts(d._ramp.position - d._origin), 4),
         0x35: lambda: d._signed(0x35, d._speed(), 2),
-        0x36: lambda: d._signed(0x36, d.position_counts, 4),
+        0x36: d._read_position,
         0x37: lambda: d._signed(0x37, d._counts(d._error), 4),
         0x39: lambda: bytes((0x39, 1, TEMPERATURE_C)),
         0x3A: lambda: bytes((0x3A, d.status_byte)),
