@@ -7,6 +7,7 @@ import random
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 import yaml
 from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
+from observer import frames_sent
 from ros_client import Client, until
 from stack import Process, Stack
 from trajectory_msgs.msg import JointTrajectoryPoint
@@ -27,12 +29,15 @@ from config.loader import ARMS_FOLDER, load_arm
 from shm.client import StateReader
 from shm.files import DIRECTORY, open_state
 from shm.words import Mode
+from sim.truth import load_wire
 
 Settings = Mapping[str, Mapping[str, Any]]
 
 NAMES = [f"joint{i}" for i in range(1, 7)]
 START_DEG = [17.0, 12.0, -6.0, 57.0, 29.0, 115.0]
 NS = 1_000_000_000
+POSITION = 0xFD
+"""First byte of both packets of a position command."""
 TICKS_A_SECOND = os.sysconf("SC_CLK_TCK")
 
 FASTEST_BUS = {"bitrate": 1_000_000, "serial_baud": "cdc"}
@@ -50,7 +55,6 @@ class LiveStack(Stack):
     def __init__(self, folder: Path, *, mock_hz: float | None = None, settings: Settings | None = None) -> None:
         """`mock_hz`: the control rate of a mock arm, None for episode1; `settings`: {section: {key: value}} changed."""
         super().__init__(f"b{secrets.token_hex(4)}", folder, start_deg=START_DEG)
-        self.commands_file = folder / "commands.npy"
         self.mock = mock_hz is not None
         values = yaml.safe_load(self.arm_file.read_text(encoding="utf-8"))
         if self.mock:
@@ -62,18 +66,16 @@ class LiveStack(Stack):
             values.setdefault(section, {}).update(changed)
         self.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
 
-    def start_sim(self, *options: str) -> Process:
-        start = "--start-deg=" + ",".join(map(str, START_DEG))
-        arm = ("--arm", str(self.arm_file), "--link", str(self.link), start)
-        self.sim = self._keep(Process("bench.tapped_sim", str(self.commands_file), *arm, *options))
-        self.sim.line_with("ready")
-        return self.sim
-
     def commands(self) -> np.ndarray:
         """What the simulated adapter has read, (n, 3): CLOCK_MONOTONIC ns, address, target in pulses; ends it."""
         self.loop.close()
         self.sim.close()
-        return np.load(self.commands_file)
+        found = []
+        for first, second in pairwise(frames_sent(load_wire(self.truth_file))):
+            if first.data[0] == second.data[0] == POSITION and first.drive == second.drive:
+                pulses = int.from_bytes(first.data[5:8] + second.data[1:2], "big")
+                found.append((second.time_ns, second.drive, -pulses if first.data[1] else pulses))
+        return np.array(found, np.int64).reshape(-1, 3)
 
 
 class Quiet(Client):

@@ -1,7 +1,8 @@
 """`python -m sim --arm ARM --link PATH`: a simulated arm at a pseudo-terminal, until SIGTERM or SIGINT.
 
 Prints `ready <terminal>` when it can be opened. SIGUSR1 writes the true motion so far to the file given
-with `--truth` and then prints `truth <file>`; the same file is written at the end. With `--faults-from-stdin`
+with `--truth` and then prints `truth <file>`; the same file is written at the end. With `--truth-window-s` it holds
+that many seconds, and what is older is forgotten. With `--faults-from-stdin`
 every line that comes in is a fault, its times counted from that moment, answered by `fault <line>`, or by
 `refused <sentence>`.
 """
@@ -53,11 +54,11 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"sim: there is no folder for {options.truth}; create it or choose another.", file=sys.stderr)
         return 2
     with server:
-        _serve(server, options.truth, options.faults_from_stdin)
+        _serve(server, options.truth, options.truth_window_s, options.faults_from_stdin)
     return 0
 
 
-def _serve(server: PtyServer, truth: Path | None, faults_from_stdin: bool) -> None:
+def _serve(server: PtyServer, truth: Path | None, window_s: float | None, faults_from_stdin: bool) -> None:
     pending: set[int] = set()
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1):
         signal.signal(number, lambda caught, _: pending.add(caught))
@@ -83,15 +84,27 @@ def _serve(server: PtyServer, truth: Path | None, faults_from_stdin: bool) -> No
         return not pending
 
     def write_truth() -> None:
-        if truth is not None:
-            server.arm.run_until(time.monotonic_ns())
-            save_truth(server.arm, truth)
+        if truth is not None and server.heard is not None:
+            now_ns = time.monotonic_ns()
+            server.arm.run_until(now_ns)
+            if window_s is not None:
+                _forget_before(server, now_ns - round(window_s * 1e9))
+            save_truth(server.arm, truth, server.heard)
             print(f"truth {truth}", flush=True)
 
+    if truth is not None:
+        server.heard = []
     print(f"ready {server.tty_path}", flush=True)
     server.serve(attend, watched)
     signal.set_wakeup_fd(-1)
     write_truth()
+
+
+def _forget_before(server: PtyServer, time_ns: int) -> None:
+    for drive in server.arm.drives:
+        drive.shaft.forget_before(time_ns)
+    if server.heard is not None:
+        server.heard = [piece for piece in server.heard if piece[0] >= time_ns]
 
 
 def _inject(server: PtyServer, text: str) -> str:
@@ -135,6 +148,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--unhomed", action="store_true", help="drives that have just been switched on")
     parser.add_argument("--seed", type=int, default=0, help="of random delays and faults")
     parser.add_argument("--truth", type=Path, help="file for the true motion (NumPy archive)")
+    parser.add_argument("--truth-window-s", type=float, metavar="S", help="seconds of motion to remember for --truth")
     return parser
 
 

@@ -20,6 +20,7 @@ from pathlib import Path
 from types import TracebackType
 
 from sim.arm import SimulatedArm
+from sim.truth import Heard
 
 READ_SIZE = 65536
 PACKET_NS = 1_000_000
@@ -36,6 +37,7 @@ class PtyServer:
     Attributes:
         tty_path: the terminal a host opens.
         dropped_bytes: bytes to the host that found the terminal full.
+        heard: what the host wrote, kept for `sim.truth` where this is a list.
 
     Raises:
         FileNotFoundError: there is no folder for the link.
@@ -45,6 +47,7 @@ class PtyServer:
     def __init__(self, arm: SimulatedArm, link: Path | None = None) -> None:
         self.arm = arm
         self.dropped_bytes = 0
+        self.heard: Heard | None = None
         self._link = link
         self._master, self._slave = os.openpty()
         self._wake_read, self._wake_write = os.pipe()
@@ -92,7 +95,10 @@ class PtyServer:
             readable, _, _ = select.select((*listens, self._wake_read, *watched), (), (), wait_s)
             now_ns = time.monotonic_ns()
             if self._master in readable:
-                arm.feed(now_ns, os.read(self._master, READ_SIZE))
+                data = os.read(self._master, READ_SIZE)
+                if self.heard is not None:
+                    self.heard.append((now_ns, data))
+                arm.feed(now_ns, data)
             if now_ns >= packet_ns and (data := arm.collect(now_ns)):
                 self._write(data)
                 packet_ns = now_ns + PACKET_NS

@@ -1,17 +1,21 @@
-"""What the drives of a live simulation truly did, as a file for tests and plots.
+"""What the drives of a live simulation truly did and what their adapter was told, as a file for tests and plots.
 
 A NumPy archive with, for each joint, `<name>.times_ns` (CLOCK_MONOTONIC), `<name>.position_rad` and
 `<name>.velocity_rad_s`, one row for each change of velocity and one for the moment of writing. The
-position is linear in between.
+position is linear in between. `wire_ns`, `wire_ends` and `wire_bytes` are what the host wrote: when the simulation
+read it, where in the bytes each such piece ends, and the bytes.
 """
 
 from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.arm import SimulatedArm
 from sim.drives.shaft import Reals, Times
@@ -38,9 +42,17 @@ class JointTruth:
         return self.velocity_rad_s[np.maximum(index, 0)]
 
 
-def save_truth(arm: SimulatedArm, path: Path) -> None:
+Heard = list[tuple[int, bytes]]
+"""What the host wrote: (CLOCK_MONOTONIC ns, bytes), oldest first."""
+
+
+def save_truth(arm: SimulatedArm, path: Path, heard: Heard) -> None:
     """Write the motion of every joint so far; the file appears complete or not at all."""
-    columns: dict[str, Times | Reals] = {}
+    columns: dict[str, NDArray[Any]] = {
+        "wire_ns": np.array([time_ns for time_ns, _ in heard], np.int64),
+        "wire_ends": np.cumsum([len(data) for _, data in heard], dtype=np.int64),
+        "wire_bytes": np.frombuffer(b"".join(data for _, data in heard), np.uint8),
+    }
     for index, joint in enumerate(arm.config.joints):
         times_ns = arm.truth_changes(index)
         position_rad, velocity_rad_s = arm.truth(index, times_ns)
@@ -65,3 +77,12 @@ def load_truth(path: Path) -> dict[str, JointTruth]:
             )
             for name in names
         }
+
+
+def load_wire(path: Path) -> Heard:
+    """Read what the host wrote from a file written by `save_truth`."""
+    with np.load(path) as columns:
+        data = columns["wire_bytes"].tobytes()
+        ends = [0, *columns["wire_ends"].tolist()]
+        times_ns = columns["wire_ns"].tolist()
+    return [(time_ns, data[begin:end]) for time_ns, (begin, end) in zip(times_ns, pairwise(ends), strict=True)]

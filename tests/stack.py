@@ -13,7 +13,7 @@ import yaml
 
 from config.loader import ARMS_FOLDER
 from shm.files import DIRECTORY
-from sim.truth import JointTruth, load_truth
+from sim.truth import Heard, JointTruth, load_truth, load_wire
 
 ROOT = Path(__file__).parents[1]
 PATIENCE_S = 60.0
@@ -135,6 +135,10 @@ class Stack:
         self.sim.process.send_signal(signal.SIGUSR1)
         self.sim.line_with("truth")
         return load_truth(self.truth_file)
+
+    def wire(self) -> Heard:
+        """What the host had written to the adapter when `truth` was asked for last."""
+        return load_wire(self.truth_file)
 
     def close(self) -> None:
         for process in reversed(self._processes):

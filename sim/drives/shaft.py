@@ -140,6 +140,12 @@ class Shaft:
         """The times at which the velocity changed, oldest first."""
         return np.array(self._times)
 
+    def forget_before(self, time_ns: int) -> None:
+        """Let the history begin with the stretch of motion that a time lies in."""
+        old = bisect_right(self._times, time_ns) - 1
+        if old > 0:
+            self._forget(old)
+
     def contact_ns(self, now_ns: int, position: int, speed_rpm: int, margin: int) -> int:
         """When a ramp now at `position` [grains] gets `margin` beyond a stop, or comes back from there.
 
@@ -205,5 +211,8 @@ class Shaft:
         self._speeds.append(speed_rpm)
         self._behind.append(behind)
         if len(self._times) > 2 * HISTORY_LENGTH:
-            for column in (self._times, self._positions, self._speeds, self._behind):
-                del column[:HISTORY_LENGTH]
+            self._forget(HISTORY_LENGTH)
+
+    def _forget(self, count: int) -> None:
+        for column in (self._times, self._positions, self._speeds, self._behind):
+            del column[:count]

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import serial
 
-from sim.truth import load_truth
+from sim.truth import load_truth, load_wire
 
 pytestmark = pytest.mark.process
 
@@ -132,11 +132,38 @@ def test_truth_of_a_move_on_demand_and_at_the_end(start):
     assert moved.velocity_at(middle_ns)[0] == pytest.approx(10.471976)
     expected = (moved.position_rad[1] + moved.position_rad[2]) / 2
     assert moved.position_at(middle_ns)[0] == pytest.approx(expected, abs=1e-6)
+    heard = load_wire(simulator.truth)
+    assert b"".join(data for _, data in heard).startswith(b"S6\rO\rT000006008FD00006400000003\rT000006015FD0B01006B\r")
+    assert begin_ns < heard[0][0] <= heard[-1][0] < time.monotonic_ns()
     simulator.truth.unlink()
     assert simulator.end() == 0
     last = load_truth(simulator.truth)["joint6"]
     assert last.times_ns[-1] > moved.times_ns[-1]
     assert last.position_rad[-1] == moved.position_rad[-1]
+
+
+def test_what_lies_before_the_window_is_forgotten(start):
+    simulator = start("--truth-window-s", "0.2")
+
+    def asked() -> None:
+        simulator.process.send_signal(signal.SIGUSR1)
+        simulator.line("truth ")
+
+    port = os.open(simulator.link, os.O_RDWR | os.O_NOCTTY)
+    try:
+        exchange(port, b"S6\rO\rT000006008FD00006400000003\rT000006015FD0B01006B\r", b"FD026B\r")
+        asked()
+        assert len(load_truth(simulator.truth)["joint6"].times_ns) > 1
+        assert load_wire(simulator.truth)
+        deadline = time.monotonic() + PATIENCE_S
+        while len(load_truth(simulator.truth)["joint6"].times_ns) > 2:
+            assert time.monotonic() < deadline
+            asked()
+    finally:
+        os.close(port)
+    left = load_truth(simulator.truth)["joint6"]
+    assert left.position_rad[0] == left.position_rad[1]
+    assert load_wire(simulator.truth) == []
 
 
 def test_faults_and_unhomed_drives_from_the_command_line(start):
