@@ -1,0 +1,424 @@
+"""A whole arm as real processes, with somebody who uses it and an observer outside, for trials of faults and soaks.
+
+The simulated arm stands for the hardware and runs apart; control process and front run under `rtarm up`, or bare.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Duration
+from control_msgs.action import FollowJointTrajectory
+from observer import STANDS_RAD_S
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from ros_client import Spinner
+from stack import Process, Stack
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from config.loader import load_arm
+from shm import files
+from shm.client import StateReader
+from shm.errors import SharedMemoryError, TornRead
+from shm.words import Mode
+from sim.truth import JointTruth
+
+START_DEG = (17.0, 12.0, -6.0, 57.0, 29.0, 115.0)
+WINDOW_S = 45.0
+"""Of true motion that the simulated arm remembers: longer than any trial."""
+READY_S = 30.0
+END_S = 20.0
+ANSWER_S = 10.0
+POLL_S = 0.002
+BOX_SHARE = 0.7
+"""Share of each joint's range, around its middle, that random goals stay in."""
+LIMIT_SHARE = 0.85
+"""Of the velocity and acceleration limits that random goals use at most."""
+QUINTIC_VELOCITY, QUINTIC_ACCELERATION = 1.875, 5.774
+"""Peaks of a rest-to-rest quintic over the unit of way and time."""
+KNOTS = 20
+
+
+class Hang(Exception):
+    """Something that must end within a bound did not; the text says what."""
+
+
+def wait(condition: Callable[[], bool], what: str, patience_s: float) -> None:
+    """Wait for something that can be observed; raises Hang."""
+    deadline_s = time.monotonic() + patience_s
+    while not condition():
+        if time.monotonic() > deadline_s:
+            raise Hang(f"{what} did not happen within {patience_s:g} s")
+        time.sleep(POLL_S)
+
+
+@dataclass
+class Sent:
+    """A goal on its way, as its sender sees it."""
+
+    duration_s: float
+    sent_ns: int
+    accepted: threading.Event = field(default_factory=threading.Event)
+    ended: threading.Event = field(default_factory=threading.Event)
+    ended_ns: int = 0
+    code: int = 0
+    words: str = ""
+    handle: Any = None
+
+    @property
+    def succeeded(self) -> bool:
+        return self.ended.is_set() and self.code == FollowJointTrajectory.Result.SUCCESSFUL
+
+
+class User(Spinner):
+    """An action client that knows which servers it sees, and a person who clears faults."""
+
+    def __init__(self, controller: str) -> None:
+        super().__init__()
+        self.node = Node("user", context=self.context)
+        self.executor.add_node(self.node)
+        self.controller = controller
+        self.action = ActionClient(self.node, FollowJointTrajectory, f"/{controller}/follow_joint_trajectory")
+        self._orders: dict[str, Any] = {}
+        self.thread.start()
+
+    def servers(self) -> set[bytes]:
+        """One identity for each action server that is seen."""
+        topic = f"/{self.controller}/follow_joint_trajectory/_action/status"
+        return {bytes(found.endpoint_gid) for found in self.node.get_publishers_info_by_topic(topic)}
+
+    def send(self, goal: Any) -> Sent:
+        """Send a goal; what becomes of it is told by what is returned."""
+        last = goal.trajectory.points[-1].time_from_start
+        sent = Sent(last.sec + last.nanosec * 1e-9, time.monotonic_ns())
+
+        def ended(future: Any) -> None:
+            sent.ended_ns = time.monotonic_ns()
+            sent.code, sent.words = future.result().result.error_code, future.result().result.error_string
+            sent.ended.set()
+
+        def accepted(future: Any) -> None:
+            sent.handle = future.result()
+            if not sent.handle.accepted:
+                sent.ended_ns, sent.code, sent.words = time.monotonic_ns(), -1, "rejected"
+                sent.ended.set()
+            else:
+                sent.handle.get_result_async().add_done_callback(ended)
+            sent.accepted.set()
+
+        self.action.send_goal_async(goal).add_done_callback(accepted)
+        return sent
+
+    def order(self, name: str, patience_s: float = ANSWER_S) -> str:
+        """Call one of the front's Trigger services; "" when it was done, else why not."""
+        if name not in self._orders:
+            self._orders[name] = self.node.create_client(Trigger, f"/{self.controller}/{name}")
+        client = self._orders[name]
+        if not client.wait_for_service(patience_s):
+            return f"nobody offers ~/{name}"
+        future = client.call_async(Trigger.Request())
+        deadline_s = time.monotonic() + patience_s
+        while not future.done():
+            if time.monotonic() > deadline_s:
+                client.remove_pending_request(future)
+                return f"~/{name} was not answered within {patience_s:g} s"
+            time.sleep(POLL_S)
+        return "" if future.result().success else str(future.result().message)
+
+
+class Rig(Stack):
+    """The arm, its processes and its user; each process may be hurt, and `make_ready` finds the way back.
+
+    `restarts` counts what was started again by hand, `ways_back` how the arm came back into service.
+    """
+
+    def __init__(self, name: str, folder: Path, random: np.random.Generator) -> None:
+        super().__init__(name, folder, start_deg=START_DEG)
+        self.arm = load_arm(self.arm_file)
+        self.random = random
+        self.launched = True
+        self.launcher: Process | None = None
+        self.user = User(f"controller_{name}")
+        self.dead_servers: dict[bytes, int] = {}
+        self.gone_ms: dict[bytes, float] = {}
+        self._watching = threading.Event()
+        self._watcher = threading.Thread(target=self._watch_servers, daemon=True)
+        self._watcher.start()
+        self.last_pose_deg = list(START_DEG)
+        self._reader: StateReader | None = None
+
+    # --- processes
+
+    def start_arm(self) -> None:
+        """Start the simulated arm where it stood last."""
+        self._start_deg = self.last_pose_deg
+        self.start_sim("--truth-window-s", str(WINDOW_S))
+
+    def start_control(self) -> None:
+        """Start control process and front, under the launcher or bare."""
+        if self.launched:
+            self.launcher = self._keep(Process("rtarm", "up", str(self.arm_file), needs_ros=True))
+            self.launcher.line_with("running; Ctrl-C")
+        else:
+            self.start_loop()
+            self.start_front()
+
+    def stop_control(self) -> list[str]:
+        """End control process and front in order; what was wrong with that."""
+        found = []
+        if self.launcher is not None:
+            found += _ended(self.launcher, "rtarm up", {0})
+            self.launcher = None
+        else:
+            for process, what in ((self.front, "the front"), (self.loop, "the control process")):
+                found += _ended(process, what, {0})
+        return found
+
+    def pid(self, target: str) -> int:
+        """Process id of `loop`, `front`, `launcher` or `sim`; 0 where it does not run."""
+        if target == "sim":
+            return self.sim.process.pid if self.sim.process.poll() is None else 0
+        if target == "launcher":
+            return self.launcher.process.pid if self.launcher and self.launcher.process.poll() is None else 0
+        if target == "front":
+            with contextlib.suppress(SharedMemoryError):
+                front = files.front_of(self.name)
+                return front[0] if front else 0
+            return 0
+        reader = self.reader()
+        return int(reader.memory.record["header"]["pid"]) if reader else 0
+
+    # --- what the arm does
+
+    def reader(self) -> StateReader | None:
+        """The living control process' state; None where there is none."""
+        if self._reader is not None and not files.is_held(self._reader.memory.fd):
+            self._reader.close()
+            self._reader = None
+        if self._reader is None:
+            with contextlib.suppress(SharedMemoryError):
+                self._reader = StateReader(files.open_state(self.name))
+        return self._reader
+
+    def snapshot(self) -> np.ndarray | None:
+        """The newest snapshot of a living control process, if it has run a cycle."""
+        reader = self.reader()
+        if reader is None or int(reader.memory.record["snapshot_sequence"][0]) == 0:
+            return None
+        with contextlib.suppress(TornRead):
+            return reader.snapshot()
+        return None
+
+    def mode(self) -> int:
+        """Mode of the living control process; OFFLINE where there is none."""
+        snapshot = self.snapshot()
+        return Mode.OFFLINE if snapshot is None else int(snapshot["mode"])
+
+    def standing(self, patience_s: float) -> dict[str, JointTruth]:
+        """The true motion, once all joints stand; raises Hang."""
+        deadline_s = time.monotonic() + patience_s
+        while True:
+            truth = self.truth()
+            moving = [name for name, joint in truth.items() if abs(joint.velocity_rad_s[-1]) > STANDS_RAD_S]
+            if not moving:
+                self.last_pose_deg = [math.degrees(truth[j.name].position_rad[-1]) for j in self.arm.joints]
+                return truth
+            if time.monotonic() > deadline_s:
+                raise Hang(f"{', '.join(moving)} still moved after {patience_s:g} s")
+            time.sleep(0.05)
+
+    # --- the way back
+
+    def make_ready(self) -> list[str]:
+        """Bring the arm back into service as a person would; how that went, one word a step. Raises Hang."""
+        steps = []
+        if self.pid("sim") == 0:
+            self._end_control_by_force()
+            self.start_arm()
+            steps.append("arm plugged in again")
+        if self.launcher is not None and self.launcher.process.poll() is not None:
+            self.launcher = None
+        if self.launched and self.launcher is None:
+            self._end_control_by_force()
+            self.start_control()
+            steps.append("started")
+        elif not self.launched:
+            steps += self._start_what_is_missing()
+        steps += self._await_service()
+        return steps
+
+    def _start_what_is_missing(self) -> list[str]:
+        steps = []
+        if not hasattr(self, "loop") or self.loop.process.poll() is not None:
+            self.start_loop()
+            steps.append("loop started")
+        if not hasattr(self, "front") or self.front.process.poll() is not None:
+            self.start_front()
+            steps.append("front started")
+        return steps
+
+    def _await_service(self) -> list[str]:
+        steps: list[str] = []
+        wait(lambda: self.pid("front") != 0 and self.snapshot() is not None, "front and control process", READY_S)
+        wait(lambda: bool(self.user.servers() - set(self.dead_servers)), "a living action server", READY_S)
+        for _ in range(5):
+            wait(lambda: self.mode() not in (Mode.BRINGING_UP, Mode.STOPPING, Mode.EXECUTING), "rest", READY_S)
+            if self.mode() == Mode.FAULT:
+                refused = self.user.order("clear_fault")
+                steps.append("fault cleared" if not refused else f"fault not cleared: {refused}")
+                continue
+            snapshot = self.snapshot()
+            if snapshot is not None and self.mode() == Mode.HOLDING:
+                if all(snapshot["joints"]["referenced"][: len(self.arm.joints)]):
+                    return steps
+                steps += [f"restarted, a joint had lost its reference; {left}" for left in self._restart()]
+        raise Hang(f"the arm did not come back into service: {steps}")
+
+    def _restart(self) -> list[str]:
+        found = self.stop_control()
+        self.standing(READY_S)
+        self.start_control()
+        self.note_dead_servers()
+        wait(lambda: bool(self.user.servers() - set(self.dead_servers)), "a living action server", READY_S)
+        return found or ["in order"]
+
+    def _end_control_by_force(self) -> None:
+        """What runs without its arm, or without its launcher, ends; a frozen one as well."""
+        for process in self._processes:
+            if process is not self.sim and process.process.poll() is None:
+                process.close()
+        self.launcher = None
+        for target in ("front", "loop"):
+            pid = self.pid(target)
+            if pid:
+                os.kill(pid, signal.SIGTERM)
+                wait(lambda p=pid: not alive(p), f"the end of the {target}", END_S)
+
+    # --- goals
+
+    def note_dead_servers(self) -> None:
+        """All servers seen by now are of a front that is gone; `servers_still_seen` tells how that is noticed."""
+        for server in self.user.servers():
+            self.dead_servers.setdefault(server, time.monotonic_ns())
+
+    def _watch_servers(self) -> None:
+        while not self._watching.wait(0.05):
+            seen = self.user.servers()
+            for server, died_ns in list(self.dead_servers.items()):
+                if server not in seen and server not in self.gone_ms:
+                    self.gone_ms[server] = (time.monotonic_ns() - died_ns) / 1e6
+
+    def servers_still_seen(self, patience_s: float) -> list[str]:
+        """Dead servers that the user has not seen go within that time."""
+        deadline_s = time.monotonic() + patience_s
+        while left := set(self.dead_servers) - set(self.gone_ms):
+            if time.monotonic() > deadline_s:
+                return [f"{len(left)} dead action servers are still seen after {patience_s:g} s"]
+            time.sleep(0.05)
+        return []
+
+    def goal(self, *, shortest_s: float = 1.2, longest_s: float = 3.0) -> Any:
+        """A random goal from where the arm is commanded to be, inside its limits: a quintic through knots."""
+        snapshot = self.snapshot()
+        assert snapshot is not None
+        here = snapshot["joints"]["commanded_position_rad"][: len(self.arm.joints)].copy()
+        seconds = self.random.uniform(shortest_s, longest_s)
+        way = np.zeros(len(here))
+        for i, joint in enumerate(self.arm.joints):
+            middle = (joint.lower_rad + joint.upper_rad) / 2
+            half = BOX_SHARE * (joint.upper_rad - joint.lower_rad) / 2
+            most = LIMIT_SHARE * min(
+                joint.max_velocity_rad_s * seconds / QUINTIC_VELOCITY,
+                joint.max_acceleration_rad_s2 * seconds**2 / QUINTIC_ACCELERATION,
+            )
+            wanted = np.clip(here[i] + self.random.uniform(-most, most), middle - half, middle + half)
+            way[i] = np.clip(wanted - here[i], -most, most)
+        return quintic_goal([joint.name for joint in self.arm.joints], here, way, seconds)
+
+    def send(self, goal: Any) -> Sent:
+        """Send a goal to the server that lives, and wait until it is accepted; raises Hang."""
+        for _ in range(3):  # a request that a server just discovered does not hear is a matter of the middleware
+            sent = self.user.send(goal)
+            if sent.accepted.wait(ANSWER_S / 2):
+                return sent
+        raise Hang("a goal was not answered")
+
+    def close(self) -> None:
+        self._watching.set()
+        self._watcher.join()
+        if self._reader is not None:
+            self._reader.close()
+        self.user.close()
+        super().close()
+
+
+def quintic_goal(names: list[str], here: np.ndarray, way: np.ndarray, seconds: float) -> Any:
+    """A goal of knots with velocities and accelerations along a rest-to-rest quintic."""
+    goal = FollowJointTrajectory.Goal()
+    goal.trajectory.joint_names = names
+    for s in np.linspace(0.0, 1.0, KNOTS):
+        sec, nanosec = divmod(round(s * seconds * 1e9), 10**9)
+        goal.trajectory.points.append(
+            JointTrajectoryPoint(
+                positions=(here + way * (10 * s**3 - 15 * s**4 + 6 * s**5)).tolist(),
+                velocities=(way * (30 * s**2 - 60 * s**3 + 30 * s**4) / seconds).tolist(),
+                accelerations=(way * (60 * s - 180 * s**2 + 120 * s**3) / seconds**2).tolist(),
+                time_from_start=Duration(sec=sec, nanosec=nanosec),
+            )
+        )
+    return goal
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that has ended and is not waited for yet does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+def _ended(process: Process, what: str, codes: set[int]) -> list[str]:
+    if process.process.poll() is None:
+        process.process.terminate()
+    try:
+        code = process.process.wait(END_S)
+    except subprocess.TimeoutExpired:
+        process.process.kill()
+        return [f"{what} did not end within {END_S:g} s of SIGTERM"]
+    return [] if code in codes else [f"{what} ended with {code} after SIGTERM"]
+
+
+@contextlib.contextmanager
+def full(folder: Path) -> Iterator[None]:
+    """Fill the file system of a folder, which must be small and the test's own, to the last block."""
+    filler = folder / "filler"
+    with filler.open("wb") as file:
+        size, at = 1 << 26, 0
+        while size >= 512:
+            try:
+                os.posix_fallocate(file.fileno(), at, size)
+                at += size
+            except OSError:
+                size //= 2
+    try:
+        yield
+    finally:
+        filler.unlink()
+
+
+def environment_of(folder: Path) -> Mapping[str, str]:
+    """Where processes of a trial write what is no memory file: logs, recordings; not the compiled cycle."""
+    cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
+    return {"HOME": str(folder), "ROS_LOG_DIR": str(folder / "log"), "XDG_CACHE_HOME": cache}

@@ -1,0 +1,294 @@
+"""Trials in which a process of an arm dies, freezes or runs out of something at a random moment of a running goal.
+
+A trial ends with what was seen: reaction times, and sentences about everything that must never happen.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import resource
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from fault_rig import END_S, Hang, Rig, Sent, alive, full, wait
+from observer import command_violations, frames_sent, motion_after, motion_violations, stands_since_ns
+
+from shm.files import DIRECTORY
+from shm.words import Mode
+
+NS = 10**9
+MARGIN_S = 6.0
+"""After the planned end of a goal, or of the fault: by then its result is there."""
+LONGEST_STOP_S = 2.0
+FRONT_TIMEOUT_S = 0.5
+STANDS_WITHIN_S = LONGEST_STOP_S + FRONT_TIMEOUT_S + 0.5
+POLL_S = 0.002
+TARGETS = ("loop", "front", "launcher", "sim")
+
+
+Fault = Callable[[Rig, int], contextlib.AbstractContextManager[str]]
+"""Hurts a process for as long as it is entered; says what it did."""
+
+
+def by_signal(number: int) -> Fault:
+    @contextmanager
+    def hurt(rig: Rig, pid: int) -> Iterator[str]:
+        os.kill(pid, number)
+        yield signal.Signals(number).name
+
+    return hurt
+
+
+def frozen(least_s: float, most_s: float) -> Fault:
+    @contextmanager
+    def hurt(rig: Rig, pid: int) -> Iterator[str]:
+        seconds = least_s * (most_s / least_s) ** rig.random.uniform()
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            time.sleep(seconds)  # the fault itself
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        yield f"SIGSTOP for {seconds * 1e3:.0f} ms"
+
+    return hurt
+
+
+def limited(kind: int, now: Callable[[int], int]) -> Fault:
+    """Let a process have no more of something than it has now."""
+
+    @contextmanager
+    def hurt(rig: Rig, pid: int) -> Iterator[str]:
+        before = resource.prlimit(pid, kind)
+        value = now(pid)
+        resource.prlimit(pid, kind, (value, before[1]))
+        try:
+            yield f"limited to {value}"
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                resource.prlimit(pid, kind, before)
+
+    return hurt
+
+
+def _address_space(pid: int) -> int:
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[0]) * resource.getpagesize()
+
+
+def _descriptors(pid: int) -> int:
+    return max(int(entry) for entry in os.listdir(f"/proc/{pid}/fd")) + 1
+
+
+def filled(folder: Callable[[Rig], Path]) -> Fault:
+    @contextmanager
+    def hurt(rig: Rig, pid: int) -> Iterator[str]:
+        with full(folder(rig)):
+            yield "filled to the last block"
+
+    return hurt
+
+
+FAULTS: dict[str, Fault] = {
+    "kill -9": by_signal(signal.SIGKILL),
+    "SIGTERM": by_signal(signal.SIGTERM),
+    "SIGINT": by_signal(signal.SIGINT),
+    "SIGSTOP 10–90 ms": frozen(0.010, 0.090),
+    "SIGSTOP 0.1–1 s": frozen(0.100, 1.0),
+    "SIGSTOP 1–10 s": frozen(1.0, 10.0),
+    "no memory (RLIMIT_AS)": limited(resource.RLIMIT_AS, _address_space),
+    "no file grows (RLIMIT_FSIZE)": limited(resource.RLIMIT_FSIZE, lambda pid: 0),
+    "no descriptors (RLIMIT_NOFILE)": limited(resource.RLIMIT_NOFILE, _descriptors),
+}
+SHARED: dict[str, Fault] = {
+    "full disk": filled(lambda rig: Path(os.environ["HOME"])),
+    "full /dev/shm": filled(lambda rig: DIRECTORY),
+}
+"""What every process of the arm meets at once; only where both file systems are the trials' own."""
+ENDS = {"kill -9", "SIGTERM", "SIGINT"}
+LASTS = {name for name in FAULTS if name.startswith("no ")} | set(SHARED)
+"""A second goal is sent while these last."""
+
+
+@dataclass
+class Trial:
+    """What is done to whom, and what was seen."""
+
+    fault: str
+    target: str
+    launched: bool
+    number: int = 0
+    what: str = ""
+    outcome: str = ""
+    stands_ms: float | None = None
+    told_ms: float | None = None
+    back_ms: float | None = None
+    steps: list[str] = field(default_factory=list)
+    violations: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    server_died: bool = False
+
+
+def all_kinds(*, shared: bool) -> list[Trial]:
+    """One trial of each kind."""
+    kinds = [Trial(fault, target, True) for target in TARGETS for fault in FAULTS]
+    kinds += [Trial(fault, target, False) for target in ("loop", "front") for fault in FAULTS]
+    return kinds + [Trial(fault, "all", True) for fault in SHARED if shared]
+
+
+def run(rig: Rig, trial: Trial) -> Trial:
+    """Carry a trial out and leave the arm in service, if it can be brought there."""
+    if rig.launched != trial.launched:
+        trial.violations += rig.stop_control() if rig.pid("loop") else []
+        rig.launched = trial.launched
+        rig.note_dead_servers()
+    try:
+        rig.make_ready()
+        _act(rig, trial)
+    except (Hang, AssertionError) as problem:
+        trial.violations.append(f"hang: {problem}")
+    return trial
+
+
+def _act(rig: Rig, trial: Trial) -> None:
+    began_ns = time.monotonic_ns()
+    sent = rig.send(rig.goal())
+    wait(lambda: rig.mode() == Mode.EXECUTING or sent.ended.is_set(), "motion", 5.0)
+    time.sleep(rig.random.uniform(0.1, 0.8) * sent.duration_s)  # a random moment of the goal
+    pids = {target: rig.pid(target) for target in TARGETS}
+    hurt_ns = time.monotonic_ns()
+    fault = FAULTS.get(trial.fault) or SHARED[trial.fault]
+    with fault(rig, pids.get(trial.target, 0)) as trial.what:
+        over_ns = time.monotonic_ns()
+        _await_end(rig, trial, sent, pids)
+        if trial.fault in LASTS and all(alive(pid) for pid in pids.values() if pid):
+            _second_goal(rig, trial)
+    _judge_motion(rig, trial, sent, began_ns, hurt_ns, over_ns)
+    _judge_processes(rig, trial, pids)
+    _way_back(rig, trial, over_ns)
+
+
+def _await_end(rig: Rig, trial: Trial, sent: Sent, pids: dict[str, int]) -> None:
+    """Until the goal has a result, or the client's server has ended without giving one."""
+    front = pids["front"]
+    deadline_s = time.monotonic() + sent.duration_s + MARGIN_S
+    while not sent.ended.wait(POLL_S):
+        if not alive(front):
+            sent.ended.wait(0.2)  # what it said last is still on its way
+            break
+        if time.monotonic() > deadline_s:
+            raise Hang(f"the goal neither ended nor did its server, {trial.what}")
+    if trial.fault in ENDS and trial.target == "front":
+        wait(lambda: not alive(front), "the end of the front", END_S)
+    if not alive(front):
+        trial.server_died = True
+        rig.note_dead_servers()
+    if not sent.ended.is_set():
+        trial.outcome = "server gone"
+    elif sent.succeeded:
+        trial.outcome = "succeeded"
+    else:
+        trial.outcome = kind_of(sent.words)
+
+
+def kind_of(words: str) -> str:
+    """A result's sentence without what differs from time to time."""
+    without = re.sub(r" of arm '\w+'| \(pid \d+\)", "", words)
+    return re.split(r"[:;,.|]", re.sub(r"joint\d", "a joint", re.sub(r"-?\d+(\.\d+)?", "…", without)))[0].strip()[:70]
+
+
+def _second_goal(rig: Rig, trial: Trial) -> None:
+    if rig.mode() != Mode.HOLDING:
+        return
+    front = rig.pid("front")
+    sent = rig.user.send(rig.goal(shortest_s=0.8, longest_s=1.0))
+    deadline_s = time.monotonic() + sent.duration_s + MARGIN_S
+    while not sent.ended.wait(POLL_S):
+        if not alive(front):
+            trial.server_died = True
+            rig.note_dead_servers()
+            trial.notes.append("the second goal ended the front")
+            return
+        if time.monotonic() > deadline_s:
+            raise Hang(f"a second goal had no result while {trial.fault} lasted")
+    trial.notes.append("second goal " + ("succeeded" if sent.succeeded else sent.words[:80]))
+
+
+def _judge_motion(rig: Rig, trial: Trial, sent: Sent, began_ns: int, hurt_ns: int, over_ns: int) -> None:
+    if trial.target == "sim" and rig.pid("sim") == 0:
+        trial.notes.append("its true motion went with the simulated arm")
+        return
+    rig.standing(STANDS_WITHIN_S)
+    time.sleep(0.3)  # in which nothing may begin to move
+    truth = rig.truth()
+    now_ns = time.monotonic_ns()
+    stood_ns = stands_since_ns(truth, now_ns)
+    trial.violations += motion_violations(rig.arm, truth, began_ns, now_ns)
+    try:
+        frames = frames_sent([piece for piece in rig.wire() if piece[0] >= began_ns])
+        trial.violations += command_violations(rig.arm, frames)
+    except ValueError as problem:
+        trial.violations.append(str(problem))
+    if trial.outcome == "succeeded" or trial.target == "sim":
+        due_ns = max(sent.ended_ns, over_ns)
+    else:
+        trial.stands_ms = max(0, stood_ns - hurt_ns) / 1e6
+        due_ns = max(hurt_ns, over_ns if trial.target == "front" else hurt_ns)
+        if sent.ended.is_set():
+            trial.told_ms = (sent.ended_ns - hurt_ns) / 1e6
+    trial.violations += motion_after(truth, due_ns + round(STANDS_WITHIN_S * NS), now_ns)
+
+
+def _judge_processes(rig: Rig, trial: Trial, pids: dict[str, int]) -> None:
+    """Nothing outlives what it belongs to; what was not hurt to death still lives."""
+    gone = {target for target, pid in pids.items() if pid and not alive(pid)}
+    if trial.launched and {"launcher", "loop"} & gone:
+        for target in ("launcher", "loop", "front"):
+            wait(lambda p=pids[target]: not alive(p), f"the end of the {target} after the {trial.target}'s", END_S)
+        rig.note_dead_servers()
+        killed = trial.fault == "kill -9" and trial.target == "loop"
+        _judge_files(rig, trial, {"state", "state.prev", "command"} if killed else {"state.prev"})
+        _judge_code(rig, trial)
+    elif trial.fault not in ENDS and trial.target != "launcher" and gone - {trial.target, "front"}:
+        trial.violations.append(f"{', '.join(gone)} ended")
+    trial.notes += [f"{target} ended" for target in sorted(gone - {trial.target})]
+
+
+def _judge_files(rig: Rig, trial: Trial, allowed: set[str]) -> None:
+    left = {path.name.removeprefix(f"rtarm.{rig.name}.") for path in DIRECTORY.glob(f"rtarm.{rig.name}.*")}
+    if left - allowed:
+        trial.violations.append(f"memory files left: {', '.join(sorted(left - allowed))}")
+
+
+def _judge_code(rig: Rig, trial: Trial) -> None:
+    if rig.launcher is None:
+        return
+    code = rig.launcher.code()
+    text = rig.launcher.text
+    if trial.target == "launcher":
+        expected = {"kill -9": -signal.SIGKILL, "SIGTERM": 0, "SIGINT": 0}.get(trial.fault)
+    else:
+        expected = 3
+    if expected is not None and code != expected:
+        trial.violations.append(f"rtarm up ended with {code}, not {expected}: {text[-300:]}")
+    if "Traceback" in text:
+        trial.violations.append(f"a traceback: {text[text.index('Traceback') :][-600:]}")
+
+
+def _way_back(rig: Rig, trial: Trial, over_ns: int) -> None:
+    """Back into service, and a goal succeeds; what a stall of the machine ends is tried again, and said."""
+    for attempt in range(4):
+        trial.steps += rig.make_ready()
+        if attempt == 0:
+            trial.back_ms = (time.monotonic_ns() - over_ns) / 1e6
+        sent = rig.send(rig.goal(shortest_s=0.6, longest_s=0.9))
+        if not sent.ended.wait(sent.duration_s + MARGIN_S):
+            raise Hang("the goal after the way back had no result")
+        if sent.succeeded:
+            return
+        trial.notes.append(f"the goal after it: {sent.words[:120]}")
+    trial.violations.append("no goal succeeds after the way back")

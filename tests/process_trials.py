@@ -1,0 +1,149 @@
+"""`PYTHONPATH=tests python -m process_trials --trials 200 --seed 1`: process faults at random moments of running goals.
+
+Prints a line for each trial and a table at the end; exits with 1 when anything happened that must not. As root it has
+/dev/shm and a home of its own, both small, so that they can be full; otherwise those trials are left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import secrets
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+
+# Before rclpy is imported: this run's ROS traffic stays on this machine and apart from others'.
+os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randrange(1, 102)))
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+import numpy as np
+
+OWN = "RTARM_TRIALS_OWN_MOUNTS"
+SHM_SIZE, HOME_SIZE = "256m", "8m"
+SERVER_GONE_S = 40.0
+
+
+def with_own_mounts(module: str, arguments: Sequence[str]) -> None:
+    """Begin again with /dev/shm of one's own, where root allows; returns where not, or where that is so already."""
+    if os.environ.get(OWN) or os.geteuid() != 0:
+        return
+    mount = f"mount -t tmpfs -o size={SHM_SIZE},mode=1777 trials /dev/shm"
+    if subprocess.run(["unshare", "--mount", "sh", "-c", mount], capture_output=True, check=False).returncode:
+        return
+    os.environ[OWN] = "1"
+    again = [sys.executable, "-m", module, *arguments]
+    os.execvp("unshare", ["unshare", "--mount", "sh", "-c", f'{mount} && exec "$@"', "sh", *again])
+
+
+def small_home(folder: Path) -> None:
+    """A home for logs and recordings, on a small file system of its own where that is possible."""
+    from fault_rig import environment_of
+
+    home = folder / "home"
+    home.mkdir()
+    if os.environ.get(OWN):
+        subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={HOME_SIZE}", "trials", str(home)], check=True)
+    os.environ.update(environment_of(home))
+
+
+def main(arguments: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", action="append", default=[], help="part of `target: fault` (may be repeated)")
+    parser.add_argument("--report", type=Path, help="file for the table (markdown)")
+    options = parser.parse_args(arguments)
+    with_own_mounts("process_trials", arguments)
+    from fault_rig import Hang, Rig
+    from process_faults import all_kinds, run
+
+    chosen = random.Random(options.seed)
+    kinds = [
+        kind
+        for kind in all_kinds(shared=bool(os.environ.get(OWN)))
+        if not options.only or any(part in f"{kind.target}: {kind.fault}" for part in options.only)
+    ]
+    trials = []
+    while len(trials) < options.trials:
+        chosen.shuffle(kinds)
+        trials += [type(kind)(kind.fault, kind.target, kind.launched) for kind in kinds]
+    trials = sorted(trials[: options.trials], key=lambda trial: trial.launched)
+    with tempfile.TemporaryDirectory(prefix="rtarm-trials-", ignore_cleanup_errors=True) as name:
+        folder = Path(name)
+        small_home(folder)
+        rig = Rig(f"t{secrets.token_hex(4)}", folder, np.random.default_rng(options.seed))
+        try:
+            rig.start_arm()
+            for number, trial in enumerate(trials, 1):
+                trial.number = number
+                began_s = time.monotonic()
+                run(rig, trial)
+                print(line(trial, time.monotonic() - began_s), flush=True)
+            rig.make_ready()
+            left = rig.stop_control() + rig.servers_still_seen(SERVER_GONE_S)
+        except (Hang, AssertionError) as problem:
+            left = [f"hang: {problem}"]
+        finally:
+            rig.close()
+            if os.environ.get(OWN):
+                subprocess.run(["umount", "-l", str(folder / "home")], check=False)
+    report = table(trials, options.seed, list(rig.gone_ms.values()), left)
+    print(report)
+    if options.report is not None:
+        options.report.write_text(report, encoding="utf-8")
+    return int(bool(left or any(trial.violations for trial in trials)))
+
+
+def line(trial: object, seconds: float) -> str:
+    how = "up" if trial.launched else "bare"
+    figures = [
+        f"{name} {value:.0f}"
+        for name, value in (("stands", trial.stands_ms), ("told", trial.told_ms), ("back", trial.back_ms))
+        if value is not None
+    ]
+    parts = [f"{trial.number:3d} {how:4s} {trial.target}: {trial.fault} ({trial.what})", trial.outcome, *figures]
+    parts += [*trial.steps, *trial.notes, f"{seconds:.1f} s"]
+    return " | ".join(parts) + "".join(f"\n    VIOLATION {sentence}" for sentence in trial.violations)
+
+
+def spread(values: Sequence[float]) -> str:
+    if not values:
+        return "–"
+    return " / ".join(f"{value:.0f}" for value in (*np.percentile(values, (50, 99)), max(values)))
+
+
+def table(trials: Sequence[object], seed: int, gone_ms: Sequence[float], left: Sequence[str]) -> str:
+    groups = defaultdict(list)
+    for trial in trials:
+        groups[trial.target, trial.fault].append(trial)
+    rows = [
+        f"{len(trials)} trials, seed {seed}. Milliseconds from the fault: p50 / p99 / max.",
+        "",
+        "| target | fault | goal ended as | arm stands | client told | back in service | trials | violations |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for (target, fault), group in sorted(groups.items()):
+        outcomes = defaultdict(int)
+        for trial in group:
+            outcomes[trial.outcome or "?"] += 1
+        ends = "; ".join(f"{outcome} ({count})" for outcome, count in sorted(outcomes.items(), key=lambda o: -o[1]))
+        times = [
+            spread([value for trial in group if (value := getattr(trial, name)) is not None])
+            for name in ("stands_ms", "told_ms", "back_ms")
+        ]
+        bad = sum(bool(trial.violations) for trial in group)
+        rows.append(f"| {target} | {fault} | {ends} | {' | '.join(times)} | {len(group)} | {bad} |")
+    bad = [f"- {trial.target}: {trial.fault} ({trial.what}): {v}" for trial in trials for v in trial.violations]
+    rows += ["", f"A client saw the server of a dead front gone after {spread(gone_ms)} ms ({len(gone_ms)} deaths)."]
+    rows += ["", f"Violations: {len(bad) + len(left)}", *bad, *(f"- at the end: {sentence}" for sentence in left)]
+    return "\n".join(rows) + "\n"
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
