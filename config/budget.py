@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 from config.errors import ConfigError
-from config.schema import SERIAL_BAUDS, SLCAN_BITRATES, ArmConfig, ControlConfig
+from config.schema import HIGHEST_CAN_BITRATE, SERIAL_BAUDS, ArmConfig, ControlConfig
 
 UART_BITS_PER_CHARACTER = 10
 """Start bit, eight data bits, stop bit."""
@@ -22,8 +22,8 @@ UART_LOAD_LIMIT = 0.95
 SLCAN_TRANSMIT_REPLY_CHARS = 2
 """`Z` and carriage return, the adapter's answer to each extended frame handed to it."""
 
-HIGHEST_BITRATE = max(SLCAN_BITRATES)
-"""The fastest bus an SLCAN adapter offers (bit/s)."""
+HIGHEST_BITRATE = HIGHEST_CAN_BITRATE
+"""The fastest bus there is (bit/s); an SLCAN adapter offers it too."""
 
 LOWEST_RATE_HZ = float(
     next(bound.ge for bound in ControlConfig.model_fields["rate_hz"].metadata if hasattr(bound, "ge"))

@@ -271,7 +271,7 @@ def parse_overrides(assignments: Sequence[str]) -> dict[str, Any]:
 def _exclusive(overrides: Mapping[str, Any], values: Mapping[str, Any]) -> Mapping[str, Any]:
     """An override that names the adapter by channel or usb_index replaces whatever the file names it by.
 
-    Overriding the interface with mock, which has no adapter, removes it.
+    Overriding the interface with mock, which has no adapter, removes it; with socketcan, the serial line's speed.
     """
     bus, file_bus = overrides.get("bus"), values.get("bus")
     if not isinstance(bus, Mapping) or not isinstance(file_bus, Mapping):
@@ -279,6 +279,9 @@ def _exclusive(overrides: Mapping[str, Any], values: Mapping[str, Any]) -> Mappi
     if bus.get("interface") == "mock":
         absent = {key: None for key in ("channel", "usb_index") if file_bus.get(key) is not None}
         return {**overrides, "bus": {**absent, **bus}}
+    if bus.get("interface") == "socketcan" and "serial_baud" in file_bus:
+        bus = {"serial_baud": "cdc", **bus}
+        overrides = {**overrides, "bus": bus}
     for given, other in (("channel", "usb_index"), ("usb_index", "channel")):
         if bus.get(given) is not None and other not in bus and file_bus.get(other) is not None:
             return {**overrides, "bus": {**bus, other: None}}

@@ -8,6 +8,7 @@ model offers what the program uses (radians, rad/s, pulses per radian) as proper
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -38,6 +39,12 @@ SLCAN_BITRATES: dict[int, str] = {
 
 AMBIGUOUS_SLCAN_BITRATES = (750_000, 800_000)
 """S7 is 800 kbit/s in LAWICEL, USBtin and Nakakiyo firmware and 750 kbit/s in the canable original."""
+
+LOWEST_CAN_BITRATE, HIGHEST_CAN_BITRATE = 10_000, 1_000_000
+"""Bit rates of classic CAN."""
+
+INTERFACE_NAME = re.compile(r"(?!\.\.?$)[^\s/:]{1,15}")
+"""What Linux takes as the name of a network interface (IFNAMSIZ)."""
 
 SERIAL_BAUDS = (
     9_600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 500_000, 576_000, 921_600, 1_000_000,
@@ -72,14 +79,20 @@ class ControlConfig(Section):
 class BusConfig(Section):
     """The CAN bus and the adapter it is reached through."""
 
-    interface: Literal["slcan", "mock"] = Field(
-        description="How the bus is reached: slcan is a serial CAN adapter, mock is no bus at all."
+    interface: Literal["slcan", "socketcan", "mock"] = Field(
+        description="How the bus is reached: slcan is a serial CAN adapter, socketcan a CAN interface of the system, "
+        "mock is no bus at all."
     )
     channel: str | None = Field(
-        default=None, min_length=1, description="Device of the adapter, such as /dev/ttyACM0 (slcan only)."
+        default=None,
+        min_length=1,
+        description="Device of the adapter, such as /dev/ttyACM0 (slcan), or the interface, such as can0 (socketcan).",
     )
     usb_index: int | None = Field(
-        default=None, ge=0, le=255, description="Short for channel: n means /dev/ttyUSB<n> (slcan only)."
+        default=None,
+        ge=0,
+        le=255,
+        description="Short for channel: n means /dev/ttyUSB<n> (slcan) or can<n> (socketcan).",
     )
     bitrate: int = Field(default=500_000, gt=0, description="CAN bit rate (bit/s); the drives' menu must agree.")
     serial_baud: int | Literal["cdc"] = Field(
@@ -121,21 +134,52 @@ class BusConfig(Section):
                     raise refuse(
                         field,
                         f"{field} is {value!r}, but interface mock opens no device; remove {field}, or set "
-                        "interface to slcan.",
+                        "interface to slcan or socketcan.",
                     )
             return self
         if self.channel is not None and self.usb_index is not None:
             raise refuse(
                 "usb_index",
-                f"usb_index {self.usb_index} (/dev/ttyUSB{self.usb_index}) and channel {self.channel} both "
+                f"usb_index {self.usb_index} ({self._indexed}) and channel {self.channel} both "
                 "name the adapter, and only one may; remove one of them.",
             )
         if self.channel is None and self.usb_index is None:
+            device, such_as, one = (
+                ("adapter's device", "/dev/ttyACM0", "/dev/ttyUSB1")
+                if self.interface == "slcan"
+                else ("name of the CAN interface", "can0", "can1")
+            )
             raise refuse(
                 "interface",
-                "interface slcan needs the adapter's device and the file names none; add channel "
-                "(such as /dev/ttyACM0) or usb_index (1 means /dev/ttyUSB1).",
+                f"interface {self.interface} needs the {device} and the file names none; add channel "
+                f"(such as {such_as}) or usb_index (1 means {one}).",
             )
+        if self.interface == "socketcan":
+            self._refuse_what_no_can_interface_has()
+        else:
+            self._refuse_what_no_slcan_adapter_has()
+        return self
+
+    def _refuse_what_no_can_interface_has(self) -> None:
+        if not INTERFACE_NAME.fullmatch(self.resolved_channel):
+            raise refuse(
+                "channel",
+                f"channel is {self.resolved_channel!r}, but a CAN interface has a name of 1 to 15 characters without "
+                "/ such as can0; name one of those `ip link` shows, or set interface to slcan for a serial adapter.",
+            )
+        if self.serial_baud != "cdc":
+            raise refuse(
+                "serial_baud",
+                f"serial_baud is {self.serial_baud}, but interface socketcan has no serial line; remove serial_baud.",
+            )
+        if not LOWEST_CAN_BITRATE <= self.bitrate <= HIGHEST_CAN_BITRATE:
+            raise refuse(
+                "bitrate",
+                f"bitrate is {self.bitrate}, but classic CAN has {LOWEST_CAN_BITRATE} to {HIGHEST_CAN_BITRATE} bit/s; "
+                "choose the one the drives are set to.",
+            )
+
+    def _refuse_what_no_slcan_adapter_has(self) -> None:
         if self.bitrate in AMBIGUOUS_SLCAN_BITRATES:
             raise refuse(
                 "bitrate",
@@ -149,14 +193,17 @@ class BusConfig(Section):
                 f"bitrate is {self.bitrate}, but an SLCAN adapter offers {allowed}; choose the one the "
                 "drives are set to.",
             )
-        return self
+
+    @property
+    def _indexed(self) -> str:
+        return f"can{self.usb_index}" if self.interface == "socketcan" else f"/dev/ttyUSB{self.usb_index}"
 
     @property
     def resolved_channel(self) -> str:
-        """The device to open; `mock` where there is none."""
+        """The device or interface to open; `mock` where there is none."""
         if self.channel is not None:
             return self.channel
-        return "mock" if self.usb_index is None else f"/dev/ttyUSB{self.usb_index}"
+        return "mock" if self.usb_index is None else self._indexed
 
 
 class LimitsConfig(Section):
@@ -393,7 +440,8 @@ class ArmConfig(Section):
             if mock_bus:
                 sentence = (
                     f"{joint.name} has a {joint.drive.family} drive, but interface mock reaches no drives; "
-                    "set bus.interface to slcan, or use an arm file whose drives are all mock (such as mock)."
+                    "set bus.interface to slcan or socketcan, or use an arm file whose drives are all mock (such as "
+                    "mock)."
                 )
             else:
                 sentence = (

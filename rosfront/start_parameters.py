@@ -29,8 +29,11 @@ PUBLISH_MODES = (JOINT_STATES, MOTOR_ANGLES)
 START: dict[str, tuple[type, str]] = {
     "arm": (str, "The arm."),
     "sim": (bool, "Whether the drives are simulated."),
-    "usb_index": (int, "The adapter as n of /dev/ttyUSB<n>; -1 where it is named by its channel alone."),
-    "channel": (str, "Device of the CAN adapter."),
+    "usb_index": (
+        int,
+        "The adapter as n of /dev/ttyUSB<n> or can<n>; -1 where it is named by its channel alone.",
+    ),
+    "channel": (str, "Device of the CAN adapter, or name of the CAN interface."),
     "init_mode": (int, "What bring-up did: 1 took over the pose the arm stood in, 0 is homing."),
     "interpolation_factor": (int, "Points put between each two given ones, if interpolation_method is linear."),
     "publish_mode": (str, "What is published of the joints' positions."),

@@ -96,8 +96,10 @@ def main(
 def up(
     arm: ArmArgument,
     sim: Annotated[bool, typer.Option("--sim", help="Simulate the drives; no hardware is opened.")] = False,
-    interface: Annotated[str | None, typer.Option(help="How the bus is reached (slcan, mock).")] = None,
-    channel: Annotated[str | None, typer.Option(help="Device of the CAN adapter (/dev/ttyACM0).")] = None,
+    interface: Annotated[str | None, typer.Option(help="How the bus is reached (slcan, socketcan, mock).")] = None,
+    channel: Annotated[
+        str | None, typer.Option(help="Device of the CAN adapter (/dev/ttyACM0) or CAN interface (can0).")
+    ] = None,
     rate: Annotated[float | None, typer.Option(metavar="HZ", help="Control rate (Hz).")] = None,
     init_mode: Annotated[
         int | None,

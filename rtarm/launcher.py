@@ -151,7 +151,8 @@ def check_ros() -> None:
 
 
 def _with_channel(overrides: Mapping[str, Any], channel: str) -> dict[str, Any]:
-    return {**overrides, "bus": {**overrides.get("bus", {}), "channel": channel}}
+    """A simulated arm stands behind a serial adapter, whatever the real one is reached through."""
+    return {**overrides, "bus": {**overrides.get("bus", {}), "interface": "slcan", "channel": channel}}
 
 
 class Launcher:

@@ -22,7 +22,7 @@ from config.errors import ConfigError
 from config.loader import load_arm, parse_overrides
 from rtloop import compiled
 from rtloop.process import CannotStart, ControlProcess, StopAsked
-from rtloop.wire.tty import WireRefused
+from rtloop.wire.refusal import WireRefused
 from shm.cache import ROOT
 from shm.errors import SharedMemoryError
 

@@ -24,6 +24,8 @@ CALLED = (
     "memset",
     "poll",
     "read",
+    "recvmmsg",
+    "sendmmsg",
     "write",
 )
 """Functions of the C library that compiled code may call; LLVM makes the mem* of loops."""
@@ -36,8 +38,8 @@ DIGEST_BYTES = hashlib.sha256().digest_size
 Prototype = tuple[Any, ...]
 
 PROTOTYPES: dict[str, Prototype] = {
-    "run": (ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64),
-    "read_wire": (None, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64),
+    "run": (ctypes.c_int64, ctypes.c_int64, ctypes.c_int64),
+    "read_wire": (None, ctypes.c_int64),
     "load_word": (ctypes.c_int64, ctypes.c_int64),
     "store_word": (None, ctypes.c_int64, ctypes.c_int64),
 }

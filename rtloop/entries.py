@@ -6,13 +6,11 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
-import numpy as np
 from numba import types
 from numba.extending import intrinsic
-from numba.np.numpy_support import carray
 
 from rtloop import run as threads
-from rtloop.state import LOOP, READ_BYTES
+from rtloop.state import LOOP
 from shm.atomics import load_acquire, store_release
 from shm.jit import jit
 from shm.layout import STATE
@@ -26,33 +24,23 @@ def _record_at(typing_context: Any, address: Any, dtype: Any) -> Any:
     return dtype.dtype(types.int64, dtype), generate
 
 
-@intrinsic
-def _pointer_to(typing_context: Any, address: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], context.get_value_type(types.voidptr))
-
-    return types.voidptr(types.int64), generate
-
-
 record_at: Callable[[int, Any], Any] = cast(Any, _record_at)
-pointer_to: Callable[[int], Any] = cast(Any, _pointer_to)
 
 
 @jit
-def run(loop_address: int, state_address: int, fd: int) -> int:
+def run(loop_address: int, state_address: int) -> int:
     """The cycle's thread, see `rtloop.run.run`; 1 when it ended by an exception."""
     try:
-        threads.run(record_at(loop_address, LOOP), record_at(state_address, STATE), fd)
+        threads.run(record_at(loop_address, LOOP), record_at(state_address, STATE))
     except Exception:
         return 1
     return 0
 
 
 @jit
-def read_wire(loop_address: int, fd: int, buffer_address: int, request_address: int) -> None:
+def read_wire(loop_address: int) -> None:
     """The reader's thread, see `rtloop.run.read_wire`."""
-    buffer = carray(pointer_to(buffer_address), (READ_BYTES,), np.uint8)
-    threads.read_wire(record_at(loop_address, LOOP), fd, buffer, buffer_address, request_address)
+    threads.read_wire(record_at(loop_address, LOOP))
 
 
 @jit
@@ -75,8 +63,8 @@ class Entry(NamedTuple):
 
 
 ENTRIES = (
-    Entry(run, types.int64(types.int64, types.int64, types.int64)),
-    Entry(read_wire, types.void(types.int64, types.int64, types.int64, types.int64)),
+    Entry(run, types.int64(types.int64, types.int64)),
+    Entry(read_wire, types.void(types.int64)),
     Entry(load_word, types.int64(types.int64)),
     Entry(store_word, types.void(types.int64, types.int64)),
 )

@@ -14,7 +14,8 @@ Shared = Any
 @jit
 def path_is_trusted(fault: int) -> bool:
     """Whether the arm may brake along its path after this fault; else each joint brakes by itself."""
-    return fault == Fault.COMMAND_RING or fault == Fault.WIRE or fault == Fault.BRING_UP or fault == Fault.RELEASE
+    out_of_reach = fault == Fault.WIRE or fault == Fault.LINK_DOWN or fault == Fault.BUS_OFF
+    return out_of_reach or fault == Fault.COMMAND_RING or fault == Fault.BRING_UP or fault == Fault.RELEASE
 
 
 @jit

@@ -8,8 +8,8 @@ from rtloop import status as status_bits
 from rtloop.drives import zdt
 from rtloop.modes import is_limp
 from rtloop.recorder import EXTENDED, SENT, record_frame
-from rtloop.state import FAMILY_MOCK, FAMILY_ZDT, SLCAN_LONGEST_LINE, TX_BYTES
-from rtloop.wire import slcan
+from rtloop.state import FAMILY_MOCK, FAMILY_ZDT
+from rtloop.wire import outgoing, received
 from shm.jit import jit
 from shm.words import Mode
 
@@ -24,7 +24,10 @@ def encode(loop: Loop, shared: Shared) -> None:
     """Put this cycle's frames into the transmit buffer: motion first, then readings, then service."""
     core, params = loop.core, loop.params
     core.tx_bits = 0
-    shared.counters.bytes_unsent += slcan.drop_stale_lines(loop)
+    outgoing.begin(loop, shared)
+    if received.closed(loop) != 0:
+        say_nothing(loop)
+        return
     leads = guard.drives_are_led(loop)
     for joint in range(params.joint_count):
         axis = loop.axes[joint]
@@ -32,14 +35,24 @@ def encode(loop: Loop, shared: Shared) -> None:
             mirror(loop, joint)
         elif axis.stop_frames_due > 0:
             axis.stop_frames_due -= 1
-            send(loop, shared, loop.joints[joint].address << 8, 4, zdt.STOP)
+            send(loop, shared, loop.joints[joint].address << 8, 4, zdt.STOP, 0)
         elif leads and axis.referenced == 1 and axis.bad_statuses == 0:
             first, second = zdt.command(loop, joint)
-            send(loop, shared, loop.joints[joint].address << 8, 8, first)
-            send(loop, shared, (loop.joints[joint].address << 8) | 1, 5, second)
+            send(loop, shared, loop.joints[joint].address << 8, 8, first, 1)
+            send(loop, shared, (loop.joints[joint].address << 8) | 1, 5, second, 0)
     if core.mode != Mode.OFFLINE:
         ask(loop, shared)
     send_service_frames(loop, shared)
+
+
+@jit
+def say_nothing(loop: Loop) -> None:
+    """The wire is gone: drives are silent from now on, and what conversations wanted to say is not said later."""
+    for joint in range(loop.params.joint_count):
+        if loop.joints[joint].family == FAMILY_ZDT and loop.axes[joint].unanswered_since_ns == 0:
+            loop.axes[joint].unanswered_since_ns = loop.core.now_ns
+    while service.inbox(loop) > 0 and loop.service_in.records[service.inbox_slot(loop)].kind == port.SEND:
+        service.inbox_done(loop)
 
 
 @jit
@@ -55,9 +68,9 @@ def mirror(loop: Loop, joint: int) -> None:
 
 
 @jit
-def send(loop: Loop, shared: Shared, frame_id: int, length: int, data: int) -> None:
-    """Append one extended frame for the wire."""
-    if slcan.encode_frame(loop, frame_id, True, length, data):
+def send(loop: Loop, shared: Shared, frame_id: int, length: int, data: int, joined: int) -> None:
+    """Append one extended frame for the wire; `joined` is 1 where the next one belongs to the same command."""
+    if outgoing.put(loop, frame_id, True, length, data, joined):
         bits = frame_bits(True, length)
         loop.core.tx_bits += bits
         shared.counters.bits_on_bus += bits
@@ -72,12 +85,12 @@ def ask(loop: Loop, shared: Shared) -> None:
     for joint in range(params.joint_count):
         if loop.joints[joint].family == FAMILY_ZDT:
             axis = loop.axes[joint]
-            send(loop, shared, loop.joints[joint].address << 8, 2, zdt.READ_POSITION)
+            send(loop, shared, loop.joints[joint].address << 8, 2, zdt.READ_POSITION, 0)
             if axis.unanswered_since_ns == 0:
                 axis.unanswered_since_ns = core.now_ns
     core.status_turn = (core.status_turn + 1) % params.joint_count
     if loop.joints[core.status_turn].family == FAMILY_ZDT:
-        send(loop, shared, loop.joints[core.status_turn].address << 8, 2, zdt.READ_STATUS)
+        send(loop, shared, loop.joints[core.status_turn].address << 8, 2, zdt.READ_STATUS, 0)
 
 
 @jit
@@ -90,10 +103,10 @@ def send_service_frames(loop: Loop, shared: Shared) -> None:
         if loop.service_in.records[service.inbox_slot(loop)].kind != port.SEND:
             break
         packets = service.command_length(loop)
-        if packets == 0 or core.tx_length + packets * SLCAN_LONGEST_LINE > TX_BYTES:
+        if packets == 0 or not outgoing.has_room(loop, packets):
             break
         for _ in range(packets):
             order = loop.service_in.records[service.inbox_slot(loop)]
-            send(loop, shared, order.id, order.length, order.data)
+            send(loop, shared, order.id, order.length, order.data, order.joined)
             core.service_credit_bits -= frame_bits(True, order.length)
             service.inbox_done(loop)

@@ -206,10 +206,10 @@ def drives_are_led(loop: Loop) -> bool:
     """Whether motion frames leave in this cycle.
 
     In a latched fault only until the arm stands: what moved it away afterwards must not be followed up, and the
-    drives hold their last target by themselves.
+    drives hold their last target by themselves. Drives that were out of reach have come to rest elsewhere.
     """
     core = loop.core
-    if core.motion_started == 0 or core.rebase_ns != 0:
+    if core.motion_started == 0 or core.rebase_ns != 0 or core.silenced == 1:
         return False
     if core.mode == Mode.FAULT:
         return not at_rest(loop)

@@ -17,6 +17,7 @@ from rtloop.guard import at_rest
 from rtloop.modes import change_mode, is_limp
 from rtloop.path import end_s, leaves_a_joint_moving, slot
 from rtloop.state import CANCELED_SLOTS, LOOP, WINDOW_KNOTS, offset_of
+from rtloop.wire import received
 from shm import layout
 from shm.atomics import load_acquire, store_release
 from shm.jit import jit
@@ -379,6 +380,8 @@ def _obey(loop: Loop, shared: Shared) -> int:
     if kind == Request.CLEAR_FAULT:
         if core.mode != Mode.FAULT:
             return Answer.REFUSED_MODE
+        if received.closed(loop) != 0:
+            return Answer.REFUSED_WIRE
         if core.goal_id != 0 or not at_rest(loop):
             return Answer.REFUSED_MOVING
         core.bring_up_asked = 1

@@ -11,12 +11,15 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+CLOCK_REALTIME = 0
 CLOCK_MONOTONIC = 1
 CLOCK_BOOTTIME = 7
 TIMER_ABSTIME = 1
 POLLIN = 1
 EINTR = 4
 EAGAIN = 11
+ENOBUFS = 105
+MSG_DONTWAIT = 0x40
 
 
 def _external(name: str, signature: Any) -> Any:
@@ -31,6 +34,12 @@ clock_gettime: Callable[[int, int], int] = _external("clock_gettime", types.int3
 read: Callable[[int, int, int], int] = _external("read", types.int64(types.int32, types.int64, types.int64))
 write: Callable[[int, int, int], int] = _external("write", types.int64(types.int32, types.int64, types.int64))
 poll: Callable[[int, int, int], int] = _external("poll", types.int32(types.int64, types.int64, types.int32))
+sendmmsg: Callable[[int, int, int, int], int] = _external(
+    "sendmmsg", types.int32(types.int32, types.int64, types.uint32, types.int32)
+)
+recvmmsg: Callable[[int, int, int, int, int], int] = _external(
+    "recvmmsg", types.int32(types.int32, types.int64, types.uint32, types.int32, types.int64)
+)
 errno_location: Callable[[], int] = _external("__errno_location", types.int64())
 
 

@@ -11,17 +11,26 @@ from rtloop.drives import zdt
 from rtloop.faults import latch_fault
 from rtloop.frames import frame_bits
 from rtloop.recorder import EXTENDED, record_frame
-from rtloop.state import ADDRESSES, HISTORY_SLOTS, RX_BYTES, RX_CHUNKS, WIRE_SLCAN
-from rtloop.wire import received, slcan
+from rtloop.state import (
+    ADDRESSES,
+    CAN_FRAME_BYTES,
+    HISTORY_SLOTS,
+    RX_BYTES,
+    RX_CHUNKS,
+    WIRE_MOCK,
+    WIRE_SOCKETCAN,
+)
+from rtloop.wire import can_errors, can_frame, received, slcan
 from shm.jit import jit
 from shm.layout import MAX_JOINTS
-from shm.words import Fault, Mode
+from shm.words import BusState, Fault, Mode
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 SHORTEST_S = 1e-4
 """Two readings nearer than this say nothing about a velocity."""
+ENETDOWN = 100
 SMOOTHING_S = 0.1
 """One encoder count differenced twice is more than most acceleration limits; over this time it averages out."""
 
@@ -30,28 +39,46 @@ SMOOTHING_S = 0.1
 def take_what_the_bus_brought(loop: Loop, shared: Shared) -> None:
     """Decode every byte that has come since the last cycle into measured state."""
     core = loop.core
-    if loop.params.wire != WIRE_SLCAN:
+    if loop.params.wire == WIRE_MOCK:
         return
     chunks = received.chunks_arrived(loop)
-    ring = loop.received.bytes
     while core.rx_chunks_taken < chunks:
         chunk = loop.received.chunks[core.rx_chunks_taken & (RX_CHUNKS - 1)]
         time_ns, end = chunk.time_ns, chunk.end
         shared.counters.bytes_received += end - core.rx_taken
-        for i in range(core.rx_taken, end):
-            byte = ring[i & (RX_BYTES - 1)]
-            if byte == slcan.BEL:
-                shared.counters.wire_errors += 1
-                core.line_length = core.line_spoilt = 0
-            elif slcan.collect(loop, byte):
-                take_line(loop, shared, time_ns)
-                core.line_length = core.line_spoilt = 0
+        if loop.params.wire == WIRE_SOCKETCAN:
+            take_records(loop, shared, end, time_ns)
+        else:
+            take_characters(loop, shared, end, time_ns)
         core.rx_taken = end
         core.rx_chunks_taken += 1
     received.taken(loop, core.rx_taken, core.rx_chunks_taken)
     shared.counters.receive_overflows = received.lost(loop)
-    if received.closed(loop) != 0 and core.mode != Mode.OFFLINE:
-        latch_fault(loop, shared, Fault.WIRE, -1, float(received.closed(loop) - 1), 0.0)
+    error = received.closed(loop) - 1
+    if error >= 0:
+        core.silenced = 1
+        if core.mode != Mode.OFFLINE:
+            latch_fault(loop, shared, Fault.LINK_DOWN if error == ENETDOWN else Fault.WIRE, -1, float(error), 0.0)
+
+
+@jit
+def take_characters(loop: Loop, shared: Shared, end: int, time_ns: int) -> None:
+    """SLCAN: the characters up to `end`, which may finish lines."""
+    core = loop.core
+    ring = loop.received.bytes
+    for i in range(core.rx_taken, end):
+        byte = ring[i & (RX_BYTES - 1)]
+        if byte == slcan.BEL:
+            shared.counters.wire_errors += 1
+            forget_half_lines(loop)
+        elif slcan.collect(loop, byte):
+            take_line(loop, shared, time_ns)
+            forget_half_lines(loop)
+
+
+@jit
+def forget_half_lines(loop: Loop) -> None:
+    loop.core.line_length = loop.core.line_spoilt = 0
 
 
 @jit
@@ -60,16 +87,50 @@ def take_line(loop: Loop, shared: Shared, time_ns: int) -> None:
     if kind == slcan.LINE_WRONG or loop.core.line_spoilt == 1:
         shared.counters.wire_errors += 1
     elif kind == slcan.LINE_FRAME:
-        shared.counters.frames_received += 1
-        shared.counters.bits_on_bus += frame_bits(extended == 1, length)
-        record_frame(loop, shared, time_ns, frame_id, EXTENDED if extended == 1 else 0, length, data)
         take_frame(loop, shared, frame_id, extended, length, data, time_ns)
 
 
 @jit
+def take_records(loop: Loop, shared: Shared, end: int, time_ns: int) -> None:
+    """SocketCAN: the frames up to `end`."""
+    for at in range(loop.core.rx_taken, end, CAN_FRAME_BYTES):
+        kind, frame_id, extended, length, data = can_frame.decode_record(loop, at)
+        if kind == can_frame.RECORD_FRAME:
+            take_frame(loop, shared, frame_id, extended, length, data, time_ns)
+        elif kind == can_frame.RECORD_ERROR:
+            take_error(loop, shared, frame_id, data)
+        elif kind == can_frame.RECORD_WRONG:
+            shared.counters.wire_errors += 1
+
+
+@jit
+def take_error(loop: Loop, shared: Shared, error_class: int, data: int) -> None:
+    """What the controller says of its bus. Only bus-off is a fault by itself: nothing leaves any more.
+
+    What the kernel held back at bus-off is dropped there; from here on nothing but readings may be asked for.
+    """
+    counters = shared.counters
+    counters.error_frames += 1
+    if can_errors.unacknowledged(error_class, data):
+        counters.unacknowledged += 1
+    before = counters.bus_state
+    counters.bus_state = can_errors.state_after(before, error_class, data)
+    if counters.bus_state == BusState.BUS_OFF and before != BusState.BUS_OFF:
+        loop.core.silenced = 1
+        latch_fault(loop, shared, Fault.BUS_OFF, -1, float(error_class), 0.0)
+
+
+@jit
 def take_frame(loop: Loop, shared: Shared, frame_id: int, extended: int, length: int, data: int, time_ns: int) -> None:
-    """A frame from a drive: into the axis it belongs to, and to the conversation that may wait for it."""
+    """A frame from a drive: into the axis it belongs to, and to the conversation that may wait for it.
+
+    Adapters may echo what they send. A question is never as long as its answer and no answer begins as a command does,
+    so an echo says nothing here.
+    """
     core = loop.core
+    shared.counters.frames_received += 1
+    shared.counters.bits_on_bus += frame_bits(extended == 1, length)
+    record_frame(loop, shared, time_ns, frame_id, EXTENDED if extended == 1 else 0, length, data)
     address = frame_id >> 8
     if extended == 0 or address >= ADDRESSES or loop.joint_at[address] < 0:
         return

@@ -16,15 +16,19 @@ from rtloop.compiled import CompiledCycle
 from rtloop.conversation import Conversation
 from rtloop.port import ServicePort
 from rtloop.release import Release
-from rtloop.state import READ_BYTES, new_loop, offset_of, show_limits
-from rtloop.wire.tty import close_slcan, open_slcan
+from rtloop.state import new_loop, offset_of, show_limits
+from rtloop.wire.opening import close_wire, lost_bytes, open_wire
+from rtloop.wire.refusal import WireRefused
 from shm import files
+from shm.sentences import WIRE_IS_BACK
 from shm.words import Mode
 
 BUSY_POLL_S = 0.004
 IDLE_POLL_S = 0.05
 FIRST_CYCLE_POLL_S = 0.001
-EPOCH_TRIES = 3
+REOPEN_EVERY_S = 0.5
+LOST_EVERY_S = 1.0
+THREAD_PATIENCE_S = 5.0
 
 
 class CannotStart(Exception):
@@ -41,19 +45,6 @@ class StopAsked:
 
     def _take(self, *_: object) -> None:
         self.yes = True
-
-
-def epoch_offset_ns() -> int:
-    """CLOCK_REALTIME minus CLOCK_MONOTONIC (ns), from the closest of a few pairs of looks at them.
-
-    Between the two looks of a pair the process may lose the processor, for milliseconds on a busy machine.
-    """
-    closest_ns, offset_ns = 1 << 62, 0
-    for _ in range(EPOCH_TRIES):
-        before_ns, epoch_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
-        if after_ns - before_ns < closest_ns:
-            closest_ns, offset_ns = after_ns - before_ns, epoch_ns - (before_ns + after_ns) // 2
-    return offset_ns
 
 
 class ControlProcess:
@@ -85,24 +76,20 @@ class ControlProcess:
         )
         self._files = files.create(identity)
         self._fd = -1
+        self._lost_before = 0
+        self._next_try_s = self._next_lost_s = 0.0
+        self._told_of_wire = ""
         try:
-            if arm.bus.interface == "slcan":
-                self._fd = open_slcan(arm.bus.resolved_channel, arm.bus.serial_baud, arm.bus.bitrate)
             self._loop = new_loop(arm, self._files.state.address, self._files.command.address)
+            self._open_wire()
             self._port = ServicePort(self._loop, compiled)
-            self._received = np.zeros(READ_BYTES, np.uint8)
-            self._poll_request = np.zeros(1, np.int64)
             show_limits(self._files.state.record["limits"], self._loop)
-            arrays = (
-                self._loop,
-                self._received,
-                self._poll_request,
-                self._files.state.array,
-                self._files.command.array,
-            )
+            arrays = (self._loop, self._files.state.array, self._files.command.array)
             used = [(array.ctypes.data, array.nbytes) for array in arrays]
             self._obtained = realtime.prepare_process([*used, *compiled.memory])
-            self._threads: list[threading.Thread] = []
+            self._cycle = threading.Thread(target=self._run_cycle, name="cycle", daemon=True)
+            self._reader: threading.Thread | None = None
+            self._prepared = threading.Event()
         except BaseException:
             self._release()
             raise
@@ -120,20 +107,11 @@ class ControlProcess:
     # --- threads
 
     def _start_threads(self) -> None:
-        prepared = threading.Event()
-        self._threads = [threading.Thread(target=self._run_cycle, args=(prepared,), name="cycle", daemon=True)]
-        if self._fd >= 0:
-            self._threads.append(
-                threading.Thread(target=self._run_reader, args=(prepared,), name="reader", daemon=True)
-            )
-        self._follow_the_clock()
         threading.stack_size(realtime.THREAD_STACK_BYTES)
-        for thread in reversed(self._threads):  # the cycle's last: it publishes what both were given
-            prepared.clear()
-            thread.start()
-            while not prepared.wait(FIRST_CYCLE_POLL_S) and thread.is_alive():
-                pass
-        while int(self._core["cycle"]) == 0 and self._threads[0].is_alive():
+        if self._fd >= 0:
+            self._start_reader()
+        self._start(self._cycle)  # the last: it publishes what both were given
+        while int(self._core["cycle"]) == 0 and self._cycle.is_alive():
             time.sleep(FIRST_CYCLE_POLL_S)  # compiled code is being loaded; no conversation may count that time
         for complaint in self._obtained.complaints:
             self._tell(complaint)
@@ -143,34 +121,106 @@ class ControlProcess:
                 "realtime.require to false."
             )
 
-    def _run_cycle(self, prepared: threading.Event) -> None:
+    def _start_reader(self) -> None:
+        self._reader = threading.Thread(target=self._run_reader, name="reader", daemon=True)
+        self._start(self._reader)
+
+    def _start(self, thread: threading.Thread) -> None:
+        self._prepared.clear()
+        thread.start()
+        while not self._prepared.wait(FIRST_CYCLE_POLL_S) and thread.is_alive():
+            pass
+
+    def _run_cycle(self) -> None:
         realtime.prepare_thread(self._arm.realtime, self._obtained)
         realtime.lock_recorder(self._files.state.rings, self._obtained)  # last, after what no cycle can do without
         words = self._files.state.record["scheduling"]
         words["policy"], words["priority"] = self._obtained.policy, self._obtained.priority
         words["memory_locked"], words["cpu"] = self._obtained.memory_locked, self._obtained.cpu
         words["dma_latency_held"] = self._obtained.dma_latency_fd >= 0
-        prepared.set()
+        self._prepared.set()
         kept = self._loop, self._files.state.array, self._files.command.array  # mapped for as long as this runs
-        if self._compiled.run(kept[0].ctypes.data, kept[1].ctypes.data, self._fd) != 0:
+        if self._compiled.run(kept[0].ctypes.data, kept[1].ctypes.data) != 0:
             self._tell("The control cycle ended by an exception, which is a defect of rtarm: please report it.")
 
-    def _run_reader(self, prepared: threading.Event) -> None:
+    def _run_reader(self) -> None:
         realtime.prepare_thread(self._arm.realtime, self._obtained, below=10)
-        prepared.set()
-        buffer, request = self._received.ctypes.data, self._poll_request.ctypes.data
-        self._compiled.read_wire(self._loop.ctypes.data, self._fd, buffer, request)
+        self._prepared.set()
+        kept = self._loop
+        self._compiled.read_wire(kept.ctypes.data)
 
     def _end_threads(self) -> None:
-        self._compiled.store_word(self._loop.ctypes.data + offset_of(self._loop.dtype, "stop"), 1)
-        for thread in self._threads:
-            thread.join(5.0)
+        self._store(1, "stop")
+        for thread in (self._cycle, self._reader):
+            if thread is not None and thread.ident is not None:
+                thread.join(THREAD_PATIENCE_S)
 
     def _release(self) -> None:
         if self._fd >= 0:
-            close_slcan(self._fd)
+            close_wire(self._arm, self._fd)
             self._fd = -1
         self._files.remove()
+
+    def _store(self, value: int, *word: str) -> None:
+        """Publish a word of the loop's record to the threads."""
+        self._compiled.store_word(self._loop.ctypes.data + offset_of(self._loop.dtype, *word), value)
+
+    def _load(self, *word: str) -> int:
+        found: int = self._compiled.load_word(self._loop.ctypes.data + offset_of(self._loop.dtype, *word))
+        return found
+
+    # --- the wire
+
+    def _open_wire(self) -> None:
+        """Open the wire and give it to the threads; raises WireRefused."""
+        wire = open_wire(self._arm)
+        if wire is None:
+            return
+        for complaint in wire.complaints:
+            self._tell(complaint)
+        self._fd = wire.fd
+        self._lost_before = self._load("received", "arrived", "dropped")
+        self._store(0, "received", "arrived", "closed")
+        self._store(self._fd, "wire", "fd")
+
+    def _attend_wire(self) -> None:
+        """Notice that the adapter is gone, and that it is back; what moves the arm again is a person's clear."""
+        if self._arm.bus.interface == "mock":
+            return
+        now_s = time.monotonic()
+        if self._fd < 0:
+            if now_s >= self._next_try_s:
+                self._next_try_s = now_s + REOPEN_EVERY_S
+                self._try_again()
+        elif self._load("received", "arrived", "closed") != 0:
+            self._let_wire_go()
+            self._next_try_s = now_s
+        elif now_s >= self._next_lost_s:
+            self._next_lost_s = now_s + LOST_EVERY_S
+            self._store(self._lost_before + lost_bytes(self._arm, self._fd), "received", "arrived", "dropped")
+
+    def _let_wire_go(self) -> None:
+        """Close what is gone, once neither thread uses it any more."""
+        self._store(-1, "wire", "fd")
+        while self._load("wire", "fd_in_use") != -1 and self._cycle.is_alive():
+            time.sleep(FIRST_CYCLE_POLL_S)
+        if self._reader is not None:
+            self._reader.join()
+            self._reader = None
+        close_wire(self._arm, self._fd)
+        self._fd = -1
+        self._told_of_wire = ""
+
+    def _try_again(self) -> None:
+        try:
+            self._open_wire()
+        except WireRefused as refused:
+            if str(refused) != self._told_of_wire:
+                self._tell(str(refused))
+            self._told_of_wire = str(refused)
+            return
+        self._start_reader()
+        self._tell(WIRE_IS_BACK)
 
     # --- supervision
 
@@ -178,10 +228,6 @@ class ControlProcess:
     def _core(self) -> np.void:
         core: np.void = self._loop[0]["core"]
         return core
-
-    def _follow_the_clock(self) -> None:
-        """Stamps follow the system's clock, which may be set at any time; motion is timed by the monotonic one."""
-        self._core["epoch_offset_ns"] = epoch_offset_ns()
 
     def _bring_up(self, *, clears_protection: bool) -> BringUp:
         measured = self._loop[0]["axes"]["measured_rad"][: len(self._arm.joints)]
@@ -203,7 +249,7 @@ class ControlProcess:
         while True:
             time.sleep(BUSY_POLL_S if talk or first or closing_until_s else IDLE_POLL_S)
             now_s = time.monotonic()
-            self._follow_the_clock()
+            self._attend_wire()
             if talk is not None and talk.poll(time.monotonic_ns()):
                 if talk.failure is not None:
                     self._tell(str(talk.failure))
@@ -219,7 +265,7 @@ class ControlProcess:
             elif talk is None and int(self._core["release_asked"]) == 1:
                 self._core["release_asked"] = 0  # taken back by the cycle when the drives are enabled meanwhile
                 talk = Release(self._arm, self._port, now_ns=time.monotonic_ns())
-            if not self._threads[0].is_alive():
+            if not self._cycle.is_alive():
                 return 3
             if self._stop_asked.yes:
                 if closing_until_s == 0.0:

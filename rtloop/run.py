@@ -7,14 +7,17 @@ locks that an ordinary-priority kernel worker may hold); the cycle only looks at
 
 from typing import Any
 
-import numpy as np
-
+from rtloop import measured
 from rtloop.cycle import step
+from rtloop.events import record_event
 from rtloop.libc import (
     CLOCK_BOOTTIME,
     CLOCK_MONOTONIC,
+    CLOCK_REALTIME,
     EAGAIN,
     EINTR,
+    ENOBUFS,
+    MSG_DONTWAIT,
     POLLIN,
     TIMER_ABSTIME,
     clock_gettime,
@@ -23,13 +26,16 @@ from rtloop.libc import (
     load_int32,
     poll,
     read,
+    recvmmsg,
+    sendmmsg,
     write,
 )
-from rtloop.state import LOOP, READ_BYTES, offset_of
-from rtloop.wire import received
+from rtloop.state import CAN_FRAME_BYTES, LOOP, READ_BYTES, RX_FRAMES, WIRE_SOCKETCAN, offset_of
+from rtloop.wire import outgoing, received
 from shm import histogram
-from shm.atomics import load_acquire, load_relaxed, store_relaxed
+from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
 from shm.jit import jit
+from shm.words import BusState, Event
 
 Loop = Any
 Shared = Any
@@ -38,9 +44,17 @@ _TX = offset_of(LOOP, "tx")
 _STOP = offset_of(LOOP, "stop")
 _WAKE_UP = offset_of(LOOP, "wake_up")
 _CLOCK = offset_of(LOOP, "clock")
+_TX_MESSAGES = offset_of(LOOP, "tx_messages")
+_FD = offset_of(LOOP, "wire", "fd")
+_FD_IN_USE = offset_of(LOOP, "wire", "fd_in_use")
 _READER_CLOCK = offset_of(LOOP, "received", "arrived", "clock")
+_READER_POLL = offset_of(LOOP, "reader", "poll")
+_READER_BYTES = offset_of(LOOP, "reader", "bytes")
+_READER_MESSAGES = offset_of(LOOP, "reader", "messages")
 
 POLL_MS = 100
+EPOCH_WITHIN_NS = 20_000
+"""Three looks at clocks take a hundred ns; the rest is for slow ones."""
 
 bucket = jit(histogram.bucket)
 
@@ -89,25 +103,59 @@ def sleep_until(loop: Loop, deadline_ns: int) -> None:
 
 
 @jit
-def send_bytes(loop: Loop, shared: Shared, fd: int, count: int) -> None:
-    """Give the transmit buffer to the wire in one write; what it does not take leads the next cycle's."""
-    sent = write(fd, loop.params.address + _TX, count)
-    if sent < 0:
-        error = load_int32(errno_location())
-        if error != EAGAIN and error != EINTR:
-            received.close(loop, error)
-            loop.core.tx_length = 0
-        return
-    shared.counters.bytes_sent += sent
-    left = count - sent
-    for i in range(left):
-        loop.tx[i] = loop.tx[sent + i]
-    loop.core.tx_length = left
+def take_over_wire(loop: Loop, shared: Shared) -> int:
+    """The descriptor that is open in this cycle; whatever was meant for another one is forgotten."""
+    base = loop.params.address
+    fd = load_acquire(base + _FD)
+    if fd != load_relaxed(base + _FD_IN_USE):
+        outgoing.forget(loop, shared)
+        measured.forget_half_lines(loop)
+        if fd >= 0 and loop.core.cycle > 0:
+            shared.counters.bus_state = BusState.ACTIVE
+            record_event(loop, shared, Event.WIRE, -1, 0, 0.0, 0.0)
+        store_release(base + _FD_IN_USE, fd)
+    return fd
 
 
 @jit
-def run(loop: Loop, shared: Shared, fd: int) -> None:
-    """Run cycles until the stop word is set; fd < 0 means there is no wire."""
+def send_bytes(loop: Loop, shared: Shared, fd: int) -> None:
+    """Give the transmit buffer to the wire at once: characters in one write, CAN frames in one batch.
+
+    A batch that ends early does not say why; the next cycle's will, if the reason lasts.
+    """
+    base, core = loop.params.address, loop.core
+    if loop.params.wire == WIRE_SOCKETCAN:
+        sent = sendmmsg(fd, base + _TX_MESSAGES, core.tx_frames, MSG_DONTWAIT)
+        taken = sent * CAN_FRAME_BYTES
+    else:
+        sent = write(fd, base + _TX, core.tx_length)
+        taken = sent
+    if sent < 0:
+        error = load_int32(errno_location())
+        taken = 0
+        if error != EAGAIN and error != ENOBUFS and error != EINTR:
+            received.close(loop, error)
+            outgoing.forget(loop, shared)
+    outgoing.took(loop, shared, taken)
+
+
+@jit
+def follow_epoch(loop: Loop, woke_ns: int) -> None:
+    """What CLOCK_REALTIME is ahead of CLOCK_MONOTONIC: somebody may have set it since the last cycle.
+
+    Stamps follow the system's clock, motion never does. Two looks at the other clock say whether this thread was away
+    in between; then the last cycle's offset stands.
+    """
+    clock = loop.params.address + _CLOCK
+    epoch_ns = clock_ns(CLOCK_REALTIME, clock)
+    after_ns = monotonic_ns(clock)
+    if after_ns - woke_ns < EPOCH_WITHIN_NS or loop.core.epoch_offset_ns == 0:
+        loop.core.epoch_offset_ns = epoch_ns - (woke_ns + after_ns) // 2
+
+
+@jit
+def run(loop: Loop, shared: Shared) -> None:
+    """Run cycles until the stop word is set, on whatever wire is open."""
     params = loop.params
     clock = params.address + _CLOCK
     period_ns = params.period_ns
@@ -116,6 +164,7 @@ def run(loop: Loop, shared: Shared, fd: int) -> None:
     while load_acquire(params.address + _STOP) == 0:
         sleep_until(loop, deadline_ns)
         woke_ns = monotonic_ns(clock)
+        follow_epoch(loop, woke_ns)
         lateness_ns = woke_ns - deadline_ns
         record(shared.lateness, lateness_ns)
         loop.core.lateness_ns = lateness_ns
@@ -127,29 +176,45 @@ def run(loop: Loop, shared: Shared, fd: int) -> None:
         if suspended_now_ns - suspended_before_ns > period_ns:
             loop.core.suspended_ns = suspended_now_ns - suspended_before_ns
             suspended_before_ns = suspended_now_ns
+        fd = take_over_wire(loop, shared)
         count = step(loop, shared, deadline_ns)
-        if count > 0 and fd >= 0:
-            send_bytes(loop, shared, fd, count)
+        if fd < 0:
+            outgoing.forget(loop, shared)
+        elif count > 0:
+            send_bytes(loop, shared, fd)
         loop.core.cycle_time_ns = monotonic_ns(clock) - woke_ns
         record(shared.cycle_time, loop.core.cycle_time_ns)
         deadline_ns += period_ns
 
 
 @jit
-def read_wire(loop: Loop, fd: int, buffer: np.ndarray, buffer_address: int, request_address: int) -> None:
-    """Fill the receive ring from the tty until the stop word is set or the wire is gone.
+def read_some(loop: Loop, fd: int) -> int:
+    """Read what is there into the reader's own buffer; the bytes read, 0 at the end of a tty, -1 with errno."""
+    base = loop.params.address
+    if loop.params.wire == WIRE_SOCKETCAN:
+        frames = recvmmsg(fd, base + _READER_MESSAGES, RX_FRAMES, MSG_DONTWAIT, 0)
+        return frames * CAN_FRAME_BYTES if frames > 0 else -1
+    return int(read(fd, base + _READER_BYTES, READ_BYTES))
 
-    `request_address` is that of the one pollfd.
+
+@jit
+def read_wire(loop: Loop) -> None:
+    """Fill the receive ring from the wire that is open now, until it is gone or the stop word is set.
+
+    CAN frames are read by this thread too, although the cycle's own reads would not block on a socket: what counts of
+    a reading is when it came, and the kernel's stamps are of a clock that can be set.
     """
-    clock = loop.params.address + _READER_CLOCK
-    while load_acquire(loop.params.address + _STOP) == 0:
-        store_relaxed(request_address, fd | (POLLIN << 32))
-        ready = poll(request_address, 1, POLL_MS)
+    base = loop.params.address
+    clock, request = base + _READER_CLOCK, base + _READER_POLL
+    fd = load_acquire(base + _FD)
+    while load_acquire(base + _STOP) == 0 and received.closed(loop) == 0:
+        store_relaxed(request, fd | (POLLIN << 32))
+        ready = poll(request, 1, POLL_MS)
         if ready == 0:
             continue
-        count = read(fd, buffer_address, READ_BYTES) if ready > 0 else -1
+        count = read_some(loop, fd) if ready > 0 else -1
         if count > 0:
-            received.push(loop, monotonic_ns(clock), buffer, count)
+            received.push(loop, monotonic_ns(clock), loop.reader.bytes, count)
             continue
         error = load_int32(errno_location()) if count < 0 else 0
         if count == 0 or (error != EAGAIN and error != EINTR):

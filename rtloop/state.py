@@ -28,6 +28,10 @@ RX_BYTES = 1 << 16
 RX_CHUNKS = 1024
 LINE_BYTES = 64
 READ_BYTES = 4096
+CAN_FRAME_BYTES = 16
+"""`struct can_frame`; the receive ring holds a whole number of them."""
+TX_FRAMES = TX_BYTES // CAN_FRAME_BYTES
+RX_FRAMES = READ_BYTES // CAN_FRAME_BYTES
 ADDRESSES = 256
 CANCELED_SLOTS = 16
 """Goals in a row that can be canceled before the loop has seen any of them; a power of two."""
@@ -35,6 +39,8 @@ BLEND_SAMPLES = 32
 
 WIRE_MOCK = 0
 WIRE_SLCAN = 1
+WIRE_SOCKETCAN = 2
+WIRES = {"mock": WIRE_MOCK, "slcan": WIRE_SLCAN, "socketcan": WIRE_SOCKETCAN}
 
 FAMILY_MOCK = 0
 FAMILY_ZDT = 1
@@ -222,7 +228,10 @@ CORE = np.dtype(
         ("requests_taken", "i8"),
         ("request_waits", "i8"),
         # the wire
+        ("silenced", "i8"),  # 1: the drives were out of reach and get no motion frame until they are brought up again
         ("tx_length", "i8"),
+        ("tx_frames", "i8"),
+        ("tx_owed", "i8"),  # frames at the front that go first, whatever was decided meanwhile
         ("tx_bits", "i8"),
         ("service_credit_bits", "i8"),
         ("line_length", "i8"),
@@ -257,14 +266,51 @@ ARRIVED = np.dtype(
         ("chunks", "i8"),
         ("lost", "i8"),
         ("closed", "i8"),  # errno + 1 once the wire is gone
+        ("dropped", "i8"),  # bytes that the system had no room for, as ordinary Python found out
         ("clock", "i8", (2,)),
-        ("padding", "i8", (10,)),
+        ("padding", "i8", (9,)),
     ]
 )
 
 TAKEN = np.dtype([("bytes", "i8"), ("chunks", "i8"), ("padding", "i8", (14,))])  # what the cycle says of it
 
 CHUNK = np.dtype([("time_ns", "i8"), ("end", "i8")])
+
+WIRE = np.dtype(
+    [
+        ("fd", "i8"),  # what ordinary Python has opened, -1 none; on a line of its own
+        ("fd_padding", "i8", (15,)),
+        ("fd_in_use", "i8"),  # what the cycle's thread writes to
+        ("fd_in_use_padding", "i8", (15,)),
+    ]
+)
+
+MESSAGE = np.dtype(
+    [
+        # struct mmsghdr of Linux where pointers have 64 bits: a msghdr and what it came to
+        ("name", "i8"),
+        ("name_length", "i8"),
+        ("parts", "i8"),  # address of its iovec
+        ("part_count", "i8"),
+        ("control", "i8"),
+        ("control_length", "i8"),
+        ("flags", "i8"),
+        ("length", "i8"),
+    ]
+)
+
+PART = np.dtype([("address", "i8"), ("length", "i8")])  # struct iovec
+
+READER = np.dtype(
+    [
+        # of the reader's thread alone
+        ("poll", "i8"),  # struct pollfd
+        ("padding", "i8", (15,)),
+        ("bytes", "u1", (READ_BYTES,)),
+        ("messages", MESSAGE, (RX_FRAMES,)),
+        ("parts", PART, (RX_FRAMES,)),
+    ]
+)
 
 RECEIVED = np.dtype(
     [
@@ -296,7 +342,13 @@ LOOP = np.dtype(
         ("clock", "i8", (2,)),
         ("line", "u1", (LINE_BYTES,)),
         ("tx", "u1", (TX_BYTES,)),
+        ("tx_ends", "i8", (TX_FRAMES,)),  # byte behind each frame
+        ("tx_joined", "u1", (TX_FRAMES,)),  # 1: the next frame belongs to the same command
+        ("tx_messages", MESSAGE, (TX_FRAMES,)),
+        ("tx_parts", PART, (TX_FRAMES,)),
+        ("wire", WIRE),
         ("received", RECEIVED),
+        ("reader", READER),
         ("service_in", RING),  # bring-up → cycle
         ("service_out", RING),  # cycle → bring-up
     ]
@@ -324,6 +376,10 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
     params["state_address"] = state_address
     params["command_address"] = command_address
     _fill_params(params, arm)
+    loop[0]["wire"]["fd"] = loop[0]["wire"]["fd_in_use"] = -1
+    lay_out_messages(loop[0]["tx_messages"], loop[0]["tx_parts"], loop[0]["tx"])
+    reader = loop[0]["reader"]
+    lay_out_messages(reader["messages"], reader["parts"], reader["bytes"])
     loop[0]["joint_at"][:] = -1
     for index, joint in enumerate(arm.joints):
         _fill_joint(loop[0]["joints"][index], joint, arm, index)
@@ -351,6 +407,14 @@ def show_limits(limits: np.void, loop: np.ndarray) -> None:
     limits["joints"]["drive_address"] = joints["address"]
 
 
+def lay_out_messages(messages: np.ndarray, parts: np.ndarray, data: np.ndarray) -> None:
+    """Prepare a batch of messages once: the only part of each is its CAN frame in `data`."""
+    parts["address"] = data.ctypes.data + CAN_FRAME_BYTES * np.arange(len(parts))
+    parts["length"] = CAN_FRAME_BYTES
+    messages["parts"] = parts.ctypes.data + PART.itemsize * np.arange(len(parts))
+    messages["part_count"] = 1
+
+
 def longest_stop_s(arm: ArmConfig) -> float:
     """Duration within which every stop on the path ends, whatever the arm is doing."""
     slowest_s = max(joint.max_velocity_rad_s / joint.max_acceleration_rad_s2 for joint in arm.joints)
@@ -362,7 +426,7 @@ def _fill_params(params: np.void, arm: ArmConfig) -> None:
     period_ns = arm.control.period_ns
     params["joint_count"] = len(arm.joints)
     params["period_ns"] = period_ns
-    params["wire"] = WIRE_MOCK if arm.bus.interface == "mock" else WIRE_SLCAN
+    params["wire"] = WIRES[arm.bus.interface]
     for name in ("start_tolerance_rad", "velocity_margin", "acceleration_margin", "braking_factor"):
         params[name] = getattr(limits, name)
     params["following_error_rad"] = limits.following_error_rad

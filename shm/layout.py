@@ -180,6 +180,9 @@ COUNTED = [
     ),
     Word("drive_errors", "i8", "", "commands a drive refused or did not understand"),
     Word("knots_taken", "i8", "", "knots taken from the setpoint ring"),
+    Word("error_frames", "i8", "", "errors that the CAN controller has told of (SocketCAN)"),
+    Word("unacknowledged", "i8", "", "those of them in which no drive acknowledged a frame"),
+    Word("bus_state", "i8", "", "shm.words.BusState: what the CAN controller thinks of its bus (SocketCAN)"),
 ]
 """The counters that the flight recorder keeps with every cycle."""
 
@@ -192,7 +195,15 @@ COUNTERS = _record(
     ],
 )
 
-BUS_TROUBLE = ("wire_errors", "bytes_unsent", "receive_overflows", "stale_reads", "drive_errors")
+BUS_TROUBLE = (
+    "wire_errors",
+    "bytes_unsent",
+    "receive_overflows",
+    "stale_reads",
+    "drive_errors",
+    "error_frames",
+    "unacknowledged",
+)
 """The counters that stand still while all is well with wire and bus."""
 
 HISTOGRAM = _record(

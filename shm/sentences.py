@@ -1,6 +1,6 @@
 """What the numbers in shared memory mean to a person: one table for messages and for the documentation.
 
-Every outcome, fault, answer and reason has a `Meaning`: the sentence (what happened, with the value; what is
+Every outcome, fault, answer, bus state and reason has a `Meaning`: the sentence (what happened, with the value; what is
 allowed; what to do), why the check exists, and the ways out. Placeholders in a sentence are `{joint}`,
 `{value}` and `{limit}`; `{value:mode}` writes the value as the name of a mode.
 """
@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import NamedTuple, TypeVar
 
-from shm.words import Answer, Fault, Mode, Outcome, Unreferenced
+from shm.words import Answer, BusState, Fault, Mode, Outcome, Unreferenced
 
 Key = TypeVar("Key", bound=IntEnum)
 
@@ -230,10 +230,25 @@ FAULTS: dict[Fault, Meaning] = {
         "Restart the ROS process from the same installation; clear the fault.",
     ),
     Fault.WIRE: Meaning(
-        "The CAN adapter is gone or refuses: check its cable and that nothing else has opened it, then start "
-        "rtarm again.",
+        "The CAN adapter is gone or refuses: check its cable and that nothing else has opened it, wait for the event "
+        "that says it is back, then `rtarm clear-fault`.",
         "Without the adapter no drive can be told anything.",
-        "Plug it in again and start rtarm again.",
+        "Plug it in again; the control process says when it is back; clear the fault. Joints whose drives were silent "
+        "for too long stay unreferenced until rtarm is started again.",
+    ),
+    Fault.LINK_DOWN: Meaning(
+        "The CAN interface was taken down: set it up again (`sudo ip link set can0 up type can bitrate 500000`), wait "
+        "for the event that says it is back, then `rtarm clear-fault`.",
+        "Nothing leaves an interface that is down, and what it held back is lost.",
+        "Find out who took it down; set it up; the control process says when it is back; clear the fault. Joints whose "
+        "drives were silent for too long stay unreferenced until rtarm is started again.",
+    ),
+    Fault.BUS_OFF: Meaning(
+        "The CAN controller has left the bus after too many errors (bus-off): check wires, termination and bit rate, "
+        "restart it (`sudo ip link set can0 type can restart`) unless restart-ms does, then `rtarm clear-fault`.",
+        "A controller in bus-off sends nothing until it is restarted.",
+        "Look for a short circuit, a missing 120 Ω or a node at another bit rate; restart the controller; clear the "
+        "fault.",
     ),
     Fault.BRING_UP: Meaning(
         "Bringing up the drives failed: see the control process' message for the drive and the reason, mend "
@@ -246,6 +261,27 @@ FAULTS: dict[Fault, Meaning] = {
         "then `rtarm clear-fault`.",
         "An arm of which some joints are limp and others hold must not be taken for one that can be led by hand.",
         "Look at the drive's display; clear the fault, which brings all drives up again.",
+    ),
+}
+
+BUS_STATES: dict[BusState, Meaning] = {
+    BusState.ACTIVE: Meaning("The bus is in order.", "", ""),
+    BusState.WARNING: Meaning(
+        "The CAN controller counts many errors: check wires, plugs and termination.",
+        "At 96 errors a controller warns; good frames count down again.",
+        "Check wires, plugs and the 120 Ω at both ends.",
+    ),
+    BusState.PASSIVE: Meaning(
+        "The CAN controller is error-passive, so frames of the arm may be lost: see that the drives have power, that "
+        "all have one bit rate and that the bus has 120 Ω at both ends.",
+        "At 128 errors a controller stays quiet about errors; a bus on which nobody acknowledges leads there at once.",
+        "Switch the drives on; compare bit rates; check wires and termination.",
+    ),
+    BusState.BUS_OFF: Meaning(
+        "The CAN controller is off the bus: mend the bus, restart the controller (`sudo ip link set can0 type can "
+        "restart`), then `rtarm clear-fault`.",
+        "At 256 errors a controller takes no part any more.",
+        "Mend the bus, restart the controller, clear the fault.",
     ),
 }
 
@@ -311,12 +347,21 @@ ANSWERS: dict[Answer, Meaning] = {
         "What brakes the arm is not interrupted, and an arm in motion is not let go.",
         "Ask again once nothing moves.",
     ),
+    Answer.REFUSED_WIRE: Meaning(
+        "The CAN adapter is not there, so the drives cannot be brought up: plug it in or set its link up, wait for the "
+        "event that says it is back, then ask again.",
+        "Clearing a fault speaks to every drive.",
+        "Wait until the control process says that the adapter is back.",
+    ),
     Answer.REFUSED_UNKNOWN: Meaning(
         "The control process does not know this request: start both processes from one installation.",
         "An unknown request is refused, never guessed at.",
         "Restart both processes from one installation.",
     ),
 }
+
+
+WIRE_IS_BACK = "The adapter is back: `rtarm clear-fault` brings the drives up again."
 
 
 def mode_name(mode: int) -> str:
@@ -348,6 +393,11 @@ def outcome_sentence(outcome: int, joint: str = "", value: float = 0.0, limit: f
 def fault_sentence(fault: int, joint: str = "", value: float = 0.0, limit: float = 0.0) -> str:
     """What a latched fault says."""
     return _say(FAULTS, Fault, fault, joint, value, limit)
+
+
+def bus_state_sentence(state: int) -> str:
+    """What the CAN controller thinks of its bus."""
+    return _say(BUS_STATES, BusState, state, "", 0.0, 0.0)
 
 
 def unreferenced_sentence(reason: int, joint: str) -> str:

@@ -70,6 +70,7 @@ class Answer(IntEnum):
     REFUSED_VALUE = 4
     REFUSED_UNKNOWN = 5
     REFUSED_MOVING = 6
+    REFUSED_WIRE = 7  # the adapter is not there
 
 
 class Outcome(IntEnum):
@@ -116,6 +117,8 @@ class Fault(IntEnum):
     WIRE = 10  # the adapter refuses or is gone
     BRING_UP = 11
     RELEASE = 12  # a drive that was to go limp stays enabled
+    LINK_DOWN = 13  # the CAN interface was taken down
+    BUS_OFF = 14  # the CAN controller has left the bus after too many errors
 
 
 class Unreferenced(IntEnum):
@@ -151,6 +154,7 @@ class Event(IntEnum):
     REQUEST = 5
     OVERRUN = 6
     REFERENCE = 7
+    WIRE = 8  # the adapter is back
 
 
 class Slowed(IntFlag):
@@ -162,3 +166,12 @@ class Slowed(IntFlag):
     MAKING_WAY = 8  # for a newer goal that no way leads to from here
     CLOSING = 16  # an orderly end
     OWN_BRAKE = 32  # each joint brakes by itself: the path cannot be trusted
+
+
+class BusState(IntEnum):
+    """What the CAN controller thinks of its bus, where the wire tells (SocketCAN)."""
+
+    ACTIVE = 0
+    WARNING = 1  # 96 errors counted
+    PASSIVE = 2  # 128: it disturbs nobody any more, but is not heard either
+    BUS_OFF = 3  # 256: it takes no part until it is restarted

@@ -28,6 +28,7 @@ from sim import faults as wrong
 from sim.adapter import Dialect, LineFault, SlcanAdapter
 from sim.babble import Babbler
 from sim.bus import Bus, Frame, Outbox
+from sim.can_interface import CanInterface
 from sim.drives.ramp import GRAINS_PER_REVOLUTION, NEVER
 from sim.drives.shaft import Reals, Times
 from sim.drives.zdt import Homing, Settings, ZdtDrive
@@ -47,7 +48,7 @@ TRIP_FLAGS = {"stall": 0x00, "temperature": 0x10, "current": 0x20}
 
 
 class SimulatedArm:
-    """Six (or any number of) drives behind an SLCAN adapter.
+    """Six (or any number of) drives behind an SLCAN adapter or a CAN interface.
 
     Args:
         arm: its configuration; all joints must be of family zdt.
@@ -65,7 +66,7 @@ class SimulatedArm:
 
     Attributes:
         drives: in joint order.
-        adapter: the serial adapter.
+        adapter: the serial adapter, or the CAN interface of an arm on SocketCAN.
         bus: with the time it was busy and the frames it carried.
     """
 
@@ -94,13 +95,17 @@ class SimulatedArm:
             )
         self.bus = Bus(arm.bus.bitrate, start_ns)
         baud = arm.bus.serial_baud
-        self.adapter = SlcanAdapter(
-            arm.bus.bitrate,
-            dialect=dialect,
-            baud=None if baud == "cdc" else baud,
-            echo=echo,
-            seed=seed,
-        )
+        self.adapter: SlcanAdapter | CanInterface
+        if arm.bus.interface == "socketcan":
+            self.adapter = CanInterface()
+        else:
+            self.adapter = SlcanAdapter(
+                arm.bus.bitrate,
+                dialect=dialect,
+                baud=None if baud == "cdc" else baud,
+                echo=echo,
+                seed=seed,
+            )
         self.drives: list[ZdtDrive] = []
         for index, (joint, position_rad) in enumerate(zip(arm.joints, positions, strict=True)):
             if not isinstance(joint.drive, ZdtConfig):
@@ -179,7 +184,7 @@ class SimulatedArm:
         What lies in the past happens now.
 
         Raises:
-            ValueError: the arm has no such joint.
+            ValueError: the arm has no such joint, or no serial adapter that such a fault could befall.
         """
         origin_ns = self.start_ns if since_ns is None else since_ns
 
@@ -187,10 +192,10 @@ class SimulatedArm:
             if at_s is not None:
                 self._script.add(max(origin_ns + round(at_s * 1e9), self.now_ns), action)
 
-        if not self._inject_in_drive(fault, at) and not self._inject_on_the_way(fault, at):
+        if not self._inject_on_the_bus(fault, at) and not self._inject_in_adapter(fault, at):
             raise ValueError(f"{fault} is no fault this arm can have.")
 
-    def _inject_in_drive(self, fault: Fault, at: At) -> bool:
+    def _inject_on_the_bus(self, fault: Fault, at: At) -> bool:
         match fault:
             case wrong.Silent(joint, at_s, until_s):
                 at(at_s, self._drive(joint).unplug)
@@ -232,12 +237,17 @@ class SimulatedArm:
                     if joint_or_all in (None, joint_config.name):
                         most = abs(self._counts(joint_config.name, most_deg))
                         at(at_s, partial(_set, drive, "wrong_values", (share, most)))
+            case wrong.Babble(at_s, until_s, joint):
+                babbler = Babbler()
+                self.bus.nodes.append(babbler)
+                at(at_s, partial(self._babble, babbler, joint))
+                at(until_s, babbler.end)
             case _:
                 return False
         return True
 
-    def _inject_on_the_way(self, fault: Fault, at: At) -> bool:
-        adapter = self.adapter
+    def _inject_in_adapter(self, fault: Fault, at: At) -> bool:
+        adapter = self.serial_adapter()
         match fault:
             case wrong.OpenRefused():
                 adapter.refuses_open = True
@@ -250,11 +260,6 @@ class SimulatedArm:
             case wrong.CutLines(share, rest_s, at_s, joint):
                 rest_ns = None if rest_s is None else round(rest_s * 1e9)
                 self._spoil_lines(at, at_s, LineFault("cut", share, rest_ns, self._address(joint)))
-            case wrong.Babble(at_s, until_s, joint):
-                babbler = Babbler()
-                self.bus.nodes.append(babbler)
-                at(at_s, partial(self._babble, babbler, joint))
-                at(until_s, babbler.end)
             case wrong.ReceiveStall(at_s, stall_s, depth):
                 at(at_s, lambda _: adapter.stall(int(depth)))
                 at(at_s + stall_s, adapter.recover)
@@ -271,7 +276,7 @@ class SimulatedArm:
         return True
 
     def _spoil_lines(self, at: At, at_s: float, fault: LineFault) -> None:
-        at(at_s, lambda _: self.adapter.line_faults.append(fault))
+        at(at_s, lambda _: self.serial_adapter().line_faults.append(fault))
 
     def _babble(self, babbler: Babbler, joint: str | None, now_ns: int) -> None:
         frame = HIGHEST_PRIORITY
@@ -294,6 +299,12 @@ class SimulatedArm:
     def _counts(self, joint: str, deg: float) -> int:
         config = next(config for config in self.config.joints if config.name == joint)
         return round(config.direction * math.radians(deg) * config.encoder_counts_per_rad)
+
+    def serial_adapter(self) -> SlcanAdapter:
+        """The adapter of an arm that is reached through a serial port; raises ValueError for one that is not."""
+        if not isinstance(self.adapter, SlcanAdapter):
+            raise ValueError(f"arm {self.config.name} has no serial adapter that this fault could befall.")
+        return self.adapter
 
     def true_position_rad(self, joint: int, t_ns: int) -> float:
         """Where the joint truly was at `t_ns`, between the start and now [rad]."""

@@ -40,12 +40,14 @@ class PtyServer:
         heard: what the host wrote, kept for `sim.truth` where this is a list.
 
     Raises:
+        ValueError: the arm has no serial adapter.
         FileNotFoundError: there is no folder for the link.
         FileExistsError: the link's path holds something that is not a symbolic link.
     """
 
     def __init__(self, arm: SimulatedArm, link: Path | None = None) -> None:
         self.arm = arm
+        self._adapter = arm.serial_adapter()
         self.dropped_bytes = 0
         self.heard: Heard | None = None
         self._link = link
@@ -91,7 +93,7 @@ class PtyServer:
             wait_s = None
             if due_ns is not None:
                 wait_s = max(0, max(due_ns, packet_ns) - time.monotonic_ns()) * 1e-9
-            listens = (self._master,) if arm.adapter.takes_characters else ()
+            listens = (self._master,) if self._adapter.takes_characters else ()
             readable, _, _ = select.select((*listens, self._wake_read, *watched), (), (), wait_s)
             now_ns = time.monotonic_ns()
             if self._master in readable:

@@ -6,13 +6,14 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from shm.sentences import FAULTS, OUTCOMES, UNREFERENCED, Meaning
-from shm.words import Fault, Outcome, Unreferenced
+from shm.sentences import BUS_STATES, FAULTS, OUTCOMES, UNREFERENCED, Meaning
+from shm.words import BusState, Fault, Outcome, Unreferenced
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "troubleshooting.md"
 TABLES = (
     (OUTCOMES, {Outcome.NONE, Outcome.SUCCEEDED}),
     (FAULTS, {Fault.NONE}),
+    (BUS_STATES, {BusState.ACTIVE}),
     (UNREFERENCED, {Unreferenced.REFERENCED}),
 )
 """The tables, and in each what is no trouble."""

@@ -100,7 +100,8 @@ class VirtualArm:
                 faults=faults,
                 **sim_options,
             )
-            self.sim.feed(START_NS, b"C\rS6\rO\r")
+            if self.arm.bus.interface == "slcan":
+                self.sim.feed(START_NS, b"C\rS6\rO\r")
 
     @property
     def core(self) -> np.void:

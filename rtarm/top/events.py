@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shm.sentences import (
+    WIRE_IS_BACK,
     answer_sentence,
     fault_sentence,
     joint_name,
@@ -53,4 +54,6 @@ def _told(kind: int, code: int, joint: str, value: float, limit: float) -> tuple
         return outcome_sentence(Outcome.CLOCK_GAP, joint, value, limit), BAD
     if kind == Event.REFERENCE:
         return unreferenced_sentence(code, joint), BAD
+    if kind == Event.WIRE:
+        return WIRE_IS_BACK, GOOD
     return f"Unknown event {kind}: start all processes from one installation.", ODD

@@ -1,7 +1,7 @@
 """The ring through which bytes from the wire reach the cycle, with the time at which each chunk came.
 
 Single producer (the reader thread, or a test), single consumer (the cycle). A full ring drops the newest
-bytes and counts them; the SLCAN parser finds the next line by itself.
+bytes and counts them; the SLCAN parser finds the next line by itself, and CAN frames come and go whole.
 """
 
 from typing import Any
@@ -15,6 +15,7 @@ Loop = Any
 _ARRIVED = offset_of(LOOP, "received", "arrived", "bytes")
 _CHUNKS_ARRIVED = offset_of(LOOP, "received", "arrived", "chunks")
 _LOST = offset_of(LOOP, "received", "arrived", "lost")
+_DROPPED = offset_of(LOOP, "received", "arrived", "dropped")
 _CLOSED = offset_of(LOOP, "received", "arrived", "closed")
 _TAKEN = offset_of(LOOP, "received", "taken", "bytes")
 _CHUNKS_TAKEN = offset_of(LOOP, "received", "taken", "chunks")
@@ -64,7 +65,8 @@ def taken(loop: Loop, count: int, chunks: int) -> None:
 
 @jit
 def lost(loop: Loop) -> int:
-    return load_acquire(loop.params.address + _LOST)
+    """Bytes that found no room, here or in the system."""
+    return load_acquire(loop.params.address + _LOST) + load_acquire(loop.params.address + _DROPPED)
 
 
 @jit

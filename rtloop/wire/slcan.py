@@ -61,21 +61,6 @@ def encode_frame(loop: Loop, frame_id: int, extended: int, length: int, data: in
     return True
 
 
-@jit
-def drop_stale_lines(loop: Loop) -> int:
-    """Drop what the wire did not take in the last cycle, all but the line it may have taken half of.
-
-    Returns the bytes dropped. Newer frames say it better, and a drive may have lost its reference meanwhile.
-    """
-    core, tx = loop.core, loop.tx
-    for at in range(core.tx_length):
-        if tx[at] == CR:
-            dropped = core.tx_length - (at + 1)
-            core.tx_length = at + 1
-            return dropped
-    return 0
-
-
 LINE_OTHER = 0
 LINE_FRAME = 1
 LINE_WRONG = 2

@@ -16,6 +16,7 @@ import time
 import tty as std_tty
 
 from config.schema import SLCAN_BITRATES
+from rtloop.wire.refusal import WireRefused
 
 ANSWER_PATIENCE_S = 0.15
 _ASYNC_LOW_LATENCY = 0x2000
@@ -24,10 +25,6 @@ _TIOCSSERIAL = 0x541F
 _SERIAL_STRUCT_INTS = 18
 _FLAGS_INT = 4
 BEL = b"\x07"
-
-
-class WireRefused(Exception):
-    """The adapter cannot be used; the text is the sentence people read."""
 
 
 def open_slcan(channel: str, serial_baud: int | str, bitrate: int) -> int:

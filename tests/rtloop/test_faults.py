@@ -7,7 +7,7 @@ from virtual import VirtualArm, recorded_goal
 from rtloop.conversation import split_packets
 from rtloop.cycle import step
 from rtloop.port import SEND
-from rtloop.wire import received
+from rtloop.wire import outgoing, received
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.faults import CorruptBytes, LostReplies, PowerLoss, Silent, Stall
 
@@ -260,13 +260,14 @@ def test_a_count_that_truly_jumps_loses_the_reference() -> None:
 
 
 def test_frames_the_wire_did_not_take_are_not_sent_late() -> None:
-    """What is left over is at most the line that may be half sent; newer frames say it better."""
+    """What is left over is at most the command that is half sent; newer frames say it better."""
     arm = executing()
     arm.now_ns += arm.period_ns
     arm.listen(arm.now_ns)
     arm.writer.beat(arm.now_ns)
-    step(arm.loop[0], arm.state.array[0], arm.now_ns)  # a cycle whose write takes nothing
+    step(arm.loop[0], arm.state.array[0], arm.now_ns)  # a cycle of whose first line five characters are taken
     stuck = int(arm.core["tx_length"])
+    outgoing.took(arm.loop[0], arm.state.array[0], 5)
     arm.now_ns += arm.period_ns
     arm.listen(arm.now_ns)
     arm.writer.beat(arm.now_ns)

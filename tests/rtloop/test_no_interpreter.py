@@ -187,7 +187,7 @@ def test_holding_the_gil_for_two_seconds_costs_no_cycle():
 
     def control():
         realtime.prepare_thread(arm.arm.realtime, realtime.Obtained())
-        run(arm.loop[0], arm.state.array[0], -1)
+        run(arm.loop[0], arm.state.array[0])
 
     thread = threading.Thread(target=control)
     thread.start()

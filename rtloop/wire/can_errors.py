@@ -1,0 +1,52 @@
+"""What SocketCAN's error frames say of the controller and its bus (linux/can/error.h).
+
+The class of an error frame is its identifier, details stand in its data. Which of them a driver sends differs: some
+tell of a missing acknowledgement by its class, others as a bus error at the acknowledge slot.
+"""
+
+from shm.jit import jit
+from shm.words import BusState
+
+TRANSMIT_TIMEOUT = 0x001
+LOST_ARBITRATION = 0x002
+CONTROLLER = 0x004
+PROTOCOL = 0x008
+TRANSCEIVER = 0x010
+NO_ACKNOWLEDGE = 0x020
+BUS_OFF = 0x040
+BUS_ERROR = 0x080
+RESTARTED = 0x100
+
+WATCHED = TRANSMIT_TIMEOUT | CONTROLLER | PROTOCOL | TRANSCEIVER | NO_ACKNOWLEDGE | BUS_OFF | BUS_ERROR | RESTARTED
+"""The classes asked for: to lose an arbitration is how a bus works, and no error."""
+
+_WARNING_BITS = 0x0C  # of receiving, of transmitting
+_PASSIVE_BITS = 0x30
+_ACTIVE_AGAIN_BIT = 0x40
+_ACKNOWLEDGE_SLOT = 0x19
+
+
+@jit
+def unacknowledged(error_class: int, data: int) -> bool:
+    """Whether a frame of ours was heard by nobody."""
+    if error_class & NO_ACKNOWLEDGE:
+        return True
+    return error_class & PROTOCOL != 0 and (data >> 24) & 255 == _ACKNOWLEDGE_SLOT
+
+
+@jit
+def state_after(state: int, error_class: int, data: int) -> int:
+    """The controller's state (shm.words.BusState) after this error frame."""
+    if error_class & BUS_OFF:
+        return BusState.BUS_OFF
+    if error_class & RESTARTED:
+        return BusState.ACTIVE
+    if error_class & CONTROLLER:
+        detail = (data >> 8) & 255
+        if detail & _PASSIVE_BITS:
+            return BusState.PASSIVE
+        if detail & _WARNING_BITS:
+            return BusState.WARNING
+        if detail & _ACTIVE_AGAIN_BIT:
+            return BusState.ACTIVE
+    return state

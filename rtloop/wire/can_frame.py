@@ -1,0 +1,74 @@
+"""CAN frames as SocketCAN has them, in the cycle: `struct can_frame`, 16 bytes (linux/can.h).
+
+u32 id with its flags in the machine's byte order (little-endian on all that run this), u8 length, 3 bytes unused,
+8 bytes of data. A frame with the error flag was made by the controller's driver: `rtloop.wire.can_errors`.
+"""
+
+from typing import Any
+
+from rtloop.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES
+from shm.jit import jit
+
+Loop = Any
+
+EXTENDED_FLAG = 0x80000000
+REMOTE_FLAG = 0x40000000
+ERROR_FLAG = 0x20000000
+EXTENDED_MASK = 0x1FFFFFFF
+STANDARD_MASK = 0x7FF
+LONGEST_DATA = 8
+_LENGTH_AT = 4
+_DATA_AT = 8
+
+RECORD_OTHER = 0
+RECORD_FRAME = 1
+RECORD_WRONG = 2
+RECORD_ERROR = 3
+
+
+@jit
+def encode_frame(loop: Loop, frame_id: int, extended: int, length: int, data: int) -> bool:
+    """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full."""
+    core, tx = loop.core, loop.tx
+    at = core.tx_length
+    if at + CAN_FRAME_BYTES > TX_BYTES:
+        return False
+    word = frame_id | EXTENDED_FLAG if extended else frame_id
+    for i in range(_LENGTH_AT):
+        tx[at + i] = (word >> (8 * i)) & 255
+    for i in range(_LENGTH_AT, _DATA_AT):
+        tx[at + i] = 0
+    tx[at + _LENGTH_AT] = length
+    for i in range(LONGEST_DATA):
+        tx[at + _DATA_AT + i] = (data >> (8 * i)) & 255 if i < length else 0
+    core.tx_length = at + CAN_FRAME_BYTES
+    return True
+
+
+@jit
+def decode_record(loop: Loop, at: int) -> tuple[int, int, int, int, int]:
+    """(RECORD_…, id, extended, length, data) of the record that stands at byte `at` of the receive ring.
+
+    The ring holds whole records and is a whole number of them long, so none is divided by its end. The id of an error
+    frame is its class. Remote frames are nothing to us.
+    """
+    ring = loop.received.bytes
+    start = at & (RX_BYTES - 1)
+    word = 0
+    for i in range(_LENGTH_AT):
+        word |= int(ring[start + i]) << (8 * i)
+    length = int(ring[start + _LENGTH_AT])
+    if length > LONGEST_DATA:
+        return RECORD_WRONG, 0, 0, 0, 0
+    data = 0
+    for i in range(length):
+        data |= int(ring[start + _DATA_AT + i]) << (8 * i)
+    if word & ERROR_FLAG:
+        return RECORD_ERROR, word & EXTENDED_MASK, 0, length, data
+    if word & REMOTE_FLAG:
+        return RECORD_OTHER, 0, 0, 0, 0
+    if word & EXTENDED_FLAG:
+        return RECORD_FRAME, word & EXTENDED_MASK, 1, length, data
+    if word > STANDARD_MASK:
+        return RECORD_WRONG, 0, 0, 0, 0
+    return RECORD_FRAME, word, 0, length, data

@@ -1,0 +1,102 @@
+"""Opening a SocketCAN interface: a raw socket that brings what the arm's drives say, and what the controller says.
+
+This is ordinary Python and runs before the first cycle, and again when the interface is back. Options from
+linux/can/raw.h; loopback stays on, so that `candump` sees what the arm is told, and a socket does not hear itself.
+"""
+
+import socket
+import struct
+from collections.abc import Sequence
+
+from rtloop.wire import can_errors
+from rtloop.wire.can_frame import EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG
+from rtloop.wire.can_link import Link, can_interfaces, link_of
+from rtloop.wire.refusal import WireRefused
+
+RECEIVE_BYTES = 1 << 20
+"""Room for a thousand frames and more while nobody reads; Linux gives as much as net.core.rmem_max allows."""
+CYCLES_HELD_BACK = 2
+"""How many cycles' frames the system may hold: what it holds longer would be sent late."""
+FRAME_MEMORY_BYTES = 768
+"""What the system counts for a frame it holds back (struct sk_buff and its data)."""
+
+_CAN_RAW_ERR_FILTER = 2  # Python has no name for it
+_SO_MEMINFO = 55
+_MEMINFO_DROPS = 8
+_FILTER = struct.Struct("=II")
+_PACKETS = 0xFF
+"""Packet number, the lowest byte of an identifier: all of a drive's are heard."""
+
+
+def open_socketcan(
+    channel: str, bitrate: int, addresses: Sequence[int], frames_per_cycle: int
+) -> tuple[int, list[str]]:
+    """Open a CAN interface; its descriptor, non-blocking, and what is not as it should be. Raises WireRefused."""
+    link = _usable_link(channel, bitrate)
+    try:
+        opened = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)
+    except (OSError, AttributeError):
+        raise WireRefused("This system has no raw CAN sockets: load them with `sudo modprobe can_raw`.") from None
+    try:
+        for option, value in filters(addresses).items():
+            opened.setsockopt(socket.SOL_CAN_RAW, option, value)
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
+        # Linux doubles what it is told here, for its own use.
+        held_back = CYCLES_HELD_BACK * frames_per_cycle * FRAME_MEMORY_BYTES
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, held_back // 2)
+        opened.bind((channel,))
+    except OSError as problem:
+        opened.close()
+        raise WireRefused(
+            f"{channel} cannot be used ({problem.strerror}): look at `ip -details link show {channel}`."
+        ) from problem
+    complaints = []
+    if link.queue_frames < frames_per_cycle:
+        complaints.append(
+            f"{channel} holds back {link.queue_frames} frames and a cycle sends {frames_per_cycle}, so some may be "
+            f"lost: `sudo ip link set {channel} txqueuelen 128`."
+        )
+    return opened.detach(), complaints
+
+
+def filters(addresses: Sequence[int]) -> dict[int, bytes]:
+    """The socket's options: data frames of these drives with extended identifiers, and the errors that are decoded."""
+    exactly = EXTENDED_FLAG | REMOTE_FLAG | EXTENDED_MASK & ~_PACKETS
+    passing = b"".join(_FILTER.pack(EXTENDED_FLAG | address << 8, exactly) for address in addresses)
+    return {
+        socket.CAN_RAW_FILTER: passing,
+        _CAN_RAW_ERR_FILTER: struct.pack("=I", can_errors.WATCHED),
+    }
+
+
+def dropped_frames(fd: int) -> int:
+    """Frames for which the system had no room since the socket was opened."""
+    words = struct.Struct(f"={_MEMINFO_DROPS + 1}I")
+    opened = socket.socket(fileno=fd)
+    try:
+        told = opened.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, words.size)
+        return int(words.unpack(told)[_MEMINFO_DROPS]) if len(told) == words.size else 0
+    finally:
+        opened.detach()
+
+
+def _usable_link(channel: str, bitrate: int) -> Link:
+    up = (
+        f"`sudo ip link set {channel} txqueuelen 128`, then `sudo ip link set {channel} up type can bitrate {bitrate} "
+        "restart-ms 100`"
+    )
+    link = link_of(channel)
+    if link is None:
+        others = ", ".join(can_interfaces()) or "none"
+        raise WireRefused(
+            f"There is no CAN interface {channel}: plug the adapter in and load its driver, or name another as the "
+            f"channel (found: {others})."
+        )
+    if not link.is_up:
+        raise WireRefused(f"{channel} is down: set it up with {up}.")
+    if link.bitrate is not None and link.bitrate != bitrate:
+        raise WireRefused(
+            f"{channel} runs at {link.bitrate} bit/s, and the arm's bus.bitrate is {bitrate}: take it down (`sudo ip "
+            f"link set {channel} down`) and set it up with {up}, or change bus.bitrate."
+        )
+    return link

@@ -1,0 +1,43 @@
+"""Opening and closing the wire of an arm, whichever it is."""
+
+import os
+from typing import NamedTuple
+
+from config.budget import cycle_frames
+from config.schema import ArmConfig
+from rtloop.conversation import drive_addresses
+from rtloop.state import CAN_FRAME_BYTES
+from rtloop.wire.can_socket import dropped_frames, open_socketcan
+from rtloop.wire.tty import close_slcan, open_slcan
+
+
+class OpenWire(NamedTuple):
+    """A wire that is open."""
+
+    fd: int
+    complaints: list[str]
+    """What is not as it should be, a sentence each."""
+
+
+def open_wire(arm: ArmConfig) -> OpenWire | None:
+    """Open the arm's wire; None where it has none. Raises WireRefused."""
+    bus = arm.bus
+    if bus.interface == "slcan":
+        return OpenWire(open_slcan(bus.resolved_channel, bus.serial_baud, bus.bitrate), [])
+    if bus.interface == "socketcan":
+        sent = sum(frames.count for frames in cycle_frames(arm) if frames.from_host)
+        return OpenWire(*open_socketcan(bus.resolved_channel, bus.bitrate, list(drive_addresses(arm).values()), sent))
+    return None
+
+
+def close_wire(arm: ArmConfig, fd: int) -> None:
+    """Close what `open_wire` has opened; an adapter that is gone already is no error."""
+    if arm.bus.interface == "slcan":
+        close_slcan(fd)
+    else:
+        os.close(fd)
+
+
+def lost_bytes(arm: ArmConfig, fd: int) -> int:
+    """Bytes that the system had no room for since the wire was opened, where it tells."""
+    return dropped_frames(fd) * CAN_FRAME_BYTES if arm.bus.interface == "socketcan" else 0

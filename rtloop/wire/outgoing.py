@@ -1,0 +1,95 @@
+"""What a cycle wants to send: frames in the form of the wire, one after the other in the transmit buffer.
+
+The buffer knows where each frame ends and which of them belong to one command. A wire may take only a part of it. What
+it did not take is not sent late, because newer frames say it better and a drive may have lost its reference meanwhile;
+but a frame that is half on its way, and the rest of a command that a drive has the first packet of, still go first.
+"""
+
+from typing import Any
+
+from rtloop.state import SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_SOCKETCAN
+from rtloop.wire import can_frame, slcan
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+LONGEST_FRAME_BYTES = SLCAN_LONGEST_LINE
+
+
+@jit
+def put(loop: Loop, frame_id: int, extended: bool, length: int, data: int, joined: int) -> bool:
+    """Append a frame as this arm's wire wants it; False when there is no room.
+
+    `data` holds the bytes, the first lowest; `joined` is 1 where the next frame belongs to the same command.
+    """
+    core = loop.core
+    if not has_room(loop, 1):
+        return False
+    if loop.params.wire == WIRE_SOCKETCAN:
+        can_frame.encode_frame(loop, frame_id, extended, length, data)
+    else:
+        slcan.encode_frame(loop, frame_id, extended, length, data)
+    loop.tx_ends[core.tx_frames] = core.tx_length
+    loop.tx_joined[core.tx_frames] = joined
+    core.tx_frames += 1
+    return True
+
+
+@jit
+def has_room(loop: Loop, frames: int) -> bool:
+    """Whether so many frames fit, however long they are."""
+    core = loop.core
+    return core.tx_frames + frames <= TX_FRAMES and core.tx_length + frames * LONGEST_FRAME_BYTES <= TX_BYTES
+
+
+@jit
+def begin(loop: Loop, shared: Shared) -> None:
+    """Make room for a cycle's frames: of what is left over, only what is owed to a drive stays."""
+    core = loop.core
+    if core.tx_length == 0:  # whoever took it all need not know more
+        core.tx_frames = 0
+    keep(loop, shared, 0, 0, min(core.tx_owed, core.tx_frames))
+
+
+@jit
+def took(loop: Loop, shared: Shared, sent: int) -> None:
+    """The wire has taken the first `sent` bytes: what is owed of the rest leads the next cycle's; no more is kept."""
+    core, ends, joined = loop.core, loop.tx_ends, loop.tx_joined
+    shared.counters.bytes_sent += sent
+    gone = 0
+    while gone < core.tx_frames and ends[gone] <= sent:
+        gone += 1
+    owed = max(core.tx_owed, gone)
+    begins = ends[gone - 1] if gone > 0 else 0
+    if gone < core.tx_frames and (sent > begins or (gone > 0 and joined[gone - 1] == 1)):
+        last = gone
+        while joined[last] == 1 and last + 1 < core.tx_frames:
+            last += 1
+        owed = max(owed, last + 1)
+    keep(loop, shared, sent, gone, owed)
+
+
+@jit
+def keep(loop: Loop, shared: Shared, sent: int, first: int, end: int) -> None:
+    """Keep the frames from `first` to before `end`, without the `sent` bytes at the front; count what is dropped."""
+    core, ends = loop.core, loop.tx_ends
+    left = ends[end - 1] - sent if end > first else 0
+    shared.counters.bytes_unsent += core.tx_length - sent - left
+    shared.counters.frames_sent -= core.tx_frames - end
+    if sent > 0:
+        for i in range(left):
+            loop.tx[i] = loop.tx[sent + i]
+        for frame in range(first, end):
+            ends[frame - first] = ends[frame] - sent
+            loop.tx_joined[frame - first] = loop.tx_joined[frame]
+    core.tx_length = left
+    core.tx_frames = core.tx_owed = end - first
+
+
+@jit
+def forget(loop: Loop, shared: Shared) -> None:
+    """There is no wire, or another one: nothing of before is sent."""
+    core = loop.core
+    core.tx_owed = 0
+    begin(loop, shared)

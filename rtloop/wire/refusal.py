@@ -1,0 +1,5 @@
+"""Why a wire cannot be used."""
+
+
+class WireRefused(Exception):
+    """The adapter cannot be used; the text is the sentence people read."""
