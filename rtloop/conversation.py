@@ -15,6 +15,8 @@ from shm.words import Fault
 
 ANSWER_PATIENCE_NS = 60_000_000
 TRIES = 5
+NOT_UNDERSTOOD = b"\x00\xee\x6b"
+"""What a drive answers to a command that is none to it (zdt-emm-v5.md)."""
 
 
 class TalkFailed(Exception):
@@ -146,7 +148,9 @@ class Conversation:
             if frame.time_ns < exchange.sent_ns:
                 continue  # the late answer to an earlier question
             packet, ask = frame.id & 255, exchange.ask
-            if packet == 0 and (_is_refusal(frame.data, ask.payload[0])):
+            if packet == 0 and frame.data == NOT_UNDERSTOOD and exchange.tries < TRIES:
+                self._repeat(joint)  # the half of a command that a predecessor left spoils what is said first
+            elif packet == 0 and (_is_refusal(frame.data, ask.payload[0])):
                 self._advance(joint, frame.data)
             elif frame.data[0] == ask.payload[0] and packet < ask.packets:
                 if ask.packets == 1 and len(frame.data) not in ask.reply_lengths:
@@ -168,6 +172,10 @@ class Conversation:
         if not exchange.ask.answered or exchange.tries >= TRIES:
             self._advance(joint, None)
             return
+        self._repeat(joint)
+
+    def _repeat(self, joint: int) -> None:
+        exchange = self._exchanges[joint]
         exchange.tries += 1
         exchange.sent_ns = self.now_ns
         exchange.packets.clear()
@@ -178,4 +186,4 @@ def _is_refusal(data: bytes, function: int) -> bool:
     """`func E2 6B`, `func EE 6B` or `00 EE 6B`."""
     if len(data) != 3 or data[2] != 0x6B:
         return False
-    return (data[0] == function and data[1] in (0xE2, 0xEE) and function != 0x3A) or data[:2] == b"\x00\xee"
+    return (data[0] == function and data[1] in (0xE2, 0xEE) and function != 0x3A) or data == NOT_UNDERSTOOD
