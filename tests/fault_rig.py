@@ -272,7 +272,7 @@ class Rig(Stack):
     def _await_service(self) -> list[str]:
         steps: list[str] = []
         wait(lambda: self.pid("front") != 0 and self.snapshot() is not None, "front and control process", READY_S)
-        wait(lambda: bool(self.user.servers() - set(self.dead_servers)), "a living action server", READY_S)
+        wait(self._is_served, "a living action server", READY_S)
         for _ in range(5):
             wait(lambda: self.mode() not in (Mode.BRINGING_UP, Mode.STOPPING, Mode.EXECUTING), "rest", READY_S)
             if self.mode() == Mode.FAULT:
@@ -286,12 +286,15 @@ class Rig(Stack):
                 steps += [f"restarted, a joint had lost its reference; {left}" for left in self._restart()]
         raise Hang(f"the arm did not come back into service: {steps}")
 
+    def _is_served(self) -> bool:
+        return bool(self.user.servers() - set(self.dead_servers))
+
     def _restart(self) -> list[str]:
         found = self.stop_control()
         self.standing(READY_S)
-        self.start_control()
         self.note_dead_servers()
-        wait(lambda: bool(self.user.servers() - set(self.dead_servers)), "a living action server", READY_S)
+        self.start_control()
+        wait(self._is_served, "a living action server", READY_S)
         return found or ["in order"]
 
     def _end_control_by_force(self) -> None:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fault_rig import END_S, Hang, Rig, Sent, alive, full, wait
-from observer import command_violations, frames_sent, motion_after, motion_violations, stands_since_ns
+from observer import WireFrame, command_violations, frames_sent, motion_after, motion_violations, stands_since_ns
 
 from shm.files import DIRECTORY
 from shm.words import Mode
@@ -29,6 +29,7 @@ LONGEST_STOP_S = 2.0
 FRONT_TIMEOUT_S = 0.5
 STANDS_WITHIN_S = LONGEST_STOP_S + FRONT_TIMEOUT_S + 0.5
 POLL_S = 0.002
+STOP = b"\xfe"
 TARGETS = ("loop", "front", "launcher", "sim")
 
 
@@ -155,11 +156,10 @@ def run(rig: Rig, trial: Trial) -> Trial:
 
 
 def _act(rig: Rig, trial: Trial) -> None:
-    began_ns = time.monotonic_ns()
-    sent = rig.send(rig.goal())
-    wait(lambda: rig.mode() == Mode.EXECUTING or sent.ended.is_set(), "motion", 5.0)
-    time.sleep(rig.random.uniform(0.1, 0.8) * sent.duration_s)  # a random moment of the goal
+    sent, began_ns = _moving(rig, trial)
     pids = {target: rig.pid(target) for target in TARGETS}
+    if not pids["loop"] or not pids["front"]:
+        trial.violations.append(f"not everything runs: {pids}")
     hurt_ns = time.monotonic_ns()
     fault = FAULTS.get(trial.fault) or SHARED[trial.fault]
     with fault(rig, pids.get(trial.target, 0)) as trial.what:
@@ -167,9 +167,24 @@ def _act(rig: Rig, trial: Trial) -> None:
         _await_end(rig, trial, sent, pids)
         if trial.fault in LASTS and all(alive(pid) for pid in pids.values() if pid):
             _second_goal(rig, trial)
+    if trial.fault in LASTS:
+        over_ns = time.monotonic_ns()
     _judge_motion(rig, trial, sent, began_ns, hurt_ns, over_ns)
     _judge_processes(rig, trial, pids)
     _way_back(rig, trial, over_ns)
+
+
+def _moving(rig: Rig, trial: Trial) -> tuple[Sent, int]:
+    """A goal at a random moment of its motion, and when it was sent; where a stall ends it, another one."""
+    for _ in range(4):
+        began_ns = time.monotonic_ns()
+        sent = rig.send(rig.goal())
+        wait(lambda s=sent: rig.mode() == Mode.EXECUTING or s.ended.is_set(), "motion", 5.0)
+        if not sent.ended.wait(rig.random.uniform(0.1, 0.8) * sent.duration_s):
+            return sent, began_ns
+        trial.notes.append(f"before the fault: {sent.words[:160]}")
+        trial.steps += rig.make_ready()
+    raise Hang("no goal ran until its random moment")
 
 
 def _await_end(rig: Rig, trial: Trial, sent: Sent, pids: dict[str, int]) -> None:
@@ -227,12 +242,12 @@ def _judge_motion(rig: Rig, trial: Trial, sent: Sent, began_ns: int, hurt_ns: in
     truth = rig.truth()
     now_ns = time.monotonic_ns()
     stood_ns = stands_since_ns(truth, now_ns)
-    trial.violations += motion_violations(rig.arm, truth, began_ns, now_ns)
-    try:
-        frames = frames_sent([piece for piece in rig.wire() if piece[0] >= began_ns])
-        trial.violations += command_violations(rig.arm, frames)
-    except ValueError as problem:
-        trial.violations.append(str(problem))
+    frames = frames_sent([piece for piece in rig.wire() if piece[0] >= began_ns])
+    thrown = stopped_joints(rig, frames)
+    if thrown:
+        trial.notes.append(f"stop commands to {len(thrown)} drives")
+    trial.violations += motion_violations(rig.arm, truth, began_ns, now_ns, thrown=thrown)
+    trial.violations += command_violations(rig.arm, frames)
     if trial.outcome == "succeeded" or trial.target == "sim":
         due_ns = max(sent.ended_ns, over_ns)
     else:
@@ -241,6 +256,12 @@ def _judge_motion(rig: Rig, trial: Trial, sent: Sent, began_ns: int, hurt_ns: in
         if sent.ended.is_set():
             trial.told_ms = (sent.ended_ns - hurt_ns) / 1e6
     trial.violations += motion_after(truth, due_ns + round(STANDS_WITHIN_S * NS), now_ns)
+
+
+def stopped_joints(rig: Rig, frames: list[WireFrame]) -> set[str]:
+    """Joints whose drive was told to stop at once, as a silent one is."""
+    stopped = {frame.drive for frame in frames if frame.data[:1] == STOP}
+    return {joint.name for joint in rig.arm.joints if joint.drive.address in stopped}
 
 
 def _judge_processes(rig: Rig, trial: Trial, pids: dict[str, int]) -> None:

@@ -10,6 +10,7 @@ import argparse
 import os
 import random
 import secrets
+import signal
 import subprocess
 import sys
 import tempfile
@@ -60,6 +61,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--report", type=Path, help="file for the table (markdown)")
     options = parser.parse_args(arguments)
     with_own_mounts("process_trials", arguments)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     from fault_rig import Hang, Rig
     from process_faults import all_kinds, run
 
