@@ -121,7 +121,7 @@ def serve(
     """Make a node and let it work until the end signal.
 
     `discovery` is that of the arm file (`localhost` or `subnet`), which the environment may overrule. Raises
-    CannotServe, and whatever ended the executor's thread.
+    CannotServe, and whatever ended one of the threads: without the others it would look alive and serve nobody.
     """
     # Before rclpy is imported: an arm is a thing of its own machine until its file says otherwise.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", {"localhost": "LOCALHOST", "subnet": "SUBNET"}[discovery])
@@ -138,14 +138,12 @@ def serve(
         raise
     failures: list[BaseException] = []
 
-    def spin() -> None:
-        try:
-            served.spin()
-        except BaseException as failure:  # a thread's exception is nobody's unless it is carried out
-            failures.append(failure)
-            end.give()
+    def carry_out(ended: threading.ExceptHookArgs) -> None:
+        failures.append(ended.exc_value or RuntimeError(f"{ended.exc_type.__name__} ended a thread"))
+        end.give()
 
-    spinner = threading.Thread(target=spin, name="executor", daemon=True)
+    threading.excepthook = carry_out  # a thread's exception is nobody's otherwise
+    spinner = threading.Thread(target=served.spin, name="executor", daemon=True)
     spinner.start()
     announcer = threading.Thread(target=served.announce, name="announcer", daemon=True)
     announcer.start()

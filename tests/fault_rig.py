@@ -332,11 +332,9 @@ class Rig(Stack):
             time.sleep(0.05)
         return []
 
-    def goal(self, *, shortest_s: float = 1.2, longest_s: float = 3.0) -> Any:
+    def goal(self, *, shortest_s: float = 1.2, longest_s: float = 3.0, knots: int = KNOTS) -> Any:
         """A random goal from where the arm is commanded to be, inside its limits: a quintic through knots."""
-        snapshot = self.snapshot()
-        assert snapshot is not None
-        here = snapshot["joints"]["commanded_position_rad"][: len(self.arm.joints)].copy()
+        here = self.commanded_rad()
         seconds = self.random.uniform(shortest_s, longest_s)
         way = np.zeros(len(here))
         for i, joint in enumerate(self.arm.joints):
@@ -348,7 +346,28 @@ class Rig(Stack):
             )
             wanted = np.clip(here[i] + self.random.uniform(-most, most), middle - half, middle + half)
             way[i] = np.clip(wanted - here[i], -most, most)
-        return quintic_goal([joint.name for joint in self.arm.joints], here, way, seconds)
+        return quintic_goal([joint.name for joint in self.arm.joints], here, way, seconds, knots)
+
+    def commanded_rad(self) -> np.ndarray:
+        """Where the arm is commanded to be, (joints,); raises Hang where nobody commands it."""
+        snapshot = self.snapshot()
+        if snapshot is None:
+            raise Hang("there is no control process")
+        commanded: np.ndarray = snapshot["joints"]["commanded_position_rad"][: len(self.arm.joints)].copy()
+        return commanded
+
+    def shortest_s(self, way: np.ndarray) -> float:
+        """How long a rest-to-rest quintic along a way takes at least, with room to the limits."""
+        return max(
+            1.0,
+            *(
+                max(
+                    abs(w) * QUINTIC_VELOCITY / (LIMIT_SHARE * joint.max_velocity_rad_s),
+                    math.sqrt(abs(w) * QUINTIC_ACCELERATION / (LIMIT_SHARE * joint.max_acceleration_rad_s2)),
+                )
+                for w, joint in zip(way, self.arm.joints, strict=True)
+            ),
+        )
 
     def send(self, goal: Any) -> Sent:
         """Send a goal to the server that lives, and wait until it is accepted; raises Hang."""
@@ -367,11 +386,11 @@ class Rig(Stack):
         super().close()
 
 
-def quintic_goal(names: list[str], here: np.ndarray, way: np.ndarray, seconds: float) -> Any:
+def quintic_goal(names: list[str], here: np.ndarray, way: np.ndarray, seconds: float, knots: int = KNOTS) -> Any:
     """A goal of knots with velocities and accelerations along a rest-to-rest quintic."""
     goal = FollowJointTrajectory.Goal()
     goal.trajectory.joint_names = names
-    for s in np.linspace(0.0, 1.0, KNOTS):
+    for s in np.linspace(0.0, 1.0, knots):
         sec, nanosec = divmod(round(s * seconds * 1e9), 10**9)
         goal.trajectory.points.append(
             JointTrajectoryPoint(

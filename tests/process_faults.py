@@ -16,11 +16,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fault_rig import END_S, Hang, Rig, Sent, alive, full, wait
+from fault_rig import END_S, KNOTS, Hang, Rig, Sent, alive, full, wait
 from observer import WireFrame, command_violations, frames_sent, motion_after, motion_violations, stands_since_ns
 
 from shm.files import DIRECTORY
 from shm.words import Mode
+from sim.truth import load_truth
 
 NS = 10**9
 MARGIN_S = 6.0
@@ -29,6 +30,7 @@ LONGEST_STOP_S = 2.0
 FRONT_TIMEOUT_S = 0.5
 STANDS_WITHIN_S = LONGEST_STOP_S + FRONT_TIMEOUT_S + 0.5
 POLL_S = 0.002
+MANY_KNOTS = 20_000
 STOP = b"\xfe"
 TARGETS = ("loop", "front", "launcher", "sim")
 
@@ -151,7 +153,8 @@ def run(rig: Rig, trial: Trial) -> Trial:
         rig.make_ready()
         _act(rig, trial)
     except (Hang, AssertionError) as problem:
-        trial.violations.append(f"hang: {problem}")
+        words = str(problem)
+        trial.violations.append(f"hang: {words if len(words) < 500 else words[:150] + ' … ' + words[-300:]}")
     return trial
 
 
@@ -220,7 +223,8 @@ def _second_goal(rig: Rig, trial: Trial) -> None:
     if rig.mode() != Mode.HOLDING:
         return
     front = rig.pid("front")
-    sent = rig.user.send(rig.goal(shortest_s=0.8, longest_s=1.0))
+    knots = MANY_KNOTS if "memory" in trial.fault else KNOTS  # judging many takes memory
+    sent = rig.user.send(rig.goal(shortest_s=0.8, longest_s=1.0, knots=knots))
     deadline_s = time.monotonic() + sent.duration_s + MARGIN_S
     while not sent.ended.wait(POLL_S):
         if not alive(front):
@@ -234,13 +238,18 @@ def _second_goal(rig: Rig, trial: Trial) -> None:
 
 
 def _judge_motion(rig: Rig, trial: Trial, sent: Sent, began_ns: int, hurt_ns: int, over_ns: int) -> None:
-    if trial.target == "sim" and rig.pid("sim") == 0:
-        trial.notes.append("its true motion went with the simulated arm")
-        return
-    rig.standing(STANDS_WITHIN_S)
-    time.sleep(0.3)  # in which nothing may begin to move
-    truth = rig.truth()
-    now_ns = time.monotonic_ns()
+    if trial.target == "sim" and trial.fault in ENDS:
+        wait(lambda: rig.pid("sim") == 0, "the end of the simulated arm", END_S)
+        if trial.fault == "kill -9":
+            trial.notes.append("its true motion went with the simulated arm")
+            return
+        truth = load_truth(rig.truth_file)  # which it wrote at its end
+        now_ns = min(int(joint.times_ns[-1]) for joint in truth.values())
+    else:
+        rig.standing(STANDS_WITHIN_S)
+        time.sleep(0.3)  # in which nothing may begin to move
+        truth = rig.truth()
+        now_ns = time.monotonic_ns()
     stood_ns = stands_since_ns(truth, now_ns)
     frames = frames_sent([piece for piece in rig.wire() if piece[0] >= began_ns])
     thrown = stopped_joints(rig, frames)
@@ -297,7 +306,7 @@ def _judge_code(rig: Rig, trial: Trial) -> None:
     if expected is not None and code != expected:
         trial.violations.append(f"rtarm up ended with {code}, not {expected}: {text[-300:]}")
     if "Traceback" in text:
-        trial.violations.append(f"a traceback: {text[text.index('Traceback') :][-600:]}")
+        trial.violations.append(f"a traceback: {text[text.index('Traceback') :][:1500]}")
 
 
 def _way_back(rig: Rig, trial: Trial, over_ns: int) -> None:

@@ -16,18 +16,21 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-
-# Before rclpy is imported: this run's ROS traffic stays on this machine and apart from others'.
-os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randrange(1, 102)))
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 import numpy as np
 
 OWN = "RTARM_TRIALS_OWN_MOUNTS"
 SHM_SIZE, HOME_SIZE = "256m", "8m"
 SERVER_GONE_S = 40.0
+
+
+def own_ros_domain() -> None:
+    """Before rclpy is imported: this run's ROS traffic stays on this machine and apart from others'."""
+    os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randrange(1, 102)))
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 
 def with_own_mounts(module: str, arguments: Sequence[str]) -> None:
@@ -42,7 +45,8 @@ def with_own_mounts(module: str, arguments: Sequence[str]) -> None:
     os.execvp("unshare", ["unshare", "--mount", "sh", "-c", f'{mount} && exec "$@"', "sh", *again])
 
 
-def small_home(folder: Path) -> None:
+@contextmanager
+def small_home(folder: Path) -> Iterator[None]:
     """A home for logs and recordings, on a small file system of its own where that is possible."""
     from fault_rig import environment_of
 
@@ -51,6 +55,11 @@ def small_home(folder: Path) -> None:
     if os.environ.get(OWN):
         subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={HOME_SIZE}", "trials", str(home)], check=True)
     os.environ.update(environment_of(home))
+    try:
+        yield
+    finally:
+        if os.environ.get(OWN):
+            subprocess.run(["umount", "-l", str(home)], check=False)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -61,6 +70,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--report", type=Path, help="file for the table (markdown)")
     options = parser.parse_args(arguments)
     with_own_mounts("process_trials", arguments)
+    own_ros_domain()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     from fault_rig import Hang, Rig
     from process_faults import all_kinds, run
@@ -76,9 +86,9 @@ def main(arguments: Sequence[str]) -> int:
         chosen.shuffle(kinds)
         trials += [type(kind)(kind.fault, kind.target, kind.launched) for kind in kinds]
     trials = sorted(trials[: options.trials], key=lambda trial: trial.launched)
-    with tempfile.TemporaryDirectory(prefix="rtarm-trials-", ignore_cleanup_errors=True) as name:
+    prefix = "rtarm-trials-"
+    with tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True) as name, small_home(Path(name)):
         folder = Path(name)
-        small_home(folder)
         rig = Rig(f"t{secrets.token_hex(4)}", folder, np.random.default_rng(options.seed))
         try:
             rig.start_arm()
@@ -93,8 +103,6 @@ def main(arguments: Sequence[str]) -> int:
             left = [f"hang: {problem}"]
         finally:
             rig.close()
-            if os.environ.get(OWN):
-                subprocess.run(["umount", "-l", str(folder / "home")], check=False)
     report = table(trials, options.seed, list(rig.gone_ms.values()), left)
     print(report)
     if options.report is not None:
