@@ -62,29 +62,34 @@ def frozen(least_s: float, most_s: float) -> Fault:
     return hurt
 
 
-def limited(kind: int, now: Callable[[int], int]) -> Fault:
-    """Let a process have no more of something than it has now."""
+def limited(now: Callable[[int], dict[int, int]]) -> Fault:
+    """Let a process have no more of something than it has now: soft limits by resource."""
 
     @contextmanager
     def hurt(rig: Rig, pid: int) -> Iterator[str]:
-        before = resource.prlimit(pid, kind)
-        value = now(pid)
-        resource.prlimit(pid, kind, (value, before[1]))
+        limits = now(pid)
+        before = {kind: resource.prlimit(pid, kind) for kind in limits}
+        for kind, value in limits.items():
+            resource.prlimit(pid, kind, (value, before[kind][1]))
         try:
-            yield f"limited to {value}"
+            yield f"limited to {', '.join(map(str, limits.values()))}"
         finally:
             with contextlib.suppress(ProcessLookupError):
-                resource.prlimit(pid, kind, before)
+                for kind, limit in before.items():
+                    resource.prlimit(pid, kind, limit)
 
     return hurt
 
 
-def _address_space(pid: int) -> int:
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[0]) * resource.getpagesize()
+def _memory(pid: int) -> dict[int, int]:
+    """Neither new mappings nor more use of reserved ones, as malloc's arenas are."""
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    words = {name: value.split() for name, value in (line.split(":", 1) for line in lines)}
+    return {resource.RLIMIT_AS: 1024 * int(words["VmSize"][0]), resource.RLIMIT_DATA: 1024 * int(words["VmData"][0])}
 
 
-def _descriptors(pid: int) -> int:
-    return max(int(entry) for entry in os.listdir(f"/proc/{pid}/fd")) + 1
+def _descriptors(pid: int) -> dict[int, int]:
+    return {resource.RLIMIT_NOFILE: max(int(entry) for entry in os.listdir(f"/proc/{pid}/fd")) + 1}
 
 
 def filled(folder: Callable[[Rig], Path]) -> Fault:
@@ -103,9 +108,9 @@ FAULTS: dict[str, Fault] = {
     "SIGSTOP 10–90 ms": frozen(0.010, 0.090),
     "SIGSTOP 0.1–1 s": frozen(0.100, 1.0),
     "SIGSTOP 1–10 s": frozen(1.0, 10.0),
-    "no memory (RLIMIT_AS)": limited(resource.RLIMIT_AS, _address_space),
-    "no file grows (RLIMIT_FSIZE)": limited(resource.RLIMIT_FSIZE, lambda pid: 0),
-    "no descriptors (RLIMIT_NOFILE)": limited(resource.RLIMIT_NOFILE, _descriptors),
+    "no memory": limited(_memory),
+    "no file grows": limited(lambda pid: {resource.RLIMIT_FSIZE: 0}),
+    "no descriptors": limited(_descriptors),
 }
 SHARED: dict[str, Fault] = {
     "full disk": filled(lambda rig: Path(os.environ["HOME"])),
