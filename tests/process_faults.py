@@ -216,6 +216,8 @@ def _await_end(rig: Rig, trial: Trial, sent: Sent, pids: dict[str, int]) -> None
         trial.outcome = "succeeded"
     else:
         trial.outcome = kind_of(sent.words)
+        if trial.fault not in ENDS:
+            trial.notes.append(sent.words)
 
 
 def kind_of(words: str) -> str:
@@ -280,8 +282,9 @@ def stopped_joints(rig: Rig, frames: list[WireFrame]) -> set[str]:
 
 def _judge_processes(rig: Rig, trial: Trial, pids: dict[str, int]) -> None:
     """Nothing outlives what it belongs to; what was not hurt to death still lives."""
+    ended = trial.fault in ENDS and trial.target in ("launcher", "loop")
     gone = {target for target, pid in pids.items() if pid and not alive(pid)}
-    if trial.launched and {"launcher", "loop"} & gone:
+    if trial.launched and (ended or {"launcher", "loop"} & gone):
         for target in ("launcher", "loop", "front"):
             wait(lambda p=pids[target]: not alive(p), f"the end of the {target} after the {trial.target}'s", END_S)
         rig.note_dead_servers()
