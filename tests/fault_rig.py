@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
 from observer import STANDS_RAD_S
@@ -73,13 +74,9 @@ class Sent:
     accepted: threading.Event = field(default_factory=threading.Event)
     ended: threading.Event = field(default_factory=threading.Event)
     ended_ns: int = 0
-    code: int = 0
+    succeeded: bool = False
     words: str = ""
     handle: Any = None
-
-    @property
-    def succeeded(self) -> bool:
-        return self.ended.is_set() and self.code == FollowJointTrajectory.Result.SUCCESSFUL
 
 
 class User(Spinner):
@@ -106,13 +103,14 @@ class User(Spinner):
 
         def ended(future: Any) -> None:
             sent.ended_ns = time.monotonic_ns()
-            sent.code, sent.words = future.result().result.error_code, future.result().result.error_string
+            sent.succeeded = future.result().status == GoalStatus.STATUS_SUCCEEDED
+            sent.words = future.result().result.error_string
             sent.ended.set()
 
         def accepted(future: Any) -> None:
             sent.handle = future.result()
             if not sent.handle.accepted:
-                sent.ended_ns, sent.code, sent.words = time.monotonic_ns(), -1, "rejected"
+                sent.ended_ns, sent.words = time.monotonic_ns(), "rejected"
                 sent.ended.set()
             else:
                 sent.handle.get_result_async().add_done_callback(ended)
@@ -271,20 +269,24 @@ class Rig(Stack):
 
     def _await_service(self) -> list[str]:
         steps: list[str] = []
+        refused = ""
         wait(lambda: self.pid("front") != 0 and self.snapshot() is not None, "front and control process", READY_S)
         wait(self._is_served, "a living action server", READY_S)
-        for _ in range(5):
+        deadline_s = time.monotonic() + READY_S
+        while time.monotonic() < deadline_s:
             wait(lambda: self.mode() not in (Mode.BRINGING_UP, Mode.STOPPING, Mode.EXECUTING), "rest", READY_S)
             if self.mode() == Mode.FAULT:
                 refused = self.user.order("clear_fault")
-                steps.append("fault cleared" if not refused else f"fault not cleared: {refused}")
+                if refused:
+                    time.sleep(0.2)  # a person who is told that the arm still moves waits for a moment
+                steps += ["fault cleared"] if not refused else []
                 continue
             snapshot = self.snapshot()
             if snapshot is not None and self.mode() == Mode.HOLDING:
                 if all(snapshot["joints"]["referenced"][: len(self.arm.joints)]):
                     return steps
                 steps += [f"restarted, a joint had lost its reference; {left}" for left in self._restart()]
-        raise Hang(f"the arm did not come back into service: {steps}")
+        raise Hang(f"the arm did not come back into service: {steps}, last refused with {refused!r}")
 
     def _is_served(self) -> bool:
         return bool(self.user.servers() - set(self.dead_servers))

@@ -31,7 +31,7 @@ SAMPLE_EVERY_S = 5.0
 WARM_UP_S = 90.0
 """Of each process' life, which no slope is taken of: what is used for the first time stays in memory."""
 BLOCKS = 10
-BOUNDS_PER_HOUR = {"pss_mb": 6.0, "files": 4.0, "threads": 2.0}
+BOUNDS_PER_HOUR = {"own_mb": 6.0, "files": 4.0, "threads": 2.0}
 """What may grow: a slope is a leak when the lower end of its 95 % interval lies above."""
 SHM_BOUND_MB_PER_HOUR = 6.0
 STREAM_HZ, STREAM_S = 50.0, 2.0
@@ -67,18 +67,19 @@ class Soak:
 
     def __init__(self, rig: Any, record: Record) -> None:
         from control_msgs.msg import SpeedScalingFactor
+        from rclpy.qos import DurabilityPolicy, QoSProfile
         from trajectory_msgs.msg import JointTrajectory
 
         self.rig, self.record, self.random = rig, record, rig.random
         node = rig.user.node
-        self._scale = node.create_publisher(SpeedScalingFactor, f"/{rig.user.controller}/speed_scaling_input", 1)
+        lasting = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._scale = node.create_publisher(SpeedScalingFactor, f"/{rig.user.controller}/speed_scaling_input", lasting)
         self._stream = node.create_publisher(JointTrajectory, f"/{rig.user.controller}/joint_trajectory", 1)
         self._judged_ns = time.monotonic_ns()
         self._began_s = time.monotonic()
         self._before: dict[str, Any] = {}
         self._next_fault_s = self._began_s + BETWEEN_FAULTS_S
         self._next_kill_s = self._began_s + BETWEEN_FRONT_KILLS_S
-        self._loops = 0
 
     def run(self, seconds: float) -> None:
         """Soak; raises Hang."""
@@ -299,6 +300,7 @@ def held(pid: int) -> dict[str, float]:
         status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
         return {
             "pid": pid,
+            "own_mb": int(memory["Private_Dirty:"]) / 1024,  # what others share changes with them
             "pss_mb": int(memory["Pss:"]) / 1024,
             "rss_mb": int(memory["Rss:"]) / 1024,
             "files": len(os.listdir(f"/proc/{pid}/fd")),
@@ -381,7 +383,7 @@ def report(record: Record, minutes: float, seed: int, hangs: Sequence[str]) -> t
         "|---|---|---|---|---|---|",
         *rows,
         "",
-        "| minute | sim MB | loop MB | front MB | launcher MB | files s/l/f/la | threads s/l/f/la | /dev/shm MB | "
+        "| minute | sim MB (own / PSS) | loop MB | front MB | launcher MB | files s/l/f/la | threads s/l/f/la | /dev/shm MB | "
         "lateness p50 / p99 / max µs | cycles | missed |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
@@ -389,7 +391,9 @@ def report(record: Record, minutes: float, seed: int, hangs: Sequence[str]) -> t
         if not len(chunk):
             continue
         last = chunk[-1]
-        memory = [f"{last.of[t]['pss_mb']:.1f}" if last.of.get(t) else "–" for t in TARGETS]
+        memory = [
+            f"{last.of[t]['own_mb']:.1f} / {last.of[t]['pss_mb']:.0f}" if last.of.get(t) else "–" for t in TARGETS
+        ]
         counts = [
             "/".join(f"{last.of[t][unit]:.0f}" if last.of.get(t) else "–" for t in TARGETS)
             for unit in ("files", "threads")
