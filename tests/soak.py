@@ -383,21 +383,17 @@ def report(record: Record, minutes: float, seed: int, hangs: Sequence[str]) -> t
         "|---|---|---|---|---|---|",
         *rows,
         "",
-        "| minute | sim MB (own / PSS) | loop MB | front MB | launcher MB | files s/l/f/la | threads s/l/f/la | /dev/shm MB | "
-        "lateness p50 / p99 / max µs | cycles | missed |",
+        "| minute | sim MB (own / PSS) | loop MB | front MB | launcher MB | files s/l/f/la | threads s/l/f/la | "
+        "/dev/shm MB | lateness p50 / p99 / max µs | cycles | missed |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for chunk in np.array_split(np.array(record.samples, dtype=object), min(20, max(1, len(record.samples)))):
         if not len(chunk):
             continue
         last = chunk[-1]
-        memory = [
-            f"{last.of[t]['own_mb']:.1f} / {last.of[t]['pss_mb']:.0f}" if last.of.get(t) else "–" for t in TARGETS
-        ]
-        counts = [
-            "/".join(f"{last.of[t][unit]:.0f}" if last.of.get(t) else "–" for t in TARGETS)
-            for unit in ("files", "threads")
-        ]
+        held_now = [last.of.get(target) for target in TARGETS]
+        memory = [f"{now['own_mb']:.1f} / {now['pss_mb']:.0f}" if now else "–" for now in held_now]
+        counts = ["/".join(f"{now[unit]:.0f}" if now else "–" for now in held_now) for unit in ("files", "threads")]
         late = " / ".join(
             f"{value:.0f}"
             for value in (
