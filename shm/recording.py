@@ -41,6 +41,9 @@ class Recording:
         frames: one a CAN frame, in their order, dtype layout.BUS_FRAME.
         events: of dtype layout.EVENT, oldest first.
         limits: what the configuration allowed, dtype layout.LIMITS, no dimensions.
+        scheduling: what the control process was given, dtype layout.SCHEDULING, no dimensions.
+        lateness: histogram since the start of the control process, dtype layout.HISTOGRAM, no dimensions.
+        cycle_time: the same of its computing time.
         lost: records that could not be read because they were just being written.
     """
 
@@ -54,6 +57,7 @@ class Recording:
     frames: np.ndarray
     events: np.ndarray
     limits: np.ndarray
+    scheduling: np.ndarray
     lateness: np.ndarray
     cycle_time: np.ndarray
     lost: int = 0
@@ -101,6 +105,7 @@ def read_recording(memory: MemoryFile) -> Recording:
         frames=frames,
         events=newest_events(record, layout.EVENT_SLOTS),
         limits=np.array(record["limits"]),
+        scheduling=np.array(record["scheduling"]),
         lateness=np.array(record["lateness"]),
         cycle_time=np.array(record["cycle_time"]),
         lost=records_lost + frames_lost,

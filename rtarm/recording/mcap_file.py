@@ -1,0 +1,506 @@
+"""A recording as an MCAP file: JSON messages with their schemas, which Foxglove plots, and back again.
+
+Channels: `/rtarm/state` and `/rtarm/joints/<joint>` in every cycle, `/rtarm/events` with their sentences (as a log),
+`/rtarm/frames` of the bus. Times are those of ROS; what the motion is timed by stands in `monotonic_ns`. What else is known
+of the arm leads the file as metadata, so that one that was cut off can still be told.
+"""
+
+from __future__ import annotations
+
+import errno
+import heapq
+import json
+import math
+import os
+import struct
+import time
+from collections.abc import Callable, Iterator, Sequence
+from enum import IntEnum
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+
+from rtarm.errors import Refusal
+from rtarm.status import key
+from rtarm.top.events import BAD, ODD, happening
+from shm import layout
+from shm.recording import (
+    EXTENDED,
+    IDENTIFIER_MASK,
+    LENGTH_MASK,
+    LENGTH_SHIFT,
+    SENT,
+    Recording,
+    record_dtype,
+)
+from shm.words import Fault, Mode, Outcome, Phase, Slowed, Unreferenced
+
+FORMAT = "1"
+METADATA, LIMITS, TIMING = "rtarm", "rtarm.limits", "rtarm.timing"
+STATE, JOINTS, EVENTS, FRAMES = "/rtarm/state", "/rtarm/joints/", "/rtarm/events", "/rtarm/frames"
+CHUNK_BYTES = 256 << 10
+"""So much is lost at most around a spoilt byte."""
+
+BATCH = 1000
+
+_NAMED: dict[str, type[IntEnum]] = {
+    "mode": Mode,
+    "fault": Fault,
+    "goal_phase": Phase,
+    "ending": Outcome,
+    "unreferenced_reason": Unreferenced,
+}
+"""Numbers that stand in the file by name."""
+_SUMS = ("crc", "decisions_crc")
+_CYCLE_WORDS = [name for name in layout.RECORD.names or () if name not in (*_SUMS, "joints")]
+_JOINT_WORDS = list(layout.JOINT.names or ())
+_EVENT_WORDS = list(layout.EVENT.names or ())
+_LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
+"""Levels of foxglove.Log."""
+
+
+class Reason(NamedTuple):
+    """Why a recording was written: a word, and a sentence."""
+
+    word: str
+    sentence: str
+
+
+class Loaded(NamedTuple):
+    """A recording out of a file, why it was written, and what is wrong with the file ("" if nothing)."""
+
+    recording: Recording
+    reason: Reason
+    damage: str
+
+
+class NotWritten(Refusal):
+    """A recording could not be written."""
+
+
+# --- writing ----------------------------------------------------------------------------------------------
+
+
+def write(recording: Recording, reason: Reason, path: Path) -> None:
+    """Write a file, whole or not at all.
+
+    Raises:
+        NotWritten: with the sentence for people.
+    """
+    if len(recording.records) == 0:
+        raise NotWritten(f"The control process of {recording.arm} has not run a cycle, so there is nothing to record.")
+    aside = path.with_name(f".{path.name}.{os.getpid()}.new")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with aside.open("wb") as file:
+                _write(recording, reason, file)
+            aside.replace(path)
+        finally:
+            aside.unlink(missing_ok=True)
+    except OSError as problem:
+        full = problem.errno in (errno.ENOSPC, errno.EDQUOT)
+        remedy = "free some space there" if full else "give a file in a folder that you may write to"
+        raise NotWritten(f"The recording {path} cannot be written ({problem.strerror}): {remedy}.") from problem
+
+
+def _write(recording: Recording, reason: Reason, file: IO[bytes]) -> None:
+    from mcap.writer import CompressionType, Writer
+
+    writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+    writer.start(profile="", library=f"rtarm {_version()}")
+    for name, values in _metadata(recording, reason).items():
+        writer.add_metadata(name, values)
+    channels = {}
+    for name, schema_name, schema in _schemas(recording.joints):
+        schema_id = writer.register_schema(schema_name, "jsonschema", json.dumps(schema).encode())
+        channels[name] = writer.register_channel(name, "json", schema_id)
+    for message in heapq.merge(*_messages(recording), key=lambda one: one[0]):
+        monotonic_ns, epoch_ns, name, content = message
+        data = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+        writer.add_message(channels[name], log_time=epoch_ns, publish_time=epoch_ns, data=data)
+    writer.finish()
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("rtarm")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+def _metadata(recording: Recording, reason: Reason) -> dict[str, dict[str, str]]:
+    about = {
+        "format": FORMAT,
+        "version": _version(),
+        "arm": recording.arm,
+        "joints": list(recording.joints),
+        "rate_hz": 1e9 / recording.period_ns,
+        "period_ns": recording.period_ns,
+        "bitrate": recording.bitrate,
+        "arm_hash": f"{recording.arm_hash:016x}",
+        "pid": recording.pid,
+        "lost": recording.lost,
+        "written_epoch_ns": time.time_ns(),
+        "reason": reason.word,
+        "sentence": reason.sentence,
+        "scheduling": _as_dict(recording.scheduling, skipped=("padding",)),
+    }
+    limits = _as_dict(recording.limits, skipped=("padding", "joints"))
+    rows = {
+        name: _as_dict(recording.limits["joints"][index], skipped=("reserved",))
+        for index, name in enumerate(recording.joints)
+    }
+    timing = {name: _histogram(getattr(recording, name)) for name in ("lateness", "cycle_time")}
+    return {METADATA: _texts(about), LIMITS: _texts({**limits, "joints": rows}), TIMING: _texts(timing)}
+
+
+def _texts(values: dict[str, Any]) -> dict[str, str]:
+    return {name: value if isinstance(value, str) else json.dumps(value) for name, value in values.items()}
+
+
+def _as_dict(record: Any, skipped: Sequence[str]) -> dict[str, Any]:
+    return {name: _plain(record[name].item()) for name in record.dtype.names if name not in skipped}
+
+
+def _histogram(record: np.ndarray) -> dict[str, Any]:
+    buckets = np.asarray(record["buckets"])
+    filled = {str(index): int(buckets[index]) for index in np.flatnonzero(buckets)}
+    return {**{name: int(record[name]) for name in ("max_ns", "count", "sum_ns")}, "buckets": filled}
+
+
+def _plain(value: Any) -> Any:
+    """A number as JSON has it: what is not finite is null."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Name of each channel, name of its schema, and the schema."""
+    units = {word.name: word for table in ("flight recorder's record of a cycle", "joint") for word in layout.TABLES[table]}
+
+    def schema(title: str, dtype: np.dtype, names: Sequence[str], more: dict[str, Any]) -> dict[str, Any]:
+        properties = {
+            name: {
+                "type": "string" if name in _NAMED else "integer" if dtype[name].kind == "i" else ["number", "null"],
+                "description": " ".join(filter(None, (units[name].meaning, f"({units[name].unit})" * bool(units[name].unit)))),
+            }
+            for name in names
+        }
+        return {"title": title, "type": "object", "properties": {**properties, **more}}
+
+    slowed = {"slowed": {"type": "array", "items": {"type": "string"}, "description": units["slowed"].meaning}}
+    yield STATE, "rtarm.State", schema("rtarm.State", layout.RECORD, _CYCLE_WORDS, slowed)
+    derived = {
+        "error_rad": {"type": ["number", "null"], "description": "measured less commanded, of the same instant (rad)"},
+        "age_s": {"type": ["number", "null"], "description": "age of the reading in this cycle (s)"},
+    }
+    for name in joints:
+        yield JOINTS + name, "rtarm.Joint", schema("rtarm.Joint", layout.JOINT, _JOINT_WORDS, derived)
+    text, integer, number = {"type": "string"}, {"type": "integer"}, {"type": ["number", "null"]}
+    stamp = {"type": "object", "title": "time", "properties": {"sec": integer, "nsec": integer}}
+    log = {"timestamp": stamp, "level": integer, "message": text, "name": text, "file": text, "line": integer}
+    own = {"monotonic_ns": integer, "kind": integer, "joint": integer, "code": integer, "value": number, "limit": number}
+    yield EVENTS, "foxglove.Log", {"title": "foxglove.Log", "type": "object", "properties": {**log, **own}}
+    frame = {
+        "monotonic_ns": integer,
+        "sent": {"type": "boolean", "description": "whether the control process sent it; it came otherwise"},
+        "joint": {"type": ["string", "null"], "description": "whose drive has its address"},
+        "id": integer,
+        "extended": {"type": "boolean"},
+        "data": {"type": "string", "description": "bytes in hexadecimal"},
+    }
+    yield FRAMES, "rtarm.Frame", {"title": "rtarm.Frame", "type": "object", "properties": frame}
+
+
+_Message = tuple[int, int, str, dict[str, Any]]
+"""CLOCK_MONOTONIC, ROS time, channel, content."""
+
+
+def _messages(recording: Recording) -> tuple[Iterator[_Message], ...]:
+    return _cycles(recording), _events(recording), _frames(recording)
+
+
+def _columns(records: np.ndarray, names: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Records as dictionaries of plain numbers and names."""
+    columns: list[list[Any]] = []
+    for name in names:
+        values = records[name].tolist()
+        kind = _NAMED.get(name)
+        if kind is not None:
+            known = {value: key(kind, value) for value in set(values)}
+            values = [known[value] for value in values]
+        elif records.dtype[name].kind == "f":
+            values = [_plain(value) for value in values]
+        columns.append(values)
+    for row in zip(*columns, strict=True):
+        yield dict(zip(names, row, strict=True))
+
+
+def _cycles(recording: Recording) -> Iterator[_Message]:
+    """The cycles, a batch at a time: as Python's numbers all of them would take a gigabyte for a large, quick arm."""
+    for start in range(0, len(recording.records), BATCH):
+        yield from _batch(recording, recording.records[start : start + BATCH])
+
+
+def _batch(recording: Recording, records: np.ndarray) -> Iterator[_Message]:
+    joints = records["joints"]
+    errors = (joints["measured_position_rad"] - joints["reference_position_rad"]).tolist()
+    ages = np.where(joints["measured_ns"] > 0, (records["monotonic_ns"][:, None] - joints["measured_ns"]) * 1e-9, np.nan)
+    rows = [_columns(joints[:, index], _JOINT_WORDS) for index in range(len(recording.joints))]
+    for number, state in enumerate(_columns(records, _CYCLE_WORDS)):
+        at = state["monotonic_ns"], max(state["epoch_ns"], 0)
+        bits = state["slowed"]
+        state["slowed"] = [reason.name.lower() for reason in Slowed if reason.name and bits & reason]
+        yield *at, STATE, state
+        for index, name in enumerate(recording.joints):
+            joint = next(rows[index])
+            joint["error_rad"] = _plain(errors[number][index])
+            joint["age_s"] = _plain(float(ages[number, index]))
+            yield *at, JOINTS + name, joint
+
+
+def to_epoch(recording: Recording) -> Callable[[int], int]:
+    """Makes ROS time of CLOCK_MONOTONIC, as the clocks stood in the cycle before."""
+    instants = recording.records["monotonic_ns"]
+    offsets = recording.records["epoch_ns"] - instants
+
+    def convert(monotonic_ns: int) -> int:
+        at = max(int(np.searchsorted(instants, monotonic_ns, side="right")) - 1, 0)
+        return max(monotonic_ns + int(offsets[at]), 0)
+
+    return convert
+
+
+def _events(recording: Recording) -> Iterator[_Message]:
+    epoch = to_epoch(recording)
+    for event in recording.events:
+        told = happening(event, recording.joints)
+        epoch_ns = epoch(told.monotonic_ns)
+        level = {BAD: _LEVEL_ERROR, ODD: _LEVEL_WARNING}.get(told.style, _LEVEL_INFO)
+        content = {
+            "timestamp": {"sec": epoch_ns // 1_000_000_000, "nsec": epoch_ns % 1_000_000_000},
+            "level": level,
+            "message": told.sentence,
+            "name": recording.arm,
+            "file": "",
+            "line": 0,
+            **{name: _plain(event[name].item()) for name in _EVENT_WORDS},
+        }
+        yield told.monotonic_ns, epoch_ns, EVENTS, content
+
+
+def _frames(recording: Recording) -> Iterator[_Message]:
+    epoch = to_epoch(recording)
+    addresses = recording.limits["joints"]["drive_address"][: len(recording.joints)].tolist()
+    by_address = {address: name for address, name in zip(addresses, recording.joints, strict=True) if address}
+    order = np.argsort(recording.frames["monotonic_ns"], kind="stable")  # what was sent has its cycle's planned time
+    for frame in recording.frames[order].tolist():
+        _, monotonic_ns, head, data = frame
+        identifier = head & IDENTIFIER_MASK
+        length = min(head >> LENGTH_SHIFT & LENGTH_MASK, 8)
+        content = {
+            "monotonic_ns": monotonic_ns,
+            "sent": bool(head & SENT),
+            "joint": by_address.get(identifier >> 8) if head & EXTENDED else None,
+            "id": identifier,
+            "extended": bool(head & EXTENDED),
+            "data": struct.pack("<q", data)[:length].hex(),
+        }
+        yield monotonic_ns, epoch(monotonic_ns), FRAMES, content
+
+
+# --- reading ----------------------------------------------------------------------------------------------
+
+
+def read(path: Path) -> Loaded:
+    """Read a file; of one that is damaged, what can be read.
+
+    Raises:
+        Refusal: it cannot be opened, or is no recording of ours.
+    """
+    try:
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            if not path.is_file():
+                raise Refusal(f"{path} is no file that holds a recording: give one that ends in .mcap.")
+            metadata, messages, damage = _read_records(file, size, path)
+    except FileNotFoundError:
+        raise Refusal(f"{path} is not there: `rtarm explain` without a file takes the newest recording.") from None
+    except IsADirectoryError:
+        raise Refusal(f"{path} is a folder: give one of the .mcap files in it.") from None
+    except OSError as problem:
+        raise Refusal(f"{path} cannot be read ({problem.strerror}): give a file that you may read.") from problem
+    if METADATA not in metadata or LIMITS not in metadata:
+        if damage:
+            raise Refusal(f"{path} is damaged so early that nothing of it can be told ({damage}).")
+        raise Refusal(f"{path} is an MCAP file, but no recording of rtarm's: give one that `rtarm record` has written.")
+    if metadata[METADATA].get("format") != FORMAT:
+        raise Refusal(
+            f"{path} has format {metadata[METADATA].get('format', 'unknown')}, this rtarm reads format {FORMAT}: use the "
+            "version that wrote it."
+        )
+    try:
+        recording, reason = _made(metadata, messages)
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError, IndexError) as problem:
+        raise Refusal(
+            f"{path} says it is a recording of rtarm's, but its content is not ({problem!r}): another program wrote or "
+            "changed it."
+        ) from problem
+    if len(recording.records) == 0:
+        raise Refusal(f"{path} holds no cycle that can be read{f' ({damage})' if damage else ''}: nothing can be told.")
+    return Loaded(recording, reason, damage)
+
+
+def _read_records(
+    file: IO[bytes], size: int, path: Path
+) -> tuple[dict[str, dict[str, str]], dict[str, list[dict[str, Any]]], str]:
+    """Metadata, the messages of every channel, and what is damaged."""
+    from mcap.exceptions import InvalidMagic
+    from mcap.records import Channel, Chunk, Footer, Message, Metadata
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
+    metadata: dict[str, dict[str, str]] = {}
+    messages: dict[str, list[dict[str, Any]]] = {}
+    topics: dict[int, str] = {}
+    spoilt = 0
+    ended = False
+
+    def take(record: Any) -> None:
+        if isinstance(record, Metadata):
+            metadata[record.name] = record.metadata
+        elif isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message) and record.channel_id in topics:
+            messages.setdefault(topics[record.channel_id], []).append(json.loads(record.data))
+
+    try:
+        for record in StreamReader(file, emit_chunks=True, record_size_limit=max(size, 1)).records:
+            ended = ended or isinstance(record, Footer)
+            if not isinstance(record, Chunk):
+                take(record)
+                continue
+            try:
+                for inner in breakup_chunk(record, validate_crc=True):
+                    take(inner)
+            except Exception:  # whatever decompression and parsers make of spoilt bytes; the next chunk may be whole
+                spoilt += 1
+    except InvalidMagic:
+        raise Refusal(f"{path} is no MCAP file: give one that `rtarm record` has written.") from None
+    except OSError:
+        raise
+    except Exception:  # the same, between the chunks: from here on nothing can be found any more
+        pass
+    damage = []
+    if spoilt:
+        damage.append(f"{spoilt} of its parts {'is' if spoilt == 1 else 'are'} spoilt and left out")
+    if not ended:
+        damage.append("it ends too early, as if it had been cut off")
+    return metadata, messages, "; ".join(damage)
+
+
+def _made(metadata: dict[str, dict[str, str]], messages: dict[str, list[dict[str, Any]]]) -> tuple[Recording, Reason]:
+    about, limits, timing = metadata[METADATA], metadata[LIMITS], metadata.get(TIMING, {})
+    joints = tuple(str(name) for name in json.loads(about["joints"]))
+    if not 0 < len(joints) <= layout.MAX_JOINTS:
+        raise ValueError(f"{len(joints)} joints")
+    period_ns = int(about["period_ns"])
+    if period_ns <= 0:
+        raise ValueError(f"a period of {period_ns} ns")
+    recording = Recording(
+        arm=about["arm"],
+        joints=joints,
+        arm_hash=int(about["arm_hash"], 16),
+        pid=int(about["pid"]),
+        period_ns=period_ns,
+        bitrate=int(about["bitrate"]),
+        records=_records(messages, joints),
+        frames=_frames_of(messages.get(FRAMES, [])),
+        events=_filled(layout.EVENT, _EVENT_WORDS, messages.get(EVENTS, [])),
+        limits=_limits_of(limits, joints),
+        scheduling=_filled_one(layout.SCHEDULING, json.loads(about["scheduling"])),
+        lateness=_histogram_of(json.loads(timing.get("lateness", "{}"))),
+        cycle_time=_histogram_of(json.loads(timing.get("cycle_time", "{}"))),
+        lost=int(about["lost"]),
+    )
+    return recording, Reason(about["reason"], about["sentence"])
+
+
+def _records(messages: dict[str, list[dict[str, Any]]], joints: Sequence[str]) -> np.ndarray:
+    """The cycles of which everything is there."""
+    states = messages.get(STATE, [])
+    for state in states:
+        state["slowed"] = sum(Slowed[name.upper()] for name in state["slowed"])
+    rows = [messages.get(JOINTS + name, []) for name in joints]
+    count = min(len(states), *(len(row) for row in rows))
+    dtype = record_dtype(len(joints))
+    records = np.zeros(count, dtype)
+    _fill(records, _CYCLE_WORDS, states[:count])
+    for index, row in enumerate(rows):
+        _fill(records["joints"][:, index], _JOINT_WORDS, row[:count])
+    if np.any(np.diff(records["monotonic_ns"]) < 0):
+        raise ValueError("cycles that are not in their order")
+    return records
+
+
+def _filled(dtype: np.dtype, names: Sequence[str], rows: list[dict[str, Any]]) -> np.ndarray:
+    made = np.zeros(len(rows), dtype)
+    _fill(made, names, rows)
+    return made
+
+
+def _fill(records: np.ndarray, names: Sequence[str], rows: list[dict[str, Any]]) -> None:
+    for name in names:
+        values = [row[name] for row in rows]
+        kind = _NAMED.get(name)
+        if kind is not None and records.dtype[name].kind == "i":
+            values = [_number_of(kind, value) if isinstance(value, str) else value for value in values]
+        elif records.dtype[name].kind == "f":
+            values = [math.nan if value is None else value for value in values]
+        records[name] = values
+
+
+def _number_of(kind: type[IntEnum], name: str) -> int:
+    """The number that `rtarm.status.key` gave a name."""
+    number = name.removeprefix("unknown_")
+    return int(number) if number != name else int(kind[name.upper()])
+
+
+def _filled_one(dtype: np.dtype, values: dict[str, Any]) -> np.ndarray:
+    made = np.zeros((), dtype)
+    for name, value in values.items():
+        made[name] = math.nan if value is None else value
+    return made
+
+
+def _limits_of(texts: dict[str, str], joints: Sequence[str]) -> np.ndarray:
+    values = {name: json.loads(text) for name, text in texts.items()}
+    rows = values.pop("joints")
+    made = _filled_one(layout.LIMITS, values)
+    for index, name in enumerate(joints):
+        for word, value in rows[name].items():
+            made["joints"][word][index] = math.nan if value is None else value
+    return made
+
+
+def _histogram_of(values: dict[str, Any]) -> np.ndarray:
+    buckets = values.pop("buckets", {})
+    made = _filled_one(layout.HISTOGRAM, values)
+    for index, count in buckets.items():
+        made["buckets"][int(index)] = count
+    return made
+
+
+def _frames_of(rows: list[dict[str, Any]]) -> np.ndarray:
+    made = np.zeros(len(rows), layout.BUS_FRAME)
+    for frame, row in zip(made, rows, strict=True):
+        data = bytes.fromhex(row["data"])
+        if len(data) > 8:
+            raise ValueError(f"a frame of {len(data)} bytes")
+        marks = (SENT if row["sent"] else 0) | (EXTENDED if row["extended"] else 0)
+        frame["monotonic_ns"] = row["monotonic_ns"]
+        frame["head"] = row["id"] | len(data) << LENGTH_SHIFT | marks
+        frame["data"] = int.from_bytes(data.ljust(8, b"\0"), "little", signed=True)
+    return made

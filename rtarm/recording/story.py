@@ -1,0 +1,371 @@
+"""What a recording tells: what happened, in its order, what came first, which limit it broke, and what the arm did then."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from rtarm.recording.mcap_file import Reason
+from rtarm.top.events import BAD, ODD, PLAIN, happening
+from shm.recording import Recording
+from shm.sentences import FAULTS, fault_sentence, joint_name
+from shm.words import DriveStatus, Event, Fault, Phase, Slowed
+
+LATE_PERIODS = 2.5
+"""A reading older than this was not followed by the next one: at least one answer is missing."""
+SIGN_SHARE = 0.5
+"""A share of a limit that is worth telling before the limit is reached."""
+BURST_S = 0.5
+"""Errors of one kind that follow each other within this are told in one line."""
+WARNED_S = 5.0
+"""Signs that far before a fault are taken for its beginning."""
+STANDS_RAD_S = 0.002
+"""A measured joint slower than this stands: one encoder count in a cycle is less on every known drive."""
+
+COUNTED = {
+    "wire_errors": "{n} garbled {lines} from the adapter, or refusals of it",
+    "bytes_unsent": "{n} {bytes} that the adapter did not take in their cycle",
+    "receive_overflows": "{n} {bytes} lost because the cycle did not take them in time",
+    "drive_errors": "{n} {commands} that a drive refused or did not understand",
+}
+"""Counters whose every rise is told."""
+
+SLOWED = {
+    Slowed.HELD: ("A person paused the goal: the arm stops on its path and keeps it.", PLAIN),
+    Slowed.STARVING: ("The rest of the trajectory has not come from the ROS process: the arm brakes on what it has.", ODD),
+    Slowed.MAKING_WAY: ("A newer goal waits, and the arm stops on its path to make way for it.", PLAIN),
+    Slowed.CLOSING: ("The control process was asked to end: the arm stops on its path.", PLAIN),
+    Slowed.OWN_BRAKE: ("Each joint brakes by itself, since the path cannot be trusted.", ODD),
+}
+
+STATUS = {
+    DriveStatus.STALLED: "that its shaft is held",
+    DriveStatus.PROTECTED: "that its stall protection has tripped",
+    DriveStatus.POWER_LOST: "that it has lost power",
+}
+
+
+class Line(NamedTuple):
+    """Something that happened, its style, and whether it is a sign that something is wrong."""
+
+    monotonic_ns: int
+    sentence: str
+    style: str = PLAIN
+    sign: bool = False
+    joint: int = -1
+
+
+@dataclass(frozen=True)
+class Story:
+    """A recording, told.
+
+    Attributes:
+        zero_ns: the instant that times are told from (CLOCK_MONOTONIC): the fault's, else the last cycle.
+        fault: shm.words.Fault that it is about, 0 if about none.
+        joint: index of the joint that it is about, -1 if none is to blame.
+        first: what came first of what led there, if anything did.
+        verdict: sentences about the whole.
+    """
+
+    heading: str
+    zero_ns: int
+    fault: int
+    joint: int
+    lines: Sequence[Line]
+    first: Line | None
+    verdict: Sequence[str]
+
+
+def tell(recording: Recording, reason: Reason) -> Story:
+    """The story of a recording; a function of it alone."""
+    records = recording.records
+    at = _latched(records)
+    zero_ns = int(records["fault_ns"][at]) if at is not None else int(records["monotonic_ns"][-1])
+    lines = sorted(_lines(recording), key=lambda line: line.monotonic_ns)
+    if reason.word == "death":
+        died = Line(int(records["monotonic_ns"][-1]), "The last cycle of the control process.", BAD, sign=True)
+        lines.append(died)
+    first = None
+    if at is not None or reason.word == "death":
+        earliest_ns = zero_ns - round(WARNED_S * 1e9)
+        first = next((line for line in lines if line.sign and earliest_ns <= line.monotonic_ns <= zero_ns), None)
+    fault = int(records["fault"][at]) if at is not None else 0
+    joint = int(records["fault_joint"][at]) if at is not None else -1
+    if at is not None and not any(line.monotonic_ns == zero_ns and line.style == BAD for line in lines):
+        lines.append(Line(zero_ns, _fault_words(recording, at), BAD, sign=True, joint=joint))
+        lines.sort(key=lambda line: line.monotonic_ns)
+    return Story(
+        heading=_heading(recording, zero_ns),
+        zero_ns=zero_ns,
+        fault=fault,
+        joint=joint,
+        lines=lines,
+        first=first,
+        verdict=list(_verdict(recording, reason, at, first)),
+    )
+
+
+def _latched(records: np.ndarray) -> int | None:
+    """The cycle in which the newest fault was latched; None if there is none, or only one from before the recording."""
+    faulted = records["fault"] != Fault.NONE
+    fresh = faulted & (records["fault_ns"] >= records["monotonic_ns"][0])
+    if not fresh.any():
+        return None
+    newest_ns = records["fault_ns"][fresh].max()
+    return int(np.flatnonzero(fresh & (records["fault_ns"] == newest_ns))[0])
+
+
+def _fault_words(recording: Recording, at: int) -> str:
+    record = recording.records[at]
+    joint = joint_name(int(record["fault_joint"]), recording.joints)
+    return fault_sentence(int(record["fault"]), joint, float(record["fault_value"]), float(record["fault_limit"]))
+
+
+def _heading(recording: Recording, zero_ns: int) -> str:
+    records = recording.records
+    at = int(np.clip(np.searchsorted(records["monotonic_ns"], zero_ns, side="right") - 1, 0, None))
+    epoch_ns = zero_ns + int(records["epoch_ns"][at] - records["monotonic_ns"][at])
+    moment = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(epoch_ns // 1_000_000_000))
+    length_s = float(records["monotonic_ns"][-1] - records["monotonic_ns"][0]) * 1e-9
+    rate = f"{1e9 / recording.period_ns:g} Hz"
+    return f"{recording.arm}, {length_s:.1f} s at {rate}; times from {moment}.{epoch_ns // 1_000_000 % 1000:03d}"
+
+
+# --- what happened ----------------------------------------------------------------------------------------
+
+
+def _lines(recording: Recording) -> Iterator[Line]:
+    yield from _from_events(recording)
+    yield from _goals(recording)
+    yield from _silences(recording)
+    yield from _slow(recording)
+    yield from _counted(recording)
+    yield from _missed(recording)
+    yield from _front(recording)
+    yield from _errors(recording)
+    yield from _drives(recording)
+    yield from _standing(recording)
+
+
+def _from_events(recording: Recording) -> Iterator[Line]:
+    start_ns = int(recording.records["monotonic_ns"][0])
+    bad = (Event.FAULT, Event.OVERRUN, Event.REFERENCE)
+    for event in recording.events:
+        told = happening(event, recording.joints)
+        if told.monotonic_ns >= start_ns:
+            yield Line(told.monotonic_ns, told.sentence, told.style, int(event["kind"]) in bad, int(event["joint"]))
+
+
+def _onsets(happens: np.ndarray) -> list[int]:
+    """Where a condition begins to hold; not where it held from the start."""
+    return (np.flatnonzero(happens[1:] & ~happens[:-1]) + 1).tolist()
+
+
+def _goals(recording: Recording) -> Iterator[Line]:
+    """When a goal began to move the arm."""
+    records = recording.records
+    moves = records["goal_id"] * (records["goal_phase"] == Phase.RUNNING)
+    for at in np.flatnonzero((np.diff(moves) != 0) & (moves[1:] != 0)) + 1:
+        if moves[at] in records["goal_id"][:at]:
+            continue
+        known = records["trajectory_end_ns"][records["goal_id"] == moves[at]]
+        length = f", {known.max() * 1e-9:.2f} s long" if known.max() >= 0 else ""
+        yield Line(int(records["monotonic_ns"][at]), f"Goal {moves[at]} moves the arm{length}.")
+
+
+def _silences(recording: Recording) -> Iterator[Line]:
+    """When a drive answered for the last time before answers were missing."""
+    records = recording.records
+    for joint, name in enumerate(recording.joints):
+        read_ns = records["joints"]["measured_ns"][:, joint]
+        ages_ns = records["monotonic_ns"] - read_ns
+        late = (read_ns > 0) & (ages_ns > LATE_PERIODS * recording.period_ns)
+        away = np.diff(records["monotonic_ns"], prepend=records["monotonic_ns"][0]) > 1.5 * recording.period_ns
+        for at in _onsets(late):
+            if away[at]:
+                continue  # the cycle was away, not the drive
+            last_ns = int(read_ns[at])
+            again = np.flatnonzero(~late[at:])
+            if len(again):
+                silence_s = (int(read_ns[at + again[0]]) - last_ns) * 1e-9
+                lasted = f"for {silence_s * 1e3:.0f} ms after this"
+            else:
+                lasted = "from here on"
+            yield Line(last_ns, f"{name} gives no readings {lasted}.", ODD, sign=True, joint=joint)
+
+
+def _slow(recording: Recording) -> Iterator[Line]:
+    """Why the arm slowed down."""
+    records = recording.records
+    for why, (sentence, style) in SLOWED.items():
+        for at in _onsets(records["slowed"] & why != 0):
+            sign = why == Slowed.STARVING
+            yield Line(int(records["monotonic_ns"][at]), sentence, style, sign)
+    for at in _onsets(records["slowed"] & Slowed.LATE_DRIVE != 0):
+        ages_ns = records["monotonic_ns"][at] - records["joints"]["measured_ns"][at]
+        joint = int(np.argmax(ages_ns))
+        allowed_ms = float(recording.limits["stale_brake_ns"]) * 1e-6
+        sentence = (
+            f"{recording.joints[joint]} is late: its reading is {ages_ns[joint] * 1e-6:.0f} ms old, and from "
+            f"{allowed_ms:.0f} ms on the arm brakes on its path."
+        )
+        yield Line(int(records["monotonic_ns"][at]), sentence, ODD, sign=True, joint=joint)
+
+
+def _counted(recording: Recording) -> Iterator[Line]:
+    """Errors on wire and bus, those of a kind that follow each other in one line."""
+    records = recording.records
+    times = records["monotonic_ns"]
+    for name, sentence in COUNTED.items():
+        rises = np.diff(records[name])
+        burst: list[int] = []
+        for at in [*(np.flatnonzero(rises > 0) + 1).tolist(), None]:
+            if burst and (at is None or times[at] - times[burst[-1]] > BURST_S * 1e9):
+                count = int(rises[np.array(burst) - 1].sum())
+                many = "" if count == 1 else "s"
+                words = sentence.format(n=count, lines=f"line{many}", bytes=f"byte{many}", commands=f"command{many}")
+                lasted_s = float(times[burst[-1]] - times[burst[0]]) * 1e-9
+                within = f" within {lasted_s:.2f} s" if len(burst) > 1 else ""
+                yield Line(int(times[burst[0]]), f"{words}{within}.", ODD, sign=True)
+                burst = []
+            if at is not None:
+                burst.append(at)
+
+
+def _missed(recording: Recording) -> Iterator[Line]:
+    """When the cycle was away."""
+    records = recording.records
+    gaps_ns = np.diff(records["monotonic_ns"])
+    for at in (np.flatnonzero(gaps_ns > 1.5 * recording.period_ns) + 1).tolist():
+        missed = round(float(gaps_ns[at - 1]) / recording.period_ns) - 1
+        what = "1 control cycle was" if missed == 1 else f"{missed} control cycles were"
+        woke = f" (woken {records['lateness_ns'][at] * 1e-6:.1f} ms late)" if records["lateness_ns"][at] else ""
+        yield Line(int(records["monotonic_ns"][at - 1]), f"{what} missed after this{woke}.", ODD, sign=True)
+
+
+def _front(recording: Recording) -> Iterator[Line]:
+    """When the ROS process fell silent."""
+    records = recording.records
+    ages_ns = records["monotonic_ns"] - records["heartbeat_ns"]
+    silent = (records["heartbeat_ns"] > 0) & (ages_ns > SIGN_SHARE * float(recording.limits["front_timeout_ns"]))
+    for at in _onsets(silent):
+        again = np.flatnonzero(~silent[at:])
+        lasted = (
+            f"for {float(ages_ns[at + again[0] - 1]) * 1e-9:.2f} s after this" if len(again) else "from here on"
+        )
+        sentence = f"The ROS process gives no sign of life {lasted}."
+        yield Line(int(records["heartbeat_ns"][at]), sentence, ODD, sign=True)
+
+
+def _errors(recording: Recording) -> Iterator[Line]:
+    """When a joint had fallen behind its setpoint by half of what is allowed."""
+    records, allowed = recording.records, float(recording.limits["following_error_rad"])
+    joints = records["joints"]
+    errors = np.abs(joints["measured_position_rad"] - joints["reference_position_rad"])
+    for joint, name in enumerate(recording.joints):
+        for at in _onsets(errors[:, joint] > SIGN_SHARE * allowed):
+            sentence = (
+                f"{name} is {errors[at, joint]:.4f} rad from where it is commanded, half of the {allowed:.4f} rad "
+                "that are allowed."
+            )
+            yield Line(int(records["monotonic_ns"][at]), sentence, ODD, sign=True, joint=joint)
+
+
+def _drives(recording: Recording) -> Iterator[Line]:
+    """What drives reported of themselves."""
+    records = recording.records
+    for joint, name in enumerate(recording.joints):
+        status = records["joints"]["drive_status"][:, joint]
+        for bit, what in STATUS.items():
+            for at in _onsets(status & bit != 0):
+                sentence = f"The drive of {name} reports {what}."
+                yield Line(int(records["monotonic_ns"][at]), sentence, ODD, sign=True, joint=joint)
+        enabled = status & DriveStatus.ENABLED != 0
+        answered = status & DriveStatus.ANSWERED != 0
+        for at in _onsets(~enabled & answered):
+            if status[at - 1] & DriveStatus.ENABLED:
+                sentence = f"The drive of {name} reports that it is not enabled."
+                yield Line(int(records["monotonic_ns"][at]), sentence, ODD, sign=True, joint=joint)
+
+
+def _standing(recording: Recording) -> Iterator[Line]:
+    """When the arm stood, after a fault or at the end of a motion."""
+    records = recording.records
+    commanded = np.any(records["joints"]["commanded_velocity_rad_s"] != 0.0, axis=1)
+    for at in _onsets(~commanded):
+        yield Line(int(records["monotonic_ns"][at]), "No joint is commanded to move any more.")
+
+
+# --- what it comes to -------------------------------------------------------------------------------------
+
+
+def _verdict(recording: Recording, reason: Reason, at: int | None, first: Line | None) -> Iterator[str]:
+    records = recording.records
+    if at is None and reason.word != "death":
+        standing = int(records["fault"][-1])
+        if standing != Fault.NONE:
+            yield f"A fault was latched before this recording begins: {_fault_words(recording, len(records) - 1)}"
+        else:
+            yield "No fault was latched in this recording."
+    if reason.word == "death":
+        yield (
+            "The control process ended without an orderly end (killed, or by a defect); the drives went on for two cycles "
+            "and braked by their own ramp."
+        )
+    if at is not None:
+        yield _fault_words(recording, at)
+        yield _what_the_arm_did(recording, at)
+        meaning = FAULTS.get(_known_fault(int(records["fault"][at])))
+        if meaning is not None:
+            yield f"Why that is a fault: {meaning.reason}"
+            yield f"What to do: {meaning.remedy}"
+    if recording.lost:
+        yield f"{recording.lost} records were being written when they were read, and are left out."
+
+
+def _known_fault(number: int) -> Fault:
+    try:
+        return Fault(number)
+    except ValueError:
+        return Fault.NONE
+
+
+def _what_the_arm_did(recording: Recording, at: int) -> str:
+    after = recording.records[at:]
+    start_ns = int(after["fault_ns"][0])
+    moving = np.any(after["joints"]["commanded_velocity_rad_s"] != 0.0, axis=1)
+    own = np.any(after["slowed"] & Slowed.OWN_BRAKE)
+    how = "each joint braked by itself" if own else "the arm stopped on its path"
+    if not moving.any():
+        return "The arm stood when it was latched, and nothing was commanded to move afterwards."
+    if moving[-1]:
+        return f"Then {how}; where the recording ends it is still commanded to move."
+    last = int(np.flatnonzero(moving)[-1])
+    took_s = (int(after["monotonic_ns"][min(last + 1, len(after) - 1)]) - start_ns) * 1e-9
+    still = np.abs(after["joints"]["measured_velocity_rad_s"][-1]) > STANDS_RAD_S
+    names = [name for name, moves in zip(recording.joints, still, strict=True) if moves]
+    measured = f"; {', '.join(names)} measured as moving at the end" if names else ""
+    return f"Then {how} and came to rest {took_s:.2f} s after the fault{measured}."
+
+
+def guilty_joint(recording: Recording, story: Story) -> int:
+    """The joint worth looking at: the fault's, else that of the first sign, else the one with the largest error."""
+    if story.joint >= 0:
+        return story.joint
+    if story.first is not None and story.first.joint >= 0:
+        return story.first.joint
+    joints = recording.records["joints"]
+    errors = np.abs(joints["measured_position_rad"] - joints["reference_position_rad"])
+    worst = np.nanmax(np.where(np.isfinite(errors), errors, 0.0), axis=0)
+    return int(np.argmax(worst))
+
+
+def since(line_ns: int, zero_ns: int) -> str:
+    """A time from the story's instant, such as `-0.104 s`."""
+    seconds = (line_ns - zero_ns) * 1e-9
+    return f"{seconds:+9.3f} s" if not math.isclose(seconds, 0.0, abs_tol=5e-7) else "        0 s"
