@@ -1,8 +1,8 @@
 """What the flight recorder costs the cycle: the same cycles without it, with it, and without its frames.
 
-A goal is executed once in virtual time and then again and again in one compiled loop (as in bench_cycle.py), in turn with
-the rings switched off and on, so that a noisy neighbour hits all alike. Back to back everything but the ring, which is
-larger than the caches, is in them; with other memory written in between, nothing is.
+A goal is executed once in virtual time and then again and again in one compiled loop (as in bench_cycle.py), in turn
+with the rings switched off and on, so that a noisy neighbour hits all alike. Back to back everything but the ring,
+which is larger than the caches, is in them; with other memory written in between, nothing is.
 """
 
 import numpy as np

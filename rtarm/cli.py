@@ -261,6 +261,63 @@ def bench(
 
 
 @app.command()
+def record(
+    arm: Annotated[
+        str | None, typer.Argument(metavar="[ARM]", help="Name or file of an arm; left out: the only one there is.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Left out: a new one among the recordings.")
+    ] = None,
+) -> None:
+    """Write the last half minute of an arm to a file: every cycle, every CAN frame, everything that happened.
+
+    Works without the ROS process, and with what a control process that died has left behind. `rtarm up` does the
+    same by itself after each latched fault. The file is an MCAP, which Foxglove opens too.
+
+    Example: [bold]rtarm record episode1 -o strange_noise.mcap[/bold]
+    """
+    with _sentences():
+        from rtarm.recording.make import left_by, record_now
+
+        typer.echo(str(record_now(left_by(arm), output)))
+
+
+@app.command()
+def explain(
+    file: Annotated[
+        Path | None, typer.Argument(metavar="[FILE]", help="A recording; left out: the newest one there is.")
+    ] = None,
+) -> None:
+    """Tell what a recording shows: what happened first, which limit, which joint, and what the arm did then.
+
+    Example: [bold]rtarm explain[/bold]
+    """
+    with _sentences():
+        from rtarm.recording.explain import explanation
+        from rtarm.recording.folder import newest
+
+        _print(explanation(file or newest()))
+
+
+@app.command()
+def replay(
+    file: Annotated[
+        Path | None, typer.Argument(metavar="[FILE]", help="A recording; left out: the newest one there is.")
+    ] = None,
+    speed: Annotated[float, typer.Option(metavar="FACTOR", help="1 is as it happened, 0.1 ten times slower.")] = 1.0,
+) -> None:
+    """Play a recording in the terminal as `rtarm top` would have shown it, until q or Ctrl-C.
+
+    Example: [bold]rtarm replay --speed 0.2[/bold]
+    """
+    with _sentences():
+        from rtarm.recording.folder import newest
+        from rtarm.recording.replay import play
+
+        play(file or newest(), speed)
+
+
+@app.command()
 def stop(arm: RunningArm = None) -> None:
     """Stop a running arm on its path and wait until it stands; works without the ROS process.
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from rtarm.errors import AlreadySaid, ExitCode, Refusal
 from rtarm.processes import Child, describe_end, has_module, plain_environment, ros_environment
+from rtarm.recording.after_fault import FaultRecorder
 from rtarm.reporter import Reporter
 
 if TYPE_CHECKING:
@@ -166,6 +167,7 @@ class Launcher:
         self._sim: Child | None = None
         self._loop: Child | None = None
         self._front: Child | None = None
+        self._recorder = FaultRecorder(plan.arm.name, reporter.say)
 
     async def start(self) -> None:
         """Start everything and return when it is ready.
@@ -195,6 +197,7 @@ class Launcher:
         """
         assert self._loop is not None
         others = [asyncio.create_task(self._watch_loop()), asyncio.create_task(self._keep_front())]
+        others.append(asyncio.create_task(self._recorder.watch()))
         if self._sim is not None:
             others.append(asyncio.create_task(self._watch_sim(self._sim)))
         try:
@@ -218,6 +221,7 @@ class Launcher:
                 continue
             if not await child.stop(patience_s):
                 self._say(child, f"did not end within {patience_s:g} s and was killed", style="bold red")
+        await self._recorder.close(died=self._loop is not None and bool(self._loop.code))
 
     def say_stopping(self, why: str) -> None:
         """The line between a signal and the end."""

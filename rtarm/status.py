@@ -90,11 +90,8 @@ def report_of(arm: str, reader: StateReader) -> Report:
     report: Report = {
         "arm": arm,
         "running": True,
-        "mode": key(Mode, int(snapshot["mode"])),
-        "fault": _fault(snapshot, joints, now_ns),
-        "goal": _goal(snapshot),
+        **of_cycle(snapshot, joints, now_ns),
         "last_result": _last_result(snapshot, joints),
-        "speed_scale": float(snapshot["speed_scale"]),
         "rate_hz": 1e9 / int(header["period_ns"]),
         "uptime_s": (now_ns - int(header["start_monotonic_ns"])) * 1e-9,
         "cycle_age_ms": (now_ns - int(snapshot["monotonic_ns"])) * 1e-6,
@@ -103,7 +100,6 @@ def report_of(arm: str, reader: StateReader) -> Report:
             "pid": None if front is None else front[0],
             "heartbeat_age_ms": None if not front or not front[1] else (now_ns - front[1]) * 1e-6,
         },
-        "joints": [_joint(name, snapshot["joints"][index], now_ns) for index, name in enumerate(joints)],
         "lateness_us": percentiles_us(record["lateness"]),
         "cycle_us": percentiles_us(record["cycle_time"]),
         "scheduling": scheduling(record["scheduling"]),
@@ -114,6 +110,17 @@ def report_of(arm: str, reader: StateReader) -> Report:
     return report
 
 
+def of_cycle(cycle: Any, joints: Sequence[str], now_ns: int) -> Report:
+    """What a snapshot tells, or the flight recorder's record of a cycle, whose words have the same names."""
+    return {
+        "mode": key(Mode, int(cycle["mode"])),
+        "fault": _fault(cycle, joints, now_ns),
+        "goal": _goal(cycle),
+        "speed_scale": float(cycle["speed_scale"]),
+        "joints": [_joint(name, cycle["joints"][index], now_ns) for index, name in enumerate(joints)],
+    }
+
+
 def key(kind: type[IntEnum], number: int) -> str:
     """A number of shared memory as JSON names it, such as `bringing_up`."""
     try:
@@ -122,7 +129,7 @@ def key(kind: type[IntEnum], number: int) -> str:
         return f"unknown_{number}"
 
 
-def scheduling(record: np.void) -> Report:
+def scheduling(record: Any) -> Report:
     """What real-time set-up the control process really obtained."""
     cpu = int(record["cpu"])
     return {
@@ -151,7 +158,7 @@ def percentiles_us(record: np.void) -> Report:
     return {**found, "max": int(record["max_ns"]) * 1e-3, "count": int(record["count"])}
 
 
-def counters(record: np.void, bitrate: int, elapsed_ns: int) -> Report:
+def counters(record: Any, bitrate: int, elapsed_ns: int) -> Report:
     """The counters, and the bus load as the mean over `elapsed_ns` (None without a bus)."""
     seconds = elapsed_ns * 1e-9
     load = int(record["bits_on_bus"]) / (bitrate * seconds) if bitrate > 0 and seconds > 0 else None

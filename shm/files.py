@@ -287,6 +287,11 @@ def _open(path: Path, dtype: np.dtype, arm: str, arm_hash: int | None, *, writab
         ) from problem
     except OSError as problem:
         raise _not_ours(path, problem) from problem
+    return _attach(path, fd, dtype, arm, arm_hash, writable=writable)
+
+
+def _attach(path: Path, fd: int, dtype: np.dtype, arm: str, arm_hash: int | None, *, writable: bool) -> MemoryFile:
+    """Map an open file, once it has been found to be what it should be; what is refused is closed."""
     try:
         status = os.fstat(fd)
         if not stat.S_ISREG(status.st_mode) or status.st_uid != os.geteuid() or status.st_mode & 0o077:
@@ -344,6 +349,11 @@ def left_behind(arm: str) -> MemoryFile:
         return _open(path, layout.STATE, arm, None, writable=False)
     except NotRunning:
         return _open(previous_path(arm), layout.STATE, arm, None, writable=False)
+
+
+def inherited_state(fd: int, arm: str) -> MemoryFile:
+    """Map, read-only, a state file that another process has opened; it may have no name any more."""
+    return _attach(state_path(arm), fd, layout.STATE, arm, None, writable=False)
 
 
 def arms_left_behind() -> list[str]:

@@ -7,6 +7,8 @@ import itertools
 import os
 import random
 import secrets
+import shutil
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,6 +20,7 @@ _ARM_PREFIX = f"t{_SESSION}_"
 _ARM_NUMBERS = itertools.count()
 _MARKER = "RTARM_TEST_SESSION"
 _LEAVE_TAKING_S = 2.0
+_STATE_HOME = Path(tempfile.gettempdir(), f"rtarm-test-{_SESSION}")
 
 
 def pytest_configure() -> None:
@@ -26,6 +29,7 @@ def pytest_configure() -> None:
     os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(1, 102))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ[_MARKER] = _SESSION
+    os.environ["XDG_STATE_HOME"] = str(_STATE_HOME)  # recordings of faults
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -95,6 +99,7 @@ def nothing_left_behind() -> Iterator[None]:
     while processes_left() and time.monotonic() < deadline:
         time.sleep(0.01)
     sweep_middleware_files(before)
+    shutil.rmtree(_STATE_HOME, ignore_errors=True)
     assert not processes_left(), "processes left by the tests"
     assert not memory_files_left(), "memory files left by the tests"
 

@@ -46,8 +46,7 @@ def chart(series: Sequence[Series], span_s: tuple[float, float], width: int, hei
     for one in series:
         for time_s, value in zip(one.times_s.tolist(), one.values.tolist(), strict=True):
             if span_s[0] <= time_s <= span_s[1] and math.isfinite(value):
-                row = round((high - value) / (high - low) * (height - 1))
-                grid[row][column(time_s)] = one.symbol
+                grid[round((high - value) / (high - low) * (height - 1))][column(time_s)] = one.symbol
     labels = {0: high, height // 2: (low + high) / 2, height - 1: low}
     drawn = [
         f"{f'{labels[number]:.4f}' if number in labels else '':>{LABEL}} {AXIS}{''.join(row).rstrip()}"

@@ -1,8 +1,8 @@
 """A recording as an MCAP file: JSON messages with their schemas, which Foxglove plots, and back again.
 
 Channels: `/rtarm/state` and `/rtarm/joints/<joint>` in every cycle, `/rtarm/events` with their sentences (as a log),
-`/rtarm/frames` of the bus. Times are those of ROS; what the motion is timed by stands in `monotonic_ns`. What else is known
-of the arm leads the file as metadata, so that one that was cut off can still be told.
+`/rtarm/frames` of the bus. Times are those of ROS; what the motion is timed by stands in `monotonic_ns`. What else is
+known of the arm leads the file as metadata, so that one that was cut off can still be told.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import heapq
 import json
 import math
 import os
+import stat
 import struct
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -36,6 +37,7 @@ from shm.recording import (
 )
 from shm.words import Fault, Mode, Outcome, Phase, Slowed, Unreferenced
 
+MAGIC = b"\x89MCAP0\r\n"
 FORMAT = "1"
 METADATA, LIMITS, TIMING = "rtarm", "rtarm.limits", "rtarm.timing"
 STATE, JOINTS, EVENTS, FRAMES = "/rtarm/state", "/rtarm/joints/", "/rtarm/events", "/rtarm/frames"
@@ -117,10 +119,10 @@ def _write(recording: Recording, reason: Reason, file: IO[bytes]) -> None:
         schema_id = writer.register_schema(schema_name, "jsonschema", json.dumps(schema).encode())
         channels[name] = writer.register_channel(name, "json", schema_id)
     for message in heapq.merge(*_messages(recording), key=lambda one: one[0]):
-        monotonic_ns, epoch_ns, name, content = message
+        _, epoch_ns, name, content = message
         data = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
         writer.add_message(channels[name], log_time=epoch_ns, publish_time=epoch_ns, data=data)
-    writer.finish()
+    writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _version() -> str:
@@ -179,13 +181,17 @@ def _plain(value: Any) -> Any:
 
 def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Name of each channel, name of its schema, and the schema."""
-    units = {word.name: word for table in ("flight recorder's record of a cycle", "joint") for word in layout.TABLES[table]}
+    units = {
+        word.name: word for table in ("flight recorder's record of a cycle", "joint") for word in layout.TABLES[table]
+    }
 
     def schema(title: str, dtype: np.dtype, names: Sequence[str], more: dict[str, Any]) -> dict[str, Any]:
         properties = {
             name: {
                 "type": "string" if name in _NAMED else "integer" if dtype[name].kind == "i" else ["number", "null"],
-                "description": " ".join(filter(None, (units[name].meaning, f"({units[name].unit})" * bool(units[name].unit)))),
+                "description": " ".join(
+                    filter(None, (units[name].meaning, f"({units[name].unit})" * bool(units[name].unit)))
+                ),
             }
             for name in names
         }
@@ -202,7 +208,14 @@ def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]
     text, integer, number = {"type": "string"}, {"type": "integer"}, {"type": ["number", "null"]}
     stamp = {"type": "object", "title": "time", "properties": {"sec": integer, "nsec": integer}}
     log = {"timestamp": stamp, "level": integer, "message": text, "name": text, "file": text, "line": integer}
-    own = {"monotonic_ns": integer, "kind": integer, "joint": integer, "code": integer, "value": number, "limit": number}
+    own = {
+        "monotonic_ns": integer,
+        "kind": integer,
+        "joint": integer,
+        "code": integer,
+        "value": number,
+        "limit": number,
+    }
     yield EVENTS, "foxglove.Log", {"title": "foxglove.Log", "type": "object", "properties": {**log, **own}}
     frame = {
         "monotonic_ns": integer,
@@ -248,7 +261,9 @@ def _cycles(recording: Recording) -> Iterator[_Message]:
 def _batch(recording: Recording, records: np.ndarray) -> Iterator[_Message]:
     joints = records["joints"]
     errors = (joints["measured_position_rad"] - joints["reference_position_rad"]).tolist()
-    ages = np.where(joints["measured_ns"] > 0, (records["monotonic_ns"][:, None] - joints["measured_ns"]) * 1e-9, np.nan)
+    ages = np.where(
+        joints["measured_ns"] > 0, (records["monotonic_ns"][:, None] - joints["measured_ns"]) * 1e-9, np.nan
+    )
     rows = [_columns(joints[:, index], _JOINT_WORDS) for index in range(len(recording.joints))]
     for number, state in enumerate(_columns(records, _CYCLE_WORDS)):
         at = state["monotonic_ns"], max(state["epoch_ns"], 0)
@@ -322,15 +337,18 @@ def read(path: Path) -> Loaded:
         Refusal: it cannot be opened, or is no recording of ours.
     """
     try:
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise Refusal(f"{path} is a folder: give one of the .mcap files in it.")
+        if not stat.S_ISREG(status.st_mode):  # opening a pipe would wait for its other end
+            raise Refusal(f"{path} is no file that holds a recording: give one that ends in .mcap.")
         with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            if not path.is_file():
-                raise Refusal(f"{path} is no file that holds a recording: give one that ends in .mcap.")
-            metadata, messages, damage = _read_records(file, size, path)
+            if file.read(len(MAGIC)) != MAGIC:
+                raise Refusal(f"{path} is no MCAP file: give one that `rtarm record` has written.")
+            file.seek(0)
+            metadata, messages, damage = _read_records(file, status.st_size)
     except FileNotFoundError:
         raise Refusal(f"{path} is not there: `rtarm explain` without a file takes the newest recording.") from None
-    except IsADirectoryError:
-        raise Refusal(f"{path} is a folder: give one of the .mcap files in it.") from None
     except OSError as problem:
         raise Refusal(f"{path} cannot be read ({problem.strerror}): give a file that you may read.") from problem
     if METADATA not in metadata or LIMITS not in metadata:
@@ -339,8 +357,8 @@ def read(path: Path) -> Loaded:
         raise Refusal(f"{path} is an MCAP file, but no recording of rtarm's: give one that `rtarm record` has written.")
     if metadata[METADATA].get("format") != FORMAT:
         raise Refusal(
-            f"{path} has format {metadata[METADATA].get('format', 'unknown')}, this rtarm reads format {FORMAT}: use the "
-            "version that wrote it."
+            f"{path} has format {metadata[METADATA].get('format', 'unknown')}, this rtarm reads format {FORMAT}: use "
+            "the version that wrote it."
         )
     try:
         recording, reason = _made(metadata, messages)
@@ -354,11 +372,8 @@ def read(path: Path) -> Loaded:
     return Loaded(recording, reason, damage)
 
 
-def _read_records(
-    file: IO[bytes], size: int, path: Path
-) -> tuple[dict[str, dict[str, str]], dict[str, list[dict[str, Any]]], str]:
+def _read_records(file: IO[bytes], size: int) -> tuple[dict[str, dict[str, str]], dict[str, list[dict[str, Any]]], str]:
     """Metadata, the messages of every channel, and what is damaged."""
-    from mcap.exceptions import InvalidMagic
     from mcap.records import Channel, Chunk, Footer, Message, Metadata
     from mcap.stream_reader import StreamReader, breakup_chunk
 
@@ -387,8 +402,6 @@ def _read_records(
                     take(inner)
             except Exception:  # whatever decompression and parsers make of spoilt bytes; the next chunk may be whole
                 spoilt += 1
-    except InvalidMagic:
-        raise Refusal(f"{path} is no MCAP file: give one that `rtarm record` has written.") from None
     except OSError:
         raise
     except Exception:  # the same, between the chunks: from here on nothing can be found any more

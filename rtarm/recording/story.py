@@ -1,4 +1,4 @@
-"""What a recording tells: what happened, in its order, what came first, which limit it broke, and what the arm did then."""
+"""What a recording tells: what happened, in its order, what came first, which limit was broken, what the arm did."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rtarm.recording.mcap_file import Reason
 from rtarm.top.events import BAD, ODD, PLAIN, happening
 from shm.recording import Recording
 from shm.sentences import FAULTS, fault_sentence, joint_name
-from shm.words import DriveStatus, Event, Fault, Phase, Slowed
+from shm.words import DriveStatus, Event, Fault, Mode, Phase, Slowed
 
 LATE_PERIODS = 2.5
 """A reading older than this was not followed by the next one: at least one answer is missing."""
@@ -37,11 +37,17 @@ COUNTED = {
 
 SLOWED = {
     Slowed.HELD: ("A person paused the goal: the arm stops on its path and keeps it.", PLAIN),
-    Slowed.STARVING: ("The rest of the trajectory has not come from the ROS process: the arm brakes on what it has.", ODD),
+    Slowed.STARVING: (
+        "The rest of the trajectory has not come from the ROS process: the arm brakes on what it has.",
+        ODD,
+    ),
     Slowed.MAKING_WAY: ("A newer goal waits, and the arm stops on its path to make way for it.", PLAIN),
     Slowed.CLOSING: ("The control process was asked to end: the arm stops on its path.", PLAIN),
     Slowed.OWN_BRAKE: ("Each joint brakes by itself, since the path cannot be trusted.", ODD),
 }
+
+UNLED = (Mode.OFFLINE, Mode.BRINGING_UP, Mode.DISABLED, Mode.FREE)
+"""Modes in which a joint need not be where it is commanded."""
 
 STATUS = {
     DriveStatus.STALLED: "that its shaft is held",
@@ -90,12 +96,9 @@ def tell(recording: Recording, reason: Reason) -> Story:
     if reason.word == "death":
         died = Line(int(records["monotonic_ns"][-1]), "The last cycle of the control process.", BAD, sign=True)
         lines.append(died)
-    first = None
-    if at is not None or reason.word == "death":
-        earliest_ns = zero_ns - round(WARNED_S * 1e9)
-        first = next((line for line in lines if line.sign and earliest_ns <= line.monotonic_ns <= zero_ns), None)
     fault = int(records["fault"][at]) if at is not None else 0
     joint = int(records["fault_joint"][at]) if at is not None else -1
+    first = _first(lines, zero_ns, joint) if at is not None or reason.word == "death" else None
     if at is not None and not any(line.monotonic_ns == zero_ns and line.style == BAD for line in lines):
         lines.append(Line(zero_ns, _fault_words(recording, at), BAD, sign=True, joint=joint))
         lines.sort(key=lambda line: line.monotonic_ns)
@@ -108,6 +111,19 @@ def tell(recording: Recording, reason: Reason) -> Story:
         first=first,
         verdict=list(_verdict(recording, reason, at, first)),
     )
+
+
+def _first(lines: Sequence[Line], zero_ns: int, joint: int) -> Line | None:
+    """What came first of what led to an instant: the first sign of its joint, or what had just gone wrong before that.
+
+    Signs of nothing in particular, such as a garbled line, belong to it only if they came shortly before.
+    """
+    signs = [line for line in lines if line.sign and 0 <= zero_ns - line.monotonic_ns <= WARNED_S * 1e9]
+    first = next((line for line in signs if line.joint == joint), None)
+    for line in reversed(signs):
+        if first is not None and line.joint < 0 and 0 < first.monotonic_ns - line.monotonic_ns <= BURST_S * 1e9:
+            first = line
+    return first
 
 
 def _latched(records: np.ndarray) -> int | None:
@@ -255,9 +271,7 @@ def _front(recording: Recording) -> Iterator[Line]:
     silent = (records["heartbeat_ns"] > 0) & (ages_ns > SIGN_SHARE * float(recording.limits["front_timeout_ns"]))
     for at in _onsets(silent):
         again = np.flatnonzero(~silent[at:])
-        lasted = (
-            f"for {float(ages_ns[at + again[0] - 1]) * 1e-9:.2f} s after this" if len(again) else "from here on"
-        )
+        lasted = f"for {float(ages_ns[at + again[0] - 1]) * 1e-9:.2f} s after this" if len(again) else "from here on"
         sentence = f"The ROS process gives no sign of life {lasted}."
         yield Line(int(records["heartbeat_ns"][at]), sentence, ODD, sign=True)
 
@@ -267,8 +281,10 @@ def _errors(recording: Recording) -> Iterator[Line]:
     records, allowed = recording.records, float(recording.limits["following_error_rad"])
     joints = records["joints"]
     errors = np.abs(joints["measured_position_rad"] - joints["reference_position_rad"])
+    led = ~np.isin(records["mode"], UNLED)[:, None] & (joints["referenced"] == 1)
+    far = led & (errors > SIGN_SHARE * allowed)
     for joint, name in enumerate(recording.joints):
-        for at in _onsets(errors[:, joint] > SIGN_SHARE * allowed):
+        for at in _onsets(far[:, joint]):
             sentence = (
                 f"{name} is {errors[at, joint]:.4f} rad from where it is commanded, half of the {allowed:.4f} rad "
                 "that are allowed."
@@ -314,8 +330,8 @@ def _verdict(recording: Recording, reason: Reason, at: int | None, first: Line |
             yield "No fault was latched in this recording."
     if reason.word == "death":
         yield (
-            "The control process ended without an orderly end (killed, or by a defect); the drives went on for two cycles "
-            "and braked by their own ramp."
+            "The control process ended without an orderly end (killed, or by a defect); the drives went on for two "
+            "cycles and braked by their own ramp."
         )
     if at is not None:
         yield _fault_words(recording, at)

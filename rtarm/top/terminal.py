@@ -9,9 +9,10 @@ import signal
 import sys
 import termios
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import Enum
+from typing import Protocol
 
 from rich.console import Console
 from rich.live import Live
@@ -19,7 +20,7 @@ from rich.live import Live
 from rtarm.errors import Refusal
 from rtarm.reporter import silence_stdout
 from rtarm.top.picture import Picture
-from rtarm.top.watch import Watch
+from rtarm.top.watch import Look, Watch
 
 REFRESH_S = 0.2
 MOST_NICE = 19
@@ -39,6 +40,16 @@ class TerminalGone(Exception):
     """There is nothing to draw on any more."""
 
 
+class Watched(Protocol):
+    """What can be looked at again and again."""
+
+    def look(self) -> Look:
+        """What there is to be seen now."""
+
+    def close(self) -> None:
+        """Nobody will look any more."""
+
+
 def run(arm: str) -> None:
     """Show the arm until somebody ends it.
 
@@ -46,11 +57,20 @@ def run(arm: str) -> None:
         Refusal: there is no terminal.
         SharedMemoryError: the arm is not running, or its files are not what they should be.
     """
+    show(lambda: Watch(arm), "`rtarm top` draws on a terminal and this is none: use `rtarm status --json` for scripts.")
+
+
+def show(watched: Callable[[], Watched], no_terminal: str) -> None:
+    """Show what `watched` makes until somebody ends it.
+
+    Raises:
+        Refusal: there is no terminal, with the sentence `no_terminal`.
+    """
     console = Console(highlight=False, emoji=False)
     drawable = console.is_terminal and not console.is_dumb_terminal
     if not (drawable and sys.stdin.isatty() and sys.stdout.isatty()):
-        raise Refusal("`rtarm top` draws on a terminal and this is none: use `rtarm status --json` for scripts.")
-    watch = Watch(arm)
+        raise Refusal(no_terminal)
+    watch = watched()
     os.nice(MOST_NICE)  # a control process that was given no real-time priority goes first
     try:
         asyncio.run(_show(watch, console))
@@ -58,7 +78,7 @@ def run(arm: str) -> None:
         watch.close()
 
 
-async def _show(watch: Watch, console: Console) -> None:
+async def _show(watch: Watched, console: Console) -> None:
     loop = asyncio.get_running_loop()
     wishes: asyncio.Queue[Wish] = asyncio.Queue()
     for number in ENDING_SIGNALS:
@@ -80,7 +100,7 @@ async def _show(watch: Watch, console: Console) -> None:
             loop.remove_signal_handler(number)
 
 
-async def _draw(watch: Watch, live: Live, wishes: asyncio.Queue[Wish]) -> Wish:
+async def _draw(watch: Watched, live: Live, wishes: asyncio.Queue[Wish]) -> Wish:
     while True:
         picture = Picture(watch.look())
         try:

@@ -194,6 +194,11 @@ def _span(seconds: float) -> str:
     return f"last {max(1, round(seconds))} s"
 
 
+def spectrum_of(values_ns: np.ndarray) -> tuple[int, ...]:
+    """How many of some durations lie in each of the `BINS` bins."""
+    return tuple(np.bincount(np.searchsorted(_EDGES_NS, values_ns), minlength=BINS).tolist())
+
+
 def spectrum(buckets: np.ndarray) -> tuple[int, ...]:
     """How many values of a histogram lie in each of the `BINS` bins (a bucket by its upper edge)."""
     return tuple(np.bincount(_BIN_OF_BUCKET, weights=buckets, minlength=BINS).astype(int).tolist())

@@ -15,7 +15,9 @@ from typing import Any
 
 import pytest
 
+from rtarm.recording import folder, mcap_file, story
 from shm import files
+from shm.words import Fault
 
 pytestmark = pytest.mark.process
 
@@ -172,6 +174,44 @@ def test_a_dead_control_process_ends_everything_with_code_3(
     assert ended([report["front"]["pid"]])
     gone = status(arm_name)
     assert (gone["running"], "is gone without an orderly end" in gone["problems"][0]) == (False, True)
+    (recording,) = folder.recordings(arm_name)
+    assert f"rtarm  recorded: {recording}; `rtarm explain` tells it" in up.output
+    explained = start("explain", str(recording))
+    assert explained.end() == 0, explained.errors
+    assert "The last cycle of the control process." in explained.output
+    again = start("record", arm_name)
+    assert again.end() == 0, again.errors
+    assert len(folder.recordings(arm_name)) == 2
+
+
+@pytest.mark.usefixtures("clean")
+def test_each_latched_fault_is_recorded_once_with_what_followed(
+    start: Callable[..., Command], arm_file: Path, arm_name: str
+) -> None:
+    up = start("up", str(arm_file), "--sim")
+    up.until("rtarm  running")
+    drives = [int(pid) for pid in children_of(up) if b"sim\0" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    os.kill(drives[0], signal.SIGSTOP)  # no drive answers any more
+    try:
+        up.until("recorded: ")
+    finally:
+        os.kill(drives[0], signal.SIGCONT)
+    up.until("\n")
+    assert up.end(signal.SIGINT) == 0
+    (recording,) = folder.recordings(arm_name)
+    assert recording.name.endswith("-stale_reading.mcap")
+    found = mcap_file.read(recording)
+    assert (found.damage, found.reason.word) == ("", "fault")
+    latched_ns = int(found.recording.records["fault_ns"][-1])
+    assert int(found.recording.records["monotonic_ns"][-1]) - latched_ns > 1_000_000_000
+    told = story.tell(found.recording, found.reason)
+    assert told.fault == Fault.STALE_READING and told.first is not None
+
+
+def children_of(command: Command) -> list[str]:
+    """Pids of the processes that a command has started."""
+    arguments = ["ps", "-o", "pid=", "--ppid", str(command.process.pid)]
+    return subprocess.run(arguments, capture_output=True, text=True, check=True).stdout.split()
 
 
 @pytest.mark.usefixtures("clean")
@@ -179,9 +219,7 @@ def test_kill_9_of_the_launcher_leaves_no_process(start: Callable[..., Command],
     up = start("up", str(arm_file), "--sim")
     up.until("rtarm  running")
     report = status(arm_name)
-    children = subprocess.run(
-        ["ps", "-o", "pid=", "--ppid", str(up.process.pid)], capture_output=True, text=True, check=True
-    ).stdout.split()
+    children = children_of(up)
     assert {str(report["loop"]["pid"]), str(report["front"]["pid"])} < set(children)
     assert len(children) == 3
     up.process.kill()

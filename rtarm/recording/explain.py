@@ -1,0 +1,60 @@
+"""`rtarm explain`: a recording's story as people read it in a terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from rtarm.recording.chart import joint_charts
+from rtarm.recording.mcap_file import Loaded, read
+from rtarm.recording.story import guilty_joint, since, tell
+
+WIDEST_CHART = 110
+
+
+class Explanation:
+    """What rich prints of a recording."""
+
+    def __init__(self, loaded: Loaded) -> None:
+        self.loaded = loaded
+        self.story = tell(loaded.recording, loaded.reason)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        story, recording = self.story, self.loaded.recording
+        yield Text(story.heading, style="bold")
+        if self.loaded.damage:
+            yield Text(f"The file is damaged ({self.loaded.damage}); what follows is what could be read.", style="red")
+        for sentence in story.verdict:
+            yield Text(sentence)
+        if story.first is not None:
+            came = since(story.first.monotonic_ns, story.zero_ns).strip()
+            yield Text.assemble(("First of all: ", "bold"), f"{story.first.sentence} ({came})")
+        yield Text()
+        yield self._table()
+        drawn = joint_charts(
+            recording, guilty_joint(recording, story), story.zero_ns, min(options.max_width, WIDEST_CHART)
+        )
+        if drawn:
+            yield Padding(Text("\n".join(drawn), no_wrap=True, overflow="crop"), (1, 0, 0, 0))
+
+    def _table(self) -> Table:
+        table = Table.grid(padding=(0, 2))
+        table.add_column(justify="right", no_wrap=True, style="dim")
+        table.add_column()
+        for line in self.story.lines:
+            style = "bold " + line.style if line is self.story.first else line.style
+            table.add_row(since(line.monotonic_ns, self.story.zero_ns).strip(), Text(line.sentence, style=style))
+        return table
+
+
+def explanation(path: Path) -> Explanation:
+    """The story of a file.
+
+    Raises:
+        Refusal: it is no recording that can be read.
+    """
+    return Explanation(read(path))

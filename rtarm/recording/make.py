@@ -1,0 +1,81 @@
+"""Making a recording of what stands in an arm's state file now."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rtarm.errors import Refusal
+from rtarm.recording import folder
+from rtarm.recording.mcap_file import Reason, write
+from rtarm.status import key, resolve_arm
+from shm import files
+from shm.files import MemoryFile
+from shm.recording import Recording, read_recording
+from shm.sentences import fault_sentence, joint_name
+from shm.words import Fault
+
+ASKED, FAULT, DEATH = "asked", "fault", "death"
+"""Why a recording is made."""
+
+
+def left_by(argument: str | None) -> MemoryFile:
+    """The state file of the arm meant, whether its control process lives or has died.
+
+    Raises:
+        Refusal: there is none, or there are several and none was named.
+        SharedMemoryError: it cannot be used.
+    """
+    if argument is not None:
+        return files.left_behind(resolve_arm(argument))
+    arms = files.running_arms() or files.arms_left_behind()
+    if not arms:
+        raise Refusal(
+            "No arm is running here and none has left a state file behind, so there is nothing to record: start one "
+            f"with `rtarm up ARM`, or look for recordings that were made by themselves in {folder.folder()}."
+        )
+    if len(arms) > 1:
+        raise Refusal(f"There are several arms ({', '.join(arms)}): name the one you mean.")
+    return files.left_behind(arms[0])
+
+
+def record_now(memory: MemoryFile, path: Path | None) -> Path:
+    """Write a recording of a state file, which is closed then; the file that was written.
+
+    Raises:
+        Refusal: it cannot be written.
+    """
+    lives = files.is_held(memory.fd)
+    return record(memory, ASKED if lives else DEATH, path)
+
+
+def record(memory: MemoryFile, word: str, path: Path | None = None) -> Path:
+    """The same, for a reason that is known; without a path among the recordings, of which old ones make room."""
+    try:
+        recording = read_recording(memory)
+    finally:
+        memory.close()
+    reason = Reason(word, _sentence(word, recording))
+    if path is not None:
+        if path.is_dir():
+            raise Refusal(f"{path} is a folder: name a file in it, such as {path / 'recording.mcap'}.")
+        write(recording, reason, path)
+        return path
+    path = folder.new_path(recording.arm, _name(word, recording))
+    write(recording, reason, path)
+    folder.remove_old(recording.arm)
+    return path
+
+
+def _sentence(word: str, recording: Recording) -> str:
+    if word == FAULT and len(recording.records):
+        last = recording.records[-1]
+        joint = joint_name(int(last["fault_joint"]), recording.joints)
+        return fault_sentence(int(last["fault"]), joint, float(last["fault_value"]), float(last["fault_limit"]))
+    if word == DEATH:
+        return f"The control process (pid {recording.pid}) ended without an orderly end."
+    return "Asked for by a person."
+
+
+def _name(word: str, recording: Recording) -> str:
+    """What the file is named after: the fault, or else the reason."""
+    return key(Fault, int(recording.records[-1]["fault"])) if word == FAULT and len(recording.records) else word

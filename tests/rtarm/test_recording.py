@@ -1,0 +1,479 @@
+"""Recordings: written, read back the same, told, drawn, played, and refused with a sentence when they are none."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import random
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from rich.console import Console
+from typer.testing import Result
+from virtual import VirtualArm, recorded_goal
+from written_arm import WrittenArm
+
+from rtarm.errors import Refusal
+from rtarm.recording import folder, make, mcap_file, story
+from rtarm.recording.chart import Series, chart
+from rtarm.recording.explain import explanation
+from rtarm.recording.mcap_file import NotWritten, Reason
+from rtarm.recording.replay import Replay
+from rtarm.top.picture import Picture
+from rtloop.wire import received
+from rtloop.wire.slcan import BEL
+from shm import files, layout
+from shm.recording import Recording, read_recording
+from shm.words import Fault, Outcome, Request
+from sim.faults import PowerLoss, Stall
+
+Rtarm = Callable[..., Result]
+
+NOW = Reason("asked", "Asked for by a person.")
+GOAL = "large"
+EPOCH_NS = 1_700_000_000_000_000_000
+
+
+def executing(cycles: int = 120) -> VirtualArm:
+    """The arm amid a recorded goal."""
+    arm = VirtualArm("episode1", start_rad=recorded_goal(GOAL)["joints"][0, :, 0])
+    arm.core["epoch_offset_ns"] = EPOCH_NS
+    assert arm.bring_up().failure is None
+    arm.play(GOAL)
+    arm.cycles(cycles)
+    return arm
+
+
+def recorded(arm: VirtualArm) -> Recording:
+    found = read_recording(arm.state)
+    arm.close()
+    return found
+
+
+@pytest.fixture(scope="module")
+def power_loss() -> Recording:
+    """joint2's drive loses its power in motion, after a garbled line that has nothing to do with it."""
+    arm = executing()
+    received.push(arm.loop[0], arm.now_ns, np.array([BEL], np.uint8), 1)
+    arm.cycles(120)
+    arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=60.0), since_ns=arm.now_ns)
+    arm.until(lambda: arm.core["fault"] != Fault.NONE)
+    arm.cycles(240)
+    return recorded(arm)
+
+
+@pytest.fixture(scope="module")
+def stalled() -> Recording:
+    arm = executing()
+    arm.sim.inject(Stall("joint3", at_s=0.0), since_ns=arm.now_ns)
+    arm.until(lambda: arm.core["fault"] != Fault.NONE)
+    arm.cycles(120)
+    return recorded(arm)
+
+
+@pytest.fixture(scope="module")
+def a_file(power_loss: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recordings") / "power_loss.mcap"
+    mcap_file.write(power_loss, Reason("fault", "joint2 has not answered."), path)
+    return path
+
+
+@pytest.fixture
+def state_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where this user's recordings are kept, for one test."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return folder.folder()
+
+
+# --- the file -----------------------------------------------------------------------------------------------
+
+
+def test_what_is_read_is_what_was_written(power_loss: Recording, a_file: Path) -> None:
+    loaded = mcap_file.read(a_file)
+    assert (loaded.damage, loaded.reason) == ("", Reason("fault", "joint2 has not answered."))
+    found = loaded.recording
+    for name in ("arm", "joints", "arm_hash", "pid", "period_ns", "bitrate", "lost"):
+        assert getattr(found, name) == getattr(power_loss, name), name
+    for name in set(power_loss.records.dtype.names) - {"crc", "decisions_crc"}:  # check sums of the ring itself
+        assert found.records[name].tobytes() == power_loss.records[name].tobytes(), name
+    for name in ("events", "limits", "scheduling", "lateness", "cycle_time"):
+        assert getattr(found, name).tobytes() == getattr(power_loss, name).tobytes(), name
+    order = np.argsort(power_loss.frames["monotonic_ns"], kind="stable")
+    for name in ("monotonic_ns", "head", "data"):
+        assert found.frames[name].tolist() == power_loss.frames[name][order].tolist(), name
+
+
+def test_a_plain_reader_finds_channels_schemas_and_ros_times(power_loss: Recording, a_file: Path) -> None:
+    with a_file.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None and summary.statistics is not None
+        topics = {channel.topic: channel for channel in summary.channels.values()}
+        joints = {f"/rtarm/joints/{name}" for name in power_loss.joints}
+        assert set(topics) == {"/rtarm/state", "/rtarm/events", "/rtarm/frames", *joints}
+        assert {channel.message_encoding for channel in topics.values()} == {"json"}
+        for schema in summary.schemas.values():
+            assert schema.encoding == "jsonschema" and json.loads(schema.data)["type"] == "object"
+        counts = {topics[name].id: len(power_loss.records) for name in ("/rtarm/state", *joints)}
+        assert summary.statistics.channel_message_counts.items() >= counts.items()
+        times = []
+        for schema, channel, message in reader.iter_messages(["/rtarm/state", "/rtarm/joints/joint2", "/rtarm/events"]):
+            content = json.loads(message.data)
+            properties = json.loads(schema.data)["properties"]
+            assert set(content) == set(properties), channel.topic
+            if channel.topic == "/rtarm/state":
+                times.append(message.log_time)
+                assert message.log_time == content["epoch_ns"]
+        assert times == power_loss.records["epoch_ns"].tolist()
+        assert times[0] > EPOCH_NS
+        names = {record.name for record in reader.iter_metadata()}
+        assert names == {"rtarm", "rtarm.limits", "rtarm.timing"}
+
+
+def test_numbers_that_json_does_not_know_are_null(power_loss: Recording, tmp_path: Path) -> None:
+    records = power_loss.records[:3].copy()
+    records["joints"]["measured_position_rad"][:, 0] = [np.nan, np.inf, 1.0]
+    records["mode"] = [2, 99, 3]
+    path = tmp_path / "odd.mcap"
+    mcap_file.write(Recording(**{**vars(power_loss), "records": records}), NOW, path)
+    found = mcap_file.read(path).recording.records
+    assert np.isnan(found["joints"]["measured_position_rad"][:2, 0]).all()
+    assert found["mode"].tolist() == [2, 99, 3]
+
+
+def test_a_full_disk_costs_a_sentence_and_leaves_nothing(
+    power_loss: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(mcap_file, "_write", full)
+    with pytest.raises(NotWritten, match=r"cannot be written \(No space left on device\): free some space there\.$"):
+        mcap_file.write(power_loss, NOW, tmp_path / "new" / "full.mcap")
+    assert list((tmp_path / "new").iterdir()) == []
+
+
+def test_only_the_newest_are_kept_of_each_arm(power_loss: Recording, state_home: Path) -> None:
+    state_home.mkdir(parents=True)
+    for number in range(folder.KEPT + 5):
+        for arm in ("left", "left_2"):
+            path = state_home / f"{arm}-20260101T0000{number:02d}Z-wire.mcap"
+            path.touch()
+            os.utime(path, (number, number))
+    folder.remove_old("left")
+    assert len(folder.recordings("left")) == folder.KEPT
+    assert len(folder.recordings("left_2")) == folder.KEPT + 5
+    assert folder.newest().stat().st_mtime == folder.KEPT + 4
+    first, second = folder.new_path("left", "wire"), folder.new_path("left", "wire")
+    assert first == second
+    first.touch()
+    assert folder.new_path("left", "wire") != first
+
+
+# --- the story ----------------------------------------------------------------------------------------------
+
+
+def told(recording: Recording, reason: Reason = NOW) -> story.Story:
+    return story.tell(recording, reason)
+
+
+def test_the_story_of_a_drive_that_loses_its_power(power_loss: Recording) -> None:
+    """Golden: what led there names joint2 first, in its order, with its times."""
+    found = told(power_loss)
+    assert (found.fault, found.joint) == (Fault.STALE_READING, 1)
+    assert found.first is not None
+    assert (found.first.joint, found.first.sentence) == (1, "joint2 gives no readings from here on.")
+    lines = [f"{story.since(line.monotonic_ns, found.zero_ns).strip()} {line.sentence}" for line in found.lines]
+    starts = [
+        "-2.233 s Mode: bringing up.",
+        "-2.117 s Mode: holding.",
+        "-2.100 s Goal 1 was announced.",
+        "-2.100 s Mode: executing.",
+        "-2.100 s Goal 1 moves the arm, 3.80 s long.",
+        "-1.100 s 1 garbled line from the adapter, or refusals of it.",
+        "joint2 gives no readings from here on.",
+        "joint2 is late: its reading is",
+        "0 s joint2 has not answered for 0.10",
+        "0 s Mode: fault.",
+        "0 s The control process latched a fault and stopped the arm",
+        "0 s Each joint brakes by itself, since the path cannot be trusted.",
+        "No joint is commanded to move any more.",
+    ]
+    missing = [start for start in starts if not any(start in line for line in lines)]
+    assert not missing, "\n".join(lines)
+    assert found.verdict[0].startswith("joint2 has not answered for 0.10")
+    assert found.verdict[1].startswith("Then each joint braked by itself and came to rest 0.")
+    assert found.verdict[-1].startswith("What to do: Check supply, cable")
+
+
+def test_a_held_shaft_is_told_by_what_its_drive_said_and_by_the_limit(stalled: Recording) -> None:
+    found = told(stalled)
+    assert (found.fault, found.joint) == (Fault.FOLLOWING_ERROR, 2)
+    signs = [line for line in found.lines if line.sign and line.monotonic_ns < found.zero_ns]
+    assert {line.joint for line in signs} == {2}
+    assert any("half of the 0.1000 rad" in line.sentence for line in signs)
+    assert "and 0.1000 rad are allowed" in found.verdict[0]
+
+
+def test_a_goal_that_succeeds_has_no_fault_and_no_signs() -> None:
+    arm = executing(10)
+    arm.until(lambda: arm.outcome(1) != Outcome.NONE)
+    assert arm.outcome(1) == Outcome.SUCCEEDED
+    found = told(recorded(arm))
+    assert (found.fault, found.first) == (0, None)
+    assert not [line for line in found.lines if line.sign]
+    assert found.verdict == ["No fault was latched in this recording."]
+
+
+def test_missed_cycles_a_silent_front_and_requests_are_told() -> None:
+    arm = executing()
+    arm.cycle(4)
+    arm.cycles(30)
+    arm.writer.request(Request.HOLD)
+    arm.cycles(100)
+    arm.writer.request(Request.RESUME)
+    arm.cycles(20)
+    arm.front_alive = False
+    arm.until(lambda: arm.outcome(1) == Outcome.FRONT_LOST)
+    sentences = [line.sentence for line in told(recorded(arm)).lines]
+    for expected in (
+        "3 control cycles were missed after this.",
+        "A person paused the goal",
+        "Request 1: Done.",
+        "Request 2: Done.",
+        "The ROS process gives no sign of life",
+    ):
+        assert any(sentence.startswith(expected) for sentence in sentences), (expected, sentences)
+    assert not any("joint" in sentence and "no readings" in sentence for sentence in sentences)
+
+
+def test_a_recording_of_a_death_ends_with_the_last_cycle(power_loss: Recording) -> None:
+    alive = power_loss.records["fault"] == Fault.NONE
+    found = told(Recording(**{**vars(power_loss), "records": power_loss.records[alive]}), Reason("death", "It died."))
+    assert found.lines[-1].sentence == "The last cycle of the control process."
+    assert found.zero_ns == found.lines[-1].monotonic_ns
+    assert found.verdict[0].startswith("The control process ended without an orderly end")
+
+
+@pytest.mark.parametrize("width", [40, 80, 200])
+def test_an_explanation_fits_its_terminal(a_file: Path, width: int) -> None:
+    console = Console(file=io.StringIO(), width=width, color_system=None)
+    console.print(explanation(a_file))
+    text = console.file.getvalue()
+    assert max(map(len, text.splitlines())) <= width
+    assert "First of all: joint2" in " ".join(text.split())
+    assert "Position of joint2 (rad): · commanded" in text
+    assert "┊" in text and "●" in text
+
+
+def test_a_chart_puts_values_where_they_belong() -> None:
+    times = np.array([-1.0, 0.0, 1.0])
+    lines = chart([Series("x", times, np.array([0.0, 1.0, np.nan]))], (-1.0, 1.0), 42, 5)
+    assert [line.rstrip() for line in lines] == [
+        "    1.0500 │              x",
+        "           │              ┊",
+        "    0.5000 │              ┊",
+        "           │              ┊",
+        "   -0.0500 │x             ┊",
+        "            -1.00 s       0        +1.00 s",
+    ]
+    assert chart([Series("x", times, np.full(3, np.nan))], (-1.0, 1.0), 42, 5) == []
+
+
+# --- played back --------------------------------------------------------------------------------------------
+
+
+def test_a_replay_shows_what_was_to_be_seen_then(power_loss: Recording) -> None:
+    clock = [0]
+    replay = Replay(power_loss, 0.5, lambda: clock[0])
+    first = replay.look().report
+    assert first is not None and first["mode"] == "bringing_up"
+    clock[0] = 4_000_000_000  # two of its seconds
+    look = replay.look()
+    assert look.report is not None
+    assert (look.report["mode"], look.report["healthy"]) == ("executing", True)
+    at = np.searchsorted(power_loss.records["monotonic_ns"], power_loss.records["monotonic_ns"][0] + 2_000_000_000)
+    assert look.report["cycles"] in power_loss.records["cycle"][at - 1 : at + 1]
+    assert look.recent is not None and look.recent["bus"]["frames_tx"] > 0
+    clock[0] = 60_000_000_000
+    last = replay.look()
+    assert last.report is not None and last.report["fault"]["joint"] == "joint2"
+    assert last.report["problems"][0].startswith("The recording ends here, after 4.")
+    console = Console(file=io.StringIO(), width=100, height=40, color_system=None)
+    console.print(Picture(last))
+    text = console.file.getvalue()
+    assert "joint2 has not answered" in text and "episode1: fault, not fit to move" in text
+    replay.close()
+
+
+def test_a_replay_needs_a_terminal_and_a_speed(rtarm: Rtarm, a_file: Path) -> None:
+    result = rtarm("replay", str(a_file))
+    assert (result.exit_code, "draws on a terminal and this is none: use `rtarm explain`" in result.stderr) == (1, True)
+    for speed in ("0", "-1", "nan"):
+        result = rtarm("replay", str(a_file), "--speed", speed)
+        assert (result.exit_code, "give a factor above 0" in result.stderr) == (1, True)
+
+
+# --- what is no recording -----------------------------------------------------------------------------------
+
+
+def cut(path: Path, whole: bytes) -> None:
+    path.write_bytes(whole[: len(whole) // 2])
+
+
+def spoil(path: Path, whole: bytes) -> None:
+    damaged = bytearray(whole)
+    damaged[len(whole) // 2] ^= 0xFF
+    path.write_bytes(damaged)
+
+
+@pytest.mark.parametrize(("harm", "said"), [(cut, "cut off"), (spoil, "is spoilt")])
+def test_a_damaged_file_is_told_as_far_as_it_can_be_read(
+    rtarm: Rtarm, a_file: Path, tmp_path: Path, harm: Callable[[Path, bytes], None], said: str
+) -> None:
+    path = tmp_path / "damaged.mcap"
+    harm(path, a_file.read_bytes())
+    loaded = mcap_file.read(path)
+    assert said in loaded.damage
+    whole = len(mcap_file.read(a_file).recording.records)
+    assert whole // 4 < len(loaded.recording.records) < whole
+    result = rtarm("explain", str(path))
+    assert (result.exit_code, "The file is damaged" in result.stdout) == (0, True)
+
+
+def test_a_file_damaged_anywhere_is_told_or_refused(a_file: Path, tmp_path: Path) -> None:
+    whole = a_file.read_bytes()
+    chance = random.Random(7)
+    path = tmp_path / "damaged.mcap"
+    for _ in range(20):
+        damaged = bytearray(whole)
+        for _ in range(chance.choice((1, 1, 30))):
+            damaged[chance.randrange(min(len(whole), chance.choice((300, 3000, len(whole)))))] = chance.randrange(256)
+        path.write_bytes(damaged[: chance.choice((len(whole), chance.randrange(len(whole))))])
+        try:
+            loaded = mcap_file.read(path)
+        except Refusal as refusal:
+            assert "damaged.mcap" in refusal.sentence
+        else:
+            told(loaded.recording, loaded.reason)
+
+
+def foreign(path: Path) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("x", "jsonschema", b"{}")
+        channel = writer.register_channel("/rtarm/state", "json", schema)
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+
+
+def newer(path: Path) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_metadata("rtarm", {"format": "99"})
+        writer.add_metadata("rtarm.limits", {})
+        writer.finish()
+
+
+def pretended(path: Path) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_metadata("rtarm", {"format": "1", "joints": "[]"})
+        writer.add_metadata("rtarm.limits", {})
+        writer.finish()
+
+
+def private(path: Path) -> None:
+    path.symlink_to("/proc/1/mem" if os.geteuid() else path.name)  # a link to itself cannot be opened even by root
+
+
+@pytest.mark.parametrize(
+    ("make_it", "said"),
+    [
+        (lambda path: None, "is not there"),
+        (lambda path: path.mkdir(), "is a folder: give one of the .mcap files in it"),
+        (lambda path: path.write_text("no"), "is no MCAP file"),
+        (lambda path: path.write_bytes(b""), "is no MCAP file"),
+        (lambda path: path.write_bytes(mcap_file.MAGIC), "is damaged so early"),
+        (os.mkfifo, "is no file that holds a recording"),
+        (foreign, "is an MCAP file, but no recording of rtarm's"),
+        (newer, "has format 99, this rtarm reads format 1"),
+        (pretended, "but its content is not"),
+        (private, "cannot be read"),
+    ],
+    ids=["absent", "folder", "text", "empty", "only the magic", "pipe", "foreign", "newer", "pretended", "unreadable"],
+)
+@pytest.mark.parametrize("command", ["explain", "replay"])
+def test_what_is_no_recording_is_refused_with_a_sentence(
+    rtarm: Rtarm, tmp_path: Path, command: str, make_it: Callable[[Path], None], said: str
+) -> None:
+    path = tmp_path / "file.mcap"
+    make_it(path)
+    result = rtarm(command, str(path))
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert said in result.stderr and len(result.stderr.splitlines()) == 1, result.stderr
+
+
+def test_without_recordings_explain_says_how_to_make_one(rtarm: Rtarm, state_home: Path) -> None:
+    result = rtarm("explain")
+    assert result.exit_code == 1
+    assert f"There is no recording in {state_home}" in result.stderr
+
+
+# --- on demand ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def dead(arm_name: str) -> Iterator[Path]:
+    """What a control process that was killed after some cycles has left behind."""
+    arm = VirtualArm("mock")
+    assert arm.bring_up().failure is None
+    arm.cycles(50)
+    header = arm.state.record["header"]
+    header["magic"], header["layout_hash"] = layout.MAGIC, layout.layout_hash()
+    header["arm_name"] = files.name_bytes((arm_name,), 1)
+    path = files.state_path(arm_name)
+    path.touch(0o600)
+    path.write_bytes(arm.state.map[:])
+    arm.close()
+    yield path
+    for left in files.DIRECTORY.glob(f"rtarm.{arm_name}.*"):
+        left.unlink()
+
+
+@pytest.mark.parametrize("previous", [False, True], ids=["dead", "and followed by another that ended in order"])
+def test_what_a_dead_control_process_left_is_recorded(
+    rtarm: Rtarm, dead: Path, arm_name: str, state_home: Path, previous: bool
+) -> None:
+    if previous:
+        dead.rename(files.previous_path(arm_name))
+    result = rtarm("record", arm_name)
+    assert (result.exit_code, result.stderr) == (0, "")
+    (path,) = folder.recordings(arm_name)
+    assert path == Path(result.stdout.strip()) and path.parent == state_home
+    loaded = mcap_file.read(path)
+    assert len(loaded.recording.records) >= 50
+    assert loaded.reason.word == make.DEATH
+    told = rtarm("explain")
+    assert (told.exit_code, "ended without an orderly end" in " ".join(told.stdout.split())) == (0, True)
+
+
+def test_a_running_arm_is_recorded_where_one_says(rtarm: Rtarm, arm: WrittenArm, tmp_path: Path) -> None:
+    result = rtarm("record", arm.name)
+    assert (result.exit_code, "has not run a cycle, so there is nothing to record" in result.stderr) == (1, True)
+    result = rtarm("record", arm.name, "-o", str(tmp_path))
+    assert (result.exit_code, "is a folder: name a file in it" in result.stderr) == (1, True)
+
+
+def test_an_arm_that_left_nothing_is_said_so(rtarm: Rtarm, arm_name: str) -> None:
+    result = rtarm("record", arm_name)
+    assert result.exit_code == 1
+    assert f"No control process is running for arm '{arm_name}'" in result.stderr
