@@ -5,6 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 
+def legible(text: str, most: int | None = None) -> str:
+    """A text from outside as one line that can neither end it nor speak to the terminal, of at most so many characters.
+
+    Whatever is not printable is shown as Python writes it: a newline as \\n, a byte that begins a colour as \\x1b.
+    """
+    if most is not None and len(text) > most:
+        text = text[: most - 1] + "…"
+    return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
 class ConfigError(Exception):
     """An arm file, or what was overridden in it, cannot be used.
 
@@ -27,11 +37,12 @@ class ConfigError(Exception):
         overridden: bool = False,
         others: Sequence[ConfigError] = (),
     ) -> None:
+        problem = legible(problem)
         super().__init__(problem)
         self.problem = problem
         self.file = file
         self.line = line
-        self.location = location
+        self.location = None if location is None else legible(location)
         self.overridden = overridden
         self.errors: tuple[ConfigError, ...] = (self, *others)
 

@@ -34,6 +34,10 @@ _DERIVED_FIELDS = {
 
 Location = tuple[str | int, ...]
 
+LONGEST_FILE_BYTES = 1_000_000
+MOST_KEYS = 10_000
+"""In one group of fields, with all that is merged into it: a few lines of `<<` can ask for more than a memory holds."""
+
 
 def known_arms() -> list[str]:
     """Names of the arms that come with rtarm, sorted."""
@@ -104,7 +108,11 @@ def _display_name(path: Path) -> str:
 
 def _read(path: Path, file: str) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        with path.open("rb") as stream:
+            data = stream.read(LONGEST_FILE_BYTES + 1)
+        if len(data) <= LONGEST_FILE_BYTES:
+            return data.decode("utf-8")
+        problem = f"the file has more than {LONGEST_FILE_BYTES} bytes, which no arm needs; give an arm file."
     except FileNotFoundError:
         problem = (
             "there is no such file; give the path of an existing arm file, or the name of a known arm "
@@ -130,6 +138,7 @@ def _parse(text: str, file: str) -> tuple[yaml.Node, dict[str, Any]]:
                     file=file,
                 )
             _refuse_duplicates(root, file, set())
+            _refuse_floods(root, file)
             values = loader.construct_document(root)
             if not isinstance(values, dict):
                 raise ConfigError(
@@ -195,6 +204,33 @@ def _refuse_duplicates(node: yaml.Node, file: str, seen: set[int]) -> None:
             _refuse_duplicates(value, file, seen)
 
 
+def _refuse_floods(root: yaml.Node, file: str) -> None:
+    """Merged keys are written out before anything is judged, and each merge may multiply those of another."""
+    counted: dict[int, int] = {}
+
+    def keys(node: yaml.Node) -> int:
+        """Keys of a group of fields once everything merged into it is written out; looks at all that is inside."""
+        if id(node) in counted:
+            return counted[id(node)]
+        counted[id(node)] = count = 0  # of one that merges itself nothing comes
+        if isinstance(node, yaml.SequenceNode):
+            count = sum([keys(item) for item in node.value])
+        elif isinstance(node, yaml.MappingNode):
+            for key, value in node.value:
+                inside = keys(value)
+                count += inside if key.tag == "tag:yaml.org,2002:merge" else 1
+        if count > MOST_KEYS:
+            raise ConfigError(
+                f"its merged keys (<<) come to more than {MOST_KEYS} fields; write the fields out instead.",
+                file=file,
+                line=_line(node),
+            )
+        counted[id(node)] = count
+        return count
+
+    keys(root)
+
+
 def _line(node: yaml.Node) -> int:
     mark = node.start_mark
     return int(mark.line) + 1
@@ -250,8 +286,8 @@ def parse_overrides(assignments: Sequence[str]) -> dict[str, Any]:
         if not equals or not all(re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", key) for key in keys):
             raise ConfigError(f"the override {assignment!r} names no field of a section; {_OVERRIDE_EXAMPLE}.")
         try:
-            value = yaml.safe_load(text)
-        except (yaml.YAMLError, ValueError):
+            value = _value(text)
+        except (yaml.YAMLError, ValueError, RecursionError):
             raise ConfigError(
                 f"the override {assignment!r} has a value that is not valid YAML; {_OVERRIDE_EXAMPLE}, and "
                 "put text with special characters in double quotes."
@@ -266,6 +302,19 @@ def parse_overrides(assignments: Sequence[str]) -> dict[str, Any]:
                 )
         group[keys[-1]] = value
     return nested
+
+
+def _value(text: str) -> Any:
+    """What a YAML text says, other than a flood of merged keys; raises what PyYAML does, or ConfigError."""
+    loader = yaml.SafeLoader(text)
+    try:
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        _refuse_floods(node, "an override")
+        return loader.construct_document(node)
+    finally:
+        loader.dispose()
 
 
 def _exclusive(overrides: Mapping[str, Any], values: Mapping[str, Any]) -> Mapping[str, Any]:

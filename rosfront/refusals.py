@@ -6,6 +6,10 @@ The error codes are those of control_msgs/action/FollowJointTrajectory (facts: c
 import math
 from collections.abc import Sequence
 
+from config.errors import legible
+
+LONGEST_NAME = 60
+"""Characters of a sender's name for a joint that are repeated to people."""
 SUCCESSFUL = 0
 INVALID_GOAL = -1
 INVALID_JOINTS = -2
@@ -36,6 +40,7 @@ class GoalRefused(Exception):
         value: float | None = None,
         limit: float | None = None,
     ) -> None:
+        sentence = legible(sentence)
         super().__init__(sentence)
         self.sentence = sentence
         self.joint = joint
@@ -83,7 +88,8 @@ class NoJoints(BadJoints):
 class UnknownJoint(BadJoints):
     def __init__(self, joint: str, known: Sequence[str], where: str = "joint_names") -> None:
         super().__init__(
-            f"'{joint}' in {where} is no joint of this arm, which has {', '.join(known)}; correct the name.",
+            f"'{legible(joint, LONGEST_NAME)}' in {where} is no joint of this arm, which has {', '.join(known)}; "
+            "correct the name.",
             joint=joint,
         )
 

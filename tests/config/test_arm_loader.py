@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from config import ArmConfig, ConfigError, arm_hash, known_arms, load_arm
-from config.loader import ARMS_FOLDER
+from config.loader import ARMS_FOLDER, parse_overrides
 
 EPISODE1 = (ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8")
 
@@ -417,3 +417,43 @@ def test_whatever_happens_to_a_file_the_answer_is_an_arm_or_a_sentence(tmp_path:
 )
 def test_whatever_is_overridden_the_answer_is_an_arm_or_a_sentence(overrides: dict[str, Any]) -> None:
     assert_an_arm_or_sentences(ARMS_FOLDER / "episode1.yaml", overrides)
+
+
+# --- files that grow when they are read --------------------------------------------------------------------
+
+
+def merge_bomb(depth: int) -> str:
+    groups = [f"b{i}: &b{i} {{<<: [{', '.join([f'*b{i - 1}'] * 9)}]}}" for i in range(1, depth)]
+    return "\n".join(["b0: &b0 {k: 1, l: 2}", *groups])
+
+
+def test_merged_keys_that_multiply_are_refused_before_they_are_written_out(tmp_path: Path) -> None:
+    file = tmp_path / "bomb.yaml"
+    file.write_text(merge_bomb(40), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"its merged keys \(<<\) come to more than 10000 fields; write"):
+        load_arm(file)
+    with pytest.raises(ConfigError, match=r"its merged keys \(<<\) come to more than"):
+        parse_overrides([f"control.rate_hz={merge_bomb(40)}"])
+
+
+def test_an_endless_file_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "long.yaml"
+    file.write_bytes(b"#" * 1_000_001)
+    with pytest.raises(ConfigError, match="more than 1000000 bytes"):
+        load_arm(file)
+    with pytest.raises(ConfigError, match="more than 1000000 bytes"):
+        load_arm(Path("/dev/zero"))
+
+
+def test_an_override_nested_too_deeply_is_a_sentence() -> None:
+    with pytest.raises(ConfigError, match="has a value that is not valid YAML"):
+        parse_overrides(["control.rate_hz=" + "[" * 10_000])
+
+
+def test_a_sentence_is_one_printable_line_whatever_the_file_says(tmp_path: Path) -> None:
+    file = tmp_path / "lines.yaml"
+    file.write_text('"a\\nb\\e[31m": 1\n', encoding="utf-8")
+    with pytest.raises(ConfigError) as refused:
+        load_arm(file)
+    assert any("a\\nb\\x1b[31m is not a field" in str(error) for error in refused.value.errors)
+    assert all(str(error).isprintable() for error in refused.value.errors)

@@ -745,3 +745,13 @@ def test_whatever_is_accepted_keeps_the_limits_everywhere(seed):
     except refusals.BeyondLimits:
         return
     assert inside and slow and soft
+
+
+def test_a_name_from_outside_is_shown_on_one_printable_line_of_bounded_length():
+    """What a sender calls a joint goes into logs and onto terminals."""
+    message = recorded("small")
+    message.trajectory.joint_names[0] = "x\x1b[31m\n" + "y" * 10_000
+    with pytest.raises(refusals.UnknownJoint) as refused:
+        plan_goal(message, ARM, Present(np.zeros((6, 3)), True, 0, 0), Settings.of(ARM))
+    assert refused.value.sentence.startswith("'x\\x1b[31m\\nyyy")
+    assert refused.value.sentence.isprintable() and len(refused.value.sentence) < 250

@@ -1,0 +1,284 @@
+"""Hostile bytes from the adapter, and hostile frames from the drives, against the whole cycle: all compiled.
+
+The arm is the one with six drives on a serial adapter. Before each cycle some drives answer as drives do, and a writer
+who knows the grammar of the lines, or does not care for it, puts its own between them. The judge decodes what the cycle
+sends by itself.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from fuzz import memory
+from fuzz.memory import SOUND, UNKNOWN_WORD
+from rtloop.cycle import step
+from rtloop.port import OUT, TAKEN, WRITTEN
+from rtloop.wire import received
+from shm.atomics import store_relaxed
+from shm.jit import jit
+
+Loop = Any
+Shared = Any
+
+CYCLES = 40
+MOST_BYTES = 2048
+CR, BEL = 13, 7
+BAD_LINE, BAD_TARGET, LED_BLIND = 7, 8, 9
+GUILT = (*memory.GUILT, "a line that is none", "a target outside its limits", "led without a reference")
+_HEX = np.frombuffer(b"0123456789ABCDEF", np.uint8)
+_TEMPLATES = [b"z", b"Z", b"", b"\x07", b"V1013", b"NA123", b"FA4", b"T", b"t", b"T0", b"t1FF", b"r1238", b"R000001008"]
+_TEMPLATES += [
+    b"T0000010073601",
+    b"T00000100Z36",
+    b"T000001009360000000000006B",
+    b"\x00\x00",
+    b"\xff\x80\xc3",
+    b"C",
+    b"O",
+]
+_PIECES = np.zeros((len(_TEMPLATES), 32), np.uint8)
+for _row, _text in zip(_PIECES, _TEMPLATES, strict=True):
+    _row[: len(_text)] = np.frombuffer(_text, np.uint8)
+_LENGTHS = np.array([len(text) for text in _TEMPLATES])
+_FUNCTIONS = np.array([0x36, 0x3A, 0xFD, 0xFE, 0xF3, 0x00, 0xE2, 0xEE, 0x35])
+
+
+@jit
+def put_byte(out: np.ndarray, at: int, byte: int) -> int:
+    """Append a byte; where the next one goes."""
+    if at < len(out):
+        out[at] = byte
+        return at + 1
+    return at
+
+
+@jit
+def put_hex(out: np.ndarray, at: int, value: int, digits: int) -> int:
+    for i in range(digits):
+        digit = _HEX[(value >> (4 * (digits - 1 - i))) & 15]
+        if digit > 60 and np.random.random() < 0.02:
+            digit += 32  # lower case, which is as good
+        at = put_byte(out, at, digit)
+    return at
+
+
+@jit
+def put_frame(out: np.ndarray, at: int, frame_id: int, length: int, data: int) -> int:
+    """A line with an extended frame, whole."""
+    at = put_byte(out, at, 84)
+    at = put_hex(out, at, frame_id, 8)
+    at = put_hex(out, at, length, 1)
+    for i in range(min(length, 8)):
+        at = put_hex(out, at, (data >> (8 * i)) & 255, 2)
+    if np.random.random() < 0.05:
+        at = put_hex(out, at, np.random.randint(0, 60_000), 4)  # a time stamp
+    return put_byte(out, at, CR)
+
+
+@jit
+def position_reply(loop: Loop, joint: int, off_rad: float) -> int:
+    """`36 sign counts32 6B` of a joint that is where it is commanded, but for an error."""
+    row = loop.joints[joint]
+    counts = round((loop.axes[joint].position_rad + off_rad + row.zero_rad) * row.counts_per_rad)
+    size = min(abs(counts), 0xFFFFFFFF)
+    data = 0x36 | ((1 if counts < 0 else 0) << 8) | (0x6B << 48)
+    for i in range(4):
+        data |= ((size >> (8 * (3 - i))) & 255) << (8 * (2 + i))
+    return data
+
+
+@jit
+def put_answers(loop: Loop, out: np.ndarray, at: int, silence: float) -> int:
+    """What sound drives say in a cycle."""
+    for joint in range(loop.params.joint_count):
+        if np.random.random() < silence:
+            continue
+        address = loop.joints[joint].address << 8
+        at = put_frame(out, at, address, 7, position_reply(loop, joint, 0.0))
+        if np.random.random() < 0.2:
+            at = put_frame(out, at, address, 3, 0x3A | (0x03 << 8) | (0x6B << 16))
+    return at
+
+
+@jit
+def put_hostile_frame(loop: Loop, out: np.ndarray, at: int) -> int:
+    """A frame that is whole as such: of any drive, of any function, of any length."""
+    joint = int(np.random.randint(0, loop.params.joint_count))
+    frame_id = loop.joints[joint].address << 8
+    kind = np.random.randint(0, 8)
+    if kind == 0:  # where it cannot be, or nearly is
+        off_rad = float(np.random.normal(0.0, 1.0) * 10.0 ** np.random.randint(-5, 4))
+        return put_frame(out, at, frame_id, 7, position_reply(loop, joint, off_rad))
+    if kind == 1:  # any state
+        return put_frame(out, at, frame_id, 3, 0x3A | (int(np.random.randint(0, 256)) << 8) | (0x6B << 16))
+    if kind == 2:  # any count
+        data = 0x36 | (int(np.random.randint(0, 1 << 40)) << 8) | (0x6B << 48)
+        return put_frame(out, at, frame_id, 7, data)
+    length = int(np.random.randint(0, 16)) if kind == 3 else int(np.random.randint(0, 9))
+    data = int(np.random.randint(0, 1 << 62)) << np.random.randint(0, 3)
+    if kind < 6:
+        data = (data & ~255) | _FUNCTIONS[np.random.randint(0, len(_FUNCTIONS))]
+    if kind == 6:
+        frame_id = int(np.random.randint(0, 1 << 32))
+    elif np.random.random() < 0.3:
+        frame_id |= int(np.random.randint(0, 256))
+    return put_frame(out, at, frame_id, length, data)
+
+
+@jit
+def put_noise(out: np.ndarray, at: int) -> int:
+    """Bytes that are no frame, or no line at all."""
+    kind = np.random.randint(0, 5)
+    if kind == 0:
+        for _ in range(np.random.randint(1, 40)):
+            at = put_byte(out, at, np.random.randint(0, 256))
+    elif kind == 1:  # an overlong line
+        byte = np.random.randint(32, 256)
+        for _ in range(np.random.randint(27, 300)):
+            at = put_byte(out, at, byte)
+    elif kind == 2:
+        at = put_byte(out, at, BEL)
+    else:
+        piece = int(np.random.randint(0, len(_LENGTHS)))
+        for i in range(_LENGTHS[piece]):
+            at = put_byte(out, at, _PIECES[piece, i])
+    return put_byte(out, at, CR) if np.random.random() < 0.7 else at
+
+
+@jit
+def spoil(out: np.ndarray, count: int) -> int:
+    """Flip, drop or double bytes of what was made; how many are left."""
+    for _ in range(np.random.randint(1, 4)):
+        if count < 2:
+            return count
+        at = int(np.random.randint(0, count - 1))
+        kind = np.random.randint(0, 3)
+        if kind == 0:
+            out[at] ^= 1 << np.random.randint(0, 8)
+        elif kind == 1:
+            for i in range(at, count - 1):
+                out[i] = out[i + 1]
+            count -= 1
+        elif count < len(out):
+            for i in range(count, at, -1):
+                out[i] = out[i - 1]
+            count += 1
+    return count
+
+
+@jit
+def bring(loop: Loop, out: np.ndarray, count: int, now_ns: int) -> None:
+    """Put bytes into the receive ring in chunks, as a reader thread finds them."""
+    done = 0
+    while done < count:
+        size = min(int(np.random.randint(1, 400)), count - done)
+        received.push(loop, now_ns - int(np.random.randint(0, 3_000_000)), out[done:], size)
+        done += size
+
+
+@jit
+def hex_at(tx: np.ndarray, at: int, digits: int) -> int:
+    """A number in upper-case digits, -1 if it is none."""
+    value = 0
+    for i in range(at, at + digits):
+        code = tx[i]
+        if 48 <= code <= 57:
+            value = (value << 4) | (code - 48)
+        elif 65 <= code <= 70:
+            value = (value << 4) | (code - 55)
+        else:
+            return -1
+    return value
+
+
+@jit
+def judge_bytes(loop: Loop, count: int, verdict: np.ndarray) -> int:
+    """Decode what is sent: whole lines, drives of the arm, targets inside their limits, none that is led blind."""
+    tx, at, first = loop.tx, 0, -1
+    while at < count:
+        if tx[at] != 84 or at + 10 > count:
+            return BAD_LINE
+        frame_id, length = hex_at(tx, at + 1, 8), tx[at + 9] - 48
+        if frame_id < 0 or length < 0 or length > 8 or at + 10 + 2 * length >= count:
+            return BAD_LINE
+        address = frame_id >> 8
+        if address >= 256 or loop.joint_at[address] < 0 or tx[at + 10 + 2 * length] != CR:
+            return BAD_LINE
+        joint = loop.joint_at[address]
+        if hex_at(tx, at + 10, 2) == 0xFD:
+            if loop.axes[joint].referenced == 0:
+                verdict[0] = joint
+                return LED_BLIND
+            if frame_id & 255 == 0:
+                first = at
+            else:
+                pulses = (hex_at(tx, first + 20, 6) << 8) | hex_at(tx, at + 12, 2)
+                if hex_at(tx, first + 12, 2) == 1:
+                    pulses = -pulses
+                row = loop.joints[joint]
+                target = pulses / row.pulses_per_rad - row.zero_rad
+                slack = 3.0 / abs(row.pulses_per_rad) + row.slack_rad
+                if not (row.lower_rad - slack <= target <= row.upper_rad + slack):
+                    verdict[0], verdict[1] = joint, target
+                    return BAD_TARGET
+        at += 11 + 2 * length
+    return SOUND if at == count else BAD_LINE
+
+
+@jit
+def run_case(
+    loop: Loop, shared: Shared, fresh: int, seed: int, case: int, seen: np.ndarray, verdict: np.ndarray, out: np.ndarray
+) -> int:
+    """Run one case; what it is guilty of."""
+    np.random.seed((seed * 1_000_003 + case) & 0xFFFFFFFF)
+    memory.refresh(loop, fresh, case)
+    for word in (WRITTEN, TAKEN):
+        store_relaxed(loop.params.address + OUT + word, 0)
+    command = loop.params.command_address
+    box, before = np.zeros(1), memory.standing(loop)
+    silence = 0.0 if np.random.random() < 0.7 else np.random.random()
+    calm = np.random.random() < 0.5
+    now_ns, guilt = int(loop.core.now_ns), SOUND
+    for cycle in range(CYCLES):
+        now_ns += loop.params.period_ns
+        store_relaxed(command + memory.HEARTBEAT, now_ns)
+        if cycle % 12 == 1:
+            memory.put_goal(loop, command, 1 + cycle, 0.0, box)
+        at = put_answers(loop, out, 0, silence)
+        for _ in range(np.random.randint(0, 3 if calm else 12)):
+            at = put_hostile_frame(loop, out, at) if np.random.random() < 0.6 else put_noise(out, at)
+        if np.random.random() < 0.3:
+            at = spoil(out, at)
+        bring(loop, out, at, now_ns)
+        sent = step(loop, shared, now_ns)
+        guilt = memory.judge(loop, before, verdict)
+        if guilt == SOUND:
+            guilt = judge_bytes(loop, sent, verdict)
+        if guilt == SOUND and not memory.words_known(loop, shared, seen):
+            guilt = UNKNOWN_WORD
+        if guilt != SOUND:
+            verdict[4], verdict[5], verdict[6] = cycle, calm, loop.core.fault
+            return guilt
+        loop.core.tx_length = 0
+    return SOUND
+
+
+@jit
+def run_cases(
+    loop: Loop,
+    shared: Shared,
+    fresh: int,
+    seed: int,
+    first: int,
+    count: int,
+    seen: np.ndarray,
+    verdict: np.ndarray,
+    faults: np.ndarray,
+    out: np.ndarray,
+) -> int:
+    """Run cases until one is guilty or all are done; how many were judged."""
+    for number in range(count):
+        if run_case(loop, shared, fresh, seed, first + number, seen, verdict, out) != SOUND:
+            return number + 1
+        faults[loop.core.fault] += 1
+    return count
