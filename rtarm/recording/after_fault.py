@@ -78,15 +78,19 @@ class FaultRecorder:
     async def _run(self, word: str) -> None:
         assert self._memory is not None
         fd = self._memory.fd
-        child = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-P", "-m", "rtarm.recording", str(fd), self._arm, word),
-            stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE,
-            env=plain_environment(),
-            pass_fds=(fd,),
-            start_new_session=True,  # a Ctrl-C ends the arm, and what was recorded of it until then is kept
-        )
+        try:
+            child = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-P", "-m", "rtarm.recording", str(fd), self._arm, word),
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.PIPE,
+                env=plain_environment(),
+                pass_fds=(fd,),
+                start_new_session=True,  # a Ctrl-C ends the arm, and what was recorded of it until then is kept
+            )
+        except OSError as problem:  # no memory, no processes left: the arm goes on all the same
+            self._say(f"not recorded: no process could be started for it ({problem.strerror})")
+            return
         try:
             async with asyncio.timeout(PATIENCE_S):
                 out, err = await child.communicate()

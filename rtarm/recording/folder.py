@@ -11,6 +11,8 @@ from rtarm.errors import Refusal
 
 KEPT = 20
 """Newest recordings that are kept of an arm."""
+KEPT_IN_ALL = 100
+"""And of all arms together: each demo's has a name of its own."""
 SUFFIX = ".mcap"
 
 
@@ -32,8 +34,8 @@ def new_path(arm: str, why: str) -> Path:
 
 
 def remove_old(arm: str) -> None:
-    """Remove all but the newest recordings of an arm."""
-    for path in recordings(arm)[KEPT:]:
+    """Remove all but the newest recordings of an arm, and of all."""
+    for path in {*recordings(arm)[KEPT:], *recordings()[KEPT_IN_ALL:]}:
         with contextlib.suppress(OSError):
             path.unlink()
 

@@ -15,7 +15,7 @@ import os
 import stat
 import struct
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from enum import IntEnum
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -45,6 +45,7 @@ CHUNK_BYTES = 256 << 10
 """So much is lost at most around a spoilt byte."""
 
 BATCH = 1000
+_encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 _NAMED: dict[str, type[IntEnum]] = {
     "mode": Mode,
@@ -120,7 +121,7 @@ def _write(recording: Recording, reason: Reason, file: IO[bytes]) -> None:
         channels[name] = writer.register_channel(name, "json", schema_id)
     for message in heapq.merge(*_messages(recording), key=lambda one: one[0]):
         _, epoch_ns, name, content = message
-        data = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+        data = _encode(content).encode()
         writer.add_message(channels[name], log_time=epoch_ns, publish_time=epoch_ns, data=data)
     writer.finish()  # type: ignore[no-untyped-call]
 
@@ -277,23 +278,18 @@ def _batch(recording: Recording, records: np.ndarray) -> Iterator[_Message]:
             yield *at, JOINTS + name, joint
 
 
-def to_epoch(recording: Recording) -> Callable[[int], int]:
-    """Makes ROS time of CLOCK_MONOTONIC, as the clocks stood in the cycle before."""
+def _to_epoch(recording: Recording, monotonic_ns: np.ndarray) -> list[int]:
+    """ROS time of instants on CLOCK_MONOTONIC, as the clocks stood in the cycle before each."""
     instants = recording.records["monotonic_ns"]
-    offsets = recording.records["epoch_ns"] - instants
-
-    def convert(monotonic_ns: int) -> int:
-        at = max(int(np.searchsorted(instants, monotonic_ns, side="right")) - 1, 0)
-        return max(monotonic_ns + int(offsets[at]), 0)
-
-    return convert
+    at = np.maximum(np.searchsorted(instants, monotonic_ns, side="right") - 1, 0)
+    epochs: list[int] = np.maximum(monotonic_ns + (recording.records["epoch_ns"] - instants)[at], 0).tolist()
+    return epochs
 
 
 def _events(recording: Recording) -> Iterator[_Message]:
-    epoch = to_epoch(recording)
-    for event in recording.events:
+    epochs = _to_epoch(recording, recording.events["monotonic_ns"])
+    for event, epoch_ns in zip(recording.events, epochs, strict=True):
         told = happening(event, recording.joints)
-        epoch_ns = epoch(told.monotonic_ns)
         level = {BAD: _LEVEL_ERROR, ODD: _LEVEL_WARNING}.get(told.style, _LEVEL_INFO)
         content = {
             "timestamp": {"sec": epoch_ns // 1_000_000_000, "nsec": epoch_ns % 1_000_000_000},
@@ -308,12 +304,12 @@ def _events(recording: Recording) -> Iterator[_Message]:
 
 
 def _frames(recording: Recording) -> Iterator[_Message]:
-    epoch = to_epoch(recording)
     addresses = recording.limits["joints"]["drive_address"][: len(recording.joints)].tolist()
     by_address = {address: name for address, name in zip(addresses, recording.joints, strict=True) if address}
     order = np.argsort(recording.frames["monotonic_ns"], kind="stable")  # what was sent has its cycle's planned time
-    for frame in recording.frames[order].tolist():
-        _, monotonic_ns, head, data = frame
+    frames = recording.frames[order]
+    epochs = _to_epoch(recording, frames["monotonic_ns"])
+    for (_, monotonic_ns, head, data), epoch_ns in zip(frames.tolist(), epochs, strict=True):
         identifier = head & IDENTIFIER_MASK
         length = min(head >> LENGTH_SHIFT & LENGTH_MASK, 8)
         content = {
@@ -324,7 +320,7 @@ def _frames(recording: Recording) -> Iterator[_Message]:
             "extended": bool(head & EXTENDED),
             "data": struct.pack("<q", data)[:length].hex(),
         }
-        yield monotonic_ns, epoch(monotonic_ns), FRAMES, content
+        yield monotonic_ns, epoch_ns, FRAMES, content
 
 
 # --- reading ----------------------------------------------------------------------------------------------
