@@ -207,6 +207,8 @@ def _silences(recording: Recording) -> Iterator[Line]:
                 continue  # the cycle was away, not the drive
             last_ns = int(read_ns[at])
             again = np.flatnonzero(~late[at:])
+            if len(again) and records["mode"][at] in (Mode.OFFLINE, Mode.BRINGING_UP):
+                continue  # bring-up asks for other things than readings
             if len(again):
                 silence_s = (int(read_ns[at + again[0]]) - last_ns) * 1e-9
                 lasted = f"for {silence_s * 1e3:.0f} ms after this"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
 import os
@@ -19,7 +20,8 @@ from virtual import VirtualArm, recorded_goal
 from written_arm import WrittenArm
 
 from rtarm.errors import Refusal
-from rtarm.recording import folder, make, mcap_file, story
+from rtarm.recording import after_fault, folder, make, mcap_file, story
+from rtarm.recording.after_fault import FaultRecorder
 from rtarm.recording.chart import Series, chart
 from rtarm.recording.explain import explanation
 from rtarm.recording.mcap_file import NotWritten, Reason
@@ -477,3 +479,43 @@ def test_an_arm_that_left_nothing_is_said_so(rtarm: Rtarm, arm_name: str) -> Non
     result = rtarm("record", arm_name)
     assert result.exit_code == 1
     assert f"No control process is running for arm '{arm_name}'" in result.stderr
+
+
+# --- after a fault ------------------------------------------------------------------------------------------
+
+
+async def latched(arm: WrittenArm, said: list[str]) -> None:
+    """Watch an arm until something is said of the fault that it latches."""
+    recorder = FaultRecorder(arm.name, said.append)
+    watch = asyncio.create_task(recorder.watch())
+    await asyncio.sleep(0)  # it has looked at an arm without a fault
+    arm.snapshot["fault"], arm.snapshot["fault_ns"] = Fault.WIRE, 5
+    arm.publish()
+    try:
+        while not said:
+            assert not watch.done()
+            await asyncio.sleep(0.001)
+    finally:
+        watch.cancel()
+        await recorder.close(died=False)
+
+
+@pytest.mark.parametrize("lacks", ["cycles", "processes"])
+def test_a_fault_that_cannot_be_recorded_costs_one_sentence(
+    arm: WrittenArm, monkeypatch: pytest.MonkeyPatch, lacks: str
+) -> None:
+    async def no_process(*_: object, **__: object) -> None:
+        raise OSError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(after_fault, "POLL_S", 0.001)
+    monkeypatch.setattr(after_fault, "AFTERMATH_S", 0.0)
+    if lacks == "processes":
+        monkeypatch.setattr(asyncio, "create_subprocess_exec", no_process)
+    said: list[str] = []
+    asyncio.run(latched(arm, said))
+    expected = {
+        "cycles": f"not recorded: The control process of {arm.name} has not run a cycle, so there is nothing to "
+        "record.",
+        "processes": "not recorded: no process could be started for it (Resource temporarily unavailable)",
+    }
+    assert said == [expected[lacks]]
