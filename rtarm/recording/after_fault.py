@@ -21,6 +21,7 @@ POLL_S = 0.2
 AFTERMATH_S = 2.0
 """So long after a fault its recording is made: every stop ends within this, and shows in it."""
 PATIENCE_S = 60.0
+KILLED_S = 1.0
 
 
 class FaultRecorder:
@@ -95,9 +96,10 @@ class FaultRecorder:
             async with asyncio.timeout(PATIENCE_S):
                 out, err = await child.communicate()
         except TimeoutError:
-            with contextlib.suppress(ProcessLookupError):
+            with contextlib.suppress(ProcessLookupError, TimeoutError):
                 child.kill()
-            await child.wait()
+                async with asyncio.timeout(KILLED_S):  # what hangs in a dead network disk does not even die
+                    await child.wait()
             self._say(f"the recording was not written within {PATIENCE_S:g} s and was given up")
             return
         if child.returncode == 0:
