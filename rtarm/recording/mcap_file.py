@@ -35,7 +35,7 @@ from shm.recording import (
     Recording,
     record_dtype,
 )
-from shm.words import Fault, Mode, Outcome, Phase, Slowed, Unreferenced
+from shm.words import BusState, Fault, Mode, Outcome, Phase, Slowed, Unreferenced
 
 MAGIC = b"\x89MCAP0\r\n"
 FORMAT = "1"
@@ -53,6 +53,7 @@ _NAMED: dict[str, type[IntEnum]] = {
     "goal_phase": Phase,
     "ending": Outcome,
     "unreferenced_reason": Unreferenced,
+    "bus_state": BusState,
 }
 """Numbers that stand in the file by name."""
 _SUMS = ("crc", "decisions_crc")

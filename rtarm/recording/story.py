@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from rtarm.recording.mcap_file import Reason
+from rtarm.status import key
 from rtarm.top.events import BAD, ODD, PLAIN, happening
 from shm.recording import Recording
 from shm.sentences import FAULTS, fault_sentence, joint_name
-from shm.words import DriveStatus, Event, Fault, Mode, Phase, Slowed
+from shm.words import BusState, DriveStatus, Event, Fault, Mode, Phase, Slowed
 
 LATE_PERIODS = 2.5
 """A reading older than this was not followed by the next one: at least one answer is missing."""
@@ -32,6 +33,8 @@ COUNTED = {
     "bytes_unsent": "{n} {bytes} that the adapter did not take in their cycle",
     "receive_overflows": "{n} {bytes} lost because the cycle did not take them in time",
     "drive_errors": "{n} {commands} that a drive refused or did not understand",
+    "error_frames": "{n} {errors} that the CAN controller told of",
+    "unacknowledged": "{n} {errors} of the CAN controller because no drive acknowledged a frame",
 }
 """Counters whose every rise is told."""
 
@@ -161,6 +164,7 @@ def _lines(recording: Recording) -> Iterator[Line]:
     yield from _silences(recording)
     yield from _slow(recording)
     yield from _counted(recording)
+    yield from _bus(recording)
     yield from _missed(recording)
     yield from _front(recording)
     yield from _errors(recording)
@@ -246,13 +250,26 @@ def _counted(recording: Recording) -> Iterator[Line]:
             if burst and (at is None or times[at] - times[burst[-1]] > BURST_S * 1e9):
                 count = int(rises[np.array(burst) - 1].sum())
                 many = "" if count == 1 else "s"
-                words = sentence.format(n=count, lines=f"line{many}", bytes=f"byte{many}", commands=f"command{many}")
+                nouns = {noun + "s": noun + many for noun in ("line", "byte", "command", "error")}
+                words = sentence.format(n=count, **nouns)
                 lasted_s = float(times[burst[-1]] - times[burst[0]]) * 1e-9
                 within = f" within {lasted_s:.2f} s" if len(burst) > 1 else ""
                 yield Line(int(times[burst[0]]), f"{words}{within}.", ODD, sign=True)
                 burst = []
             if at is not None:
                 burst.append(at)
+
+
+def _bus(recording: Recording) -> Iterator[Line]:
+    """What the CAN controller thought of its bus, whenever that changed."""
+    records = recording.records
+    states = records["bus_state"]
+    for at in (np.flatnonzero(np.diff(states)) + 1).tolist():
+        worse = bool(states[at] > states[at - 1])
+        name = key(BusState, int(states[at])).replace("_", " ")
+        yield Line(
+            int(records["monotonic_ns"][at]), f"The CAN controller is {name} now.", ODD if worse else PLAIN, worse
+        )
 
 
 def _missed(recording: Recording) -> Iterator[Line]:

@@ -31,7 +31,7 @@ from rtloop.wire import received
 from rtloop.wire.slcan import BEL
 from shm import files, layout
 from shm.recording import Recording, read_recording
-from shm.words import Fault, Outcome, Request
+from shm.words import BusState, Fault, Outcome, Request
 from sim.faults import PowerLoss, Stall
 
 Rtarm = Callable[..., Result]
@@ -252,6 +252,21 @@ def test_missed_cycles_a_silent_front_and_requests_are_told() -> None:
     ):
         assert any(sentence.startswith(expected) for sentence in sentences), (expected, sentences)
     assert not any("joint" in sentence and "no readings" in sentence for sentence in sentences)
+
+
+def test_what_the_can_controller_told_is_told(power_loss: Recording) -> None:
+    records = power_loss.records.copy()
+    records["error_frames"][100:] += 3
+    records["unacknowledged"][100:] += 1
+    records["bus_state"][100:200] = BusState.PASSIVE
+    found = told(Recording(**{**vars(power_loss), "records": records}))
+    sentences = [line.sentence for line in found.lines if line.monotonic_ns == records["monotonic_ns"][100]]
+    assert sentences == [
+        "3 errors that the CAN controller told of.",
+        "1 error of the CAN controller because no drive acknowledged a frame.",
+        "The CAN controller is passive now.",
+    ]
+    assert any(line.sentence == "The CAN controller is active now." and not line.sign for line in found.lines)
 
 
 def test_a_recording_of_a_death_ends_with_the_last_cycle(power_loss: Recording) -> None:
