@@ -343,16 +343,7 @@ def percentiles(p50: float = 1.0) -> dict[str, Any]:
 
 
 def bus(load: float | None = 0.5, **trouble: int) -> dict[str, Any]:
-    names = (
-        "frames_tx",
-        "frames_rx",
-        "wire_errors",
-        "bytes_unsent",
-        "receive_overflows",
-        "stale_reads",
-        "drive_errors",
-    )
-    return {"load": load, **dict.fromkeys(names, 0), **trouble}
+    return {"load": load, **dict.fromkeys(("frames_tx", "frames_rx", *layout.BUS_TROUBLE), 0), **trouble}
 
 
 def report(joints: list[str], **more: Any) -> dict[str, Any]:
