@@ -24,8 +24,8 @@ from rosfront.verdict import fault_of
 from shm.errors import TornRead
 from shm.histogram import percentiles_ns
 from shm.layout import BUS_TROUBLE
-from shm.sentences import mode_name, unreferenced_sentence
-from shm.words import DriveStatus, Fault, Mode, Phase, Unreferenced
+from shm.sentences import NOBODY_ACKNOWLEDGES, bus_state_sentence, mode_name, unreferenced_sentence
+from shm.words import BusState, DriveStatus, Fault, Mode, Phase, Unreferenced
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 PERCENTS = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
@@ -150,6 +150,11 @@ class Diagnostics:
             values["frames received per second"] = f"{grown['frames_received'] / elapsed_s:.0f}"
         for name in ("frames_sent", "frames_received", *BUS_TROUBLE):
             values[name.replace("_", " ")] = now[name]
+        values["bus state"] = _word(BusState, now["bus_state"])
+        if now["bus_state"] in (BusState.PASSIVE, BusState.BUS_OFF):
+            return self._status("bus", ERROR, bus_state_sentence(now["bus_state"]), values)
+        if grown["unacknowledged"]:
+            return self._status("bus", WARN, NOBODY_ACKNOWLEDGES, values)
         trouble = [f"{grown[name]} {name.replace('_', ' ')}" for name in BUS_TROUBLE if grown[name]]
         if trouble:
             return self._status("bus", WARN, f"In the last {elapsed_s:.1f} s: {', '.join(trouble)}; {load}.", values)

@@ -19,8 +19,8 @@ from rtarm.errors import Refusal
 from shm import files, histogram
 from shm.client import StateReader
 from shm.layout import BUS_TROUBLE, RESULT_SLOTS
-from shm.sentences import fault_sentence, joint_name, outcome_sentence, unreferenced_sentence
-from shm.words import Fault, Mode, Outcome, Phase, Unreferenced
+from shm.sentences import bus_state_sentence, fault_sentence, joint_name, outcome_sentence, unreferenced_sentence
+from shm.words import BusState, Fault, Mode, Outcome, Phase, Unreferenced
 
 Report = dict[str, Any]
 """What `--json` prints; keys carry their units."""
@@ -28,6 +28,7 @@ Report = dict[str, Any]
 MOVING_MODES = (Mode.EXECUTING, Mode.STOPPING)
 FIT_MODES = (Mode.HOLDING, *MOVING_MODES)
 LIMP_MODES = (Mode.DISABLED, Mode.FREE)
+DOUBTFUL_BUS = {"passive": BusState.PASSIVE, "bus_off": BusState.BUS_OFF}
 CYCLE_OVERDUE_S = 0.5
 """A cycle this late is a control process that hangs, not one that was preempted."""
 FRONT_SILENT_S = 1.0
@@ -170,6 +171,7 @@ def counters(record: Any, bitrate: int, elapsed_ns: int) -> Report:
             "frames_rx": int(record["frames_received"]),
             "load": load,
             **{name: int(record[name]) for name in BUS_TROUBLE},
+            "state": key(BusState, int(record["bus_state"])),
         },
     }
 
@@ -191,6 +193,8 @@ def problems(report: Mapping[str, Any]) -> list[str]:
             f"The last control cycle was {report['cycle_age_ms'] / 1e3:.1f} s ago, so the control process "
             "hangs: stop it and start it again."
         )
+    if report["bus"]["state"] in DOUBTFUL_BUS:
+        found.append(bus_state_sentence(DOUBTFUL_BUS[report["bus"]["state"]]))
     found += [joint["unreferenced"] for joint in report["joints"] if joint["unreferenced"] is not None]
     front = report["front"]
     if front["pid"] is None:

@@ -361,6 +361,10 @@ ANSWERS: dict[Answer, Meaning] = {
 }
 
 
+NOBODY_ACKNOWLEDGES = (
+    "No drive acknowledges what is sent: see that the motors have power, that all have the bus' bit rate and that it "
+    "has 120 Ω at both ends."
+)
 WIRE_IS_BACK = "The adapter is back: `rtarm clear-fault` brings the drives up again."
 
 

@@ -1,10 +1,10 @@
 """`python -m sim --arm ARM --link PATH`: a simulated arm at a pseudo-terminal, until SIGTERM or SIGINT.
 
-Prints `ready <terminal>` when it can be opened. SIGUSR1 writes the true motion so far to the file given
-with `--truth` and then prints `truth <file>`; the same file is written at the end. With `--truth-window-s` it holds
-that many seconds, and what is older is forgotten. With `--faults-from-stdin`
-every line that comes in is a fault, its times counted from that moment, answered by `fault <line>`, or by
-`refused <sentence>`.
+With `--can vcan0` it lives on that CAN interface instead. Prints `ready <terminal or interface>` when it can be
+opened. SIGUSR1 writes the true motion so far to the file given with `--truth` and then prints `truth <file>`; the same
+file is written at the end. With `--truth-window-s` it holds that many seconds, and what is older is forgotten. With
+`--faults-from-stdin` every line that comes in is a fault, its times counted from that moment, answered by
+`fault <line>`, or by `refused <sentence>`.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from pathlib import Path
 from config.errors import ConfigError
 from config.loader import load_arm, parse_overrides
 from sim.arm import SimulatedArm
+from sim.can_socket import CanServer
 from sim.faults import FAULTS, parse_fault
 from sim.pty import PtyServer
 from sim.truth import save_truth
@@ -45,7 +46,12 @@ def main(arguments: list[str] | None = None) -> int:
             firmware=options.firmware,
             homed=not options.unhomed,
         )
-        server = PtyServer(arm, options.link)
+        if (options.can is not None) != (arm.config.bus.interface == "socketcan"):
+            raise ValueError(
+                f"arm {arm.config.name} is reached through {arm.config.bus.interface}: --can is for interface "
+                "socketcan, and for that alone."
+            )
+        server = PtyServer(arm, options.link) if options.can is None else CanServer(arm, options.can)
     except (ConfigError, ValueError, OSError) as error:
         print(f"sim: {error}", file=sys.stderr)
         return 2
@@ -58,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _serve(server: PtyServer, truth: Path | None, window_s: float | None, faults_from_stdin: bool) -> None:
+def _serve(server: PtyServer | CanServer, truth: Path | None, window_s: float | None, faults_from_stdin: bool) -> None:
     pending: set[int] = set()
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1):
         signal.signal(number, lambda caught, _: pending.add(caught))
@@ -94,20 +100,20 @@ def _serve(server: PtyServer, truth: Path | None, window_s: float | None, faults
 
     if truth is not None:
         server.heard = []
-    print(f"ready {server.tty_path}", flush=True)
+    print(f"ready {server.place}", flush=True)
     server.serve(attend, watched)
     signal.set_wakeup_fd(-1)
     write_truth()
 
 
-def _forget_before(server: PtyServer, time_ns: int) -> None:
+def _forget_before(server: PtyServer | CanServer, time_ns: int) -> None:
     for drive in server.arm.drives:
         drive.shaft.forget_before(time_ns)
     if server.heard is not None:
         server.heard = [piece for piece in server.heard if piece[0] >= time_ns]
 
 
-def _inject(server: PtyServer, text: str) -> str:
+def _inject(server: PtyServer | CanServer, text: str) -> str:
     now_ns = time.monotonic_ns()
     try:
         server.arm.run_until(now_ns)
@@ -131,13 +137,18 @@ def _be_as_prompt_as_hardware() -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m sim", description="Simulated drives behind an SLCAN adapter at a pseudo-terminal."
+        prog="python -m sim",
+        description="Simulated drives behind an SLCAN adapter at a pseudo-terminal, or on a CAN interface.",
     )
     parser.add_argument("--arm", required=True, help="name of an arm, or path of its YAML file")
     parser.add_argument(
         "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change a setting of the arm"
     )
-    parser.add_argument("--link", type=Path, help="symbolic link to make to the terminal")
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--link", type=Path, help="symbolic link to make to the terminal")
+    place.add_argument(
+        "--can", metavar="INTERFACE", help="CAN interface to live on (vcan0), of an arm with interface socketcan"
+    )
     parser.add_argument("--start-deg", help="joint angles to start at, in degrees, with commas between")
     parser.add_argument(
         "--fault", action="append", default=[], help=f"NAME:FIELD=VALUE,… with NAME of {', '.join(FAULTS)}"

@@ -73,6 +73,11 @@ class PtyServer:
         self.close()
 
     @property
+    def place(self) -> str:
+        """Where a host finds the arm."""
+        return self.tty_path
+
+    @property
     def wake_descriptor(self) -> int:
         """A byte written here, by a signal or another thread, makes `serve` look up."""
         return self._wake_write

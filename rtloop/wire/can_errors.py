@@ -4,21 +4,9 @@ The class of an error frame is its identifier, details stand in its data. Which 
 tell of a missing acknowledgement by its class, others as a bus error at the acknowledge slot.
 """
 
+from rtloop.wire.can_words import BUS_OFF, CONTROLLER, NO_ACKNOWLEDGE, PROTOCOL, RESTARTED
 from shm.jit import jit
 from shm.words import BusState
-
-TRANSMIT_TIMEOUT = 0x001
-LOST_ARBITRATION = 0x002
-CONTROLLER = 0x004
-PROTOCOL = 0x008
-TRANSCEIVER = 0x010
-NO_ACKNOWLEDGE = 0x020
-BUS_OFF = 0x040
-BUS_ERROR = 0x080
-RESTARTED = 0x100
-
-WATCHED = TRANSMIT_TIMEOUT | CONTROLLER | PROTOCOL | TRANSCEIVER | NO_ACKNOWLEDGE | BUS_OFF | BUS_ERROR | RESTARTED
-"""The classes asked for: to lose an arbitration is how a bus works, and no error."""
 
 _WARNING_BITS = 0x0C  # of receiving, of transmitting
 _PASSIVE_BITS = 0x30

@@ -7,15 +7,11 @@ u32 id with its flags in the machine's byte order (little-endian on all that run
 from typing import Any
 
 from rtloop.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES
+from rtloop.wire.can_words import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from shm.jit import jit
 
 Loop = Any
 
-EXTENDED_FLAG = 0x80000000
-REMOTE_FLAG = 0x40000000
-ERROR_FLAG = 0x20000000
-EXTENDED_MASK = 0x1FFFFFFF
-STANDARD_MASK = 0x7FF
 LONGEST_DATA = 8
 _LENGTH_AT = 4
 _DATA_AT = 8

@@ -8,13 +8,12 @@ import socket
 import struct
 from collections.abc import Sequence
 
-from rtloop.wire import can_errors
-from rtloop.wire.can_frame import EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG
 from rtloop.wire.can_link import Link, can_interfaces, link_of
+from rtloop.wire.can_words import EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, WATCHED
 from rtloop.wire.refusal import WireRefused
 
 RECEIVE_BYTES = 1 << 20
-"""Room for a thousand frames and more while nobody reads; Linux gives as much as net.core.rmem_max allows."""
+"""Asked for; Linux gives as much as net.core.rmem_max allows, as it comes room for 0.1 s of a full bus and more."""
 CYCLES_HELD_BACK = 2
 """How many cycles' frames the system may hold: what it holds longer would be sent late."""
 FRAME_MEMORY_BYTES = 768
@@ -65,7 +64,7 @@ def filters(addresses: Sequence[int]) -> dict[int, bytes]:
     passing = b"".join(_FILTER.pack(EXTENDED_FLAG | address << 8, exactly) for address in addresses)
     return {
         socket.CAN_RAW_FILTER: passing,
-        _CAN_RAW_ERR_FILTER: struct.pack("=I", can_errors.WATCHED),
+        _CAN_RAW_ERR_FILTER: struct.pack("=I", WATCHED),
     }
 
 

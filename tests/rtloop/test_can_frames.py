@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from config.loader import load_arm
 from rtloop.measured import take_what_the_bus_brought
 from rtloop.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, new_loop
-from rtloop.wire import can_errors, can_frame, received
+from rtloop.wire import can_frame, can_words, received
 from shm import layout
 from shm.words import BusState, Fault, Mode
 
@@ -138,7 +138,7 @@ def test_a_full_ring_loses_whole_frames(loop, shared):
 
 # --- error frames -------------------------------------------------------------------------------------------
 
-CONTROLLER = can_errors.CONTROLLER
+CONTROLLER = can_words.CONTROLLER
 
 
 @pytest.mark.parametrize(
@@ -149,12 +149,12 @@ CONTROLLER = can_errors.CONTROLLER
         ([(CONTROLLER, b"\0\x08"), (CONTROLLER, b"\0\x20")], BusState.PASSIVE, 0),
         ([(CONTROLLER, b"\0\x10"), (CONTROLLER, b"\0\x40")], BusState.ACTIVE, 0),
         ([(CONTROLLER, b"\0\x30"), (CONTROLLER, b"\0\x01")], BusState.PASSIVE, 0),  # an overflow changes nothing
-        ([(can_errors.NO_ACKNOWLEDGE, b"")], BusState.ACTIVE, 1),
-        ([(can_errors.PROTOCOL | can_errors.BUS_ERROR, b"\0\0\0\x19")], BusState.ACTIVE, 1),
-        ([(can_errors.PROTOCOL | can_errors.BUS_ERROR, b"\0\0\x04\x08")], BusState.ACTIVE, 0),
-        ([(CONTROLLER | can_errors.NO_ACKNOWLEDGE, b"\0\x20")], BusState.PASSIVE, 1),
-        ([(can_errors.TRANSMIT_TIMEOUT, b""), (can_errors.TRANSCEIVER, b"")], BusState.ACTIVE, 0),
-        ([(can_errors.BUS_OFF, b""), (can_errors.RESTARTED, b"")], BusState.ACTIVE, 0),
+        ([(can_words.NO_ACKNOWLEDGE, b"")], BusState.ACTIVE, 1),
+        ([(can_words.PROTOCOL | can_words.BUS_ERROR, b"\0\0\0\x19")], BusState.ACTIVE, 1),
+        ([(can_words.PROTOCOL | can_words.BUS_ERROR, b"\0\0\x04\x08")], BusState.ACTIVE, 0),
+        ([(CONTROLLER | can_words.NO_ACKNOWLEDGE, b"\0\x20")], BusState.PASSIVE, 1),
+        ([(can_words.TRANSMIT_TIMEOUT, b""), (can_words.TRANSCEIVER, b"")], BusState.ACTIVE, 0),
+        ([(can_words.BUS_OFF, b""), (can_words.RESTARTED, b"")], BusState.ACTIVE, 0),
     ],
 )
 def test_error_frames_are_counted_and_say_how_the_bus_is(loop, shared, errors, state, unacknowledged):
@@ -163,13 +163,13 @@ def test_error_frames_are_counted_and_say_how_the_bus_is(loop, shared, errors, s
     assert counters["error_frames"] == len(errors)
     assert (counters["bus_state"], counters["unacknowledged"]) == (state, unacknowledged)
     assert (counters["frames_received"], counters["wire_errors"]) == (0, 0)
-    if not any(kind == can_errors.BUS_OFF for kind, _ in errors):
+    if not any(kind == can_words.BUS_OFF for kind, _ in errors):
         assert loop[0]["core"]["fault"] == Fault.NONE
 
 
 def test_bus_off_is_a_latched_fault(loop, shared):
     loop[0]["core"]["mode"] = Mode.HOLDING
-    brought(loop, shared, error_record(can_errors.BUS_OFF))
+    brought(loop, shared, error_record(can_words.BUS_OFF))
     core = loop[0]["core"]
-    assert (core["fault"], core["fault_value"], core["mode"]) == (Fault.BUS_OFF, float(can_errors.BUS_OFF), Mode.FAULT)
+    assert (core["fault"], core["fault_value"], core["mode"]) == (Fault.BUS_OFF, float(can_words.BUS_OFF), Mode.FAULT)
     assert shared[0]["counters"]["bus_state"] == BusState.BUS_OFF

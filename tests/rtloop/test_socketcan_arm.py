@@ -9,7 +9,7 @@ from virtual import START_NS, VirtualArm, recorded_goal
 from config.loader import load_arm
 from rtloop.port import SEND, Frame
 from rtloop.run import take_over_wire
-from rtloop.wire import can_errors, outgoing, received
+from rtloop.wire import can_words, outgoing, received
 from shm.words import Answer, BusState, Event, Fault, Mode, Outcome, Request, Unreferenced
 from sim.faults import LostReplies, PowerLoss, Silent
 
@@ -115,12 +115,12 @@ def hear(arm, error_class, detail=b""):
 def test_bus_off_stops_the_arm_and_nothing_of_before_moves_it_afterwards():
     """The controller restarts and the drives hear again: not one motion frame until a person clears the fault."""
     arm = executing()
-    hear(arm, can_errors.BUS_OFF)
-    assert (arm.core["fault"], arm.core["fault_value"]) == (Fault.BUS_OFF, float(can_errors.BUS_OFF))
+    hear(arm, can_words.BUS_OFF)
+    assert (arm.core["fault"], arm.core["fault_value"]) == (Fault.BUS_OFF, float(can_words.BUS_OFF))
     assert arm.outcome(arm.goal) == Outcome.FAULT
     since_ns = arm.now_ns - 1
     arm.cycles(12)
-    hear(arm, can_errors.RESTARTED)
+    hear(arm, can_words.RESTARTED)
     assert arm.state.record["counters"]["bus_state"] == BusState.ACTIVE
     arm.until(lambda: arm.core["goal_id"] == 0)
     arm.cycles(200)
@@ -143,7 +143,7 @@ def test_an_error_passive_controller_is_told_of_and_the_age_ladder_brakes():
     arm = executing()
     for joint in range(1, 7):
         arm.sim.inject(Silent(f"joint{joint}", at_s=0.0), since_ns=arm.now_ns)
-    hear(arm, can_errors.CONTROLLER | can_errors.NO_ACKNOWLEDGE, b"\0\x20")
+    hear(arm, can_words.CONTROLLER | can_words.NO_ACKNOWLEDGE, b"\0\x20")
     assert arm.core["mode"] == Mode.EXECUTING
     counters = arm.state.record["counters"]
     assert (counters["bus_state"], counters["unacknowledged"], counters["error_frames"]) == (BusState.PASSIVE, 1, 1)

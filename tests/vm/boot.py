@@ -28,12 +28,12 @@ KERNEL_PACKAGE = "linux-image-amd64"
 MODULES = (
     *("virtio_ring", "virtio", "virtio_pci_modern_dev", "virtio_pci_legacy_dev", "virtio_pci"),
     *("netfs", "fscache", "9pnet", "9pnet_virtio", "9p"),
-    *("can", "can-raw", "can-dev", "vcan", "slcan", "sch_netem"),
+    *("can", "can-raw", "can-dev", "vcan", "slcan", "sch_tbf"),
 )
 """In the order in which they need each other."""
 MEMORY_MB = 2048
 TIMEOUT_S = float(os.environ.get("RTARM_VM_TIMEOUT_S", "420"))
-SHARE = "/tmp/share"
+SHARE = "/run/share"
 
 INIT = """#!/bin/busybox sh
 /bin/busybox --install -s /bin
@@ -64,13 +64,13 @@ echo "vm-exit $?"
 poweroff -f
 """
 
-INSIDE = """export HOME=/tmp/home XDG_CACHE_HOME={share}/cache PATH=/usr/sbin:/usr/bin:/sbin:/bin
+INSIDE = """export HOME=/run/home XDG_CACHE_HOME={share}/cache PATH=/usr/sbin:/usr/bin:/sbin:/bin
 export PYTHONDONTWRITEBYTECODE=1 LANG=C.UTF-8 CI={ci} _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
 mkdir -p $HOME
 cd {root} || exit 1
 {python} tests/vm/processor.py {share}/processor.json || exit 1
 while [ ! -e {share}/compiled ]; do sleep 0.2; done
-exec {python} -m pytest -p no:cacheprovider --basetemp=/tmp/pytest tests/vm {arguments}
+exec {python} -m pytest -o timeout=300 -p no:cacheprovider --basetemp=/run/pytest tests/vm {arguments}
 """
 
 COMPILE = """

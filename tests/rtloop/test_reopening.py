@@ -1,0 +1,102 @@
+"""An adapter that is unplugged and plugged in again, with real processes: the simulated arm goes and comes back.
+
+What the cycle does meanwhile is tested in virtual time (`test_socketcan_arm.py`, both wires), SocketCAN itself in the
+virtual machine (`tests/vm`).
+"""
+
+import secrets
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stack import PATIENCE_S, Stack
+
+from config.loader import arm_hash, load_arm
+from shm.client import CommandWriter, StateReader
+from shm.files import open_state, own_command
+from shm.words import Answer, Event, Fault, Mode, Request
+
+
+@pytest.fixture
+def stack(tmp_path: Path) -> Iterator[Stack]:
+    running = Stack(f"t{secrets.token_hex(4)}", tmp_path, start_deg=[0, 0, 90, 0, 0, 0])
+    running.start_sim()
+    yield running
+    running.close()
+
+
+class Watched:
+    """The arm's memory, seen from outside."""
+
+    def __init__(self, stack: Stack) -> None:
+        self.reader = StateReader(open_state(stack.name))
+        self.writer = CommandWriter(own_command(stack.name, arm_hash(load_arm(stack.arm_file))))
+
+    def until(self, wanted: Callable[[np.ndarray], bool]) -> np.ndarray:
+        deadline = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline:
+            self.writer.beat()
+            if wanted(now := self.reader.snapshot()):
+                return now
+            time.sleep(0.005)
+        raise AssertionError(f"it never came: {self.reader.snapshot()}")
+
+    def answer(self, kind: Request) -> Answer:
+        sequence = self.writer.request(kind)
+        answers = self.until(lambda now: sequence in now["answers"]["sequence"])["answers"]
+        return Answer(int(answers["answer"][answers["sequence"] == sequence][0]))
+
+    def events(self) -> list[int]:
+        record = self.reader.memory.record
+        return [int(kind) for kind in record["events"]["kind"][: int(record["events_written"][0])]]
+
+    def close(self) -> None:
+        self.reader.close()
+        self.writer.close()
+
+
+@pytest.mark.process
+def test_an_adapter_that_is_plugged_in_again_is_noticed_and_waits_for_a_clear(stack: Stack) -> None:
+    loop = stack.start_loop()
+    arm = Watched(stack)
+    try:
+        for round_number in (1, 2):
+            stack.sim.process.kill()
+            now = arm.until(lambda now: now["mode"] == Mode.FAULT)
+            assert now["fault"] == Fault.WIRE
+            assert arm.answer(Request.CLEAR_FAULT) == Answer.REFUSED_WIRE
+            loop.line_with(f"{stack.link}")  # which sentence says so depends on what is left of the terminal
+            before = stack.link.readlink()
+            stack.start_sim()
+            loop.line_with("The adapter is back")
+            arm.until(lambda now, wanted=round_number: arm.events().count(Event.WIRE) == wanted)
+            assert before.parent == stack.link.readlink().parent
+            back_ns = time.monotonic_ns()
+            now = arm.until(lambda now, since_ns=back_ns: bool(np.all(now["joints"]["measured_ns"][:6] > since_ns)))
+            assert now["mode"] == Mode.FAULT
+            assert arm.answer(Request.CLEAR_FAULT) == Answer.DONE
+            now = arm.until(lambda now: now["mode"] == Mode.HOLDING)
+            assert now["motion_started"] == 0
+            assert not np.any(now["joints"]["referenced"][:6])  # a clear references nobody: they were away too long
+            for joint in stack.truth().values():
+                assert np.ptp(joint.position_rad) == 0.0
+    finally:
+        arm.close()
+    loop.process.terminate()
+    assert loop.code() == 0
+    assert not any("Traceback" in line for line in loop.lines)
+
+
+@pytest.mark.process
+def test_an_orderly_end_without_an_adapter(stack: Stack) -> None:
+    loop = stack.start_loop()
+    arm = Watched(stack)
+    try:
+        stack.sim.process.kill()
+        arm.until(lambda now: now["mode"] == Mode.FAULT)
+    finally:
+        arm.close()
+    loop.process.terminate()
+    assert loop.code() == 0
