@@ -18,15 +18,16 @@ SOURCES := config motion shm rtloop rosfront sim rtarm ros bench tests
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help env demo test check bench clean
+.PHONY: help env demo test test-vm check bench clean
 
 help:
-	@echo 'make demo   play a recorded MoveIt goal on a simulated arm'
-	@echo 'make test   run the tests'
-	@echo 'make check  ruff and mypy'
-	@echo 'make bench  run the benchmarks'
-	@echo 'make env    only make the environment in $(VENV)'
-	@echo 'make clean  remove the environment and all caches'
+	@echo 'make demo     play a recorded MoveIt goal on a simulated arm'
+	@echo 'make test     run the tests'
+	@echo 'make test-vm  run tests/vm in a small virtual machine that has SocketCAN'
+	@echo 'make check    ruff and mypy'
+	@echo 'make bench    run the benchmarks'
+	@echo 'make env      only make the environment in $(VENV)'
+	@echo 'make clean    remove the environment and all caches'
 
 env: $(STAMPS)/warm
 
@@ -36,6 +37,9 @@ demo: env
 # What hangs in C code no signal interrupts: all stacks are printed and the run ends, instead of lasting for ever.
 test: env $(STAMPS)/colcon
 	$(BIN)/python -m pytest -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
+
+test-vm: $(STAMPS)/interfaces
+	$(BIN)/python tests/vm/boot.py
 
 check: $(STAMPS)/interfaces
 	$(BIN)/ruff check .

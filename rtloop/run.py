@@ -143,14 +143,16 @@ def send_bytes(loop: Loop, shared: Shared, fd: int) -> None:
 def follow_epoch(loop: Loop, woke_ns: int) -> None:
     """What CLOCK_REALTIME is ahead of CLOCK_MONOTONIC: somebody may have set it since the last cycle.
 
-    Stamps follow the system's clock, motion never does. Two looks at the other clock say whether this thread was away
-    in between; then the last cycle's offset stands.
+    Stamps follow the system's clock, motion never does. The looks at the other clock before and after say how far this
+    one may be off: where this thread was away in between, the last cycle's offset stands unless it is surely wrong.
     """
     clock = loop.params.address + _CLOCK
     epoch_ns = clock_ns(CLOCK_REALTIME, clock)
     after_ns = monotonic_ns(clock)
-    if after_ns - woke_ns < EPOCH_WITHIN_NS or loop.core.epoch_offset_ns == 0:
-        loop.core.epoch_offset_ns = epoch_ns - (woke_ns + after_ns) // 2
+    offset_ns = epoch_ns - (woke_ns + after_ns) // 2
+    doubt_ns = after_ns - woke_ns
+    if doubt_ns < EPOCH_WITHIN_NS or abs(offset_ns - loop.core.epoch_offset_ns) > doubt_ns:
+        loop.core.epoch_offset_ns = offset_ns
 
 
 @jit

@@ -40,7 +40,7 @@ def serial_adapters(machine: Machine, arm: ArmConfig | None) -> list[str]:
         folder = "/sys/class/tty"
         return [name for name in machine.names(folder) if name.startswith(SERIAL_PREFIXES)]
     device = channel(arm)
-    if device is None or device in can_interfaces(machine):
+    if arm.bus.interface == "socketcan" or device is None or device in can_interfaces(machine):
         return []
     if not machine.exists(device):
         raise Unknown(f"{device} is not there")
@@ -110,6 +110,12 @@ def port(machine: Machine, arm: ArmConfig | None) -> Found:
         return ok(f"{arm.name} has no bus (interface {arm.bus.interface})")
     if device in can_interfaces(machine):
         return ok(f"{device}, a CAN interface")
+    if arm.bus.interface == "socketcan":
+        there = ", ".join(can_interfaces(machine)) or "none"
+        return bad(
+            f"there is no CAN interface {device} (found: {there})",
+            "ip -brief link show   # then name it as bus.channel",
+        )
     if not machine.exists(device):
         return bad(
             f"{device} is not there",

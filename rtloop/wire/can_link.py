@@ -86,7 +86,7 @@ def _attributes(content: bytes) -> Iterator[tuple[int, bytes]]:
     at = 0
     while at + _ATTRIBUTE.size <= len(content):
         length, kind = _ATTRIBUTE.unpack_from(content, at)
-        if length < _ATTRIBUTE.size:
+        if length < _ATTRIBUTE.size or at + length > len(content):
             return
         yield kind & _TYPE_MASK, content[at + _ATTRIBUTE.size : at + length]
         at += -(-length // 4) * 4

@@ -72,6 +72,16 @@ def test_cdc_sets_no_limit() -> None:
     assert found.serial_highest_rate_hz == math.inf
 
 
+def test_a_can_interface_has_no_serial_line_to_fill() -> None:
+    serial, socketcan = (
+        load_arm("episode1", overrides={"bus": {"interface": interface}}) for interface in ("slcan", "socketcan")
+    )
+    assert budget(serial).serial_baud == 1_000_000
+    assert budget(socketcan).serial_load is None
+    assert budget(socketcan).bus_load == budget(serial).bus_load
+    assert budget(socketcan).highest_rate_hz == budget(socketcan).bus_highest_rate_hz
+
+
 def test_mock_drives_need_no_bus() -> None:
     found = check_budget(load_arm("mock", overrides={"control": {"rate_hz": 2000.0}}))
     assert (found.bits_per_cycle, found.bus_load, found.highest_rate_hz) == (0, 0.0, math.inf)

@@ -66,6 +66,36 @@ def test_episode1_is_six_zdt_drives_on_slcan() -> None:
     assert (arm.front.controller_name, arm.front.frame_id) == ("episode_arm_controller", "base_link")
 
 
+def test_episode1_on_a_can_interface_of_the_system() -> None:
+    """Naming the interface is enough: the serial line's speed in the file means nothing then."""
+    arm = load_arm("episode1", overrides={"bus": {"interface": "socketcan"}})
+    assert (arm.bus.interface, arm.bus.resolved_channel, arm.bus.serial_baud) == ("socketcan", "can1", "cdc")
+    arm = load_arm("episode1", overrides={"bus": {"interface": "socketcan", "channel": "vcan0"}})
+    assert (arm.bus.resolved_channel, arm.bus.usb_index) == ("vcan0", None)
+
+
+@pytest.mark.parametrize(
+    ("bus", "said"),
+    [
+        ({}, "interface socketcan needs the name of the CAN interface"),
+        ({"channel": "/dev/ttyUSB0"}, "has a name of 1 to 15 characters without /"),
+        ({"channel": "a-name-too-long-0"}, "has a name of 1 to 15 characters"),
+        ({"channel": "can 0"}, "has a name of 1 to 15 characters"),
+        ({"channel": ".."}, "has a name of 1 to 15 characters"),
+        ({"channel": "can0", "serial_baud": 1_000_000}, "interface socketcan has no serial line"),
+        ({"channel": "can0", "usb_index": 0}, r"usb_index 0 \(can0\) and channel can0 both"),
+        ({"channel": "can0", "bitrate": 2_000_000}, "classic CAN has 10000 to 1000000 bit/s"),
+    ],
+)
+def test_what_no_can_interface_can_be_is_refused(bus: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValidationError, match=said):
+        BusConfig(interface="socketcan", **bus)
+
+
+def test_a_can_interface_offers_rates_that_serial_adapters_disagree_about() -> None:
+    assert BusConfig(interface="socketcan", channel="can0", bitrate=800_000).bitrate == 800_000
+
+
 def test_mock_runs_at_100_hz_without_a_bus() -> None:
     arm = load_arm("mock")
     assert (arm.control.rate_hz, arm.bus.interface, arm.bus.resolved_channel) == (100.0, "mock", "mock")

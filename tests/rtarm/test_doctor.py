@@ -39,8 +39,8 @@ def episode1(**realtime: Any) -> ArmConfig:
     return load_arm("episode1", overrides={"realtime": realtime} if realtime else None)
 
 
-def can_arm() -> ArmConfig:
-    return load_arm("episode1", overrides={"bus": {"channel": "can0"}})
+def can_arm(channel: str = "can0") -> ArmConfig:
+    return load_arm("episode1", overrides={"bus": {"interface": "socketcan", "channel": channel}})
 
 
 def shown(report: Report) -> str:
@@ -413,6 +413,8 @@ def test_the_port_of_the_arm(tmp_path: Path) -> None:
         Level.OK, "mock has no bus (interface mock)"
     )
     assert run(port, build(tmp_path / "can"), can_arm()) == Found(Level.OK, "can0, a CAN interface")
+    gone = run(port, build(tmp_path / "no can"), can_arm("can1"))
+    assert (gone.level, gone.found) == (Level.BAD, "there is no CAN interface can1 (found: can0)")
 
     gone = run(port, build(tmp_path / "gone", {"/dev/ttyUSB1": None}), arm)
     assert (gone.level, gone.found) == (Level.BAD, "/dev/ttyUSB1 is not there")

@@ -23,7 +23,7 @@ from shm.files import open_state, own_command
 from shm.words import Answer, BusState, Fault, Mode, Outcome, Request
 
 NAME = "onvcan"
-RATE_HZ = 25
+RATE_HZ = 20
 PATIENCE_S = 120.0
 SO_RCVBUFFORCE = 33
 HOUR_NS = 3600 * 10**9
