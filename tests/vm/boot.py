@@ -70,7 +70,8 @@ mkdir -p $HOME
 cd {root} || exit 1
 {python} tests/vm/processor.py {share}/processor.json || exit 1
 while [ ! -e {share}/compiled ]; do sleep 0.2; done
-exec {python} -m pytest -o timeout=300 -p no:cacheprovider -p no:hypothesispytest --basetemp=/run/pytest tests/vm {arguments}
+set -- -o timeout=300 -p no:cacheprovider -p no:hypothesispytest --basetemp=/run/pytest
+exec {python} -m pytest "$@" tests/vm {arguments}
 """
 
 COMPILE = """
