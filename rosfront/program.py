@@ -19,6 +19,10 @@ HIGHEST_DOMAIN = 232
 """Higher ROS domains have no UDP ports."""
 LONGEST_STOP_S = 3.5
 """What the arm may take to stop on its path; with what follows it is within the launcher's 5 s."""
+SHARED_MEMORY = "/dev/shm"
+SHARED_MEMORY_BYTES = 4 << 20
+"""What Fast DDS takes of it for one participant, twice; where a page of it is not to be had, the kernel ends the
+process with SIGBUS, which is no way to be told."""
 GIL_SWITCH_S = 0.0005
 """A goal being checked holds up the publisher's thread for this long at most, instead of 5 ms."""
 
@@ -97,6 +101,7 @@ def start_ros(ros_arguments: Sequence[str], context: Any = None) -> None:
         import rclpy
         from rclpy.signals import SignalHandlerOptions
     _check_domain(os.environ.get("ROS_DOMAIN_ID", ""))
+    _check_room(os.statvfs(SHARED_MEMORY))
     try:
         rclpy.init(args=list(ros_arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as problem:  # the root of all of rclpy's own, whose classes are private
@@ -112,6 +117,15 @@ def _check_domain(domain: str) -> None:
         raise CannotServe(
             f"ROS_DOMAIN_ID is {domain!r}, and allowed are whole numbers from 0 to {HIGHEST_DOMAIN}: correct it, or "
             "unset it for 0."
+        )
+
+
+def _check_room(found: os.statvfs_result) -> None:
+    free = found.f_bavail * found.f_frsize
+    if free < SHARED_MEMORY_BYTES:
+        raise CannotServe(
+            f"{SHARED_MEMORY} has {free >> 10} KiB left, and ROS needs {SHARED_MEMORY_BYTES >> 10} KiB: free some "
+            "space there (`ls -l /dev/shm` shows what takes it)."
         )
 
 

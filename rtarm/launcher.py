@@ -13,10 +13,19 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rtarm.errors import AlreadySaid, ExitCode, Refusal
-from rtarm.processes import Child, describe_end, has_module, plain_environment, ros_environment
+from rtarm.processes import (
+    Child,
+    describe_end,
+    has_module,
+    middleware_segments,
+    plain_environment,
+    remove_abandoned,
+    ros_environment,
+)
 from rtarm.recording.after_fault import FaultRecorder
 from rtarm.reporter import Reporter
 
@@ -168,6 +177,7 @@ class Launcher:
         self._loop: Child | None = None
         self._front: Child | None = None
         self._recorder = FaultRecorder(plan.arm.name, reporter.say)
+        self._segments: list[Path] = []
 
     async def start(self) -> None:
         """Start everything and return when it is ready.
@@ -187,6 +197,7 @@ class Launcher:
         await self._wait_ready(self._loop, LOOP_PATIENCE_S, "control process starting")
         self._say(self._loop, f"ready, {describe_bus(plan.arm)} ({time.monotonic() - started:.1f} s)")
         action = await self._wait_ready(self._front, FRONT_PATIENCE_S, "ROS process starting")
+        self._segments = middleware_segments(self._front.pid)
         self._say(self._front, f"ready, action {action} ({time.monotonic() - started:.1f} s)")
 
     async def watch(self) -> None:
@@ -222,6 +233,7 @@ class Launcher:
             if not await child.stop(patience_s):
                 self._say(child, f"did not end within {patience_s:g} s and was killed", style="bold red")
         await self._recorder.close(died=self._loop is not None and bool(self._loop.code))
+        remove_abandoned(self._segments)
 
     def say_stopping(self, why: str) -> None:
         """The line between a signal and the end."""
@@ -341,6 +353,7 @@ class Launcher:
         while True:
             assert self._front is not None
             code = await self._front.ended()
+            remove_abandoned(self._segments)
             if time.monotonic() - started > STEADY_AFTER_S:
                 pause_s = RESTART_FIRST_S
             self._say(
@@ -354,6 +367,7 @@ class Launcher:
             self._front = await self._start_front()
             self.front_restarts += 1
             if await self._front.ready() is not None:
+                self._segments = middleware_segments(self._front.pid)
                 self._say(self._front, f"ready again ({time.monotonic() - started:.1f} s)")
 
     def _say(self, child: Child, text: str, style: str = "") -> None:

@@ -72,7 +72,13 @@ def main(tell: Callable[[str], None] = print) -> int:
         return 0
     tell("compiling the control cycle, once for this version: about half a minute …")
     started = time.monotonic()
-    compiled.store(compile_object())
+    try:
+        compiled.store(compile_object())
+    except OSError as problem:  # numba's cache and ours are files
+        tell(
+            f"{cache.folder()} cannot be written ({problem.strerror}): free some space there, or see who may write it."
+        )
+        return 1
     for old in cache.folder().parent.glob("compiled-*"):
         if old != cache.folder() and time.time() - old.stat().st_mtime > KEPT_S:
             shutil.rmtree(old, ignore_errors=True)

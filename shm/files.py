@@ -187,9 +187,10 @@ def _build_aside(path: Path, dtype: np.dtype, size: int, identity: Identity) -> 
     except OSError as problem:
         os.close(fd)
         os.unlink(aside)
-        if problem.errno == errno.ENOSPC:
+        if problem.errno in (errno.ENOSPC, errno.EFBIG):
             raise NotPermitted(
-                f"{DIRECTORY} has no room for the {size} bytes of {path.name}: free some space there, then start again."
+                f"{DIRECTORY} has no room for the {size} bytes of {path.name} ({problem.strerror}): free some space "
+                "there, or raise the limit (`ulimit -f`), then start again."
             ) from problem
         raise
     np.frombuffer(memory.map, np.uint8)[:: mmap.PAGESIZE] = 0  # touch every page now, not in the first cycle

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from rtarm.processes import middleware_segments
 from rtarm.recording import folder, mcap_file, story
 from shm import files
 from shm.words import Fault
@@ -138,8 +139,11 @@ def test_up_serves_restarts_the_front_and_ends_in_order(
     assert second.end() == 2
     assert second.errors.startswith("A control process for this arm is already running (pid")
 
+    segments = middleware_segments(report["front"]["pid"])
+    assert [segment.exists() for segment in segments] == [True]
     os.kill(report["front"]["pid"], signal.SIGKILL)
     up.until("the ROS process ended by SIGKILL; starting it again")
+    assert not segments[0].exists()
     up.until("ready again")
     assert eventually(lambda: bool(status(arm_name)["healthy"]))
     again = status(arm_name)

@@ -409,6 +409,23 @@ def test_a_signal_while_the_cycle_is_compiled_ends_the_compiler_too(mock_arm, tm
         process.close()
 
 
+def test_a_cache_that_cannot_grow_is_one_sentence(tmp_path):
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+
+    result = subprocess.run(
+        [sys.executable, "-m", "rtloop.warm"],
+        cwd=ROOT,
+        env={**os.environ, "XDG_CACHE_HOME": str(tmp_path)},
+        preexec_fn=limit,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (result.returncode, result.stderr) == (1, "")
+    assert "cannot be written (File too large): free some space" in result.stdout.splitlines()[1]
+
+
 @pytest.mark.process
 def test_a_signal_just_when_the_compiler_begins_ends_it_too(mock_arm, tmp_path):
     program = """

@@ -137,9 +137,10 @@ def test_an_end_does_not_take_a_successors_files_away(arm_name, swept):
     second.remove()
 
 
-def test_no_room_is_one_sentence_and_leaves_nothing(arm_name, monkeypatch):
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EFBIG], ids=["full", "limited"])
+def test_no_room_is_one_sentence_and_leaves_nothing(arm_name, monkeypatch, number):
     def full(fd, start, size):
-        raise OSError(errno.ENOSPC, "No space left on device")
+        raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(NotPermitted, match=f"no room for the {RINGS.file_bytes} bytes"):
