@@ -18,7 +18,12 @@ SOURCES := config motion shm rtloop rosfront sim rtarm ros bench tests
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help env demo test test-vm check bench clean
+# Minutes that `make soak` takes, and the trials that `make trials` makes.
+MINUTES ?= 60
+TRIALS ?= 200
+SEED ?= 1
+
+.PHONY: help env demo test test-vm check bench trials soak clean
 
 help:
 	@echo 'make demo     play a recorded MoveIt goal on a simulated arm'
@@ -26,6 +31,8 @@ help:
 	@echo 'make test-vm  run tests/vm in a small virtual machine that has SocketCAN'
 	@echo 'make check    ruff and mypy'
 	@echo 'make bench    run the benchmarks'
+	@echo 'make trials   hurt the processes of an arm in motion, TRIALS=200 times'
+	@echo 'make soak     random goals and faults for MINUTES=60'
 	@echo 'make env      only make the environment in $(VENV)'
 	@echo 'make clean    remove the environment and all caches'
 
@@ -49,6 +56,12 @@ check: $(STAMPS)/interfaces
 bench: env
 	$(BIN)/rtarm bench
 	$(BIN)/python -m pytest bench
+
+trials: env
+	PYTHONPATH=tests $(BIN)/python -m process_trials --trials $(TRIALS) --seed $(SEED)
+
+soak: env
+	PYTHONPATH=tests $(BIN)/python -m soak --minutes $(MINUTES) --seed $(SEED)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks

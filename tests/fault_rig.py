@@ -40,6 +40,8 @@ START_DEG = (17.0, 12.0, -6.0, 57.0, 29.0, 115.0)
 WINDOW_S = 45.0
 """Of true motion that the simulated arm remembers: longer than any trial."""
 READY_S = 30.0
+BACK_S = 120.0
+"""A busy machine may fault an arm that has just come back, by drives that answer late, more than once."""
 END_S = 20.0
 ANSWER_S = 10.0
 POLL_S = 0.002
@@ -272,7 +274,7 @@ class Rig(Stack):
         refused = ""
         wait(lambda: self.pid("front") != 0 and self.snapshot() is not None, "front and control process", READY_S)
         wait(self._is_served, "a living action server", READY_S)
-        deadline_s = time.monotonic() + READY_S
+        deadline_s = time.monotonic() + BACK_S
         while time.monotonic() < deadline_s:
             wait(lambda: self.mode() not in (Mode.BRINGING_UP, Mode.STOPPING, Mode.EXECUTING), "rest", READY_S)
             if self.mode() == Mode.FAULT:

@@ -140,6 +140,11 @@ class Trial:
     notes: list[str] = field(default_factory=list)
     server_died: bool = False
 
+    @property
+    def how(self) -> str:
+        """Whether the launcher runs the arm's processes."""
+        return "up" if self.launched else "bare"
+
 
 def all_kinds(*, shared: bool) -> list[Trial]:
     """One trial of each kind."""

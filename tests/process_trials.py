@@ -66,7 +66,7 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", action="append", default=[], help="part of `target: fault` (may be repeated)")
+    parser.add_argument("--only", action="append", default=[], help="part of `up|bare target: fault` (may be repeated)")
     parser.add_argument("--report", type=Path, help="file for the table (markdown)")
     options = parser.parse_args(arguments)
     with_own_mounts("process_trials", arguments)
@@ -79,7 +79,7 @@ def main(arguments: Sequence[str]) -> int:
     kinds = [
         kind
         for kind in all_kinds(shared=bool(os.environ.get(OWN)))
-        if not options.only or any(part in f"{kind.target}: {kind.fault}" for part in options.only)
+        if not options.only or any(part in f"{kind.how} {kind.target}: {kind.fault}" for part in options.only)
     ]
     trials = []
     while len(trials) < options.trials:
@@ -111,13 +111,12 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def line(trial: object, seconds: float) -> str:
-    how = "up" if trial.launched else "bare"
     figures = [
         f"{name} {value:.0f}"
         for name, value in (("stands", trial.stands_ms), ("told", trial.told_ms), ("back", trial.back_ms))
         if value is not None
     ]
-    parts = [f"{trial.number:3d} {how:4s} {trial.target}: {trial.fault} ({trial.what})", trial.outcome, *figures]
+    parts = [f"{trial.number:3d} {trial.how:4s} {trial.target}: {trial.fault} ({trial.what})", trial.outcome, *figures]
     parts += [*trial.steps, *trial.notes, f"{seconds:.1f} s"]
     return " | ".join(parts) + "".join(f"\n    VIOLATION {sentence}" for sentence in trial.violations)
 
