@@ -288,6 +288,8 @@ def stopped_joints(rig: Rig, frames: list[WireFrame]) -> set[str]:
 def _judge_processes(rig: Rig, trial: Trial, pids: dict[str, int]) -> None:
     """Nothing outlives what it belongs to; what was not hurt to death still lives."""
     ended = trial.fault in ENDS and trial.target in ("launcher", "loop")
+    if ended:
+        wait(lambda: not alive(pids[trial.target]), f"the end of the {trial.target}", END_S)
     gone = {target for target, pid in pids.items() if pid and not alive(pid)}
     if trial.launched and (ended or {"launcher", "loop"} & gone):
         for target in ("launcher", "loop", "front"):

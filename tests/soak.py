@@ -328,7 +328,7 @@ def slope_per_hour(times_s: Sequence[float], values: Sequence[float]) -> tuple[f
     at = [float(np.mean(block)) / 3600 for block in np.array_split(np.array(times_s), BLOCKS)]
     medians = [float(np.median(block)) for block in np.array_split(np.array(values), BLOCKS)]
     fit = linregress(at, medians)
-    return float(fit.slope), float(fit.stderr * t.ppf(0.975, BLOCKS - 2))
+    return float(fit.slope), float(np.nan_to_num(fit.stderr) * t.ppf(0.975, BLOCKS - 2))
 
 
 def lives(samples: Sequence[Sample], target: str) -> list[tuple[int, list[Sample]]]:
