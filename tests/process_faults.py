@@ -164,7 +164,9 @@ def run(rig: Rig, trial: Trial) -> Trial:
         _act(rig, trial)
     except (Hang, AssertionError) as problem:
         words = str(problem)
+        said = rig.launcher.said() if rig.launcher else "".join(p.said() for p in (rig.loop, rig.front))
         trial.violations.append(f"hang: {words if len(words) < 500 else words[:150] + ' … ' + words[-300:]}")
+        trial.violations[-1] += f"\n{said[-2000:]}"
     return trial
 
 
@@ -237,7 +239,7 @@ def _second_goal(rig: Rig, trial: Trial) -> None:
     front = rig.pid("front")
     knots = MANY_KNOTS if "memory" in trial.fault else KNOTS  # judging many takes memory
     sent = rig.user.send(rig.goal(shortest_s=0.8, longest_s=1.0, knots=knots))
-    deadline_s = time.monotonic() + sent.duration_s + MARGIN_S
+    deadline_s = time.monotonic() + sent.duration_s + MARGIN_S + knots * 1e-3
     while not sent.ended.wait(POLL_S):
         if not alive(front):
             trial.server_died = True

@@ -61,11 +61,16 @@ class Process:
         """Exit code, once it has ended; all lines are read then."""
         code = self.process.wait(PATIENCE_S)
         self._reader.join(PATIENCE_S)
+        self.said()
+        return code
+
+    def said(self) -> str:
+        """All it has said so far."""
         while not self._queue.empty():
             line = self._queue.get()
             if line is not None:
                 self.lines.append(line)
-        return code
+        return self.text
 
     @property
     def text(self) -> str:
