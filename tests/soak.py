@@ -28,9 +28,13 @@ from process_trials import own_ros_domain, small_home, with_own_mounts
 BETWEEN_FAULTS_S = 15.0
 BETWEEN_FRONT_KILLS_S = 300.0
 SAMPLE_EVERY_S = 5.0
-WARM_UP_S = 90.0
+WARM_UP_S = 30.0
 """Of each process' life, which no slope is taken of: what is used for the first time stays in memory."""
 BLOCKS = 10
+FEWEST_LIVES, FEWEST_SAMPLES = 4, 4
+"""Of processes that are started again and again, for a slope of all of them together."""
+SHORT_LIVES_MAY = 5.0
+"""Times as much as a long one: they still use things for the first time."""
 BOUNDS_PER_HOUR = {"own_mb": 6.0, "files": 4.0, "threads": 2.0}
 """What may grow: a slope is a leak when the lower end of its 95 % interval lies above."""
 SHM_BOUND_MB_PER_HOUR = 6.0
@@ -331,6 +335,22 @@ def slope_per_hour(times_s: Sequence[float], values: Sequence[float]) -> tuple[f
     return float(fit.slope), float(np.nan_to_num(fit.stderr) * t.ppf(0.975, BLOCKS - 2))
 
 
+def pooled_slope_per_hour(lives: Sequence[tuple[Sequence[float], Sequence[float]]]) -> tuple[float, float] | None:
+    """The slope that several lives of a process have in common, each about its own mean, and half its 95 % interval.
+
+    The interval is of the lives (each one independent of the others), not of their samples; None for too few.
+    """
+    from scipy.stats import t
+
+    if len(lives) < FEWEST_LIVES:
+        return None
+    centred = [(np.array(at) / 3600 - np.mean(at) / 3600, np.array(values) - np.mean(values)) for at, values in lives]
+    weight = sum(float(at @ at) for at, _ in centred)
+    slope = sum(float(at @ values) for at, values in centred) / weight
+    spread = math.sqrt(sum(float(at @ (values - slope * at)) ** 2 for at, values in centred)) / weight
+    return slope, spread * float(t.ppf(0.975, len(lives) - 1))
+
+
 def lives(samples: Sequence[Sample], target: str) -> list[tuple[int, list[Sample]]]:
     """The samples of each process that served as target, after its warm-up."""
     by_pid: dict[int, list[Sample]] = defaultdict(list)
@@ -347,7 +367,9 @@ def growth(samples: Sequence[Sample]) -> tuple[list[str], list[str]]:
     rows, leaks = [], []
 
     def judge(what: str, unit: str, times_s: list[float], values: list[float], bound: float) -> None:
-        found = slope_per_hour(times_s, values)
+        tell(what, unit, slope_per_hour(times_s, values), values, bound)
+
+    def tell(what: str, unit: str, found: tuple[float, float] | None, values: list[float], bound: float) -> None:
         if found is None:
             return
         slope, half = found
@@ -364,6 +386,12 @@ def growth(samples: Sequence[Sample]) -> tuple[list[str], list[str]]:
             times_s = [sample.at_s for sample in found]
             for unit, bound in BOUNDS_PER_HOUR.items():
                 judge(f"{target} ({pid})", unit, times_s, [sample.of[target][unit] for sample in found], bound)
+        short = [found for _, found in lives(samples, target) if len(found) >= FEWEST_SAMPLES]
+        for unit, bound in BOUNDS_PER_HOUR.items():
+            series = [([s.at_s for s in found], [s.of[target][unit] for s in found]) for found in short]
+            values = [value for _, of_one in series for value in of_one]
+            found_slope = pooled_slope_per_hour(series)
+            tell(f"{target} ({len(series)} lives)", unit, found_slope, values, bound * SHORT_LIVES_MAY)
     steady = [sample for sample in samples if sample.at_s > WARM_UP_S]
     judge("/dev/shm", "MB", [s.at_s for s in steady], [s.shm_mb for s in steady], SHM_BOUND_MB_PER_HOUR)
     judge("lateness p99", "µs", [s.at_s for s in steady], [s.lateness_us[1] for s in steady], math.inf)

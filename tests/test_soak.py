@@ -10,14 +10,16 @@ from soak import Record, Sample, growth, report
 HOUR_S = 3600.0
 
 
-def samples(*, seconds: float, mb_per_hour: float = 0.0, files_per_hour: float = 0.0, shm_mb_per_hour: float = 0.0):
+def samples(
+    *, seconds: float, mb_per_hour: float = 0.0, files_per_hour: float = 0.0, shm_mb_per_hour: float = 0.0, pid: int = 7
+) -> list[Sample]:
     """One process that grows, in the noise of a real one."""
     noise = np.random.default_rng(1)
     found = []
     for at_s in np.arange(0.0, seconds, 5.0):
         hours = at_s / HOUR_S
         of = {
-            "pid": 7,
+            "pid": pid,
             "own_mb": 50.0 + mb_per_hour * hours + noise.normal(0.0, 0.2),
             "pss_mb": 60.0,
             "files": 20 + int(files_per_hour * hours),
@@ -53,3 +55,14 @@ def test_what_grows_is_found(grows: dict[str, float], what: str) -> None:
 
 def test_a_short_life_is_judged_by_nothing() -> None:
     assert growth(samples(seconds=120.0, mb_per_hour=1000.0)) == ([], [])
+
+
+@pytest.mark.parametrize(("mb_per_hour", "found"), [(0.0, 0), (60.0, 1)])
+def test_many_short_lives_are_judged_together(mb_per_hour: float, found: int) -> None:
+    many = []
+    for pid in range(8):
+        life = samples(seconds=120.0, mb_per_hour=mb_per_hour, pid=pid)
+        many += [Sample(s.at_s + 200.0 * pid, s.of, s.shm_mb, s.lateness_us, s.cycles, s.missed) for s in life]
+    rows, leaks = growth(many)
+    assert any("front (8 lives) | own_mb" in row for row in rows)
+    assert len([leak for leak in leaks if "own_mb" in leak]) == found
