@@ -387,6 +387,8 @@ class Rig(Stack):
         if self._reader is not None:
             self._reader.close()
         self.user.close()
+        with contextlib.suppress(Hang):
+            self._end_control_by_force()
         super().close()
 
 
