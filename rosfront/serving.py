@@ -22,7 +22,7 @@ from rosfront.refusals import NotServing, Overtaken
 from rosfront.settings import Settings
 from rosfront.streamer import Streamer
 from rosfront.verdict import Status, Verdict, aborted, fault_of, final_error, judge, with_final_error
-from shm.client import find
+from shm.client import GOALS_AHEAD, find
 from shm.errors import TornRead
 from shm.sentences import answer_sentence, outcome_sentence, unreferenced_sentence
 from shm.words import Answer, Mode, Outcome, Request
@@ -258,13 +258,9 @@ class Serving:
             self._newest_turn = turn
             assert self._link is not None
             writer = self._link.writer
-            known = (
-                writer.announced_goal,
-                int(snapshot["goal_id"]),
-                int(snapshot["results"]["goal_id"].max()),
-                self._newest_goal,
-            )
-            self._newest_goal = max(known) + 1
+            known = max(int(snapshot["goal_id"]), int(snapshot["results"]["goal_id"].max()), self._newest_goal)
+            announced = writer.announced_goal  # in memory that others may write to
+            self._newest_goal = max(known, announced if announced <= known + GOALS_AHEAD else 0) + 1
             execution = Execution(self._newest_goal, plan, on_verdict, action_goal)
             self._undecided[execution.goal_id] = execution
             self._streams[execution.goal_id] = Streamer(execution.goal_id, plan)

@@ -17,6 +17,9 @@ from shm.files import MemoryFile, producers_lock
 from shm.words import Request, Setpoint
 
 READ_TRIES = 1000
+MOST_WRITTEN = 1 << 62
+GOALS_AHEAD = 1_000_000
+"""Goal ids rise by one; a word that is this far ahead of all others was not written by a front."""
 
 _SNAPSHOT_AT = layout.STATE.fields["snapshot"][1]  # type: ignore[index]
 _SEQUENCE_AT = layout.STATE.fields["snapshot_sequence"][1] // 8  # type: ignore[index]
@@ -132,7 +135,7 @@ class CommandWriter:
 
     def _append(self, head: bytes, joints: bytes, consumed: int) -> None:
         written = self.setpoints_written
-        if written - consumed >= layout.SETPOINT_SLOTS - 1:
+        if not 0 <= written - consumed < layout.SETPOINT_SLOTS - 1:  # below 0 somebody else has written there
             raise RingFull(f"{written - consumed} records wait in the ring of {layout.SETPOINT_SLOTS}.")
         body = head[8:] + joints
         at = _SETPOINTS_AT + (written % layout.SETPOINT_SLOTS) * layout.SETPOINT.itemsize
@@ -143,6 +146,8 @@ class CommandWriter:
         """Append a request and return its sequence number, under which the snapshot will answer."""
         with self._threads, producers_lock(self.memory.fd):
             written = self._words[_COMMAND_WORD["requests_written"]]
+            if not 0 <= written <= MOST_WRITTEN:
+                written = 0  # nobody asks so much: the loop says that the ring is corrupt, and then goes on from here
             packed = _REQUEST.pack(0, written + 1, kind, goal_id, value, time.monotonic_ns(), 0, 0)
             at = _REQUESTS_AT + (written % layout.REQUEST_SLOTS) * layout.REQUEST.itemsize
             crc = zlib.crc32(packed[8:]).to_bytes(8, "little")

@@ -1,0 +1,96 @@
+"""A program of the arm's own user runs wild in its command file: the arm stops inside its limits, the loop lives on."""
+
+import math
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("control_msgs")
+
+import vandal
+from observer import motion_violations, stands_since_ns
+from ros_client import ABORTED, SUCCEEDED, Client, recorded, until
+from stack import ROOT, Stack
+
+from config.loader import load_arm
+from shm import files
+from shm.client import StateReader
+from shm.words import Fault, Mode
+
+pytestmark = pytest.mark.process
+
+WILD_S = 3.0
+
+
+@pytest.fixture
+def stack(arm_name, tmp_path):
+    begin = recorded("large").trajectory.points[0].positions
+    stack = Stack(arm_name, tmp_path, start_deg=[math.degrees(position) for position in begin])
+    stack.start_sim()
+    stack.start_loop()
+    stack.start_front()
+    stack.client = Client(f"controller_{arm_name}")
+    yield stack
+    stack.client.close()
+    stack.close()
+
+
+def test_garbage_all_over_the_command_file_of_a_moving_arm(stack):
+    arm, client = load_arm(stack.arm_file), stack.client
+    path = files.command_path(stack.name)
+    reader = StateReader(files.open_state(stack.name))
+    begun_ns = time.monotonic_ns()
+    handle = client.send(recorded("large"))
+    until(lambda: np.abs(reader.snapshot()["joints"]["commanded_velocity_rad_s"]).max() > 0.2, "motion")
+    wild = subprocess.Popen(
+        [sys.executable, vandal.__file__, str(path), str(WILD_S), "1"],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert wild.stdout.readline() == "writing\n"
+        state, _, words = client.result(handle)
+        assert wild.wait(60.0) == 0
+    finally:
+        wild.kill()
+        wild.stdout.close()
+        wild.wait()
+    assert state == ABORTED and words.endswith("."), words
+    until(lambda: reader.snapshot()["mode"] == Mode.FAULT, "a latched fault")
+    assert reader.snapshot()["fault"] == Fault.COMMAND_RING
+
+    before = int(reader.snapshot()["cycle"])
+    until(lambda: int(reader.snapshot()["cycle"]) > before + 100, "a hundred cycles more")
+    assert stack.loop.process.poll() is None and stack.front.process.poll() is None
+    truth, now_ns = stack.truth(), time.monotonic_ns()
+    assert motion_violations(arm, truth, begun_ns, now_ns) == []
+    assert stands_since_ns(truth, now_ns) < now_ns
+    reader.close()
+
+    stack.loop.process.terminate()  # what is left of the file is of no use to anybody: the way back is a new start
+    stack.loop.code()
+    assert not Path(path).exists()
+    stack.start_loop()
+    here = dict(zip((joint.name for joint in arm.joints), stack_positions(stack, arm), strict=True))
+    again = recorded("large")
+    again.trajectory.points = [again.trajectory.points[0]]
+    point = again.trajectory.points[0]
+    point.positions = [here[name] + 0.05 for name in again.trajectory.joint_names]
+    point.velocities, point.accelerations, point.time_from_start.sec = [0.0] * 6, [], 3
+    client.close()
+    stack.client = client = Client(f"controller_{stack.name}")
+    until(lambda: client.states, "joint states of the new loop", 20.0)
+    state, _, words = client.run(again)
+    assert state == SUCCEEDED, words
+
+
+def stack_positions(stack, arm):
+    truth, now_ns = stack.truth(), np.array([time.monotonic_ns()])
+    return [float(truth[joint.name].position_at(now_ns)[0]) for joint in arm.joints]
