@@ -18,12 +18,13 @@ SOURCES := config motion shm rtloop rosfront sim rtarm ros bench tests
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-# Minutes that `make soak` takes, and the trials that `make trials` makes.
+# Minutes that `make soak` takes, trials that `make trials` makes, inputs that `make fuzz` tries.
 MINUTES ?= 60
 TRIALS ?= 200
+CASES ?= 1000000
 SEED ?= 1
 
-.PHONY: help env demo test test-vm check bench trials soak clean
+.PHONY: help env demo test test-vm check bench trials soak fuzz clean
 
 help:
 	@echo 'make demo     play a recorded MoveIt goal on a simulated arm'
@@ -33,6 +34,7 @@ help:
 	@echo 'make bench    run the benchmarks'
 	@echo 'make trials   hurt the processes of an arm in motion, TRIALS=200 times'
 	@echo 'make soak     random goals and faults for MINUTES=60'
+	@echo 'make fuzz     hostile inputs, CASES=1000000 of them'
 	@echo 'make env      only make the environment in $(VENV)'
 	@echo 'make clean    remove the environment and all caches'
 
@@ -62,6 +64,10 @@ trials: env
 
 soak: env
 	PYTHONPATH=tests $(BIN)/python -m soak --minutes $(MINUTES) --seed $(SEED)
+
+# What fails is kept in fuzz-corpus and made again by its name: PYTHONPATH=tests python -m fuzz --again NAME
+fuzz: env
+	PYTHONPATH=tests $(BIN)/python -m fuzz --cases $(CASES) --seed $(SEED)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks

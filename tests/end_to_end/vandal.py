@@ -23,6 +23,7 @@ def main(path: str, seconds: str, seed: str) -> None:
     random = np.random.default_rng(int(seed))
     with Path(path).open("r+b") as file:
         words = np.frombuffer(mmap.mmap(file.fileno(), 0), np.int64)
+    np.seterr(over="ignore")
     print("writing", flush=True)
     until = time.monotonic() + float(seconds)
     while time.monotonic() < until:

@@ -358,3 +358,67 @@ def test_asking_who_lives_never_makes_a_starting_loop_fail(swept, monkeypatch):
         fcntl.flock(curious, fcntl.LOCK_SH)
         monkeypatch.setattr(files.time, "sleep", lambda seconds: fcntl.flock(curious, fcntl.LOCK_UN))
         files.create(identity(swept)).remove()
+
+
+# --- other users of the machine -----------------------------------------------------------------------------------
+
+NOBODY = 65534
+as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can act as another user")
+
+
+def as_nobody(*command):
+    """The exit code of a program of another user of this machine."""
+    return subprocess.run(
+        command, user=NOBODY, group=NOBODY, extra_groups=[], capture_output=True, stdin=subprocess.DEVNULL, check=False
+    ).returncode
+
+
+@as_root
+def test_another_user_can_neither_read_nor_write_nor_remove(created, arm_name):
+    assert as_nobody("cat", "/proc/self/status") == 0  # it can read what it may
+    for path in left_of(arm_name):
+        before = path.read_bytes()
+        assert as_nobody("cat", path) != 0
+        assert as_nobody("dd", "if=/dev/zero", f"of={path}", "bs=8", "count=1", "conv=notrunc") != 0
+        assert as_nobody("truncate", "-s", "0", path) != 0
+        assert as_nobody("rm", "-f", path) != 0
+        assert as_nobody("chmod", "666", path) != 0
+        assert path.read_bytes() == before
+    assert len(left_of(arm_name)) == 2
+
+
+def test_a_generous_umask_changes_nothing(arm_name):
+    before = os.umask(0)
+    try:
+        pair = files.create(identity(arm_name))
+        assert all(stat.S_IMODE(path.stat().st_mode) == 0o600 for path in left_of(arm_name))
+        pair.remove()
+    finally:
+        os.umask(before)
+
+
+@as_root
+@pytest.mark.parametrize("name", ["state", "command"])
+def test_what_another_user_has_planted_is_neither_read_nor_written(swept, name):
+    """Whole in form, open to everybody: it is refused by whom it belongs to."""
+    pair = files.create(identity(swept))
+    content = (pair.state if name == "state" else pair.command).path.read_bytes()
+    pair.remove()
+    path = files.state_path(swept) if name == "state" else files.command_path(swept)
+    path.write_bytes(content)
+    os.chown(path, NOBODY, NOBODY)
+    path.chmod(0o600)
+    with pytest.raises(NotPermitted, match=f"owned by uid {NOBODY}"):
+        files.open_state(swept) if name == "state" else files.open_command(swept)
+    assert path.read_bytes() == content
+
+
+@as_root
+def test_a_loop_that_starts_puts_its_own_files_in_the_place_of_planted_ones(swept):
+    for path in (files.state_path(swept), files.command_path(swept)):
+        path.touch(0o666)
+        os.chown(path, NOBODY, NOBODY)
+    pair = files.create(identity(swept))
+    for path in (files.state_path(swept), files.command_path(swept)):
+        assert path.stat().st_uid == os.geteuid() and stat.S_IMODE(path.stat().st_mode) == 0o600
+    pair.remove()

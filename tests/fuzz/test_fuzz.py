@@ -1,0 +1,175 @@
+"""A sample of what `python -m fuzz` runs by the million, and proof that its judges can find somebody guilty."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fuzz import memory
+from fuzz.arena import MemoryArena, WireArena
+from fuzz.messages import Messages
+from fuzz.stress import SCENARIOS
+from fuzz.texts import Texts
+from fuzz.truth import Truth
+from rtloop.wire import received
+from shm import cache
+from shm.words import Answer, Fault, Outcome
+
+ROOT = Path(__file__).resolve().parents[2]
+SEED = 20_261_121
+
+sample = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+
+
+@pytest.fixture(scope="module")
+def hostile_memory() -> Any:
+    arena = MemoryArena()
+    yield arena
+    arena.close()
+
+
+@pytest.fixture(scope="module")
+def hostile_wire() -> Any:
+    arena = WireArena()
+    yield arena
+    arena.close()
+
+
+def test_a_hostile_writer_moves_nothing_beyond_its_limits(hostile_memory: MemoryArena) -> None:
+    assert hostile_memory.run(SEED, 0, 6_000) == (6_000, "")
+    ended = hostile_memory.faults
+    assert ended[Fault.NONE] > 1_000 and ended[Fault.COMMAND_RING] > 100  # neither all refused nor all believed
+    outcomes, answers = hostile_memory.seen[2], hostile_memory.seen[3]
+    wanted = (Outcome.SUCCEEDED, Outcome.REPLACED, Outcome.CANCELED, Outcome.REFUSED_CORRUPT, Outcome.REFUSED_START)
+    assert all(outcomes[outcome] for outcome in wanted)
+    assert all(answers[answer] for answer in Answer if answer != Answer.NONE)
+
+
+def test_hostile_bytes_move_nothing_beyond_its_limits(hostile_wire: WireArena) -> None:
+    assert hostile_wire.run(SEED, 0, 1_500) == (1_500, "")
+    assert hostile_wire.faults[Fault.NONE] > 300
+    assert hostile_wire.faults[Fault.REFERENCE_LOST] > 50 and hostile_wire.faults[Fault.DRIVE_FAULT] > 50
+
+
+def test_the_judge_of_motion_finds_what_is_there(hostile_memory: MemoryArena) -> None:
+    """The same writer, and limits that are a little tighter than those the loop goes by."""
+    loop = hostile_memory.arm.loop
+    before = memory.standing(loop[0])
+    axis, row = loop[0]["axes"][0], loop[0]["joints"][0]
+    place = float(axis["position_rad"])
+    for position, guilt in (
+        (np.nan, memory.NOT_FINITE),
+        (row["upper_rad"] + 0.01, memory.OUTSIDE),
+        (place + 0.011 * row["max_velocity_rad_s"], memory.TOO_FAST),
+        (place + 2.1e-4 * row["max_acceleration_rad_s2"], memory.TOO_HARD),
+        (place + 1.9e-4 * row["max_acceleration_rad_s2"], memory.SOUND),
+    ):
+        axis["position_rad"] = position
+        assert memory.judge(loop[0], before.copy(), hostile_memory.verdict) == guilt
+    axis["position_rad"] = place
+
+
+@pytest.mark.parametrize("kind", ["goals", "streams", "bytes"])
+def test_hostile_messages_are_refused_in_a_sentence_or_executed_within_limits(kind: str) -> None:
+    target = Messages(kind)
+
+    @sample
+    @given(st.integers(0, 2**32))
+    def one(seed: int) -> None:
+        target.case(np.random.default_rng(seed))
+
+    one()
+    target.close()
+
+
+@pytest.mark.parametrize("kind", ["yaml", "overrides"])
+def test_hostile_texts_make_a_sound_arm_or_a_sentence(kind: str) -> None:
+    target = Texts(kind)
+
+    @sample
+    @given(st.integers(0, 2**32))
+    def one(seed: int) -> None:
+        target.case(np.random.default_rng(seed))
+
+    one()
+    target.close()
+
+
+def test_hostile_values_of_parameters_are_refused_in_a_sentence() -> None:
+    pytest.importorskip("rclpy")
+    pytest.importorskip("control_msgs")
+    from fuzz.texts import Parameters
+
+    target = Parameters()
+    for case in range(1_000):
+        target.case(np.random.default_rng([SEED, case]))
+    assert target.accepted > 50
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_simulated_drives_stay_within_their_limits_under_a_hostile_writer(seed: int) -> None:
+    target = Truth()
+    target.case(np.random.default_rng([SEED, seed]))
+    assert target.executed == 1
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_two_threads_at_once_misread_nothing(name: str) -> None:
+    scenario, _ = SCENARIOS[name]
+    counted = scenario(2_000)
+    assert counted.wrong == 0 and counted.written > 0
+
+
+def test_the_stress_of_the_receive_ring_finds_a_byte_that_is_wrong(hostile_wire: WireArena) -> None:
+    """Its count of mistakes is not always zero."""
+    from config.loader import load_arm
+    from fuzz.stress import take_bytes
+    from rtloop.state import new_loop
+
+    loop = new_loop(load_arm("mock"), 0, 0)
+    received.push(loop[0], 0, np.array([0, 7, 15], np.uint8), 3)
+    table = np.zeros(64, np.int64)
+    assert take_bytes(table.ctypes.data, loop[0], 1) == 1
+
+
+CHECKED = """
+import numba
+import numpy as np
+from fuzz.arena import MemoryArena, WireArena
+
+@numba.njit
+def beyond(values, index):
+    return values[index]
+
+try:
+    beyond(np.zeros(3), 3)
+except IndexError:
+    print("checks bounds")
+for arena in (MemoryArena(), WireArena()):
+    print(arena.run(1, 0, 3000))
+    arena.close()
+"""
+
+
+@pytest.mark.process
+@pytest.mark.timeout(600)
+@pytest.mark.skipif("RTARM_LONG" not in os.environ, reason="compiles all of it once more; RTARM_LONG=1 runs it")
+def test_no_hostile_index_ever_leaves_its_array(tmp_path: Path) -> None:
+    """The compiled targets with numba's bounds checks compiled in, in a cache of their own."""
+    environment = {
+        **os.environ,
+        "NUMBA_BOUNDSCHECK": "1",
+        "XDG_CACHE_HOME": str(tmp_path),
+        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
+    }
+    result = subprocess.run(
+        [sys.executable, "-c", CHECKED], env=environment, capture_output=True, text=True, check=False
+    )
+    assert result.stdout.split("\n") == ["checks bounds", "(3000, '')", "(3000, '')", ""], result.stderr
+    assert (tmp_path / "rtarm" / cache.folder().name).is_dir()
