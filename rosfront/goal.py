@@ -264,6 +264,8 @@ def _complete(
     accelerations = np.where(given.has_accelerations[:, np.newaxis], given.accelerations, 0.0)
     orders = np.where(given.has_accelerations, 5, 3)
     orders[1:] = np.where(given.has_accelerations[1:] & given.has_accelerations[:-1], 5, 3)
+    if Entry.STREAM in entry:
+        orders[0] = 3  # its acceleration says nothing of the way there, which would swing out to end with it
 
     knots = np.stack([positions, velocities, accelerations], axis=2)
     if arm.trajectory.interpolation == "linear" and Entry.STREAM not in entry:

@@ -32,13 +32,15 @@ WILD_S = 3.0
 def stack(arm_name, tmp_path):
     begin = recorded("large").trajectory.points[0].positions
     stack = Stack(arm_name, tmp_path, start_deg=[math.degrees(position) for position in begin])
-    stack.start_sim()
-    stack.start_loop()
-    stack.start_front()
-    stack.client = Client(f"controller_{arm_name}")
-    yield stack
-    stack.client.close()
-    stack.close()
+    try:
+        stack.start_sim()
+        stack.start_loop()
+        stack.start_front()
+        stack.client = Client(f"controller_{arm_name}")
+        yield stack
+        stack.client.close()
+    finally:
+        stack.close()
 
 
 def test_garbage_all_over_the_command_file_of_a_moving_arm(stack):

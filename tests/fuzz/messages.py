@@ -188,7 +188,7 @@ class Messages:
         soon = plan.start_ns - present.monotonic_ns < LONGEST_S * NS
         if standing and soon and plan.duration_s < LONGEST_S and len(plan.times_ns) < 400:
             self.executed += 1
-            self._execute(plan, here)
+            self.execute(plan, here)
 
     def _anywhere(self, random: np.random.Generator) -> np.ndarray:
         return np.array([random.uniform(joint.lower_rad, joint.upper_rad) for joint in self.arm.joints])
@@ -216,7 +216,7 @@ class Messages:
             assert (tolerances >= 0.0).all() and np.isfinite(tolerances).all()
         assert 0.0 <= plan.terms.goal_time_s < np.inf
 
-    def _execute(self, plan: GoalPlan, here: np.ndarray) -> None:
+    def execute(self, plan: GoalPlan, here: np.ndarray) -> None:
         """Play it on the mock arm, compiled; no setpoint may break a limit, and no last line of defence be needed."""
         arm = self.arena.arm
         arm.loop[:] = self._begun
@@ -229,8 +229,8 @@ class Messages:
         verdict = self.arena.verdict
         cycles = round((plan.duration_s + 65.0) / (arm.period_ns * 1e-9))
         guilt = memory.follow(arm.loop[0], arm.state.array[0], start_ns, cycles, verdict)
-        assert guilt == memory.SOUND, f"{memory.GUILT[guilt]}: {verdict[:5]}"
         assert arm.core["fault"] == Fault.NONE, f"the last line of defence: {Fault(int(arm.core['fault'])).name}"
+        assert guilt == memory.SOUND, f"{memory.GUILT[guilt]}: {verdict[:5]}"
         assert arm.core["mode"] == Mode.HOLDING
         assert arm.outcome(1) in (
             *(Outcome.SUCCEEDED, Outcome.RAN_DRY, Outcome.REFUSED_START, Outcome.REFUSED_LIMITS),

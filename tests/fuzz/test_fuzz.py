@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from fuzz.messages import Messages
 from fuzz.stress import SCENARIOS
 from fuzz.texts import Texts
 from fuzz.truth import Truth
+from rosfront.goal import plan_stream
+from rosfront.plan import Present
 from rtloop.wire import received
 from shm import cache
 from shm.words import Answer, Fault, Outcome
@@ -85,6 +88,27 @@ def test_hostile_messages_are_refused_in_a_sentence_or_executed_within_limits(ki
         target.case(np.random.default_rng(seed))
 
     one()
+    target.close()
+
+
+def test_a_lone_point_of_a_stream_that_is_far_ahead_and_accelerated_swings_nobody_out() -> None:
+    """Found by the long run: the way to it was a quintic that ended with its acceleration, metres off on the way."""
+    target = Messages("streams")
+    point = SimpleNamespace(
+        time_from_start=SimpleNamespace(sec=11, nanosec=0),
+        positions=[0.0] * 6,
+        velocities=[0.0] * 6,
+        accelerations=[-0.2, -0.1, -0.2, 0.5, -1.0, 2.0],
+        effort=[],
+    )
+    message = SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0)),
+        joint_names=[joint.name for joint in target.arm.joints],
+        points=[point],
+    )
+    here = np.zeros(6)
+    present = Present(np.zeros((6, 3)), True, target.arena.arm.now_ns, 0)
+    target.execute(plan_stream(message, target.arm, present, target.settings), here)
     target.close()
 
 
