@@ -384,11 +384,11 @@ class Rig(Stack):
     def close(self) -> None:
         self._watching.set()
         self._watcher.join()
+        with contextlib.suppress(Hang):
+            self._end_control_by_force()
         if self._reader is not None:
             self._reader.close()
         self.user.close()
-        with contextlib.suppress(Hang):
-            self._end_control_by_force()
         super().close()
 
 
