@@ -86,6 +86,13 @@ class BringUp(Conversation):
                 )
             yield Ask(b"\x0e\x52\x6b", (3,))
             flags = yield from self._status(joint, config)
+            if flags & 0x08:
+                raise TalkFailed(
+                    joint,
+                    f"The drive of {config.name} stays in protection after it was cleared, so what tripped it (a "
+                    "blocked joint, heat, current) is still there: find it on the drive's display, let the drive cool, "
+                    "then `rtarm clear-fault`.",
+                )
         if flags & 0x80:
             reason = Unreferenced.POWER_LOST
             self._tell(

@@ -36,7 +36,7 @@ def encode(loop: Loop, shared: Shared) -> None:
         elif axis.stop_frames_due > 0:
             axis.stop_frames_due -= 1
             send(loop, shared, loop.joints[joint].address << 8, 4, zdt.STOP, 0)
-        elif leads and axis.referenced == 1 and axis.bad_statuses == 0:
+        elif leads and guard.may_be_led(loop, joint):
             first, second = zdt.command(loop, joint)
             send(loop, shared, loop.joints[joint].address << 8, 8, first, 1)
             send(loop, shared, (loop.joints[joint].address << 8) | 1, 5, second, 0)

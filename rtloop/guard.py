@@ -8,6 +8,7 @@ import math
 from typing import Any
 
 from rtloop import status as status_bits
+from rtloop.drives import zdt
 from rtloop.events import record_event
 from rtloop.faults import latch_fault
 from rtloop.modes import is_limp
@@ -20,6 +21,10 @@ Shared = Any
 
 ROUNDING = 1.0 + 1e-6
 STATUSES_TO_BELIEVE = 2
+REFUSALS_TO_BELIEVE = 2
+STOP_FRAMES = 3
+HAND_SHARE = 2.0
+"""A limp joint led by hand may move at this many times its highest velocity."""
 BESIDE_RAD = 1e-9
 """What the arithmetic of a stop may put a joint beyond its limit."""
 
@@ -115,14 +120,25 @@ def check_measured(loop: Loop, shared: Shared) -> None:
                 latch_fault(loop, shared, Fault.REFERENCE_LOST, joint, 0.0, 0.0)
                 continue
             latch_fault(loop, shared, Fault.DRIVE_FAULT, joint, float(axis.status), 0.0)
-        error = axis.reference_rad - axis.measured_rad
+        if axis.refusals >= REFUSALS_TO_BELIEVE:
+            latch_fault(loop, shared, Fault.DRIVE_FAULT, joint, float(axis.status), 0.0)
+        error = agreed_error_rad(axis)
         judge_way(loop, joint)
         if (
             core.motion_started == 1
             and core.rebase_ns == 0
-            and (abs(error) > params.following_error_rad + axis.slip_rad)
+            and (abs(error) > params.following_error_rad + axis.slip_rad + axis.lag_rad)
         ):
             latch_fault(loop, shared, Fault.FOLLOWING_ERROR, joint, error, params.following_error_rad)
+
+
+@jit
+def agreed_error_rad(axis: Any) -> float:
+    """How far the joint is from its setpoint as the last two readings agree: one alone may be garbled."""
+    now_rad, before_rad = axis.reference_rad - axis.measured_rad, axis.error_before_rad
+    if now_rad * before_rad <= 0.0:
+        return 0.0
+    return math.copysign(min(abs(now_rad), abs(before_rad)), now_rad)
 
 
 @jit
@@ -138,9 +154,9 @@ def judge_way(loop: Loop, joint: int) -> None:
     if core.goal_id == 0 or core.ending != Outcome.NONE or core.settle_ns != 0 or not in_goal(loop, core.active, joint):
         return
     allowed = loop.paths[core.active].tolerances[joint]
-    error = axis.reference_rad - axis.measured_rad
+    error = agreed_error_rad(axis)
     velocity_error = axis.reference_velocity_rad_s - axis.measured_velocity_rad_s
-    if allowed.position_rad > 0.0 and abs(error) > allowed.position_rad + axis.slip_rad:
+    if allowed.position_rad > 0.0 and abs(error) > allowed.position_rad + axis.slip_rad + axis.lag_rad:
         end_for(loop, Outcome.PATH_TOLERANCE, joint, error, allowed.position_rad)
     elif allowed.velocity_rad_s > 0.0 and abs(velocity_error) > allowed.velocity_rad_s:
         end_for(loop, Outcome.PATH_VELOCITY, joint, velocity_error, allowed.velocity_rad_s)
@@ -165,6 +181,8 @@ def take_status(loop: Loop, joint: int, status: int) -> None:
     axis.status_readings += 1
     bad = status & (status_bits.PROTECTED | status_bits.POWER_LOST) != 0 or status & status_bits.ENABLED == 0
     axis.bad_statuses = axis.bad_statuses + 1 if bad else 0
+    if not bad:
+        axis.refusals = 0
 
 
 @jit
@@ -175,23 +193,32 @@ def lose_reference(loop: Loop, shared: Shared, joint: int, reason: int) -> None:
         record_event(loop, shared, Event.REFERENCE, joint, reason, 0.0, 0.0)
     axis.referenced = 0
     axis.unreferenced_reason = reason
-    axis.stop_frames_due = 3
+    axis.stop_frames_due = STOP_FRAMES
 
 
 @jit
-def believable(loop: Loop, shared: Shared, joint: int, position_rad: float, now_ns: int) -> bool:
-    """Whether a reading can have come about by motion since the last one.
+def stop_if_it_was_away(loop: Loop, joint: int, waited_ns: int) -> None:
+    """A drive that is heard again after it lost its reference by silence has not heard its stop command."""
+    axis = loop.axes[joint]
+    if loop.core.mode == Mode.FAULT and axis.referenced == 0 and waited_ns > loop.params.stale_fault_ns:
+        axis.stop_frames_due = STOP_FRAMES
 
-    One that cannot is put aside; when the next one agrees with it, the drive's count has truly jumped.
+
+@jit
+def believable(loop: Loop, shared: Shared, joint: int, position_rad: float, read_ns: int, moved_rad: float) -> bool:
+    """Whether a reading can have come about by motion since the last one; `moved_rad` was commanded meanwhile.
+
+    One that cannot is put aside and answers no question; when the next one agrees with it, the drive's count has
+    truly jumped.
     """
-    axis, row = loop.axes[joint], loop.joints[joint]
-    since_s = max(now_ns - axis.measured_ns, 0) * 1e-9
-    possible = loop.params.position_jump_rad + 2.0 * row.max_velocity_rad_s * since_s
+    axis = loop.axes[joint]
     jump = position_rad - axis.measured_rad
-    if axis.readings == 0 or axis.referenced == 0 or abs(jump) <= possible:
+    possible = possible_rad(loop, joint, read_ns - axis.measured_ns)
+    as_commanded = min(moved_rad, 0.0) - possible <= jump <= max(moved_rad, 0.0) + possible
+    if axis.readings == 0 or axis.referenced == 0 or as_commanded:
         axis.doubted = 0
         return True
-    if axis.doubted == 1 and abs(position_rad - axis.doubted_rad) <= possible:
+    if axis.doubted == 1 and abs(position_rad - axis.doubted_rad) <= abs(moved_rad) + possible:
         axis.doubted = 0
         lose_reference(loop, shared, joint, Unreferenced.POSITION_JUMP)
         latch_fault(loop, shared, Fault.REFERENCE_LOST, joint, jump, loop.params.position_jump_rad)
@@ -199,6 +226,32 @@ def believable(loop: Loop, shared: Shared, joint: int, position_rad: float, now_
     axis.doubted = 1
     axis.doubted_rad = position_rad
     return False
+
+
+@jit
+def possible_rad(loop: Loop, joint: int, since_ns: int) -> float:
+    """How far a joint may have moved since its last reading beside what was commanded.
+
+    By what the error adds to its speed, by what it ran on while the loop was away, and from where it was if that
+    reading was late; a limp one as fast as a hand can lead it.
+    """
+    axis, row = loop.axes[joint], loop.joints[joint]
+    speed_rad_s = row.max_velocity_rad_s * (HAND_SHARE if is_limp(loop.core.mode) else zdt.ERROR_SPEED_SHARE)
+    possible = loop.params.position_jump_rad + speed_rad_s * max(since_ns, 0) * 1e-9 + axis.slip_rad + axis.lag_rad
+    return float(possible)
+
+
+@jit
+def may_be_led(loop: Loop, joint: int) -> bool:
+    """Whether a drive gets motion frames: not while it is in doubt what it would make of them.
+
+    One that does not answer may have been switched off and on, and then counts from somewhere else; what is sent into
+    a blocked wire besides arrives when the arm has long been stopped. Without frames a drive brakes by itself.
+    """
+    axis = loop.axes[joint]
+    if axis.referenced == 0 or axis.bad_statuses > 0 or axis.doubted == 1:
+        return False
+    return axis.unanswered_since_ns == 0 or loop.core.now_ns - axis.unanswered_since_ns <= loop.params.stale_brake_ns
 
 
 @jit

@@ -28,8 +28,8 @@ from shm.words import BusState, Fault, Mode
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
-SHORTEST_S = 1e-4
-"""Two readings nearer than this say nothing about a velocity."""
+SHORTEST_SHARE = 0.25
+"""Two readings nearer than this share of a period say nothing about a velocity."""
 ENETDOWN = 100
 SMOOTHING_S = 0.1
 """One encoder count differenced twice is more than most acceleration limits; over this time it averages out."""
@@ -53,6 +53,7 @@ def take_what_the_bus_brought(loop: Loop, shared: Shared) -> None:
         core.rx_taken = end
         core.rx_chunks_taken += 1
     received.taken(loop, core.rx_taken, core.rx_chunks_taken)
+    take_positions(loop, shared)
     shared.counters.receive_overflows = received.lost(loop)
     error = received.closed(loop) - 1
     if error >= 0:
@@ -138,25 +139,51 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, extended: int, length:
     service.hand_out(loop, frame_id, length, data, time_ns)
     kind, value = zdt.decode(frame_id & 255, length, data)
     if kind == zdt.POSITION:
-        take_position(loop, shared, joint, value, time_ns - loop.joints[joint].reply_delay_ns)
+        hear_position(loop, joint, value, time_ns - loop.joints[joint].reply_delay_ns)
     elif kind == zdt.STATUS:
         guard.take_status(loop, joint, value)
         if loop.axes[joint].bad_statuses == 1:
             core.status_turn = joint - 1  # ask this drive again at once
     elif kind == zdt.REFUSED:
         shared.counters.drive_errors += 1
+        if value == zdt.MOVE:
+            loop.axes[joint].refusals += 1
 
 
 @jit
-def take_position(loop: Loop, shared: Shared, joint: int, counts: int, read_ns: int) -> None:
+def hear_position(loop: Loop, joint: int, counts: int, read_ns: int) -> None:
+    """Keep a position until everything has been heard: answers that come twice, late or in a burst count once."""
     axis = loop.axes[joint]
-    position_rad = zdt.to_radians(loop, joint, counts)
-    axis.unanswered_since_ns = 0
-    if not guard.believable(loop, shared, joint, position_rad, read_ns):
-        return
+    axis.heard = 1
+    axis.heard_rad = zdt.to_radians(loop, joint, counts)
+    axis.heard_ns = read_ns
+
+
+@jit
+def take_positions(loop: Loop, shared: Shared) -> None:
+    """Measure every joint by the last position that came from its drive since the last cycle."""
+    for joint in range(loop.params.joint_count):
+        axis = loop.axes[joint]
+        if axis.heard == 1:
+            axis.heard = 0
+            take_position(loop, shared, joint, axis.heard_rad, max(axis.heard_ns, axis.measured_ns))
+
+
+@jit
+def take_position(loop: Loop, shared: Shared, joint: int, position_rad: float, read_ns: int) -> None:
+    axis, period_ns = loop.axes[joint], loop.params.period_ns
     reference_rad = commanded_at(loop, joint, read_ns)
+    if not guard.believable(loop, shared, joint, position_rad, read_ns, reference_rad - axis.reference_rad):
+        return
+    waited_ns = read_ns - axis.unanswered_since_ns if axis.unanswered_since_ns != 0 else 0
+    guard.stop_if_it_was_away(loop, joint, waited_ns)
+    axis.unanswered_since_ns = 0
+    # nothing in an answer says which question it answers: it may be as old as the oldest one
+    axis.lag_ns = max(waited_ns - period_ns, axis.lag_ns - (read_ns - axis.measured_ns), 0)
+    axis.lag_rad = abs(reference_rad - commanded_at(loop, joint, read_ns - axis.lag_ns)) if axis.lag_ns > 0 else 0.0
+    axis.error_before_rad = axis.reference_rad - axis.measured_rad
     since_s = (read_ns - axis.measured_ns) * 1e-9
-    if axis.readings > 0 and since_s > SHORTEST_S:
+    if axis.readings > 0 and since_s > SHORTEST_SHARE * period_ns * 1e-9:
         before = axis.reference_velocity_rad_s - axis.measured_velocity_rad_s
         axis.measured_velocity_rad_s = (position_rad - axis.measured_rad) / since_s
         axis.reference_velocity_rad_s = (reference_rad - axis.reference_rad) / since_s

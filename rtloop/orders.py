@@ -54,7 +54,8 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
         axis.referenced = 0
         if not outlives_a_clear(axis.unreferenced_reason):
             axis.unreferenced_reason = Unreferenced.NOT_BROUGHT_UP
-        axis.readings = axis.status_readings = axis.bad_statuses = axis.doubted = 0
+        axis.readings = axis.status_readings = axis.bad_statuses = axis.doubted = axis.refusals = 0
+        axis.lag_ns = 0
         axis.status = 0
         axis.unanswered_since_ns = 0
 
@@ -80,7 +81,7 @@ def adopt(loop: Loop, joint: int, position_rad: float, reason: int) -> None:
     if axis.readings == 0:
         axis.measured_rad = position_rad
         axis.measured_ns = loop.core.now_ns
-    axis.slip_rad = axis.error_acceleration_rad_s2 = 0.0
+    axis.slip_rad = axis.lag_rad = axis.error_before_rad = axis.error_acceleration_rad_s2 = 0.0
     if not outlives_a_clear(axis.unreferenced_reason):
         axis.unreferenced_reason = reason
     axis.referenced = 1 if axis.unreferenced_reason == Unreferenced.REFERENCED else 0

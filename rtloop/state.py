@@ -111,11 +111,18 @@ AXIS = np.dtype(
         ("reference_rad", "f8"),
         ("reference_velocity_rad_s", "f8"),  # mean between the last two readings, as measured_velocity_rad_s is
         ("error_acceleration_rad_s2", "f8"),  # smoothed change of the error in velocity
+        ("error_before_rad", "f8"),  # of the reading before this one
+        ("lag_ns", "i8"),  # how much older than its stamp the reading may be, because its question waited so long
+        ("lag_rad", "f8"),  # what was commanded meanwhile
         ("readings", "i8"),
+        ("heard", "i8"),  # 1: a position came since the last cycle
+        ("heard_rad", "f8"),  # the last one that did
+        ("heard_ns", "i8"),
         ("doubted", "i8"),  # 1: the last reading was implausible and waits for the next one to agree
         ("doubted_rad", "f8"),
         ("bad_statuses", "i8"),  # statuses in a row that say the drive does not hold its position
-        ("unanswered_since_ns", "i8"),
+        ("refusals", "i8"),  # of motion commands since the last sound status
+        ("unanswered_since_ns", "i8"),  # the oldest question for a position without a believable answer, 0 none
         ("status", "i8"),
         ("status_readings", "i8"),
         ("referenced", "i8"),

@@ -206,13 +206,14 @@ FAULTS: dict[Fault, Meaning] = {
         "Free the arm, check the drive's current limit and supply, clear the fault.",
     ),
     Fault.STALE_READING: Meaning(
-        "{joint} has not answered for {value:.3f} s and {limit:.3f} s are allowed: check the drive's supply, "
-        "its cable and the adapter, see that the joint stands where `rtarm status` says, then start rtarm again.",
+        "{joint} has given no believable answer for {value:.3f} s and {limit:.3f} s are allowed: check the drive's "
+        "supply, its cable and the adapter, see that the joint stands where `rtarm status` says, then start rtarm "
+        "again.",
         "Without readings nobody knows where the joint is.",
         "Check supply, cable, termination and adapter; see that the joint stands where it reads; start rtarm again.",
     ),
     Fault.DRIVE_FAULT: Meaning(
-        "The drive of {joint} reports a fault of its own (stalled, protected or not enabled): remove the "
+        "The drive of {joint} reports a fault of its own (protected or not enabled) or refuses motion: remove the "
         "cause, then `rtarm clear-fault`.",
         "A drive in protection does not follow setpoints.",
         "Free the joint, let the drive cool, clear the fault.",

@@ -33,6 +33,8 @@ HIGHEST_RPM = 3000
 
 CHECKSUM = 0x6B
 
+MOVE = 0xFD
+
 OTHER = 0
 POSITION = 1
 STATUS = 2
@@ -108,14 +110,15 @@ def decode(packet: int, length: int, data: int) -> tuple[int, int]:
     function = data & 255
     if packet != 0:
         return OTHER, 0
-    if length == 7 and function == 0x36 and (data >> 48) & 255 == CHECKSUM:
+    sign = (data >> 8) & 255
+    if length == 7 and function == 0x36 and sign <= 1 and (data >> 48) & 255 == CHECKSUM:
         counts = (
             (((data >> 16) & 255) << 24)
             | (((data >> 24) & 255) << 16)
             | (((data >> 32) & 255) << 8)
             | ((data >> 40) & 255)
         )
-        return POSITION, -counts if (data >> 8) & 255 else counts
+        return POSITION, -counts if sign else counts
     if length == 3 and (data >> 16) & 255 == CHECKSUM:
         code = (data >> 8) & 255
         if function == 0x3A:

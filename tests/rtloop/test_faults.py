@@ -9,7 +9,7 @@ from rtloop.cycle import step
 from rtloop.port import SEND
 from rtloop.wire import outgoing, received
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
-from sim.faults import CorruptBytes, LostReplies, PowerLoss, Silent, Stall
+from sim.faults import CorruptBytes, CountSlip, LostReplies, PowerLoss, Silent, Stall
 
 FD = "FD"
 
@@ -250,10 +250,8 @@ def test_corrupted_bytes_do_not_stop_the_arm() -> None:
 
 def test_a_count_that_truly_jumps_loses_the_reference() -> None:
     arm = executing()
-    for _ in range(2):
-        line = b"T00000100736002FFFFFFF6B\r"
-        received.push(arm.loop[0], arm.now_ns, np.frombuffer(line, np.uint8), len(line))
-    arm.cycle()
+    arm.sim.inject(CountSlip("joint1", 0.0, deg=40.0), since_ns=arm.now_ns)
+    arm.cycles(3)
     assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.REFERENCE_LOST, 0)
     assert arm.loop[0]["axes"][0]["unreferenced_reason"] == Unreferenced.POSITION_JUMP
     arm.close()

@@ -227,7 +227,7 @@ def test_a_drive_that_does_not_answer_any_more(stage_for):
     stage.run(0.7)
     stage.unplug("b")
     stage.until(lambda: sent.ended, 1.0)
-    assert sent.outcome == (ABORTED, -1) and sent.sentence.startswith("b has not answered for")
+    assert sent.outcome == (ABORTED, -1) and sent.sentence.startswith("b has given no believable answer for")
     assert stage.mode is Mode.FAULT
     stage.until(lambda: not stage.velocity.any(), 1.0)
     assert stage.commanded[0] < START[0] + 0.6
