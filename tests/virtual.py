@@ -142,12 +142,15 @@ class VirtualArm:
             self._feed_ring()
         count = step(self.loop[0], self.state.array[0], self.now_ns)
         if count:
-            data = self.loop[0]["tx"][:count].tobytes()
-            self.core["tx_length"] = 0
-            self.sent.append((self.now_ns, data))
-            if self.sim is not None:
-                at = self.now_ns + int(self.random.integers(0, self.jitter_ns + 1))
-                self.sim.feed(at + self.suspended_ns, data)
+            self.write(self.loop[0]["tx"][:count].tobytes())
+
+    def write(self, data: bytes) -> None:
+        """Hand the cycle's bytes to the wire, as `rtloop.run` does with one write."""
+        self.core["tx_length"] = 0
+        self.sent.append((self.now_ns, data))
+        if self.sim is not None:
+            at = self.now_ns + int(self.random.integers(0, self.jitter_ns + 1))
+            self.sim.feed(at + self.suspended_ns, data)
 
     def cycles(self, count: int) -> None:
         for _ in range(count):
