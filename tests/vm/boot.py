@@ -8,12 +8,12 @@ takes half a minute instead of ten.
 Exit code: that of pytest inside; 1 when the machine does not get that far; 0, with a notice, where it cannot be made.
 """
 
-import json
 import os
 import platform
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -95,6 +95,7 @@ class NotPossible(Exception):
 
 
 def main(arguments: list[str]) -> int:
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # the machine ends with us
     try:
         kernel, modules = prepare()
     except NotPossible as reason:
@@ -218,10 +219,10 @@ def compile_for(machine: "subprocess.Popen[bytes]", share: Path, began: float) -
         if machine.poll() is not None or time.monotonic() - began > TIMEOUT_S:
             return False
         time.sleep(0.1)
-    json.loads(told.read_text(encoding="utf-8"))
     environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
     environment["XDG_CACHE_HOME"] = str(CACHE / "cache")
-    result = subprocess.run([sys.executable, "-c", COMPILE, str(told)], cwd=ROOT, env=environment, check=False)
+    command = [ROOT / ".venv/bin/python", "-c", COMPILE, str(told)]
+    result = subprocess.run(command, cwd=ROOT, env=environment, check=False)
     (share / "compiled").touch()
     return result.returncode == 0
 
