@@ -13,6 +13,8 @@ from pathlib import Path
 
 from fuzz.run import CASES_A_MILLION, CHUNK, TARGETS, run_chunk
 
+SAY_EVERY_S = 60.0
+
 
 def again(case_id: str) -> int:
     """Make one case once more; 1 when it still fails."""
@@ -49,7 +51,7 @@ def main() -> int:
         return again(given.again)
     judged = dict.fromkeys(given.target or TARGETS, 0)
     failures = dict.fromkeys(judged, 0)
-    begun = time.monotonic()
+    begun = said = time.monotonic()
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(given.jobs, mp_context=spawn) as pool:
         work = chunks(list(judged), given.cases)
@@ -58,6 +60,9 @@ def main() -> int:
             name, count, failed = done.result()
             judged[name] += count
             failures[name] += len(failed)
+            if time.monotonic() - said > SAY_EVERY_S:
+                said = time.monotonic()
+                print(f"{sum(judged.values()):,} cases, {sum(failures.values())} failed", flush=True)
             for case, account in failed:
                 given.corpus.mkdir(exist_ok=True)
                 case_id = f"{name}-{given.seed}-{case}"

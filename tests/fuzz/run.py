@@ -27,8 +27,8 @@ TARGETS: dict[str, Callable[[], Any]] = {
     "parameters": Parameters,
 }
 CASES_A_MILLION = {
-    **{"memory": 560_000, "wire": 250_000, "truth": 400, "goals": 40_000, "streams": 40_000, "bytes": 40_000},
-    **{"yaml": 9_600, "overrides": 10_000, "parameters": 50_000},
+    **{"memory": 700_000, "wire": 200_000, "truth": 200, "goals": 15_000, "streams": 15_000, "bytes": 20_000},
+    **{"yaml": 4_800, "overrides": 5_000, "parameters": 40_000},
 }
 CHUNK = {"memory": 10_000, "wire": 5_000, "truth": 10, "yaml": 200, "overrides": 250}
 
