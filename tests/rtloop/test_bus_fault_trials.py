@@ -1,10 +1,10 @@
-"""A sample of the trials of bus faults (many: `python -m tests.bus_faults`), and answers of every kind in any order."""
+"""A sample of the trials of bus faults (many: `make bus-trials`), and answers of every kind in any order."""
 
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from bus_faults import FAULTS, BusFault, TrialArm, run_trial
+from bus_trials import FAULTS, BusFault, TrialArm, run_trial
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from observer import command_violations, frames_sent, motion_frames, motion_violations, truth_of

@@ -1,6 +1,6 @@
 """Trials of bus faults in virtual time: a fault at a random moment of a random goal, judged by true motion.
 
-`python -m tests.bus_faults` runs many of each, on every processor, and prints the table of docs/safety.md;
+`make bus-trials` runs many of each, on every processor, and prints the table of docs/safety.md;
 `tests/rtloop/test_bus_fault_trials.py` runs a sample. A trial is a function of its fault and its seed.
 """
 
@@ -13,13 +13,9 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parent))
-
 from observer import (
     command_violations,
     frames_sent,
@@ -656,7 +652,7 @@ def _row(name: str, trials: Sequence[Found]) -> str:
 
 def main() -> int:
     """Run the trials and print the table; the exit code says whether any was violated."""
-    parser = argparse.ArgumentParser(prog="python -m tests.bus_faults", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="bus_trials", description=__doc__.splitlines()[0])
     parser.add_argument("--trials", type=int, default=100, help="of each fault")
     parser.add_argument("--only", default="", help="faults whose name contains this")
     parser.add_argument("--seed", type=int, default=0, help="of the first trial of each fault")
