@@ -29,6 +29,7 @@ def encode(loop: Loop, shared: Shared) -> None:
         say_nothing(loop)
         return
     leads = guard.drives_are_led(loop)
+    guard.stop_who_is_elsewhere(loop)
     for joint in range(params.joint_count):
         axis = loop.axes[joint]
         if loop.joints[joint].family == FAMILY_MOCK:

@@ -205,14 +205,14 @@ def stop_if_it_was_away(loop: Loop, joint: int, waited_ns: int) -> None:
 
 
 @jit
-def believable(loop: Loop, shared: Shared, joint: int, position_rad: float, read_ns: int, moved_rad: float) -> bool:
-    """Whether a reading can have come about by motion since the last one; `moved_rad` was commanded meanwhile.
+def believable(loop: Loop, shared: Shared, joint: int, position_rad: float, read_ns: int, reference_rad: float) -> bool:
+    """Whether a reading, of the instant at which `reference_rad` was commanded, can have come about by motion.
 
     One that cannot is put aside and answers no question; when the next one agrees with it, the drive's count has
-    truly jumped.
+    truly jumped, unless both go on from the reading before the last: then it was the last one that was garbled.
     """
     axis = loop.axes[joint]
-    jump = position_rad - axis.measured_rad
+    jump, moved_rad = position_rad - axis.measured_rad, reference_rad - axis.reference_rad
     possible = possible_rad(loop, joint, read_ns - axis.measured_ns)
     as_commanded = min(moved_rad, 0.0) - possible <= jump <= max(moved_rad, 0.0) + possible
     if axis.readings == 0 or axis.referenced == 0 or as_commanded:
@@ -220,6 +220,8 @@ def believable(loop: Loop, shared: Shared, joint: int, position_rad: float, read
         return True
     if axis.doubted == 1 and abs(position_rad - axis.doubted_rad) <= abs(moved_rad) + possible:
         axis.doubted = 0
+        if abs(reference_rad - position_rad - axis.error_before_rad) <= loop.params.position_jump_rad:
+            return True
         lose_reference(loop, shared, joint, Unreferenced.POSITION_JUMP)
         latch_fault(loop, shared, Fault.REFERENCE_LOST, joint, jump, loop.params.position_jump_rad)
         return True
@@ -267,6 +269,22 @@ def drives_are_led(loop: Loop) -> bool:
     if core.mode == Mode.FAULT:
         return not at_rest(loop)
     return core.mode == Mode.HOLDING or core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING
+
+
+@jit
+def stop_who_is_elsewhere(loop: Loop) -> None:
+    """Once the arm stands in a latched fault nothing is made up for: a drive that is not where it was led stops there.
+
+    It would go on towards its last target, or push against what holds it.
+    """
+    core = loop.core
+    if core.mode != Mode.FAULT or core.rested == 1 or core.silenced == 1 or not at_rest(loop):
+        return
+    core.rested = 1
+    for joint in range(loop.params.joint_count):
+        axis = loop.axes[joint]
+        if core.motion_started == 1 and abs(axis.position_rad - axis.measured_rad) > 2.0 * loop.joints[joint].slack_rad:
+            axis.stop_frames_due = STOP_FRAMES
 
 
 @jit

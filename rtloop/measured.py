@@ -173,7 +173,7 @@ def take_positions(loop: Loop, shared: Shared) -> None:
 def take_position(loop: Loop, shared: Shared, joint: int, position_rad: float, read_ns: int) -> None:
     axis, period_ns = loop.axes[joint], loop.params.period_ns
     reference_rad = commanded_at(loop, joint, read_ns)
-    if not guard.believable(loop, shared, joint, position_rad, read_ns, reference_rad - axis.reference_rad):
+    if not guard.believable(loop, shared, joint, position_rad, read_ns, reference_rad):
         return
     waited_ns = read_ns - axis.unanswered_since_ns if axis.unanswered_since_ns != 0 else 0
     guard.stop_if_it_was_away(loop, joint, waited_ns)

@@ -236,6 +236,7 @@ CORE = np.dtype(
         ("request_waits", "i8"),
         # the wire
         ("silenced", "i8"),  # 1: the drives were out of reach and get no motion frame until they are brought up again
+        ("rested", "i8"),  # 1: the arm has come to rest in a latched fault
         ("tx_length", "i8"),
         ("tx_frames", "i8"),
         ("tx_owed", "i8"),  # frames at the front that go first, whatever was decided meanwhile

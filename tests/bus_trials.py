@@ -201,7 +201,7 @@ class _Trial:
         self.judge(goal)
         if arm.core["mode"] == Mode.FAULT and not self.fault.unplugs:
             self.come_back()
-        elif not found.latched:
+        elif found.outcome == Outcome.SUCCEEDED.name and not self.fault.unplugs:
             if self.fault.mend is not None:
                 self.fault.mend(arm, self.joint)
             self.move_again(Outcome.SUCCEEDED)
@@ -513,7 +513,7 @@ FAULTS = (
     BusFault(
         "the adapter says nothing for 30 to 90 ms, then all at once",
         lambda r, _: [wrong.ReceiveStall(0.0, _between(r, 0.03, 0.09))],
-        frozenset({GOES_ON}),
+        frozenset({GOES_ON, FOLLOWING}),
     ),
     BusFault(
         "the adapter says nothing for 0.3 s, then what fits its buffer",
