@@ -70,11 +70,11 @@ class JointConfig(Section):
     lower_deg: float = Field(ge=-36_000, le=36_000, description="Lowest joint angle (degrees).")
     upper_deg: float = Field(ge=-36_000, le=36_000, description="Highest joint angle (degrees).")
     motor_rpm: float = Field(
-        gt=0,
+        ge=0.01,
         le=3000,
         description="Highest motor speed (rpm); with the ratio it gives the joint's highest velocity.",
     )
-    max_acceleration_rad_s2: float = Field(gt=0, description="Acceleration limit of the joint (rad/s²).")
+    max_acceleration_rad_s2: float = Field(ge=1e-4, le=1e5, description="Acceleration limit of the joint (rad/s²).")
 
     @model_validator(mode="after")
     def _name_is_a_name(self) -> JointConfig:

@@ -284,12 +284,14 @@ def test_malformed_yaml(tmp_path: Path, text: str, line: int | None, words: str)
         ),
         ("    ratio: 20\n", "", "joints[1].ratio", "gear ratio: motor turns for one turn of the joint"),
         ("direction: 1\n", "direction: 2\n", "joints[0].direction", "must be 1 or -1"),
-        ("motor_rpm: 60", "motor_rpm: 6000", "joints[1].motor_rpm", "must be above 0 and at most 3000"),
+        ("motor_rpm: 60", "motor_rpm: 6000", "joints[1].motor_rpm", "must be at least 0.01 and at most 3000"),
+        # above 0, and a velocity of 0 with the ratio
+        ("motor_rpm: 60", "motor_rpm: 5.0e-324", "joints[1].motor_rpm", "must be at least 0.01"),
         (
             "max_acceleration_rad_s2: 1.0",
             "max_acceleration_rad_s2: 0",
             "joints[1].max_acceleration_rad_s2",
-            "must be above 0",
+            "must be at least 0.0001",
         ),
         (
             "max_acceleration_rad_s2: 1.0",

@@ -27,6 +27,8 @@ from shm.words import Answer, Fault, Outcome
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 20_261_121
 
+pytestmark = pytest.mark.timeout(600)  # the compiled targets are compiled here
+
 sample = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 
 
