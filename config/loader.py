@@ -35,8 +35,9 @@ _DERIVED_FIELDS = {
 Location = tuple[str | int, ...]
 
 LONGEST_FILE_BYTES = 1_000_000
-MOST_KEYS = 10_000
-"""In one group of fields, with all that is merged into it: a few lines of `<<` can ask for more than a memory holds."""
+MOST_ENTRIES = 10_000
+_UNREADABLE = (yaml.YAMLError, ValueError, IndexError, KeyError, AttributeError, TypeError)
+"""What PyYAML raises at a scalar that is none of the kind its tag says, besides what it should."""
 
 
 def known_arms() -> list[str]:
@@ -157,7 +158,7 @@ def _parse(text: str, file: str) -> tuple[yaml.Node, dict[str, Any]]:
             file=file,
             line=None if mark is None else mark.line + 1,
         ) from None
-    except (yaml.YAMLError, ValueError) as error:
+    except _UNREADABLE as error:
         # A forbidden character, or a scalar that looks like a date and is none.
         raise ConfigError(f"this is not valid YAML ({_one_line(str(error))}); correct the file.", file=file) from None
     except RecursionError:
@@ -204,31 +205,36 @@ def _refuse_duplicates(node: yaml.Node, file: str, seen: set[int]) -> None:
             _refuse_duplicates(value, file, seen)
 
 
-def _refuse_floods(root: yaml.Node, file: str) -> None:
-    """Merged keys are written out before anything is judged, and each merge may multiply those of another."""
+def _refuse_floods(root: yaml.Node, file: str | None) -> None:
+    """A few lines of aliases and merged keys can stand for more than a memory holds, once somebody writes them out."""
     counted: dict[int, int] = {}
 
-    def keys(node: yaml.Node) -> int:
-        """Keys of a group of fields once everything merged into it is written out; looks at all that is inside."""
+    def entries(node: yaml.Node) -> int:
+        """Fields, items and values inside, those that an alias repeats counted each time."""
         if id(node) in counted:
+            if not counted[id(node)]:
+                raise ConfigError("an alias contains itself; write out what is meant.", file=file, line=_line(node))
             return counted[id(node)]
-        counted[id(node)] = count = 0  # of one that merges itself nothing comes
+        counted[id(node)] = 0
+        inside: list[yaml.Node] = []
         if isinstance(node, yaml.SequenceNode):
-            count = sum([keys(item) for item in node.value])
+            inside = node.value
         elif isinstance(node, yaml.MappingNode):
-            for key, value in node.value:
-                inside = keys(value)
-                count += inside if key.tag == "tag:yaml.org,2002:merge" else 1
-        if count > MOST_KEYS:
-            raise ConfigError(
-                f"its merged keys (<<) come to more than {MOST_KEYS} fields; write the fields out instead.",
-                file=file,
-                line=_line(node),
-            )
+            inside = [part for pair in node.value for part in pair]
+        count = 1
+        for part in inside:
+            count += entries(part)
+            if count > MOST_ENTRIES:
+                raise ConfigError(
+                    f"written out, with its aliases and merged keys, this has more than {MOST_ENTRIES} entries, "
+                    "which no arm needs; shorten it.",
+                    file=file,
+                    line=_line(node),
+                )
         counted[id(node)] = count
         return count
 
-    keys(root)
+    entries(root)
 
 
 def _line(node: yaml.Node) -> int:
@@ -287,7 +293,7 @@ def parse_overrides(assignments: Sequence[str]) -> dict[str, Any]:
             raise ConfigError(f"the override {assignment!r} names no field of a section; {_OVERRIDE_EXAMPLE}.")
         try:
             value = _value(text)
-        except (yaml.YAMLError, ValueError, RecursionError):
+        except (*_UNREADABLE, RecursionError):
             raise ConfigError(
                 f"the override {assignment!r} has a value that is not valid YAML; {_OVERRIDE_EXAMPLE}, and "
                 "put text with special characters in double quotes."
@@ -305,13 +311,13 @@ def parse_overrides(assignments: Sequence[str]) -> dict[str, Any]:
 
 
 def _value(text: str) -> Any:
-    """What a YAML text says, other than a flood of merged keys; raises what PyYAML does, or ConfigError."""
+    """What a YAML text says, other than a flood; raises what PyYAML does, or ConfigError."""
     loader = yaml.SafeLoader(text)
     try:
         node = loader.get_single_node()
         if node is None:
             return None
-        _refuse_floods(node, "an override")
+        _refuse_floods(node, None)
         return loader.construct_document(node)
     finally:
         loader.dispose()
