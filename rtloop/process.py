@@ -256,7 +256,8 @@ class ControlProcess:
                     if first:
                         return 2
                 talk = None
-            if first and int(self._core["mode"]) not in (Mode.OFFLINE, Mode.BRINGING_UP):
+            # a fault before the end of the first bring-up, such as a wire that went, becomes its failure
+            if first and talk is None and int(self._core["mode"]) not in (Mode.OFFLINE, Mode.BRINGING_UP):
                 ready()
                 first = False
             if talk is None and int(self._core["bring_up_asked"]) == 1:

@@ -46,12 +46,9 @@ def open_slcan(channel: str, serial_baud: int | str, bitrate: int) -> int:
                 f"The adapter at {channel} refuses to open its CAN channel (O was answered with BEL): unplug it and "
                 "plug it in again, and check that the CAN side has power and termination."
             )
-    except OSError as problem:
+    except (OSError, termios.error) as problem:  # the latter is none of the former
         os.close(fd)
-        raise WireRefused(
-            f"The adapter at {channel} stopped answering while it was set up ({problem.strerror}): check its plug, "
-            "then start again."
-        ) from problem
+        raise _gone(channel, problem) from problem
     except BaseException:
         os.close(fd)
         raise
@@ -91,10 +88,19 @@ def _open_tty(channel: str) -> int:
         # TIOCEXCL does not keep root out, so both kinds of exclusion are used
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         fcntl.ioctl(fd, termios.TIOCEXCL)
-    except BlockingIOError:
+    except OSError as problem:
         os.close(fd)
-        raise WireRefused(_busy(channel)) from None
+        if isinstance(problem, BlockingIOError):
+            raise WireRefused(_busy(channel)) from None
+        raise _gone(channel, problem) from problem
     return fd
+
+
+def _gone(channel: str, problem: Exception) -> WireRefused:
+    return WireRefused(
+        f"The adapter at {channel} stopped answering while it was set up ({os.strerror(problem.args[0])}): check its "
+        "plug, then start again."
+    )
 
 
 def _busy(channel: str) -> str:
