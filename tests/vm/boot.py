@@ -70,7 +70,7 @@ mkdir -p $HOME
 cd {root} || exit 1
 {python} tests/vm/processor.py {share}/processor.json || exit 1
 while [ ! -e {share}/compiled ]; do sleep 0.2; done
-set -- -o timeout=300 -p no:cacheprovider -p no:hypothesispytest --basetemp=/run/pytest
+set -- -x -o timeout=300 -p no:cacheprovider -p no:hypothesispytest --basetemp=/run/pytest
 exec {python} -m pytest "$@" tests/vm {arguments}
 """
 
@@ -171,7 +171,7 @@ def run(folder: Path, kernel: Path, modules: Path, arguments: list[str]) -> int:
     command = [
         *("qemu-system-x86_64", "-machine", "q35", "-accel", "tcg", "-cpu", "max", "-m", str(MEMORY_MB)),
         # Time passes by the instructions executed: however busy this machine is, nothing inside comes late.
-        *("-icount", "shift=1,sleep=on"),
+        *("-icount", "shift=0,sleep=on"),
         *("-nodefaults", "-no-user-config", "-display", "none", "-serial", "stdio", "-no-reboot"),
         *("-kernel", str(kernel), "-initrd", str(make_initramfs(folder, modules))),
         *("-append", "console=ttyS0 quiet panic=-1 mitigations=off"),
