@@ -220,7 +220,7 @@ def test_bus_off_is_a_fault_with_a_way_back(arm, controller, peer):
 # --- the system's clock -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("step_ns", [HOUR_NS, -HOUR_NS, 500_000_000, -500_000_000])
+@pytest.mark.parametrize("step_ns", [HOUR_NS, 500_000_000, -HOUR_NS, -500_000_000])
 def test_a_step_of_the_systems_clock_moves_stamps_and_nothing_else(arm, step_ns):
     """Each cycle advances the trajectory by exactly one period, and every stamp after the step is the clock's."""
     start_ns = time.monotonic_ns()
