@@ -19,6 +19,8 @@ HIGHEST_DOMAIN = 232
 """Higher ROS domains have no UDP ports."""
 LONGEST_STOP_S = 3.5
 """What the arm may take to stop on its path; with what follows it is within the launcher's 5 s."""
+FAST_DDS = "rmw_fastrtps"
+"""ROS' default middleware, in all its variants."""
 SHARED_MEMORY = "/dev/shm"
 SHARED_MEMORY_BYTES = 4 << 20
 """What Fast DDS takes of it for one participant, twice; where a page of it is not to be had, the kernel ends the
@@ -101,7 +103,7 @@ def start_ros(ros_arguments: Sequence[str], context: Any = None) -> None:
         import rclpy
         from rclpy.signals import SignalHandlerOptions
     _check_domain(os.environ.get("ROS_DOMAIN_ID", ""))
-    _check_room(os.statvfs(SHARED_MEMORY))
+    _check_room()
     try:
         rclpy.init(args=list(ros_arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as problem:  # the root of all of rclpy's own, whose classes are private
@@ -120,9 +122,16 @@ def _check_domain(domain: str) -> None:
         )
 
 
-def _check_room(found: os.statvfs_result) -> None:
+def _check_room() -> None:
+    """Another middleware takes none or asks for it by itself; without shared memory Fast DDS takes the network."""
+    if not (os.environ.get("RMW_IMPLEMENTATION") or FAST_DDS).startswith(FAST_DDS):
+        return
+    try:
+        found = os.statvfs(SHARED_MEMORY)
+    except OSError:
+        return
     free = found.f_bavail * found.f_frsize
-    if free < SHARED_MEMORY_BYTES:
+    if found.f_blocks != 0 and free < SHARED_MEMORY_BYTES:  # no blocks: a file system without a limit
         raise CannotServe(
             f"{SHARED_MEMORY} has {free >> 10} KiB left, and ROS needs {SHARED_MEMORY_BYTES >> 10} KiB: free some "
             "space there (`ls -l /dev/shm` shows what takes it)."

@@ -49,6 +49,9 @@ SIM_STOP_S = 5.0
 
 HINT_AFTER_S = 5.0
 
+SEGMENTS_EVERY_S = 0.05
+"""How often a ROS process that starts is asked for its segments; it holds them for some tenths before it is ready."""
+
 RESTART_FIRST_S = 0.2
 RESTART_LONGEST_S = 10.0
 STEADY_AFTER_S = 10.0
@@ -178,6 +181,7 @@ class Launcher:
         self._front: Child | None = None
         self._recorder = FaultRecorder(plan.arm.name, reporter.say)
         self._segments: list[Path] = []
+        self._noting: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
         """Start everything and return when it is ready.
@@ -197,7 +201,6 @@ class Launcher:
         await self._wait_ready(self._loop, LOOP_PATIENCE_S, "control process starting")
         self._say(self._loop, f"ready, {describe_bus(plan.arm)} ({time.monotonic() - started:.1f} s)")
         action = await self._wait_ready(self._front, FRONT_PATIENCE_S, "ROS process starting")
-        self._segments = middleware_segments(self._front.pid)
         self._say(self._front, f"ready, action {action} ({time.monotonic() - started:.1f} s)")
 
     async def watch(self) -> None:
@@ -232,6 +235,8 @@ class Launcher:
                 continue
             if not await child.stop(patience_s):
                 self._say(child, f"did not end within {patience_s:g} s and was killed", style="bold red")
+        if self._noting is not None:
+            self._noting.cancel()
         await self._recorder.close(died=self._loop is not None and bool(self._loop.code))
         remove_abandoned(self._segments)
 
@@ -273,7 +278,17 @@ class Launcher:
         arguments = [*self._arguments, *self.plan.front_arguments]
         if self.plan.simulated:
             arguments += parameter_arguments({"sim": True})
-        return await self._spawn("front", "rosfront", arguments, environment)
+        front = await self._spawn("front", "rosfront", arguments, environment)
+        self._noting = asyncio.create_task(self._note_segments(front))
+        return front
+
+    async def _note_segments(self, front: Child) -> None:
+        """Know what a ROS process holds before it is killed, until it is ready: a dead one cannot be asked."""
+        complete = False
+        while not (complete or front.has_ended):
+            complete = front.was_ready
+            self._segments = middleware_segments(front.pid) or self._segments
+            await asyncio.sleep(SEGMENTS_EVERY_S)
 
     async def _spawn(self, name: str, module: str, arguments: Sequence[str], environment: Mapping[str, str]) -> Child:
         def show(line: str) -> None:
@@ -367,7 +382,6 @@ class Launcher:
             self._front = await self._start_front()
             self.front_restarts += 1
             if await self._front.ready() is not None:
-                self._segments = middleware_segments(self._front.pid)
                 self._say(self._front, f"ready again ({time.monotonic() - started:.1f} s)")
 
     def _say(self, child: Child, text: str, style: str = "") -> None:

@@ -42,6 +42,8 @@ def shared_memory(machine: Machine, arm: ArmConfig | None) -> Found:
     if not machine.may_access(path, os.R_OK | os.W_OK | os.X_OK):
         return bad(f"{SHARED_MEMORY} may not be written", f"sudo chmod 1777 {SHARED_MEMORY}")
     free, total = _room(machine, path)
+    if total == 0:  # tmpfs with size=0, or ramfs
+        return ok("no limit")
     said = f"{free / 2**20:.0f} of {total / 2**20:.0f} MiB free"
     state_bytes = layout.STATE.itemsize if arm is None else _rings(arm).file_bytes
     arm_bytes = 2 * state_bytes + layout.COMMAND.itemsize  # a dead control process' state is kept

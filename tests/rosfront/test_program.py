@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -51,8 +52,33 @@ def test_a_thread_that_fails_ends_the_program_in_order(thread: str) -> None:
     assert result.stderr.rstrip().endswith("MemoryError")
 
 
-def test_no_room_in_shared_memory_is_a_sentence_and_no_bus_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = os.statvfs_result((4096, 4096, 16384, 1023, 1023, 1000, 1000, 1000, 0, 255))
-    monkeypatch.setattr(program.os, "statvfs", lambda path: found)
+FULL = os.statvfs_result((4096, 4096, 16384, 1023, 1023, 1000, 1000, 1000, 0, 255))
+WITHOUT_LIMIT = os.statvfs_result((4096, 4096, 0, 0, 0, 0, 0, 0, 0, 255))
+"""What tmpfs with size=0 and ramfs say."""
+
+
+@pytest.mark.parametrize("middleware", ["", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp"])
+def test_no_room_in_shared_memory_is_a_sentence_and_no_bus_error(
+    middleware: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(program.os, "statvfs", lambda path: FULL)
+    monkeypatch.setenv("RMW_IMPLEMENTATION", middleware)
     with pytest.raises(program.CannotServe, match=r"/dev/shm has 4092 KiB left, and ROS needs 4096 KiB: free"):
         program.start_ros([])
+
+
+def missing(path: str) -> os.statvfs_result:
+    raise FileNotFoundError(path)
+
+
+@pytest.mark.parametrize(
+    ("middleware", "statvfs"),
+    [("", lambda path: WITHOUT_LIMIT), ("", missing), ("rmw_cyclonedds_cpp", lambda path: FULL)],
+    ids=["no limit", "no /dev/shm", "another middleware"],
+)
+def test_room_in_shared_memory_is_asked_for_only_where_it_can_run_out(
+    middleware: str, statvfs: Callable[[str], os.statvfs_result], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(program.os, "statvfs", statvfs)
+    monkeypatch.setenv("RMW_IMPLEMENTATION", middleware)
+    program._check_room()
