@@ -659,6 +659,9 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     options = parser.parse_args()
     chosen = [index for index, fault in enumerate(FAULTS) if options.only in fault.name]
+    if not chosen:
+        print(f"No fault's name contains {options.only!r}: see FAULTS in tests/bus_trials.py.", file=sys.stderr)
+        return 2
     tasks = [(index, options.seed + number) for index in chosen for number in range(options.trials)]
     began = time.monotonic()
     found: dict[str, list[Found]] = {f"{index}": [] for index in chosen}

@@ -447,6 +447,14 @@ def full(folder: Path) -> Iterator[None]:
 
 
 def environment_of(folder: Path) -> Mapping[str, str]:
-    """Where processes of a trial write what is no memory file: logs, recordings; not the compiled cycle."""
+    """Where processes of a trial write what is no memory file: logs, recordings; not the compiled cycle.
+
+    Everything is named: what is left to a default would go where the user's own environment says.
+    """
     cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
-    return {"HOME": str(folder), "ROS_LOG_DIR": str(folder / "log"), "XDG_CACHE_HOME": cache}
+    return {
+        "HOME": str(folder),
+        "ROS_LOG_DIR": str(folder / "log"),
+        "XDG_STATE_HOME": str(folder / "state"),
+        "XDG_CACHE_HOME": cache,
+    }

@@ -30,6 +30,16 @@ STANDS_RAD_S = 1e-9
 _FRAME = re.compile(rb"T([0-9A-F]{8})([0-8])((?:[0-9A-F]{2})*)")
 
 
+class Violation(AssertionError):
+    """Something happened that must not, whatever the machine did: such a test is never tried again (conftest.py)."""
+
+
+def judge(found: Collection[str]) -> None:
+    """End a test that found something; raises Violation with all of it."""
+    if found:
+        raise Violation("\n".join(found))
+
+
 def truth_of(sim: SimulatedArm) -> dict[str, JointTruth]:
     """The whole motion so far of an arm in virtual time, as `python -m sim --truth` writes it of a live one."""
     found = {}

