@@ -7,22 +7,20 @@ it takes on a real one before a drive hears it, and the drives' answers leave wh
 from __future__ import annotations
 
 import contextlib
-import os
 import select
 import socket
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
 
 from sim.arm import SimulatedArm
 from sim.can_interface import RECORD
 from sim.truth import Heard
+from sim.waking import Waking
 
 BATCH = 256
-READ_SIZE = 65536
 
 
-class CanServer:
+class CanServer(Waking):
     """Serves an arm on SocketCAN, whose time must be CLOCK_MONOTONIC, on a CAN interface.
 
     Args:
@@ -49,23 +47,8 @@ class CanServer:
         except OSError:
             self._socket.close()
             raise
-        self._wake_read, self._wake_write = os.pipe()
         self._socket.setblocking(False)
-        for descriptor in (self._wake_read, self._wake_write):
-            os.set_blocking(descriptor, False)
-
-    def __enter__(self) -> CanServer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    @property
-    def wake_descriptor(self) -> int:
-        """A byte written here, by a signal or another thread, makes `serve` look up."""
-        return self._wake_write
+        super().__init__()
 
     def serve(self, attend: Callable[[], bool], watched: Sequence[int] = ()) -> None:
         """Serve until `attend` says False; see `sim.pty.PtyServer.serve`."""
@@ -83,15 +66,14 @@ class CanServer:
                 self.arm.feed(now_ns, data)
             self._write(self.arm.collect(now_ns))
             if self._wake_read in readable:
-                os.read(self._wake_read, READ_SIZE)
+                self._awake()
             if not {own}.issuperset(readable):
                 going = attend()
 
     def close(self) -> None:
         """Leave the bus."""
         self._socket.close()
-        for descriptor in (self._wake_read, self._wake_write):
-            os.close(descriptor)
+        super().close()
 
     def _read(self) -> bytes:
         """All frames that wait; one that says the interface went down is none, and it comes up again by itself."""

@@ -17,17 +17,16 @@ import time
 import tty
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import TracebackType
 
 from sim.arm import SimulatedArm
 from sim.truth import Heard
+from sim.waking import READ_SIZE, Waking
 
-READ_SIZE = 65536
 PACKET_NS = 1_000_000
 """Time between two packets of a full-speed USB adapter."""
 
 
-class PtyServer:
+class PtyServer(Waking):
     """Serves an arm, whose time must be CLOCK_MONOTONIC, at a pseudo-terminal.
 
     Args:
@@ -52,9 +51,8 @@ class PtyServer:
         self.heard: Heard | None = None
         self._link = link
         self._master, self._slave = os.openpty()
-        self._wake_read, self._wake_write = os.pipe()
-        for descriptor in (self._master, self._wake_read, self._wake_write):
-            os.set_blocking(descriptor, False)
+        os.set_blocking(self._master, False)
+        super().__init__()
         tty.setraw(self._slave)
         self.tty_path = os.ttyname(self._slave)
         if link is not None:
@@ -64,23 +62,10 @@ class PtyServer:
                 self._close_descriptors()
                 raise
 
-    def __enter__(self) -> PtyServer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     @property
     def place(self) -> str:
         """Where a host finds the arm."""
         return self.tty_path
-
-    @property
-    def wake_descriptor(self) -> int:
-        """A byte written here, by a signal or another thread, makes `serve` look up."""
-        return self._wake_write
 
     def serve(self, attend: Callable[[], bool], watched: Sequence[int] = ()) -> None:
         """Serve until `attend` says False.
@@ -110,7 +95,7 @@ class PtyServer:
                 self._write(data)
                 packet_ns = now_ns + PACKET_NS
             if self._wake_read in readable:
-                os.read(self._wake_read, READ_SIZE)
+                self._awake()
             if not {self._master}.issuperset(readable):
                 going = attend()
 
@@ -139,5 +124,6 @@ class PtyServer:
         self.dropped_bytes += len(data) - written
 
     def _close_descriptors(self) -> None:
-        for descriptor in (self._master, self._slave, self._wake_read, self._wake_write):
+        super().close()
+        for descriptor in (self._master, self._slave):
             os.close(descriptor)
