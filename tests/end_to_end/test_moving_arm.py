@@ -16,6 +16,7 @@ pytest.importorskip("control_msgs")
 
 import itertools
 
+from observer import judge, motion_violations
 from ros_client import ABORTED, SUCCEEDED, Client, recorded, until
 from stack import Stack
 
@@ -40,14 +41,15 @@ def stack(arm_name, tmp_path, request):
     begin = recorded(tour[0]).trajectory.points[0].positions
     stack = Stack(arm_name, tmp_path, start_deg=[math.degrees(position) for position in begin])
     stack.tour = tour
-    stack.start_sim()
-    stack.start_loop()
-    stack.start_front()
-    client = Client(f"controller_{arm_name}")
-    stack.client = client
-    yield stack
-    client.close()
-    stack.close()
+    try:
+        stack.start_sim()
+        stack.start_loop()
+        stack.start_front()
+        stack.client = Client(f"controller_{arm_name}")
+        yield stack
+        stack.client.close()
+    finally:
+        stack.close()
 
 
 def status(stack):
@@ -113,6 +115,7 @@ def test_recorded_goals_arrive_to_the_pulse(stack):
 
 def test_kill_9_of_the_front_stops_on_the_path_and_a_new_front_serves(stack):
     client = stack.client
+    began_ns = time.monotonic_ns()
     goal = recorded("large")
     play(client, "small", "single_joint")
     start = newest_position(client)
@@ -126,7 +129,9 @@ def test_kill_9_of_the_front_stops_on_the_path_and_a_new_front_serves(stack):
     for joint in arm.joints:
         assert truth[joint.name].velocity_at(np.array([now_ns]))[0] == 0.0
     positions = np.array([truth[j.name].position_at(np.array([now_ns]))[0] for j in arm.joints])
-    assert distance_from(goal, positions) <= 0.02
+    away_rad = distance_from(goal, positions)
+    judge([f"stands {away_rad:.4f} rad away from its path"] if away_rad > 0.02 else [])
+    judge(motion_violations(arm, truth, began_ns, now_ns))
 
     stack.start_front()
     client.close()
@@ -153,6 +158,7 @@ def distance_from(goal, positions):
 
 def test_kill_9_of_the_loop_ends_the_goal_and_the_drives_brake_by_themselves(stack):
     client = stack.client
+    began_ns = time.monotonic_ns()
     play(client, "small", "single_joint")
     start = newest_position(client)
     handle = client.send(recorded("large"))
@@ -168,13 +174,7 @@ def test_kill_9_of_the_loop_ends_the_goal_and_the_drives_brake_by_themselves(sta
     assert client.states == []
 
     arm, truth = load_arm(stack.arm_file), stack.truth()
-    for joint in arm.joints:
-        times_ns = np.arange(killed_ns - 50_000_000, killed_ns + 1_500_000_000, 500_000)
-        position_rad = truth[joint.name].position_at(times_ns)
-        width = 40  # windows of 20 ms
-        velocity = (position_rad[width:] - position_rad[:-width]) / 0.020
-        acceleration = (velocity[width:] - velocity[:-width]) / 0.020
-        assert np.abs(acceleration).max() <= 2.2 * joint.max_acceleration_rad_s2
+    judge(motion_violations(arm, truth, began_ns, time.monotonic_ns()))
 
     stood = [truth[joint.name].position_at(np.array([time.monotonic_ns()]))[0] for joint in arm.joints]
     stack.start_loop()
@@ -195,6 +195,7 @@ def ended_coasting(stack):
 def test_a_frozen_loop_is_a_hung_one(stack):
     """SIGSTOP: the goal aborts with a sentence, the drives brake; after SIGCONT the arm holds where it is."""
     client = stack.client
+    began_ns = time.monotonic_ns()
     play(client, "small", "single_joint")
     start = newest_position(client)
     handle = client.send(recorded("large"))
@@ -209,6 +210,7 @@ def test_a_frozen_loop_is_a_hung_one(stack):
     os.kill(stack.loop.process.pid, signal.SIGCONT)
     until(lambda: status(stack)["mode"] == "holding", "holding", 5.0)
     assert newest_position(client) == pytest.approx(stood, abs=3e-3)
+    judge(motion_violations(arm, stack.truth(), began_ns, time.monotonic_ns()))
 
 
 def test_an_orderly_end_stops_the_arm_first(stack):

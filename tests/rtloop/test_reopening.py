@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from observer import judge
 from stack import PATIENCE_S, Stack
 
 from config.loader import arm_hash, load_arm
@@ -80,8 +81,7 @@ def test_an_adapter_that_is_plugged_in_again_is_noticed_and_waits_for_a_clear(st
             now = arm.until(lambda now: now["mode"] == Mode.HOLDING)
             assert now["motion_started"] == 0
             assert not np.any(now["joints"]["referenced"][:6])  # a clear references nobody: they were away too long
-            for joint in stack.truth().values():
-                assert np.ptp(joint.position_rad) == 0.0
+            judge([f"{name} moved" for name, joint in stack.truth().items() if np.ptp(joint.position_rad) > 0.0])
     finally:
         arm.close()
     loop.process.terminate()
