@@ -60,11 +60,13 @@ def test_segments_of_a_ros_process_that_never_was_ready_are_removed(
         monkeypatch.setattr(launcher, "_spawn", spawn)
         front = await launcher._start_front()
         launcher._front = front
-        await until(lambda: launcher._segments == [segment])
-        os.kill(front.pid, signal.SIGKILL)
-        await front.ended()
-        assert segment.exists()
-        await launcher.stop()
+        try:
+            await until(lambda: launcher._segments == [segment])
+            os.kill(front.pid, signal.SIGKILL)
+            await front.ended()
+            assert segment.exists()
+        finally:
+            await launcher.stop()
 
     asyncio.run(kill_before_it_is_ready())
     assert not segment.exists()
