@@ -67,7 +67,7 @@ ArmArgument = Annotated[
 ]
 RunningArm = Annotated[
     str | None,
-    typer.Argument(metavar="[ARM]", help="Name or file of a running arm; left out: the only one that runs."),
+    typer.Argument(metavar="ARM", help="Name or file of a running arm; left out: the only one that runs."),
 ]
 
 
@@ -208,7 +208,7 @@ def top(arm: RunningArm = None) -> None:
 def doctor(
     arm: Annotated[
         str | None,
-        typer.Argument(metavar="[ARM]", help="Name or file of the arm to run here; left out: this machine alone."),
+        typer.Argument(metavar="ARM", help="Name or file of the arm to run here; left out: this machine alone."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of lines.")] = False,
     fix: Annotated[
@@ -263,7 +263,7 @@ def bench(
 @app.command()
 def record(
     arm: Annotated[
-        str | None, typer.Argument(metavar="[ARM]", help="Name or file of an arm; left out: the only one there is.")
+        str | None, typer.Argument(metavar="ARM", help="Name or file of an arm; left out: the only one there is.")
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="Left out: a new one among the recordings.")
@@ -285,7 +285,7 @@ def record(
 @app.command()
 def explain(
     file: Annotated[
-        Path | None, typer.Argument(metavar="[FILE]", help="A recording; left out: the newest one there is.")
+        Path | None, typer.Argument(metavar="FILE", help="A recording; left out: the newest one there is.")
     ] = None,
 ) -> None:
     """Tell what a recording shows: what happened first, which limit, which joint, and what the arm did then.
@@ -302,7 +302,7 @@ def explain(
 @app.command()
 def replay(
     file: Annotated[
-        Path | None, typer.Argument(metavar="[FILE]", help="A recording; left out: the newest one there is.")
+        Path | None, typer.Argument(metavar="FILE", help="A recording; left out: the newest one there is.")
     ] = None,
     speed: Annotated[float, typer.Option(metavar="FACTOR", help="1 is as it happened, 0.1 ten times slower.")] = 1.0,
 ) -> None:

@@ -211,17 +211,17 @@ class Launcher:
         """
         assert self._loop is not None
         others = [asyncio.create_task(self._watch_loop()), asyncio.create_task(self._keep_front())]
-        others.append(asyncio.create_task(self._recorder.watch()))
         if self._sim is not None:
             others.append(asyncio.create_task(self._watch_sim(self._sim)))
+        recorder = asyncio.create_task(self._recorder.watch())  # whatever becomes of it ends nothing
         try:
             done, _ = await asyncio.wait(others, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()
         finally:
-            for task in others:
+            for task in (*others, recorder):
                 task.cancel()
-            await asyncio.gather(*others, return_exceptions=True)
+            await asyncio.gather(*others, recorder, return_exceptions=True)
 
     async def stop(self) -> None:
         """End what runs, in order, each within its patience."""

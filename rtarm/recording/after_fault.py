@@ -1,17 +1,21 @@
 """The launcher's part in recordings: it sees that a fault was latched or the control process died, and has it recorded.
 
-It holds the state file open, so that nothing of it is lost whatever becomes of its name or its writer.
+It holds the state file open, so that nothing of it is lost whatever becomes of its name or its writer. Whatever fails
+here costs a sentence: a recording is no reason to end an arm.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
+import subprocess
 import sys
 from collections.abc import Callable
+from typing import IO
 
 from rtarm.processes import plain_environment
-from rtarm.recording.make import DEATH, FAULT
+from rtarm.recording.make import DEATH, FAULT, patience_s
 from shm import files
 from shm.errors import SharedMemoryError
 from shm.files import MemoryFile
@@ -20,8 +24,8 @@ from shm.words import Fault
 POLL_S = 0.2
 AFTERMATH_S = 2.0
 """So long after a fault its recording is made: every stop ends within this, and shows in it."""
-PATIENCE_S = 60.0
-KILLED_S = 1.0
+END_PATIENCE_S = 5.0
+"""So long the launcher's end waits for a recording, which is finished without it if it takes longer."""
 
 
 class FaultRecorder:
@@ -39,29 +43,44 @@ class FaultRecorder:
         """Look for faults until canceled; never fails."""
         try:
             self._memory = files.open_state(self._arm)
-        except SharedMemoryError as problem:
-            self._say(f"faults will not be recorded: {problem}")
+            while True:
+                await asyncio.sleep(POLL_S)
+                if self._unrecorded_ns():
+                    await asyncio.sleep(AFTERMATH_S)
+                    await asyncio.shield(self._start(FAULT))
+        except Exception as problem:
+            self._complain("faults will not be recorded", problem)
             await asyncio.Event().wait()
-        while True:
-            await asyncio.sleep(POLL_S)
-            if self._unrecorded_ns():
-                await asyncio.sleep(AFTERMATH_S)
-                await self._write(FAULT)
 
     async def close(self, *, died: bool) -> None:
-        """Make what is still to be made, of a fault just now or the death of the control process."""
+        """Make what is still to be made, of a fault just now or the death of the control process; never fails."""
         if self._memory is None:
             return
         try:
-            if self._writing is not None:
-                await self._writing
+            writing = [] if self._writing is None or self._writing.done() else [self._writing]
             if died:
-                await self._write(DEATH)
+                writing.append(self._start(DEATH))
             elif self._unrecorded_ns():
-                await self._write(FAULT)
+                writing.append(self._start(FAULT))
+            if writing:
+                await self._finish(writing)
+        except Exception as problem:
+            self._complain("not recorded", problem)
         finally:
             self._memory.close()
             self._memory = None
+
+    async def _finish(self, writing: list[asyncio.Task[None]]) -> None:
+        self._say("writing the recording …")
+        _, left = await asyncio.wait(writing, timeout=END_PATIENCE_S)
+        for task in left:
+            task.cancel()
+        await asyncio.gather(*left, return_exceptions=True)
+        if left:
+            self._say(
+                f"the recording is not written after {END_PATIENCE_S:g} s and goes on being written without rtarm; "
+                "`rtarm explain` tells it once it is there"
+            )
 
     def _unrecorded_ns(self) -> int:
         """When a fault was latched (CLOCK_MONOTONIC) that is not recorded yet; 0 when there is none."""
@@ -70,40 +89,56 @@ class FaultRecorder:
         latched_ns = int(snapshot["fault_ns"])
         return latched_ns if int(snapshot["fault"]) != Fault.NONE and latched_ns != self._recorded_ns else 0
 
-    async def _write(self, word: str) -> None:
+    def _start(self, word: str) -> asyncio.Task[None]:
         self._recorded_ns = self._unrecorded_ns() or self._recorded_ns
         self._writing = asyncio.create_task(self._run(word))
-        await asyncio.shield(self._writing)
-        self._writing = None
+        return self._writing
 
     async def _run(self, word: str) -> None:
-        assert self._memory is not None
-        fd = self._memory.fd
+        """Have it written, and say what came of it; canceled, the process goes on by itself."""
         try:
-            child = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-P", "-m", "rtarm.recording", str(fd), self._arm, word),
-                stdin=asyncio.subprocess.DEVNULL,
-                stdout=asyncio.subprocess.PIPE,
-                stderr=asyncio.subprocess.PIPE,
+            assert self._memory is not None
+            await self._write(self._memory.fd, word)
+        except Exception as problem:  # no memory, no processes left: the arm goes on all the same
+            self._complain("not recorded: no process could be started for it", problem)
+
+    async def _write(self, fd: int, word: str) -> None:
+        # Into memory rather than pipes, which would break when the launcher ends first.
+        with os.fdopen(os.memfd_create("out"), "w+b") as out, os.fdopen(os.memfd_create("err"), "w+b") as err:
+            child = subprocess.Popen(
+                [sys.executable, "-P", "-m", "rtarm.recording", str(fd), self._arm, word],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
                 env=plain_environment(),
                 pass_fds=(fd,),
                 start_new_session=True,  # a Ctrl-C ends the arm, and what was recorded of it until then is kept
             )
-        except OSError as problem:  # no memory, no processes left: the arm goes on all the same
-            self._say(f"not recorded: no process could be started for it ({problem.strerror})")
-            return
-        try:
-            async with asyncio.timeout(PATIENCE_S):
-                out, err = await child.communicate()
-        except TimeoutError:
-            with contextlib.suppress(ProcessLookupError, TimeoutError):
-                child.kill()
-                async with asyncio.timeout(KILLED_S):  # what hangs in a dead network disk does not even die
-                    await child.wait()
-            self._say(f"the recording was not written within {PATIENCE_S:g} s and was given up")
-            return
-        if child.returncode == 0:
-            self._say(f"recorded: {out.decode().strip()}; `rtarm explain` tells it")
-        else:
-            lines = err.decode(errors="replace").strip().splitlines()
-            self._say(f"not recorded: {lines[-1] if lines else 'the recording process failed and did not say why'}")
+            allowed_s = patience_s(fd)
+            try:
+                async with asyncio.timeout(allowed_s + POLL_S):  # it ends itself, but not out of a dead network disk
+                    while child.poll() is None:
+                        await asyncio.sleep(POLL_S)
+            except TimeoutError:
+                self._say(f"the recording was not written within {allowed_s:.0f} s and was given up")
+                return
+            if child.returncode == 0:
+                self._say(f"recorded: {_text(out)}; `rtarm explain` tells it")
+            else:
+                lines = _text(err).splitlines()
+                why = lines[-1] if lines else f"the recording process ended with code {child.returncode}"
+                self._say(f"not recorded: {why}")
+
+    def _complain(self, what: str, problem: Exception) -> None:
+        """One sentence, if there is memory for it."""
+        with contextlib.suppress(Exception):
+            if isinstance(problem, SharedMemoryError):
+                why = str(problem)
+            else:
+                why = getattr(problem, "strerror", None) or str(problem) or type(problem).__name__
+            self._say(f"{what}: {why}" if isinstance(problem, SharedMemoryError) else f"{what} ({why})")
+
+
+def _text(file: IO[bytes]) -> str:
+    file.seek(0)
+    return file.read().decode(errors="replace").strip()

@@ -4,22 +4,41 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from rtarm.errors import Refusal
+from rtarm.recording.mcap_file import ASIDE_PREFIX, ASIDE_SUFFIX
 
 KEPT = 20
 """Newest recordings that are kept of an arm."""
 KEPT_IN_ALL = 100
 """And of all arms together: each demo's has a name of its own."""
+KEPT_BYTES = 1 << 30
+"""And so much at most: one of a large, quick arm has a hundred times the size of a small one's."""
 SUFFIX = ".mcap"
+OWN_NAME = re.compile(r"[^-]+-\d{8}T\d{6}Z-\w+(-\d+)?" + re.escape(SUFFIX))
+"""What `new_path` makes: the name of an arm has no hyphen."""
+ABANDONED_S = 600.0
+"""A writer adds to its file every few seconds."""
 
 
 def folder() -> Path:
-    """The folder of this user's recordings; it may not be there yet."""
-    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(base) / "rtarm" / "recordings"
+    """The folder of this user's recordings; it may not be there yet.
+
+    Raises:
+        Refusal: the user has no home.
+    """
+    base = os.environ.get("XDG_STATE_HOME")
+    try:
+        return (Path(base) if base else Path.home() / ".local" / "state") / "rtarm" / "recordings"
+    except RuntimeError:
+        raise Refusal(
+            f"The user {os.getuid()} has no home folder, so there is no place for recordings: set HOME or "
+            "XDG_STATE_HOME to a folder that may be written to."
+        ) from None
 
 
 def new_path(arm: str, why: str) -> Path:
@@ -34,20 +53,44 @@ def new_path(arm: str, why: str) -> Path:
 
 
 def remove_old(arm: str) -> None:
-    """Remove all but the newest recordings of an arm, and of all."""
-    for path in {*recordings(arm)[KEPT:], *recordings()[KEPT_IN_ALL:]}:
+    """Remove all but the newest recordings of an arm, and of all, and what killed writers have left."""
+    for path in {*recordings(arm)[KEPT:], *recordings()[KEPT_IN_ALL:], *_beyond_room(), *_abandoned()}:
         with contextlib.suppress(OSError):
             path.unlink()
 
 
+def _beyond_room() -> Iterator[Path]:
+    """The recordings that have no room beside newer ones; the newest always has."""
+    used = 0
+    for _, size, path in _found():
+        beyond = used > 0 and used + size > KEPT_BYTES
+        used += size
+        if beyond:
+            yield path
+
+
+def _abandoned() -> Iterator[Path]:
+    """Files that nobody has gone on writing."""
+    for path in folder().glob(f"{ASIDE_PREFIX}*{ASIDE_SUFFIX}"):
+        with contextlib.suppress(OSError):
+            if time.time() - path.lstat().st_mtime > ABANDONED_S:
+                yield path
+
+
 def recordings(arm: str | None = None) -> list[Path]:
-    """The recordings of an arm, or of all, the newest first."""
+    """The recordings of an arm, or of all, the newest first; not what else lies in their folder."""
+    return [path for _, _, path in _found() if arm is None or path.name.startswith(f"{arm}-")]
+
+
+def _found() -> list[tuple[int, int, Path]]:
+    """When each file that bears a name of ours was written (ns), its bytes, and its path; the newest first."""
     found = []
     for path in folder().glob(f"*{SUFFIX}"):
-        if arm is None or path.name.startswith(f"{arm}-"):  # the name of an arm has no hyphen
+        if OWN_NAME.fullmatch(path.name):
             with contextlib.suppress(OSError):
-                found.append((path.stat().st_mtime_ns, path))
-    return [path for _, path in sorted(found, reverse=True)]
+                status = path.lstat()
+                found.append((status.st_mtime_ns, status.st_size, path))
+    return sorted(found, reverse=True)
 
 
 def newest() -> Path:

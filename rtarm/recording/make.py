@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from rtarm.errors import Refusal
@@ -16,6 +17,14 @@ from shm.words import Fault
 
 ASKED, FAULT, DEATH = "asked", "fault", "death"
 """Why a recording is made."""
+PATIENCE_S = 60.0
+PATIENCE_S_PER_MIB = 3.0
+"""Writing takes about 0.2 s a MiB of state file; at the lowest priority on a busy machine many times that."""
+
+
+def patience_s(fd: int) -> float:
+    """After what time the writing of a recording has failed, by the size of the state file."""
+    return PATIENCE_S + PATIENCE_S_PER_MIB * os.fstat(fd).st_size / (1 << 20)
 
 
 def left_by(argument: str | None) -> MemoryFile:
@@ -31,7 +40,7 @@ def left_by(argument: str | None) -> MemoryFile:
     if not arms:
         raise Refusal(
             "No arm is running here and none has left a state file behind, so there is nothing to record: start one "
-            f"with `rtarm up ARM`, or look for recordings that were made by themselves in {folder.folder()}."
+            "with `rtarm up ARM`, or see with `rtarm explain` what was last recorded."
         )
     if len(arms) > 1:
         raise Refusal(f"There are several arms ({', '.join(arms)}): name the one you mean.")
@@ -56,8 +65,6 @@ def record(memory: MemoryFile, word: str, path: Path | None = None) -> Path:
         memory.close()
     reason = Reason(word, _sentence(word, recording))
     if path is not None:
-        if path.is_dir():
-            raise Refusal(f"{path} is a folder: name a file in it, such as {path / 'recording.mcap'}.")
         write(recording, reason, path)
         return path
     path = folder.new_path(recording.arm, _name(word, recording))

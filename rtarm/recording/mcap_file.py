@@ -1,8 +1,9 @@
 """A recording as an MCAP file: JSON messages with their schemas, which Foxglove plots, and back again.
 
-Channels: `/rtarm/state` and `/rtarm/joints/<joint>` in every cycle, `/rtarm/events` with their sentences (as a log),
-`/rtarm/frames` of the bus. Times are those of ROS; what the motion is timed by stands in `monotonic_ns`. What else is
-known of the arm leads the file as metadata, so that one that was cut off can still be told.
+Channels: `/rtarm/state` and `/rtarm/joints/<joint>` in every cycle, of which they carry the `number`, `/rtarm/events`
+with their sentences (as a log), `/rtarm/frames` of the bus. Times are those of ROS; what the motion is timed by stands
+in `monotonic_ns` of the state. What else is known of the arm leads the file as metadata, so that one that was cut off
+can still be told, and a file of others' is known before it is read to its end.
 """
 
 from __future__ import annotations
@@ -14,14 +15,16 @@ import math
 import os
 import stat
 import struct
+import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import IntEnum
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import numpy as np
 
+from config.errors import legible
 from rtarm.errors import Refusal
 from rtarm.status import key
 from rtarm.top.events import BAD, ODD, happening
@@ -41,8 +44,17 @@ MAGIC = b"\x89MCAP0\r\n"
 FORMAT = "1"
 METADATA, LIMITS, TIMING = "rtarm", "rtarm.limits", "rtarm.timing"
 STATE, JOINTS, EVENTS, FRAMES = "/rtarm/state", "/rtarm/joints/", "/rtarm/events", "/rtarm/frames"
+LIBRARY = "rtarm "
+"""So begins what our files say that they were written by."""
+JSON = "json"
 CHUNK_BYTES = 256 << 10
 """So much is lost at most around a spoilt byte."""
+LONGEST_RECORD = 64 << 20
+"""Bytes; one of ours has hardly more than a chunk, even where another tool has packed it anew."""
+LONGEST_NAME, LONGEST_SENTENCE = 64, 1000
+"""Characters of what a file may say to people."""
+ASIDE_PREFIX, ASIDE_SUFFIX = ".rtarm-", ".new"
+"""What a file is called until it is whole."""
 
 BATCH = 1000
 _encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
@@ -60,6 +72,9 @@ _SUMS = ("crc", "decisions_crc")
 _CYCLE_WORDS = [name for name in layout.RECORD.names or () if name not in (*_SUMS, "joints")]
 _JOINT_WORDS = list(layout.JOINT.names or ())
 _EVENT_WORDS = list(layout.EVENT.names or ())
+_STATE = np.dtype([(name, layout.RECORD[name]) for name in _CYCLE_WORDS])
+_JOINT = np.dtype([("number", np.int64), *((name, layout.JOINT[name]) for name in _JOINT_WORDS)])
+"""A message of a cycle's state and of a joint in it, as numbers."""
 _LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
 """Levels of foxglove.Log."""
 
@@ -87,39 +102,65 @@ class NotWritten(Refusal):
 
 
 def write(recording: Recording, reason: Reason, path: Path) -> None:
-    """Write a file, whole or not at all.
+    """Write a file that only this user may read, whole or not at all, in place of nothing but an older recording.
 
     Raises:
         NotWritten: with the sentence for people.
     """
-    if len(recording.records) == 0:
-        raise NotWritten(f"The control process of {recording.arm} has not run a cycle, so there is nothing to record.")
-    aside = path.with_name(f".{path.name}.{os.getpid()}.new")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        _check_target(path)
+        if len(recording.records) == 0:
+            raise NotWritten(
+                f"The control process of {recording.arm} has not run a cycle, so there is nothing to record."
+            )
+        _make_folder(path.parent)
+        fd, aside = tempfile.mkstemp(ASIDE_SUFFIX, ASIDE_PREFIX, path.parent)  # new, of mode 0600, follows no link
         try:
-            with aside.open("wb") as file:
+            with open(fd, "wb") as file:
                 _write(recording, reason, file)
-            aside.replace(path)
+            os.replace(aside, path)
         finally:
-            aside.unlink(missing_ok=True)
+            Path(aside).unlink(missing_ok=True)
     except OSError as problem:
         full = problem.errno in (errno.ENOSPC, errno.EDQUOT)
         remedy = "free some space there" if full else "give a file in a folder that you may write to"
         raise NotWritten(f"The recording {path} cannot be written ({problem.strerror}): {remedy}.") from problem
 
 
+def _check_target(path: Path) -> None:
+    """Refuse to write over anything but a recording."""
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    if stat.S_ISDIR(mode):
+        raise NotWritten(f"{path} is a folder: name a file in it, such as {path / 'recording.mcap'}.")
+    if not stat.S_ISREG(mode):
+        raise NotWritten(f"{path} is a link, a device or a pipe, which no recording replaces: name a file.")
+    with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+        ours = (_library(file) or "").startswith(LIBRARY)
+    if not ours:
+        raise NotWritten(f"{path} is there and no recording of rtarm's, so it is kept: name another file.")
+
+
+def _make_folder(path: Path) -> None:
+    """Make a folder and those above it that are missing, for this user alone."""
+    if not path.exists():
+        _make_folder(path.parent)
+        path.mkdir(0o700, exist_ok=True)
+
+
 def _write(recording: Recording, reason: Reason, file: IO[bytes]) -> None:
     from mcap.writer import CompressionType, Writer
 
     writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-    writer.start(profile="", library=f"rtarm {_version()}")
+    writer.start(profile="", library=LIBRARY + _version())
     for name, values in _metadata(recording, reason).items():
         writer.add_metadata(name, values)
     channels = {}
     for name, schema_name, schema in _schemas(recording.joints):
         schema_id = writer.register_schema(schema_name, "jsonschema", json.dumps(schema).encode())
-        channels[name] = writer.register_channel(name, "json", schema_id)
+        channels[name] = writer.register_channel(name, JSON, schema_id)
     for message in heapq.merge(*_messages(recording), key=lambda one: one[0]):
         _, epoch_ns, name, content = message
         data = _encode(content).encode()
@@ -202,6 +243,7 @@ def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]
     slowed = {"slowed": {"type": "array", "items": {"type": "string"}, "description": units["slowed"].meaning}}
     yield STATE, "rtarm.State", schema("rtarm.State", layout.RECORD, _CYCLE_WORDS, slowed)
     derived = {
+        "number": {"type": "integer", "description": units["number"].meaning},
         "error_rad": {"type": ["number", "null"], "description": "measured less commanded, of the same instant (rad)"},
         "age_s": {"type": ["number", "null"], "description": "age of the reading in this cycle (s)"},
     }
@@ -274,6 +316,7 @@ def _batch(recording: Recording, records: np.ndarray) -> Iterator[_Message]:
         yield *at, STATE, state
         for index, name in enumerate(recording.joints):
             joint = next(rows[index])
+            joint["number"] = state["number"]
             joint["error_rad"] = _plain(errors[number][index])
             joint["age_s"] = _plain(float(ages[number, index]))
             yield *at, JOINTS + name, joint
@@ -342,76 +385,175 @@ def read(path: Path) -> Loaded:
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise Refusal(f"{path} is no MCAP file: give one that `rtarm record` has written.")
-            file.seek(0)
-            metadata, messages, damage = _read_records(file, status.st_size)
+            return _read(path, file)
     except FileNotFoundError:
         raise Refusal(f"{path} is not there: `rtarm explain` without a file takes the newest recording.") from None
     except OSError as problem:
         raise Refusal(f"{path} cannot be read ({problem.strerror}): give a file that you may read.") from problem
+
+
+class _Damage:
+    """What was found to be wrong with a file."""
+
+    def __init__(self) -> None:
+        self.spoilt = 0
+        self.incomplete = 0
+        self.ended = False
+
+    def __str__(self) -> str:
+        parts = []
+        if self.spoilt:
+            parts.append(f"{self.spoilt} of its parts {'is' if self.spoilt == 1 else 'are'} spoilt and left out")
+        if self.incomplete:
+            cycles = "1 cycle is" if self.incomplete == 1 else f"{self.incomplete} cycles are"
+            parts.append(f"{cycles} incomplete and left out")
+        if not self.ended:
+            parts.append("it ends too early, as if it had been cut off")
+        return "; ".join(parts)
+
+
+def _read(path: Path, file: IO[bytes]) -> Loaded:
+    library = _library(file)
+    damage = _Damage()
+    records = _whole_records(file, damage)
+    metadata = _head(records)
     if METADATA not in metadata or LIMITS not in metadata:
-        if damage:
-            raise Refusal(f"{path} is damaged so early that nothing of it can be told ({damage}).")
+        if library is None or library.startswith(LIBRARY):
+            raise Refusal(f"{path} is damaged so early that nothing of it can be told: what leads the file is missing.")
         raise Refusal(f"{path} is an MCAP file, but no recording of rtarm's: give one that `rtarm record` has written.")
     if metadata[METADATA].get("format") != FORMAT:
-        raise Refusal(
-            f"{path} has format {metadata[METADATA].get('format', 'unknown')}, this rtarm reads format {FORMAT}: use "
-            "the version that wrote it."
-        )
+        found = legible(metadata[METADATA].get("format", "unknown"), LONGEST_NAME)
+        raise Refusal(f"{path} has format {found}, this rtarm reads format {FORMAT}: use the version that wrote it.")
     try:
-        recording, reason = _made(metadata, messages)
-    except (KeyError, TypeError, ValueError, OverflowError, AttributeError, IndexError) as problem:
-        raise Refusal(
-            f"{path} says it is a recording of rtarm's, but its content is not ({problem!r}): another program wrote or "
-            "changed it."
-        ) from problem
-    if len(recording.records) == 0:
-        raise Refusal(f"{path} holds no cycle that can be read{f' ({damage})' if damage else ''}: nothing can be told.")
-    return Loaded(recording, reason, damage)
-
-
-def _read_records(file: IO[bytes], size: int) -> tuple[dict[str, dict[str, str]], dict[str, list[dict[str, Any]]], str]:
-    """Metadata, the messages of every channel, and what is damaged."""
-    from mcap.records import Channel, Chunk, Footer, Message, Metadata
-    from mcap.stream_reader import StreamReader, breakup_chunk
-
-    metadata: dict[str, dict[str, str]] = {}
-    messages: dict[str, list[dict[str, Any]]] = {}
-    topics: dict[int, str] = {}
-    spoilt = 0
-    ended = False
-
-    def take(record: Any) -> None:
-        if isinstance(record, Metadata):
-            metadata[record.name] = record.metadata
-        elif isinstance(record, Channel):
-            topics[record.id] = record.topic
-        elif isinstance(record, Message) and record.channel_id in topics:
-            messages.setdefault(topics[record.channel_id], []).append(json.loads(record.data))
-
-    try:
-        for record in StreamReader(file, emit_chunks=True, record_size_limit=max(size, 1)).records:
-            ended = ended or isinstance(record, Footer)
-            if not isinstance(record, Chunk):
-                take(record)
-                continue
-            try:
-                for inner in breakup_chunk(record, validate_crc=True):
-                    take(inner)
-            except Exception:  # whatever decompression and parsers make of spoilt bytes; the next chunk may be whole
-                spoilt += 1
+        recording, reason = _made(metadata, _topics(file), records, damage)
     except OSError:
         raise
-    except Exception:  # the same, between the chunks: from here on nothing can be found any more
-        pass
-    damage = []
-    if spoilt:
-        damage.append(f"{spoilt} of its parts {'is' if spoilt == 1 else 'are'} spoilt and left out")
-    if not ended:
-        damage.append("it ends too early, as if it had been cut off")
-    return metadata, messages, "; ".join(damage)
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError, IndexError, RecursionError) as problem:
+        raise Refusal(
+            f"{path} says it is a recording of rtarm's, but its content is not "
+            f"({legible(repr(problem), LONGEST_NAME)}): another program wrote or changed it."
+        ) from problem
+    if len(recording.records) == 0:
+        said = str(damage)
+        raise Refusal(f"{path} holds no cycle that can be read{f' ({said})' if said else ''}: nothing can be told.")
+    return Loaded(recording, reason, str(damage))
 
 
-def _made(metadata: dict[str, dict[str, str]], messages: dict[str, list[dict[str, Any]]]) -> tuple[Recording, Reason]:
+def _library(file: IO[bytes]) -> str | None:
+    """What an MCAP file says that it was written by; None if that cannot be read."""
+    from mcap.records import Header
+    from mcap.stream_reader import StreamReader
+
+    file.seek(0)
+    try:
+        header = next(StreamReader(file, record_size_limit=CHUNK_BYTES).records)
+    except OSError:
+        raise
+    except Exception:  # whatever a parser makes of anything
+        return None
+    return header.library if isinstance(header, Header) else None
+
+
+def _topics(file: IO[bytes]) -> dict[int, str]:
+    """The channels that a whole file lists at its end, so that they are known if the chunk with them is spoilt."""
+    from mcap.reader import SeekingReader
+
+    at = file.tell()
+    try:
+        summary = SeekingReader(file, record_size_limit=LONGEST_RECORD).get_summary()
+    except OSError:
+        summary = None  # also how a place before the beginning is refused
+    except Exception:  # whatever a parser makes of spoilt bytes
+        summary = None
+    finally:
+        file.seek(at)
+    channels = {} if summary is None else summary.channels
+    return {number: one.topic for number, one in channels.items() if one.message_encoding == JSON}
+
+
+def _whole_records(file: IO[bytes], damage: _Damage) -> Iterator[Any]:
+    """A file's records one by one, those of chunks too, and before each chunk None; what is spoilt is left out."""
+    from mcap.records import Chunk, Footer
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
+    file.seek(0)
+    records = StreamReader(file, emit_chunks=True, record_size_limit=LONGEST_RECORD).records
+    while True:
+        try:
+            record = next(records, None)
+        except OSError:
+            raise
+        except Exception:  # whatever parsers make of spoilt bytes: from here on nothing can be found any more
+            return
+        if record is None:
+            return
+        damage.ended = damage.ended or isinstance(record, Footer)
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        yield None
+        try:
+            inner = breakup_chunk(record, validate_crc=True)
+        except Exception:  # the same, and of decompression; the next chunk may be whole
+            damage.spoilt += 1
+            continue
+        yield from inner
+
+
+def _head(records: Iterator[Any]) -> dict[str, dict[str, str]]:
+    """The metadata before the first chunk or message."""
+    from mcap.records import Message, Metadata
+
+    metadata: dict[str, dict[str, str]] = {}
+    for record in records:
+        if record is None or isinstance(record, Message):
+            break
+        if isinstance(record, Metadata):
+            metadata[record.name] = record.metadata
+    return metadata
+
+
+class _Table:
+    """Messages of a channel as an array, made of a batch at a time: as Python's objects all would take gigabytes."""
+
+    def __init__(self, made: Callable[[list[dict[str, Any]]], np.ndarray]) -> None:
+        self._made = made
+        self._pending: list[dict[str, Any]] = []
+        self._parts: list[np.ndarray] = []
+
+    def add(self, row: dict[str, Any]) -> None:
+        self._pending.append(row)
+        if len(self._pending) == BATCH:
+            self._take()
+
+    def array(self) -> np.ndarray:
+        self._take()
+        return np.concatenate(self._parts)
+
+    def _take(self) -> None:
+        self._parts.append(self._made(self._pending))
+        self._pending = []
+
+
+def _tables(records: Iterator[Any], topics: dict[int, str], joints: Sequence[str]) -> dict[str, np.ndarray]:
+    """The messages of our channels; those of others in the same file are let be."""
+    from mcap.records import Channel, Message
+
+    tables = {STATE: _Table(_states_of), FRAMES: _Table(_frames_of), EVENTS: _Table(_events_of)}
+    tables.update((JOINTS + name, _Table(_joints_of)) for name in joints)
+    for record in records:
+        if isinstance(record, Channel) and record.message_encoding == JSON:
+            topics[record.id] = record.topic
+        elif isinstance(record, Message):
+            table = tables.get(topics.get(record.channel_id, ""))
+            if table is not None:
+                table.add(json.loads(record.data))
+    return {topic: table.array() for topic, table in tables.items()}
+
+
+def _made(
+    metadata: Mapping[str, dict[str, str]], topics: dict[int, str], records: Iterator[Any], damage: _Damage
+) -> tuple[Recording, Reason]:
     about, limits, timing = metadata[METADATA], metadata[LIMITS], metadata.get(TIMING, {})
     joints = tuple(str(name) for name in json.loads(about["joints"]))
     if not 0 < len(joints) <= layout.MAX_JOINTS:
@@ -419,40 +561,61 @@ def _made(metadata: dict[str, dict[str, str]], messages: dict[str, list[dict[str
     period_ns = int(about["period_ns"])
     if period_ns <= 0:
         raise ValueError(f"a period of {period_ns} ns")
+    tables = _tables(records, topics, joints)
     recording = Recording(
-        arm=about["arm"],
-        joints=joints,
+        arm=legible(about["arm"], LONGEST_NAME),
+        joints=tuple(legible(name, LONGEST_NAME) for name in joints),
         arm_hash=int(about["arm_hash"], 16),
         pid=int(about["pid"]),
         period_ns=period_ns,
         bitrate=int(about["bitrate"]),
-        records=_records(messages, joints),
-        frames=_frames_of(messages.get(FRAMES, [])),
-        events=_filled(layout.EVENT, _EVENT_WORDS, messages.get(EVENTS, [])),
+        records=_records(tables[STATE], [tables[JOINTS + name] for name in joints], damage),
+        frames=tables[FRAMES],
+        events=tables[EVENTS],
         limits=_limits_of(limits, joints),
         scheduling=_filled_one(layout.SCHEDULING, json.loads(about["scheduling"])),
         lateness=_histogram_of(json.loads(timing.get("lateness", "{}"))),
         cycle_time=_histogram_of(json.loads(timing.get("cycle_time", "{}"))),
         lost=int(about["lost"]),
     )
-    return recording, Reason(about["reason"], about["sentence"])
+    return recording, Reason(legible(about["reason"], LONGEST_NAME), legible(about["sentence"], LONGEST_SENTENCE))
 
 
-def _records(messages: dict[str, list[dict[str, Any]]], joints: Sequence[str]) -> np.ndarray:
-    """The cycles of which everything is there."""
-    states = messages.get(STATE, [])
-    for state in states:
-        state["slowed"] = sum(Slowed[name.upper()] for name in state["slowed"])
-    rows = [messages.get(JOINTS + name, []) for name in joints]
-    count = min(len(states), *(len(row) for row in rows))
-    dtype = record_dtype(len(joints))
-    records = np.zeros(count, dtype)
-    _fill(records, _CYCLE_WORDS, states[:count])
+def _records(states: np.ndarray, rows: Sequence[np.ndarray], damage: _Damage) -> np.ndarray:
+    """The cycles of which everything is there: a spoilt chunk may begin and end amid a cycle."""
+    tables = (states, *rows)
+    if any(np.any(np.diff(table["number"]) <= 0) for table in tables):
+        raise ValueError("cycles that are not in their order")
+    whole = states["number"]
+    known = states["number"]
+    for table in rows:
+        whole = np.intersect1d(whole, table["number"], assume_unique=True)
+        known = np.union1d(known, table["number"])
+    damage.incomplete = len(known) - len(whole)
+    records = np.zeros(len(whole), record_dtype(len(rows)))
+    states, *rows = (table[np.searchsorted(table["number"], whole)] for table in tables)
+    for name in _CYCLE_WORDS:
+        records[name] = states[name]
     for index, row in enumerate(rows):
-        _fill(records["joints"][:, index], _JOINT_WORDS, row[:count])
+        for name in _JOINT_WORDS:
+            records["joints"][name][:, index] = row[name]
     if np.any(np.diff(records["monotonic_ns"]) < 0):
         raise ValueError("cycles that are not in their order")
     return records
+
+
+def _states_of(rows: list[dict[str, Any]]) -> np.ndarray:
+    for row in rows:
+        row["slowed"] = sum(Slowed[name.upper()] for name in row["slowed"])
+    return _filled(_STATE, _CYCLE_WORDS, rows)
+
+
+def _joints_of(rows: list[dict[str, Any]]) -> np.ndarray:
+    return _filled(_JOINT, _JOINT.names or (), rows)
+
+
+def _events_of(rows: list[dict[str, Any]]) -> np.ndarray:
+    return _filled(layout.EVENT, _EVENT_WORDS, rows)
 
 
 def _filled(dtype: np.dtype, names: Sequence[str], rows: list[dict[str, Any]]) -> np.ndarray:

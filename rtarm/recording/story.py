@@ -60,13 +60,14 @@ STATUS = {
 
 
 class Line(NamedTuple):
-    """Something that happened, its style, and whether it is a sign that something is wrong."""
+    """Something that happened, its style, whether it is a sign that something is wrong, and when it had an end (ns)."""
 
     monotonic_ns: int
     sentence: str
     style: str = PLAIN
     sign: bool = False
     joint: int = -1
+    end_ns: int = 0
 
 
 @dataclass(frozen=True)
@@ -101,10 +102,10 @@ def tell(recording: Recording, reason: Reason) -> Story:
         lines.append(died)
     fault = int(records["fault"][at]) if at is not None else 0
     joint = int(records["fault_joint"][at]) if at is not None else -1
-    first = _first(lines, zero_ns, joint) if at is not None or reason.word == "death" else None
     if at is not None and not any(line.monotonic_ns == zero_ns and line.style == BAD for line in lines):
         lines.append(Line(zero_ns, _fault_words(recording, at), BAD, sign=True, joint=joint))
         lines.sort(key=lambda line: line.monotonic_ns)
+    first = _first(lines, zero_ns, joint) if at is not None or reason.word == "death" else None
     return Story(
         heading=_heading(recording, zero_ns),
         zero_ns=zero_ns,
@@ -119,12 +120,18 @@ def tell(recording: Recording, reason: Reason) -> Story:
 def _first(lines: Sequence[Line], zero_ns: int, joint: int) -> Line | None:
     """What came first of what led to an instant: the first sign of its joint, or what had just gone wrong before that.
 
-    Signs of nothing in particular, such as a garbled line, belong to it only if they came shortly before.
+    Signs of nothing in particular, such as a garbled line, belong to it only if they came shortly before; so where no
+    joint is to blame, the instant's own line is what they must have come shortly before.
     """
     signs = [line for line in lines if line.sign and 0 <= zero_ns - line.monotonic_ns <= WARNED_S * 1e9]
-    first = next((line for line in signs if line.joint == joint), None)
+    if joint >= 0:
+        first = next((line for line in signs if line.joint == joint), None)
+    else:
+        first = next((line for line in signs if line.monotonic_ns == zero_ns and line.style == BAD), None)
     for line in reversed(signs):
-        if first is not None and line.joint < 0 and 0 < first.monotonic_ns - line.monotonic_ns <= BURST_S * 1e9:
+        if first is None or line.joint >= 0 or line.monotonic_ns >= first.monotonic_ns:
+            continue
+        if first.monotonic_ns - max(line.monotonic_ns, line.end_ns) <= BURST_S * 1e9:
             first = line
     return first
 
@@ -254,7 +261,7 @@ def _counted(recording: Recording) -> Iterator[Line]:
                 words = sentence.format(n=count, **nouns)
                 lasted_s = float(times[burst[-1]] - times[burst[0]]) * 1e-9
                 within = f" within {lasted_s:.2f} s" if len(burst) > 1 else ""
-                yield Line(int(times[burst[0]]), f"{words}{within}.", ODD, sign=True)
+                yield Line(int(times[burst[0]]), f"{words}{within}.", ODD, sign=True, end_ns=int(times[burst[-1]]))
                 burst = []
             if at is not None:
                 burst.append(at)
@@ -273,10 +280,14 @@ def _bus(recording: Recording) -> Iterator[Line]:
 
 
 def _missed(recording: Recording) -> Iterator[Line]:
-    """When the cycle was away."""
+    """When the cycle was away, or what it did is not in the recording."""
     records = recording.records
     gaps_ns = np.diff(records["monotonic_ns"])
-    for at in (np.flatnonzero(gaps_ns > 1.5 * recording.period_ns) + 1).tolist():
+    skipped = np.diff(records["number"]) - 1
+    for at in (np.flatnonzero(skipped > 0) + 1).tolist():
+        what = "1 control cycle is" if skipped[at - 1] == 1 else f"{skipped[at - 1]} control cycles are"
+        yield Line(int(records["monotonic_ns"][at - 1]), f"{what} missing in the recording after this.", ODD)
+    for at in (np.flatnonzero((gaps_ns > 1.5 * recording.period_ns) & (skipped == 0)) + 1).tolist():
         missed = round(float(gaps_ns[at - 1]) / recording.period_ns) - 1
         what = "1 control cycle was" if missed == 1 else f"{missed} control cycles were"
         woke = f" (woken {records['lateness_ns'][at] * 1e-6:.1f} ms late)" if records["lateness_ns"][at] else ""
@@ -348,10 +359,7 @@ def _verdict(recording: Recording, reason: Reason, at: int | None, first: Line |
         else:
             yield "No fault was latched in this recording."
     if reason.word == "death":
-        yield (
-            "The control process ended without an orderly end (killed, or by a defect); the drives went on for two "
-            "cycles and braked by their own ramp."
-        )
+        yield f"The control process ended without an orderly end (killed, or by a defect); {_left_alone(recording)}."
     if at is not None:
         yield _fault_words(recording, at)
         yield _what_the_arm_did(recording, at)
@@ -361,6 +369,15 @@ def _verdict(recording: Recording, reason: Reason, at: int | None, first: Line |
             yield f"What to do: {meaning.remedy}"
     if recording.lost:
         yield f"{recording.lost} records were being written when they were read, and are left out."
+
+
+def _left_alone(recording: Recording) -> str:
+    """What the drives did when the control process had died."""
+    if recording.bitrate == 0:
+        return "it had no bus, and so no drives"
+    if not np.any(recording.records["joints"]["commanded_velocity_rad_s"][-1] != 0.0):
+        return "no joint was commanded to move then"
+    return "the drives went on for two cycles and braked by their own ramp"
 
 
 def _known_fault(number: int) -> Fault:

@@ -7,8 +7,12 @@ import io
 import json
 import os
 import random
+import signal
+import stat
+import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,19 +23,23 @@ from typer.testing import Result
 from virtual import VirtualArm, recorded_goal
 from written_arm import WrittenArm
 
+from config.loader import load_arm
+from rtarm import launcher
 from rtarm.errors import Refusal
+from rtarm.recording import __main__ as writer_process
 from rtarm.recording import after_fault, folder, make, mcap_file, story
 from rtarm.recording.after_fault import FaultRecorder
 from rtarm.recording.chart import Series, chart
 from rtarm.recording.explain import explanation
 from rtarm.recording.mcap_file import NotWritten, Reason
 from rtarm.recording.replay import Replay
+from rtarm.reporter import Reporter
 from rtarm.top.picture import Picture
 from rtloop.wire import received
 from rtloop.wire.slcan import BEL
 from shm import files, layout
 from shm.recording import Recording, read_recording
-from shm.words import BusState, Fault, Outcome, Request
+from shm.words import BusState, Event, Fault, Outcome, Request
 from sim.faults import PowerLoss, Stall
 
 Rtarm = Callable[..., Result]
@@ -90,6 +98,20 @@ def state_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where this user's recordings are kept, for one test."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     return folder.folder()
+
+
+def bag(path: Path) -> None:
+    """As ROS records it: CDR, and messages of which not all can be read."""
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=1000)
+        writer.start(profile="ros2", library="libmcap 1.1.0")
+        schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", b"float64[] position")
+        channel = writer.register_channel("/joint_states", "cdr", schema)
+        for number in range(100):
+            writer.add_message(channel, number, bytes([0, 1, 0, 0, *range(200)]), number)
+        writer.finish()
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
 
 
 # --- the file -----------------------------------------------------------------------------------------------
@@ -177,6 +199,101 @@ def test_only_the_newest_are_kept_of_each_arm(power_loss: Recording, state_home:
     assert folder.new_path("left", "wire") != first
 
 
+def test_a_recording_is_for_its_user_alone(power_loss: Recording, tmp_path: Path) -> None:
+    path = tmp_path / "new" / "below" / "recording.mcap"
+    before = os.umask(0)
+    try:
+        mcap_file.write(power_loss, NOW, path)
+    finally:
+        os.umask(before)
+    modes = [stat.S_IMODE(one.stat().st_mode) for one in (path, path.parent, path.parent.parent)]
+    assert modes == [0o600, 0o700, 0o700]
+
+
+@pytest.mark.parametrize(
+    ("make_it", "said"),
+    [
+        (os.mkfifo, "is a link, a device or a pipe"),
+        (lambda path: path.symlink_to("elsewhere"), "is a link, a device or a pipe"),
+        (lambda path: path.symlink_to("/dev/null"), "is a link, a device or a pipe"),
+        (lambda path: path.write_text("thesis"), "is there and no recording of rtarm's"),
+        (lambda path: path.touch(), "is there and no recording of rtarm's"),
+        (bag, "is there and no recording of rtarm's"),
+        (lambda path: path.mkdir(), "is a folder: name a file in it"),
+    ],
+    ids=["pipe", "link", "link to a device", "text", "empty", "bag", "folder"],
+)
+def test_nothing_but_a_recording_is_replaced(
+    power_loss: Recording, tmp_path: Path, make_it: Callable[[Path], None], said: str
+) -> None:
+    path = tmp_path / "target"
+    make_it(path)
+    before = path.lstat()
+    with pytest.raises(NotWritten) as refused:
+        mcap_file.write(power_loss, NOW, path)
+    assert said in refused.value.sentence and "\n" not in refused.value.sentence
+    assert [one.name for one in tmp_path.iterdir()] == ["target"]
+    assert (path.lstat().st_ino, path.lstat().st_size) == (before.st_ino, before.st_size)
+
+
+def test_a_device_is_not_replaced(power_loss: Recording) -> None:
+    with pytest.raises(NotWritten, match="is a link, a device or a pipe"):
+        mcap_file.write(power_loss, NOW, Path("/dev/null"))
+    assert Path("/dev/null").is_char_device()
+
+
+def test_an_older_recording_is_replaced(power_loss: Recording, a_file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "older.mcap"
+    path.write_bytes(a_file.read_bytes())
+    mcap_file.write(Recording(**{**vars(power_loss), "records": power_loss.records[:9]}), NOW, path)
+    assert len(mcap_file.read(path).recording.records) == 9
+
+
+def test_old_recordings_make_room_by_their_bytes_and_what_is_not_ours_stays(
+    state_home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(folder, "KEPT_BYTES", 250)
+    state_home.mkdir(parents=True)
+    names = [f"arm-20260101T00000{number}Z-wire.mcap" for number in range(4)]
+    aside, fresh = f"{mcap_file.ASIDE_PREFIX}abc{mcap_file.ASIDE_SUFFIX}", f"{mcap_file.ASIDE_PREFIX}def.new"
+    for age, name in enumerate([*reversed(names), "bag.mcap", "arm-notes.mcap", ".other.new", aside]):
+        (state_home / name).write_bytes(bytes(100))
+        os.utime(state_home / name, (1_000_000 - age, 1_000_000 - age))
+    (state_home / fresh).touch()
+    folder.remove_old("arm")
+    left = {path.name for path in state_home.iterdir()}
+    assert left == {*names[2:], "bag.mcap", "arm-notes.mcap", ".other.new", fresh}
+    (state_home / names[3]).write_bytes(bytes(300))
+    folder.remove_old("arm")
+    assert folder.recordings() == [state_home / names[3]]
+
+
+def test_a_user_without_a_home_is_told_so(rtarm: Rtarm, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", no_home)
+    result = rtarm("explain")
+    assert (result.exit_code, len(result.stderr.splitlines())) == (1, 1)
+    assert "has no home folder" in result.stderr and "set HOME or XDG_STATE_HOME" in result.stderr
+
+
+def test_the_writing_of_a_large_arms_recording_may_take_longer(tmp_path: Path) -> None:
+    with (tmp_path / "state").open("wb") as file:
+        file.truncate(212 << 20)
+        large_s = make.patience_s(file.fileno())
+        file.truncate(6 << 20)
+        assert 60.0 < make.patience_s(file.fileno()) < 100.0
+    assert 600.0 < large_s < 1000.0
+
+
+@pytest.mark.parametrize("command", ["record", "explain", "replay", "status", "doctor"])
+def test_usage_shows_an_optional_argument_in_one_pair_of_brackets(rtarm: Rtarm, command: str) -> None:
+    usage = next(line for line in rtarm(command, "--help").stdout.splitlines() if "Usage:" in line)
+    assert "[[" not in usage and ("[ARM]" in usage or "[FILE]" in usage)
+
+
 # --- the story ----------------------------------------------------------------------------------------------
 
 
@@ -200,7 +317,7 @@ def test_the_story_of_a_drive_that_loses_its_power(power_loss: Recording) -> Non
         "-1.100 s 1 garbled line from the adapter, or refusals of it.",
         "joint2 gives no readings from here on.",
         "joint2 is late: its reading is",
-        "0 s joint2 has not answered for 0.10",
+        "0 s joint2 has given no believable answer for 0.10",
         "0 s Mode: fault.",
         "0 s The control process latched a fault and stopped the arm",
         "0 s Each joint brakes by itself, since the path cannot be trusted.",
@@ -208,7 +325,7 @@ def test_the_story_of_a_drive_that_loses_its_power(power_loss: Recording) -> Non
     ]
     missing = [start for start in starts if not any(start in line for line in lines)]
     assert not missing, "\n".join(lines)
-    assert found.verdict[0].startswith("joint2 has not answered for 0.10")
+    assert found.verdict[0].startswith("joint2 has given no believable answer for 0.10")
     assert found.verdict[1].startswith("Then each joint braked by itself and came to rest 0.")
     assert found.verdict[-1].startswith("What to do: Check supply, cable")
 
@@ -269,6 +386,59 @@ def test_what_the_can_controller_told_is_told(power_loss: Recording) -> None:
     assert any(line.sentence == "The CAN controller is active now." and not line.sign for line in found.lines)
 
 
+def blaming_nobody(recording: Recording, fault: Fault, garbled: dict[int, int]) -> Recording:
+    """The same with a fault that names no joint, and so many garbled lines so many cycles before it."""
+    records = recording.records.copy()
+    at = story._latched(records)
+    assert at is not None
+    records["fault"][at:], records["fault_joint"][at:] = fault, -1
+    records["wire_errors"] = 0
+    for before, count in garbled.items():
+        records["wire_errors"][at - before :] += count
+    events = recording.events[recording.events["joint"] < 0]
+    return Recording(**{**vars(recording), "records": records, "events": events[events["kind"] != Event.FAULT]})
+
+
+@pytest.mark.parametrize(
+    ("garbled", "first"),
+    [
+        ({200: 1}, None),  # 1.7 s
+        ({}, None),
+        ({200: 1, 40: 2}, "2 garbled lines from the adapter"),  # 0.33 s
+        ({90: 1, 50: 1, 10: 1}, "3 garbled lines from the adapter, or refusals of it within 0.67 s."),
+    ],
+    ids=["long ago", "no sign", "long ago and just before", "a burst until just before"],
+)
+@pytest.mark.parametrize("fault", [Fault.WIRE, Fault.LINK_DOWN])
+def test_a_fault_without_a_joint_comes_first_but_for_what_went_wrong_just_before(
+    power_loss: Recording, fault: Fault, garbled: dict[int, int], first: str | None
+) -> None:
+    found = told(blaming_nobody(power_loss, fault, garbled))
+    assert (found.fault, found.joint) == (fault, -1)
+    assert found.first is not None
+    if first is None:
+        assert found.first.sentence == found.verdict[0]
+    else:
+        assert found.first.sentence.startswith(first)
+
+
+@pytest.mark.parametrize(
+    ("bitrate", "velocity_rad_s", "then"),
+    [
+        (500_000, 0.1, "the drives went on for two cycles and braked by their own ramp."),
+        (500_000, 0.0, "no joint was commanded to move then."),
+        (0, 0.1, "it had no bus, and so no drives."),
+    ],
+)
+def test_what_the_drives_did_after_a_death_is_said_of_drives_that_moved(
+    power_loss: Recording, bitrate: int, velocity_rad_s: float, then: str
+) -> None:
+    records = power_loss.records[power_loss.records["fault"] == Fault.NONE].copy()
+    records["joints"]["commanded_velocity_rad_s"][-1] = [0.0] * 5 + [velocity_rad_s]
+    found = told(Recording(**{**vars(power_loss), "records": records, "bitrate": bitrate}), Reason("death", "It died."))
+    assert found.verdict[0].endswith(f"(killed, or by a defect); {then}")
+
+
 def test_a_recording_of_a_death_ends_with_the_last_cycle(power_loss: Recording) -> None:
     alive = power_loss.records["fault"] == Fault.NONE
     found = told(Recording(**{**vars(power_loss), "records": power_loss.records[alive]}), Reason("death", "It died."))
@@ -324,7 +494,7 @@ def test_a_replay_shows_what_was_to_be_seen_then(power_loss: Recording) -> None:
     console = Console(file=io.StringIO(), width=100, height=40, color_system=None)
     console.print(Picture(last))
     text = console.file.getvalue()
-    assert "joint2 has not answered" in text and "episode1: fault, not fit to move" in text
+    assert "joint2 has given no believable" in text and "episode1: fault, not fit to move" in text
     replay.close()
 
 
@@ -343,10 +513,22 @@ def cut(path: Path, whole: bytes) -> None:
     path.write_bytes(whole[: len(whole) // 2])
 
 
-def spoil(path: Path, whole: bytes) -> None:
+def chunks(whole: bytes) -> list[slice]:
+    """Where the chunks of a file lie."""
+    summary = make_reader(io.BytesIO(whole)).get_summary()
+    assert summary is not None
+    return [slice(one.chunk_start_offset, one.chunk_start_offset + one.chunk_length) for one in summary.chunk_indexes]
+
+
+def spoil_chunk(path: Path, whole: bytes, number: int) -> None:
     damaged = bytearray(whole)
-    damaged[len(whole) // 2] ^= 0xFF
+    chunk = chunks(whole)[number]
+    damaged[(chunk.start + chunk.stop) // 2] ^= 0xFF
     path.write_bytes(damaged)
+
+
+def spoil(path: Path, whole: bytes) -> None:
+    spoil_chunk(path, whole, len(chunks(whole)) // 2)
 
 
 @pytest.mark.parametrize(("harm", "said"), [(cut, "cut off"), (spoil, "is spoilt")])
@@ -361,6 +543,53 @@ def test_a_damaged_file_is_told_as_far_as_it_can_be_read(
     assert whole // 4 < len(loaded.recording.records) < whole
     result = rtarm("explain", str(path))
     assert (result.exit_code, "The file is damaged" in result.stdout) == (0, True)
+
+
+@pytest.mark.parametrize("number", [0, 1, -2])
+def test_what_is_left_of_a_file_with_a_spoilt_chunk_stands_in_its_own_cycles(
+    power_loss: Recording, a_file: Path, tmp_path: Path, number: int
+) -> None:
+    """A chunk's borders lie amid cycles, and the first one is where the channels are listed."""
+    path = tmp_path / "spoilt.mcap"
+    spoil_chunk(path, a_file.read_bytes(), number)
+    loaded = mcap_file.read(path)
+    assert "1 of its parts is spoilt" in loaded.damage
+    found, whole = loaded.recording.records, power_loss.records
+    assert len(whole) // 4 < len(found) < len(whole)
+    at = np.searchsorted(whole["number"], found["number"])
+    for name in set(whole.dtype.names) - {"crc", "decisions_crc"}:
+        assert found[name].tobytes() == whole[name][at].tobytes(), name
+    lines = [line.sentence for line in told(loaded.recording).lines]
+    assert any("missing in the recording" in line for line in lines) == (number != 0)  # nothing stands before the first
+    assert not any("missed" in line for line in lines)
+
+
+def test_cycles_of_which_a_part_is_missing_are_counted(power_loss: Recording, tmp_path: Path) -> None:
+    """As chunk borders may do it: the last joint of one cycle and the first of another."""
+    path, torn = tmp_path / "whole.mcap", tmp_path / "torn.mcap"
+    mcap_file.write(Recording(**{**vars(power_loss), "records": power_loss.records[:9]}), NOW, path)
+    with path.open("rb") as file, torn.open("wb") as other:
+        reader = make_reader(file)
+        writer = Writer(other)
+        writer.start(library=mcap_file.LIBRARY)
+        for one in reader.iter_metadata():
+            writer.add_metadata(one.name, one.metadata)
+        numbers: dict[str, int] = {}
+        for _, channel, message in reader.iter_messages():
+            numbers.setdefault(channel.topic, writer.register_channel(channel.topic, "json", 0))
+            content = json.loads(message.data)
+            left_out = (channel.topic, content.get("number")) in (
+                ("/rtarm/joints/joint6", power_loss.records["number"][3]),
+                ("/rtarm/joints/joint1", power_loss.records["number"][5]),
+            )
+            if not left_out:
+                writer.add_message(numbers[channel.topic], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    loaded = mcap_file.read(torn)
+    assert loaded.damage == "2 cycles are incomplete and left out"
+    assert loaded.recording.records["number"].tolist() == np.delete(power_loss.records["number"][:9], [3, 5]).tolist()
+    sentences = [line.sentence for line in told(loaded.recording).lines]
+    assert sentences.count("1 control cycle is missing in the recording after this.") == 2
 
 
 def test_a_file_damaged_anywhere_is_told_or_refused(a_file: Path, tmp_path: Path) -> None:
@@ -422,11 +651,24 @@ def private(path: Path) -> None:
         (lambda path: path.write_bytes(mcap_file.MAGIC), "is damaged so early"),
         (os.mkfifo, "is no file that holds a recording"),
         (foreign, "is an MCAP file, but no recording of rtarm's"),
+        (bag, "is an MCAP file, but no recording of rtarm's"),
         (newer, "has format 99, this rtarm reads format 1"),
         (pretended, "but its content is not"),
         (private, "cannot be read"),
     ],
-    ids=["absent", "folder", "text", "empty", "only the magic", "pipe", "foreign", "newer", "pretended", "unreadable"],
+    ids=[
+        "absent",
+        "folder",
+        "text",
+        "empty",
+        "only the magic",
+        "pipe",
+        "foreign",
+        "bag",
+        "newer",
+        "pretended",
+        "unreadable",
+    ],
 )
 @pytest.mark.parametrize("command", ["explain", "replay"])
 def test_what_is_no_recording_is_refused_with_a_sentence(
@@ -437,6 +679,48 @@ def test_what_is_no_recording_is_refused_with_a_sentence(
     result = rtarm(command, str(path))
     assert (result.exit_code, result.stdout) == (1, "")
     assert said in result.stderr and len(result.stderr.splitlines()) == 1, result.stderr
+
+
+def test_a_bag_of_ros_is_refused_at_its_first_chunk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing(*_: object, **__: object) -> None:
+        raise AssertionError("a chunk was unpacked")
+
+    path = tmp_path / "bag.mcap"
+    bag(path)
+    monkeypatch.setattr("mcap.stream_reader.breakup_chunk", nothing)
+    with pytest.raises(Refusal, match="no recording of rtarm's"):
+        mcap_file.read(path)
+
+
+def test_what_others_have_added_to_a_recording_is_let_be(power_loss: Recording, tmp_path: Path) -> None:
+    path, merged = tmp_path / "whole.mcap", tmp_path / "merged.mcap"
+    mcap_file.write(Recording(**{**vars(power_loss), "records": power_loss.records[:9]}), NOW, path)
+    with path.open("rb") as file, merged.open("wb") as other:
+        reader = make_reader(file)
+        writer = Writer(other)
+        writer.start()
+        for one in reader.iter_metadata():
+            writer.add_metadata(one.name, one.metadata)
+        cdr = writer.register_channel("/rtarm/state", "cdr", 0)
+        numbers: dict[str, int] = {}
+        for _, channel, message in reader.iter_messages():
+            numbers.setdefault(channel.topic, writer.register_channel(channel.topic, "json", 0))
+            writer.add_message(numbers[channel.topic], message.log_time, message.data, message.publish_time)
+            writer.add_message(cdr, message.log_time, b"\0\1\0\0", message.publish_time)
+        writer.finish()
+    loaded = mcap_file.read(merged)
+    assert (loaded.damage, len(loaded.recording.records)) == ("", 9)
+
+
+def test_names_in_a_recording_do_not_speak_to_the_terminal(rtarm: Rtarm, power_loss: Recording, tmp_path: Path) -> None:
+    names = ("joint1", "\x1b]0;mine\x07\x1b[31mjoint2", *power_loss.joints[2:])
+    path = tmp_path / "hostile.mcap"
+    mcap_file.write(Recording(**{**vars(power_loss), "arm": "arm\x1b[2J", "joints": names}), NOW, path)
+    result = rtarm("explain", str(path))
+    assert result.exit_code == 0
+    assert "\x1b" not in result.stdout and "\x07" not in result.stdout
+    assert r"\x1b[31mjoint2 has given no believable answer" in result.stdout
+    assert r"arm\x1b[2J, " in result.stdout
 
 
 def test_without_recordings_explain_says_how_to_make_one(rtarm: Rtarm, state_home: Path) -> None:
@@ -511,26 +795,130 @@ async def latched(arm: WrittenArm, said: list[str]) -> None:
             assert not watch.done()
             await asyncio.sleep(0.001)
     finally:
+        assert not watch.done()
         watch.cancel()
         await recorder.close(died=False)
 
 
-@pytest.mark.parametrize("lacks", ["cycles", "processes"])
-def test_a_fault_that_cannot_be_recorded_costs_one_sentence(
-    arm: WrittenArm, monkeypatch: pytest.MonkeyPatch, lacks: str
-) -> None:
-    async def no_process(*_: object, **__: object) -> None:
-        raise OSError(11, "Resource temporarily unavailable")
-
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(after_fault, "POLL_S", 0.001)
     monkeypatch.setattr(after_fault, "AFTERMATH_S", 0.0)
-    if lacks == "processes":
-        monkeypatch.setattr(asyncio, "create_subprocess_exec", no_process)
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize(
+    ("lacks", "said"),
+    [
+        (None, "has not run a cycle, so there is nothing to record."),
+        (OSError(11, "Resource temporarily unavailable"), "no process could be started for it (Resource temporarily"),
+        (MemoryError(), "no process could be started for it (MemoryError)"),
+        (RuntimeError("can't start new thread"), "no process could be started for it (can't start new thread)"),
+    ],
+    ids=["cycles", "processes", "memory", "threads"],
+)
+def test_a_fault_that_cannot_be_recorded_costs_one_sentence(
+    arm: WrittenArm, monkeypatch: pytest.MonkeyPatch, lacks: Exception | None, said: str
+) -> None:
+    def no_process(*_: object, **__: object) -> None:
+        assert lacks is not None
+        raise lacks
+
+    if lacks is not None:
+        monkeypatch.setattr(subprocess, "Popen", no_process)
+    sentences: list[str] = []
+    asyncio.run(latched(arm, sentences))
+    (sentence,) = sentences
+    assert sentence.startswith("not recorded: ") and said in sentence
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_recorder_that_fails_altogether_neither_ends_nor_raises(
+    arm: WrittenArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(self: FaultRecorder) -> int:
+        raise MemoryError
+
+    async def watched() -> None:
+        recorder = FaultRecorder(arm.name, said.append)
+        watch = asyncio.create_task(recorder.watch())
+        while not said:
+            await asyncio.sleep(0.001)
+        assert not watch.done()
+        watch.cancel()
+        await recorder.close(died=False)
+        await recorder.close(died=True)
+
     said: list[str] = []
-    asyncio.run(latched(arm, said))
-    expected = {
-        "cycles": f"not recorded: The control process of {arm.name} has not run a cycle, so there is nothing to "
-        "record.",
-        "processes": "not recorded: no process could be started for it (Resource temporarily unavailable)",
-    }
-    assert said == [expected[lacks]]
+    monkeypatch.setattr(FaultRecorder, "_unrecorded_ns", broken)
+    asyncio.run(watched())
+    assert said == ["faults will not be recorded (MemoryError)", "not recorded (MemoryError)"]
+
+
+def test_a_recorder_that_ends_does_not_end_the_launcher(
+    arm_name: str, mock_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def failing(self: FaultRecorder) -> None:
+        raise MemoryError
+
+    async def for_good(*_: object) -> None:
+        await asyncio.Event().wait()
+
+    async def watched() -> None:
+        plan = launcher.Plan(load_arm(str(mock_file)), str(mock_file), {}, simulated=False)
+        started = launcher.Launcher(plan, Reporter(Console(file=io.StringIO())))
+        started._loop = object()  # type: ignore[assignment]
+        watch = asyncio.create_task(started.watch())
+        for _ in range(10):
+            await asyncio.sleep(0)
+        assert not watch.done()
+        watch.cancel()
+
+    monkeypatch.setattr(FaultRecorder, "watch", failing)
+    monkeypatch.setattr(launcher.Launcher, "_watch_loop", for_good)
+    monkeypatch.setattr(launcher.Launcher, "_keep_front", for_good)
+    asyncio.run(watched())
+
+
+@pytest.mark.usefixtures("quick")
+def test_the_end_waits_a_moment_for_a_recording_that_is_then_finished_alone(
+    arm: WrittenArm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a disk that does not answer: here the process waits for somebody to read its pipe."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    children: list[subprocess.Popen[bytes]] = []
+    popen = subprocess.Popen
+
+    def slow(_: object, **how: Any) -> subprocess.Popen[bytes]:
+        children.append(popen(["sh", "-c", f"echo done > {pipe}"], **how))
+        return children[-1]
+
+    async def ended() -> None:
+        recorder = FaultRecorder(arm.name, said.append)
+        watch = asyncio.create_task(recorder.watch())
+        await asyncio.sleep(0)
+        watch.cancel()
+        await recorder.close(died=True)
+
+    said: list[str] = []
+    monkeypatch.setattr(subprocess, "Popen", slow)
+    monkeypatch.setattr(after_fault, "END_PATIENCE_S", 0.1)
+    asyncio.run(ended())
+    assert said[0] == "writing the recording …"
+    assert said[1].startswith("the recording is not written after 0.1 s and goes on being written without rtarm")
+    (child,) = children
+    assert child.poll() is None
+    assert pipe.read_text() == "done\n"
+    assert child.wait(60.0) == 0
+
+
+def test_the_process_that_writes_has_a_time_after_which_it_ends(
+    arm: WrittenArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left: list[int] = []
+    monkeypatch.setattr(os, "nice", lambda _: 0)
+    monkeypatch.setattr(writer_process, "record", lambda *_: left.append(signal.alarm(0)))
+    fd = os.dup(arm.files.state.fd)
+    assert writer_process.main(str(fd), arm.name, "fault") == 0
+    assert 59 < left[0] < 100
