@@ -1,8 +1,8 @@
 """`python -m rtarm.recording FD ARM WORD`: write a recording of a state file that the launcher holds open.
 
 Prints the file's path, or a sentence on standard error and exit code 1. A process of its own, so that neither its
-computing nor a slow disk holds the launcher up, and of the lowest priority. It ends itself when it takes too long, since
-the launcher may have ended before it.
+computing nor a slow disk holds the launcher up, and of the lowest priority. It ends itself when it takes too long: the
+launcher may have ended before it.
 """
 
 import math

@@ -67,8 +67,9 @@ class FaultRecorder:
         except Exception as problem:
             self._complain("not recorded", problem)
         finally:
-            self._memory.close()
-            self._memory = None
+            memory, self._memory = self._memory, None
+            with contextlib.suppress(Exception):
+                memory.close()
 
     async def _finish(self, writing: list[asyncio.Task[None]]) -> None:
         self._say("writing the recording …")

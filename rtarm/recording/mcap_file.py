@@ -459,10 +459,9 @@ def _topics(file: IO[bytes]) -> dict[int, str]:
     from mcap.reader import SeekingReader
 
     at = file.tell()
+    file.seek(0)
     try:
         summary = SeekingReader(file, record_size_limit=LONGEST_RECORD).get_summary()
-    except OSError:
-        summary = None  # also how a place before the beginning is refused
     except Exception:  # whatever a parser makes of spoilt bytes
         summary = None
     finally:
