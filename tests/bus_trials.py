@@ -583,7 +583,7 @@ FAULTS = (
     BusFault(
         "a drive loses power for 10 to 80 ms",
         lambda r, j: [wrong.PowerLoss(j, 0.0, _between(r, 0.01, 0.08))],
-        frozenset({Fault.REFERENCE_LOST, Fault.STALE_READING}),
+        frozenset({Fault.REFERENCE_LOST, Fault.STALE_READING, FOLLOWING}),  # and the flag, a moment later
         throws=True,
         loses=True,
     ),
