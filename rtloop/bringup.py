@@ -4,7 +4,7 @@ It works the same at start, after a fault was cleared, and when limp drives are 
 
 What a ZDT drive is asked (init_mode 1, nothing moves): firmware, status, configuration block (response
 mode turned off in volatile memory when it differs and the firmware is one whose block we know), position
-and target until the two agree.
+and target until the two agree. A drive that is on its way somewhere, or has lost power, is stopped first.
 """
 
 from collections.abc import Callable, Generator
@@ -94,6 +94,7 @@ class BringUp(Conversation):
                     "then `rtarm clear-fault`.",
                 )
         if flags & 0x80:
+            yield self._stop()  # since it has power it may have heard targets of before
             reason = Unreferenced.POWER_LOST
             self._tell(
                 f"{config.name} is not referenced: its drive has lost power since its position was set, so its count "
@@ -111,6 +112,9 @@ class BringUp(Conversation):
                     "and at the En setting in its menu.",
                 )
         yield from self._adopt_position(joint, config, reason)
+
+    def _stop(self) -> Ask:
+        return Ask(b"\xfe\x98\x00\x6b", (3,), answered=self.arm.bus.acknowledge)
 
     def _status(self, joint: int, config: JointConfig) -> Generator[Ask, bytes | None, int]:
         answer = yield Ask(b"\x3a\x6b", (3,))
@@ -176,6 +180,7 @@ class BringUp(Conversation):
     def _adopt_position(self, joint: int, config: JointConfig, reason: Unreferenced) -> Dialogue:
         """Take the drive's own target as the commanded position, once the joint stands near it."""
         started_ns = self.now_ns
+        stopped = False
         counts_per_rad = config.direction * config.encoder_counts_per_rad
         while True:
             answer = yield Ask(b"\x36\x6b", (7,))
@@ -188,6 +193,10 @@ class BringUp(Conversation):
             target_rad = target / counts_per_rad - config.zero_rad
             if abs(target_rad - measured_rad) <= ADOPT_WITHIN_RAD:
                 break
+            if not stopped:  # whatever it is on its way to, nobody here has told it
+                stopped = True
+                yield self._stop()
+                continue
             if self.now_ns - started_ns > SETTLE_PATIENCE_NS:
                 if reason == Unreferenced.REFERENCED:
                     reason = Unreferenced.TARGET_FAR

@@ -28,7 +28,8 @@ def encode(loop: Loop, shared: Shared) -> None:
     if received.closed(loop) != 0:
         say_nothing(loop)
         return
-    leads = guard.drives_are_led(loop)
+    heard = guard.somebody_listens(loop)
+    leads = heard and guard.drives_are_led(loop)
     guard.stop_who_is_elsewhere(loop)
     for joint in range(params.joint_count):
         axis = loop.axes[joint]
@@ -41,8 +42,10 @@ def encode(loop: Loop, shared: Shared) -> None:
             first, second = zdt.command(loop, joint)
             send(loop, shared, loop.joints[joint].address << 8, 8, first, 1)
             send(loop, shared, (loop.joints[joint].address << 8) | 1, 5, second, 0)
-    if core.mode != Mode.OFFLINE:
+    if core.mode != Mode.OFFLINE and heard:
         ask(loop, shared)
+    elif core.mode != Mode.OFFLINE:
+        probe(loop, shared)
     send_service_frames(loop, shared)
 
 
@@ -76,6 +79,7 @@ def send(loop: Loop, shared: Shared, frame_id: int, length: int, data: int, join
         loop.core.tx_bits += bits
         shared.counters.bits_on_bus += bits
         shared.counters.frames_sent += 1
+        loop.core.unheard_frames += 1
         record_frame(loop, shared, loop.core.now_ns, frame_id, SENT | EXTENDED, length, data)
 
 
@@ -92,6 +96,18 @@ def ask(loop: Loop, shared: Shared) -> None:
     core.status_turn = (core.status_turn + 1) % params.joint_count
     if loop.joints[core.status_turn].family == FAMILY_ZDT:
         send(loop, shared, loop.joints[core.status_turn].address << 8, 2, zdt.READ_STATUS, 0)
+
+
+@jit
+def probe(loop: Loop, shared: Shared) -> None:
+    """Ask one drive in turn, now and then, whether anybody is there again: what is asked now only queues up."""
+    core, params = loop.core, loop.params
+    if not guard.may_probe(loop):
+        return
+    core.probed_ns = core.now_ns
+    core.probe_turn = (core.probe_turn + 1) % params.joint_count
+    if loop.joints[core.probe_turn].family == FAMILY_ZDT:
+        send(loop, shared, loop.joints[core.probe_turn].address << 8, 2, zdt.READ_POSITION, 0)
 
 
 @jit

@@ -13,6 +13,7 @@ from rtloop.events import record_event
 from rtloop.faults import latch_fault
 from rtloop.modes import is_limp
 from rtloop.path import in_goal
+from rtloop.state import ADAPTER_FRAMES
 from shm.jit import jit
 from shm.words import Event, Fault, Mode, Outcome, Unreferenced
 
@@ -23,6 +24,8 @@ ROUNDING = 1.0 + 1e-6
 STATUSES_TO_BELIEVE = 2
 REFUSALS_TO_BELIEVE = 2
 STOP_FRAMES = 3
+PROBES = 10
+"""Drives are asked so often, each time one of them, between the last frame anybody heard and the latched fault."""
 HAND_SHARE = 2.0
 """A limp joint led by hand may move at this many times its highest velocity."""
 BESIDE_RAD = 1e-9
@@ -198,10 +201,21 @@ def lose_reference(loop: Loop, shared: Shared, joint: int, reason: int) -> None:
 
 @jit
 def stop_if_it_was_away(loop: Loop, joint: int, waited_ns: int) -> None:
-    """A drive that is heard again after it lost its reference by silence has not heard its stop command."""
+    """A drive that is heard again after it lost its reference may not have heard its stop command, whatever the mode.
+
+    A bring-up that somebody has asked for meanwhile has forgotten how long the drive was away: then its first reading.
+    """
     axis = loop.axes[joint]
-    if loop.core.mode == Mode.FAULT and axis.referenced == 0 and waited_ns > loop.params.stale_fault_ns:
+    lost = loop.core.mode == Mode.FAULT or outlives_a_clear(axis.unreferenced_reason)
+    away = axis.readings == 0 or waited_ns > loop.params.stale_fault_ns
+    if axis.referenced == 0 and lost and away:
         axis.stop_frames_due = STOP_FRAMES
+
+
+@jit
+def outlives_a_clear(reason: int) -> bool:
+    """Whether a joint stays unreferenced although the drive looks sound again: clearing a fault never references."""
+    return reason == Unreferenced.POWER_LOST or reason == Unreferenced.POSITION_JUMP or reason == Unreferenced.SILENT
 
 
 @jit
@@ -254,6 +268,31 @@ def may_be_led(loop: Loop, joint: int) -> bool:
     if axis.referenced == 0 or axis.bad_statuses > 0 or axis.doubted == 1:
         return False
     return axis.unanswered_since_ns == 0 or loop.core.now_ns - axis.unanswered_since_ns <= loop.params.stale_brake_ns
+
+
+@jit
+def somebody_listens(loop: Loop) -> bool:
+    """Whether this cycle's frames may leave, because a drive was just heard or because there is room for them.
+
+    While no drive acknowledges, an adapter or the system keeps what it is given, and says it to the drives when their
+    power returns: they boot enabled, count from zero, and would go to targets that mean something else. So what is
+    kept is bounded by what leaves room for each drive's stop command: the last word is a stop.
+    """
+    core, joints = loop.core, loop.params.joint_count
+    cycle_frames = 3 * joints + 1
+    return core.unheard_frames == 0 or core.unheard_frames + cycle_frames + PROBES + joints <= ADAPTER_FRAMES
+
+
+@jit
+def may_probe(loop: Loop) -> bool:
+    """Whether it is time to ask a silent bus again, and no stop command could lose its room by that."""
+    core, params = loop.core, loop.params
+    if core.now_ns - core.probed_ns < params.stale_fault_ns // PROBES:
+        return False
+    stops_to_come = 0
+    for joint in range(params.joint_count):
+        stops_to_come += loop.axes[joint].referenced
+    return bool(stops_to_come == 0 or core.unheard_frames + stops_to_come < ADAPTER_FRAMES)
 
 
 @jit

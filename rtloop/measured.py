@@ -136,6 +136,7 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, extended: int, length:
     if extended == 0 or address >= ADDRESSES or loop.joint_at[address] < 0:
         return
     joint = loop.joint_at[address]
+    core.unheard_frames = 0
     service.hand_out(loop, frame_id, length, data, time_ns)
     kind, value = zdt.decode(frame_id & 255, length, data)
     if kind == zdt.POSITION:

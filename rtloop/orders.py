@@ -4,6 +4,7 @@ from typing import Any
 
 from rtloop import intake, port, service
 from rtloop.faults import latch_fault
+from rtloop.guard import outlives_a_clear
 from rtloop.modes import change_mode
 from rtloop.state import HISTORY_SLOTS
 from shm.jit import jit
@@ -61,12 +62,6 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
 
 
 @jit
-def outlives_a_clear(reason: int) -> bool:
-    """Whether a joint stays unreferenced although the drive looks sound again: clearing a fault never references."""
-    return reason == Unreferenced.POWER_LOST or reason == Unreferenced.POSITION_JUMP or reason == Unreferenced.SILENT
-
-
-@jit
 def adopt(loop: Loop, joint: int, position_rad: float, reason: int) -> None:
     """The joint stands here; it is commanded to stay."""
     axis = loop.axes[joint]
@@ -85,4 +80,5 @@ def adopt(loop: Loop, joint: int, position_rad: float, reason: int) -> None:
     if not outlives_a_clear(axis.unreferenced_reason):
         axis.unreferenced_reason = reason
     axis.referenced = 1 if axis.unreferenced_reason == Unreferenced.REFERENCED else 0
-    axis.stop_frames_due = 0
+    if axis.referenced == 1:  # any other is stopped before it is led again
+        axis.stop_frames_due = 0

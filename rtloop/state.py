@@ -47,6 +47,8 @@ FAMILY_ZDT = 1
 
 SERIAL_BITS_PER_CHARACTER = 10
 SLCAN_LONGEST_LINE = 27
+ADAPTER_FRAMES = 64
+"""Frames that an adapter is taken to hold back while nobody on the bus acknowledges any."""
 REPLY_PROCESSING_NS = 300_000
 """Time a ZDT drive is assumed to take from a request to its answer (unproven on hardware)."""
 
@@ -241,6 +243,9 @@ CORE = np.dtype(
         ("tx_frames", "i8"),
         ("tx_owed", "i8"),  # frames at the front that go first, whatever was decided meanwhile
         ("tx_bits", "i8"),
+        ("unheard_frames", "i8"),  # given to the wire since a drive was last heard
+        ("probe_turn", "i8"),
+        ("probed_ns", "i8"),
         ("service_credit_bits", "i8"),
         ("line_length", "i8"),
         ("line_spoilt", "i8"),

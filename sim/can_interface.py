@@ -27,6 +27,7 @@ class CanInterface:
     Attributes:
         outbox: frames waiting for the bus.
         lost_frames: transmissions lost because the queue was full.
+        queue: frames it holds back for the bus.
     """
 
     def __init__(self, queue: int = 128) -> None:
@@ -35,7 +36,7 @@ class CanInterface:
         self.listening = True
         self.address: int | None = None
         self.lost_frames = 0
-        self._queue = queue
+        self.queue = queue
         self._records: deque[tuple[int, bytes]] = deque()
 
     def feed(self, now_ns: int, data: bytes) -> None:
@@ -45,7 +46,7 @@ class CanInterface:
         for word, length, content in RECORD.iter_unpack(data):
             if length > LONGEST_DATA:
                 raise ValueError(f"a CAN frame has at most {LONGEST_DATA} data bytes, not {length}.")
-            if len(self.outbox) >= self._queue:
+            if len(self.outbox) >= self.queue:
                 self.lost_frames += 1
                 continue
             extended = bool(word & EXTENDED)

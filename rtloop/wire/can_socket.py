@@ -14,8 +14,9 @@ from rtloop.wire.refusal import WireRefused
 
 RECEIVE_BYTES = 1 << 20
 """Asked for; Linux gives as much as net.core.rmem_max allows, as it comes room for 0.1 s of a full bus and more."""
-CYCLES_HELD_BACK = 2
-"""How many cycles' frames the system may hold: what it holds longer would be sent late."""
+CYCLES_HELD_BACK = 3
+STOPS_HELD_BACK = 3
+"""How many cycles' frames the system may hold, and behind them stop commands for each drive: these must not be lost."""
 FRAME_MEMORY_BYTES = 768
 """What the system counts for a frame it holds back (struct sk_buff and its data)."""
 
@@ -41,8 +42,8 @@ def open_socketcan(
             opened.setsockopt(socket.SOL_CAN_RAW, option, value)
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
         # Linux doubles what it is told here, for its own use.
-        held_back = CYCLES_HELD_BACK * frames_per_cycle * FRAME_MEMORY_BYTES
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, held_back // 2)
+        held_back = frames_held_back(frames_per_cycle, len(addresses))
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, held_back * FRAME_MEMORY_BYTES // 2)
         opened.bind((channel,))
     except OSError as problem:
         opened.close()
@@ -56,6 +57,11 @@ def open_socketcan(
             f"lost: `sudo ip link set {channel} txqueuelen 128`."
         )
     return opened.detach(), complaints
+
+
+def frames_held_back(frames_per_cycle: int, drives: int) -> int:
+    """How many frames the system may hold back for the bus: what it holds longer would be sent late."""
+    return CYCLES_HELD_BACK * frames_per_cycle + STOPS_HELD_BACK * drives
 
 
 def filters(addresses: Sequence[int]) -> dict[int, bytes]:

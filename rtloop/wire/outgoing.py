@@ -77,6 +77,7 @@ def keep(loop: Loop, shared: Shared, sent: int, first: int, end: int) -> None:
     left = ends[end - 1] - sent if end > first else 0
     shared.counters.bytes_unsent += core.tx_length - sent - left
     shared.counters.frames_sent -= core.tx_frames - end
+    core.unheard_frames -= core.tx_frames - end
     if sent > 0:
         for i in range(left):
             loop.tx[i] = loop.tx[sent + i]
@@ -93,3 +94,4 @@ def forget(loop: Loop, shared: Shared) -> None:
     core = loop.core
     core.tx_owed = 0
     begin(loop, shared)
+    core.unheard_frames = 0

@@ -25,6 +25,8 @@ _TIOCSSERIAL = 0x541F
 _SERIAL_STRUCT_INTS = 18
 _FLAGS_INT = 4
 BEL = b"\x07"
+CLOSING = b"\rC\r"
+"""Ends a line that may be half said, then the channel."""
 
 
 def open_slcan(channel: str, serial_baud: int | str, bitrate: int) -> int:
@@ -56,9 +58,15 @@ def open_slcan(channel: str, serial_baud: int | str, bitrate: int) -> int:
 
 
 def close_slcan(fd: int) -> None:
-    """Close the channel and the tty; an adapter that is gone already is no error."""
+    """Close the channel and the tty; an adapter that is gone already is no error.
+
+    What the system still keeps is dropped first, and the adapter drops what it keeps when its channel is closed: drives
+    that get their power back later must not hear targets of today.
+    """
+    with contextlib.suppress(OSError, termios.error):
+        termios.tcflush(fd, termios.TCOFLUSH)
     with contextlib.suppress(OSError):
-        os.write(fd, b"\rC\r")
+        os.write(fd, CLOSING)
     os.close(fd)
 
 
