@@ -2,21 +2,18 @@
 
 from typing import Any
 
-from config.budget import unchecked_frame_bits
 from rtloop import guard, port, service
 from rtloop import status as status_bits
 from rtloop.drives import zdt
 from rtloop.modes import is_limp
-from rtloop.recorder import EXTENDED, SENT, record_frame
 from rtloop.state import FAMILY_MOCK, FAMILY_ZDT
 from rtloop.wire import outgoing, received
+from rtloop.wire.outgoing import frame_bits
 from shm.jit import jit
 from shm.words import Mode
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
-
-frame_bits = jit(unchecked_frame_bits)
 
 
 @jit
@@ -36,8 +33,8 @@ def encode(loop: Loop, shared: Shared) -> None:
         if loop.joints[joint].family == FAMILY_MOCK:
             mirror(loop, joint)
         elif axis.stop_frames_due > 0:
-            axis.stop_frames_due -= 1
-            send(loop, shared, loop.joints[joint].address << 8, 4, zdt.STOP, 0)
+            if send(loop, shared, loop.joints[joint].address << 8, 4, zdt.STOP, 0):
+                axis.stop_frames_due -= 1  # comes back if the wire does not take it
         elif leads and guard.may_be_led(loop, joint):
             first, second = zdt.command(loop, joint)
             send(loop, shared, loop.joints[joint].address << 8, 8, first, 1)
@@ -72,15 +69,19 @@ def mirror(loop: Loop, joint: int) -> None:
 
 
 @jit
-def send(loop: Loop, shared: Shared, frame_id: int, length: int, data: int, joined: int) -> None:
-    """Append one extended frame for the wire; `joined` is 1 where the next one belongs to the same command."""
-    if outgoing.put(loop, frame_id, True, length, data, joined):
-        bits = frame_bits(True, length)
-        loop.core.tx_bits += bits
-        shared.counters.bits_on_bus += bits
-        shared.counters.frames_sent += 1
-        loop.core.unheard_frames += 1
-        record_frame(loop, shared, loop.core.now_ns, frame_id, SENT | EXTENDED, length, data)
+def send(loop: Loop, shared: Shared, frame_id: int, length: int, data: int, joined: int) -> bool:
+    """Append one extended frame for the wire; `joined` is 1 where the next one belongs to the same command.
+
+    False when there is no room for it. What the wire then does not take `outgoing` takes back.
+    """
+    if not outgoing.put(loop, frame_id, True, length, data, joined):
+        return False
+    bits = frame_bits(True, length)
+    loop.core.tx_bits += bits
+    shared.counters.bits_on_bus += bits
+    shared.counters.frames_sent += 1
+    loop.core.unheard_frames += 1
+    return True
 
 
 @jit

@@ -9,7 +9,6 @@ from typing import Any
 from rtloop import guard, service
 from rtloop.drives import zdt
 from rtloop.faults import latch_fault
-from rtloop.frames import frame_bits
 from rtloop.recorder import EXTENDED, record_frame
 from rtloop.state import (
     ADDRESSES,
@@ -21,6 +20,7 @@ from rtloop.state import (
     WIRE_SOCKETCAN,
 )
 from rtloop.wire import can_errors, can_frame, received, slcan
+from rtloop.wire.outgoing import frame_bits
 from shm.jit import jit
 from shm.layout import MAX_JOINTS
 from shm.words import BusState, Fault, Mode

@@ -77,16 +77,14 @@ class TrialArm(VirtualArm):
     def write(self, data: bytes) -> None:
         assert self.sim is not None
         if self._unplugged:
-            self.core["tx_length"] = 0
+            self.taken(0)
         elif self.sim.adapter.takes_characters:
             super().write(data)
         else:
             taken = data[: TTY_BYTES - len(self._waiting)]
             self._waiting += taken
             self.sent.append((self.now_ns, taken))
-            rest = data[len(taken) :]
-            self.loop[0]["tx"][: len(rest)] = np.frombuffer(rest, np.uint8)
-            self.core["tx_length"] = len(rest)
+            self.taken(len(taken))
 
     def unplug(self) -> None:
         """Pull the adapter out: the reader notices, and nothing reaches the drives any more."""

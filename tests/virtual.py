@@ -21,7 +21,7 @@ from rtloop.cycle import step
 from rtloop.port import ServicePort
 from rtloop.release import Release
 from rtloop.state import new_loop, show_limits
-from rtloop.wire import received
+from rtloop.wire import outgoing, received
 from shm import layout
 from shm.client import CommandWriter, StateReader
 from shm.errors import RingFull
@@ -146,11 +146,15 @@ class VirtualArm:
 
     def write(self, data: bytes) -> None:
         """Hand the cycle's bytes to the wire, as `rtloop.run` does with one write."""
-        self.core["tx_length"] = 0
+        self.taken(len(data))
         self.sent.append((self.now_ns, data))
         if self.sim is not None:
             at = self.now_ns + int(self.random.integers(0, self.jitter_ns + 1))
             self.sim.feed(at + self.suspended_ns, data)
+
+    def taken(self, count: int) -> None:
+        """The wire has taken so many bytes of the cycle's."""
+        outgoing.took(self.loop[0], self.state.array[0], count)
 
     def cycles(self, count: int) -> None:
         for _ in range(count):

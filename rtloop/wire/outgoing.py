@@ -7,6 +7,9 @@ but a frame that is half on its way, and the rest of a command that a drive has 
 
 from typing import Any
 
+from config.budget import unchecked_frame_bits
+from rtloop.drives import zdt
+from rtloop.recorder import EXTENDED, SENT, record_frame
 from rtloop.state import SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_SOCKETCAN
 from rtloop.wire import can_frame, slcan
 from shm.jit import jit
@@ -15,6 +18,8 @@ Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 LONGEST_FRAME_BYTES = SLCAN_LONGEST_LINE
+
+frame_bits = jit(unchecked_frame_bits)
 
 
 @jit
@@ -32,6 +37,9 @@ def put(loop: Loop, frame_id: int, extended: bool, length: int, data: int, joine
         slcan.encode_frame(loop, frame_id, extended, length, data)
     loop.tx_ends[core.tx_frames] = core.tx_length
     loop.tx_joined[core.tx_frames] = joined
+    loop.tx_ids[core.tx_frames] = frame_id
+    loop.tx_sizes[core.tx_frames] = length
+    loop.tx_data[core.tx_frames] = data
     core.tx_frames += 1
     return True
 
@@ -72,18 +80,33 @@ def took(loop: Loop, shared: Shared, sent: int) -> None:
 
 @jit
 def keep(loop: Loop, shared: Shared, sent: int, first: int, end: int) -> None:
-    """Keep the frames from `first` to before `end`, without the `sent` bytes at the front; count what is dropped."""
+    """Keep the frames from `first` to before `end`, without the `sent` bytes at the front.
+
+    Those before were sent, which is recorded; those behind are dropped, which is counted, and a stop command among them
+    is still due.
+    """
     core, ends = loop.core, loop.tx_ends
     left = ends[end - 1] - sent if end > first else 0
     shared.counters.bytes_unsent += core.tx_length - sent - left
     shared.counters.frames_sent -= core.tx_frames - end
     core.unheard_frames -= core.tx_frames - end
+    for frame in range(first):
+        marks = SENT | EXTENDED
+        record_frame(loop, shared, core.now_ns, loop.tx_ids[frame], marks, loop.tx_sizes[frame], loop.tx_data[frame])
+    for frame in range(end, core.tx_frames):
+        shared.counters.bits_on_bus -= frame_bits(True, loop.tx_sizes[frame])
+        joint = loop.joint_at[loop.tx_ids[frame] >> 8]
+        if joint >= 0 and loop.tx_data[frame] == zdt.STOP:
+            loop.axes[joint].stop_frames_due += 1
     if sent > 0:
         for i in range(left):
             loop.tx[i] = loop.tx[sent + i]
         for frame in range(first, end):
             ends[frame - first] = ends[frame] - sent
             loop.tx_joined[frame - first] = loop.tx_joined[frame]
+            loop.tx_ids[frame - first] = loop.tx_ids[frame]
+            loop.tx_sizes[frame - first] = loop.tx_sizes[frame]
+            loop.tx_data[frame - first] = loop.tx_data[frame]
     core.tx_length = left
     core.tx_frames = core.tx_owed = end - first
 

@@ -2,12 +2,15 @@
 
 import numpy as np
 import pytest
+from observer import frames_sent
 from virtual import VirtualArm, recorded_goal
 
+from config.budget import frame_bits
 from rtloop.conversation import split_packets
 from rtloop.cycle import step
 from rtloop.port import SEND
 from rtloop.wire import outgoing, received
+from shm.recording import SENT, read_recording
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.faults import CorruptBytes, CountSlip, LostReplies, PowerLoss, Silent, Stall
 
@@ -275,6 +278,57 @@ def test_frames_the_wire_did_not_take_are_not_sent_late() -> None:
     assert len(firsts) == 1
     assert 0 < arm.state.record["counters"]["bytes_unsent"] < stuck
     arm.core["tx_length"] = 0
+    arm.close()
+
+
+class Deaf(VirtualArm):
+    """An arm whose wire takes nothing (EAGAIN, ENOBUFS) for some cycles."""
+
+    deaf_cycles = 0
+
+    def write(self, data: bytes) -> None:
+        if self.deaf_cycles > 0:
+            self.deaf_cycles -= 1
+            self.taken(0)
+        else:
+            super().write(data)
+
+
+@pytest.mark.parametrize("cycles", [0, 1, 3, 8])
+def test_a_stop_command_the_wire_does_not_take_is_given_again(cycles: int) -> None:
+    arm = Deaf("episode1", start_rad=recorded_goal("large")["joints"][0, :, 0])
+    assert arm.bring_up().failure is None
+    arm.play("large")
+    arm.cycles(60)
+    arm.sim.inject(CountSlip("joint3", 0.0, deg=20.0), since_ns=arm.now_ns)
+    arm.until(lambda: bool(arm.loop[0]["axes"][2]["doubted"]), at_most_s=0.1)
+    since = len(arm.sent)
+    arm.deaf_cycles = cycles
+    arm.cycles(30)
+    assert arm.core["fault"] == Fault.REFERENCE_LOST
+    stops = [frame for frame in frames_sent(arm.sent[since:]) if frame.data[:2] == b"\xfe\x98"]
+    assert [frame.drive for frame in stops[:3]] == [3, 3, 3]  # more follow once the arm stands
+    arm.close()
+
+
+def test_only_what_the_wire_took_is_recorded_as_sent() -> None:
+    arm = Deaf("episode1")
+    assert arm.bring_up().failure is None
+    counters = arm.state.record["counters"]
+
+    def recorded() -> int:
+        frames = read_recording(arm.state).frames
+        return int(np.count_nonzero(frames["head"] & SENT))
+
+    before = recorded()
+    arm.cycle()
+    assert recorded() == before + 7
+    before, bits, heard = recorded(), int(counters["bits_on_bus"]), int(counters["frames_received"])
+    arm.deaf_cycles = 2
+    arm.cycles(2)
+    assert recorded() == before
+    answers = int(counters["frames_received"]) - heard
+    assert int(counters["bits_on_bus"]) - bits <= answers * frame_bits(True, 7)
     arm.close()
 
 
