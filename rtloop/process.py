@@ -17,10 +17,10 @@ from rtloop.conversation import Conversation
 from rtloop.port import ServicePort
 from rtloop.release import Release
 from rtloop.state import new_loop, offset_of, show_limits
-from rtloop.wire.opening import close_wire, lost_bytes, open_wire
+from rtloop.wire.opening import close_wire, keeps_frames, lost_bytes, open_wire
 from rtloop.wire.refusal import WireRefused
 from shm import files
-from shm.sentences import WIRE_IS_BACK
+from shm.sentences import STILL_QUEUED, WIRE_IS_BACK
 from shm.words import Mode
 
 BUSY_POLL_S = 0.004
@@ -157,6 +157,8 @@ class ControlProcess:
 
     def _release(self) -> None:
         if self._fd >= 0:
+            if keeps_frames(self._arm, self._fd):
+                self._tell(STILL_QUEUED.format(channel=self._arm.bus.resolved_channel))
             close_wire(self._arm, self._fd)
             self._fd = -1
         self._files.remove()
@@ -180,8 +182,8 @@ class ControlProcess:
             self._tell(complaint)
         self._fd = wire.fd
         self._lost_before = self._load("received", "arrived", "dropped")
-        self._store(0, "received", "arrived", "closed")
         self._store(self._fd, "wire", "fd")
+        self._store(0, "received", "arrived", "closed")  # the last: the cycle makes frames from here on
 
     def _attend_wire(self) -> None:
         """Notice that the adapter is gone, and that it is back; what moves the arm again is a person's clear."""

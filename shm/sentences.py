@@ -366,6 +366,11 @@ NOBODY_ACKNOWLEDGES = (
     "No drive acknowledges what is sent: see that the motors have power, that all have the bus' bit rate and that it "
     "has 120 Ω at both ends."
 )
+STILL_QUEUED = (
+    "Nobody on the bus has taken the last frames, and the system keeps them for {channel}: before the drives are "
+    "switched on, take it down and up again (`sudo ip link set {channel} down`, then `… up`)."
+)
+"""At the end of a control process on SocketCAN, where the frames outlive it."""
 WIRE_IS_BACK = "The adapter is back: `rtarm clear-fault` brings the drives up again."
 
 

@@ -22,7 +22,7 @@ FRAME_MEMORY_BYTES = 768
 
 _CAN_RAW_ERR_FILTER = 2  # Python has no name for it
 _SO_MEMINFO = 55
-_MEMINFO_DROPS = 8
+_MEMINFO_UNSENT, _MEMINFO_DROPS = 2, 8
 _FILTER = struct.Struct("=II")
 _PACKETS = 0xFF
 """Packet number, the lowest byte of an identifier: all of a drive's are heard."""
@@ -76,11 +76,21 @@ def filters(addresses: Sequence[int]) -> dict[int, bytes]:
 
 def dropped_frames(fd: int) -> int:
     """Frames for which the system had no room since the socket was opened."""
+    return _memory_info(fd, _MEMINFO_DROPS)
+
+
+def holds_back(fd: int) -> bool:
+    """Whether frames of this socket still wait for the bus."""
+    return _memory_info(fd, _MEMINFO_UNSENT) > 0
+
+
+def _memory_info(fd: int, word: int) -> int:
+    """One of the words that the system says of a socket's memory, 0 where it does not."""
     words = struct.Struct(f"={_MEMINFO_DROPS + 1}I")
     opened = socket.socket(fileno=fd)
     try:
         told = opened.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, words.size)
-        return int(words.unpack(told)[_MEMINFO_DROPS]) if len(told) == words.size else 0
+        return int(words.unpack(told)[word]) if len(told) == words.size else 0
     finally:
         opened.detach()
 

@@ -1,14 +1,18 @@
 """Opening and closing the wire of an arm, whichever it is."""
 
 import os
+import time
 from typing import NamedTuple
 
 from config.budget import cycle_frames
 from config.schema import ArmConfig
 from rtloop.conversation import drive_addresses
 from rtloop.state import CAN_FRAME_BYTES
-from rtloop.wire.can_socket import dropped_frames, open_socketcan
+from rtloop.wire.can_socket import dropped_frames, holds_back, open_socketcan
 from rtloop.wire.tty import close_slcan, open_slcan
+
+LAST_FRAMES_S = 0.05
+"""For so long the last cycle's frames may still be on their way."""
 
 
 class OpenWire(NamedTuple):
@@ -36,6 +40,16 @@ def close_wire(arm: ArmConfig, fd: int) -> None:
         close_slcan(fd)
     else:
         os.close(fd)
+
+
+def keeps_frames(arm: ArmConfig, fd: int) -> bool:
+    """Whether the system goes on keeping frames for the bus when the wire is closed, because nobody takes them."""
+    if arm.bus.interface != "socketcan":
+        return False
+    until_s = time.monotonic() + LAST_FRAMES_S
+    while (held_back := holds_back(fd)) and time.monotonic() < until_s:
+        time.sleep(LAST_FRAMES_S / 10.0)
+    return held_back
 
 
 def lost_bytes(arm: ArmConfig, fd: int) -> int:

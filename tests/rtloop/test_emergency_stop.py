@@ -7,13 +7,14 @@ acknowledged it reaches them then, and must not make them go anywhere.
 import numpy as np
 import pytest
 from bus_trials import sweep
-from virtual import VirtualArm
+from virtual import START_NS, VirtualArm
 
 from config.budget import cycle_frames
 from config.loader import load_arm
 from rtloop.wire.can_socket import frames_held_back
 from rtloop.wire.tty import CLOSING
 from shm.words import Answer, Fault, Mode, Outcome, Request
+from sim.bus import Frame
 from sim.faults import PowerLoss
 
 TWITCH_RAD = 0.02
@@ -115,3 +116,19 @@ def test_no_joint_goes_anywhere_when_the_power_of_all_drives_returns(
     print(f"{meanwhile}, {motion}, {interface}: {moved_rad.max():.4f} rad")
     assert moved_rad.max() <= TWITCH_RAD, f"moved by {np.round(moved_rad, 3)} rad"
     assert not np.any(at_last_rad_s), f"goes on at {at_last_rad_s} rad/s"
+
+
+def test_bring_up_stops_a_drive_that_is_on_its_way_instead_of_waiting_for_it() -> None:
+    arm = VirtualArm("episode1")
+    assert arm.sim is not None
+    try:
+        drive = arm.sim.drives[2]
+        far = b"\xfd\x00\x00\x64\x00\x00\x01\x00\x00\x01\x00\x6b"  # 100 rpm, to 65536 pulses
+        for number, part in enumerate((far[:8], far[:1] + far[8:])):
+            drive.receive(arm.sim.now_ns, Frame(0x300 | number, part))
+        assert drive.moving
+        assert arm.bring_up().failure is None
+        assert not drive.moving
+        assert arm.now_ns - START_NS < 1_000_000_000
+    finally:
+        arm.close()

@@ -41,3 +41,20 @@ def test_an_adapter_that_goes_while_it_is_opened_is_refused_in_a_sentence(
         tty.open_slcan(channel, "cdc", 500_000)
     assert pulled
     assert descriptors() == before - 1  # the master's
+
+
+def test_closing_says_nothing_more_of_what_the_system_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drives that get their power back later must not hear targets of today; a pseudo-terminal itself keeps nothing."""
+    master, slave = os.openpty()
+    tty.std_tty.setraw(slave)
+    os.write(slave, b"T000001008FD0001000000000000\r")
+    dropped = []
+
+    def drop(fd: int, queue: int) -> None:
+        dropped.append((fd, queue, os.read(master, 100)))
+
+    monkeypatch.setattr(tty.termios, "tcflush", drop)
+    tty.close_slcan(slave)
+    assert dropped == [(slave, tty.termios.TCOFLUSH, b"T000001008FD0001000000000000\r")]
+    assert os.read(master, 100) == tty.CLOSING
+    os.close(master)

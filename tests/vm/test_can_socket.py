@@ -16,7 +16,7 @@ from can_records import ERROR, EXTENDED, REMOTE, error_record, record
 
 from rtloop.wire import can_words
 from rtloop.wire.can_link import bitrate_in, can_interfaces, link_of
-from rtloop.wire.can_socket import CYCLES_HELD_BACK, dropped_frames, open_socketcan
+from rtloop.wire.can_socket import dropped_frames, frames_held_back, holds_back, open_socketcan
 from rtloop.wire.refusal import WireRefused
 
 DRIVES = [1, 2, 3, 4, 5, 6]
@@ -125,14 +125,16 @@ def slow_bus():
 
 
 def test_the_system_holds_back_little(ours, slow_bus):
-    """What it holds is as old as the bus is behind: from one cycle's frames up to those of two, and no more."""
+    """What it holds is as old as the bus is behind: a few cycles' frames and the stop commands, and no more."""
+    assert not holds_back(ours)
     slow_bus(10_000)
     taken = 0
     with pytest.raises(BlockingIOError):
         while True:
             os.write(ours, record(0x100, b"\x36\x6b"))
             taken += 1
-    assert FRAMES_PER_CYCLE < taken <= CYCLES_HELD_BACK * FRAMES_PER_CYCLE + BURST
+    assert FRAMES_PER_CYCLE < taken <= frames_held_back(FRAMES_PER_CYCLE, len(DRIVES)) + BURST
+    assert holds_back(ours)
 
 
 def test_a_short_queue_refuses_with_enobufs(ours, slow_bus):
