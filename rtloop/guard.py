@@ -245,6 +245,14 @@ def believable(loop: Loop, shared: Shared, joint: int, position_rad: float, read
 
 
 @jit
+def stays_limp(loop: Loop, joint: int) -> bool:
+    """Whether a drive was let go before a fault was latched: it holds nothing until it is brought up again."""
+    status = loop.axes[joint].status
+    answered = status & status_bits.ANSWERED != 0
+    return bool(loop.core.mode == Mode.FAULT and answered and status & status_bits.ENABLED == 0)
+
+
+@jit
 def possible_rad(loop: Loop, joint: int, since_ns: int) -> float:
     """How far a joint may have moved since its last reading beside what was commanded.
 
@@ -252,7 +260,8 @@ def possible_rad(loop: Loop, joint: int, since_ns: int) -> float:
     reading was late; a limp one as fast as a hand can lead it.
     """
     axis, row = loop.axes[joint], loop.joints[joint]
-    speed_rad_s = row.max_velocity_rad_s * (HAND_SHARE if is_limp(loop.core.mode) else zdt.ERROR_SPEED_SHARE)
+    by_hand = is_limp(loop.core.mode) or stays_limp(loop, joint)
+    speed_rad_s = row.max_velocity_rad_s * (HAND_SHARE if by_hand else zdt.ERROR_SPEED_SHARE)
     possible = loop.params.position_jump_rad + speed_rad_s * max(since_ns, 0) * 1e-9 + axis.slip_rad + axis.lag_rad
     return float(possible)
 

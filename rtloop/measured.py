@@ -116,7 +116,7 @@ def take_error(loop: Loop, shared: Shared, error_class: int, data: int) -> None:
         counters.unacknowledged += 1
     before = counters.bus_state
     counters.bus_state = can_errors.state_after(before, error_class, data)
-    if counters.bus_state == BusState.BUS_OFF and before != BusState.BUS_OFF:
+    if counters.bus_state == BusState.BUS_OFF and loop.core.silenced == 0:
         loop.core.silenced = 1
         latch_fault(loop, shared, Fault.BUS_OFF, -1, float(error_class), 0.0)
 

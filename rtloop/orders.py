@@ -9,7 +9,7 @@ from rtloop.modes import change_mode
 from rtloop.state import HISTORY_SLOTS
 from shm.jit import jit
 from shm.layout import MAX_JOINTS
-from shm.words import Fault, Mode, Unreferenced
+from shm.words import BusState, Fault, Mode, Unreferenced
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
@@ -50,6 +50,7 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
     core.own_brake = core.stale = core.rebase_ns = 0
     core.motion_started = core.silenced = core.rested = 0
     core.bring_up_asked = core.release_asked = 0
+    shared.counters.bus_state = BusState.ACTIVE  # until the controller says otherwise
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
         axis.referenced = 0

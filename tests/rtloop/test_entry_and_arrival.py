@@ -10,7 +10,7 @@ from virtual import VirtualArm, recorded_goal
 
 from rtloop.release import Release
 from shm.words import Answer, Fault, Mode, Outcome, Phase, Request
-from sim.faults import PowerLoss, Stall
+from sim.faults import CountSlip, PowerLoss, Stall
 
 trials = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
@@ -286,6 +286,22 @@ def test_losing_power_while_limp_still_loses_the_reference(virtual_arm) -> None:
     arm.until(lambda: arm.core["fault"] != Fault.NONE, at_most_s=3.0)
     assert arm.core["fault"] in (Fault.REFERENCE_LOST, Fault.STALE_READING)
     assert math.isfinite(arm.loop[0]["axes"][3]["position_rad"])
+
+
+def test_after_a_fault_a_limp_joint_may_still_be_led_by_hand(virtual_arm) -> None:
+    """The drives were let go before and hold nothing, whatever the mode is called now."""
+    arm = virtual_arm()
+    assert ask(arm, Request.FREE) == Answer.DONE
+    assert arm.release().failure is None
+    arm.cycles(20)
+    arm.sim.inject(PowerLoss(joint="joint4", at_s=0.0), since_ns=arm.now_ns)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=3.0)
+    row, params = arm.loop[0]["joints"][0], arm.loop[0]["params"]
+    step_rad = float(params["position_jump_rad"] + row["max_velocity_rad_s"] * arm.period_ns * 1e-9)
+    arm.sim.inject(CountSlip("joint1", 0.0, deg=math.degrees(step_rad)), since_ns=arm.now_ns)
+    arm.cycles(10)
+    assert arm.loop[0]["axes"][0]["referenced"] == 1
+    arm.close()
 
 
 def test_enabling_at_once_takes_a_release_back(virtual_arm) -> None:

@@ -112,6 +112,20 @@ def hear(arm, error_class, detail=b""):
     arm.cycle()
 
 
+def test_a_bus_that_goes_off_again_after_a_clear_is_latched_again():
+    """The controller need not have said that it was back in between."""
+    arm = executing()
+    hear(arm, can_words.BUS_OFF)
+    arm.until(lambda: arm.core["goal_id"] == 0)
+    assert request(arm, Request.CLEAR_FAULT) == Answer.DONE
+    arm.core["bring_up_asked"] = 0
+    assert arm.bring_up(clears_protection=True).failure is None
+    assert (arm.core["mode"], arm.state.record["counters"]["bus_state"]) == (Mode.HOLDING, BusState.ACTIVE)
+    hear(arm, can_words.BUS_OFF)
+    assert (arm.core["fault"], arm.core["silenced"]) == (Fault.BUS_OFF, 1)
+    arm.close()
+
+
 def test_bus_off_stops_the_arm_and_nothing_of_before_moves_it_afterwards():
     """The controller restarts and the drives hear again: not one motion frame until a person clears the fault."""
     arm = executing()
