@@ -446,7 +446,7 @@ FOLLOWING = Fault.FOLLOWING_ERROR
 FAULTS = (
     BusFault("a drive falls silent", _now(wrong.Silent), STALE, _plug_in, loses=True),
     BusFault(
-        "… for 30 to 80 ms",
+        "a drive is silent for 30 to 80 ms",
         lambda r, j: [wrong.Silent(j, 0.0, _between(r, 0.03, 0.08))],
         frozenset({GOES_ON, FOLLOWING}),
     ),
@@ -497,7 +497,7 @@ FAULTS = (
     ),
     BusFault("a node babbles with the highest priority", _all(wrong.Babble), STALE, _be_quiet, backlog=True),
     BusFault(
-        "… for 10 to 80 ms",
+        "a node babbles for 10 to 80 ms",
         lambda r, _: [wrong.Babble(0.0, _between(r, 0.01, 0.08))],
         frozenset({GOES_ON, FOLLOWING}),
         backlog=True,
@@ -530,7 +530,7 @@ FAULTS = (
     ),
     BusFault("the serial port takes nothing more", _all(wrong.SerialBlocked), STALE, _unblock, backlog=True),
     BusFault(
-        "… for 30 to 80 ms",
+        "the serial port takes nothing for 30 to 80 ms",
         lambda r, _: [wrong.SerialBlocked(0.0, _between(r, 0.03, 0.08))],
         frozenset({GOES_ON, FOLLOWING}),
         backlog=True,
@@ -559,13 +559,13 @@ FAULTS = (
     ),
     BusFault("somebody lets a drive go", _now(wrong.Disabled), frozenset({Fault.DRIVE_FAULT, FOLLOWING}), throws=True),
     BusFault(
-        "a drive refuses motion (E2), its flags say nothing",
+        "a drive refuses motion (E2), without acknowledgements",
         _now(wrong.Refusing),
         frozenset({FOLLOWING, GOES_ON}),
         _let_refuse_no_more,
     ),
     BusFault(
-        "… the same with acknowledgements, at 100 Hz",
+        "a drive refuses motion (E2), with acknowledgements and 100 Hz",
         _now(wrong.Refusing),
         frozenset({Fault.DRIVE_FAULT, GOES_ON}),
         _let_refuse_no_more,
