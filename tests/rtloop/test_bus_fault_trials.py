@@ -13,7 +13,7 @@ from virtual import START_NS, VirtualArm, recorded_goal
 from rtloop.state import RX_BYTES
 from rtloop.wire import received
 from shm.words import Fault, Mode, Outcome, Unreferenced
-from sim.faults import CountSlip, ReceiveStall, Silent, WrongValues
+from sim.faults import CountSlip, ReceiveStall, Silent, Stall, WrongValues
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
@@ -119,9 +119,9 @@ def test_a_silent_drive_is_led_no_longer_than_the_arm_runs_on(moving: TrialArm) 
 
 
 def test_a_drive_that_is_heard_again_gets_its_stop_command(moving: TrialArm) -> None:
-    moving.sim.inject(Silent("joint2", 0.0, until_s=0.4), since_ns=moving.now_ns)
+    moving.sim.inject(Silent("joint2", 0.0, until_s=0.9), since_ns=moving.now_ns)
     moving.until(lambda: moving.core["mode"] == Mode.FAULT)
-    moving.cycles(10)
+    moving.cycles(70)  # the stop commands it did not hear
     since = len(moving.sent)
     moving.cycles(60)
     frames = frames_sent(moving.sent[since:])
@@ -219,3 +219,16 @@ def test_no_sequence_of_answers_moves_an_arm_beyond_its_limits(events: list, sta
         assert motion_frames(frames, drive, first_ns - 1) == 0
     assert np.all(np.abs(arm.loop[0]["axes"]["measured_velocity_rad_s"][:6]) < 1e3)
     arm.close()
+
+
+def test_once_the_arm_stands_in_a_fault_nobody_goes_on_or_pushes(moving: TrialArm) -> None:
+    """Found by these trials: a held joint was pushed on, and one that lagged crept to its last target."""
+    moving.sim.inject(Stall("joint1", 0.0), since_ns=moving.now_ns)
+    moving.until(lambda: moving.core["mode"] == Mode.FAULT)
+    moving.until(lambda: bool(moving.core["rested"]))
+    moving.cycles(6)
+    moving.sim.run_until(moving.sim.now_ns + 1_000_000)
+    drive = moving.sim.drives[0]
+    drive.advance(moving.sim.now_ns)
+    assert abs(drive.target_counts - drive.position_counts) <= 1
+    assert not drive.moving
