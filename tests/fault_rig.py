@@ -37,8 +37,8 @@ from shm.words import Mode
 from sim.truth import JointTruth
 
 START_DEG = (17.0, 12.0, -6.0, 57.0, 29.0, 115.0)
-WINDOW_S = 45.0
-"""Of true motion that the simulated arm remembers: longer than any trial."""
+WINDOW_S = 120.0
+"""Of true motion that the simulated arm remembers: longer than any trial, on a busy machine too."""
 READY_S = 30.0
 BACK_S = 120.0
 """A busy machine may fault an arm that has just come back, by drives that answer late, more than once."""

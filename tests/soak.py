@@ -12,6 +12,7 @@ import argparse
 import math
 import os
 import secrets
+import shutil
 import signal
 import sys
 import tempfile
@@ -40,6 +41,8 @@ BOUNDS_PER_HOUR = {"own_mb": 6.0, "files": 4.0, "threads": 2.0}
 SHM_BOUND_MB_PER_HOUR = 6.0
 STREAM_HZ, STREAM_S = 50.0, 2.0
 LONGEST_WAIT_S = 15.0
+AGAIN_NS = 100_000_000
+"""Judged once more: an acceleration needs a moment on either side."""
 TARGETS = ("sim", "loop", "front", "launcher")
 
 
@@ -67,14 +70,15 @@ class Record:
 
 
 class Soak:
-    """One soak of a rig that is in service."""
+    """One soak of a rig that is in service; `evidence` is a folder for the true motion around each violation."""
 
-    def __init__(self, rig: Any, record: Record) -> None:
+    def __init__(self, rig: Any, record: Record, evidence: Path | None = None) -> None:
         from control_msgs.msg import SpeedScalingFactor
         from rclpy.qos import DurabilityPolicy, QoSProfile
         from trajectory_msgs.msg import JointTrajectory
 
         self.rig, self.record, self.random = rig, record, rig.random
+        self._evidence = evidence
         node = rig.user.node
         lasting = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._scale = node.create_publisher(SpeedScalingFactor, f"/{rig.user.controller}/speed_scaling_input", lasting)
@@ -252,17 +256,25 @@ class Soak:
 
     def _judge(self) -> None:
         """All true motion and every frame since the last time."""
+        from fault_rig import WINDOW_S
         from observer import command_violations, frames_sent, motion_violations
         from process_faults import stopped_joints
 
         truth = self.rig.truth()
         now_ns = min(int(joint.times_ns[-1]) for joint in truth.values())
+        since_ns, remembered_ns = self._judged_ns - AGAIN_NS, now_ns - round(WINDOW_S * 1e9)
+        found = []
+        if since_ns < remembered_ns:  # what lies before looks like a standstill, and the way into motion like a jump
+            found.append(f"{(remembered_ns - since_ns) * 1e-9:.0f} s are forgotten and were never judged")
+            since_ns = remembered_ns
         # The wire's pieces may end amid a command: the one that is not whole yet is judged the next time.
-        frames = frames_sent([piece for piece in self.rig.wire() if piece[0] >= self._judged_ns - 100_000_000])
+        frames = frames_sent([piece for piece in self.rig.wire() if piece[0] >= since_ns])
         thrown = stopped_joints(self.rig, frames)
-        found = motion_violations(self.rig.arm, truth, self._judged_ns - 100_000_000, now_ns, thrown=thrown)
+        found += motion_violations(self.rig.arm, truth, since_ns, now_ns, thrown=thrown)
         found += command_violations(self.rig.arm, frames)
         at_s = time.monotonic() - self._began_s
+        if found and self._evidence is not None:
+            shutil.copy(self.rig.truth_file, self._evidence / f"violation-{at_s:.0f}.npz")
         self.record.violations += [f"at {at_s:.0f} s: {sentence}" for sentence in found]
         self._judged_ns = now_ns
 
@@ -445,7 +457,9 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--report", type=Path, help="file for the report (markdown)")
+    parser.add_argument(
+        "--report", type=Path, help="file for the report (markdown); beside it, the true motion around each violation"
+    )
     options = parser.parse_args(arguments)
     with_own_mounts("soak", arguments)
     own_ros_domain()
@@ -458,7 +472,7 @@ def main(arguments: Sequence[str]) -> int:
         try:
             rig.start_arm()
             rig.make_ready()
-            Soak(rig, record).run(60.0 * options.minutes)
+            Soak(rig, record, options.report.absolute().parent if options.report else None).run(60.0 * options.minutes)
             rig.make_ready()
             record.violations += rig.stop_control()
         except (Hang, AssertionError) as problem:

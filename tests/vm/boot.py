@@ -8,6 +8,7 @@ takes half a minute instead of ten.
 Exit code: that of pytest inside; 1 when the machine does not get that far; 0, with a notice, where it cannot be made.
 """
 
+import lzma
 import os
 import platform
 import re
@@ -23,14 +24,20 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rtarm" / "vm"
-PROGRAMS = {"qemu-system-x86_64": "qemu-system-x86", "busybox": "busybox-static", "cpio": "cpio", "dpkg": "dpkg"}
+PROGRAMS = {
+    "qemu-system-x86_64": "qemu-system-x86",
+    "busybox": "busybox-static",
+    "cpio": "cpio",
+    "dpkg": "dpkg",
+    "apt-get": "apt",
+}
 KERNEL_PACKAGE = "linux-image-amd64"
 MODULES = (
     *("virtio_ring", "virtio", "virtio_pci_modern_dev", "virtio_pci_legacy_dev", "virtio_pci"),
     *("netfs", "fscache", "9pnet", "9pnet_virtio", "9p"),
     *("can", "can-raw", "can-dev", "vcan", "slcan", "sch_tbf"),
 )
-"""In the order in which they need each other."""
+"""In the order in which they need each other; what a kernel has built in is no file."""
 MEMORY_MB = 2048
 TIMEOUT_S = float(os.environ.get("RTARM_VM_TIMEOUT_S", "420"))
 SHARE = "/run/share"
@@ -42,7 +49,7 @@ mkdir -p /proc /sys /dev /host
 mount -t proc proc /proc
 mount -t sysfs sys /sys
 mount -t devtmpfs dev /dev
-for module in {modules}; do insmod /modules/$module.ko || echo "no module $module"; done
+for module in {modules}; do [ ! -e /modules/$module.ko ] || insmod /modules/$module.ko; done
 shared() {{ mount -t 9p -o trans=virtio,version=9p2000.L,msize=262144,$3 $1 $2; }}
 shared root /host ro,cache=loose
 mount --bind /proc /host/proc
@@ -112,6 +119,8 @@ def prepare() -> tuple[Path, Path]:
     missing = [package for program, package in PROGRAMS.items() if shutil.which(program) is None]
     if missing:
         raise NotPossible(f"install {' '.join(missing)} (`sudo apt-get install {' '.join(missing)}`).")
+    if subprocess.run(["ldd", shutil.which("busybox") or ""], capture_output=True, check=False).returncode == 0:
+        raise NotPossible("its busybox is not the static one: install busybox-static.")
     folder = CACHE / "kernel"
     if not list(folder.glob("boot/vmlinuz-*")):
         download(folder)
@@ -145,8 +154,10 @@ def make_initramfs(folder: Path, modules: Path) -> Path:
         (tree / name).mkdir(parents=True)
     shutil.copy(shutil.which("busybox") or "", tree / "bin" / "busybox")
     for name in MODULES:
-        (found,) = modules.rglob(f"{name}.ko")
-        shutil.copy(found, tree / "modules" / f"{name}.ko")
+        for found in modules.rglob(f"{name}.ko*"):
+            data = found.read_bytes()
+            packed = found.suffix == ".xz"
+            (tree / "modules" / f"{name}.ko").write_bytes(lzma.decompress(data) if packed else data)
     init = tree / "init"
     init.write_text(INIT.format(modules=" ".join(MODULES), root=ROOT, share=SHARE), encoding="utf-8")
     init.chmod(0o755)
