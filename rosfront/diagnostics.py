@@ -154,7 +154,7 @@ class Diagnostics:
         if now["bus_state"] in (BusState.PASSIVE, BusState.BUS_OFF):
             return self._status("bus", ERROR, bus_state_sentence(now["bus_state"]), values)
         if grown["unacknowledged"]:
-            return self._status("bus", WARN, NOBODY_ACKNOWLEDGES, values)
+            return self._status("bus", WARN, NOBODY_ACKNOWLEDGES.sentence, values)
         trouble = [f"{grown[name]} {name.replace('_', ' ')}" for name in BUS_TROUBLE if grown[name]]
         if trouble:
             return self._status("bus", WARN, f"In the last {elapsed_s:.1f} s: {', '.join(trouble)}; {load}.", values)

@@ -8,6 +8,7 @@ import math
 from typing import Any
 
 from rtloop import status as status_bits
+from rtloop.agreed import agreed_error_rad, agreed_error_rad_s, agreed_error_rad_s2
 from rtloop.drives import zdt
 from rtloop.events import record_event
 from rtloop.faults import latch_fault
@@ -136,15 +137,6 @@ def check_measured(loop: Loop, shared: Shared) -> None:
 
 
 @jit
-def agreed_error_rad(axis: Any) -> float:
-    """How far the joint is from its setpoint as the last two readings agree: one alone may be garbled."""
-    now_rad, before_rad = axis.reference_rad - axis.measured_rad, axis.error_before_rad
-    if now_rad * before_rad <= 0.0:
-        return 0.0
-    return math.copysign(min(abs(now_rad), abs(before_rad)), now_rad)
-
-
-@jit
 def let_go_on_purpose(loop: Loop, status: int) -> bool:
     """Whether all that is wrong with a drive is that it holds nothing, as it was told."""
     return is_limp(loop.core.mode) and status & (status_bits.PROTECTED | status_bits.POWER_LOST) == 0
@@ -158,14 +150,13 @@ def judge_way(loop: Loop, joint: int) -> None:
         return
     allowed = loop.paths[core.active].tolerances[joint]
     error = agreed_error_rad(axis)
-    velocity_error = axis.reference_velocity_rad_s - axis.measured_velocity_rad_s
+    velocity_error, acceleration_error = agreed_error_rad_s(axis), agreed_error_rad_s2(axis)
     if allowed.position_rad > 0.0 and abs(error) > allowed.position_rad + axis.slip_rad + axis.lag_rad:
         end_for(loop, Outcome.PATH_TOLERANCE, joint, error, allowed.position_rad)
     elif allowed.velocity_rad_s > 0.0 and abs(velocity_error) > allowed.velocity_rad_s:
         end_for(loop, Outcome.PATH_VELOCITY, joint, velocity_error, allowed.velocity_rad_s)
-    elif allowed.acceleration_rad_s2 > 0.0 and abs(axis.error_acceleration_rad_s2) > allowed.acceleration_rad_s2:
-        limit = allowed.acceleration_rad_s2
-        end_for(loop, Outcome.PATH_ACCELERATION, joint, axis.error_acceleration_rad_s2, limit)
+    elif allowed.acceleration_rad_s2 > 0.0 and abs(acceleration_error) > allowed.acceleration_rad_s2:
+        end_for(loop, Outcome.PATH_ACCELERATION, joint, acceleration_error, allowed.acceleration_rad_s2)
 
 
 @jit

@@ -183,12 +183,14 @@ def take_position(loop: Loop, shared: Shared, joint: int, position_rad: float, r
     axis.lag_ns = max(waited_ns - period_ns, axis.lag_ns - (read_ns - axis.measured_ns), 0)
     axis.lag_rad = abs(reference_rad - commanded_at(loop, joint, read_ns - axis.lag_ns)) if axis.lag_ns > 0 else 0.0
     axis.error_before_rad = axis.reference_rad - axis.measured_rad
+    axis.velocity_error_before_rad_s = axis.reference_velocity_rad_s - axis.measured_velocity_rad_s
+    axis.error_acceleration_before_rad_s2 = axis.error_acceleration_rad_s2
     since_s = (read_ns - axis.measured_ns) * 1e-9
     if axis.readings > 0 and since_s > SHORTEST_SHARE * period_ns * 1e-9:
-        before = axis.reference_velocity_rad_s - axis.measured_velocity_rad_s
         axis.measured_velocity_rad_s = (position_rad - axis.measured_rad) / since_s
         axis.reference_velocity_rad_s = (reference_rad - axis.reference_rad) / since_s
-        change = (axis.reference_velocity_rad_s - axis.measured_velocity_rad_s - before) / since_s
+        velocity_error = axis.reference_velocity_rad_s - axis.measured_velocity_rad_s
+        change = (velocity_error - axis.velocity_error_before_rad_s) / since_s
         share = since_s / (since_s + SMOOTHING_S)
         axis.error_acceleration_rad_s2 += share * (change - axis.error_acceleration_rad_s2)
     axis.measured_rad = position_rad

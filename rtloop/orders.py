@@ -77,7 +77,8 @@ def adopt(loop: Loop, joint: int, position_rad: float, reason: int) -> None:
     if axis.readings == 0:
         axis.measured_rad = position_rad
         axis.measured_ns = loop.core.now_ns
-    axis.slip_rad = axis.lag_rad = axis.error_before_rad = axis.error_acceleration_rad_s2 = 0.0
+    axis.slip_rad = axis.lag_rad = axis.error_before_rad = axis.velocity_error_before_rad_s = 0.0
+    axis.error_acceleration_rad_s2 = axis.error_acceleration_before_rad_s2 = 0.0
     if not outlives_a_clear(axis.unreferenced_reason):
         axis.unreferenced_reason = reason
     axis.referenced = 1 if axis.unreferenced_reason == Unreferenced.REFERENCED else 0

@@ -13,7 +13,7 @@ from config.schema import ArmConfig
 from rtloop import realtime
 from rtloop.bringup import BringUp
 from rtloop.compiled import CompiledCycle
-from rtloop.conversation import Conversation
+from rtloop.conversation import Conversation, TalkFailed
 from rtloop.port import ServicePort
 from rtloop.release import Release
 from rtloop.state import new_loop, offset_of, show_limits
@@ -99,6 +99,9 @@ class ControlProcess:
         try:
             self._start_threads()
             code = self._supervise(ready)
+        except TalkFailed as failure:  # an order that the cycle does not take any more
+            self._tell(str(failure))
+            return 3
         finally:
             self._end_threads()
             self._release()
@@ -158,7 +161,7 @@ class ControlProcess:
     def _release(self) -> None:
         if self._fd >= 0:
             if keeps_frames(self._arm, self._fd):
-                self._tell(STILL_QUEUED.format(channel=self._arm.bus.resolved_channel))
+                self._tell(STILL_QUEUED.sentence.format(channel=self._arm.bus.resolved_channel))
             close_wire(self._arm, self._fd)
             self._fd = -1
         self._files.remove()

@@ -20,8 +20,9 @@ from shm.words import Mode, Unreferenced
 
 WINDOW_KNOTS = 4096
 """Knots the loop keeps of a trajectory: at least its stopping distance at any sensible spacing."""
-HISTORY_SLOTS = 64
-"""Cycles of commanded positions kept, to compare a measurement with the command of its own instant."""
+HISTORY_SLOTS = 256
+"""Cycles of commanded positions kept, to compare a measurement with the command of its own instant: the age at which a
+drive counts as silent (0.1 s), at the highest rate (2000 Hz)."""
 SERVICE_SLOTS = 256
 TX_BYTES = 8192
 RX_BYTES = 1 << 16
@@ -113,7 +114,9 @@ AXIS = np.dtype(
         ("reference_rad", "f8"),
         ("reference_velocity_rad_s", "f8"),  # mean between the last two readings, as measured_velocity_rad_s is
         ("error_acceleration_rad_s2", "f8"),  # smoothed change of the error in velocity
-        ("error_before_rad", "f8"),  # of the reading before this one
+        ("error_before_rad", "f8"),  # of the reading before this one, as the next two
+        ("velocity_error_before_rad_s", "f8"),
+        ("error_acceleration_before_rad_s2", "f8"),
         ("lag_ns", "i8"),  # how much older than its stamp the reading may be, because its question waited so long
         ("lag_rad", "f8"),  # what was commanded meanwhile
         ("readings", "i8"),

@@ -362,13 +362,17 @@ ANSWERS: dict[Answer, Meaning] = {
 }
 
 
-NOBODY_ACKNOWLEDGES = (
+NOBODY_ACKNOWLEDGES = Meaning(
     "No drive acknowledges what is sent: see that the motors have power, that all have the bus' bit rate and that it "
-    "has 120 Ω at both ends."
+    "has 120 Ω at both ends.",
+    "A frame that nobody acknowledges is sent again and again, and nothing behind it leaves.",
+    "Switch the motors on, check bit rate, plugs and termination.",
 )
-STILL_QUEUED = (
+STILL_QUEUED = Meaning(
     "Nobody on the bus has taken the last frames, and the system keeps them for {channel}: before the drives are "
-    "switched on, take it down and up again (`sudo ip link set {channel} down`, then `… up`)."
+    "switched on, take it down and up again (`sudo ip link set {channel} down`, then `… up`).",
+    "Frames that are kept would reach the drives when they get power, long after they were meant.",
+    "Take the interface down and up, then switch the drives on.",
 )
 """At the end of a control process on SocketCAN, where the frames outlive it."""
 WIRE_IS_BACK = "The adapter is back: `rtarm clear-fault` brings the drives up again."

@@ -425,6 +425,11 @@ def _cool(arm: TrialArm, joint: int) -> None:
     arm.sim.drives[joint].cause_lasts = False
 
 
+def _wait_for_power(arm: TrialArm, _: int) -> None:
+    """The cut lasts a second, and drives need a moment to boot."""
+    arm.cycles(round(1.5e9 / arm.period_ns))
+
+
 def _remove_the_other(arm: TrialArm, joint: int) -> None:
     assert arm.sim is not None
     address = arm.sim.drives[joint].settings.address
@@ -586,6 +591,14 @@ FAULTS = (
         loses=True,
     ),
     BusFault("a drive loses power for 0.5 s", _now(wrong.PowerLoss, off_s=0.5), STALE, throws=True, loses=True),
+    BusFault(
+        "all drives lose power for 1 s",
+        lambda _, __: [wrong.PowerLoss(f"joint{number}", 0.0, 1.0) for number in range(1, 7)],
+        STALE,
+        _wait_for_power,
+        throws=True,
+        loses=True,
+    ),
     BusFault(
         "old firmware, which has no flag for it, loses power for 10 to 80 ms",
         lambda r, j: [wrong.PowerLoss(j, 0.0, _between(r, 0.01, 0.08))],

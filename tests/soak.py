@@ -27,10 +27,11 @@ import numpy as np
 from process_trials import own_ros_domain, small_home, with_own_mounts
 
 BETWEEN_FAULTS_S = 15.0
-BETWEEN_FRONT_KILLS_S = 300.0
+BETWEEN_FRONT_KILLS_S = 400.0
 SAMPLE_EVERY_S = 5.0
-WARM_UP_S = 30.0
-"""Of each process' life, which no slope is taken of: what is used for the first time stays in memory."""
+WARM_UP_S = 150.0
+"""Of each process' life, which no slope is taken of: what is used for the first time stays in memory, and the simulated
+arm fills its own (`fault_rig.WINDOW_S`)."""
 BLOCKS = 10
 FEWEST_LIVES, FEWEST_SAMPLES = 4, 4
 """Of processes that are started again and again, for a slope of all of them together."""

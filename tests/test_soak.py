@@ -54,15 +54,15 @@ def test_what_grows_is_found(grows: dict[str, float], what: str) -> None:
 
 
 def test_a_short_life_is_judged_by_nothing() -> None:
-    assert growth(samples(seconds=120.0, mb_per_hour=1000.0)) == ([], [])
+    assert growth(samples(seconds=160.0, mb_per_hour=1000.0)) == ([], [])
 
 
 @pytest.mark.parametrize(("mb_per_hour", "found"), [(0.0, 0), (60.0, 1)])
 def test_many_short_lives_are_judged_together(mb_per_hour: float, found: int) -> None:
     many = []
     for pid in range(8):
-        life = samples(seconds=120.0, mb_per_hour=mb_per_hour, pid=pid)
-        many += [Sample(s.at_s + 200.0 * pid, s.of, s.shm_mb, s.lateness_us, s.cycles, s.missed) for s in life]
+        life = samples(seconds=280.0, mb_per_hour=mb_per_hour, pid=pid)
+        many += [Sample(s.at_s + 300.0 * pid, s.of, s.shm_mb, s.lateness_us, s.cycles, s.missed) for s in life]
     rows, leaks = growth(many)
     assert any("front (8 lives) | own_mb" in row for row in rows)
     assert len([leak for leak in leaks if "own_mb" in leak]) == found

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from shm.sentences import BUS_STATES, FAULTS, OUTCOMES, UNREFERENCED, Meaning
+from shm.sentences import BUS_STATES, FAULTS, NOBODY_ACKNOWLEDGES, OUTCOMES, STILL_QUEUED, UNREFERENCED, Meaning
 from shm.words import BusState, Fault, Outcome, Unreferenced
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "troubleshooting.md"
@@ -26,6 +26,7 @@ def row(meaning: Meaning) -> str:
 
 
 def rows() -> Iterator[str]:
+    yield from map(row, (NOBODY_ACKNOWLEDGES, STILL_QUEUED))
     for table, untroubled in TABLES:
         for key, meaning in table.items():
             if key not in untroubled:

@@ -21,6 +21,7 @@ from typing import Any
 
 from config.derived import LEAD_PERIODS
 from rtloop import status as status_bits
+from rtloop.agreed import steady_error_rad
 from shm.jit import jit
 
 Loop = Any
@@ -87,7 +88,7 @@ def command(loop: Loop, joint: int) -> tuple[int, int]:
     # the frame arrives command_delay_s into the cycle and is in force for one period from there
     speed = planned + axis.next_acceleration_rad_s2 * row.command_delay_s
     most = ERROR_SPEED_SHARE * row.max_velocity_rad_s
-    speed += min(max(ERROR_SHARE_1_S * (axis.reference_rad - axis.measured_rad), -most), most)
+    speed += min(max(ERROR_SHARE_1_S * steady_error_rad(axis, 2.0 * row.slack_rad), -most), most)
     most = loop.params.velocity_margin * row.max_velocity_rad_s
     speed = min(max(speed, -most), most)
     lead = period_s * LEAD_PERIODS + row.command_delay_s

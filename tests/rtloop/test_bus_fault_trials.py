@@ -78,6 +78,37 @@ def test_one_wrong_reading_of_any_size_is_no_fault() -> None:
     arm.close()
 
 
+WITHIN_BELIEF_RAD = 0.04
+"""Of a single wrong reading: motion might have brought the joint there."""
+
+
+def test_one_wrong_reading_breaks_no_tolerance_of_any_kind() -> None:
+    """Over one period 0.04 rad are 5 rad/s, and two readings later still 40 rad/s² of the smoothed acceleration."""
+    arm = TrialArm(start_rad=recorded_goal("large")["joints"][0, :, 0])
+    assert arm.bring_up().failure is None
+    arm.goal = arm.play("large", tolerances=(0.03, 0.5, 5.0))
+    arm.cycles(20)
+    for joint in range(6):
+        late_in_the_cycle(arm, position_line(arm, joint, WITHIN_BELIEF_RAD))
+        arm.cycles(5)
+    arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE)
+    assert arm.outcome(arm.goal) == Outcome.SUCCEEDED
+    arm.close()
+
+
+def test_one_wrong_reading_does_not_lead_a_drive_astray() -> None:
+    """The share of the error in a drive's speed waits for two readings: this one alone would be 20 rpm of joint2."""
+    found = []
+    for off_rad in (0.0, WITHIN_BELIEF_RAD):
+        arm = executing("scale_1_0", 60)
+        since = len(arm.sent)
+        late_in_the_cycle(arm, position_line(arm, 1, off_rad))
+        told = [frame.data for frame in frames_sent(arm.sent[since:]) if frame.drive == 2 and frame.data[0] == 0xFD]
+        found.append(int.from_bytes(told[0][2:4], "big"))
+        arm.close()
+    assert abs(found[1] - found[0]) <= 3
+
+
 @pytest.mark.parametrize("share", [1.2, 1.8, 2.5])
 def test_a_jump_that_grows_possible_with_time_is_still_a_jump(moving: TrialArm, share: float) -> None:
     """Found by these trials: what one period made impossible was believed when the second reading said it again."""

@@ -23,9 +23,11 @@ from stack import Process
 
 from config.loader import ARMS_FOLDER, arm_hash, load_arm
 from rtloop import compiled, realtime, warm
+from rtloop.port import ServicePort
 from rtloop.process import ControlProcess, StopAsked
 from shm import cache
 from shm.client import CommandWriter, StateReader
+from shm.errors import NotRunning
 from shm.files import DIRECTORY, open_state, own_command
 from shm.words import Fault, Mode, Outcome, Request
 
@@ -349,7 +351,21 @@ for limited in (False, True):
     assert "raise RLIMIT_MEMLOCK from 1 to 5 MiB" in second
 
 
-def test_memory_counts_as_locked_only_when_the_readers_stack_is(tmp_path, monkeypatch):
+@pytest.fixture
+def deaf_arm(tmp_path):
+    """An arm of a name of its own at a terminal where nobody answers."""
+    master, slave = pty.openpty()
+    name = f"t{secrets.token_hex(4)}"
+    values = yaml.safe_load((ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8"))
+    values["name"] = name
+    file = tmp_path / f"{name}.yaml"
+    file.write_text(yaml.safe_dump(values), encoding="utf-8")
+    yield load_arm(file, overrides={"bus": {"channel": os.ttyname(slave)}})
+    os.close(master)
+    os.close(slave)
+
+
+def test_memory_counts_as_locked_only_when_the_readers_stack_is(deaf_arm, monkeypatch):
     """The reader is given its answer late, and it is a refusal."""
     monkeypatch.setattr(realtime, "prepare_process", lambda used: realtime.Obtained(memory_locked=True))
 
@@ -359,24 +375,25 @@ def test_memory_counts_as_locked_only_when_the_readers_stack_is(tmp_path, monkey
             obtained.memory_locked = False
 
     monkeypatch.setattr(realtime, "prepare_thread", prepare_thread)
-    master, slave = pty.openpty()
-    name = f"t{secrets.token_hex(4)}"
-    values = yaml.safe_load((ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8"))
-    values["name"] = name
-    file = tmp_path / f"{name}.yaml"
-    file.write_text(yaml.safe_dump(values), encoding="utf-8")
     stop_asked = StopAsked([])
     stop_asked.yes = True
-    arm = load_arm(file, overrides={"bus": {"channel": os.ttyname(slave)}})
-    process = ControlProcess(arm, compiled.load(), lambda sentence: None, stop_asked)
-    reader = StateReader(open_state(name))
+    process = ControlProcess(deaf_arm, compiled.load(), lambda sentence: None, stop_asked)
+    reader = StateReader(open_state(deaf_arm.name))
     try:
         assert process.serve(lambda: None) == 0
         assert reader.memory.record["scheduling"]["memory_locked"] == 0
     finally:
         reader.close()
-        os.close(master)
-        os.close(slave)
+
+
+def test_a_cycle_that_takes_no_orders_ends_the_process_with_a_sentence(deaf_arm, monkeypatch):
+    monkeypatch.setattr(ServicePort, "post", lambda *arguments, **options: False)  # its ring is full
+    told = []
+    process = ControlProcess(deaf_arm, compiled.load(), told.append, StopAsked([]))
+    assert process.serve(lambda: None) == 3
+    assert "The control cycle takes no orders: it has stopped; start rtarm again." in told
+    with pytest.raises(NotRunning):
+        open_state(deaf_arm.name)
 
 
 @pytest.mark.process

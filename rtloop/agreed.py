@@ -1,0 +1,43 @@
+"""What two readings say together: the serial line has no checksum, so one alone may be garbled."""
+
+import math
+from typing import Any
+
+from shm.jit import jit
+
+
+@jit
+def agreed(now: float, before: float) -> float:
+    """The smaller of two values of the same sign, 0 where their signs differ."""
+    if now * before <= 0.0:
+        return 0.0
+    return math.copysign(min(abs(now), abs(before)), now)
+
+
+@jit
+def agreed_error_rad(axis: Any) -> float:
+    """How far the joint is from its setpoint as the last two readings agree."""
+    return float(agreed(axis.reference_rad - axis.measured_rad, axis.error_before_rad))
+
+
+@jit
+def steady_error_rad(axis: Any, noise_rad: float) -> float:
+    """The error to correct: the last one, or what two readings agree on if they differ by more than their noise.
+
+    Agreement alone would leave a joint that swings about its setpoint to itself, and roughen slow motion.
+    """
+    now_rad = float(axis.reference_rad - axis.measured_rad)
+    return now_rad if abs(now_rad - axis.error_before_rad) <= noise_rad else float(agreed_error_rad(axis))
+
+
+@jit
+def agreed_error_rad_s(axis: Any) -> float:
+    """The same of its velocity."""
+    now = axis.reference_velocity_rad_s - axis.measured_velocity_rad_s
+    return float(agreed(now, axis.velocity_error_before_rad_s))
+
+
+@jit
+def agreed_error_rad_s2(axis: Any) -> float:
+    """The same of its acceleration, which is smoothed."""
+    return float(agreed(axis.error_acceleration_rad_s2, axis.error_acceleration_before_rad_s2))
