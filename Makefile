@@ -24,7 +24,7 @@ TRIALS ?= 200
 CASES ?= 1000000
 SEED ?= 1
 
-.PHONY: help env demo test test-vm check bench trials bus-trials soak fuzz clean
+.PHONY: help env demo test test-vm check bench trials bus-trials bus-trials-live soak fuzz clean
 
 help:
 	@echo 'make demo     play a recorded MoveIt goal on a simulated arm'
@@ -34,6 +34,7 @@ help:
 	@echo 'make bench    run the benchmarks'
 	@echo 'make trials   hurt the processes of an arm in motion, TRIALS=200 times'
 	@echo 'make bus-trials  hurt the bus of an arm in virtual time, TRIALS=200 times in each way'
+	@echo 'make bus-trials-live  the same with real processes, once in each way'
 	@echo 'make soak     random goals and faults for MINUTES=60'
 	@echo 'make fuzz     hostile inputs, CASES=1000000 of them'
 	@echo 'make env      only make the environment in $(VENV)'
@@ -65,6 +66,9 @@ trials: env
 
 bus-trials: env
 	PYTHONPATH=tests $(BIN)/python -m bus_trials --trials $(TRIALS) --seed $(SEED)
+
+bus-trials-live: env
+	PYTHONPATH=tests $(BIN)/python -m live_bus_trials --seed $(SEED)
 
 soak: env
 	PYTHONPATH=tests $(BIN)/python -m soak --minutes $(MINUTES) --seed $(SEED)

@@ -11,18 +11,21 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from bus_faults import FAULTS, BusFault
 from observer import (
     command_violations,
     frames_sent,
+    led_after_its_stop,
     motion_after,
     motion_frames,
     motion_violations,
     stands_since_ns,
+    stopped_joints,
     truth_of,
 )
 from virtual import VirtualArm, recorded_goal
@@ -33,9 +36,6 @@ from config.schema import ArmConfig
 from rtloop.wire import received
 from shm.sentences import fault_sentence, outcome_sentence, unreferenced_sentence
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
-from sim import faults as wrong
-from sim.babble import Babbler
-from sim.drives.zdt import ZdtDrive
 from sim.pty import PACKET_NS
 
 GOALS = ("large", "scale_1_0", "scale_0_5", "cartesian", "single_joint", "sweep", "sweep", "sweep")
@@ -45,10 +45,6 @@ TTY_BYTES = 4096
 """What the kernel keeps for a serial port that takes nothing."""
 STANDING_S = 0.5
 PATIENCE_S = 12.0
-GOES_ON = Fault.NONE
-
-Inject = Callable[[np.random.Generator, str], Sequence[wrong.Fault]]
-Mend = Callable[["TrialArm", int], None]
 
 
 class TrialArm(VirtualArm):
@@ -90,37 +86,6 @@ class TrialArm(VirtualArm):
         """Pull the adapter out: the reader notices, and nothing reaches the drives any more."""
         self._unplugged = True
         received.close(self.loop[0], 5)
-
-
-@dataclass(frozen=True)
-class BusFault:
-    """One row: what goes wrong, and what may come of it.
-
-    Attributes:
-        inject: the faults of the simulated arm, times counted from the trial's moment; by random numbers and a joint.
-        latched: what may be latched; GOES_ON among them if the goal may end by itself.
-        mend: takes the cause away; None where it goes away by itself.
-        unplugs: the adapter is pulled out, and stays out.
-        throws: the joint's own drive fails, so that its acceleration is not ours.
-        drifts: the joint's own drive no longer does what the bus says, so none of its motion is judged.
-        loses: the joint must not be referenced afterwards, whatever was latched.
-        blind_rad: nothing is expected of a joint that stands nearer than this to where its drive counts from.
-        options, overrides: of the simulated arm, and of the arm's file.
-        backlog: what was on its way when the way was blocked still arrives when it is free.
-    """
-
-    name: str
-    inject: Inject
-    latched: frozenset[Fault]
-    mend: Mend | None = None
-    unplugs: bool = False
-    throws: bool = False
-    drifts: bool = False
-    loses: bool = False
-    backlog: bool = False
-    blind_rad: float = 0.0
-    options: dict[str, Any] = field(default_factory=dict)
-    overrides: dict[str, dict[str, object]] = field(default_factory=dict)
 
 
 @dataclass
@@ -244,35 +209,28 @@ class _Trial:
             self.wrong(f"latched {latched.name}, which this fault does not explain")
         if latched == Fault.NONE and outcome == Outcome.FAULT:
             self.wrong(f"the goal ended as {outcome.name} while {latched.name} was latched")
-        judged = {key: value for key, value in truth.items() if not (fault.drifts and key == name)}
-        config = arm.arm.model_copy(update={"joints": [j for j in arm.arm.joints if j.name in judged]})
         thrown = {name} if fault.throws else set()
         thrown |= {arm.arm.joints[j].name for j in range(6) if arm.loop[0]["axes"][j]["stop_frames_due"] > 0}
-        thrown |= self.stopped()
-        found.violations += motion_violations(config, judged, self.began_ns, arm.now_ns, thrown=thrown)
         frames = frames_sent(arm.sent)
+        thrown |= stopped_joints(arm.arm, frames)
+        found.violations += motion_violations(arm.arm, truth, self.began_ns, arm.now_ns, thrown=thrown)
         found.violations += command_violations(arm.arm, frames)
-        found.violations += self.led_after_its_stop(frames)
+        found.violations += led_after_its_stop(arm.arm, frames)
         if latched != Fault.NONE:
-            self.judge_standstill(truth, judged)
+            self.judge_standstill(truth)
             self.judge_sentence(latched)
         if fault.loses and not self.blind and arm.loop[0]["axes"][self.joint]["referenced"]:
             self.wrong(f"{name} is still referenced")
 
-    def stopped(self) -> set[str]:
-        """Joints whose drives got a stop command: it stops them at once."""
-        stops = {frame.drive for frame in frames_sent(self.arm.sent) if frame.data[:2] == b"\xfe\x98"}
-        return {joint.name for joint in self.arm.arm.joints if joint.drive.address in stops}  # type: ignore[union-attr]
-
-    def judge_standstill(self, truth: Any, judged: Any) -> None:
+    def judge_standstill(self, truth: Any) -> None:
         arm, found = self.arm, self.found
         end_ns = arm.now_ns
-        stood_ns = stands_since_ns(judged, end_ns)
-        moving = any(abs(float(motion.velocity_at(np.array([self.fault_ns]))[0])) > 0.0 for motion in judged.values())
+        stood_ns = stands_since_ns(truth, end_ns)
+        moving = any(abs(float(motion.velocity_at(np.array([self.fault_ns]))[0])) > 0.0 for motion in truth.values())
         found.moved = moving
         if moving and not self.fault.backlog:
             found.stands_ms = max(stood_ns - self.fault_ns, 0) * 1e-6
-        found.violations += motion_after(judged, end_ns - 100_000_000, end_ns)
+        found.violations += motion_after(truth, end_ns - 100_000_000, end_ns)
 
     def judge_sentence(self, latched: Fault) -> None:
         core = self.arm.core
@@ -282,16 +240,6 @@ class _Trial:
         self.found.sentences.append(sentence)
         if named not in sentence or "{" in sentence or "nan" in sentence:
             self.wrong(f"the sentence is {sentence!r}")
-
-    def led_after_its_stop(self, frames: Any) -> list[str]:
-        """Motion frames to a drive after its stop command: there must be none before it is referenced again."""
-        found = []
-        for joint in self.arm.arm.joints:
-            address = joint.drive.address  # type: ignore[union-attr]
-            stops = [f.time_ns for f in frames if f.drive == address and f.data[:2] == b"\xfe\x98"]
-            if stops and motion_frames(frames, address, stops[0] - 1):
-                found.append(f"{joint.name} was led after its stop command")
-        return found
 
     # --- the way back
 
@@ -368,264 +316,6 @@ class _Trial:
             self.found.sentences.append(unreferenced_sentence(reason, arm.arm.joints[joint].name))
 
 
-# --- the faults
-
-
-def _now(kind: Callable[..., wrong.Fault], **fixed: Any) -> Inject:
-    """A fault of the chosen joint, from the trial's moment on."""
-    return lambda _, joint: [kind(joint=joint, at_s=0.0, **fixed)]
-
-
-def _all(kind: Callable[..., wrong.Fault], **fixed: Any) -> Inject:
-    """A fault of no drive, or of all, from the trial's moment on."""
-    return lambda _, __: [kind(at_s=0.0, **fixed)]
-
-
-def _plug_in(arm: TrialArm, joint: int) -> None:
-    assert arm.sim is not None
-    arm.sim.drives[joint].plug_in(arm.sim.now_ns)
-
-
-def _inject(*faults: wrong.Fault) -> Mend:
-    """Take a cause away by a fault that is none."""
-
-    def mend(arm: TrialArm, _: int) -> None:
-        assert arm.sim is not None
-        for fault in faults:
-            arm.sim.inject(fault, arm.sim.now_ns)
-
-    return mend
-
-
-def _be_quiet(arm: TrialArm, _: int) -> None:
-    assert arm.sim is not None
-    for node in arm.sim.bus.nodes:
-        if isinstance(node, Babbler):
-            node.end(arm.sim.now_ns)
-
-
-def _unblock(arm: TrialArm, _: int) -> None:
-    assert arm.sim is not None
-    arm.sim.adapter.takes_characters = True
-
-
-def _let_refuse_no_more(arm: TrialArm, joint: int) -> None:
-    assert arm.sim is not None
-    arm.sim.drives[joint].refuses = False
-
-
-def _let_go_of_shaft(arm: TrialArm, joint: int) -> None:
-    assert arm.sim is not None
-    shaft = arm.sim.drives[joint].shaft
-    shaft.low = shaft.high = None
-
-
-def _cool(arm: TrialArm, joint: int) -> None:
-    assert arm.sim is not None
-    arm.sim.drives[joint].cause_lasts = False
-
-
-def _wait_for_power(arm: TrialArm, _: int) -> None:
-    """The cut lasts a second, and drives need a moment to boot."""
-    arm.cycles(round(1.5e9 / arm.period_ns))
-
-
-def _remove_the_other(arm: TrialArm, joint: int) -> None:
-    assert arm.sim is not None
-    address = arm.sim.drives[joint].settings.address
-    for node in arm.sim.bus.nodes:
-        if isinstance(node, ZdtDrive) and node.settings.address == address and node is not arm.sim.drives[joint]:
-            node.unplug(arm.sim.now_ns)
-
-
-def _between(random: np.random.Generator, low: float, high: float) -> float:
-    return float(random.uniform(low, high))
-
-
-STALE = frozenset({Fault.STALE_READING})
-STALE_OR_NOT = frozenset({Fault.STALE_READING, GOES_ON})
-NEVER = frozenset({GOES_ON})
-REFERENCE = frozenset({Fault.REFERENCE_LOST})
-FOLLOWING = Fault.FOLLOWING_ERROR
-
-FAULTS = (
-    BusFault("a drive falls silent", _now(wrong.Silent), STALE, _plug_in, loses=True),
-    BusFault(
-        "a drive is silent for 30 to 80 ms",
-        lambda r, j: [wrong.Silent(j, 0.0, _between(r, 0.03, 0.08))],
-        frozenset({GOES_ON, FOLLOWING}),
-    ),
-    BusFault(
-        "10 % of the answers are lost", _all(wrong.LostReplies, share=0.1), NEVER, _inject(wrong.LostReplies(0.0))
-    ),
-    BusFault(
-        "answers up to 5 ms late",
-        _all(wrong.SlowReplies, extra_s=0.0, jitter_s=0.005),
-        NEVER,
-    ),
-    BusFault(
-        "5 % of the answers 12 ms late, overtaken by others", _all(wrong.LateReplies, share=0.05, late_s=0.012), NEVER
-    ),
-    BusFault(
-        "20 % of the answers twice, up to 9 ms apart",
-        lambda r, _: [wrong.DuplicateReplies(0.2, gap_s=_between(r, 0.0, 0.009))],
-        NEVER,
-    ),
-    BusFault(
-        "0.1 % of the characters garbled",
-        _all(wrong.CorruptBytes, share=0.001),
-        NEVER,
-        _inject(wrong.CorruptBytes(0.0)),
-    ),
-    BusFault("2 % of the lines break off, the rest is missing", _all(wrong.CutLines, share=0.02), NEVER),
-    BusFault(
-        "2 % of the lines break off, the rest comes 2 ms later", _all(wrong.CutLines, share=0.02, rest_s=0.002), NEVER
-    ),
-    BusFault(
-        "10 % of the answers with a wrong checksum",
-        _all(wrong.WrongChecksums, share=0.1),
-        NEVER,
-        _inject(wrong.WrongChecksums(0.0)),
-    ),
-    BusFault(
-        "every answer of a drive with a wrong checksum",
-        _now(wrong.WrongChecksums, share=1.0),
-        STALE,
-        _inject(wrong.WrongChecksums(0.0)),
-        loses=True,
-    ),
-    BusFault(
-        "0.1 % of the positions wrong by up to 15°",
-        _all(wrong.WrongValues, share=0.001, most_deg=15.0),
-        NEVER,
-        _inject(wrong.WrongValues(0.0, 0.0)),
-    ),
-    BusFault("a node babbles with the highest priority", _all(wrong.Babble), STALE, _be_quiet, backlog=True),
-    BusFault(
-        "a node babbles for 10 to 80 ms",
-        lambda r, _: [wrong.Babble(0.0, _between(r, 0.01, 0.08))],
-        frozenset({GOES_ON, FOLLOWING}),
-        backlog=True,
-    ),
-    BusFault(
-        "a drive babbles its position",
-        _now(wrong.Babble),
-        frozenset({Fault.STALE_READING, FOLLOWING, GOES_ON}),
-        _be_quiet,
-    ),
-    BusFault(
-        "the adapter says nothing for 30 to 90 ms, then all at once",
-        lambda r, _: [wrong.ReceiveStall(0.0, _between(r, 0.03, 0.09))],
-        frozenset({GOES_ON, FOLLOWING}),
-    ),
-    BusFault(
-        "the adapter says nothing for 0.3 s, then what fits its buffer",
-        _all(wrong.ReceiveStall, stall_s=0.3),
-        STALE,
-        throws=False,
-    ),
-    BusFault(
-        "the adapter's transmit buffer holds 6 frames",
-        _all(wrong.TransmitOverflow, depth=6),
-        frozenset({Fault.STALE_READING, FOLLOWING, GOES_ON}),
-        _inject(wrong.TransmitOverflow(64, 0.0)),
-    ),
-    BusFault(
-        "2 % of the frames refused by the adapter (BEL)", _all(wrong.Bels, share=0.02), NEVER, _inject(wrong.Bels(0.0))
-    ),
-    BusFault("the serial port takes nothing more", _all(wrong.SerialBlocked), STALE, _unblock, backlog=True),
-    BusFault(
-        "the serial port takes nothing for 30 to 80 ms",
-        lambda r, _: [wrong.SerialBlocked(0.0, _between(r, 0.03, 0.08))],
-        frozenset({GOES_ON, FOLLOWING}),
-        backlog=True,
-    ),
-    BusFault("the adapter is pulled out", lambda _, __: [], frozenset({Fault.WIRE}), unplugs=True),
-    BusFault("a shaft is held", _now(wrong.Stall), frozenset({FOLLOWING, GOES_ON}), _let_go_of_shaft, throws=True),
-    BusFault(
-        "a drive trips its stall protection",
-        _now(wrong.Protection),
-        frozenset({Fault.DRIVE_FAULT, FOLLOWING}),
-        throws=True,
-    ),
-    BusFault(
-        "a drive is too hot and trips",
-        _now(wrong.Protection, until_s=1e6, cause="temperature"),
-        frozenset({Fault.DRIVE_FAULT, FOLLOWING}),
-        _cool,
-        throws=True,
-    ),
-    BusFault(
-        "a drive draws too much current and trips",
-        _now(wrong.Protection, until_s=1e6, cause="current"),
-        frozenset({Fault.DRIVE_FAULT, FOLLOWING}),
-        _cool,
-        throws=True,
-    ),
-    BusFault("somebody lets a drive go", _now(wrong.Disabled), frozenset({Fault.DRIVE_FAULT, FOLLOWING}), throws=True),
-    BusFault(
-        "a drive refuses motion (E2), without acknowledgements",
-        _now(wrong.Refusing),
-        frozenset({FOLLOWING, GOES_ON}),
-        _let_refuse_no_more,
-    ),
-    BusFault(
-        "a drive refuses motion (E2), with acknowledgements and 100 Hz",
-        _now(wrong.Refusing),
-        frozenset({Fault.DRIVE_FAULT, GOES_ON}),
-        _let_refuse_no_more,
-        overrides={"bus": {"acknowledge": True}, "control": {"rate_hz": 100.0}},
-    ),
-    BusFault(
-        "every position of a drive is nonsense",
-        _now(wrong.WrongValues, share=1.0, most_deg=200.0),
-        frozenset({Fault.STALE_READING, Fault.REFERENCE_LOST, FOLLOWING}),
-        _inject(wrong.WrongValues(0.0, 0.0)),
-        loses=True,
-    ),
-    BusFault(
-        "a drive loses power for 10 to 80 ms",
-        lambda r, j: [wrong.PowerLoss(j, 0.0, _between(r, 0.01, 0.08))],
-        frozenset({Fault.REFERENCE_LOST, Fault.STALE_READING, FOLLOWING}),  # and the flag, a moment later
-        throws=True,
-        loses=True,
-    ),
-    BusFault("a drive loses power for 0.5 s", _now(wrong.PowerLoss, off_s=0.5), STALE, throws=True, loses=True),
-    BusFault(
-        "all drives lose power for 1 s",
-        lambda _, __: [wrong.PowerLoss(f"joint{number}", 0.0, 1.0) for number in range(1, 7)],
-        STALE,
-        _wait_for_power,
-        throws=True,
-        loses=True,
-    ),
-    BusFault(
-        "old firmware, which has no flag for it, loses power for 10 to 80 ms",
-        lambda r, j: [wrong.PowerLoss(j, 0.0, _between(r, 0.01, 0.08))],
-        frozenset({Fault.REFERENCE_LOST, Fault.STALE_READING}),
-        throws=True,
-        loses=True,
-        blind_rad=1.0,
-        options={"firmware": "old"},
-    ),
-    BusFault(
-        "a count jumps by 20° to 90°",
-        lambda r, j: [wrong.CountSlip(j, 0.0, _between(r, 20.0, 90.0) * (1 if r.random() < 0.5 else -1))],
-        REFERENCE,
-        throws=True,
-        loses=True,
-    ),
-    BusFault("a count passes the end of its 32 bits", _now(wrong.CountWrap), REFERENCE, throws=True, loses=True),
-    BusFault(
-        "a second drive with the same address",
-        _now(wrong.SameAddress),
-        frozenset({Fault.STALE_READING, Fault.REFERENCE_LOST, FOLLOWING, GOES_ON}),
-        _remove_the_other,
-        throws=True,
-    ),
-)
-
-
 # --- many of them
 
 
@@ -671,7 +361,7 @@ def main() -> int:
     options = parser.parse_args()
     chosen = [index for index, fault in enumerate(FAULTS) if options.only in fault.name]
     if not chosen:
-        print(f"No fault's name contains {options.only!r}: see FAULTS in tests/bus_trials.py.", file=sys.stderr)
+        print(f"No fault's name contains {options.only!r}: see FAULTS in tests/bus_faults.py.", file=sys.stderr)
         return 2
     tasks = [(index, options.seed + number) for index in chosen for number in range(options.trials)]
     began = time.monotonic()

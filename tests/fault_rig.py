@@ -161,10 +161,10 @@ class Rig(Stack):
 
     # --- processes
 
-    def start_arm(self) -> None:
+    def start_arm(self, *options: str) -> None:
         """Start the simulated arm where it stood last."""
         self._start_deg = self.last_pose_deg
-        self.start_sim("--truth-window-s", str(WINDOW_S))
+        self.start_sim("--truth-window-s", str(WINDOW_S), *options)
 
     def start_control(self) -> None:
         """Start control process and front, under the launcher or bare."""

@@ -26,6 +26,7 @@ ACCELERATION_SHARE = 2.3
 """A drive that hears nothing more brakes with about 2 times its joint's limit, by its own ramp."""
 PULSES_OUTSIDE = 2
 STANDS_RAD_S = 1e-9
+STOP = b"\xfe\x98"
 
 _FRAME = re.compile(rb"T([0-9A-F]{8})([0-8])((?:[0-9A-F]{2})*)")
 
@@ -157,6 +158,25 @@ def command_violations(arm: ArmConfig, frames: Collection[WireFrame]) -> list[st
 def motion_frames(frames: Collection[WireFrame], drive: int, since_ns: int) -> int:
     """Position commands for a drive after an instant."""
     return sum(f.drive == drive and f.data[:1] == b"\xfd" and f.time_ns > since_ns for f in frames)
+
+
+def stopped_joints(arm: ArmConfig, frames: Collection[WireFrame]) -> set[str]:
+    """Joints whose drive was told to stop at once, as one that was silent is."""
+    stopped = {frame.drive for frame in frames if frame.data[:2] == STOP}
+    return {joint.name for joint in arm.joints if isinstance(joint.drive, ZdtDrive) and joint.drive.address in stopped}
+
+
+def led_after_its_stop(arm: ArmConfig, frames: Collection[WireFrame]) -> list[str]:
+    """Motion frames to a drive after its stop command: there are none before it is referenced again."""
+    found = []
+    for joint in arm.joints:
+        if not isinstance(joint.drive, ZdtDrive):
+            continue
+        address = joint.drive.address
+        stops = [frame.time_ns for frame in frames if frame.drive == address and frame.data[:2] == STOP]
+        if stops and motion_frames(frames, address, stops[0] - 1):
+            found.append(f"{joint.name} was led after its stop command")
+    return found
 
 
 def _wrong_target(joint: JointConfig, command: bytes) -> list[str]:

@@ -17,7 +17,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fault_rig import END_S, KNOTS, Hang, Rig, Sent, alive, full, wait
-from observer import WireFrame, command_violations, frames_sent, motion_after, motion_violations, stands_since_ns
+from observer import (
+    command_violations,
+    frames_sent,
+    motion_after,
+    motion_violations,
+    stands_since_ns,
+    stopped_joints,
+)
 
 from shm.files import DIRECTORY
 from shm.words import Mode
@@ -31,7 +38,6 @@ FRONT_TIMEOUT_S = 0.5
 STANDS_WITHIN_S = LONGEST_STOP_S + FRONT_TIMEOUT_S + 0.5
 POLL_S = 0.002
 MANY_KNOTS = 20_000
-STOP = b"\xfe"
 TARGETS = ("loop", "front", "launcher", "sim")
 
 
@@ -266,7 +272,7 @@ def _judge_motion(rig: Rig, trial: Trial, sent: Sent, began_ns: int, hurt_ns: in
         now_ns = time.monotonic_ns()
     stood_ns = stands_since_ns(truth, now_ns)
     frames = frames_sent([piece for piece in rig.wire() if piece[0] >= began_ns])
-    thrown = stopped_joints(rig, frames)
+    thrown = stopped_joints(rig.arm, frames)
     if thrown:
         trial.notes.append(f"stop commands to {len(thrown)} drives")
     trial.violations += motion_violations(rig.arm, truth, began_ns, now_ns, thrown=thrown)
@@ -279,12 +285,6 @@ def _judge_motion(rig: Rig, trial: Trial, sent: Sent, began_ns: int, hurt_ns: in
         if sent.ended.is_set():
             trial.told_ms = (sent.ended_ns - hurt_ns) / 1e6
     trial.violations += motion_after(truth, due_ns + round(STANDS_WITHIN_S * NS), now_ns)
-
-
-def stopped_joints(rig: Rig, frames: list[WireFrame]) -> set[str]:
-    """Joints whose drive was told to stop at once, as a silent one is."""
-    stopped = {frame.drive for frame in frames if frame.data[:1] == STOP}
-    return {joint.name for joint in rig.arm.joints if joint.drive.address in stopped}
 
 
 def _judge_processes(rig: Rig, trial: Trial, pids: dict[str, int]) -> None:

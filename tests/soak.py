@@ -258,8 +258,7 @@ class Soak:
     def _judge(self) -> None:
         """All true motion and every frame since the last time."""
         from fault_rig import WINDOW_S
-        from observer import command_violations, frames_sent, motion_violations
-        from process_faults import stopped_joints
+        from observer import command_violations, frames_sent, motion_violations, stopped_joints
 
         truth = self.rig.truth()
         now_ns = min(int(joint.times_ns[-1]) for joint in truth.values())
@@ -270,7 +269,7 @@ class Soak:
             since_ns = remembered_ns
         # The wire's pieces may end amid a command: the one that is not whole yet is judged the next time.
         frames = frames_sent([piece for piece in self.rig.wire() if piece[0] >= since_ns])
-        thrown = stopped_joints(self.rig, frames)
+        thrown = stopped_joints(self.rig.arm, frames)
         found += motion_violations(self.rig.arm, truth, since_ns, now_ns, thrown=thrown)
         found += command_violations(self.rig.arm, frames)
         at_s = time.monotonic() - self._began_s

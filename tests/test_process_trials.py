@@ -1,8 +1,5 @@
 """A sample of the trials of process faults; `docs/testing.md` tells the long run."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,10 +9,10 @@ pytest.importorskip("control_msgs")
 
 from fault_rig import environment_of
 from observer import judge
+from trial_run import run_trials
 
 from rtarm.recording.folder import folder
 
-ROOT = Path(__file__).parents[1]
 SAMPLE = (
     "up loop: kill -9",
     "up loop: SIGSTOP 0.1–1 s",
@@ -26,38 +23,13 @@ SAMPLE = (
     "up sim: kill -9",
     "up all: full /dev/shm",
 )
-END_S = 60.0
-"""For the trials to end their processes and to remove their folder."""
-
-
-def run_trials(*arguments: str) -> tuple[int, str]:
-    """Exit code and everything said; the trials end in order also when this test ends before them."""
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"}
-    with subprocess.Popen(
-        [sys.executable, "-m", "process_trials", *arguments],
-        cwd=ROOT,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    ) as trials:
-        try:
-            said, _ = trials.communicate()
-        finally:
-            if trials.poll() is None:
-                trials.terminate()
-                try:
-                    trials.communicate(timeout=END_S)
-                except subprocess.TimeoutExpired:
-                    trials.kill()
-    return trials.returncode, said
 
 
 @pytest.mark.process
 @pytest.mark.timeout(300)
 def test_whatever_happens_to_a_process_the_arm_stops_and_comes_back() -> None:
     chosen = [argument for kind in SAMPLE for argument in ("--only", kind)]
-    code, said = run_trials("--trials", str(len(SAMPLE)), *chosen)
+    code, said = run_trials("process_trials", "--trials", str(len(SAMPLE)), *chosen)
     print(said)
     judge([line.strip() for line in said.splitlines() if line.strip().startswith("VIOLATION ")])
     assert code == 0, said
@@ -66,7 +38,7 @@ def test_whatever_happens_to_a_process_the_arm_stops_and_comes_back() -> None:
 
 @pytest.mark.process
 def test_trials_that_do_not_exist_are_a_sentence() -> None:
-    assert run_trials("--only", "up moon") == (
+    assert run_trials("process_trials", "--only", "up moon") == (
         2,
         "No trial is called 'up moon' here: see tests/process_faults.py.\n",
     )

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from bus_trials import FAULTS, BusFault, TrialArm, run_trial
+from bus_faults import FAULTS, BusFault
+from bus_trials import TrialArm, run_trial
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from observer import command_violations, frames_sent, motion_frames, motion_violations, truth_of
