@@ -17,6 +17,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import threading
 import time
@@ -39,7 +40,7 @@ MODULES = (
 )
 """In the order in which they need each other; what a kernel has built in is no file."""
 MEMORY_MB = 2048
-TIMEOUT_S = float(os.environ.get("RTARM_VM_TIMEOUT_S", "420"))
+TIMEOUT_S = float(os.environ.get("RTARM_VM_TIMEOUT_S", "900"))
 SHARE = "/run/share"
 
 INIT = """#!/bin/busybox sh
@@ -72,7 +73,7 @@ poweroff -f
 """
 
 INSIDE = """export HOME=/run/home XDG_CACHE_HOME={share}/cache PATH=/usr/sbin:/usr/bin:/sbin:/bin
-export PYTHONDONTWRITEBYTECODE=1 LANG=C.UTF-8 CI={ci} _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
+export PYTHONDONTWRITEBYTECODE=1 LANG=C.UTF-8 CI={ci} _ROS_WHEELS_BOOTSTRAP_COMPLETE=1 LD_LIBRARY_PATH={libraries}
 mkdir -p $HOME
 cd {root} || exit 1
 {python} tests/vm/processor.py {share}/processor.json || exit 1
@@ -174,9 +175,11 @@ def run(folder: Path, kernel: Path, modules: Path, arguments: list[str]) -> int:
     share.mkdir()
     (CACHE / "cache").mkdir(parents=True, exist_ok=True)
     (share / "cache").symlink_to(CACHE / "cache")  # followed out here, by the file server
+    packages = Path(sysconfig.get_path("purelib"))
+    libraries = [Path(sys.prefix) / "lib", *sorted(packages.glob("ros_*.libs"))]  # which Python would start anew for
     inside = INSIDE.format(
         share=SHARE, root=ROOT, python=ROOT / ".venv/bin/python", ci=os.environ.get("CI", ""),
-        arguments=shlex.join(arguments),
+        libraries=os.pathsep.join(map(str, libraries)), arguments=shlex.join(arguments),
     )  # fmt: skip
     (share / "inside.sh").write_text(inside, encoding="utf-8")
     command = [

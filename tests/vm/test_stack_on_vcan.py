@@ -10,12 +10,12 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-import yaml
 from can_records import error_record, record
 from observer import WireFrame, command_violations, motion_after, motion_frames, motion_violations
-from stack import Process, Stack
+from stack import Stack
+from vcan_arm import JOINTS, RATE_HZ, start_on_vcan
 
-from config.loader import arm_hash, load_arm
+from config.loader import arm_hash
 from rtloop.wire import can_words
 from shm.client import CommandWriter, StateReader
 from shm.errors import RingFull
@@ -23,8 +23,6 @@ from shm.files import open_state, own_command
 from shm.words import Answer, BusState, Fault, Mode, Outcome, Request
 
 NAME = "onvcan"
-RATE_HZ = 20
-JOINTS = 3
 PATIENCE_S = 120.0
 SO_RCVBUFFORCE = 33
 HOUR_NS = 3600 * 10**9
@@ -36,20 +34,8 @@ class Arm:
 
     def __init__(self, folder):
         self.stack = Stack(NAME, folder)
-        values = yaml.safe_load(self.stack.arm_file.read_text(encoding="utf-8"))
-        values["bus"] = {"interface": "socketcan", "channel": "vcan0", "bitrate": 500_000}
-        values["control"]["rate_hz"] = RATE_HZ
-        values["joints"] = values["joints"][:JOINTS]  # the simulated drives are Python on an emulated processor
-        values.pop("kinematics", None)
-        values.setdefault("limits", {}).update(stale_brake_s=0.4, stale_fault_s=2.0, front_timeout_s=10.0)
-        self.stack.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
-        self.config = load_arm(self.stack.arm_file)
-        truth = ("--truth", str(self.stack.truth_file))
         try:
-            self.stack.sim = self.stack._keep(
-                Process("sim", "--arm", str(self.stack.arm_file), "--can", "vcan0", *truth)
-            )
-            self.stack.sim.line_with("ready")
+            self.config = start_on_vcan(self.stack)
             self.loop = self.stack.start_loop()
         except BaseException:
             self.stack.close()

@@ -1,0 +1,25 @@
+"""An arm on vcan0 that an emulated processor can carry: the simulated drives are Python."""
+
+import yaml
+from stack import Process, Stack
+
+from config.loader import load_arm
+from config.schema import ArmConfig
+
+RATE_HZ = 20
+JOINTS = 3
+
+
+def start_on_vcan(stack: Stack) -> ArmConfig:
+    """Rewrite a stack's arm file for vcan0 and start its simulated drives there; the arm's configuration."""
+    values = yaml.safe_load(stack.arm_file.read_text(encoding="utf-8"))
+    values["bus"] = {"interface": "socketcan", "channel": "vcan0", "bitrate": 500_000}
+    values["control"]["rate_hz"] = RATE_HZ
+    values["joints"] = values["joints"][:JOINTS]
+    values.pop("kinematics", None)
+    values.setdefault("limits", {}).update(stale_brake_s=0.4, stale_fault_s=2.0, front_timeout_s=10.0)
+    stack.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
+    truth = ("--truth", str(stack.truth_file))
+    stack.sim = stack._keep(Process("sim", "--arm", str(stack.arm_file), "--can", "vcan0", *truth))
+    stack.sim.line_with("ready")
+    return load_arm(stack.arm_file)
