@@ -10,7 +10,8 @@ from rich.table import Table
 from rich.text import Text
 
 from rtarm.recording.chart import joint_charts
-from rtarm.recording.mcap_file import Loaded, read
+from rtarm.recording.mcap_format import Loaded
+from rtarm.recording.mcap_reader import read
 from rtarm.recording.story import guilty_joint, since, tell
 
 WIDEST_CHART = 110

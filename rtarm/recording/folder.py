@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rtarm.errors import Refusal
-from rtarm.recording.mcap_file import ASIDE_PREFIX, ASIDE_SUFFIX
+from rtarm.recording.mcap_writer import ASIDE_PREFIX, ASIDE_SUFFIX
 
 KEPT = 20
 """Newest recordings that are kept of an arm."""

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from rtarm.errors import Refusal
 from rtarm.recording import folder
-from rtarm.recording.mcap_file import Reason, write
+from rtarm.recording.mcap_format import Reason
+from rtarm.recording.mcap_writer import write
 from rtarm.status import key, resolve_arm
 from shm import files
 from shm.files import MemoryFile

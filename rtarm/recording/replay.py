@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rtarm.errors import Refusal
-from rtarm.recording.mcap_file import read
+from rtarm.recording.mcap_reader import read
 from rtarm.status import PERCENTS, Report, counters, key, of_cycle, problems, scheduling
 from rtarm.top.events import Happening, happening
 from rtarm.top.terminal import show

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtarm.recording.mcap_file import Reason
+from rtarm.recording.mcap_format import Reason
 from rtarm.status import key
 from rtarm.top.events import BAD, ODD, PLAIN, happening
 from shm.recording import Recording

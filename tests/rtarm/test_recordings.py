@@ -27,11 +27,12 @@ from config.loader import load_arm
 from rtarm import launcher
 from rtarm.errors import Refusal
 from rtarm.recording import __main__ as writer_process
-from rtarm.recording import after_fault, folder, make, mcap_file, story
+from rtarm.recording import after_fault, folder, make, mcap_format, mcap_reader, mcap_writer, story
 from rtarm.recording.after_fault import FaultRecorder
 from rtarm.recording.chart import Series, chart
 from rtarm.recording.explain import explanation
-from rtarm.recording.mcap_file import NotWritten, Reason
+from rtarm.recording.mcap_format import Reason
+from rtarm.recording.mcap_writer import NotWritten
 from rtarm.recording.replay import Replay
 from rtarm.reporter import Reporter
 from rtarm.top.picture import Picture
@@ -89,7 +90,7 @@ def stalled() -> Recording:
 @pytest.fixture(scope="module")
 def a_file(power_loss: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recordings") / "power_loss.mcap"
-    mcap_file.write(power_loss, Reason("fault", "joint2 has not answered."), path)
+    mcap_writer.write(power_loss, Reason("fault", "joint2 has not answered."), path)
     return path
 
 
@@ -118,7 +119,7 @@ def bag(path: Path) -> None:
 
 
 def test_what_is_read_is_what_was_written(power_loss: Recording, a_file: Path) -> None:
-    loaded = mcap_file.read(a_file)
+    loaded = mcap_reader.read(a_file)
     assert (loaded.damage, loaded.reason) == ("", Reason("fault", "joint2 has not answered."))
     found = loaded.recording
     for name in ("arm", "joints", "arm_hash", "pid", "period_ns", "bitrate", "lost"):
@@ -164,8 +165,8 @@ def test_numbers_that_json_does_not_know_are_null(power_loss: Recording, tmp_pat
     records["joints"]["measured_position_rad"][:, 0] = [np.nan, np.inf, 1.0]
     records["mode"] = [2, 99, 3]
     path = tmp_path / "odd.mcap"
-    mcap_file.write(Recording(**{**vars(power_loss), "records": records}), NOW, path)
-    found = mcap_file.read(path).recording.records
+    mcap_writer.write(Recording(**{**vars(power_loss), "records": records}), NOW, path)
+    found = mcap_reader.read(path).recording.records
     assert np.isnan(found["joints"]["measured_position_rad"][:2, 0]).all()
     assert found["mode"].tolist() == [2, 99, 3]
 
@@ -176,9 +177,9 @@ def test_a_full_disk_costs_a_sentence_and_leaves_nothing(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(mcap_file, "_write", full)
+    monkeypatch.setattr(mcap_writer, "_write", full)
     with pytest.raises(NotWritten, match=r"cannot be written \(No space left on device\): free some space there\.$"):
-        mcap_file.write(power_loss, NOW, tmp_path / "new" / "full.mcap")
+        mcap_writer.write(power_loss, NOW, tmp_path / "new" / "full.mcap")
     assert list((tmp_path / "new").iterdir()) == []
 
 
@@ -203,7 +204,7 @@ def test_a_recording_is_for_its_user_alone(power_loss: Recording, tmp_path: Path
     path = tmp_path / "new" / "below" / "recording.mcap"
     before = os.umask(0)
     try:
-        mcap_file.write(power_loss, NOW, path)
+        mcap_writer.write(power_loss, NOW, path)
     finally:
         os.umask(before)
     modes = [stat.S_IMODE(one.stat().st_mode) for one in (path, path.parent, path.parent.parent)]
@@ -230,7 +231,7 @@ def test_nothing_but_a_recording_is_replaced(
     make_it(path)
     before = path.lstat()
     with pytest.raises(NotWritten) as refused:
-        mcap_file.write(power_loss, NOW, path)
+        mcap_writer.write(power_loss, NOW, path)
     assert said in refused.value.sentence and "\n" not in refused.value.sentence
     assert [one.name for one in tmp_path.iterdir()] == ["target"]
     assert (path.lstat().st_ino, path.lstat().st_size) == (before.st_ino, before.st_size)
@@ -238,15 +239,15 @@ def test_nothing_but_a_recording_is_replaced(
 
 def test_a_device_is_not_replaced(power_loss: Recording) -> None:
     with pytest.raises(NotWritten, match="is a link, a device or a pipe"):
-        mcap_file.write(power_loss, NOW, Path("/dev/null"))
+        mcap_writer.write(power_loss, NOW, Path("/dev/null"))
     assert Path("/dev/null").is_char_device()
 
 
 def test_an_older_recording_is_replaced(power_loss: Recording, a_file: Path, tmp_path: Path) -> None:
     path = tmp_path / "older.mcap"
     path.write_bytes(a_file.read_bytes())
-    mcap_file.write(Recording(**{**vars(power_loss), "records": power_loss.records[:9]}), NOW, path)
-    assert len(mcap_file.read(path).recording.records) == 9
+    mcap_writer.write(Recording(**{**vars(power_loss), "records": power_loss.records[:9]}), NOW, path)
+    assert len(mcap_reader.read(path).recording.records) == 9
 
 
 def test_old_recordings_make_room_by_their_bytes_and_what_is_not_ours_stays(
@@ -255,7 +256,7 @@ def test_old_recordings_make_room_by_their_bytes_and_what_is_not_ours_stays(
     monkeypatch.setattr(folder, "KEPT_BYTES", 250)
     state_home.mkdir(parents=True)
     names = [f"arm-20260101T00000{number}Z-wire.mcap" for number in range(4)]
-    aside, fresh = f"{mcap_file.ASIDE_PREFIX}abc{mcap_file.ASIDE_SUFFIX}", f"{mcap_file.ASIDE_PREFIX}def.new"
+    aside, fresh = f"{mcap_writer.ASIDE_PREFIX}abc{mcap_writer.ASIDE_SUFFIX}", f"{mcap_writer.ASIDE_PREFIX}def.new"
     for age, name in enumerate([*reversed(names), "bag.mcap", "arm-notes.mcap", ".other.new", aside]):
         (state_home / name).write_bytes(bytes(100))
         os.utime(state_home / name, (1_000_000 - age, 1_000_000 - age))
@@ -537,9 +538,9 @@ def test_a_damaged_file_is_told_as_far_as_it_can_be_read(
 ) -> None:
     path = tmp_path / "damaged.mcap"
     harm(path, a_file.read_bytes())
-    loaded = mcap_file.read(path)
+    loaded = mcap_reader.read(path)
     assert said in loaded.damage
-    whole = len(mcap_file.read(a_file).recording.records)
+    whole = len(mcap_reader.read(a_file).recording.records)
     assert whole // 4 < len(loaded.recording.records) < whole
     result = rtarm("explain", str(path))
     assert (result.exit_code, "The file is damaged" in result.stdout) == (0, True)
@@ -552,7 +553,7 @@ def test_what_is_left_of_a_file_with_a_spoilt_chunk_stands_in_its_own_cycles(
     """A chunk's borders lie amid cycles, and the first one is where the channels are listed."""
     path = tmp_path / "spoilt.mcap"
     spoil_chunk(path, a_file.read_bytes(), number)
-    loaded = mcap_file.read(path)
+    loaded = mcap_reader.read(path)
     assert "1 of its parts is spoilt" in loaded.damage
     found, whole = loaded.recording.records, power_loss.records
     assert len(whole) // 4 < len(found) < len(whole)
@@ -567,11 +568,11 @@ def test_what_is_left_of_a_file_with_a_spoilt_chunk_stands_in_its_own_cycles(
 def test_cycles_of_which_a_part_is_missing_are_counted(power_loss: Recording, tmp_path: Path) -> None:
     """As chunk borders may do it: the last joint of one cycle and the first of another."""
     path, torn = tmp_path / "whole.mcap", tmp_path / "torn.mcap"
-    mcap_file.write(Recording(**{**vars(power_loss), "records": power_loss.records[:9]}), NOW, path)
+    mcap_writer.write(Recording(**{**vars(power_loss), "records": power_loss.records[:9]}), NOW, path)
     with path.open("rb") as file, torn.open("wb") as other:
         reader = make_reader(file)
         writer = Writer(other)
-        writer.start(library=mcap_file.LIBRARY)
+        writer.start(library=mcap_format.LIBRARY)
         for one in reader.iter_metadata():
             writer.add_metadata(one.name, one.metadata)
         numbers: dict[str, int] = {}
@@ -585,7 +586,7 @@ def test_cycles_of_which_a_part_is_missing_are_counted(power_loss: Recording, tm
             if not left_out:
                 writer.add_message(numbers[channel.topic], message.log_time, message.data, message.publish_time)
         writer.finish()
-    loaded = mcap_file.read(torn)
+    loaded = mcap_reader.read(torn)
     assert loaded.damage == "2 cycles are incomplete and left out"
     assert loaded.recording.records["number"].tolist() == np.delete(power_loss.records["number"][:9], [3, 5]).tolist()
     sentences = [line.sentence for line in told(loaded.recording).lines]
@@ -602,7 +603,7 @@ def test_a_file_damaged_anywhere_is_told_or_refused(a_file: Path, tmp_path: Path
             damaged[chance.randrange(min(len(whole), chance.choice((300, 3000, len(whole)))))] = chance.randrange(256)
         path.write_bytes(damaged[: chance.choice((len(whole), chance.randrange(len(whole))))])
         try:
-            loaded = mcap_file.read(path)
+            loaded = mcap_reader.read(path)
         except Refusal as refusal:
             assert "damaged.mcap" in refusal.sentence
         else:
@@ -648,7 +649,7 @@ def private(path: Path) -> None:
         (lambda path: path.mkdir(), "is a folder: give one of the .mcap files in it"),
         (lambda path: path.write_text("no"), "is no MCAP file"),
         (lambda path: path.write_bytes(b""), "is no MCAP file"),
-        (lambda path: path.write_bytes(mcap_file.MAGIC), "is damaged so early"),
+        (lambda path: path.write_bytes(mcap_format.MAGIC), "is damaged so early"),
         (os.mkfifo, "is no file that holds a recording"),
         (foreign, "is an MCAP file, but no recording of rtarm's"),
         (bag, "is an MCAP file, but no recording of rtarm's"),
@@ -692,13 +693,13 @@ def test_a_bag_of_ros_is_refused_at_its_first_chunk(tmp_path: Path, monkeypatch:
     bag(path)
     monkeypatch.setattr("mcap.stream_reader.breakup_chunk", unpack)
     with pytest.raises(Refusal, match="no recording of rtarm's"):
-        mcap_file.read(path)
+        mcap_reader.read(path)
     assert unpacked == []
 
 
 def test_what_others_have_added_to_a_recording_is_let_be(power_loss: Recording, tmp_path: Path) -> None:
     path, merged = tmp_path / "whole.mcap", tmp_path / "merged.mcap"
-    mcap_file.write(Recording(**{**vars(power_loss), "records": power_loss.records[:9]}), NOW, path)
+    mcap_writer.write(Recording(**{**vars(power_loss), "records": power_loss.records[:9]}), NOW, path)
     with path.open("rb") as file, merged.open("wb") as other:
         reader = make_reader(file)
         writer = Writer(other)
@@ -712,14 +713,14 @@ def test_what_others_have_added_to_a_recording_is_let_be(power_loss: Recording, 
             writer.add_message(numbers[channel.topic], message.log_time, message.data, message.publish_time)
             writer.add_message(cdr, message.log_time, b"\0\1\0\0", message.publish_time)
         writer.finish()
-    loaded = mcap_file.read(merged)
+    loaded = mcap_reader.read(merged)
     assert (loaded.damage, len(loaded.recording.records)) == ("", 9)
 
 
 def test_names_in_a_recording_do_not_speak_to_the_terminal(rtarm: Rtarm, power_loss: Recording, tmp_path: Path) -> None:
     names = ("joint1", "\x1b]0;mine\x07\x1b[31mjoint2", *power_loss.joints[2:])
     path = tmp_path / "hostile.mcap"
-    mcap_file.write(Recording(**{**vars(power_loss), "arm": "arm\x1b[2J", "joints": names}), NOW, path)
+    mcap_writer.write(Recording(**{**vars(power_loss), "arm": "arm\x1b[2J", "joints": names}), NOW, path)
     result = rtarm("explain", str(path))
     assert result.exit_code == 0
     assert "\x1b" not in result.stdout and "\x07" not in result.stdout
@@ -764,7 +765,7 @@ def test_what_a_dead_control_process_left_is_recorded(
     assert (result.exit_code, result.stderr) == (0, "")
     (path,) = folder.recordings(arm_name)
     assert path == Path(result.stdout.strip()) and path.parent == state_home
-    loaded = mcap_file.read(path)
+    loaded = mcap_reader.read(path)
     assert len(loaded.recording.records) >= 50
     assert loaded.reason.word == make.DEATH
     told = rtarm("explain")

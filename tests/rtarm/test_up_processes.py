@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from rtarm.processes import middleware_segments
-from rtarm.recording import folder, mcap_file, story
+from rtarm.recording import folder, mcap_reader, story
 from shm import files
 from shm.words import Fault
 
@@ -206,7 +206,7 @@ def test_each_latched_fault_is_recorded_once_with_what_followed(
     assert up.end(signal.SIGINT) == 0
     (recording,) = folder.recordings(arm_name)
     assert recording.name.endswith("-stale_reading.mcap")
-    found = mcap_file.read(recording)
+    found = mcap_reader.read(recording)
     assert (found.damage, found.reason.word) == ("", "fault")
     latched_ns = int(found.recording.records["fault_ns"][-1])
     assert int(found.recording.records["monotonic_ns"][-1]) - latched_ns > 1_000_000_000

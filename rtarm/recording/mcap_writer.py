@@ -1,0 +1,322 @@
+"""A recording into an MCAP file (`mcap_format` says what stands in it)."""
+
+from __future__ import annotations
+
+import errno
+import heapq
+import json
+import math
+import os
+import stat
+import struct
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from rtarm.errors import Refusal
+from rtarm.recording.mcap_format import (
+    BATCH,
+    CHUNK_BYTES,
+    CYCLE_WORDS,
+    EVENT_WORDS,
+    EVENTS,
+    FORMAT,
+    FRAMES,
+    JOINT_WORDS,
+    JOINTS,
+    JSON,
+    LIBRARY,
+    LIMITS,
+    METADATA,
+    NAMED,
+    STATE,
+    TIMING,
+    Reason,
+    library_of,
+)
+from rtarm.status import key
+from rtarm.top.events import BAD, ODD, happening
+from shm import layout
+from shm.recording import EXTENDED, IDENTIFIER_MASK, LENGTH_MASK, LENGTH_SHIFT, SENT, Recording
+from shm.words import Slowed
+
+ASIDE_PREFIX, ASIDE_SUFFIX = ".rtarm-", ".new"
+"""What a file is called until it is whole."""
+
+_LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
+"""Levels of foxglove.Log."""
+_encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
+
+
+class NotWritten(Refusal):
+    """A recording could not be written."""
+
+
+def write(recording: Recording, reason: Reason, path: Path) -> None:
+    """Write a file that only this user may read, whole or not at all, in place of nothing but an older recording.
+
+    Raises:
+        NotWritten: with the sentence for people.
+    """
+    try:
+        _check_target(path)
+        if len(recording.records) == 0:
+            raise NotWritten(
+                f"The control process of {recording.arm} has not run a cycle, so there is nothing to record."
+            )
+        _make_folder(path.parent)
+        fd, aside = tempfile.mkstemp(ASIDE_SUFFIX, ASIDE_PREFIX, path.parent)  # new, of mode 0600, follows no link
+        try:
+            with open(fd, "wb") as file:
+                _write(recording, reason, file)
+            os.replace(aside, path)
+        finally:
+            Path(aside).unlink(missing_ok=True)
+    except OSError as problem:
+        full = problem.errno in (errno.ENOSPC, errno.EDQUOT)
+        remedy = "free some space there" if full else "give a file in a folder that you may write to"
+        raise NotWritten(f"The recording {path} cannot be written ({problem.strerror}): {remedy}.") from problem
+
+
+def _check_target(path: Path) -> None:
+    """Refuse to write over anything but a recording."""
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    if stat.S_ISDIR(mode):
+        raise NotWritten(f"{path} is a folder: name a file in it, such as {path / 'recording.mcap'}.")
+    if not stat.S_ISREG(mode):
+        raise NotWritten(f"{path} is a link, a device or a pipe, which no recording replaces: name a file.")
+    with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+        ours = (library_of(file) or "").startswith(LIBRARY)
+    if not ours:
+        raise NotWritten(f"{path} is there and no recording of rtarm's, so it is kept: name another file.")
+
+
+def _make_folder(path: Path) -> None:
+    """Make a folder and those above it that are missing, for this user alone."""
+    if not path.exists():
+        _make_folder(path.parent)
+        path.mkdir(0o700, exist_ok=True)
+
+
+def _write(recording: Recording, reason: Reason, file: IO[bytes]) -> None:
+    from mcap.writer import CompressionType, Writer
+
+    writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+    writer.start(profile="", library=LIBRARY + _version())
+    for name, values in _metadata(recording, reason).items():
+        writer.add_metadata(name, values)
+    channels = {}
+    for name, schema_name, schema in _schemas(recording.joints):
+        schema_id = writer.register_schema(schema_name, "jsonschema", json.dumps(schema).encode())
+        channels[name] = writer.register_channel(name, JSON, schema_id)
+    for message in heapq.merge(*_messages(recording), key=lambda one: one[0]):
+        _, epoch_ns, name, content = message
+        data = _encode(content).encode()
+        writer.add_message(channels[name], log_time=epoch_ns, publish_time=epoch_ns, data=data)
+    writer.finish()  # type: ignore[no-untyped-call]
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("rtarm")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+def _metadata(recording: Recording, reason: Reason) -> dict[str, dict[str, str]]:
+    about = {
+        "format": FORMAT,
+        "version": _version(),
+        "arm": recording.arm,
+        "joints": list(recording.joints),
+        "rate_hz": 1e9 / recording.period_ns,
+        "period_ns": recording.period_ns,
+        "bitrate": recording.bitrate,
+        "arm_hash": f"{recording.arm_hash:016x}",
+        "pid": recording.pid,
+        "lost": recording.lost,
+        "written_epoch_ns": time.time_ns(),
+        "reason": reason.word,
+        "sentence": reason.sentence,
+        "scheduling": _as_dict(recording.scheduling, skipped=("padding",)),
+    }
+    limits = _as_dict(recording.limits, skipped=("padding", "joints"))
+    rows = {
+        name: _as_dict(recording.limits["joints"][index], skipped=("reserved",))
+        for index, name in enumerate(recording.joints)
+    }
+    timing = {name: _histogram(getattr(recording, name)) for name in ("lateness", "cycle_time")}
+    return {METADATA: _texts(about), LIMITS: _texts({**limits, "joints": rows}), TIMING: _texts(timing)}
+
+
+def _texts(values: dict[str, Any]) -> dict[str, str]:
+    return {name: value if isinstance(value, str) else json.dumps(value) for name, value in values.items()}
+
+
+def _as_dict(record: Any, skipped: Sequence[str]) -> dict[str, Any]:
+    return {name: _plain(record[name].item()) for name in record.dtype.names if name not in skipped}
+
+
+def _histogram(record: np.ndarray) -> dict[str, Any]:
+    buckets = np.asarray(record["buckets"])
+    filled = {str(index): int(buckets[index]) for index in np.flatnonzero(buckets)}
+    return {**{name: int(record[name]) for name in ("max_ns", "count", "sum_ns")}, "buckets": filled}
+
+
+def _plain(value: Any) -> Any:
+    """A number as JSON has it: what is not finite is null."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Name of each channel, name of its schema, and the schema."""
+    units = {
+        word.name: word for table in ("flight recorder's record of a cycle", "joint") for word in layout.TABLES[table]
+    }
+
+    def schema(title: str, dtype: np.dtype, names: Sequence[str], more: dict[str, Any]) -> dict[str, Any]:
+        properties = {
+            name: {
+                "type": "string" if name in NAMED else "integer" if dtype[name].kind == "i" else ["number", "null"],
+                "description": " ".join(
+                    filter(None, (units[name].meaning, f"({units[name].unit})" * bool(units[name].unit)))
+                ),
+            }
+            for name in names
+        }
+        return {"title": title, "type": "object", "properties": {**properties, **more}}
+
+    slowed = {"slowed": {"type": "array", "items": {"type": "string"}, "description": units["slowed"].meaning}}
+    yield STATE, "rtarm.State", schema("rtarm.State", layout.RECORD, CYCLE_WORDS, slowed)
+    derived = {
+        "number": {"type": "integer", "description": units["number"].meaning},
+        "error_rad": {"type": ["number", "null"], "description": "measured less commanded, of the same instant (rad)"},
+        "age_s": {"type": ["number", "null"], "description": "age of the reading in this cycle (s)"},
+    }
+    for name in joints:
+        yield JOINTS + name, "rtarm.Joint", schema("rtarm.Joint", layout.JOINT, JOINT_WORDS, derived)
+    text, integer, number = {"type": "string"}, {"type": "integer"}, {"type": ["number", "null"]}
+    stamp = {"type": "object", "title": "time", "properties": {"sec": integer, "nsec": integer}}
+    log = {"timestamp": stamp, "level": integer, "message": text, "name": text, "file": text, "line": integer}
+    own = {
+        "monotonic_ns": integer,
+        "kind": integer,
+        "joint": integer,
+        "code": integer,
+        "value": number,
+        "limit": number,
+    }
+    yield EVENTS, "foxglove.Log", {"title": "foxglove.Log", "type": "object", "properties": {**log, **own}}
+    frame = {
+        "monotonic_ns": integer,
+        "sent": {"type": "boolean", "description": "whether the control process sent it; it came otherwise"},
+        "joint": {"type": ["string", "null"], "description": "whose drive has its address"},
+        "id": integer,
+        "extended": {"type": "boolean"},
+        "data": {"type": "string", "description": "bytes in hexadecimal"},
+    }
+    yield FRAMES, "rtarm.Frame", {"title": "rtarm.Frame", "type": "object", "properties": frame}
+
+
+_Message = tuple[int, int, str, dict[str, Any]]
+"""CLOCK_MONOTONIC, ROS time, channel, content."""
+
+
+def _messages(recording: Recording) -> tuple[Iterator[_Message], ...]:
+    return _cycles(recording), _events(recording), _frames(recording)
+
+
+def _columns(records: np.ndarray, names: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Records as dictionaries of plain numbers and names."""
+    columns: list[list[Any]] = []
+    for name in names:
+        values = records[name].tolist()
+        kind = NAMED.get(name)
+        if kind is not None:
+            known = {value: key(kind, value) for value in set(values)}
+            values = [known[value] for value in values]
+        elif records.dtype[name].kind == "f":
+            values = [_plain(value) for value in values]
+        columns.append(values)
+    for row in zip(*columns, strict=True):
+        yield dict(zip(names, row, strict=True))
+
+
+def _cycles(recording: Recording) -> Iterator[_Message]:
+    """The cycles, a batch at a time: as Python's numbers all of them would take a gigabyte for a large, quick arm."""
+    for start in range(0, len(recording.records), BATCH):
+        yield from _batch(recording, recording.records[start : start + BATCH])
+
+
+def _batch(recording: Recording, records: np.ndarray) -> Iterator[_Message]:
+    joints = records["joints"]
+    errors = (joints["measured_position_rad"] - joints["reference_position_rad"]).tolist()
+    ages = np.where(
+        joints["measured_ns"] > 0, (records["monotonic_ns"][:, None] - joints["measured_ns"]) * 1e-9, np.nan
+    )
+    rows = [_columns(joints[:, index], JOINT_WORDS) for index in range(len(recording.joints))]
+    for number, state in enumerate(_columns(records, CYCLE_WORDS)):
+        at = state["monotonic_ns"], max(state["epoch_ns"], 0)
+        bits = state["slowed"]
+        state["slowed"] = [reason.name.lower() for reason in Slowed if reason.name and bits & reason]
+        yield *at, STATE, state
+        for index, name in enumerate(recording.joints):
+            joint = next(rows[index])
+            joint["number"] = state["number"]
+            joint["error_rad"] = _plain(errors[number][index])
+            joint["age_s"] = _plain(float(ages[number, index]))
+            yield *at, JOINTS + name, joint
+
+
+def _to_epoch(recording: Recording, monotonic_ns: np.ndarray) -> list[int]:
+    """ROS time of instants on CLOCK_MONOTONIC, as the clocks stood in the cycle before each."""
+    instants = recording.records["monotonic_ns"]
+    at = np.maximum(np.searchsorted(instants, monotonic_ns, side="right") - 1, 0)
+    epochs: list[int] = np.maximum(monotonic_ns + (recording.records["epoch_ns"] - instants)[at], 0).tolist()
+    return epochs
+
+
+def _events(recording: Recording) -> Iterator[_Message]:
+    epochs = _to_epoch(recording, recording.events["monotonic_ns"])
+    for event, epoch_ns in zip(recording.events, epochs, strict=True):
+        told = happening(event, recording.joints)
+        level = {BAD: _LEVEL_ERROR, ODD: _LEVEL_WARNING}.get(told.style, _LEVEL_INFO)
+        content = {
+            "timestamp": {"sec": epoch_ns // 1_000_000_000, "nsec": epoch_ns % 1_000_000_000},
+            "level": level,
+            "message": told.sentence,
+            "name": recording.arm,
+            "file": "",
+            "line": 0,
+            **{name: _plain(event[name].item()) for name in EVENT_WORDS},
+        }
+        yield told.monotonic_ns, epoch_ns, EVENTS, content
+
+
+def _frames(recording: Recording) -> Iterator[_Message]:
+    addresses = recording.limits["joints"]["drive_address"][: len(recording.joints)].tolist()
+    by_address = {address: name for address, name in zip(addresses, recording.joints, strict=True) if address}
+    order = np.argsort(recording.frames["monotonic_ns"], kind="stable")  # what was sent has its cycle's planned time
+    frames = recording.frames[order]
+    epochs = _to_epoch(recording, frames["monotonic_ns"])
+    for (_, monotonic_ns, head, data), epoch_ns in zip(frames.tolist(), epochs, strict=True):
+        identifier = head & IDENTIFIER_MASK
+        length = min(head >> LENGTH_SHIFT & LENGTH_MASK, 8)
+        content = {
+            "monotonic_ns": monotonic_ns,
+            "sent": bool(head & SENT),
+            "joint": by_address.get(identifier >> 8) if head & EXTENDED else None,
+            "id": identifier,
+            "extended": bool(head & EXTENDED),
+            "data": struct.pack("<q", data)[:length].hex(),
+        }
+        yield monotonic_ns, epoch_ns, FRAMES, content
