@@ -53,6 +53,15 @@ def test_what_grows_is_found(grows: dict[str, float], what: str) -> None:
     assert "FAILED" in text
 
 
+def test_what_is_given_back_in_between_does_not_grow() -> None:
+    """Found by a soak of 60 minutes: two levels, taken in turn, the higher one more often towards the end."""
+    found = samples(seconds=HOUR_S)
+    for number, sample in enumerate(found):
+        if number > 360 and number % 5:
+            sample.of["front"]["own_mb"] += 10.5
+    assert growth(found)[1] == []
+
+
 def test_a_short_life_is_judged_by_nothing() -> None:
     assert growth(samples(seconds=160.0, mb_per_hour=1000.0)) == ([], [])
 
