@@ -279,6 +279,19 @@ class LimitsConfig(Section):
         return self
 
 
+class HomingConfig(Section):
+    """The homing run: joints find their stops one after the other, by collision (sensorless)."""
+
+    order: list[str] | None = Field(
+        default=None,
+        description="Joints in the order in which they are homed; left out, all in the order of joints. A joint that "
+        "is not in it is only homed when it is named.",
+    )
+    timeout_s: float = Field(
+        default=120.0, ge=1, le=3600, description="Longest homing run of one joint (s); drives are told so too."
+    )
+
+
 class TrajectoryConfig(Section):
     """How goals are interpolated and judged."""
 
@@ -386,6 +399,7 @@ class ArmConfig(Section):
     limits: LimitsConfig = Field(
         default_factory=LimitsConfig, description="Margins and watchdogs of the control process."
     )
+    homing: HomingConfig = Field(default_factory=HomingConfig, description="The homing run.")
     trajectory: TrajectoryConfig = Field(
         default_factory=TrajectoryConfig, description="How goals are interpolated and judged."
     )
@@ -430,6 +444,25 @@ class ArmConfig(Section):
                     )
                 first_with_address[address] = joint.name
         return self
+
+    @model_validator(mode="after")
+    def _homing_order_names_joints(self) -> ArmConfig:
+        names = [joint.name for joint in self.joints]
+        for index, name in enumerate(self.homing.order or ()):
+            if name not in names:
+                raise refuse(
+                    f"homing.order[{index}]",
+                    f"order names {name}, which is no joint of the arm; its joints are {', '.join(names)}.",
+                )
+            if name in (self.homing.order or ())[:index]:
+                raise refuse(f"homing.order[{index}]", f"order names {name} twice; a joint is homed once: remove one.")
+        return self
+
+    @property
+    def homing_order(self) -> list[int]:
+        """Indexes of the joints that a homing run of the arm homes, in its order."""
+        names = [joint.name for joint in self.joints]
+        return list(range(len(names))) if self.homing.order is None else [names.index(n) for n in self.homing.order]
 
     @model_validator(mode="after")
     def _drives_suit_the_bus(self) -> ArmConfig:

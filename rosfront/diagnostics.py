@@ -34,6 +34,7 @@ POLICIES = {0: "no real-time priority", 1: "SCHED_FIFO", 2: "SCHED_RR"}
 _TOLD_BY_MODE = {
     Mode.OFFLINE: "The drives have not been brought up yet: wait for it.",
     Mode.BRINGING_UP: "The drives are being brought up: wait until the arm holds.",
+    Mode.REFERENCING: "Joints are homed or referenced: wait until the arm holds; ~/hold ends it.",
     Mode.DISABLED: "The drives are limp and the arm is out of service: ~/enable brings it back.",
     Mode.FREE: "The drives are limp and the arm can be led by hand: ~/enable takes hold of it again.",
 }

@@ -30,6 +30,7 @@ BRING_UP_PATIENCE_S = 30.0
 STOP_PATIENCE_S = 10.0
 RELEASE_PATIENCE_S = 5.0
 RESUME_PATIENCE_S = 2.0
+HOMING_PATIENCE_S = 3600.0
 CLOSING = "The ROS process was stopped before the control process had answered: look at `rtarm status`."
 
 
@@ -125,10 +126,10 @@ def _held(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
         fault = _fault(now, joints)
         if fault is not None:
             return fault
-        if np.any(now["joints"]["commanded_velocity_rad_s"]):
+        if int(now["mode"]) == Mode.REFERENCING or np.any(now["joints"]["commanded_velocity_rad_s"]):
             return None
         if int(now["goal_id"]) == 0:
-            return Reply(True, "The arm stands; its goal has ended meanwhile.")
+            return Reply(True, "The arm stands; what moved it has ended.")
         if int(now["goal_phase"]) != Phase.PAUSED:
             return None
         return Reply(True, "The arm stands on its path; its goal goes on with ~/resume or ends with a cancel.")
@@ -141,6 +142,17 @@ def _no_goal_runs(snapshot: np.ndarray | None) -> bool:
     if snapshot is None or int(snapshot["mode"]) != Mode.HOLDING:
         return False
     return int(snapshot["goal_phase"]) in (Phase.NONE, Phase.WAITING)
+
+
+def _homed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
+    def judge(now: np.ndarray) -> Reply | None:
+        fault = _fault(now, joints)
+        if fault is not None or int(now["mode"]) == Mode.REFERENCING:
+            return fault
+        lost = _unreferenced(now, joints)
+        return Reply(not lost, " ".join(lost) or "Homed; the arm holds where it stands.")
+
+    return judge
 
 
 def _resumed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
@@ -161,6 +173,7 @@ ORDERS = (
         RELEASE_PATIENCE_S,
         _limp(Mode.FREE, "The drives are limp and the arm can be led by hand until ~/enable."),
     ),
+    Order("home", Request.HOME, HOMING_PATIENCE_S, _homed, _not_with_a_fault),
     Order("resume", Request.RESUME, RESUME_PATIENCE_S, _resumed),
     Order("clear_fault", Request.CLEAR_FAULT, BRING_UP_PATIENCE_S, _cleared, _nothing_to_clear),
 )

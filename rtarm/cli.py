@@ -343,6 +343,118 @@ def clear_fault(arm: RunningArm = None) -> None:
         typer.echo(requests.clear_fault(resolve_arm(arm)))
 
 
+@app.command()
+def hold(arm: RunningArm = None) -> None:
+    """Pause the running goal: the arm stops on its path and holds; `rtarm resume` lets it go on.
+
+    Example: [bold]rtarm hold[/bold]
+    """
+    with _sentences():
+        from rtarm import requests
+        from rtarm.status import resolve_arm
+
+        typer.echo(requests.hold(resolve_arm(arm)))
+
+
+@app.command()
+def resume(arm: RunningArm = None) -> None:
+    """Let a paused goal go on.
+
+    Example: [bold]rtarm resume[/bold]
+    """
+    with _sentences():
+        from rtarm import requests
+        from rtarm.status import resolve_arm
+
+        typer.echo(requests.resume(resolve_arm(arm)))
+
+
+@app.command()
+def enable(arm: RunningArm = None) -> None:
+    """Enable the drives of a limp arm, which then holds where it stands.
+
+    Example: [bold]rtarm enable[/bold]
+    """
+    with _sentences():
+        from rtarm import requests
+        from rtarm.status import resolve_arm
+
+        typer.echo(requests.enable(resolve_arm(arm)))
+
+
+@app.command()
+def disable(arm: RunningArm = None) -> None:
+    """Let the drives of a standing arm go limp and take it out of service: it falls where gravity pulls it.
+
+    Example: [bold]rtarm disable[/bold]
+    """
+    with _sentences():
+        from rtarm import requests
+        from rtarm.status import resolve_arm
+        from shm.words import Request
+
+        typer.echo(requests.let_go(resolve_arm(arm), Request.DISABLE))
+
+
+@app.command()
+def free(arm: RunningArm = None) -> None:
+    """Let the drives of a standing arm go limp, to lead it by hand: hold it, it falls where gravity pulls it.
+
+    Example: [bold]rtarm free[/bold]
+    """
+    with _sentences():
+        from rtarm import requests
+        from rtarm.status import resolve_arm
+        from shm.words import Request
+
+        typer.echo(requests.let_go(resolve_arm(arm), Request.FREE))
+
+
+NamedArm = Annotated[
+    str | None, typer.Option("--arm", metavar="ARM", help="Name of the arm or its file; left out: the one that runs.")
+]
+
+
+@app.command()
+def home(
+    joints: Annotated[
+        list[str] | None, typer.Argument(metavar="[JOINT]…", help="Left out: those of homing.order in the arm file.")
+    ] = None,
+    arm: NamedArm = None,
+) -> None:
+    """Let joints find their homing stops, one after the other: **the arm moves**, at the drives' own homing speed.
+
+    Each drive runs towards its stop until it meets it, by collision; nothing here sees what is in its way. Ctrl-C
+    ends the run. The joints that are not homed hold.
+
+    Example: [bold]rtarm home joint2 joint3[/bold]
+    """
+    with _sentences():
+        from rtarm import requests
+        from rtarm.status import resolve_arm
+
+        typer.echo(requests.home(resolve_arm(arm), joints or [], typer.echo))
+
+
+@app.command()
+def reference(
+    joints: Annotated[
+        list[str],
+        typer.Argument(metavar="JOINT[=DEGREES]…", help="With an angle: it stands there; without: where it reads."),
+    ],
+    arm: NamedArm = None,
+) -> None:
+    """Say where joints without a reference stand, if you know better; nothing moves. Look twice: goals believe it.
+
+    Example: [bold]rtarm reference joint2 joint3=-12.5[/bold]
+    """
+    with _sentences():
+        from rtarm import requests
+        from rtarm.status import resolve_arm
+
+        typer.echo(requests.reference(resolve_arm(arm), requests.angles_said(joints)))
+
+
 @config_app.command("check")
 def config_check(arm: ArmArgument) -> None:
     """Check an arm file and print what follows from it: limits, resolution, bus load, highest rate.

@@ -1,9 +1,10 @@
-"""`rtarm stop` and `rtarm clear-fault`: requests that reach the control process without any ROS process."""
+"""What people ask of a running arm: requests that reach the control process without any ROS process."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -14,11 +15,14 @@ from shm import files
 from shm.client import CommandWriter, StateReader, find
 from shm.errors import NotRunning
 from shm.sentences import answer_sentence, fault_sentence, joint_name, unreferenced_sentence
-from shm.words import Answer, Fault, Mode, Request
+from shm.words import Answer, DriveStatus, Fault, Mode, Phase, Request, Unreferenced
 
 ANSWER_PATIENCE_S = 2.0
 STOP_PATIENCE_S = 10.0
 BRING_UP_PATIENCE_S = 30.0
+RELEASE_PATIENCE_S = 5.0
+HOMING_PATIENCE_S = 3700.0
+"""Beyond the longest that an arm file may allow a joint."""
 POLL_S = 0.005
 
 Condition = Callable[[np.ndarray], bool]
@@ -37,9 +41,9 @@ class Connection:
         """The newest snapshot."""
         return self._reader.snapshot()
 
-    def ask(self, kind: Request) -> Answer:
+    def ask(self, kind: Request, *, joint_mask: int = 0, value: float = 0.0) -> Answer:
         """Make a request and wait for its answer."""
-        sequence = self._writer.request(kind)
+        sequence = self._writer.request(kind, joint_mask=joint_mask, value=value)
         snapshot = self.wait(
             lambda now: find(now["answers"], "sequence", sequence) is not None,
             ANSWER_PATIENCE_S,
@@ -49,6 +53,34 @@ class Connection:
         answer = find(snapshot["answers"], "sequence", sequence)
         assert answer is not None
         return Answer(int(answer["answer"]))
+
+    def order(self, kind: Request, *, joint_mask: int = 0, value: float = 0.0) -> None:
+        """Make a request; raises Refusal with the sentence where it is refused."""
+        answer = self.ask(kind, joint_mask=joint_mask, value=value)
+        if answer != Answer.DONE:
+            raise Refusal(answer_sentence(answer))
+
+    def index(self, joint: str) -> int:
+        """Number of a joint; raises Refusal where the arm has none of that name."""
+        if joint not in self.joints:
+            raise Refusal(f"Arm {self.arm} has no joint {joint!r}; its joints are {', '.join(self.joints)}.")
+        return self.joints.index(joint)
+
+    def fault(self, snapshot: np.ndarray) -> str:
+        """The latched fault in a sentence, "" where there is none."""
+        if int(snapshot["fault"]) == Fault.NONE:
+            return ""
+        joint = joint_name(int(snapshot["fault_joint"]), self.joints)
+        value, limit = float(snapshot["fault_value"]), float(snapshot["fault_limit"])
+        return fault_sentence(int(snapshot["fault"]), joint, value, limit)
+
+    def lost(self, snapshot: np.ndarray) -> list[str]:
+        """A sentence for each joint that has no reference."""
+        return [
+            unreferenced_sentence(int(snapshot["joints"][index]["unreferenced_reason"]), name)
+            for index, name in enumerate(self.joints)
+            if not snapshot["joints"][index]["referenced"]
+        ]
 
     def wait(self, condition: Condition, patience_s: float, too_long: str) -> np.ndarray:
         """The first snapshot that fulfils a condition.
@@ -108,7 +140,7 @@ def stop(arm: str) -> str:
 def stands(snapshot: np.ndarray) -> bool:
     """Whether no motion is commanded and none going on."""
     return (
-        int(snapshot["mode"]) not in MOVING_MODES
+        int(snapshot["mode"]) not in (*MOVING_MODES, Mode.REFERENCING)
         and not np.any(snapshot["joints"]["commanded_velocity_rad_s"])
         and int(snapshot["goal_id"]) == 0
     )
@@ -135,15 +167,160 @@ def clear_fault(arm: str) -> str:
             f"The drives of {arm} are not brought up {BRING_UP_PATIENCE_S:g} s after the fault was cleared: "
             "look at the lines of the control process and at `rtarm status`.",
         )
-        if int(after["fault"]) != Fault.NONE:
-            joint = joint_name(int(after["fault_joint"]), connection.joints)
-            sentence = fault_sentence(
-                int(after["fault"]), joint, float(after["fault_value"]), float(after["fault_limit"])
-            )
+        if sentence := connection.fault(after):
             raise Refusal(f"The fault was cleared and came back. {sentence}")
-        lost = [
-            unreferenced_sentence(int(after["joints"][index]["unreferenced_reason"]), name)
-            for index, name in enumerate(connection.joints)
-            if not after["joints"][index]["referenced"]
-        ]
+        lost = connection.lost(after)
     return " ".join([f"The fault is cleared; arm {arm} holds where it stands.", *lost])
+
+
+def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
+    """Let joints find their homing stops, all of the arm file's order where none is named, and say how it went.
+
+    Ctrl-C ends the run: the drive under way stops.
+    """
+    with connect(arm) as connection:
+        mask = sum(1 << connection.index(joint) for joint in dict.fromkeys(joints))
+        if sentence := connection.fault(connection.snapshot()):
+            raise Refusal(f"A fault is latched, clear it first: {sentence}")
+        connection.order(Request.HOME, joint_mask=mask)
+        try:
+            after = _see_to_the_end(connection, lambda joint: tell(f"{joint}: on its way to its stop; Ctrl-C ends it."))
+        except KeyboardInterrupt:
+            connection.ask(Request.STOP)
+            connection.wait(_is_over, STOP_PATIENCE_S, f"Arm {arm} still homes: use the switch in the power line.")
+            raise Refusal("Ended: the joint that was on its way to its stop stands, without a reference.") from None
+        if sentence := connection.fault(after):
+            raise Refusal(sentence)
+        lost = connection.lost(after)
+        stands = ", ".join(_stands_at(after, connection.index(joint), joint) for joint in joints or connection.joints)
+    if lost:
+        raise Refusal(" ".join(lost))
+    return f"Homed; arm {arm} holds where it stands: {stands}."
+
+
+def angles_said(words: Sequence[str]) -> dict[str, float | None]:
+    """Joint → angle (degrees), None where none is said, of words such as `joint2` and `joint3=-12.5`."""
+    said: dict[str, float | None] = {}
+    for word in words:
+        joint, equals, angle = word.partition("=")
+        try:
+            said[joint] = float(angle) if equals else None
+        except ValueError:
+            said[joint] = math.nan
+        if said[joint] is not None and not math.isfinite(said[joint] or 0.0):
+            raise Refusal(f"The angle of {joint} is {angle!r}, which is no number of degrees: write {joint}=-12.5.")
+    return said
+
+
+def reference(arm: str, said_deg: Mapping[str, float | None]) -> str:
+    """Take a person's word for where joints stand (degrees), or that they stand where they read (None)."""
+    with connect(arm) as connection:
+        for joint in said_deg:
+            connection.index(joint)
+        for joint, angle_deg in said_deg.items():
+            index = connection.index(joint)
+            row = connection.snapshot()["joints"][index]
+            if angle_deg is None and row["unreferenced_reason"] == Unreferenced.POWER_LOST:
+                raise Refusal(
+                    f"The drive of {joint} counts from where its power came back, so what it reads is no angle: say "
+                    f"where it stands, `rtarm reference {joint}=DEGREES`, or home it."
+                )
+            value = math.nan if angle_deg is None else math.radians(angle_deg)
+            connection.order(Request.REFERENCE, joint_mask=1 << index, value=value)
+            after = _see_to_the_end(connection, lambda _: None)
+            if sentence := connection.fault(after):
+                raise Refusal(sentence)
+        lost = connection.lost(after)
+        stands = ", ".join(_stands_at(after, connection.index(joint), joint) for joint in said_deg)
+    return " ".join([f"Taken: {stands}.", *lost])
+
+
+def _is_over(snapshot: np.ndarray) -> bool:
+    return int(snapshot["mode"]) != Mode.REFERENCING
+
+
+def _see_to_the_end(connection: Connection, on_joint: Callable[[str], None]) -> np.ndarray:
+    """Wait until joints are referenced, telling of each as its turn comes; the last snapshot."""
+    joint = -1
+
+    def news(now: np.ndarray) -> bool:
+        return _is_over(now) or int(now["referencing_joint"]) not in (joint, -1)
+
+    while True:
+        now = connection.wait(
+            news,
+            HOMING_PATIENCE_S,
+            "A joint has been on its way to its stop for an hour: end it with `rtarm stop`.",
+        )
+        if _is_over(now):
+            return now
+        joint = int(now["referencing_joint"])
+        on_joint(connection.joints[joint])
+
+
+def _stands_at(snapshot: np.ndarray, index: int, joint: str) -> str:
+    return f"{joint} {math.degrees(snapshot['joints'][index]['measured_position_rad']):.2f}°"
+
+
+def enable(arm: str) -> str:
+    """Enable limp drives, wait until the arm holds, and say so."""
+    with connect(arm) as connection:
+        if sentence := connection.fault(connection.snapshot()):
+            raise Refusal(f"A fault is latched; `rtarm clear-fault` clears it and enables the drives. {sentence}")
+        connection.order(Request.ENABLE)
+        after = connection.wait(
+            lambda now: int(now["mode"]) in (Mode.HOLDING, Mode.EXECUTING, Mode.FAULT),
+            BRING_UP_PATIENCE_S,
+            f"The drives of {arm} are not enabled after {BRING_UP_PATIENCE_S:g} s: see `rtarm status`.",
+        )
+        if sentence := connection.fault(after):
+            raise Refusal(sentence)
+        lost = connection.lost(after)
+    return " ".join([f"The drives of {arm} are enabled; the arm holds where it stands.", *lost])
+
+
+def let_go(arm: str, kind: Request) -> str:
+    """Let the drives of a standing arm go limp (DISABLE, or FREE to lead it by hand), and say so."""
+    mode = Mode.DISABLED if kind == Request.DISABLE else Mode.FREE
+    with connect(arm) as connection:
+        connection.order(kind)
+        after = connection.wait(
+            lambda now: int(now["mode"]) == Mode.FAULT or (int(now["mode"]) == mode and _is_limp(now)),
+            RELEASE_PATIENCE_S,
+            f"The drives of {arm} are not limp after {RELEASE_PATIENCE_S:g} s: keep clear and see `rtarm status`.",
+        )
+        if sentence := connection.fault(after):
+            raise Refusal(sentence)
+    if mode == Mode.FREE:
+        return f"The drives of {arm} are limp: lead it by hand; `rtarm enable` takes hold of it where it stands."
+    return f"The drives of {arm} are limp and it is out of service until `rtarm enable`."
+
+
+def _is_limp(snapshot: np.ndarray) -> bool:
+    return not np.any(snapshot["joints"]["drive_status"] & DriveStatus.ENABLED)
+
+
+def hold(arm: str) -> str:
+    """Pause the running goal: stop on its path, wait until the arm stands, and say so."""
+    with connect(arm) as connection:
+        answer = connection.ask(Request.HOLD)
+        if answer == Answer.REFUSED_NO_GOAL:
+            return f"Arm {arm} holds already; no goal is running."
+        if answer != Answer.DONE:
+            raise Refusal(answer_sentence(answer))
+        after = connection.wait(
+            lambda now: _is_over(now) and not np.any(now["joints"]["commanded_velocity_rad_s"]),
+            STOP_PATIENCE_S,
+            f"Arm {arm} still moves {STOP_PATIENCE_S:g} s after the hold was accepted: use the emergency stop, then "
+            "look at `rtarm status`.",
+        )
+    if int(after["goal_phase"]) != Phase.PAUSED:
+        return f"Arm {arm} stands; what moved it has ended."
+    return f"Arm {arm} stands on its path; its goal goes on with `rtarm resume` or ends with `rtarm stop`."
+
+
+def resume(arm: str) -> str:
+    """Let a paused goal go on, and say so."""
+    with connect(arm) as connection:
+        connection.order(Request.RESUME)
+    return f"The goal of {arm} goes on."

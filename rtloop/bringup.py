@@ -12,7 +12,8 @@ from collections.abc import Callable, Generator
 from config.budget import budget
 from config.joint import JointConfig, ZdtDrive
 from config.schema import ArmConfig
-from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed
+from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, silent_amid
+from rtloop.drives import zdt_talk
 from rtloop.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, ServicePort
 from shm.words import Fault, Unreferenced
 
@@ -77,23 +78,23 @@ class BringUp(Conversation):
             )
         reason = Unreferenced.REFERENCED
         flags = yield from self._status(joint, config)
-        if flags & 0x08:
+        if flags & zdt_talk.PROTECTED:
             if not self._clears_protection:
                 raise TalkFailed(
                     joint,
                     f"The drive of {config.name} has tripped its stall protection and holds nothing: free what blocks "
                     "the joint, then `rtarm clear-fault`.",
                 )
-            yield Ask(b"\x0e\x52\x6b", (3,))
+            yield Ask(zdt_talk.CLEAR_PROTECTION, (3,))
             flags = yield from self._status(joint, config)
-            if flags & 0x08:
+            if flags & zdt_talk.PROTECTED:
                 raise TalkFailed(
                     joint,
                     f"The drive of {config.name} stays in protection after it was cleared, so what tripped it (a "
                     "blocked joint, heat, current) is still there: find it on the drive's display, let the drive cool, "
                     "then `rtarm clear-fault`.",
                 )
-        if flags & 0x80:
+        if flags & zdt_talk.POWER_LOST and not self._port.power_loss_known(joint):
             yield self._stop()  # since it has power it may have heard targets of before
             reason = Unreferenced.POWER_LOST
             self._tell(
@@ -102,10 +103,10 @@ class BringUp(Conversation):
                 "until then."
             )
         yield from self._settle_configuration(joint, config, drive, version)
-        if not flags & 0x01:
-            yield Ask(b"\xf3\xab\x01\x00\x6b", (3,), answered=self.arm.bus.acknowledge)
+        if not flags & zdt_talk.ENABLED:
+            yield Ask(zdt_talk.ENABLE, (3,), answered=self.arm.bus.acknowledge)
             flags = yield from self._status(joint, config)
-            if not flags & 0x01:
+            if not flags & zdt_talk.ENABLED:
                 raise TalkFailed(
                     joint,
                     f"The drive of {config.name} stays disabled after being enabled: look at its display for a fault "
@@ -114,13 +115,13 @@ class BringUp(Conversation):
         yield from self._adopt_position(joint, config, reason)
 
     def _stop(self) -> Ask:
-        return Ask(b"\xfe\x98\x00\x6b", (3,), answered=self.arm.bus.acknowledge)
+        return Ask(zdt_talk.STOP, (3,), answered=self.arm.bus.acknowledge)
 
     def _status(self, joint: int, config: JointConfig) -> Generator[Ask, bytes | None, int]:
-        answer = yield Ask(b"\x3a\x6b", (3,))
-        if answer is None or answer[0] != 0x3A:
-            raise TalkFailed(joint, _silent_amid(config, "status"))
-        return answer[1]
+        flags = yield from zdt_talk.read_flags(0x3A)
+        if flags is None:
+            raise TalkFailed(joint, silent_amid(config, "status"))
+        return flags
 
     def _settle_configuration(self, joint: int, config: JointConfig, drive: ZdtDrive, version: int) -> Dialogue:
         """Check what would make motion wrong; set the response mode in volatile memory."""
@@ -182,15 +183,14 @@ class BringUp(Conversation):
         started_ns = self.now_ns
         stopped = False
         counts_per_rad = config.direction * config.encoder_counts_per_rad
+        zero_rad = self._port.zero_rad(joint)
         while True:
-            answer = yield Ask(b"\x36\x6b", (7,))
-            measured = _signed_counts(answer, 0x36)
-            answer = yield Ask(b"\x33\x6b", (7,))
-            target = _signed_counts(answer, 0x33)
+            measured = yield from zdt_talk.read_counts(0x36)
+            target = yield from zdt_talk.read_counts(0x33)
             if measured is None or target is None:
-                raise TalkFailed(joint, _silent_amid(config, "position"))
-            measured_rad = measured / counts_per_rad - config.zero_rad
-            target_rad = target / counts_per_rad - config.zero_rad
+                raise TalkFailed(joint, silent_amid(config, "position"))
+            measured_rad = measured / counts_per_rad - zero_rad
+            target_rad = target / counts_per_rad - zero_rad
             if abs(target_rad - measured_rad) <= ADOPT_WITHIN_RAD:
                 break
             if not stopped:  # whatever it is on its way to, nobody here has told it
@@ -223,17 +223,3 @@ def _version(answer: bytes) -> int:
     if answer[0] != 0x1F:
         return 0
     return answer[1] if len(answer) == 4 else int.from_bytes(answer[1:3], "big")
-
-
-def _signed_counts(answer: bytes | None, function: int) -> int | None:
-    if answer is None or len(answer) != 7 or answer[0] != function:
-        return None
-    magnitude = int.from_bytes(answer[2:6], "big")
-    return -magnitude if answer[1] else magnitude
-
-
-def _silent_amid(config: JointConfig, what: str) -> str:
-    return (
-        f"The drive of {config.name} stopped answering while its {what} was read: check its power and the CAN wires, "
-        "then start again."
-    )

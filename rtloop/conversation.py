@@ -8,7 +8,7 @@ conversation works at start, at run time, and in tests in virtual time.
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 
-from config.joint import ZdtDrive
+from config.joint import JointConfig, ZdtDrive
 from config.schema import ArmConfig
 from rtloop.port import BRING_UP_FAILED, SEND, Frame, ServicePort
 from shm.words import Fault
@@ -35,6 +35,14 @@ class Ask:
     reply_lengths: tuple[int, ...]
     packets: int = 1
     answered: bool = True
+
+
+def silent_amid(config: JointConfig, what: str) -> str:
+    """The sentence about a drive that has answered before."""
+    return (
+        f"The drive of {config.name} stopped answering while its {what} was read: check its power and the CAN wires, "
+        "then start again."
+    )
 
 
 Dialogue = Generator[Ask, bytes | None, None]
@@ -109,10 +117,14 @@ class Conversation:
             self.post(BRING_UP_FAILED, joint=failure.joint, code=self._fault)
             return True
         self._flush()
-        self.done = not self._dialogues and not self._outbox
+        self.done = not self._dialogues and not self._outbox and not self._goes_on()
         if self.done and self._last_order is not None:
             self.post(self._last_order)
         return self.done
+
+    def _goes_on(self) -> bool:
+        """Begin what follows when every dialogue is over; whether there is something."""
+        return False
 
     def post(self, kind: int, joint: int = -1, value: float = 0.0, code: int = 0) -> None:
         """Tell the cycle a decision."""

@@ -12,10 +12,15 @@ Shared = Any
 
 
 @jit
+def _is_of_a_talk(fault: int) -> bool:
+    return fault == Fault.BRING_UP or fault == Fault.RELEASE or fault == Fault.HOMING
+
+
+@jit
 def path_is_trusted(fault: int) -> bool:
     """Whether the arm may brake along its path after this fault; else each joint brakes by itself."""
     out_of_reach = fault == Fault.WIRE or fault == Fault.LINK_DOWN or fault == Fault.BUS_OFF
-    return out_of_reach or fault == Fault.COMMAND_RING or fault == Fault.BRING_UP or fault == Fault.RELEASE
+    return out_of_reach or fault == Fault.COMMAND_RING or _is_of_a_talk(fault)
 
 
 @jit
@@ -29,6 +34,7 @@ def latch_fault(loop: Loop, shared: Shared, fault: int, joint: int, value: float
     core.fault_value = value
     core.fault_limit = limit
     core.fault_ns = core.now_ns
+    core.referencing_ends = 1
     record_event(loop, shared, Event.FAULT, joint, fault, value, limit)
     change_mode(loop, shared, Mode.FAULT)
     if not path_is_trusted(fault):

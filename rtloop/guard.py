@@ -171,6 +171,8 @@ def end_for(loop: Loop, outcome: int, joint: int, value: float, limit: float) ->
 def take_status(loop: Loop, joint: int, status: int) -> None:
     """Believe a bad status when it comes twice: the serial line has no checksum, one garbled digit is enough."""
     axis = loop.axes[joint]
+    if axis.power_loss_known == 1:
+        status &= ~status_bits.POWER_LOST
     axis.status = status | status_bits.ANSWERED
     axis.status_readings += 1
     bad = status & (status_bits.PROTECTED | status_bits.POWER_LOST) != 0 or status & status_bits.ENABLED == 0
@@ -185,7 +187,7 @@ def lose_reference(loop: Loop, shared: Shared, joint: int, reason: int) -> None:
     axis = loop.axes[joint]
     if axis.referenced == 1:
         record_event(loop, shared, Event.REFERENCE, joint, reason, 0.0, 0.0)
-    axis.referenced = 0
+    axis.referenced = axis.power_loss_known = 0
     axis.unreferenced_reason = reason
     axis.stop_frames_due = STOP_FRAMES
 
@@ -206,7 +208,8 @@ def stop_if_it_was_away(loop: Loop, joint: int, waited_ns: int) -> None:
 @jit
 def outlives_a_clear(reason: int) -> bool:
     """Whether a joint stays unreferenced although the drive looks sound again: clearing a fault never references."""
-    return reason == Unreferenced.POWER_LOST or reason == Unreferenced.POSITION_JUMP or reason == Unreferenced.SILENT
+    count_is_doubtful = reason == Unreferenced.POSITION_JUMP or reason == Unreferenced.NOT_HOMED
+    return count_is_doubtful or reason == Unreferenced.POWER_LOST or reason == Unreferenced.SILENT
 
 
 @jit
@@ -307,7 +310,8 @@ def drives_are_led(loop: Loop) -> bool:
         return False
     if core.mode == Mode.FAULT:
         return not at_rest(loop)
-    return core.mode == Mode.HOLDING or core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING
+    standing = core.mode == Mode.HOLDING or core.mode == Mode.REFERENCING
+    return standing or core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING
 
 
 @jit

@@ -22,7 +22,7 @@ from shm import layout
 from shm.atomics import load_acquire, store_release
 from shm.jit import jit
 from shm.seqlock import copy_words, crc32_at
-from shm.words import Answer, Entry, Event, Fault, Mode, Outcome, Request, Setpoint
+from shm.words import Answer, Entry, Event, Fault, Mode, Outcome, Request, Setpoint, Unreferenced
 
 Loop = Any
 Shared = Any
@@ -394,6 +394,11 @@ def _obey(loop: Loop, shared: Shared) -> int:
         return Answer.DONE
     if kind == Request.DISABLE or kind == Request.FREE:
         return _let_go(loop, shared, Mode.DISABLED if kind == Request.DISABLE else Mode.FREE)
+    if kind == Request.HOME or kind == Request.REFERENCE:
+        return _begin_referencing(loop, shared, kind, request.joint_mask, request.value)
+    if core.mode == Mode.REFERENCING and (kind == Request.HOLD or kind == Request.CANCEL or kind == Request.STOP):
+        core.referencing_ends = 1
+        return Answer.DONE
     if kind == Request.CANCEL or kind == Request.STOP:
         outcome = Outcome.CANCELED if kind == Request.CANCEL else Outcome.STOPPED
         return _end_goals(loop, shared, request.goal_id, outcome)
@@ -422,6 +427,43 @@ def _let_go(loop: Loop, shared: Shared, mode: int) -> int:
     if not limp_already:
         core.release_asked = 1
     return Answer.DONE
+
+
+@jit
+def _begin_referencing(loop: Loop, shared: Shared, kind: int, joint_mask: int, angle_rad: float) -> int:
+    """Let joints of a standing arm be homed, or be where a person says."""
+    core, count = loop.core, loop.params.joint_count
+    if joint_mask == 0 and kind == Request.HOME:
+        joint_mask = loop.params.homing_mask
+    if joint_mask <= 0 or joint_mask >> count != 0 or math.isinf(angle_rad):
+        return Answer.REFUSED_VALUE
+    for joint in range(count):
+        if (joint_mask >> joint) & 1 and kind == Request.REFERENCE and not _may_stand_at(loop, joint, angle_rad):
+            return Answer.REFUSED_VALUE
+    if core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING or core.incoming_goal != 0 or core.rebase_ns != 0:
+        return Answer.REFUSED_MOVING
+    if core.bring_up_asked == 1 or not change_mode(loop, shared, Mode.REFERENCING):
+        return Answer.REFUSED_MODE
+    core.referencing_ends = 0
+    core.home_asked = joint_mask if kind == Request.HOME else 0
+    core.reference_asked = joint_mask if kind == Request.REFERENCE else 0
+    for joint in range(count):
+        if (joint_mask >> joint) & 1:
+            axis = loop.axes[joint]
+            axis.referenced = 0
+            axis.asked_rad = angle_rad
+            if kind == Request.HOME:
+                axis.unreferenced_reason = Unreferenced.NOT_HOMED
+    return Answer.DONE
+
+
+@jit
+def _may_stand_at(loop: Loop, joint: int, angle_rad: float) -> bool:
+    """Whether a person may say so: no joint is outside its limits, and a drive that lost power counts from nowhere."""
+    if math.isnan(angle_rad):
+        return bool(loop.axes[joint].unreferenced_reason != Unreferenced.POWER_LOST)
+    row = loop.joints[joint]
+    return bool(row.lower_rad <= angle_rad <= row.upper_rad)
 
 
 @jit

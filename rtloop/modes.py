@@ -2,6 +2,7 @@
 
 offline → bringing_up → holding ⇄ executing → stopping → holding
 holding → disabled ⇄ free → bringing_up (being enabled brings the drives up again)
+holding ⇄ referencing
 any of them → fault → bringing_up (an explicit clear does too)
 """
 
@@ -17,12 +18,13 @@ Shared = Any
 ALLOWED = {
     Mode.OFFLINE: (Mode.BRINGING_UP, Mode.FAULT),
     Mode.BRINGING_UP: (Mode.HOLDING, Mode.FAULT),
-    Mode.HOLDING: (Mode.EXECUTING, Mode.DISABLED, Mode.FREE, Mode.FAULT),
+    Mode.HOLDING: (Mode.EXECUTING, Mode.DISABLED, Mode.FREE, Mode.REFERENCING, Mode.FAULT),
     Mode.EXECUTING: (Mode.STOPPING, Mode.HOLDING, Mode.FAULT),
     Mode.STOPPING: (Mode.HOLDING, Mode.EXECUTING, Mode.FAULT),
     Mode.FAULT: (Mode.BRINGING_UP,),
     Mode.DISABLED: (Mode.FREE, Mode.BRINGING_UP, Mode.FAULT),
     Mode.FREE: (Mode.DISABLED, Mode.BRINGING_UP, Mode.FAULT),
+    Mode.REFERENCING: (Mode.HOLDING, Mode.FAULT),
 }
 
 _ALLOWED_BITS = tuple(sum(1 << int(to) for to in ALLOWED[mode]) for mode in Mode)

@@ -26,10 +26,19 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
         if order.kind == port.BRING_UP_BEGINS:
             begin_bring_up(loop, shared)
         elif order.kind == port.ADOPT:
-            if core.mode == Mode.BRINGING_UP:
+            if core.mode == Mode.BRINGING_UP or core.mode == Mode.REFERENCING:
                 adopt(loop, order.joint, order.value, order.code)
         elif order.kind == port.BRING_UP_DONE:
             if core.mode == Mode.BRINGING_UP:
+                change_mode(loop, shared, Mode.HOLDING)
+        elif order.kind == port.COUNT_FROM:
+            if core.mode == Mode.REFERENCING:
+                count_from(loop, order.joint, order.value, order.code)
+        elif order.kind == port.REFERENCING:
+            core.referencing_joint = order.joint
+        elif order.kind == port.REFERENCING_DONE:
+            core.referencing_joint = -1
+            if core.mode == Mode.REFERENCING:
                 change_mode(loop, shared, Mode.HOLDING)
         elif order.kind == port.BRING_UP_FAILED:
             latch_fault(loop, shared, order.code, order.joint, order.value, 0.0)
@@ -50,6 +59,7 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
     core.own_brake = core.stale = core.rebase_ns = 0
     core.motion_started = core.silenced = core.rested = 0
     core.bring_up_asked = core.release_asked = 0
+    core.referencing_joint = -1
     shared.counters.bus_state = BusState.ACTIVE  # until the controller says otherwise
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
@@ -60,6 +70,16 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
         axis.lag_ns = 0
         axis.status = 0
         axis.unanswered_since_ns = 0
+
+
+@jit
+def count_from(loop: Loop, joint: int, zero_rad: float, power_loss_known: int) -> None:
+    """The joint's count means an angle again: no reading of before is compared with those that follow."""
+    axis = loop.axes[joint]
+    loop.joints[joint].zero_rad = zero_rad
+    axis.power_loss_known = power_loss_known
+    axis.unreferenced_reason = Unreferenced.REFERENCED
+    axis.readings = axis.bad_statuses = axis.doubted = axis.refusals = axis.lag_ns = 0
 
 
 @jit
@@ -79,7 +99,7 @@ def adopt(loop: Loop, joint: int, position_rad: float, reason: int) -> None:
         axis.measured_ns = loop.core.now_ns
     axis.slip_rad = axis.lag_rad = axis.error_before_rad = axis.velocity_error_before_rad_s = 0.0
     axis.error_acceleration_rad_s2 = axis.error_acceleration_before_rad_s2 = 0.0
-    if not outlives_a_clear(axis.unreferenced_reason):
+    if reason == Unreferenced.POWER_LOST or not outlives_a_clear(axis.unreferenced_reason):
         axis.unreferenced_reason = reason
     axis.referenced = 1 if axis.unreferenced_reason == Unreferenced.REFERENCED else 0
     if axis.referenced == 1:  # any other is stopped before it is led again

@@ -16,6 +16,9 @@ ADOPT = 2  # joint stands at `value`; code = Unreferenced reason (0: referenced)
 BRING_UP_BEGINS = 3
 BRING_UP_DONE = 4
 BRING_UP_FAILED = 5  # joint, code = shm.words.Fault
+COUNT_FROM = 6  # joint's zero is `value` (rad) from its drive's own; code = 1: its flag for lost power means nothing
+REFERENCING = 7  # joint's turn
+REFERENCING_DONE = 8
 
 IN = offset_of(LOOP, "service_in")
 OUT = offset_of(LOOP, "service_out")
@@ -48,6 +51,18 @@ class ServicePort:
         self._record = loop[0]
         self._address = int(loop.ctypes.data)
         self._words = words
+
+    def zero_rad(self, joint: int) -> float:
+        """What the joint's angle is counted from; another than the arm file's where a person said where it stands."""
+        return float(self._record["joints"][joint]["zero_rad"])
+
+    def commanded_rad(self, joint: int) -> float:
+        """Where the joint is commanded to be."""
+        return float(self._record["axes"][joint]["position_rad"])
+
+    def power_loss_known(self, joint: int) -> bool:
+        """Whether a drive's flag for lost power means nothing, because a person said where the joint stands since."""
+        return bool(self._record["axes"][joint]["power_loss_known"])
 
     def post(
         self,

@@ -15,6 +15,7 @@ from rtloop.bringup import BringUp
 from rtloop.compiled import CompiledCycle
 from rtloop.conversation import Conversation, TalkFailed
 from rtloop.port import ServicePort
+from rtloop.referencing import Referencing, begin_referencing
 from rtloop.release import Release
 from rtloop.state import new_loop, offset_of, show_limits
 from rtloop.wire.opening import close_wire, keeps_frames, lost_bytes, open_wire
@@ -271,13 +272,17 @@ class ControlProcess:
             elif talk is None and int(self._core["release_asked"]) == 1:
                 self._core["release_asked"] = 0  # taken back by the cycle when the drives are enabled meanwhile
                 talk = Release(self._arm, self._port, now_ns=time.monotonic_ns())
+            elif talk is None and int(self._core["home_asked"]) | int(self._core["reference_asked"]):
+                talk = begin_referencing(self._arm, self._loop, self._port, time.monotonic_ns(), self._tell)
+            if isinstance(talk, Referencing) and (self._stop_asked.yes or int(self._core["referencing_ends"]) == 1):
+                talk.end()
             if not self._cycle.is_alive():
                 return 3
             if self._stop_asked.yes:
                 if closing_until_s == 0.0:
                     self._core["closing"] = 1
                     closing_until_s = now_s + float(self._loop[0]["params"]["longest_stop_s"]) + 1.0
-                if self._stands() or now_s > closing_until_s:
+                if (self._stands() and not isinstance(talk, Referencing)) or now_s > closing_until_s:
                     return 0
                 time.sleep(BUSY_POLL_S)
 

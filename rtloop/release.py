@@ -5,12 +5,9 @@ The cycle has stopped leading the drives before this begins, and follows where t
 
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, drive_addresses
+from rtloop.drives import zdt_talk
 from rtloop.port import ServicePort
 from shm.words import Fault
-
-_DISABLE = b"\xf3\xab\x00\x00\x6b"
-_READ_STATUS = b"\x3a\x6b"
-_ENABLED = 0x01
 
 
 class Release(Conversation):
@@ -23,9 +20,9 @@ class Release(Conversation):
     def _let_go(self, joint: int) -> Dialogue:
         name = self.arm.joints[joint].name
         for _ in range(TRIES):
-            yield Ask(_DISABLE, (3,), answered=self.arm.bus.acknowledge)
-            status = yield Ask(_READ_STATUS, (3,))
-            if status is not None and status[0] == _READ_STATUS[0] and not status[1] & _ENABLED:
+            yield Ask(zdt_talk.RELEASE, (3,), answered=self.arm.bus.acknowledge)
+            flags = yield from zdt_talk.read_flags(0x3A)
+            if flags is not None and not flags & zdt_talk.ENABLED:
                 return
         raise TalkFailed(
             joint,

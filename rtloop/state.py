@@ -56,6 +56,7 @@ REPLY_PROCESSING_NS = 300_000
 PARAMS = np.dtype(
     [
         ("joint_count", "i8"),
+        ("homing_mask", "i8"),  # joints of the arm's homing run
         ("period_ns", "i8"),
         ("wire", "i8"),
         ("address", "i8"),  # of this record itself
@@ -132,6 +133,8 @@ AXIS = np.dtype(
         ("status_readings", "i8"),
         ("referenced", "i8"),
         ("unreferenced_reason", "i8"),
+        ("asked_rad", "f8"),  # where a person says that the joint stands, NaN = as its drive counts
+        ("power_loss_known", "i8"),  # 1: the drive's flag for lost power stays, and where it counts from is known
         ("stop_frames_due", "i8"),
         ("rpm_remainder", "f8"),
         ("slip_rad", "f8"),  # how far the drive may have run ahead while the loop was away
@@ -196,6 +199,10 @@ CORE = np.dtype(
         ("decisions_crc", "i8"),  # of them
         ("bring_up_asked", "i8"),
         ("release_asked", "i8"),
+        ("home_asked", "i8"),  # joint mask
+        ("reference_asked", "i8"),  # joint mask; `asked_rad` of each says where it stands
+        ("referencing_ends", "i8"),  # 1: a person, a fault or a shutdown ends what HOME or REFERENCE began
+        ("referencing_joint", "i8"),
         ("closing", "i8"),  # a shutdown is stopping the arm
         # the goal
         ("active", "i8"),  # which of the two paths runs
@@ -409,7 +416,7 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
         axis["measured_rad"] = math.nan
         axis["reference_rad"] = math.nan
     core["mode"] = Mode.OFFLINE
-    core["fault_joint"] = -1
+    core["fault_joint"] = core["referencing_joint"] = -1
     core["ending_joint"] = -1
     core["rate"] = core["rate_target"] = core["speed_scale"] = core["entry_rate"] = 1.0
     return loop
@@ -445,6 +452,7 @@ def _fill_params(params: np.void, arm: ArmConfig) -> None:
     period_ns = arm.control.period_ns
     params["joint_count"] = len(arm.joints)
     params["period_ns"] = period_ns
+    params["homing_mask"] = sum(1 << joint for joint in arm.homing_order)
     params["wire"] = WIRES[arm.bus.interface]
     for name in ("start_tolerance_rad", "velocity_margin", "acceleration_margin", "braking_factor"):
         params[name] = getattr(limits, name)

@@ -148,6 +148,7 @@ CHANGING = [
     Word("speed_scale_target", "f8", "", "where the speed scale is going"),
     Word("speed_scale_asked", "f8", "", "what people asked for, 0…1; the scale goes there unless something stops"),
     Word("motion_started", "i8", "", "1 once the first motion frame was sent since bring-up"),
+    Word("referencing_joint", "i8", "", "joint that is being homed or referenced, -1 for none"),
     Word("joints", (JOINT, (MAX_JOINTS,)), "", "one record a joint"),
 ]
 """The words of a snapshot that change in every cycle."""
@@ -408,9 +409,10 @@ REQUEST = _record(
         Word("sequence", "i8", "", "number of this request, from 1"),
         Word("kind", "i8", "", "shm.words.Request"),
         Word("goal_id", "i8", "", "CANCEL: the goal meant, 0 = whichever runs"),
-        Word("value", "f8", "", "SPEED_SCALE: the factor 0…1"),
+        Word("value", "f8", "", "SPEED_SCALE: the factor 0…1; REFERENCE: the joint's angle (rad), NaN = as it counts"),
         Word("monotonic_ns", "i8", "ns", "when it was made"),
-        Word("padding", ("i8", (2,)), "", ""),
+        Word("joint_mask", "i8", "", "HOME, REFERENCE: bit n = joint n; HOME: 0 = the arm file's homing.order"),
+        Word("padding", "i8", "", ""),
     ],
 )
 

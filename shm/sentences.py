@@ -244,6 +244,12 @@ FAULTS: dict[Fault, Meaning] = {
         "Find out who took it down; set it up; the control process says when it is back; clear the fault. Joints whose "
         "drives were silent for too long stay unreferenced until rtarm is started again.",
     ),
+    Fault.HOMING: Meaning(
+        "{joint} was not homed: see the control process' message for the reason, mend it, then `rtarm clear-fault` and "
+        "`rtarm home` again.",
+        "A joint whose stop was not found counts from nowhere.",
+        "Follow the message of the control process; clear the fault; home the joint again.",
+    ),
     Fault.BUS_OFF: Meaning(
         "The CAN controller has left the bus after too many errors (bus-off): check wires, termination and bit rate, "
         "restart it (`sudo ip link set can0 type can restart`) unless restart-ms does, then `rtarm clear-fault`.",
@@ -294,28 +300,34 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
         "Wait, or see why bring-up does not end.",
     ),
     Unreferenced.POWER_LOST: Meaning(
-        "The drive of {joint} lost power, so its angle is not known: home it with the drive's own means, clear its "
-        "power-lost flag, then start rtarm again.",
+        "The drive of {joint} lost power, so its angle is not known: home it with `rtarm home`, or say where "
+        "it stands with `rtarm reference`.",
         "A drive counts from where it stood when it was switched on.",
-        "Home the joint with the drive's own means and clear its flag (50 00 6B); start rtarm again.",
+        "Home the joint; or look at it and say its angle (`rtarm reference {joint}=DEGREES`).",
     ),
     Unreferenced.POSITION_JUMP: Meaning(
-        "The measured position of {joint} jumped, so its angle is not known: check the drive, see whether "
-        "the joint stands where `rtarm status` says (home it if not), then start rtarm again.",
+        "The measured position of {joint} jumped, so its angle is not known: check the drive, then "
+        "home the joint with `rtarm home`, or say where it stands with `rtarm reference`.",
         "No joint moves that far in one cycle; the count must have changed its meaning.",
-        "Check encoder and supply; home the joint if it does not stand where it reads; start rtarm again.",
+        "Check encoder and supply; home the joint, or look at it and say where it stands.",
     ),
     Unreferenced.SILENT: Meaning(
         "The drive of {joint} was silent for too long, so its angle is not known: check supply and cable, "
-        "see whether the joint stands where `rtarm status` says (home it if not), then start rtarm again.",
+        "see whether the joint stands where `rtarm status` says, then take that with `rtarm reference`, or home it.",
         "A drive that was away may have been switched off and moved meanwhile.",
-        "Check supply and cable; home the joint if it does not stand where it reads; start rtarm again.",
+        "Check supply and cable; `rtarm reference` the joint if it stands where it reads, home it if not.",
     ),
     Unreferenced.TARGET_FAR: Meaning(
         "The drive of {joint} stands far from its own target, so adopting either would move it or lie: free "
         "the joint, then bring the arm up again.",
         "Where target and position disagree the joint is held off its target by force, or its count is wrong.",
         "Free the joint, switch the drive off and on, bring the arm up again.",
+    ),
+    Unreferenced.NOT_HOMED: Meaning(
+        "{joint} was not homed to the end, so its angle is not known: home it with `rtarm home`, or see that it stands "
+        "where `rtarm status` says and take that with `rtarm reference`.",
+        "A homing run changes what the drive's count means.",
+        "Home it again; or look at the joint and say where it stands.",
     ),
     Unreferenced.OUTSIDE_LIMITS: Meaning(
         "{joint} stands outside its limits, so its count or its zero must be wrong: check zero_deg, "
@@ -339,9 +351,10 @@ ANSWERS: dict[Answer, Meaning] = {
         "Nothing to do.",
     ),
     Answer.REFUSED_VALUE: Meaning(
-        "The value is not allowed; a speed scale lies between 0 and 1: correct it.",
-        "A factor above 1 would break the limits the goal was checked against.",
-        "Give a value from 0 to 1.",
+        "The value is not allowed: a speed scale lies between 0 and 1, a joint stands inside its limits, and the count "
+        "of a drive that lost power says nothing of where.",
+        "The control process believes no value that cannot be.",
+        "Give a speed scale from 0 to 1, an angle inside the joint's limits, joints that the arm has.",
     ),
     Answer.REFUSED_MOVING: Meaning(
         "The arm is moving or still coming to rest: ask again when it stands.",

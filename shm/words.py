@@ -18,6 +18,7 @@ class Mode(IntEnum):
     FAULT = 5
     DISABLED = 6  # the drives are limp, the arm is out of service
     FREE = 7  # the drives are limp, so that a person can lead the arm by hand
+    REFERENCING = 8  # joints find their homing stops, or a person says where they stand
 
 
 class Phase(IntEnum):
@@ -51,6 +52,8 @@ class Request(IntEnum):
     ENABLE = 7  # bring limp drives up again; the arm holds where it stands
     DISABLE = 8  # let the drives of a standing arm go limp
     FREE = 9  # the same, to lead it by hand
+    HOME = 10  # let joints find their homing stops, one after the other
+    REFERENCE = 11  # a person knows where joints stand
 
 
 class Entry(IntFlag):
@@ -119,6 +122,7 @@ class Fault(IntEnum):
     RELEASE = 12  # a drive that was to go limp stays enabled
     LINK_DOWN = 13  # the CAN interface was taken down
     BUS_OFF = 14  # the CAN controller has left the bus after too many errors
+    HOMING = 15  # a joint did not find its homing stop, or its drive could not be referenced
 
 
 class Unreferenced(IntEnum):
@@ -131,6 +135,7 @@ class Unreferenced(IntEnum):
     SILENT = 4
     TARGET_FAR = 5  # measured position and the drive's own target disagree
     OUTSIDE_LIMITS = 6
+    NOT_HOMED = 7  # its homing run has not ended, or not where it should
 
 
 class DriveStatus(IntFlag):

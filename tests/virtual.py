@@ -19,6 +19,7 @@ from rtloop import entries
 from rtloop.bringup import BringUp
 from rtloop.cycle import step
 from rtloop.port import ServicePort
+from rtloop.referencing import Referencing, begin_referencing
 from rtloop.release import Release
 from rtloop.state import new_loop, show_limits
 from rtloop.wire import outgoing, received
@@ -26,7 +27,7 @@ from shm import layout
 from shm.client import CommandWriter, StateReader
 from shm.errors import RingFull
 from shm.files import MemoryFile, name_bytes
-from shm.words import Entry, Mode
+from shm.words import Answer, Entry, Mode, Request
 from sim.arm import SimulatedArm
 
 GOALS = Path(__file__).parent / "data" / "moveit"
@@ -186,6 +187,28 @@ class VirtualArm:
         self.core["release_asked"] = 0
         talk = Release(self.arm, self.port, now_ns=self.now_ns)
         self.until(lambda: talk.poll(self.now_ns), at_most_s=at_most_s)
+        return talk
+
+    def ask(self, kind: Request, **options: Any) -> Answer:
+        """Make a request and run the cycles until it is answered."""
+        sequence = self.writer.request(kind, **options)
+        self.cycle()
+        answer = self.reader.snapshot()["answers"][sequence % layout.ANSWER_SLOTS]
+        assert answer["sequence"] == sequence
+        return Answer(int(answer["answer"]))
+
+    def reference(self, *, at_most_s: float = 400.0, each_cycle: Callable[[], None] = lambda: None) -> Referencing:
+        """Run the conversation that HOME or REFERENCE has asked for, as the control process does."""
+        talk = begin_referencing(self.arm, self.loop, self.port, self.now_ns, self.told.append)
+
+        def over() -> bool:
+            each_cycle()
+            if self.core["referencing_ends"] == 1:
+                talk.end()
+            return talk.poll(self.now_ns)
+
+        self.until(over, at_most_s=at_most_s)
+        self.cycles(2)
         return talk
 
     # --- goals

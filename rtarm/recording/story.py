@@ -49,7 +49,7 @@ SLOWED = {
     Slowed.OWN_BRAKE: ("Each joint brakes by itself, since the path cannot be trusted.", ODD),
 }
 
-UNLED = (Mode.OFFLINE, Mode.BRINGING_UP, Mode.DISABLED, Mode.FREE)
+UNLED = (Mode.OFFLINE, Mode.BRINGING_UP, Mode.DISABLED, Mode.FREE, Mode.REFERENCING)
 """Modes in which a joint need not be where it is commanded."""
 
 STATUS = {

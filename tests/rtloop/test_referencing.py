@@ -1,0 +1,256 @@
+"""Homing by collision, and joints that stand where a person says, in virtual time on the simulated drives."""
+
+import math
+
+import numpy as np
+import pytest
+from observer import command_violations, frames_sent, motion_after, motion_frames, truth_of
+from virtual import VirtualArm
+
+from config.loader import load_arm
+from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
+from sim.faults import PowerLoss, Protection, Silent
+
+ALL = 0b111111
+JOINT2 = 0b000010
+NEAR_STOPS_DEG = (-176.0, -86.0, -79.0, -25.0, -105.0, -20.0)
+WITHIN_RAD = 0.002
+
+
+def new_arm(start_deg=NEAR_STOPS_DEG, *, overrides=None, **options):
+    arm = VirtualArm(load_arm("episode1", overrides=overrides or {}), start_rad=np.radians(start_deg), **options)
+    assert arm.bring_up().failure is None
+    return arm
+
+
+@pytest.fixture
+def arm():
+    found = new_arm()
+    yield found
+    found.close()
+
+
+def after_power_loss(arm, joint="joint2"):
+    """One drive was off for a second; the fault is cleared, the joint has no reference."""
+    arm.sim.inject(PowerLoss(joint, 0.0, off_s=1.0), since_ns=arm.now_ns)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.cycles(240)
+    assert arm.ask(Request.CLEAR_FAULT) == Answer.DONE
+    arm.core["bring_up_asked"] = 0
+    assert arm.bring_up(clears_protection=True).failure is None
+    assert arm.core["mode"] == Mode.HOLDING
+
+
+def true_rad(arm, joint):
+    return arm.sim.true_position_rad(joint, arm.sim.now_ns - 1)
+
+
+def small_goal(arm, towards_rad=0.05):
+    here = arm.loop[0]["axes"]["position_rad"][:6].copy()
+    joints = np.zeros((2, 6, 3))
+    joints[0, :, 0], joints[1, :, 0] = here, here + towards_rad
+    goal = arm.send_goal(np.array([0, 2_000_000_000]), joints)
+    arm.until(lambda: arm.outcome(goal) != Outcome.NONE, at_most_s=8.0)
+    return arm.outcome(goal)
+
+
+def test_a_drive_that_lost_power_is_homed_and_obeys_again(arm):
+    after_power_loss(arm)
+    assert arm.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.POWER_LOST
+    since = len(arm.sent)
+    others = {name: truth for name, truth in truth_of(arm.sim).items() if name != "joint2"}
+    began_ns = arm.now_ns
+    assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
+    assert arm.core["mode"] == Mode.REFERENCING
+    assert arm.reference().failure is None
+    config, axis = arm.arm.joints[1], arm.loop[0]["axes"][1]
+    assert (arm.core["mode"], axis["referenced"], arm.core["fault"]) == (Mode.HOLDING, 1, Fault.NONE)
+    assert abs(true_rad(arm, 1) - config.lower_rad) < WITHIN_RAD
+    assert abs(axis["measured_rad"] - true_rad(arm, 1)) < WITHIN_RAD
+    assert not arm.sim.drives[1].power_lost
+    assert arm.sim.drives[1].homing.timeout_ms == 120_000
+    assert motion_frames(frames_sent(arm.sent[since:]), 2, 0) == 0
+    others = {name: truth for name, truth in truth_of(arm.sim).items() if name in others}
+    assert motion_after(others, began_ns, arm.now_ns) == []
+    assert small_goal(arm) == Outcome.SUCCEEDED
+    assert command_violations(arm.arm, frames_sent(arm.sent)) == []
+    assert abs(axis["measured_rad"] - true_rad(arm, 1)) < WITHIN_RAD
+
+
+def test_a_whole_arm_is_homed_in_its_order():
+    arm = new_arm(overrides={"homing": {"order": ["joint3", "joint1", "joint2", "joint5", "joint6", "joint4"]}})
+    seen = []
+
+    def note():
+        joint = int(arm.reader.snapshot()["referencing_joint"])
+        if joint >= 0 and joint not in seen:
+            seen.append(joint)
+
+    assert arm.ask(Request.HOME) == Answer.DONE
+    assert arm.reference(each_cycle=note).failure is None
+    assert seen == [2, 0, 1, 4, 5, 3]
+    assert arm.reader.snapshot()["referencing_joint"] == -1
+    for joint, config in enumerate(arm.arm.joints):
+        assert abs(true_rad(arm, joint) - config.lower_rad) < WITHIN_RAD
+        assert arm.loop[0]["axes"][joint]["referenced"] == 1
+    assert small_goal(arm) == Outcome.SUCCEEDED
+    arm.close()
+
+
+@pytest.mark.parametrize("request_kind", [Request.STOP, Request.CANCEL, Request.HOLD])
+@pytest.mark.parametrize("after_cycles", [1, 20, 60])
+def test_a_homing_run_is_ended_at_once_whenever_somebody_asks(request_kind, after_cycles):
+    arm = new_arm((0.0,) * 6)
+    assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
+    cycles = []
+
+    def stop():
+        cycles.append(arm.now_ns)
+        if len(cycles) == after_cycles:
+            arm.writer.request(request_kind)
+
+    assert arm.reference(each_cycle=stop, at_most_s=3.0).failure is None
+    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.loop[0]["axes"][1]["referenced"] == 0
+    assert arm.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.NOT_HOMED
+    ended_ns = arm.now_ns
+    arm.cycles(60)
+    assert motion_after(truth_of(arm.sim), ended_ns, arm.now_ns) == []
+    assert small_goal(arm) == Outcome.REFUSED_UNREFERENCED
+    assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.nan) == Answer.DONE  # its count did not change
+    assert arm.reference().failure is None
+    assert abs(arm.loop[0]["axes"][1]["measured_rad"] - true_rad(arm, 1)) < WITHIN_RAD
+    assert small_goal(arm) == Outcome.SUCCEEDED
+    arm.close()
+
+
+def test_a_fault_of_another_drive_ends_a_homing_run():
+    arm = new_arm((0.0,) * 6)
+    assert small_goal(arm) == Outcome.SUCCEEDED
+    assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
+    arm.sim.inject(Silent("joint5", 0.5), since_ns=arm.now_ns)
+    arm.reference(at_most_s=3.0)
+    assert (arm.core["mode"], arm.core["fault"]) == (Mode.FAULT, Fault.STALE_READING)
+    assert not arm.sim.drives[1].homing_now
+    ended_ns = arm.now_ns
+    arm.cycles(60)
+    assert motion_after(truth_of(arm.sim), ended_ns, arm.now_ns) == []
+    arm.close()
+
+
+def test_a_stop_that_is_not_found_in_time_is_a_fault():
+    arm = new_arm((0.0,) * 6, overrides={"homing": {"timeout_s": 2.0}})
+    arm.sim.drives[1].homing = type(arm.sim.drives[1].homing)(timeout_ms=1_000)
+    assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
+    failure = arm.reference(at_most_s=6.0).failure
+    assert "joint2 has not found its homing stop within 2 s" in str(failure)
+    assert (arm.core["mode"], arm.core["fault"], arm.core["fault_joint"]) == (Mode.FAULT, Fault.HOMING, 1)
+    ended_ns = arm.now_ns
+    assert arm.ask(Request.CLEAR_FAULT) == Answer.DONE
+    arm.core["bring_up_asked"] = 0
+    assert arm.bring_up(clears_protection=True).failure is None
+    assert arm.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.NOT_HOMED
+    assert motion_after(truth_of(arm.sim), ended_ns, arm.now_ns) == []
+    arm.close()
+
+
+def test_a_run_that_ends_away_from_the_stop_is_no_reference(arm, monkeypatch):
+    """The count must be zero afterwards, whatever the flags say."""
+    after_power_loss(arm)
+    monkeypatch.setattr(type(arm.sim.drives[1]), "_home_found", lambda drive: drive._hold())
+    assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
+    assert "so it has not found its stop" in str(arm.reference().failure)
+    assert arm.loop[0]["axes"][1]["referenced"] == 0
+
+
+def test_a_drive_in_protection_is_not_homed(arm):
+    arm.sim.inject(Protection("joint2", 0.0), since_ns=arm.now_ns)
+    assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
+    assert "in protection or not enabled" in str(arm.reference().failure)
+    assert not arm.sim.drives[1].homing_now
+
+
+@pytest.mark.parametrize("said_deg", [-86.0, 20.0])
+def test_a_joint_is_where_a_person_says(arm, said_deg):
+    """The drive counts from where power came back; the person knows better, and answers for it."""
+    after_power_loss(arm)
+    stands_rad = true_rad(arm, 1)
+    assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.radians(said_deg)) == Answer.DONE
+    assert arm.reference().failure is None
+    axis = arm.loop[0]["axes"][1]
+    assert (arm.core["mode"], axis["referenced"]) == (Mode.HOLDING, 1)
+    assert abs(axis["measured_rad"] - math.radians(said_deg)) < WITHIN_RAD
+    assert true_rad(arm, 1) == stands_rad
+    assert small_goal(arm) == Outcome.SUCCEEDED
+    moved_rad = true_rad(arm, 1) - stands_rad
+    assert abs(moved_rad - 0.05) < WITHIN_RAD
+
+
+def test_what_a_person_said_outlives_a_clear_but_not_the_next_loss_of_power(arm):
+    after_power_loss(arm)
+    assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.radians(-86.0)) == Answer.DONE
+    assert arm.reference().failure is None
+    arm.sim.inject(Protection("joint4", 0.0), since_ns=arm.now_ns)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    assert arm.ask(Request.CLEAR_FAULT) == Answer.DONE
+    arm.core["bring_up_asked"] = 0
+    assert arm.bring_up(clears_protection=True).failure is None
+    axis = arm.loop[0]["axes"][1]
+    assert axis["referenced"] == 1
+    assert abs(axis["measured_rad"] - math.radians(-86.0)) < WITHIN_RAD
+    after_power_loss(arm)
+    assert axis["referenced"] == 0
+
+
+def test_a_count_from_nowhere_cannot_be_believed(arm):
+    after_power_loss(arm)
+    assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.nan) == Answer.REFUSED_VALUE
+    assert arm.core["mode"] == Mode.HOLDING
+
+
+@pytest.mark.parametrize("value", [math.radians(-90.2), math.radians(91.0), math.inf, -math.inf])
+def test_no_joint_stands_outside_its_limits(arm, value):
+    assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=value) == Answer.REFUSED_VALUE
+
+
+@pytest.mark.parametrize("mask", [-1, 1 << 6, ALL | 1 << 6, -(2**63), 2**62])
+@pytest.mark.parametrize("kind", [Request.HOME, Request.REFERENCE])
+def test_joints_that_the_arm_does_not_have_are_refused(arm, mask, kind):
+    assert arm.ask(kind, joint_mask=mask) == Answer.REFUSED_VALUE
+    assert arm.core["mode"] == Mode.HOLDING
+
+
+def test_a_moving_arm_is_not_homed(arm):
+    goal = arm.play("large")
+    arm.cycles(3)
+    joints = np.zeros((2, 6, 3))
+    joints[:, :, 0] = arm.loop[0]["axes"]["position_rad"][:6]
+    joints[1, :, 0] += 0.1
+    goal = arm.send_goal(np.array([0, 2_000_000_000]), joints)
+    arm.until(lambda: arm.core["mode"] == Mode.EXECUTING)
+    assert arm.ask(Request.HOME, joint_mask=ALL) == Answer.REFUSED_MOVING
+    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    assert arm.outcome(goal) == Outcome.SUCCEEDED
+
+
+def test_nothing_else_is_begun_while_a_joint_is_homed():
+    arm = new_arm((0.0,) * 6)
+    assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
+    for kind in (Request.HOME, Request.REFERENCE):
+        assert arm.ask(kind, joint_mask=1) == Answer.REFUSED_MODE
+    for kind in (Request.FREE, Request.DISABLE, Request.ENABLE, Request.CLEAR_FAULT):
+        assert arm.ask(kind) == Answer.REFUSED_MODE
+    assert small_goal(arm) == Outcome.REFUSED_MODE
+    arm.close()
+
+
+def test_joints_without_drives_are_where_they_are_commanded():
+    arm = VirtualArm(load_arm("mock"))
+    arm.bring_up()
+    here = arm.loop[0]["axes"]["position_rad"][:6].copy()
+    assert arm.ask(Request.HOME, joint_mask=ALL) == Answer.DONE
+    assert arm.reference().failure is None
+    assert np.array_equal(arm.loop[0]["axes"]["position_rad"][:6], here)
+    assert arm.loop[0]["axes"]["referenced"][:6].all()
+    assert small_goal(arm) == Outcome.SUCCEEDED
+    arm.close()
