@@ -74,13 +74,13 @@ class Connection:
         value, limit = float(snapshot["fault_value"]), float(snapshot["fault_limit"])
         return fault_sentence(int(snapshot["fault"]), joint, value, limit)
 
-    def lost(self, snapshot: np.ndarray) -> list[str]:
+    def lost(self, snapshot: np.ndarray) -> dict[str, str]:
         """A sentence for each joint that has no reference."""
-        return [
-            unreferenced_sentence(int(snapshot["joints"][index]["unreferenced_reason"]), name)
+        return {
+            name: unreferenced_sentence(int(snapshot["joints"][index]["unreferenced_reason"]), name)
             for index, name in enumerate(self.joints)
             if not snapshot["joints"][index]["referenced"]
-        ]
+        }
 
     def wait(self, condition: Condition, patience_s: float, too_long: str) -> np.ndarray:
         """The first snapshot that fulfils a condition.
@@ -170,7 +170,7 @@ def clear_fault(arm: str) -> str:
         if sentence := connection.fault(after):
             raise Refusal(f"The fault was cleared and came back. {sentence}")
         lost = connection.lost(after)
-    return " ".join([f"The fault is cleared; arm {arm} holds where it stands.", *lost])
+    return " ".join([f"The fault is cleared; arm {arm} holds where it stands.", *lost.values()])
 
 
 def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
@@ -192,10 +192,11 @@ def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
         if sentence := connection.fault(after):
             raise Refusal(sentence)
         lost = connection.lost(after)
-        stands = ", ".join(_stands_at(after, connection.index(joint), joint) for joint in joints or connection.joints)
-    if lost:
-        raise Refusal(" ".join(lost))
-    return f"Homed; arm {arm} holds where it stands: {stands}."
+        if not_homed := [lost[joint] for joint in joints if joint in lost]:
+            raise Refusal(" ".join(not_homed))
+        homed = [joint for joint in joints or connection.joints if joint not in lost]
+        stands = ", ".join(_stands_at(after, connection.index(joint), joint) for joint in homed)
+    return " ".join([f"Homed; arm {arm} holds where it stands: {stands}.", *lost.values()])
 
 
 def angles_said(words: Sequence[str]) -> dict[str, float | None]:
@@ -232,7 +233,7 @@ def reference(arm: str, said_deg: Mapping[str, float | None]) -> str:
                 raise Refusal(sentence)
         lost = connection.lost(after)
         stands = ", ".join(_stands_at(after, connection.index(joint), joint) for joint in said_deg)
-    return " ".join([f"Taken: {stands}.", *lost])
+    return " ".join([f"Taken: {stands}.", *lost.values()])
 
 
 def _is_over(snapshot: np.ndarray) -> bool:
@@ -276,7 +277,7 @@ def enable(arm: str) -> str:
         if sentence := connection.fault(after):
             raise Refusal(sentence)
         lost = connection.lost(after)
-    return " ".join([f"The drives of {arm} are enabled; the arm holds where it stands.", *lost])
+    return " ".join([f"The drives of {arm} are enabled; the arm holds where it stands.", *lost.values()])
 
 
 def let_go(arm: str, kind: Request) -> str:

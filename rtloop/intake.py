@@ -395,7 +395,7 @@ def _obey(loop: Loop, shared: Shared) -> int:
     if kind == Request.DISABLE or kind == Request.FREE:
         return _let_go(loop, shared, Mode.DISABLED if kind == Request.DISABLE else Mode.FREE)
     if kind == Request.HOME or kind == Request.REFERENCE:
-        return _begin_referencing(loop, shared, kind, request.joint_mask, request.value)
+        return begin_referencing(loop, shared, kind, request.joint_mask, request.value)
     if core.mode == Mode.REFERENCING and (kind == Request.HOLD or kind == Request.CANCEL or kind == Request.STOP):
         core.referencing_ends = 1
         return Answer.DONE
@@ -430,7 +430,7 @@ def _let_go(loop: Loop, shared: Shared, mode: int) -> int:
 
 
 @jit
-def _begin_referencing(loop: Loop, shared: Shared, kind: int, joint_mask: int, angle_rad: float) -> int:
+def begin_referencing(loop: Loop, shared: Shared, kind: int, joint_mask: int, angle_rad: float) -> int:
     """Let joints of a standing arm be homed, or be where a person says."""
     core, count = loop.core, loop.params.joint_count
     if joint_mask == 0 and kind == Request.HOME:

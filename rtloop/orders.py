@@ -9,7 +9,7 @@ from rtloop.modes import change_mode
 from rtloop.state import HISTORY_SLOTS
 from shm.jit import jit
 from shm.layout import MAX_JOINTS
-from shm.words import BusState, Fault, Mode, Unreferenced
+from shm.words import BusState, Fault, Mode, Request, Unreferenced
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
@@ -36,6 +36,8 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
                 count_from(loop, order.joint, order.value, order.code)
         elif order.kind == port.REFERENCING:
             core.referencing_joint = order.joint
+        elif order.kind == port.HOME_ALL:
+            intake.begin_referencing(loop, shared, Request.HOME, 0, 0.0)
         elif order.kind == port.REFERENCING_DONE:
             core.referencing_joint = -1
             if core.mode == Mode.REFERENCING:

@@ -19,6 +19,7 @@ BRING_UP_FAILED = 5  # joint, code = shm.words.Fault
 COUNT_FROM = 6  # joint's zero is `value` (rad) from its drive's own; code = 1: its flag for lost power means nothing
 REFERENCING = 7  # joint's turn
 REFERENCING_DONE = 8
+HOME_ALL = 9  # begin the arm's homing run
 
 IN = offset_of(LOOP, "service_in")
 OUT = offset_of(LOOP, "service_out")

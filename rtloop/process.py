@@ -14,7 +14,7 @@ from rtloop import realtime
 from rtloop.bringup import BringUp
 from rtloop.compiled import CompiledCycle
 from rtloop.conversation import Conversation, TalkFailed
-from rtloop.port import ServicePort
+from rtloop.port import HOME_ALL, ServicePort
 from rtloop.referencing import Referencing, begin_referencing
 from rtloop.release import Release
 from rtloop.state import new_loop, offset_of, show_limits
@@ -59,11 +59,6 @@ class ControlProcess:
         self, arm: ArmConfig, compiled: CompiledCycle, tell: Callable[[str], None], stop_asked: StopAsked
     ) -> None:
         check_budget(arm)
-        if arm.control.init_mode == 0 and arm.bus.interface != "mock":
-            raise CannotStart(
-                "init_mode is 0, but homing is not part of this version: move the arm to a pose whose position the "
-                "drives know and start with init_mode 1."
-            )
         self._arm = arm
         self._compiled = compiled
         self._tell = tell
@@ -261,6 +256,8 @@ class ControlProcess:
                     self._tell(str(talk.failure))
                     if first:
                         return 2
+                elif first and self._arm.control.init_mode == 0:
+                    self._port.post(HOME_ALL)
                 talk = None
             # a fault before the end of the first bring-up, such as a wire that went, becomes its failure
             if first and talk is None and int(self._core["mode"]) not in (Mode.OFFLINE, Mode.BRINGING_UP):

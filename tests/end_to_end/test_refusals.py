@@ -95,11 +95,6 @@ def test_a_drive_that_does_not_answer(stack):
     assert sentence.startswith("The drive of joint4 (address 4) does not answer: check its power")
 
 
-def test_homing_is_not_pretended(stack):
-    stack.start_sim()
-    assert "init_mode is 0" in refused(stack.start_loop("--set", "control.init_mode=0", ready=False))
-
-
 def test_a_memory_file_of_another_layout(stack, arm_name):
     """A file that another version of rtarm left and nobody holds is put aside, one that is held is respected."""
     path = state_path(arm_name)

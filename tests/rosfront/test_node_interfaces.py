@@ -261,7 +261,7 @@ def test_a_hold_that_waits_holds_up_nobody(stage, operator, moving):
     stage.loop.cycle_hook = lambda loop: None
     stage.loop.rows["commanded_velocity_rad_s"] = 0.0
     until(holding.done, "the answer")
-    assert holding.result().message == "The arm stands; its goal has ended meanwhile."
+    assert holding.result().message == "The arm stands; what moved it has ended."
 
 
 def test_without_a_goal_the_arm_holds_already(stage, operator):

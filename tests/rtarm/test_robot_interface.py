@@ -221,7 +221,6 @@ def test_a_simulated_arm_says_so(start: Callable[..., Process], arm_file: Path) 
         (("-p", "interpolation_factor:=0"), 1, "interpolation_factor is 0, but must be at least 1"),
         (("-p", "arm:=mock", "-p", "sim:=true"), 1, "so there is nothing to simulate: leave sim out."),
         (("-p", "arm:={arm}", "-p", "channel:=no_such_adapter"), 2, "no_such_adapter"),
-        (("-p", "arm:={arm}", "-p", "sim:=true", "-p", "init_mode:=0"), 2, "homing is not part of this version"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
 )

@@ -1,0 +1,127 @@
+"""Homing and referencing with real processes: what a person types, what a ROS client calls, what Ctrl-C does."""
+
+import math
+import signal
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("control_msgs")
+
+from observer import judge, motion_after
+from ros_client import Operator
+from stack import Process, Stack
+from std_srvs.srv import Trigger
+
+from shm.client import StateReader
+from shm.files import open_state
+from shm.words import Mode
+
+pytestmark = pytest.mark.process
+
+NEAR_STOPS_DEG = (-178.0, -88.0, -81.0, -27.0, -107.0, -24.0)
+WITHIN_DEG = 0.2
+
+
+@pytest.fixture
+def stack(arm_name, tmp_path):
+    """An arm whose drives have just been switched on."""
+    found = Stack(arm_name, tmp_path, start_deg=NEAR_STOPS_DEG)
+    found.start_sim("--unhomed")
+    yield found
+    found.close()
+
+
+def rtarm(stack, *words):
+    process = stack._keep(Process("rtarm", *words, "--arm", stack.name))
+    code = process.code()
+    return code, process.text
+
+
+def true_deg(stack):
+    return [math.degrees(joint.position_rad[-1]) for joint in stack.truth().values()]
+
+
+def referenced(stack):
+    reader = StateReader(open_state(stack.name))
+    try:
+        return reader.snapshot()["joints"]["referenced"][:6].tolist()
+    finally:
+        reader.close()
+
+
+def test_a_person_homes_some_joints_and_says_where_the_others_stand(stack):
+    stack.start_loop()
+    assert referenced(stack) == [0] * 6
+    code, said = rtarm(stack, "home", "joint2", "joint5")
+    assert code == 0, said
+    assert "joint2: on its way to its stop; Ctrl-C ends it." in said
+    assert f"Homed; arm {stack.name} holds where it stands: joint2 -90.0" in said
+    assert "The drive of joint1 lost power" in said
+    assert referenced(stack) == [0, 1, 0, 0, 1, 0]
+    assert abs(true_deg(stack)[1] + 90) < WITHIN_DEG
+    code, said = rtarm(stack, "reference", "joint1")
+    assert code == 1
+    assert "counts from where its power came back" in said
+    words = ("joint1=-178", "joint3=-81", "joint4=-27", "joint6=-24")
+    code, said = rtarm(stack, "reference", *words)
+    assert (code, referenced(stack)) == (0, [1] * 6), said
+    assert "Taken: joint1 -178.00°, joint3 -81.00°" in said
+    assert rtarm(stack, "home", "joint7")[0] == 1
+
+
+def test_ctrl_c_ends_a_homing_run(arm_name, tmp_path):
+    stack = Stack(arm_name, tmp_path, start_deg=[0.0] * 6)
+    try:
+        stack.start_sim()
+        stack.start_loop()
+        home = stack._keep(Process("rtarm", "home", "joint1", "--arm", stack.name))
+        home.line_with("joint1: on its way")
+        before = true_deg(stack)[0]
+        while true_deg(stack)[0] == before:
+            pass
+        home.process.send_signal(signal.SIGINT)
+        assert home.code() == 1
+        assert "Ended: the joint that was on its way to its stop stands, without a reference." in home.text
+        truth = stack.truth()
+        since_ns = min(joint.times_ns[-1] for joint in truth.values())
+        assert referenced(stack) == [0, 1, 1, 1, 1, 1]
+        assert rtarm(stack, "reference", "joint1")[0] == 0  # its count has not changed
+        judge(motion_after(stack.truth(), since_ns, min(j.times_ns[-1] for j in stack.truth().values())))
+    finally:
+        stack.close()
+
+
+def test_the_end_of_the_control_process_ends_a_homing_run_first(arm_name, tmp_path):
+    stack = Stack(arm_name, tmp_path, start_deg=[0.0] * 6)
+    try:
+        stack.start_sim()
+        stack.start_loop()
+        home = stack._keep(Process("rtarm", "home", "joint1", "--arm", stack.name))
+        home.line_with("joint1: on its way")
+        stack.loop.process.terminate()
+        assert stack.loop.code() == 0
+        truth = stack.truth()
+        assert abs(truth["joint1"].velocity_rad_s[-1]) == 0.0
+        assert home.code() != 0
+    finally:
+        stack.close()
+
+
+def test_init_mode_0_homes_the_arm_at_the_start_and_a_service_whenever_it_is_asked(stack):
+    stack.arm_file.write_text(stack.arm_file.read_text().replace("init_mode: 1", "init_mode: 0"))
+    stack.start_loop()
+    stack.loop.line_with("joint6: homed.")
+    assert np.abs(np.array(true_deg(stack)) - (-180, -90, -83, -30, -110, -30)).max() < WITHIN_DEG
+    stack.start_front()
+    operator = Operator(f"controller_{stack.name}")
+    try:
+        response = operator.call(Trigger, "~/home")
+        assert (response.success, response.message) == (True, "Homed; the arm holds where it stands.")
+        assert referenced(stack) == [1] * 6
+    finally:
+        operator.close()
+    reader = StateReader(open_state(stack.name))
+    assert int(reader.snapshot()["mode"]) == Mode.HOLDING
+    reader.close()
