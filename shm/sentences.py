@@ -303,7 +303,7 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
         "The drive of {joint} lost power, so its angle is not known: home it with `rtarm home`, or say where "
         "it stands with `rtarm reference`.",
         "A drive counts from where it stood when it was switched on.",
-        "Home the joint; or look at it and say its angle (`rtarm reference {joint}=DEGREES`).",
+        "Home the joint; or look at it and say its angle (`rtarm reference JOINT=DEGREES`).",
     ),
     Unreferenced.POSITION_JUMP: Meaning(
         "The measured position of {joint} jumped, so its angle is not known: check the drive, then "

@@ -20,7 +20,9 @@ ARGUMENTS = (
     ),
     DeclareLaunchArgument("channel", default_value="", description=f"device of the adapter{AS_IN_THE_ARM_FILE}"),
     DeclareLaunchArgument(
-        "init_mode", default_value="", description=f"1 takes over the pose the arm stands in{AS_IN_THE_ARM_FILE}"
+        "init_mode",
+        default_value="",
+        description=f"1 takes over the pose the arm stands in, 0 homes it{AS_IN_THE_ARM_FILE}",
     ),
 )
 TEXTS = ("arm", "channel")
