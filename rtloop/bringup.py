@@ -99,8 +99,8 @@ class BringUp(Conversation):
             reason = Unreferenced.POWER_LOST
             self._tell(
                 f"{config.name} is not referenced: its drive has lost power since its position was set, so its count "
-                "does not mean an angle: home it with `rtarm home`, or say where it stands with `rtarm reference`; until "
-                "then goals are refused."
+                "does not mean an angle: home it with `rtarm home`, or say where it stands with `rtarm reference`; "
+                "until then goals are refused."
             )
         yield from self._settle_configuration(joint, config, drive, version)
         if not flags & zdt_talk.ENABLED:

@@ -82,7 +82,7 @@ ARGUMENTS = (
     DeclareLaunchArgument("usb_index", default_value="", description="n means /dev/ttyUSBn; empty: as in the arm file"),
     DeclareLaunchArgument("channel", default_value="", description="the adapter's device; empty: as in the arm file"),
     DeclareLaunchArgument(
-        "init_mode", default_value="", description="1 takes over the pose the arm stands in, 0 homes it; empty: as in the arm file"
+        "init_mode", default_value="", description="1 takes over the present pose, 0 homes; empty: as in the arm file"
     ),
     DeclareLaunchArgument("use_rviz", default_value="true", description="false starts no RViz"),
 )

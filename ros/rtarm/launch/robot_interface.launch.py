@@ -22,7 +22,7 @@ ARGUMENTS = (
     DeclareLaunchArgument(
         "init_mode",
         default_value="",
-        description=f"1 takes over the pose the arm stands in, 0 homes it{AS_IN_THE_ARM_FILE}",
+        description=f"1 takes over the present pose, 0 homes{AS_IN_THE_ARM_FILE}",
     ),
 )
 TEXTS = ("arm", "channel")
