@@ -7,7 +7,8 @@ mode turned off in volatile memory when it differs and the firmware is one whose
 and target until the two agree. A drive that is on its way somewhere, or has lost power, is stopped first.
 """
 
-from collections.abc import Callable, Generator
+import math
+from collections.abc import Callable, Generator, Mapping
 
 from config.budget import budget
 from config.joint import JointConfig, ZdtDrive
@@ -42,10 +43,13 @@ class BringUp(Conversation):
         clears_protection: bool,
         tell: Callable[[str], None],
         mock_positions_rad: list[float] | None = None,
+        counts_before: Mapping[int, int] | None = None,
     ) -> None:
+        """`counts_before`: where drives counted when rtarm was ended, by the joints' numbers."""
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP, last_order=BRING_UP_DONE)
         self._tell = tell
         self._clears_protection = clears_protection
+        self._counts_before = counts_before or {}
         self.post(BRING_UP_BEGINS)
         dialogues = {}
         for joint, config in enumerate(arm.joints):
@@ -206,6 +210,14 @@ class BringUp(Conversation):
                     )
                 target_rad = measured_rad
                 break
+        moved_rad = (measured - self._counts_before.get(joint, measured)) / counts_per_rad
+        if reason == Unreferenced.REFERENCED and abs(moved_rad) > self.arm.limits.position_jump_rad:
+            reason = Unreferenced.MOVED
+            self._tell(
+                f"{config.name} is not referenced: it stands {math.degrees(moved_rad):+.2f}° from where it stood when "
+                "rtarm was ended, so it was moved by hand or its drive has lost its count: see that it stands where "
+                "`rtarm status` says, then take that with `rtarm reference`, or home it."
+            )
         slack = ADOPT_WITHIN_RAD
         if reason == Unreferenced.REFERENCED and not (
             config.lower_rad - slack <= measured_rad <= config.upper_rad + slack

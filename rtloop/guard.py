@@ -208,8 +208,8 @@ def stop_if_it_was_away(loop: Loop, joint: int, waited_ns: int) -> None:
 @jit
 def outlives_a_clear(reason: int) -> bool:
     """Whether a joint stays unreferenced although the drive looks sound again: clearing a fault never references."""
-    count_is_doubtful = reason == Unreferenced.POSITION_JUMP or reason == Unreferenced.NOT_HOMED
-    return count_is_doubtful or reason == Unreferenced.POWER_LOST or reason == Unreferenced.SILENT
+    doubtful = reason == Unreferenced.POSITION_JUMP or reason == Unreferenced.NOT_HOMED or reason == Unreferenced.MOVED
+    return doubtful or reason == Unreferenced.POWER_LOST or reason == Unreferenced.SILENT
 
 
 @jit

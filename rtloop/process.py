@@ -3,14 +3,14 @@
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
 from config.budget import check_budget
 from config.loader import arm_hash
 from config.schema import ArmConfig
-from rtloop import realtime
+from rtloop import realtime, saved
 from rtloop.bringup import BringUp
 from rtloop.compiled import CompiledCycle
 from rtloop.conversation import Conversation, TalkFailed
@@ -101,7 +101,24 @@ class ControlProcess:
         finally:
             self._end_threads()
             self._release()
+        if code == 0:
+            self._save_positions()
         return code
+
+    def _save_positions(self) -> None:
+        """After an orderly end: the drives hold the arm, or it is limp and may be moved."""
+        joints, axes = self._loop[0]["joints"], self._loop[0]["axes"]
+        counts = {
+            joint: round(
+                float((axes[joint]["measured_rad"] + joints[joint]["zero_rad"]) * joints[joint]["counts_per_rad"])
+            )
+            for joint in range(len(self._arm.joints))
+            if axes[joint]["referenced"] == 1 and axes[joint]["readings"] > 0
+        }
+        try:
+            saved.save(self._arm, counts)
+        except saved.NotSaved as problem:
+            self._tell(str(problem))
 
     # --- threads
 
@@ -230,7 +247,7 @@ class ControlProcess:
         core: np.void = self._loop[0]["core"]
         return core
 
-    def _bring_up(self, *, clears_protection: bool) -> BringUp:
+    def _bring_up(self, *, clears_protection: bool, counts_before: Mapping[int, int] | None = None) -> BringUp:
         measured = self._loop[0]["axes"]["measured_rad"][: len(self._arm.joints)]
         known = [0.0 if np.isnan(position) else float(position) for position in measured]
         return BringUp(
@@ -240,11 +257,12 @@ class ControlProcess:
             clears_protection=clears_protection,
             tell=self._tell,
             mock_positions_rad=known,
+            counts_before=counts_before,
         )
 
     def _supervise(self, ready: Callable[[], None]) -> int:
         # fresh rings have room for its beginning
-        talk: Conversation | None = self._bring_up(clears_protection=False)
+        talk: Conversation | None = self._bring_up(clears_protection=False, counts_before=saved.take(self._arm))
         first = True
         closing_until_s = 0.0
         while True:

@@ -329,6 +329,12 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
         "A homing run changes what the drive's count means.",
         "Home it again; or look at the joint and say where it stands.",
     ),
+    Unreferenced.MOVED: Meaning(
+        "{joint} does not stand where it stood when rtarm was ended, so it was moved by hand or its drive has lost its "
+        "count: see that it stands where `rtarm status` says, then take that with `rtarm reference`, or home it.",
+        "Old firmware does not tell that it has lost power, and nobody watched meanwhile.",
+        "Look at the joint; `rtarm reference` it if it stands where it reads, home it if not.",
+    ),
     Unreferenced.OUTSIDE_LIMITS: Meaning(
         "{joint} stands outside its limits, so its count or its zero must be wrong: check zero_deg, "
         "direction and limits in the arm file and the pose, then start rtarm again.",

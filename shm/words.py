@@ -136,6 +136,7 @@ class Unreferenced(IntEnum):
     TARGET_FAR = 5  # measured position and the drive's own target disagree
     OUTSIDE_LIMITS = 6
     NOT_HOMED = 7  # its homing run has not ended, or not where it should
+    MOVED = 8  # it does not stand where it stood when rtarm was ended
 
 
 class DriveStatus(IntFlag):

@@ -125,3 +125,30 @@ def test_init_mode_0_homes_the_arm_at_the_start_and_a_service_whenever_it_is_ask
     reader = StateReader(open_state(stack.name))
     assert int(reader.snapshot()["mode"]) == Mode.HOLDING
     reader.close()
+
+
+def test_an_arm_that_was_moved_while_rtarm_was_not_running_is_not_believed(arm_name, tmp_path):
+    stack = Stack(arm_name, tmp_path, start_deg=[0.0] * 6)
+    try:
+        stack.start_sim()
+        stack.start_loop()
+        stack.loop.process.terminate()
+        assert stack.loop.code() == 0
+        stack.sim.close()
+        stack._start_deg = [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]
+        stack.start_sim()
+        stack.start_loop()
+        assert referenced(stack) == [1, 1, 0, 1, 1, 1]
+        assert (
+            "joint3 is not referenced: it stands +5.00° from where it stood when rtarm was ended" in stack.loop.said()
+        )
+        assert rtarm(stack, "reference", "joint3")[0] == 0
+        stack.loop.process.kill()  # nobody knows what happens from here on
+        stack.loop.code()
+        stack.sim.close()
+        stack._start_deg = [0.0] * 6
+        stack.start_sim()
+        stack.start_loop()
+        assert referenced(stack) == [1] * 6
+    finally:
+        stack.close()

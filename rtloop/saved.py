@@ -1,0 +1,81 @@
+"""Where the drives counted when rtarm was last ended in order, to notice what happened to the arm since.
+
+One small file an arm, `rtarm/positions/<arm>.json` under $XDG_STATE_HOME (~/.local/state). It is there only while rtarm
+is not running: after a crash nothing is compared, since nothing is known. Simulated arms at a pseudo-terminal begin
+wherever they are told to, so nothing is kept of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from config.schema import ArmConfig
+
+PSEUDO_TERMINALS = "/dev/pts/"
+
+
+class NotSaved(Exception):
+    """Positions could not be written; the text is the sentence people read."""
+
+
+def path_of(arm: str) -> Path | None:
+    """The file of an arm; None for a user without a home."""
+    base = os.environ.get("XDG_STATE_HOME")
+    try:
+        return (Path(base) if base else Path.home() / ".local" / "state") / "rtarm" / "positions" / f"{arm}.json"
+    except RuntimeError:
+        return None
+
+
+def save(arm: ArmConfig, counts: Mapping[int, int]) -> None:
+    """Keep the counts (encoder counts as the drives told them) of the joints given by their numbers.
+
+    Raises:
+        NotSaved: with the sentence for people.
+    """
+    path = path_of(arm.name)
+    if path is None or _is_simulated(arm):
+        return
+    text = json.dumps({"channel": _channel(arm), "counts": {arm.joints[joint].name: n for joint, n in counts.items()}})
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=".", delete=False) as file:
+            file.write(text)
+        os.replace(file.name, path)
+    except OSError as problem:
+        raise NotSaved(
+            f"Where the arm stands could not be kept in {path} ({problem.strerror}), so the next start cannot tell "
+            "whether it was moved meanwhile: see that the file can be written."
+        ) from problem
+
+
+def take(arm: ArmConfig) -> dict[int, int]:
+    """Joint number → count that was kept of this arm at this channel; the file is gone afterwards.
+
+    Empty where nothing is known. What cannot be read says nothing, since anybody may have written it.
+    """
+    path = path_of(arm.name)
+    if path is None or _is_simulated(arm):
+        return {}
+    try:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        known = dict(kept["counts"]) if kept["channel"] == _channel(arm) else {}
+    except (OSError, ValueError, TypeError, KeyError):
+        known = {}
+    with contextlib.suppress(OSError):
+        path.unlink(missing_ok=True)
+    counts = {joint: known.get(config.name) for joint, config in enumerate(arm.joints)}
+    return {joint: count for joint, count in counts.items() if isinstance(count, int)}
+
+
+def _channel(arm: ArmConfig) -> str:
+    return f"{arm.bus.interface}:{arm.bus.resolved_channel}"
+
+
+def _is_simulated(arm: ArmConfig) -> bool:
+    return arm.bus.interface == "mock" or str(arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)

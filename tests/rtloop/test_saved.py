@@ -1,0 +1,102 @@
+"""Where the drives counted when rtarm was ended: kept, taken once, believed with care."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from virtual import VirtualArm
+
+from config.loader import load_arm
+from rtloop import saved
+from rtloop.bringup import BringUp
+from shm.words import Answer, Fault, Mode, Request, Unreferenced
+
+COUNTS = st.dictionaries(st.integers(0, 5), st.integers(-(2**40), 2**40))
+
+
+@pytest.fixture
+def arm(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    return load_arm("episode1")
+
+
+@given(counts=COUNTS)
+def test_what_is_kept_is_taken_once(tmp_path_factory, counts):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.getbasetemp()))
+        arm = load_arm("episode1")
+        saved.save(arm, counts)
+        assert saved.take(arm) == counts
+        assert saved.take(arm) == {}
+
+
+def test_another_adapter_is_another_arm(arm):
+    saved.save(arm, {0: 7})
+    assert saved.take(load_arm("episode1", overrides={"bus": {"channel": "/dev/ttyUSB7"}})) == {}
+
+
+def test_nothing_is_kept_of_a_simulated_arm(arm):
+    simulated = load_arm("episode1", overrides={"bus": {"channel": "/dev/pts/3"}})
+    saved.save(simulated, {0: 7})
+    saved.save(load_arm("mock"), {0: 7})
+    assert not saved.path_of(arm.name).parent.exists()
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "7", "null", '{"channel": 7}', '{"channel": "slcan:/dev/ttyUSB1", "counts": [1]}', "\0\xff"],
+)
+def test_what_cannot_be_read_says_nothing(arm, text):
+    path = saved.path_of(arm.name)
+    path.parent.mkdir(parents=True)
+    path.write_text(text, encoding="latin-1")
+    assert saved.take(arm) == {}
+    assert not path.exists()
+
+
+def test_counts_that_are_no_numbers_say_nothing(arm):
+    path = saved.path_of(arm.name)
+    path.parent.mkdir(parents=True)
+    path.write_text(json.dumps({"channel": "slcan:/dev/ttyUSB1", "counts": {"joint1": "7", "joint2": 8, "moon": 9}}))
+    assert saved.take(arm) == {1: 8}
+
+
+def test_a_file_in_the_way_is_a_sentence(arm, tmp_path):
+    (tmp_path / "rtarm").write_text("")
+    with pytest.raises(saved.NotSaved, match="so the next start cannot tell whether it was moved"):
+        saved.save(arm, {0: 7})
+
+
+def test_a_joint_that_does_not_stand_where_it_stood_is_not_believed():
+    arm = VirtualArm(start_rad=np.radians((10.0, 20.0, 30.0, 40.0, 50.0, 60.0)))
+    config = arm.arm.joints
+    stood = {}
+    for joint, off_deg in ((0, 0.0), (1, 4.0), (2, -1.0)):
+        angle_rad = math.radians((joint + 1) * 10.0 + off_deg)
+        counts_per_rad = config[joint].direction * config[joint].encoder_counts_per_rad
+        stood[joint] = round((angle_rad + config[joint].zero_rad) * counts_per_rad)
+    talk = BringUp(
+        arm.arm,
+        arm.port,
+        now_ns=arm.now_ns,
+        clears_protection=False,
+        tell=arm.told.append,
+        counts_before=stood,
+    )
+    arm.until(lambda: talk.poll(arm.now_ns))
+    arm.cycles(2)
+    axes = arm.loop[0]["axes"]
+    assert axes["referenced"][:6].tolist() == [1, 0, 1, 1, 1, 1]
+    assert axes["unreferenced_reason"][1] == Unreferenced.MOVED
+    assert any("joint2 is not referenced: it stands -4.00° from where it stood" in sentence for sentence in arm.told)
+    arm.writer.request(Request.CLEAR_FAULT)
+    assert arm.bring_up().failure is None  # as after a fault: it says nothing new of the joint
+    assert axes["unreferenced_reason"][1] == Unreferenced.MOVED
+    assert arm.ask(Request.REFERENCE, joint_mask=0b10, value=math.nan) == Answer.DONE
+    assert arm.reference().failure is None
+    assert (arm.core["mode"], arm.core["fault"], axes["referenced"][1]) == (Mode.HOLDING, Fault.NONE, 1)
+    assert abs(axes["measured_rad"][1] - math.radians(20.0)) < 0.001
+    arm.close()
