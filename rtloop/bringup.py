@@ -108,7 +108,8 @@ class BringUp(Conversation):
             )
         yield from self._settle_configuration(joint, config, drive, version)
         if not flags & zdt_talk.ENABLED:
-            yield Ask(zdt_talk.ENABLE, (3,), answered=self.arm.bus.acknowledge)
+            # it may pull its shaft to the target of before it was let go
+            yield Ask(zdt_talk.ENABLE, (3,), answered=self.arm.bus.acknowledge, follow=zdt_talk.STOP)
             flags = yield from self._status(joint, config)
             if not flags & zdt_talk.ENABLED:
                 raise TalkFailed(

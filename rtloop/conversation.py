@@ -29,12 +29,16 @@ class TalkFailed(Exception):
 
 @dataclass(frozen=True)
 class Ask:
-    """A command and how to know its answer: function byte and number of packets, or one short reply."""
+    """A command and how to know its answer: function byte and number of packets, or one short reply.
+
+    `follow` is a second command that leaves with it, in the same cycle and right behind.
+    """
 
     payload: bytes
     reply_lengths: tuple[int, ...]
     packets: int = 1
     answered: bool = True
+    follow: bytes = b""
 
 
 def silent_amid(config: JointConfig, what: str) -> str:
@@ -150,6 +154,8 @@ class Conversation:
 
     def _say(self, joint: int, ask: Ask) -> None:
         frames = split_packets(self._addresses[joint], ask.payload)
+        if ask.follow:
+            frames += split_packets(self._addresses[joint], ask.follow)
         self._outbox += [(frame, number < len(frames) - 1) for number, frame in enumerate(frames)]
         self._flush()
 

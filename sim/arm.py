@@ -61,6 +61,7 @@ class SimulatedArm:
         homed: False makes drives that have just been switched on where they stand: they count from zero
             and say that power was lost.
         retarget: whether drives take a position command in mid-move, see `sim.drives.zdt`.
+        enabling: what drives do that are enabled again, see `sim.drives.zdt`.
         lag_s: time constant of the shafts behind their ramps [s].
         echo: whether the adapter reports its own transmissions as received frames.
 
@@ -82,6 +83,7 @@ class SimulatedArm:
         firmware: Literal["new", "old"] = "new",
         homed: bool = True,
         retarget: Literal["accept", "reject"] = "accept",
+        enabling: Literal["hold", "pull"] = "hold",
         lag_s: float = 0.0,
         echo: bool = False,
     ) -> None:
@@ -131,6 +133,7 @@ class SimulatedArm:
                 ),
                 firmware=firmware,
                 retarget=retarget,
+                enabling=enabling,
                 lag_s=lag_s,
                 seed=seed * 1000 + index,
             )

@@ -57,6 +57,8 @@ DONE, NOTHING_TO_DO, REFUSED, COMPLETE = 0x02, 0x12, 0xE2, 0x9F
 FORMAT_ERROR = b"\x00\xee\x6b"
 
 RAMP_STEP_NS = 50_000
+PULL_RPM = 300
+"""At which a drive that pulls does, at once: nobody has measured it."""
 COAST_TICK_NS = 1_000_000
 STALL_MARGIN = GRAINS_PER_REVOLUTION // 200
 """Error of a blocked shaft that counts as full current: one full step [grains]."""
@@ -154,6 +156,7 @@ class ZdtDrive:
             from zero where it stands, with the flag set.
         firmware: "new" (V2.0.0) or "old" (V5.0 manual: none of the newer functions).
         retarget: whether a position command is taken in mid-move.
+        enabling: what a drive that is enabled again does: hold where its shaft is, or pull it to the target of before.
         lag_s: time constant of the shaft behind the ramp [s].
         seed: of the jitter of its answers.
 
@@ -183,6 +186,7 @@ class ZdtDrive:
         homing: Homing | None = None,
         firmware: Literal["new", "old"] = "new",
         retarget: Literal["accept", "reject"] = "accept",
+        enabling: Literal["hold", "pull"] = "hold",
         lag_s: float = 0.0,
         seed: int = 0,
     ) -> None:
@@ -208,6 +212,8 @@ class ZdtDrive:
         self._new = firmware == "new"
         self._max_rpm = 6000 if self._new else 3000
         self._retarget = retarget
+        self._pulls = enabling == "pull"
+        self._left: int | None = None  # its target when it was disabled
         self._random = random.Random(seed)
         self._now_ns = start_ns
         self._replied_ns = start_ns
@@ -666,11 +672,15 @@ class ZdtDrive:
 
         def action() -> int:
             if not enable:
+                if self.enabled:
+                    self._left = self._target
                 self.enabled = False
                 self._release()
             elif not self.enabled:
                 self.enabled = True
                 self._hold()
+                if self._pulls and self._left is not None:
+                    self._ramp.seek(self._left, PULL_RPM, 0)
             return DONE
 
         return self._now_or_synced(sync, action)
