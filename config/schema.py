@@ -284,6 +284,7 @@ class HomingConfig(Section):
 
     order: list[str] | None = Field(
         default=None,
+        min_length=1,
         description="Joints in the order in which they are homed; left out, all in the order of joints. A joint that "
         "is not in it is only homed when it is named.",
     )

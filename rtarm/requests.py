@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -66,6 +67,11 @@ class Connection:
             raise Refusal(f"Arm {self.arm} has no joint {joint!r}; its joints are {', '.join(self.joints)}.")
         return self.joints.index(joint)
 
+    def limits_deg(self, index: int) -> tuple[float, float]:
+        """Lowest and highest angle of a joint (degrees)."""
+        row = self._reader.memory.record["limits"]["joints"][index]
+        return math.degrees(row["lower_rad"]), math.degrees(row["upper_rad"])
+
     def fault(self, snapshot: np.ndarray) -> str:
         """The latched fault in a sentence, "" where there is none."""
         if int(snapshot["fault"]) == Fault.NONE:
@@ -92,9 +98,11 @@ class Connection:
         deadline = time.monotonic() + patience_s
         while not condition(snapshot := self.snapshot()):
             if not files.is_held(self._reader.memory.fd):
+                homes = int(snapshot["mode"]) == Mode.REFERENCING
+                fate = "a drive amid its homing run goes on" if homes else "the drives have braked by themselves"
                 raise NotRunning(
-                    f"The control process of arm '{self.arm}' ended meanwhile; the drives have braked by "
-                    f"themselves: start it again with `rtarm up {self.arm}`."
+                    f"The control process of arm '{self.arm}' ended meanwhile; {fate}: start it again with "
+                    f"`rtarm up {self.arm}`."
                 )
             if time.monotonic() > deadline:
                 raise Refusal(too_long)
@@ -126,12 +134,14 @@ def stop(arm: str) -> str:
         answer = connection.ask(Request.STOP)
         if answer not in (Answer.DONE, Answer.REFUSED_NO_GOAL):
             raise Refusal(answer_sentence(answer))
-        connection.wait(
+        after = connection.wait(
             stands,
             STOP_PATIENCE_S,
             f"Arm {arm} still moves {STOP_PATIENCE_S:g} s after the stop was accepted: use the emergency "
             "stop, then look at `rtarm status`.",
         )
+        if int(after["fault"]) == Fault.HOMING:
+            raise Refusal(connection.fault(after))
     if answer == Answer.REFUSED_NO_GOAL:
         return f"Arm {arm} stands; no goal was running."
     return f"Arm {arm} stopped on its path and stands; its goal has ended."
@@ -176,27 +186,50 @@ def clear_fault(arm: str) -> str:
 def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
     """Let joints find their homing stops, all of the arm file's order where none is named, and say how it went.
 
-    Ctrl-C ends the run: the drive under way stops.
+    Ctrl-C ends the run, and so does the end of the terminal: the drive under way stops.
     """
-    with connect(arm) as connection:
+    with connect(arm) as connection, _interrupted_by(signal.SIGHUP, signal.SIGTERM):
         mask = sum(1 << connection.index(joint) for joint in dict.fromkeys(joints))
         if sentence := connection.fault(connection.snapshot()):
             raise Refusal(f"A fault is latched, clear it first: {sentence}")
-        connection.order(Request.HOME, joint_mask=mask)
+        begun: list[str] = []
+
+        def on_joint(joint: str) -> None:
+            begun.append(joint)
+            tell(f"{joint}: on its way to its stop; Ctrl-C ends it.")
+
         try:
-            after = _see_to_the_end(connection, lambda joint: tell(f"{joint}: on its way to its stop; Ctrl-C ends it."))
+            connection.order(Request.HOME, joint_mask=mask)
+            after = _see_to_the_end(connection, on_joint)
         except KeyboardInterrupt:
             connection.ask(Request.STOP)
-            connection.wait(_is_over, STOP_PATIENCE_S, f"Arm {arm} still homes: use the switch in the power line.")
-            raise Refusal("Ended: the joint that was on its way to its stop stands, without a reference.") from None
+            still_homes = f"Arm {arm} still homes: use the switch in the power line."
+            after = connection.wait(_is_over, STOP_PATIENCE_S, still_homes)
+            ended = "Ended: the joint that was on its way stands, without a reference."
+            raise Refusal(connection.fault(after) or ended) from None
+        lost = connection.lost(after)
         if sentence := connection.fault(after):
             raise Refusal(sentence)
-        lost = connection.lost(after)
-        if not_homed := [lost[joint] for joint in joints if joint in lost]:
-            raise Refusal(" ".join(not_homed))
-        homed = [joint for joint in joints or connection.joints if joint not in lost]
-        stands = ", ".join(_stands_at(after, connection.index(joint), joint) for joint in homed)
+        if not_homed := [joint for joint in joints or begun if joint in lost or joint not in begun]:
+            ended = f"The homing run was ended before it had come to the end with {', '.join(not_homed)}."
+            raise Refusal(" ".join([ended, *lost.values()]))
+        stands = ", ".join(_stands_at(after, connection.index(joint), joint) for joint in begun)
     return " ".join([f"Homed; arm {arm} holds where it stands: {stands}.", *lost.values()])
+
+
+@contextmanager
+def _interrupted_by(*signals: signal.Signals) -> Iterator[None]:
+    """Let these signals end what runs as Ctrl-C does."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def angles_said(words: Sequence[str]) -> dict[str, float | None]:
@@ -208,7 +241,7 @@ def angles_said(words: Sequence[str]) -> dict[str, float | None]:
             said[joint] = float(angle) if equals else None
         except ValueError:
             said[joint] = math.nan
-        if said[joint] is not None and not math.isfinite(said[joint] or 0.0):
+        if not math.isfinite(said[joint] or 0.0):
             raise Refusal(f"The angle of {joint} is {angle!r}, which is no number of degrees: write {joint}=-12.5.")
     return said
 
@@ -216,24 +249,42 @@ def angles_said(words: Sequence[str]) -> dict[str, float | None]:
 def reference(arm: str, said_deg: Mapping[str, float | None]) -> str:
     """Take a person's word for where joints stand (degrees), or that they stand where they read (None)."""
     with connect(arm) as connection:
-        for joint in said_deg:
-            connection.index(joint)
+        for joint, angle_deg in said_deg.items():
+            _refuse_angle(connection, joint, angle_deg)
+        taken: list[str] = []
         for joint, angle_deg in said_deg.items():
             index = connection.index(joint)
-            row = connection.snapshot()["joints"][index]
-            if angle_deg is None and row["unreferenced_reason"] == Unreferenced.POWER_LOST:
-                raise Refusal(
-                    f"The drive of {joint} counts from where its power came back, so what it reads is no angle: say "
-                    f"where it stands, `rtarm reference {joint}=DEGREES`, or home it."
-                )
             value = math.nan if angle_deg is None else math.radians(angle_deg)
-            connection.order(Request.REFERENCE, joint_mask=1 << index, value=value)
-            after = _see_to_the_end(connection, lambda _: None)
-            if sentence := connection.fault(after):
-                raise Refusal(sentence)
+            try:
+                connection.order(Request.REFERENCE, joint_mask=1 << index, value=value)
+                after = _see_to_the_end(connection, lambda _: None)
+                if sentence := connection.fault(after) or connection.lost(after).get(joint, ""):
+                    raise Refusal(sentence)
+            except Refusal as refused:
+                said = f" Before that was taken: {', '.join(taken)}." if taken else ""
+                raise Refusal(f"{refused}{said}") from None
+            taken.append(_stands_at(after, index, joint))
         lost = connection.lost(after)
-        stands = ", ".join(_stands_at(after, connection.index(joint), joint) for joint in said_deg)
-    return " ".join([f"Taken: {stands}.", *lost.values()])
+    return " ".join([f"Taken: {', '.join(taken)}.", *lost.values()])
+
+
+def _refuse_angle(connection: Connection, joint: str, angle_deg: float | None) -> None:
+    """Raise Refusal where nobody can say this of a joint."""
+    index = connection.index(joint)
+    if angle_deg is None:
+        reason = connection.snapshot()["joints"][index]["unreferenced_reason"]
+        if reason in (Unreferenced.POWER_LOST, Unreferenced.NOT_HOMED):
+            raise Refusal(
+                f"The drive of {joint} counts from where nobody knows, so what it reads is no angle: say where it "
+                f"stands, `rtarm reference {joint}=DEGREES`, or home it."
+            )
+        return
+    lower_deg, upper_deg = connection.limits_deg(index)
+    if not lower_deg <= angle_deg <= upper_deg:
+        raise Refusal(
+            f"The angle of {joint} is {angle_deg:g}°, outside its limits {lower_deg:g}° to {upper_deg:g}°: look again, "
+            "or mend zero_deg or direction in the arm file."
+        )
 
 
 def _is_over(snapshot: np.ndarray) -> bool:
@@ -315,6 +366,8 @@ def hold(arm: str) -> str:
             f"Arm {arm} still moves {STOP_PATIENCE_S:g} s after the hold was accepted: use the emergency stop, then "
             "look at `rtarm status`.",
         )
+        if int(after["fault"]) == Fault.HOMING:
+            raise Refusal(connection.fault(after))
     if int(after["goal_phase"]) != Phase.PAUSED:
         return f"Arm {arm} stands; what moved it has ended."
     return f"Arm {arm} stands on its path; its goal goes on with `rtarm resume` or ends with `rtarm stop`."

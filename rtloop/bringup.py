@@ -19,6 +19,7 @@ from rtloop.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, ServicePort
 from shm.words import Fault, Unreferenced
 
 SETTLE_PATIENCE_NS = 3_000_000_000
+HOMING_TRIES = 10
 ADOPT_WITHIN_RAD = 0.02
 """A drive whose target lies this near to its position is taken at its word."""
 
@@ -50,6 +51,8 @@ class BringUp(Conversation):
         self._tell = tell
         self._clears_protection = clears_protection
         self._counts_before = counts_before or {}
+        # where a flag for lost power tells nothing new, only the joint's place can
+        self._stood_rad = {n: port.measured_rad(n) for n in range(len(arm.joints)) if port.power_loss_known(n)}
         self.post(BRING_UP_BEGINS)
         dialogues = {}
         for joint, config in enumerate(arm.joints):
@@ -106,10 +109,12 @@ class BringUp(Conversation):
                 "does not mean an angle: home it with `rtarm home`, or say where it stands with `rtarm reference`; "
                 "until then goals are refused."
             )
+        if (yield from self._end_homing(joint, config)) and reason == Unreferenced.REFERENCED:
+            reason = Unreferenced.NOT_HOMED
         yield from self._settle_configuration(joint, config, drive, version)
         if not flags & zdt_talk.ENABLED:
             # it may pull its shaft to the target of before it was let go
-            yield Ask(zdt_talk.ENABLE, (3,), answered=self.arm.bus.acknowledge, follow=zdt_talk.STOP)
+            yield Ask(zdt_talk.STOP, (3,), answered=self.arm.bus.acknowledge, before=(zdt_talk.ENABLE,))
             flags = yield from self._status(joint, config)
             if not flags & zdt_talk.ENABLED:
                 raise TalkFailed(
@@ -118,6 +123,21 @@ class BringUp(Conversation):
                     "and at the En setting in its menu.",
                 )
         yield from self._adopt_position(joint, config, reason)
+
+    def _end_homing(self, joint: int, config: JointConfig) -> Generator[Ask, bytes | None, bool]:
+        """End a homing run that a control process has left behind; whether there was one."""
+        end: tuple[bytes, ...] = ()
+        for told in range(HOMING_TRIES):
+            flags = yield from zdt_talk.read_flags(0x3B, before=end)
+            if flags is None or not flags & zdt_talk.HOMING:
+                return told > 1
+            if told > 0:  # one answer alone may be garbled
+                end = (zdt_talk.END_HOMING, zdt_talk.STOP)
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} is amid a homing run and does not end it: use the switch in the power line, "
+            "then `rtarm clear-fault`.",
+        )
 
     def _stop(self) -> Ask:
         return Ask(zdt_talk.STOP, (3,), answered=self.arm.bus.acknowledge)
@@ -212,6 +232,9 @@ class BringUp(Conversation):
                 target_rad = measured_rad
                 break
         moved_rad = (measured - self._counts_before.get(joint, measured)) / counts_per_rad
+        elsewhere_rad = abs(measured_rad - self._stood_rad.get(joint, measured_rad))
+        if elsewhere_rad > self.arm.limits.position_jump_rad:
+            reason = Unreferenced.POWER_LOST
         if reason == Unreferenced.REFERENCED and abs(moved_rad) > self.arm.limits.position_jump_rad:
             reason = Unreferenced.MOVED
             self._tell(

@@ -31,14 +31,14 @@ class TalkFailed(Exception):
 class Ask:
     """A command and how to know its answer: function byte and number of packets, or one short reply.
 
-    `follow` is a second command that leaves with it, in the same cycle and right behind.
+    The commands `before` leave with it, in the same cycle and right before, and their answers are not waited for.
     """
 
     payload: bytes
     reply_lengths: tuple[int, ...]
     packets: int = 1
     answered: bool = True
-    follow: bytes = b""
+    before: tuple[bytes, ...] = ()
 
 
 def silent_amid(config: JointConfig, what: str) -> str:
@@ -153,9 +153,7 @@ class Conversation:
         self._say(joint, ask)
 
     def _say(self, joint: int, ask: Ask) -> None:
-        frames = split_packets(self._addresses[joint], ask.payload)
-        if ask.follow:
-            frames += split_packets(self._addresses[joint], ask.follow)
+        frames = [f for told in (*ask.before, ask.payload) for f in split_packets(self._addresses[joint], told)]
         self._outbox += [(frame, number < len(frames) - 1) for number, frame in enumerate(frames)]
         self._flush()
 

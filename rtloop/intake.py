@@ -449,19 +449,16 @@ def begin_referencing(loop: Loop, shared: Shared, kind: int, joint_mask: int, an
     core.reference_asked = joint_mask if kind == Request.REFERENCE else 0
     for joint in range(count):
         if (joint_mask >> joint) & 1:
-            axis = loop.axes[joint]
-            axis.referenced = 0
-            axis.asked_rad = angle_rad
-            if kind == Request.HOME:
-                axis.unreferenced_reason = Unreferenced.NOT_HOMED
+            loop.axes[joint].asked_rad = angle_rad
     return Answer.DONE
 
 
 @jit
 def _may_stand_at(loop: Loop, joint: int, angle_rad: float) -> bool:
-    """Whether a person may say so: no joint is outside its limits, and a drive that lost power counts from nowhere."""
+    """Whether a person may say so: no joint is outside its limits, and some counts are from nowhere."""
     if math.isnan(angle_rad):
-        return bool(loop.axes[joint].unreferenced_reason != Unreferenced.POWER_LOST)
+        reason = loop.axes[joint].unreferenced_reason
+        return bool(reason != Unreferenced.POWER_LOST and reason != Unreferenced.NOT_HOMED)
     row = loop.joints[joint]
     return bool(row.lower_rad <= angle_rad <= row.upper_rad)
 

@@ -36,6 +36,8 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
                 count_from(loop, order.joint, order.value, order.code)
         elif order.kind == port.REFERENCING:
             core.referencing_joint = order.joint
+            if order.code == 1 and core.mode == Mode.REFERENCING:
+                forget_count(loop, order.joint)
         elif order.kind == port.HOME_ALL:
             intake.begin_referencing(loop, shared, Request.HOME, 0, 0.0)
         elif order.kind == port.REFERENCING_DONE:
@@ -60,7 +62,7 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
     core.fault_value = core.fault_limit = 0.0
     core.own_brake = core.stale = core.rebase_ns = 0
     core.motion_started = core.silenced = core.rested = 0
-    core.bring_up_asked = core.release_asked = 0
+    core.bring_up_asked = core.release_asked = core.home_asked = core.reference_asked = 0
     core.referencing_joint = -1
     shared.counters.bus_state = BusState.ACTIVE  # until the controller says otherwise
     for joint in range(loop.params.joint_count):
@@ -75,12 +77,22 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
 
 
 @jit
+def forget_count(loop: Loop, joint: int) -> None:
+    """The drive sets its count anew, at a place of its own choice; what made it doubtful before still does."""
+    axis = loop.axes[joint]
+    axis.referenced = axis.power_loss_known = 0
+    if axis.unreferenced_reason != Unreferenced.POWER_LOST:
+        axis.unreferenced_reason = Unreferenced.NOT_HOMED
+
+
+@jit
 def count_from(loop: Loop, joint: int, zero_rad: float, power_loss_known: int) -> None:
     """The joint's count means an angle again: no reading of before is compared with those that follow."""
     axis = loop.axes[joint]
     loop.joints[joint].zero_rad = zero_rad
     axis.power_loss_known = power_loss_known
-    axis.unreferenced_reason = Unreferenced.REFERENCED
+    axis.referenced = 0  # until it is told where the joint stands
+    axis.unreferenced_reason = Unreferenced.NOT_BROUGHT_UP
     axis.readings = axis.bad_statuses = axis.doubted = axis.refusals = axis.lag_ns = 0
 
 

@@ -17,7 +17,7 @@ BRING_UP_BEGINS = 3
 BRING_UP_DONE = 4
 BRING_UP_FAILED = 5  # joint, code = shm.words.Fault
 COUNT_FROM = 6  # joint's zero is `value` (rad) from its drive's own; code = 1: its flag for lost power means nothing
-REFERENCING = 7  # joint's turn
+REFERENCING = 7  # joint's turn; code = 1: its drive begins a homing run, so its count means nothing any more
 REFERENCING_DONE = 8
 HOME_ALL = 9  # begin the arm's homing run
 
@@ -56,6 +56,14 @@ class ServicePort:
     def zero_rad(self, joint: int) -> float:
         """What the joint's angle is counted from; another than the arm file's where a person said where it stands."""
         return float(self._record["joints"][joint]["zero_rad"])
+
+    def referenced(self, joint: int) -> bool:
+        """Whether the joint's count is known to mean an angle."""
+        return bool(self._record["axes"][joint]["referenced"])
+
+    def measured_rad(self, joint: int) -> float:
+        """The joint's last reading."""
+        return float(self._record["axes"][joint]["measured_rad"])
 
     def commanded_rad(self, joint: int) -> float:
         """Where the joint is commanded to be."""

@@ -30,6 +30,8 @@ FIRST_CYCLE_POLL_S = 0.001
 REOPEN_EVERY_S = 0.5
 LOST_EVERY_S = 1.0
 THREAD_PATIENCE_S = 5.0
+STAND_PATIENCE_S = 5.0
+"""For a drive amid its homing run to say that it has ended it."""
 
 
 class CannotStart(Exception):
@@ -91,7 +93,10 @@ class ControlProcess:
             raise
 
     def serve(self, ready: Callable[[], None]) -> int:
-        """Run until asked to stop; the exit code: 0 orderly, 2 bring-up failed, 3 the cycle ended by itself."""
+        """Run until asked to stop.
+
+        The exit code: 0 orderly, 2 a conversation failed at the start or amid the end, 3 the cycle ended by itself.
+        """
         try:
             self._start_threads()
             code = self._supervise(ready)
@@ -260,6 +265,9 @@ class ControlProcess:
             counts_before=counts_before,
         )
 
+    def _is_asked_to_reference(self) -> bool:
+        return bool(self._core["home_asked"] or self._core["reference_asked"])
+
     def _supervise(self, ready: Callable[[], None]) -> int:
         # fresh rings have room for its beginning
         talk: Conversation | None = self._bring_up(clears_protection=False, counts_before=saved.take(self._arm))
@@ -272,7 +280,7 @@ class ControlProcess:
             if talk is not None and talk.poll(time.monotonic_ns()):
                 if talk.failure is not None:
                     self._tell(str(talk.failure))
-                    if first:
+                    if first or self._stop_asked.yes:
                         return 2
                 elif first and self._arm.control.init_mode == 0:
                     self._port.post(HOME_ALL)
@@ -287,7 +295,7 @@ class ControlProcess:
             elif talk is None and int(self._core["release_asked"]) == 1:
                 self._core["release_asked"] = 0  # taken back by the cycle when the drives are enabled meanwhile
                 talk = Release(self._arm, self._port, now_ns=time.monotonic_ns())
-            elif talk is None and int(self._core["home_asked"]) | int(self._core["reference_asked"]):
+            elif talk is None and not self._stop_asked.yes and self._is_asked_to_reference():
                 talk = begin_referencing(self._arm, self._loop, self._port, time.monotonic_ns(), self._tell)
             if isinstance(talk, Referencing) and (self._stop_asked.yes or int(self._core["referencing_ends"]) == 1):
                 talk.end()
@@ -297,6 +305,8 @@ class ControlProcess:
                 if closing_until_s == 0.0:
                     self._core["closing"] = 1
                     closing_until_s = now_s + float(self._loop[0]["params"]["longest_stop_s"]) + 1.0
+                    if isinstance(talk, Referencing):
+                        closing_until_s += STAND_PATIENCE_S
                 if (self._stands() and not isinstance(talk, Referencing)) or now_s > closing_until_s:
                     return 0
                 time.sleep(BUSY_POLL_S)

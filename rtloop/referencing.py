@@ -7,6 +7,7 @@ or its time-out. While one runs, the arm's other joints hold.
 from __future__ import annotations
 
 import math
+import secrets
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -20,6 +21,15 @@ from shm.words import Fault, Unreferenced
 
 AT_STOP_RAD = 0.02
 """A drive whose run has ended counts from where it stands: its shaft may settle this far from there."""
+ELSEWHERE_RAD = 0.1
+"""A joint whose angle was known before stops within this of its stop, or something was in its way."""
+AGREEING = 2
+"""Answers in a row that say the same: one alone may be garbled."""
+LOOKS = 6
+"""For the beginning of a run: a collision of the factory's 60 ms lasts longer than two of them."""
+STANDS_TRIES = 8
+LATE_S = 1.0
+MARKS_MS = 900
 
 
 def begin_referencing(
@@ -67,7 +77,7 @@ class Referencing(Conversation):
         self._later += [(joint, self._place_at(angle)) for joint, angle in placed.items() if joint in with_drive]
 
     def end(self) -> None:
-        """Stop what is under way; its joint stays without a reference, and all is over once the drive stands."""
+        """Stop what is under way; a joint amid its run stays without a reference. All is over once its drive stands."""
         if self._ending:
             return
         self._ending = True
@@ -81,79 +91,170 @@ class Referencing(Conversation):
         if not self._later:
             return False
         joint, dialogue = self._later.pop(0)
-        self.post(REFERENCING, joint=joint)
         self.begin({joint: dialogue(joint)})
         return True
 
-    # --- what is said to a drive
+    # --- a homing run
 
     def _home(self, joint: int) -> Dialogue:
         config, limit_s = self.arm.joints[joint], self.arm.homing.timeout_s
         self._tell(f"{config.name}: homing; the drive runs to its stop by itself, for {limit_s:g} s at most.")
         flags = yield from self._sound(joint, config)
-        if not (yield from zdt_talk.raise_homing_timeout(round(limit_s * 1e3))):
+        expected_rad = -config.zero_rad if self._port.referenced(joint) else None
+        # no other value of volatile memory is the same by chance, so one that is there afterwards says that the drive
+        # has not been switched off and on meanwhile, after which it counts 0 anywhere
+        mark_ms = round(limit_s * 1e3) + 1 + secrets.randbelow(MARKS_MS)
+        if not (yield from zdt_talk.write_homing_timeout(mark_ms)):
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} does not take a homing time-out of {limit_s:g} s: set it in its menu, or "
                 "lower homing.timeout_s.",
             )
-        answer = yield Ask(zdt_talk.HOME_BY_COLLISION, (3,), answered=self.arm.bus.acknowledge)
-        if answer is not None and answer[1] == zdt_talk.REFUSED:
-            raise TalkFailed(
-                joint,
-                f"The drive of {config.name} refuses to home: look at its display for a fault and at its homing "
-                "parameters.",
-            )
-        yield from self._run_out(joint, config)
-        measured = yield from self._counts(joint, config, 0x36)
-        if abs(measured) > AT_STOP_RAD * config.encoder_counts_per_rad:
-            raise TalkFailed(
-                joint,
-                f"The drive of {config.name} counts {measured} after its homing run, not 0, so it has not found its "
-                "stop: see that it can reach it and that its homing parameters fit, then `rtarm clear-fault` and "
-                "`rtarm home` again.",
-            )
-        if flags & zdt_talk.POWER_LOST:
-            yield from self._clear_power_lost(joint, config)
-        target = yield from self._counts(joint, config, 0x33)
+        began = yield from self._counts(joint, config, 0x36)
+        self.post(REFERENCING, joint=joint, code=1)
+        try:
+            yield from self._begin_run(joint, config)
+            stopped = yield from self._see_it_end(joint, config, began)
+            yield from self._judge(joint, config, stopped, expected_rad)
+            yield from self._require_mark(joint, config, mark_ms)
+            if flags & zdt_talk.POWER_LOST:
+                yield from self._clear_power_lost(joint, config)
+            target = yield from self._standing(joint, config)
+            yield from self._require_mark(joint, config, mark_ms)
+        except TalkFailed:
+            yield from self._stand(joint)
+            raise
         zero_rad = config.zero_rad
         self._count_from(joint, zero_rad, config.direction * target / config.encoder_counts_per_rad - zero_rad)
         self._tell(f"{config.name}: homed.")
 
+    def _begin_run(self, joint: int, config: JointConfig) -> Dialogue:
+        """Say it until the drive says twice that it homes: no acknowledgement is waited for, and one may be lost."""
+        for _ in range(TRIES):
+            before: tuple[bytes, ...] = (zdt_talk.HOME_BY_COLLISION,)
+            seen = 0
+            for _ in range(LOOKS):
+                flags = yield from zdt_talk.read_flags(0x3B, before)
+                before = ()
+                seen = seen + 1 if flags is not None and flags & zdt_talk.HOMING else 0
+                if seen >= AGREEING:
+                    return
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} does not begin its homing run: look at its display for a fault and at its "
+            "homing parameters.",
+        )
+
+    def _see_it_end(self, joint: int, config: JointConfig, last: int) -> zdt_talk.Answered[int]:
+        """Wait for the end of the run; the last count of before it, as the drive counted then."""
+        began_ns = self.now_ns
+        ended = failed = silent = 0
+        while True:
+            flags = yield from zdt_talk.read_flags(0x3B)
+            silent = 0 if flags is not None else silent + 1
+            if silent >= AGREEING:  # each of them asked several times over
+                raise TalkFailed(joint, silent_amid(config, "homing state"))
+            if flags is None:
+                continue
+            ended = 0 if flags & zdt_talk.HOMING else ended + 1
+            failed = failed + 1 if ended and flags & zdt_talk.HOMING_FAILED else 0
+            if failed >= AGREEING or self.now_ns - began_ns > (self.arm.homing.timeout_s + LATE_S) * 1e9:
+                raise TalkFailed(
+                    joint,
+                    f"The drive of {config.name} has not found its homing stop within {self.arm.homing.timeout_s:g} s, "
+                    "or was stopped: see that it can reach the stop and that direction, speed and collision current in "
+                    "its menu fit, then `rtarm clear-fault` and `rtarm home` again.",
+                )
+            if ended >= AGREEING and not failed:
+                return last
+            if not ended:
+                last = yield from self._counts(joint, config, 0x36)
+
+    def _judge(self, joint: int, config: JointConfig, stopped: int, expected_rad: float | None) -> Dialogue:
+        """Whether the drive counts 0, and stopped about where its stop is known to be."""
+        flags = yield from self._flags(joint, config)
+        measured = yield from self._counts(joint, config, 0x36)
+        if flags & zdt_talk.PROTECTED or abs(measured) > AT_STOP_RAD * config.encoder_counts_per_rad:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} counts {measured} after its homing run, not 0, or has tripped its "
+                "protection, so it has not found its stop: see that it can reach it and that its homing parameters "
+                "fit, then `rtarm clear-fault` and `rtarm home` again.",
+            )
+        stopped_rad = config.direction * stopped / config.encoder_counts_per_rad - self._port.zero_rad(joint)
+        if expected_rad is not None and abs(stopped_rad - expected_rad) > ELSEWHERE_RAD:
+            raise TalkFailed(
+                joint,
+                f"{config.name} met something at {math.degrees(stopped_rad):.1f}°, although its stop is at "
+                f"{math.degrees(expected_rad):.1f}°: remove what is in its way, then `rtarm clear-fault` and `rtarm "
+                "home` again.",
+            )
+
+    def _require_mark(self, joint: int, config: JointConfig, mark_ms: int) -> Dialogue:
+        if (yield from zdt_talk.read_homing_timeout()) != mark_ms:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} has lost power during its homing run, so what it counts is no angle: see "
+                "to its supply, then `rtarm clear-fault` and `rtarm home` again.",
+            )
+
+    def _stand(self, joint: int) -> Dialogue:
+        """End whatever run there is, and see that it has ended."""
+        config = self.arm.joints[joint]
+        seen = 0
+        for _ in range(STANDS_TRIES):
+            flags = yield from zdt_talk.read_flags(0x3B, before=(zdt_talk.END_HOMING, zdt_talk.STOP))
+            seen = seen + 1 if flags is not None and not flags & zdt_talk.HOMING else 0
+            if seen >= AGREEING:
+                return
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} does not say that it has ended its homing run: it may still move, use the "
+            "switch in the power line if it does.",
+        )
+
+    def _clear_power_lost(self, joint: int, config: JointConfig) -> Dialogue:
+        """The count means an angle again; only then may the flag go that said it does not."""
+        for _ in range(TRIES):
+            yield Ask(zdt_talk.CLEAR_POWER_LOST, (3,))
+            if not (yield from self._flags(joint, config)) & zdt_talk.POWER_LOST:
+                return
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} keeps its flag for lost power although it was told to clear it: switch it off "
+            "and on, then home it again.",
+        )
+
+    # --- a person's word
+
     def _place_at(self, angle_rad: float) -> Callable[[int], Dialogue]:
         def place(joint: int) -> Dialogue:
+            self.post(REFERENCING, joint=joint)
             config = self.arm.joints[joint]
             flags = yield from self._sound(joint, config)
-            measured = yield from self._counts(joint, config, 0x36)
-            target = yield from self._counts(joint, config, 0x33)
+            target = yield from self._standing(joint, config)
             zero_rad = self._port.zero_rad(joint)
+            counts_nowhere = flags & zdt_talk.POWER_LOST and not self._port.power_loss_known(joint)
+            if math.isnan(angle_rad) and counts_nowhere:
+                self._tell(
+                    f"{config.name}: its drive has lost power, so what it counts is no angle: say where it stands."
+                )
+                self._count_from(joint, zero_rad, self._port.commanded_rad(joint), Unreferenced.POWER_LOST)
+                return
             if not math.isnan(angle_rad):
+                measured = yield from self._counts(joint, config, 0x36)
                 zero_rad = config.direction * measured / config.encoder_counts_per_rad - angle_rad
             position_rad = config.direction * target / config.encoder_counts_per_rad - zero_rad
             self._count_from(joint, zero_rad, position_rad, flag_stays=bool(flags & zdt_talk.POWER_LOST))
 
         return place
 
-    def _stand(self, joint: int) -> Dialogue:
-        config = self.arm.joints[joint]
-        for _ in range(TRIES):
-            yield Ask(zdt_talk.END_HOMING, (3,), answered=self.arm.bus.acknowledge)  # refused where none runs
-            yield Ask(zdt_talk.STOP, (3,), answered=self.arm.bus.acknowledge)
-            flags = yield from zdt_talk.read_flags(0x3B)
-            if flags is not None and not flags & zdt_talk.HOMING:
-                return
-        raise TalkFailed(
-            joint,
-            f"The drive of {config.name} does not say that it has ended its homing run: use the switch in the power "
-            "line if it still moves.",
-        )
+    # --- both
 
     def _sound(self, joint: int, config: JointConfig) -> zdt_talk.Answered[int]:
         """Stop a drive that may be on its way somewhere, and see that it holds; its flags."""
         yield Ask(zdt_talk.STOP, (3,), answered=self.arm.bus.acknowledge)
-        flags = yield from zdt_talk.read_flags(0x3A)
-        if flags is None:
-            raise TalkFailed(joint, silent_amid(config, "status"))
+        flags = yield from self._flags(joint, config)
         if flags & zdt_talk.PROTECTED or not flags & zdt_talk.ENABLED:
             raise TalkFailed(
                 joint,
@@ -162,40 +263,25 @@ class Referencing(Conversation):
             )
         return flags
 
-    def _run_out(self, joint: int, config: JointConfig) -> Dialogue:
-        """Wait for the end of a homing run."""
-        began_ns = self.now_ns
-        limit_s = self.arm.homing.timeout_s
-        while True:
-            flags = yield from zdt_talk.read_flags(0x3B)
-            if flags is None:
-                raise TalkFailed(joint, silent_amid(config, "homing state"))
-            if not flags & zdt_talk.HOMING:
-                break
-            if self.now_ns - began_ns > limit_s * 1e9:
-                yield from self._stand(joint)
-                flags = zdt_talk.HOMING_FAILED
-                break
-        if flags & zdt_talk.HOMING_FAILED:
-            raise TalkFailed(
-                joint,
-                f"The drive of {config.name} has not found its homing stop within {limit_s:g} s, or was stopped: see "
-                "that it can reach the stop and that direction, speed and collision current in its menu fit, then "
-                "`rtarm clear-fault` and `rtarm home` again.",
-            )
-
-    def _clear_power_lost(self, joint: int, config: JointConfig) -> Dialogue:
-        """The count means an angle again; only then may the flag go that said it does not."""
+    def _standing(self, joint: int, config: JointConfig) -> zdt_talk.Answered[int]:
+        """The drive's own target, once it stands on it: what it is commanded to be is then no motion."""
         for _ in range(TRIES):
-            yield Ask(zdt_talk.CLEAR_POWER_LOST, (3,))
-            flags = yield from zdt_talk.read_flags(0x3A)
-            if flags is not None and not flags & zdt_talk.POWER_LOST:
-                return
+            measured = yield from self._counts(joint, config, 0x36)
+            target = yield from self._counts(joint, config, 0x33)
+            if abs(measured - target) <= AT_STOP_RAD * config.encoder_counts_per_rad:
+                return target
+            yield Ask(zdt_talk.STOP, (3,), answered=self.arm.bus.acknowledge)
         raise TalkFailed(
             joint,
-            f"The drive of {config.name} keeps its flag for lost power although it was told to clear it: switch it off "
-            "and on, then home it again.",
+            f"The drive of {config.name} stands {measured - target} counts from its own target and does not take where "
+            "it is for it: switch it off and on, then `rtarm clear-fault` and home it again.",
         )
+
+    def _flags(self, joint: int, config: JointConfig) -> zdt_talk.Answered[int]:
+        flags = yield from zdt_talk.read_flags(0x3A)
+        if flags is None:
+            raise TalkFailed(joint, silent_amid(config, "status"))
+        return flags
 
     def _counts(self, joint: int, config: JointConfig, function: int) -> zdt_talk.Answered[int]:
         counts = yield from zdt_talk.read_counts(function)
@@ -203,11 +289,20 @@ class Referencing(Conversation):
             raise TalkFailed(joint, silent_amid(config, "position"))
         return counts
 
-    def _count_from(self, joint: int, zero_rad: float, position_rad: float, *, flag_stays: bool = False) -> None:
+    def _count_from(
+        self,
+        joint: int,
+        zero_rad: float,
+        position_rad: float,
+        reason: Unreferenced = Unreferenced.REFERENCED,
+        *,
+        flag_stays: bool = False,
+    ) -> None:
         """Tell the cycle what the joint's count means, and that it stands there, where its limits allow that."""
         config = self.arm.joints[joint]
-        reason = Unreferenced.REFERENCED
-        if not config.lower_rad - AT_STOP_RAD <= position_rad <= config.upper_rad + AT_STOP_RAD:
+        inside = config.lower_rad - AT_STOP_RAD <= position_rad <= config.upper_rad + AT_STOP_RAD
+        if reason == Unreferenced.REFERENCED and not inside:
             reason = Unreferenced.OUTSIDE_LIMITS
-        self.post(COUNT_FROM, joint=joint, value=zero_rad, code=int(flag_stays))
+        known = flag_stays and reason == Unreferenced.REFERENCED
+        self.post(COUNT_FROM, joint=joint, value=zero_rad, code=int(known))
         self.post(ADOPT, joint=joint, value=position_rad, code=reason)

@@ -245,8 +245,8 @@ FAULTS: dict[Fault, Meaning] = {
         "drives were silent for too long stay unreferenced until rtarm is started again.",
     ),
     Fault.HOMING: Meaning(
-        "{joint} was not homed: see the control process' message for the reason, mend it, then `rtarm clear-fault` and "
-        "`rtarm home` again.",
+        "{joint} was not homed, keep clear until it stands: see the control process' message for the reason, mend it, "
+        "then `rtarm clear-fault` and `rtarm home` again.",
         "A joint whose stop was not found counts from nowhere.",
         "Follow the message of the control process; clear the fault; home the joint again.",
     ),
@@ -324,10 +324,10 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
         "Free the joint, switch the drive off and on, bring the arm up again.",
     ),
     Unreferenced.NOT_HOMED: Meaning(
-        "{joint} was not homed to the end, so its angle is not known: home it with `rtarm home`, or see that it stands "
-        "where `rtarm status` says and take that with `rtarm reference`.",
-        "A homing run changes what the drive's count means.",
-        "Home it again; or look at the joint and say where it stands.",
+        "{joint} was not homed to the end, so its angle is not known: home it with `rtarm home`, or say where it "
+        "stands with `rtarm reference`.",
+        "A homing run changes what the drive's count means, at a moment that nobody else knows.",
+        "Home it again; or look at the joint and say its angle (`rtarm reference JOINT=DEGREES`).",
     ),
     Unreferenced.MOVED: Meaning(
         "{joint} does not stand where it stood when rtarm was ended, so it was moved by hand or its drive has lost its "
@@ -357,8 +357,8 @@ ANSWERS: dict[Answer, Meaning] = {
         "Nothing to do.",
     ),
     Answer.REFUSED_VALUE: Meaning(
-        "The value is not allowed: a speed scale lies between 0 and 1, a joint stands inside its limits, and the count "
-        "of a drive that lost power says nothing of where.",
+        "The value is not allowed: a speed scale lies between 0 and 1, a joint stands inside its limits, and a drive "
+        "that lost power or was not homed to the end counts from nowhere.",
         "The control process believes no value that cannot be.",
         "Give a speed scale from 0 to 1, an angle inside the joint's limits, joints that the arm has.",
     ),

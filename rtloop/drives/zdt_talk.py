@@ -24,14 +24,16 @@ CLEAR_POWER_LOST = b"\x50\x00\x6b"
 STOP = b"\xfe\x98\x00\x6b"
 HOME_BY_COLLISION = b"\x9a\x02\x00\x6b"
 END_HOMING = b"\x9c\x48\x6b"
-REFUSED = 0xE2
 _HOMING_BYTES = 15
 _TIMEOUT = slice(4, 8)
 
 
-def read_flags(function: int) -> Answered[int | None]:
-    """The flags of `3A` (status) or `3B` (homing); None where the drive is silent or does not know the question."""
-    answer = yield Ask(bytes((function, 0x6B)), (3,))
+def read_flags(function: int, before: tuple[bytes, ...] = ()) -> Answered[int | None]:
+    """The flags of `3A` (status) or `3B` (homing) after commands that leave right before the question.
+
+    None where the drive is silent or does not know the question.
+    """
+    answer = yield Ask(bytes((function, 0x6B)), (3,), before=before)
     return None if answer is None or answer[0] != function else answer[1]
 
 
@@ -44,16 +46,20 @@ def read_counts(function: int) -> Answered[int | None]:
     return -magnitude if answer[1] else magnitude
 
 
-def raise_homing_timeout(timeout_ms: int) -> Answered[bool]:
-    """See that the drive allows its homing run so much time, in volatile memory; whether it does."""
+def write_homing_timeout(timeout_ms: int) -> Answered[bool]:
+    """Let the drive's homing run take so long, in volatile memory only; whether it does."""
     parameters = yield from _read_homing()
     if parameters is None:
         return False
-    if int.from_bytes(parameters[_TIMEOUT], "big") >= timeout_ms:
-        return True
     changed = parameters[: _TIMEOUT.start] + timeout_ms.to_bytes(4, "big") + parameters[_TIMEOUT.stop :]
     yield Ask(b"\x4c\xae\x00" + changed + b"\x6b", (3,))
-    return (yield from _read_homing()) == changed
+    return (yield from read_homing_timeout()) == timeout_ms
+
+
+def read_homing_timeout() -> Answered[int | None]:
+    """How long the drive's homing run may take (ms)."""
+    parameters = yield from _read_homing()
+    return None if parameters is None else int.from_bytes(parameters[_TIMEOUT], "big")
 
 
 def _read_homing() -> Answered[bytes | None]:

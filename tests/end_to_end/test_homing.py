@@ -63,7 +63,7 @@ def test_a_person_homes_some_joints_and_says_where_the_others_stand(stack):
     assert abs(true_deg(stack)[1] + 90) < WITHIN_DEG
     code, said = rtarm(stack, "reference", "joint1")
     assert code == 1
-    assert "counts from where its power came back" in said
+    assert "counts from where nobody knows" in said
     words = ("joint1=-178", "joint3=-81", "joint4=-27", "joint6=-24")
     code, said = rtarm(stack, "reference", *words)
     assert (code, referenced(stack)) == (0, [1] * 6), said
@@ -83,11 +83,11 @@ def test_ctrl_c_ends_a_homing_run(arm_name, tmp_path):
             pass
         home.process.send_signal(signal.SIGINT)
         assert home.code() == 1
-        assert "Ended: the joint that was on its way to its stop stands, without a reference." in home.text
+        assert "Ended: the joint that was on its way stands, without a reference." in home.text
         truth = stack.truth()
         since_ns = min(joint.times_ns[-1] for joint in truth.values())
         assert referenced(stack) == [0, 1, 1, 1, 1, 1]
-        assert rtarm(stack, "reference", "joint1")[0] == 0  # its count has not changed
+        assert rtarm(stack, "reference", "joint1")[0] == 1  # nobody knows whether its count has changed
         judge(motion_after(stack.truth(), since_ns, min(j.times_ns[-1] for j in stack.truth().values())))
     finally:
         stack.close()
