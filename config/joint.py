@@ -15,6 +15,9 @@ ENCODER_COUNTS_PER_REVOLUTION = 65_536
 FULL_STEPS_PER_REVOLUTION = 200
 """Steps a revolution of a 1.8° motor; a command pulse is one microstep of these."""
 
+SHORTEST_WATCHDOG_MS = 300
+"""Three times the silence after which the control process latches a fault of its own."""
+
 
 class ZdtDrive(Section):
     """A ZDT closed-loop stepper with Emm_V5 firmware on the CAN bus."""
@@ -27,9 +30,49 @@ class ZdtDrive(Section):
         le=256,
         description="Microsteps a full step as set in the drive (200 full steps a turn).",
     )
-    firmware: Literal["auto"] = Field(
-        default="auto", description="Firmware generation; auto asks the drive at bring-up."
+    firmware: str = Field(
+        default="auto",
+        pattern=r"^(auto|[12]\.[0-9]\.[0-9])$",
+        description='Firmware the drive should have, such as "2.0.0"; auto takes any that is known. Compared by '
+        "`rtarm drives`, never written.",
     )
+    current_ma: int | None = Field(
+        default=None,
+        ge=100,
+        le=6000,
+        description="Highest motor current in closed loop (mA). This field and those below are compared by `rtarm "
+        "drives` and written only by `rtarm drives --write`; left out, the drive's own value stays.",
+    )
+    stall_protection: bool | None = Field(
+        default=None,
+        description="Whether the drive lets go when it is held (true), or keeps pushing (false).",
+    )
+    stall_rpm: int | None = Field(
+        default=None, ge=1, le=3000, description="Speed below which the drive may count as stalled (motor rpm)."
+    )
+    stall_current_ma: int | None = Field(
+        default=None, ge=100, le=6000, description="Current above which the drive may count as stalled (mA)."
+    )
+    stall_time_ms: int | None = Field(
+        default=None, ge=1, le=65_535, description="For how long both must last until the protection trips (ms)."
+    )
+    watchdog_ms: int | None = Field(
+        default=None,
+        ge=0,
+        le=60_000,
+        description="Silence after which the drive stops by itself (ms); 0 turns that off. Only firmware of the X42S "
+        "generation has it.",
+    )
+
+    @model_validator(mode="after")
+    def _watchdog_outlives_a_pause(self) -> ZdtDrive:
+        if self.watchdog_ms is not None and 0 < self.watchdog_ms < SHORTEST_WATCHDOG_MS:
+            raise refuse(
+                "watchdog_ms",
+                f"watchdog_ms is {self.watchdog_ms}, but the drive would then stop hard at a pause that is no fault "
+                f"yet; choose {SHORTEST_WATCHDOG_MS} or more, or 0 for none.",
+            )
+        return self
 
     @property
     def command_pulses_per_revolution(self) -> int:

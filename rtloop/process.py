@@ -38,6 +38,14 @@ class CannotStart(Exception):
     """The control process refuses to start; the text is the sentence people read."""
 
 
+class Ended(Exception):
+    """Work beside an offline cycle cannot go on: a signal asked for the end, or the cycle is gone."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
 class StopAsked:
     """Whether a signal has asked for the end; the signals are taken over from now on."""
 
@@ -124,6 +132,35 @@ class ControlProcess:
             saved.save(self._arm, counts)
         except saved.NotSaved as problem:
             self._tell(str(problem))
+
+    def serve_offline(self, work: Callable[[ServicePort, Callable[[], None]], None]) -> int:
+        """Do `work` beside a cycle that stays offline: nothing is brought up and no motion frame leaves.
+
+        `work` holds its conversations through the port it is given and lets time pass with the function it is given,
+        which ends it when that must be. Exit code 0, or 3 when the cycle ended by itself; raises WireRefused when the
+        adapter went away.
+        """
+        try:
+            self._start_threads()
+            work(self._port, self._pause_offline)
+        except Ended as ended:
+            return ended.code
+        finally:
+            self._end_threads()
+            self._release()
+        return 0
+
+    def _pause_offline(self) -> None:
+        time.sleep(BUSY_POLL_S)
+        if self._stop_asked.yes:
+            raise Ended(0)
+        if not self._cycle.is_alive():
+            raise Ended(3)
+        if self._fd >= 0 and self._load("received", "arrived", "closed") != 0:
+            raise WireRefused(
+                f"The adapter at {self._arm.bus.resolved_channel} is gone in the middle of a conversation, so what a "
+                "drive was told last may have arrived or not: plug it in again and read what the drives have."
+            )
 
     # --- threads
 

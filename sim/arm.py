@@ -224,6 +224,10 @@ class SimulatedArm:
                 at(at_s, partial(_set, self._drive(joint), "count_shift", -COUNT_RANGE))
             case wrong.SameAddress(joint, at_s):
                 at(at_s, partial(self._add_drive, self._drive(joint)))
+            case wrong.KeepsSettings(joint, at_s):
+                at(at_s, partial(_set, self._drive(joint), "keeps_settings", True))
+            case wrong.ForeignFirmware(joint, at_s):
+                at(at_s, partial(_set, self._drive(joint), "foreign", True))
             case wrong.LostReplies(share, at_s, joint_or_all):
                 for drive in self._chosen(joint_or_all):
                     at(at_s, partial(_set, drive, "reply_loss", share))

@@ -219,6 +219,22 @@ class SameAddress:
     at_s: float
 
 
+@dataclass(frozen=True)
+class KeepsSettings:
+    """A drive says that it took new settings, and keeps its own."""
+
+    joint: str
+    at_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class ForeignFirmware:
+    """A drive tells a longer configuration block, as one with X firmware may (zdt-emm-v5.md 7)."""
+
+    joint: str
+    at_s: float = 0.0
+
+
 Fault = (
     Silent
     | PowerLoss
@@ -243,6 +259,8 @@ Fault = (
     | CountSlip
     | CountWrap
     | SameAddress
+    | KeepsSettings
+    | ForeignFirmware
 )
 
 FAULTS: dict[str, type[Fault]] = {
@@ -269,6 +287,8 @@ FAULTS: dict[str, type[Fault]] = {
     "count-slip": CountSlip,
     "count-wrap": CountWrap,
     "same-address": SameAddress,
+    "keeps-settings": KeepsSettings,
+    "foreign-firmware": ForeignFirmware,
 }
 
 WORDS: dict[str, tuple[str, ...] | None] = {"joint": None, "cause": ("stall", "temperature", "current")}

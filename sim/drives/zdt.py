@@ -169,6 +169,8 @@ class ZdtDrive:
         wrong_checksums: share of its answers that end in another byte.
         wrong_values: share of its position answers that are wrong, and by how many counts at most.
         refuses: whether it refuses every motion command.
+        keeps_settings: whether it says that it took new settings, and keeps its own.
+        foreign: whether its configuration block is longer, as that of another firmware [inf].
         causes: why its protection tripped, as bits of `3B` (4 over-temperature, 5 over-current; a stall has none).
         cause_lasts: whether that cause is still there, so that the protection cannot be cleared.
         count_shift: what its count reads beside what it is [counts].
@@ -201,6 +203,8 @@ class ZdtDrive:
         self.wrong_checksums = 0.0
         self.wrong_values = (0.0, 0)
         self.refuses = False
+        self.keeps_settings = False
+        self.foreign = False
         self.causes = 0
         self.cause_lasts = False
         self.count_shift = 0
@@ -810,6 +814,8 @@ class ZdtDrive:
     def _store(self, store: int, new: Settings) -> int:
         if not new.valid:
             return REFUSED
+        if self.keeps_settings:
+            return DONE
         self.settings = replace(new, address=self.settings.address, screen_off=self.settings.screen_off)
         if store:
             self._flash = self.settings
@@ -858,6 +864,11 @@ class ZdtDrive:
 
     def _read_version(self) -> bytes:
         return struct.pack(">BHH", 0x1F, 200, 111) if self._new else b"\x1f\x7d\x6f"
+
+    def _read_settings(self) -> bytes:
+        if self.foreign:
+            return b"\x42\x25\x18" + self.settings.pack() + bytes(4)
+        return b"\x42\x21\x15" + self.settings.pack()
 
     def _read_pid(self) -> bytes:
         return struct.pack(">BIII", 0x21, *((18000, 10, 18000) if self._new else (62000, 100, 62000)))
@@ -931,7 +942,7 @@ def _tables(drive: ZdtDrive) -> tuple[dict[int, Callable[[], bytes]], dict[int, 
         0x3C: lambda: bytes((0x3C, d.homing_byte, d.status_byte)),
         0x15: lambda: bytes((0x15, d.settings.address)),
         0x16: lambda: struct.pack(">BI", 0x16, d._watchdog_ns // 1_000_000),
-        0x42: lambda: b"\x42\x21\x15" + d.settings.pack(),
+        0x42: d._read_settings,
         0x43: d._read_everything,
     }
     commands = {

@@ -1,0 +1,169 @@
+"""Settings of a ZDT (Emm_V5) drive as bytes: questions, answers, and the commands that write (zdt-emm-v5.md, 4 to 6).
+
+Only what stands here is ever sent about settings: auto-run, calibration, factory reset, loop mode and address are not
+among it.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, fields, replace
+
+from config.joint import FULL_STEPS_PER_REVOLUTION
+
+ASK_FIRMWARE = b"\x1f\x6b"
+ASK_HOMING = b"\x22\x6b"
+ASK_SUPPLY = b"\x24\x6b"
+ASK_WATCHDOG = b"\x16\x6b"
+ASK_SPEED = b"\x35\x6b"
+ASK_POSITION = b"\x36\x6b"
+ASK_STATUS = b"\x3a\x6b"
+ASK_HOMING_STATUS = b"\x3b\x6b"
+ASK_BLOCK = b"\x42\x6c\x6b"
+
+CHECKSUM = 0x6B
+KNOWN_FIRMWARE = range(100, 300)
+"""Emm_V5 versions 1.0.0 to 2.9.9 share the configuration block (V1.0.7 and V2.0.0 were tried by others)."""
+
+CAN_BITRATES = (10_000, 20_000, 50_000, 83_333, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
+"""Bit rate of each code of the drive's menu."""
+
+RESPONSES = ("none", "receive", "reached", "both", "other")
+"""When motion commands are answered, by its code."""
+CHECKSUMS = ("6B", "XOR", "CRC-8", "Modbus")
+"""Checksum modes by their code; only the first is spoken here. [The last is in the menus of newer drives.]"""
+STALL_MODES = ("off", "on", "on, then zero")
+"""Stall protection by its code; the last also sets the position to zero after a stall."""
+HOMING_MODES = ("nearest zero", "zero, one direction", "collision", "limit switch", "absolute zero", "last position")
+
+BLOCK_HEAD = bytes((33, 21))
+"""Byte count and field count of the configuration block that is known here."""
+BLOCK_PACKETS = 5
+_BLOCK = struct.Struct(">8B3H6B4H")
+_HOMING = struct.Struct(">BBHIHHHB")
+HOMING_PACKETS = 3
+
+
+@dataclass(frozen=True)
+class Block:
+    """The configuration block of `42 6C` and `48 D1`: its fields in their order on the wire."""
+
+    motor_type: int
+    pulse_port: int
+    comms_port: int
+    en_level: int
+    dir_level: int
+    microstep_code: int
+    interpolation: int
+    screen_off: int
+    open_loop_ma: int
+    current_ma: int
+    max_mv: int
+    uart_code: int
+    can_code: int
+    address: int
+    checksum: int
+    response: int
+    stall_mode: int
+    stall_rpm: int
+    stall_current_ma: int
+    stall_time_ms: int
+    reach_window: int
+
+    @property
+    def microsteps(self) -> int:
+        """Microsteps a full step; the drive's 0 means 256."""
+        return self.microstep_code or 256
+
+    @property
+    def bitrate(self) -> int | None:
+        """CAN bit rate set in the menu (bit/s); None for a code nobody knows."""
+        return CAN_BITRATES[self.can_code] if self.can_code < len(CAN_BITRATES) else None
+
+    @property
+    def full_steps(self) -> int | None:
+        """Full steps a turn of the motor it is set to: 19 is 1.8 degrees, 32 is 0.9; None for another."""
+        return {0x19: FULL_STEPS_PER_REVOLUTION, 0x32: 2 * FULL_STEPS_PER_REVOLUTION}.get(self.motor_type)
+
+
+def block_of(answer: bytes | None) -> Block | None:
+    """The block in a whole answer to `42 6C`, packets joined; None if it is not the one known here."""
+    if answer is None or len(answer) != 4 + _BLOCK.size or answer[:1] + answer[1:3] != b"\x42" + BLOCK_HEAD:
+        return None
+    return Block(*_BLOCK.unpack(answer[3:-1]))
+
+
+def write_block(block: Block, *, store: bool) -> bytes:
+    """The command that writes a block; address and screen byte are sent as 0, which leaves them as they are."""
+    sent = replace(block, address=0, screen_off=0)
+    data = _BLOCK.pack(*(getattr(sent, field.name) for field in fields(Block)))
+    return b"\x48\xd1" + bytes((store,)) + data + bytes((CHECKSUM,))
+
+
+def write_watchdog(timeout_ms: int, *, store: bool) -> bytes:
+    """The command that sets the watchdog; 0 turns it off."""
+    return b"\x68\x38" + bytes((store,)) + timeout_ms.to_bytes(4, "big") + bytes((CHECKSUM,))
+
+
+@dataclass(frozen=True)
+class HomingParameters:
+    """The homing parameters of `22`."""
+
+    mode: int
+    direction: int
+    rpm: int
+    timeout_ms: int
+    collision_rpm: int
+    collision_ma: int
+    collision_ms: int
+    at_power_up: int
+
+
+def homing_of(answer: bytes | None) -> HomingParameters | None:
+    """The parameters in a whole answer to `22`, packets joined."""
+    if answer is None or len(answer) != 2 + _HOMING.size or answer[0] != ASK_HOMING[0]:
+        return None
+    return HomingParameters(*_HOMING.unpack(answer[1:-1]))
+
+
+@dataclass(frozen=True)
+class Version:
+    """Firmware and hardware of a drive; `newer` is the generation that answers with two bytes each."""
+
+    firmware: int
+    hardware: int
+    newer: bool
+
+    def __str__(self) -> str:
+        """As people write it: 200 is 2.0.0."""
+        return f"{self.firmware // 100}.{self.firmware // 10 % 10}.{self.firmware % 10}"
+
+    @property
+    def known(self) -> bool:
+        """Whether its configuration block is the one known here."""
+        return self.firmware in KNOWN_FIRMWARE
+
+
+def version_of(answer: bytes | None) -> Version | None:
+    """The version in an answer to `1F`: one byte each on old drives, two on new ones."""
+    if answer is None or answer[0] != ASK_FIRMWARE[0] or len(answer) not in (4, 6):
+        return None
+    if len(answer) == 4:
+        return Version(answer[1], answer[2], newer=False)
+    firmware, hardware = struct.unpack(">HH", answer[1:5])
+    return Version(firmware, hardware, newer=True)
+
+
+def number_of(answer: bytes | None, question: bytes, size: int) -> int | None:
+    """An unsigned number of `size` bytes behind the function byte; None for any other answer."""
+    if answer is None or len(answer) != size + 2 or answer[0] != question[0]:
+        return None
+    return int.from_bytes(answer[1:-1], "big")
+
+
+def signed_of(answer: bytes | None, question: bytes, size: int) -> int | None:
+    """A number of `size` bytes behind a sign byte; None for any other answer."""
+    if answer is None or len(answer) != size + 3 or answer[0] != question[0] or answer[1] > 1:
+        return None
+    magnitude = int.from_bytes(answer[2:-1], "big")
+    return -magnitude if answer[1] else magnitude
