@@ -453,6 +453,61 @@ def reference(
         from rtarm.status import resolve_arm
 
         typer.echo(requests.reference(resolve_arm(arm), requests.angles_said(joints)))
+@app.command(epilog="Exit codes:\n\n" + exit_code_table())
+def drives(
+    arm: ArmArgument,
+    write: Annotated[
+        bool, typer.Option("--write", help="Write what differs to the drives' volatile memory, and read it back.")
+    ] = False,
+    store: Annotated[bool, typer.Option("--store", help="With --write: to their flash too, after a question.")] = False,
+    interface: Annotated[str | None, typer.Option(help="How the bus is reached (slcan, socketcan).")] = None,
+    channel: Annotated[
+        str | None, typer.Option(help="Device of the CAN adapter (/dev/ttyACM0) or CAN interface (can0).")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
+) -> None:
+    """Show the settings of every drive beside those the arm file names; write them only when told.
+
+    Nothing moves. Refused while the arm runs. The exit code is 0 when every drive is as the file wants it.
+
+    Example: [bold]rtarm drives ./my_arm.yaml --write[/bold]
+    """
+    with _sentences():
+        import json
+
+        from config.loader import load_arm
+        from rtarm.drives import agrees, render, run
+
+        if store and not write:
+            raise Refusal("--store writes flash, and only what --write writes: give both, or neither.")
+        overrides = _overrides({"bus": {"interface": interface, "channel": channel}})
+        loaded = load_arm(arm, overrides=overrides)
+
+        def show(report: dict[str, Any]) -> None:
+            if as_json:
+                typer.echo(json.dumps({"arm": loaded.name, "agrees": agrees(report), **report}, indent=2))
+            else:
+                _print(render(loaded, report))
+
+        try:
+            report = run(
+                loaded,
+                arm,
+                overrides,
+                write=write,
+                store=store,
+                show=show,
+                told=lambda line: typer.echo(line, err=True),
+                confirm=lambda question: typer.confirm(question, err=True),
+            )
+        except Refusal as refused:
+            if as_json:
+                typer.echo(json.dumps({"arm": loaded.name, "agrees": False, "problems": [refused.sentence]}))
+                raise typer.Exit(int(refused.code)) from None
+            raise
+        if report.get("failure"):
+            typer.echo(report["failure"], err=True)
+        raise typer.Exit(int(ExitCode.DONE if agrees(report) else ExitCode.UNHEALTHY))
 
 
 @config_app.command("check")

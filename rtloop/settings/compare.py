@@ -95,7 +95,9 @@ def report_of(arm: ArmConfig, joint: int, found: Reading, shared: int | None = N
         firmware=None if version is None else str(version),
         hardware=None if version is None else version.hardware,
         supply_v=None if found.supply_mv is None else found.supply_mv / 1000.0,
-        homing=None if found.homing is None else asdict(found.homing),
+        homing=None
+        if found.homing is None
+        else {**asdict(found.homing), "mode": _named(registers.HOMING_MODES, found.homing.mode)},
         settings=[] if version is None else _settings(arm, drive, found),
         left_alone=_left_alone(arm, config, drive, found, shared),
         notes=[] if block is None else _notes(config, found),

@@ -34,7 +34,9 @@ CHECKSUMS = ("6B", "XOR", "CRC-8", "Modbus")
 """Checksum modes by their code; only the first is spoken here. [The last is in the menus of newer drives.]"""
 STALL_MODES = ("off", "on", "on, then zero")
 """Stall protection by its code; the last also sets the position to zero after a stall."""
-HOMING_MODES = ("nearest zero", "zero, one direction", "collision", "limit switch", "absolute zero", "last position")
+HOMING_MODES = ("nearest", "one way", "stop", "switch", "absolute", "power-off")
+"""How a drive homes, by its code: to its single-turn zero the nearest or one way, to a stop without a sensor, to a
+limit switch, to its absolute zero, to where it was when it lost power."""
 
 BLOCK_HEAD = bytes((33, 21))
 """Byte count and field count of the configuration block that is known here."""

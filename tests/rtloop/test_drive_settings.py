@@ -133,7 +133,7 @@ def test_every_drive_is_read_and_nothing_moves(interface: str):
     assert all(report.agrees for report in session.reports.values()) is False  # acknowledgements are still on
     for joint, report in session.reports.items():
         assert (report.answers, report.firmware, report.hardware, report.supply_v) == (True, "2.0.0", 111, 12.0)
-        assert report.homing is not None and report.homing["mode"] == 2
+        assert report.homing is not None and report.homing["mode"] == "stop"
         found = {setting.name: setting.found for setting in report.settings}
         assert (found["address"], found["bitrate"], found["microsteps"]) == (joint + 1, 500_000, 16)
         assert [setting.name for setting in report.to_write] == ["response"]

@@ -1,0 +1,160 @@
+"""`rtarm drives` as a person runs it: a process of its own, simulated drives behind a pseudo-terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from stack import ROOT, Process, Stack
+from typer.testing import Result
+from written_arm import WrittenArm
+
+from rtarm.drives import plan, question, summary
+from shm.files import DIRECTORY
+
+PATIENCE_S = 120.0
+
+
+@pytest.fixture
+def simulated(arm_name: str, tmp_path: Path) -> Iterator[Stack]:
+    """Drives that are switched on; no control process runs."""
+    stack = Stack(arm_name, tmp_path)
+    values = yaml.safe_load(stack.arm_file.read_text(encoding="utf-8"))
+    for joint in values["joints"][:2]:
+        joint["drive"]["current_ma"] = 2500
+    values["bus"]["acknowledge"] = True
+    values["control"]["rate_hz"] = 100
+    stack.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
+    stack.start_sim()
+    yield stack
+    stack.close()
+
+
+def drives(stack: Stack, *options: str, typed: str = "") -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "rtarm", "drives", str(stack.arm_file), *options]
+    environment = {**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "COLUMNS": "120"}
+    return subprocess.run(
+        command, cwd=ROOT, env=environment, input=typed, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
+
+
+def currents(result: subprocess.CompletedProcess[str]) -> list[int]:
+    report = json.loads(result.stdout)
+    return [s["found"] for drive in report["drives"] for s in drive["settings"] if s["name"] == "current_ma"]
+
+
+@pytest.mark.process
+def test_a_session_from_reading_to_flash(simulated: Stack) -> None:
+    read = drives(simulated)
+    assert read.returncode == 5
+    assert read.stdout.count("3000 → 2500") == 2
+    assert "2 settings to be written: --write" in read.stdout
+
+    declined = drives(simulated, "--write", "--store", typed="n\n")
+    assert declined.returncode == 1
+    assert "joint1 (address 1): current_ma 3000 → 2500" in declined.stderr
+    assert "Flash wears out" in declined.stderr and "Nothing was written." in declined.stderr
+    assert currents(drives(simulated, "--json")) == [3000] * 6
+
+    tried = drives(simulated, "--write")
+    assert (tried.returncode, tried.stderr.count("written and read back")) == (0, 2)
+    assert "Every drive is as the arm file wants it" in tried.stdout
+
+    nothing = drives(simulated, "--write", "--store")
+    assert nothing.returncode == 0 and "What a drive's flash holds cannot be read" in nothing.stderr
+
+    for joint in ("joint1", "joint2"):
+        simulated.sim.say(f"power-loss:joint={joint},at_s=0,off_s=0.01")
+        simulated.sim.line_with("fault power-loss")
+    stored = drives(simulated, "--write", "--store", "--json", typed="y\n")
+    report = json.loads(stored.stdout)
+    assert (stored.returncode, report["agrees"], report["joints"]) == (0, True, ["joint1", "joint2"])
+    assert not list(DIRECTORY.glob(f"rtarm.{simulated.name}.*"))
+
+
+@pytest.mark.process
+def test_an_adapter_that_goes_away_between_reading_and_writing(simulated: Stack) -> None:
+    process = Process("rtloop.settings", str(simulated.arm_file))
+    try:
+        process.line_with("ready")
+        simulated.sim.process.kill()
+        process.line_with(f"refused The adapter at {simulated.link} is gone")
+        assert process.code() == 2
+    finally:
+        process.close()
+
+
+@pytest.mark.process
+def test_a_signal_ends_it_in_order(simulated: Stack) -> None:
+    process = Process("rtloop.settings", str(simulated.arm_file))
+    try:
+        process.line_with("ready")
+        process.process.terminate()
+        assert process.code() == 0
+        assert not list(DIRECTORY.glob(f"rtarm.{simulated.name}.*"))
+    finally:
+        process.close()
+
+
+def test_an_arm_that_runs_is_left_alone(arm: WrittenArm, arm_file: Path, rtarm: Callable[..., Result]) -> None:
+    result = rtarm("drives", str(arm_file))
+    assert result.exit_code == 2
+    assert "this arm has one already: end that first" in result.stderr
+    assert f"pid {os.getpid()}" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "sentence"),
+    [
+        (("--channel", "/dev/nowhere"), 2, "There is no serial port /dev/nowhere"),
+        (("--channel", "/dev/null"), 2, "/dev/null is not a serial port"),
+        (("--interface", "socketcan", "--channel", "nocan"), 2, "nocan"),
+        (("--store",), 1, "give both, or neither"),
+        (("--interface", "mock"), 1, "interface mock reaches no drives"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    arm_file: Path, rtarm: Callable[..., Result], options: tuple[str, ...], code: int, sentence: str
+) -> None:
+    result = rtarm("drives", str(arm_file), *options)
+    assert (result.exit_code, sentence in result.stderr, result.stdout) == (code, True, "")
+
+
+def test_a_refusal_as_json(arm_file: Path, rtarm: Callable[..., Result]) -> None:
+    result = rtarm("drives", str(arm_file), "--json", "--channel", "/dev/nowhere")
+    report = json.loads(result.stdout)
+    assert (result.exit_code, report["agrees"]) == (2, False)
+    assert "There is no serial port" in report["problems"][0]
+
+
+def test_mock_drives_have_no_settings(rtarm: Callable[..., Result]) -> None:
+    result = rtarm("drives", "mock")
+    assert (result.exit_code, result.stderr) == (
+        1,
+        "Arm mock has mock drives and no bus, so there are no settings to read.\n",
+    )
+
+
+def setting(name: str, wanted: Any, found: Any) -> dict[str, Any]:
+    return {"name": name, "wanted": wanted, "found": found, "verdict": "differs", "writable": True}
+
+
+def test_the_question_names_drive_setting_old_and_new_value() -> None:
+    drive = {
+        "joint": "elbow",
+        "address": 3,
+        "settings": [setting("current_ma", 2500, 3000), setting("firmware", "2.0.0", "1.2.5")],
+        "to_write": ["current_ma"],
+        "agrees": False,
+    }
+    report = {"drives": [drive]}
+    assert plan(report) == ["elbow (address 3): current_ma 3000 → 2500"]
+    assert "  elbow (address 3): current_ma 3000 → 2500" in question(report)
+    assert summary(report).startswith("1 setting to be written")
