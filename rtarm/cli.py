@@ -510,6 +510,39 @@ def drives(
         raise typer.Exit(int(ExitCode.DONE if agrees(report) else ExitCode.UNHEALTHY))
 
 
+@app.command(epilog="Exit codes:\n\n" + exit_code_table())
+def scan(
+    port: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--port", metavar="PATH", help="Serial port (/dev/ttyUSB0) or CAN interface (can0) to look at; repeatable."
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
+) -> None:
+    """Find CAN adapters, the bit rate of the bus behind each, and the drives on it; propose an arm file.
+
+    Nothing moves: drives are only asked what they are. Adapters that another program uses are left alone, and so are
+    serial ports that may be anything, unless --port names them. The exit code is 0 when a drive answers.
+
+    Example: [bold]rtarm scan --port /dev/ttyUSB0[/bold]
+    """
+    with _sentences():
+        import json
+
+        from rtarm.doctor.machine import Machine
+        from rtarm.scan.run import scan as look
+        from rtarm.scan.show import render
+
+        report = look(Machine(), port or [], telling=lambda line: typer.echo(line, err=True))
+        if as_json:
+            typer.echo(json.dumps(report, indent=2))
+        else:
+            _print(render(report))
+            typer.echo(report["proposal"] or "", nl=False)
+        raise typer.Exit(int(ExitCode.DONE if report["found"] else ExitCode.UNHEALTHY))
+
+
 @config_app.command("check")
 def config_check(arm: ArmArgument) -> None:
     """Check an arm file and print what follows from it: limits, resolution, bus load, highest rate.

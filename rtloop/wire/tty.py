@@ -29,13 +29,26 @@ CLOSING = b"\rC\r"
 """Ends a line that may be half said, then the channel."""
 
 
-def open_slcan(channel: str, serial_baud: int | str, bitrate: int) -> int:
-    """Open an SLCAN adapter and return its descriptor, non-blocking; raises WireRefused."""
+def open_port(channel: str, serial_baud: int | str) -> int:
+    """Open a serial port for ourselves alone, raw; its descriptor, non-blocking. Raises WireRefused."""
     fd = _open_tty(channel)
     try:
         _make_raw(fd, channel, serial_baud)
         _ask_for_low_latency(fd)
         termios.tcflush(fd, termios.TCIOFLUSH)
+    except (OSError, termios.error) as problem:  # the latter is none of the former
+        os.close(fd)
+        raise _gone(channel, problem) from problem
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd
+
+
+def open_slcan(channel: str, serial_baud: int | str, bitrate: int) -> int:
+    """Open an SLCAN adapter and return its descriptor, non-blocking; raises WireRefused."""
+    fd = open_port(channel, serial_baud)
+    try:
         _say(fd, b"C\r")  # an adapter that is closed already may refuse this, which is as good
         rate = SLCAN_BITRATES[bitrate]
         if BEL in _say(fd, f"{rate}\r".encode()):
@@ -48,7 +61,7 @@ def open_slcan(channel: str, serial_baud: int | str, bitrate: int) -> int:
                 f"The adapter at {channel} refuses to open its CAN channel (O was answered with BEL): unplug it and "
                 "plug it in again, and check that the CAN side has power and termination."
             )
-    except (OSError, termios.error) as problem:  # the latter is none of the former
+    except OSError as problem:
         os.close(fd)
         raise _gone(channel, problem) from problem
     except BaseException:

@@ -1,0 +1,189 @@
+"""Looking for drives on a bus: listening first, then asking, bit rate by bit rate, and no longer than is said."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from rtarm.scan.wires import Frame, SlcanWire, Wire
+from rtloop.conversation import NOT_UNDERSTOOD, split_packets
+from rtloop.settings import registers
+
+BITRATES = (500_000, 1_000_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000)
+"""In the order in which they are tried: drives leave the factory with the first."""
+LISTEN_S = 0.12
+BUSY_FRAMES = 2
+"""Frames heard before anybody was asked that make a bus somebody else's."""
+FIRST_ADDRESSES = range(1, 17)
+OTHER_ADDRESSES = range(17, 256)
+LONGEST_S = 45.0
+"""For one adapter; at 10 kbit/s all addresses alone take eight seconds."""
+ROUND_BITS = 300
+"""A question and its answer, worst case."""
+REPLY_S = 0.05
+TRIES = 3
+STORM = 20
+"""Answers `00 EE` from one address that no single drive would give."""
+
+
+@dataclass
+class FoundDrive:
+    """A drive that has answered."""
+
+    address: int
+    firmware: str | None = None
+    known: bool = False
+    microsteps: int | None = None
+    response: str | None = None
+    current_ma: int | None = None
+    protected: bool | None = None
+    power_lost: bool | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Outcome:
+    """What came of looking at one bus."""
+
+    bitrate: int | None = None
+    drives: list[FoundDrive] = field(default_factory=list)
+    listened: list[int] = field(default_factory=list)
+    asked: list[int] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def search_slcan(wire: SlcanWire) -> Outcome:
+    """Find the bit rate of the bus behind a serial adapter, and its drives."""
+    outcome = Outcome()
+    ends_s = wire.now_s() + LONGEST_S
+    for bitrate in BITRATES:
+        if not wire.open(bitrate, listen_only=True):
+            continue  # the adapter has not got this rate, or cannot merely listen
+        frames = wire.receive(LISTEN_S)
+        wire.close()
+        outcome.listened.append(bitrate)
+        if len(frames) >= BUSY_FRAMES:
+            return in_use(outcome, bitrate, frames)
+    for bitrate in BITRATES:
+        if wire.now_s() > ends_s:
+            left = ", ".join(str(rate) for rate in BITRATES if rate not in outcome.asked)
+            outcome.notes.append(f"Not asked at {left} bit/s: {LONGEST_S:g} s were over.")
+            break
+        if not wire.open(bitrate, listen_only=False):
+            outcome.notes.append(
+                f"Not asked at {bitrate} bit/s: the adapter refuses that rate, or to open its channel."
+            )
+            continue
+        outcome.asked.append(bitrate)
+        try:
+            outcome.drives = ask_everybody(wire, bitrate, ends_s)
+        finally:
+            wire.close()
+        if outcome.drives:
+            outcome.bitrate = bitrate
+            break
+    return outcome
+
+
+def search_link(wire: Wire, bitrate: int | None) -> Outcome:
+    """Look for drives on a CAN interface, at the one bit rate the system has given it (bit/s; None for none)."""
+    outcome = Outcome(listened=[bitrate] if bitrate else [])
+    frames = wire.receive(LISTEN_S)
+    if len(frames) >= BUSY_FRAMES:
+        return in_use(outcome, bitrate, frames)
+    outcome.asked = outcome.listened
+    outcome.drives = ask_everybody(wire, bitrate or BITRATES[0], wire.now_s() + LONGEST_S)
+    outcome.bitrate = bitrate if outcome.drives else None
+    return outcome
+
+
+def in_use(outcome: Outcome, bitrate: int | None, frames: list[Frame]) -> Outcome:
+    """Somebody speaks already: that is told, and nobody is asked."""
+    addresses = ", ".join(str(address) for address in sorted({frame.id >> 8 for frame in frames}))
+    outcome.bitrate = bitrate
+    outcome.notes.append(
+        f"Frames were heard before anybody was asked (addresses {addresses}): another program drives these drives, or "
+        "they report by themselves, so nobody was asked; end that program and scan again."
+    )
+    return outcome
+
+
+def ask_everybody(wire: Wire, bitrate: int, ends_s: float) -> list[FoundDrive]:
+    """Ask every address for its firmware, then every drive that answered for its settings."""
+    pace_s = ROUND_BITS / bitrate + 0.001
+    heard = _ask_for_firmware(wire, FIRST_ADDRESSES, pace_s)
+    if not heard and wire.troubled():
+        return []  # nobody acknowledges, so nobody is at this rate
+    heard += _ask_for_firmware(wire, OTHER_ADDRESSES, pace_s)
+    found = []
+    for address in sorted({frame.id >> 8 for frame in heard if 0 < frame.id >> 8 < 256}):
+        of_it = [frame.data for frame in heard if frame.id >> 8 == address and frame.id & 0xFF == 0]
+        drive = _introduce(address, of_it)
+        if drive is None:
+            continue
+        if not drive.notes and wire.now_s() < ends_s:
+            _ask_for_settings(wire, drive, pace_s)
+        found.append(drive)
+    return found
+
+
+def _ask_for_firmware(wire: Wire, addresses: Iterable[int], pace_s: float) -> list[Frame]:
+    heard = []
+    for address in addresses:
+        wire.send(Frame(address << 8, registers.ASK_FIRMWARE))
+        heard += wire.receive(pace_s)
+    return heard + wire.receive(REPLY_S + pace_s)
+
+
+def _introduce(address: int, said: list[bytes]) -> FoundDrive | None:
+    """What the answers of one address to one question make of it; None if no drive said any of them."""
+    answers = [data for data in said if data[:1] == registers.ASK_FIRMWARE[:1] and len(data) in (4, 6)]
+    spoilt = [data for data in said if data[:2] == NOT_UNDERSTOOD[:2] and len(data) == 3]
+    if not answers and not spoilt:
+        return None
+    drive = FoundDrive(address)
+    if len(answers) > 1 or len(spoilt) > STORM:
+        drive.notes.append(
+            f"More than one drive answers at address {address}: unplug all but one, give each an address of its own in "
+            "its menu, switch off and on, and scan again."
+        )
+    elif not any(data[-1] == registers.CHECKSUM for data in (*answers, *spoilt)):
+        drive.notes.append(f"The drive at address {address} uses another checksum: set Checksum to 0x6B in its menu.")
+    version = registers.version_of(answers[0]) if answers and answers[0][-1] == registers.CHECKSUM else None
+    if version is not None:
+        drive.firmware, drive.known = str(version), version.known
+    return drive
+
+
+def _ask_for_settings(wire: Wire, drive: FoundDrive, pace_s: float) -> None:
+    block = registers.block_of(_ask(wire, drive.address, registers.ASK_BLOCK, registers.BLOCK_PACKETS, pace_s))
+    if block is None:
+        drive.notes.append(
+            f"The drive at address {drive.address} has another configuration than Emm_V5 firmware: it may run X "
+            "firmware; switch it to Emm in its menu before anything moves it."
+        )
+    else:
+        drive.microsteps, drive.current_ma = block.microsteps, block.current_ma
+        if block.response < len(registers.RESPONSES):
+            drive.response = registers.RESPONSES[block.response]
+    answer = _ask(wire, drive.address, registers.ASK_STATUS, 1, pace_s)
+    flags = registers.number_of(answer, registers.ASK_STATUS, 1)
+    if flags is not None:
+        drive.protected, drive.power_lost = bool(flags & 0x08), bool(flags & 0x80)
+
+
+def _ask(wire: Wire, address: int, question: bytes, packets: int, pace_s: float) -> bytes | None:
+    """The whole answer to a question, packets joined behind one function byte."""
+    for _ in range(TRIES):
+        for frame in split_packets(address, question):
+            wire.send(Frame(frame.id, frame.data))
+        parts: dict[int, bytes] = {}
+        for frame_id, data in wire.receive(REPLY_S + packets * pace_s):
+            answers = data[:1] == question[:1] and data != question
+            if frame_id >> 8 == address and frame_id & 0xFF < packets and answers:
+                parts[frame_id & 0xFF] = data[1:]
+        if len(parts) == packets:
+            whole = question[:1] + b"".join(parts[number] for number in range(packets))
+            if whole[-1] == registers.CHECKSUM:
+                return whole
+    return None

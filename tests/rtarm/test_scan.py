@@ -1,0 +1,429 @@
+"""`rtarm scan`: machines that are folders, buses in virtual time, and once a real pseudo-terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from fake_machine import Content, can_link, place
+from hypothesis import given
+from hypothesis import strategies as st
+from stack import ROOT, Stack
+from typer.testing import Result
+
+from config.errors import ConfigError
+from config.loader import load_arm
+from rtarm.doctor.machine import Machine
+from rtarm.errors import Refusal
+from rtarm.scan import adapters, search
+from rtarm.scan.run import scan
+from rtarm.scan.search import BITRATES, LONGEST_S, Outcome, search_link, search_slcan
+from rtarm.scan.wires import CanWire, Frame, SlcanWire, frame_of
+from rtloop.wire.tty import open_port
+from sim import faults
+from sim.arm import SimulatedArm
+
+USB = "/sys/devices/pci0000:00/usb1"
+READS = {0x1F, 0x42, 0x3A}
+
+
+class VirtualPort:
+    """The serial port of a simulated arm, in virtual time."""
+
+    def __init__(self, sim: SimulatedArm) -> None:
+        self.sim = sim
+        self.written = b""
+
+    def write(self, data: bytes) -> None:
+        self.written += data
+        self.sim.feed(self.sim.now_ns, data)
+
+    def read(self, patience_s: float) -> bytes:
+        until_ns = self.sim.now_ns + max(round(patience_s * 1e9), 1)
+        while True:
+            due_ns = self.sim.next_due_ns()
+            at_ns = until_ns if due_ns is None else min(max(due_ns, self.sim.now_ns + 1), until_ns)
+            data = self.sim.collect(at_ns)
+            if data or at_ns >= until_ns:
+                return data
+
+    def now_s(self) -> float:
+        return self.sim.now_ns * 1e-9
+
+    @property
+    def functions(self) -> set[int]:
+        """Function bytes of every frame that was written."""
+        return {int(line[10:12], 16) for line in self.written.split(b"\r") if line[:1] == b"T"}
+
+
+def bus(found: list[Any] | None = None, bitrate: int = 500_000, **options: Any) -> VirtualPort:
+    overrides = {"bus": {"bitrate": bitrate, "serial_baud": "cdc"}, "control": {"rate_hz": 10}}
+    return VirtualPort(SimulatedArm(load_arm("episode1", overrides=overrides), faults=found or [], **options))
+
+
+def searched(port: VirtualPort) -> Outcome:
+    wire = SlcanWire(port)
+    wire.greet()
+    outcome = search_slcan(wire)
+    assert port.now_s() < LONGEST_S + 15.0
+    assert port.functions <= READS
+    assert not any(drive.moving for drive in port.sim.drives)
+    return outcome
+
+
+# --- lines and frames -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "frame"),
+    [
+        (b"T12ABCDEF2AA55", Frame(0x12ABCDEF, b"\xaa\x55")),  # can-adapters.md 1
+        (b"T000001003367D6B", Frame(0x100, b"\x36\x7d\x6b")),
+        (b"T0000010021F6B1234", Frame(0x100, b"\x1f\x6b")),  # with a time stamp
+        (b"\x07T0000010021F6B", Frame(0x100, b"\x1f\x6b")),  # behind a refusal
+        (b"t4563112233", None),
+        (b"T0000010031F6B", None),
+        (b"T00000100", None),
+        (b"T000001009" + b"00" * 9, None),
+        (b"TFFFFFFFF0", None),
+        (b"Z", None),
+        (b"", None),
+    ],
+)
+def test_lines(line: bytes, frame: Frame | None) -> None:
+    assert frame_of(line) == frame
+
+
+@given(st.binary(max_size=40))
+def test_any_line_is_a_frame_or_none(line: bytes) -> None:
+    frame = frame_of(line)
+    assert frame is None or (frame.id <= 0x1FFFFFFF and len(frame.data) <= 8)
+
+
+def test_frames_of_a_can_interface() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    with ours, theirs:
+        wire = CanWire.__new__(CanWire)
+        wire._socket = ours
+        wire.send(Frame(0x100, b"\x1f\x6b"))
+        assert theirs.recv(16) == bytes.fromhex("00010080 02000000 1F6B000000000000")
+        theirs.send(bytes.fromhex("00010080 06000000 1F00C8006F6B0000"))
+        theirs.send(bytes.fromhex("00010000 02000000 1F6B000000000000"))  # a standard frame
+        theirs.send(bytes.fromhex("04000020 08000000 0000000000000000"))  # an error frame
+        assert wire.receive(0.05) == [Frame(0x100, bytes.fromhex("1F00C8006F6B"))]
+
+
+# --- searching ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dialect", ["lawicel", "canable"])
+@pytest.mark.parametrize("bitrate", BITRATES)
+def test_the_bit_rate_and_every_drive_are_found(bitrate: int, dialect: Any) -> None:
+    outcome = searched(bus(bitrate=bitrate, dialect=dialect))
+    assert outcome.bitrate == bitrate
+    assert outcome.asked == list(BITRATES[: BITRATES.index(bitrate) + 1])
+    assert [drive.address for drive in outcome.drives] == [1, 2, 3, 4, 5, 6]
+    for drive in outcome.drives:
+        found = (drive.firmware, drive.known, drive.microsteps, drive.response, drive.current_ma)
+        assert found == ("2.0.0", True, 16, "receive", 3000)
+        assert (drive.protected, drive.power_lost, drive.notes) == (False, False, [])
+
+
+def test_listening_comes_before_asking() -> None:
+    port = bus()
+    searched(port)
+    assert port.written.index(b"L\r") < port.written.index(b"O\r") < port.written.index(b"T")
+    assert port.written.rindex(b"L\r") < port.written.index(b"T")
+
+
+def test_nobody_answers() -> None:
+    outcome = searched(bus([faults.Silent(f"joint{n}", 0.0) for n in range(1, 7)]))
+    assert (outcome.bitrate, outcome.drives, outcome.asked) == (None, [], list(BITRATES))
+
+
+def test_one_drive_is_missing_and_old_firmware_is_read() -> None:
+    outcome = searched(bus([faults.Silent("joint3", 0.0)], firmware="old", homed=False))
+    assert [drive.address for drive in outcome.drives] == [1, 2, 4, 5, 6]
+    assert {drive.firmware for drive in outcome.drives} == {"1.2.5"}
+
+
+def test_two_drives_of_one_address() -> None:
+    outcome = searched(bus([faults.SameAddress("joint6", 0.0)]))
+    drive = outcome.drives[-1]
+    assert "More than one drive answers at address 6" in drive.notes[0]
+
+
+def test_six_drives_as_they_leave_the_factory() -> None:
+    """All of them have address 1, the most usual bus of all."""
+    port = bus()
+    for drive in port.sim.drives[1:]:
+        drive.unplug(0)
+    for _ in range(5):
+        port.sim._add_drive(port.sim.drives[0], 0)
+    outcome = searched(port)
+    assert [drive.address for drive in outcome.drives] == [1]
+    assert "More than one drive answers at address 1" in outcome.drives[0].notes[0]
+
+
+@pytest.mark.parametrize(
+    ("fault", "sentence"),
+    [
+        (faults.WrongChecksums(1.0, joint="joint2"), "uses another checksum"),
+        (faults.ForeignFirmware("joint2"), "it may run X firmware"),
+    ],
+)
+def test_a_drive_that_speaks_another_language(fault: Any, sentence: str) -> None:
+    outcome = searched(bus([fault]))
+    notes = {drive.address: drive.notes for drive in outcome.drives}
+    assert sentence in notes[2][0] and not any(notes[address] for address in (1, 3, 4, 5, 6))
+
+
+def test_a_drive_in_protection_and_one_that_has_lost_power() -> None:
+    outcome = searched(bus([faults.Protection("joint2", 0.0), faults.PowerLoss("joint3", 0.0, 0.001)]))
+    assert [drive.protected for drive in outcome.drives] == [False, True, False, False, False, False]
+    assert [drive.power_lost for drive in outcome.drives] == [False, False, True, False, False, False]
+
+
+def test_a_bus_that_is_in_use_is_not_spoken_on() -> None:
+    port = bus()
+    port.sim.drives[3].receive(0, _report_every_10_ms(4))
+    outcome = searched(port)
+    assert (outcome.bitrate, outcome.asked, outcome.drives) == (500_000, [], [])
+    assert "(addresses 4)" in outcome.notes[0]
+    assert port.functions == set()
+
+
+def _report_every_10_ms(address: int) -> Any:
+    from sim.bus import Frame as BusFrame
+
+    return BusFrame(address << 8, bytes.fromhex("11 18 36 00 0A 6B"))
+
+
+def test_an_adapter_that_does_not_open_its_channel() -> None:
+    outcome = searched(bus([faults.OpenRefused()]))
+    assert outcome.asked == outcome.listened == []
+    assert len(outcome.notes) == len(BITRATES) and "refuses that rate, or to open" in outcome.notes[0]
+
+
+def test_a_search_ends_at_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search, "LONGEST_S", 3.0)
+    outcome = searched(bus([faults.Silent(f"joint{n}", 0.0) for n in range(1, 7)], dialect="canable"))
+    assert outcome.asked != list(BITRATES)
+    assert "10000 bit/s: 3 s were over" in outcome.notes[-1]
+
+
+class VirtualCan:
+    """A CAN interface of a simulated arm, in virtual time."""
+
+    def __init__(self) -> None:
+        overrides = {"bus": {"interface": "socketcan", "channel": "can0"}}
+        self.sim = SimulatedArm(load_arm("episode1", overrides=overrides))
+        self.sent: list[Frame] = []
+
+    def send(self, frame: Frame) -> None:
+        self.sent.append(frame)
+        self.sim.feed(self.sim.now_ns, _packed(frame))
+
+    def receive(self, patience_s: float) -> list[Frame]:
+        data = self.sim.collect(self.sim.now_ns + round(patience_s * 1e9))
+        frames = [data[at : at + 16] for at in range(0, len(data), 16)]
+        return [Frame(int.from_bytes(f[:4], "little") & 0x1FFFFFFF, f[8 : 8 + f[4]]) for f in frames]
+
+    def troubled(self) -> bool:
+        return False
+
+    def now_s(self) -> float:
+        return self.sim.now_ns * 1e-9
+
+
+def _packed(frame: Frame) -> bytes:
+    head = (frame.id | 0x80000000).to_bytes(4, "little") + bytes((len(frame.data), 0, 0, 0))
+    return head + frame.data.ljust(8, b"\0")
+
+
+@pytest.mark.parametrize("bitrate", [500_000, None], ids=["told", "virtual"])
+def test_a_can_interface_is_asked_at_its_own_bit_rate_only(bitrate: int | None) -> None:
+    wire = VirtualCan()
+    outcome = search_link(wire, bitrate)
+    assert outcome.bitrate == bitrate and len(outcome.drives) == 6
+    assert {frame.data[0] for frame in wire.sent} <= READS
+
+
+# --- finding adapters -----------------------------------------------------------------------------------
+
+
+def machine(root: Path, files: dict[str, Content], **parts: Any) -> Machine:
+    for name, content in {"/sys/class/net/lo/type": "772", "/proc/1/comm": "init", **files}.items():
+        place(root / name.lstrip("/"), content)
+    return Machine(root, **{"can_links": lambda: [], **parts})
+
+
+def serial(name: str, usb: str, at: str = "1-1") -> dict[str, Content]:
+    vendor, product = usb.split(":")
+    return {
+        f"/dev/{name}": "",
+        f"{USB}/{at}/idVendor": vendor,
+        f"{USB}/{at}/idProduct": product,
+        f"{USB}/{at}/{at}:1.0/{name}/uevent": "",
+        f"/sys/class/tty/{name}/device": Path(f"../../../devices/pci0000:00/usb1/{at}/{at}:1.0/{name}"),
+    }
+
+
+def can0(**changes: Content) -> dict[str, Content]:
+    files: dict[str, Content] = {
+        "/sys/class/net/can0/type": "280",
+        "/sys/class/net/can0/flags": "0x40081",
+        "/sys/class/net/can0/tx_queue_len": "128",
+    }
+    return files | {f"/sys/class/net/can0/{name}": content for name, content in changes.items()}
+
+
+RECEIVERS = """
+receive list 'rx_all':
+  device   can_id   can_mask  function  userdata   matches  ident
+   {}     000    00000000  0000000000000000  0000000000000000         5  raw
+"""
+
+
+def test_an_slcan_adapter_is_known_by_its_usb_id_and_named_lastingly(tmp_path: Path) -> None:
+    files = serial("ttyACM0", "ad50:60c4") | {"/dev/serial/by-id/usb-CANable-if00": Path("../../ttyACM0")}
+    [found] = adapters.adapters(machine(tmp_path, files))
+    assert (found.channel, found.usb) == ("/dev/serial/by-id/usb-CANable-if00", "ad50:60c4")
+    assert (found.what, found.not_tried, found.is_uart) == ("CANable with SLCAN firmware", None, False)
+
+
+@pytest.mark.parametrize(
+    ("usb", "what"), [("1a86:7523", "CH340 converter"), ("2341:0043", "serial device")], ids=["converter", "Arduino"]
+)
+def test_what_may_be_anything_is_not_opened(tmp_path: Path, usb: str, what: str) -> None:
+    [found] = adapters.adapters(machine(tmp_path, serial("ttyUSB0", usb)))
+    assert found.what == what
+    assert "`rtarm scan --port /dev/ttyUSB0`" in str(found.not_tried)
+
+
+def test_a_port_that_is_open_elsewhere_or_not_ours_is_not_opened(tmp_path: Path) -> None:
+    files = serial("ttyACM0", "16d0:117e")
+    held = files | {"/proc/77/fd/3": tmp_path / "held/dev/ttyACM0"}
+    [found] = adapters.adapters(machine(tmp_path / "held", held))
+    assert "open in process 77" in str(found.not_tried)
+    [found] = adapters.adapters(machine(tmp_path / "closed", files, may_access=lambda _path, _mode: False))
+    assert "You may not open it" in str(found.not_tried)
+
+
+def test_can_interfaces(tmp_path: Path) -> None:
+    links = {"can_links": can_link}
+    [found] = adapters.adapters(machine(tmp_path / "up", can0(), **links))
+    assert (found.channel, found.interface, found.bitrate, found.not_tried) == ("can0", "socketcan", 500_000, None)
+    [found] = adapters.adapters(machine(tmp_path / "down", can0(flags="0x40080"), **links))
+    assert "sudo ip link set can0 up type can bitrate 500000" in str(found.not_tried)
+    used = can0() | {"/proc/net/can/rcvlist_all": RECEIVERS.format("can0")}
+    [found] = adapters.adapters(machine(tmp_path / "used", used, **links))
+    assert "Another program listens" in str(found.not_tried)
+    other = can0() | {"/proc/net/can/rcvlist_all": RECEIVERS.format("can1")}
+    [found] = adapters.adapters(machine(tmp_path / "other", other, **links))
+    assert found.not_tried is None
+
+
+@pytest.mark.parametrize("told", [None, {}, [1], [{"ifname": "can0"}], [{"ifname": "can0", "linkinfo": {}}]])
+def test_an_ip_that_says_little(tmp_path: Path, told: Any) -> None:
+    [found] = adapters.adapters(machine(tmp_path, can0(), can_links=lambda: told or []))
+    assert found.bitrate is None
+
+
+def test_an_adapter_whose_driver_is_missing(tmp_path: Path) -> None:
+    files: dict[str, Content] = {
+        f"{USB}/1-3/idVendor": "1d50",
+        f"{USB}/1-3/idProduct": "606f",
+        "/sys/bus/usb/devices/1-3": Path("../../../devices/pci0000:00/usb1/1-3"),
+    }
+    [found] = adapters.adapters(machine(tmp_path, files))
+    assert (found.what, found.interface) == ("candleLight adapter", None)
+    assert "sudo modprobe gs_usb" in str(found.not_tried)
+
+
+def test_what_only_python_can_sees_is_told(tmp_path: Path) -> None:
+    seen = [
+        {"interface": "pcan", "channel": "PCAN_USBBUS1"},
+        {"interface": "virtual", "channel": "x"},
+        {"interface": "socketcan", "channel": "can0"},
+    ]
+    report = scan(machine(tmp_path, {}), [], detect=lambda: (seen, None))
+    assert [entry["channel"] for entry in report["adapters"]] == ["PCAN_USBBUS1"]
+    assert "rtarm reaches slcan and socketcan" in report["adapters"][0]["not_tried"]
+    report = scan(machine(tmp_path / "other", {}), [], detect=lambda: ([], "It was not asked."))
+    assert (report["adapters"], report["notes"], report["found"]) == ([], ["It was not asked."], False)
+
+
+def test_python_can_answers_or_it_is_said_why_not() -> None:
+    seen, why_not = adapters.seen_by_python_can()
+    assert isinstance(seen, list) and (why_not is None or "python-can" in why_not)
+
+
+@pytest.mark.parametrize("port", ["can7", "/dev/nowhere", "x\0y/", "../\x1b[31m"])
+def test_a_port_that_is_not_there_is_refused(tmp_path: Path, port: str) -> None:
+    with pytest.raises(Refusal) as refused:
+        scan(machine(tmp_path, {}), [port])
+    assert "There is no" in refused.value.sentence and refused.value.sentence.isprintable()
+
+
+# --- the whole command ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def simulated(arm_name: str, tmp_path: Path) -> Iterator[Stack]:
+    stack = Stack(arm_name, tmp_path)
+    stack.start_sim()
+    yield stack
+    stack.close()
+
+
+def command(*options: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
+    words = [sys.executable, "-m", "rtarm", "scan", *options]
+    return subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.mark.process
+def test_a_pseudo_terminal_is_scanned_and_a_file_proposed(simulated: Stack, tmp_path: Path) -> None:
+    found = command("--port", str(simulated.link), "--json")
+    report = json.loads(found.stdout)
+    assert (found.returncode, report["found"]) == (0, True)
+    [entry] = report["adapters"]
+    assert (entry["outcome"]["bitrate"], len(entry["outcome"]["drives"])) == (500_000, 6)
+    truth = simulated.truth()
+    assert all(len(joint.times_ns) == 0 or not joint.velocity_rad_s.any() for joint in truth.values())
+
+    proposed = tmp_path / "my_arm.yaml"
+    proposed.write_text(report["proposal"], encoding="utf-8")
+    with pytest.raises(ConfigError, match="ratio"):
+        load_arm(proposed)
+    values = yaml.safe_load(report["proposal"])
+    for joint in values["joints"]:
+        joint |= {"ratio": 10, "direction": 1, "zero_deg": 0, "lower_deg": -90, "upper_deg": 90, "motor_rpm": 60}
+        joint["max_acceleration_rad_s2"] = 1.0
+    proposed.write_text(yaml.safe_dump(values), encoding="utf-8")
+    assert load_arm(proposed).bus.resolved_channel == str(simulated.link)
+
+    shown = command("--port", str(simulated.link))
+    assert "6 drives answer at 500000 bit/s" in shown.stdout
+    assert report["proposal"] in shown.stdout
+
+    fd = open_port(str(simulated.link), "cdc")  # as a control process holds it
+    try:
+        held = command("--port", str(simulated.link))
+    finally:
+        os.close(fd)
+    assert held.returncode == 5 and "not tried: " in held.stdout and "is in use by another program" in held.stdout
+
+
+def test_what_is_no_serial_port_is_not_tried(rtarm: Callable[..., Result]) -> None:
+    result = rtarm("scan", "--port", "/dev/null")
+    assert (result.exit_code, "/dev/null is not a serial port" in result.stdout) == (5, True)
