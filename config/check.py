@@ -14,6 +14,7 @@ from rich.text import Text
 from config.budget import UART_LOAD_LIMIT, Budget, budget, shown_rate
 from config.derived import DerivedJoint, derived_table
 from config.errors import ConfigError
+from config.joint import JointConfig
 from config.schema import LOWEST_JOINT_STATES_HZ, ArmConfig
 
 
@@ -28,6 +29,8 @@ def render_check(arm: ArmConfig) -> RenderableType:
     ]
     if any(joint.silence is not None for joint in joints):
         parts.append(silence_table(joints))
+    if any(drive_settings(joint) for joint in arm.joints):
+        parts.append(settings_table(arm.joints))
     parts.append(budget_table(arm, budget(arm)))
     return Group(*parts)
 
@@ -88,6 +91,29 @@ def silence_table(joints: Iterable[DerivedJoint]) -> Table:
             f"{stop.coast_deg:.2f}",
             f"{stop.stop_time_s:.3f}",
         )
+    return table
+
+
+SETTINGS = ("current_ma", "stall_protection", "stall_rpm", "stall_current_ma", "stall_time_ms", "watchdog_ms")
+
+
+def drive_settings(joint: JointConfig) -> dict[str, str]:
+    """What the arm file wants of a drive's settings beyond those that motion rests on."""
+    wanted = {name: getattr(joint.drive, name, None) for name in SETTINGS}
+    words = {True: "on", False: "off"}
+    return {
+        name: words[value] if isinstance(value, bool) else str(value)
+        for name, value in wanted.items()
+        if value is not None
+    }
+
+
+def settings_table(joints: Iterable[JointConfig]) -> Table:
+    """What `rtarm drives` compares and may write, as far as the file names it."""
+    table = _table("Drives", "mA", "stall", "stall rpm", "stall mA", "stall ms", "watchdog ms")
+    for joint in joints:
+        wanted = drive_settings(joint)
+        table.add_row(escape(joint.name), *(wanted.get(name, "-") for name in SETTINGS))
     return table
 
 

@@ -9,7 +9,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from rich import box
@@ -57,10 +57,11 @@ class SettingsProcess:
         )
 
     def order(self, word: str) -> None:
-        """Tell it what to do."""
+        """Tell it what to do; one that has ended meanwhile says why when it is asked for its answer."""
         assert self._process.stdin is not None
-        self._process.stdin.write(f"{word}\n")
-        self._process.stdin.flush()
+        with suppress(BrokenPipeError):
+            self._process.stdin.write(f"{word}\n")
+            self._process.stdin.flush()
 
     def answer(self, word: str, told: Callable[[str], None] = lambda _: None) -> Report:
         """What follows the word on its line; `told` gets what is said on the way there.
@@ -88,7 +89,8 @@ class SettingsProcess:
     def close(self) -> None:
         """End it; it closes the bus in order."""
         assert self._process.stdin is not None and self._process.stdout is not None
-        self._process.stdin.close()
+        with suppress(BrokenPipeError):
+            self._process.stdin.close()
         try:
             self._process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
@@ -221,6 +223,7 @@ def _table(drives: list[Report]) -> Table:
     for name in names:
         table.add_row(HEADINGS.get(name, name), *(_cell(drive, name) for drive in drives))
     table.add_row("supply V", *(_plain(drive["supply_v"]) for drive in drives))
+    table.add_row("trips at °C", *(_plain((drive["trip"] or {}).get("temperature_c")) for drive in drives))
     table.add_row("homing", *(_plain((drive["homing"] or {}).get("mode")) for drive in drives))
     return table
 

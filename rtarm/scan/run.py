@@ -76,6 +76,7 @@ def _named(machine: Machine, port: str) -> Adapter:
                 "by its path (/dev/ttyACM0)."
             )
         return detection.link(machine, port)
+    port = os.path.abspath(port)
     try:
         exists = machine.exists(port)
     except ValueError:

@@ -11,6 +11,10 @@ from rtloop.settings import registers
 
 BITRATES = (500_000, 1_000_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000)
 """In the order in which they are tried: drives leave the factory with the first."""
+NEVER_TRIED = (
+    "Not tried: 800000 bit/s, since adapters disagree on which rate S7 is, and 83333 bit/s, which few adapters have; "
+    "set the drives to 500000."
+)
 LISTEN_S = 0.12
 BUSY_FRAMES = 2
 """Frames heard before anybody was asked that make a bus somebody else's."""
@@ -81,7 +85,8 @@ def search_slcan(wire: SlcanWire) -> Outcome:
             wire.close()
         if outcome.drives:
             outcome.bitrate = bitrate
-            break
+            return outcome
+    outcome.notes.append(NEVER_TRIED)
     return outcome
 
 

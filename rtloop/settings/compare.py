@@ -57,6 +57,7 @@ class DriveReport:
     hardware: int | None
     supply_v: float | None
     homing: dict[str, Any] | None
+    trip: dict[str, Any] | None
     settings: list[Setting]
     left_alone: list[str]
     """Why nothing is written to this drive, a sentence each."""
@@ -98,6 +99,7 @@ def report_of(arm: ArmConfig, joint: int, found: Reading, shared: int | None = N
         homing=None
         if found.homing is None
         else {**asdict(found.homing), "mode": _named(registers.HOMING_MODES, found.homing.mode)},
+        trip=None if found.trip is None else asdict(found.trip),
         settings=[] if version is None else _settings(arm, drive, found),
         left_alone=_left_alone(arm, config, drive, found, shared),
         notes=[] if block is None else _notes(config, found),

@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields, replace
 from config.joint import FULL_STEPS_PER_REVOLUTION
 
 ASK_FIRMWARE = b"\x1f\x6b"
+ASK_TRIP = b"\x13\x6b"
 ASK_HOMING = b"\x22\x6b"
 ASK_SUPPLY = b"\x24\x6b"
 ASK_WATCHDOG = b"\x16\x6b"
@@ -44,6 +45,7 @@ BLOCK_PACKETS = 5
 _BLOCK = struct.Struct(">8B3H6B4H")
 _HOMING = struct.Struct(">BBHIHHHB")
 HOMING_PACKETS = 3
+_TRIP = struct.Struct(">3H")
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,22 @@ def homing_of(answer: bytes | None) -> HomingParameters | None:
     if answer is None or len(answer) != 2 + _HOMING.size or answer[0] != ASK_HOMING[0]:
         return None
     return HomingParameters(*_HOMING.unpack(answer[1:-1]))
+
+
+@dataclass(frozen=True)
+class Trip:
+    """When a drive protects itself: above a temperature, or above a current for some time."""
+
+    temperature_c: int
+    current_ma: int
+    time_ms: int
+
+
+def trip_of(answer: bytes | None) -> Trip | None:
+    """The limits in an answer to `13`, whose fields are taken to be those of the command that sets them, `D3 56`."""
+    if answer is None or len(answer) != 2 + _TRIP.size or answer[0] != ASK_TRIP[0]:
+        return None
+    return Trip(*_TRIP.unpack(answer[1:-1]))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from config.schema import ArmConfig
 from rtloop.conversation import NOT_UNDERSTOOD, TRIES, Ask, Conversation, Dialogue
 from rtloop.port import Frame, ServicePort
 from rtloop.settings import registers
-from rtloop.settings.registers import Block, HomingParameters, Version
+from rtloop.settings.registers import Block, HomingParameters, Trip, Version
 from shm.words import Fault
 
 Value = TypeVar("Value")
@@ -33,6 +33,7 @@ class Reading:
     version: Version | None = None
     block: Block | None = None
     homing: HomingParameters | None = None
+    trip: Trip | None = None
     watchdog_ms: int | None = None
     supply_mv: int | None = None
     flags: int | None = None
@@ -73,6 +74,7 @@ class ReadSettings(Conversation):
         found.homing = registers.homing_of((yield Ask(registers.ASK_HOMING, (8,), packets=registers.HOMING_PACKETS)))
         if found.version.newer:
             found.watchdog_ms = yield from read_watchdog()
+            found.trip = registers.trip_of((yield Ask(registers.ASK_TRIP, (8,))))
         found.supply_mv = registers.number_of((yield Ask(registers.ASK_SUPPLY, (4,))), registers.ASK_SUPPLY, 2)
         found.flags = registers.number_of((yield Ask(registers.ASK_STATUS, (3,))), registers.ASK_STATUS, 1)
         asked = Ask(registers.ASK_HOMING_STATUS, (3,))

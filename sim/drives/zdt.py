@@ -893,9 +893,11 @@ class ZdtDrive:
 SUPPLY_MV = 12_000
 SUPPLY_MA = 200
 TEMPERATURE_C = 25
+TRIP_C, TRIP_MA, TRIP_MS = 100, 6600, 1000
+"""Heat and current that would trip it; read as they are written (`D3 56`) [inf], which is not modelled."""
 
 _READ_ARGUMENT = {0x43: 0x7A, 0x42: 0x6C}
-_NEW_READS = frozenset((0x26, 0x39, 0x3C, 0x15, 0x16))
+_NEW_READS = frozenset((0x13, 0x26, 0x39, 0x3C, 0x15, 0x16))
 _NEW_COMMANDS = frozenset((0xF1, 0xFC, 0x50, 0x68, 0x11))
 
 
@@ -923,6 +925,7 @@ def _tables(drive: ZdtDrive) -> tuple[dict[int, Callable[[], bytes]], dict[int, 
     d = drive
     reads: dict[int, Callable[[], bytes]] = {
         0x1F: d._read_version,
+        0x13: lambda: struct.pack(">BHHH", 0x13, TRIP_C, TRIP_MA, TRIP_MS),
         0x20: lambda: struct.pack(">BHH", 0x20, 1146, 3368),
         0x21: d._read_pid,
         0x22: lambda: b"\x22" + d.homing.pack(),

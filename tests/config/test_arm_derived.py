@@ -25,6 +25,7 @@ from config.derived import (
     smallest_acc_byte,
     stop_time_s,
 )
+from config.loader import ARMS_FOLDER
 
 
 def test_ramps_of_the_manual() -> None:
@@ -148,3 +149,18 @@ def test_errors_are_one_a_line() -> None:
         "control.rate_hz (overridden)",
         "control.init_mode (overridden)",
     ]
+
+
+def test_config_check_shows_what_is_wanted_of_drives(tmp_path):
+    shown = _checked(tmp_path, "current_ma: 2500, stall_protection: false, watchdog_ms: 1000")
+    assert ["joint3", "2500", "off", "-", "-", "-", "1000"] in [line.split() for line in shown.splitlines()]
+    assert "Drives" not in _checked(tmp_path, "firmware: auto")
+
+
+def _checked(folder, wanted):
+    text = (ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8")
+    path = folder / "arm.yaml"
+    path.write_text(text.replace("address: 3,", f"address: 3, {wanted},"), encoding="utf-8")
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(render_check(load_arm(path)))
+    return console.export_text()

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -61,6 +62,7 @@ def test_a_session_from_reading_to_flash(simulated: Stack) -> None:
     assert declined.returncode == 1
     assert "joint1 (address 1): current_ma 3000 → 2500" in declined.stderr
     assert "Flash wears out" in declined.stderr and "Nothing was written." in declined.stderr
+    assert drives(simulated, "--write", "--store").returncode == 1  # nobody answers the question
     assert currents(drives(simulated, "--json")) == [3000] * 6
 
     tried = drives(simulated, "--write")
@@ -89,6 +91,40 @@ def test_an_adapter_that_goes_away_between_reading_and_writing(simulated: Stack)
         assert process.code() == 2
     finally:
         process.close()
+
+
+@pytest.mark.process
+def test_an_adapter_that_goes_away_while_a_person_thinks(simulated: Stack) -> None:
+    command = [sys.executable, "-m", "rtarm", "drives", str(simulated.arm_file), "--write", "--store"]
+    environment = {**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, cwd=ROOT, env=environment, text=True, **pipes) as asked:
+        assert asked.stderr is not None
+        while "Flash wears out" not in asked.stderr.readline():
+            pass
+        simulated.sim.process.kill()
+        wait_until(lambda: not list(DIRECTORY.glob(f"rtarm.{simulated.name}.*")))
+        _, said = asked.communicate("y\n", timeout=PATIENCE_S)
+    assert asked.returncode == 2 and f"The adapter at {simulated.link} is gone" in said
+
+
+@pytest.mark.process
+def test_the_wrong_bit_rate_is_a_bus_without_drives(simulated: Stack) -> None:
+    text = simulated.arm_file.read_text(encoding="utf-8")
+    slower = text.replace("bitrate: 500000", "bitrate: 250000").replace("rate_hz: 100", "rate_hz: 40")
+    simulated.arm_file.write_text(slower, encoding="utf-8")
+    read = drives(simulated, "--json")
+    report = json.loads(read.stdout)
+    assert (read.returncode, report["agrees"]) == (5, False)
+    for drive in report["drives"]:
+        assert "does not answer" in drive["left_alone"][0] and "250000 bit/s" in drive["left_alone"][0]
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 @pytest.mark.process

@@ -147,6 +147,7 @@ def test_listening_comes_before_asking() -> None:
 def test_nobody_answers() -> None:
     outcome = searched(bus([faults.Silent(f"joint{n}", 0.0) for n in range(1, 7)]))
     assert (outcome.bitrate, outcome.drives, outcome.asked) == (None, [], list(BITRATES))
+    assert outcome.notes == [search.NEVER_TRIED]
 
 
 def test_one_drive_is_missing_and_old_firmware_is_read() -> None:
@@ -210,14 +211,14 @@ def _report_every_10_ms(address: int) -> Any:
 def test_an_adapter_that_does_not_open_its_channel() -> None:
     outcome = searched(bus([faults.OpenRefused()]))
     assert outcome.asked == outcome.listened == []
-    assert len(outcome.notes) == len(BITRATES) and "refuses that rate, or to open" in outcome.notes[0]
+    assert len(outcome.notes) == len(BITRATES) + 1 and "refuses that rate, or to open" in outcome.notes[0]
 
 
 def test_a_search_ends_at_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "LONGEST_S", 3.0)
     outcome = searched(bus([faults.Silent(f"joint{n}", 0.0) for n in range(1, 7)], dialect="canable"))
     assert outcome.asked != list(BITRATES)
-    assert "10000 bit/s: 3 s were over" in outcome.notes[-1]
+    assert "10000 bit/s: 3 s were over" in outcome.notes[0]
 
 
 class VirtualCan:

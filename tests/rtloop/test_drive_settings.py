@@ -134,6 +134,7 @@ def test_every_drive_is_read_and_nothing_moves(interface: str):
     for joint, report in session.reports.items():
         assert (report.answers, report.firmware, report.hardware, report.supply_v) == (True, "2.0.0", 111, 12.0)
         assert report.homing is not None and report.homing["mode"] == "stop"
+        assert report.trip == {"temperature_c": 100, "current_ma": 6600, "time_ms": 1000}
         found = {setting.name: setting.found for setting in report.settings}
         assert (found["address"], found["bitrate"], found["microsteps"]) == (joint + 1, 500_000, 16)
         assert [setting.name for setting in report.to_write] == ["response"]
@@ -413,4 +414,4 @@ def test_nothing_else_than_questions_and_two_commands_is_ever_sent():
     session.write(store=True)
     lines = b"".join(data for _, data in virtual.sent).split(b"\r")
     functions = {line[10:12] for line in lines if line[:1] == b"T"}
-    assert functions <= {b"1F", b"22", b"24", b"16", b"35", b"36", b"3A", b"3B", b"42", b"48", b"68"}
+    assert functions <= {b"13", b"1F", b"22", b"24", b"16", b"35", b"36", b"3A", b"3B", b"42", b"48", b"68"}
