@@ -104,8 +104,9 @@ def settings_process(arm: str, overrides: Mapping[str, Any]) -> Iterator[Setting
     """The process for an arm, ended whatever happens."""
     from rtarm.launcher import override_arguments
 
-    # it brings nothing up, so whatever the file wants at bring-up must not keep it from starting
-    process = SettingsProcess([arm, *override_arguments({**overrides, "control": {"init_mode": 1}})])
+    # nothing is brought up and nothing is punctual here, so what the file wants of both must not keep it from starting
+    at_ease = {"control": {"init_mode": 1}, "realtime": {"require": False}}
+    process = SettingsProcess([arm, *override_arguments({**overrides, **at_ease})])
     try:
         yield process
     finally:

@@ -14,6 +14,8 @@ from rtloop.port import BRING_UP_FAILED, SEND, Frame, ServicePort
 from shm.words import Fault
 
 ANSWER_PATIENCE_NS = 60_000_000
+ANSWER_PERIODS = 3
+"""A question waits for the next cycle and its answer for the one after; at low rates that is what lasts."""
 TRIES = 5
 NOT_UNDERSTOOD = b"\x00\xee\x6b"
 """What a drive answers to a command that is none to it (zdt-emm-v5.md)."""
@@ -91,6 +93,7 @@ class Conversation:
         self.done = False
         self.failure: TalkFailed | None = None
         self._port = port
+        self._patience_ns = max(ANSWER_PATIENCE_NS, ANSWER_PERIODS * arm.control.period_ns)
         self._addresses = drive_addresses(arm)
         self._fault = fault
         self._last_order = last_order
@@ -183,7 +186,7 @@ class Conversation:
 
     def _repeat_or_give_up(self, joint: int) -> None:
         exchange = self._exchanges[joint]
-        if self.now_ns - exchange.sent_ns < ANSWER_PATIENCE_NS:
+        if self.now_ns - exchange.sent_ns < self._patience_ns:
             return
         if not exchange.ask.answered or exchange.tries >= TRIES:
             self._advance(joint, None)

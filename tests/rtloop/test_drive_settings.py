@@ -144,6 +144,24 @@ def test_every_drive_is_read_and_nothing_moves(interface: str):
     assert all(len(drive.shaft.changes_ns()) == 1 for drive in virtual.sim.drives)
 
 
+@pytest.mark.parametrize("rate_hz", [10, 20, 120])
+@pytest.mark.parametrize("phase_ms", [0, 1, 30])
+def test_answers_are_waited_for_as_long_as_cycles_last(rate_hz: int, phase_ms: int):
+    """Between two cycles ordinary Python looks every 4 ms, as the control process does."""
+    virtual = VirtualArm(load_arm("episode1", overrides={"control": {"rate_hz": rate_hz}}))
+    virtual.cycles(3)
+    now_ns = [virtual.now_ns + phase_ms * 1_000_000]
+
+    def pause() -> None:
+        now_ns[0] += 4_000_000
+        while virtual.now_ns + virtual.period_ns <= now_ns[0]:
+            virtual.cycle()
+
+    session = Session(virtual.arm, virtual.port, lambda: now_ns[0], pause)
+    session.read()
+    assert all(report.answers for report in session.reports.values())
+
+
 def test_what_the_file_does_not_name_is_only_shown():
     _, session = at_rest(wanting())
     named = {name for name, verdict in verdicts(session).items() if verdict != Verdict.NOT_NAMED}
