@@ -48,7 +48,7 @@ class ZdtDrive(Section):
         description="Whether the drive lets go when it is held (true), or keeps pushing (false).",
     )
     stall_rpm: int | None = Field(
-        default=None, ge=1, le=3000, description="Speed below which the drive may count as stalled (motor rpm)."
+        default=None, ge=1, le=3000, description="Motor speed below which the drive may count as stalled (rpm)."
     )
     stall_current_ma: int | None = Field(
         default=None, ge=100, le=6000, description="Current above which the drive may count as stalled (mA)."
