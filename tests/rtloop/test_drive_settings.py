@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import pytest
@@ -15,8 +15,9 @@ from config.errors import ConfigError
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rtloop.settings import registers
-from rtloop.settings.compare import Verdict, as_json
+from rtloop.settings.compare import Verdict, as_json, report_of, wanted_block
 from rtloop.settings.session import NotWritten, Session
+from rtloop.settings.talk import Reading
 from shm.words import Mode
 from sim import faults
 from sim.drives.zdt import Settings
@@ -120,6 +121,30 @@ def test_any_answer_is_understood_or_not_understood(answer: bytes):
     for read in (registers.block_of, registers.homing_of, registers.version_of):
         read(answer or None)
     registers.signed_of(answer or None, registers.ASK_POSITION, 4)
+
+
+@given(st.binary(min_size=28, max_size=28))
+def test_any_block_is_written_as_it_was_read(data: bytes):
+    block = registers.block_of(b"\x42\x21\x15" + data + b"\x6b")
+    assert block is not None
+    sent = bytearray(data)
+    sent[7] = sent[16] = 0  # screen and address
+    assert registers.write_block(block, store=False) == b"\x48\xd1\x00" + sent + b"\x6b"
+
+
+@given(st.binary(min_size=17, max_size=17), st.binary(min_size=10, max_size=10))
+def test_a_block_changes_only_where_the_file_and_the_drive_differ(before: bytes, after: bytes):
+    block = registers.block_of(b"\x42\x21\x15" + before + b"\x00" + after + b"\x6b")  # with the checksum 6B
+    found = Reading(registers.Version(200, 111, newer=True), block, flags=1, rpm=0, position_counts=0)
+    report = report_of(wanting({"acknowledge": True}, **WANTED), 0, found)
+    assert block is not None and report.left_alone == []
+    changed = asdict(wanted_block(block, report.to_write))
+    fields = {"response": "response", "current_ma": "current_ma", "stall_protection": "stall_mode"}
+    fields |= {"stall_rpm": "stall_rpm", "microsteps": "microstep_code"}
+    assert {name for name, value in asdict(block).items() if changed[name] != value} == {
+        fields[setting.name] for setting in report.to_write
+    }
+    assert (changed["current_ma"], changed["stall_mode"], changed["stall_rpm"], changed["response"]) == (2500, 1, 40, 1)
 
 
 # --- reading --------------------------------------------------------------------------------------------
