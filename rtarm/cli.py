@@ -453,6 +453,8 @@ def reference(
         from rtarm.status import resolve_arm
 
         typer.echo(requests.reference(resolve_arm(arm), requests.angles_said(joints)))
+
+
 @app.command(epilog="Exit codes:\n\n" + exit_code_table())
 def drives(
     arm: ArmArgument,
