@@ -60,6 +60,13 @@ class Pinocchio:
         pose: Positions = self.data.oMf[self.model.getFrameId(link)].homogeneous
         return pose
 
+    def jacobian(self, link: str, positions_rad: Positions) -> Positions:
+        """(6, joints) of a link's origin: velocity, then turning, in the axes of the root link."""
+        frame, axes = self.model.getFrameId(link), pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        configuration = self.configuration(positions_rad)
+        jacobian: Positions = pinocchio.computeFrameJacobian(self.model, self.data, configuration, frame, axes)
+        return jacobian[:, self.places]
+
     def colliding(self, positions_rad: Positions) -> set[frozenset[str]]:
         """The pairs of links whose shapes touch in a pose, as coal says."""
         if len(self.shapes.collisionPairs) == 0:
