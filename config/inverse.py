@@ -80,7 +80,8 @@ class Inverse:
         self._kinematics, self._joints = kinematics, joints
         self.lower_rad = np.array([joint.lower_rad for joint in joints])
         self.upper_rad = np.array([joint.upper_rad for joint in joints])
-        self._slack_rad = np.array([joint.command_pulse_rad + joint.encoder_count_rad for joint in joints])
+        self.slack_rad = np.array([joint.command_pulse_rad + joint.encoder_count_rad for joint in joints])
+        """What rounding may put a joint that stands at its limit beyond it."""
         rows = kinematics.dh
         self._signs = np.array([float(row.sign) for row in rows])
         self._offsets_rad = np.array([row.offset_rad for row in rows])
@@ -139,7 +140,7 @@ class Inverse:
         turns = 2.0 * math.pi * np.arange(-2, 3)
         candidates = found[..., np.newaxis] + turns  # (ways, joints, turns)
         outside = np.maximum(self.lower_rad[:, np.newaxis] - candidates, candidates - self.upper_rad[:, np.newaxis])
-        allowed = outside <= self._slack_rad[:, np.newaxis]
+        allowed = outside <= self.slack_rad[:, np.newaxis]
         away = np.where(allowed, np.abs(candidates - seed_rad[:, np.newaxis]), np.inf)
         costs = (away.min(axis=-1) ** 2).sum(axis=-1)
         if np.isfinite(costs).any():

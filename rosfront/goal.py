@@ -86,6 +86,18 @@ def plan_stream(trajectory: Any, arm: ArmConfig, present: Present, settings: Set
         return plan
 
 
+def plan_move(trajectory: Any, arm: ArmConfig, present: Present, settings: Settings) -> GoalPlan:
+    """Check a motion of our own making (`rosfront.moves`) and translate it into knots; raises GoalRefused.
+
+    It is judged like a goal, with the default tolerances; its points are joined as they are meant to be, whatever
+    the arm file says about those of others.
+    """
+    names = [joint.name for joint in arm.joints]
+    columns = columns_of(trajectory.joint_names, names, allow_partial=False)
+    given = _read(trajectory, arm)
+    return _plan(trajectory, given, columns, arm, present, default_terms(settings), Entry(0), smooth=True)
+
+
 def _plan(
     trajectory: Any,
     given: Points,
@@ -94,12 +106,14 @@ def _plan(
     present: Present,
     terms: Terms,
     entry: Entry,
+    *,
+    smooth: bool = False,
 ) -> GoalPlan:
     start_ns, elapsed_ns = _start(trajectory.header.stamp, int(given.times_ns[-1]), present)
     if elapsed_ns < given.times_ns[0]:
         entry |= Entry.BRIDGE
     mask = sum(1 << int(column) for column in columns)
-    times_ns, orders, joints = _complete(given, columns, arm, present, entry)
+    times_ns, orders, joints = _complete(given, columns, arm, present, entry, smooth=smooth)
     whole = GoalPlan(times_ns, orders, joints, mask, terms, start_ns, elapsed_ns, entry, present.commanded)
     plan = _from_its_entry(whole, arm, present)
     check_limits(plan, arm)
@@ -251,9 +265,12 @@ def _check_room_to_stop(plan: GoalPlan, arm: ArmConfig) -> None:
 
 
 def _complete(
-    given: Points, columns: np.ndarray, arm: ArmConfig, present: Present, entry: Entry
+    given: Points, columns: np.ndarray, arm: ArmConfig, present: Present, entry: Entry, *, smooth: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fill in what the points lack, and put the columns into the arm's order: times, orders and knots."""
+    """Fill in what the points lack, and put the columns into the arm's order: times, orders and knots.
+
+    `smooth`: with curves, though the arm file may say `interpolation: linear`.
+    """
     times_ns, positions = given.times_ns, given.positions
     if Entry.BRIDGE in entry and Entry.STREAM not in entry:
         knots_s = np.concatenate([[0.0], times_ns / NS])
@@ -268,7 +285,7 @@ def _complete(
         orders[0] = 3  # its acceleration says nothing of the way there, which would swing out to end with it
 
     knots = np.stack([positions, velocities, accelerations], axis=2)
-    if arm.trajectory.interpolation == "linear" and Entry.STREAM not in entry:
+    if arm.trajectory.interpolation == "linear" and Entry.STREAM not in entry and not smooth:
         times_ns, knots = densify(times_ns, knots, arm.trajectory.interpolation_factor)
         orders = np.ones(len(times_ns), dtype=int)
     joints = np.zeros((len(times_ns), len(arm.joints), 3))

@@ -312,3 +312,40 @@ class AccelerationBeyondLimit(BeyondLimits):
             value=value_rad_s2,
             limit=limit_rad_s2,
         )
+
+
+class Unreachable(GoalRefused):
+    """No joint angles that the arm may take bring its flange into the pose."""
+
+
+class OffTheStraight(GoalRefused):
+    """A straight line whose end is in reach, but which the arm cannot follow all along; `place` says up to where."""
+
+    def __init__(self, place: str, why: str, joint: str | None = None) -> None:
+        super().__init__(
+            f"The straight line cannot be followed to its end: {place} {why}. Go there with a move of the joints "
+            "(move_xyz_rotation), or lead the line another way.",
+            joint=joint,
+        )
+
+
+class Singular(OffTheStraight):
+    """The line passes a place where joints would have to turn much farther than the flange moves."""
+
+
+class OffTheLine(OffTheStraight):
+    """The line leaves the arm's reach in between."""
+
+    def __init__(self, place: str) -> None:
+        super().__init__(place, "it leaves the arm's reach")
+
+
+class OutOfLimits(OffTheStraight):
+    """The line leads a joint out of its limits, though another way of the arm leads to its end."""
+
+    def __init__(self, place: str, joint: str, value_rad: float, lower_rad: float, upper_rad: float) -> None:
+        super().__init__(
+            place,
+            f"{joint} comes to {angle(value_rad)}, and allowed are {angle(lower_rad)} to {angle(upper_rad)}",
+            joint,
+        )
