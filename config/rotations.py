@@ -25,7 +25,8 @@ _LOCKED = 1e-9
 
 def matrix_of(angles_deg: Vectors, order: str) -> Matrices:
     """The rotation (3, 3) of three angles about x, y and z in one of `ORDERS`."""
-    turns = dict(zip("xyz", turned(np.radians(angles_deg)[:, np.newaxis] * _AXES), strict=True))
+    angles_rad = np.radians(np.remainder(angles_deg, 360.0))  # exact, and of any size
+    turns = dict(zip("xyz", turned(angles_rad[:, np.newaxis] * _AXES), strict=True))
     product: Matrices = turns[order[0]] @ turns[order[1]] @ turns[order[2]]
     return product
 

@@ -1,6 +1,6 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""The action follow_joint_trajectory, whoever carries the goals out: each goal gets one end, and its client hears it.
+"""An action, whoever carries its goals out: each goal gets one end, and its client hears it.
 
 A goal is a coroutine in the executor's thread. The end of the program: rclpy's `Executor.shutdown` frees what a
 spinning executor still uses, so the executor's thread leaves `spin` by itself first, and not before every client that
@@ -11,17 +11,19 @@ import math
 import threading
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Generator
+from dataclasses import replace
 from types import coroutine
 from typing import Any
 
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import SingleThreadedExecutor, await_or_execute
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
 from rosfront.diagnostics import Counts
+from rosfront.refusals import INVALID_GOAL
 from rosfront.verdict import Status, Verdict
 
 RESULT_KEPT_S = 60
@@ -75,8 +77,15 @@ class _TellingServer(ActionServer):
                 self._on_sent(goal)
 
 
+def trajectory_result(_: ServerGoalHandle, verdict: Verdict) -> Any:
+    """What follow_joint_trajectory says at the end of a goal."""
+    return FollowJointTrajectory.Result(error_code=verdict.code, error_string=verdict.sentence)
+
+
 class GoalServer:
     """The action server and the executor's thread around it.
+
+    A node's further actions have servers of their own and leave the thread to that of the first.
 
     Attributes:
         closing: no goal is begun any more, and `spin` returns as soon as it can; set by the owner or by `leave`.
@@ -94,15 +103,19 @@ class GoalServer:
         cancel: Callable[[ServerGoalHandle], None] = lambda _: None,
         consider: Callable[[Any], GoalResponse | Awaitable[GoalResponse]] = lambda _: GoalResponse.ACCEPT,
         idle: Callable[[], bool] = lambda: True,
+        kind: type = FollowJointTrajectory,
+        result: Callable[[ServerGoalHandle, Verdict], Any] = trajectory_result,
+        counts: Counts | None = None,
     ) -> None:
         """`run` carries a goal out and returns how it ended; `cancel` hears that a client no longer wants one.
 
         `accepted` hears of a goal at once, before it is run and before anything else is served. `consider` may reject a
         goal before it is one, without a reason. `idle` says whether nothing else of the node keeps the executor's
-        thread.
+        thread. `kind` is the action's type, and `result` makes its result; `counts` are those of another server that
+        counts these goals too.
         """
         self.closing = False
-        self.counts = Counts()
+        self.counts = Counts() if counts is None else counts
         self._log = node.get_logger()
         self._executor = executor
         self._run = run
@@ -111,12 +124,13 @@ class GoalServer:
         self._consider = consider
         self._considering = 0
         self._idle = idle
+        self._result = result
         self._untold: dict[bytes, float] = {}  # goals whose client has no result yet, and until when that counts
         self._has_spun = threading.Event()
         self._server = _TellingServer(
             self._told,
             node,
-            FollowJointTrajectory,
+            kind,
             name,
             callback_group=ReentrantCallbackGroup(),  # a goal being considered holds up no cancel
             execute_callback=self._execute,
@@ -129,7 +143,7 @@ class GoalServer:
     def spin(self) -> None:
         """Serve; returns once it is `closing`, when every client has its result or its answer."""
         try:
-            while not (self.closing and self._idle() and not self._considering and self._all_told()):
+            while not (self.closing and self._idle() and self.quiet):
                 self._executor.spin_once(LEAVE_EVERY_S if self.closing else None)
         finally:
             self._has_spun.set()
@@ -142,14 +156,18 @@ class GoalServer:
             give_up()
             self._has_spun.wait()  # every goal is decided, so nothing keeps it
 
-    def _all_told(self) -> bool:
+    @property
+    def quiet(self) -> bool:
+        """Whether no goal is being considered and every client has its result."""
         now_s = time.monotonic()
-        return all(until_s < now_s for until_s in self._untold.values())
+        return not self._considering and all(until_s < now_s for until_s in self._untold.values())
 
     async def _considered(self, goal: Any) -> GoalResponse:
         self._considering += 1
         try:
-            response: GoalResponse = await await_or_execute(self._consider, goal)
+            response = self._consider(goal)
+            if not isinstance(response, GoalResponse):
+                response = await response
         finally:
             self._considering -= 1
         return response
@@ -179,7 +197,6 @@ class GoalServer:
 
     def _conclude(self, handle: ServerGoalHandle, verdict: Verdict) -> Any:
         canceling = handle.is_cancel_requested
-        result = FollowJointTrajectory.Result(error_code=verdict.code, error_string=verdict.sentence)
         if verdict.status is Status.SUCCEEDED:
             handle.succeed()
             self.counts.goals_succeeded += 1
@@ -194,5 +211,5 @@ class GoalServer:
             self.counts.goals_aborted += 1
             self._log.warning(f"Goal aborted: {verdict.sentence}")
             if verdict.status is Status.CANCELED:
-                result.error_code = FollowJointTrajectory.Result.INVALID_GOAL
-        return result
+                verdict = replace(verdict, code=INVALID_GOAL)
+        return self._result(handle, verdict)

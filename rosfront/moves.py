@@ -130,6 +130,13 @@ class Line:
         poses[:, 3, 3] = 1.0
         return poses
 
+    def share_at(self, flange: Poses, otherwise: float) -> float:
+        """How much of the line a flange (4, 4) has behind it, 0 to 1; `otherwise` where only the rotation changes."""
+        if self.length_m == 0.0:
+            return otherwise
+        share = float((flange[:3, 3] - self._from[:3, 3]) @ self._way_m) / self.length_m**2
+        return min(max(share, 0.0), 1.0)
+
     def _follow(self) -> None:
         """Choose the way on which the arm stands, and look along it."""
         found = self._inverse.solutions(self.poses(self._shares), self._start_rad)

@@ -349,3 +349,61 @@ class OutOfLimits(OffTheStraight):
             f"{joint} comes to {angle(value_rad)}, and allowed are {angle(lower_rad)} to {angle(upper_rad)}",
             joint,
         )
+
+
+class BadRequest(GoalRefused):
+    """A field of a request of the full node has a value that cannot be taken."""
+
+
+class NotANumber(BadRequest):
+    def __init__(self, field: str, value: float) -> None:
+        super().__init__(f"{field} is {value:g}, and all numbers must be finite: correct the sender.", value=value)
+
+
+class BadSpeedRatio(BadRequest):
+    def __init__(self, value: float) -> None:
+        super().__init__(
+            f"speed_ratio is {value:g}; allowed is a share of the speed limits above 0, where 1 and more is full "
+            "speed: send one.",
+            value=value,
+        )
+
+
+class UnknownOrder(BadRequest):
+    def __init__(self, field: str, value: str, allowed: Sequence[str]) -> None:
+        super().__init__(
+            f"{field} is '{legible(value, LONGEST_NAME)}'; allowed are {' and '.join(allowed)}: send one of them."
+        )
+
+
+class TooFineSteps(BadRequest):
+    def __init__(self, step_mm: float, finest_mm: float, default_mm: float) -> None:
+        super().__init__(
+            f"step_size is {step_mm:g} mm; allowed are {finest_mm:g} mm and more, or 0 for {default_mm:g} mm: send a "
+            "larger one.",
+            value=step_mm,
+            limit=finest_mm,
+        )
+
+
+class MotorAngleBeyondLimit(BadRequest):
+    """An angle on the motor's side, which begins at the homing stop, is outside the joint's limits."""
+
+    def __init__(self, index: int, joint: str, value_deg: float, lower_deg: float, upper_deg: float) -> None:
+        super().__init__(
+            f"angles[{index}] is {value_deg:g}°; {joint} goes from {lower_deg:g}° to {upper_deg:g}°, counted from its "
+            "homing stop: correct it.",
+            joint=joint,
+            value=value_deg,
+            limit=upper_deg if value_deg > upper_deg else lower_deg,
+        )
+
+
+class InMotion(GoalRefused):
+    """A move that begins at rest was asked of an arm that is not."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "The arm is executing another goal or stopping, and this move begins at rest: wait for its end, or cancel "
+            "it first."
+        )

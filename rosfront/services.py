@@ -205,6 +205,10 @@ class Services:
         """Whether nobody waits for an answer."""
         return not self._waiting and not self._holds
 
+    async def ask(self, name: str) -> Reply:
+        """What the service ~/`name`, one of ORDERS, says."""
+        return await self._ask(next(order for order in ORDERS if order.name == name))
+
     def close(self) -> None:
         """Answer whoever waits, and from now on everybody at once."""
         self._closing = True

@@ -234,6 +234,11 @@ class Serving:
         except NotServing:
             return None
 
+    @property
+    def absence(self) -> str:
+        """Why there is no control process to speak of, in a sentence; what it was last time where there is one."""
+        return self._absence
+
     def turn(self) -> int:
         """A command's place in the order of arrival: that of whoever asks now."""
         return next(self._turns)

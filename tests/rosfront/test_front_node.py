@@ -23,7 +23,7 @@ from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, Operator, until
 from std_srvs.srv import Trigger
 
 from config.loader import load_arm
-from rosfront import action, node
+from rosfront import action, action_goals, node
 from rosfront.serving import NEVER_BEGUN
 from shm.words import Fault, Outcome
 
@@ -600,3 +600,14 @@ def test_what_keeps_the_process_from_serving_is_one_sentence(arm_file, loop, sta
         "ROS 2 is not usable here (no control_msgs): source a ROS 2 Jazzy installation that has "
         "control_msgs, or run `make env` for the wheels.\n"
     )
+
+
+def test_without_robot_arm_interfaces_the_arm_has_everything_else(arm_name, monkeypatch, capfd):
+    monkeypatch.setitem(sys.modules, "robot_arm_interfaces", None)
+    monkeypatch.delitem(sys.modules, "rosfront.full_node", raising=False)
+    with serving_alone(arm_name) as (_, front, client, _):
+        offered = {name for name, _ in client.node.get_topic_names_and_types()}
+        assert not {name for name in offered if name.startswith(("/angle_mode", "/motor_angles"))}
+        assert client.run(goal())[0] == SUCCEEDED
+        assert front._full_node is None
+    assert node.WITHOUT_FULL_NODE in capfd.readouterr().err

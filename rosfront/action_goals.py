@@ -1,0 +1,146 @@
+# mypy: allow-untyped-calls
+# (rclpy annotates some of its functions and leaves the others untyped)
+"""The goals of all actions of an arm from their arrival to their end, whatever they ask for.
+
+Each is judged in the intake's thread, in the order in which they came, and handed to the control process; a newer one
+replaces an older one of whichever action.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.action.server import GoalResponse, ServerGoalHandle
+from rclpy.executors import Executor
+from rclpy.task import Future
+
+from rosfront import verdict as verdicts
+from rosfront.intake import ConsideredGoal, Intake, PendingGoal
+from rosfront.plan import GoalPlan
+from rosfront.refusals import GoalRefused, NotServing
+from rosfront.serving import CLOSING, NEVER_BEGUN, Serving
+from rosfront.verdict import Status, Verdict
+
+HELD = "Ended by ~/hold before it could begin; it did not move the arm: send it again when the arm may move."
+_NOT_SERVING = verdicts.refused(NotServing(CLOSING))
+
+Planner = Callable[[], GoalPlan]
+"""Judges a goal and translates it into knots; raises GoalRefused."""
+
+
+class ActionGoals:
+    """All action goals of one node; but for the planners, everything here is called in the executor's thread."""
+
+    def __init__(self, executor: Executor, serving: Serving, warn: Callable[[str], Any]) -> None:
+        """`warn` is told why a goal was rejected."""
+        self._executor = executor
+        self._serving = serving
+        self._warn = warn
+        self._intake = Intake()
+        self._pending: dict[bytes, PendingGoal] = {}
+        self._considered: set[ConsideredGoal] = set()
+        self._closing = False
+
+    def start(self) -> None:
+        """Judge goals from now on."""
+        self._intake.start()
+
+    def stop(self) -> None:
+        """Judge none any more."""
+        self._intake.stop()
+
+    async def consider(self, plan: Planner) -> GoalResponse:
+        """Accept every goal, so that a bad one can be told why; `strict_reject` rejects bad ones instead."""
+        if not self._serving.arm.trajectory.strict_reject:
+            return GoalResponse.ACCEPT
+        considered = ConsideredGoal(self._executor.wake)
+
+        def judge() -> None:
+            if considered.ended.done():
+                return
+            try:
+                plan()
+            except GoalRefused as reason:
+                considered.end(reason)
+            except Exception as problem:
+                considered.fail(problem)
+            else:
+                considered.end(None)
+
+        self._considered.add(considered)
+        self._intake.put(judge)
+        if self._closing:
+            considered.end(NotServing(CLOSING))
+        try:
+            reason: GoalRefused | None = await considered.ended
+        finally:
+            self._considered.discard(considered)
+        if reason is None:
+            return GoalResponse.ACCEPT
+        self._warn(f"Goal rejected: {reason.sentence}")
+        return GoalResponse.REJECT
+
+    def accepted(self, handle: ServerGoalHandle, plan: Planner) -> None:
+        """Take a goal in; `run` awaits its end."""
+        key = bytes(handle.goal_id.uuid)
+        goal = self._pending[key] = PendingGoal(self._executor.wake, self._serving.turn())
+        self._intake.put(lambda: self._begin(goal, plan, key))
+        if self._closing:
+            goal.execution_or_end(_NOT_SERVING)
+
+    async def run(self, handle: ServerGoalHandle) -> Verdict:
+        """How a goal that was accepted ends."""
+        key = bytes(handle.goal_id.uuid)
+        goal = self._pending[key]
+        try:
+            verdict: Verdict = await goal.ended
+        finally:
+            del self._pending[key]
+        if verdict.status is not Status.CANCELED or handle.is_cancel_requested:
+            return verdict
+        rest = verdict.sentence.removeprefix("Canceled: ")
+        if goal.held:
+            return verdicts.aborted(HELD if verdict.sentence == NEVER_BEGUN else f"Ended by ~/hold: {rest}")
+        if self._closing:
+            return verdicts.aborted(f"The ROS process was stopped: {rest}")
+        return verdict
+
+    def _begin(self, goal: PendingGoal, plan: Planner, key: bytes) -> None:
+        """Judge a goal and hand it on; in the intake's thread."""
+        if goal.ended.done():
+            return
+        try:
+            planned = plan()
+            goal.begin(lambda: self._serving.start(planned, goal.end, key, goal.turn))
+        except GoalRefused as reason:
+            goal.end(verdicts.refused(reason))
+        except Exception as problem:
+            goal.fail(problem)
+
+    def cancel(self, handle: ServerGoalHandle) -> None:
+        """The arm then stops on its path."""
+        goal = self._pending.get(bytes(handle.goal_id.uuid))
+        if goal is not None:
+            self._stop(goal)
+
+    def _stop(self, goal: PendingGoal) -> None:
+        execution = goal.execution_or_end(Verdict(Status.CANCELED, 0, NEVER_BEGUN))
+        if execution is not None:
+            self._serving.cancel(execution)
+
+    def end_unbegun(self) -> list[Future]:
+        """End what would move an arm that holds, for a hold; returns futures that are done when it is so."""
+        for considered in self._considered:
+            considered.end(NotServing(HELD))
+        goals = [goal for goal in self._pending.values() if not goal.ended.done()]
+        for goal in goals:
+            goal.held = True
+            self._stop(goal)
+        return [goal.ended for goal in goals]
+
+    def close(self) -> None:
+        """Reject or end what has not begun; from any thread."""
+        self._closing = True
+        for considered in list(self._considered):
+            considered.end(NotServing(CLOSING))
+        for goal in list(self._pending.values()):
+            goal.execution_or_end(_NOT_SERVING)

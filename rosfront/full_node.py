@@ -1,0 +1,284 @@
+# mypy: allow-untyped-calls
+# (rclpy annotates some of its functions and leaves the others untyped)
+"""The interfaces of the arm's full node (robot_arm_interfaces): moves by angles, by pose and on a line; motor angles.
+
+They are other words for what the node does anyway: a move becomes knots that are judged, streamed, watched, canceled
+and decided like those of any goal, and free mode is ~/free and ~/enable.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from robot_arm_interfaces.action import AngleMode, LinearMove, MoveXyzRotation
+from robot_arm_interfaces.msg import MotorAngles
+from robot_arm_interfaces.srv import ReadMotorAngles, SetFreeMode
+
+from rosfront.action import GoalServer
+from rosfront.action_goals import ActionGoals
+from rosfront.asked_moves import Move, Moves, position_and_rotation, step_of
+from rosfront.diagnostics import Counts
+from rosfront.plan import NS, GoalPlan
+from rosfront.services import Services
+from rosfront.serving import Execution, Serving
+from rosfront.state_topics import STATE_QOS, along_ns
+from rosfront.verdict import Status, Verdict
+from shm.sentences import unreferenced_sentence
+from shm.words import Phase
+
+MOTOR_ANGLES_NS = NS // 30
+FEEDBACK_NS = NS // 10
+SILENT_S = 0.5
+"""Without snapshots for this long, motor_angles says why."""
+NEVER_READ = "No angles have been read yet: wait for the drives to be brought up."
+_DOING = {
+    Phase.WAITING: "waiting to begin",
+    Phase.RUNNING: "moving",
+    Phase.SETTLING: "arriving",
+    Phase.STOPPING: "stopping on the path",
+    Phase.PAUSED: "held; ~/resume lets it go on",
+}
+
+
+class _Asked:
+    """A goal of one of the actions, from its acceptance to its end."""
+
+    def __init__(self, handle: ServerGoalHandle) -> None:
+        self.handle = handle
+        self.accepted_s = time.monotonic()
+        self.move: Move | None = None
+        self.told_ns = 0
+
+    @property
+    def elapsed_s(self) -> float:
+        return time.monotonic() - self.accepted_s
+
+
+class FullNode:
+    """Three actions, two services and a topic on a node that has the rest."""
+
+    def __init__(
+        self,
+        node: Node,
+        executor: SingleThreadedExecutor,
+        serving: Serving,
+        goals: ActionGoals,
+        services: Services,
+        counts: Counts,
+    ) -> None:
+        self._serving, self._goals, self._services = serving, goals, services
+        self._joints = serving.joints
+        self._moves = Moves(serving.arm)
+        self._half_cycle_ns = serving.arm.control.period_ns // 2
+        self._stale_ns = round(serving.arm.limits.stale_fault_s * NS)
+        self._asked: dict[bytes, _Asked] = {}
+        self._due_ns = 0
+        self._looked_s = 0.0
+        self._last = MotorAngles(message=NEVER_READ)
+
+        def server(
+            kind: type, name: str, ask: Callable[[Any], Move], result: Callable[[_Asked, Verdict], Any]
+        ) -> GoalServer:
+            def plan_of(goal: Any, asked: _Asked | None = None) -> GoalPlan:
+                move = ask(goal)
+                if asked is not None:
+                    asked.move = move
+                return move.plan
+
+            def accepted(handle: ServerGoalHandle) -> None:
+                asked = self._asked[bytes(handle.goal_id.uuid)] = _Asked(handle)
+                goals.accepted(handle, lambda: plan_of(handle.request, asked))
+
+            return GoalServer(
+                node,
+                executor,
+                name,
+                kind=kind,
+                run=goals.run,
+                accepted=accepted,
+                cancel=goals.cancel,
+                consider=lambda goal: goals.consider(lambda: plan_of(goal)),
+                result=lambda handle, verdict: result(self._asked.pop(bytes(handle.goal_id.uuid)), verdict),
+                counts=counts,
+            )
+
+        self._servers = (
+            server(AngleMode, "angle_mode", self._angle_mode, self._angle_result),
+            server(MoveXyzRotation, "move_xyz_rotation", self._move_xyz_rotation, self._pose_result),
+            server(LinearMove, "linear_move", self._linear_move, self._line_result),
+        )
+        group = ReentrantCallbackGroup()
+        node.create_service(ReadMotorAngles, "read_motor_angles", self._read, callback_group=group)
+        node.create_service(SetFreeMode, "set_free_mode", self._set_free_mode, callback_group=group)
+        self._publisher = node.create_publisher(MotorAngles, "motor_angles", STATE_QOS)
+
+    @property
+    def quiet(self) -> bool:
+        """Whether every client of these actions has its result."""
+        return all(server.quiet for server in self._servers)
+
+    # --- what is asked for, in the intake's thread ---
+
+    def _angle_mode(self, goal: Any) -> Move:
+        return self._moves.to_angles(goal.angles, goal.speed_ratio, self._serving.present(), self._serving.settings)
+
+    def _move_xyz_rotation(self, goal: Any) -> Move:
+        return self._moves.to_pose(
+            goal.position,
+            goal.rotation,
+            goal.ik_mode,
+            goal.speed_ratio,
+            self._serving.present(),
+            self._serving.settings,
+        )
+
+    def _linear_move(self, goal: Any) -> Move:
+        return self._moves.straight_to(
+            goal.position,
+            goal.rotation,
+            goal.rotation_mode,
+            goal.step_size,
+            self._serving.present(),
+            self._serving.settings,
+        )
+
+    # --- results, in the executor's thread ---
+
+    def _angle_result(self, asked: _Asked, verdict: Verdict) -> Any:
+        return AngleMode.Result(**_common(asked, verdict), final_angles=self._measured_deg())
+
+    def _pose_result(self, asked: _Asked, verdict: Verdict) -> Any:
+        result = MoveXyzRotation.Result(**_common(asked, verdict))
+        if asked.move is not None:
+            result.solution_angles = self._moves.motor_deg(asked.move.target_rad)
+        measured = self._measured_rad()
+        flange = None if measured is None else self._moves.flange(measured)
+        if flange is not None:
+            result.final_position, result.final_rotation = position_and_rotation(flange, asked.handle.request.ik_mode)
+        return result
+
+    def _line_result(self, asked: _Asked, verdict: Verdict) -> Any:
+        return LinearMove.Result(**_common(asked, verdict), total_steps=_total_steps(asked))
+
+    def _measured_rad(self) -> np.ndarray | None:
+        snapshot = self._serving.newest()
+        if snapshot is None:
+            return None
+        measured: np.ndarray = snapshot["joints"]["measured_position_rad"][: len(self._joints)]
+        return measured
+
+    def _measured_deg(self) -> list[float]:
+        measured = self._measured_rad()
+        return list(self._last.angles) if measured is None else self._moves.motor_deg(measured)
+
+    # --- services, in the executor's thread ---
+
+    def _read(self, _: Any, response: Any) -> Any:
+        last = self._last
+        response.angles, response.success, response.message = last.angles, last.success, last.message
+        if time.monotonic() - self._looked_s > SILENT_S:
+            response.success, response.message = False, self._why_silent()
+        return response
+
+    async def _set_free_mode(self, request: Any, response: Any) -> Any:
+        response.success, response.message = await self._services.ask("free" if request.enable else "enable")
+        return response
+
+    # --- every snapshot, in the publisher's thread ---
+
+    def look(self, snapshot: np.ndarray, stamp_ns: int) -> None:
+        """Thirty times a second: the motor angles, for whoever asks or listens."""
+        now_ns = int(snapshot["monotonic_ns"])
+        if now_ns < self._due_ns - self._half_cycle_ns:
+            return
+        self._due_ns = max(self._due_ns + MOTOR_ANGLES_NS, now_ns)
+        self._looked_s = time.monotonic()
+        rows = snapshot["joints"][: len(self._joints)]
+        position = rows["measured_position_rad"]
+        trouble = self._trouble(rows, now_ns)
+        angles = self._moves.motor_deg(position) if np.isfinite(position).all() else self._last.angles
+        stamp = Time(sec=stamp_ns // NS, nanosec=stamp_ns % NS)
+        self._last = MotorAngles(timestamp=stamp, angles=angles, success=not trouble, message=trouble)
+        if self._publisher.get_subscription_count():
+            self._publisher.publish(self._last)
+
+    def _trouble(self, rows: np.ndarray, now_ns: int) -> str:
+        """Why the angles of this moment are not to be trusted; empty when they are."""
+        for name, row in zip(self._joints, rows, strict=True):
+            measured_ns = int(row["measured_ns"])
+            if measured_ns == 0:
+                return f"{name} has not been read yet: wait for the drives to be brought up."
+            if now_ns - measured_ns > self._stale_ns:
+                return (
+                    f"{name} was read {(now_ns - measured_ns) / NS:.2f} s ago, and {self._stale_ns / NS:g} s are "
+                    "allowed: look at its cable and its supply."
+                )
+            if not row["referenced"]:
+                return unreferenced_sentence(int(row["unreferenced_reason"]), name)
+        return ""
+
+    def aside(self) -> None:
+        """Once a second: say so when there is nothing to read the angles from; the last ones known stay."""
+        if time.monotonic() - self._looked_s > SILENT_S:
+            last = self._last
+            self._publisher.publish(
+                MotorAngles(timestamp=last.timestamp, angles=last.angles, success=False, message=self._why_silent())
+            )
+
+    def _why_silent(self) -> str:
+        return f"These are the last angles known. {self._serving.absence}"
+
+    def tell(self, execution: Execution, snapshot: np.ndarray) -> bool:
+        """Feedback on the goal that moves the arm; False where it is none of these actions'."""
+        asked = self._asked.get(execution.action_goal)
+        if asked is None or asked.move is None:
+            return False
+        now_ns = int(snapshot["monotonic_ns"])
+        if now_ns - asked.told_ns < FEEDBACK_NS - self._half_cycle_ns:
+            return True
+        asked.told_ns = now_ns
+        measured_rad = snapshot["joints"]["measured_position_rad"][: len(self._joints)]
+        line, duration_ns = asked.move.line, int(asked.move.plan.times_ns[-1])
+        progress = min(1.0, along_ns(snapshot) / duration_ns) if duration_ns else 1.0
+        common = {
+            "elapsed_time": asked.elapsed_s,
+            "current_angles": self._moves.motor_deg(measured_rad),
+            "status_message": _DOING.get(Phase(int(snapshot["goal_phase"])), ""),
+        }
+        if line is None:
+            feedback = (
+                AngleMode.Feedback if isinstance(asked.handle.request, AngleMode.Goal) else MoveXyzRotation.Feedback
+            )
+            asked.handle.publish_feedback(feedback(progress=progress, **common))
+            return True
+        flange = self._moves.flange(measured_rad)
+        assert flange is not None  # without it there is no line
+        progress, steps = line.share_at(flange, progress), _total_steps(asked)
+        asked.handle.publish_feedback(
+            LinearMove.Feedback(progress=progress, current_step=int(progress * steps), total_steps=steps, **common)
+        )
+        return True
+
+
+def _common(asked: _Asked, verdict: Verdict) -> dict[str, Any]:
+    """What every result begins with."""
+    note = asked.move.note if asked.move is not None else ""
+    return {
+        "success": verdict.status is Status.SUCCEEDED,
+        "message": f"{verdict.sentence} {note}".strip(),
+        "execution_time": asked.elapsed_s,
+    }
+
+
+def _total_steps(asked: _Asked) -> int:
+    """Steps of its size that a line's length takes, one at the least; 0 where there is no line."""
+    if asked.move is None or asked.move.line is None:
+        return 0
+    return max(1, math.ceil(asked.move.line.length_m * 1e3 / step_of(asked.handle.request.step_size)))
