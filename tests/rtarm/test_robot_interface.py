@@ -150,7 +150,7 @@ def test_a_parameter_file_starts_an_arm_that_plays_a_goal_and_ends_in_order(
     )
     robot = start("--ros-args", "--params-file", str(file), "-p", "robot_interface:allow_partial_joints_goal:=false")
     robot.line_with("rtarm  running")
-    assert "the topic motor_angles is not part of this version" in robot.text
+    assert "publish_mode motor_angles has no effect" in robot.text
     assert "interpolation_factor 10 has no effect" in robot.text
     assert "front  ready, action /episode_arm_controller/follow_joint_trajectory" in robot.text
     operator, client = Operator(), Client()
