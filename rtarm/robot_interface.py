@@ -86,8 +86,8 @@ def remarks(given: Mapping[str, Any], arm: ArmConfig, node_name: str | None) -> 
     """A sentence about each thing that was given and does not do what the tutorial's program does with it."""
     if given.get("publish_mode") == MOTOR_ANGLES:
         yield (
-            "publish_mode motor_angles has no effect, because joint states are always published and motor_angles beside "
-            "them: leave publish_mode out."
+            "publish_mode motor_angles has no effect, because joint states are always published and motor_angles "
+            "beside them: leave publish_mode out."
         )
     if "interpolation_factor" in given and arm.trajectory.interpolation != "linear":
         yield (
