@@ -107,7 +107,7 @@ def test_a_move_to_where_the_arm_stands_is_over_at_once():
 @settings(deadline=None, max_examples=60)
 @given(near=shares, way_mm=ways_mm, turn_deg=turns_deg, step_mm=st.sampled_from([0.5, 8.0, 1e6]))
 def test_a_line_is_straight_between_its_knots_too(near, way_mm, turn_deg, step_mm):
-    """Better than a micrometre and 0.001° through the very curves that the control process follows, within every limit."""
+    """Better than a micrometre and 0.001° through the curves that the control process follows, within every limit."""
     start = OVER_THE_TABLE + (near - 0.5) * np.radians([120, 20, 40, 60, 40, 120])
     pose = moved(start, way_mm, turn_deg)
     assume(np.linalg.norm(way_mm) > 5.0)
@@ -163,6 +163,28 @@ def test_a_line_over_the_first_axis_is_refused():
     refused = refusal(np.degrees(start), (-240, -120, 0))
     assert isinstance(refused, refusals.Singular) and "joint 1's axis" in refused.sentence
     assert "(46%)" in refused.sentence
+
+
+def test_a_line_into_the_stretched_arm_is_refused():
+    """Upper arm and forearm are in line at joint3 -73.74°."""
+    start, end = np.radians([0, 40, -60, 0, 50, 70]), np.radians([0, 40, -73.5, 0, 50, 70])
+    with pytest.raises(refusals.Singular, match="the arm is stretched out or folded up"):
+        Line(ARM, INVERSE, start, flange_pose(ARM.kinematics, end))
+
+
+def test_a_line_through_the_hollow_around_the_shoulder_is_refused():
+    """With an upper arm of 300 mm and a forearm of 200 mm the wrist comes no nearer to joint 2 than 100 mm."""
+    rows = list(ARM.kinematics.dh)
+    rows[1] = rows[1].model_copy(update={"a_mm": 300.0})
+    arm = ARM.model_copy(update={"kinematics": ARM.kinematics.model_copy(update={"dh": rows})})
+    inverse = Inverse(arm.kinematics, arm.joints)
+    begin, end = np.eye(4), np.eye(4)
+    begin[:3, :3] = end[:3, :3] = matrix_of(np.array([180.0, 0.0, 0.0]), "xyz")
+    begin[:3, 3], end[:3, 3] = (0.1, 0.25, 0.111), (0.1, -0.25, 0.111)
+    inverse.lower_rad, inverse.upper_rad = np.full(6, -7.0), np.full(6, 7.0)
+    start = inverse.nearest(begin, np.zeros(6))
+    with pytest.raises(refusals.OffTheLine, match=r"at \d+\.\d mm of its 500\.0 mm \(\d+%\) it leaves the arm's reach"):
+        Line(arm, inverse, start, end)
 
 
 def test_a_line_out_of_reach_is_refused():
