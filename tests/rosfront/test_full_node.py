@@ -236,6 +236,7 @@ def test_a_move_waits_for_nobody_and_a_hold_keeps_it(arm):
 def test_without_a_control_process_the_last_angles_stay_and_are_no_success(arm):
     ready(arm)
     heard = arm.client.listen(MotorAngles, "motor_angles")
+    until(lambda: heard, "motor angles")  # the arm's side may find the listener later than it finds the arm
     running = arm.client.send("angle_mode", angles=[150.0, *READY_DEG[1:]], speed_ratio=0.2)
     until(lambda: arm.client.feedback, "motion")
     arm.stack.loop.process.kill()
