@@ -1,74 +1,22 @@
-"""The command line. Everything heavy is imported inside the command that needs it, so that help is quick."""
+"""The command line. Everything heavy is imported inside the command that needs it, so that help is quick.
+
+Commands to a running arm stand in `cli_orders`, those about adapters and drives in `cli_drives`.
+"""
 
 from __future__ import annotations
 
-import shlex
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from typer.core import TyperGroup
 
-from rtarm.errors import ExitCode, Refusal, exit_code_table, foreseen
+from rtarm.cli_drives import drives_app
+from rtarm.cli_frame import ArmArgument, RunningArm, again, app, config_app, draw, overrides_given, sentences
+from rtarm.cli_orders import orders
+from rtarm.errors import ExitCode, Refusal, exit_code_table
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from rtarm.reporter import Reporter
-
-UsageError: type[Exception] = typer.BadParameter.__mro__[1]
-"""The class of all wrong usages, whose module differs between the versions of typer."""
-
-
-class Commands(TyperGroup):
-    """The commands, with the exit code of our table for wrong usage."""
-
-    def make_context(self, *args: Any, **kwargs: Any) -> Any:
-        with _usage_is_refused():
-            return super().make_context(*args, **kwargs)
-
-    def invoke(self, ctx: Any) -> Any:
-        with _usage_is_refused():
-            return super().invoke(ctx)
-
-
-@contextmanager
-def _usage_is_refused() -> Iterator[None]:
-    try:
-        yield
-    except UsageError as error:
-        error.exit_code = int(ExitCode.REFUSED)  # type: ignore[attr-defined]
-        raise
-
-
-app = typer.Typer(
-    cls=Commands,
-    name="rtarm",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-    help="Drives a robot arm of CAN servo drives from MoveIt 2.\n\nExample: [bold]rtarm demo[/bold] plays a "
-    "recorded MoveIt goal on a simulated arm; [bold]rtarm up episode1 --sim[/bold] keeps one running.",
-    epilog="Exit codes:\n\n" + exit_code_table(),
-)
-config_app = typer.Typer(
-    no_args_is_help=True,
-    cls=Commands,
-    help="Arm files.\n\nExample: [bold]rtarm config check ./my_arm.yaml[/bold]",
-)
-app.add_typer(config_app, name="config")
-
-ArmArgument = Annotated[
-    str, typer.Argument(metavar="ARM", help="Name of an arm, or path of an arm file (./my_arm.yaml).")
-]
-RunningArm = Annotated[
-    str | None,
-    typer.Argument(metavar="ARM", help="Name or file of a running arm; left out: the only one that runs."),
-]
 
 
 def _show_version(wanted: bool) -> None:
@@ -113,7 +61,7 @@ def up(
 
     Example: [bold]rtarm up episode1 --interface slcan --channel /dev/ttyACM0[/bold]
     """
-    with _sentences():
+    with sentences():
         from rtarm.launcher import load_plan
         from rtarm.up import up as run
 
@@ -122,13 +70,13 @@ def up(
                 "--sim brings its own adapter, so --interface and --channel cannot be given with it: leave "
                 "out either --sim or those two."
             )
-        overrides = _overrides(
+        overrides = overrides_given(
             {
                 "bus": {"interface": interface, "channel": channel},
                 "control": {"rate_hz": rate, "init_mode": init_mode},
             }
         )
-        plan = load_plan(arm, overrides, simulated=sim, again=_again())
+        plan = load_plan(arm, overrides, simulated=sim, again=again())
         raise typer.Exit(run(plan, _reporter()))
 
 
@@ -150,7 +98,7 @@ def demo(
 
     Example: [bold]rtarm demo --json figures.json[/bold]
     """
-    with _sentences():
+    with sentences():
         from rtarm.demo import run_demo
 
         raise typer.Exit(run_demo(arm, goal, json_file, _reporter()))
@@ -168,7 +116,7 @@ def status(
 
     Example: [bold]rtarm status --json[/bold]
     """
-    with _sentences():
+    with sentences():
         import json
 
         from rtarm.status import read_status, render_status, resolve_arm
@@ -184,7 +132,7 @@ def status(
         if as_json:
             typer.echo(json.dumps(report, indent=2, allow_nan=False))
         else:
-            _print(render_status(report))
+            draw(render_status(report))
         raise typer.Exit(int(ExitCode.DONE if report["healthy"] else ExitCode.UNHEALTHY))
 
 
@@ -197,7 +145,7 @@ def top(arm: RunningArm = None) -> None:
 
     Example: [bold]rtarm top episode1[/bold]
     """
-    with _sentences():
+    with sentences():
         from rtarm.status import resolve_arm
         from rtarm.top.terminal import run
 
@@ -221,7 +169,7 @@ def doctor(
 
     Example: [bold]rtarm doctor episode1[/bold]
     """
-    with _sentences():
+    with sentences():
         import json
 
         from config.loader import load_arm
@@ -254,7 +202,7 @@ def bench(
 
     Example: [bold]rtarm bench --quick --json figures.json[/bold]
     """
-    with _sentences():
+    with sentences():
         from rtarm.bench.run import FULL, QUICK, run_bench
 
         raise typer.Exit(run_bench(QUICK if quick else FULL, json_file, plot_file, _reporter()))
@@ -276,7 +224,7 @@ def record(
 
     Example: [bold]rtarm record episode1 -o strange_noise.mcap[/bold]
     """
-    with _sentences():
+    with sentences():
         from rtarm.recording.make import left_by, record_now
 
         typer.echo(str(record_now(left_by(arm), output)))
@@ -292,11 +240,11 @@ def explain(
 
     Example: [bold]rtarm explain[/bold]
     """
-    with _sentences():
+    with sentences():
         from rtarm.recording.explain import explanation
         from rtarm.recording.folder import newest
 
-        _print(explanation(file or newest()))
+        draw(explanation(file or newest()))
 
 
 @app.command()
@@ -310,239 +258,11 @@ def replay(
 
     Example: [bold]rtarm replay --speed 0.2[/bold]
     """
-    with _sentences():
+    with sentences():
         from rtarm.recording.folder import newest
         from rtarm.recording.replay import play
 
         play(file or newest(), speed)
-
-
-@app.command()
-def stop(arm: RunningArm = None) -> None:
-    """Stop a running arm on its path and wait until it stands; works without the ROS process.
-
-    Example: [bold]rtarm stop[/bold]
-    """
-    with _sentences():
-        from rtarm import requests
-        from rtarm.status import resolve_arm
-
-        typer.echo(requests.stop(resolve_arm(arm)))
-
-
-@app.command("clear-fault")
-def clear_fault(arm: RunningArm = None) -> None:
-    """Clear a latched fault, once its cause is removed, and bring the drives up again.
-
-    Example: [bold]rtarm clear-fault episode1[/bold]
-    """
-    with _sentences():
-        from rtarm import requests
-        from rtarm.status import resolve_arm
-
-        typer.echo(requests.clear_fault(resolve_arm(arm)))
-
-
-@app.command()
-def hold(arm: RunningArm = None) -> None:
-    """Pause the running goal: the arm stops on its path and holds; `rtarm resume` lets it go on.
-
-    Example: [bold]rtarm hold[/bold]
-    """
-    with _sentences():
-        from rtarm import requests
-        from rtarm.status import resolve_arm
-
-        typer.echo(requests.hold(resolve_arm(arm)))
-
-
-@app.command()
-def resume(arm: RunningArm = None) -> None:
-    """Let a paused goal go on.
-
-    Example: [bold]rtarm resume[/bold]
-    """
-    with _sentences():
-        from rtarm import requests
-        from rtarm.status import resolve_arm
-
-        typer.echo(requests.resume(resolve_arm(arm)))
-
-
-@app.command()
-def enable(arm: RunningArm = None) -> None:
-    """Enable the drives of a limp arm, which then holds where it stands.
-
-    Example: [bold]rtarm enable[/bold]
-    """
-    with _sentences():
-        from rtarm import requests
-        from rtarm.status import resolve_arm
-
-        typer.echo(requests.enable(resolve_arm(arm)))
-
-
-@app.command()
-def disable(arm: RunningArm = None) -> None:
-    """Let the drives of a standing arm go limp and take it out of service: it falls where gravity pulls it.
-
-    Example: [bold]rtarm disable[/bold]
-    """
-    with _sentences():
-        from rtarm import requests
-        from rtarm.status import resolve_arm
-        from shm.words import Request
-
-        typer.echo(requests.let_go(resolve_arm(arm), Request.DISABLE))
-
-
-@app.command()
-def free(arm: RunningArm = None) -> None:
-    """Let the drives of a standing arm go limp, to lead it by hand: hold it, it falls where gravity pulls it.
-
-    Example: [bold]rtarm free[/bold]
-    """
-    with _sentences():
-        from rtarm import requests
-        from rtarm.status import resolve_arm
-        from shm.words import Request
-
-        typer.echo(requests.let_go(resolve_arm(arm), Request.FREE))
-
-
-NamedArm = Annotated[
-    str | None, typer.Option("--arm", metavar="ARM", help="Name of the arm or its file; left out: the one that runs.")
-]
-
-
-@app.command()
-def home(
-    joints: Annotated[
-        list[str] | None, typer.Argument(metavar="[JOINT]…", help="Left out: those of homing.order in the arm file.")
-    ] = None,
-    arm: NamedArm = None,
-) -> None:
-    """Let joints find their homing stops, one after the other: **the arm moves**, at the drives' own homing speed.
-
-    Each drive runs towards its stop until it meets it, by collision; nothing here sees what is in its way. Ctrl-C
-    ends the run. The joints that are not homed hold.
-
-    Example: [bold]rtarm home joint2 joint3[/bold]
-    """
-    with _sentences():
-        from rtarm import requests
-        from rtarm.status import resolve_arm
-
-        typer.echo(requests.home(resolve_arm(arm), joints or [], typer.echo))
-
-
-@app.command()
-def reference(
-    joints: Annotated[
-        list[str],
-        typer.Argument(metavar="JOINT[=DEGREES]…", help="With an angle: it stands there; without: where it reads."),
-    ],
-    arm: NamedArm = None,
-) -> None:
-    """Say where joints without a reference stand, if you know better; nothing moves. Look twice: goals believe it.
-
-    Example: [bold]rtarm reference joint2 joint3=-12.5[/bold]
-    """
-    with _sentences():
-        from rtarm import requests
-        from rtarm.status import resolve_arm
-
-        typer.echo(requests.reference(resolve_arm(arm), requests.angles_said(joints)))
-
-
-@app.command(epilog="Exit codes:\n\n" + exit_code_table())
-def drives(
-    arm: ArmArgument,
-    write: Annotated[
-        bool, typer.Option("--write", help="Write what differs to the drives' volatile memory, and read it back.")
-    ] = False,
-    store: Annotated[bool, typer.Option("--store", help="With --write: to their flash too, after a question.")] = False,
-    interface: Annotated[str | None, typer.Option(help="How the bus is reached (slcan, socketcan).")] = None,
-    channel: Annotated[
-        str | None, typer.Option(help="Device of the CAN adapter (/dev/ttyACM0) or CAN interface (can0).")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
-) -> None:
-    """Show the settings of every drive beside those the arm file names; write them only when told.
-
-    Nothing moves. Refused while the arm runs. The exit code is 0 when every drive is as the file wants it.
-
-    Example: [bold]rtarm drives ./my_arm.yaml --write[/bold]
-    """
-    with _sentences():
-        import json
-
-        from config.loader import load_arm
-        from rtarm.drives import agrees, render, run
-
-        if store and not write:
-            raise Refusal("--store writes flash, and only what --write writes: give both, or neither.")
-        overrides = _overrides({"bus": {"interface": interface, "channel": channel}})
-        loaded = load_arm(arm, overrides=overrides)
-
-        def show(report: dict[str, Any]) -> None:
-            if as_json:
-                typer.echo(json.dumps({"arm": loaded.name, "agrees": agrees(report), **report}, indent=2))
-            else:
-                _print(render(loaded, report))
-
-        try:
-            report = run(
-                loaded,
-                arm,
-                overrides,
-                write=write,
-                store=store,
-                show=show,
-                told=lambda line: typer.echo(line, err=True),
-                confirm=lambda question: typer.confirm(question, err=True),
-            )
-        except Refusal as refused:
-            if as_json:
-                typer.echo(json.dumps({"arm": loaded.name, "agrees": False, "problems": [refused.sentence]}))
-                raise typer.Exit(int(refused.code)) from None
-            raise
-        if report.get("failure"):
-            typer.echo(report["failure"], err=True)
-        raise typer.Exit(int(ExitCode.DONE if agrees(report) else ExitCode.UNHEALTHY))
-
-
-@app.command(epilog="Exit codes:\n\n" + exit_code_table())
-def scan(
-    port: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--port", metavar="PATH", help="Serial port (/dev/ttyUSB0) or CAN interface (can0) to look at; repeatable."
-        ),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
-) -> None:
-    """Find CAN adapters, the bit rate of the bus behind each, and the drives on it; propose an arm file.
-
-    Nothing moves: drives are only asked what they are. Adapters that another program uses are left alone, and so are
-    serial ports that may be anything, unless --port names them. The exit code is 0 when a drive answers.
-
-    Example: [bold]rtarm scan --port /dev/ttyUSB0[/bold]
-    """
-    with _sentences():
-        import json
-
-        from rtarm.doctor.machine import Machine
-        from rtarm.scan.run import scan as look
-        from rtarm.scan.show import render
-
-        report = look(Machine(), port or [], telling=lambda line: typer.echo(line, err=True))
-        if as_json:
-            typer.echo(json.dumps(report, indent=2))
-        else:
-            _print(render(report))
-            typer.echo(report["proposal"] or "", nl=False)
-        raise typer.Exit(int(ExitCode.DONE if report["found"] else ExitCode.UNHEALTHY))
 
 
 @config_app.command("check")
@@ -551,13 +271,13 @@ def config_check(arm: ArmArgument) -> None:
 
     Example: [bold]rtarm config check ./my_arm.yaml[/bold]
     """
-    with _sentences():
+    with sentences():
         from config.budget import check_budget
         from config.check import render_check
         from config.loader import load_arm
 
         loaded = load_arm(arm)
-        _print(render_check(loaded))
+        draw(render_check(loaded))
         check_budget(loaded)
 
 
@@ -576,7 +296,7 @@ def moveit_config(
 
     Example: [bold]rtarm moveit-config ./my_arm.yaml -o ~/ros2_ws/src[/bold]
     """
-    with _sentences():
+    with sentences():
         from config.loader import load_arm
         from config.moveit import write_package
 
@@ -587,42 +307,13 @@ def moveit_config(
         typer.echo(str(write_package(load_arm(arm), Path(output), force=force)))
 
 
-def _overrides(options: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """The options that were given, as overrides of the arm file."""
-    given = {
-        section: {key: value for key, value in fields.items() if value is not None}
-        for section, fields in options.items()
-    }
-    return {section: fields for section, fields in given.items() if fields}
-
-
-def _again() -> str:
-    """The command line that was given, for a person to give again."""
-    return shlex.join(["rtarm", *sys.argv[1:]])
-
-
 def _reporter() -> Reporter:
     from rtarm.reporter import LastingConsole, Reporter
 
     return Reporter(LastingConsole(highlight=False, emoji=False))
 
 
-def _print(what: RenderableType) -> None:
-    from rich.console import Console
+app.add_typer(orders)
+app.add_typer(drives_app)
 
-    Console(highlight=False, emoji=False).print(what)
-
-
-@contextmanager
-def _sentences() -> Iterator[None]:
-    """Foreseeable errors end as their sentence on standard error and an exit code, never as a traceback."""
-    try:
-        yield
-    except Exception as error:
-        told = foreseen(error)
-        if told is None:
-            raise
-        sentence, code = told
-        if sentence:
-            typer.echo(sentence, err=True)
-        raise typer.Exit(int(code)) from None
+__all__ = ["app"]

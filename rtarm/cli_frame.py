@@ -1,0 +1,103 @@
+"""What every command of the command line shares: the application, how an arm is named, how a refusal ends."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from rtarm.errors import ExitCode, exit_code_table, foreseen
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+UsageError: type[Exception] = typer.BadParameter.__mro__[1]
+"""The class of all wrong usages, whose module differs between the versions of typer."""
+
+
+class Commands(TyperGroup):
+    """The commands, with the exit code of our table for wrong usage."""
+
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:
+        with _usage_is_refused():
+            return super().make_context(*args, **kwargs)
+
+    def invoke(self, ctx: Any) -> Any:
+        with _usage_is_refused():
+            return super().invoke(ctx)
+
+
+@contextmanager
+def _usage_is_refused() -> Iterator[None]:
+    try:
+        yield
+    except UsageError as error:
+        error.exit_code = int(ExitCode.REFUSED)  # type: ignore[attr-defined]
+        raise
+
+
+app = typer.Typer(
+    cls=Commands,
+    name="rtarm",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    help="Drives a robot arm of CAN servo drives from MoveIt 2.\n\nExample: [bold]rtarm demo[/bold] plays a "
+    "recorded MoveIt goal on a simulated arm; [bold]rtarm up episode1 --sim[/bold] keeps one running.",
+    epilog="Exit codes:\n\n" + exit_code_table(),
+)
+config_app = typer.Typer(
+    no_args_is_help=True,
+    cls=Commands,
+    help="Arm files.\n\nExample: [bold]rtarm config check ./my_arm.yaml[/bold]",
+)
+app.add_typer(config_app, name="config")
+
+ArmArgument = Annotated[
+    str, typer.Argument(metavar="ARM", help="Name of an arm, or path of an arm file (./my_arm.yaml).")
+]
+RunningArm = Annotated[
+    str | None,
+    typer.Argument(metavar="ARM", help="Name or file of a running arm; left out: the only one that runs."),
+]
+
+
+def overrides_given(options: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """The options that were given, as overrides of the arm file."""
+    given = {
+        section: {key: value for key, value in fields.items() if value is not None}
+        for section, fields in options.items()
+    }
+    return {section: fields for section, fields in given.items() if fields}
+
+
+def again() -> str:
+    """The command line that was given, for a person to give again."""
+    return shlex.join(["rtarm", *sys.argv[1:]])
+
+
+def draw(what: RenderableType) -> None:
+    from rich.console import Console
+
+    Console(highlight=False, emoji=False).print(what)
+
+
+@contextmanager
+def sentences() -> Iterator[None]:
+    """Foreseeable errors end as their sentence on standard error and an exit code, never as a traceback."""
+    try:
+        yield
+    except Exception as error:
+        told = foreseen(error)
+        if told is None:
+            raise
+        sentence, code = told
+        if sentence:
+            typer.echo(sentence, err=True)
+        raise typer.Exit(int(code)) from None
