@@ -119,8 +119,8 @@ def home(
 ) -> None:
     """Let joints find their homing stops, one after the other: [bold]the arm moves[/bold].
 
-    Each drive runs at its own homing speed towards its stop until it meets it, by collision; nothing sees what is in its
-    way. Ctrl-C ends the run. The joints that are not homed hold.
+    Each drive runs at its own homing speed towards its stop until it meets it, by collision; nothing sees what is in
+    its way. Ctrl-C ends the run. The joints that are not homed hold.
 
     Example: [bold]rtarm home joint2 joint3[/bold]
     """

@@ -8,7 +8,7 @@ and target until the two agree. A drive that is on its way somewhere, or has los
 """
 
 import math
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Collection, Generator, Mapping
 
 from config.budget import budget
 from config.joint import JointConfig, ZdtDrive
@@ -45,12 +45,17 @@ class BringUp(Conversation):
         tell: Callable[[str], None],
         mock_positions_rad: list[float] | None = None,
         counts_before: Mapping[int, int] | None = None,
+        doubtful: Collection[int] = (),
     ) -> None:
-        """`counts_before`: where drives counted when rtarm was ended, by the joints' numbers."""
+        """`counts_before`: where drives counted when rtarm was ended, by the joints' numbers.
+
+        `doubtful`: joints whose drives counted from nowhere by then.
+        """
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP, last_order=BRING_UP_DONE)
         self._tell = tell
         self._clears_protection = clears_protection
         self._counts_before = counts_before or {}
+        self._doubtful = doubtful
         # where a flag for lost power tells nothing new, only the joint's place can
         self._stood_rad = {n: port.measured_rad(n) for n in range(len(arm.joints)) if port.power_loss_known(n)}
         self.post(BRING_UP_BEGINS)
@@ -109,14 +114,22 @@ class BringUp(Conversation):
                 "does not mean an angle: home it with `rtarm home`, or say where it stands with `rtarm reference`; "
                 "until then goals are refused."
             )
-        if (yield from self._end_homing(joint, config)) and reason == Unreferenced.REFERENCED:
+        homing = yield from self._end_homing(joint, config)
+        if reason == Unreferenced.REFERENCED and (homing or joint in self._doubtful):
             reason = Unreferenced.NOT_HOMED
+            self._tell(
+                f"{config.name} is not referenced: its drive has not been homed since its count lost its meaning; home "
+                "it with `rtarm home`, or say where it stands with `rtarm reference`."
+            )
         yield from self._settle_configuration(joint, config, drive, version)
         if not flags & zdt_talk.ENABLED:
-            # it may pull its shaft to the target of before it was let go
-            yield Ask(zdt_talk.STOP, (3,), answered=self.arm.bus.acknowledge, before=(zdt_talk.ENABLE,))
-            flags = yield from self._status(joint, config)
-            if not flags & zdt_talk.ENABLED:
+            for _ in range(TRIES):
+                # it may pull its shaft to the target of before it was let go
+                yield Ask(zdt_talk.STOP, (3,), answered=self.arm.bus.acknowledge, before=(zdt_talk.ENABLE,))
+                flags = yield from self._status(joint, config)
+                if flags & zdt_talk.ENABLED:
+                    break
+            else:
                 raise TalkFailed(
                     joint,
                     f"The drive of {config.name} stays disabled after being enabled: look at its display for a fault "
@@ -130,7 +143,7 @@ class BringUp(Conversation):
         for told in range(HOMING_TRIES):
             flags = yield from zdt_talk.read_flags(0x3B, before=end)
             if flags is None or not flags & zdt_talk.HOMING:
-                return told > 1
+                return told > 0
             if told > 0:  # one answer alone may be garbled
                 end = (zdt_talk.END_HOMING, zdt_talk.STOP)
         raise TalkFailed(

@@ -33,7 +33,8 @@ class TalkFailed(Exception):
 class Ask:
     """A command and how to know its answer: function byte and number of packets, or one short reply.
 
-    The commands `before` leave with it, in the same cycle and right before, and their answers are not waited for.
+    The commands `before` leave with it, in the same cycle and right before. Their answers are not waited for, and they
+    are said once, however often the question is.
     """
 
     payload: bytes
@@ -156,7 +157,8 @@ class Conversation:
         self._say(joint, ask)
 
     def _say(self, joint: int, ask: Ask) -> None:
-        frames = [f for told in (*ask.before, ask.payload) for f in split_packets(self._addresses[joint], told)]
+        before = ask.before if self._exchanges[joint].tries == 1 else ()
+        frames = [f for told in (*before, ask.payload) for f in split_packets(self._addresses[joint], told)]
         self._outbox += [(frame, number < len(frames) - 1) for number, frame in enumerate(frames)]
         self._flush()
 

@@ -10,7 +10,7 @@ from rtloop.state import FAMILY_MOCK, FAMILY_ZDT
 from rtloop.wire import outgoing, received
 from rtloop.wire.outgoing import frame_bits
 from shm.jit import jit
-from shm.words import Mode
+from shm.words import Mode, Unreferenced
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
@@ -33,6 +33,8 @@ def encode(loop: Loop, shared: Shared) -> None:
         if loop.joints[joint].family == FAMILY_MOCK:
             mirror(loop, joint)
         elif axis.stop_frames_due > 0:
+            if axis.unreferenced_reason == Unreferenced.NOT_HOMED:  # it may be amid a run, which a stop need not end
+                send(loop, shared, loop.joints[joint].address << 8, 3, zdt.END_HOMING, 0)
             if send(loop, shared, loop.joints[joint].address << 8, 4, zdt.STOP, 0):
                 axis.stop_frames_due -= 1  # comes back if the wire does not take it
         elif leads and guard.may_be_led(loop, joint):

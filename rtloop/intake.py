@@ -445,11 +445,11 @@ def begin_referencing(loop: Loop, shared: Shared, kind: int, joint_mask: int, an
     if core.bring_up_asked == 1 or not change_mode(loop, shared, Mode.REFERENCING):
         return Answer.REFUSED_MODE
     core.referencing_ends = 0
-    core.home_asked = joint_mask if kind == Request.HOME else 0
-    core.reference_asked = joint_mask if kind == Request.REFERENCE else 0
     for joint in range(count):
         if (joint_mask >> joint) & 1:
             loop.axes[joint].asked_rad = angle_rad
+    core.home_asked = joint_mask if kind == Request.HOME else 0  # the last: the other thread looks for them
+    core.reference_asked = joint_mask if kind == Request.REFERENCE else 0
     return Answer.DONE
 
 

@@ -3,7 +3,7 @@
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 
 import numpy as np
 
@@ -289,7 +289,13 @@ class ControlProcess:
         core: np.void = self._loop[0]["core"]
         return core
 
-    def _bring_up(self, *, clears_protection: bool, counts_before: Mapping[int, int] | None = None) -> BringUp:
+    def _bring_up(
+        self,
+        *,
+        clears_protection: bool,
+        counts_before: Mapping[int, int] | None = None,
+        doubtful: Collection[int] = (),
+    ) -> BringUp:
         measured = self._loop[0]["axes"]["measured_rad"][: len(self._arm.joints)]
         known = [0.0 if np.isnan(position) else float(position) for position in measured]
         return BringUp(
@@ -300,14 +306,20 @@ class ControlProcess:
             tell=self._tell,
             mock_positions_rad=known,
             counts_before=counts_before,
+            doubtful=doubtful,
         )
+
+    def _keep_doubt(self, joint: int, doubt: bool) -> None:
+        saved.keep_doubt(self._arm, joint, doubt)
 
     def _is_asked_to_reference(self) -> bool:
         return bool(self._core["home_asked"] or self._core["reference_asked"])
 
     def _supervise(self, ready: Callable[[], None]) -> int:
         # fresh rings have room for its beginning
-        talk: Conversation | None = self._bring_up(clears_protection=False, counts_before=saved.take(self._arm))
+        talk: Conversation | None = self._bring_up(
+            clears_protection=False, counts_before=saved.take(self._arm), doubtful=saved.doubtful(self._arm)
+        )
         first = True
         closing_until_s = 0.0
         while True:
@@ -333,7 +345,9 @@ class ControlProcess:
                 self._core["release_asked"] = 0  # taken back by the cycle when the drives are enabled meanwhile
                 talk = Release(self._arm, self._port, now_ns=time.monotonic_ns())
             elif talk is None and not self._stop_asked.yes and self._is_asked_to_reference():
-                talk = begin_referencing(self._arm, self._loop, self._port, time.monotonic_ns(), self._tell)
+                talk = begin_referencing(
+                    self._arm, self._loop, self._port, time.monotonic_ns(), self._tell, self._keep_doubt
+                )
             if isinstance(talk, Referencing) and (self._stop_asked.yes or int(self._core["referencing_ends"]) == 1):
                 talk.end()
             if not self._cycle.is_alive():

@@ -17,6 +17,7 @@ from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, drive_addresses, silent_amid
 from rtloop.drives import zdt_talk
 from rtloop.port import ADOPT, COUNT_FROM, REFERENCING, REFERENCING_DONE, ServicePort
+from rtloop.saved import NotSaved
 from shm.words import Fault, Unreferenced
 
 AT_STOP_RAD = 0.02
@@ -33,7 +34,12 @@ MARKS_MS = 900
 
 
 def begin_referencing(
-    arm: ArmConfig, loop: np.ndarray, port: ServicePort, now_ns: int, tell: Callable[[str], None]
+    arm: ArmConfig,
+    loop: np.ndarray,
+    port: ServicePort,
+    now_ns: int,
+    tell: Callable[[str], None],
+    keep_doubt: Callable[[int, bool], None],
 ) -> Referencing:
     """Take up what the cycle was asked for (HOME or REFERENCE), joints to be homed in the arm file's order."""
     core, axes = loop[0]["core"], loop[0]["axes"]
@@ -47,6 +53,7 @@ def begin_referencing(
         homed=[joint for joint in order if homed >> joint & 1],
         placed={joint: float(axes[joint]["asked_rad"]) for joint in order if placed >> joint & 1},
         tell=tell,
+        keep_doubt=keep_doubt,
     )
 
 
@@ -65,9 +72,12 @@ class Referencing(Conversation):
         homed: Sequence[int],
         placed: Mapping[int, float],
         tell: Callable[[str], None],
+        keep_doubt: Callable[[int, bool], None],
     ) -> None:
+        """`keep_doubt` remembers beyond this process whether a joint's count means nothing; it may raise NotSaved."""
         super().__init__(arm, port, now_ns, fault=Fault.HOMING, last_order=REFERENCING_DONE)
         self._tell = tell
+        self._keep_doubt = keep_doubt
         self._ending = False
         with_drive = drive_addresses(arm)
         for joint in sorted({*homed, *placed} - set(with_drive)):  # what is commanded is where it is
@@ -111,6 +121,7 @@ class Referencing(Conversation):
                 "lower homing.timeout_s.",
             )
         began = yield from self._counts(joint, config, 0x36)
+        self._doubt(joint, True)
         self.post(REFERENCING, joint=joint, code=1)
         try:
             yield from self._begin_run(joint, config)
@@ -124,6 +135,7 @@ class Referencing(Conversation):
         except TalkFailed:
             yield from self._stand(joint)
             raise
+        self._doubt(joint, False)
         zero_rad = config.zero_rad
         self._count_from(joint, zero_rad, config.direction * target / config.encoder_counts_per_rad - zero_rad)
         self._tell(f"{config.name}: homed.")
@@ -148,6 +160,7 @@ class Referencing(Conversation):
     def _see_it_end(self, joint: int, config: JointConfig, last: int) -> zdt_talk.Answered[int]:
         """Wait for the end of the run; the last count of before it, as the drive counted then."""
         began_ns = self.now_ns
+        newest = last
         ended = failed = silent = 0
         while True:
             flags = yield from zdt_talk.read_flags(0x3B)
@@ -168,7 +181,8 @@ class Referencing(Conversation):
             if ended >= AGREEING and not failed:
                 return last
             if not ended:
-                last = yield from self._counts(joint, config, 0x36)
+                last = newest  # the drive has still been homing after it was read, so it had not set its count anew
+                newest = yield from self._counts(joint, config, 0x36)
 
     def _judge(self, joint: int, config: JointConfig, stopped: int, expected_rad: float | None) -> Dialogue:
         """Whether the drive counts 0, and stopped about where its stop is known to be."""
@@ -187,7 +201,7 @@ class Referencing(Conversation):
                 joint,
                 f"{config.name} met something at {math.degrees(stopped_rad):.1f}°, although its stop is at "
                 f"{math.degrees(expected_rad):.1f}°: remove what is in its way, then `rtarm clear-fault` and `rtarm "
-                "home` again.",
+                "home` again, which then takes whatever stops it for its stop.",
             )
 
     def _require_mark(self, joint: int, config: JointConfig, mark_ms: int) -> Dialogue:
@@ -242,6 +256,7 @@ class Referencing(Conversation):
                 self._count_from(joint, zero_rad, self._port.commanded_rad(joint), Unreferenced.POWER_LOST)
                 return
             if not math.isnan(angle_rad):
+                self._doubt(joint, True)  # what is said is known to this process alone
                 measured = yield from self._counts(joint, config, 0x36)
                 zero_rad = config.direction * measured / config.encoder_counts_per_rad - angle_rad
             position_rad = config.direction * target / config.encoder_counts_per_rad - zero_rad
@@ -250,6 +265,12 @@ class Referencing(Conversation):
         return place
 
     # --- both
+
+    def _doubt(self, joint: int, doubtful: bool) -> None:
+        try:
+            self._keep_doubt(joint, doubtful)
+        except NotSaved as problem:
+            raise TalkFailed(joint, str(problem)) from None
 
     def _sound(self, joint: int, config: JointConfig) -> zdt_talk.Answered[int]:
         """Stop a drive that may be on its way somewhere, and see that it holds; its flags."""

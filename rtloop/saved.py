@@ -1,8 +1,10 @@
-"""Where the drives counted when rtarm was last ended in order, to notice what happened to the arm since.
+"""What is known of the drives' counts beyond the life of a control process.
 
-One small file an arm, `rtarm/positions/<arm>.json` under $XDG_STATE_HOME (~/.local/state). It is there only while rtarm
-is not running: after a crash nothing is compared, since nothing is known. Simulated arms at a pseudo-terminal begin
-wherever they are told to, so nothing is kept of them.
+Where they counted when rtarm was last ended in order, to notice what happened to the arm since: one small file an arm,
+`rtarm/positions/<arm>.json` under $XDG_STATE_HOME (~/.local/state). It is there only while rtarm is not running: after
+a crash nothing is compared, since nothing is known. And beside it `<arm>.not_homed`, with the joints whose drives count
+from nowhere, which is there until they are homed. Simulated arms at a pseudo-terminal begin wherever they are told to,
+so nothing is kept of them.
 """
 
 from __future__ import annotations
@@ -52,6 +54,53 @@ def save(arm: ArmConfig, counts: Mapping[int, int]) -> None:
             f"Where the arm stands could not be kept in {path} ({problem.strerror}), so the next start cannot tell "
             "whether it was moved meanwhile: see that the file can be written."
         ) from problem
+
+
+def doubtful(arm: ArmConfig) -> set[int]:
+    """Numbers of the joints whose drives counted from nowhere when they were last spoken of, and not homed since."""
+    path = _doubts_path(arm)
+    if path is None:
+        return set()
+    try:
+        names = set(path.read_text(encoding="utf-8").split())
+    except (OSError, ValueError):
+        return set()
+    return {joint for joint, config in enumerate(arm.joints) if config.name in names}
+
+
+def keep_doubt(arm: ArmConfig, joint: int, doubt: bool) -> None:
+    """Remember beyond this process whether a joint's count means nothing.
+
+    Raises:
+        NotSaved: with the sentence for people.
+    """
+    path = _doubts_path(arm)
+    if path is None:
+        return
+    before = doubtful(arm)
+    after = before | {joint} if doubt else before - {joint}
+    if after == before:
+        return
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not after:
+            path.unlink()
+            return
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=".", delete=False) as file:
+            file.write("\n".join(arm.joints[n].name for n in sorted(after)))
+            file.flush()
+            os.fsync(file.fileno())  # it must be there when the power goes
+        os.replace(file.name, path)
+    except OSError as problem:
+        raise NotSaved(
+            f"That {arm.joints[joint].name} counts from nowhere could not be kept in {path} ({problem.strerror}), so "
+            "the next start would believe it: see that the file can be written, then ask again."
+        ) from problem
+
+
+def _doubts_path(arm: ArmConfig) -> Path | None:
+    path = path_of(arm.name)
+    return None if path is None or _is_simulated(arm) else path.with_suffix(".not_homed")
 
 
 def take(arm: ArmConfig) -> dict[int, int]:

@@ -324,10 +324,10 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
         "Free the joint, switch the drive off and on, bring the arm up again.",
     ),
     Unreferenced.NOT_HOMED: Meaning(
-        "{joint} was not homed to the end, so its angle is not known: home it with `rtarm home`, or say where it "
-        "stands with `rtarm reference`.",
+        "{joint} has not been homed since its count lost its meaning, so its angle is not known: home it with `rtarm "
+        "home`, or say where it stands with `rtarm reference`.",
         "A homing run changes what the drive's count means, at a moment that nobody else knows.",
-        "Home it again; or look at the joint and say its angle (`rtarm reference JOINT=DEGREES`).",
+        "Home it; or look at the joint and say its angle (`rtarm reference JOINT=DEGREES`).",
     ),
     Unreferenced.MOVED: Meaning(
         "{joint} does not stand where it stood when rtarm was ended, so it was moved by hand or its drive has lost its "

@@ -89,6 +89,7 @@ class VirtualArm:
         self.jitter_ns = jitter_ns
         self.sent: list[tuple[int, bytes]] = []
         self.told: list[str] = []
+        self.doubts: dict[int, bool] = {}
         self.front_alive = True
         self.pending: list[Callable[[], None]] = []
         self.sim: SimulatedArm | None = None
@@ -199,7 +200,7 @@ class VirtualArm:
 
     def reference(self, *, at_most_s: float = 400.0, each_cycle: Callable[[], None] = lambda: None) -> Referencing:
         """Run the conversation that HOME or REFERENCE has asked for, as the control process does."""
-        talk = begin_referencing(self.arm, self.loop, self.port, self.now_ns, self.told.append)
+        talk = begin_referencing(self.arm, self.loop, self.port, self.now_ns, self.told.append, self.doubts.__setitem__)
 
         def over() -> bool:
             each_cycle()

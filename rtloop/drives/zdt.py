@@ -65,6 +65,7 @@ def pack_target(rpm: int, acc_byte: int, pulses: int) -> tuple[int, int]:
 READ_POSITION = 0x36 | (CHECKSUM << 8)
 READ_STATUS = 0x3A | (CHECKSUM << 8)
 STOP = 0xFE | (0x98 << 8) | (CHECKSUM << 24)
+END_HOMING = 0x9C | (0x48 << 8) | (CHECKSUM << 16)
 
 
 @jit

@@ -152,3 +152,31 @@ def test_an_arm_that_was_moved_while_rtarm_was_not_running_is_not_believed(arm_n
         assert referenced(stack) == [1] * 6
     finally:
         stack.close()
+
+
+def test_a_run_that_was_interrupted_by_a_kill_is_not_believed_by_the_next_process(arm_name, tmp_path):
+    """Its drive counts 0 at whatever it has met, and says nothing of it."""
+    stack = Stack(arm_name, tmp_path, start_deg=[0.0, -86.0, 0.0, 0.0, 0.0, 0.0])
+    try:
+        stack.start_sim()
+        stack.start_loop()
+        home = stack._keep(Process("rtarm", "home", "joint2", "--arm", stack.name))
+        home.line_with("joint2: on its way")
+        stack.loop.process.kill()
+        stack.loop.code()
+        while abs(stack.truth()["joint2"].velocity_rad_s[-1]) > 0:
+            pass
+        stack.start_loop()
+        assert referenced(stack) == [1, 0, 1, 1, 1, 1]
+        assert rtarm(stack, "reference", "joint2=-90")[0] == 0
+        stack.loop.process.terminate()
+        assert stack.loop.code() == 0
+        stack.start_loop()
+        assert referenced(stack) == [1, 0, 1, 1, 1, 1]  # that word is gone with the process
+        assert rtarm(stack, "home", "joint2")[0] == 0
+        stack.loop.process.terminate()
+        assert stack.loop.code() == 0
+        stack.start_loop()
+        assert referenced(stack) == [1] * 6
+    finally:
+        stack.close()

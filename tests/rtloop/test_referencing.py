@@ -1,5 +1,6 @@
 """Homing by collision, and joints that stand where a person says, in virtual time on the simulated drives."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -8,7 +9,9 @@ from observer import command_violations, frames_sent, motion_after, motion_frame
 from virtual import VirtualArm
 
 from config.loader import load_arm
+from rtloop.bringup import BringUp
 from rtloop.referencing import begin_referencing
+from rtloop.saved import NotSaved
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.faults import PowerLoss, Protection, Silent
 
@@ -360,30 +363,36 @@ def test_a_drive_that_stops_answering_amid_its_run_is_told_to_end_it():
     arm.close()
 
 
-def test_a_person_in_the_way_is_not_the_stop():
-    """Where the joint's angle was known, what it meets far from its stop is something else."""
-    arm = new_arm((0.0,) * 6)
+@pytest.mark.parametrize("blocked_deg", np.linspace(-30.0, -29.0, 12).tolist())
+def test_a_person_in_the_way_is_not_the_stop(blocked_deg):
+    """Where the joint's angle was known, what it meets far from its stop is something else, at whatever moment."""
+    arm = new_arm((0.0, -20.0, 0.0, 0.0, 0.0, 0.0))
     drive, config = arm.sim.drives[1], arm.arm.joints[1]
-    low = drive.shaft.low
-    drive.shaft.low = low + drive._grains(round(math.radians(60.0) * config.command_pulses_per_rad))
+    drive.shaft.low += drive._grains(round(math.radians(blocked_deg + 90.0) * config.command_pulses_per_rad))
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
-    assert "joint2 met something at -30" in str(arm.reference().failure)
-    assert arm.loop[0]["axes"][1]["referenced"] == 0
+    assert "joint2 met something at -" in str(arm.reference().failure)
+    assert (arm.loop[0]["axes"][1]["referenced"], arm.doubts) == (0, {1: True})
     arm.close()
+
+
+def next_process(arm):
+    """Another control process at the same arm."""
+    after = VirtualArm(load_arm("episode1"), start_rad=np.zeros(6))
+    after.sim, after.now_ns = arm.sim, arm.now_ns + 10_000_000
+    after.sim.feed(after.now_ns, b"C\rS6\rO\r")
+    return after
 
 
 def test_bring_up_ends_a_run_that_nobody_watches():
     """The control process was killed amid it, and another one starts."""
     arm = new_arm((0.0,) * 6)
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
-    talk = begin_referencing(arm.arm, arm.loop, arm.port, arm.now_ns, arm.told.append)
+    talk = begin_referencing(arm.arm, arm.loop, arm.port, arm.now_ns, arm.told.append, arm.doubts.__setitem__)
     for _ in range(150):
         talk.poll(arm.now_ns)
         arm.cycle()
     assert arm.sim.drives[1].homing_now
-    after = VirtualArm(load_arm("episode1"), start_rad=np.zeros(6))
-    after.sim, after.now_ns = arm.sim, arm.now_ns + 10_000_000
-    after.sim.feed(after.now_ns, b"C\rS6\rO\r")
+    after = next_process(arm)
     assert after.bring_up().failure is None
     assert not after.sim.drives[1].homing_now
     axis = after.loop[0]["axes"][1]
@@ -469,3 +478,56 @@ def test_a_joint_at_its_stop_is_homed_again(arm):
         assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
         assert arm.reference().failure is None
         assert abs(arm.loop[0]["axes"][1]["measured_rad"] - true_rad(arm, 1)) < WITHIN_RAD
+
+
+def test_what_is_known_of_a_count_outlives_the_process(arm):
+    """A homed joint is believed by the next process, one that was refused or placed by a person's word is not."""
+    assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
+    assert arm.reference().failure is None
+    assert arm.doubts == {1: False}
+    assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.radians(20.0)) == Answer.DONE
+    assert arm.reference().failure is None
+    assert arm.doubts == {1: True}
+    after = next_process(arm)
+    talk = BringUp(
+        after.arm,
+        after.port,
+        now_ns=after.now_ns,
+        clears_protection=False,
+        tell=after.told.append,
+        doubtful=[joint for joint, doubt in arm.doubts.items() if doubt],
+    )
+    after.until(lambda: talk.poll(after.now_ns))
+    after.cycles(2)
+    assert after.loop[0]["axes"]["referenced"][:6].tolist() == [1, 0, 1, 1, 1, 1]
+    assert after.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.NOT_HOMED
+    after.close()
+
+
+def test_what_cannot_be_kept_is_not_begun(arm):
+    """The next process would believe a count that means nothing."""
+
+    def refuse(joint, doubt):
+        raise NotSaved("no room")
+
+    assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
+    talk = begin_referencing(arm.arm, arm.loop, arm.port, arm.now_ns, arm.told.append, refuse)
+    arm.until(lambda: talk.poll(arm.now_ns))
+    assert str(talk.failure) == "no room"
+    assert not arm.sim.drives[1].homing_now
+    assert not any(b"9A02006B" in data for _, data in arm.sent)
+
+
+def test_a_run_that_a_stop_need_not_end_is_ended_when_its_drive_is_heard_again():
+    """Out of reach for longer than anybody told it to end: its first reading is answered with both commands."""
+    arm = new_arm((0.0,) * 6)
+    drive = arm.sim.drives[1]
+    honest = drive._commands[0xFE]
+    drive._commands[0xFE] = dataclasses.replace(honest, act=lambda a: 2 if drive.homing_now else honest.act(a))
+    assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
+    arm.sim.inject(Silent("joint2", 0.5, until_s=5.0), since_ns=arm.now_ns)
+    arm.reference(at_most_s=8.0)
+    assert drive.homing_now
+    arm.cycles(round(5.0e9 / arm.period_ns))
+    assert not drive.homing_now
+    arm.close()

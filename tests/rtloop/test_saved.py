@@ -33,6 +33,24 @@ def test_what_is_kept_is_taken_once(tmp_path_factory, counts):
         assert saved.take(arm) == {}
 
 
+def test_doubts_are_kept_until_they_are_taken_back(arm):
+    assert saved.doubtful(arm) == set()
+    for joint in (4, 1, 4):
+        saved.keep_doubt(arm, joint, True)
+    assert saved.doubtful(arm) == {1, 4}
+    saved.take(arm)  # a start forgets where the arm stood, and no doubt
+    saved.keep_doubt(arm, 1, False)
+    assert saved.doubtful(arm) == {4}
+    saved.keep_doubt(arm, 4, False)
+    assert not list(saved.path_of(arm.name).parent.iterdir())
+
+
+def test_a_doubt_that_cannot_be_kept_is_a_sentence(arm, tmp_path):
+    (tmp_path / "rtarm").write_text("")
+    with pytest.raises(saved.NotSaved, match="so the next start would believe it"):
+        saved.keep_doubt(arm, 2, True)
+
+
 def test_another_adapter_is_another_arm(arm):
     saved.save(arm, {0: 7})
     assert saved.take(load_arm("episode1", overrides={"bus": {"channel": "/dev/ttyUSB7"}})) == {}
