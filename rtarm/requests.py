@@ -188,7 +188,7 @@ def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
 
     Ctrl-C ends the run, and so does the end of the terminal: the drive under way stops.
     """
-    with connect(arm) as connection, _interrupted_by(signal.SIGHUP, signal.SIGTERM):
+    with connect(arm) as connection, _interrupted_by(signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
         mask = sum(1 << connection.index(joint) for joint in dict.fromkeys(joints))
         if sentence := connection.fault(connection.snapshot()):
             raise Refusal(f"A fault is latched, clear it first: {sentence}")
