@@ -8,13 +8,17 @@ and target until the two agree. A drive that is on its way somewhere, or has los
 """
 
 import math
-from collections.abc import Callable, Collection, Generator, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 
 from config.budget import budget
 from config.joint import JointConfig, ZdtDrive
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, silent_amid
+from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
+from rtloop.drives.zdt_registers import Version
+from rtloop.drives.zdt_talk import Answered
 from rtloop.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, ServicePort
 from shm.words import Fault, Unreferenced
 
@@ -22,14 +26,6 @@ SETTLE_PATIENCE_NS = 3_000_000_000
 HOMING_TRIES = 10
 ADOPT_WITHIN_RAD = 0.02
 """A drive whose target lies this near to its position is taken at its word."""
-
-RESPONSE_NONE = 0
-RESPONSE_RECEIVE = 1
-KNOWN_FIRMWARE = range(100, 300)
-"""Emm_V5 versions 1.0 to 2.9 share the configuration block (facts: V1.0.7 and V2.0.0 were tried)."""
-_BLOCK_BYTES = 28
-_BLOCK_HEAD = bytes((33, 21))  # byte count and field count of that block
-_SCREEN, _ID, _CHECKSUM, _RESPONSE, _MICROSTEPS = 7, 16, 17, 18, 5
 
 
 class BringUp(Conversation):
@@ -74,39 +70,38 @@ class BringUp(Conversation):
     # --- what is said to a ZDT drive
 
     def _bring_up_zdt(self, joint: int, config: JointConfig, drive: ZdtDrive) -> Dialogue:
-        firmware = yield Ask(b"\x1f\x6b", (4, 6))
-        if firmware is None:
+        version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
+        if version is None:
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} (address {drive.address}) does not answer: check its power, its address "
                 f"and the bit rate ({self.arm.bus.bitrate} bit/s) in its menu, and the CAN wires with 120 Ω at both "
                 "ends.",
             )
-        version = _version(firmware)
-        if len(firmware) == 4:
+        if not version.newer:
             self._tell(
                 f"{config.name}: firmware {version} cannot say whether the drive has lost power; see that the joint "
                 "stands where `rtarm status` says before it moves."
             )
         reason = Unreferenced.REFERENCED
         flags = yield from self._status(joint, config)
-        if flags & zdt_talk.PROTECTED:
+        if flags & registers.PROTECTED:
             if not self._clears_protection:
                 raise TalkFailed(
                     joint,
                     f"The drive of {config.name} has tripped its stall protection and holds nothing: free what blocks "
                     "the joint, then `rtarm clear-fault`.",
                 )
-            yield Ask(zdt_talk.CLEAR_PROTECTION, (3,))
+            yield Ask(registers.CLEAR_PROTECTION, (3,))
             flags = yield from self._status(joint, config)
-            if flags & zdt_talk.PROTECTED:
+            if flags & registers.PROTECTED:
                 raise TalkFailed(
                     joint,
                     f"The drive of {config.name} stays in protection after it was cleared, so what tripped it (a "
                     "blocked joint, heat, current) is still there: find it on the drive's display, let the drive cool, "
                     "then `rtarm clear-fault`.",
                 )
-        if flags & zdt_talk.POWER_LOST and not self._port.power_loss_known(joint):
+        if flags & registers.POWER_LOST and not self._port.power_loss_known(joint):
             yield self._stop()  # since it has power it may have heard targets of before
             reason = Unreferenced.POWER_LOST
             self._tell(
@@ -122,12 +117,12 @@ class BringUp(Conversation):
                 "it with `rtarm home`, or say where it stands with `rtarm reference`."
             )
         yield from self._settle_configuration(joint, config, drive, version)
-        if not flags & zdt_talk.ENABLED:
+        if not flags & registers.ENABLED:
             for _ in range(TRIES):
                 # it may pull its shaft to the target of before it was let go
-                yield Ask(zdt_talk.STOP, (3,), answered=self.arm.bus.acknowledge, before=(zdt_talk.ENABLE,))
+                yield Ask(registers.STOP, (3,), answered=self.arm.bus.acknowledge, before=(registers.ENABLE,))
                 flags = yield from self._status(joint, config)
-                if flags & zdt_talk.ENABLED:
+                if flags & registers.ENABLED:
                     break
             else:
                 raise TalkFailed(
@@ -137,15 +132,15 @@ class BringUp(Conversation):
                 )
         yield from self._adopt_position(joint, config, reason)
 
-    def _end_homing(self, joint: int, config: JointConfig) -> Generator[Ask, bytes | None, bool]:
+    def _end_homing(self, joint: int, config: JointConfig) -> Answered[bool]:
         """End a homing run that a control process has left behind; whether there was one."""
         end: tuple[bytes, ...] = ()
         for told in range(HOMING_TRIES):
-            flags = yield from zdt_talk.read_flags(0x3B, before=end)
-            if flags is None or not flags & zdt_talk.HOMING:
+            flags = yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS, before=end)
+            if flags is None or not flags & registers.HOMING:
                 return told > 0
             if told > 0:  # one answer alone may be garbled
-                end = (zdt_talk.END_HOMING, zdt_talk.STOP)
+                end = (registers.END_HOMING, registers.STOP)
         raise TalkFailed(
             joint,
             f"The drive of {config.name} is amid a homing run and does not end it: use the switch in the power line, "
@@ -153,44 +148,40 @@ class BringUp(Conversation):
         )
 
     def _stop(self) -> Ask:
-        return Ask(zdt_talk.STOP, (3,), answered=self.arm.bus.acknowledge)
+        return Ask(registers.STOP, (3,), answered=self.arm.bus.acknowledge)
 
-    def _status(self, joint: int, config: JointConfig) -> Generator[Ask, bytes | None, int]:
-        flags = yield from zdt_talk.read_flags(0x3A)
+    def _status(self, joint: int, config: JointConfig) -> Answered[int]:
+        flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
         if flags is None:
             raise TalkFailed(joint, silent_amid(config, "status"))
         return flags
 
-    def _settle_configuration(self, joint: int, config: JointConfig, drive: ZdtDrive, version: int) -> Dialogue:
+    def _settle_configuration(self, joint: int, config: JointConfig, drive: ZdtDrive, version: Version) -> Dialogue:
         """Check what would make motion wrong; set the response mode in volatile memory."""
-        wanted = RESPONSE_RECEIVE if self.arm.bus.acknowledge else RESPONSE_NONE
-        block = yield from self._read_block()
-        if block is None or version not in KNOWN_FIRMWARE:
+        wanted = registers.RESPONSE_RECEIVE if self.arm.bus.acknowledge else registers.RESPONSE_NONE
+        block = yield from zdt_talk.read_block()
+        if block is None or not version.known:
             if not self.arm.bus.acknowledge:
                 self._require_budget_with_acknowledgements(joint, config, version)
             return
-        if block[_CHECKSUM] != 0:
+        if block.checksum != 0:
             raise TalkFailed(
                 joint,
-                f"The drive of {config.name} uses checksum mode {block[_CHECKSUM]}, only 0 (the constant 6B) is spoken "
+                f"The drive of {config.name} uses checksum mode {block.checksum}, only 0 (the constant 6B) is spoken "
                 "here: set Checksum to 0x6B in its menu.",
             )
-        microsteps = block[_MICROSTEPS] or 256
-        if microsteps != drive.microsteps:
+        if block.microsteps != drive.microsteps:
             raise TalkFailed(
                 joint,
-                f"The drive of {config.name} is set to {microsteps} microsteps, the arm file says {drive.microsteps}: "
-                "positions would be wrong by that factor; change one of the two.",
+                f"The drive of {config.name} is set to {block.microsteps} microsteps, the arm file says "
+                f"{drive.microsteps}: positions would be wrong by that factor; change one of the two.",
             )
-        if block[_RESPONSE] == wanted:
+        if block.response == wanted:
             return
-        changed = bytearray(block)
-        changed[_RESPONSE] = wanted
-        changed[_ID] = changed[_SCREEN] = 0  # sent as 0 by everybody who writes this block: left as they are
-        yield Ask(b"\x48\xd1\x00" + bytes(changed) + b"\x6b", (3,))
+        yield Ask(registers.write_block(replace(block, response=wanted), store=False), (3,))
         for _ in range(TRIES):  # an answer from before the change may still be on its way
-            after = yield from self._read_block()
-            if after is not None and after[_RESPONSE] == wanted:
+            after = yield from zdt_talk.read_block()
+            if after is not None and after.response == wanted:
                 break
         else:
             self._require_budget_with_acknowledgements(joint, config, version)
@@ -199,13 +190,7 @@ class BringUp(Conversation):
         name = "on" if wanted else "off"
         self._tell(f"{config.name}: acknowledgements turned {name} in the drive's volatile memory.")
 
-    def _read_block(self) -> Generator[Ask, bytes | None, bytes | None]:
-        answer = yield Ask(b"\x42\x6c\x6b", (8,), packets=5)
-        if answer is None or answer[1:3] != _BLOCK_HEAD or len(answer) != _BLOCK_BYTES + 4:
-            return None
-        return answer[3 : 3 + _BLOCK_BYTES]
-
-    def _require_budget_with_acknowledgements(self, joint: int, config: JointConfig, version: int) -> None:
+    def _require_budget_with_acknowledgements(self, joint: int, config: JointConfig, version: Version) -> None:
         loud = self.arm.model_copy(update={"bus": self.arm.bus.model_copy(update={"acknowledge": True})})
         found = budget(loud)
         if not found.fits:
@@ -223,8 +208,8 @@ class BringUp(Conversation):
         counts_per_rad = config.direction * config.encoder_counts_per_rad
         zero_rad = self._port.zero_rad(joint)
         while True:
-            measured = yield from zdt_talk.read_counts(0x36)
-            target = yield from zdt_talk.read_counts(0x33)
+            measured = yield from zdt_talk.read_counts(registers.ASK_POSITION)
+            target = yield from zdt_talk.read_counts(registers.ASK_TARGET)
             if measured is None or target is None:
                 raise TalkFailed(joint, silent_amid(config, "position"))
             measured_rad = measured / counts_per_rad - zero_rad
@@ -265,10 +250,3 @@ class BringUp(Conversation):
                 f"{config.lower_rad:+.3f} to {config.upper_rad:+.3f} rad; home it, or mend zero_deg or direction."
             )
         self._adopt(joint, target_rad, reason)
-
-
-def _version(answer: bytes) -> int:
-    """Firmware version: one byte on old drives (`1F fw hw 6B`), two on new ones (`1F fw16 hw16 6B`)."""
-    if answer[0] != 0x1F:
-        return 0
-    return answer[1] if len(answer) == 4 else int.from_bytes(answer[1:3], "big")

@@ -15,6 +15,7 @@ import numpy as np
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, drive_addresses, silent_amid
+from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
 from rtloop.port import ADOPT, COUNT_FROM, REFERENCING, REFERENCING_DONE, ServicePort
 from rtloop.saved import NotSaved
@@ -114,13 +115,13 @@ class Referencing(Conversation):
         # no other value of volatile memory is the same by chance, so one that is there afterwards says that the drive
         # has not been switched off and on meanwhile, after which it counts 0 anywhere
         mark_ms = round(limit_s * 1e3) + 1 + secrets.randbelow(MARKS_MS)
-        if not (yield from zdt_talk.write_homing_timeout(mark_ms)):
+        if not (yield from zdt_talk.set_homing_timeout(mark_ms)):
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} does not take a homing time-out of {limit_s:g} s: set it in its menu, or "
                 "lower homing.timeout_s.",
             )
-        began = yield from self._counts(joint, config, 0x36)
+        began = yield from self._counts(joint, config, registers.ASK_POSITION)
         self._doubt(joint, True)
         self.post(REFERENCING, joint=joint, code=1)
         try:
@@ -128,7 +129,7 @@ class Referencing(Conversation):
             stopped = yield from self._see_it_end(joint, config, began)
             yield from self._judge(joint, config, stopped, expected_rad)
             yield from self._require_mark(joint, config, mark_ms)
-            if flags & zdt_talk.POWER_LOST:
+            if flags & registers.POWER_LOST:
                 yield from self._clear_power_lost(joint, config)
             target = yield from self._standing(joint, config)
             yield from self._require_mark(joint, config, mark_ms)
@@ -143,12 +144,12 @@ class Referencing(Conversation):
     def _begin_run(self, joint: int, config: JointConfig) -> Dialogue:
         """Say it until the drive says twice that it homes: no acknowledgement is waited for, and one may be lost."""
         for _ in range(TRIES):
-            before: tuple[bytes, ...] = (zdt_talk.HOME_BY_COLLISION,)
+            before: tuple[bytes, ...] = (registers.HOME_BY_COLLISION,)
             seen = 0
             for _ in range(LOOKS):
-                flags = yield from zdt_talk.read_flags(0x3B, before)
+                flags = yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS, before)
                 before = ()
-                seen = seen + 1 if flags is not None and flags & zdt_talk.HOMING else 0
+                seen = seen + 1 if flags is not None and flags & registers.HOMING else 0
                 if seen >= AGREEING:
                     return
         raise TalkFailed(
@@ -163,14 +164,14 @@ class Referencing(Conversation):
         newest = last
         ended = failed = silent = 0
         while True:
-            flags = yield from zdt_talk.read_flags(0x3B)
+            flags = yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS)
             silent = 0 if flags is not None else silent + 1
             if silent >= AGREEING:  # each of them asked several times over
                 raise TalkFailed(joint, silent_amid(config, "homing state"))
             if flags is None:
                 continue
-            ended = 0 if flags & zdt_talk.HOMING else ended + 1
-            failed = failed + 1 if ended and flags & zdt_talk.HOMING_FAILED else 0
+            ended = 0 if flags & registers.HOMING else ended + 1
+            failed = failed + 1 if ended and flags & registers.HOMING_FAILED else 0
             if failed >= AGREEING or self.now_ns - began_ns > (self.arm.homing.timeout_s + LATE_S) * 1e9:
                 raise TalkFailed(
                     joint,
@@ -182,13 +183,13 @@ class Referencing(Conversation):
                 return last
             if not ended:
                 last = newest  # the drive has still been homing after it was read, so it had not set its count anew
-                newest = yield from self._counts(joint, config, 0x36)
+                newest = yield from self._counts(joint, config, registers.ASK_POSITION)
 
     def _judge(self, joint: int, config: JointConfig, stopped: int, expected_rad: float | None) -> Dialogue:
         """Whether the drive counts 0, and stopped about where its stop is known to be."""
         flags = yield from self._flags(joint, config)
-        measured = yield from self._counts(joint, config, 0x36)
-        if flags & zdt_talk.PROTECTED or abs(measured) > AT_STOP_RAD * config.encoder_counts_per_rad:
+        measured = yield from self._counts(joint, config, registers.ASK_POSITION)
+        if flags & registers.PROTECTED or abs(measured) > AT_STOP_RAD * config.encoder_counts_per_rad:
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} counts {measured} after its homing run, not 0, or has tripped its "
@@ -205,7 +206,8 @@ class Referencing(Conversation):
             )
 
     def _require_mark(self, joint: int, config: JointConfig, mark_ms: int) -> Dialogue:
-        if (yield from zdt_talk.read_homing_timeout()) != mark_ms:
+        parameters = yield from zdt_talk.read_homing()
+        if parameters is None or parameters.timeout_ms != mark_ms:
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} has lost power during its homing run, so what it counts is no angle: see "
@@ -217,8 +219,10 @@ class Referencing(Conversation):
         config = self.arm.joints[joint]
         seen = 0
         for _ in range(STANDS_TRIES):
-            flags = yield from zdt_talk.read_flags(0x3B, before=(zdt_talk.END_HOMING, zdt_talk.STOP))
-            seen = seen + 1 if flags is not None and not flags & zdt_talk.HOMING else 0
+            flags = yield from zdt_talk.read_flags(
+                registers.ASK_HOMING_STATUS, before=(registers.END_HOMING, registers.STOP)
+            )
+            seen = seen + 1 if flags is not None and not flags & registers.HOMING else 0
             if seen >= AGREEING:
                 return
         raise TalkFailed(
@@ -230,8 +234,8 @@ class Referencing(Conversation):
     def _clear_power_lost(self, joint: int, config: JointConfig) -> Dialogue:
         """The count means an angle again; only then may the flag go that said it does not."""
         for _ in range(TRIES):
-            yield Ask(zdt_talk.CLEAR_POWER_LOST, (3,))
-            if not (yield from self._flags(joint, config)) & zdt_talk.POWER_LOST:
+            yield Ask(registers.CLEAR_POWER_LOST, (3,))
+            if not (yield from self._flags(joint, config)) & registers.POWER_LOST:
                 return
         raise TalkFailed(
             joint,
@@ -248,7 +252,7 @@ class Referencing(Conversation):
             flags = yield from self._sound(joint, config)
             target = yield from self._standing(joint, config)
             zero_rad = self._port.zero_rad(joint)
-            counts_nowhere = flags & zdt_talk.POWER_LOST and not self._port.power_loss_known(joint)
+            counts_nowhere = flags & registers.POWER_LOST and not self._port.power_loss_known(joint)
             if math.isnan(angle_rad) and counts_nowhere:
                 self._tell(
                     f"{config.name}: its drive has lost power, so what it counts is no angle: say where it stands."
@@ -257,10 +261,10 @@ class Referencing(Conversation):
                 return
             if not math.isnan(angle_rad):
                 self._doubt(joint, True)  # what is said is known to this process alone
-                measured = yield from self._counts(joint, config, 0x36)
+                measured = yield from self._counts(joint, config, registers.ASK_POSITION)
                 zero_rad = config.direction * measured / config.encoder_counts_per_rad - angle_rad
             position_rad = config.direction * target / config.encoder_counts_per_rad - zero_rad
-            self._count_from(joint, zero_rad, position_rad, flag_stays=bool(flags & zdt_talk.POWER_LOST))
+            self._count_from(joint, zero_rad, position_rad, flag_stays=bool(flags & registers.POWER_LOST))
 
         return place
 
@@ -274,9 +278,9 @@ class Referencing(Conversation):
 
     def _sound(self, joint: int, config: JointConfig) -> zdt_talk.Answered[int]:
         """Stop a drive that may be on its way somewhere, and see that it holds; its flags."""
-        yield Ask(zdt_talk.STOP, (3,), answered=self.arm.bus.acknowledge)
+        yield Ask(registers.STOP, (3,), answered=self.arm.bus.acknowledge)
         flags = yield from self._flags(joint, config)
-        if flags & zdt_talk.PROTECTED or not flags & zdt_talk.ENABLED:
+        if flags & registers.PROTECTED or not flags & registers.ENABLED:
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} is in protection or not enabled, so it cannot be referenced: remove the "
@@ -287,11 +291,11 @@ class Referencing(Conversation):
     def _standing(self, joint: int, config: JointConfig) -> zdt_talk.Answered[int]:
         """The drive's own target, once it stands on it: what it is commanded to be is then no motion."""
         for _ in range(TRIES):
-            measured = yield from self._counts(joint, config, 0x36)
-            target = yield from self._counts(joint, config, 0x33)
+            measured = yield from self._counts(joint, config, registers.ASK_POSITION)
+            target = yield from self._counts(joint, config, registers.ASK_TARGET)
             if abs(measured - target) <= AT_STOP_RAD * config.encoder_counts_per_rad:
                 return target
-            yield Ask(zdt_talk.STOP, (3,), answered=self.arm.bus.acknowledge)
+            yield Ask(registers.STOP, (3,), answered=self.arm.bus.acknowledge)
         raise TalkFailed(
             joint,
             f"The drive of {config.name} stands {measured - target} counts from its own target and does not take where "
@@ -299,13 +303,13 @@ class Referencing(Conversation):
         )
 
     def _flags(self, joint: int, config: JointConfig) -> zdt_talk.Answered[int]:
-        flags = yield from zdt_talk.read_flags(0x3A)
+        flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
         if flags is None:
             raise TalkFailed(joint, silent_amid(config, "status"))
         return flags
 
-    def _counts(self, joint: int, config: JointConfig, function: int) -> zdt_talk.Answered[int]:
-        counts = yield from zdt_talk.read_counts(function)
+    def _counts(self, joint: int, config: JointConfig, question: bytes) -> zdt_talk.Answered[int]:
+        counts = yield from zdt_talk.read_counts(question)
         if counts is None:
             raise TalkFailed(joint, silent_amid(config, "position"))
         return counts

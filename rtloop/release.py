@@ -5,7 +5,7 @@ The cycle has stopped leading the drives before this begins, and follows where t
 
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, drive_addresses
-from rtloop.drives import zdt_talk
+from rtloop.drives import zdt_registers, zdt_talk
 from rtloop.port import ServicePort
 from shm.words import Fault
 
@@ -20,9 +20,9 @@ class Release(Conversation):
     def _let_go(self, joint: int) -> Dialogue:
         name = self.arm.joints[joint].name
         for _ in range(TRIES):
-            yield Ask(zdt_talk.RELEASE, (3,), answered=self.arm.bus.acknowledge)
-            flags = yield from zdt_talk.read_flags(0x3A)
-            if flags is not None and not flags & zdt_talk.ENABLED:
+            yield Ask(zdt_registers.RELEASE, (3,), answered=self.arm.bus.acknowledge)
+            flags = yield from zdt_talk.read_flags(zdt_registers.ASK_STATUS)
+            if flags is not None and not flags & zdt_registers.ENABLED:
                 return
         raise TalkFailed(
             joint,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from rtarm.scan.wires import Frame, SlcanWire, Wire
 from rtloop.conversation import NOT_UNDERSTOOD, split_packets
-from rtloop.settings import registers
+from rtloop.drives import zdt_registers as registers
 
 BITRATES = (500_000, 1_000_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000)
 """In the order in which they are tried: drives leave the factory with the first."""
@@ -174,7 +174,7 @@ def _ask_for_settings(wire: Wire, drive: FoundDrive, pace_s: float) -> None:
     answer = _ask(wire, drive.address, registers.ASK_STATUS, 1, pace_s)
     flags = registers.number_of(answer, registers.ASK_STATUS, 1)
     if flags is not None:
-        drive.protected, drive.power_lost = bool(flags & 0x08), bool(flags & 0x80)
+        drive.protected, drive.power_lost = bool(flags & registers.PROTECTED), bool(flags & registers.POWER_LOST)
 
 
 def _ask(wire: Wire, address: int, question: bytes, packets: int, pace_s: float) -> bytes | None:

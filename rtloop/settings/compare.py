@@ -12,8 +12,8 @@ from typing import Any
 
 from config.joint import FULL_STEPS_PER_REVOLUTION, JointConfig, ZdtDrive
 from config.schema import ArmConfig
-from rtloop.settings import registers
-from rtloop.settings.registers import Block
+from rtloop.drives import zdt_registers as registers
+from rtloop.drives.zdt_registers import Block
 from rtloop.settings.talk import Reading
 
 STANDS_WITHIN_COUNTS = 200

@@ -5,15 +5,16 @@ They run beside a cycle that stays offline: nothing is brought up, nothing is en
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TypeVar
 
 from config.schema import ArmConfig
 from rtloop.conversation import NOT_UNDERSTOOD, TRIES, Ask, Conversation, Dialogue
+from rtloop.drives import zdt_registers as registers
+from rtloop.drives.zdt_registers import Block, HomingParameters, Trip, Version
+from rtloop.drives.zdt_talk import Answered, read_block, read_counts, read_flags, read_homing, read_watchdog
 from rtloop.port import Frame, ServicePort
-from rtloop.settings import registers
-from rtloop.settings.registers import Block, HomingParameters, Trip, Version
 from shm.words import Fault
 
 Value = TypeVar("Value")
@@ -71,17 +72,15 @@ class ReadSettings(Conversation):
         if found.version is None:
             return
         found.block = yield from read_block()
-        found.homing = registers.homing_of((yield Ask(registers.ASK_HOMING, (8,), packets=registers.HOMING_PACKETS)))
+        found.homing = yield from read_homing()
         if found.version.newer:
             found.watchdog_ms = yield from read_watchdog()
             found.trip = registers.trip_of((yield Ask(registers.ASK_TRIP, (8,))))
         found.supply_mv = registers.number_of((yield Ask(registers.ASK_SUPPLY, (4,))), registers.ASK_SUPPLY, 2)
-        found.flags = registers.number_of((yield Ask(registers.ASK_STATUS, (3,))), registers.ASK_STATUS, 1)
-        asked = Ask(registers.ASK_HOMING_STATUS, (3,))
-        found.homing_flags = registers.number_of((yield asked), registers.ASK_HOMING_STATUS, 1)
+        found.flags = yield from read_flags(registers.ASK_STATUS)
+        found.homing_flags = yield from read_flags(registers.ASK_HOMING_STATUS)
         found.rpm = registers.signed_of((yield Ask(registers.ASK_SPEED, (5,))), registers.ASK_SPEED, 2)
-        asked = Ask(registers.ASK_POSITION, (7,))
-        found.position_counts = registers.signed_of((yield asked), registers.ASK_POSITION, 4)
+        found.position_counts = yield from read_counts(registers.ASK_POSITION)
 
     def _say(self, joint: int, ask: Ask) -> None:
         if ask.payload == registers.ASK_FIRMWARE:
@@ -106,16 +105,6 @@ class ReadSettings(Conversation):
             found.answers += 1
         elif function == registers.ASK_BLOCK[0] and len(data) == 8 and data[1:3] != registers.BLOCK_HEAD:
             found.other_block = data[1], data[2]
-
-
-def read_block() -> Generator[Ask, bytes | None, Block | None]:
-    """Ask for the configuration block."""
-    return registers.block_of((yield Ask(registers.ASK_BLOCK, (8,), packets=registers.BLOCK_PACKETS)))
-
-
-def read_watchdog() -> Generator[Ask, bytes | None, int | None]:
-    """Ask for the watchdog's time (ms)."""
-    return registers.number_of((yield Ask(registers.ASK_WATCHDOG, (6,))), registers.ASK_WATCHDOG, 4)
 
 
 class WriteSettings(Conversation):
@@ -150,8 +139,8 @@ class WriteSettings(Conversation):
 
     @staticmethod
     def _read_back(
-        answer: bytes | None, read: Callable[[], Generator[Ask, bytes | None, Value | None]], wanted: Value
-    ) -> Generator[Ask, bytes | None, str | None]:
+        answer: bytes | None, read: Callable[[], Answered[Value | None]], wanted: Value
+    ) -> Answered[str | None]:
         if answer is not None and answer[1] in REFUSALS:
             return "refuses to be written"
         after = None

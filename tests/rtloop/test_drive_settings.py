@@ -14,7 +14,7 @@ from virtual import VirtualArm
 from config.errors import ConfigError
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.settings import registers
+from rtloop.drives import zdt_registers as registers
 from rtloop.settings.compare import Verdict, as_json, report_of, wanted_block
 from rtloop.settings.session import NotWritten, Session
 from rtloop.settings.talk import Reading

@@ -1,7 +1,7 @@
-"""Settings of a ZDT (Emm_V5) drive as bytes: questions, answers, and the commands that write (zdt-emm-v5.md, 4 to 6).
+"""A ZDT (Emm_V5) drive as ordinary Python sees it: questions, answers and commands as bytes (zdt-emm-v5.md, 2 to 6).
 
-Only what stands here is ever sent about settings: auto-run, calibration, factory reset, loop mode and address are not
-among it.
+What conversations send stands here, and nothing else does: auto-run, calibration, factory reset, loop mode and address
+are not among it. What the cycle sends is `rtloop.drives.zdt`.
 """
 
 from __future__ import annotations
@@ -17,10 +17,25 @@ ASK_HOMING = b"\x22\x6b"
 ASK_SUPPLY = b"\x24\x6b"
 ASK_WATCHDOG = b"\x16\x6b"
 ASK_SPEED = b"\x35\x6b"
+ASK_TARGET = b"\x33\x6b"
 ASK_POSITION = b"\x36\x6b"
 ASK_STATUS = b"\x3a\x6b"
 ASK_HOMING_STATUS = b"\x3b\x6b"
 ASK_BLOCK = b"\x42\x6c\x6b"
+
+ENABLE = b"\xf3\xab\x01\x00\x6b"
+RELEASE = b"\xf3\xab\x00\x00\x6b"
+STOP = b"\xfe\x98\x00\x6b"
+CLEAR_PROTECTION = b"\x0e\x52\x6b"
+CLEAR_POWER_LOST = b"\x50\x00\x6b"
+HOME_BY_COLLISION = b"\x9a\x02\x00\x6b"
+"""Begins a run to the stop, which ends at count 0."""
+END_HOMING = b"\x9c\x48\x6b"
+
+ENABLED, PROTECTED, POWER_LOST = 0x01, 0x08, 0x80
+"""Flags of `3A`."""
+HOMING, HOMING_FAILED = 0x04, 0x08
+"""Flags of `3B`."""
 
 CHECKSUM = 0x6B
 KNOWN_FIRMWARE = range(100, 300)
@@ -31,6 +46,7 @@ CAN_BITRATES = (10_000, 20_000, 50_000, 83_333, 100_000, 125_000, 250_000, 500_0
 
 RESPONSES = ("none", "receive", "reached", "both", "other")
 """When motion commands are answered, by its code."""
+RESPONSE_NONE, RESPONSE_RECEIVE = 0, 1
 CHECKSUMS = ("6B", "XOR", "CRC-8", "Modbus")
 """Checksum modes by their code; only the first is spoken here. [The last is in the menus of newer drives.]"""
 STALL_MODES = ("off", "on", "on, then zero")
@@ -121,6 +137,12 @@ class HomingParameters:
     collision_ma: int
     collision_ms: int
     at_power_up: int
+
+
+def write_homing(parameters: HomingParameters) -> bytes:
+    """The command that sets the homing parameters, in volatile memory."""
+    data = _HOMING.pack(*(getattr(parameters, field.name) for field in fields(HomingParameters)))
+    return b"\x4c\xae\x00" + data + bytes((CHECKSUM,))
 
 
 def homing_of(answer: bytes | None) -> HomingParameters | None:
