@@ -8,7 +8,7 @@ and target until the two agree. A drive that is on its way somewhere, or has los
 """
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from config.budget import budget
@@ -20,6 +20,7 @@ from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
 from rtloop.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, ServicePort
+from shm.sentences import unreferenced_sentence
 from shm.words import Fault, Unreferenced
 
 SETTLE_PATIENCE_NS = 3_000_000_000
@@ -41,17 +42,17 @@ class BringUp(Conversation):
         tell: Callable[[str], None],
         mock_positions_rad: list[float] | None = None,
         counts_before: Mapping[int, int] | None = None,
-        doubtful: Collection[int] = (),
+        lost_before: Mapping[int, Unreferenced] | None = None,
     ) -> None:
         """`counts_before`: where drives counted when rtarm was ended, by the joints' numbers.
 
-        `doubtful`: joints whose drives counted from nowhere by then.
+        `lost_before`: joints whose angle was not known in an earlier process, and why.
         """
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP, last_order=BRING_UP_DONE)
         self._tell = tell
         self._clears_protection = clears_protection
         self._counts_before = counts_before or {}
-        self._doubtful = doubtful
+        self._lost_before = lost_before or {}
         # where a flag for lost power tells nothing new, only the joint's place can
         self._stood_rad = {n: port.measured_rad(n) for n in range(len(arm.joints)) if port.power_loss_known(n)}
         self.post(BRING_UP_BEGINS)
@@ -110,12 +111,10 @@ class BringUp(Conversation):
                 "until then goals are refused."
             )
         homing = yield from self._end_homing(joint, config)
-        if reason == Unreferenced.REFERENCED and (homing or joint in self._doubtful):
-            reason = Unreferenced.NOT_HOMED
-            self._tell(
-                f"{config.name} is not referenced: its drive has not been homed since its count lost its meaning; home "
-                "it with `rtarm home`, or say where it stands with `rtarm reference`."
-            )
+        if reason == Unreferenced.REFERENCED:
+            reason = Unreferenced.NOT_HOMED if homing else self._lost_before.get(joint, reason)
+            if reason != Unreferenced.REFERENCED:
+                self._tell(unreferenced_sentence(reason, config.name))
         yield from self._settle_configuration(joint, config, drive, version)
         if not flags & registers.ENABLED:
             for _ in range(TRIES):
@@ -135,11 +134,11 @@ class BringUp(Conversation):
     def _end_homing(self, joint: int, config: JointConfig) -> Answered[bool]:
         """End a homing run that a control process has left behind; whether there was one."""
         end: tuple[bytes, ...] = ()
-        for told in range(HOMING_TRIES):
+        for looks in range(HOMING_TRIES):
             flags = yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS, before=end)
             if flags is None or not flags & registers.HOMING:
-                return told > 0
-            if told > 0:  # one answer alone may be garbled
+                return looks > 0
+            if looks > 0:  # one answer alone may be garbled
                 end = (registers.END_HOMING, registers.STOP)
         raise TalkFailed(
             joint,
@@ -225,7 +224,8 @@ class BringUp(Conversation):
                     reason = Unreferenced.TARGET_FAR
                     self._tell(
                         f"{config.name} is not referenced: its drive stands {measured_rad - target_rad:+.3f} rad from "
-                        "its own target and does not go there; find what holds it, then start again."
+                        "its own target and does not go there: find what holds it, then `rtarm reference` it if it "
+                        "stands where `rtarm status` says, or home it."
                     )
                 target_rad = measured_rad
                 break
@@ -233,6 +233,7 @@ class BringUp(Conversation):
         elsewhere_rad = abs(measured_rad - self._stood_rad.get(joint, measured_rad))
         if elsewhere_rad > self.arm.limits.position_jump_rad:
             reason = Unreferenced.POWER_LOST
+            self._tell(unreferenced_sentence(reason, config.name))
         if reason == Unreferenced.REFERENCED and abs(moved_rad) > self.arm.limits.position_jump_rad:
             reason = Unreferenced.MOVED
             self._tell(

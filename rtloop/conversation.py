@@ -48,7 +48,7 @@ def silent_amid(config: JointConfig, what: str) -> str:
     """The sentence about a drive that has answered before."""
     return (
         f"The drive of {config.name} stopped answering while its {what} was read: check its power and the CAN wires, "
-        "then start again."
+        "then `rtarm clear-fault`, or `rtarm up` where it has ended."
     )
 
 

@@ -3,7 +3,7 @@
 import signal
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
@@ -15,14 +15,14 @@ from rtloop.bringup import BringUp
 from rtloop.compiled import CompiledCycle
 from rtloop.conversation import Conversation, TalkFailed
 from rtloop.port import HOME_ALL, ServicePort
-from rtloop.referencing import Referencing, begin_referencing
+from rtloop.referencing import Referencing, referencing_asked_for
 from rtloop.release import Release
 from rtloop.state import new_loop, offset_of, show_limits
 from rtloop.wire.opening import close_wire, keeps_frames, lost_bytes, open_wire
 from rtloop.wire.refusal import WireRefused
 from shm import files
 from shm.sentences import STILL_QUEUED, WIRE_IS_BACK
-from shm.words import Mode
+from shm.words import Mode, Unreferenced
 
 BUSY_POLL_S = 0.004
 IDLE_POLL_S = 0.05
@@ -82,7 +82,8 @@ class ControlProcess:
         )
         self._files = files.create(identity)
         self._fd = -1
-        self._lost_before = 0
+        self._lost_references: dict[int, Unreferenced] = {}
+        self._dropped_before = 0
         self._next_try_s = self._next_lost_s = 0.0
         self._told_of_wire = ""
         try:
@@ -239,7 +240,7 @@ class ControlProcess:
         for complaint in wire.complaints:
             self._tell(complaint)
         self._fd = wire.fd
-        self._lost_before = self._load("received", "arrived", "dropped")
+        self._dropped_before = self._load("received", "arrived", "dropped")
         self._store(self._fd, "wire", "fd")
         self._store(0, "received", "arrived", "closed")  # the last: the cycle makes frames from here on
 
@@ -257,7 +258,7 @@ class ControlProcess:
             self._next_try_s = now_s
         elif now_s >= self._next_lost_s:
             self._next_lost_s = now_s + LOST_EVERY_S
-            self._store(self._lost_before + lost_bytes(self._arm, self._fd), "received", "arrived", "dropped")
+            self._store(self._dropped_before + lost_bytes(self._arm, self._fd), "received", "arrived", "dropped")
 
     def _let_wire_go(self) -> None:
         """Close what is gone, once neither thread uses it any more."""
@@ -294,7 +295,7 @@ class ControlProcess:
         *,
         clears_protection: bool,
         counts_before: Mapping[int, int] | None = None,
-        doubtful: Collection[int] = (),
+        lost_before: Mapping[int, Unreferenced] | None = None,
     ) -> BringUp:
         measured = self._loop[0]["axes"]["measured_rad"][: len(self._arm.joints)]
         known = [0.0 if np.isnan(position) else float(position) for position in measured]
@@ -306,11 +307,28 @@ class ControlProcess:
             tell=self._tell,
             mock_positions_rad=known,
             counts_before=counts_before,
-            doubtful=doubtful,
+            lost_before=lost_before,
         )
 
-    def _keep_doubt(self, joint: int, doubt: bool) -> None:
-        saved.keep_doubt(self._arm, joint, doubt)
+    def _keep_lost(self, joint: int, reason: Unreferenced | None) -> None:
+        saved.keep_lost_reference(self._arm, joint, reason)
+
+    def _keep_newly_lost(self) -> None:
+        """The next process is to know of each reference that is lost, however this one ends."""
+        axes = self._loop[0]["axes"][: len(self._arm.joints)]
+        words = enumerate(zip(axes["referenced"], axes["unreferenced_reason"], strict=True))
+        lost = {
+            joint: Unreferenced(reason)
+            for joint, (referenced, reason) in words
+            if not referenced and reason in saved.OUTLIVES_THE_PROCESS
+        }
+        for joint, reason in lost.items():
+            if self._lost_references.get(joint) != reason:  # once: what was told of it since stands in the file
+                try:
+                    self._keep_lost(joint, reason)
+                except saved.NotSaved as problem:
+                    self._tell(str(problem))
+        self._lost_references = lost
 
     def _is_asked_to_reference(self) -> bool:
         return bool(self._core["home_asked"] or self._core["reference_asked"])
@@ -318,7 +336,9 @@ class ControlProcess:
     def _supervise(self, ready: Callable[[], None]) -> int:
         # fresh rings have room for its beginning
         talk: Conversation | None = self._bring_up(
-            clears_protection=False, counts_before=saved.take(self._arm), doubtful=saved.doubtful(self._arm)
+            clears_protection=False,
+            counts_before=saved.take(self._arm),
+            lost_before=saved.lost_references(self._arm),
         )
         first = True
         closing_until_s = 0.0
@@ -326,6 +346,7 @@ class ControlProcess:
             time.sleep(BUSY_POLL_S if talk or first or closing_until_s else IDLE_POLL_S)
             now_s = time.monotonic()
             self._attend_wire()
+            self._keep_newly_lost()
             if talk is not None and talk.poll(time.monotonic_ns()):
                 if talk.failure is not None:
                     self._tell(str(talk.failure))
@@ -345,8 +366,8 @@ class ControlProcess:
                 self._core["release_asked"] = 0  # taken back by the cycle when the drives are enabled meanwhile
                 talk = Release(self._arm, self._port, now_ns=time.monotonic_ns())
             elif talk is None and not self._stop_asked.yes and self._is_asked_to_reference():
-                talk = begin_referencing(
-                    self._arm, self._loop, self._port, time.monotonic_ns(), self._tell, self._keep_doubt
+                talk = referencing_asked_for(
+                    self._arm, self._loop, self._port, time.monotonic_ns(), self._tell, self._keep_lost
                 )
             if isinstance(talk, Referencing) and (self._stop_asked.yes or int(self._core["referencing_ends"]) == 1):
                 talk.end()

@@ -7,7 +7,6 @@ or its time-out. While one runs, the arm's other joints hold.
 from __future__ import annotations
 
 import math
-import secrets
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -31,16 +30,21 @@ LOOKS = 6
 """For the beginning of a run: a collision of the factory's 60 ms lasts longer than two of them."""
 STANDS_TRIES = 8
 LATE_S = 1.0
-MARKS_MS = 900
+MARKS = 900
+"""Which of the marks a run gets is the clock's: a value that somebody has stored in a drive is hardly that one."""
 
 
-def begin_referencing(
+KeepLost = Callable[[int, Unreferenced | None], None]
+"""Remembers beyond this process why a joint's angle is not known, or (None) that it is; may raise NotSaved."""
+
+
+def referencing_asked_for(
     arm: ArmConfig,
     loop: np.ndarray,
     port: ServicePort,
     now_ns: int,
     tell: Callable[[str], None],
-    keep_doubt: Callable[[int, bool], None],
+    keep_lost: KeepLost,
 ) -> Referencing:
     """Take up what the cycle was asked for (HOME or REFERENCE), joints to be homed in the arm file's order."""
     core, axes = loop[0]["core"], loop[0]["axes"]
@@ -54,7 +58,7 @@ def begin_referencing(
         homed=[joint for joint in order if homed >> joint & 1],
         placed={joint: float(axes[joint]["asked_rad"]) for joint in order if placed >> joint & 1},
         tell=tell,
-        keep_doubt=keep_doubt,
+        keep_lost=keep_lost,
     )
 
 
@@ -73,12 +77,12 @@ class Referencing(Conversation):
         homed: Sequence[int],
         placed: Mapping[int, float],
         tell: Callable[[str], None],
-        keep_doubt: Callable[[int, bool], None],
+        keep_lost: KeepLost,
     ) -> None:
-        """`keep_doubt` remembers beyond this process whether a joint's count means nothing; it may raise NotSaved."""
+        """`keep_lost` remembers beyond this process why a joint's angle is not known, or that it is."""
         super().__init__(arm, port, now_ns, fault=Fault.HOMING, last_order=REFERENCING_DONE)
         self._tell = tell
-        self._keep_doubt = keep_doubt
+        self._keep_lost_beyond = keep_lost
         self._ending = False
         with_drive = drive_addresses(arm)
         for joint in sorted({*homed, *placed} - set(with_drive)):  # what is commanded is where it is
@@ -112,9 +116,9 @@ class Referencing(Conversation):
         self._tell(f"{config.name}: homing; the drive runs to its stop by itself, for {limit_s:g} s at most.")
         flags = yield from self._sound(joint, config)
         expected_rad = -config.zero_rad if self._port.referenced(joint) else None
-        # no other value of volatile memory is the same by chance, so one that is there afterwards says that the drive
-        # has not been switched off and on meanwhile, after which it counts 0 anywhere
-        mark_ms = round(limit_s * 1e3) + 1 + secrets.randbelow(MARKS_MS)
+        # no other value of volatile memory is the same but by chance, so one that is there afterwards says that the
+        # drive has not been switched off and on meanwhile, after which it counts 0 anywhere
+        mark_ms = round(limit_s * 1e3) + 1 + self.now_ns // 1_000_000 % MARKS
         if not (yield from zdt_talk.set_homing_timeout(mark_ms)):
             raise TalkFailed(
                 joint,
@@ -122,7 +126,7 @@ class Referencing(Conversation):
                 "lower homing.timeout_s.",
             )
         began = yield from self._counts(joint, config, registers.ASK_POSITION)
-        self._doubt(joint, True)
+        self._keep_lost(joint, Unreferenced.NOT_HOMED)
         self.post(REFERENCING, joint=joint, code=1)
         try:
             yield from self._begin_run(joint, config)
@@ -136,7 +140,7 @@ class Referencing(Conversation):
         except TalkFailed:
             yield from self._stand(joint)
             raise
-        self._doubt(joint, False)
+        self._keep_lost(joint, None)
         zero_rad = config.zero_rad
         self._count_from(joint, zero_rad, config.direction * target / config.encoder_counts_per_rad - zero_rad)
         self._tell(f"{config.name}: homed.")
@@ -259,8 +263,11 @@ class Referencing(Conversation):
                 )
                 self._count_from(joint, zero_rad, self._port.commanded_rad(joint), Unreferenced.POWER_LOST)
                 return
-            if not math.isnan(angle_rad):
-                self._doubt(joint, True)  # what is said is known to this process alone
+            if math.isnan(angle_rad):
+                if zero_rad == config.zero_rad:
+                    self._keep_lost(joint, None)  # the next process counts from there too
+            else:
+                self._keep_lost(joint, Unreferenced.NOT_HOMED)  # what is said is known to this process alone
                 measured = yield from self._counts(joint, config, registers.ASK_POSITION)
                 zero_rad = config.direction * measured / config.encoder_counts_per_rad - angle_rad
             position_rad = config.direction * target / config.encoder_counts_per_rad - zero_rad
@@ -270,9 +277,9 @@ class Referencing(Conversation):
 
     # --- both
 
-    def _doubt(self, joint: int, doubtful: bool) -> None:
+    def _keep_lost(self, joint: int, reason: Unreferenced | None) -> None:
         try:
-            self._keep_doubt(joint, doubtful)
+            self._keep_lost_beyond(joint, reason)
         except NotSaved as problem:
             raise TalkFailed(joint, str(problem)) from None
 

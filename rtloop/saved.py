@@ -1,9 +1,9 @@
 """What is known of the drives' counts beyond the life of a control process.
 
-Where they counted when rtarm was last ended in order, to notice what happened to the arm since: one small file an arm,
-`rtarm/positions/<arm>.json` under $XDG_STATE_HOME (~/.local/state). It is there only while rtarm is not running: after
-a crash nothing is compared, since nothing is known. And beside it `<arm>.not_homed`, with the joints whose drives count
-from nowhere, which is there until they are homed. Simulated arms at a pseudo-terminal begin wherever they are told to,
+Two small files an arm, in `rtarm/positions` under $XDG_STATE_HOME (~/.local/state). `<arm>.json`: where the drives
+counted when rtarm was last ended in order, to notice what happened to the arm since. It is there only while rtarm is
+not running: after a crash nothing is compared, since nothing is known. `<arm>.unreferenced`: which joints have lost
+their reference and why, until they are given one. Simulated arms at a pseudo-terminal begin wherever they are told to,
 so nothing is kept of them.
 """
 
@@ -17,21 +17,39 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from config.schema import ArmConfig
+from shm.words import Unreferenced
 
 PSEUDO_TERMINALS = "/dev/pts/"
+OUTLIVES_THE_PROCESS = frozenset(
+    {
+        Unreferenced.POWER_LOST,
+        Unreferenced.POSITION_JUMP,
+        Unreferenced.SILENT,
+        Unreferenced.NOT_HOMED,
+        Unreferenced.MOVED,
+    }
+)
+"""What a bring-up of the next process need not find out by itself: what no clearing of a fault forgives either."""
 
 
 class NotSaved(Exception):
-    """Positions could not be written; the text is the sentence people read."""
+    """What should be kept could not be written; the text is the sentence people read."""
 
 
-def path_of(arm: str) -> Path | None:
-    """The file of an arm; None for a user without a home."""
+def path_of(arm: str) -> Path:
+    """The file with the counts of an arm.
+
+    Raises:
+        NotSaved: for a user without a home.
+    """
     base = os.environ.get("XDG_STATE_HOME")
     try:
         return (Path(base) if base else Path.home() / ".local" / "state") / "rtarm" / "positions" / f"{arm}.json"
     except RuntimeError:
-        return None
+        raise NotSaved(
+            "This user has no home, so where the arm stands and what is not known of it cannot be kept for the next "
+            "start: set XDG_STATE_HOME to a folder that stays."
+        ) from None
 
 
 def save(arm: ArmConfig, counts: Mapping[int, int]) -> None:
@@ -40,15 +58,12 @@ def save(arm: ArmConfig, counts: Mapping[int, int]) -> None:
     Raises:
         NotSaved: with the sentence for people.
     """
-    path = path_of(arm.name)
-    if path is None or _is_simulated(arm):
+    if _is_simulated(arm):
         return
+    path = path_of(arm.name)
     text = json.dumps({"channel": _channel(arm), "counts": {arm.joints[joint].name: n for joint, n in counts.items()}})
     try:
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=".", delete=False) as file:
-            file.write(text)
-        os.replace(file.name, path)
+        _replace(path, text)
     except OSError as problem:
         raise NotSaved(
             f"Where the arm stands could not be kept in {path} ({problem.strerror}), so the next start cannot tell "
@@ -56,60 +71,16 @@ def save(arm: ArmConfig, counts: Mapping[int, int]) -> None:
         ) from problem
 
 
-def doubtful(arm: ArmConfig) -> set[int]:
-    """Numbers of the joints whose drives counted from nowhere when they were last spoken of, and not homed since."""
-    path = _doubts_path(arm)
-    if path is None:
-        return set()
-    try:
-        names = set(path.read_text(encoding="utf-8").split())
-    except (OSError, ValueError):
-        return set()
-    return {joint for joint, config in enumerate(arm.joints) if config.name in names}
-
-
-def keep_doubt(arm: ArmConfig, joint: int, doubt: bool) -> None:
-    """Remember beyond this process whether a joint's count means nothing.
-
-    Raises:
-        NotSaved: with the sentence for people.
-    """
-    path = _doubts_path(arm)
-    if path is None:
-        return
-    before = doubtful(arm)
-    after = before | {joint} if doubt else before - {joint}
-    if after == before:
-        return
-    try:
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not after:
-            path.unlink()
-            return
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=".", delete=False) as file:
-            file.write("\n".join(arm.joints[n].name for n in sorted(after)))
-            file.flush()
-            os.fsync(file.fileno())  # it must be there when the power goes
-        os.replace(file.name, path)
-    except OSError as problem:
-        raise NotSaved(
-            f"That {arm.joints[joint].name} counts from nowhere could not be kept in {path} ({problem.strerror}), so "
-            "the next start would believe it: see that the file can be written, then ask again."
-        ) from problem
-
-
-def _doubts_path(arm: ArmConfig) -> Path | None:
-    path = path_of(arm.name)
-    return None if path is None or _is_simulated(arm) else path.with_suffix(".not_homed")
-
-
 def take(arm: ArmConfig) -> dict[int, int]:
     """Joint number → count that was kept of this arm at this channel; the file is gone afterwards.
 
     Empty where nothing is known. What cannot be read says nothing, since anybody may have written it.
     """
-    path = path_of(arm.name)
-    if path is None or _is_simulated(arm):
+    if _is_simulated(arm):
+        return {}
+    try:
+        path = path_of(arm.name)
+    except NotSaved:
         return {}
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
@@ -120,6 +91,73 @@ def take(arm: ArmConfig) -> dict[int, int]:
         path.unlink(missing_ok=True)
     counts = {joint: known.get(config.name) for joint, config in enumerate(arm.joints)}
     return {joint: count for joint, count in counts.items() if isinstance(count, int)}
+
+
+def lost_references(arm: ArmConfig) -> dict[int, Unreferenced]:
+    """Joint number → why its angle is not known, as it was last kept.
+
+    A file that is there and cannot be read may say so of every joint, and is taken to.
+    """
+    if _is_simulated(arm):
+        return {}
+    try:
+        return _read_lost(arm)
+    except NotSaved:
+        return {}  # there is no place where anything could have been kept
+    except (OSError, ValueError):
+        return dict.fromkeys(range(len(arm.joints)), Unreferenced.NOT_HOMED)
+
+
+def keep_lost_reference(arm: ArmConfig, joint: int, reason: Unreferenced | None) -> None:
+    """Remember beyond this process why a joint's angle is not known, or (None) that it is.
+
+    Raises:
+        NotSaved: with the sentence for people.
+    """
+    if _is_simulated(arm):
+        return
+    path = _lost_path(arm)
+    lost = lost_references(arm)
+    if reason is None:
+        lost.pop(joint, None)
+    else:
+        lost[joint] = reason
+    try:
+        if lost:
+            _replace(path, json.dumps({arm.joints[n].name: why.name for n, why in sorted(lost.items())}))
+        else:
+            path.unlink(missing_ok=True)
+    except OSError as problem:
+        raise NotSaved(
+            f"What is known of {arm.joints[joint].name}'s reference could not be kept in {path} ({problem.strerror}), "
+            "so the next start would believe what is not true: see that the file can be written."
+        ) from problem
+
+
+def _read_lost(arm: ArmConfig) -> dict[int, Unreferenced]:
+    """Raises NotSaved, OSError (it cannot be read) and ValueError (it says something else)."""
+    try:
+        kept = json.loads(_lost_path(arm).read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        return {}
+    if not isinstance(kept, dict) or not set(kept.values()) <= {reason.name for reason in OUTLIVES_THE_PROCESS}:
+        raise ValueError(kept)
+    numbers = {config.name: joint for joint, config in enumerate(arm.joints)}
+    return {numbers[name]: Unreferenced[reason] for name, reason in kept.items() if name in numbers}
+
+
+def _lost_path(arm: ArmConfig) -> Path:
+    return path_of(arm.name).with_suffix(".unreferenced")
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file whole or not at all, so that it is there even when the power goes."""
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=".", delete=False) as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(file.name, path)
 
 
 def _channel(arm: ArmConfig) -> str:

@@ -207,10 +207,11 @@ FAULTS: dict[Fault, Meaning] = {
     ),
     Fault.STALE_READING: Meaning(
         "{joint} has given no believable answer for {value:.3f} s and {limit:.3f} s are allowed: check the drive's "
-        "supply, its cable and the adapter, see that the joint stands where `rtarm status` says, then start rtarm "
-        "again.",
+        "supply, its cable and the adapter, then `rtarm clear-fault`, and `rtarm reference` the joint if it stands "
+        "where `rtarm status` says, or home it.",
         "Without readings nobody knows where the joint is.",
-        "Check supply, cable, termination and adapter; see that the joint stands where it reads; start rtarm again.",
+        "Check supply, cable, termination and adapter; clear the fault; `rtarm reference` the joint if it stands where "
+        "it reads, home it if not.",
     ),
     Fault.DRIVE_FAULT: Meaning(
         "The drive of {joint} reports a fault of its own (protected or not enabled) or refuses motion: remove the "
@@ -235,14 +236,15 @@ FAULTS: dict[Fault, Meaning] = {
         "that says it is back, then `rtarm clear-fault`.",
         "Without the adapter no drive can be told anything.",
         "Plug it in again; the control process says when it is back; clear the fault. Joints whose drives were silent "
-        "for too long stay unreferenced until rtarm is started again.",
+        "for too long have lost their reference: `rtarm reference` those that stand where they read, home the others.",
     ),
     Fault.LINK_DOWN: Meaning(
         "The CAN interface was taken down: set it up again (`sudo ip link set can0 up type can bitrate 500000`), wait "
         "for the event that says it is back, then `rtarm clear-fault`.",
         "Nothing leaves an interface that is down, and what it held back is lost.",
         "Find out who took it down; set it up; the control process says when it is back; clear the fault. Joints whose "
-        "drives were silent for too long stay unreferenced until rtarm is started again.",
+        "drives were silent for too long have lost their reference: `rtarm reference` those that stand where they "
+        "read, home the others.",
     ),
     Fault.HOMING: Meaning(
         "{joint} was not homed, keep clear until it stands: see the control process' message for the reason, mend it, "
@@ -319,9 +321,9 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
     ),
     Unreferenced.TARGET_FAR: Meaning(
         "The drive of {joint} stands far from its own target, so adopting either would move it or lie: free "
-        "the joint, then bring the arm up again.",
+        "the joint, then `rtarm reference` it if it stands where `rtarm status` says, or home it.",
         "Where target and position disagree the joint is held off its target by force, or its count is wrong.",
-        "Free the joint, switch the drive off and on, bring the arm up again.",
+        "Free the joint; `rtarm reference` it if it stands where it reads, home it if not.",
     ),
     Unreferenced.NOT_HOMED: Meaning(
         "{joint} has not been homed since its count lost its meaning, so its angle is not known: home it with `rtarm "
@@ -336,10 +338,12 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
         "Look at the joint; `rtarm reference` it if it stands where it reads, home it if not.",
     ),
     Unreferenced.OUTSIDE_LIMITS: Meaning(
-        "{joint} stands outside its limits, so its count or its zero must be wrong: check zero_deg, "
-        "direction and limits in the arm file and the pose, then start rtarm again.",
+        "{joint} stands outside its limits, so its count or its zero must be wrong: home it with `rtarm home`, or say "
+        "where it stands with `rtarm reference`; if it comes back, check zero_deg, direction and limits in the arm "
+        "file, which is read when rtarm starts.",
         "A joint cannot stand where the arm file says it never is.",
-        "Check zero_deg, direction and limits in the arm file; home the joint; start rtarm again.",
+        "Home the joint, or say its angle (`rtarm reference JOINT=DEGREES`); check zero_deg, direction and limits in "
+        "the arm file, then start rtarm again.",
     ),
 }
 

@@ -139,10 +139,7 @@ class User(Spinner):
 
 
 class Rig(Stack):
-    """The arm, its processes and its user; each process may be hurt, and `make_ready` finds the way back.
-
-    `restarts` counts what was started again by hand, `ways_back` how the arm came back into service.
-    """
+    """The arm, its processes and its user; each process may be hurt, and `make_ready` finds the way back."""
 
     def __init__(self, name: str, folder: Path, random: np.random.Generator) -> None:
         super().__init__(name, folder, start_deg=START_DEG)
@@ -287,19 +284,19 @@ class Rig(Stack):
             if snapshot is not None and self.mode() == Mode.HOLDING:
                 if all(snapshot["joints"]["referenced"][: len(self.arm.joints)]):
                     return steps
-                steps += [f"restarted, a joint had lost its reference; {left}" for left in self._restart()]
+                steps.append(f"referenced: {self._reference(snapshot)}")
         raise Hang(f"the arm did not come back into service: {steps}, last refused with {refused!r}")
 
     def _is_served(self) -> bool:
         return bool(self.user.servers() - set(self.dead_servers))
 
-    def _restart(self) -> list[str]:
-        found = self.stop_control()
-        self.standing(READY_S)
-        self.note_dead_servers()
-        self.start_control()
-        wait(self._is_served, "a living action server", READY_S)
-        return found or ["in order"]
+    def _reference(self, snapshot: np.ndarray) -> str:
+        """Say where the joints without a reference stand, as a person who looks at them; how it went."""
+        truth = self.standing(READY_S)
+        lost = [j.name for j, word in zip(self.arm.joints, snapshot["joints"], strict=False) if not word["referenced"]]
+        angles = [f"{name}={math.degrees(truth[name].position_rad[-1]):.4f}" for name in lost]
+        process = self._keep(Process("rtarm", "reference", *angles, "--arm", self.name))
+        return "taken" if process.code() == 0 else process.text
 
     def _end_control_by_force(self) -> None:
         """What runs without its arm, or without its launcher, ends; a frozen one as well."""

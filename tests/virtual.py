@@ -19,7 +19,7 @@ from rtloop import entries
 from rtloop.bringup import BringUp
 from rtloop.cycle import step
 from rtloop.port import ServicePort
-from rtloop.referencing import Referencing, begin_referencing
+from rtloop.referencing import Referencing, referencing_asked_for
 from rtloop.release import Release
 from rtloop.state import new_loop, show_limits
 from rtloop.wire import outgoing, received
@@ -27,7 +27,7 @@ from shm import layout
 from shm.client import CommandWriter, StateReader
 from shm.errors import RingFull
 from shm.files import MemoryFile, name_bytes
-from shm.words import Answer, Entry, Mode, Request
+from shm.words import Answer, Entry, Mode, Request, Unreferenced
 from sim.arm import SimulatedArm
 
 GOALS = Path(__file__).parent / "data" / "moveit"
@@ -89,7 +89,7 @@ class VirtualArm:
         self.jitter_ns = jitter_ns
         self.sent: list[tuple[int, bytes]] = []
         self.told: list[str] = []
-        self.doubts: dict[int, bool] = {}
+        self.lost: dict[int, Unreferenced | None] = {}
         self.front_alive = True
         self.pending: list[Callable[[], None]] = []
         self.sim: SimulatedArm | None = None
@@ -200,7 +200,9 @@ class VirtualArm:
 
     def reference(self, *, at_most_s: float = 400.0, each_cycle: Callable[[], None] = lambda: None) -> Referencing:
         """Run the conversation that HOME or REFERENCE has asked for, as the control process does."""
-        talk = begin_referencing(self.arm, self.loop, self.port, self.now_ns, self.told.append, self.doubts.__setitem__)
+        talk = referencing_asked_for(
+            self.arm, self.loop, self.port, self.now_ns, self.told.append, self.lost.__setitem__
+        )
 
         def over() -> bool:
             each_cycle()

@@ -10,7 +10,7 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from rtloop.bringup import BringUp
-from rtloop.referencing import begin_referencing
+from rtloop.referencing import referencing_asked_for
 from rtloop.saved import NotSaved
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.faults import PowerLoss, Protection, Silent
@@ -371,7 +371,7 @@ def test_a_person_in_the_way_is_not_the_stop(blocked_deg):
     drive.shaft.low += drive._grains(round(math.radians(blocked_deg + 90.0) * config.command_pulses_per_rad))
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
     assert "joint2 met something at -" in str(arm.reference().failure)
-    assert (arm.loop[0]["axes"][1]["referenced"], arm.doubts) == (0, {1: True})
+    assert (arm.loop[0]["axes"][1]["referenced"], arm.lost) == (0, {1: Unreferenced.NOT_HOMED})
     arm.close()
 
 
@@ -387,7 +387,7 @@ def test_bring_up_ends_a_run_that_nobody_watches():
     """The control process was killed amid it, and another one starts."""
     arm = new_arm((0.0,) * 6)
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
-    talk = begin_referencing(arm.arm, arm.loop, arm.port, arm.now_ns, arm.told.append, arm.doubts.__setitem__)
+    talk = referencing_asked_for(arm.arm, arm.loop, arm.port, arm.now_ns, arm.told.append, arm.lost.__setitem__)
     for _ in range(150):
         talk.poll(arm.now_ns)
         arm.cycle()
@@ -484,10 +484,10 @@ def test_what_is_known_of_a_count_outlives_the_process(arm):
     """A homed joint is believed by the next process, one that was refused or placed by a person's word is not."""
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
     assert arm.reference().failure is None
-    assert arm.doubts == {1: False}
+    assert arm.lost == {1: None}
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.radians(20.0)) == Answer.DONE
     assert arm.reference().failure is None
-    assert arm.doubts == {1: True}
+    assert arm.lost == {1: Unreferenced.NOT_HOMED}
     after = next_process(arm)
     talk = BringUp(
         after.arm,
@@ -495,7 +495,7 @@ def test_what_is_known_of_a_count_outlives_the_process(arm):
         now_ns=after.now_ns,
         clears_protection=False,
         tell=after.told.append,
-        doubtful=[joint for joint, doubt in arm.doubts.items() if doubt],
+        lost_before={joint: reason for joint, reason in arm.lost.items() if reason is not None},
     )
     after.until(lambda: talk.poll(after.now_ns))
     after.cycles(2)
@@ -507,11 +507,11 @@ def test_what_is_known_of_a_count_outlives_the_process(arm):
 def test_what_cannot_be_kept_is_not_begun(arm):
     """The next process would believe a count that means nothing."""
 
-    def refuse(joint, doubt):
+    def refuse(joint, reason):
         raise NotSaved("no room")
 
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
-    talk = begin_referencing(arm.arm, arm.loop, arm.port, arm.now_ns, arm.told.append, refuse)
+    talk = referencing_asked_for(arm.arm, arm.loop, arm.port, arm.now_ns, arm.told.append, refuse)
     arm.until(lambda: talk.poll(arm.now_ns))
     assert str(talk.failure) == "no room"
     assert not arm.sim.drives[1].homing_now

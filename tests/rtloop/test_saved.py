@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from virtual import VirtualArm
 from config.loader import load_arm
 from rtloop import saved
 from rtloop.bringup import BringUp
+from rtloop.guard import outlives_a_clear
 from shm.words import Answer, Fault, Mode, Request, Unreferenced
 
 COUNTS = st.dictionaries(st.integers(0, 5), st.integers(-(2**40), 2**40))
@@ -33,22 +35,60 @@ def test_what_is_kept_is_taken_once(tmp_path_factory, counts):
         assert saved.take(arm) == {}
 
 
-def test_doubts_are_kept_until_they_are_taken_back(arm):
-    assert saved.doubtful(arm) == set()
-    for joint in (4, 1, 4):
-        saved.keep_doubt(arm, joint, True)
-    assert saved.doubtful(arm) == {1, 4}
-    saved.take(arm)  # a start forgets where the arm stood, and no doubt
-    saved.keep_doubt(arm, 1, False)
-    assert saved.doubtful(arm) == {4}
-    saved.keep_doubt(arm, 4, False)
-    assert not list(saved.path_of(arm.name).parent.iterdir())
+REASONS = st.sampled_from(sorted(saved.OUTLIVES_THE_PROCESS))
 
 
-def test_a_doubt_that_cannot_be_kept_is_a_sentence(arm, tmp_path):
+def test_what_no_clear_forgives_no_restart_forgives():
+    assert {r for r in Unreferenced if outlives_a_clear.py_func(r)} == saved.OUTLIVES_THE_PROCESS
+
+
+@given(said=st.lists(st.tuples(st.integers(0, 5), st.none() | REASONS), max_size=12))
+def test_a_lost_reference_is_kept_until_it_is_found_again(tmp_path_factory, said):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        arm = load_arm("episode1")
+        for joint, reason in said:
+            saved.keep_lost_reference(arm, joint, reason)
+            saved.take(arm)  # a start forgets where the arm stood, and no lost reference
+        lost = {joint: reason for joint, reason in dict(said).items() if reason is not None}
+        assert saved.lost_references(arm) == lost
+        left = [path.name for path in saved.path_of(arm.name).parent.glob("*")]
+        assert left == (["episode1.unreferenced"] if lost else [])
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "7", "joint2", '{"joint2": 3}', '{"joint2": "SILENTLY"}', '{"joint2": "REFERENCED"}', "\0\xff"]
+)
+def test_a_file_that_says_something_else_may_say_it_of_every_joint(arm, text):
+    path = saved.path_of(arm.name).with_suffix(".unreferenced")
+    path.parent.mkdir(parents=True)
+    path.write_text(text, encoding="latin-1")
+    assert saved.lost_references(arm) == dict.fromkeys(range(6), Unreferenced.NOT_HOMED)
+    saved.keep_lost_reference(arm, 2, None)
+    assert saved.lost_references(arm) == dict.fromkeys((0, 1, 3, 4, 5), Unreferenced.NOT_HOMED)
+
+
+def test_a_file_that_cannot_be_read_may_say_it_of_every_joint(arm):
+    saved.path_of(arm.name).with_suffix(".unreferenced").mkdir(parents=True)  # root reads any file
+    assert saved.lost_references(arm) == dict.fromkeys(range(6), Unreferenced.NOT_HOMED)
+    with pytest.raises(saved.NotSaved, match=r"joint4.s reference could not be kept in .* see that the file can be"):
+        saved.keep_lost_reference(arm, 3, None)
+
+
+def test_a_lost_reference_that_cannot_be_kept_is_a_sentence(arm, tmp_path):
     (tmp_path / "rtarm").write_text("")
-    with pytest.raises(saved.NotSaved, match="so the next start would believe it"):
-        saved.keep_doubt(arm, 2, True)
+    with pytest.raises(saved.NotSaved, match="so the next start would believe what is not true"):
+        saved.keep_lost_reference(arm, 2, Unreferenced.SILENT)
+
+
+def test_a_user_without_a_home_is_told(arm, monkeypatch):
+    monkeypatch.delenv("XDG_STATE_HOME")
+    monkeypatch.setattr(Path, "home", lambda: Path("~nobody-of-this-name").expanduser())
+    with pytest.raises(saved.NotSaved, match="set XDG_STATE_HOME"):
+        saved.keep_lost_reference(arm, 2, Unreferenced.NOT_HOMED)
+    with pytest.raises(saved.NotSaved, match="set XDG_STATE_HOME"):
+        saved.save(arm, {0: 7})
+    assert (saved.take(arm), saved.lost_references(arm)) == ({}, {})
 
 
 def test_another_adapter_is_another_arm(arm):
@@ -60,6 +100,7 @@ def test_nothing_is_kept_of_a_simulated_arm(arm):
     simulated = load_arm("episode1", overrides={"bus": {"channel": "/dev/pts/3"}})
     saved.save(simulated, {0: 7})
     saved.save(load_arm("mock"), {0: 7})
+    saved.keep_lost_reference(simulated, 2, Unreferenced.NOT_HOMED)
     assert not saved.path_of(arm.name).parent.exists()
 
 

@@ -1,0 +1,62 @@
+"""A reference that is lost stays lost whatever becomes of the control process, until it is given back on purpose."""
+
+import pytest
+from fault_rig import wait
+from stack import PATIENCE_S, Process, Stack
+
+from rtloop.saved import path_of
+from shm.client import StateReader
+from shm.files import open_state
+from shm.words import Fault, Unreferenced
+
+pytestmark = pytest.mark.process
+
+
+@pytest.fixture
+def stack(arm_name, tmp_path):
+    found = Stack(arm_name, tmp_path, start_deg=[0.0] * 6)
+    found.start_sim()
+    yield found
+    found.close()
+
+
+def reasons(stack):
+    """Why each joint has no reference, by the joints' numbers."""
+    reader = StateReader(open_state(stack.name))
+    try:
+        joints = reader.snapshot()["joints"][:6]
+        return {n: Unreferenced(j["unreferenced_reason"]) for n, j in enumerate(joints) if not j["referenced"]}
+    finally:
+        reader.close()
+
+
+def fault_of(stack):
+    reader = StateReader(open_state(stack.name))
+    try:
+        return Fault(reader.snapshot()["fault"])
+    finally:
+        reader.close()
+
+
+def start_and_lose_joint3(stack):
+    stack.start_loop()
+    stack.sim.say("silent:joint=joint3,at_s=0,until_s=0.5")
+    wait(lambda: fault_of(stack) == Fault.STALE_READING, "the fault of the silent drive", PATIENCE_S)
+    assert reasons(stack) == {2: Unreferenced.SILENT}
+
+
+@pytest.mark.parametrize("end", ["terminate", "kill"])
+def test_no_restart_gives_a_reference_back(stack, end):
+    start_and_lose_joint3(stack)
+    wait(path_of(stack.name).with_suffix(".unreferenced").exists, "what the next process reads", PATIENCE_S)
+    getattr(stack.loop.process, end)()
+    stack.loop.code()
+    stack.start_loop()
+    assert reasons(stack) == {2: Unreferenced.SILENT}
+    assert "The drive of joint3 was silent for too long" in stack.loop.said()
+    reference = stack._keep(Process("rtarm", "reference", "joint3", "--arm", stack.name))
+    assert reference.code() == 0, reference.text
+    getattr(stack.loop.process, end)()
+    stack.loop.code()
+    stack.start_loop()
+    assert reasons(stack) == {}
