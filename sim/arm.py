@@ -31,7 +31,8 @@ from sim.bus import Bus, Frame, Outbox
 from sim.can_interface import CanInterface
 from sim.drives.ramp import GRAINS_PER_REVOLUTION, NEVER
 from sim.drives.shaft import Reals, Times
-from sim.drives.zdt import Homing, Settings, ZdtDrive
+from sim.drives.zdt import ZdtDrive
+from sim.drives.zdt_settings import Homing, Settings
 from sim.faults import Fault
 
 HOMING_RPM = 30

@@ -20,7 +20,7 @@ from rtloop.settings.session import NotWritten, Session
 from rtloop.settings.talk import Reading
 from shm.words import Mode
 from sim import faults
-from sim.drives.zdt import Settings
+from sim.drives.zdt_settings import Settings
 
 BLOCK_ANSWER = bytes.fromhex(
     "42 21 15 19 02 02 02 00 10 01 00 03 E8 0B B8 0F A0 05 07 01 00 01 01 00 28 09 60 0F A0 00 01 6B"

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from sim.bus import Frame
-from sim.drives.zdt import Settings, ZdtDrive
+from sim.drives.zdt import ZdtDrive
+from sim.drives.zdt_settings import Settings
 
 PERIOD_S = 1 / 120
 PULSES = 3200

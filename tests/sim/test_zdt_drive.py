@@ -8,7 +8,7 @@ import pytest
 
 from sim.bus import Frame
 from sim.drives.ramp import GRAINS_PER_REVOLUTION as TURN
-from sim.drives.zdt import Homing, Settings
+from sim.drives.zdt_settings import Homing, Settings
 
 EE = "00 EE 6B"
 TO_2_TURNS = "FD 00 00 64 00 00 00 19 00 01 00 6B"  # 100 rpm, no ramp, absolute 6400 pulses
