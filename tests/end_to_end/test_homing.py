@@ -25,12 +25,33 @@ WITHIN_DEG = 0.2
 
 
 @pytest.fixture
-def stack(arm_name, tmp_path):
+def stack_at(arm_name, tmp_path):
+    """Makes the arm of a test, with its drives where they are wanted and its simulated drives running."""
+    made = []
+
+    def make(start_deg, *options):
+        stack = Stack(arm_name, tmp_path, start_deg=start_deg)
+        made.append(stack)
+        stack.start_sim(*options)
+        return stack
+
+    yield make
+    for stack in made:
+        stack.close()
+
+
+@pytest.fixture
+def stack(stack_at):
     """An arm whose drives have just been switched on."""
-    found = Stack(arm_name, tmp_path, start_deg=NEAR_STOPS_DEG)
-    found.start_sim("--unhomed")
-    yield found
-    found.close()
+    return stack_at(NEAR_STOPS_DEG, "--unhomed")
+
+
+@pytest.fixture
+def held(stack_at):
+    """An arm that stands at zero and holds, all of it referenced."""
+    stack = stack_at([0.0] * 6)
+    stack.start_loop()
+    return stack
 
 
 def rtarm(stack, *words):
@@ -71,42 +92,30 @@ def test_a_person_homes_some_joints_and_says_where_the_others_stand(stack):
     assert rtarm(stack, "home", "joint7")[0] == 1
 
 
-def test_ctrl_c_ends_a_homing_run(arm_name, tmp_path):
-    stack = Stack(arm_name, tmp_path, start_deg=[0.0] * 6)
-    try:
-        stack.start_sim()
-        stack.start_loop()
-        home = stack._keep(Process("rtarm", "home", "joint1", "--arm", stack.name))
-        home.line_with("joint1: on its way")
-        before = true_deg(stack)[0]
-        while true_deg(stack)[0] == before:
-            pass
-        home.process.send_signal(signal.SIGINT)
-        assert home.code() == 1
-        assert "Ended: the joint that was on its way stands, without a reference." in home.text
-        truth = stack.truth()
-        since_ns = min(joint.times_ns[-1] for joint in truth.values())
-        assert referenced(stack) == [0, 1, 1, 1, 1, 1]
-        assert rtarm(stack, "reference", "joint1")[0] == 1  # nobody knows whether its count has changed
-        judge(motion_after(stack.truth(), since_ns, min(j.times_ns[-1] for j in stack.truth().values())))
-    finally:
-        stack.close()
+def test_ctrl_c_ends_a_homing_run(held):
+    home = held._keep(Process("rtarm", "home", "joint1", "--arm", held.name))
+    home.line_with("joint1: on its way")
+    before = true_deg(held)[0]
+    while true_deg(held)[0] == before:
+        pass
+    home.process.send_signal(signal.SIGINT)
+    assert home.code() == 1
+    assert "Ended: the joint that was on its way stands, without a reference." in home.text
+    truth = held.truth()
+    since_ns = min(joint.times_ns[-1] for joint in truth.values())
+    assert referenced(held) == [0, 1, 1, 1, 1, 1]
+    assert rtarm(held, "reference", "joint1")[0] == 1  # nobody knows whether its count has changed
+    judge(motion_after(held.truth(), since_ns, min(j.times_ns[-1] for j in held.truth().values())))
 
 
-def test_the_end_of_the_control_process_ends_a_homing_run_first(arm_name, tmp_path):
-    stack = Stack(arm_name, tmp_path, start_deg=[0.0] * 6)
-    try:
-        stack.start_sim()
-        stack.start_loop()
-        home = stack._keep(Process("rtarm", "home", "joint1", "--arm", stack.name))
-        home.line_with("joint1: on its way")
-        stack.loop.process.terminate()
-        assert stack.loop.code() == 0
-        truth = stack.truth()
-        assert abs(truth["joint1"].velocity_rad_s[-1]) == 0.0
-        assert home.code() != 0
-    finally:
-        stack.close()
+def test_the_end_of_the_control_process_ends_a_homing_run_first(held):
+    home = held._keep(Process("rtarm", "home", "joint1", "--arm", held.name))
+    home.line_with("joint1: on its way")
+    held.loop.process.terminate()
+    assert held.loop.code() == 0
+    truth = held.truth()
+    assert abs(truth["joint1"].velocity_rad_s[-1]) == 0.0
+    assert home.code() != 0
 
 
 def test_init_mode_0_homes_the_arm_at_the_start_and_a_service_whenever_it_is_asked(stack):
@@ -127,56 +136,44 @@ def test_init_mode_0_homes_the_arm_at_the_start_and_a_service_whenever_it_is_ask
     reader.close()
 
 
-def test_an_arm_that_was_moved_while_rtarm_was_not_running_is_not_believed(arm_name, tmp_path):
-    stack = Stack(arm_name, tmp_path, start_deg=[0.0] * 6)
-    try:
-        stack.start_sim()
-        stack.start_loop()
-        stack.loop.process.terminate()
-        assert stack.loop.code() == 0
-        stack.sim.close()
-        stack._start_deg = [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]
-        stack.start_sim()
-        stack.start_loop()
-        assert referenced(stack) == [1, 1, 0, 1, 1, 1]
-        assert (
-            "joint3 is not referenced: it stands +5.00° from where it stood when rtarm was ended" in stack.loop.said()
-        )
-        assert rtarm(stack, "reference", "joint3")[0] == 0
-        stack.loop.process.kill()  # nobody knows what happens from here on
-        stack.loop.code()
-        stack.sim.close()
-        stack._start_deg = [0.0] * 6
-        stack.start_sim()
-        stack.start_loop()
-        assert referenced(stack) == [1] * 6
-    finally:
-        stack.close()
+def test_an_arm_that_was_moved_while_rtarm_was_not_running_is_not_believed(held):
+    held.loop.process.terminate()
+    assert held.loop.code() == 0
+    held.sim.close()
+    held._start_deg = [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]
+    held.start_sim()
+    held.start_loop()
+    assert referenced(held) == [1, 1, 0, 1, 1, 1]
+    assert "joint3 is not referenced: it stands +5.00° from where it stood when rtarm was ended" in held.loop.said()
+    assert rtarm(held, "reference", "joint3")[0] == 0
+    held.loop.process.kill()  # nobody knows what happens from here on
+    held.loop.code()
+    held.sim.close()
+    held._start_deg = [0.0] * 6
+    held.start_sim()
+    held.start_loop()
+    assert referenced(held) == [1] * 6
 
 
-def test_a_run_that_was_interrupted_by_a_kill_is_not_believed_by_the_next_process(arm_name, tmp_path):
+def test_a_run_that_was_interrupted_by_a_kill_is_not_believed_by_the_next_process(stack_at):
     """Its drive counts 0 at whatever it has met, and says nothing of it."""
-    stack = Stack(arm_name, tmp_path, start_deg=[0.0, -86.0, 0.0, 0.0, 0.0, 0.0])
-    try:
-        stack.start_sim()
-        stack.start_loop()
-        home = stack._keep(Process("rtarm", "home", "joint2", "--arm", stack.name))
-        home.line_with("joint2: on its way")
-        stack.loop.process.kill()
-        stack.loop.code()
-        while abs(stack.truth()["joint2"].velocity_rad_s[-1]) > 0:
-            pass
-        stack.start_loop()
-        assert referenced(stack) == [1, 0, 1, 1, 1, 1]
-        assert rtarm(stack, "reference", "joint2=-90")[0] == 0
-        stack.loop.process.terminate()
-        assert stack.loop.code() == 0
-        stack.start_loop()
-        assert referenced(stack) == [1, 0, 1, 1, 1, 1]  # that word is gone with the process
-        assert rtarm(stack, "home", "joint2")[0] == 0
-        stack.loop.process.terminate()
-        assert stack.loop.code() == 0
-        stack.start_loop()
-        assert referenced(stack) == [1] * 6
-    finally:
-        stack.close()
+    stack = stack_at([0.0, -86.0, 0.0, 0.0, 0.0, 0.0])
+    stack.start_loop()
+    home = stack._keep(Process("rtarm", "home", "joint2", "--arm", stack.name))
+    home.line_with("joint2: on its way")
+    stack.loop.process.kill()
+    stack.loop.code()
+    while abs(stack.truth()["joint2"].velocity_rad_s[-1]) > 0:
+        pass
+    stack.start_loop()
+    assert referenced(stack) == [1, 0, 1, 1, 1, 1]
+    assert rtarm(stack, "reference", "joint2=-90")[0] == 0
+    stack.loop.process.terminate()
+    assert stack.loop.code() == 0
+    stack.start_loop()
+    assert referenced(stack) == [1, 0, 1, 1, 1, 1]  # that word is gone with the process
+    assert rtarm(stack, "home", "joint2")[0] == 0
+    stack.loop.process.terminate()
+    assert stack.loop.code() == 0
+    stack.start_loop()
+    assert referenced(stack) == [1] * 6
