@@ -52,6 +52,11 @@ LIMIT_SHARE = 0.85
 QUINTIC_VELOCITY, QUINTIC_ACCELERATION = 1.875, 5.774
 """Peaks of a rest-to-rest quintic over the unit of way and time."""
 KNOTS = 20
+SHORTEST_S = 1.2
+MOTION_S = 5.0
+RESULT_WITHIN_S = 6.0
+"""After the planned end of a goal its result is there."""
+ATTEMPTS = 4
 
 
 class Hang(Exception):
@@ -333,7 +338,7 @@ class Rig(Stack):
             time.sleep(0.05)
         return []
 
-    def goal(self, *, shortest_s: float = 1.2, longest_s: float = 3.0, knots: int = KNOTS) -> Any:
+    def goal(self, *, shortest_s: float = SHORTEST_S, longest_s: float = 3.0, knots: int = KNOTS) -> Any:
         """A random goal from where the arm is commanded to be, inside its limits: a quintic through knots."""
         here = self.commanded_rad()
         seconds = self.random.uniform(shortest_s, longest_s)
@@ -377,6 +382,38 @@ class Rig(Stack):
             if sent.accepted.wait(ANSWER_S / 2):
                 return sent
         raise Hang("a goal was not answered")
+
+    def moving_goal(
+        self, latest_share: float, notes: list[str], steps: list[str], *, shortest_s: float = SHORTEST_S
+    ) -> tuple[Sent, int]:
+        """A goal at a random moment of its motion, before that share of it has passed, and when it was sent.
+
+        Where a stall of the machine ends it before, that is noted and another one sent; raises Hang.
+        """
+        for _ in range(ATTEMPTS):
+            began_ns = time.monotonic_ns()
+            sent = self.send(self.goal(shortest_s=shortest_s))
+            wait(lambda s=sent: self.mode() == Mode.EXECUTING or s.ended.is_set(), "motion", MOTION_S)
+            if not sent.ended.wait(self.random.uniform(0.1, latest_share) * sent.duration_s):
+                return sent, began_ns
+            notes.append(f"before the fault: {sent.words[:160]}")
+            steps += self.make_ready()
+        raise Hang("no goal ran until its random moment")
+
+    def goal_succeeds(self, notes: list[str], steps: list[str]) -> list[str]:
+        """Whether a short goal succeeds after the way back: the violation if none does; raises Hang.
+
+        What a stall of the machine ends is noted and tried again.
+        """
+        for _ in range(ATTEMPTS):
+            steps += self.make_ready()
+            sent = self.send(self.goal(shortest_s=0.6, longest_s=0.9))
+            if not sent.ended.wait(sent.duration_s + RESULT_WITHIN_S):
+                raise Hang("the goal after the way back had no result")
+            if sent.succeeded:
+                return []
+            notes.append(f"the goal after it: {sent.words[:120]}")
+        return ["no goal succeeds after the way back"]
 
     def close(self) -> None:
         self._watching.set()

@@ -34,7 +34,7 @@ from observer import (
 from process_trials import own_ros_domain, small_home, spread, with_own_mounts
 
 from config.loader import load_arm
-from shm.words import Fault, Mode
+from shm.words import Fault
 
 STANDS_WITHIN_S = 3.0
 """A stop takes 2 s at most; some faults are noticed after 0.1 s."""
@@ -43,7 +43,6 @@ BACKLOG_S = 2.0
 """A babbling node or a blocked port is freed by the end of the simulated arm: nothing waits longer than this."""
 STILL_S = 0.3
 POLL_S = 0.002
-ATTEMPTS = 4
 
 
 @dataclass
@@ -86,7 +85,7 @@ def run(rig: Any, fault: BusFault) -> Seen:
     seen = Seen()
     equip(rig, fault)
     rig.make_ready()
-    sent, began_ns = _moving(rig, seen)
+    sent, began_ns = rig.moving_goal(0.7, seen.notes, seen.steps, shortest_s=2.0)
     joint = rig.arm.joints[rig.random.integers(len(rig.arm.joints))]
     blind = abs(rig.commanded_rad()[rig.arm.joints.index(joint)] + joint.zero_rad) < fault.blind_rad
     told_ns = time.monotonic_ns()
@@ -102,21 +101,6 @@ def run(rig: Any, fault: BusFault) -> Seen:
         (seen.notes if latched != GOES_ON or blind else seen.violations).append(sentence)
     _way_back(rig, fault, seen)
     return seen
-
-
-def _moving(rig: Any, seen: Seen) -> tuple[Any, int]:
-    """A goal at a random moment of its motion, and when it was sent; where a busy machine ends it, another one."""
-    from fault_rig import Hang, wait
-
-    for _ in range(ATTEMPTS):
-        began_ns = time.monotonic_ns()
-        sent = rig.send(rig.goal(shortest_s=2.0))
-        wait(lambda s=sent: rig.mode() == Mode.EXECUTING or s.ended.is_set(), "motion", RESULT_WITHIN_S)
-        if not sent.ended.wait(rig.random.uniform(0.1, 0.7) * sent.duration_s):
-            return sent, began_ns
-        seen.notes.append(f"before the fault: {sent.words[:120]}")
-        rig.make_ready()
-    raise Hang("no goal ran until its random moment")
 
 
 def _await_end(rig: Any, sent: Any, told_ns: int, seen: Seen) -> None:
@@ -159,19 +143,9 @@ def _judge(rig: Any, fault: BusFault, began_ns: int, told_ns: int, thrown: set[s
 
 def _way_back(rig: Any, fault: BusFault, seen: Seen) -> None:
     """As a person would bring the arm back: the cause mended where it lasts, the fault cleared, a goal succeeds."""
-    from fault_rig import Hang
-
     if fault.mend is not None or fault.loses:
         plug_in(rig, fault)
-    for _ in range(ATTEMPTS):
-        seen.steps += rig.make_ready()
-        sent = rig.send(rig.goal(shortest_s=0.6, longest_s=0.9))
-        if not sent.ended.wait(sent.duration_s + RESULT_WITHIN_S):
-            raise Hang("the goal after the way back has no result")
-        if sent.succeeded:
-            return
-        seen.notes.append(f"the goal after it: {sent.words[:120]}")
-    seen.violations.append("no goal succeeds after the way back")
+    seen.violations += rig.goal_succeeds(seen.notes, seen.steps)
 
 
 # --- many of them

@@ -177,7 +177,7 @@ def run(rig: Rig, trial: Trial) -> Trial:
 
 
 def _act(rig: Rig, trial: Trial) -> None:
-    sent, began_ns = _moving(rig, trial)
+    sent, began_ns = rig.moving_goal(0.8, trial.notes, trial.steps)
     pids = {target: rig.pid(target) for target in TARGETS}
     if not pids["loop"] or not pids["front"]:
         trial.violations.append(f"not everything runs: {pids}")
@@ -193,19 +193,6 @@ def _act(rig: Rig, trial: Trial) -> None:
     _judge_motion(rig, trial, sent, began_ns, hurt_ns, over_ns)
     _judge_processes(rig, trial, pids)
     _way_back(rig, trial, over_ns)
-
-
-def _moving(rig: Rig, trial: Trial) -> tuple[Sent, int]:
-    """A goal at a random moment of its motion, and when it was sent; where a stall ends it, another one."""
-    for _ in range(4):
-        began_ns = time.monotonic_ns()
-        sent = rig.send(rig.goal())
-        wait(lambda s=sent: rig.mode() == Mode.EXECUTING or s.ended.is_set(), "motion", 5.0)
-        if not sent.ended.wait(rig.random.uniform(0.1, 0.8) * sent.duration_s):
-            return sent, began_ns
-        trial.notes.append(f"before the fault: {sent.words[:160]}")
-        trial.steps += rig.make_ready()
-    raise Hang("no goal ran until its random moment")
 
 
 def _await_end(rig: Rig, trial: Trial, sent: Sent, pids: dict[str, int]) -> None:
@@ -333,15 +320,7 @@ def _judge_code(rig: Rig, trial: Trial) -> None:
 
 
 def _way_back(rig: Rig, trial: Trial, over_ns: int) -> None:
-    """Back into service, and a goal succeeds; what a stall of the machine ends is tried again, and said."""
-    for attempt in range(4):
-        trial.steps += rig.make_ready()
-        if attempt == 0:
-            trial.back_ms = (time.monotonic_ns() - over_ns) / 1e6
-        sent = rig.send(rig.goal(shortest_s=0.6, longest_s=0.9))
-        if not sent.ended.wait(sent.duration_s + MARGIN_S):
-            raise Hang("the goal after the way back had no result")
-        if sent.succeeded:
-            return
-        trial.notes.append(f"the goal after it: {sent.words[:120]}")
-    trial.violations.append("no goal succeeds after the way back")
+    """Back into service, and a goal succeeds."""
+    trial.steps += rig.make_ready()
+    trial.back_ms = (time.monotonic_ns() - over_ns) / 1e6
+    trial.violations += rig.goal_succeeds(trial.notes, trial.steps)
