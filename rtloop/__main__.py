@@ -20,6 +20,7 @@ import time
 
 from config.errors import ConfigError
 from config.loader import load_arm, parse_overrides
+from config.schema import ArmConfig
 from rtloop import compiled
 from rtloop.process import CannotStart, ControlProcess, StopAsked
 from rtloop.wire.refusal import WireRefused
@@ -30,18 +31,23 @@ COMPILER_POLL_S = 0.02
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m rtloop", description="The control process of an arm.")
-    parser.add_argument("arm", help="name of an arm, or path of its YAML file")
-    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change a setting")
-    options = parser.parse_args(arguments)
     try:
-        arm = load_arm(options.arm, overrides=parse_overrides(options.set))
+        arm = arm_of(arguments, "python -m rtloop", "The control process of an arm.")
         stop_asked = StopAsked(STOP_SIGNALS)
         cycle = compiled_cycle(stop_asked)
         return ControlProcess(arm, cycle, tell, stop_asked).serve(lambda: print("ready", flush=True))
     except (ConfigError, SharedMemoryError, CannotStart, WireRefused) as error:
         tell(str(error))
         return 2
+
+
+def arm_of(arguments: list[str] | None, program: str, description: str) -> ArmConfig:
+    """The arm that a command line names, with the settings that it changes; raises ConfigError."""
+    parser = argparse.ArgumentParser(prog=program, description=description)
+    parser.add_argument("arm", help="name of an arm, or path of its YAML file")
+    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change a setting")
+    options = parser.parse_args(arguments)
+    return load_arm(options.arm, overrides=parse_overrides(options.set))
 
 
 def compiled_cycle(stop_asked: StopAsked) -> compiled.CompiledCycle:

@@ -7,7 +7,6 @@ with `told …` for each drive and `written {result}`; it ends when that input d
 
 from __future__ import annotations
 
-import argparse
 import json
 import select
 import sys
@@ -16,9 +15,8 @@ from collections.abc import Callable
 from dataclasses import asdict
 
 from config.errors import ConfigError
-from config.loader import load_arm, parse_overrides
 from config.schema import ArmConfig
-from rtloop.__main__ import STOP_SIGNALS, compiled_cycle, tell
+from rtloop.__main__ import STOP_SIGNALS, arm_of, compiled_cycle, tell
 from rtloop.conversation import TalkFailed
 from rtloop.port import ServicePort
 from rtloop.process import CannotStart, ControlProcess, StopAsked
@@ -31,12 +29,8 @@ ORDERS = ("write", "store")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m rtloop.settings", description="Settings of an arm's drives.")
-    parser.add_argument("arm", help="name of an arm, or path of its YAML file")
-    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change a setting")
-    options = parser.parse_args(arguments)
     try:
-        arm = load_arm(options.arm, overrides=parse_overrides(options.set))
+        arm = arm_of(arguments, "python -m rtloop.settings", "Settings of an arm's drives.")
         stop_asked = StopAsked(STOP_SIGNALS)
         process = ControlProcess(arm, compiled_cycle(stop_asked), tell, stop_asked)
         return process.serve_offline(lambda port, pause: serve(arm, port, pause))
