@@ -89,7 +89,11 @@ def command(loop: Loop, joint: int) -> tuple[int, int]:
     # the frame arrives command_delay_s into the cycle and is in force for one period from there
     speed = planned + axis.next_acceleration_rad_s2 * row.command_delay_s
     most = ERROR_SPEED_SHARE * row.max_velocity_rad_s
-    speed += min(max(ERROR_SHARE_1_S * steady_error_rad(axis, 2.0 * row.slack_rad), -most), most)
+    # whole rpm keep the mean by being up to half an rpm off for a period: to correct that error would only add to it
+    rounding_rad = 0.5 / row.rpm_per_rad_s * period_s
+    error_rad = steady_error_rad(axis, 2.0 * row.slack_rad)
+    error_rad -= min(max(error_rad, -rounding_rad), rounding_rad)
+    speed += min(max(ERROR_SHARE_1_S * error_rad, -most), most)
     most = loop.params.velocity_margin * row.max_velocity_rad_s
     speed = min(max(speed, -most), most)
     lead = period_s * LEAD_PERIODS + row.command_delay_s

@@ -90,17 +90,21 @@ def test_recorded_goals_run_true(name: str) -> None:
     arm.close()
 
 
-@pytest.mark.parametrize(
-    ("joint", "motor_rpm", "bound"),
-    [(0, 100.0, 0.01), (2, 100.0, 0.01), (1, 60.0, 0.01), (0, 10.0, 0.05), (1, 10.0, 0.05), (2, 10.0, 0.07)],
-)
-def test_velocity_ripple_at_constant_speed(joint: int, motor_rpm: float, bound: float) -> None:
-    """Ripple: rms of the true velocity minus the planned one over the planned one, at steady speed.
+@pytest.mark.parametrize(("joint", "motor_rpm"), [(0, 100.0), (2, 100.0), (1, 60.0), (0, 10.0), (1, 10.0), (2, 10.0)])
+def test_velocity_ripple_at_constant_speed(joint: int, motor_rpm: float) -> None:
+    """The speed field holds whole rpm, of which two in turn may be half an rpm off (rms): nothing roughens it further.
 
-    At 10 motor rpm the speed field of joint3 dithers between whole numbers: 1.5 to 6.4 %, by the phase of its start.
+    The beginning in each of six cycles, since a status is read of another drive in each, which shifts the readings.
     """
+    ripples = [velocity_ripple(joint, motor_rpm, wait) for wait in range(6)]
+    assert max(ripples) <= 0.5 / motor_rpm, ripples
+
+
+def velocity_ripple(joint: int, motor_rpm: float, wait_cycles: int) -> float:
+    """Rms of the true velocity minus the planned one over the planned one, at steady speed."""
     arm = VirtualArm()
     arm.bring_up()
+    arm.cycles(wait_cycles)
     config = arm.arm.joints[joint]
     speed = motor_rpm * 2 * math.pi / 60 / config.ratio
     speed_up_s = speed / config.max_acceleration_rad_s2
@@ -117,8 +121,8 @@ def test_velocity_ripple_at_constant_speed(joint: int, motor_rpm: float, bound: 
     assert arm.outcome(goal) == Outcome.SUCCEEDED
     steady_ns = started_ns + int((speed_up_s + 0.6) * 1e9)
     _, _, velocity_rad_s = sampled_truth(arm.sim, joint, steady_ns, steady_ns + 1_300_000_000)
-    assert rms(velocity_rad_s + speed) <= bound * speed
     arm.close()
+    return rms(velocity_rad_s + speed) / speed
 
 
 @trials
