@@ -279,6 +279,26 @@ class LimitsConfig(Section):
         return self
 
 
+class PoseMove(Section):
+    """A move of all joints to a pose of the arm's own, from wherever it stands."""
+
+    joints_deg: list[Annotated[float, NoBool]] = Field(
+        min_length=1, description="Where each joint goes (degrees), in the order of joints."
+    )
+    speed_ratio: float = Field(default=0.25, gt=0, le=1, description="Share of the joints' velocity limits.")
+
+    @property
+    def target_rad(self) -> list[float]:
+        """Where each joint goes."""
+        return [math.radians(angle_deg) for angle_deg in self.joints_deg]
+
+
+class ParkingConfig(PoseMove):
+    """The move that an orderly end begins with, if the arm stands."""
+
+    timeout_s: float = Field(default=60.0, ge=1, le=300, description="Longest that parking may take (s).")
+
+
 class HomingConfig(Section):
     """The homing run: joints find their stops one after the other, by collision (sensorless)."""
 
@@ -290,6 +310,11 @@ class HomingConfig(Section):
     )
     timeout_s: float = Field(
         default=120.0, ge=1, le=3600, description="Longest homing run of one joint (s); drives are told so too."
+    )
+    then: PoseMove | None = Field(
+        default=None,
+        description="Where the arm goes once init_mode 0 has homed it, as soon as the ROS process is there; left out, "
+        "it stays at its stops.",
     )
 
 
@@ -401,6 +426,9 @@ class ArmConfig(Section):
         default_factory=LimitsConfig, description="Margins and watchdogs of the control process."
     )
     homing: HomingConfig = Field(default_factory=HomingConfig, description="The homing run.")
+    parking: ParkingConfig | None = Field(
+        default=None, description="Where the arm goes before an orderly end; left out, it holds where it stands."
+    )
     trajectory: TrajectoryConfig = Field(
         default_factory=TrajectoryConfig, description="How goals are interpolated and judged."
     )
@@ -457,6 +485,26 @@ class ArmConfig(Section):
                 )
             if name in (self.homing.order or ())[:index]:
                 raise refuse(f"homing.order[{index}]", f"order names {name} twice; a joint is homed once: remove one.")
+        return self
+
+    @model_validator(mode="after")
+    def _poses_are_of_this_arm(self) -> ArmConfig:
+        for field, move in (("homing.then", self.homing.then), ("parking", self.parking)):
+            if move is None:
+                continue
+            if len(move.joints_deg) != len(self.joints):
+                raise refuse(
+                    f"{field}.joints_deg",
+                    f"joints_deg has {len(move.joints_deg)} angles, but the arm has {len(self.joints)} joints; give "
+                    "one a joint, in the same order.",
+                )
+            for index, (joint, angle_deg) in enumerate(zip(self.joints, move.joints_deg, strict=True)):
+                if not joint.lower_deg <= angle_deg <= joint.upper_deg:
+                    raise refuse(
+                        f"{field}.joints_deg[{index}]",
+                        f"joints_deg[{index}] is {angle_deg:g}, but {joint.name} goes from {joint.lower_deg:g} to "
+                        f"{joint.upper_deg:g} degrees; give an angle in between.",
+                    )
         return self
 
     @property

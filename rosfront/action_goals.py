@@ -48,6 +48,10 @@ class ActionGoals:
         """Judge none any more."""
         self._intake.stop()
 
+    def put(self, work: Callable[[], None]) -> None:
+        """Do something in the thread in which goals are judged, behind those that came before."""
+        self._intake.put(work)
+
     async def consider(self, plan: Planner) -> GoalResponse:
         """Accept every goal, so that a bad one can be told why; `strict_reject` rejects bad ones instead."""
         if not self._serving.arm.trajectory.strict_reject:

@@ -24,7 +24,7 @@ from rosfront.verdict import fault_of
 from shm.errors import TornRead
 from shm.histogram import percentiles_ns
 from shm.layout import BUS_TROUBLE
-from shm.sentences import NOBODY_ACKNOWLEDGES, bus_state_sentence, mode_name, unreferenced_sentence
+from shm.sentences import NOBODY_ACKNOWLEDGES, bus_state_sentence, joint_name, mode_name, unreferenced_sentence
 from shm.words import BusState, DriveStatus, Fault, Mode, Phase, Unreferenced
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -124,6 +124,7 @@ class Diagnostics:
             "time along the trajectory": f"{float(snapshot['trajectory_clock_ns']) / NS:.3f} s",
             "speed scale asked": f"{float(snapshot['speed_scale_asked']):.3f}",
             "speed scale": f"{float(snapshot['speed_scale']):.3f}",
+            "homing or referencing": joint_name(int(snapshot["referencing_joint"]), self._serving.joints),
         }
         return self._status("arm", level, message, values)
 

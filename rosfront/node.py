@@ -23,8 +23,10 @@ from rosfront.goal import plan_goal
 from rosfront.inputs import Inputs
 from rosfront.joint_states import Pulse
 from rosfront.link import Link
+from rosfront.own_moves import OwnMoves
 from rosfront.parameters import INITIAL_SCALE, CheckedNode
 from rosfront.plan import NS, GoalPlan
+from rosfront.program import EndSignal
 from rosfront.services import Services
 from rosfront.serving import Serving
 from rosfront.state_topics import STATE_QOS, Feedback, Progress, StateTopics, joint_state_bytes
@@ -65,6 +67,7 @@ class FrontNode:
             consider=lambda goal: goals.consider(lambda: self._plan(goal)),
             idle=lambda: self._services.idle and (self._full_node is None or self._full_node.quiet),
         )
+        self._own_moves = OwnMoves(arm, self.serving, goals.put, self.node.get_logger().info)
         self._full_node = self._make_full_node(executor)
         initial_factor = float(self.node.get_parameter(INITIAL_SCALE).value)
         self._inputs = Inputs(self.node, executor, self.serving, self._goals.counts, initial_factor)
@@ -131,6 +134,7 @@ class FrontNode:
             self._tell_factor(snapshot)
         self._last_cycle = int(snapshot["cycle"])
         execution = self.serving.look(snapshot)
+        self._own_moves.look(snapshot)
         if execution is not None:
             self._progress.look(snapshot)
         if fresh:
@@ -157,6 +161,13 @@ class FrontNode:
             self._inputs.ask_factor()
 
     # --- the end ---
+
+    def finish(self, end: EndSignal) -> None:
+        """Park, if the arm file says so and the arm stands; another end signal stops it instead."""
+        self._action_goals.close()
+        parking = self._own_moves.park(on_end=end.give)
+        if parking is not None and self.arm.parking is not None:
+            end.wait(self.arm.parking.timeout_s)
 
     def close(self, patience_s: float) -> None:
         """Stop a running goal on its path, tell its client, and end; call from a thread of neither kind.

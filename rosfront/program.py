@@ -4,6 +4,7 @@
 
 import gc
 import os
+import select
 import signal
 import sys
 import threading
@@ -44,6 +45,9 @@ class Served(Protocol):
     def announce(self) -> None:
         """Say, in a thread that may wait, that goals can be sent."""
 
+    def finish(self, end: "EndSignal") -> None:
+        """What is still to be done before the end; another end signal ends that."""
+
     def close(self, patience_s: float) -> None:
         """End what runs and make `spin` return."""
 
@@ -62,9 +66,13 @@ class EndSignal:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: None)
 
-    def wait(self) -> None:
-        """Until a signal comes or has come, or `give` was called; a later one is ignored to the very end."""
-        os.read(self._read, 1)
+    def wait(self, timeout_s: float | None = None) -> None:
+        """Until a signal comes or has come, or `give` was called; each is waited for once."""
+        if select.select([self._read], [], [], timeout_s)[0]:
+            os.read(self._read, 1)
+
+    def ignore(self) -> None:
+        """Signals do nothing any more, to the very end."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_IGN)
 
@@ -173,6 +181,9 @@ def serve(
     gc.collect()
     gc.freeze()  # what is alive now stays: later collections need not walk through it
     end.wait()
+    if not failures:
+        served.finish(end)
+    end.ignore()
     served.close(LONGEST_STOP_S)
     spinner.join()
     executor.shutdown()

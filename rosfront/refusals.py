@@ -399,6 +399,16 @@ class MotorAngleBeyondLimit(BadRequest):
         )
 
 
+class ParkingTooLong(GoalRefused):
+    """The way to where the arm parks takes longer than parking may."""
+
+    def __init__(self, takes_s: float, limit_s: float) -> None:
+        super().__init__(
+            f"It would take {takes_s:.1f} s and parking.timeout_s is {limit_s:g}: raise one of parking.timeout_s and "
+            "parking.speed_ratio in the arm file."
+        )
+
+
 class InMotion(GoalRefused):
     """A move that begins at rest was asked of an arm that is not."""
 

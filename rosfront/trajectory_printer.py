@@ -234,6 +234,9 @@ class PrinterNode:
             self._say(message)
         return Verdict(Status.SUCCEEDED, SUCCESSFUL, "")
 
+    def finish(self, end: EndSignal) -> None:
+        """Nothing moves here."""
+
     def close(self, patience_s: float) -> None:
         """Stop printing, tell the client, and end; call from a thread of neither kind."""
         self._stopped.set()

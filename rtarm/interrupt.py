@@ -16,11 +16,15 @@ class Interrupted(Exception):
     """A signal asked for the end; the text is its name."""
 
 
-async def interruptible(work: Coroutine[Any, Any, T], heard: Callable[[str], None] = lambda _: None) -> T:
+async def interruptible(
+    work: Coroutine[Any, Any, T],
+    heard: Callable[[str], None] = lambda _: None,
+    heard_again: Callable[[], None] = lambda: None,
+) -> T:
     """Do the work, which ends what it started when it is cancelled.
 
     The first SIGINT, SIGTERM or SIGHUP cancels it, after `heard` was called with the signal's name; further ones do
-    not disturb its end.
+    not disturb its end, but for what `heard_again` makes of them.
 
     Raises:
         Interrupted: a signal came, and the work has ended.
@@ -34,6 +38,8 @@ async def interruptible(work: Coroutine[Any, Any, T], heard: Callable[[str], Non
         if len(received) == 1:
             heard(received[0])
             task.cancel()
+        else:
+            heard_again()
 
     for number in STOP_SIGNALS:
         loop.add_signal_handler(number, on_signal, number)

@@ -226,8 +226,9 @@ class Launcher:
     async def stop(self) -> None:
         """End what runs, in order, each within its patience."""
         loop_moves = self._loop is not None and self._loop.was_ready
+        parking = self.plan.arm.parking
         for child, patience_s in (
-            (self._front, FRONT_STOP_S),
+            (self._front, FRONT_STOP_S + (parking.timeout_s if parking else 0.0)),
             (self._loop, LOOP_STOP_S if loop_moves else LOOP_STOP_EARLY_S),
             (self._sim, SIM_STOP_S),
         ):
@@ -242,7 +243,13 @@ class Launcher:
 
     def say_stopping(self, why: str) -> None:
         """The line between a signal and the end."""
-        self._reporter.say(f"{why}: stopping the arm on its path and ending its processes")
+        parks = ", once it is parked if it stands" if self.plan.arm.parking else ""
+        self._reporter.say(f"{why}: stopping the arm on its path and ending its processes{parks}")
+
+    def stop_at_once(self) -> None:
+        """Whoever asks for the end again wants no parking."""
+        if self.plan.arm.parking and self._front is not None and not self._front.has_ended:
+            self._front.ask_to_end()
 
     def check_orderly_end(self) -> None:
         """After `stop`: refuse when a control process that was ready did not end in order."""

@@ -172,11 +172,15 @@ class Child:
         """Its exit code once it has ended."""
         return self._end.result() if self._end.done() else None
 
+    def ask_to_end(self) -> None:
+        """SIGTERM; asked again, it does nothing more before its end."""
+        self._send(signal.SIGTERM)
+
     async def stop(self, patience_s: float) -> bool:
         """SIGTERM, and SIGKILL when that has no effect; says whether SIGTERM was enough."""
         if self._end.done():
             return True
-        self._send(signal.SIGTERM)
+        self.ask_to_end()
         done, _ = await asyncio.wait((self._end,), timeout=patience_s)
         if done:
             return True

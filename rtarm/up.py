@@ -25,7 +25,7 @@ async def run_launched(launcher: Launcher, work: Callable[[], Awaitable[None]]) 
         finally:
             await launcher.stop()
 
-    await interruptible(launched(), launcher.say_stopping)
+    await interruptible(launched(), launcher.say_stopping, launcher.stop_at_once)
 
 
 def up(plan: Plan, reporter: Reporter) -> ExitCode:

@@ -377,6 +377,9 @@ def _obey(loop: Loop, shared: Shared) -> int:
             return Answer.REFUSED_VALUE
         core.speed_scale = request.value
         return Answer.DONE
+    if kind == Request.CANCEL:  # of goals alone: a ROS process that begins cancels what its predecessor has left
+        return _end_goals(loop, shared, request.goal_id, Outcome.CANCELED)
+    core.pose_due = 0
     if kind == Request.CLEAR_FAULT:
         if core.mode != Mode.FAULT:
             return Answer.REFUSED_MODE
@@ -396,12 +399,11 @@ def _obey(loop: Loop, shared: Shared) -> int:
         return _let_go(loop, shared, Mode.DISABLED if kind == Request.DISABLE else Mode.FREE)
     if kind == Request.HOME or kind == Request.REFERENCE:
         return begin_referencing(loop, shared, kind, request.joint_mask, request.value)
-    if core.mode == Mode.REFERENCING and (kind == Request.HOLD or kind == Request.CANCEL or kind == Request.STOP):
+    if core.mode == Mode.REFERENCING and (kind == Request.HOLD or kind == Request.STOP):
         core.referencing_ends = 1
         return Answer.DONE
-    if kind == Request.CANCEL or kind == Request.STOP:
-        outcome = Outcome.CANCELED if kind == Request.CANCEL else Outcome.STOPPED
-        return _end_goals(loop, shared, request.goal_id, outcome)
+    if kind == Request.STOP:
+        return _end_goals(loop, shared, request.goal_id, Outcome.STOPPED)
     if kind == Request.HOLD or kind == Request.RESUME:
         if core.goal_id == 0:
             return Answer.REFUSED_NO_GOAL

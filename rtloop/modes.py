@@ -43,5 +43,7 @@ def change_mode(loop: Loop, shared: Shared, mode: int) -> bool:
     if (_ALLOWED_BITS[core.mode] >> mode) & 1 == 0:
         return False
     core.mode = mode
+    if mode != Mode.REFERENCING and mode != Mode.HOLDING:
+        core.pose_due = 0
     record_event(loop, shared, Event.MODE, -1, mode, 0.0, 0.0)
     return True

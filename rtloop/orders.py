@@ -9,7 +9,7 @@ from rtloop.modes import change_mode
 from rtloop.state import HISTORY_SLOTS
 from shm.jit import jit
 from shm.layout import MAX_JOINTS
-from shm.words import BusState, Fault, Mode, Request, Unreferenced
+from shm.words import Answer, BusState, Fault, Mode, Request, Unreferenced
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
@@ -39,7 +39,8 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
             if order.code == 1 and core.mode == Mode.REFERENCING:
                 forget_count(loop, order.joint)
         elif order.kind == port.HOME_ALL:
-            intake.begin_referencing(loop, shared, Request.HOME, 0, 0.0)
+            if intake.begin_referencing(loop, shared, Request.HOME, 0, 0.0) == Answer.DONE:
+                core.pose_due = 1
         elif order.kind == port.REFERENCING_DONE:
             core.referencing_joint = -1
             if core.mode == Mode.REFERENCING:

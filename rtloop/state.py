@@ -203,6 +203,7 @@ CORE = np.dtype(
         ("reference_asked", "i8"),  # joint mask; `asked_rad` of each says where it stands
         ("referencing_ends", "i8"),  # 1: a person, a fault or a shutdown ends what HOME or REFERENCE began
         ("referencing_joint", "i8"),
+        ("pose_due", "i8"),  # 1: homed at the start, and since then nobody has asked for anything
         ("closing", "i8"),  # a shutdown is stopping the arm
         # the goal
         ("active", "i8"),  # which of the two paths runs

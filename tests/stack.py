@@ -8,6 +8,7 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 from queue import Empty, Queue
+from typing import Any
 
 import yaml
 
@@ -111,6 +112,13 @@ class Stack:
         self.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
         self._start_deg = start_deg
         self._processes: list[Process] = []
+
+    def change(self, **sections: dict[str, Any]) -> None:
+        """Set keys of the arm file, by section; what is started from now on reads them."""
+        values = yaml.safe_load(self.arm_file.read_text(encoding="utf-8"))
+        for section, keys in sections.items():
+            values.setdefault(section, {}).update(keys)
+        self.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
 
     def start_sim(self, *options: str) -> Process:
         arguments = ["--arm", str(self.arm_file), "--link", str(self.link), "--truth", str(self.truth_file)]

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 from config import load_arm
+from config.errors import ConfigError
 from config.geometry import DhRow, KinematicsConfig
 from config.joint import JointConfig, MockDrive, ZdtDrive
 from config.schema import (
@@ -94,6 +95,23 @@ def test_what_no_can_interface_can_be_is_refused(bus: dict[str, Any], said: str)
 
 def test_a_can_interface_offers_rates_that_serial_adapters_disagree_about() -> None:
     assert BusConfig(interface="socketcan", channel="can0", bitrate=800_000).bitrate == 800_000
+
+
+@pytest.mark.parametrize(
+    "overrides_of", [lambda move: {"homing": {"then": move}}, lambda move: {"parking": move}], ids=["homing", "parking"]
+)
+@pytest.mark.parametrize(
+    ("move", "said"),
+    [
+        ({"joints_deg": [0.0] * 5}, r"joints_deg has 5 angles, but the arm has 6 joints; give one a joint"),
+        ({"joints_deg": [0.0, 90.1, 0.0, 0.0, 0.0, 0.0]}, r"joints_deg\[1\] is 90.1, but joint2 goes from -90 to 90"),
+        ({"joints_deg": [0.0] * 6, "speed_ratio": 0.0}, r"speed_ratio is 0"),
+        ({"joints_deg": [0.0] * 6, "speed_ratio": 1.1}, r"speed_ratio is 1.1"),
+    ],
+)
+def test_a_pose_that_the_arm_cannot_take_is_refused(overrides_of, move, said) -> None:
+    with pytest.raises(ConfigError, match=said):
+        load_arm("episode1", overrides=overrides_of(move))
 
 
 def test_mock_runs_at_100_hz_without_a_bus() -> None:

@@ -21,6 +21,7 @@ from shm.words import Mode
 pytestmark = pytest.mark.process
 
 NEAR_STOPS_DEG = (-178.0, -88.0, -81.0, -27.0, -107.0, -24.0)
+POSE_DEG = [-170.0, -80.0, -73.0, -20.0, -100.0, -20.0]
 WITHIN_DEG = 0.2
 
 
@@ -119,10 +120,16 @@ def test_the_end_of_the_control_process_ends_a_homing_run_first(held):
 
 
 def test_init_mode_0_homes_the_arm_at_the_start_and_a_service_whenever_it_is_asked(stack):
-    stack.arm_file.write_text(stack.arm_file.read_text().replace("init_mode: 1", "init_mode: 0"))
+    stack.change(control={"init_mode": 0}, homing={"then": {"joints_deg": POSE_DEG, "speed_ratio": 1.0}})
     stack.start_loop()
     stack.loop.line_with("joint6: homed.")
     assert np.abs(np.array(true_deg(stack)) - (-180, -90, -83, -30, -110, -30)).max() < WITHIN_DEG
+    stack.start_front()
+    stack.front.line_with("goes to the pose that its file names")
+    stack.front.line_with("The pose after homing is reached.")
+    assert np.abs(np.array(true_deg(stack)) - POSE_DEG).max() < WITHIN_DEG
+    stack.front.process.kill()  # a new one moves nothing: it was moved already
+    stack.front.code()
     stack.start_front()
     operator = Operator(f"controller_{stack.name}")
     try:
@@ -134,6 +141,16 @@ def test_init_mode_0_homes_the_arm_at_the_start_and_a_service_whenever_it_is_ask
     reader = StateReader(open_state(stack.name))
     assert int(reader.snapshot()["mode"]) == Mode.HOLDING
     reader.close()
+
+
+def test_a_ros_process_that_begins_amid_homing_waits_for_its_end_and_goes_to_the_pose(stack):
+    stack.change(control={"init_mode": 0}, homing={"then": {"joints_deg": POSE_DEG, "speed_ratio": 1.0}})
+    stack.start_loop()
+    stack.loop.line_with("joint1: homing")
+    stack.start_front()
+    assert "joint6: homed." not in stack.loop.said()
+    stack.front.line_with("The pose after homing is reached.")
+    assert np.abs(np.array(true_deg(stack)) - POSE_DEG).max() < WITHIN_DEG
 
 
 def test_an_arm_that_was_moved_while_rtarm_was_not_running_is_not_believed(held):

@@ -10,6 +10,7 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from rtloop.bringup import BringUp
+from rtloop.port import HOME_ALL
 from rtloop.referencing import referencing_asked_for
 from rtloop.saved import NotSaved
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
@@ -102,7 +103,7 @@ def test_a_whole_arm_is_homed_in_its_order():
     arm.close()
 
 
-@pytest.mark.parametrize("request_kind", [Request.STOP, Request.CANCEL, Request.HOLD])
+@pytest.mark.parametrize("request_kind", [Request.STOP, Request.HOLD])
 @pytest.mark.parametrize("after_cycles", [30, 60])
 def test_a_homing_run_is_ended_at_once_whenever_somebody_asks(request_kind, after_cycles):
     arm = new_arm((0.0,) * 6)
@@ -129,6 +130,22 @@ def test_a_homing_run_is_ended_at_once_whenever_somebody_asks(request_kind, afte
     assert abs(arm.loop[0]["axes"][1]["measured_rad"] - true_rad(arm, 1)) < WITHIN_RAD
     assert small_goal(arm) == Outcome.SUCCEEDED
     arm.close()
+
+
+def test_a_ros_process_that_begins_amid_a_homing_run_leaves_it_alone(arm):
+    """It cancels what goals its predecessor has left, whatever goes on."""
+    assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
+    cycles = []
+
+    def begin():
+        cycles.append(arm.now_ns)
+        if len(cycles) == 20:
+            arm.writer.request(Request.CANCEL)
+
+    assert arm.reference(each_cycle=begin).failure is None
+    assert len(cycles) > 30
+    assert arm.loop[0]["axes"][1]["referenced"] == 1
+    assert abs(true_rad(arm, 1) - arm.arm.joints[1].lower_rad) < WITHIN_RAD
 
 
 @pytest.mark.parametrize("mask", [JOINT2, ALL])
@@ -251,6 +268,36 @@ def test_nothing_else_is_begun_while_a_joint_is_homed():
     for kind in (Request.FREE, Request.DISABLE, Request.ENABLE, Request.CLEAR_FAULT):
         assert arm.ask(kind) == Answer.REFUSED_MODE
     assert small_goal(arm) == Outcome.REFUSED_MODE
+    arm.close()
+
+
+def test_a_pose_is_due_after_homing_at_the_start_until_somebody_asks_for_something():
+    def homed_at_the_start():
+        arm = new_arm((0.0,) * 6)
+        arm.port.post(HOME_ALL)
+        arm.cycles(2)
+        assert arm.core["mode"] == Mode.REFERENCING
+        assert arm.reference().failure is None
+        assert (arm.core["mode"], arm.reader.snapshot()["pose_due"]) == (Mode.HOLDING, 1)
+        return arm
+
+    for kind in (Request.HOLD, Request.STOP, Request.HOME, Request.FREE, Request.REFERENCE):
+        arm = homed_at_the_start()
+        arm.ask(Request.SPEED_SCALE, value=0.5)
+        arm.ask(Request.CANCEL)  # as a ROS process does when it begins
+        assert arm.reader.snapshot()["pose_due"] == 1
+        arm.ask(kind)
+        arm.cycles(1)
+        assert arm.reader.snapshot()["pose_due"] == 0
+        arm.close()
+    arm = homed_at_the_start()
+    assert small_goal(arm) == Outcome.SUCCEEDED
+    assert arm.reader.snapshot()["pose_due"] == 0
+    arm.close()
+    arm = new_arm((0.0,) * 6)
+    assert arm.ask(Request.HOME) == Answer.DONE  # by hand: nobody expects the arm to go anywhere afterwards
+    assert arm.reference().failure is None
+    assert arm.reader.snapshot()["pose_due"] == 0
     arm.close()
 
 

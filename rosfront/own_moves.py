@@ -1,0 +1,83 @@
+"""Moves that nobody sends but the arm file asks for: to a pose after homing at the start, and to park at the end.
+
+They are trajectories like everybody's: planned from where the arm stands, checked, handed on through the same ring.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from config.schema import ArmConfig, PoseMove
+from rosfront.goal import plan_move
+from rosfront.moves import joint_move
+from rosfront.plan import GoalPlan
+from rosfront.refusals import GoalRefused, InMotion, ParkingTooLong
+from rosfront.serving import Execution, Serving
+from rosfront.verdict import Status, Verdict
+from shm.words import Mode
+
+Tell = Callable[[str], object]
+
+
+class OwnMoves:
+    """The moves of one arm that are its file's."""
+
+    def __init__(self, arm: ArmConfig, serving: Serving, put: Callable[[Callable[[], None]], None], tell: Tell) -> None:
+        """`put` has something done in the thread in which goals are judged; `tell` gets sentences for people."""
+        self._arm, self._serving, self._put, self._tell = arm, serving, put, tell
+        self._taken_up = False
+
+    def look(self, snapshot: np.ndarray) -> None:
+        """Begin the move to the pose once the arm was homed at its start; in the publisher's thread."""
+        pose, due = self._arm.homing.then, bool(snapshot["pose_due"])
+        if pose is not None and due and not self._taken_up and int(snapshot["mode"]) == Mode.HOLDING:
+            self._put(lambda: self._go_to(pose))
+            self._taken_up = True
+        elif not due:
+            self._taken_up = False
+
+    def _go_to(self, pose: PoseMove) -> None:
+        try:
+            self._serving.start(self._plan(pose), self._tell_end_of_pose)
+        except GoalRefused as reason:
+            self._tell(f"The arm does not go to its pose after homing: {reason.sentence}")
+        else:
+            self._tell("The arm is homed and goes to the pose that its file names (homing.then).")
+
+    def _tell_end_of_pose(self, verdict: Verdict) -> None:
+        reached = verdict.status is Status.SUCCEEDED
+        said = "The pose after homing is reached." if reached else "The pose after homing is not reached:"
+        self._tell(f"{said} {verdict.sentence}")
+
+    def park(self, on_end: Callable[[], object]) -> Execution | None:
+        """Begin to park, where the file says so and the arm stands; None, said why, where it does not.
+
+        `on_end` is called once it has ended, however.
+        """
+        parking = self._arm.parking
+        if parking is None:
+            return None
+
+        def ended(verdict: Verdict) -> None:
+            self._tell("Parked." if verdict.status is Status.SUCCEEDED else f"Not parked: {verdict.sentence}")
+            on_end()
+
+        try:
+            plan = self._plan(parking)
+            takes_s = plan.times_ns[-1] * 1e-9
+            if takes_s > parking.timeout_s:
+                raise ParkingTooLong(takes_s, parking.timeout_s)
+            execution = self._serving.start(plan, ended)
+        except GoalRefused as reason:
+            self._tell(f"Not parked: {reason.sentence}")
+            return None
+        self._tell(f"Parking, for {takes_s:.1f} s; a second signal stops the arm instead.")
+        return execution
+
+    def _plan(self, pose: PoseMove) -> GoalPlan:
+        """From rest alone: who is asked for something else meanwhile does that. Raises GoalRefused."""
+        present = self._serving.present()
+        if not present.standing or not self._serving.idle:
+            raise InMotion
+        trajectory = joint_move(self._arm, present.commanded[:, 0], np.array(pose.target_rad), pose.speed_ratio)
+        return plan_move(trajectory, self._arm, present, self._serving.settings)
