@@ -183,8 +183,8 @@ def problems(report: Mapping[str, Any]) -> list[str]:
         found.append(report["fault"]["sentence"])
     elif report["mode"] in {key(Mode, mode) for mode in LIMP_MODES}:
         found.append(
-            f"The drives are limp ({report['mode']}): clear the arm's surroundings, then call the ROS service "
-            "~/enable, and the arm holds where it stands."
+            f"The drives are limp ({report['mode']}): clear the arm's surroundings, then `rtarm enable` (or "
+            "~/enable), and the arm holds where it stands."
         )
     elif report["mode"] not in {key(Mode, mode) for mode in FIT_MODES}:
         found.append(f"The control process is {report['mode'].replace('_', ' ')}: wait until it is holding.")
