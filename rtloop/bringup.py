@@ -177,6 +177,14 @@ class BringUp(Conversation):
             )
         if block.response == wanted:
             return
+        block = yield from zdt_talk.read_block_surely()
+        if block is None:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} tells its configuration in another way whenever it is asked, so its "
+                "acknowledgements are not set, for which all of it is written back: check the adapter, its cable and "
+                "the CAN wires, then start again.",
+            )
         yield Ask(registers.write_block(replace(block, response=wanted), store=False), (3,))
         for _ in range(TRIES):  # an answer from before the change may still be on its way
             after = yield from zdt_talk.read_block()

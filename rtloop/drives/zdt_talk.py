@@ -10,6 +10,7 @@ from rtloop.conversation import Ask
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_registers import Block, HomingParameters
 
+SURE_TRIES = 4
 Value = TypeVar("Value")
 Answered = Generator[Ask, bytes | None, Value]
 """Part of a dialogue that ends in a value."""
@@ -31,6 +32,20 @@ def read_counts(question: bytes) -> Answered[int | None]:
 def read_block() -> Answered[Block | None]:
     """The configuration block."""
     return registers.block_of((yield Ask(registers.ASK_BLOCK, (8,), packets=registers.BLOCK_PACKETS)))
+
+
+def read_block_surely() -> Answered[Block | None]:
+    """The configuration block as two answers in a row tell it, for whoever writes it back; None where no two agree.
+
+    All of its fields go into the drive again, and a serial line may garble any of them unseen.
+    """
+    before = None
+    for _ in range(SURE_TRIES):
+        found = yield from read_block()
+        if found is not None and found == before:
+            return found
+        before = found
+    return None
 
 
 def read_watchdog() -> Answered[int | None]:

@@ -58,7 +58,12 @@ class Session:
         before, shown = self._readings, self.reports
         self.read()
         self._require_standing(before)
-        if any(shown[joint].to_write != report.to_write for joint, report in self.reports.items()):
+        # All fields go back into a drive, and a serial line may garble any of them unseen: whole blocks must agree.
+        if any(
+            shown[joint].to_write != report.to_write
+            or (report.to_write and self._readings[joint].block != before[joint].block)
+            for joint, report in self.reports.items()
+        ):
             raise NotWritten(
                 "The drives differ from what was shown a moment ago, so nothing was written: run it again, look anew."
             )

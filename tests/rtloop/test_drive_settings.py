@@ -451,6 +451,64 @@ def test_nothing_is_written_when_the_drives_are_not_as_they_were_shown():
     assert settings_of(virtual, 0).closed_loop_ma == 3000
 
 
+def garbled_once(virtual: VirtualArm, joint: int, field: str, value: int, *, after: int = 0) -> None:
+    """One answer about its settings, `after` so many true ones, has another value, whatever its drive has."""
+    assert virtual.sim is not None
+    drive = virtual.sim.drives[joint]
+    read, asked = drive._reads[0x42], [0]
+
+    def garbled() -> bytes:
+        asked[0] += 1
+        settings = drive.settings
+        if asked[0] == after + 1:
+            drive.settings = replace(settings, **{field: value})
+        answer = bytes(read())
+        drive.settings = settings
+        return answer
+
+    drive._reads[0x42] = garbled
+
+
+@pytest.mark.parametrize(("field", "value"), [("can_code", 5), ("motor_type", 0x32), ("comms_port", 0)])
+def test_a_field_that_is_garbled_in_one_of_two_readings_never_gets_into_the_drive(field: str, value: int):
+    """The serial line of an adapter has no checksum, and all fields of a block are written back."""
+    virtual, session = at_rest(wanting(current_ma=2500))
+    had = settings_of(virtual, 2)
+    garbled_once(virtual, 2, field, value)
+    with pytest.raises(NotWritten, match="differ from what was shown"):
+        session.write(store=True)
+    assert after_power_cycle(virtual, 2) == had
+
+
+@pytest.mark.parametrize("after", range(4))
+def test_bring_up_writes_back_what_two_answers_agree_on(after: int):
+    virtual = VirtualArm(load_arm("episode1", overrides={"bus": {"serial_baud": "cdc"}}))
+    had = settings_of(virtual, 2)
+    assert had.response == 1
+    garbled_once(virtual, 2, "can_code", 5, after=after)
+    virtual.bring_up()
+    assert settings_of(virtual, 2) == replace(had, response=0)
+
+
+def test_bring_up_does_not_write_what_is_told_otherwise_whenever_it_is_asked():
+    virtual = VirtualArm(load_arm("episode1", overrides={"bus": {"serial_baud": "cdc"}}))
+    assert virtual.sim is not None
+    drive = virtual.sim.drives[2]
+    had, read, asked = drive.settings, drive._reads[0x42], [0]
+
+    def restless() -> bytes:
+        asked[0] += 1
+        drive.settings = replace(had, max_mv=asked[0])
+        answer = bytes(read())
+        drive.settings = had
+        return answer
+
+    drive._reads[0x42] = restless
+    talk = virtual.bring_up()
+    assert "joint3 tells its configuration in another way" in str(talk.failure)
+    assert drive.settings == had
+
+
 def test_nothing_else_than_questions_and_two_commands_is_ever_sent():
     """No motion, no enabling, no calibration, no factory reset, no auto-run, whatever the settings are."""
     virtual, session = at_rest(wanting(current_ma=2500, watchdog_ms=500), [faults.Silent("joint2", 0.0)])
