@@ -86,11 +86,16 @@ class SettingsProcess:
             ExitCode.LOOP_REFUSED,
         )
 
-    def close(self) -> None:
-        """End it; it closes the bus in order."""
-        assert self._process.stdin is not None and self._process.stdout is not None
+    def no_more(self) -> None:
+        """It is to end: amid a write with the drive it has begun, whose answer still comes."""
+        assert self._process.stdin is not None
         with suppress(BrokenPipeError):
             self._process.stdin.close()
+
+    def close(self) -> None:
+        """End it; it closes the bus in order."""
+        assert self._process.stdout is not None
+        self.no_more()
         try:
             self._process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
@@ -177,7 +182,12 @@ def run(
         if store and not confirm("\n".join(question(report))):
             raise Refusal("Nothing was written.")
         process.order("store" if store else "write")
-        report = process.answer("written", told)
+        try:
+            report = process.answer("written", told)
+        except KeyboardInterrupt:
+            told("Ending: the drive that is being written is finished, and no other is begun.")
+            process.no_more()
+            report = process.answer("written", told)
         show(report)
         return report
 

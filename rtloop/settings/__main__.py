@@ -1,7 +1,8 @@
 """`python -m rtloop.settings ARM`: a control process that brings nothing up and only talks with drives about settings.
 
 Prints `ready {reports}`, then obeys a line on its standard input, `write` (volatile memory) or `store` (flash too),
-with `told …` for each drive and `written {result}`; it ends when that input does. What it refuses it prints as
+with `told …` for each drive and `written {result}`; it ends when that input does, amid a write with the drive it has
+begun. What it refuses it prints as
 `refused …`. Exit codes as of `python -m rtloop`.
 """
 
@@ -53,7 +54,7 @@ def serve(arm: ArmConfig, port: ServicePort, pause: Callable[[], None]) -> None:
     say("ready", reported(session))
     order = next_line(pause)
     if order in ORDERS:
-        written = session.write(store=order == "store", told=lambda line: say("told", line))
+        written = session.write(store=order == "store", told=lambda line: say("told", line), ends=heard_more)
         say("written", json.dumps({**json.loads(reported(session)), **asdict(written)}))
 
 
@@ -64,9 +65,14 @@ def reported(session: Session) -> str:
 
 def next_line(pause: Callable[[], None]) -> str:
     """The next line of the standard input, empty at its end."""
-    while not select.select([sys.stdin], (), (), 0)[0]:
+    while not heard_more():
         pause()
     return sys.stdin.readline().strip()
+
+
+def heard_more() -> bool:
+    """Whether the standard input has a line, or has ended."""
+    return bool(select.select([sys.stdin], (), (), 0)[0])
 
 
 def say(word: str, text: str) -> None:

@@ -50,8 +50,14 @@ class Session:
         shared = next((joint for joint, found in talk.found.items() if found.shared_address), None)
         self.reports = {joint: report_of(self._arm, joint, found, shared) for joint, found in talk.found.items()}
 
-    def write(self, *, store: bool, told: Callable[[str], None] = lambda _: None) -> Written:
-        """Write what differs, drive by drive, then read everything again.
+    def write(
+        self,
+        *,
+        store: bool,
+        told: Callable[[str], None] = lambda _: None,
+        ends: Callable[[], bool] = lambda: False,
+    ) -> Written:
+        """Write what differs, drive by drive, then read everything again; no other drive is begun once it `ends`.
 
         What was read before must still be so: raises NotWritten if an arm moves, or its drives have changed meanwhile.
         """
@@ -71,6 +77,10 @@ class Session:
         for joint, report in self.reports.items():
             if not report.to_write:
                 continue
+            if ends():
+                left = [r.joint for r in self.reports.values() if r.to_write and r.joint not in written.joints]
+                written.failure = f"Ended as asked: nothing was written to the drives of {', '.join(left)}."
+                break
             problem = self._write_one(joint, report, store)
             if problem is not None:
                 written.failure = (

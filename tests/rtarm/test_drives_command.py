@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -137,6 +138,32 @@ def test_a_signal_ends_it_in_order(simulated: Stack) -> None:
         assert not list(DIRECTORY.glob(f"rtarm.{simulated.name}.*"))
     finally:
         process.close()
+
+
+@pytest.mark.process
+def test_ctrl_c_amid_a_write_says_which_drives_were_not_written(simulated: Stack) -> None:
+    values = yaml.safe_load(simulated.arm_file.read_text(encoding="utf-8"))
+    for joint in values["joints"]:
+        joint["drive"].update(current_ma=2500, watchdog_ms=5000)
+    simulated.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
+    command = [sys.executable, "-m", "rtarm", "drives", str(simulated.arm_file), "--write", "--store", "--json"]
+    environment = {**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, cwd=ROOT, env=environment, text=True, process_group=0, **pipes) as asked:
+        assert asked.stdin is not None and asked.stderr is not None
+        asked.stdin.write("y\n")
+        asked.stdin.flush()
+        assert any("joint1: written and read back" in line for line in asked.stderr)
+        asked.send_signal(signal.SIGINT)
+        out, said = asked.communicate(timeout=PATIENCE_S)
+    report = json.loads(out)
+    names = [f"joint{number}" for number in range(1, 7)]
+    written = len(report["joints"])
+    assert (asked.returncode, report["joints"]) == (5, names[:written]) and 0 < written < 6
+    assert "no other is begun" in said
+    assert said.endswith(f"Ended as asked: nothing was written to the drives of {', '.join(names[written:])}.\n")
+    found = [s["found"] for drive in report["drives"] for s in drive["settings"] if s["name"] == "current_ma"]
+    assert found == [2500] * written + [3000] * (6 - written)
 
 
 def test_an_arm_that_runs_is_left_alone(arm: WrittenArm, arm_file: Path, rtarm: Callable[..., Result]) -> None:

@@ -375,6 +375,19 @@ def test_a_write_that_does_not_stick_ends_it():
     assert not session.reports[2].agrees and session.reports[1].agrees
 
 
+@pytest.mark.parametrize("finished", range(7))
+def test_whoever_asks_for_the_end_gets_it_after_the_drive_that_was_begun(finished: int):
+    virtual, session = at_rest(wanting(current_ma=2500))
+    told: list[str] = []
+    written = session.write(store=True, told=told.append, ends=lambda: len(told) >= finished)
+    names = [f"joint{number}" for number in range(1, 7)]
+    assert written.joints == names[:finished]
+    left = ", ".join(names[finished:])
+    assert written.failure == (f"Ended as asked: nothing was written to the drives of {left}." if left else None)
+    currents = [after_power_cycle(virtual, joint).closed_loop_ma for joint in range(6)]
+    assert currents == [2500] * finished + [3000] * (6 - finished)
+
+
 def test_a_drive_that_refuses_a_value_ends_it():
     virtual, session = at_rest(wanting(current_ma=2500))
     assert virtual.sim is not None
