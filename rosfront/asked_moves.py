@@ -187,5 +187,5 @@ def _ratio(speed_ratio: float) -> tuple[float, str]:
 
 
 def _at_rest(present: Present) -> None:
-    if not present.standing:
+    if not present.standing or present.awaited:
         raise InMotion

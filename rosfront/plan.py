@@ -77,3 +77,5 @@ class Present:
     """False while a goal moves the arm: then the control process judges the first point at adoption."""
     monotonic_ns: int
     epoch_ns: int
+    awaited: bool = False
+    """Whether the end of a goal is awaited: one that moves the arm, is held, or is yet to begin."""

@@ -410,10 +410,10 @@ class ParkingTooLong(GoalRefused):
 
 
 class InMotion(GoalRefused):
-    """A move that begins at rest was asked of an arm that is not."""
+    """A move that begins at rest was asked of an arm that is not, or will not be."""
 
     def __init__(self) -> None:
         super().__init__(
-            "The arm is executing another goal or stopping, and this move begins at rest: wait for its end, or cancel "
-            "it first."
+            "The arm is executing another goal or stopping, or one is held or yet to begin, and this move begins at "
+            "rest: wait for its end, or cancel it first."
         )

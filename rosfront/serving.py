@@ -205,7 +205,7 @@ class Serving:
     def present(self) -> Present:
         """Where the arm is commanded; raises NotServing with the reason when no goal can be taken now."""
         with self._lock:
-            snapshot = self._snapshot()
+            snapshot, awaited = self._snapshot(), bool(self._undecided)
         age_ns = time.monotonic_ns() - int(snapshot["monotonic_ns"])
         if age_ns > STALLED_NS:
             raise NotServing(hung(self.arm.name, age_ns))
@@ -224,6 +224,7 @@ class Serving:
             mode == Mode.HOLDING,
             int(snapshot["monotonic_ns"]),
             int(snapshot["epoch_ns"]),
+            awaited,
         )
 
     def newest(self) -> np.ndarray | None:

@@ -1,6 +1,7 @@
 """What the full node's actions ask for: taken as it is meant, refused with a sentence that names the field."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -114,8 +115,9 @@ def test_finer_steps_make_more_points():
     assert len(fine.times_ns) >= 80 > len(coarse.times_ns)
 
 
-def test_an_arm_in_motion_takes_no_move():
-    moving = present(standing=False)
+@pytest.mark.parametrize("words", [{"standing": False}, {"awaited": True}])
+def test_an_arm_in_motion_or_about_to_move_takes_no_move(words):
+    moving = replace(present(), **words)
     for sentence in (
         refused(MOVES.to_angles, ZERO_DEG, 1.0, at=moving),
         refused(MOVES.to_pose, *DEMO, "xyz", 1.0, at=moving),

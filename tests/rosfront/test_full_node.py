@@ -95,6 +95,10 @@ def flange_of(motor_deg):
     return flange_pose(ARM.kinematics, np.radians(np.array(motor_deg) - ZERO_DEG))
 
 
+READY_MM, READY_ROTATION_DEG = position_and_rotation(flange_of(READY_DEG), "zyx")
+LINE_END_MM = [READY_MM[0], READY_MM[1] + 40.0, READY_MM[2]]
+
+
 def test_angle_mode_moves_the_motors_there_and_tells_of_it(arm):
     target = [170.0, 105.0, 118.0, 40.0, 150.0, 60.0]
     ready(arm)
@@ -233,6 +237,36 @@ def test_a_move_waits_for_nobody_and_a_hold_keeps_it(arm):
     assert arm.client.call(Trigger, "~/resume").success
     status, result = arm.client.result(running)
     assert status == SUCCEEDED and result.final_angles[0] == pytest.approx(150.0, abs=0.2), result.message
+
+
+def test_of_two_moves_at_once_the_first_is_carried_out(arm):
+    ready(arm)
+    turned = [[READY_DEG[0] + turn, *READY_DEG[1:]] for turn in (8.0, -8.0)]
+    action = arm.client.actions["angle_mode"]
+    sent = [action.send_goal_async(AngleMode.Goal(angles=angles, speed_ratio=1.0)) for angles in turned]
+    for future in sent:
+        until(future.done, "the answer to a goal")
+    (first, result), (second, other) = (arm.client.result(future.result()) for future in sent)
+    assert first == SUCCEEDED, result.message
+    assert second == ABORTED and other.message.startswith("The arm is executing another goal"), other.message
+    assert list(result.final_angles) == pytest.approx(turned[0], abs=0.2)
+
+
+def test_a_held_move_is_not_replaced_by_another_one(arm):
+    ready(arm)
+    running = arm.client.send("angle_mode", angles=[150.0, *READY_DEG[1:]], speed_ratio=0.7)
+    until(lambda: arm.client.feedback, "motion")
+    told = arm.client.feedback
+    assert arm.client.call(Trigger, "~/hold").success
+    until(lambda: told[-1].status_message.startswith("held"), "a held goal")
+    sent = arm.client.actions["linear_move"].send_goal_async(
+        LinearMove.Goal(position=LINE_END_MM, rotation=READY_ROTATION_DEG)
+    )
+    until(sent.done, "the answer to a goal")
+    status, result = arm.client.result(sent.result())
+    assert status == ABORTED and "one is held" in result.message, result.message
+    running.cancel_goal_async()
+    assert arm.client.result(running)[0] == CANCELED
 
 
 def test_without_a_control_process_the_last_angles_stay_and_are_no_success(arm):

@@ -289,6 +289,16 @@ def test_present_says_where_the_arm_is_commanded(stage):
     assert present.monotonic_ns == stage.now_ns
 
 
+def test_present_knows_of_a_goal_before_the_control_process_does_and_until_its_end(stage):
+    stage.step()
+    stage.start("a", plan(seconds=0.1))
+    present = stage.serving.present()
+    assert present.standing and present.awaited
+    stage.step(200)
+    assert stage.verdict("a").status is Status.SUCCEEDED
+    assert stage.serving.present().standing and not stage.serving.present().awaited
+
+
 def test_one_front_an_arm_and_the_right_arm(stage):
     with pytest.raises(AlreadyHeld, match="Another front already serves"):
         attach(stage.arm)
