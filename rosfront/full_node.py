@@ -9,6 +9,7 @@ and decided like those of any goal, and free mode is ~/free and ~/enable.
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,18 @@ class _Asked:
         return time.monotonic() - self.accepted_s
 
 
+@dataclass(frozen=True)
+class _Reading:
+    """The angles of a moment; what is to be said of them is found out for whoever asks or listens."""
+
+    stamp_ns: int
+    monotonic_ns: int
+    joints: np.ndarray
+    """The joints' rows of that moment's snapshot."""
+    positions_rad: np.ndarray | None
+    """(joints,), the last ones that are numbers; None before there were any."""
+
+
 class FullNode:
     """Three actions, two services and a topic on a node that has the rest."""
 
@@ -81,7 +94,7 @@ class FullNode:
         self._asked: dict[bytes, _Asked] = {}
         self._due_ns = 0
         self._looked_s = 0.0
-        self._last = MotorAngles(message=NEVER_READ)
+        self._last: _Reading | None = None
 
         def server(
             kind: type, name: str, ask: Callable[[Any], Move], result: Callable[[_Asked, Verdict], Any]
@@ -176,15 +189,14 @@ class FullNode:
 
     def _measured_deg(self) -> list[float]:
         measured = self._measured_rad()
-        return list(self._last.angles) if measured is None else self._moves.motor_deg(measured)
+        return self._angles_deg(self._last) if measured is None else self._moves.motor_deg(measured)
 
     # --- services, in the executor's thread ---
 
     def _read(self, _: Any, response: Any) -> Any:
         last = self._last
-        response.angles, response.success, response.message = last.angles, last.success, last.message
-        if time.monotonic() - self._looked_s > SILENT_S:
-            response.success, response.message = False, self._why_silent()
+        trouble = self._why_silent() if time.monotonic() - self._looked_s > SILENT_S else self._trouble(last)
+        response.angles, response.success, response.message = self._angles_deg(last), not trouble, trouble
         return response
 
     async def _set_free_mode(self, request: Any, response: Any) -> Any:
@@ -201,17 +213,35 @@ class FullNode:
         self._due_ns = max(self._due_ns + MOTOR_ANGLES_NS, now_ns)
         self._looked_s = time.monotonic()
         rows = snapshot["joints"][: len(self._joints)]
-        position = rows["measured_position_rad"]
-        trouble = self._trouble(rows, now_ns)
-        angles = self._moves.motor_deg(position) if np.isfinite(position).all() else self._last.angles
-        stamp = Time(sec=stamp_ns // NS, nanosec=stamp_ns % NS)
-        self._last = MotorAngles(timestamp=stamp, angles=angles, success=not trouble, message=trouble)
+        measured: np.ndarray = rows["measured_position_rad"]
+        before = None if self._last is None else self._last.positions_rad
+        self._last = _Reading(stamp_ns, now_ns, rows, measured if np.isfinite(measured).all() else before)
         if self._publisher.get_subscription_count():
-            self._publisher.publish(self._last)
+            self._tell_angles(self._trouble(self._last))
 
-    def _trouble(self, rows: np.ndarray, now_ns: int) -> str:
-        """Why the angles of this moment are not to be trusted; empty when they are."""
-        for name, row in zip(self._joints, rows, strict=True):
+    def _tell_angles(self, trouble: str) -> None:
+        stamp_ns = 0 if self._last is None else self._last.stamp_ns
+        self._publisher.publish(
+            MotorAngles(
+                timestamp=Time(sec=stamp_ns // NS, nanosec=stamp_ns % NS),
+                angles=self._angles_deg(self._last),
+                success=not trouble,
+                message=trouble,
+            )
+        )
+
+    def _angles_deg(self, reading: _Reading | None) -> list[float]:
+        """Motor-side angles; zeros where none were ever known."""
+        if reading is None or reading.positions_rad is None:
+            return [0.0] * len(self._joints)
+        return self._moves.motor_deg(reading.positions_rad)
+
+    def _trouble(self, reading: _Reading | None) -> str:
+        """Why angles are not to be trusted; empty when they are."""
+        if reading is None:
+            return NEVER_READ
+        now_ns = reading.monotonic_ns
+        for name, row in zip(self._joints, reading.joints, strict=True):
             measured_ns = int(row["measured_ns"])
             if measured_ns == 0:
                 return f"{name} has not been read yet: wait for the drives to be brought up."
@@ -227,10 +257,7 @@ class FullNode:
     def aside(self) -> None:
         """Once a second: say so when there is nothing to read the angles from; the last ones known stay."""
         if time.monotonic() - self._looked_s > SILENT_S:
-            last = self._last
-            self._publisher.publish(
-                MotorAngles(timestamp=last.timestamp, angles=last.angles, success=False, message=self._why_silent())
-            )
+            self._tell_angles(self._why_silent())
 
     def _why_silent(self) -> str:
         return f"These are the last angles known. {self._serving.absence}"

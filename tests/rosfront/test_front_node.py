@@ -610,3 +610,30 @@ def test_without_robot_arm_interfaces_the_arm_has_everything_else(arm_name, monk
         assert client.run(goal())[0] == SUCCEEDED
         assert front._full_node is None
     assert node.WITHOUT_FULL_NODE in capfd.readouterr().err
+
+
+def test_motor_angles_become_a_message_only_for_whoever_listens(arm_name, monkeypatch):
+    interfaces = pytest.importorskip("robot_arm_interfaces.msg")
+    from rosfront import full_node
+
+    with serving_alone(arm_name) as (_, front, _, _):
+        built = []
+        monkeypatch.setattr(full_node, "MotorAngles", lambda **fields: built.append(interfaces.MotorAngles(**fields)))
+        monkeypatch.setattr(front._full_node, "_publisher", Unheard())
+        before = front.pulse.published
+        until(lambda: front.pulse.published > before + 30, "readings")
+        assert front._full_node._last.stamp_ns > 0 and not built
+        front._full_node._publisher.listeners = 1
+        until(lambda: built, "a message for the one who listens")
+
+
+class Unheard:
+    """A publisher nobody listens to, until somebody does."""
+
+    listeners = 0
+
+    def get_subscription_count(self):
+        return self.listeners
+
+    def publish(self, message):
+        pass
