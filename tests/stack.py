@@ -1,5 +1,6 @@
 """The whole arm as real processes: simulated drives behind a pseudo-terminal, control process, ROS front."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -154,7 +155,11 @@ class Stack:
         return load_wire(self.truth_file)
 
     def close(self) -> None:
-        for process in reversed(self._processes):
-            process.close()
+        with contextlib.ExitStack() as ends:  # all of them, whatever one of them has to say
+            ends.callback(self._sweep)
+            for process in self._processes:
+                ends.callback(process.close)
+
+    def _sweep(self) -> None:
         for left in DIRECTORY.glob(f"rtarm.{self.name}.*"):  # of a killed control process
             left.unlink()
