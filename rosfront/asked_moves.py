@@ -32,6 +32,8 @@ from rosfront.settings import Settings
 
 DEFAULT_ORDER = "zyx"
 DEFAULT_STEP_MM = 8.0
+SLOWEST_RATIO = 0.001
+"""Episode1's longest move takes four hours with it; what would take years is somebody's mistake."""
 FINEST_STEP_MM = 0.1
 """Of finer steps a line has none: what is between two points is straight to some micrometres."""
 WITHOUT_GEOMETRY = (
@@ -179,8 +181,8 @@ def _finite(field: str, values: Sequence[float]) -> np.ndarray:
 
 def _ratio(speed_ratio: float) -> tuple[float, str]:
     """The share of the speed limits that a request means, and a sentence where that is another number."""
-    if not speed_ratio > 0.0:
-        raise BadSpeedRatio(speed_ratio)
+    if not speed_ratio >= SLOWEST_RATIO:
+        raise BadSpeedRatio(speed_ratio, SLOWEST_RATIO)
     if speed_ratio > 1.0:
         return 1.0, f"speed_ratio {speed_ratio:g} was taken for 1, which is full speed."
     return speed_ratio, ""

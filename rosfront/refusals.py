@@ -361,9 +361,9 @@ class NotANumber(BadRequest):
 
 
 class BadSpeedRatio(BadRequest):
-    def __init__(self, value: float) -> None:
+    def __init__(self, value: float, slowest: float) -> None:
         super().__init__(
-            f"speed_ratio is {value:g}; allowed is a share of the speed limits above 0, where 1 and more is full "
+            f"speed_ratio is {value:g}; allowed is a share of the speed limits, {slowest:g} and more, where 1 is full "
             "speed: send one.",
             value=value,
         )

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from config.kinematics import flange_pose
 from config.loader import load_arm
-from rosfront.asked_moves import Moves, position_and_rotation, step_of
+from rosfront.asked_moves import SLOWEST_RATIO, Moves, position_and_rotation, step_of
 from rosfront.plan import Present
 from rosfront.refusals import GoalRefused
 from rosfront.settings import Settings
@@ -52,10 +52,15 @@ def test_a_ratio_above_one_is_full_speed_and_says_so():
     assert move.note == "speed_ratio 7 was taken for 1, which is full speed."
 
 
-@pytest.mark.parametrize("ratio", [0.0, -1.0, math.nan, -math.inf])
+@pytest.mark.parametrize("ratio", [0.0, -1.0, math.nan, -math.inf, 1e-300, 1e-12, 9.99e-4])
 def test_a_ratio_that_is_no_speed_is_refused(ratio):
     for sentence in (refused(MOVES.to_angles, ZERO_DEG, ratio), refused(MOVES.to_pose, *DEMO, "xyz", ratio)):
         assert sentence.startswith(f"speed_ratio is {ratio:g}; allowed is")
+
+
+def test_the_slowest_ratio_is_a_move_of_hours():
+    plan = MOVES.to_angles([0.0, *ZERO_DEG[1:]], SLOWEST_RATIO, present((140, 0, 0, 0, 0, 0)), SETTINGS).plan
+    assert 3 * 3600 < plan.duration_s < 4 * 3600
 
 
 @pytest.mark.parametrize(("index", "value"), [(0, 320.2), (0, -0.2), (1, 181.0), (4, 1e300), (5, 320.3)])
