@@ -15,6 +15,10 @@ NEVER_TRIED = (
     "Not tried: 800000 bit/s, since adapters disagree on which rate S7 is, and 83333 bit/s, which few adapters have; "
     "set the drives to 500000."
 )
+UNHEARD = (
+    "The adapter cannot merely listen, so drives were asked without knowing whether somebody else used the bus: scan "
+    "only while nothing else does."
+)
 LISTEN_S = 0.12
 BUSY_FRAMES = 2
 """Frames heard before anybody was asked that make a bus somebody else's."""
@@ -66,7 +70,7 @@ def search_slcan(wire: SlcanWire) -> Outcome:
         frames = wire.receive(LISTEN_S)
         wire.close()
         outcome.listened.append(bitrate)
-        if len(frames) >= BUSY_FRAMES:
+        if len(frames) + wire.foreign >= BUSY_FRAMES:
             return in_use(outcome, bitrate, frames)
     for bitrate in BITRATES:
         if wire.now_s() > ends_s:
@@ -79,6 +83,8 @@ def search_slcan(wire: SlcanWire) -> Outcome:
             )
             continue
         outcome.asked.append(bitrate)
+        if not outcome.listened and UNHEARD not in outcome.notes:
+            outcome.notes.append(UNHEARD)
         try:
             outcome.drives = ask_everybody(wire, bitrate, ends_s)
         finally:
@@ -94,7 +100,7 @@ def search_link(wire: Wire, bitrate: int | None) -> Outcome:
     """Look for drives on a CAN interface, at the one bit rate the system has given it (bit/s; None for none)."""
     outcome = Outcome(listened=[bitrate] if bitrate else [])
     frames = wire.receive(LISTEN_S)
-    if len(frames) >= BUSY_FRAMES:
+    if len(frames) + wire.foreign >= BUSY_FRAMES:
         return in_use(outcome, bitrate, frames)
     outcome.asked = outcome.listened
     outcome.drives = ask_everybody(wire, bitrate or BITRATES[0], wire.now_s() + LONGEST_S)
@@ -106,10 +112,17 @@ def in_use(outcome: Outcome, bitrate: int | None, frames: list[Frame]) -> Outcom
     """Somebody speaks already: that is told, and nobody is asked."""
     addresses = ", ".join(str(address) for address in sorted({frame.id >> 8 for frame in frames}))
     outcome.bitrate = bitrate
-    outcome.notes.append(
-        f"Frames were heard before anybody was asked (addresses {addresses}): another program drives these drives, or "
-        "they report by themselves, so nobody was asked; end that program and scan again."
-    )
+    if frames:
+        outcome.notes.append(
+            f"Frames were heard before anybody was asked (addresses {addresses}): another program drives these drives, "
+            "or they report by themselves, so nobody was asked; end that program and scan again."
+        )
+    else:
+        outcome.notes.append(
+            "Frames were heard before anybody was asked, of a kind that these drives do not send: the bus belongs to "
+            "something else, which questions might disturb, so nobody was asked; connect the drives alone and scan "
+            "again."
+        )
     return outcome
 
 
@@ -119,6 +132,9 @@ def ask_everybody(wire: Wire, bitrate: int, ends_s: float) -> list[FoundDrive]:
     heard = _ask_for_firmware(wire, FIRST_ADDRESSES, pace_s)
     if not heard and wire.troubled():
         return []  # nobody acknowledges, so nobody is at this rate
+    for _ in range(TRIES - 1 if heard else 0):  # an answer may be lost
+        answered = {frame.id >> 8 for frame in heard}
+        heard += _ask_for_firmware(wire, [a for a in FIRST_ADDRESSES if a not in answered], pace_s)
     heard += _ask_for_firmware(wire, OTHER_ADDRESSES, pace_s)
     found = []
     for address in sorted({frame.id >> 8 for frame in heard if 0 < frame.id >> 8 < 256}):
@@ -161,8 +177,15 @@ def _introduce(address: int, said: list[bytes]) -> FoundDrive | None:
 
 
 def _ask_for_settings(wire: Wire, drive: FoundDrive, pace_s: float) -> None:
-    block = registers.block_of(_ask(wire, drive.address, registers.ASK_BLOCK, registers.BLOCK_PACKETS, pace_s))
-    if block is None:
+    heads: set[bytes] = set()
+    answer = _ask(wire, drive.address, registers.ASK_BLOCK, registers.BLOCK_PACKETS, pace_s, heads)
+    block = registers.block_of(answer)
+    if block is None and (not heads or registers.BLOCK_HEAD in heads):
+        drive.notes.append(
+            f"The drive at address {drive.address} answers, but its configuration did not come through in {TRIES} "
+            "tries: check the adapter's cable, the two CAN wires and 120 Ω at both ends, then scan again."
+        )
+    elif block is None:
         drive.notes.append(
             f"The drive at address {drive.address} has another configuration than Emm_V5 firmware: it may run X "
             "firmware; switch it to Emm in its menu before anything moves it."
@@ -177,8 +200,13 @@ def _ask_for_settings(wire: Wire, drive: FoundDrive, pace_s: float) -> None:
         drive.protected, drive.power_lost = bool(flags & registers.PROTECTED), bool(flags & registers.POWER_LOST)
 
 
-def _ask(wire: Wire, address: int, question: bytes, packets: int, pace_s: float) -> bytes | None:
-    """The whole answer to a question, packets joined behind one function byte."""
+def _ask(
+    wire: Wire, address: int, question: bytes, packets: int, pace_s: float, heads: set[bytes] | None = None
+) -> bytes | None:
+    """The whole answer to a question, packets joined behind one function byte.
+
+    `heads` gets what every try's first packet begins with behind that byte (two bytes), also where others are missing.
+    """
     for _ in range(TRIES):
         for frame in split_packets(address, question):
             wire.send(Frame(frame.id, frame.data))
@@ -187,6 +215,8 @@ def _ask(wire: Wire, address: int, question: bytes, packets: int, pace_s: float)
             answers = data[:1] == question[:1] and data != question
             if frame_id >> 8 == address and frame_id & 0xFF < packets and answers:
                 parts[frame_id & 0xFF] = data[1:]
+        if heads is not None and 0 in parts:
+            heads.add(parts[0][:2])
         if len(parts) == packets:
             whole = question[:1] + b"".join(parts[number] for number in range(packets))
             if whole[-1] == registers.CHECKSUM:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import select
 import socket
 import struct
@@ -15,13 +16,15 @@ import time
 from typing import NamedTuple, Protocol
 
 from config.schema import SLCAN_BITRATES
-from rtloop.wire.can_words import EXTENDED_FLAG, EXTENDED_MASK
+from rtloop.wire.can_words import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK
 
 ANSWER_S = 0.15
 """For an adapter's answer to a command; as `rtloop.wire.tty` waits."""
 BEL, CR = b"\x07", b"\r"
 PASSIVE, BUS_ERROR = 0x20, 0x80
 """Bits of an adapter's flags (can-adapters.md 1): nobody acknowledges what it sends."""
+FOREIGN = re.compile(rb"(?:t[0-7][0-9A-Fa-f]{2}|r[0-7][0-9A-Fa-f]{2}|R[01][0-9A-Fa-f]{7})[0-8]")
+"""How the line of a frame begins that no drive sends (can-adapters.md 1)."""
 _CAN_FRAME = struct.Struct("=IB3x8s")
 _READ_BYTES = 4096
 
@@ -34,7 +37,13 @@ class Frame(NamedTuple):
 
 
 class Wire(Protocol):
-    """What a scan needs of a bus."""
+    """What a scan needs of a bus.
+
+    Attributes:
+        foreign: frames that came since it was opened and are none of a drive: standard identifiers, remote frames.
+    """
+
+    foreign: int
 
     def send(self, frame: Frame) -> None:
         """Send one frame; what does not leave is lost."""
@@ -89,12 +98,14 @@ class SlcanWire:
 
     Attributes:
         answers: whether it has answered any command; the original canable firmware never does.
+        foreign: frames that came since its channel was opened and are none of a drive.
     """
 
     def __init__(self, port: Port) -> None:
         self._port = port
         self._rest = b""
         self.answers = False
+        self.foreign = 0
         self.now_s = port.now_s
 
     def greet(self) -> bool:
@@ -106,6 +117,7 @@ class SlcanWire:
     def open(self, bitrate: int, *, listen_only: bool) -> bool:
         """Open its channel; False when it refuses."""
         self.close()
+        self.foreign = 0
         refused = BEL in self._say(SLCAN_BITRATES[bitrate].encode() + CR)
         return not refused and BEL not in self._say(b"L\r" if listen_only else b"O\r")
 
@@ -123,6 +135,7 @@ class SlcanWire:
         while (left_s := until_s - self.now_s()) > 0:
             *lines, self._rest = (self._rest + self._port.read(left_s)).split(CR)
             frames += [frame for line in lines if (frame := frame_of(line)) is not None]
+            self.foreign += sum(FOREIGN.match(line.lstrip(BEL)) is not None for line in lines)
         return frames
 
     def troubled(self) -> bool:
@@ -163,6 +176,7 @@ class CanWire:
     def __init__(self, name: str) -> None:
         self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_CLOEXEC, socket.CAN_RAW)
         self._refused = False
+        self.foreign = 0
         try:
             self._socket.bind((name,))
         except OSError:
@@ -191,6 +205,8 @@ class CanWire:
                 frame_id, length, data = _CAN_FRAME.unpack(self._socket.recv(_CAN_FRAME.size))
                 if frame_id & ~EXTENDED_MASK == EXTENDED_FLAG:
                     frames.append(Frame(frame_id & EXTENDED_MASK, data[:length]))
+                elif not frame_id & ERROR_FLAG:
+                    self.foreign += 1
         return frames
 
     def troubled(self) -> bool:

@@ -118,7 +118,9 @@ def test_frames_of_a_can_interface() -> None:
         theirs.send(bytes.fromhex("00010080 06000000 1F00C8006F6B0000"))
         theirs.send(bytes.fromhex("00010000 02000000 1F6B000000000000"))  # a standard frame
         theirs.send(bytes.fromhex("04000020 08000000 0000000000000000"))  # an error frame
+        wire.foreign = 0
         assert wire.receive(0.05) == [Frame(0x100, bytes.fromhex("1F00C8006F6B"))]
+        assert wire.foreign == 1
 
 
 # --- searching ------------------------------------------------------------------------------------------
@@ -202,6 +204,71 @@ def test_a_bus_that_is_in_use_is_not_spoken_on() -> None:
     assert port.functions == set()
 
 
+class Overheard(VirtualPort):
+    """A bus on which another machine speaks, every 10 ms from the first moment."""
+
+    line = b""
+
+    def read(self, patience_s: float) -> bytes:
+        data = super().read(min(patience_s, 0.01))
+        return data + self.line if self.sim.adapter._listen_only else data
+
+
+@pytest.mark.parametrize(
+    ("line", "busy"),
+    [
+        (b"t4563112233\r", True),  # can-adapters.md 1
+        (b"R000007FF0\r", True),
+        (b"r1230\r", True),
+        (b"t45F\r", False),
+        (b"z\r", False),
+        (b"V1013\r", False),
+    ],
+)
+def test_a_bus_of_other_machines_is_not_spoken_on(line: bytes, busy: bool) -> None:
+    """Frames with standard identifiers, and remote frames: no drive sends them, and somebody does."""
+    port = Overheard(bus().sim)
+    port.line = line
+    wire = SlcanWire(port)
+    wire.greet()
+    outcome = search_slcan(wire)
+    assert (outcome.asked == [], port.functions == set()) == (busy, busy)
+    assert ("belongs to something else" in " ".join(outcome.notes)) == busy
+
+
+def test_a_can_interface_of_other_machines_is_not_spoken_on() -> None:
+    wire = VirtualCan()
+    wire.foreign = 5
+    outcome = search_link(wire, 500_000)
+    assert (outcome.drives, outcome.asked, wire.sent) == ([], [], [])
+
+
+def test_an_adapter_that_cannot_merely_listen_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = SlcanWire.open
+    monkeypatch.setattr(
+        SlcanWire, "open", lambda wire, rate, *, listen_only: not listen_only and opened(wire, rate, listen_only=False)
+    )
+    outcome = searched(bus())
+    assert len(outcome.drives) == 6 and outcome.notes == [search.UNHEARD]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_drive_is_found_although_answers_are_lost(seed: int) -> None:
+    outcome = searched(bus([faults.LostReplies(share=0.2)], seed=seed))
+    assert [drive.address for drive in outcome.drives] == [1, 2, 3, 4, 5, 6]
+    assert not any("More than one" in note for drive in outcome.drives for note in drive.notes)
+
+
+def test_a_configuration_that_does_not_come_through_is_no_other_firmware() -> None:
+    port = bus()
+    drive = port.sim.drives[2]
+    read = drive._reads[0x42]
+    drive._reads[0x42] = lambda: read()[:-7]  # its last packet never arrives
+    outcome = searched(port)
+    assert ["did not come through" in note for note in outcome.drives[2].notes] == [True]
+    assert all(not drive.notes for drive in outcome.drives if drive.address != 3)
+
+
 def _report_every_10_ms(address: int) -> Any:
     from sim.bus import Frame as BusFrame
 
@@ -225,6 +292,7 @@ class VirtualCan:
     """A CAN interface of a simulated arm, in virtual time."""
 
     def __init__(self) -> None:
+        self.foreign = 0
         overrides = {"bus": {"interface": "socketcan", "channel": "can0"}}
         self.sim = SimulatedArm(load_arm("episode1", overrides=overrides))
         self.sent: list[Frame] = []
