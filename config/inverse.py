@@ -131,12 +131,16 @@ class Inverse:
     def nearest(self, pose: Poses, seed_rad: Angles) -> Angles:
         """The joint angles (6,) inside the limits that give a pose (4, 4) and lie nearest to the seed (6,).
 
-        Nearest is the smallest sum of squared differences. Raises OutOfReach, OutsideLimits.
+        Nearest is the smallest sum of squared differences; of a straight wrist joint 4 stays as near to the seed as the
+        limits of joint 6 allow. Raises OutOfReach, OutsideLimits.
         """
-        found = self.solutions(pose[np.newaxis], seed_rad).angles_rad[:, 0]
-        found = found[np.isfinite(found).all(axis=-1)]
+        solutions = self.solutions(pose[np.newaxis], seed_rad)
+        exists = np.isfinite(solutions.angles_rad[:, 0]).all(axis=-1)
+        found, tilt = solutions.angles_rad[exists, 0], solutions.room[2, exists, 0]
         if len(found) == 0:
             raise self._out_of_reach(pose)
+        for way in np.flatnonzero(tilt < _LOCKED):
+            found[way] = self._with_turn_shared(found[way], seed_rad)
         turns = 2.0 * math.pi * np.arange(-2, 3)
         candidates = found[..., np.newaxis] + turns  # (ways, joints, turns)
         outside = np.maximum(self.lower_rad[:, np.newaxis] - candidates, candidates - self.upper_rad[:, np.newaxis])
@@ -152,6 +156,31 @@ class Inverse:
         best = int(worst.sum(axis=-1).argmin())
         joint = int(worst[best].argmax())
         raise OutsideLimits(self._joints[joint], float(candidates[best, joint, outside[best, joint].argmin()]))
+
+    def _with_turn_shared(self, way_rad: Angles, seed_rad: Angles) -> Angles:
+        """The angles (6,) of a straight wrist with joint 4 as near to the seed (6,) as the limits of joint 6 allow.
+
+        Both turn about one axis, so only what they turn together is given by the pose. Where no share between them is
+        inside the limits, they stay as they are.
+        """
+        outer = [3, 5]
+        held = _about_z(self._signs[4] * way_rad[4] + self._offsets_rad[4])
+        turns_over = (self._alphas[3] @ held @ self._alphas[4])[2, 2] < 0.0
+        # What joint 4 turns on, joint 6 turns back: t of the one is `back` * t of the other.
+        back = self._signs[3] * self._signs[5] * (1.0 if turns_over else -1.0)
+        whole = 2.0 * math.pi * np.arange(-2, 3)
+        angles = way_rad[outer, np.newaxis, np.newaxis] + np.stack(np.meshgrid(whole, whole))
+        along = np.array([1.0, back])[:, np.newaxis, np.newaxis]
+        ends = [along * (limit[outer, np.newaxis, np.newaxis] - angles) for limit in (self.lower_rad, self.upper_rad)]
+        first, last = np.minimum(*ends).max(axis=0), np.maximum(*ends).min(axis=0)
+        away = angles - seed_rad[outer, np.newaxis, np.newaxis]
+        turn = np.clip(-away[0], first, last)
+        costs = np.where(first <= last, ((away + along * turn) ** 2).sum(axis=0), np.inf)
+        best = np.unravel_index(costs.argmin(), costs.shape)
+        shared = way_rad.copy()
+        if np.isfinite(costs[best]):
+            shared[outer] = (angles + along * turn)[:, best[0], best[1]]
+        return shared
 
     def jacobian(self, angles_rad: Angles) -> NDArray[np.float64]:
         """(…, 6, 6): the flange's velocity (m) and turning (rad), in the base's axes, for each joint's rad."""

@@ -173,6 +173,38 @@ def test_a_free_angle_stays_where_it_is() -> None:
     assert np.degrees(angles) == pytest.approx([0, 0, 0, 100, 0, 20], abs=1e-5)
 
 
+def test_a_straight_wrist_shares_its_turn_within_the_limits() -> None:
+    """Joint 6 would have to go to 320° if joint 4 stayed."""
+    seed = np.radians([0, 0, 0, -30, 10, 290])
+    angles = EPISODE1_INVERSE.nearest(flange(EPISODE1, np.radians([0, 0, 0, 100, 0, 190])), seed)
+    assert np.degrees(angles) == pytest.approx([0, 0, 0, 0, 0, 290], abs=1e-5)
+    seed = np.radians([0, 0, 0, 40, 10, 20])
+    angles = EPISODE1_INVERSE.nearest(flange(EPISODE1, np.radians([0, 0, 0, 100, 0, 0])), seed)
+    assert np.degrees(angles) == pytest.approx([0, 0, 0, 40, 0, 60], abs=1e-5)
+
+
+@settings(deadline=None, max_examples=100)
+@given(arm=st.one_of(st.just(EPISODE1), wrist_arms()), share=shares, seed_share=shares, over=st.booleans())
+def test_a_pose_of_a_straight_wrist_is_in_reach_from_everywhere(
+    arm: ArmConfig, share: Positions, seed_share: Positions, over: bool
+) -> None:
+    """`over` is a wrist folded back onto itself."""
+    inverse = inverse_of(arm)
+    assert arm.kinematics is not None
+    row = arm.kinematics.dh[4]
+    straight = row.sign * ((math.pi if over else 0.0) - row.offset_rad)
+    angles = inverse.lower_rad + share * (inverse.upper_rad - inverse.lower_rad)
+    angles[4] = (straight + math.pi) % (2.0 * math.pi) - math.pi
+    assume(inverse.lower_rad[4] <= angles[4] <= inverse.upper_rad[4])
+    pose = flange(arm, angles)
+    room = inverse.solutions(pose[np.newaxis], angles).room[:2, :, 0]
+    assume(np.nanmin(room) > 1e-4)  # where ways meet, the angles are as inexact as a square root is at 0
+    seed = inverse.lower_rad + seed_share * (inverse.upper_rad - inverse.lower_rad)
+    found = inverse.nearest(pose, seed)
+    assert flange(arm, found) == pytest.approx(pose, abs=1e-6)
+    assert (found >= inverse.lower_rad - 1e-3).all() and (found <= inverse.upper_rad + 1e-3).all()
+
+
 @pytest.mark.parametrize(
     ("row", "change", "says"),
     [
