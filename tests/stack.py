@@ -19,6 +19,9 @@ from sim.truth import Heard, JointTruth, load_truth, load_wire
 
 ROOT = Path(__file__).parents[1]
 PATIENCE_S = 60.0
+COMPILING = "compiling the control cycle"
+COMPILING_S = 300.0
+"""It takes 45 s of one processor, after a change; killed in the middle, the next one begins again."""
 
 
 class Process:
@@ -50,8 +53,9 @@ class Process:
     def line_with(self, text: str) -> str:
         """The next line that contains a text; fails when the process ends before it says so."""
         while True:
+            compiles = bool(self.lines) and COMPILING in self.lines[-1]
             try:
-                line = self._queue.get(timeout=PATIENCE_S)
+                line = self._queue.get(timeout=COMPILING_S if compiles else PATIENCE_S)
             except Empty:
                 raise AssertionError(f"{text!r} never came: {self.lines}") from None
             assert line is not None, f"{text!r} never came: {self.lines}"
