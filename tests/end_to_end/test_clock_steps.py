@@ -4,7 +4,6 @@ Control process and front are told another time by a preloaded library (tests/st
 and this process' are left alone, so what stamps should say is known here. tests/vm sets a real clock.
 """
 
-import math
 import os
 import shutil
 import subprocess
@@ -18,8 +17,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
 from observer import judge, motion_after, motion_violations
-from ros_client import ABORTED, SUCCEEDED, Client, recorded, until
-from stack import Stack
+from ros_client import ABORTED, SUCCEEDED, recorded, until
 
 from config.loader import load_arm
 
@@ -71,20 +69,11 @@ def clock(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def stack(arm_name, tmp_path, clock, monkeypatch):
-    begin = recorded(TOUR[0]).trajectory.points[0].positions
-    stack = Stack(arm_name, tmp_path, start_deg=[math.degrees(position) for position in begin])
-    try:
-        stack.start_sim()
-        stack.start_loop()
-        stack.start_front()
-        for name in clock.environment:
-            monkeypatch.delitem(os.environ, name)
-        stack.client = Client(f"controller_{arm_name}")
-        yield stack
-        stack.client.close()
-    finally:
-        stack.close()
+def stack(served_at, clock, monkeypatch):
+    stack = served_at(recorded(TOUR[0]).trajectory.points[0].positions)
+    for name in clock.environment:
+        monkeypatch.delitem(os.environ, name)
+    return stack
 
 
 def stamp_ns(message):

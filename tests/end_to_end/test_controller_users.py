@@ -16,7 +16,6 @@ from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory
 from observer import judge, motion_violations
 from ros_client import ABORTED, SUCCEEDED, Client, until
-from stack import Stack
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -32,19 +31,11 @@ START_RAD = [0.3, 0.2, -0.1, 1.0, 0.5, 2.0]
 
 
 @pytest.fixture
-def stack(arm_name, tmp_path):
-    stack = Stack(arm_name, tmp_path, start_deg=[math.degrees(angle) for angle in START_RAD])
-    try:
-        stack.start_sim()
-        stack.start_loop()
-        stack.start_front()
-        stack.client = Client(f"controller_{arm_name}")
-        stack.reader = StateReader(open_state(arm_name))
-        yield stack
-        stack.reader.close()
-        stack.client.close()
-    finally:
-        stack.close()
+def stack(served_at):
+    stack = served_at(START_RAD)
+    stack.reader = StateReader(open_state(stack.name))
+    yield stack
+    stack.reader.close()
 
 
 def point(time_s, positions, velocities=()):

@@ -11,7 +11,7 @@ pytest.importorskip("control_msgs")
 
 from observer import judge, motion_after
 from ros_client import Operator
-from stack import Process, Stack
+from stack import Process
 from std_srvs.srv import Trigger
 
 from shm.client import StateReader
@@ -23,22 +23,6 @@ pytestmark = pytest.mark.process
 NEAR_STOPS_DEG = (-178.0, -88.0, -81.0, -27.0, -107.0, -24.0)
 POSE_DEG = [-170.0, -80.0, -73.0, -20.0, -100.0, -20.0]
 WITHIN_DEG = 0.2
-
-
-@pytest.fixture
-def stack_at(arm_name, tmp_path):
-    """Makes the arm of a test, with its drives where they are wanted and its simulated drives running."""
-    made = []
-
-    def make(start_deg, *options):
-        stack = Stack(arm_name, tmp_path, start_deg=start_deg)
-        made.append(stack)
-        stack.start_sim(*options)
-        return stack
-
-    yield make
-    for stack in made:
-        stack.close()
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """A program of the arm's own user runs wild in its command file: the arm stops inside its limits, the loop lives on."""
 
-import math
 import os
 import subprocess
 import sys
@@ -15,8 +14,8 @@ pytest.importorskip("control_msgs")
 
 import vandal
 from observer import judge, motion_violations, stands_since_ns
-from ros_client import ABORTED, Client, recorded, until
-from stack import ROOT, Stack
+from ros_client import ABORTED, recorded, until
+from stack import ROOT
 
 from config.loader import load_arm
 from shm import files
@@ -29,18 +28,8 @@ WILD_S = 3.0
 
 
 @pytest.fixture
-def stack(arm_name, tmp_path):
-    begin = recorded("large").trajectory.points[0].positions
-    stack = Stack(arm_name, tmp_path, start_deg=[math.degrees(position) for position in begin])
-    try:
-        stack.start_sim()
-        stack.start_loop()
-        stack.start_front()
-        stack.client = Client(f"controller_{arm_name}")
-        yield stack
-        stack.client.close()
-    finally:
-        stack.close()
+def stack(served_at):
+    return served_at(recorded("large").trajectory.points[0].positions)
 
 
 def test_garbage_all_over_the_command_file_of_a_moving_arm(stack):

@@ -18,7 +18,6 @@ import itertools
 
 from observer import judge, motion_violations
 from ros_client import ABORTED, SUCCEEDED, Client, recorded, until
-from stack import Stack
 
 from config.loader import load_arm
 
@@ -36,20 +35,11 @@ TOURS = (
 
 
 @pytest.fixture
-def stack(arm_name, tmp_path, request):
+def stack(served_at, request):
     tour = getattr(request, "param", TOURS[0])
-    begin = recorded(tour[0]).trajectory.points[0].positions
-    stack = Stack(arm_name, tmp_path, start_deg=[math.degrees(position) for position in begin])
+    stack = served_at(recorded(tour[0]).trajectory.points[0].positions)
     stack.tour = tour
-    try:
-        stack.start_sim()
-        stack.start_loop()
-        stack.start_front()
-        stack.client = Client(f"controller_{arm_name}")
-        yield stack
-        stack.client.close()
-    finally:
-        stack.close()
+    return stack
 
 
 def status(stack):
