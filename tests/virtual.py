@@ -170,17 +170,26 @@ class VirtualArm:
             self.cycle()
         raise AssertionError(f"not within {at_most_s} virtual seconds; mode {Mode(int(self.core['mode'])).name}")
 
-    def bring_up(self, *, clears_protection: bool = False, at_most_s: float = 10.0) -> BringUp:
+    def bring_up(self, *, clears_protection: bool = False, at_most_s: float = 10.0, **known: Any) -> BringUp:
+        """Run the conversation that brings the drives up; `known`: what the control process knows beforehand."""
         talk = BringUp(
             self.arm,
             self.port,
             now_ns=self.now_ns,
             clears_protection=clears_protection,
             tell=self.told.append,
+            **known,
         )
         self.until(lambda: talk.poll(self.now_ns), at_most_s=at_most_s)
         self.cycles(2)
         return talk
+
+    def clear_fault(self) -> BringUp:
+        """Ask for a clear, which must be granted, and bring the drives up as the control process does then."""
+        assert self.ask(Request.CLEAR_FAULT) == Answer.DONE
+        self.until(lambda: bool(self.core["bring_up_asked"]), at_most_s=1.0)
+        self.core["bring_up_asked"] = 0
+        return self.bring_up(clears_protection=True)
 
     def release(self, *, at_most_s: float = 10.0) -> Release:
         """Run the conversation that lets the drives go; the request was made before."""

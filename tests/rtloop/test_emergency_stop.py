@@ -13,7 +13,7 @@ from config.budget import cycle_frames
 from config.loader import load_arm
 from rtloop.wire.can_socket import frames_held_back
 from rtloop.wire.tty import CLOSING
-from shm.words import Answer, Fault, Mode, Outcome, Request
+from shm.words import Fault, Mode, Outcome
 from sim.bus import Frame
 from sim.faults import PowerLoss
 
@@ -48,15 +48,6 @@ def powered_arm(interface: str, motion: str, seed: int) -> VirtualArm:
     return arm
 
 
-def clear(arm: VirtualArm) -> bool:
-    """Ask for a clear as people do; whether the bring-up went well."""
-    sequence = arm.writer.request(Request.CLEAR_FAULT)
-    arm.cycle()
-    assert arm.reader.snapshot()["answers"][sequence % 16]["answer"] == Answer.DONE
-    arm.core["bring_up_asked"] = 0
-    return arm.bring_up(clears_protection=True).failure is None
-
-
 def cut_and_return(arm: VirtualArm, meanwhile: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Cut the power of all drives for OFF_S.
 
@@ -82,11 +73,11 @@ def cut_and_return(arm: VirtualArm, meanwhile: str, seed: int) -> tuple[np.ndarr
         cycles_until(end_ns)
     elif meanwhile == "a clear":
         cycles_until(cut_ns + 800_000_000)
-        assert not clear(arm)
+        assert arm.clear_fault().failure is not None
         cycles_until(end_ns)
     elif meanwhile == "a clear just before":
         cycles_until(back_ns - 100_000_000)
-        assert clear(arm)
+        assert arm.clear_fault().failure is None
         assert not np.any(arm.loop[0]["axes"]["referenced"][:6])
         cycles_until(end_ns)
     elif meanwhile == "an orderly end" and arm.arm.bus.interface == "slcan":

@@ -86,7 +86,7 @@ def test_a_drive_that_lost_power_gets_its_stop_and_no_motion_frame() -> None:
     assert arm.sim.true_position_rad(1, arm.now_ns - 1) == moved[0]
 
     # clearing the fault brings the arm up again, but never references
-    clear(arm)
+    assert arm.clear_fault().failure is None
     assert any("joint2 is not referenced" in sentence for sentence in arm.told)
     assert arm.core["mode"] == Mode.HOLDING
     goal = arm.play("large")
@@ -153,7 +153,11 @@ def test_a_drive_that_does_not_answer_is_named() -> None:
 
 
 def test_old_firmware_is_told_apart() -> None:
-    arm = VirtualArm(firmware="old")
+    carries_out_a_goal(VirtualArm(firmware="old"))
+
+
+def carries_out_a_goal(arm: VirtualArm) -> None:
+    """Bring it up, play a small goal, close it."""
     assert arm.bring_up().failure is None
     assert arm.core["mode"] == Mode.HOLDING
     goal = arm.play("small")
@@ -173,21 +177,13 @@ def test_old_firmware_that_lost_power_stays_unreferenced_when_the_fault_is_clear
     arm.until(lambda: arm.core["mode"] == Mode.FAULT)
     arm.until(lambda: arm.core["goal_id"] == 0)
     arm.cycles(60)
-    clear(arm)
+    assert arm.clear_fault().failure is None
     assert arm.core["mode"] == Mode.HOLDING
     assert arm.loop[0]["axes"][1]["referenced"] == 0
     newer = arm.play("large")
     arm.until(lambda: arm.outcome(newer) != Outcome.NONE)
     assert arm.outcome(newer) == Outcome.REFUSED_UNREFERENCED
     arm.close()
-
-
-def clear(arm: VirtualArm) -> None:
-    sequence = arm.writer.request(Request.CLEAR_FAULT)
-    arm.cycle()
-    assert arm.reader.snapshot()["answers"][sequence % 16]["answer"] == Answer.DONE
-    arm.core["bring_up_asked"] = 0
-    assert arm.bring_up(clears_protection=True).failure is None
 
 
 @pytest.mark.parametrize("after", [1, 8, 20])
@@ -203,7 +199,7 @@ def test_a_fault_is_not_cleared_while_the_arm_still_moves(after: int) -> None:
     answer = arm.reader.snapshot()["answers"][sequence % 16]["answer"]
     assert answer == (Answer.REFUSED_MOVING if moving else Answer.DONE)
     arm.until(lambda: not np.any(arm.loop[0]["axes"]["velocity_rad_s"]) and arm.core["goal_id"] == 0)
-    clear(arm)
+    assert arm.clear_fault().failure is None
     assert arm.core["mode"] == Mode.HOLDING
     assert arm.core["fault"] == Fault.NONE
     arm.close()
@@ -360,22 +356,14 @@ def test_an_echoing_adapter_changes_nothing() -> None:
     """Own frames that come back share their ids with replies."""
     goal = recorded_goal("small")
     arm = VirtualArm(start_rad=goal["joints"][0, :, 0], echo=True)
-    assert arm.bring_up().failure is None
-    goal_id = arm.play("small")
-    arm.until(lambda: arm.outcome(goal_id) != Outcome.NONE)
-    assert arm.outcome(goal_id) == Outcome.SUCCEEDED
-    arm.close()
+    carries_out_a_goal(arm)
 
 
 def test_a_silent_adapter_is_enough() -> None:
     """The original canable firmware answers nothing at all."""
     goal = recorded_goal("small")
     arm = VirtualArm(start_rad=goal["joints"][0, :, 0], dialect="canable")
-    assert arm.bring_up().failure is None
-    goal_id = arm.play("small")
-    arm.until(lambda: arm.outcome(goal_id) != Outcome.NONE)
-    assert arm.outcome(goal_id) == Outcome.SUCCEEDED
-    arm.close()
+    carries_out_a_goal(arm)
 
 
 @pytest.mark.parametrize("request_kind", [Request.CLEAR_FAULT])

@@ -245,9 +245,7 @@ def test_a_record_that_becomes_visible_late_is_taken(arm, late):
 def test_clearing_the_fault_of_a_mended_ring_brings_the_arm_back(arm):
     arm.put(Setpoint.END, goal_id=9, crc=123)
     arm.until(lambda: arm.fault != Fault.NONE)
-    arm.writer.request(Request.CLEAR_FAULT)
-    arm.until(lambda: arm.core["bring_up_asked"] == 1)
-    assert arm.bring_up(clears_protection=True).failure is None
+    assert arm.clear_fault().failure is None
     goal = arm.wave()
     arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
     assert (arm.outcome(goal), arm.fault) == (Outcome.SUCCEEDED, Fault.NONE)
@@ -595,9 +593,7 @@ def test_an_opening_out_of_all_measure_does_not_make_the_loop_deaf(arm, goal_id)
     arm.put(Setpoint.BEGIN, goal_id=goal_id, words=(0, 1, 0.4, 0))
     arm.cycle()
     assert arm.fault == Fault.COMMAND_RING
-    arm.writer.request(Request.CLEAR_FAULT)
-    arm.until(lambda: arm.core["bring_up_asked"] == 1)
-    assert arm.bring_up(clears_protection=True).failure is None
+    assert arm.clear_fault().failure is None
     goal = arm.wave()
     arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
     assert (arm.outcome(goal), arm.fault) == (Outcome.SUCCEEDED, Fault.NONE)

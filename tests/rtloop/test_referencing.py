@@ -9,7 +9,6 @@ from observer import command_violations, frames_sent, motion_after, motion_frame
 from virtual import VirtualArm
 
 from config.loader import load_arm
-from rtloop.bringup import BringUp
 from rtloop.port import HOME_ALL
 from rtloop.referencing import referencing_asked_for
 from rtloop.saved import NotSaved
@@ -40,9 +39,7 @@ def after_power_loss(arm, joint="joint2"):
     arm.sim.inject(PowerLoss(joint, 0.0, off_s=1.0), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["mode"] == Mode.FAULT)
     arm.cycles(240)
-    assert arm.ask(Request.CLEAR_FAULT) == Answer.DONE
-    arm.core["bring_up_asked"] = 0
-    assert arm.bring_up(clears_protection=True).failure is None
+    assert arm.clear_fault().failure is None
     assert arm.core["mode"] == Mode.HOLDING
 
 
@@ -172,9 +169,7 @@ def test_a_stop_that_is_not_found_in_time_is_a_fault():
     assert "joint2 has not found its homing stop within 2 s" in str(failure)
     assert (arm.core["mode"], arm.core["fault"], arm.core["fault_joint"]) == (Mode.FAULT, Fault.HOMING, 1)
     ended_ns = arm.now_ns
-    assert arm.ask(Request.CLEAR_FAULT) == Answer.DONE
-    arm.core["bring_up_asked"] = 0
-    assert arm.bring_up(clears_protection=True).failure is None
+    assert arm.clear_fault().failure is None
     assert arm.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.NOT_HOMED
     assert motion_after(truth_of(arm.sim), ended_ns, arm.now_ns) == []
     arm.close()
@@ -219,9 +214,7 @@ def test_what_a_person_said_outlives_a_clear_but_not_the_next_loss_of_power(arm)
     assert arm.reference().failure is None
     arm.sim.inject(Protection("joint4", 0.0), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["mode"] == Mode.FAULT)
-    assert arm.ask(Request.CLEAR_FAULT) == Answer.DONE
-    arm.core["bring_up_asked"] = 0
-    assert arm.bring_up(clears_protection=True).failure is None
+    assert arm.clear_fault().failure is None
     axis = arm.loop[0]["axes"][1]
     assert axis["referenced"] == 1
     assert abs(axis["measured_rad"] - math.radians(-86.0)) < WITHIN_RAD
@@ -505,9 +498,7 @@ def test_a_home_that_a_fault_overtook_is_not_begun_later(arm):
     arm.sim.inject(Protection("joint4", 0.0), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["mode"] == Mode.FAULT)
     arm.cycles(60)
-    assert arm.ask(Request.CLEAR_FAULT) == Answer.DONE
-    arm.core["bring_up_asked"] = 0
-    assert arm.bring_up(clears_protection=True).failure is None
+    assert arm.clear_fault().failure is None
     assert (arm.core["home_asked"], arm.core["mode"]) == (0, Mode.HOLDING)
 
 
@@ -536,16 +527,7 @@ def test_what_is_known_of_a_count_outlives_the_process(arm):
     assert arm.reference().failure is None
     assert arm.lost == {1: Unreferenced.NOT_HOMED}
     after = next_process(arm)
-    talk = BringUp(
-        after.arm,
-        after.port,
-        now_ns=after.now_ns,
-        clears_protection=False,
-        tell=after.told.append,
-        lost_before={joint: reason for joint, reason in arm.lost.items() if reason is not None},
-    )
-    after.until(lambda: talk.poll(after.now_ns))
-    after.cycles(2)
+    after.bring_up(lost_before={joint: reason for joint, reason in arm.lost.items() if reason is not None})
     assert after.loop[0]["axes"]["referenced"][:6].tolist() == [1, 0, 1, 1, 1, 1]
     assert after.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.NOT_HOMED
     after.close()

@@ -12,7 +12,6 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from rtloop import saved
-from rtloop.bringup import BringUp
 from rtloop.guard import outlives_a_clear
 from shm.words import Answer, Fault, Mode, Request, Unreferenced
 
@@ -137,16 +136,7 @@ def test_a_joint_that_does_not_stand_where_it_stood_is_not_believed():
         angle_rad = math.radians((joint + 1) * 10.0 + off_deg)
         counts_per_rad = config[joint].direction * config[joint].encoder_counts_per_rad
         stood[joint] = round((angle_rad + config[joint].zero_rad) * counts_per_rad)
-    talk = BringUp(
-        arm.arm,
-        arm.port,
-        now_ns=arm.now_ns,
-        clears_protection=False,
-        tell=arm.told.append,
-        counts_before=stood,
-    )
-    arm.until(lambda: talk.poll(arm.now_ns))
-    arm.cycles(2)
+    arm.bring_up(counts_before=stood)
     axes = arm.loop[0]["axes"]
     assert axes["referenced"][:6].tolist() == [1, 0, 1, 1, 1, 1]
     assert axes["unreferenced_reason"][1] == Unreferenced.MOVED

@@ -23,7 +23,6 @@ from rosfront.plan import GoalPlan
 from rosfront.refusals import GoalRefused
 from rosfront.serving import Execution, Serving
 from rosfront.verdict import Status, Verdict, refused
-from rtloop.bringup import BringUp
 from shm.words import Mode, Request
 from sim.faults import Silent, Stall
 
@@ -177,18 +176,7 @@ class Stage:
 
     def bring_up(self, mock_positions_rad: list[float] | None = None) -> None:
         """What the control process does at its start and when it is asked to enable the drives."""
-        arm = self.arm
-        talk = BringUp(
-            arm.arm,
-            arm.port,
-            now_ns=arm.now_ns,
-            clears_protection=False,
-            tell=arm.told.append,
-            mock_positions_rad=mock_positions_rad,
-        )
-        arm.until(lambda: talk.poll(arm.now_ns), at_most_s=10.0)
-        arm.cycles(2)
-        assert talk.failure is None
+        assert self.arm.bring_up(mock_positions_rad=mock_positions_rad).failure is None
         assert self.mode is Mode.HOLDING
 
     # --- the arm
