@@ -58,7 +58,7 @@ def load_arm(name_or_path: str | Path, *, overrides: Mapping[str, Any] | None = 
         ConfigError: with every problem found in `errors`. The bus budget is not part of this: call
             `config.budget.check_budget` before anything is opened.
     """
-    path = _resolve(name_or_path)
+    path = arm_path(name_or_path)
     file = _display_name(path)
     root, values = _parse(_read(path, file), file)
     overridden: set[str] = set()
@@ -87,7 +87,8 @@ def arm_hash(arm: ArmConfig) -> int:
 # --- the file -------------------------------------------------------------------------------------------
 
 
-def _resolve(name_or_path: str | Path) -> Path:
+def arm_path(name_or_path: str | Path) -> Path:
+    """The file that `load_arm` reads; raises ConfigError where no arm is called so."""
     if isinstance(name_or_path, Path):
         return name_or_path
     if "/" in name_or_path or name_or_path.endswith((".yaml", ".yml")):

@@ -1,6 +1,7 @@
 """The command line. Everything heavy is imported inside the command that needs it, so that help is quick.
 
-Commands to a running arm stand in `cli_orders`, those about adapters and drives in `cli_drives`.
+Commands to a running arm stand in `cli_orders`, those about adapters and drives in `cli_drives`, the guide through an
+arm's joints in `cli_calibrate`.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rtarm.cli_calibrate import calibrate_app
 from rtarm.cli_drives import drives_app
 from rtarm.cli_frame import ArmArgument, RunningArm, again, app, config_app, draw, overrides_given, sentences
 from rtarm.cli_orders import orders
@@ -315,5 +317,6 @@ def _reporter() -> Reporter:
 
 app.add_typer(orders)
 app.add_typer(drives_app)
+app.add_typer(calibrate_app)
 
 __all__ = ["app"]

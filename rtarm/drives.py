@@ -20,6 +20,7 @@ from rich.text import Text
 
 from config.schema import ArmConfig
 from rtarm.errors import ExitCode, Refusal
+from rtarm.interrupt import undisturbed
 from rtarm.processes import plain_environment, shared_death
 
 PATIENCE_S = 10.0
@@ -42,12 +43,14 @@ NOTHING_TO_STORE = (
 Report = dict[str, Any]
 
 
-class SettingsProcess:
-    """The process that talks with the drives; use it in a `with`."""
+class OfflineProcess:
+    """A process that talks with the drives of an arm nobody has brought up, told by lines what to do."""
 
-    def __init__(self, arguments: list[str]) -> None:
+    def __init__(self, module: str, arguments: list[str]) -> None:
+        self.refused: str | None = None
+        """Why it did not end as it should when it was closed, a sentence."""
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "rtloop.settings", *arguments],
+            [sys.executable, "-P", "-m", module, *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -81,8 +84,8 @@ class SettingsProcess:
                 told(rest)
         code = self._process.wait()
         raise Refusal(
-            f"The control process that reads settings ended with code {code} before it had answered: see its lines "
-            "above.",
+            f"The control process that talks with the drives ended with code {code} before it had answered: see its "
+            "lines above.",
             ExitCode.LOOP_REFUSED,
         )
 
@@ -93,7 +96,7 @@ class SettingsProcess:
             self._process.stdin.close()
 
     def close(self) -> None:
-        """End it; it closes the bus in order."""
+        """End it; it closes the bus in order, or says why it could not (`refused`)."""
         assert self._process.stdout is not None
         self.no_more()
         try:
@@ -101,21 +104,24 @@ class SettingsProcess:
         except subprocess.TimeoutExpired:
             self._process.terminate()
             self._process.wait()
-        self._process.stdout.close()
+        with self._process.stdout as unread:
+            refused = [line.rstrip("\n").partition(" ")[2] for line in unread if line.startswith("refused ")]
+        self.refused = refused[0] if refused else None
 
 
 @contextmanager
-def settings_process(arm: str, overrides: Mapping[str, Any]) -> Iterator[SettingsProcess]:
+def offline_process(module: str, arm: str, overrides: Mapping[str, Any]) -> Iterator[OfflineProcess]:
     """The process for an arm, ended whatever happens."""
     from rtarm.launcher import override_arguments
 
     # nothing is brought up and nothing is punctual here, so what the file wants of both must not keep it from starting
     at_ease = {"control": {"init_mode": 1}, "realtime": {"require": False}}
-    process = SettingsProcess([arm, *override_arguments({**overrides, **at_ease})])
+    process = OfflineProcess(module, [arm, *override_arguments({**overrides, **at_ease})])
     try:
         yield process
     finally:
-        process.close()
+        with undisturbed():
+            process.close()
 
 
 def plan(report: Report) -> list[str]:
@@ -172,7 +178,7 @@ def run(
     """
     if arm.bus.interface == "mock":
         raise Refusal(f"Arm {arm.name} has mock drives and no bus, so there are no settings to read.")
-    with settings_process(argument, overrides) as process:
+    with offline_process("rtloop.settings", argument, overrides) as process:
         report = process.answer("ready")
         if not write or not plan(report):
             show(report)

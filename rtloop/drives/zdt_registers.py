@@ -37,6 +37,11 @@ ENABLED, PROTECTED, POWER_LOST = 0x01, 0x08, 0x80
 HOMING, HOMING_FAILED = 0x04, 0x08
 """Flags of `3B`."""
 
+HIGHEST_RPM = 3000
+"""Of a motion command, whatever the firmware (zdt-emm-v5.md 3)."""
+GENTLEST_RAMP = 1
+"""Ramp byte of 1 rpm every 12.75 ms, the slowest there is; 0 would be none."""
+
 CHECKSUM = 0x6B
 KNOWN_FIRMWARE = range(100, 300)
 """Emm_V5 versions 1.0.0 to 2.9.9 share the configuration block (V1.0.7 and V2.0.0 were tried by others)."""
@@ -123,6 +128,13 @@ def write_block(block: Block, *, store: bool) -> bytes:
 def write_watchdog(timeout_ms: int, *, store: bool) -> bytes:
     """The command that sets the watchdog; 0 turns it off."""
     return b"\x68\x38" + bytes((store,)) + timeout_ms.to_bytes(4, "big") + bytes((CHECKSUM,))
+
+
+def move_to(pulses: int, rpm: int, ramp: int) -> bytes:
+    """`FD`, absolute and at once: a position in command pulses, speed (rpm), ramp byte (1 to 255, 1 the gentlest)."""
+    if not 1 <= rpm <= HIGHEST_RPM or not 1 <= ramp <= 255 or abs(pulses) >= 1 << 32:
+        raise ValueError(f"no drive is sent to {pulses} pulses at {rpm} rpm with ramp {ramp}")
+    return struct.pack(">BBHBIBBB", 0xFD, pulses < 0, rpm, ramp, abs(pulses), 1, 0, CHECKSUM)
 
 
 @dataclass(frozen=True)

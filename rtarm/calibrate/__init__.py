@@ -1,0 +1,1 @@
+"""`rtarm calibrate`: direction, ratio and zero of each joint, found step by step by a person before the arm."""

@@ -1,0 +1,162 @@
+"""Changing single values of a joint in an arm file: everything else in it stays as it is, to the byte."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+import yaml
+
+from config.errors import ConfigError
+from config.loader import arm_path, load_arm
+from config.schema import ArmConfig
+from rtarm.errors import Refusal
+
+Changes = Mapping[str, float]
+"""New values of a joint by their fields: direction, ratio, zero_deg."""
+
+
+class ArmFile:
+    """An arm file that single values are written into, or a copy of one that is yet to be made.
+
+    Raises Refusal before anything is written, with the sentence people read.
+    """
+
+    def __init__(self, name_or_path: str, output: Path | None) -> None:
+        arm = load_arm(name_or_path)
+        source = arm_path(name_or_path)
+        if output is None and arm.source is not None and arm.source.built_in:
+            raise Refusal(
+                f"{arm.name} comes with rtarm and is not written to: give the file that shall get the values, such as "
+                f"-o ./my_{arm.name}.yaml."
+            )
+        if output is not None and output.exists():
+            raise Refusal(f"{output} is there already: calibrate that file itself, or choose another name for -o.")
+        self._source = Path(os.path.realpath(source))
+        self.path = Path(os.path.realpath(output or source))  # a link stays one
+        folder = self.path.parent
+        if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+            raise Refusal(f"Nothing can be written to the folder {folder}: make it writable, or choose another.")
+        if output is None and not os.access(self.path, os.W_OK):
+            raise Refusal(f"{self.path} is not writable: make it so, or give another file with -o.")
+        self._text = self._read(self._source)
+        self._arm = arm
+
+    @staticmethod
+    def _read(path: Path) -> str:
+        try:
+            return path.read_bytes().decode("utf-8")  # with the line ends it has
+        except (OSError, UnicodeDecodeError) as problem:
+            raise Refusal(f"{path} cannot be read any more ({problem}).") from None
+
+    def difference(self, joint: int, changes: Changes) -> str:
+        """What `write` would change, as a unified diff; raises Refusal where it cannot be done."""
+        new = self._edited(joint, changes)
+        lines = difflib.unified_diff(
+            self._text.splitlines(), new.splitlines(), str(self._source), str(self.path), lineterm="", n=1
+        )
+        return "\n".join(lines)
+
+    def write(self, joint: int, changes: Changes) -> None:
+        """Put the file with these changes in place of the old one, once it loads and says just what it should."""
+        new = self._edited(joint, changes)
+        if self._read(self._source) != self._text or (self._source != self.path and self.path.exists()):
+            raise Refusal(
+                f"{self.path} was changed by somebody else meanwhile, so it was left as it is. Not written for "
+                f"{self._arm.joints[joint].name}: {in_words(changes)}."
+            )
+        try:
+            with tempfile.NamedTemporaryFile("wb", dir=self.path.parent, prefix=".", suffix=".yaml", delete=False) as f:
+                f.write(new.encode("utf-8"))
+                f.flush()
+                os.fsync(f.fileno())
+            try:
+                self._arm = self._checked(Path(f.name), joint, changes)
+                self._take_after(Path(f.name))
+                os.replace(f.name, self.path)
+            except BaseException:
+                with suppress(FileNotFoundError):
+                    os.unlink(f.name)
+                raise
+        except OSError as problem:
+            raise Refusal(
+                f"{self.path} could not be written ({problem.strerror}), so it is as it was. Not written for "
+                f"{self._arm.joints[joint].name}: {in_words(changes)}."
+            ) from problem
+        self._source, self._text = self.path, new
+
+    def _take_after(self, new: Path) -> None:
+        """Give the new file the rights and, where that may be done, the owner of the old one."""
+        if self._source != self.path:
+            new.chmod(0o644)
+            return
+        shutil.copymode(self.path, new)
+        owner = self.path.stat()
+        with suppress(PermissionError):
+            os.chown(new, owner.st_uid, owner.st_gid)
+
+    def _checked(self, path: Path, joint: int, changes: Changes) -> ArmConfig:
+        """The arm of the new file, which must be the old one with these changes and no other."""
+        name = self._arm.joints[joint].name
+        try:
+            found = load_arm(path)
+        except ConfigError as error:
+            problem = error.errors[0]
+            raise Refusal(
+                f"The arm file would not be valid with {in_words(changes)} for {name} ({problem}), so it was left as "
+                "it is."
+            ) from None
+        wanted = self._arm.model_dump()
+        wanted["joints"][joint].update(changes)
+        if found.model_dump() != wanted:
+            raise Refusal(
+                f"The values of {name} in {self._source} are shared with other places of the file (an anchor), so it "
+                f"was left as it is: write by hand {in_words(changes)}."
+            )
+        return found
+
+    def _edited(self, joint: int, changes: Changes) -> str:
+        text = self._text
+        for field, value in changes.items():
+            text = with_value(text, joint, field, written(value))
+        return text
+
+
+def written(value: float) -> str:
+    """A value as it stands in a file."""
+    return f"{value:.10g}"
+
+
+def in_words(changes: Changes) -> str:
+    """Values as a sentence says them."""
+    return ", ".join(f"{field}: {written(value)}" for field, value in changes.items())
+
+
+def with_value(text: str, joint: int, field: str, value: str) -> str:
+    """The text of a valid arm file with one field of a joint set; a field that is missing is put behind its ratio."""
+    root = yaml.compose(text, yaml.SafeLoader)
+    assert isinstance(root, yaml.MappingNode)
+    joints = next(node for key, node in root.value if key.value == "joints")
+    fields = {key.value: (key, node) for key, node in joints.value[joint].value}
+    if field in fields:
+        node = fields[field][1]
+        return text[: node.start_mark.index] + value + text[node.end_mark.index :]
+    if "ratio" not in fields:
+        raise Refusal(
+            f"The values of joint number {joint + 1} do not stand in its own entry of the file (but in an anchor): "
+            f"write {field}: {value} there by hand."
+        )
+    key, ratio = fields["ratio"]
+    end = ratio.end_mark.index
+    if joints.value[joint].flow_style:
+        return f"{text[:end]}, {field}: {value}{text[end:]}"
+    line_end = text.find("\n", end)
+    line_end = len(text) if line_end < 0 else line_end
+    new_line = "\r\n" if text[line_end - 1 : line_end] == "\r" else "\n"
+    line_end -= len(new_line) - 1
+    return f"{text[:line_end]}{new_line}{' ' * key.start_mark.column}{field}: {value}{text[line_end:]}"

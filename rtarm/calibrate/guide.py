@@ -1,0 +1,290 @@
+"""The way through one joint: direction, ratio, zero; each step explained, agreed to, and left out at will."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from config.schema import ArmConfig
+from rtarm.calibrate.angles import (
+    READ_TO_DEG,
+    Move,
+    RatioFound,
+    joint_move,
+    least_angle_deg,
+    most_joint_deg,
+    motor_angle_deg,
+    nudges,
+    ratio_found,
+    zero_deg,
+)
+from rtarm.calibrate.person import Person, agrees, chosen, number
+from rtarm.calibrate.words import positive_in_words
+from rtloop.calibration.session import DriveState, Found, NotDone
+
+RATIO_DIGITS = 4
+FALLS = (
+    "Limp, the joint turns freely and falls where gravity pulls it and all that hangs on it: take its weight in your "
+    "hands before you agree."
+)
+
+
+class Drives(Protocol):
+    """The arm's drives, by joint number; everything returns once the drive stands. Failures end the calibration."""
+
+    def look(self, joint: int) -> DriveState: ...
+    def turn(self, joint: int, by_counts: int, rpm: int) -> DriveState: ...
+    def let_go(self, joint: int) -> DriveState: ...
+    def hold(self, joint: int) -> DriveState: ...
+    def home(self, joint: int) -> DriveState: ...
+
+
+@dataclass
+class Values:
+    """What is believed of a joint."""
+
+    direction: int
+    ratio: float
+    zero_deg: float
+
+    def changes_from(self, other: Values) -> dict[str, float]:
+        """The fields that differ, with the new values."""
+        before = vars(other)
+        return {field: value for field, value in vars(self).items() if value != before[field]}
+
+
+class Guide:
+    """One joint's way; `values` has what has been found and agreed to so far."""
+
+    def __init__(self, arm: ArmConfig, joint: int, found: Found, drives: Drives, person: Person) -> None:
+        self._arm = arm
+        self._joint = joint
+        self._config = arm.joints[joint]
+        self._name = self._config.name
+        self._found = found
+        self._drives = drives
+        self._person = person
+        self.before = Values(self._config.direction, self._config.ratio, self._config.zero_deg)
+        self.values = Values(**vars(self.before))
+
+    def go(self) -> None:
+        """All three steps; raises Quit, and whatever the drives raise."""
+        before, tell = self.before, self._person.tell
+        state = self._drives.look(self._joint)
+        tell("")
+        tell(
+            f"{self._name} (drive {self._found.address}, {'held' if state.enabled else 'limp'}). The file says: "
+            f"direction {before.direction}, ratio {before.ratio:g}, zero_deg {before.zero_deg:g}."
+        )
+        if not state.enabled:
+            if not agrees(self._person, "Its drive must hold it to go on. Let it hold the joint where it stands?"):
+                tell(f"{self._name} is left out.")
+                return
+            self._drives.hold(self._joint)
+        self._find_direction()
+        self._find_ratio()
+        self._find_zero()
+
+    # --- 1: direction
+
+    def _find_direction(self) -> None:
+        tell = self._person.tell
+        tell(f"1. Direction. {positive_in_words(self._arm, self._joint)}")
+        moves = nudges(self._config.ratio, self._config.motor_rpm)
+        sign, farther = 1, 0
+        while farther < len(moves):
+            move = moves[farther]
+            tell(f"{self._described(Move(sign * move.counts, move.rpm))}, and back again.")
+            answer = self._person.answer("Turn it? [y/N; o: the other way first; q ends]").lower()
+            if answer == "o":
+                sign = -sign
+                continue
+            if answer not in ("y", "yes"):
+                break
+            self._drives.turn(self._joint, sign * move.counts, move.rpm)
+            seen = chosen(
+                self._person,
+                f"It has turned and stands. Which way did {self._name} go?",
+                {"p": "the positive way", "n": "the negative way", "u": "not seen, go farther"},
+            )
+            self._drives.turn(self._joint, -sign * move.counts, move.rpm)
+            if seen == "u":
+                farther += 1
+                continue
+            if not seen or not agrees(self._person, "It has turned back. Was that the opposite way?"):
+                tell("Then it is not clear yet.")
+                continue
+            self.values.direction = sign if seen == "p" else -sign
+            tell(f"direction: {self.values.direction}{self._beside_file('direction')}")
+            return
+        tell(f"direction stays {self.values.direction}.")
+
+    # --- 2: ratio
+
+    def _find_ratio(self) -> None:
+        tell = self._person.tell
+        tell(
+            f"2. Ratio: motor turns for one turn of {self._name}. The joint is put on two marks, one after the other, "
+            f"whose angle you measure; {least_angle_deg(self.values.ratio):.0f}° or more, 90° is good."
+        )
+        while how := self._asked_how():
+            counts = self._between_marks(how)
+            angle_deg = None if counts is None else number(self._person, "By how many degrees did the joint turn?")
+            if counts is None or angle_deg is None:
+                break
+            found = ratio_found(counts, abs(angle_deg), self._config.ratio)
+            if found.too_small_for:
+                tell(found.too_small_for)
+                continue
+            tell(
+                f"The motor turned {abs(counts) / 65536:.3f} times: the ratio is {found.measured:.3f} ± "
+                f"{found.uncertainty:.2f}, if you read the angle to ±{READ_TO_DEG:g}°."
+            )
+            ratio = self._decided(found)
+            if ratio is not None:
+                self.values.ratio = ratio
+                tell(f"ratio: {ratio:g}{self._beside_file('ratio')}")
+                return
+        tell(f"ratio stays {self.values.ratio:g}.")
+
+    def _decided(self, found: RatioFound) -> float | None:
+        suggestion = found.suggestion or round(found.measured, RATIO_DIGITS)
+        why = "what the file says fits" if suggestion == self._config.ratio else "the only whole number that fits"
+        if found.suggestion is None:
+            why = "as measured; no whole number fits"
+        if agrees(self._person, f"Take {suggestion:g} ({why})?"):
+            return suggestion
+        own = number(self._person, "Which ratio then?")
+        if own is None:
+            return None
+        if own <= 0 or (
+            abs(own - found.measured) > found.uncertainty
+            and not agrees(self._person, f"{own:g} does not fit what was measured. Take it all the same?")
+        ):
+            return None
+        return round(own, RATIO_DIGITS)
+
+    def _between_marks(self, how: str) -> int | None:
+        """By how much the motor turned between two marks; None if the person does not want to."""
+        if how == "h":
+            if not agrees(self._person, f"{FALLS} Make {self._name} limp?"):
+                return None
+            self._drives.let_go(self._joint)
+            self._person.answer("It is limp. Put it on the first mark, then press Enter [q ends]:")
+            first = self._drives.look(self._joint)
+            self._person.answer("Turn it to the second mark, then press Enter [q ends]:")
+            second = self._drives.look(self._joint)
+            self._take_hold()
+            return second.counts - first.counts
+        began = self._jogged_to("the first mark")
+        ended = None if began is None else self._jogged_to("the second mark")
+        return None if began is None or ended is None else ended.counts - began.counts
+
+    # --- 3: zero
+
+    def _find_zero(self) -> None:
+        tell, values = self._person.tell, self.values
+        tell(
+            f"3. Zero: at its homing stop {self._name} is at -zero_deg, {-values.zero_deg:g}° by the file. The joint "
+            "is put where you know its angle, best on its zero mark."
+        )
+        if not self._counts_from_stop():
+            tell(f"zero_deg stays {values.zero_deg:g}.")
+            return
+        while how := self._asked_how():
+            state = self._placed(how)
+            if state is None:
+                break
+            angle_deg = number(self._person, f"At how many degrees does {self._name} stand there (0 on its zero mark)?")
+            if angle_deg is None:
+                break
+            found = zero_deg(state.counts, values.ratio, values.direction, angle_deg)
+            tell(
+                f"The motor stands {motor_angle_deg(state.counts, values.ratio):.2f}° of the joint from the homing "
+                f"stop: zero_deg is {found:g}, as well as the joint stands on the mark."
+            )
+            if agrees(self._person, f"Take {found:g}?"):
+                values.zero_deg = found
+                tell(f"zero_deg: {found:g}{self._beside_file('zero_deg')}")
+                return
+        tell(f"zero_deg stays {values.zero_deg:g}.")
+
+    def _counts_from_stop(self) -> bool:
+        """Whether the drive counts from the homing stop, after a homing run if the person wants one."""
+        doubt = self._drives.look(self._joint).doubt
+        if doubt is not None:
+            self._person.tell(f"{self._name} {doubt}.")
+        elif agrees(self._person, "Its drive says that it has been homed. Is that so, at this very stop?"):
+            return True
+        rpm = self._found.homing_rpm
+        speed = f"at {rpm} rpm of the motor" if rpm is not None else "at the speed of its menu"
+        self._person.tell(
+            f"A homing run is the drive's own: it runs {speed}, the way its menu says, until something stops it. "
+            "Nothing sees what is in its way; Ctrl-C ends it."
+        )
+        if not agrees(self._person, f"Home {self._name} now, with the way to its stop free?"):
+            self._person.tell("Without a homing run the zero cannot be found.")
+            return False
+        self._drives.home(self._joint)
+        return True
+
+    def _placed(self, how: str) -> DriveState | None:
+        if how == "d":
+            return self._jogged_to("its mark")
+        if not agrees(self._person, f"{FALLS} Make {self._name} limp?"):
+            return None
+        self._drives.let_go(self._joint)
+        self._person.answer("It is limp. Put it on its mark, then press Enter [q ends]:")
+        state = self._drives.look(self._joint)
+        self._take_hold()
+        return state
+
+    # --- what steps share
+
+    def _asked_how(self) -> str:
+        return chosen(
+            self._person,
+            f"How shall {self._name} get to the mark?",
+            {"d": "by its drive, in small turns you agree to", "h": "by hand, limp"},
+        )
+
+    def _jogged_to(self, mark: str) -> DriveState | None:
+        """Turn the joint by its drive until the person says that it is there; None if they give up."""
+        values = self.values
+        most = most_joint_deg(values.ratio)
+        while True:
+            answer = self._person.answer(
+                f"Degrees to turn {self._name}, up to ±{most:g} at a time [a number; y: it is on {mark}; Enter: give "
+                "up; q ends]"
+            ).lower()
+            if not answer:
+                return None
+            if answer in ("y", "yes"):
+                return self._drives.look(self._joint)
+            try:
+                wanted_deg = float(answer.removesuffix("°").replace(",", "."))
+            except ValueError:
+                wanted_deg = float("nan")
+            if not abs(wanted_deg) <= most:
+                self._person.tell(f"{answer} is no number from -{most:g} to {most:g}.")
+                continue
+            move = joint_move(values.direction * wanted_deg, values.ratio, self._config.motor_rpm)
+            if agrees(self._person, f"{self._described(move)}. Turn it?"):
+                try:
+                    self._drives.turn(self._joint, move.counts, move.rpm)
+                except NotDone as refused:
+                    self._person.tell(str(refused))
+
+    def _take_hold(self) -> None:
+        self._person.answer("Keep it there and press Enter: its drive then holds it where it stands [q ends]:")
+        self._drives.hold(self._joint)
+
+    def _described(self, move: Move) -> str:
+        return (
+            f"The motor of {self._name} turns by {move.motor_deg:+.1f}° at {move.rpm} rpm, the joint by "
+            f"{abs(move.motor_deg) / self.values.ratio:.1f}° if its ratio is {self.values.ratio:g}"
+        )
+
+    def _beside_file(self, field: str) -> str:
+        before, now = getattr(self.before, field), getattr(self.values, field)
+        return ", as in the file." if before == now else f"; the file says {before:g}."

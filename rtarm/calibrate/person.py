@@ -1,0 +1,69 @@
+"""The person before the arm: what they are told and asked, on a terminal."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Protocol
+
+
+class Quit(Exception):
+    """The person wants no more, or nobody is there any more; the text says which."""
+
+
+class Person(Protocol):
+    """Somebody who can be told something and asked for a line."""
+
+    def tell(self, text: str) -> None:
+        """Say something that needs no answer."""
+
+    def answer(self, question: str) -> str:
+        """The line that is given for an answer; raises Quit."""
+
+
+class Terminal:
+    """The person at standard input and output."""
+
+    def tell(self, text: str) -> None:
+        print(text, flush=True)
+
+    def answer(self, question: str) -> str:
+        print(f"{question} ", end="", flush=True)
+        line = sys.stdin.readline()
+        if not line:
+            print(flush=True)
+            raise Quit("the input ended")
+        line = line.strip()
+        if line.lower() in ("q", "quit"):
+            raise Quit("you ended it")
+        return line
+
+
+def agrees(person: Person, question: str) -> bool:
+    """Whether the answer is y; anything else is no."""
+    return person.answer(f"{question} [y/N, q ends]").lower() in ("y", "yes")
+
+
+def chosen(person: Person, question: str, options: dict[str, str]) -> str:
+    """One of the options by its letter, or an empty answer for none; asked again until it is one."""
+    shown = ", ".join(f"{letter}: {meaning}" for letter, meaning in options.items())
+    while True:
+        answer = person.answer(f"{question} [{shown}; Enter: neither, q ends]").lower()
+        if answer == "" or answer in options:
+            return answer
+        person.tell(f"{answer!r} is none of {', '.join(options)}.")
+
+
+def number(person: Person, question: str) -> float | None:
+    """A finite number, None for an empty answer; asked again until it is one."""
+    while True:
+        answer = person.answer(f"{question} [a number; Enter: none, q ends]")
+        if not answer:
+            return None
+        try:
+            value = float(answer.removesuffix("°").replace(",", "."))
+        except ValueError:
+            value = math.nan
+        if math.isfinite(value):
+            return value
+        person.tell(f"{answer!r} is no number.")

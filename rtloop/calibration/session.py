@@ -1,0 +1,230 @@
+"""The order of the conversations with which a person finds out how joints are built; one drive moves at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import TypeVar
+
+from config.joint import ENCODER_COUNTS_PER_REVOLUTION
+from config.schema import ArmConfig
+from rtloop.calibration.talk import Drive, OneDrive
+from rtloop.conversation import Conversation, TalkFailed
+from rtloop.drives import zdt_registers as registers
+from rtloop.drives.zdt_talk import Answered
+from rtloop.port import ServicePort
+from rtloop.referencing import Referencing
+from rtloop.settings.compare import DriveReport, report_of
+from rtloop.settings.talk import ReadSettings
+from rtloop.wire.refusal import WireRefused
+
+MOST_RPM = 10
+"""No motor is turned faster."""
+MOST_COUNTS = 2 * ENCODER_COUNTS_PER_REVOLUTION
+"""No single move is longer."""
+
+Result = TypeVar("Result")
+
+
+class NotDone(Exception):
+    """Something was asked for that is not done here, and nothing moved; the text is the sentence people read."""
+
+
+@dataclass(frozen=True)
+class DriveState:
+    """How one drive stands."""
+
+    counts: int
+    """Where its motor stands (65536 a turn)."""
+    enabled: bool
+    doubt: str | None
+    """Why its count is not known to be one from its homing stop, after the joint's name; None if it is."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a drive is before anything moves."""
+
+    joint: str
+    address: int
+    enabled: bool
+    homing_rpm: int | None
+    problems: list[str]
+    """Why it is not moved, a sentence each."""
+
+
+class Session:
+    """All conversations of one calibration.
+
+    `pause` lets time pass between two looks at a conversation and may raise to end it; a drive that moves then is
+    stopped first, while `rest` lets time pass, which does not raise. `tell` gets sentences of a homing run, and
+    `keep_doubt` remembers which joints' counts mean nothing; `doubtful` are those of before.
+    """
+
+    def __init__(
+        self,
+        arm: ArmConfig,
+        port: ServicePort,
+        *,
+        clock_ns: Callable[[], int],
+        pause: Callable[[], None],
+        rest: Callable[[], None],
+        tell: Callable[[str], None],
+        keep_doubt: Callable[[int, bool], None],
+        doubtful: Collection[int] = (),
+    ) -> None:
+        self._arm = arm
+        self._port = port
+        self._clock_ns = clock_ns
+        self._pause = pause
+        self._rest = rest
+        self._tell = tell
+        self._keep_doubt = keep_doubt
+        self._doubtful = set(doubtful)
+        self._tells_power_loss: dict[int, bool] = {}
+        self._limp: set[int] = set()
+        self._centre: dict[int, int] = {}
+        self.found: dict[int, Found] = {}
+
+    def read(self) -> None:
+        """Ask every drive what it is; what that is stands in `found`, by joint."""
+        talk = ReadSettings(self._arm, self._port, now_ns=self._clock_ns())
+        self._hold(talk)
+        shared = next((joint for joint, found in talk.found.items() if found.shared_address), None)
+        for joint, reading in talk.found.items():
+            report = report_of(self._arm, joint, reading, shared)
+            self.found[joint] = Found(
+                joint=report.joint,
+                address=report.address,
+                enabled=bool((reading.flags or 0) & registers.ENABLED),
+                homing_rpm=None if reading.homing is None else reading.homing.rpm,
+                problems=report.left_alone or self._not_countable(report, reading.block),
+            )
+            self._tells_power_loss[joint] = reading.version is not None and reading.version.newer
+
+    def _not_countable(self, report: DriveReport, block: registers.Block | None) -> list[str]:
+        """Why a pulse of this drive would not be what the arm file takes it for."""
+        assert block is not None  # else it is left alone
+        drive = self._arm.joints[[joint.name for joint in self._arm.joints].index(report.joint)].drive
+        expected = drive.command_pulses_per_revolution
+        if block.full_steps is not None and block.full_steps * block.microsteps == expected:
+            return []
+        return [
+            f"The drive of {report.joint} has {block.microsteps} microsteps and motor type {block.motor_type:02X}, "
+            f"which is not the {expected} pulses a turn of the arm file, so it would turn by another angle than told: "
+            "mend microsteps in the arm file, or the drive's menu."
+        ]
+
+    def look(self, joint: int) -> DriveState:
+        """How the drive stands."""
+        return self._state(joint, self._have(joint, Drive.counts))
+
+    def turn(self, joint: int, by_counts: int, rpm: int) -> DriveState:
+        """Turn its motor, slowly and not far; returns once it stands there.
+
+        Raises TalkFailed once it stands elsewhere, and NotDone for a move that is too far or too fast.
+        """
+        if not 1 <= rpm <= MOST_RPM or abs(by_counts) > MOST_COUNTS:
+            raise NotDone(
+                f"A move of {by_counts} counts at {rpm} rpm is too far or too fast here: at most {MOST_COUNTS} at "
+                f"{MOST_RPM} rpm."
+            )
+        self._require_range(joint, by_counts)
+        return self._state(joint, self._have(joint, lambda drive: drive.turn(by_counts, rpm), moves=True))
+
+    def _require_range(self, joint: int, by_counts: int) -> None:
+        """No joint gets farther from where a person last put it than the arm file's range, by the file's ratio."""
+        config = self._arm.joints[joint]
+        here = self._have(joint, Drive.counts)
+        centre = self._centre.setdefault(joint, here)
+        most = (config.upper_deg - config.lower_deg) * config.ratio / 360.0 * ENCODER_COUNTS_PER_REVOLUTION
+        if abs(here + by_counts - centre) > most:
+            raise NotDone(
+                f"{config.name} would get farther from where it began than its range in the arm file, "
+                f"{config.upper_deg - config.lower_deg:g}° with a ratio of {config.ratio:g}: turn it by hand, or mend "
+                "the ratio in the file first."
+            )
+
+    def let_go(self, joint: int) -> DriveState:
+        """Make the joint limp; whoever asks has a person hold it."""
+        self._limp.add(joint)
+        return self._state(joint, self._have(joint, Drive.let_go))
+
+    def hold(self, joint: int) -> DriveState:
+        """Hold it where it stands."""
+        counts = self._have(joint, Drive.hold, moves=True)
+        self._limp.discard(joint)
+        self._centre[joint] = counts
+        return self._state(joint, counts)
+
+    def home(self, joint: int) -> DriveState:
+        """Let the drive run to its stop, from which it then counts."""
+        talk = Referencing(
+            self._arm,
+            self._port,
+            now_ns=self._clock_ns(),
+            homed=[joint],
+            placed={},
+            tell=self._tell,
+            keep_doubt=self._remember,
+        )
+        try:
+            self._hold(talk)
+        except BaseException:
+            talk.end()
+            while not talk.poll(self._clock_ns()):
+                self._rest()
+            raise
+        self._centre[joint] = 0
+        return self.look(joint)
+
+    def close(self) -> None:
+        """Hold again what this session has let go."""
+        self._pause = self._rest
+        for joint in sorted(self._limp):
+            self.hold(joint)
+
+    def _remember(self, joint: int, doubt: bool) -> None:
+        self._keep_doubt(joint, doubt)
+        (self._doubtful.add if doubt else self._doubtful.discard)(joint)
+
+    def _state(self, joint: int, counts: int) -> DriveState:
+        flags = self._have(joint, Drive.flags)
+        doubt = None
+        if flags & registers.POWER_LOST:
+            doubt = "has lost power since it was homed, so what its drive counts is no angle"
+        elif joint in self._doubtful:
+            doubt = "has not been homed since its drive's count lost its meaning"
+        elif not self._tells_power_loss.get(joint, False):
+            doubt = "has a drive whose firmware cannot say whether it has lost power since it was homed"
+        return DriveState(counts, bool(flags & registers.ENABLED), doubt)
+
+    # --- holding conversations
+
+    def _have(self, joint: int, dialogue: Callable[[Drive], Answered[Result]], *, moves: bool = False) -> Result:
+        talk = OneDrive(self._arm, self._port, now_ns=self._clock_ns(), joint=joint, dialogue=dialogue)
+        try:
+            self._hold(talk)
+        except BaseException as ended:
+            if moves:
+                self._stop(joint, ended)
+            raise
+        if talk.problem is not None:
+            raise talk.problem
+        assert talk.result is not None
+        return talk.result
+
+    def _stop(self, joint: int, ended: BaseException) -> None:
+        """Make a drive stand whose conversation was ended amid a move; raises TalkFailed where that is not seen."""
+        talk = OneDrive(self._arm, self._port, now_ns=self._clock_ns(), joint=joint, dialogue=Drive.stand)
+        while not talk.poll(self._clock_ns()):
+            self._rest()
+        if talk.problem is not None:
+            why = f" {ended}" if isinstance(ended, WireRefused) else ""
+            raise TalkFailed(joint, f"{talk.problem}{why}") from ended
+
+    def _hold(self, talk: Conversation) -> None:
+        while not talk.poll(self._clock_ns()):
+            self._pause()
+        if talk.failure is not None:
+            raise talk.failure
