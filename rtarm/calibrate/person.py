@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import math
+import shutil
 import sys
+import textwrap
 from typing import Protocol
+
+WIDEST = 110
+"""Columns of running text."""
 
 
 class Quit(Exception):
@@ -25,10 +30,10 @@ class Terminal:
     """The person at standard input and output."""
 
     def tell(self, text: str) -> None:
-        print(text, flush=True)
+        print(_wrapped(text), flush=True)
 
     def answer(self, question: str) -> str:
-        print(f"{question} ", end="", flush=True)
+        print(f"{_wrapped(question)} ", end="", flush=True)
         line = sys.stdin.readline()
         if not line:
             print(flush=True)
@@ -37,6 +42,14 @@ class Terminal:
         if line.lower() in ("q", "quit"):
             raise Quit("you ended it")
         return line
+
+
+def _wrapped(text: str) -> str:
+    width = min(shutil.get_terminal_size().columns, WIDEST)
+    return "\n".join(
+        textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False) if len(line) > width else line
+        for line in text.split("\n")
+    )
 
 
 def agrees(person: Person, question: str) -> bool:

@@ -28,8 +28,8 @@ STILL_COUNTS, STILL_NS = 60, 150_000_000
 LATE_NS = 300_000_000
 """From a command's question for the bus to the drive's first step, at low control rates."""
 STAND_TRIES = 5
-AGREEING = 2
-"""Readings in a row that say it is there: one alone may be garbled."""
+SETTLED_NS = 250_000_000
+"""For so long it is seen to be there before it is stopped for good; at 1 rpm it has then made the last degree too."""
 REFUSED = (0xE2, 0xEE)
 STALLED = 0x04
 """Flag of `3A`: the motor is held and pushes."""
@@ -166,8 +166,8 @@ class Drive:
         sign = 1 if goal >= start else -1
         total = abs(goal - start)
         counts_per_ns = rpm / 60e9 * ENCODER_COUNTS_PER_REVOLUTION
-        arrived = 0
-        while arrived < AGREEING:
+        there_ns: int | None = None
+        while there_ns is None or self._now_ns() - there_ns < SETTLED_NS:
             asked_ns = self._now_ns()  # it has been on its way for at least so long when it answers
             counts = yield from zdt_talk.read_counts(registers.ASK_POSITION)
             now = yield from zdt_talk.read_flags(registers.ASK_STATUS)
@@ -182,8 +182,11 @@ class Drive:
                 return "does not turn as it should"
             if done > min(total, (self._now_ns() - sent_ns) * counts_per_ns) + AWAY_COUNTS:
                 return "turns farther or faster than it was told"
-            arrived = arrived + 1 if abs(done - total) <= ARRIVED_COUNTS else 0
-            if not arrived and asked_ns - sent_ns > total / counts_per_ns + 4 * LATE_NS:
+            if abs(done - total) > ARRIVED_COUNTS:
+                there_ns = None
+            elif there_ns is None:
+                there_ns = asked_ns
+            if there_ns is None and asked_ns - sent_ns > total / counts_per_ns + 4 * LATE_NS:
                 return "does not arrive"
         return None
 
