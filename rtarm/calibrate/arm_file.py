@@ -71,24 +71,31 @@ class ArmFile:
                 f"{self._arm.joints[joint].name}: {in_words(changes)}."
             )
         try:
-            with tempfile.NamedTemporaryFile("wb", dir=self.path.parent, prefix=".", suffix=".yaml", delete=False) as f:
-                f.write(new.encode("utf-8"))
-                f.flush()
-                os.fsync(f.fileno())
-            try:
-                self._arm = self._checked(Path(f.name), joint, changes)
-                self._take_after(Path(f.name))
-                os.replace(f.name, self.path)
-            except BaseException:
-                with suppress(FileNotFoundError):
-                    os.unlink(f.name)
-                raise
+            self._arm = self._replaced(new, joint, changes)
         except OSError as problem:
             raise Refusal(
                 f"{self.path} could not be written ({problem.strerror}), so it is as it was. Not written for "
                 f"{self._arm.joints[joint].name}: {in_words(changes)}."
             ) from problem
         self._source, self._text = self.path, new
+
+    def _replaced(self, new: str, joint: int, changes: Changes) -> ArmConfig:
+        """Write beside the file, check what was written, and only then put it in its place."""
+        descriptor, name = tempfile.mkstemp(dir=self.path.parent, prefix=".", suffix=".yaml")
+        beside = Path(name)
+        try:
+            with open(descriptor, "wb") as file:
+                file.write(new.encode("utf-8"))
+                file.flush()
+                os.fsync(file.fileno())
+            arm = self._checked(beside, joint, changes)
+            self._take_after(beside)
+            os.replace(beside, self.path)
+        except BaseException:
+            with suppress(FileNotFoundError):
+                beside.unlink()
+            raise
+        return arm
 
     def _take_after(self, new: Path) -> None:
         """Give the new file the rights and, where that may be done, the owner of the old one."""

@@ -277,7 +277,7 @@ def test_a_joint_at_its_stop_is_not_pushed_on(by: int):
     bench = Bench()
     drive = bench.drives[0]
     drive.shaft.low = drive.shaft.high = drive.shaft.position_at(bench.virtual.sim.now_ns)  # type: ignore[union-attr]
-    with pytest.raises(TalkFailed, match="held up|does not turn"):
+    with pytest.raises(TalkFailed, match=r"held up|does not turn"):
         bench.session.turn(0, by, 8)
     bench.require_standing()
 
@@ -336,7 +336,7 @@ def test_a_drive_that_refuses_is_believed():
 def test_a_drive_that_refuses_without_a_word_is_noticed():
     bench = Bench([faults.Refusing("joint1", 0.0)])
     bench.drives[0].settings = replace(bench.drives[0].settings, response=0)
-    with pytest.raises(TalkFailed, match="does not turn as it should|does not arrive"):
+    with pytest.raises(TalkFailed, match=r"does not turn as it should|does not arrive"):
         bench.session.turn(0, TURN, 8)
     bench.require_standing()
 
@@ -352,7 +352,7 @@ def test_a_drive_whose_pulses_are_other_than_the_file_says_turns_too_far_and_is_
     """Its microsteps are changed behind the session's back: four times the angle."""
     bench = Bench()
     bench.drives[0].settings = replace(bench.drives[0].settings, microstep=4)
-    with pytest.raises(TalkFailed, match="farther or faster|did not stay"):
+    with pytest.raises(TalkFailed, match=r"farther or faster|did not stay"):
         bench.session.turn(0, TURN // 12, 8)
     bench.require_standing()
     assert abs(bench.turned()) < 0.2

@@ -1,0 +1,523 @@
+"""`rtarm calibrate`: its arithmetic, its words, the arm file it writes, and whole joints in virtual time."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import Phase, assume, example, given, settings
+from hypothesis import strategies as st
+from typer.testing import Result
+from virtual import START_NS, VirtualArm
+from written_arm import WrittenArm
+
+from config.joint import ENCODER_COUNTS_PER_REVOLUTION as TURN
+from config.loader import ARMS_FOLDER, load_arm
+from config.schema import ArmConfig
+from rtarm.calibrate.angles import (
+    FIRST_MOTOR_DEG,
+    MOST_JOINT_DEG,
+    nudges,
+    ratio_found,
+    zero_deg,
+)
+from rtarm.calibrate.arm_file import ArmFile, with_value
+from rtarm.calibrate.guide import Guide, Values
+from rtarm.calibrate.person import Quit, agrees, number
+from rtarm.calibrate.words import positive_in_words
+from rtarm.errors import Refusal
+from rtloop.calibration.session import MOST_COUNTS, MOST_RPM, Session
+from sim.arm import SimulatedArm
+
+# --- arithmetic -------------------------------------------------------------------------------------------------
+
+
+@given(st.floats(0.01, 1000), st.floats(0.01, 3000))
+def test_every_nudge_is_short_and_slow(ratio: float, motor_rpm: float) -> None:
+    moves = nudges(ratio, motor_rpm)
+    assert moves
+    assert moves[0].motor_deg <= FIRST_MOTOR_DEG + 0.01
+    assert [move.counts for move in moves] == sorted(move.counts for move in moves)
+    for move in moves:
+        assert 0 <= move.counts <= MOST_COUNTS and 1 <= move.rpm <= MOST_RPM
+        assert move.rpm <= max(1, motor_rpm)
+        assert move.motor_deg - MOST_JOINT_DEG * ratio <= 0.01
+
+
+@given(st.integers(1, 200), st.floats(20, 360), st.floats(-0.99, 0.99), st.floats(0.5, 300))
+@example(25, 90.0, 0.99, 20.0)
+def test_a_ratio_is_found_or_said_to_be_unknown_but_never_taken_for_another(
+    ratio: int, angle_deg: float, misread_deg: float, in_file: float
+) -> None:
+    """Whatever a person misreads within a degree, the true ratio is within the uncertainty that is told."""
+    found = ratio_found(round(angle_deg / 360 * ratio * TURN), angle_deg + misread_deg, in_file)
+    if math.isnan(found.measured):
+        assert angle_deg + misread_deg < 20
+        return
+    assert abs(found.measured - ratio) <= found.uncertainty * 1.001 + 1e-3
+    if found.suggestion is not None and found.suggestion != in_file:
+        assert found.suggestion == ratio
+    assert (found.too_small_for is None) or found.suggestion is None
+
+
+def test_ratios_of_the_arm_at_ninety_degrees() -> None:
+    for ratio in (25, 20, 10, 4, 1):
+        found = ratio_found(round(ratio / 4 * TURN), 90.5, in_file=7.3)
+        assert found.suggestion == ratio
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "turns", "sentence"),
+    [(10, 1.0, "is too small to tell a ratio"), (45, 24.5 / 8, "24 fits as well as 25: turn the joint by 51° or more")],
+)
+def test_an_angle_too_small_to_tell(angle_deg: float, turns: float, sentence: str) -> None:
+    found = ratio_found(round(turns * TURN), angle_deg, in_file=3)
+    assert found.suggestion is None
+    assert sentence in str(found.too_small_for)
+
+
+def test_a_ratio_that_is_no_whole_number_is_left_to_the_person() -> None:
+    found = ratio_found(round(2.5 / 4 * TURN), 90, in_file=4)
+    assert found.suggestion is None and found.too_small_for is None
+    assert found.measured == pytest.approx(2.5, abs=1e-3)
+
+
+@given(st.sampled_from((1, -1)), st.floats(0.5, 100), st.floats(-180, 180), st.floats(-300, 300))
+def test_the_zero_is_that_of_the_arm_file(direction: int, ratio: float, stands_at_deg: float, true_zero: float) -> None:
+    """joint = direction * m - zero_deg (config.joint), with m the motor's turns * 360 / ratio."""
+    m = direction * (stands_at_deg + true_zero)
+    counts = round(m * ratio / 360 * TURN)
+    assert zero_deg(counts, ratio, direction, stands_at_deg) == pytest.approx(true_zero, abs=0.02 + 0.006 / ratio)
+
+
+# --- words ----------------------------------------------------------------------------------------------------
+
+
+def test_which_way_is_positive_in_words() -> None:
+    """Beside the facts' flange table (episode1-arm.md 7): u1 moves it left, u2 forward and down, u3 and u5 down."""
+    arm = load_arm("episode1")
+    words = [positive_in_words(arm, joint) for joint in range(6)]
+    assert "pointing up;" in words[0] and words[0].endswith("the flange then goes left.")
+    assert "pointing left;" in words[1] and words[1].endswith("the flange then goes forward and down.")
+    assert "pointing left;" in words[2] and words[2].endswith("the flange then goes down.")
+    assert "pointing forward;" in words[3] and "flange" not in words[3]
+    assert "pointing left;" in words[4] and words[4].endswith("the flange then goes down.")
+    assert "pointing forward;" in words[5] and "flange" not in words[5]
+
+
+def test_without_a_geometry_the_robot_model_says_which_way_is_positive() -> None:
+    arm = load_arm("episode1").model_copy(update={"kinematics": None})
+    assert "robot model (URDF)" in positive_in_words(arm, 0)
+
+
+# --- the arm file -----------------------------------------------------------------------------------------------
+
+
+CHANGES = {"direction": -1.0, "ratio": 20.5, "zero_deg": -12.25}
+
+
+@given(
+    joint=st.integers(0, 5),
+    changes=st.fixed_dictionaries(
+        {},
+        optional={
+            "direction": st.sampled_from((-1, 1)),
+            "ratio": st.integers(1, 10**9).map(lambda n: n / 1e4),
+            "zero_deg": st.integers(-3_600_000, 3_600_000).map(lambda n: n / 100),
+        },
+    ),
+)
+def test_only_the_values_of_the_joint_change(joint: int, changes: dict[str, float]) -> None:
+    text = (ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8")
+    edited = text
+    for field, value in changes.items():
+        edited = with_value(edited, joint, field, f"{value:.10g}")
+    wanted = yaml.safe_load(text)
+    wanted["joints"][joint].update(changes)
+    assert yaml.safe_load(edited) == wanted
+    before, after = text.splitlines(), edited.splitlines()
+    assert len(before) == len(after)
+    assert sum(old != new for old, new in zip(before, after, strict=True)) <= len(changes)
+    assert [line.partition("#")[2] for line in before] == [line.partition("#")[2] for line in after]
+
+
+LAYOUTS = {
+    "flow": "joints:\n  - {name: a, ratio: 25, lower_deg: 0}  # one line\n",
+    "flow, last": "joints: [{name: a, ratio: 25}]\n",
+    "block": "joints:\n  - name: a\n    ratio: 25   # of the box\n    lower_deg: 0\n",
+    "block, first": "joints:\n  - ratio: 25\n    name: a\n",
+    "no line end": "joints:\n  - name: a\n    ratio: 25",
+    "DOS": "joints:\r\n  - name: a\r\n    ratio: 25\r\n    lower_deg: 0\r\n",
+    "byte order mark": "\ufeffjoints:\n  - name: a\n    ratio: 25\n",
+    "quoted, not ASCII": 'description: "Größe ×"\njoints:\n  - name: a\n    "ratio": 25\n',
+}
+
+
+@pytest.mark.parametrize("text", LAYOUTS.values(), ids=LAYOUTS)
+def test_missing_fields_are_put_behind_the_ratio(text: str) -> None:
+    wanted = yaml.safe_load(text)
+    edited = text
+    for field, value in CHANGES.items():
+        edited = with_value(edited, 0, field, f"{value:.10g}")
+        wanted["joints"][0][field] = value
+        assert yaml.safe_load(edited) == wanted
+    assert edited.count("\r\n") == (edited.count("\n") if "\r" in text else 0)
+    assert all(comment in edited for comment in ("# one line", "# of the box") if comment in text)
+
+
+def test_a_file_is_written_whole_and_keeps_its_rights(arm_file: Path) -> None:
+    arm_file.chmod(0o640)
+    link = arm_file.with_name("link.yaml")
+    link.symlink_to(arm_file)
+    file = ArmFile(str(link), None)
+    shown = file.difference(1, CHANGES)
+    assert [line for line in shown.splitlines() if line[0] in "+-"][2:] == [
+        "-    ratio: 20",
+        "-    direction: 1",
+        "-    zero_deg: 90",
+        "+    ratio: 20.5",
+        "+    direction: -1",
+        "+    zero_deg: -12.25",
+    ]
+    file.write(1, CHANGES)
+    file.write(0, {"zero_deg": 181.5})  # the next joint
+    joints = load_arm(arm_file).joints
+    assert (joints[1].direction, joints[1].ratio, joints[1].zero_deg) == (-1, 20.5, -12.25)
+    assert joints[0].zero_deg == 181.5
+    assert link.is_symlink() and arm_file.stat().st_mode & 0o777 == 0o640
+    assert sorted(path.name for path in arm_file.parent.iterdir()) == sorted([arm_file.name, "link.yaml"])
+
+
+def test_an_arm_of_the_package_is_copied(tmp_path: Path) -> None:
+    with pytest.raises(Refusal, match=r"episode1 comes with rtarm and is not written to: .* -o \./my_episode1\.yaml"):
+        ArmFile("episode1", None)
+    made = tmp_path / "mine.yaml"
+    file = ArmFile("episode1", made)
+    assert not made.exists()
+    file.write(0, {"direction": -1})
+    file.write(1, {"direction": -1})
+    assert [joint.direction for joint in load_arm(made).joints] == [-1, -1, 1, 1, 1, 1]
+    assert os.access(made, os.W_OK)
+    with pytest.raises(Refusal, match="is there already"):
+        ArmFile("episode1", made)
+
+
+def test_what_cannot_be_written_is_refused_before_anything_moves(arm_file: Path, tmp_path: Path) -> None:
+    with pytest.raises(Refusal, match="Nothing can be written to the folder"):
+        ArmFile(str(arm_file), tmp_path / "nowhere" / "mine.yaml")
+    if os.geteuid() != 0:
+        arm_file.chmod(0o444)
+        with pytest.raises(Refusal, match="is not writable"):
+            ArmFile(str(arm_file), None)
+
+
+def test_a_file_that_somebody_else_changed_is_left_alone(arm_file: Path) -> None:
+    file = ArmFile(str(arm_file), None)
+    theirs = arm_file.read_text(encoding="utf-8") + "\n# mine\n"
+    arm_file.write_text(theirs, encoding="utf-8")
+    with pytest.raises(Refusal, match=r"changed by somebody else .* Not written for joint1: direction: -1\."):
+        file.write(0, {"direction": -1})
+    assert arm_file.read_text(encoding="utf-8") == theirs
+
+
+def test_values_that_no_arm_may_have_are_not_written(arm_file: Path) -> None:
+    before = arm_file.read_bytes()
+    file = ArmFile(str(arm_file), None)
+    with pytest.raises(Refusal, match="would not be valid with zero_deg: 50000"):
+        file.write(0, {"zero_deg": 50_000})
+    assert arm_file.read_bytes() == before
+    assert list(arm_file.parent.iterdir()) == [arm_file]
+
+
+def test_a_full_disk_leaves_the_file_as_it_was(arm_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = arm_file.read_bytes()
+    file = ArmFile(str(arm_file), None)
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("rtarm.calibrate.arm_file.os.fsync", full)
+    with pytest.raises(Refusal, match=r"No space left .*, so it is as it was\. Not written for joint1: ratio: 3"):
+        file.write(0, {"ratio": 3})
+    assert arm_file.read_bytes() == before
+    assert list(arm_file.parent.iterdir()) == [arm_file]
+
+
+def test_values_that_several_joints_share_are_not_changed_for_all(arm_file: Path) -> None:
+    text = arm_file.read_text(encoding="utf-8")
+    text = text.replace("ratio: 25", "ratio: &box 25", 1).replace("ratio: 25", "ratio: *box", 1)
+    arm_file.write_text(text, encoding="utf-8")
+    file = ArmFile(str(arm_file), None)
+    with pytest.raises(Refusal, match=r"shared with other places|would not be valid"):
+        file.write(2, {"ratio": 20})
+    assert arm_file.read_text(encoding="utf-8") == text
+
+
+# --- whole joints, in virtual time ------------------------------------------------------------------------------
+
+
+def with_joint(values: Values, joint: int, stop_deg: float | None = None) -> ArmConfig:
+    """episode1 with other values of one joint, at a slow rate, which a calibration does not mind.
+
+    A simulated joint has its homing stop at its lower limit.
+    """
+    fields = load_arm("episode1").model_dump(exclude_unset=True)
+    fields["control"]["rate_hz"] = 25
+    fields["joints"][joint].update(vars(values))
+    fields["joints"][joint]["max_acceleration_rad_s2"] = 40.0 / values.ratio  # one that drives have a ramp for
+    if stop_deg is not None:
+        fields["joints"][joint].update(lower_deg=stop_deg, upper_deg=stop_deg + 355)
+    return ArmConfig.model_validate(fields)
+
+
+class Scene:
+    """An arm whose file says other things of a joint than are so, and a person who sees what truly happens."""
+
+    def __init__(self, truth: Values, in_file: Values, joint: int = 0, *, by: str = "h", **options: Any) -> None:
+        self.arm = with_joint(in_file, joint)
+        self.joint = joint
+        self.by = by
+        self.virtual = VirtualArm(self.arm)
+        true_arm = with_joint(truth, joint, stop_deg=-truth.zero_deg)
+        self.sim = SimulatedArm(true_arm, start_ns=START_NS, joint_position_rad=[0.3] * 6, **options)
+        self.sim.feed(START_NS, b"C\rS6\rO\r")
+        self.virtual.sim = self.sim
+        self.virtual.front_alive = False
+        self.virtual.cycles(2)
+        self.session = Session(
+            self.arm,
+            self.virtual.port,
+            clock_ns=lambda: self.virtual.now_ns,
+            pause=self.virtual.cycle,
+            rest=self.virtual.cycle,
+            tell=lambda _: None,
+            keep_doubt=lambda _joint, _doubt: None,
+        )
+        self.session.read()
+        self.told: list[str] = []
+        self.asked: list[str] = []
+        self.ends_at: int | None = None
+        self.seen_deg = self.mark_deg = 0.0
+        self.misreads_deg = 0.0
+        self.homed = False
+        self.guide = Guide(self.arm, joint, self.session.found[joint], self.session, self)
+
+    @property
+    def here_deg(self) -> float:
+        """Where the joint truly is."""
+        self.sim.run_until(max(self.virtual.now_ns, self.sim.now_ns))
+        return math.degrees(self.sim.true_position_rad(self.joint, self.sim.now_ns))
+
+    def by_hand(self, to_deg: float) -> None:
+        """The person turns the limp joint."""
+        drive = self.sim.drives[self.joint]
+        assert not drive.enabled
+        config = self.sim.config.joints[self.joint]
+        drive.advance(self.sim.now_ns)
+        turned = config.direction * math.radians(to_deg - self.here_deg) * config.command_pulses_per_rad
+        drive._ramp.place(drive._ramp.position + drive._grains(round(turned)))
+
+    # the person
+
+    def tell(self, text: str) -> None:
+        self.told.append(text)
+
+    def answer(self, question: str) -> str:
+        self.asked.append(question)
+        if self.ends_at is not None and len(self.asked) > self.ends_at:
+            raise Quit("you ended it")
+        answers: dict[str, Callable[[], str]] = {
+            "Degrees to turn": self._jogs,
+            "Turn it? [y/N; o": self._lets_it_turn,
+            "Which way did": self._says_which_way,
+            "How shall": lambda: self.by,
+            "on the first mark": lambda: self._turns_by_hand_to(self.here_deg, "first"),
+            "to the second mark": lambda: self._turns_by_hand_to(self.mark_deg + 90, "second"),
+            "on its mark": lambda: self._turns_by_hand_to(0.0, "zero"),
+            "By how many degrees did": lambda: f"{abs(self.here_deg - self.mark_deg) + self.misreads_deg:.3f}",
+            "Is that so, at this very stop": lambda: "n",
+            "At how many degrees does": lambda: f"{self.here_deg:.3f}",
+        }
+        for part, give in answers.items():
+            if part in question:
+                return give()
+        return "y"
+
+    def _lets_it_turn(self) -> str:
+        self.seen_deg = self.here_deg
+        return "y"
+
+    def _says_which_way(self) -> str:
+        moved = self.here_deg - self.seen_deg
+        return "u" if abs(moved) < 0.5 else "p" if moved > 0 else "n"
+
+    def _turns_by_hand_to(self, to_deg: float, mark: str) -> str:
+        self.by_hand(to_deg)
+        if mark == "first":
+            self.mark_deg = to_deg
+        return ""
+
+    def _jogs(self) -> str:
+        """Towards 45° beyond the first mark, or towards zero; the joint turns as far as it does."""
+        question = self.asked[-1]
+        if "the first mark" in question:
+            self.mark_deg = self.here_deg
+            return "y"
+        goal = self.mark_deg + 45 if "second" in question else 0.0
+        left = goal - self.here_deg
+        if abs(left) < 1.0:
+            return "y"
+        most = float(question.partition("±")[2].split()[0])
+        believed = self.guide.values.ratio
+        true = self.sim.config.joints[self.joint].ratio
+        return f"{max(-most, min(most, left * true / believed)):.4f}"
+
+
+BITS = st.sampled_from((1, -1))
+TRUTHS = st.builds(Values, BITS, st.integers(1, 40).map(float), st.integers(5, 175).map(float))
+IN_FILES = st.builds(Values, BITS, st.integers(1, 40).map(float), st.integers(-180, 180).map(float))
+
+
+@settings(max_examples=12, deadline=None, phases=(Phase.explicit, Phase.generate))
+@given(truth=TRUTHS, in_file=IN_FILES, misreads_deg=st.floats(-0.9, 0.9), joint=st.integers(0, 5))
+@example(Values(-1, 20.0, 170.0), Values(1, 25.0, 180.0), 0.5, 0)
+def test_whatever_is_true_is_what_is_found(truth: Values, in_file: Values, misreads_deg: float, joint: int) -> None:
+    scene = Scene(truth, in_file, joint, homed=False)
+    scene.misreads_deg = misreads_deg
+    # the file's own ratio wins where the measurement cannot tell it from the true one
+    assume(in_file.ratio == truth.ratio or abs(in_file.ratio - truth.ratio) > 0.1 * truth.ratio)
+    scene.guide.go()
+    found = scene.guide.values
+    assert (found.direction, found.ratio) == (truth.direction, truth.ratio)
+    assert found.zero_deg == pytest.approx(truth.zero_deg, abs=0.02)
+
+
+def test_the_same_by_the_drive_in_small_turns() -> None:
+    scene = Scene(Values(-1, 4.0, 112.0), Values(1, 5.0, 90.0), 4, by="d", homed=False)
+    scene.guide.go()
+    assert (scene.guide.values.direction, scene.guide.values.ratio) == (-1, 4.0)
+    assert scene.guide.values.zero_deg == pytest.approx(112.0, abs=0.02)
+    jogs = [question for question in scene.asked if question.endswith("Turn it? [y/N, q ends]")]
+    assert len(jogs) >= 4
+    assert np.all(
+        np.abs(scene.sim.truth(4, scene.sim.drives[4].shaft.changes_ns())[1]) <= 30 * 2 * math.pi / 60 / 4.0 + 1e-9
+    )
+
+
+def test_a_person_who_ends_it_at_any_question_leaves_the_arm_standing() -> None:
+    truth, in_file = Values(-1, 5.0, 110.0), Values(1, 4.0, 90.0)
+    whole = Scene(truth, in_file, 4, homed=False)
+    whole.guide.go()
+    for question in range(len(whole.asked)):
+        scene = Scene(truth, in_file, 4, homed=False)
+        scene.ends_at = question
+        with pytest.raises(Quit):
+            scene.guide.go()
+        scene.session.close()
+        stands_deg = scene.here_deg
+        scene.virtual.cycles(25)
+        assert scene.here_deg == stands_deg
+        assert all(drive.enabled and not drive.moving for drive in scene.sim.drives)
+
+
+def test_who_says_no_to_everything_moves_nothing_and_changes_nothing() -> None:
+    scene = Scene(Values(-1, 5.0, 110.0), Values(1, 4.0, 90.0), 4)
+    scene.answer = lambda question: ""  # type: ignore[method-assign]
+    scene.guide.go()
+    assert scene.guide.values == scene.guide.before
+    assert all(len(drive.shaft.changes_ns()) == 1 for drive in scene.sim.drives)
+    assert all(drive.enabled for drive in scene.sim.drives)
+    assert not scene.sim.drives[4].homing_now
+
+
+def test_a_zero_needs_a_count_that_means_something() -> None:
+    scene = Scene(Values(1, 4.0, 110.0), Values(1, 4.0, 110.0), 4, homed=False)
+    given_answer = scene.answer
+    scene.answer = lambda question: "n" if "Home joint5 now" in question else given_answer(question)  # type: ignore[method-assign]
+    scene.guide.go()
+    told = " ".join(scene.told)
+    assert "joint5 has lost power since it was homed, so what its drive counts is no angle." in told
+    assert "Without a homing run the zero cannot be found." in told
+    assert scene.guide.values.zero_deg == 110.0
+
+
+def test_who_contradicts_themselves_is_asked_again() -> None:
+    scene = Scene(Values(1, 25.0, 180.0), Values(1, 25.0, 180.0))
+    given_answer = scene.answer
+    scene.answer = lambda q: "n" if "Was that the opposite way" in q and len(scene.asked) < 8 else given_answer(q)  # type: ignore[method-assign]
+    scene.guide._find_direction()
+    assert "Then it is not clear yet." in scene.told
+    assert scene.guide.values.direction == 1
+
+
+class Lines:
+    """A person with prepared lines."""
+
+    def __init__(self, *lines: str) -> None:
+        self.lines = list(lines)
+        self.told: list[str] = []
+
+    def tell(self, text: str) -> None:
+        self.told.append(text)
+
+    def answer(self, question: str) -> str:
+        if not self.lines:
+            raise Quit("the input ended")
+        return self.lines.pop(0)
+
+
+@pytest.mark.parametrize("answer", ["", "n", "N", "no", "Y E S", "1", "ja", " "])
+def test_anything_but_yes_is_no(answer: str) -> None:
+    assert not agrees(Lines(answer), "Turn it?")
+    assert agrees(Lines("y"), "Turn it?") and agrees(Lines("YES"), "Turn it?")
+
+
+@pytest.mark.parametrize("answer", ["nan", "inf", "-inf", "1e999", "ninety", "9 0", "0x10"])
+def test_what_is_no_number_is_asked_again(answer: str) -> None:
+    person = Lines(answer, "90,5°")
+    assert number(person, "Degrees?") == 90.5
+    assert person.told == [f"{answer!r} is no number."]
+
+
+# --- the command --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "sentence"),
+    [
+        (("--joint", "joint9"), 1, "has no joint 'joint9'; it has joint1, joint2"),
+        (("--channel", "/dev/nowhere"), 2, "There is no serial port /dev/nowhere"),
+        (("--interface", "socketcan", "--channel", "nocan"), 2, "nocan"),
+        (("--interface", "mock"), 1, "interface mock reaches no drives"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    arm_file: Path, rtarm: Callable[..., Result], options: tuple[str, ...], code: int, sentence: str
+) -> None:
+    before = arm_file.read_bytes()
+    result = rtarm("calibrate", str(arm_file), *options)
+    assert (result.exit_code, sentence in result.stderr, result.stdout) == (code, True, "")
+    assert arm_file.read_bytes() == before
+
+
+def test_an_arm_that_runs_is_left_alone(arm: WrittenArm, arm_file: Path, rtarm: Callable[..., Result]) -> None:
+    result = rtarm("calibrate", str(arm_file))
+    assert result.exit_code == 2
+    assert "this arm has one already: end that first" in result.stderr
+
+
+def test_the_packages_own_arms_are_not_written_to(rtarm: Callable[..., Result], tmp_path: Path) -> None:
+    result = rtarm("calibrate", "episode1")
+    assert (result.exit_code, "-o ./my_episode1.yaml" in result.stderr) == (1, True)
+    result = rtarm("calibrate", "mock", "-o", str(tmp_path / "mine.yaml"))
+    assert (result.exit_code, "has mock drives and no bus" in result.stderr) == (1, True)
+    shutil.copy(ARMS_FOLDER / "episode1.yaml", tmp_path / "mine.yaml")
+    result = rtarm("calibrate", "episode1", "-o", str(tmp_path / "mine.yaml"))
+    assert (result.exit_code, "is there already" in result.stderr) == (1, True)

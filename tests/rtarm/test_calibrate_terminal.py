@@ -1,0 +1,258 @@
+"""`rtarm calibrate` as a person runs it: at a terminal, beside simulated drives whose joint is built otherwise."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import math
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from stack import ROOT, Stack
+
+from config.loader import load_arm
+from shm.files import DIRECTORY
+
+PATIENCE_S = 60.0
+
+
+class Terminal:
+    """A terminal with a command running in it, and a person who reads and types."""
+
+    def __init__(self, *arguments: str) -> None:
+        self.said = ""
+        self._read_to = 0
+        self.master, slave = pty.openpty()
+        environment = {**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "COLUMNS": "400"}
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "rtarm", *arguments],
+            cwd=ROOT,
+            env=environment,
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            start_new_session=True,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # noqa: PLW1509 (it only takes the terminal)
+        )
+        os.close(slave)
+
+    def read_until(self, text: str) -> None:
+        """Read on until a text comes; what comes before it is not looked at again."""
+        deadline = time.monotonic() + PATIENCE_S
+        while (at := self.said.find(text, self._read_to)) < 0:
+            assert time.monotonic() < deadline and self._hear(), f"{text!r} never came:\n{self.said}"
+        self._read_to = at + len(text)
+
+    def type(self, line: str) -> None:
+        os.write(self.master, f"{line}\n".encode())
+
+    def _hear(self) -> bool:
+        """Whether there may be more to come."""
+        if not select.select([self.master], (), (), 1.0)[0]:
+            return True
+        try:
+            data = os.read(self.master, 65_536)
+        except OSError as error:
+            if error.errno != errno.EIO:  # nobody has it open any more
+                raise
+            return False
+        self.said += data.decode(errors="replace").replace("\r\n", "\n")
+        return bool(data)
+
+    def code(self) -> int:
+        while self._hear():
+            pass
+        return self.process.wait(PATIENCE_S)
+
+    def hang_up(self) -> None:
+        os.close(self.master)
+        self.master = -1
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+        if self.master >= 0:
+            self.hang_up()
+
+
+@pytest.fixture
+def truth(arm_name: str, tmp_path: Path) -> Iterator[Stack]:
+    """Drives that are switched on; joint6 is built otherwise than episode1's."""
+    stack = Stack(arm_name, tmp_path, start_deg=[0, 0, 0, 0, 0, -20])
+    values = yaml.safe_load(stack.arm_file.read_text(encoding="utf-8"))
+    values["joints"][5].update(ratio=2, direction=-1, zero_deg=25)
+    stack.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
+    stack.start_sim()
+    yield stack
+    stack.close()
+
+
+@pytest.fixture
+def mine(truth: Stack, tmp_path: Path) -> Path:
+    """The person's file: the true one but for joint6, with comments."""
+    values = yaml.safe_load(truth.arm_file.read_text(encoding="utf-8"))
+    values["joints"][5].update(ratio=1, direction=1, zero_deg=30)
+    path = tmp_path / "mine.yaml"
+    path.write_text("# my arm\n" + yaml.safe_dump(values) + "# its end\n", encoding="utf-8")
+    return path
+
+
+def no_process_left(stack: Stack) -> bool:
+    return not list(DIRECTORY.glob(f"rtarm.{stack.name}.*"))
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.mark.process
+def test_a_session_from_direction_to_file(truth: Stack, mine: Path) -> None:
+    before = mine.read_text(encoding="utf-8")
+    at = Terminal("calibrate", str(mine), "--joint", "joint6")
+    try:
+        at.read_until("The file says: direction 1, ratio 1, zero_deg 30.")
+        at.read_until("turns by +7.5° at 1 rpm")
+        at.type("y")
+        at.read_until("Which way did joint6 go?")
+        at.type("n")
+        at.read_until("Was that the opposite way?")
+        at.type("y")
+        at.read_until("direction: -1; the file says 1.")
+        at.read_until("How shall joint6 get to the mark?")
+        at.type("d")
+        at.read_until("it is on the first mark")
+        at.type("y")
+        for _ in range(3):
+            at.read_until("it is on the second mark")
+            at.type("15")
+            at.read_until("turns by -15.0° at 1 rpm")
+            at.type("y")
+        at.read_until("it is on the second mark")
+        at.type("y")
+        at.read_until("By how many degrees")
+        at.type("22.5")
+        at.read_until("the ratio is 1.995 ± 0.09")
+        at.read_until("Take 2 (the only whole number that fits)?")
+        at.type("y")
+        at.read_until("Its drive says that it has been homed. Is that so")
+        at.type("y")
+        at.read_until("How shall joint6 get to the mark?")
+        at.type("d")
+        at.read_until("it is on its mark")
+        at.type("y")
+        at.read_until("At how many degrees")
+        at.type("2.5")
+        at.read_until("Take 25")
+        at.type("y")
+        at.read_until("+  zero_deg: 25")
+        assert mine.read_text(encoding="utf-8") == before
+        at.read_until(f"Write this to {mine}?")
+        at.type("y")
+        at.read_until(f"Written to {mine}: joint6 (direction: -1, ratio: 2, zero_deg: 25")
+        assert at.code() == 0
+    finally:
+        at.close()
+    found = load_arm(mine).joints[5]
+    assert (found.direction, found.ratio) == (-1, 2.0)
+    assert found.zero_deg == pytest.approx(25.0, abs=0.1)
+    after = mine.read_text(encoding="utf-8")
+    assert after.startswith("# my arm\n") and after.endswith("# its end\n")
+    assert sum(old != new for old, new in zip(before.splitlines(), after.splitlines(), strict=True)) == 3
+    assert no_process_left(truth)
+    motions = truth.truth()
+    for name, motion in motions.items():
+        if name != "joint6":
+            assert np.ptp(motion.position_rad) == 0.0
+    assert math.degrees(motions["joint6"].position_rad[-1]) == pytest.approx(2.5, abs=0.1)
+    assert np.max(np.abs(motions["joint6"].velocity_rad_s)) <= 2 * math.pi / 60 / 2 + 1e-9  # 1 rpm
+
+
+def interrupt(at: Terminal, how: str) -> None:
+    if how == "Ctrl-C":
+        os.write(at.master, b"\x03")
+    elif how == "terminal gone":
+        at.hang_up()
+    else:
+        at.process.send_signal(signal.SIGKILL)
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("how", ["Ctrl-C", "terminal gone", "kill -9"])
+def test_whatever_ends_it_in_the_middle_of_a_move_stops_the_move(truth: Stack, mine: Path, how: str) -> None:
+    before = mine.read_bytes()
+    at = Terminal("calibrate", str(mine), "--joint", "joint1")
+    try:
+        at.read_until("Turn it?")
+        at.type("")
+        at.read_until("direction stays 1.")
+        at.read_until("How shall joint1 get to the mark?")
+        at.type("d")
+        at.read_until("it is on the first mark")
+        at.type("15")
+        at.read_until("turns by +375.0° at 8 rpm")
+        at.type("y")
+        wait_until(lambda: truth.truth()["joint1"].position_rad[-1] > math.radians(0.5))
+        interrupt(at, how)
+        if how == "Ctrl-C":
+            assert at.code() == 1
+            assert "Ended (SIGINT); the arm stands. Nothing was written." in at.said
+        at.process.wait(PATIENCE_S)
+        wait_until(lambda: no_process_left(truth))
+    finally:
+        at.close()
+    stood = truth.truth()["joint1"]
+    assert stood.velocity_rad_s[-1] == 0.0
+    assert 0.5 < math.degrees(stood.position_rad[-1]) < 12.0  # of the 15 it was told to go
+    assert np.max(np.abs(stood.velocity_rad_s)) <= 8 * 2 * math.pi / 60 / 25 + 1e-9
+    assert mine.read_bytes() == before
+
+
+@pytest.mark.process
+def test_an_input_that_ends_ends_it(truth: Stack, mine: Path) -> None:
+    before = mine.read_bytes()
+    ended = subprocess.run(
+        [sys.executable, "-m", "rtarm", "calibrate", str(mine)],
+        cwd=ROOT,
+        env={**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "COLUMNS": "200"},
+        input="",
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert ended.returncode == 1
+    assert ended.stderr == "Ended (the input ended); the arm stands. Nothing was written.\n"
+    assert all(np.ptp(motion.position_rad) == 0.0 for motion in truth.truth().values())
+    assert mine.read_bytes() == before
+
+
+@pytest.mark.process
+def test_a_drive_that_stalls_ends_it_with_its_sentence(truth: Stack, mine: Path) -> None:
+    before = mine.read_bytes()
+    truth.sim.say("stall:joint=joint6,at_s=0")
+    truth.sim.line_with("fault stall")
+    at = Terminal("calibrate", str(mine), "--joint", "joint6")
+    try:
+        at.read_until("Turn it?")
+        at.type("y")
+        at.read_until("The drive of joint6 was held up (it says that it stalls): it was stopped")
+        assert at.code() == 2
+    finally:
+        at.close()
+    assert np.ptp(truth.truth()["joint6"].position_rad) == 0.0
+    assert mine.read_bytes() == before
