@@ -9,7 +9,6 @@ at the end. Exit codes as of `python -m rtloop`.
 
 from __future__ import annotations
 
-import argparse
 import json
 import select
 import sys
@@ -18,10 +17,9 @@ from collections.abc import Callable
 from dataclasses import asdict
 
 from config.errors import ConfigError
-from config.loader import load_arm, parse_overrides
 from config.schema import ArmConfig
 from rtloop import saved
-from rtloop.__main__ import STOP_SIGNALS, compiled_cycle, tell
+from rtloop.__main__ import STOP_SIGNALS, arm_of, compiled_cycle, tell
 from rtloop.calibration.session import DriveState, NotDone, Session
 from rtloop.conversation import TalkFailed
 from rtloop.port import ServicePort
@@ -32,12 +30,8 @@ from shm.errors import AlreadyHeld, SharedMemoryError
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m rtloop.calibration", description="Turns one drive at a time.")
-    parser.add_argument("arm", help="name of an arm, or path of its YAML file")
-    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change a setting")
-    options = parser.parse_args(arguments)
     try:
-        arm = load_arm(options.arm, overrides=parse_overrides(options.set))
+        arm = arm_of(arguments, "python -m rtloop.calibration", "Turns one drive at a time.")
         stop_asked = StopAsked(STOP_SIGNALS)
         process = ControlProcess(arm, compiled_cycle(stop_asked), tell, stop_asked)
         return process.serve_offline(lambda port, pause: serve(arm, port, pause))
@@ -68,8 +62,8 @@ def serve(arm: ArmConfig, port: ServicePort, pause: Callable[[], None]) -> None:
         pause=pause_unless_interrupted,
         rest=lambda: time.sleep(BUSY_POLL_S),
         tell=lambda line: say("told", line),
-        keep_doubt=lambda joint, doubt: saved.keep_doubt(arm, joint, doubt),
-        doubtful=saved.doubtful(arm),
+        keep_lost=lambda joint, reason: saved.keep_lost_reference(arm, joint, reason),
+        lost_before=saved.lost_references(arm),
     )
     session.read()
     say("ready", json.dumps({"drives": {joint: asdict(found) for joint, found in session.found.items()}}))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -13,10 +13,11 @@ from rtloop.conversation import Conversation, TalkFailed
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_talk import Answered
 from rtloop.port import ServicePort
-from rtloop.referencing import Referencing
+from rtloop.referencing import KeepLost, Referencing
 from rtloop.settings.compare import DriveReport, report_of
 from rtloop.settings.talk import ReadSettings
 from rtloop.wire.refusal import WireRefused
+from shm.words import Unreferenced
 
 MOST_RPM = 10
 """No motor is turned faster."""
@@ -58,7 +59,7 @@ class Session:
 
     `pause` lets time pass between two looks at a conversation and may raise to end it; a drive that moves then is
     stopped first, while `rest` lets time pass, which does not raise. `tell` gets sentences of a homing run, and
-    `keep_doubt` remembers which joints' counts mean nothing; `doubtful` are those of before.
+    `keep_lost` remembers why a joint's angle is not known, or that it is; `lost_before` is what was known of that.
     """
 
     def __init__(
@@ -70,8 +71,8 @@ class Session:
         pause: Callable[[], None],
         rest: Callable[[], None],
         tell: Callable[[str], None],
-        keep_doubt: Callable[[int, bool], None],
-        doubtful: Collection[int] = (),
+        keep_lost: KeepLost,
+        lost_before: Mapping[int, Unreferenced] | None = None,
     ) -> None:
         self._arm = arm
         self._port = port
@@ -79,8 +80,8 @@ class Session:
         self._pause = pause
         self._rest = rest
         self._tell = tell
-        self._keep_doubt = keep_doubt
-        self._doubtful = set(doubtful)
+        self._keep_lost = keep_lost
+        self._lost = dict(lost_before or {})
         self._tells_power_loss: dict[int, bool] = {}
         self._limp: set[int] = set()
         self._centre: dict[int, int] = {}
@@ -166,7 +167,7 @@ class Session:
             homed=[joint],
             placed={},
             tell=self._tell,
-            keep_doubt=self._remember,
+            keep_lost=self._remember,
         )
         try:
             self._hold(talk)
@@ -184,17 +185,19 @@ class Session:
         for joint in sorted(self._limp):
             self.hold(joint)
 
-    def _remember(self, joint: int, doubt: bool) -> None:
-        self._keep_doubt(joint, doubt)
-        (self._doubtful.add if doubt else self._doubtful.discard)(joint)
+    def _remember(self, joint: int, reason: Unreferenced | None) -> None:
+        self._keep_lost(joint, reason)
+        self._lost.pop(joint, None)
+        if reason is not None:
+            self._lost[joint] = reason
 
     def _state(self, joint: int, counts: int) -> DriveState:
         flags = self._have(joint, Drive.flags)
         doubt = None
         if flags & registers.POWER_LOST:
             doubt = "has lost power since it was homed, so what its drive counts is no angle"
-        elif joint in self._doubtful:
-            doubt = "has not been homed since its drive's count lost its meaning"
+        elif joint in self._lost:
+            doubt = "has lost its reference and was not homed since"
         elif not self._tells_power_loss.get(joint, False):
             doubt = "has a drive whose firmware cannot say whether it has lost power since it was homed"
         return DriveState(counts, bool(flags & registers.ENABLED), doubt)

@@ -298,7 +298,7 @@ class Scene:
             pause=self.virtual.cycle,
             rest=self.virtual.cycle,
             tell=lambda _: None,
-            keep_doubt=lambda _joint, _doubt: None,
+            keep_lost=lambda _joint, _reason: None,
         )
         self.session.read()
         self.told: list[str] = []
@@ -406,9 +406,8 @@ def test_the_same_by_the_drive_in_small_turns() -> None:
     assert scene.guide.values.zero_deg == pytest.approx(112.0, abs=0.02)
     jogs = [question for question in scene.asked if question.endswith("Turn it? [y/N, q ends]")]
     assert len(jogs) >= 4
-    assert np.all(
-        np.abs(scene.sim.truth(4, scene.sim.drives[4].shaft.changes_ns())[1]) <= 30 * 2 * math.pi / 60 / 4.0 + 1e-9
-    )
+    _, velocity_rad_s = scene.sim.truth(4, scene.sim.drives[4].shaft.changes_ns())
+    assert np.max(np.abs(velocity_rad_s)) <= 30 * 2 * math.pi / 60 / 4.0 + 1e-9  # its homing run; else it is slower
 
 
 def test_a_person_who_ends_it_at_any_question_leaves_the_arm_standing() -> None:

@@ -18,7 +18,7 @@ from rtloop.calibration.session import MOST_COUNTS, MOST_RPM, NotDone, Session
 from rtloop.conversation import TalkFailed
 from rtloop.drives import zdt
 from rtloop.drives import zdt_registers as registers
-from shm.words import Mode
+from shm.words import Mode, Unreferenced
 from sim import faults
 
 TURN = ENCODER_COUNTS_PER_REVOLUTION
@@ -37,7 +37,7 @@ class Bench:
         self.virtual.cycles(3)
         self.each_pause: Callable[[], None] = lambda: None
         self.told: list[str] = []
-        self.doubts: dict[int, bool] = {}
+        self.lost: dict[int, Unreferenced | None] = {}
         self.session = Session(
             self.virtual.arm,
             self.virtual.port,
@@ -45,7 +45,7 @@ class Bench:
             pause=self._pause,
             rest=self.virtual.cycle,
             tell=self.told.append,
-            keep_doubt=self.doubts.__setitem__,
+            keep_lost=self.lost.__setitem__,
         )
         self.session.read()
 
@@ -221,7 +221,7 @@ def test_a_homing_run_makes_its_count_mean_something():
     assert "lost power" in str(bench.session.look(5).doubt)
     state = bench.session.home(5)
     assert (state.counts, state.doubt) == (0, None)
-    assert bench.doubts == {5: False}
+    assert bench.lost == {5: None}
     assert any("homed" in line for line in bench.told)
     bench.require_standing(5)
 
