@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 import sys
+import termios
 import textwrap
 from typing import Protocol
 
@@ -33,6 +34,8 @@ class Terminal:
         print(_wrapped(text), flush=True)
 
     def answer(self, question: str) -> str:
+        if sys.stdin.isatty():  # what was typed before a question is no answer to it
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
         print(f"{_wrapped(question)} ", end="", flush=True)
         line = sys.stdin.readline()
         if not line:

@@ -244,6 +244,22 @@ def test_an_input_that_ends_ends_it(truth: Stack, mine: Path) -> None:
 
 
 @pytest.mark.process
+def test_what_is_typed_before_a_question_is_no_answer_to_it(truth: Stack, mine: Path) -> None:
+    at = Terminal("calibrate", str(mine), "--joint", "joint6")
+    try:
+        at.read_until("Turn it?")
+        at.type("y\nn\ny\ny")  # a person in a hurry, while the motor turns
+        at.read_until("Which way did joint6 go?")
+        at.type("q")
+        assert at.code() == 1
+    finally:
+        at.close()
+    assert "Was that the opposite way?" not in at.said and "you ended it" in at.said
+    moved_deg = np.degrees(np.ptp(truth.truth()["joint6"].position_rad))
+    assert moved_deg == pytest.approx(7.5 / 2, abs=0.1)
+
+
+@pytest.mark.process
 def test_a_drive_that_stalls_ends_it_with_its_sentence(truth: Stack, mine: Path) -> None:
     before = mine.read_bytes()
     truth.sim.say("stall:joint=joint6,at_s=0")
