@@ -28,6 +28,8 @@ STILL_COUNTS, STILL_NS = 60, 150_000_000
 LATE_NS = 300_000_000
 """From a command's question for the bus to the drive's first step, at low control rates."""
 STAND_TRIES = 5
+AGREEING = 2
+"""Silences in a row that are one."""
 SETTLED_NS = 250_000_000
 """For so long it is seen to be there before it is stopped for good; at 1 rpm it has then made the last degree too."""
 REFUSED = (0xE2, 0xEE)
@@ -166,13 +168,18 @@ class Drive:
         sign = 1 if goal >= start else -1
         total = abs(goal - start)
         counts_per_ns = rpm / 60e9 * ENCODER_COUNTS_PER_REVOLUTION
+        silent = 0
         there_ns: int | None = None
         while there_ns is None or self._now_ns() - there_ns < SETTLED_NS:
             asked_ns = self._now_ns()  # it has been on its way for at least so long when it answers
             counts = yield from zdt_talk.read_counts(registers.ASK_POSITION)
             now = yield from zdt_talk.read_flags(registers.ASK_STATUS)
             if counts is None or now is None:
-                return "fell silent while it moved"
+                silent += 1
+                if silent >= AGREEING:  # each of them asked several times over
+                    return "fell silent while it moved"
+                continue
+            silent = 0
             if now & (registers.PROTECTED | STALLED):
                 return "was held up (it says that it stalls)"
             if not now & registers.ENABLED or now & registers.POWER_LOST & ~flags:
