@@ -251,13 +251,21 @@ def test_a_full_disk_leaves_the_file_as_it_was(arm_file: Path, monkeypatch: pyte
 
 
 def test_values_that_several_joints_share_are_not_changed_for_all(arm_file: Path) -> None:
+    """joint3 takes its ratio from joint1, by an anchor: changing the one would change the other."""
     text = arm_file.read_text(encoding="utf-8")
-    text = text.replace("ratio: 25", "ratio: &box 25", 1).replace("ratio: 25", "ratio: *box", 1)
+    text = text.replace("  - name: joint1 ", "  - &first\n    name: joint1 ", 1)
+    at = text.index("  - name: joint3")
+    text = text[:at] + text[at:].replace("    ratio: 25\n", "    <<: *first\n", 1)
     arm_file.write_text(text, encoding="utf-8")
+    assert [joint.ratio for joint in load_arm(arm_file).joints][:3] == [25, 20, 25]
     file = ArmFile(str(arm_file), None)
-    with pytest.raises(Refusal, match=r"shared with other places|would not be valid"):
+    with pytest.raises(Refusal, match=r"shared with other places of the file .* write by hand ratio: 20"):
+        file.write(0, {"ratio": 20})
+    with pytest.raises(Refusal, match=r"do not stand in its own entry .* write ratio: 20 there by hand"):
         file.write(2, {"ratio": 20})
-    assert arm_file.read_text(encoding="utf-8") == text
+    file.write(2, {"zero_deg": 84})
+    assert [joint.zero_deg for joint in load_arm(arm_file).joints][:3] == [180, 90, 84]
+    assert arm_file.read_text(encoding="utf-8") == text.replace("zero_deg: 83", "zero_deg: 84")
 
 
 # --- whole joints, in virtual time ------------------------------------------------------------------------------
