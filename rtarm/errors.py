@@ -21,7 +21,8 @@ MEANINGS: dict[ExitCode, str] = {
     ExitCode.DONE: "done; for `status`: running and healthy; for `doctor`: nothing worse than a note; "
     "for `drives`: as the file wants them; for `scan`: drives found",
     ExitCode.REFUSED: "refused or not possible: usage, configuration, arm not running, request refused",
-    ExitCode.LOOP_REFUSED: "the control process refused to start (port, drives, already running, …)",
+    ExitCode.LOOP_REFUSED: "the control process refused to start (port, drives, already running, …); "
+    "for `calibrate`: a drive did not do as it was told, and was stopped",
     ExitCode.LOOP_DIED: "the control process ended by itself; the drives have braked by their own ramp",
     ExitCode.GOAL_FAILED: "a goal of the demo did not succeed",
     ExitCode.UNHEALTHY: "`status`: running, but not fit to move; `doctor`: something to mend; `drives`: not as the "

@@ -225,6 +225,28 @@ def test_whatever_ends_it_in_the_middle_of_a_move_stops_the_move(truth: Stack, m
 
 
 @pytest.mark.process
+def test_a_joint_that_is_limp_when_it_ends_is_held_again(truth: Stack, mine: Path) -> None:
+    at = Terminal("calibrate", str(mine), "--joint", "joint2")
+    try:
+        at.read_until("Turn it?")
+        at.type("")
+        at.read_until("How shall joint2 get to the mark?")
+        at.type("h")
+        at.read_until("falls where gravity pulls it")
+        at.read_until("Make joint2 limp?")
+        at.type("y")
+        at.read_until("It is limp. Put it on the first mark")
+        interrupt(at, "Ctrl-C")
+        assert at.code() == 1
+    finally:
+        at.close()
+    truth.truth()
+    heard = b"".join(data for _, data in truth.wire())
+    release, enable, stop = b"T000002005F3AB00006B\r", b"T000002005F3AB01006B\r", b"T000002004FE98006B\r"
+    assert 0 < heard.rfind(release) < heard.rfind(enable) < heard.rfind(stop)
+
+
+@pytest.mark.process
 def test_an_input_that_ends_ends_it(truth: Stack, mine: Path) -> None:
     before = mine.read_bytes()
     ended = subprocess.run(

@@ -16,7 +16,7 @@ from rtarm.errors import MEANINGS, ExitCode
 
 COMMANDS = [
     *(("up",), ("demo",), ("status",), ("stop",), ("clear-fault",)),
-    *(("top",), ("doctor",), ("drives",), ("scan",), ("config", "check"), ("moveit-config",)),
+    *(("top",), ("doctor",), ("drives",), ("scan",), ("calibrate",), ("config", "check"), ("moveit-config",)),
 ]
 
 Rtarm = Callable[..., Result]
