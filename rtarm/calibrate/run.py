@@ -89,7 +89,7 @@ def calibrate(
             drives = ProcessDrives(process, person)
             problems = [problem for joint in joints for problem in drives.found[joint].problems]
             if problems:
-                raise Refusal("\n".join(problems))
+                raise Refusal("\n".join(problems), ExitCode.LOOP_REFUSED)
             person.tell(INTRODUCTION)
             person.tell(_others(arm, joints, drives.found))
             for joint in joints:

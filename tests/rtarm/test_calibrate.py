@@ -464,6 +464,55 @@ def test_who_contradicts_themselves_is_asked_again() -> None:
     assert scene.guide.values.direction == 1
 
 
+def test_a_joint_at_its_stop_may_begin_the_other_way() -> None:
+    scene = Scene(Values(1, 4.0, 110.0), Values(-1, 4.0, 110.0), 4)
+    given_answer = scene.answer
+    first = iter(["o"])
+    scene.answer = lambda q: next(first, None) or given_answer(q) if "Turn it? [y/N; o" in q else given_answer(q)  # type: ignore[method-assign]
+    scene.guide._find_direction()
+    moves = [line for line in scene.told if line.endswith("and back again.")]
+    assert "turns by +30.0°" in moves[0] and "turns by -30.0°" in moves[1]
+    assert scene.guide.values.direction == 1
+    velocity_rad_s = scene.sim.truth(4, scene.sim.drives[4].shaft.changes_ns())[1]
+    assert velocity_rad_s[velocity_rad_s != 0][0] < 0
+
+
+def test_who_never_sees_it_move_keeps_the_direction_of_the_file() -> None:
+    scene = Scene(Values(-1, 25.0, 180.0), Values(1, 25.0, 180.0))
+    given_answer = scene.answer
+    scene.answer = lambda q: "u" if "Which way did" in q else given_answer(q)  # type: ignore[method-assign]
+    began_deg = scene.here_deg
+    scene.guide._find_direction()
+    moves = [line for line in scene.told if line.endswith("and back again.")]
+    assert ["30.0°" in moves[0], "60.0°" in moves[1], "120.0°" in moves[2], len(moves)] == [True, True, True, 4]
+    assert scene.told[-1] == "direction stays 1."
+    assert scene.here_deg == pytest.approx(began_deg, abs=0.02)
+
+
+def test_turns_that_are_no_turns_are_asked_again() -> None:
+    scene = Scene(Values(1, 1.0, 30.0), Values(1, 1.0, 30.0), 5)
+    jogs = iter(["nan", "16", "-15.1", "up", "1e9", "15", "y"])
+    given_answer = scene.answer
+    scene.answer = lambda q: next(jogs) if "Degrees to turn" in q else given_answer(q)  # type: ignore[method-assign]
+    began_deg = scene.here_deg
+    assert scene.guide._jogged_to("its mark") is not None
+    assert [line.split()[0] for line in scene.told] == ["nan", "16", "-15.1", "up", "1e9"]
+    assert scene.here_deg - began_deg == pytest.approx(15.0, abs=0.12)
+
+
+def test_a_jog_beyond_the_range_is_not_done_and_the_person_goes_on() -> None:
+    scene = Scene(Values(1, 1.0, 30.0), Values(1, 1.0, 30.0), 5)
+    scene.session.turn(5, 0, 1)
+    scene.session._centre[5] -= round(315 / 360 * TURN)
+    jogs = iter(["15", "-15", ""])
+    given_answer = scene.answer
+    scene.answer = lambda q: next(jogs) if "Degrees to turn" in q else given_answer(q)  # type: ignore[method-assign]
+    began_deg = scene.here_deg
+    assert scene.guide._jogged_to("its mark") is None
+    assert "its range in the arm file, 320° with a ratio of 1" in scene.told[0]
+    assert scene.here_deg - began_deg == pytest.approx(-15.0, abs=0.12)
+
+
 class Lines:
     """A person with prepared lines."""
 

@@ -246,11 +246,9 @@ def test_a_joint_that_is_limp_when_it_ends_is_held_again(truth: Stack, mine: Pat
     assert 0 < heard.rfind(release) < heard.rfind(enable) < heard.rfind(stop)
 
 
-@pytest.mark.process
-def test_an_input_that_ends_ends_it(truth: Stack, mine: Path) -> None:
-    before = mine.read_bytes()
-    ended = subprocess.run(
-        [sys.executable, "-m", "rtarm", "calibrate", str(mine)],
+def with_no_input(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "rtarm", "calibrate", *arguments],
         cwd=ROOT,
         env={**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "COLUMNS": "200"},
         input="",
@@ -259,10 +257,23 @@ def test_an_input_that_ends_ends_it(truth: Stack, mine: Path) -> None:
         timeout=PATIENCE_S,
         check=False,
     )
+
+
+@pytest.mark.process
+def test_an_input_that_ends_ends_it(truth: Stack, mine: Path) -> None:
+    before = mine.read_bytes()
+    ended = with_no_input(str(mine))
     assert ended.returncode == 1
     assert ended.stderr == "Ended (the input ended); the arm stands. Nothing was written.\n"
     assert all(np.ptp(motion.position_rad) == 0.0 for motion in truth.truth().values())
     assert mine.read_bytes() == before
+    truth.sim.say("protection:joint=joint3,at_s=0")
+    truth.sim.line_with("fault protection")
+    refused = with_no_input(str(mine))
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "The drive of joint3 (address 3) is in protection (a stall) and holds nothing" in refused.stderr
+    ended = with_no_input(str(mine), "--joint", "joint6")  # whose drive is sound
+    assert (ended.returncode, "not understood: joint3." in ended.stdout) == (1, True)
 
 
 @pytest.mark.process
