@@ -135,7 +135,7 @@ class ControlProcess:
             self._tell(str(problem))
 
     def serve_offline(self, work: Callable[[ServicePort, Callable[[], None]], None]) -> int:
-        """Do `work` beside a cycle that stays offline: nothing is brought up and no motion frame leaves.
+        """Do `work` beside a cycle that stays offline: nothing is brought up, and the cycle itself moves nothing.
 
         `work` holds its conversations through the port it is given and lets time pass with the function it is given,
         which ends it when that must be. Exit code 0, or 3 when the cycle ended by itself; raises WireRefused when the

@@ -225,6 +225,26 @@ def test_whatever_ends_it_in_the_middle_of_a_move_stops_the_move(truth: Stack, m
 
 
 @pytest.mark.process
+def test_an_adapter_that_goes_away_in_the_middle_of_a_move(truth: Stack, mine: Path) -> None:
+    before = mine.read_bytes()
+    at = Terminal("calibrate", str(mine), "--joint", "joint6")
+    try:
+        at.read_until("Turn it?")
+        at.type("y")
+        wait_until(lambda: abs(np.ptp(truth.truth()["joint6"].position_rad)) > 0.005)
+        truth.sim.process.kill()
+        at.read_until(
+            "The drive of joint6 does not say that it stands: it ends its small move by itself; use the switch"
+        )
+        at.read_until(f"The adapter at {truth.link} is gone")
+        assert at.code() == 2
+    finally:
+        at.close()
+    assert no_process_left(truth)
+    assert mine.read_bytes() == before
+
+
+@pytest.mark.process
 def test_a_joint_that_is_limp_when_it_ends_is_held_again(truth: Stack, mine: Path) -> None:
     at = Terminal("calibrate", str(mine), "--joint", "joint2")
     try:
