@@ -73,21 +73,24 @@ class CycleFrames:
         return self.count * slcan_chars(self.extended, self.data_bytes)
 
 
-def zdt_cycle(drives: int, acknowledge: bool) -> tuple[CycleFrames, ...]:
+def zdt_cycle(drives: int, acknowledge: bool, reported: bool = False) -> tuple[CycleFrames, ...]:
     """A cycle of ZDT drives: a target and a position reading for each, a status reading for one in turn.
 
     The position command FD has 13 bytes and goes out as frames of 8 and 5 bytes; acknowledged, it is
     answered with 3. Reading the position (36) is 2 bytes out and 7 back, the status (3A) 2 out and 3 back.
+    `reported` positions come unasked, with the same 7 bytes and at the drives' own clocks; their period is longer
+    than a cycle (`ControlConfig.report_period_ms`), so one of each drive is the most that a cycle meets.
     """
     if drives == 0:
         return ()
     acknowledgements = (CycleFrames("command acknowledged", drives, 3, from_host=False),) if acknowledge else ()
+    requests = () if reported else (CycleFrames("position request", drives, 2, from_host=True),)
     return (
         CycleFrames("position command, first part", drives, 8, from_host=True),
         CycleFrames("position command, second part", drives, 5, from_host=True),
         *acknowledgements,
-        CycleFrames("position request", drives, 2, from_host=True),
-        CycleFrames("position reply", drives, 7, from_host=False),
+        *requests,
+        CycleFrames("position report" if reported else "position reply", drives, 7, from_host=False),
         CycleFrames("status request", 1, 2, from_host=True),
         CycleFrames("status reply", 1, 3, from_host=False),
     )
@@ -96,7 +99,7 @@ def zdt_cycle(drives: int, acknowledge: bool) -> tuple[CycleFrames, ...]:
 def cycle_frames(arm: ArmConfig) -> tuple[CycleFrames, ...]:
     """The frames of one control cycle of this arm; none with mock drives."""
     zdt_drives = sum(joint.drive.family == "zdt" for joint in arm.joints)
-    return zdt_cycle(zdt_drives, arm.bus.acknowledge)
+    return zdt_cycle(zdt_drives, arm.bus.acknowledge, arm.bus.reported)
 
 
 @dataclass(frozen=True)
@@ -201,7 +204,7 @@ def check_budget(arm: ArmConfig) -> Budget:
     found = budget(arm)
     sentences: list[str] = []
     if found.rate_hz > found.bus_highest_rate_hz:
-        sentences.append(_bus_sentence(found, arm.bus.acknowledge))
+        sentences.append(_bus_sentence(found, arm))
     if found.rate_hz > found.serial_highest_rate_hz:
         sentences.append(_serial_sentence(found))
     if sentences:
@@ -214,9 +217,9 @@ def shown_rate(rate_hz: float) -> str:
     return f"{math.floor(rate_hz * 10.0) / 10.0:g}"
 
 
-def _bus_sentence(found: Budget, acknowledge: bool) -> str:
+def _bus_sentence(found: Budget, arm: ArmConfig) -> str:
     ways = [f"use a faster bus (bus.bitrate, up to {HIGHEST_BITRATE})"] if found.bitrate < HIGHEST_BITRATE else []
-    if acknowledge:
+    if arm.bus.acknowledge:
         ways.append("turn bus.acknowledge off")
     return (
         f"rate_hz is {found.rate_hz:g}, but {found.bits_per_cycle} bits a cycle × {found.rate_hz:g} Hz = "

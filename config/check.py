@@ -125,6 +125,10 @@ def budget_table(arm: ArmConfig, found: Budget) -> Table:
         table.add_row("bus", "none: mock drives, no limit on the rate")
     else:
         table.add_row("frames a cycle", f"{found.frames_per_cycle}, {found.bits_per_cycle} bits at worst")
+        if arm.bus.reported:
+            table.add_row(
+                "positions", f"reported every {arm.control.report_period_ms} ms: at most one of each drive a cycle"
+            )
         table.add_row(
             "bus load",
             f"{found.bus_load:.1%} of {found.bitrate} bit/s, limit {found.load_limit:.0%}"

@@ -75,6 +75,14 @@ class ControlConfig(Section):
         """Length of a control cycle in whole nanoseconds."""
         return round(1e9 / self.rate_hz)
 
+    @property
+    def report_period_ms(self) -> int:
+        """Time between two position reports of a drive (ms): the first whole number longer than a cycle.
+
+        Reports leave at the drive's own clock, so a cycle may have none of a drive, and none has two.
+        """
+        return self.period_ns // 1_000_000 + 1
+
 
 class BusConfig(Section):
     """The CAN bus and the adapter it is reached through."""
@@ -112,6 +120,11 @@ class BusConfig(Section):
         description="Whether drives acknowledge motion commands; false turns it off at bring-up, in the "
         "drives' volatile memory only.",
     )
+    positions: Literal["polled", "reported"] = Field(
+        default="polled",
+        description="How positions are read: polled asks every drive in every cycle, reported lets each drive send its "
+        "position by itself (X42S and Y42 generation), which bring-up sets in the drives' volatile memory only.",
+    )
 
     @field_validator("serial_baud", mode="before")
     @classmethod
@@ -136,6 +149,12 @@ class BusConfig(Section):
                         f"{field} is {value!r}, but interface mock opens no device; remove {field}, or set "
                         "interface to slcan or socketcan.",
                     )
+            if self.positions == "reported":
+                raise refuse(
+                    "positions",
+                    "positions is reported, but interface mock has no drives that could report theirs; remove "
+                    "positions, or set interface to slcan or socketcan.",
+                )
             return self
         if self.channel is not None and self.usb_index is not None:
             raise refuse(
@@ -193,6 +212,11 @@ class BusConfig(Section):
                 f"bitrate is {self.bitrate}, but an SLCAN adapter offers {allowed}; choose the one the "
                 "drives are set to.",
             )
+
+    @property
+    def reported(self) -> bool:
+        """Whether drives send their positions by themselves."""
+        return self.positions == "reported"
 
     @property
     def _indexed(self) -> str:

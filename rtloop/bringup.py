@@ -4,7 +4,8 @@ It works the same at start, after a fault was cleared, and when limp drives are 
 
 What a ZDT drive is asked (init_mode 1, nothing moves): firmware, status, configuration block (response
 mode turned off in volatile memory when it differs and the firmware is one whose block we know), position
-and target until the two agree. A drive that is on its way somewhere, or has lost power, is stopped first.
+and target until the two agree. Where the arm file says so, drives are told to send their positions by themselves, and
+must. A drive that is on its way somewhere, or has lost power, is stopped first.
 """
 
 import math
@@ -25,6 +26,9 @@ from shm.words import Fault, Unreferenced
 
 SETTLE_PATIENCE_NS = 3_000_000_000
 HOMING_TRIES = 10
+REPORTS_TO_BELIEVE = 3
+REPORT_LOOKS = 20
+"""Statuses read, each a cycle or two apart, until so many reports must have come."""
 ADOPT_WITHIN_RAD = 0.02
 """A drive whose target lies this near to its position is taken at its word."""
 
@@ -55,6 +59,7 @@ class BringUp(Conversation):
         self._lost_before = lost_before or {}
         # where a flag for lost power tells nothing new, only the joint's place can
         self._stood_rad = {n: port.measured_rad(n) for n in range(len(arm.joints)) if port.power_loss_known(n)}
+        self._unasked = [port.unasked(n) for n in range(len(arm.joints))]
         self.post(BRING_UP_BEGINS)
         dialogues = {}
         for joint, config in enumerate(arm.joints):
@@ -116,6 +121,7 @@ class BringUp(Conversation):
             if reason != Unreferenced.REFERENCED:
                 self._tell(unreferenced_sentence(reason, config.name))
         yield from self._settle_configuration(joint, config, drive, version)
+        yield from self._settle_reports(joint, config, version)
         if not flags & registers.ENABLED:
             for _ in range(TRIES):
                 # it may pull its shaft to the target of before it was let go
@@ -196,6 +202,34 @@ class BringUp(Conversation):
             return
         name = "on" if wanted else "off"
         self._tell(f"{config.name}: acknowledgements turned {name} in the drive's volatile memory.")
+
+    def _settle_reports(self, joint: int, config: JointConfig, version: Version) -> Dialogue:
+        """Have the position sent as the arm file says, in volatile memory: by the drive itself, or when it is asked.
+
+        A control process that was killed leaves its drives reporting; they are told to cease only where they do.
+        """
+        if not self.arm.bus.reported:
+            by_itself = self._port.unasked(joint) - self._unasked[joint] >= REPORTS_TO_BELIEVE
+            if by_itself and (yield from zdt_talk.set_reports(0)):
+                self._tell(f"{config.name}: its drive sent its position by itself, which was ended.")
+            return
+        if not (yield from zdt_talk.set_reports(self.arm.control.report_period_ms)):
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} (firmware {version}) does not send its position by itself, which "
+                "bus.positions: reported asks for and only drives of the X42S and Y42 generation can: set bus.positions "
+                "to polled.",
+            )
+        before = self._port.unasked(joint)
+        for _ in range(REPORT_LOOKS):
+            yield from self._status(joint, config)
+            if self._port.unasked(joint) - before >= REPORTS_TO_BELIEVE:
+                return
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} was told to send its position every {self.arm.control.report_period_ms} ms and "
+            "agreed, but none comes: set bus.positions to polled.",
+        )
 
     def _require_budget_with_acknowledgements(self, joint: int, config: JointConfig, version: Version) -> None:
         loud = self.arm.model_copy(update={"bus": self.arm.bus.model_copy(update={"acknowledge": True})})

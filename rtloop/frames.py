@@ -6,7 +6,7 @@ from rtloop import guard, port, service
 from rtloop import status as status_bits
 from rtloop.drives import zdt
 from rtloop.modes import is_limp
-from rtloop.state import FAMILY_MOCK, FAMILY_ZDT
+from rtloop.state import FAMILY_MOCK, FAMILY_ZDT, QUESTIONS
 from rtloop.wire import outgoing, received
 from rtloop.wire.outgoing import frame_bits
 from shm.jit import jit
@@ -88,17 +88,30 @@ def send(loop: Loop, shared: Shared, frame_id: int, length: int, data: int, join
 
 @jit
 def ask(loop: Loop, shared: Shared) -> None:
-    """Ask every drive for its position, and one of them in turn for its status."""
+    """Ask every drive that does not report its position for it, and one of them in turn for its status."""
     core, params = loop.core, loop.params
     for joint in range(params.joint_count):
         if loop.joints[joint].family == FAMILY_ZDT:
             axis = loop.axes[joint]
-            send(loop, shared, loop.joints[joint].address << 8, 2, zdt.READ_POSITION, 0)
+            if params.reported == 0 or guard.report_is_asked_for(loop, joint):
+                ask_position(loop, shared, joint)
             if axis.unanswered_since_ns == 0:
                 axis.unanswered_since_ns = core.now_ns
     core.status_turn = (core.status_turn + 1) % params.joint_count
     if loop.joints[core.status_turn].family == FAMILY_ZDT:
         send(loop, shared, loop.joints[core.status_turn].address << 8, 2, zdt.READ_STATUS, 0)
+
+
+@jit
+def ask_position(loop: Loop, shared: Shared, joint: int) -> None:
+    if send(loop, shared, loop.joints[joint].address << 8, 2, zdt.READ_POSITION, 0):
+        note_question(loop, joint)
+
+
+@jit
+def note_question(loop: Loop, joint: int) -> None:
+    """An answer to come is no report."""
+    loop.axes[joint].questions = min(loop.axes[joint].questions + 1, QUESTIONS)
 
 
 @jit
@@ -110,7 +123,7 @@ def probe(loop: Loop, shared: Shared) -> None:
     core.probed_ns = core.now_ns
     core.probe_turn = (core.probe_turn + 1) % params.joint_count
     if loop.joints[core.probe_turn].family == FAMILY_ZDT:
-        send(loop, shared, loop.joints[core.probe_turn].address << 8, 2, zdt.READ_POSITION, 0)
+        ask_position(loop, shared, core.probe_turn)
 
 
 @jit
@@ -128,5 +141,7 @@ def send_service_frames(loop: Loop, shared: Shared) -> None:
         for _ in range(packets):
             order = loop.service_in.records[service.inbox_slot(loop)]
             send(loop, shared, order.id, order.length, order.data, order.joined)
+            if order.data == zdt.READ_POSITION and loop.joint_at[order.id >> 8] >= 0:
+                note_question(loop, loop.joint_at[order.id >> 8])
             core.service_credit_bits -= frame_bits(True, order.length)
             service.inbox_done(loop)

@@ -274,6 +274,19 @@ def may_be_led(loop: Loop, joint: int) -> bool:
 
 
 @jit
+def report_is_asked_for(loop: Loop, joint: int) -> bool:
+    """Whether a drive that should report, and does not, is asked in this cycle.
+
+    One that has lost power reports nothing any more and would wait for the age ladder with a target that means another
+    place; its answer tells at once. Every other cycle, so that asking takes less of the bus than the reports it stands
+    in for. What it answers does not make it younger: a drive that has ceased to report ends as a silent one.
+    """
+    core, axis = loop.core, loop.axes[joint]
+    overdue = axis.unanswered_since_ns != 0 and core.now_ns - axis.unanswered_since_ns >= loop.params.report_overdue_ns
+    return bool(overdue and (core.cycle + joint) & 1 == 0)
+
+
+@jit
 def somebody_listens(loop: Loop) -> bool:
     """Whether this cycle's frames may leave, because a drive was just heard or because there is room for them.
 

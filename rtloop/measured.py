@@ -140,7 +140,7 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, extended: int, length:
     service.hand_out(loop, frame_id, length, data, time_ns)
     kind, value = zdt.decode(frame_id & 255, length, data)
     if kind == zdt.POSITION:
-        hear_position(loop, joint, value, time_ns - loop.joints[joint].reply_delay_ns)
+        hear_position(loop, joint, value, time_ns)
     elif kind == zdt.STATUS:
         guard.take_status(loop, joint, value)
         if loop.axes[joint].bad_statuses == 1:
@@ -152,12 +152,23 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, extended: int, length:
 
 
 @jit
-def hear_position(loop: Loop, joint: int, counts: int, read_ns: int) -> None:
-    """Keep a position until everything has been heard: answers that come twice, late or in a burst count once."""
-    axis = loop.axes[joint]
+def hear_position(loop: Loop, joint: int, counts: int, time_ns: int) -> None:
+    """Keep a position until everything has been heard: answers that come twice, late or in a burst count once.
+
+    Answers and reports are the same bytes; what comes while no question is open is a report.
+    """
+    axis, row = loop.axes[joint], loop.joints[joint]
+    delay_ns = row.reply_delay_ns
+    if axis.questions > 0:
+        axis.questions -= 1
+    else:
+        axis.unasked += 1
+        axis.heard_unasked = 1
+        if loop.params.reported == 1:
+            delay_ns = row.report_delay_ns
     axis.heard = 1
     axis.heard_rad = zdt.to_radians(loop, joint, counts)
-    axis.heard_ns = read_ns
+    axis.heard_ns = time_ns - delay_ns
 
 
 @jit
@@ -168,25 +179,29 @@ def take_positions(loop: Loop, shared: Shared) -> None:
         if axis.heard == 1:
             axis.heard = 0
             take_position(loop, shared, joint, axis.heard_rad, max(axis.heard_ns, axis.measured_ns))
+            axis.heard_unasked = 0
 
 
 @jit
 def take_position(loop: Loop, shared: Shared, joint: int, position_rad: float, read_ns: int) -> None:
-    axis, period_ns = loop.axes[joint], loop.params.period_ns
+    axis, params = loop.axes[joint], loop.params
     reference_rad = commanded_at(loop, joint, read_ns)
     if not guard.believable(loop, shared, joint, position_rad, read_ns, reference_rad):
         return
     waited_ns = read_ns - axis.unanswered_since_ns if axis.unanswered_since_ns != 0 else 0
+    if params.reported == 1:
+        waited_ns = read_ns - axis.measured_ns if axis.readings > 0 else 0
     guard.stop_if_it_was_away(loop, joint, waited_ns)
-    axis.unanswered_since_ns = 0
+    if params.reported == 0 or axis.heard_unasked == 1:  # an answer tells where it is, not that it reports
+        axis.unanswered_since_ns = 0
     # nothing in an answer says which question it answers: it may be as old as the oldest one
-    axis.lag_ns = max(waited_ns - period_ns, axis.lag_ns - (read_ns - axis.measured_ns), 0)
+    axis.lag_ns = max(waited_ns - params.reading_ns, axis.lag_ns - (read_ns - axis.measured_ns), 0)
     axis.lag_rad = abs(reference_rad - commanded_at(loop, joint, read_ns - axis.lag_ns)) if axis.lag_ns > 0 else 0.0
     axis.error_before_rad = axis.reference_rad - axis.measured_rad
     axis.velocity_error_before_rad_s = axis.reference_velocity_rad_s - axis.measured_velocity_rad_s
     axis.error_acceleration_before_rad_s2 = axis.error_acceleration_rad_s2
     since_s = (read_ns - axis.measured_ns) * 1e-9
-    if axis.readings > 0 and since_s > SHORTEST_SHARE * period_ns * 1e-9:
+    if axis.readings > 0 and since_s > SHORTEST_SHARE * params.period_ns * 1e-9:
         axis.measured_velocity_rad_s = (position_rad - axis.measured_rad) / since_s
         axis.reference_velocity_rad_s = (reference_rad - axis.reference_rad) / since_s
         velocity_error = axis.reference_velocity_rad_s - axis.measured_velocity_rad_s

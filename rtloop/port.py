@@ -65,6 +65,10 @@ class ServicePort:
         """The joint's last reading."""
         return float(self._record["axes"][joint]["measured_rad"])
 
+    def unasked(self, joint: int) -> int:
+        """Positions that have come from the joint's drive although nobody asked: its reports."""
+        return int(self._record["axes"][joint]["unasked"])
+
     def commanded_rad(self, joint: int) -> float:
         """Where the joint is commanded to be."""
         return float(self._record["axes"][joint]["position_rad"])

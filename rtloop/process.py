@@ -14,6 +14,7 @@ from rtloop import realtime, saved
 from rtloop.bringup import BringUp
 from rtloop.compiled import CompiledCycle
 from rtloop.conversation import Conversation, TalkFailed
+from rtloop.farewell import Farewell
 from rtloop.port import HOME_ALL, ServicePort
 from rtloop.referencing import Referencing, referencing_asked_for
 from rtloop.release import Release
@@ -109,6 +110,7 @@ class ControlProcess:
         try:
             self._start_threads()
             code = self._supervise(ready)
+            self._say_farewell()
         except TalkFailed as failure:  # an order that the cycle does not take any more
             self._tell(str(failure))
             return 3
@@ -382,6 +384,15 @@ class ControlProcess:
                 if (self._stands() and not isinstance(talk, Referencing)) or now_s > closing_until_s:
                     return 0
                 time.sleep(BUSY_POLL_S)
+
+    def _say_farewell(self) -> None:
+        """Let drives that report their positions cease; until the end they are asked again."""
+        if not self._arm.bus.reported:
+            return
+        self._store(0, "params", "reported")
+        talk = Farewell(self._arm, self._port, now_ns=time.monotonic_ns())
+        while self._cycle.is_alive() and not talk.poll(time.monotonic_ns()):
+            time.sleep(BUSY_POLL_S)
 
     def _stands(self) -> bool:
         """Whether nothing is commanded to move any more."""

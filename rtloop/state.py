@@ -50,6 +50,8 @@ SERIAL_BITS_PER_CHARACTER = 10
 SLCAN_LONGEST_LINE = 27
 ADAPTER_FRAMES = 64
 """Frames that an adapter is taken to hold back while nobody on the bus acknowledges any."""
+QUESTIONS = 2
+"""Questions for one drive's position that are taken to be open at most: an answer may come a cycle late, or never."""
 REPLY_PROCESSING_NS = 300_000
 """Time a ZDT drive is assumed to take from a request to its answer (unproven on hardware)."""
 
@@ -73,6 +75,9 @@ PARAMS = np.dtype(
         ("front_timeout_ns", "i8"),
         ("longest_stop_s", "f8"),
         ("service_bits", "i8"),  # bits of bus time a cycle may use in all, service frames included
+        ("reported", "i8"),  # 1: drives send their positions by themselves
+        ("reading_ns", "i8"),  # between two positions of a drive
+        ("report_overdue_ns", "i8"),  # age above which a report that is missing is asked for
     ]
 )
 
@@ -93,6 +98,7 @@ JOINT_PARAMS = np.dtype(
         ("rpm_per_rad_s", "f8"),
         ("command_delay_s", "f8"),  # from the start of the cycle until its target has reached the drive
         ("reply_delay_ns", "i8"),  # from the drive's reading of its encoder until the reply has arrived
+        ("report_delay_ns", "i8"),  # the same of a report, which nobody asked for
     ]
 )
 
@@ -121,14 +127,18 @@ AXIS = np.dtype(
         ("lag_ns", "i8"),  # how much older than its stamp the reading may be, because its question waited so long
         ("lag_rad", "f8"),  # what was commanded meanwhile
         ("readings", "i8"),
+        ("questions", "i8"),  # for its position that may still be answered, QUESTIONS at most
+        ("unasked", "i8"),  # positions that came although no question was left: reports
         ("heard", "i8"),  # 1: a position came since the last cycle
+        ("heard_unasked", "i8"),  # 1: a report was among what came
         ("heard_rad", "f8"),  # the last one that did
         ("heard_ns", "i8"),
         ("doubted", "i8"),  # 1: the last reading was implausible and waits for the next one to agree
         ("doubted_rad", "f8"),
         ("bad_statuses", "i8"),  # statuses in a row that say the drive does not hold its position
         ("refusals", "i8"),  # of motion commands since the last sound status
-        ("unanswered_since_ns", "i8"),  # the oldest question for a position without a believable answer, 0 none
+        # the oldest question for a position without a believable answer, or since when a report is waited for; 0 none
+        ("unanswered_since_ns", "i8"),
         ("status", "i8"),
         ("status_readings", "i8"),
         ("referenced", "i8"),
@@ -459,8 +469,13 @@ def _fill_params(params: np.void, arm: ArmConfig) -> None:
         params[name] = getattr(limits, name)
     params["following_error_rad"] = limits.following_error_rad
     params["position_jump_rad"] = limits.position_jump_rad
-    params["stale_brake_ns"] = max(round(limits.stale_brake_s * 1e9), 3 * period_ns)
-    params["stale_fault_ns"] = max(round(limits.stale_fault_s * 1e9), 4 * period_ns)
+    reported = arm.bus.reported
+    reading_ns = arm.control.report_period_ms * 1_000_000 if reported else period_ns
+    params["stale_brake_ns"] = max(round(limits.stale_brake_s * 1e9), 3 * reading_ns)
+    params["stale_fault_ns"] = max(round(limits.stale_fault_s * 1e9), 4 * reading_ns)
+    params["reported"] = reported
+    params["reading_ns"] = reading_ns
+    params["report_overdue_ns"] = max(2 * period_ns, reading_ns + period_ns // 2)
     params["front_timeout_ns"] = round(limits.front_timeout_s * 1e9)
     params["longest_stop_s"] = longest_stop_s(arm)
     params["service_bits"] = round(arm.bus.bitrate * period_ns * 1e-9 * 0.95)
@@ -486,6 +501,7 @@ def _fill_joint(row: np.void, joint: JointConfig, arm: ArmConfig, index: int) ->
         row["command_delay_s"] = (index + 1) * command_bits * bit_s + _character_s(arm) * SLCAN_LONGEST_LINE
         reply_s = frame_bits(True, 7) * bit_s + _character_s(arm) * (SLCAN_LONGEST_LINE - 2)
         row["reply_delay_ns"] = round(reply_s * 1e9) + REPLY_PROCESSING_NS
+        row["report_delay_ns"] = round(reply_s * 1e9)
     else:
         row["family"] = FAMILY_MOCK
 

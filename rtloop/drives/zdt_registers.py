@@ -137,6 +137,18 @@ def move_to(pulses: int, rpm: int, ramp: int) -> bytes:
     return struct.pack(">BBHBIBBB", 0xFD, pulses < 0, rpm, ramp, abs(pulses), 1, 0, CHECKSUM)
 
 
+def report_position(period_ms: int) -> bytes:
+    """The command that lets a drive send the answer to `36` by itself from now on (ms); 0 ends that.
+
+    It is gone with the power: the command has no byte for flash. Only drives of the X42S generation know it (6).
+    """
+    return b"\x11\x18" + ASK_POSITION[:1] + period_ms.to_bytes(2, "big") + bytes((CHECKSUM,))
+
+
+REPORT_ACCEPTED = (b"\x11\x02\x6b", b"\x11\x6b")
+"""As hardware answers it, and as a manual says."""
+
+
 @dataclass(frozen=True)
 class HomingParameters:
     """The homing parameters of `22`."""

@@ -53,6 +53,12 @@ def read_watchdog() -> Answered[int | None]:
     return registers.number_of((yield Ask(registers.ASK_WATCHDOG, (6,))), registers.ASK_WATCHDOG, 4)
 
 
+def set_reports(period_ms: int) -> Answered[bool]:
+    """Let the drive send its position by itself, or with 0 no more; whether it says that it will."""
+    answer = yield Ask(registers.report_position(period_ms), tuple(len(a) for a in registers.REPORT_ACCEPTED))
+    return answer in registers.REPORT_ACCEPTED
+
+
 def read_homing() -> Answered[HomingParameters | None]:
     """The homing parameters."""
     return registers.homing_of((yield Ask(registers.ASK_HOMING, (8,), packets=registers.HOMING_PACKETS)))

@@ -48,7 +48,7 @@ from typing import Literal
 from sim.bus import Frame, Outbox
 from sim.drives.ramp import NEVER
 from sim.drives.zdt_functions import CHECKSUM, READ_ARGUMENT, Functions
-from sim.drives.zdt_motion import COMPLETE
+from sim.drives.zdt_motion import COMPLETE, DONE
 from sim.drives.zdt_settings import Homing, Settings
 
 FORMAT_ERROR = b"\x00\xee\x6b"
@@ -84,6 +84,8 @@ class ZdtDrive(Functions):
         cause_lasts: whether that cause is still there, so that the protection cannot be cleared.
         count_shift: what its count reads beside what it is [counts].
         connected: whether its CAN plug is in.
+        report_clock: period of its reports beside the one it was told, which its own clock makes longer or shorter.
+        bare_report_ack: whether it acknowledges `11` without a code, as a manual says.
         listening, address: what the bus asks; see `sim.bus.Node`.
     """
 
@@ -120,6 +122,7 @@ class ZdtDrive(Functions):
         self.reply_loss = 0.0
         self.wrong_checksums = 0.0
         self.connected = True
+        self.bare_report_ack = False
         self._replied_ns = start_ns
         self._partial: tuple[int, bytearray, int] | None = None
 
@@ -260,7 +263,8 @@ class ZdtDrive(Functions):
             response = self.settings.response
             told = not command.motion or (response in (1, 3) or (response == 4 and not command.moves))
             if told and (not broadcast or (function == 0xFF and self.settings.address == 1)):
-                self._reply(bytes((function, code)))
+                bare = self.bare_report_ack and function == 0x11 and code == DONE
+                self._reply(bytes((function,)) if bare else bytes((function, code)))
             self._schedule()
 
     def _refuse_format(self, broadcast: bool) -> None:

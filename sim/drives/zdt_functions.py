@@ -226,7 +226,7 @@ class Functions(Motion):
 
     def _do_report(self, arguments: bytes) -> int:
         info = arguments[0]
-        period_ns = int.from_bytes(arguments[1:], "big") * 1_000_000
+        period_ns = round(int.from_bytes(arguments[1:], "big") * 1_000_000 * self.report_clock)
         if info not in self._reads or info in READ_ARGUMENT:
             return REFUSED
         self._reports.pop(info, None)

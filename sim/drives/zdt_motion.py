@@ -47,6 +47,7 @@ class Motion(ABC):
         self.address: int | None = self.settings.address
         self.wrong_values = (0.0, 0)
         self.refuses = False
+        self.report_clock = 1.0
         self.keeps_settings = False
         self.foreign = False
         self.causes = 0
