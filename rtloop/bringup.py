@@ -217,8 +217,8 @@ class BringUp(Conversation):
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} (firmware {version}) does not send its position by itself, which "
-                "bus.positions: reported asks for and only drives of the X42S and Y42 generation can: set bus.positions "
-                "to polled.",
+                "bus.positions: reported asks for and only drives of the X42S and Y42 generation can: set "
+                "bus.positions to polled.",
             )
         before = self._port.unasked(joint)
         for _ in range(REPORT_LOOKS):
@@ -227,8 +227,8 @@ class BringUp(Conversation):
                 return
         raise TalkFailed(
             joint,
-            f"The drive of {config.name} was told to send its position every {self.arm.control.report_period_ms} ms and "
-            "agreed, but none comes: set bus.positions to polled.",
+            f"The drive of {config.name} agreed to send its position every {self.arm.control.report_period_ms} ms, but "
+            "none comes: set bus.positions to polled.",
         )
 
     def _require_budget_with_acknowledgements(self, joint: int, config: JointConfig, version: Version) -> None:

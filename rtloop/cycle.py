@@ -55,6 +55,8 @@ def begin_cycle(loop: Loop, shared: Shared, now_ns: int) -> None:
     period_s = loop.params.period_ns * 1e-9
     slot = core.history_next & (HISTORY_SLOTS - 1)
     loop.history_ns[slot] = now_ns
+    if core.unheeded_since_ns != 0:
+        core.unheeded_since_ns += max(waited_ns - loop.params.period_ns, 0)
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
         axis.difference_velocity_rad_s = (axis.next_position_rad - axis.position_rad) / period_s

@@ -100,6 +100,8 @@ def ask(loop: Loop, shared: Shared) -> None:
     core.status_turn = (core.status_turn + 1) % params.joint_count
     if loop.joints[core.status_turn].family == FAMILY_ZDT:
         send(loop, shared, loop.joints[core.status_turn].address << 8, 2, zdt.READ_STATUS, 0)
+        if core.unheeded_since_ns == 0:
+            core.unheeded_since_ns = core.now_ns
 
 
 @jit

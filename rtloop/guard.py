@@ -109,15 +109,14 @@ def check_measured(loop: Loop, shared: Shared) -> None:
         axis = loop.axes[joint]
         if axis.referenced == 0:
             continue
-        if axis.unanswered_since_ns != 0:
-            age_ns = core.now_ns - axis.unanswered_since_ns
-            if age_ns > params.stale_brake_ns:
-                core.stale = 1
-                shared.counters.stale_reads += 1
-            if age_ns > params.stale_fault_ns:
-                lose_reference(loop, shared, joint, Unreferenced.SILENT)
-                latch_fault(loop, shared, Fault.STALE_READING, joint, age_ns * 1e-9, params.stale_fault_ns * 1e-9)
-                continue
+        age_ns = silent_ns(loop, joint)
+        if age_ns > params.stale_brake_ns:
+            core.stale = 1
+            shared.counters.stale_reads += 1
+        if age_ns > params.stale_fault_ns:
+            lose_reference(loop, shared, joint, Unreferenced.SILENT)
+            latch_fault(loop, shared, Fault.STALE_READING, joint, age_ns * 1e-9, params.stale_fault_ns * 1e-9)
+            continue
         if axis.bad_statuses >= STATUSES_TO_BELIEVE and not let_go_on_purpose(loop, axis.status):
             if axis.status & status_bits.POWER_LOST:
                 lose_reference(loop, shared, joint, Unreferenced.POWER_LOST)
@@ -270,7 +269,21 @@ def may_be_led(loop: Loop, joint: int) -> bool:
     axis = loop.axes[joint]
     if axis.referenced == 0 or axis.bad_statuses > 0 or axis.doubted == 1:
         return False
-    return axis.unanswered_since_ns == 0 or loop.core.now_ns - axis.unanswered_since_ns <= loop.params.stale_brake_ns
+    return bool(silent_ns(loop, joint) <= loop.params.stale_brake_ns)
+
+
+@jit
+def silent_ns(loop: Loop, joint: int) -> int:
+    """For how long a drive has told nothing that was expected of it, 0 if it owes nothing.
+
+    Reports come whether or not the drives hear anything; that they do only answers tell, of which each cycle expects
+    one from some drive. While there is none the drives are as good as silent.
+    """
+    core, axis = loop.core, loop.axes[joint]
+    age_ns = core.now_ns - axis.unanswered_since_ns if axis.unanswered_since_ns != 0 else 0
+    if loop.params.reported == 1 and core.unheeded_since_ns != 0:
+        age_ns = max(age_ns, core.now_ns - core.unheeded_since_ns)
+    return int(age_ns)
 
 
 @jit

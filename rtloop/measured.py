@@ -142,6 +142,7 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, extended: int, length:
     if kind == zdt.POSITION:
         hear_position(loop, joint, value, time_ns)
     elif kind == zdt.STATUS:
+        core.unheeded_since_ns = 0
         guard.take_status(loop, joint, value)
         if loop.axes[joint].bad_statuses == 1:
             core.status_turn = joint - 1  # ask this drive again at once

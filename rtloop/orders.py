@@ -65,6 +65,7 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
     core.motion_started = core.silenced = core.rested = 0
     core.bring_up_asked = core.release_asked = core.home_asked = core.reference_asked = 0
     core.referencing_joint = -1
+    core.unheeded_since_ns = 0
     shared.counters.bus_state = BusState.ACTIVE  # until the controller says otherwise
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]

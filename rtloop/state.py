@@ -271,6 +271,7 @@ CORE = np.dtype(
         ("line_length", "i8"),
         ("line_spoilt", "i8"),
         ("status_turn", "i8"),
+        ("unheeded_since_ns", "i8"),  # the oldest question for a status since which no drive has told any, 0 none
         ("rx_taken", "i8"),  # bytes taken from the receive ring
         ("rx_chunks_taken", "i8"),
         ("history_next", "i8"),

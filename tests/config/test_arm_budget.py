@@ -44,6 +44,25 @@ def test_a_cycle_of_six_axes_is_that_of_the_facts_plus_one_status(acknowledge: b
     assert sum(frame.bits for frame in frames) == bits + 100 + 110
 
 
+def test_reported_positions_come_without_requests_and_at_most_once_a_cycle() -> None:
+    """FD and one report, 6 · (290 + 150), and one status; in the facts' table FC and a report are 6 · (140 + 150)."""
+    frames = zdt_cycle(6, False, reported=True)
+    assert [frame.what for frame in frames if "position re" in frame.what] == ["position report"]
+    assert sum(frame.bits for frame in frames) == 6 * (290 + 150) + 100 + 110
+    found = episode1(bus={"positions": "reported"})
+    assert found.bus_load == pytest.approx(2850 * 120 / 500_000)
+    assert shown_rate(found.highest_rate_hz) == "149.1"
+    assert found.chars_out_per_cycle == 6 * (27 + 21) + 15
+    assert found.chars_in_per_cycle == 6 * 25 + 17 + 2 * (6 * 2 + 1)
+
+
+@given(st.floats(10, 2000))
+def test_a_cycle_is_shorter_than_the_time_between_two_reports(rate_hz: float) -> None:
+    control = load_arm("episode1", overrides={"control": {"rate_hz": rate_hz}}).control
+    assert control.period_ns < control.report_period_ms * 1_000_000 <= control.period_ns + 1_000_000
+    assert control.report_period_ms <= 0xFFFF
+
+
 def test_episode1_loads_the_bus_to_83_percent() -> None:
     found = check_budget(load_arm("episode1"))
     assert (found.bits_per_cycle, found.frames_per_cycle) == (3450, 26)

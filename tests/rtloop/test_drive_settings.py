@@ -87,6 +87,13 @@ def test_a_block_is_written_with_address_and_screen_as_zero():
     assert registers.write_block(block, store=True) == bytes.fromhex(expected.format("01"))
 
 
+def test_periodic_reports_of_the_facts():
+    """`11 18 info ms16`, there `11 18 3A 00 0A 6B` for the status every 10 ms; 0 stops."""
+    assert registers.report_position(10) == bytes.fromhex("11 18 36 00 0A 6B")
+    assert registers.report_position(0) == bytes.fromhex("11 18 36 00 00 6B")
+    assert (bytes.fromhex("11 02 6B"), bytes.fromhex("11 6B")) == registers.REPORT_ACCEPTED
+
+
 def test_the_watchdog_of_the_facts():
     assert registers.write_watchdog(5000, store=True) == bytes.fromhex("68 38 01 00 00 13 88 6B")
 

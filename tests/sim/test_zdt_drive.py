@@ -459,6 +459,22 @@ def test_periodic_reports_keep_their_own_clock(bench):
     assert bench.heard().count("3A 03 6B") == 0
 
 
+def test_reports_end_with_the_power(bench):
+    bench.ask("11 18 36 00 0A 6B")
+    bench.drive.power_off(bench.now_ns)
+    bench.drive.power_on(bench.now_ns)
+    bench.wait(100)
+    assert bench.heard() == []
+
+
+def test_reports_at_a_clock_that_is_wrong_and_the_acknowledgement_of_a_manual(bench):
+    bench.drive.report_clock, bench.drive.bare_report_ack = 1.01, True
+    assert bench.ask("11 18 3A 00 0A 6B") == ["11 6B"]
+    bench.wait(1000)
+    assert bench.heard().count("3A 03 6B") == 99
+    assert bench.ask("11 18 77 00 0A 6B") == ["11 E2 6B"]
+
+
 # --- homing, stall, power -------------------------------------------------------------------------------
 
 
