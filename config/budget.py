@@ -73,21 +73,30 @@ class CycleFrames:
         return self.count * slcan_chars(self.extended, self.data_bytes)
 
 
-def zdt_cycle(drives: int, acknowledge: bool, reported: bool = False) -> tuple[CycleFrames, ...]:
+def zdt_cycle(
+    drives: int, acknowledge: bool, reported: bool = False, fast_targets: bool = False
+) -> tuple[CycleFrames, ...]:
     """A cycle of ZDT drives: a target and a position reading for each, a status reading for one in turn.
 
-    The position command FD has 13 bytes and goes out as frames of 8 and 5 bytes; acknowledged, it is
-    answered with 3. Reading the position (36) is 2 bytes out and 7 back, the status (3A) 2 out and 3 back.
-    `reported` positions come unasked, with the same 7 bytes and at the drives' own clocks; their period is longer
-    than a cycle (`ControlConfig.report_period_ms`), so one of each drive is the most that a cycle meets.
+    The position command FD has 13 bytes and goes out as frames of 8 and 5 bytes, FC (`fast_targets`) has 6; either is
+    answered with 3 where it is acknowledged. Reading the position (36) is 2 bytes out and 7 back, the status (3A) 2 out
+    and 3 back. `reported` positions come unasked, with the same 7 bytes and at the drives' own clocks; their period is
+    longer than a cycle (`ControlConfig.report_period_ms`), so one of each drive is the most that a cycle meets.
     """
     if drives == 0:
         return ()
     acknowledgements = (CycleFrames("command acknowledged", drives, 3, from_host=False),) if acknowledge else ()
-    requests = () if reported else (CycleFrames("position request", drives, 2, from_host=True),)
-    return (
+    requests: tuple[CycleFrames, ...] = (
+        () if reported else (CycleFrames("position request", drives, 2, from_host=True),)
+    )
+    commands = (
         CycleFrames("position command, first part", drives, 8, from_host=True),
         CycleFrames("position command, second part", drives, 5, from_host=True),
+    )
+    if fast_targets:
+        commands = (CycleFrames("position command", drives, 6, from_host=True),)
+    return (
+        *commands,
         *acknowledgements,
         *requests,
         CycleFrames("position report" if reported else "position reply", drives, 7, from_host=False),
@@ -99,7 +108,7 @@ def zdt_cycle(drives: int, acknowledge: bool, reported: bool = False) -> tuple[C
 def cycle_frames(arm: ArmConfig) -> tuple[CycleFrames, ...]:
     """The frames of one control cycle of this arm; none with mock drives."""
     zdt_drives = sum(joint.drive.family == "zdt" for joint in arm.joints)
-    return zdt_cycle(zdt_drives, arm.bus.acknowledge, arm.bus.reported)
+    return zdt_cycle(zdt_drives, arm.bus.acknowledge, arm.bus.reported, arm.bus.fast_targets)
 
 
 @dataclass(frozen=True)

@@ -126,6 +126,13 @@ class BusConfig(Section):
         "position by itself (X42S and Y42 generation), which bring-up sets in the drives' volatile memory only.",
     )
 
+    position_command: Literal["FD", "FC"] = Field(
+        default="FD",
+        description="How targets are sent: FD carries speed, ramp and target in two frames; FC (firmware 2.0.0 and "
+        "newer) the target alone in one, with a speed and a ramp that were set before. Rougher, and only where "
+        "bring-up finds that a drive takes FC as absolute: see docs/streaming.md.",
+    )
+
     @field_validator("serial_baud", mode="before")
     @classmethod
     def _known_baud(cls, value: Any) -> Any:
@@ -149,12 +156,14 @@ class BusConfig(Section):
                         f"{field} is {value!r}, but interface mock opens no device; remove {field}, or set "
                         "interface to slcan or socketcan.",
                     )
-            if self.positions == "reported":
-                raise refuse(
-                    "positions",
-                    "positions is reported, but interface mock has no drives that could report theirs; remove "
-                    "positions, or set interface to slcan or socketcan.",
-                )
+            for field, default in (("positions", "polled"), ("position_command", "FD")):
+                value = getattr(self, field)
+                if value != default:
+                    raise refuse(
+                        field,
+                        f"{field} is {value}, but interface mock has no drives that could do that; remove {field}, or "
+                        "set interface to slcan or socketcan.",
+                    )
             return self
         if self.channel is not None and self.usb_index is not None:
             raise refuse(
@@ -217,6 +226,11 @@ class BusConfig(Section):
     def reported(self) -> bool:
         """Whether drives send their positions by themselves."""
         return self.positions == "reported"
+
+    @property
+    def fast_targets(self) -> bool:
+        """Whether targets are sent with FC."""
+        return self.position_command == "FC"
 
     @property
     def _indexed(self) -> str:

@@ -5,7 +5,8 @@ It works the same at start, after a fault was cleared, and when limp drives are 
 What a ZDT drive is asked (init_mode 1, nothing moves): firmware, status, configuration block (response
 mode turned off in volatile memory when it differs and the firmware is one whose block we know), position
 and target until the two agree. Where the arm file says so, drives are told to send their positions by themselves, and
-must. A drive that is on its way somewhere, or has lost power, is stopped first.
+must; and what a drive makes of FC is found out (`rtloop.fast_targets`). A drive that is on its way somewhere, or has
+lost power, is stopped first.
 """
 
 import math
@@ -15,12 +16,13 @@ from dataclasses import replace
 from config.budget import budget
 from config.joint import JointConfig, ZdtDrive
 from config.schema import ArmConfig
+from rtloop import fast_targets
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, silent_amid
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
-from rtloop.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, ServicePort
+from rtloop.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, FAST_READY, ServicePort
 from shm.sentences import unreferenced_sentence
 from shm.words import Fault, Unreferenced
 
@@ -135,6 +137,9 @@ class BringUp(Conversation):
                     f"The drive of {config.name} stays disabled after being enabled: look at its display for a fault "
                     "and at the En setting in its menu.",
                 )
+        if self.arm.bus.fast_targets:
+            yield from fast_targets.prepare(self.arm, joint, drive, version)
+            self.post(FAST_READY, joint=joint)
         yield from self._adopt_position(joint, config, reason)
 
     def _end_homing(self, joint: int, config: JointConfig) -> Answered[bool]:

@@ -33,8 +33,8 @@ class TalkFailed(Exception):
 class Ask:
     """A command and how to know its answer: function byte and number of packets, or one short reply.
 
-    The commands `before` leave with it, in the same cycle and right before. Their answers are not waited for, and they
-    are said once, however often the question is.
+    The commands `before` and `after` leave with it, in the same cycle and right before and behind it. Their answers are
+    not waited for, and they are said once, however often the question is.
     """
 
     payload: bytes
@@ -42,6 +42,7 @@ class Ask:
     packets: int = 1
     answered: bool = True
     before: tuple[bytes, ...] = ()
+    after: tuple[bytes, ...] = ()
 
 
 def silent_amid(config: JointConfig, what: str) -> str:
@@ -157,8 +158,9 @@ class Conversation:
         self._say(joint, ask)
 
     def _say(self, joint: int, ask: Ask) -> None:
-        before = ask.before if self._exchanges[joint].tries == 1 else ()
-        frames = [f for told in (*before, ask.payload) for f in split_packets(self._addresses[joint], told)]
+        told_once = self._exchanges[joint].tries == 1
+        before, after = (ask.before, ask.after) if told_once else ((), ())
+        frames = [f for told in (*before, ask.payload, *after) for f in split_packets(self._addresses[joint], told)]
         self._outbox += [(frame, number < len(frames) - 1) for number, frame in enumerate(frames)]
         self._flush()
 

@@ -37,6 +37,8 @@ def encode(loop: Loop, shared: Shared) -> None:
                 send(loop, shared, loop.joints[joint].address << 8, 3, zdt.END_HOMING, 0)
             if send(loop, shared, loop.joints[joint].address << 8, 4, zdt.STOP, 0):
                 axis.stop_frames_due -= 1  # comes back if the wire does not take it
+        elif leads and guard.may_be_led(loop, joint) and params.fast_targets == 1:
+            send(loop, shared, loop.joints[joint].address << 8, 6, zdt.fast_command(loop, joint), 0)
         elif leads and guard.may_be_led(loop, joint):
             first, second = zdt.command(loop, joint)
             send(loop, shared, loop.joints[joint].address << 8, 8, first, 1)

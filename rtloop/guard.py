@@ -186,7 +186,7 @@ def lose_reference(loop: Loop, shared: Shared, joint: int, reason: int) -> None:
     axis = loop.axes[joint]
     if axis.referenced == 1:
         record_event(loop, shared, Event.REFERENCE, joint, reason, 0.0, 0.0)
-    axis.referenced = axis.power_loss_known = 0
+    axis.referenced = axis.power_loss_known = axis.fast_ready = 0
     axis.unreferenced_reason = reason
     axis.stop_frames_due = STOP_FRAMES
 
@@ -268,6 +268,8 @@ def may_be_led(loop: Loop, joint: int) -> bool:
     """
     axis = loop.axes[joint]
     if axis.referenced == 0 or axis.bad_statuses > 0 or axis.doubted == 1:
+        return False
+    if loop.params.fast_targets == 1 and axis.fast_ready == 0:
         return False
     return bool(silent_ns(loop, joint) <= loop.params.stale_brake_ns)
 

@@ -148,7 +148,7 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, extended: int, length:
             core.status_turn = joint - 1  # ask this drive again at once
     elif kind == zdt.REFUSED:
         shared.counters.drive_errors += 1
-        if value == zdt.MOVE:
+        if value == zdt.MOVE or value == zdt.FAST_MOVE:
             loop.axes[joint].refusals += 1
 
 

@@ -28,6 +28,8 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
         elif order.kind == port.ADOPT:
             if core.mode == Mode.BRINGING_UP or core.mode == Mode.REFERENCING:
                 adopt(loop, order.joint, order.value, order.code)
+        elif order.kind == port.FAST_READY:
+            loop.axes[order.joint].fast_ready = 1
         elif order.kind == port.BRING_UP_DONE:
             if core.mode == Mode.BRINGING_UP:
                 change_mode(loop, shared, Mode.HOLDING)
@@ -73,7 +75,7 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
         if not outlives_a_clear(axis.unreferenced_reason):
             axis.unreferenced_reason = Unreferenced.NOT_BROUGHT_UP
         axis.readings = axis.status_readings = axis.bad_statuses = axis.doubted = axis.refusals = 0
-        axis.lag_ns = 0
+        axis.lag_ns = axis.fast_ready = 0
         axis.status = 0
         axis.unanswered_since_ns = 0
 
@@ -106,7 +108,7 @@ def adopt(loop: Loop, joint: int, position_rad: float, reason: int) -> None:
     axis.velocity_rad_s = axis.next_velocity_rad_s = 0.0
     axis.acceleration_rad_s2 = axis.next_acceleration_rad_s2 = 0.0
     axis.difference_velocity_rad_s = 0.0
-    axis.rpm_remainder = 0.0
+    axis.rpm_remainder = axis.fast_offset_rad = 0.0
     for slot in range(HISTORY_SLOTS):
         loop.history_rad[slot * MAX_JOINTS + joint] = position_rad
     axis.reference_rad, axis.reference_velocity_rad_s = position_rad, 0.0

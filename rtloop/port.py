@@ -20,6 +20,7 @@ COUNT_FROM = 6  # joint's zero is `value` (rad) from its drive's own; code = 1: 
 REFERENCING = 7  # joint's turn; code = 1: its drive begins a homing run, so its count means nothing any more
 REFERENCING_DONE = 8
 HOME_ALL = 9  # begin the arm's homing run
+FAST_READY = 10  # joint's drive takes FC as absolute, and its speed and ramp for that are set
 
 IN = offset_of(LOOP, "service_in")
 OUT = offset_of(LOOP, "service_out")

@@ -77,6 +77,7 @@ PARAMS = np.dtype(
         ("service_bits", "i8"),  # bits of bus time a cycle may use in all, service frames included
         ("reported", "i8"),  # 1: drives send their positions by themselves
         ("reading_ns", "i8"),  # between two positions of a drive
+        ("fast_targets", "i8"),  # 1: targets are sent with FC, to drives that are known to take it as absolute
         ("report_overdue_ns", "i8"),  # age above which a report that is missing is asked for
     ]
 )
@@ -147,6 +148,8 @@ AXIS = np.dtype(
         ("power_loss_known", "i8"),  # 1: the drive's flag for lost power stays, and where it counts from is known
         ("stop_frames_due", "i8"),
         ("rpm_remainder", "f8"),
+        ("fast_ready", "i8"),  # 1: its speed and ramp for FC are set, and it takes FC as absolute
+        ("fast_offset_rad", "f8"),  # by which its targets lie further ahead than they should, so that it is on time
         ("slip_rad", "f8"),  # how far the drive may have run ahead while the loop was away
     ]
 )
@@ -475,6 +478,7 @@ def _fill_params(params: np.void, arm: ArmConfig) -> None:
     params["stale_brake_ns"] = max(round(limits.stale_brake_s * 1e9), 3 * reading_ns)
     params["stale_fault_ns"] = max(round(limits.stale_fault_s * 1e9), 4 * reading_ns)
     params["reported"] = reported
+    params["fast_targets"] = arm.bus.fast_targets
     params["reading_ns"] = reading_ns
     params["report_overdue_ns"] = max(2 * period_ns, reading_ns + period_ns // 2)
     params["front_timeout_ns"] = round(limits.front_timeout_s * 1e9)
@@ -498,7 +502,7 @@ def _fill_joint(row: np.void, joint: JointConfig, arm: ArmConfig, index: int) ->
         row["acc_byte"] = silence_acc_byte(joint, arm.limits)
         row["silence_deceleration_rad_s2"] = braking_deceleration_rad_s2(joint, int(row["acc_byte"]))
         bit_s = 1.0 / arm.bus.bitrate
-        command_bits = frame_bits(True, 8) + frame_bits(True, 5)
+        command_bits = frame_bits(True, 6) if arm.bus.fast_targets else frame_bits(True, 8) + frame_bits(True, 5)
         row["command_delay_s"] = (index + 1) * command_bits * bit_s + _character_s(arm) * SLCAN_LONGEST_LINE
         reply_s = frame_bits(True, 7) * bit_s + _character_s(arm) * (SLCAN_LONGEST_LINE - 2)
         row["reply_delay_ns"] = round(reply_s * 1e9) + REPLY_PROCESSING_NS

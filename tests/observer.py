@@ -27,6 +27,7 @@ ACCELERATION_SHARE = 2.3
 PULSES_OUTSIDE = 2
 STANDS_RAD_S = 1e-9
 STOP = b"\xfe\x98"
+MOVES = (b"\xfd", b"\xfc")
 
 _FRAME = re.compile(rb"T([0-9A-F]{8})([0-8])((?:[0-9A-F]{2})*)")
 
@@ -144,6 +145,8 @@ def command_violations(arm: ArmConfig, frames: Collection[WireFrame]) -> list[st
         if frame.drive in halves and (frame.can_id & 255 != 1 or frame.data[:1] != b"\xfd"):
             found.append(f"{joint.name}: half a position command, then {frame.data.hex(' ')}")
             del halves[frame.drive]
+        if frame.data[:1] == b"\xfc":
+            found += [f"{joint.name}: {text}" for text in _wrong_fast_target(joint, frame.data)]
         if frame.data[:1] != b"\xfd":
             continue
         if frame.can_id & 255 == 0:
@@ -157,7 +160,7 @@ def command_violations(arm: ArmConfig, frames: Collection[WireFrame]) -> list[st
 
 def motion_frames(frames: Collection[WireFrame], drive: int, since_ns: int) -> int:
     """Position commands for a drive after an instant."""
-    return sum(f.drive == drive and f.data[:1] == b"\xfd" and f.time_ns > since_ns for f in frames)
+    return sum(f.drive == drive and f.data[:1] in MOVES and f.time_ns > since_ns for f in frames)
 
 
 def stopped_joints(arm: ArmConfig, frames: Collection[WireFrame]) -> set[str]:
@@ -183,16 +186,24 @@ def _wrong_target(joint: JointConfig, command: bytes) -> list[str]:
     # FD dir rpm16 acc pulses(3 of 4) | FD pulses(last) mode sync 6B
     if len(command) != 13 or command[-1] != 0x6B or command[10] != 1:
         return [f"{command.hex(' ')} is no absolute position command"]
-    found = []
-    pulses = int.from_bytes(command[5:8] + command[9:10], "big") * (-1 if command[1] else 1)
-    target_rad = joint.direction * pulses / joint.command_pulses_per_rad - joint.zero_rad
-    slack_rad = (PULSES_OUTSIDE + 1) * joint.command_pulse_rad
-    if not joint.lower_rad - slack_rad <= target_rad <= joint.upper_rad + slack_rad:
-        found.append(f"target {math.degrees(target_rad):.3f}° lies outside its limits")
+    found = _outside(joint, int.from_bytes(command[5:8] + command[9:10], "big") * (-1 if command[1] else 1))
     velocity_rad_s = int.from_bytes(command[2:4], "big") * _rad_s_per_rpm(joint)
     if velocity_rad_s > VELOCITY_SHARE * joint.max_velocity_rad_s + _rad_s_per_rpm(joint):
         found.append(f"speed {velocity_rad_s:.3f} rad/s, allowed {joint.max_velocity_rad_s:.3f}")
     return found
+
+
+def _wrong_fast_target(joint: JointConfig, command: bytes) -> list[str]:
+    if len(command) != 6 or command[-1] != 0x6B:
+        return [f"a position command that is not whole: {command.hex(' ')}"]
+    return _outside(joint, int.from_bytes(command[1:5], "big", signed=True))
+
+
+def _outside(joint: JointConfig, pulses: int) -> list[str]:
+    target_rad = joint.direction * pulses / joint.command_pulses_per_rad - joint.zero_rad
+    slack_rad = (PULSES_OUTSIDE + 1) * joint.command_pulse_rad
+    inside = joint.lower_rad - slack_rad <= target_rad <= joint.upper_rad + slack_rad
+    return [] if inside else [f"target {math.degrees(target_rad):.3f}° lies outside its limits"]
 
 
 def _beyond(joint: JointConfig, position_rad: np.ndarray, velocity_rad_s: np.ndarray) -> list[str]:

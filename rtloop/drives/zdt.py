@@ -30,11 +30,14 @@ ERROR_SHARE_1_S = 8.0
 """Share of the measured error that goes into the speed, per second: corrected within about 1/8 s."""
 ERROR_SPEED_SHARE = 0.25
 """That part of the speed never exceeds this share of the joint's highest velocity: a held joint is not rushed at."""
+FAST_OFFSET_SHARE = 0.25
+"""With FC the error moves the target, by no more than this share of what it is ahead of the setpoint."""
 HIGHEST_RPM = 3000
 
 CHECKSUM = 0x6B
 
 MOVE = 0xFD
+FAST_MOVE = 0xFC
 
 OTHER = 0
 POSITION = 1
@@ -60,6 +63,20 @@ def pack_target(rpm: int, acc_byte: int, pulses: int) -> tuple[int, int]:
     )
     second = 0xFD | ((magnitude & 255) << 8) | (0x01 << 16) | (0x00 << 24) | (CHECKSUM << 32)
     return first, second
+
+
+@jit
+def pack_fast_target(pulses: int) -> int:
+    """Data word of `FC`, whose target is a signed number; first byte lowest."""
+    bounded = min(max(pulses, -0x80000000), 0x7FFFFFFF) & 0xFFFFFFFF
+    return (
+        FAST_MOVE
+        | ((bounded >> 24) << 8)
+        | (((bounded >> 16) & 255) << 16)
+        | (((bounded >> 8) & 255) << 24)
+        | ((bounded & 255) << 32)
+        | (CHECKSUM << 40)
+    )
 
 
 READ_POSITION = 0x36 | (CHECKSUM << 8)
@@ -108,6 +125,29 @@ def command(loop: Loop, joint: int) -> tuple[int, int]:
     axis.rpm_remainder = min(max(wanted_rpm - rpm, -1.0), 1.0)
     rpm = max(rpm, 1)  # so that the last pulse is reached
     return pack_target(min(rpm, HIGHEST_RPM), row.acc_byte, to_pulses(loop, joint, target))
+
+
+@jit
+def fast_command(loop: Loop, joint: int) -> int:
+    """The packet of `FC` whose target leads a drive through the coming period."""
+    row, axis = loop.joints[joint], loop.axes[joint]
+    period_s = loop.params.period_ns * 1e-9
+    ramp = row.silence_deceleration_rad_s2
+    acceleration = axis.next_acceleration_rad_s2
+    velocity = axis.next_velocity_rad_s + acceleration * row.command_delay_s
+    target = axis.next_position_rad
+    if velocity != 0.0:
+        share = min(abs(acceleration) / ramp, 1.0)
+        speed = max(abs(velocity) - (1.0 - share * share) * ramp * period_s / 4.0, 0.0)
+        brake = speed * speed / (2.0 * ramp)
+        most = FAST_OFFSET_SHARE * (brake + abs(velocity) * period_s)
+        axis.fast_offset_rad += ERROR_SHARE_1_S * period_s * steady_error_rad(axis, 2.0 * row.slack_rad)
+        axis.fast_offset_rad = min(max(axis.fast_offset_rad, -most), most)
+        target += velocity * row.command_delay_s + math.copysign(brake, velocity) + axis.fast_offset_rad
+        target = min(max(target, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad)
+    else:
+        axis.fast_offset_rad = 0.0
+    return pack_fast_target(to_pulses(loop, joint, target))
 
 
 @jit

@@ -46,6 +46,9 @@ CHECKSUM = 0x6B
 KNOWN_FIRMWARE = range(100, 300)
 """Emm_V5 versions 1.0.0 to 2.9.9 share the configuration block (V1.0.7 and V2.0.0 were tried by others)."""
 
+FAST_FIRMWARE = 200
+"""The first version that knows `F1` and `FC`."""
+
 CAN_BITRATES = (10_000, 20_000, 50_000, 83_333, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 """Bit rate of each code of the drive's menu."""
 
@@ -135,6 +138,16 @@ def move_to(pulses: int, rpm: int, ramp: int) -> bytes:
     if not 1 <= rpm <= HIGHEST_RPM or not 1 <= ramp <= 255 or abs(pulses) >= 1 << 32:
         raise ValueError(f"no drive is sent to {pulses} pulses at {rpm} rpm with ramp {ramp}")
     return struct.pack(">BBHBIBBB", 0xFD, pulses < 0, rpm, ramp, abs(pulses), 1, 0, CHECKSUM)
+
+
+def fast_setup(rpm: int, acc_byte: int) -> bytes:
+    """The command that sets speed and ramp of the targets that `FC` sends, and that they are absolute (mode 01)."""
+    return b"\xf1" + rpm.to_bytes(2, "big") + bytes((acc_byte, 1, 0, CHECKSUM))
+
+
+def fast_target(pulses: int) -> bytes:
+    """The command `FC`: go to a target as `F1` has set it up."""
+    return b"\xfc" + pulses.to_bytes(4, "big", signed=True) + bytes((CHECKSUM,))
 
 
 def report_position(period_ms: int) -> bytes:

@@ -85,6 +85,7 @@ class ZdtDrive(Functions):
         count_shift: what its count reads beside what it is [counts].
         connected: whether its CAN plug is in.
         report_clock: period of its reports beside the one it was told, which its own clock makes longer or shorter.
+        fast_is_relative: whether it takes each FC as an amount to go, although F1 said that targets are absolute.
         bare_report_ack: whether it acknowledges `11` without a code, as a manual says.
         listening, address: what the bus asks; see `sim.bus.Node`.
     """

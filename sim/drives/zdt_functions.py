@@ -116,6 +116,8 @@ class Functions(Motion):
         if self._fast is None:
             return REFUSED
         rpm, acc, mode = self._fast
+        if self.fast_is_relative and mode == 1:
+            mode = 0
         return self._move(0xFC, self._grains(int.from_bytes(arguments, "big", signed=True)), mode, rpm, acc)
 
     def _do_stop(self, arguments: bytes) -> int:

@@ -48,6 +48,7 @@ class Motion(ABC):
         self.wrong_values = (0.0, 0)
         self.refuses = False
         self.report_clock = 1.0
+        self.fast_is_relative = False
         self.keeps_settings = False
         self.foreign = False
         self.causes = 0

@@ -56,6 +56,52 @@ def test_reported_positions_come_without_requests_and_at_most_once_a_cycle() -> 
     assert found.chars_in_per_cycle == 6 * 25 + 17 + 2 * (6 * 2 + 1)
 
 
+@pytest.mark.parametrize(
+    ("reported", "acknowledge", "bits", "hz_500k", "hz_1m"),
+    [
+        (False, True, 3000, (167, 133), (333, 267)),
+        (False, False, 2340, (214, 171), (427, 342)),
+        (True, True, 2400, (208, 167), (417, 333)),
+        (True, False, 1740, (287, 230), (575, 460)),
+    ],
+)
+def test_fast_targets_are_those_of_the_facts_plus_one_status(
+    reported: bool, acknowledge: bool, bits: int, hz_500k: tuple[int, int], hz_1m: tuple[int, int]
+) -> None:
+    """The table of the facts, six axes: rates at 100 % and 80 % of 500 kbit/s and of 1 Mbit/s."""
+    frames = zdt_cycle(6, acknowledge, reported=reported, fast_targets=True)
+    without_status = tuple(frame for frame in frames if "status" not in frame.what)
+    assert sum(frame.bits for frame in without_status) == bits
+    assert sum(frame.bits for frame in frames) == bits + 100 + 110
+    for bitrate, rates in ((500_000, hz_500k), (1_000_000, hz_1m)):
+        for share, rate in zip((1.0, 0.8), rates, strict=True):
+            found = Budget(without_status, 120.0, bitrate, share, None)
+            assert found.highest_rate_hz == pytest.approx(rate, abs=0.51)
+
+
+def test_fast_targets_on_the_serial_line() -> None:
+    found = episode1(bus={"position_command": "FC"})
+    assert found.bus_load == pytest.approx(2550 * 120 / 500_000)
+    assert found.chars_out_per_cycle == 6 * (23 + 15) + 15
+    both = episode1(bus={"position_command": "FC", "positions": "reported"}, control={"rate_hz": 200.0})
+    assert both.bus_load == pytest.approx(1950 * 200 / 500_000)
+    assert both.fits
+
+
+def test_a_rate_beyond_the_bus_with_both() -> None:
+    changes = {"control": {"rate_hz": 250.0}, "bus": {"position_command": "FC", "positions": "reported"}}
+    with pytest.raises(ConfigError) as caught:
+        check_budget(load_arm("episode1", overrides=changes))
+    assert "1950 bits a cycle × 250 Hz = 487500 bit/s is 97.5% of the 500000 bit/s bus" in caught.value.problem
+    assert "the highest rate that fits is 217.9 Hz" in caught.value.problem
+
+
+@pytest.mark.parametrize(("field", "value"), [("positions", "reported"), ("position_command", "FC")])
+def test_mock_drives_have_neither(field: str, value: str) -> None:
+    with pytest.raises(ConfigError, match=f"{field} is {value}, but interface mock has no drives that could do that"):
+        load_arm("mock", overrides={"bus": {field: value}})
+
+
 @given(st.floats(10, 2000))
 def test_a_cycle_is_shorter_than_the_time_between_two_reports(rate_hz: float) -> None:
     control = load_arm("episode1", overrides={"control": {"rate_hz": rate_hz}}).control

@@ -94,6 +94,13 @@ def test_periodic_reports_of_the_facts():
     assert (bytes.fromhex("11 02 6B"), bytes.fromhex("11 6B")) == registers.REPORT_ACCEPTED
 
 
+def test_fast_position_of_the_facts():
+    """`F1 03 20 64 00 00 6B` is 800 rpm, acc 100, mode 00; ours is mode 01. `FC 00 00 0C 80 6B` is 3200 pulses."""
+    assert registers.fast_setup(800, 100) == bytes.fromhex("F1 03 20 64 01 00 6B")
+    assert registers.fast_target(3200) == bytes.fromhex("FC 00 00 0C 80 6B")
+    assert registers.fast_target(-3200) == bytes.fromhex("FC FF FF F3 80 6B")
+
+
 def test_the_watchdog_of_the_facts():
     assert registers.write_watchdog(5000, store=True) == bytes.fromhex("68 38 01 00 00 13 88 6B")
 

@@ -51,6 +51,19 @@ def read_position_command(first, second):
 # --- golden bytes ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("pulses", "text"), [(3200, "FC 00 00 0C 80 6B"), (-3200, "FC FF FF F3 80 6B")])
+def test_fast_target_as_in_the_notes(pulses, text):
+    assert data_of(zdt.pack_fast_target(pulses), 6) == bytes.fromhex(text)
+
+
+@relaxed
+@given(st.integers(-(2**40), 2**40))
+def test_fast_targets_are_read_back_or_bounded(pulses):
+    data = data_of(zdt.pack_fast_target(pulses), 8)
+    assert data[0] == 0xFC and data[5:] == b"\x6b\x00\x00"
+    assert int.from_bytes(data[1:5], "big", signed=True) == min(max(pulses, -(2**31)), 2**31 - 1)
+
+
 def test_position_command_as_in_the_notes_but_absolute():
     """`FD 01 0F A0 00 00 01 FA` + `FD 00 00 00 6B`: CCW, 4000 rpm, acc 0, 129536 pulses, relative, no sync.
 

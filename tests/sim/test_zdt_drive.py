@@ -246,6 +246,15 @@ def test_fast_position_moves_as_set_up(bench):
     assert bench.drive.position_counts == -65536
 
 
+def test_fast_position_may_be_relative_whatever_was_set_up(bench):
+    bench.drive.fast_is_relative = True
+    bench.ask("F1 03 20 64 01 00 6B")
+    for turns in (1, 2):
+        assert bench.ask("FC 00 00 0C 80 6B") == ["FC 02 6B"]
+        bench.wait(10_000)
+        assert bench.drive.position_counts == turns * 65536
+
+
 def test_speed_is_clamped_by_firmware(make_bench):
     for firmware, limit in (("new", 6000), ("old", 3000)):
         bench = make_bench(firmware=firmware)
