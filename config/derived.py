@@ -24,7 +24,7 @@ SILENCE_FACTOR_RANGE = (1.5, 2.0)
 """Braking of a drive that hears nothing more, as multiples of its joint's acceleration limit."""
 
 LEAD_PERIODS = 1.0
-"""Periods of motion by which a streamed target leads the next setpoint, braking distance apart.
+"""Periods of motion by which a target sent with FD leads the next setpoint, braking distance apart; with FC none.
 
 A drive that hears nothing more therefore goes on for one period to the next setpoint, for this lead, and then brakes.
 """
@@ -176,7 +176,7 @@ def _derive(joint: JointConfig, arm: ArmConfig) -> DerivedJoint:
 
 def _silence_stop(joint: JointConfig, arm: ArmConfig) -> SilenceStop:
     byte = silence_acc_byte(joint, arm.limits)
-    goes_on_s = (1.0 + LEAD_PERIODS) * arm.control.period_ns * 1e-9
+    goes_on_s = (1.0 if arm.bus.fast_targets else 1.0 + LEAD_PERIODS) * arm.control.period_ns * 1e-9
     deceleration = braking_deceleration_rad_s2(joint, byte)
     return SilenceStop(
         acc_byte=byte,

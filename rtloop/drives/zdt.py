@@ -14,6 +14,9 @@ sprint and stop in every cycle, so the target lies ahead of the setpoint by one 
 braking distance of the ramp it is given, and the speed field alone sets the pace: the planned mean velocity
 of the coming period plus a small share of the measured error. Since the ramp is 1.5 to 2 times the joint's
 acceleration limit, a drive that hears nothing more brakes by itself, bounded, on the target's last word.
+
+`FC int32` sends such a target alone, in one packet; speed, ramp and mode stand in the drive since `F1`
+(`rtloop.fast_targets`). It is led by how far ahead its targets lie (`fast_command`).
 """
 
 import math
@@ -129,14 +132,22 @@ def command(loop: Loop, joint: int) -> tuple[int, int]:
 
 @jit
 def fast_command(loop: Loop, joint: int) -> int:
-    """The packet of `FC` whose target leads a drive through the coming period."""
+    """The packet of `FC` whose target leads a drive through the coming period.
+
+    `F1` allows more speed than is planned, so the target sets the pace: a drive that is d from its target goes at most
+    at sqrt(2 a d), a being its ramp. In each period it speeds up, meets that curve and brakes along it; at the end of
+    the period, when the next target comes, it should be where the plan is. With the planned acceleration p it speeds up
+    for the share (1 + p / a) / 2 of the period T, swings by (1 - (p / a)²) a T / 2 about the planned speed and ends
+    half of that below it: the target lies ahead of the plan by the way in which that speed is braked.
+    """
     row, axis = loop.joints[joint], loop.axes[joint]
     period_s = loop.params.period_ns * 1e-9
     ramp = row.silence_deceleration_rad_s2
     acceleration = axis.next_acceleration_rad_s2
+    # the frame arrives command_delay_s into the cycle and is in force for one period from there
     velocity = axis.next_velocity_rad_s + acceleration * row.command_delay_s
     target = axis.next_position_rad
-    if velocity != 0.0:
+    if axis.velocity_rad_s != 0.0 or axis.next_velocity_rad_s != 0.0:
         share = min(abs(acceleration) / ramp, 1.0)
         speed = max(abs(velocity) - (1.0 - share * share) * ramp * period_s / 4.0, 0.0)
         brake = speed * speed / (2.0 * ramp)
