@@ -89,7 +89,7 @@ def zdt_cycle(
     requests: tuple[CycleFrames, ...] = (
         () if reported else (CycleFrames("position request", drives, 2, from_host=True),)
     )
-    commands = (
+    commands: tuple[CycleFrames, ...] = (
         CycleFrames("position command, first part", drives, 8, from_host=True),
         CycleFrames("position command, second part", drives, 5, from_host=True),
     )
