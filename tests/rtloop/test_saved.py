@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
 
@@ -24,6 +24,7 @@ def arm(tmp_path, monkeypatch):
     return load_arm("episode1")
 
 
+@settings(deadline=None)  # files, on whatever disk
 @given(counts=COUNTS)
 def test_what_is_kept_is_taken_once(tmp_path_factory, counts):
     with pytest.MonkeyPatch.context() as patch:
@@ -41,6 +42,7 @@ def test_what_no_clear_forgives_no_restart_forgives():
     assert {r for r in Unreferenced if outlives_a_clear.py_func(r)} == saved.OUTLIVES_THE_PROCESS
 
 
+@settings(deadline=None)
 @given(said=st.lists(st.tuples(st.integers(0, 5), st.none() | REASONS), max_size=12))
 def test_a_lost_reference_is_kept_until_it_is_found_again(tmp_path_factory, said):
     with pytest.MonkeyPatch.context() as patch:
