@@ -125,6 +125,8 @@ def budget_table(arm: ArmConfig, found: Budget) -> Table:
         table.add_row("bus", "none: mock drives, no limit on the rate")
     else:
         table.add_row("frames a cycle", f"{found.frames_per_cycle}, {found.bits_per_cycle} bits at worst")
+        if found.beside:
+            table.add_row("gripper", f"{found.bits_beside_s:.0f} bit/s while it moves")
         table.add_row(
             "bus load",
             f"{found.bus_load:.1%} of {found.bitrate} bit/s, limit {found.load_limit:.0%}"
