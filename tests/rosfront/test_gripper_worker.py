@@ -322,5 +322,5 @@ def test_load_class_wants_a_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("hook", ["", "mine", "mine.py", "mine.py:", "mine:MyGripper", "mine.py:2", "servo2"])
 def test_a_hook_is_a_word_or_a_class_of_a_file(hook: str) -> None:
-    with pytest.raises(ConfigError, match="gripper.hook"):
+    with pytest.raises(ConfigError, match=r"gripper\.hook"):
         load_arm("mock", overrides={"gripper": {"hook": hook}})

@@ -25,6 +25,7 @@ from sim.faults import (
     Refusing,
     SameAddress,
     SerialBlocked,
+    Thing,
     TransmitOverflow,
     WrongChecksums,
     WrongValues,
