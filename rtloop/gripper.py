@@ -155,8 +155,9 @@ class GripperTalk(Conversation):
                 yield from self._obey(order)
             yield from self._look()
         except _Trouble as trouble:
-            order = order or self._take()
             self._suffer(trouble)
+            if order is None and not self._known:
+                order = self._take()  # there is nobody to obey it; any other is told it in the next turn
         if order is not None:
             self._shown["order"] = order.sequence
         rate_hz = MOVING_POLL_HZ if self.moves else RESTING_POLL_HZ

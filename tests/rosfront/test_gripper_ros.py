@@ -289,11 +289,13 @@ def stack(new_arm_name, tmp_path_factory):
     values = yaml.safe_load(stack.arm_file.read_text(encoding="utf-8"))
     values["gripper"] = {"hook": "servo", "controller_name": f"gripper_{name}", "servo": {"address": 7}}
     stack.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
-    stack.start_sim()
-    stack.start_loop()
-    stack.start_front()
-    yield stack
-    stack.close()
+    try:
+        stack.start_sim()
+        stack.start_loop()
+        stack.start_front()
+        yield stack
+    finally:
+        stack.close()
 
 
 @pytest.fixture(scope="module")
