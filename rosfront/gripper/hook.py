@@ -18,6 +18,10 @@ class GripperTrouble(Exception):
     """The gripper cannot do what it was told, or cannot be read; the text is the sentence people read."""
 
 
+class NotThereYet(GripperTrouble):
+    """What moves the gripper is still starting, or gone, which is said elsewhere."""
+
+
 class Reading(NamedTuple):
     """Where a gripper is."""
 

@@ -56,7 +56,7 @@ class GripperServer:
         self._ends: dict[bytes, End | None] = {}
         self._told_of_effort = self._told_of_velocity = False
         self._waiting: set[Future] = set()
-        self.worker = GripperWorker(arm.gripper, hook_of(arm, arm.gripper, serving), self._log.warning)
+        self.worker = GripperWorker(arm.gripper, hook_of(arm, arm.gripper, serving), self._log.warning, self._log.info)
 
         def server(kind: type, name: str, asked: Callable[[Any], tuple[float, float]]) -> GoalServer:
             return GoalServer(

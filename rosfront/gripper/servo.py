@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from motion.gripping import Grip
-from rosfront.gripper.hook import GripperTrouble, Reading
+from rosfront.gripper.hook import GripperTrouble, NotThereYet, Reading
 from rosfront.plan import NS
 from rosfront.refusals import NotServing
 from rosfront.serving import Serving
@@ -50,9 +50,9 @@ class ServoGripper:
         try:
             shown = self._serving.gripper()
         except NotServing as reason:
-            raise GripperTrouble(reason.sentence) from reason
+            raise NotThereYet(reason.sentence) from reason
         if shown is None:
-            raise GripperTrouble(NOT_YET)
+            raise NotThereYet(NOT_YET)
         age_s = (time.monotonic_ns() - int(shown["monotonic_ns"])) / NS
         if age_s > SHOWN_WITHIN_S:
             raise GripperTrouble(

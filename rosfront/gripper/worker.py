@@ -16,7 +16,7 @@ from queue import Empty, SimpleQueue
 
 from config.gripper import GripperConfig
 from motion.gripping import STILL_SHARE, Grip, GripJudge, stall_ns
-from rosfront.gripper.hook import Gripper, GripperTrouble, Reading
+from rosfront.gripper.hook import Gripper, GripperTrouble, NotThereYet, Reading
 from rosfront.plan import NS
 
 MOVING_PERIOD_S = 0.05
@@ -85,12 +85,19 @@ class Shown:
 class GripperWorker(threading.Thread):
     """The thread around one hook."""
 
-    def __init__(self, config: GripperConfig, make: Callable[[], Gripper], say: Callable[[str], None]) -> None:
-        """`make` opens the hook, again after it has failed; `say` is told of troubles that come and go."""
+    def __init__(
+        self,
+        config: GripperConfig,
+        make: Callable[[], Gripper],
+        warn: Callable[[str], None],
+        inform: Callable[[str], None],
+    ) -> None:
+        """`make` opens the hook, again after it has failed; `warn` is told of a trouble, `inform` of its end."""
         super().__init__(name="gripper", daemon=True)
         self._config = config
         self._make = make
-        self._say = say
+        self._warn, self._inform = warn, inform
+        self._warned = ""
         self._hook: Gripper | None = None
         self._works: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._motion: Motion | None = None
@@ -190,7 +197,7 @@ class GripperWorker(threading.Thread):
                 hook.stop()
             hook.close()
         except Exception as problem:
-            self._say(self._sentence(problem))
+            self._warn(self._sentence(problem))
 
     def _opened(self) -> Gripper | None:
         if self._hook is None:
@@ -260,7 +267,7 @@ class GripperWorker(threading.Thread):
 
     def _fail(self, problem: Exception) -> None:
         sentence = self._sentence(problem)
-        self._show(None, Grip.TROUBLE, sentence)
+        self._show(None, Grip.TROUBLE, sentence, quiet=isinstance(problem, NotThereYet))
         self._end(Ended.TROUBLE, sentence)
 
     def _sentence(self, problem: Exception) -> str:
@@ -268,11 +275,13 @@ class GripperWorker(threading.Thread):
             return str(problem)
         return f"The gripper's hook {self._config.hook} failed ({type(problem).__name__}: {problem}): mend it."
 
-    def _show(self, reading: Reading | None, grip: Grip, trouble: str) -> None:
-        if trouble and trouble != self.shown.trouble:
-            self._say(trouble)
-        elif not trouble and self.shown.grip == Grip.TROUBLE:
-            self._say("The gripper is in order again.")
+    def _show(self, reading: Reading | None, grip: Grip, trouble: str, *, quiet: bool = False) -> None:
+        if trouble and trouble != self._warned and not quiet:
+            self._warn(trouble)
+            self._warned = trouble
+        elif not trouble and self._warned:
+            self._inform("The gripper is in order again.")
+            self._warned = ""
         self.shown = Shown(reading, grip, trouble)
 
     def _end(self, how: Ended, sentence: str, reading: Reading | None = None) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import sys
 import textwrap
 import threading
 import time
+import types
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,7 @@ from hypothesis import strategies as st
 from config import ConfigError, load_arm
 from config.gripper import GripperConfig
 from motion.gripping import Grip
-from rosfront.gripper.hook import GripperTrouble, Reading
+from rosfront.gripper.hook import GripperTrouble, NotThereYet, Reading
 from rosfront.gripper.own import hook_of, load_class
 from rosfront.gripper.simulated import SimulatedGripper
 from rosfront.gripper.worker import Ended, GripperWorker, Motion
@@ -73,7 +75,9 @@ class Stage:
     def __init__(self, hook: Any, **fields: Any) -> None:
         self.hook = hook
         self.said: list[str] = []
-        self.worker = GripperWorker(config(stall_time_s=0.2, **fields), lambda: hook, self.said.append)
+        self.worker = GripperWorker(
+            config(stall_time_s=0.2, **fields), lambda: hook, self.said.append, self.said.append
+        )
         self.worker.start()
 
     def begin(self, target_rad: float | None) -> tuple[Motion, list[Any]]:
@@ -168,6 +172,14 @@ def test_a_hook_that_fails_ends_the_motion_is_said_once_and_comes_back(stage: St
     assert stage.go(0.5).how is Ended.REACHED
 
 
+def test_what_is_still_starting_is_waited_for_without_a_word(stage: Stage) -> None:
+    stage.hook.wrong = NotThereYet("It is just starting.")
+    assert stage.go(0.7).sentence == "It is just starting."
+    stage.hook.wrong = None
+    assert stage.go(0.5).how is Ended.REACHED
+    assert stage.said == []
+
+
 def test_a_reading_that_is_no_number_is_a_trouble(stage: Stage) -> None:
     stage.hook.position_rad = math.nan
     assert "nan rad" in stage.go(0.7).sentence
@@ -208,7 +220,7 @@ def test_a_hook_that_cannot_be_opened_is_tried_again() -> None:
         return Hook()
 
     said: list[str] = []
-    worker = GripperWorker(config(), make, said.append)
+    worker = GripperWorker(config(), make, said.append, said.append)
     worker.start()
     until(lambda: worker.shown.reading is not None, "the third try")
     worker.close(5.0)
@@ -305,14 +317,35 @@ def test_a_hook_that_cannot_be_had_is_said_before_anything_is_served(
         hook_of(arm, arm.gripper, None)
 
 
-def test_the_example_of_the_page_is_a_hook() -> None:
+class Line:
+    """A serial port with the gripper of the example at its other end."""
+
+    def __init__(self, port: str, baud: int, timeout: float) -> None:
+        self.angle, self.answer = "0.0", b""
+
+    def write(self, data: bytes) -> None:
+        if data.startswith(b"G "):
+            self.angle = data[2:].decode().strip()
+        self.answer = self.angle.encode() + b"\n" if data == b"?\n" else b""
+
+    def readline(self) -> bytes:
+        return self.answer
+
+    def close(self) -> None: ...
+
+
+def test_the_example_of_the_page_is_a_hook(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "serial", types.SimpleNamespace(Serial=Line))
     page = Path(__file__).resolve().parents[2] / "docs" / "gripper.md"
     code = page.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
     assert len(code.splitlines()) <= 40
     namespace: dict[str, Any] = {}
     exec(compile(code, str(page), "exec"), namespace)
-    kind = namespace["SerialGripper"]
-    assert all(callable(getattr(kind, name)) for name in ("move", "stop", "read", "close"))
+    stage = Stage(namespace["SerialGripper"](config(options={"port": "/dev/ttyUSB5"})))
+    assert stage.go(1.0).how is Ended.REACHED
+    stage.hook.port.angle = "open"
+    assert "answers b'open\\n', not an angle" in stage.go(0.5).sentence
+    stage.worker.close(5.0)
 
 
 def test_load_class_wants_a_file(tmp_path: Path) -> None:
