@@ -169,7 +169,7 @@ class Budget:
 
     @property
     def serial_bits_beside_s(self) -> float:
-        """Bits a second beside the cycle in the direction in which they are more, taken to be the cycle's busier one."""
+        """Bits a second beside the cycle in their busier direction, which is taken to be the cycle's too."""
         return MOVING_POLL_HZ * UART_BITS_PER_CHARACTER * max(_chars_out(self.beside), _chars_in(self.beside))
 
     @property

@@ -26,6 +26,7 @@ class Reading(NamedTuple):
     """Where a gripper is."""
 
     position_rad: float
+    """NaN with Grip.MOVING alone: it is finding out where it is."""
     velocity_rad_s: float = math.nan
     effort: float = math.nan
     """Torque at its joint (N·m); NaN where it is not measured."""
@@ -38,7 +39,10 @@ class Reading(NamedTuple):
 
 
 class Gripper(Protocol):
-    """What moves a gripper; any method may raise GripperTrouble."""
+    """What moves a gripper; any method may raise GripperTrouble.
+
+    One that can find out where it is, such as by closing to its stop, has a method `home()` too, which begins that.
+    """
 
     def move(self, position_rad: float, max_effort: float) -> None:
         """Begin to move there, from wherever it is; a newer call replaces an older one.
@@ -51,9 +55,6 @@ class Gripper(Protocol):
 
     def read(self) -> Reading:
         """Where it is; called ten or twenty times a second."""
-
-    def home(self) -> None:
-        """Begin to find out where it is, where it has a way to do that; else raise GripperTrouble."""
 
     def close(self) -> None:
         """The program ends: let go of what was opened, leave the gripper as it is."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
@@ -85,8 +86,10 @@ class ServoGripper:
             grip = Grip.TROUBLE
             trouble = grip_trouble_sentence(int(shown["trouble"]), float(shown["trouble_value"]))
         measured_ns = int(shown["measured_ns"])
-        if measured_ns == 0 and grip != Grip.MOVING:
-            raise GripperTrouble(trouble or NOT_YET)
+        if measured_ns == 0:
+            if grip != Grip.MOVING:
+                raise GripperTrouble(trouble or NOT_YET)
+            return Reading(math.nan, grip=grip)
         return Reading(
             float(shown["position_rad"]),
             float(shown["velocity_rad_s"]),

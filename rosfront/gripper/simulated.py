@@ -42,8 +42,5 @@ class SimulatedGripper:
         velocity_rad_s = self._speed_rad_s if gone_rad < abs(way_rad) else 0.0
         return Reading(self._from_rad + math.copysign(gone_rad, way_rad), math.copysign(velocity_rad_s, way_rad))
 
-    def home(self) -> None:
-        """It always knows where it is."""
-
     def close(self) -> None:
         """Nothing was opened."""

@@ -27,7 +27,7 @@ STALE_S = 1.0
 STAND_WITHIN_S = 2.0
 """For a gripper that was told to stop."""
 LATE_S = 10.0
-"""A motion may take three times what its way takes at its speed, and this."""
+"""A motion may take three times what the whole range takes at its speed, and this."""
 HOMED_WITHIN_S = 120.0
 CLOSING = "The ROS process was stopped before the gripper had come to its end; it was told to hold."
 NEVER_READ = "The gripper has not been read yet."
@@ -155,12 +155,10 @@ class GripperWorker(threading.Thread):
         if hook is None:
             return  # said, and ended, by then
         try:
-            reading = self._read(hook) if motion.target_rad is not None else None
-            if reading is None or motion.target_rad is None:
-                motion.until_s = motion.begun_s + HOMED_WITHIN_S
-                hook.home()
+            if motion.target_rad is None:
+                self._home(hook, motion)
                 return
-            config = self._config
+            reading, config = self._read(hook), self._config
             motion.judge = GripJudge(
                 motion.target_rad,
                 config.tolerance_rad,
@@ -168,11 +166,19 @@ class GripperWorker(threading.Thread):
                 reading.position_rad,
                 reading.measured_ns,
             )
-            way_rad = abs(motion.target_rad - reading.position_rad)
-            motion.until_s = motion.begun_s + LATE_S + 3.0 * way_rad / config.speed_rad_s
+            longest_s = (config.upper_rad - config.lower_rad) / config.speed_rad_s
+            motion.until_s = motion.begun_s + LATE_S + 3.0 * longest_s
             hook.move(motion.target_rad, motion.max_effort)
         except Exception as problem:
             self._fail(problem)
+
+    def _home(self, hook: Gripper, motion: Motion) -> None:
+        home = getattr(hook, "home", None)
+        if home is None:
+            self._end(Ended.TROUBLE, f"The gripper's hook {self._config.hook} has no way to find out where it is.")
+            return
+        motion.until_s = motion.begun_s + HOMED_WITHIN_S
+        home()
 
     def _cancel(self, motion: Motion) -> None:
         if motion is not self._motion or motion.canceled_s:
@@ -219,7 +225,7 @@ class GripperWorker(threading.Thread):
 
     def _read(self, hook: Gripper) -> Reading:
         reading = hook.read()
-        if not math.isfinite(reading.position_rad):
+        if not math.isfinite(reading.position_rad) and reading.grip is not Grip.MOVING:
             raise GripperTrouble(f"The gripper says that it is at {reading.position_rad} rad: look at its sensor.")
         return reading if reading.measured_ns else reading._replace(measured_ns=time.monotonic_ns())
 
@@ -227,30 +233,32 @@ class GripperWorker(threading.Thread):
         """What a reading says of the motion that runs."""
         motion, before, self._before = self._motion, self._before, reading
         grip = self._judged(motion, reading, before)
-        self._show(reading, grip, reading.trouble)
+        known = math.isfinite(reading.position_rad)
+        self._show(reading if known else None, grip, reading.trouble)
         if motion is None:
             return
-        motion.on_reading(reading)
+        if known:
+            motion.on_reading(reading)
         if motion.canceled_s:
             stands = grip != Grip.MOVING or time.monotonic() - motion.canceled_s > STAND_WITHIN_S
             if stands:
                 self._rest_grip = Grip.HELD
-                self._end(Ended.CANCELED, "Canceled: the gripper holds where it stopped.", reading)
+                self._end(Ended.CANCELED, "Canceled: the gripper holds where it stopped.")
         elif grip == Grip.TROUBLE:
-            self._end(Ended.TROUBLE, reading.trouble, reading)
+            self._end(Ended.TROUBLE, reading.trouble)
         elif grip == Grip.STALLED:
             if reading.grip is None:
                 hook.stop()
             self._rest_grip = grip
-            self._end(Ended.STALLED, f"The gripper holds something at {_words(reading.position_rad)}.", reading)
+            self._end(Ended.STALLED, f"The gripper holds something at {_words(reading.position_rad)}.")
         elif grip == Grip.REACHED or (motion.target_rad is None and grip == Grip.HELD):
             self._rest_grip = grip
-            self._end(Ended.REACHED, f"The gripper is at {_words(reading.position_rad)}.", reading)
+            self._end(Ended.REACHED, f"The gripper is at {_words(reading.position_rad)}.")
         elif grip == Grip.HELD:
             self._rest_grip = grip
-            self._end(Ended.TROUBLE, "The gripper was stopped by somebody else; it holds where it is.", reading)
+            self._end(Ended.TROUBLE, "The gripper was stopped by somebody else; it holds where it is.")
         elif time.monotonic() > motion.until_s:
-            self._end(Ended.TROUBLE, "The gripper moves and does not arrive: look at it, and at its speed.", reading)
+            self._end(Ended.TROUBLE, "The gripper moves and does not arrive: look at it, and at its speed.")
 
     def _judged(self, motion: Motion | None, reading: Reading, before: Reading | None) -> Grip:
         if reading.grip is not None:
@@ -284,10 +292,10 @@ class GripperWorker(threading.Thread):
             self._warned = ""
         self.shown = Shown(reading, grip, trouble)
 
-    def _end(self, how: Ended, sentence: str, reading: Reading | None = None) -> None:
+    def _end(self, how: Ended, sentence: str) -> None:
         motion, self._motion = self._motion, None
         if motion is not None:
-            motion.on_end(End(how, reading if reading is not None else self.shown.reading, sentence))
+            motion.on_end(End(how, self.shown.reading, sentence))
 
 
 def _words(angle_rad: float) -> str:

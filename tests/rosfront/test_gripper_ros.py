@@ -248,8 +248,12 @@ def test_the_full_nodes_services(client):
     assert clamped.message.endswith("(The angle was 400°; it goes from 10° to 110°.)")
 
 
-def test_a_simulated_one_needs_no_homing(client):
-    assert client.call(Trigger, f"/{client.front.arm.gripper.controller_name}/home").success
+def test_a_hook_that_cannot_home_says_so(client):
+    response = client.call(Trigger, f"/{client.front.arm.gripper.controller_name}/home")
+    assert (response.success, response.message) == (
+        False,
+        "The gripper's hook simulated has no way to find out where it is.",
+    )
 
 
 def test_strict_reject_rejects_a_bad_goal(arm_name):

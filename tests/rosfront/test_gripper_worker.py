@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,11 +20,16 @@ from hypothesis import strategies as st
 from config import ConfigError, load_arm
 from config.gripper import GripperConfig
 from motion.gripping import Grip
+from rosfront.gripper import servo as servo_module
 from rosfront.gripper.hook import GripperTrouble, NotThereYet, Reading
 from rosfront.gripper.own import hook_of, load_class
+from rosfront.gripper.servo import ServoGripper
 from rosfront.gripper.simulated import SimulatedGripper
 from rosfront.gripper.worker import Ended, GripperWorker, Motion
 from rosfront.program import CannotServe
+from rosfront.refusals import NotServing
+from shm import layout
+from shm.words import GripTrouble, Request
 
 PATIENCE_S = 10.0
 
@@ -230,6 +236,103 @@ def test_a_hook_that_cannot_be_opened_is_tried_again() -> None:
 def test_homing_ends_with_the_reading_of_a_hook_that_knows_nothing_of_it(stage: Stage) -> None:
     assert stage.go(None).how is Ended.REACHED
     assert stage.hook.asked == [("home", 0.0)]
+
+
+# --- the servo on the bus -------------------------------------------------------------------------------
+
+
+class Loop:
+    """What a control process would show of a gripper, and the requests it got."""
+
+    def __init__(self) -> None:
+        self.record = np.zeros((), layout.GRIPPER)
+        self.record["written"], self.record["position_rad"] = 1, math.nan
+        self.requests: list[tuple[Request, float, float]] = []
+        self.refusal = ""
+        self.absence = ""
+
+    def show(self, grip: Grip, position_rad: float | None, trouble: GripTrouble = GripTrouble.NONE) -> None:
+        self.record["monotonic_ns"] = time.monotonic_ns()
+        self.record["grip"], self.record["trouble"] = grip, trouble
+        self.record["measured_ns"] = 0 if position_rad is None else time.monotonic_ns()
+        if position_rad is not None:
+            self.record["position_rad"] = position_rad
+
+    def request(self, kind: Request, on_reply: Any, *, value: float = 0.0, effort: float = 0.0) -> int:
+        self.requests.append((kind, value, effort))
+        if self.refusal:
+            on_reply(False, self.refusal)
+            return 0
+        return len(self.requests)
+
+    def gripper(self) -> np.ndarray:
+        if self.absence:
+            raise NotServing(self.absence)
+        return self.record.copy()
+
+
+def test_the_servo_is_moving_until_its_order_is_obeyed() -> None:
+    loop = Loop()
+    servo = ServoGripper(loop)
+    loop.show(Grip.REACHED, 0.3)
+    servo.move(1.0, 0.5)
+    assert loop.requests == [(Request.GRIP, 1.0, 0.5)]
+    assert servo.read().grip is Grip.MOVING
+    loop.record["order"] = 1
+    assert servo.read()[:1] == (0.3,) and servo.read().grip is Grip.REACHED
+    loop.show(Grip.TROUBLE, 0.3, GripTrouble.PROTECTED)
+    assert (servo.read().grip, servo.read().position_rad) == (Grip.TROUBLE, 0.3)
+    assert "tripped its protection" in servo.read().trouble
+
+
+def test_a_servo_that_does_not_know_where_it_is_can_be_homed() -> None:
+    loop = Loop()
+    loop.show(Grip.TROUBLE, None, GripTrouble.POWER_LOST)
+    stage = Stage(ServoGripper(loop))
+    assert "has lost power" in stage.go(0.5).sentence
+    assert loop.requests == [], "it is not even asked"
+    _, ends = stage.begin(None)
+    until(lambda: loop.requests == [(Request.GRIP_HOME, 0.0, 0.0)], "the request")
+    time.sleep(0.2)
+    assert ends == [] and stage.worker.measured(time.monotonic_ns()) is None, "no angle is invented"
+    loop.record["order"] = 1
+    loop.show(Grip.MOVING, None)
+    time.sleep(0.2)
+    assert ends == []
+    loop.show(Grip.REACHED, 0.0)
+    assert one(ends).how is Ended.REACHED
+    assert stage.worker.measured(time.monotonic_ns()) is not None
+    stage.worker.close(5.0)
+
+
+@pytest.mark.parametrize(("absence", "refusal"), [("It is not running.", ""), ("", "Not while it is offline.")])
+def test_a_control_process_that_is_not_there_or_refuses_ends_the_motion(absence: str, refusal: str) -> None:
+    loop = Loop()
+    loop.show(Grip.HELD, 0.3)
+    loop.absence, loop.refusal = absence, refusal
+    stage = Stage(ServoGripper(loop))
+    assert stage.go(0.5).sentence == (absence or refusal)
+    stage.worker.close(5.0)
+
+
+def test_an_order_that_a_new_control_process_never_heard_of_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(servo_module, "TAKEN_WITHIN_S", 0.1)
+    loop = Loop()
+    servo = ServoGripper(loop)
+    loop.show(Grip.HELD, 0.3)
+    servo.move(1.0, 0.0)
+    time.sleep(0.15)
+    with pytest.raises(GripperTrouble, match="has not passed the command on"):
+        servo.read()
+    assert servo.read().grip is Grip.HELD
+
+
+def test_a_record_that_nobody_writes_any_more_is_not_believed() -> None:
+    loop = Loop()
+    loop.show(Grip.HELD, 0.3)
+    loop.record["monotonic_ns"] -= 5_000_000_000
+    with pytest.raises(GripperTrouble, match=r"has shown nothing of the gripper for 5\.0 s"):
+        ServoGripper(loop).read()
 
 
 # --- the simulated one ----------------------------------------------------------------------------------
