@@ -16,9 +16,11 @@ from virtual import VirtualArm
 from config import load_arm
 from config.budget import budget
 from motion.gripping import Grip, GripJudge, stall_ns
+from rtloop.conversation import Conversation, split_packets
 from rtloop.drives import zdt_registers as registers
+from rtloop.port import SEND, Frame
 from shm.gripper import read_gripper
-from shm.words import Answer, GripTrouble, Mode, Outcome, Request
+from shm.words import Answer, Fault, GripTrouble, Mode, Outcome, Request
 from sim import faults
 
 OPEN_RAD = math.radians(110.0)
@@ -443,6 +445,35 @@ def test_its_frames_keep_within_what_the_budget_says(stage: Stage) -> None:
     load = (int(counters["bits_on_bus"]) - before) / ((stage.arm.now_ns - frames_before) * 1e-9) / 500_000
     found = budget(stage.arm.arm)
     assert found.fits and load <= found.bus_load
+
+
+def test_a_command_goes_into_the_ring_as_a_whole_or_not_at_all() -> None:
+    """Another conversation may speak next, and a drive takes no other frame between the packets of a command."""
+    arm = VirtualArm(arm_with())
+    talk = Conversation(arm.arm, arm.port, arm.now_ns, fault=Fault.NONE)
+    first, second = split_packets(ADDRESS, registers.go_to(3200, rpm=10, acc=1))
+    talk._outbox = [(first, True), (second, False)]
+    while arm.port.room() > 1:
+        arm.port.post(SEND, frame=Frame(0x100, registers.ASK_STATUS))
+    talk._flush()
+    assert (arm.port.room(), len(talk._outbox)) == (1, 2)
+    arm.cycle()
+    room = arm.port.room()
+    talk._flush()
+    assert (arm.port.room(), len(talk._outbox)) == (room - 2, 0)
+    arm.close()
+
+
+def test_each_conversation_hears_its_own_drives(stage: Stage) -> None:
+    stage.arm.gripper = None
+    stage.arm.port.received(ADDRESS), stage.arm.port.received()
+    for address in (ADDRESS, 3):
+        stage.arm.port.post(SEND, frame=Frame(address << 8, registers.ASK_FIRMWARE))
+    stage.run(0.1)
+    assert {frame.id for frame in stage.arm.port.received(ADDRESS)} == {ADDRESS << 8}
+    others = {frame.id >> 8 for frame in stage.arm.port.received()}
+    assert ADDRESS not in others and 3 in others
+    assert stage.arm.port.received(ADDRESS) == stage.arm.port.received() == []
 
 
 # --- the judge ------------------------------------------------------------------------------------------
