@@ -379,6 +379,8 @@ def _obey(loop: Loop, shared: Shared) -> int:
         return Answer.DONE
     if kind == Request.CANCEL:  # of goals alone: a ROS process that begins cancels what its predecessor has left
         return _end_goals(loop, shared, request.goal_id, Outcome.CANCELED)
+    if kind == Request.GRIP or kind == Request.GRIP_STOP or kind == Request.GRIP_HOME:
+        return _pass_to_gripper(loop)
     core.pose_due = 0
     if kind == Request.CLEAR_FAULT:
         if core.mode != Mode.FAULT:
@@ -399,8 +401,6 @@ def _obey(loop: Loop, shared: Shared) -> int:
         return _let_go(loop, shared, Mode.DISABLED if kind == Request.DISABLE else Mode.FREE)
     if kind == Request.HOME or kind == Request.REFERENCE:
         return begin_referencing(loop, shared, kind, request.joint_mask, request.value)
-    if kind == Request.GRIP or kind == Request.GRIP_STOP or kind == Request.GRIP_HOME:
-        return _pass_to_gripper(loop)
     if core.mode == Mode.REFERENCING and (kind == Request.HOLD or kind == Request.STOP):
         core.referencing_ends = 1
         return Answer.DONE
