@@ -12,11 +12,13 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robot_models import Pinocchio, arms, files_of, robot_model
+from robot_models import Pinocchio, arm_of, arms, files_of, robot_model
 
 from config import ArmConfig, ConfigError, load_arm
 from config.kinematics import flange_pose, tip_link
+from config.moveit import collisions
 from config.moveit.collisions import unchecked_pairs
+from config.moveit.shapes import distances_m
 
 SERVO = {"hook": "servo", "servo": {"address": 7}, "lower_deg": 5.0, "closed_deg": 10.0, "speed_deg_s": 60.0}
 
@@ -131,6 +133,23 @@ def test_moveit_looks_for_its_collisions_but_not_for_those_that_cannot_be(arm: A
     without = load_arm("episode1")
     assert without.kinematics is not None
     assert set(unchecked_pairs(without, without.kinematics)) <= set(unchecked_pairs(arm, arm.kinematics))
+
+
+def test_its_collisions_are_looked_for_at_the_flange(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where that is not the frame of the last link."""
+    plain = arm_of([{"d_mm": 100.0}, {"a_mm": 200.0}, {"a_mm": 150.0, "alpha_deg": 90.0}])
+    arm = ArmConfig.model_validate({**plain.model_dump(), "gripper": {"hook": "simulated"}})
+    assert arm.kinematics is not None and tip_link(arm.kinematics) == "flange"
+    places: list[Any] = []
+
+    def seen(one: Any, other: Any, one_poses: Any, other_poses: Any) -> Any:
+        if other.name == "gripper_link" and not places:
+            places.append(other_poses[0])
+        return distances_m(one, other, one_poses, other_poses)
+
+    monkeypatch.setattr(collisions, "distances_m", seen)
+    unchecked_pairs(arm, arm.kinematics)
+    assert places[0] == pytest.approx(Pinocchio(arm).pose("gripper_link", np.zeros(3)), abs=2e-6)
 
 
 @pytest.mark.parametrize(("length", "radius"), [(80.0, 30.0), (20.0, 30.0), (60.0, 30.0)])
