@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 from config.errors import ConfigError
+from config.gripper import MOVING_POLL_HZ
 from config.schema import HIGHEST_CAN_BITRATE, SERIAL_BAUDS, ArmConfig, ControlConfig
 
 UART_BITS_PER_CHARACTER = 10
@@ -111,9 +112,26 @@ def cycle_frames(arm: ArmConfig) -> tuple[CycleFrames, ...]:
     return zdt_cycle(zdt_drives, arm.bus.acknowledge, arm.bus.reported, arm.bus.fast_targets)
 
 
+def gripper_frames(arm: ArmConfig) -> tuple[CycleFrames, ...]:
+    """What is asked of a gripper's servo `MOVING_POLL_HZ` times a second; none without one.
+
+    Position and status as in a cycle; where its current is measured too (27, answered with 4 bytes), that and the
+    status take turns, and the longer of the two is counted. A motion's own command is sent once and not counted.
+    """
+    if arm.gripper is None or arm.gripper.servo is None:
+        return ()
+    turn_bytes = 3 if arm.gripper.servo.nm_per_ampere is None else 4
+    return (
+        CycleFrames("gripper's position request", 1, 2, from_host=True),
+        CycleFrames("gripper's position reply", 1, 7, from_host=False),
+        CycleFrames("gripper's status or current request", 1, 2, from_host=True),
+        CycleFrames("gripper's status or current reply", 1, turn_bytes, from_host=False),
+    )
+
+
 @dataclass(frozen=True)
 class Budget:
-    """The load of one arm's control cycle on its bus and on its serial line."""
+    """The load of one arm's control cycle on its bus and on its serial line, a gripper's beside it included."""
 
     frames: tuple[CycleFrames, ...]
     rate_hz: float
@@ -121,6 +139,13 @@ class Budget:
     load_limit: float
     serial_baud: int | None
     """Speed of the UART to the adapter; None where no UART limits (USB device, mock)."""
+    beside: tuple[CycleFrames, ...] = ()
+    """Frames of conversations that never end, `MOVING_POLL_HZ` times a second at most."""
+
+    @property
+    def bits_beside_s(self) -> float:
+        """Worst-case bits a second on the bus beside the cycle."""
+        return MOVING_POLL_HZ * sum(frames.bits for frames in self.beside)
 
     @property
     def frames_per_cycle(self) -> int:
@@ -135,26 +160,29 @@ class Budget:
     @property
     def bus_load(self) -> float:
         """Share of the bit rate that the cycle uses at the control rate."""
-        return self.bits_per_cycle * self.rate_hz / self.bitrate
+        return (self.bits_per_cycle * self.rate_hz + self.bits_beside_s) / self.bitrate
 
     @property
     def bus_highest_rate_hz(self) -> float:
         """Highest control rate within the load limit (Hz); infinite without frames."""
         if self.bits_per_cycle == 0:
             return math.inf
-        return self.bitrate * self.load_limit / self.bits_per_cycle
+        return (self.bitrate * self.load_limit - self.bits_beside_s) / self.bits_per_cycle
 
     @property
     def chars_out_per_cycle(self) -> int:
         """Characters from the host to the adapter in one cycle."""
-        return sum(frames.chars for frames in self.frames if frames.from_host)
+        return _chars_out(self.frames)
 
     @property
     def chars_in_per_cycle(self) -> int:
         """Characters from the adapter to the host in one cycle, replies to transmitted frames included."""
-        received = sum(frames.chars for frames in self.frames if not frames.from_host)
-        transmitted = sum(frames.count for frames in self.frames if frames.from_host)
-        return received + transmitted * SLCAN_TRANSMIT_REPLY_CHARS
+        return _chars_in(self.frames)
+
+    @property
+    def serial_bits_beside_s(self) -> float:
+        """Bits a second beside the cycle in their busier direction, which is taken to be the cycle's too."""
+        return MOVING_POLL_HZ * UART_BITS_PER_CHARACTER * max(_chars_out(self.beside), _chars_in(self.beside))
 
     @property
     def serial_bits_per_cycle(self) -> int:
@@ -164,21 +192,21 @@ class Budget:
     @property
     def serial_baud_needed(self) -> float:
         """Slowest UART that carries the cycle within its limit (baud)."""
-        return self.serial_bits_per_cycle * self.rate_hz / UART_LOAD_LIMIT
+        return (self.serial_bits_per_cycle * self.rate_hz + self.serial_bits_beside_s) / UART_LOAD_LIMIT
 
     @property
     def serial_load(self) -> float | None:
         """Share of the UART that the busier direction uses; None where no UART limits."""
         if self.serial_baud is None:
             return None
-        return self.serial_bits_per_cycle * self.rate_hz / self.serial_baud
+        return (self.serial_bits_per_cycle * self.rate_hz + self.serial_bits_beside_s) / self.serial_baud
 
     @property
     def serial_highest_rate_hz(self) -> float:
         """Highest control rate that the UART carries (Hz); infinite where no UART limits."""
         if self.serial_baud is None or self.serial_bits_per_cycle == 0:
             return math.inf
-        return self.serial_baud * UART_LOAD_LIMIT / self.serial_bits_per_cycle
+        return (self.serial_baud * UART_LOAD_LIMIT - self.serial_bits_beside_s) / self.serial_bits_per_cycle
 
     @property
     def highest_rate_hz(self) -> float:
@@ -191,6 +219,15 @@ class Budget:
         return self.rate_hz <= self.highest_rate_hz
 
 
+def _chars_out(frames: tuple[CycleFrames, ...]) -> int:
+    return sum(kind.chars for kind in frames if kind.from_host)
+
+
+def _chars_in(frames: tuple[CycleFrames, ...]) -> int:
+    received = sum(kind.chars for kind in frames if not kind.from_host)
+    return received + SLCAN_TRANSMIT_REPLY_CHARS * sum(kind.count for kind in frames if kind.from_host)
+
+
 def budget(arm: ArmConfig) -> Budget:
     """The load of the arm's control cycle at its control rate."""
     baud = arm.bus.serial_baud
@@ -200,6 +237,7 @@ def budget(arm: ArmConfig) -> Budget:
         bitrate=arm.bus.bitrate,
         load_limit=arm.bus.load_limit,
         serial_baud=None if baud == "cdc" or arm.bus.interface != "slcan" else baud,
+        beside=gripper_frames(arm),
     )
 
 
@@ -230,9 +268,11 @@ def _bus_sentence(found: Budget, arm: ArmConfig) -> str:
     ways = [f"use a faster bus (bus.bitrate, up to {HIGHEST_BITRATE})"] if found.bitrate < HIGHEST_BITRATE else []
     if arm.bus.acknowledge:
         ways.append("turn bus.acknowledge off")
+    beside = f" + {found.bits_beside_s:.0f} bit/s for the gripper" if found.beside else ""
     return (
-        f"rate_hz is {found.rate_hz:g}, but {found.bits_per_cycle} bits a cycle × {found.rate_hz:g} Hz = "
-        f"{found.bits_per_cycle * found.rate_hz:.0f} bit/s is {found.bus_load:.1%} of the {found.bitrate} "
+        f"rate_hz is {found.rate_hz:g}, but {found.bits_per_cycle} bits a cycle × {found.rate_hz:g} Hz{beside} = "
+        f"{found.bits_per_cycle * found.rate_hz + found.bits_beside_s:.0f} bit/s is {found.bus_load:.1%} of the "
+        f"{found.bitrate} "
         f"bit/s bus, above its load_limit of {found.load_limit:.0%}; {_remedy(found, ways)}"
     )
 
@@ -240,11 +280,13 @@ def _bus_sentence(found: Budget, arm: ArmConfig) -> str:
 def _serial_sentence(found: Budget) -> str:
     chars = max(found.chars_out_per_cycle, found.chars_in_per_cycle)
     load = found.serial_load or 0.0
+    beside = f" + {found.serial_bits_beside_s:.0f} bit/s for the gripper" if found.beside else ""
     faster = [baud for baud in SERIAL_BAUDS if baud >= found.serial_baud_needed]
     ways = [f"set adapter and bus.serial_baud to {faster[0]}"] if faster else ["use an adapter without UART (cdc)"]
     return (
         f"rate_hz is {found.rate_hz:g}, but {chars} characters a cycle × {UART_BITS_PER_CHARACTER} bits × "
-        f"{found.rate_hz:g} Hz = {found.serial_bits_per_cycle * found.rate_hz:.0f} bit/s is {load:.1%} of "
+        f"{found.rate_hz:g} Hz{beside} = "
+        f"{found.serial_bits_per_cycle * found.rate_hz + found.serial_bits_beside_s:.0f} bit/s is {load:.1%} of "
         f"the {found.serial_baud} baud serial line, above its limit of {UART_LOAD_LIMIT:.0%}; "
         f"{_remedy(found, ways)}"
     )

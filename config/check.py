@@ -129,6 +129,8 @@ def budget_table(arm: ArmConfig, found: Budget) -> Table:
             table.add_row(
                 "positions", f"reported every {arm.control.report_period_ms} ms: at most one of each drive a cycle"
             )
+        if found.beside:
+            table.add_row("gripper", f"{found.bits_beside_s:.0f} bit/s while it moves")
         table.add_row(
             "bus load",
             f"{found.bus_load:.1%} of {found.bitrate} bit/s, limit {found.load_limit:.0%}"

@@ -22,6 +22,7 @@ from pydantic import (
 
 from config import derived
 from config.geometry import KinematicsConfig
+from config.gripper import GROUP, LINK, GripperConfig
 from config.joint import JointConfig, ZdtDrive
 from config.section import KEYS_BESIDE_CONTROLLERS, NoBool, Section, refuse, refuse_name
 
@@ -475,6 +476,7 @@ class ArmConfig(Section):
     kinematics: KinematicsConfig | None = Field(
         default=None, description="The arm's geometry; only `rtarm moveit-config` needs it."
     )
+    gripper: GripperConfig | None = Field(default=None, description="The gripper; left out, there is none.")
 
     _source: Source | None = PrivateAttr(default=None)
 
@@ -510,6 +512,43 @@ class ArmConfig(Section):
                         "drive on the bus needs an address of its own: change one, in its menu and here.",
                     )
                 first_with_address[address] = joint.name
+        return self
+
+    @model_validator(mode="after")
+    def _gripper_is_beside_the_joints(self) -> ArmConfig:
+        gripper = self.gripper
+        if gripper is None:
+            return self
+        if gripper.joint in {*FIXED_JOINTS, *(joint.name for joint in self.joints)}:
+            raise refuse(
+                "gripper.joint",
+                f"joint is {gripper.joint}, which is a joint of the arm already; give the gripper's another name.",
+            )
+        if gripper.controller_name == self.front.controller_name:
+            raise refuse(
+                "gripper.controller_name",
+                f"controller_name is {gripper.controller_name}, which is that of the arm's own controller; give the "
+                "gripper's another name.",
+            )
+        if self.kinematics is not None and self.kinematics.group == GROUP:
+            raise refuse("kinematics.group", f"group is {GROUP}, which is that of the gripper; choose another name.")
+        if self.kinematics is not None and self.kinematics.base_link == LINK:
+            raise refuse("kinematics.base_link", f"base_link is {LINK}, which is the gripper's; choose another name.")
+        if gripper.servo is None:
+            return self
+        if self.bus.interface == "mock":
+            raise refuse(
+                "gripper.hook",
+                "hook is servo, but interface mock reaches no drive; set hook to simulated, or bus.interface to slcan "
+                "or socketcan.",
+            )
+        for joint in self.joints:
+            if isinstance(joint.drive, ZdtDrive) and joint.drive.address == gripper.servo.address:
+                raise refuse(
+                    "gripper.servo.address",
+                    f"address {gripper.servo.address} is used by {joint.name} and the gripper; every drive on the bus "
+                    "needs an address of its own: change one, in its menu and here.",
+                )
         return self
 
     @model_validator(mode="after")

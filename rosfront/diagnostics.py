@@ -16,6 +16,7 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import Header
 
 from config.schema import ArmConfig
+from rosfront.gripper.worker import GripperWorker
 from rosfront.link import Link
 from rosfront.plan import NS
 from rosfront.refusals import NotServing
@@ -57,8 +58,16 @@ class Counts:
 class Diagnostics:
     """Makes and publishes the report; used by the publisher's thread alone."""
 
-    def __init__(self, arm: ArmConfig, serving: Serving, counts: Counts, publisher: Publisher) -> None:
+    def __init__(
+        self,
+        arm: ArmConfig,
+        serving: Serving,
+        counts: Counts,
+        publisher: Publisher,
+        gripper: GripperWorker | None = None,
+    ) -> None:
         self._arm = arm
+        self._gripper = gripper
         self._serving = serving
         self._counts = counts
         self._publisher = publisher
@@ -78,17 +87,18 @@ class Diagnostics:
     def statuses(self, link: Link | None) -> list[Any]:
         """A status for each part that can be spoken of at present."""
         if link is None:
-            return [self._status("arm", ERROR, self._absence(), {}), self._front({})]
+            return [self._status("arm", ERROR, self._absence(), {}), *self._gripper_status(), self._front({})]
         try:
             snapshot = link.reader.snapshot()
         except TornRead as problem:
-            return [self._status("arm", ERROR, str(problem), {}), self._front({})]
+            return [self._status("arm", ERROR, str(problem), {}), *self._gripper_status(), self._front({})]
         record = link.reader.memory.record
         age_ns = time.monotonic_ns() - int(snapshot["monotonic_ns"])
         return [
             self._arm_status(snapshot, age_ns),
             *self._of_counters(record),
             *(self._joint(index, snapshot) for index in range(len(self._arm.joints))),
+            *self._gripper_status(),
             self._front({"snapshot age": f"{age_ns * 1e-6:.1f} ms"}),
         ]
 
@@ -208,6 +218,20 @@ class Diagnostics:
             "error": f"{float(row['reference_position_rad'] - row['measured_position_rad']):.5f} rad",
         }
         return self._status(name, level, message, values)
+
+    def _gripper_status(self) -> Iterable[Any]:
+        """The gripper, whatever moves it; nothing where there is none."""
+        gripper = self._arm.gripper
+        if gripper is None or self._gripper is None:
+            return
+        shown = self._gripper.shown
+        values: dict[str, object] = {"hook": gripper.hook, "joint": gripper.joint}
+        if shown.reading is not None:
+            values["position"] = f"{shown.reading.position_rad:.5f} rad"
+            values["effort"] = f"{shown.reading.effort:.3f} Nm"
+            values["age of the reading"] = f"{(time.monotonic_ns() - shown.reading.measured_ns) * 1e-6:.1f} ms"
+        message = shown.trouble or str(shown.grip.name).lower()
+        yield self._status("gripper", ERROR if shown.trouble else OK, message, values)
 
     def _front(self, values: Values) -> Any:
         counts = {name.replace("_", " "): value for name, value in vars(self._counts).items()}

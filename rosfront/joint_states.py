@@ -14,7 +14,8 @@ nothing was measured since the last message, nor before every joint has been mea
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -35,6 +36,16 @@ FIRST_CYCLE_EVERY_S = 0.02
 QUIET_START_S = 5.0
 """Both processes are usually started at once, and the loop is the slower: that is not worth a line."""
 ASIDE_EVERY_NS = NS
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A joint behind the arm's own that is measured by somebody else."""
+
+    message: MessageBytes
+    """A JointState of one time and three rows, this joint the last in each."""
+    measured: Callable[[int], tuple[float, float, float] | None]
+    """Position, velocity and effort as known at a time (ns, CLOCK_MONOTONIC); None where they are not."""
 
 
 class Publisher(Protocol):
@@ -60,8 +71,9 @@ class Pulse(threading.Thread):
         aside: Callable[[Link | None], None],
         say: Callable[[str], None],
         link: Link | None,
+        beside: Beside | None = None,
     ) -> None:
-        """`message` is a JointState of one time and three rows.
+        """`message` is a JointState of one time and three rows; that of `beside` takes its place while that is known.
 
         `look` gets every new snapshot, the epoch stamp (ns) of its newest measurement, and whether a message was
         published for it. `aside` is called once a second, between two messages, with the control process' files or
@@ -81,6 +93,7 @@ class Pulse(threading.Thread):
         self._aside = aside
         self._say = say
         self._link = link
+        self._beside = beside
         self._leave = threading.Event()
         self._cycle = 0
         self._measured_ns = 0
@@ -210,7 +223,13 @@ class Pulse(threading.Thread):
         if fresh:
             velocity = finite(joints["measured_velocity_rad_s"].tolist())
             effort = joints["measured_effort"].tolist()
-            self._publisher.publish(self._message.fill((stamp_ns,), (position, velocity, effort)))
+            message = self._message
+            rows: Sequence[list[float]] = (position, velocity, effort)
+            more = None if self._beside is None else self._beside.measured(newest_ns)
+            if self._beside is not None and more is not None:
+                message = self._beside.message
+                rows = [[*row, value] for row, value in zip(rows, more, strict=True)]
+            self._publisher.publish(message.fill((stamp_ns,), rows))
             self._measured_ns = newest_ns
             self.published += 1
         self._look(snapshot, stamp_ns, fresh)

@@ -20,8 +20,9 @@ from rosfront.action import GoalServer
 from rosfront.action_goals import ActionGoals
 from rosfront.diagnostics import Diagnostics
 from rosfront.goal import plan_goal
+from rosfront.gripper.server import GripperServer
 from rosfront.inputs import Inputs
-from rosfront.joint_states import Pulse
+from rosfront.joint_states import Beside, Pulse
 from rosfront.link import Link
 from rosfront.own_moves import OwnMoves
 from rosfront.parameters import INITIAL_SCALE, CheckedNode
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     from rosfront.full_node import FullNode
 
 ACTION = "~/follow_joint_trajectory"
+GRIPPER_STOP_S = 1.0
+"""At the end of this process, for the gripper's hook to stop and close."""
 SIX = 6
 """Joints that the full node's messages have room for."""
 WITHOUT_FULL_NODE = (
@@ -48,7 +51,9 @@ class FrontNode:
     """The node, its action server and the publisher's thread; `spin` serves until `close`."""
 
     def __init__(self, arm: ArmConfig, executor: SingleThreadedExecutor, link: Link | None = None) -> None:
-        """Raises rosfront.parameters.BadParameter when a parameter given at the start cannot be taken."""
+        """Raises rosfront.parameters.BadParameter when a parameter given at the start cannot be taken, and
+        rosfront.program.CannotServe when the gripper's hook cannot be had.
+        """
         self.arm = arm
         self.serving = Serving(arm)
         self.node = CheckedNode(arm, self.serving)
@@ -65,10 +70,15 @@ class FrontNode:
             accepted=lambda handle: goals.accepted(handle, lambda: self._plan(handle.request)),
             cancel=goals.cancel,
             consider=lambda goal: goals.consider(lambda: self._plan(goal)),
-            idle=lambda: self._services.idle and (self._full_node is None or self._full_node.quiet),
+            idle=self._idle,
         )
         self._own_moves = OwnMoves(arm, self.serving, goals.put, self.node.get_logger().info)
         self._full_node = self._make_full_node(executor)
+        self._gripper: GripperServer | None = None
+        beside: Beside | None = None
+        if arm.gripper is not None:
+            self._gripper = GripperServer(self.node, executor, arm, self.serving, self._goals.counts)
+            beside = Beside(joint_state_bytes(arm, arm.gripper.joint), self._gripper.worker.measured)
         initial_factor = float(self.node.get_parameter(INITIAL_SCALE).value)
         self._inputs = Inputs(self.node, executor, self.serving, self._goals.counts, initial_factor)
         self._feedback = Feedback(self.node, ACTION, arm, self._progress)
@@ -78,6 +88,7 @@ class FrontNode:
             self.serving,
             self._goals.counts,
             self.node.create_publisher(DiagnosticArray, "/diagnostics", STATE_QOS),
+            gripper=None if self._gripper is None else self._gripper.worker,
         )
         self.pulse = Pulse(
             arm,
@@ -88,6 +99,7 @@ class FrontNode:
             self._aside,
             self.node.get_logger().info,
             link,
+            beside,
         )
         executor.add_node(self.node)
         self._action_goals.start()
@@ -110,6 +122,14 @@ class FrontNode:
             self.node.get_logger().warning(WITHOUT_FULL_NODE)
             return None
         return FullNode(self.node, executor, self.serving, self._action_goals, self._services, self._goals.counts)
+
+    def _idle(self) -> bool:
+        """Whether nobody waits for anything but the goals of the arm's own action."""
+        return (
+            self._services.idle
+            and (self._full_node is None or self._full_node.quiet)
+            and (self._gripper is None or self._gripper.quiet)
+        )
 
     # --- goals, in the executor's thread ---
 
@@ -178,6 +198,8 @@ class FrontNode:
         self._action_goals.close()
         self.serving.close()
         self._services.close()
+        if self._gripper is not None:
+            self._gripper.close(GRIPPER_STOP_S)
         self._goals.leave(
             patience_s, lambda: self.serving.lost("The ROS process was stopped before the arm had come to rest.")
         )

@@ -24,6 +24,7 @@ from rosfront.streamer import Streamer
 from rosfront.verdict import Status, Verdict, aborted, fault_of, final_error, judge, with_final_error
 from shm.client import GOALS_AHEAD, find
 from shm.errors import TornRead
+from shm.gripper import read_gripper
 from shm.sentences import answer_sentence, outcome_sentence, unreferenced_sentence
 from shm.words import Answer, Mode, Outcome, Request
 
@@ -288,10 +289,11 @@ class Serving:
         on_reply: Callable[[bool, str], None],
         *,
         value: float = 0.0,
+        effort: float = 0.0,
         until: Callable[[np.ndarray], bool] | None = None,
         patience_s: float = 2.0,
-    ) -> None:
-        """Ask the control process for something.
+    ) -> int:
+        """Ask the control process for something; returns the request's number, 0 where there is nobody to ask.
 
         `on_reply(done, sentence)` is called once: from the publisher's thread when the request is answered and
         `until(snapshot)` holds, or is refused, or takes too long; at once when there is nobody to ask.
@@ -299,11 +301,19 @@ class Serving:
         with self._lock:
             link, absence = self._link, CLOSING if self._closing else self._absence
             if link is not None and not self._closing:
-                sequence = link.writer.request(kind, value=value)
+                sequence = link.writer.request(kind, value=value, effort=effort)
                 too_late_ns = time.monotonic_ns() + round(patience_s * NS)
                 self._requests.append(_Request(sequence, on_reply, until, too_late_ns, patience_s))
-                return
+                return sequence
         on_reply(False, absence)
+        return 0
+
+    def gripper(self) -> np.ndarray | None:
+        """The gripper on the arm's bus as it was shown last, None before it ever was; raises NotServing."""
+        with self._lock:
+            if self._link is None:
+                raise NotServing(self._absence)
+            return read_gripper(self._link.reader.memory)
 
     def sample(self, time_epoch_ns: int) -> Sample:
         """What the running trajectory asks for at a moment of ROS time, at its present speed; raises NotServing."""

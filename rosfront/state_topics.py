@@ -56,17 +56,18 @@ def _names(arm: ArmConfig) -> list[str]:
     return [joint.name for joint in arm.joints]
 
 
-def joint_state_bytes(arm: ArmConfig) -> MessageBytes:
-    """sensor_msgs/JointState; rows: position, velocity, effort."""
+def joint_state_bytes(arm: ArmConfig, *more: str) -> MessageBytes:
+    """sensor_msgs/JointState of the arm's joints and of `more`; rows: position, velocity, effort."""
+    names = [*_names(arm), *more]
 
     def serialised(times: Sequence[Instant], rows: Sequence[list[float]]) -> bytes:
         position, velocity, effort = rows
         message = JointState(
-            header=_header(arm, times[0]), name=_names(arm), position=position, velocity=velocity, effort=effort
+            header=_header(arm, times[0]), name=names, position=position, velocity=velocity, effort=effort
         )
         return bytes(serialize_message(message))
 
-    return MessageBytes(serialised, 1, [len(arm.joints)] * 3)
+    return MessageBytes(serialised, 1, [len(names)] * 3)
 
 
 def position_bytes(arm: ArmConfig) -> MessageBytes:

@@ -15,11 +15,21 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from motion.gripping import Grip
 from rtarm.errors import Refusal
 from shm import files, histogram
 from shm.client import StateReader
+from shm.files import MemoryFile
+from shm.gripper import read_gripper
 from shm.layout import BUS_TROUBLE, RESULT_SLOTS
-from shm.sentences import bus_state_sentence, fault_sentence, joint_name, outcome_sentence, unreferenced_sentence
+from shm.sentences import (
+    bus_state_sentence,
+    fault_sentence,
+    grip_trouble_sentence,
+    joint_name,
+    outcome_sentence,
+    unreferenced_sentence,
+)
 from shm.words import BusState, Fault, Mode, Outcome, Phase, Unreferenced
 
 Report = dict[str, Any]
@@ -92,6 +102,7 @@ def report_of(arm: str, reader: StateReader) -> Report:
         "arm": arm,
         "running": True,
         **of_cycle(snapshot, joints, now_ns),
+        "gripper": _gripper(reader.memory, now_ns),
         "last_result": _last_result(snapshot, joints),
         "rate_hz": 1e9 / int(header["period_ns"]),
         "uptime_s": (now_ns - int(header["start_monotonic_ns"])) * 1e-9,
@@ -109,6 +120,30 @@ def report_of(arm: str, reader: StateReader) -> Report:
     report["problems"] = problems(report)
     report["healthy"] = not report["problems"]
     return report
+
+
+def _gripper(memory: MemoryFile, now_ns: int) -> Report | None:
+    """The gripper on the arm's bus; None where there is none, and for one that the ROS process moves."""
+    record = read_gripper(memory)
+    if record is None:
+        return None
+    trouble, measured_ns = int(record["trouble"]), int(record["measured_ns"])
+    known = measured_ns != 0
+    return {
+        "grip": key(Grip, int(record["grip"])),
+        "position_rad": _finite(float(record["position_rad"])) if known else None,
+        "target_rad": _finite(float(record["target_rad"])),
+        "effort_nm": _finite(float(record["measured_effort"])),
+        "age_ms": (now_ns - measured_ns) * 1e-6 if known else None,
+        "trouble": grip_trouble_sentence(trouble, float(record["trouble_value"])) if trouble else None,
+    }
+
+
+def gripper_words(gripper: Mapping[str, Any]) -> str:
+    """The same in words: what it does and where, or what is wrong with it."""
+    if gripper["trouble"] is not None:
+        return str(gripper["trouble"])
+    return f"{gripper['grip']} at {shown(gripper['position_rad'], 1, degrees=True)}°"
 
 
 def of_cycle(cycle: Any, joints: Sequence[str], now_ns: int) -> Report:
@@ -327,6 +362,8 @@ def _facts_table(report: Mapping[str, Any]) -> Table:
     table.add_column()
     table.add_row("goal", goal_words(report))
     table.add_row("speed scale", f"{report['speed_scale']:.2f}")
+    if report["gripper"] is not None:
+        table.add_row("gripper", gripper_words(report["gripper"]))
     served = "none" if front["pid"] is None else f"pid {front['pid']}"
     pids = f"control pid {report['loop']['pid']}, ROS {served}"
     table.add_row("processes", f"{pids}, up {duration_words(report['uptime_s'])}")

@@ -102,7 +102,7 @@ class Conversation:
         self._dialogues: dict[int, Dialogue] = {}
         self._exchanges: dict[int, _Exchange] = {}
         self._outbox: list[tuple[Frame, bool]] = []
-        port.received()  # what was said before this conversation does not belong to it
+        self._received()  # what was said before this conversation does not belong to it
 
     def begin(self, dialogues: Mapping[int, Dialogue]) -> None:
         """Let every joint's dialogue ask its first question."""
@@ -116,7 +116,7 @@ class Conversation:
         if self.done:
             return True
         try:
-            for frame in self._port.received():
+            for frame in self._received():
                 self._hear(frame)
             for joint in list(self._exchanges):
                 self._repeat_or_give_up(joint)
@@ -131,6 +131,10 @@ class Conversation:
             self.post(self._last_order)
         return self.done
 
+    def _received(self) -> list[Frame]:
+        """What the drives of this conversation have said since the last look."""
+        return self._port.received()
+
     def _goes_on(self) -> bool:
         """Begin what follows when every dialogue is over; whether there is something."""
         return False
@@ -141,11 +145,14 @@ class Conversation:
             raise TalkFailed(joint, "The control cycle takes no orders: it has stopped; start rtarm again.")
 
     def _flush(self) -> None:
+        """Put commands in as far as there is room, each as a whole: another conversation may speak after it."""
         while self._outbox:
-            frame, joined = self._outbox[0]
-            if not self._port.post(SEND, frame=frame, joined=joined):
+            frames = 1 + next(number for number, (_, joined) in enumerate(self._outbox) if not joined)
+            if self._port.room() < frames:
                 return
-            self._outbox.pop(0)
+            for frame, joined in self._outbox[:frames]:
+                self._port.post(SEND, frame=frame, joined=joined)
+            del self._outbox[:frames]
 
     def _advance(self, joint: int, answer: bytes | None) -> None:
         self._exchanges.pop(joint, None)

@@ -379,6 +379,8 @@ def _obey(loop: Loop, shared: Shared) -> int:
         return Answer.DONE
     if kind == Request.CANCEL:  # of goals alone: a ROS process that begins cancels what its predecessor has left
         return _end_goals(loop, shared, request.goal_id, Outcome.CANCELED)
+    if kind == Request.GRIP or kind == Request.GRIP_STOP or kind == Request.GRIP_HOME:
+        return _pass_to_gripper(loop)
     core.pose_due = 0
     if kind == Request.CLEAR_FAULT:
         if core.mode != Mode.FAULT:
@@ -410,6 +412,27 @@ def _obey(loop: Loop, shared: Shared) -> int:
         core.paused = 1 if kind == Request.HOLD else 0
         return Answer.DONE
     return Answer.REFUSED_UNKNOWN
+
+
+@jit
+def _pass_to_gripper(loop: Loop) -> int:
+    """Leave a request for the gripper's conversation, whatever the arm is doing: a newer one replaces an older one."""
+    core, params, request = loop.core, loop.params, loop.scratch_request
+    if params.has_gripper == 0:
+        return Answer.REFUSED_UNKNOWN
+    if core.mode == Mode.OFFLINE:
+        return Answer.REFUSED_MODE
+    if received.closed(loop) != 0:
+        return Answer.REFUSED_WIRE
+    if request.kind == Request.GRIP:
+        inside = request.value >= params.gripper_lower_rad and request.value <= params.gripper_upper_rad
+        if not (inside and request.most_effort >= 0.0 and math.isfinite(request.most_effort)):
+            return Answer.REFUSED_VALUE
+    core.grip_kind = request.kind
+    core.grip_rad = request.value
+    core.grip_effort = request.most_effort
+    core.grip_sequence = request.sequence  # the last: the other thread looks for it
+    return Answer.DONE
 
 
 @jit

@@ -13,7 +13,9 @@ from rtloop.recorder import EXTENDED, record_frame
 from rtloop.state import (
     ADDRESSES,
     CAN_FRAME_BYTES,
+    GRIPPER,
     HISTORY_SLOTS,
+    NOBODY,
     RX_BYTES,
     RX_CHUNKS,
     WIRE_MOCK,
@@ -133,11 +135,13 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, extended: int, length:
     shared.counters.bits_on_bus += frame_bits(extended == 1, length)
     record_frame(loop, shared, time_ns, frame_id, EXTENDED if extended == 1 else 0, length, data)
     address = frame_id >> 8
-    if extended == 0 or address >= ADDRESSES or loop.joint_at[address] < 0:
+    if extended == 0 or address >= ADDRESSES or loop.joint_at[address] == NOBODY:
         return
     joint = loop.joint_at[address]
     core.unheard_frames = 0
     service.hand_out(loop, frame_id, length, data, time_ns)
+    if joint == GRIPPER:
+        return
     kind, value = zdt.decode(frame_id & 255, length, data)
     if kind == zdt.POSITION:
         hear_position(loop, joint, value, time_ns)

@@ -5,6 +5,8 @@ The cycle alone uses the bus. A conversation (bring-up, clearing a fault …) pu
 sends meanwhile to `service_out`. The cycle's side is `rtloop.service`.
 """
 
+from collections import deque
+from collections.abc import Collection
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -47,12 +49,17 @@ class Words(Protocol):
 
 
 class ServicePort:
-    """Ordinary Python's end of the rings; one conversation at a time, from one thread."""
+    """Ordinary Python's end of the rings; from one thread.
 
-    def __init__(self, loop: np.ndarray, words: Words) -> None:
+    One conversation at a time with the joints' drives, and beside it one with each drive that is set `aside`.
+    """
+
+    def __init__(self, loop: np.ndarray, words: Words, aside: Collection[int] = ()) -> None:
+        """`aside` are addresses of drives that are no joint's."""
         self._record = loop[0]
         self._address = int(loop.ctypes.data)
         self._words = words
+        self._heard: dict[int | None, deque[Frame]] = {whose: deque(maxlen=SERVICE_SLOTS) for whose in (None, *aside)}
 
     def zero_rad(self, joint: int) -> float:
         """What the joint's angle is counted from; another than the arm file's where a person said where it stands."""
@@ -105,15 +112,23 @@ class ServicePort:
         self._words.store_word(self._address + IN + WRITTEN, written + 1)
         return True
 
-    def received(self) -> list[Frame]:
-        """Every frame handed out since the last call."""
-        frames = []
+    def room(self) -> int:
+        """Records that can be put in."""
+        written, taken = self._counts(IN)
+        return SERVICE_SLOTS - (written - taken)
+
+    def received(self, address: int | None = None) -> list[Frame]:
+        """Every frame handed out since the last call that is from this drive set aside, or from none of those."""
         written, taken = self._counts(OUT)
         for number in range(taken, written):
             record = self._record["service_out"]["records"][number % SERVICE_SLOTS]
             data = int(record["data"]).to_bytes(8, "little", signed=True)[: int(record["length"])]
-            frames.append(Frame(int(record["id"]), data, int(record["time_ns"])))
+            frame = Frame(int(record["id"]), data, int(record["time_ns"]))
+            whose = frame.id >> 8
+            self._heard[whose if whose in self._heard else None].append(frame)
             self._words.store_word(self._address + OUT + TAKEN, number + 1)
+        frames = list(self._heard[address])
+        self._heard[address].clear()
         return frames
 
     def _counts(self, ring_at: int) -> tuple[int, int]:

@@ -15,6 +15,7 @@ from rtloop.bringup import BringUp
 from rtloop.compiled import CompiledCycle
 from rtloop.conversation import Conversation, TalkFailed
 from rtloop.farewell import Farewell
+from rtloop.gripper import GripperTalk
 from rtloop.port import HOME_ALL, ServicePort
 from rtloop.referencing import Referencing, referencing_asked_for
 from rtloop.release import Release
@@ -90,7 +91,9 @@ class ControlProcess:
         try:
             self._loop = new_loop(arm, self._files.state.address, self._files.command.address)
             self._open_wire()
-            self._port = ServicePort(self._loop, compiled)
+            servo = None if arm.gripper is None else arm.gripper.servo
+            self._port = ServicePort(self._loop, compiled, aside=() if servo is None else (servo.address,))
+            self._gripper: GripperTalk | None = None
             show_limits(self._files.state.record["limits"], self._loop)
             arrays = (self._loop, self._files.state.array, self._files.command.array)
             used = [(array.ctypes.data, array.nbytes) for array in arrays]
@@ -345,10 +348,12 @@ class ControlProcess:
         first = True
         closing_until_s = 0.0
         while True:
-            time.sleep(BUSY_POLL_S if talk or first or closing_until_s else IDLE_POLL_S)
+            time.sleep(BUSY_POLL_S if talk or first or closing_until_s or self._gripper_is_busy() else IDLE_POLL_S)
             now_s = time.monotonic()
             self._attend_wire()
             self._keep_newly_lost()
+            if self._gripper is not None:
+                self._gripper.poll(time.monotonic_ns())
             if talk is not None and talk.poll(time.monotonic_ns()):
                 if talk.failure is not None:
                     self._tell(str(talk.failure))
@@ -361,6 +366,7 @@ class ControlProcess:
             if first and talk is None and int(self._core["mode"]) not in (Mode.OFFLINE, Mode.BRINGING_UP):
                 ready()
                 first = False
+                self._begin_with_gripper()
             if talk is None and int(self._core["bring_up_asked"]) == 1:
                 self._core["bring_up_asked"] = 0
                 talk = self._bring_up(clears_protection=True)
@@ -378,10 +384,13 @@ class ControlProcess:
             if self._stop_asked.yes:
                 if closing_until_s == 0.0:
                     self._core["closing"] = 1
+                    if self._gripper is not None and self._gripper.moves:
+                        self._gripper.stop()
                     closing_until_s = now_s + float(self._loop[0]["params"]["longest_stop_s"]) + 1.0
                     if isinstance(talk, Referencing):
                         closing_until_s += STAND_PATIENCE_S
-                if (self._stands() and not isinstance(talk, Referencing)) or now_s > closing_until_s:
+                stands = self._stands() and not isinstance(talk, Referencing) and not self._gripper_is_busy()
+                if stands or now_s > closing_until_s:
                     return 0
                 time.sleep(BUSY_POLL_S)
 
@@ -393,6 +402,21 @@ class ControlProcess:
         talk = Farewell(self._arm, self._port, now_ns=time.monotonic_ns())
         while self._cycle.is_alive() and not talk.poll(time.monotonic_ns()):
             time.sleep(BUSY_POLL_S)
+
+    def _begin_with_gripper(self) -> None:
+        """After the first bring-up of the joints, which it must not delay; then beside whatever is said to them."""
+        if self._arm.gripper is not None and self._arm.gripper.servo is not None:
+            self._gripper = GripperTalk(
+                self._arm,
+                self._loop,
+                self._port,
+                self._files.state.array,
+                now_ns=time.monotonic_ns(),
+                tell=self._tell,
+            )
+
+    def _gripper_is_busy(self) -> bool:
+        return self._gripper is not None and (self._gripper.busy or self._gripper.moves)
 
     def _stands(self) -> bool:
         """Whether nothing is commanded to move any more."""

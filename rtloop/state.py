@@ -34,6 +34,8 @@ CAN_FRAME_BYTES = 16
 TX_FRAMES = TX_BYTES // CAN_FRAME_BYTES
 RX_FRAMES = READ_BYTES // CAN_FRAME_BYTES
 ADDRESSES = 256
+NOBODY, GRIPPER = -1, -2
+"""In `joint_at`: addresses whose answers are no joint's; those of a gripper belong to its conversation."""
 CANCELED_SLOTS = 16
 """Goals in a row that can be canceled before the loop has seen any of them; a power of two."""
 BLEND_SAMPLES = 32
@@ -74,6 +76,9 @@ PARAMS = np.dtype(
         ("stale_fault_ns", "i8"),
         ("front_timeout_ns", "i8"),
         ("longest_stop_s", "f8"),
+        ("has_gripper", "i8"),  # 1: a drive on the bus moves a gripper
+        ("gripper_lower_rad", "f8"),
+        ("gripper_upper_rad", "f8"),
         ("service_bits", "i8"),  # bits of bus time a cycle may use in all, service frames included
         ("reported", "i8"),  # 1: drives send their positions by themselves
         ("reading_ns", "i8"),  # between two positions of a drive
@@ -217,6 +222,11 @@ CORE = np.dtype(
         ("referencing_ends", "i8"),  # 1: a person, a fault or a shutdown ends what HOME or REFERENCE began
         ("referencing_joint", "i8"),
         ("pose_due", "i8"),  # 1: homed at the start, and since then nobody has asked for anything
+        # what the gripper was asked for last; the other thread looks for a new sequence
+        ("grip_kind", "i8"),  # shm.words.Request
+        ("grip_rad", "f8"),
+        ("grip_effort", "f8"),
+        ("grip_sequence", "i8"),  # of the request, written last
         ("closing", "i8"),  # a shutdown is stopping the arm
         # the goal
         ("active", "i8"),  # which of the two paths runs
@@ -364,7 +374,7 @@ LOOP = np.dtype(
         ("params", PARAMS),
         ("stop", "i8"),  # both threads look at it, so it stands with what nobody writes
         ("joints", JOINT_PARAMS, (MAX_JOINTS,)),
-        ("joint_at", "i8", (ADDRESSES,)),  # drive address → joint, -1 none
+        ("joint_at", "i8", (ADDRESSES,)),  # drive address → joint, NOBODY or GRIPPER
         ("core", CORE),
         ("axes", AXIS, (MAX_JOINTS,)),
         ("paths", PATH, (2,)),
@@ -421,7 +431,11 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
     lay_out_messages(loop[0]["tx_messages"], loop[0]["tx_parts"], loop[0]["tx"])
     reader = loop[0]["reader"]
     lay_out_messages(reader["messages"], reader["parts"], reader["bytes"])
-    loop[0]["joint_at"][:] = -1
+    loop[0]["joint_at"][:] = NOBODY
+    if arm.gripper is not None and arm.gripper.servo is not None:
+        loop[0]["joint_at"][arm.gripper.servo.address] = GRIPPER
+        params["has_gripper"] = 1
+        params["gripper_lower_rad"], params["gripper_upper_rad"] = arm.gripper.lower_rad, arm.gripper.upper_rad
     for index, joint in enumerate(arm.joints):
         _fill_joint(loop[0]["joints"][index], joint, arm, index)
         if isinstance(joint.drive, ZdtDrive):

@@ -32,7 +32,7 @@ _REQUESTS_AT = layout.COMMAND.fields["requests"][1]  # type: ignore[index]
 _SETPOINTS_AT = layout.COMMAND.fields["setpoints"][1]  # type: ignore[index]
 _BEGIN_HEAD = struct.Struct("<qqqqqqdq")
 _KNOT_HEAD = struct.Struct("<qqqqqqqq")
-_REQUEST = struct.Struct("<qqqqdqqq")
+_REQUEST = struct.Struct("<qqqqdqqd")
 
 
 class StateReader:
@@ -142,13 +142,15 @@ class CommandWriter:
         self._bytes[at : at + 8 + len(body)] = zlib.crc32(body).to_bytes(8, "little") + body
         self._words[_COMMAND_WORD["setpoints_written"]] = written + 1
 
-    def request(self, kind: Request, *, goal_id: int = 0, value: float = 0.0, joint_mask: int = 0) -> int:
+    def request(
+        self, kind: Request, *, goal_id: int = 0, value: float = 0.0, joint_mask: int = 0, effort: float = 0.0
+    ) -> int:
         """Append a request and return its sequence number, under which the snapshot will answer."""
         with self._threads, producers_lock(self.memory.fd):
             written = self._words[_COMMAND_WORD["requests_written"]]
             if not 0 <= written <= MOST_WRITTEN:
                 written = 0  # nobody asks so much: the loop says that the ring is corrupt, and then goes on from here
-            packed = _REQUEST.pack(0, written + 1, kind, goal_id, value, time.monotonic_ns(), joint_mask, 0)
+            packed = _REQUEST.pack(0, written + 1, kind, goal_id, value, time.monotonic_ns(), joint_mask, effort)
             at = _REQUESTS_AT + (written % layout.REQUEST_SLOTS) * layout.REQUEST.itemsize
             crc = zlib.crc32(packed[8:]).to_bytes(8, "little")
             self._bytes[at : at + len(packed)] = crc + packed[8:]

@@ -312,6 +312,26 @@ BUS_FRAME = _record(
     ],
 )
 
+GRIPPER = _record(
+    "gripper on the bus",
+    [
+        Word("crc", "i8", "", "CRC-32 of the bytes that follow"),
+        Word("written", "i8", "", "how often this record has been written; 0 = there is no gripper on the bus"),
+        Word("monotonic_ns", "i8", "ns", "CLOCK_MONOTONIC at which it was written"),
+        Word("order", "i8", "", "sequence of the newest request that has been obeyed, 0 = none"),
+        Word("grip", "i8", "", "what it is doing: motion.gripping.Grip"),
+        Word("trouble", "i8", "", "shm.words.GripTrouble"),
+        Word("trouble_value", "f8", "", "the value it is about"),
+        Word("measured_ns", "i8", "ns", "CLOCK_MONOTONIC at which its position was heard; 0 = never"),
+        Word("position_rad", "f8", "rad", "what its encoder said last"),
+        Word("velocity_rad_s", "f8", "rad/s", "difference of the last two readings"),
+        Word("measured_effort", "f8", "Nm", "NaN where it is not measured"),
+        Word("target_rad", "f8", "rad", "where it was last told to go, NaN = nowhere"),
+        Word("padding", ("i8", (4,)), "", ""),
+    ],
+)
+"""Written by the control process' ordinary Python, a few times a second; the cycle does not touch it."""
+
 STATE = _record(
     "state file (written by the control process)",
     [
@@ -337,6 +357,7 @@ STATE = _record(
         ),
         Word("events", (EVENT, (EVENT_SLOTS,)), "", "history, overwritten from the oldest"),
         Word("limits", LIMITS, "", "what the arm's configuration allows"),
+        Word("gripper", GRIPPER, "", "the gripper, where it is a drive on the arm's bus"),
         Word("recorder", RECORDER, "", ""),
         Word("records_written", LINE_WORD, "", "records of cycles ever written, in its first word"),
         Word("frames_written", LINE_WORD, "", "records of frames ever written, in its first word"),
@@ -410,10 +431,15 @@ REQUEST = _record(
         Word("sequence", "i8", "", "number of this request, from 1"),
         Word("kind", "i8", "", "shm.words.Request"),
         Word("goal_id", "i8", "", "CANCEL: the goal meant, 0 = whichever runs"),
-        Word("value", "f8", "", "SPEED_SCALE: the factor 0…1; REFERENCE: the joint's angle (rad), NaN = as it counts"),
+        Word(
+            "value",
+            "f8",
+            "",
+            "SPEED_SCALE: the factor 0…1; REFERENCE: the joint's angle (rad), NaN = as it counts; GRIP: angle (rad)",
+        ),
         Word("monotonic_ns", "i8", "ns", "when it was made"),
         Word("joint_mask", "i8", "", "HOME, REFERENCE: bit n = joint n; HOME: 0 = the arm file's homing.order"),
-        Word("padding", "i8", "", ""),
+        Word("most_effort", "f8", "", "GRIP: most torque at its joint (Nm), 0 = as much as it has"),
     ],
 )
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import NamedTuple, TypeVar
 
-from shm.words import Answer, BusState, Fault, Mode, Outcome, Unreferenced
+from shm.words import Answer, BusState, Fault, GripTrouble, Mode, Outcome, Unreferenced
 
 Key = TypeVar("Key", bound=IntEnum)
 
@@ -385,6 +385,75 @@ ANSWERS: dict[Answer, Meaning] = {
 }
 
 
+GRIP_TROUBLES: dict[GripTrouble, Meaning] = {
+    GripTrouble.NONE: Meaning("The gripper is in order.", "", ""),
+    GripTrouble.SILENT: Meaning(
+        "The gripper's drive (address {value:.0f}) does not answer: check its power, its address and the bit rate in "
+        "its menu, and its CAN wires.",
+        "What nobody hears of may stand anywhere.",
+        "Check power, address, bit rate and wires; it is taken up again as soon as it answers.",
+    ),
+    GripTrouble.FIRMWARE: Meaning(
+        "The gripper's drive has a firmware (version {value:.0f}) whose settings are not known here, so it is not "
+        "moved: use a drive with Emm_V5 firmware 1.0.0 to 2.9.9.",
+        "Other firmware reads the same command as another angle.",
+        "Switch the drive to Emm firmware, or use another.",
+    ),
+    GripTrouble.MICROSTEPS: Meaning(
+        "The gripper's drive is set to {value:.0f} microsteps, the arm file says otherwise, and angles would be wrong "
+        "by that factor: change one of the two.",
+        "A command counts microsteps.",
+        "Change gripper.servo.microsteps, or the drive's menu.",
+    ),
+    GripTrouble.CHECKSUM: Meaning(
+        "The gripper's drive uses checksum mode {value:.0f}, and only 0 (the constant 6B) is spoken here: set Checksum "
+        "to 0x6B in its menu.",
+        "The other checksums are described in contradictory ways.",
+        "Set Checksum to 0x6B in the drive's menu.",
+    ),
+    GripTrouble.PROTECTED: Meaning(
+        "The gripper's drive has tripped its protection and holds nothing: free what blocks it; the next command "
+        "clears the protection.",
+        "A drive that pushes for too long against something lets go by itself.",
+        "Free the fingers, let the drive cool, send the next command.",
+    ),
+    GripTrouble.DISABLED: Meaning(
+        "The gripper's drive is disabled and holds nothing: the next command enables it; if not, see the En setting in "
+        "its menu.",
+        "Somebody let it go, at its menu or its En input.",
+        "Send the next command; look at the drive's En setting.",
+    ),
+    GripTrouble.POWER_LOST: Meaning(
+        "The gripper's drive has lost power, so what it counts is no angle and it is not moved: clear the space "
+        "between its fingers, then call the service home of its controller.",
+        "A drive counts from where it stood when it was switched on.",
+        "Clear the space between the fingers and home it.",
+    ),
+    GripTrouble.REFUSED: Meaning(
+        "The gripper's drive does not take the command to go to {value:.3f} rad: look at its display for a fault.",
+        "A command that was lost is repeated several times.",
+        "Look at the drive's display, check the wires, send the command again.",
+    ),
+    GripTrouble.NOT_HOMED: Meaning(
+        "The gripper's drive has not found its stop (it counts {value:.0f}): see that it can reach it and that "
+        "direction, speed and collision current in its menu fit, then home it again.",
+        "Without its stop nobody knows what its count means.",
+        "Check the homing parameters in the drive's menu; home it again.",
+    ),
+    GripTrouble.OUTSIDE: Meaning(
+        "The gripper reads {value:.3f} rad, far outside its range, so it is not moved: home it, or mend zero_deg, "
+        "direction or ratio of gripper.servo.",
+        "A command from there might turn it by whole turns.",
+        "Home it; compare gripper.servo with the mechanics.",
+    ),
+    GripTrouble.CURRENT: Meaning(
+        "The gripper's drive does not take a limit of {value:.0f} mA for its current, so it was not moved: set it in "
+        "its menu, and leave gripper.servo.nm_per_ampere out.",
+        "A command that names an effort must not push harder.",
+        "Send the command without an effort, or leave nm_per_ampere out.",
+    ),
+}
+
 NOBODY_ACKNOWLEDGES = Meaning(
     "No drive acknowledges what is sent: see that the motors have power, that all have the bus' bit rate and that it "
     "has 120 Ω at both ends.",
@@ -440,6 +509,11 @@ def bus_state_sentence(state: int) -> str:
 def unreferenced_sentence(reason: int, joint: str) -> str:
     """Why a joint's count does not mean an angle."""
     return _say(UNREFERENCED, Unreferenced, reason, joint, 0.0, 0.0)
+
+
+def grip_trouble_sentence(trouble: int, value: float) -> str:
+    """Why the gripper on the bus cannot do what it is told."""
+    return _say(GRIP_TROUBLES, GripTrouble, trouble, "", value, 0.0)
 
 
 def answer_sentence(answer: int) -> str:

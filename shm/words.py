@@ -54,6 +54,9 @@ class Request(IntEnum):
     FREE = 9  # the same, to lead it by hand
     HOME = 10  # let joints find their homing stops, one after the other
     REFERENCE = 11  # a person knows where joints stand
+    GRIP = 12  # let the gripper on the bus go to an angle
+    GRIP_STOP = 13  # let it stop and hold where it is
+    GRIP_HOME = 14  # let it find its stop
 
 
 class Entry(IntFlag):
@@ -181,3 +184,20 @@ class BusState(IntEnum):
     WARNING = 1  # 96 errors counted
     PASSIVE = 2  # 128: it disturbs nobody any more, but is not heard either
     BUS_OFF = 3  # 256: it takes no part until it is restarted
+
+
+class GripTrouble(IntEnum):
+    """Why the gripper on the bus cannot do what it is told; sentences in `shm.sentences`."""
+
+    NONE = 0
+    SILENT = 1
+    FIRMWARE = 2  # its configuration block is none that is known here
+    MICROSTEPS = 3
+    CHECKSUM = 4
+    PROTECTED = 5  # its stall protection has let go
+    DISABLED = 6
+    POWER_LOST = 7  # its count means no angle any more
+    REFUSED = 8  # it does not take its command
+    NOT_HOMED = 9  # its homing run has not found the stop
+    OUTSIDE = 10  # it reads an angle far outside its range
+    CURRENT = 11  # it does not take a current limit

@@ -22,6 +22,7 @@ from typing import Literal
 import numpy as np
 
 from config import schema
+from config.gripper import GripperConfig
 from config.joint import JointConfig
 from config.joint import ZdtDrive as ZdtConfig
 from sim import faults as wrong
@@ -36,6 +37,7 @@ from sim.drives.zdt_settings import Homing, Settings
 from sim.faults import Fault
 
 HOMING_RPM = 30
+FINGER_SLACK_RAD = math.radians(5.0)
 HOMING_TIMEOUT_MS = 120_000
 
 At = Callable[[float | None, Callable[[int], None]], None]
@@ -68,6 +70,8 @@ class SimulatedArm:
 
     Attributes:
         drives: in joint order.
+        gripper: the servo of its gripper, None without one; faults name it as the gripper's joint. It homes to a stop
+            where it counts 0, has another 5 degrees beyond its range, and stands where it is open.
         adapter: the serial adapter, or the CAN interface of an arm on SocketCAN.
         bus: with the time it was busy and the frames it carried.
     """
@@ -144,12 +148,51 @@ class SimulatedArm:
             else:
                 drive.shaft.high = stop
             self.drives.append(drive)
+        self.gripper = self._gripper_drive(start_ns, firmware, homed, seed)
         self._seed = seed
         self._firmware = firmware
         self._script = _Script()
-        self.bus.nodes += [self.adapter, *self.drives, self._script]
+        self.bus.nodes += [self.adapter, *self.drives, *([self.gripper] if self.gripper else []), self._script]
         for fault in faults:
             self.inject(fault)
+
+    def _gripper_drive(self, start_ns: int, firmware: Literal["new", "old"], homed: bool, seed: int) -> ZdtDrive | None:
+        gripper = self.config.gripper
+        if gripper is None or gripper.servo is None:
+            return None
+        servo = gripper.servo
+        drive = ZdtDrive(
+            Settings(
+                address=servo.address,
+                microstep=servo.microsteps % 256,
+                can_code=_CAN_CODES.get(self.config.bus.bitrate, 7),
+            ),
+            start_ns=start_ns,
+            position_pulses=round((gripper.open_rad + servo.zero_rad) * servo.pulses_per_rad),
+            homed=homed,
+            homing=Homing(
+                mode=2, direction=1 if servo.direction > 0 else 0, rpm=HOMING_RPM, timeout_ms=HOMING_TIMEOUT_MS
+            ),
+            firmware=firmware,
+            seed=seed * 1000 + len(self.config.joints),
+        )
+        _let_stop(drive, gripper, _closed_stop_rad(gripper), start_ns)
+        return drive
+
+    def _put_between_fingers(self, angle_rad: float, now_ns: int) -> None:
+        """Let the fingers stop at an angle; those that are closer already stay where they are."""
+        gripper, drive = self.config.gripper, self.gripper
+        assert gripper is not None and drive is not None
+        drive.advance(now_ns)
+        _let_stop(drive, gripper, min(angle_rad, self.gripper_rad(now_ns)), now_ns)
+
+    def gripper_rad(self, t_ns: int) -> float:
+        """Where the gripper truly was at `t_ns`, between the start and now [rad]; of an arm that has one."""
+        gripper, drive = self.config.gripper, self.gripper
+        assert gripper is not None and gripper.servo is not None and drive is not None
+        drive.advance(self.now_ns)
+        servo = gripper.servo
+        return servo.direction * drive.shaft.past(t_ns)[0] * (2.0 * math.pi / servo.ratio) - servo.zero_rad
 
     def run_until(self, now_ns: int) -> None:
         """Let time pass up to `now_ns`; what is for the host waits to be collected."""
@@ -209,6 +252,9 @@ class SimulatedArm:
                 at(at_s + off_s, self._drive(joint).power_on)
             case wrong.Stall(joint, at_s):
                 at(at_s, self._drive(joint).block_shaft)
+            case wrong.Thing(at_s, deg, until_s) if self.config.gripper is not None and self.gripper is not None:
+                at(at_s, partial(self._put_between_fingers, math.radians(deg)))
+                at(until_s, partial(self._put_between_fingers, _closed_stop_rad(self.config.gripper)))
             case wrong.Protection(joint, at_s, until_s, cause):
                 drive = self._drive(joint)
                 at(at_s, partial(_set, drive, "cause_lasts", until_s is not None))
@@ -354,6 +400,9 @@ class SimulatedArm:
 
     def _drive(self, name: str) -> ZdtDrive:
         names = [joint.name for joint in self.config.joints]
+        gripper = self.config.gripper
+        if gripper is not None and self.gripper is not None and name == gripper.joint:
+            return self.gripper
         if name not in names:
             raise ValueError(f"arm {self.config.name} has no joint {name!r}; it has {', '.join(names)}.")
         return self.drives[names.index(name)]
@@ -407,6 +456,24 @@ _CAN_CODES = {
     1_000_000: 9,
 }
 """The drive's menu codes for its bit rate (zdt-emm-v5.md section 1)."""
+
+
+def _closed_stop_rad(gripper: GripperConfig) -> float:
+    """Where the closed fingers meet: the count 0 of its homing, where that lies below its range."""
+    assert gripper.servo is not None
+    return min(-gripper.servo.zero_rad, gripper.lower_rad)
+
+
+def _let_stop(drive: ZdtDrive, gripper: GripperConfig, low_rad: float, now_ns: int) -> None:
+    """Let the gripper's joint stop there, and beyond its range on the other side."""
+    servo = gripper.servo
+    assert servo is not None
+    turns = [
+        servo.direction * (angle_rad + servo.zero_rad) * servo.ratio / (2.0 * math.pi)
+        for angle_rad in (low_rad, gripper.upper_rad + FINGER_SLACK_RAD)
+    ]
+    low, high = sorted(round(turn * GRAINS_PER_REVOLUTION) for turn in turns)
+    drive.let_stop(now_ns, low, high)
 
 
 def _motor_turns(joint: JointConfig, position_rad: float) -> float:

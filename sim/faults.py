@@ -41,6 +41,15 @@ class Stall:
 
 
 @dataclass(frozen=True)
+class Thing:
+    """Something stands between the gripper's fingers: closing, they stop at `deg`. Until `until_s`, then it is gone."""
+
+    at_s: float
+    deg: float
+    until_s: float | None = None
+
+
+@dataclass(frozen=True)
 class OpenRefused:
     """The adapter answers BEL when the channel is opened."""
 
@@ -239,6 +248,7 @@ Fault = (
     Silent
     | PowerLoss
     | Stall
+    | Thing
     | OpenRefused
     | SlowReplies
     | LostReplies
@@ -267,6 +277,7 @@ FAULTS: dict[str, type[Fault]] = {
     "silent": Silent,
     "power-loss": PowerLoss,
     "stall": Stall,
+    "thing": Thing,
     "open-refused": OpenRefused,
     "slow-replies": SlowReplies,
     "lost-replies": LostReplies,

@@ -6,8 +6,17 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from shm.sentences import BUS_STATES, FAULTS, NOBODY_ACKNOWLEDGES, OUTCOMES, STILL_QUEUED, UNREFERENCED, Meaning
-from shm.words import BusState, Fault, Outcome, Unreferenced
+from shm.sentences import (
+    BUS_STATES,
+    FAULTS,
+    GRIP_TROUBLES,
+    NOBODY_ACKNOWLEDGES,
+    OUTCOMES,
+    STILL_QUEUED,
+    UNREFERENCED,
+    Meaning,
+)
+from shm.words import BusState, Fault, GripTrouble, Outcome, Unreferenced
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "troubleshooting.md"
 TABLES = (
@@ -15,6 +24,7 @@ TABLES = (
     (FAULTS, {Fault.NONE}),
     (BUS_STATES, {BusState.ACTIVE}),
     (UNREFERENCED, {Unreferenced.REFERENCED}),
+    (GRIP_TROUBLES, {GripTrouble.NONE}),
 )
 """The tables, and in each what is no trouble."""
 

@@ -18,6 +18,7 @@ from config.schema import ArmConfig
 from rtloop import entries
 from rtloop.bringup import BringUp
 from rtloop.cycle import step
+from rtloop.gripper import GripperTalk
 from rtloop.port import ServicePort
 from rtloop.referencing import Referencing, referencing_asked_for
 from rtloop.release import Release
@@ -82,7 +83,9 @@ class VirtualArm:
         show_limits(self.state.record["limits"], self.loop)
         self.reader = StateReader(self.state)
         self.writer = CommandWriter(self.command)
-        self.port = ServicePort(self.loop, entries)
+        servo = None if self.arm.gripper is None else self.arm.gripper.servo
+        self.port = ServicePort(self.loop, entries, aside=() if servo is None else (servo.address,))
+        self.gripper: GripperTalk | None = None
         self.now_ns = START_NS
         self.suspended_ns = 0
         self.random = np.random.default_rng(seed)
@@ -142,6 +145,8 @@ class VirtualArm:
         if self.front_alive:
             self.writer.beat(self.now_ns)
             self._feed_ring()
+        if self.gripper is not None:
+            self.gripper.poll(self.now_ns)
         count = step(self.loop[0], self.state.array[0], self.now_ns)
         if count:
             self.write(self.loop[0]["tx"][:count].tobytes())
@@ -190,6 +195,12 @@ class VirtualArm:
         self.until(lambda: bool(self.core["bring_up_asked"]), at_most_s=1.0)
         self.core["bring_up_asked"] = 0
         return self.bring_up(clears_protection=True)
+
+    def begin_with_gripper(self) -> None:
+        """Let the conversation with the gripper's drive go on beside everything else."""
+        self.gripper = GripperTalk(
+            self.arm, self.loop, self.port, self.state.array, now_ns=self.now_ns, tell=self.told.append
+        )
 
     def release(self, *, at_most_s: float = 10.0) -> Release:
         """Run the conversation that lets the drives go; the request was made before."""

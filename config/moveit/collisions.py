@@ -8,6 +8,7 @@ All others stay checked. The poses are sampled in a fixed order, so that the sam
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -15,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.geometry import KinematicsConfig
-from config.kinematics import link_poses
-from config.moveit.shapes import Link, distances_m, link_shapes
+from config.kinematics import Poses, flange_pose, link_poses
+from config.moveit.shapes import Link, distances_m, gripper_shape, link_shapes
 from config.schema import ArmConfig
 
 SAMPLES = 10_000
@@ -52,14 +53,26 @@ def home_rad(arm: ArmConfig) -> list[float]:
     return [min(max(0.0, joint.lower_rad), joint.upper_rad) for joint in arm.joints]
 
 
+def home_positions_rad(arm: ArmConfig) -> dict[str, float]:
+    """The same by the joints' names; a gripper is open then."""
+    names = [joint.name for joint in arm.joints]
+    gripper = {} if arm.gripper is None else {arm.gripper.joint: arm.gripper.open_rad}
+    return {**dict(zip(names, home_rad(arm), strict=True)), **gripper}
+
+
 def unchecked_pairs(arm: ArmConfig, kinematics: KinematicsConfig) -> list[Unchecked]:
-    """The pairs that need no check, in the order of the links."""
-    links = link_shapes(kinematics)
+    """The pairs that need no check, in the order of the links, a gripper the last."""
+    links = [*link_shapes(kinematics), *([gripper_shape(arm.gripper)] if arm.gripper else [])]
+
+    def poses_of(positions: Positions) -> Poses:
+        poses = link_poses(kinematics, positions)
+        return poses if arm.gripper is None else np.append(poses, flange_pose(kinematics, positions)[:, None], axis=1)
+
     chance = random.Random(0)  # its numbers are promised to be the same in every version of Python
     lower = np.array([joint.lower_rad for joint in arm.joints])
     upper = np.array([joint.upper_rad for joint in arm.joints])
     positions = np.concatenate([[home_rad(arm)], lower + _shares(chance, SAMPLES, len(lower)) * (upper - lower)])
-    poses = link_poses(kinematics, positions)
+    poses = poses_of(positions)
     pairs = []
     for first, second in combinations(range(len(links)), 2):
         one, other = links[first], links[second]
@@ -72,7 +85,7 @@ def unchecked_pairs(arm: ArmConfig, kinematics: KinematicsConfig) -> list[Unchec
             reason = "Default"
         elif distances.min() > NEVER_M:
             start = positions[np.argsort(distances, kind="stable")[:NEAREST]]
-            nearest_m = _nearest_m(kinematics, (links, first, second), start, (lower, upper), chance)
+            nearest_m = _nearest_m(poses_of, (links, first, second), start, (lower, upper), chance)
             reason = "Never" if nearest_m > NEVER_M else ""
         else:
             reason = ""
@@ -82,7 +95,7 @@ def unchecked_pairs(arm: ArmConfig, kinematics: KinematicsConfig) -> list[Unchec
 
 
 def _nearest_m(
-    kinematics: KinematicsConfig,
+    poses_of: Callable[[Positions], Poses],
     pair: tuple[list[Link], int, int],
     positions: Positions,
     limits: tuple[Positions, Positions],
@@ -97,7 +110,7 @@ def _nearest_m(
         steps = np.array([[chance.uniform(-1.0, 1.0) for _ in lower] for _ in range(8 * len(positions))])
         tried = np.clip(np.repeat(positions, 8, axis=0) + steps * reach, lower, upper)
         tried = np.concatenate([positions, tried])
-        poses = link_poses(kinematics, tried)
+        poses = poses_of(tried)
         found = distances_m(links[first], links[second], poses[:, first], poses[:, second])
         best = np.argsort(found, kind="stable")[: len(positions)]
         positions, nearest = tried[best], found[best]

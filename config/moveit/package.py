@@ -94,7 +94,8 @@ ament_package()
 
 
 def _manifest(arm: ArmConfig) -> str:
-    run_with = "\n".join(f"  <exec_depend>{package}</exec_depend>" for package in RUN_WITH)
+    packages = RUN_WITH if arm.gripper is None else sorted((*RUN_WITH, "gripper_controllers"))
+    run_with = "\n".join(f"  <exec_depend>{package}</exec_depend>" for package in packages)
     return xml_text(
         arm,
         f"""

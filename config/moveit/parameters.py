@@ -10,11 +10,14 @@ from __future__ import annotations
 from typing import Any
 
 from config.geometry import KinematicsConfig
-from config.moveit.collisions import home_rad
+from config.gripper import GROUP
+from config.moveit.collisions import home_positions_rad
 from config.moveit.text import floored, yaml_text
 from config.schema import ArmConfig
 
 ACTION = "follow_joint_trajectory"
+GRIPPER_ACTION = "gripper_cmd"
+"""As ros2_control's gripper controllers call it too."""
 
 MOVEIT_START_TOLERANCE_RAD = 0.01
 """MoveIt's own default for the distance between a plan's first point and where the arm is (rad)."""
@@ -42,22 +45,35 @@ elsewhere before rtarm has to. It is also what MoveIt takes for standing still a
 """
 
 
+GRIPPER_COMMENT = """
+The gripper's action takes the last point of a plan, in radians of its joint. A gripper that holds something succeeds
+with `stalled`, so picking up needs no allow_failure. No max_effort: it pushes as hard as its drive is set to.
+"""
+
+
 def moveit_controllers(arm: ArmConfig) -> str:
     """How MoveIt executes what it planned: by rtarm's action."""
     start_tolerance_rad = min(MOVEIT_START_TOLERANCE_RAD, arm.limits.start_tolerance_rad / 2.0)
     margin_s = LONGEST_HOLD_S + arm.trajectory.goal_time_s
     controller = arm.front.controller_name
+    controllers: dict[str, dict[str, Any]] = {
+        controller: {
+            "type": "FollowJointTrajectory",
+            "action_ns": ACTION,
+            "default": True,
+            "joints": _names(arm),
+        },
+    }
+    if arm.gripper is not None:
+        controllers[arm.gripper.controller_name] = {
+            "type": "GripperCommand",
+            "action_ns": GRIPPER_ACTION,
+            "default": True,
+            "joints": [arm.gripper.joint],
+        }
     content = {
         "moveit_controller_manager": "moveit_simple_controller_manager/MoveItSimpleControllerManager",
-        "moveit_simple_controller_manager": {
-            "controller_names": [controller],
-            controller: {
-                "type": "FollowJointTrajectory",
-                "action_ns": ACTION,
-                "default": True,
-                "joints": _names(arm),
-            },
-        },
+        "moveit_simple_controller_manager": {"controller_names": list(controllers), **controllers},
         "trajectory_execution": {
             "execution_duration_monitoring": True,
             "allowed_execution_duration_scaling": 1.1,
@@ -72,17 +88,24 @@ def moveit_controllers(arm: ArmConfig) -> str:
         margin=f"{margin_s:g}",
         start_tolerance=f"{arm.limits.start_tolerance_rad:g}",
     )
+    if arm.gripper is not None:
+        comment += GRIPPER_COMMENT
     return yaml_text(arm, content, comment)
 
 
 def ros2_controllers(arm: ArmConfig) -> str:
     """The controllers of the demo, under the names that rtarm has on the real arm."""
     controller = arm.front.controller_name
+    gripper, kinds, parameters = arm.gripper, {}, {}
+    if gripper is not None:
+        kinds[gripper.controller_name] = {"type": "position_controllers/GripperActionController"}
+        parameters[gripper.controller_name] = {"ros__parameters": {"joint": gripper.joint, "allow_stalling": True}}
     content = {
         "controller_manager": {
             "ros__parameters": {
                 "update_rate": DEMO_RATE_HZ,
                 controller: {"type": "joint_trajectory_controller/JointTrajectoryController"},
+                **kinds,
                 "joint_state_broadcaster": {"type": "joint_state_broadcaster/JointStateBroadcaster"},
             }
         },
@@ -94,24 +117,28 @@ def ros2_controllers(arm: ArmConfig) -> str:
                 "allow_nonzero_velocity_at_trajectory_end": True,
             }
         },
+        **parameters,
     }
     return yaml_text(arm, content, "For demo.launch.py only: with rtarm there is no ros2_control.")
 
 
 def joint_limits(arm: ArmConfig) -> str:
     """Velocity and acceleration limits for planning, never above the arm's own; positions are the robot model's."""
+    limits = {joint.name: (joint.max_velocity_rad_s, joint.max_acceleration_rad_s2) for joint in arm.joints}
+    if arm.gripper is not None:
+        limits[arm.gripper.joint] = (arm.gripper.speed_rad_s, arm.gripper.acceleration_rad_s2)
     content = {
         "default_velocity_scaling_factor": 1.0,
         "default_acceleration_scaling_factor": 1.0,
         "joint_limits": {
-            joint.name: {
+            name: {
                 "has_velocity_limits": True,
-                "max_velocity": floored(joint.max_velocity_rad_s),
+                "max_velocity": floored(velocity_rad_s),
                 "has_acceleration_limits": True,
-                "max_acceleration": floored(joint.max_acceleration_rad_s2),
+                "max_acceleration": floored(acceleration_rad_s2),
                 "has_jerk_limits": False,
             }
-            for joint in arm.joints
+            for name, (velocity_rad_s, acceleration_rad_s2) in limits.items()
         },
     }
     comment = """
@@ -144,7 +171,7 @@ def ompl_planning(arm: ArmConfig, geometry: KinematicsConfig) -> str:
         "RRTstar": {"type": "geometric::RRTstar", "range": 0.0, "goal_bias": 0.05},
         "PRM": {"type": "geometric::PRM", "max_nearest_neighbors": 10},
     }
-    content = {
+    content: dict[str, Any] = {
         "planning_plugins": ["ompl_interface/OMPLPlanner"],
         "request_adapters": [
             f"default_planning_request_adapters/{name}"
@@ -167,6 +194,8 @@ def ompl_planning(arm: ArmConfig, geometry: KinematicsConfig) -> str:
             "longest_valid_segment_fraction": 0.005,
         },
     }
+    if arm.gripper is not None:
+        content[GROUP] = {"default_planner_config": "RRTConnect", "planner_configs": list(planners)}
     comment = """
 AddTimeOptimalParameterization gives every point time, velocity and acceleration, of which rtarm makes quintics; it
 must stay. A range of 0.0 lets the planner choose."""
@@ -188,8 +217,9 @@ def pilz_cartesian_limits(arm: ArmConfig) -> str:
 
 def initial_positions(arm: ArmConfig) -> str:
     """Where the demo's mock hardware starts."""
-    start = {joint.name: position_rad for joint, position_rad in zip(arm.joints, home_rad(arm), strict=True)}
-    return yaml_text(arm, {"initial_positions": start}, "Radians, for demo.launch.py only: the pose `home`.")
+    return yaml_text(
+        arm, {"initial_positions": home_positions_rad(arm)}, "Radians, for demo.launch.py only: the pose `home`."
+    )
 
 
 def _names(arm: ArmConfig) -> list[str]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from itertools import cycle, pairwise
 
 from config.geometry import DhRow, KinematicsConfig
+from config.gripper import GROUP, LINK, GripperConfig
 from config.joint import JointConfig
 from config.kinematics import Origin, flange_origin, joint_origins, tip_link
-from config.moveit.collisions import home_rad, unchecked_pairs
-from config.moveit.shapes import Bone, Link, Xyz, link_shapes
+from config.moveit.collisions import home_positions_rad, home_rad, unchecked_pairs
+from config.moveit.shapes import Bone, Link, Xyz, gripper_shape, link_shapes
 from config.moveit.text import angles, floored, number, numbers, xml_text
 from config.schema import ArmConfig
 
@@ -57,6 +58,9 @@ def model_parts(arm: ArmConfig, kinematics: KinematicsConfig) -> str:
     if flange is not None:
         links.append('  <link name="flange"/>')
         joints.append(_fixed_flange(shapes[-1].name, flange))
+    if arm.gripper is not None:
+        links.append(_link(gripper_shape(arm.gripper), "dark", marked=True))
+        joints.append(_gripper_joint(arm.gripper, tip_link(kinematics)))
     body = "\n\n".join(["\n".join(materials), *links, *joints])
     return xml_text(arm, f'<robot name="{arm.name}">\n{body}\n</robot>', PARTS_COMMENT)
 
@@ -64,14 +68,14 @@ def model_parts(arm: ArmConfig, kinematics: KinematicsConfig) -> str:
 def mock_hardware(arm: ArmConfig) -> str:
     """The ros2_control part: what is commanded is at once the state. Only demo.launch.py uses it."""
     joints = "\n".join(
-        f"""      <joint name="{joint.name}">
+        f"""      <joint name="{name}">
         <command_interface name="position"/>
         <state_interface name="position">
-          <param name="initial_value">${{initial_positions['{joint.name}']}}</param>
+          <param name="initial_value">${{initial_positions['{name}']}}</param>
         </state_interface>
         <state_interface name="velocity"/>
       </joint>"""
-        for joint in arm.joints
+        for name in home_positions_rad(arm)
     )
     return xml_text(
         arm,
@@ -93,7 +97,11 @@ def mock_hardware(arm: ArmConfig) -> str:
 
 
 def semantics(arm: ArmConfig, kinematics: KinematicsConfig) -> str:
-    """The SRDF: the planning group, the pose `home`, the base's place in the world, and the unchecked pairs."""
+    """The SRDF: the planning group, the pose `home`, the base's place in the world, and the unchecked pairs.
+
+    A gripper is a group of its own with the poses `open` and `closed`, and the end effector of the arm's group.
+    """
+    gripper = "" if arm.gripper is None else _gripper_semantics(arm.gripper, kinematics)
     home = "\n".join(
         f'    <joint name="{joint.name}" value="{number(position_rad)}"/>'
         for joint, position_rad in zip(arm.joints, home_rad(arm), strict=True)
@@ -111,7 +119,7 @@ def semantics(arm: ArmConfig, kinematics: KinematicsConfig) -> str:
   </group>
   <group_state name="home" group="{kinematics.group}">
 {home}
-  </group_state>
+  </group_state>{gripper}
   <virtual_joint name="virtual_joint" type="fixed" parent_frame="world" child_link="{kinematics.base_link}"/>
 
   <!-- Computed from shapes and joint limits, not set by hand: pairs that never touch, and pairs whose shapes overlap
@@ -165,6 +173,34 @@ def _joint(joint: JointConfig, row: DhRow, links: tuple[str, str], origin: Origi
     <axis xyz="0 0 {row.sign}"/>
     <limit {" ".join(f'{name}="{number(limit)}"' for name, limit in limits.items())}/>
   </joint>"""
+
+
+def _gripper_joint(gripper: GripperConfig, parent: str) -> str:
+    """It turns about the flange's axis, so that the gripper's shape stays where it is; its angle is all that counts."""
+    return f"""  <joint name="{gripper.joint}" type="revolute">
+    <parent link="{parent}"/>
+    <child link="{LINK}"/>
+    {_origin((0.0, 0.0, 0.0))}
+    <axis xyz="0 0 1"/>
+    <limit lower="{number(gripper.lower_rad)}" upper="{number(gripper.upper_rad)}" effort="{number(EFFORT_NM)}" \
+velocity="{number(floored(gripper.speed_rad_s))}"/>
+  </joint>"""
+
+
+def _gripper_semantics(gripper: GripperConfig, kinematics: KinematicsConfig) -> str:
+    states = "".join(
+        f"""
+  <group_state name="{name}" group="{GROUP}">
+    <joint name="{gripper.joint}" value="{number(angle_rad)}"/>
+  </group_state>"""
+        for name, angle_rad in (("open", gripper.open_rad), ("closed", gripper.closed_rad))
+    )
+    return f"""
+  <group name="{GROUP}">
+    <joint name="{gripper.joint}"/>
+  </group>{states}
+  <end_effector name="{GROUP}" parent_link="{tip_link(kinematics)}" group="{GROUP}" parent_group="{kinematics.group}"/>\
+"""
 
 
 def _fixed_flange(parent: str, origin: Origin) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.geometry import DhRow, KinematicsConfig
+from config.gripper import LINK, GripperConfig
 from config.kinematics import Poses, along_x, flange_origin, joint_origins
 
 Points = NDArray[np.float64]
@@ -72,6 +73,13 @@ def link_shapes(kinematics: KinematicsConfig) -> list[Link]:
         end = (0.0, 0.0, 0.0) if after is None else after.xyz_m
         links.append(Link(kinematics.link_names[index], row.radius_m, _bones(row, end)))
     return _withdrawn_from_the_flange(links, rows[-1])
+
+
+def gripper_shape(gripper: GripperConfig) -> Link:
+    """The gripper in the frame of the flange: a capsule along its axis, in which the fingers stay however they open."""
+    length_m = gripper.length_mm / 1000.0
+    radius_m = min(gripper.radius_mm / 1000.0, length_m / 2.0)
+    return Link(LINK, radius_m, (Bone((0.0, 0.0, radius_m), (0.0, 0.0, length_m - radius_m)),))
 
 
 def distances_m(one: Link, other: Link, one_poses: Poses, other_poses: Poses) -> NDArray[np.float64]:

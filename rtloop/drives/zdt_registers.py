@@ -16,6 +16,7 @@ ASK_TRIP = b"\x13\x6b"
 ASK_HOMING = b"\x22\x6b"
 ASK_SUPPLY = b"\x24\x6b"
 ASK_WATCHDOG = b"\x16\x6b"
+ASK_CURRENT = b"\x27\x6b"
 ASK_SPEED = b"\x35\x6b"
 ASK_TARGET = b"\x33\x6b"
 ASK_POSITION = b"\x36\x6b"
@@ -32,7 +33,7 @@ HOME_BY_COLLISION = b"\x9a\x02\x00\x6b"
 """Begins a run to the stop, which ends at count 0."""
 END_HOMING = b"\x9c\x48\x6b"
 
-ENABLED, PROTECTED, POWER_LOST = 0x01, 0x08, 0x80
+ENABLED, STALLED, PROTECTED, POWER_LOST = 0x01, 0x04, 0x08, 0x80
 """Flags of `3A`."""
 HOMING, HOMING_FAILED = 0x04, 0x08
 """Flags of `3B`."""
@@ -126,6 +127,16 @@ def write_block(block: Block, *, store: bool) -> bytes:
     sent = replace(block, address=0, screen_off=0)
     data = _BLOCK.pack(*(getattr(sent, field.name) for field in fields(Block)))
     return b"\x48\xd1" + bytes((store,)) + data + bytes((CHECKSUM,))
+
+
+def go_to(pulses: int, *, rpm: int, acc: int) -> bytes:
+    """The command `FD` to go to an absolute position (pulses), at a motor speed and with a ramp byte, at once."""
+    return struct.pack(">BBHBIBBB", 0xFD, pulses < 0, rpm, acc, abs(pulses), 1, 0, CHECKSUM)
+
+
+def limit_current(current_ma: int) -> bytes:
+    """The command `45 66` that limits the motor current in closed loop, in volatile memory."""
+    return struct.pack(">BBBHB", 0x45, 0x66, 0, current_ma, CHECKSUM)
 
 
 def write_watchdog(timeout_ms: int, *, store: bool) -> bytes:

@@ -64,7 +64,12 @@ class Shaft:
         """Jam: from `time_ns` on the shaft cannot move."""
         self.settle(time_ns)
         here = self.target_at(time_ns)
-        self.low = self.high = here
+        self.let_stop(time_ns, here, here)
+
+    def let_stop(self, time_ns: int, low: int, high: int) -> None:
+        """From `time_ns` on something solid stands there on either side, and nothing else does."""
+        self.settle(time_ns)
+        self.low, self.high = low, high
         ramp = self._ramp_position + self._ramp_rpm * (time_ns - self._ramp_ns)
         self.follow(time_ns, ramp, self._ramp_rpm)
 

@@ -120,6 +120,12 @@ class Motion(ABC):
         self.shaft.block(now_ns)
         self._watch_contact()
 
+    def let_stop(self, now_ns: int, low: int, high: int) -> None:
+        """From `now_ns` on something solid stands there on either side of the shaft [grains]."""
+        self.advance(now_ns)
+        self.shaft.let_stop(now_ns, low, high)
+        self._watch_contact()
+
     def slip(self, now_ns: int, counts: int) -> None:
         """Count so many counts more from now on; neither shaft nor ramp notices."""
         self.advance(now_ns)

@@ -42,6 +42,7 @@ HEARTBEAT = offset_of(_COMMAND, "heartbeat_ns")
 _ANNOUNCED = offset_of(_COMMAND, "announced_goal")
 _WRITTEN = offset_of(_COMMAND, "setpoints_written")
 _REQUESTS_WRITTEN = offset_of(_COMMAND, "requests_written")
+_KINDS = max(Request) + 1
 _REQUESTS = offset_of(_COMMAND, "requests")
 _SETPOINTS = offset_of(_COMMAND, "setpoints")
 _RECORD_BYTES = layout.SETPOINT.itemsize
@@ -228,7 +229,7 @@ def put_request(command: int, goal: int, wild: float, box: np.ndarray) -> None:
     """A request of any kind, sealed."""
     written = load_relaxed(command + _REQUESTS_WRITTEN)
     record = command + _REQUESTS + (written & (layout.REQUEST_SLOTS - 1)) * _REQUEST_BYTES
-    kind = int(np.random.randint(0, 12)) if np.random.random() >= wild else hostile_word()
+    kind = int(np.random.randint(0, _KINDS)) if np.random.random() >= wild else hostile_word()
     meant = (0, goal, goal + 1)[int(np.random.randint(0, 3))] if np.random.random() >= wild else hostile_word()
     value = np.random.random() if np.random.random() >= wild else hostile_number()
     store_relaxed(record + 8, written + 1)

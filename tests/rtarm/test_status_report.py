@@ -14,10 +14,12 @@ import pytest
 from typer.testing import Result
 from written_arm import WrittenArm
 
+from motion.gripping import Grip
 from rtarm import status
 from rtarm.errors import Refusal
-from shm import files, histogram
-from shm.words import Fault, Mode, Outcome, Phase, Unreferenced
+from shm import files, histogram, layout
+from shm.gripper import show_gripper
+from shm.words import Fault, GripTrouble, Mode, Outcome, Phase, Unreferenced
 
 Rtarm = Callable[..., Result]
 
@@ -49,6 +51,24 @@ def test_the_tables_say_the_same(arm: WrittenArm, rtarm: Rtarm) -> None:
     assert f"{arm.name}: holding, healthy" in result.stdout
     assert "30.000   0.52360" in result.stdout
     assert "no real-time priority, memory not locked, any CPU, CPU latency not held" in result.stdout
+
+
+def test_a_gripper_on_the_bus_is_told_of(arm: WrittenArm, rtarm: Rtarm) -> None:
+    assert status.read_status(arm.name)["gripper"] is None
+    shown = np.zeros((), layout.GRIPPER)
+    shown["written"], shown["grip"], shown["measured_ns"] = 1, Grip.STALLED, time.monotonic_ns()
+    shown["position_rad"], shown["target_rad"], shown["measured_effort"] = math.radians(40.0), 0.0, math.nan
+    show_gripper(arm.files.state.array, shown)
+    gripper = status.read_status(arm.name)["gripper"]
+    assert (gripper["grip"], gripper["position_rad"], gripper["target_rad"]) == ("stalled", math.radians(40.0), 0.0)
+    assert (gripper["effort_nm"], gripper["trouble"]) == (None, None) and gripper["age_ms"] >= 0.0
+    assert "stalled at 40.0°" in rtarm("status", arm.name).stdout
+    shown["trouble"], shown["trouble_value"], shown["measured_ns"] = GripTrouble.SILENT, 7.0, 0
+    show_gripper(arm.files.state.array, shown)
+    report = status.read_status(arm.name)
+    assert report["gripper"]["position_rad"] is None
+    assert not any("gripper" in problem for problem in report["problems"]), "it does not keep the arm from moving"
+    assert "The gripper's drive (address 7) does not answer" in rtarm("status", arm.name).stdout
 
 
 def test_no_front_is_a_problem(arm: WrittenArm, rtarm: Rtarm) -> None:

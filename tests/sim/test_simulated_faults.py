@@ -25,6 +25,7 @@ from sim.faults import (
     Refusing,
     SameAddress,
     SerialBlocked,
+    Thing,
     TransmitOverflow,
     WrongChecksums,
     WrongValues,
@@ -53,11 +54,19 @@ def broken(episode1):
 
 
 def test_every_fault_can_be_written_on_the_command_line(episode1):
+    with_gripper = load_arm("episode1", overrides={"gripper": {"hook": "servo", "servo": {"address": 7}}})
     for name, kind in FAULTS.items():
         needed = [field.name for field in fields(kind) if field.default is MISSING]
         values = {field: "joint2" if field == "joint" else "0.5" for field in needed}
         fault = parse_fault(f"{name}:" + ",".join(f"{key}={value}" for key, value in values.items()))
-        SimulatedArm(episode1, faults=[fault])
+        SimulatedArm(with_gripper, faults=[fault])
+        if not isinstance(fault, Thing):
+            SimulatedArm(episode1, faults=[fault])
+
+
+def test_nothing_stands_between_the_fingers_of_an_arm_without_a_gripper(episode1):
+    with pytest.raises(ValueError, match="no fault this arm can have"):
+        SimulatedArm(episode1, faults=[Thing(0.5, 40.0)])
 
 
 def test_a_cause_is_one_of_those_there_are():

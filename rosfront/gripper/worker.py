@@ -1,0 +1,302 @@
+"""The gripper's thread: it alone calls the hook, and every motion gets exactly one end from it.
+
+A hook may take its time, or hang; that holds up nothing but the gripper. Motions come from any thread, a newer one
+replaces an older one, and a motion ends: reached, stalled, canceled, replaced, in trouble, or too late.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from queue import Empty, SimpleQueue
+
+from config.gripper import GripperConfig
+from motion.gripping import STILL_SHARE, Grip, GripJudge, stall_ns
+from rosfront.gripper.hook import Gripper, GripperTrouble, NotThereYet, Reading
+from rosfront.plan import NS
+
+MOVING_PERIOD_S = 0.05
+RESTING_PERIOD_S = 0.1
+TROUBLE_PERIOD_S = 1.0
+STALE_S = 1.0
+"""A reading older than this says nothing of where the gripper is."""
+STAND_WITHIN_S = 2.0
+"""For a gripper that was told to stop."""
+LATE_S = 10.0
+"""A motion may take three times what the whole range takes at its speed, and this."""
+HOMED_WITHIN_S = 120.0
+CLOSING = "The ROS process was stopped before the gripper had come to its end; it was told to hold."
+NEVER_READ = "The gripper has not been read yet."
+
+
+class Ended(Enum):
+    """The ends of a motion."""
+
+    REACHED = "reached"
+    STALLED = "stalled"
+    CANCELED = "canceled"
+    REPLACED = "replaced"
+    TROUBLE = "trouble"
+
+
+@dataclass(frozen=True)
+class End:
+    """How a motion ended."""
+
+    how: Ended
+    reading: Reading | None
+    """Where it was then; None where nothing could be read."""
+    sentence: str
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether it did what was asked: it is there, or holds what is in between."""
+        return self.how in (Ended.REACHED, Ended.STALLED)
+
+
+@dataclass(eq=False)
+class Motion:
+    """A wish, until `on_end` hears of its end, once, from the gripper's thread; `on_reading` hears of its way."""
+
+    target_rad: float | None
+    """None: find out where it is (homing)."""
+    max_effort: float
+    on_end: Callable[[End], None]
+    on_reading: Callable[[Reading], None] = lambda _: None
+    judge: GripJudge | None = None
+    begun_s: float = field(default_factory=time.monotonic)
+    until_s: float = math.inf
+    canceled_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The newest state, for others to look at."""
+
+    reading: Reading | None
+    grip: Grip
+    trouble: str
+
+
+class GripperWorker(threading.Thread):
+    """The thread around one hook."""
+
+    def __init__(
+        self,
+        config: GripperConfig,
+        make: Callable[[], Gripper],
+        warn: Callable[[str], None],
+        inform: Callable[[str], None],
+    ) -> None:
+        """`make` opens the hook, again after it has failed; `warn` is told of a trouble, `inform` of its end."""
+        super().__init__(name="gripper", daemon=True)
+        self._config = config
+        self._make = make
+        self._warn, self._inform = warn, inform
+        self._warned = ""
+        self._hook: Gripper | None = None
+        self._works: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._motion: Motion | None = None
+        self._before: Reading | None = None
+        self._leaving = False
+        self._rest_grip = Grip.UNKNOWN
+        self.shown = Shown(None, Grip.UNKNOWN, NEVER_READ)
+
+    # --- from any thread
+
+    def begin(self, motion: Motion) -> None:
+        """Carry it out; it replaces the one that runs."""
+        self._works.put(lambda: self._begin(motion))
+
+    def cancel(self, motion: Motion) -> None:
+        """Stop it, if it still runs."""
+        self._works.put(lambda: self._cancel(motion))
+
+    def close(self, patience_s: float) -> None:
+        """Stop what moves, close the hook and end; a hook that hangs is left behind."""
+        self._works.put(self._leave)
+        self.join(patience_s)
+
+    def measured(self, now_ns: int) -> tuple[float, float, float] | None:
+        """Position, velocity and effort if they are known at this moment (CLOCK_MONOTONIC), else None."""
+        reading = self.shown.reading
+        if reading is None or now_ns - reading.measured_ns > STALE_S * NS:
+            return None
+        velocity = reading.velocity_rad_s
+        return reading.position_rad, velocity if math.isfinite(velocity) else 0.0, reading.effort
+
+    # --- in the thread
+
+    def run(self) -> None:
+        """Until `close`: do what is asked, then look where the gripper is."""
+        while not self._leaving:
+            try:
+                self._works.get(timeout=self._pause_s())()
+                while True:
+                    self._works.get_nowait()()
+            except Empty:
+                pass
+            if not self._leaving:
+                self._look()
+
+    def _pause_s(self) -> float:
+        if self._motion is not None:
+            return MOVING_PERIOD_S
+        return TROUBLE_PERIOD_S if self._hook is None else RESTING_PERIOD_S
+
+    def _begin(self, motion: Motion) -> None:
+        self._end(Ended.REPLACED, "A newer command for the gripper has replaced it.")
+        self._motion = motion
+        hook = self._opened()
+        if hook is None:
+            return  # said, and ended, by then
+        try:
+            if motion.target_rad is None:
+                self._home(hook, motion)
+                return
+            reading, config = self._read(hook), self._config
+            motion.judge = GripJudge(
+                motion.target_rad,
+                config.tolerance_rad,
+                stall_ns(config.stall_time_s, config.tolerance_rad, config.speed_rad_s),
+                reading.position_rad,
+                reading.measured_ns,
+            )
+            longest_s = (config.upper_rad - config.lower_rad) / config.speed_rad_s
+            motion.until_s = motion.begun_s + LATE_S + 3.0 * longest_s
+            hook.move(motion.target_rad, motion.max_effort)
+        except Exception as problem:
+            self._fail(problem)
+
+    def _home(self, hook: Gripper, motion: Motion) -> None:
+        home = getattr(hook, "home", None)
+        if home is None:
+            self._end(Ended.TROUBLE, f"The gripper's hook {self._config.hook} has no way to find out where it is.")
+            return
+        motion.until_s = motion.begun_s + HOMED_WITHIN_S
+        home()
+
+    def _cancel(self, motion: Motion) -> None:
+        if motion is not self._motion or motion.canceled_s:
+            return
+        motion.canceled_s = time.monotonic()
+        self._before = None
+        hook = self._opened()
+        if hook is not None:
+            try:
+                hook.stop()
+            except Exception as problem:
+                self._fail(problem)
+
+    def _leave(self) -> None:
+        self._leaving = True
+        hook, moving = self._hook, self._motion is not None
+        self._end(Ended.TROUBLE, CLOSING)
+        if hook is None:
+            return
+        try:
+            if moving:
+                hook.stop()
+            hook.close()
+        except Exception as problem:
+            self._warn(self._sentence(problem))
+
+    def _opened(self) -> Gripper | None:
+        if self._hook is None:
+            try:
+                self._hook = self._make()
+            except Exception as problem:
+                self._fail(problem)
+        return self._hook
+
+    def _look(self) -> None:
+        hook = self._opened()
+        if hook is None:
+            return
+        try:
+            reading = self._read(hook)
+            self._follow(hook, reading)
+        except Exception as problem:
+            self._fail(problem)
+
+    def _read(self, hook: Gripper) -> Reading:
+        reading = hook.read()
+        if not math.isfinite(reading.position_rad) and reading.grip is not Grip.MOVING:
+            raise GripperTrouble(f"The gripper says that it is at {reading.position_rad} rad: look at its sensor.")
+        return reading if reading.measured_ns else reading._replace(measured_ns=time.monotonic_ns())
+
+    def _follow(self, hook: Gripper, reading: Reading) -> None:
+        """What a reading says of the motion that runs."""
+        motion, before, self._before = self._motion, self._before, reading
+        grip = self._judged(motion, reading, before)
+        known = math.isfinite(reading.position_rad)
+        self._show(reading if known else None, grip, reading.trouble)
+        if motion is None:
+            return
+        if known:
+            motion.on_reading(reading)
+        if motion.canceled_s:
+            stands = grip != Grip.MOVING or time.monotonic() - motion.canceled_s > STAND_WITHIN_S
+            if stands:
+                self._rest_grip = Grip.HELD
+                self._end(Ended.CANCELED, "Canceled: the gripper holds where it stopped.")
+        elif grip == Grip.TROUBLE:
+            self._end(Ended.TROUBLE, reading.trouble)
+        elif grip == Grip.STALLED:
+            if reading.grip is None:
+                hook.stop()
+            self._rest_grip = grip
+            self._end(Ended.STALLED, f"The gripper holds something at {_words(reading.position_rad)}.")
+        elif grip == Grip.REACHED or (motion.target_rad is None and grip == Grip.HELD):
+            self._rest_grip = grip
+            self._end(Ended.REACHED, f"The gripper is at {_words(reading.position_rad)}.")
+        elif grip == Grip.HELD:
+            self._rest_grip = grip
+            self._end(Ended.TROUBLE, "The gripper was stopped by somebody else; it holds where it is.")
+        elif time.monotonic() > motion.until_s:
+            self._end(Ended.TROUBLE, "The gripper moves and does not arrive: look at it, and at its speed.")
+
+    def _judged(self, motion: Motion | None, reading: Reading, before: Reading | None) -> Grip:
+        if reading.grip is not None:
+            return reading.grip
+        if motion is None:
+            return self._rest_grip if self._rest_grip != Grip.UNKNOWN else Grip.HELD
+        if motion.canceled_s:
+            still_rad = STILL_SHARE * self._config.tolerance_rad
+            stands = before is not None and abs(reading.position_rad - before.position_rad) <= still_rad
+            return Grip.HELD if stands else Grip.MOVING
+        if motion.judge is None:
+            return Grip.REACHED
+        return motion.judge.judge(reading.measured_ns, reading.position_rad)
+
+    def _fail(self, problem: Exception) -> None:
+        sentence = self._sentence(problem)
+        self._show(None, Grip.TROUBLE, sentence, quiet=isinstance(problem, NotThereYet))
+        self._end(Ended.TROUBLE, sentence)
+
+    def _sentence(self, problem: Exception) -> str:
+        if isinstance(problem, GripperTrouble):
+            return str(problem)
+        return f"The gripper's hook {self._config.hook} failed ({type(problem).__name__}: {problem}): mend it."
+
+    def _show(self, reading: Reading | None, grip: Grip, trouble: str, *, quiet: bool = False) -> None:
+        if trouble and trouble != self._warned and not quiet:
+            self._warn(trouble)
+            self._warned = trouble
+        elif not trouble and self._warned:
+            self._inform("The gripper is in order again.")
+            self._warned = ""
+        self.shown = Shown(reading, grip, trouble)
+
+    def _end(self, how: Ended, sentence: str) -> None:
+        motion, self._motion = self._motion, None
+        if motion is not None:
+            motion.on_end(End(how, self.shown.reading, sentence))
+
+
+def _words(angle_rad: float) -> str:
+    return f"{math.degrees(angle_rad):.1f}° ({angle_rad:.4f} rad)"
