@@ -8,7 +8,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from motion_figures import accelerations, rms, sampled_truth
-from test_faults import clear
 from virtual import VirtualArm, recorded_goal
 
 from config.loader import load_arm
@@ -285,7 +284,7 @@ def test_a_drive_that_lost_power_gets_no_fc_before_it_is_set_up_again(overrides:
     since = len(arm.sent)
     arm.cycles(200)
     assert fast_frames(arm, 2, since) == 0
-    clear(arm)
+    assert arm.clear_fault().failure is None
     assert arm.loop[0]["axes"][1]["fast_ready"] == 1
     assert arm.loop[0]["axes"][1]["referenced"] == 0
     arm.close()

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from observer import truth_of
-from test_faults import clear, motion_frames
+from test_faults import motion_frames
 from virtual import VirtualArm, recorded_goal
 
 from config.budget import budget
@@ -225,7 +225,7 @@ def test_a_drive_that_ceases_to_report_is_a_silent_one(moving: VirtualArm) -> No
     # it is heard all the time, so it is not stopped again and again
     assert not any(b"T000002004FE98006B" in data for _, data in moving.sent[stopped:])
     assert moving.outcome(moving.goal) == Outcome.FAULT
-    clear(moving)
+    assert moving.clear_fault().failure is None
     assert min(reports(moving)) > 50
     assert moving.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.SILENT
 
@@ -257,7 +257,7 @@ def test_a_drive_that_lost_power_is_asked_and_stopped(off_s: float, joint: int) 
     assert motion_frames(arm, joint + 1, since) == 0
     truth = truth_of(arm.sim)[name]
     assert np.ptp(truth.position_at(np.arange(arm.now_ns - 10**9, arm.now_ns - 10**6, 10**7))) == 0.0
-    clear(arm)
+    assert arm.clear_fault().failure is None
     assert any(f"{name} is not referenced" in sentence for sentence in arm.told)
     assert min(reports(arm)) > 50
     arm.close()
