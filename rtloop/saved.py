@@ -30,6 +30,8 @@ OUTLIVES_THE_PROCESS = frozenset(
     }
 )
 """What a bring-up of the next process need not find out by itself: what no clearing of a fault forgives either."""
+COUNTS_FROM_NOWHERE = frozenset({Unreferenced.POWER_LOST, Unreferenced.NOT_HOMED})
+"""No look at the joint says that it stands where it reads; until it is homed no weaker reason takes their place."""
 
 
 class NotSaved(Exception):
@@ -111,6 +113,8 @@ def lost_references(arm: ArmConfig) -> dict[int, Unreferenced]:
 def keep_lost_reference(arm: ArmConfig, joint: int, reason: Unreferenced | None) -> None:
     """Remember beyond this process why a joint's angle is not known, or (None) that it is.
 
+    A count from nowhere stays one whatever else befalls the joint: a process that was told its angle may lose that.
+
     Raises:
         NotSaved: with the sentence for people.
     """
@@ -120,7 +124,7 @@ def keep_lost_reference(arm: ArmConfig, joint: int, reason: Unreferenced | None)
     lost = lost_references(arm)
     if reason is None:
         lost.pop(joint, None)
-    else:
+    elif lost.get(joint) not in COUNTS_FROM_NOWHERE or reason in COUNTS_FROM_NOWHERE:
         lost[joint] = reason
     try:
         if lost:

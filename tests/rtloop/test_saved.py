@@ -36,6 +36,7 @@ def test_what_is_kept_is_taken_once(tmp_path_factory, counts):
 
 
 REASONS = st.sampled_from(sorted(saved.OUTLIVES_THE_PROCESS))
+FROM_NOWHERE = (Unreferenced.POWER_LOST, Unreferenced.NOT_HOMED)
 
 
 def test_what_no_clear_forgives_no_restart_forgives():
@@ -51,10 +52,21 @@ def test_a_lost_reference_is_kept_until_it_is_found_again(tmp_path_factory, said
         for joint, reason in said:
             saved.keep_lost_reference(arm, joint, reason)
             saved.take(arm)  # a start forgets where the arm stood, and no lost reference
-        lost = {joint: reason for joint, reason in dict(said).items() if reason is not None}
+        lost = {}
+        for joint, reason in said:
+            if reason is None:
+                lost.pop(joint, None)
+            elif lost.get(joint) not in FROM_NOWHERE or reason in FROM_NOWHERE:
+                lost[joint] = reason
         assert saved.lost_references(arm) == lost
         left = [path.name for path in saved.path_of(arm.name).parent.glob("*")]
         assert left == (["episode1.unreferenced"] if lost else [])
+
+
+def test_a_joint_whose_angle_a_person_said_is_no_more_believed_after_it_was_silent(arm):
+    saved.keep_lost_reference(arm, 2, Unreferenced.NOT_HOMED)  # `rtarm reference joint3=30`: this process knows it
+    saved.keep_lost_reference(arm, 2, Unreferenced.SILENT)
+    assert saved.lost_references(arm) == {2: Unreferenced.NOT_HOMED}  # `rtarm reference joint3` would believe its count
 
 
 @pytest.mark.parametrize(
