@@ -31,6 +31,7 @@ IDLE_POLL_S = 0.05
 FIRST_CYCLE_POLL_S = 0.001
 REOPEN_EVERY_S = 0.5
 LOST_EVERY_S = 1.0
+KEEP_AGAIN_S = 1.0
 THREAD_PATIENCE_S = 5.0
 STAND_PATIENCE_S = 5.0
 """For a drive amid its homing run to say that it has ended it."""
@@ -86,8 +87,9 @@ class ControlProcess:
         self._fd = -1
         self._lost_references: dict[int, Unreferenced] = {}
         self._dropped_before = 0
-        self._next_try_s = self._next_lost_s = 0.0
-        self._told_of_wire = ""
+        self._brought_up = False
+        self._next_try_s = self._next_lost_s = self._next_keep_s = 0.0
+        self._told_of_wire = self._told_of_lost = ""
         try:
             self._loop = new_loop(arm, self._files.state.address, self._files.command.address)
             self._open_wire()
@@ -119,8 +121,10 @@ class ControlProcess:
             return 3
         finally:
             self._end_threads()
+            self._next_keep_s = 0.0
+            self._keep_newly_lost()  # what the cycle has found since it was last looked at
             self._release()
-        if code == 0:
+        if code == 0 and self._brought_up:  # those of before stand until they were compared
             self._save_positions()
         return code
 
@@ -316,7 +320,9 @@ class ControlProcess:
         )
 
     def _keep_lost(self, joint: int, reason: Unreferenced | None) -> None:
+        """For who homes and references; what the cycle says of the joint until it is told is no news then."""
         saved.keep_lost_reference(self._arm, joint, reason)
+        self._lost_references[joint] = Unreferenced(self._loop[0]["axes"][joint]["unreferenced_reason"])
 
     def _keep_newly_lost(self) -> None:
         """The next process is to know of each reference that is lost, however this one ends."""
@@ -327,13 +333,20 @@ class ControlProcess:
             for joint, (referenced, reason) in words
             if not referenced and reason in saved.OUTLIVES_THE_PROCESS
         }
-        for joint, reason in lost.items():
-            if self._lost_references.get(joint) != reason:  # once: what was told of it since stands in the file
-                try:
-                    self._keep_lost(joint, reason)
-                except saved.NotSaved as problem:
-                    self._tell(str(problem))
-        self._lost_references = lost
+        kept = {joint: reason for joint, reason in self._lost_references.items() if lost.get(joint) == reason}
+        self._lost_references = kept  # once: what was told of it since stands in the file
+        news = {joint: reason for joint, reason in lost.items() if joint not in kept}
+        if not news or time.monotonic() < self._next_keep_s:
+            return
+        try:
+            for joint, reason in news.items():
+                saved.keep_lost_reference(self._arm, joint, reason)
+                kept[joint] = reason
+        except saved.NotSaved as problem:
+            self._next_keep_s = time.monotonic() + KEEP_AGAIN_S
+            if str(problem) != self._told_of_lost:
+                self._told_of_lost = str(problem)
+                self._tell(str(problem))
 
     def _is_asked_to_reference(self) -> bool:
         return bool(self._core["home_asked"] or self._core["reference_asked"])
@@ -342,8 +355,8 @@ class ControlProcess:
         # fresh rings have room for its beginning
         talk: Conversation | None = self._bring_up(
             clears_protection=False,
-            counts_before=saved.take(self._arm),
-            lost_before=saved.lost_references(self._arm),
+            counts_before=saved.counts_before(self._arm),
+            lost_before=saved.lost_references(self._arm, self._tell),
         )
         first = True
         closing_until_s = 0.0
@@ -364,6 +377,9 @@ class ControlProcess:
                 talk = None
             # a fault before the end of the first bring-up, such as a wire that went, becomes its failure
             if first and talk is None and int(self._core["mode"]) not in (Mode.OFFLINE, Mode.BRINGING_UP):
+                self._keep_newly_lost()  # before that is gone by which it was found
+                saved.forget_counts(self._arm)
+                self._brought_up = True
                 ready()
                 first = False
                 self._begin_with_gripper()

@@ -1,10 +1,10 @@
 """What is known of the drives' counts beyond the life of a control process.
 
 Two small files an arm, in `rtarm/positions` under $XDG_STATE_HOME (~/.local/state). `<arm>.json`: where the drives
-counted when rtarm was last ended in order, to notice what happened to the arm since. It is there only while rtarm is
-not running: after a crash nothing is compared, since nothing is known. `<arm>.unreferenced`: which joints have lost
-their reference and why, until they are given one. Simulated arms at a pseudo-terminal begin wherever they are told to,
-so nothing is kept of them.
+counted when rtarm was last ended in order, to notice what happened to the arm since. It is there until a start has
+compared all of them: after a crash nothing is compared, since nothing is known. `<arm>.unreferenced`: which joints have
+lost their reference and why, until they are given one. Simulated arms at a pseudo-terminal begin wherever they are told
+to, so nothing is kept of them.
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ import contextlib
 import json
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from config.schema import ArmConfig
 from shm.words import Unreferenced
 
 PSEUDO_TERMINALS = "/dev/pts/"
+ANY_COUNT = 1 << 53
+"""Drives count in 32 bits; anything beyond this is no number that a float holds."""
 OUTLIVES_THE_PROCESS = frozenset(
     {
         Unreferenced.POWER_LOST,
@@ -73,8 +75,8 @@ def save(arm: ArmConfig, counts: Mapping[int, int]) -> None:
         ) from problem
 
 
-def take(arm: ArmConfig) -> dict[int, int]:
-    """Joint number → count that was kept of this arm at this channel; the file is gone afterwards.
+def counts_before(arm: ArmConfig) -> dict[int, int]:
+    """Joint number → count that was kept of this arm at this channel.
 
     Empty where nothing is known. What cannot be read says nothing, since anybody may have written it.
     """
@@ -88,17 +90,22 @@ def take(arm: ArmConfig) -> dict[int, int]:
         kept = json.loads(path.read_text(encoding="utf-8"))
         known = dict(kept["counts"]) if kept["channel"] == _channel(arm) else {}
     except (OSError, ValueError, TypeError, KeyError):
-        known = {}
-    with contextlib.suppress(OSError):
-        path.unlink(missing_ok=True)
+        return {}
     counts = {joint: known.get(config.name) for joint, config in enumerate(arm.joints)}
-    return {joint: count for joint, count in counts.items() if isinstance(count, int)}
+    return {joint: count for joint, count in counts.items() if isinstance(count, int) and abs(count) < ANY_COUNT}
 
 
-def lost_references(arm: ArmConfig) -> dict[int, Unreferenced]:
+def forget_counts(arm: ArmConfig) -> None:
+    """The joints were compared with their counts of before, and may move from here on."""
+    if not _is_simulated(arm):
+        with contextlib.suppress(OSError, NotSaved):
+            path_of(arm.name).unlink(missing_ok=True)
+
+
+def lost_references(arm: ArmConfig, tell: Callable[[str], object] = lambda _: None) -> dict[int, Unreferenced]:
     """Joint number → why its angle is not known, as it was last kept.
 
-    A file that is there and cannot be read may say so of every joint, and is taken to.
+    A file that is there and cannot be read may say so of every joint, and is taken to; `tell` gets the sentence.
     """
     if _is_simulated(arm):
         return {}
@@ -106,7 +113,13 @@ def lost_references(arm: ArmConfig) -> dict[int, Unreferenced]:
         return _read_lost(arm)
     except NotSaved:
         return {}  # there is no place where anything could have been kept
-    except (OSError, ValueError):
+    except (OSError, ValueError) as problem:
+        why = problem.strerror if isinstance(problem, OSError) else "it says something else"
+        tell(
+            f"Which joints have lost their reference could not be read in {_lost_path(arm)} ({why}), so each counts as "
+            "one that was not homed: see that the file can be read and written, then home the joints or say where they "
+            "stand with `rtarm reference`."
+        )
         return dict.fromkeys(range(len(arm.joints)), Unreferenced.NOT_HOMED)
 
 
@@ -144,7 +157,8 @@ def _read_lost(arm: ArmConfig) -> dict[int, Unreferenced]:
         kept = json.loads(_lost_path(arm).read_text(encoding="utf-8"))
     except (FileNotFoundError, NotADirectoryError):
         return {}
-    if not isinstance(kept, dict) or not set(kept.values()) <= {reason.name for reason in OUTLIVES_THE_PROCESS}:
+    reasons = [reason.name for reason in OUTLIVES_THE_PROCESS]  # what was read may not even be hashable
+    if not isinstance(kept, dict) or not all(reason in reasons for reason in kept.values()):
         raise ValueError(kept)
     numbers = {config.name: joint for joint, config in enumerate(arm.joints)}
     return {numbers[name]: Unreferenced[reason] for name, reason in kept.items() if name in numbers}
@@ -157,11 +171,22 @@ def _lost_path(arm: ArmConfig) -> Path:
 def _replace(path: Path, text: str) -> None:
     """Write a file whole or not at all, so that it is there even when the power goes."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=".", delete=False) as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(file.name, path)
+    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=".")
+    try:
+        with open(descriptor, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(name, path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            os.unlink(name)
+        raise
+    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(folder)  # its new name is a matter of the folder's
+    finally:
+        os.close(folder)
 
 
 def _channel(arm: ArmConfig) -> str:

@@ -4,7 +4,8 @@ import pytest
 from fault_rig import wait
 from stack import PATIENCE_S, Process, Stack
 
-from rtloop.saved import path_of
+from config.loader import load_arm
+from rtloop.saved import counts_before, path_of
 from shm.client import StateReader
 from shm.files import open_state
 from shm.words import Fault, Unreferenced
@@ -60,3 +61,37 @@ def test_no_restart_gives_a_reference_back(stack, end):
     stack.loop.code()
     stack.start_loop()
     assert reasons(stack) == {}
+
+
+def test_what_could_not_be_kept_is_kept_as_soon_as_it_can(stack):
+    stack.start_loop()
+    file = path_of(stack.name).with_suffix(".unreferenced")
+    file.mkdir(parents=True)
+    stack.sim.say("silent:joint=joint3,at_s=0,until_s=0.5")
+    stack.loop.line_with("What is known of joint3's reference could not be kept in")
+    file.rmdir()
+    wait(file.exists, "another try", PATIENCE_S)
+    stack.loop.process.kill()
+    stack.loop.code()
+    assert "could not be kept" not in stack.loop.said().partition("see that the file can be written.")[2]
+    stack.start_loop()
+    assert reasons(stack) == {2: Unreferenced.SILENT}
+
+
+def test_a_start_that_fails_does_not_forget_where_the_joints_stood(stack):
+    stack.start_loop()
+    stack.loop.process.terminate()
+    assert stack.loop.code() == 0
+    stood = counts_before(load_arm(stack.arm_file))
+    assert len(stood) == 6
+    stack.sim.close()
+    stack._start_deg = [10.0, 0.0, 0.0, 0.0, 0.0, 0.0]  # moved by hand meanwhile
+    stack.start_sim("--fault", "silent:joint=joint6,at_s=0,until_s=1000")
+    stack.start_loop(ready=False)
+    assert stack.loop.code() == 2
+    assert counts_before(load_arm(stack.arm_file)) == stood
+    stack.sim.close()
+    stack.start_sim()
+    stack.start_loop()
+    assert reasons(stack) == {0: Unreferenced.MOVED}
+    assert counts_before(load_arm(stack.arm_file)) == {}

@@ -22,7 +22,7 @@ import yaml
 from stack import Process
 
 from config.loader import ARMS_FOLDER, arm_hash, load_arm
-from rtloop import compiled, realtime, warm
+from rtloop import compiled, realtime, saved, warm
 from rtloop.port import ServicePort
 from rtloop.process import ControlProcess, StopAsked
 from shm import cache
@@ -394,6 +394,18 @@ def test_a_cycle_that_takes_no_orders_ends_the_process_with_a_sentence(deaf_arm,
     assert "The control cycle takes no orders: it has stopped; start rtarm again." in told
     with pytest.raises(NotRunning):
         open_state(deaf_arm.name)
+
+
+def test_an_end_amid_the_bring_up_keeps_where_the_joints_stood_before(deaf_arm, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    channel = tmp_path / "tty"
+    channel.symlink_to(deaf_arm.bus.channel)  # of a pseudo-terminal's own name nothing is kept
+    arm = deaf_arm.model_copy(update={"bus": deaf_arm.bus.model_copy(update={"channel": str(channel)})})
+    saved.save(arm, {0: 7})
+    stop_asked = StopAsked([])
+    stop_asked.yes = True
+    assert ControlProcess(arm, compiled.load(), lambda sentence: None, stop_asked).serve(lambda: None) == 0
+    assert saved.counts_before(arm) == {0: 7}
 
 
 @pytest.mark.process

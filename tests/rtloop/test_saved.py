@@ -1,4 +1,4 @@
-"""Where the drives counted when rtarm was ended: kept, taken once, believed with care."""
+"""Where the drives counted when rtarm was ended: kept, compared once, believed with care."""
 
 import json
 import math
@@ -26,13 +26,15 @@ def arm(tmp_path, monkeypatch):
 
 @settings(deadline=None)  # files, on whatever disk
 @given(counts=COUNTS)
-def test_what_is_kept_is_taken_once(tmp_path_factory, counts):
+def test_what_is_kept_is_there_until_it_is_forgotten(tmp_path_factory, counts):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.getbasetemp()))
         arm = load_arm("episode1")
         saved.save(arm, counts)
-        assert saved.take(arm) == counts
-        assert saved.take(arm) == {}
+        assert saved.counts_before(arm) == counts
+        assert saved.counts_before(arm) == counts  # a start that failed has compared nothing
+        saved.forget_counts(arm)
+        assert saved.counts_before(arm) == {}
 
 
 REASONS = st.sampled_from(sorted(saved.OUTLIVES_THE_PROCESS))
@@ -51,7 +53,7 @@ def test_a_lost_reference_is_kept_until_it_is_found_again(tmp_path_factory, said
         arm = load_arm("episode1")
         for joint, reason in said:
             saved.keep_lost_reference(arm, joint, reason)
-            saved.take(arm)  # a start forgets where the arm stood, and no lost reference
+            saved.forget_counts(arm)  # a start forgets where the arm stood, and no lost reference
         lost = {}
         for joint, reason in said:
             if reason is None:
@@ -70,13 +72,26 @@ def test_a_joint_whose_angle_a_person_said_is_no_more_believed_after_it_was_sile
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "7", "joint2", '{"joint2": 3}', '{"joint2": "SILENTLY"}', '{"joint2": "REFERENCED"}', "\0\xff"]
+    "text",
+    [
+        "",
+        "[]",
+        "7",
+        "joint2",
+        '{"joint2": 3}',
+        '{"joint2": ["SILENT"]}',
+        '{"joint2": "SILENTLY"}',
+        '{"joint2": "REFERENCED"}',
+        "\0\xff",
+    ],
 )
 def test_a_file_that_says_something_else_may_say_it_of_every_joint(arm, text):
     path = saved.path_of(arm.name).with_suffix(".unreferenced")
     path.parent.mkdir(parents=True)
     path.write_text(text, encoding="latin-1")
-    assert saved.lost_references(arm) == dict.fromkeys(range(6), Unreferenced.NOT_HOMED)
+    told = []
+    assert saved.lost_references(arm, told.append) == dict.fromkeys(range(6), Unreferenced.NOT_HOMED)
+    assert len(told) == 1 and f"could not be read in {path} (it says something else), so each counts" in told[0]
     saved.keep_lost_reference(arm, 2, None)
     assert saved.lost_references(arm) == dict.fromkeys((0, 1, 3, 4, 5), Unreferenced.NOT_HOMED)
 
@@ -86,6 +101,9 @@ def test_a_file_that_cannot_be_read_may_say_it_of_every_joint(arm):
     assert saved.lost_references(arm) == dict.fromkeys(range(6), Unreferenced.NOT_HOMED)
     with pytest.raises(saved.NotSaved, match=r"joint4.s reference could not be kept in .* see that the file can be"):
         saved.keep_lost_reference(arm, 3, None)
+    assert [path.suffix for path in saved.path_of(arm.name).parent.iterdir()] == [
+        ".unreferenced"
+    ]  # nothing is left over
 
 
 def test_a_lost_reference_that_cannot_be_kept_is_a_sentence(arm, tmp_path):
@@ -101,12 +119,13 @@ def test_a_user_without_a_home_is_told(arm, monkeypatch):
         saved.keep_lost_reference(arm, 2, Unreferenced.NOT_HOMED)
     with pytest.raises(saved.NotSaved, match="set XDG_STATE_HOME"):
         saved.save(arm, {0: 7})
-    assert (saved.take(arm), saved.lost_references(arm)) == ({}, {})
+    saved.forget_counts(arm)
+    assert (saved.counts_before(arm), saved.lost_references(arm)) == ({}, {})
 
 
 def test_another_adapter_is_another_arm(arm):
     saved.save(arm, {0: 7})
-    assert saved.take(load_arm("episode1", overrides={"bus": {"channel": "/dev/ttyUSB7"}})) == {}
+    assert saved.counts_before(load_arm("episode1", overrides={"bus": {"channel": "/dev/ttyUSB7"}})) == {}
 
 
 def test_nothing_is_kept_of_a_simulated_arm(arm):
@@ -125,15 +144,20 @@ def test_what_cannot_be_read_says_nothing(arm, text):
     path = saved.path_of(arm.name)
     path.parent.mkdir(parents=True)
     path.write_text(text, encoding="latin-1")
-    assert saved.take(arm) == {}
+    assert saved.counts_before(arm) == {}
+    saved.forget_counts(arm)
     assert not path.exists()
 
 
 def test_counts_that_are_no_numbers_say_nothing(arm):
     path = saved.path_of(arm.name)
     path.parent.mkdir(parents=True)
-    path.write_text(json.dumps({"channel": "slcan:/dev/ttyUSB1", "counts": {"joint1": "7", "joint2": 8, "moon": 9}}))
-    assert saved.take(arm) == {1: 8}
+    path.write_text(
+        json.dumps(
+            {"channel": "slcan:/dev/ttyUSB1", "counts": {"joint1": "7", "joint2": 8, "moon": 9, "joint3": 10**400}}
+        )
+    )
+    assert saved.counts_before(arm) == {1: 8}
 
 
 def test_a_file_in_the_way_is_a_sentence(arm, tmp_path):
