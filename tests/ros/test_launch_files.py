@@ -9,6 +9,9 @@ from typing import Any
 import pytest
 from launched import Started, everything_started
 
+from config.schema import ParkingConfig
+from rtarm.launcher import FRONT_STOP_S, LOOP_STOP_S, SIM_STOP_S
+
 pytest.importorskip("xacro")
 
 MOVEIT_PACKAGE = "episode1_moveit_config"
@@ -132,6 +135,17 @@ def test_rtarm_without_moveit(ros_packages: Path) -> None:
     assert server.parameters == {"arm": "./mine.yaml", "sim": False, "channel": "/dev/ttyACM0"}
     (printer,) = everything_started(launch / "trajectory_printer.launch.py")
     assert printer.arguments == ["--language", "zh"]
+
+
+def test_nobody_is_asked_to_end_a_second_time_before_the_longest_parking_is_over(ros_packages: Path) -> None:
+    """Which would stop the arm on its way."""
+    source = (ros_packages / "rtarm" / "launch" / "robot_interface.launch.py").read_text(encoding="utf-8")
+    keywords = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.keyword))
+    (patience,) = (keyword.value for keyword in keywords if keyword.arg == "sigterm_timeout")
+    limits = ParkingConfig.model_fields["timeout_s"].metadata
+    (longest_s,) = (limit.le for limit in limits if hasattr(limit, "le"))
+    assert isinstance(patience, ast.Constant)
+    assert float(patience.value) > longest_s + FRONT_STOP_S + LOOP_STOP_S + SIM_STOP_S
 
 
 @pytest.mark.parametrize(

@@ -44,8 +44,9 @@ def robot_interface(context):
             executable="robot_interface",
             output="screen",
             parameters=[parameters],
-            # An arm is brought to a stop on its path before its processes end: give it the time.
-            sigterm_timeout="20",
+            # An arm is stopped on its path, or parked (parking.timeout_s: 300 s at most), before its processes end;
+            # what comes earlier is a second signal, which ends the parking.
+            sigterm_timeout="330",
             sigkill_timeout="20",
             on_exit=Shutdown(reason="rtarm has ended, and with it what the others work with"),
         )
