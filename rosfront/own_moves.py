@@ -3,6 +3,7 @@
 They are trajectories like everybody's: planned from where the arm stands, checked, handed on through the same ring.
 """
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -37,8 +38,13 @@ class OwnMoves:
             self._taken_up = False
 
     def _go_to(self, pose: PoseMove) -> None:
+        turn = self._serving.turn()  # whoever begins something while this is planned wants that instead
         try:
-            self._serving.start(self._plan(pose), self._tell_end_of_pose)
+            plan = self._plan(pose)
+            newest = self._serving.newest()
+            if newest is not None and not newest["pose_due"]:
+                return  # and so does whoever has asked for something that is no goal
+            self._serving.start(plan, self._tell_end_of_pose, turn=turn)
         except GoalRefused as reason:
             self._tell(f"The arm does not go to its pose after homing: {reason.sentence}")
         else:
@@ -62,12 +68,15 @@ class OwnMoves:
             self._tell("Parked." if verdict.status is Status.SUCCEEDED else f"Not parked: {verdict.sentence}")
             on_end()
 
+        turn = self._serving.turn()
         try:
             plan = self._plan(parking)
-            takes_s = plan.times_ns[-1] * 1e-9
+            newest = self._serving.newest()
+            speed_scale = 0.0 if newest is None else float(newest["speed_scale_asked"])
+            takes_s = plan.times_ns[-1] * 1e-9 / speed_scale if speed_scale > 0.0 else math.inf
             if takes_s > parking.timeout_s:
-                raise ParkingTooLong(takes_s, parking.timeout_s)
-            execution = self._serving.start(plan, ended)
+                raise ParkingTooLong(takes_s, parking.timeout_s, speed_scale)
+            execution = self._serving.start(plan, ended, turn=turn)
         except GoalRefused as reason:
             self._tell(f"Not parked: {reason.sentence}")
             return None

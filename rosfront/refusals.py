@@ -402,11 +402,14 @@ class MotorAngleBeyondLimit(BadRequest):
 class ParkingTooLong(GoalRefused):
     """The way to where the arm parks takes longer than parking may."""
 
-    def __init__(self, takes_s: float, limit_s: float) -> None:
-        super().__init__(
-            f"It would take {takes_s:.1f} s and parking.timeout_s is {limit_s:g}: raise one of parking.timeout_s and "
-            "parking.speed_ratio in the arm file."
-        )
+    def __init__(self, takes_s: float, limit_s: float, speed_scale: float) -> None:
+        if speed_scale < 1.0:
+            slowed = f" at the speed scaling factor of {speed_scale:g}"
+            ways = "the factor, parking.timeout_s or parking.speed_ratio"
+        else:
+            slowed, ways = "", "parking.timeout_s or parking.speed_ratio in the arm file"
+        takes = f"take {takes_s:.1f} s" if math.isfinite(takes_s) else "never end"
+        super().__init__(f"It would {takes}{slowed} and parking.timeout_s is {limit_s:g}: raise {ways}.")
 
 
 class InMotion(GoalRefused):
