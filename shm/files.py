@@ -308,15 +308,19 @@ def _attach(path: Path, fd: int, dtype: np.dtype, arm: str, arm_hash: int | None
                 f"{path} has layout {int(found['layout_hash'][0]):016x}, this rtarm has {ours:016x}: the two "
                 "processes come from different versions; stop both and start them from one installation."
             )
-        if arm_hash is not None and int(found["arm_hash"][0]) != arm_hash:
-            raise WrongArm(
-                f"The control process for '{arm}' runs configuration {int(found['arm_hash'][0]):016x}, this process "
-                f"has {arm_hash:016x}: start both from the same arm file."
-            )
+        _require_hash(arm, int(found["arm_hash"][0]), arm_hash)
         return _map(path, fd, dtype, size, writable=writable)
     except BaseException:
         os.close(fd)
         raise
+
+
+def _require_hash(arm: str, found: int, wanted: int | None) -> None:
+    if wanted is not None and found != wanted:
+        raise WrongArm(
+            f"The control process for '{arm}' runs configuration {found:016x}, this process has {wanted:016x}: start "
+            "both from the same arm file."
+        )
 
 
 def _size_said(header: np.void, dtype: np.dtype) -> int:
@@ -329,14 +333,19 @@ def _size_said(header: np.void, dtype: np.dtype) -> int:
 
 def open_state(arm: str, arm_hash: int | None = None) -> MemoryFile:
     """Map the state file read-only; raises NotRunning when no control process holds it."""
-    memory = _open(state_path(arm), layout.STATE, arm, arm_hash, writable=False)
-    if not is_held(memory.fd):
+    memory = _open(state_path(arm), layout.STATE, arm, None, writable=False)
+    if not is_held(memory.fd):  # before its configuration: whoever starts the arm again may have changed the file
         pid = int(memory.record["header"]["pid"])
         memory.close()
         raise NotRunning(
             f"The control process of arm '{arm}' (pid {pid}) is gone without an orderly end: start it again with "
             f"`rtarm up {arm}`."
         )
+    try:
+        _require_hash(arm, int(memory.record["header"]["arm_hash"]), arm_hash)
+    except WrongArm:
+        memory.close()
+        raise
     return memory
 
 
