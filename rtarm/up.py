@@ -23,7 +23,13 @@ async def run_launched(launcher: Launcher, work: Callable[[], Awaitable[None]]) 
         try:
             await work()
         finally:
-            await launcher.stop()
+            ending = asyncio.ensure_future(launcher.stop())
+            try:
+                await asyncio.shield(ending)
+            except asyncio.CancelledError:  # the first signal, amid an end that nobody has asked for
+                launcher.stop_at_once()
+                await ending
+                raise
 
     await interruptible(launched(), launcher.say_stopping, launcher.stop_at_once)
 

@@ -1,0 +1,50 @@
+"""Signals amid the end of what was launched."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+
+import pytest
+
+from rtarm.interrupt import STOP_SIGNALS, Interrupted
+from rtarm.up import run_launched
+
+
+class Ending:
+    """In place of a launcher: ends in two steps, and sends itself a signal between them."""
+
+    def __init__(self) -> None:
+        self.done: list[str] = []
+
+    async def stop(self) -> None:
+        self.done.append("first step")
+        os.kill(os.getpid(), signal.SIGINT)
+        while "heard" not in self.done:
+            await asyncio.sleep(0.001)
+        await asyncio.sleep(0.01)
+        self.done.append("last step")
+
+    def say_stopping(self, why: str) -> None:
+        self.done.append("heard")
+
+    def stop_at_once(self) -> None:
+        self.done.append("at once")
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_first_signal_amid_the_end_does_not_leave_it_half_done(fails: bool) -> None:
+    async def work() -> None:
+        if fails:
+            raise RuntimeError
+
+    handlers = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+    launcher = Ending()
+    try:
+        with pytest.raises(Interrupted):
+            asyncio.run(run_launched(launcher, work))  # type: ignore[arg-type]
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    assert launcher.done == ["first step", "heard", "at once", "last step"]
