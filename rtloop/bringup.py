@@ -78,13 +78,20 @@ class BringUp(Conversation):
     # --- what is said to a ZDT drive
 
     def _bring_up_zdt(self, joint: int, config: JointConfig, drive: ZdtDrive) -> Dialogue:
-        version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
-        if version is None:
+        answer = yield Ask(registers.ASK_FIRMWARE, (4, 6))
+        if answer is None:
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} (address {drive.address}) does not answer: check its power, its address "
                 f"and the bit rate ({self.arm.bus.bitrate} bit/s) in its menu, and the CAN wires with 120 Ω at both "
                 "ends.",
+            )
+        version = registers.version_of(answer)
+        if version is None:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} (address {drive.address}) answers the question for its firmware with "
+                f"{answer.hex(' ')}, which no ZDT drive with Emm firmware does: see what stands at that address.",
             )
         if not version.newer:
             self._tell(

@@ -381,7 +381,7 @@ def _obey(loop: Loop, shared: Shared) -> int:
         return _end_goals(loop, shared, request.goal_id, Outcome.CANCELED)
     if kind == Request.GRIP or kind == Request.GRIP_STOP or kind == Request.GRIP_HOME:
         return _pass_to_gripper(loop)
-    core.pose_due = 0
+    core.pose_due_ns = 0
     if kind == Request.CLEAR_FAULT:
         if core.mode != Mode.FAULT:
             return Answer.REFUSED_MODE

@@ -44,6 +44,6 @@ def change_mode(loop: Loop, shared: Shared, mode: int) -> bool:
         return False
     core.mode = mode
     if mode != Mode.REFERENCING and mode != Mode.HOLDING:
-        core.pose_due = 0
+        core.pose_due_ns = 0
     record_event(loop, shared, Event.MODE, -1, mode, 0.0, 0.0)
     return True

@@ -11,6 +11,9 @@ from shm.jit import jit
 from shm.layout import MAX_JOINTS
 from shm.words import Answer, BusState, Fault, Mode, Request, Unreferenced
 
+POSE_DUE_NS = 120_000_000_000
+"""A ROS process that begins later than that after homing at the start finds an arm that nobody expects to move."""
+
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
@@ -42,11 +45,13 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
                 forget_count(loop, order.joint)
         elif order.kind == port.HOME_ALL:
             if intake.begin_referencing(loop, shared, Request.HOME, 0, 0.0) == Answer.DONE:
-                core.pose_due = 1
+                core.pose_due_ns = 1
         elif order.kind == port.REFERENCING_DONE:
             core.referencing_joint = -1
             if core.mode == Mode.REFERENCING:
                 change_mode(loop, shared, Mode.HOLDING)
+            if core.pose_due_ns != 0:
+                core.pose_due_ns = core.now_ns + POSE_DUE_NS
         elif order.kind == port.BRING_UP_FAILED:
             latch_fault(loop, shared, order.code, order.joint, order.value, 0.0)
         service.inbox_done(loop)

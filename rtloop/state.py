@@ -221,7 +221,7 @@ CORE = np.dtype(
         ("reference_asked", "i8"),  # joint mask; `asked_rad` of each says where it stands
         ("referencing_ends", "i8"),  # 1: a person, a fault or a shutdown ends what HOME or REFERENCE began
         ("referencing_joint", "i8"),
-        ("pose_due", "i8"),  # 1: homed at the start, and since then nobody has asked for anything
+        ("pose_due_ns", "i8"),  # being homed at the start: 1; homed, and nobody has asked for anything: until when
         # what the gripper was asked for last; the other thread looks for a new sequence
         ("grip_kind", "i8"),  # shm.words.Request
         ("grip_rad", "f8"),

@@ -149,7 +149,7 @@ CHANGING = [
     Word("speed_scale_asked", "f8", "", "what people asked for, 0…1; the scale goes there unless something stops"),
     Word("motion_started", "i8", "", "1 once the first motion frame was sent since bring-up"),
     Word("referencing_joint", "i8", "", "joint that is being homed or referenced, -1 for none"),
-    Word("pose_due", "i8", "", "1: the arm was homed at its start, and nobody has asked it for anything since"),
+    Word("pose_due", "i8", "", "1: just homed at the start, and nobody has asked for anything since"),
     Word("joints", (JOINT, (MAX_JOINTS,)), "", "one record a joint"),
 ]
 """The words of a snapshot that change in every cycle."""

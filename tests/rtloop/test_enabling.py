@@ -62,3 +62,14 @@ def test_an_arm_that_was_led_by_hand_is_held_where_it_is(enabling, kind, acknowl
     there_rad = [arm.sim.true_position_rad(joint, arm.sim.now_ns) for joint in range(6)]
     assert np.allclose(there_rad, joints[1, :, 0], atol=math.radians(0.2))
     arm.close()
+
+
+@pytest.mark.parametrize("answer", [b"\x1f\xee", b"\x1f\xe2", b"\x00\xee"], ids=["ee", "e2", "not-understood"])
+def test_what_answers_without_a_version_is_not_brought_up(answer):
+    arm = VirtualArm()
+    arm.sim.drives[2]._reads[0x1F] = lambda: answer
+    failure = arm.bring_up().failure
+    assert failure.joint == 2
+    assert f"answers the question for its firmware with {answer.hex(' ')} 6b, which no ZDT drive" in str(failure)
+    assert arm.core["mode"] == Mode.FAULT
+    arm.close()

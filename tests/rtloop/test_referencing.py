@@ -284,6 +284,11 @@ def test_a_pose_is_due_after_homing_at_the_start_until_somebody_asks_for_somethi
         assert arm.reader.snapshot()["pose_due"] == 0
         arm.close()
     arm = homed_at_the_start()
+    homed_ns = arm.now_ns
+    arm.until(lambda: arm.reader.snapshot()["pose_due"] == 0, at_most_s=121.0)
+    assert arm.now_ns - homed_ns > 119e9
+    arm.close()
+    arm = homed_at_the_start()
     assert small_goal(arm) == Outcome.SUCCEEDED
     assert arm.reader.snapshot()["pose_due"] == 0
     arm.close()
