@@ -16,7 +16,7 @@ from dataclasses import replace
 from config.budget import budget
 from config.joint import JointConfig, ZdtDrive
 from config.schema import ArmConfig
-from rtloop import fast_targets
+from rtloop import fast_targets, reports
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, silent_amid
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
@@ -28,9 +28,6 @@ from shm.words import Fault, Unreferenced
 
 SETTLE_PATIENCE_NS = 3_000_000_000
 HOMING_TRIES = 10
-REPORTS_TO_BELIEVE = 3
-REPORT_LOOKS = 20
-"""Statuses read, each a cycle or two apart, until so many reports must have come."""
 ADOPT_WITHIN_RAD = 0.02
 """A drive whose target lies this near to its position is taken at its word."""
 
@@ -221,27 +218,11 @@ class BringUp(Conversation):
         A control process that was killed leaves its drives reporting; they are told to cease only where they do.
         """
         if not self.arm.bus.reported:
-            by_itself = self._port.unasked(joint) - self._unasked[joint] >= REPORTS_TO_BELIEVE
+            by_itself = self._port.unasked(joint) - self._unasked[joint] >= reports.REPORTS_TO_BELIEVE
             if by_itself and (yield from zdt_talk.set_reports(0)):
                 self._tell(f"{config.name}: its drive sent its position by itself, which was ended.")
             return
-        if not (yield from zdt_talk.set_reports(self.arm.control.report_period_ms)):
-            raise TalkFailed(
-                joint,
-                f"The drive of {config.name} (firmware {version}) does not send its position by itself, which "
-                "bus.positions: reported asks for and only drives of the X42S and Y42 generation can: set "
-                "bus.positions to polled.",
-            )
-        before = self._port.unasked(joint)
-        for _ in range(REPORT_LOOKS):
-            yield from self._status(joint, config)
-            if self._port.unasked(joint) - before >= REPORTS_TO_BELIEVE:
-                return
-        raise TalkFailed(
-            joint,
-            f"The drive of {config.name} agreed to send its position every {self.arm.control.report_period_ms} ms, but "
-            "none comes: set bus.positions to polled.",
-        )
+        yield from reports.begin(self.arm, self._port, joint, version)
 
     def _require_budget_with_acknowledgements(self, joint: int, config: JointConfig, version: Version) -> None:
         loud = self.arm.model_copy(update={"bus": self.arm.bus.model_copy(update={"acknowledge": True})})

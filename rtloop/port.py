@@ -73,6 +73,10 @@ class ServicePort:
         """The joint's last reading."""
         return float(self._record["axes"][joint]["measured_rad"])
 
+    def measured_ns(self, joint: int) -> int:
+        """When the joint's last reading was taken."""
+        return int(self._record["axes"][joint]["measured_ns"])
+
     def unasked(self, joint: int) -> int:
         """Positions that have come from the joint's drive although nobody asked: its reports."""
         return int(self._record["axes"][joint]["unasked"])

@@ -54,9 +54,9 @@ def read_watchdog() -> Answered[int | None]:
 
 
 def set_reports(period_ms: int) -> Answered[bool]:
-    """Let the drive send its position by itself, or with 0 no more; whether it says that it will."""
+    """Let the drive send its position by itself, or with 0 no more; False where it refuses, silence is none."""
     answer = yield Ask(registers.report_position(period_ms), tuple(len(a) for a in registers.REPORT_ACCEPTED))
-    return answer in registers.REPORT_ACCEPTED
+    return answer is None or answer in registers.REPORT_ACCEPTED
 
 
 def read_homing() -> Answered[HomingParameters | None]:

@@ -1,6 +1,7 @@
 """Drives that send their positions by themselves (`bus.positions: reported`), in virtual time."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from rtloop.drives import zdt_registers
 from rtloop.farewell import Farewell
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.bus import Frame
-from sim.faults import LostReplies, PowerLoss, SerialBlocked, Silent
+from sim.faults import DuplicateReplies, LateReplies, LostReplies, PowerLoss, SerialBlocked, Silent
 
 REPORTED = {"bus": {"positions": "reported"}}
 ASKS_POSITION = b"236 6B".replace(b" ", b"")
@@ -157,7 +158,39 @@ def test_a_drive_that_agrees_and_does_not_report_is_named() -> None:
     arm.sim.drives[1].report_clock = 1e6
     failure = arm.bring_up().failure
     assert failure is not None
-    assert "The drive of joint2 agreed to send its position every 9 ms, but none comes" in str(failure)
+    assert "(firmware 2.0.0) was told to send its position every 9 ms, but none comes" in str(failure)
+    assert failure.joint == 1
+    arm.close()
+
+
+@pytest.mark.parametrize(("clock", "spacing_ms"), [(5.0, "45.0"), (2.0, "18.0"), (0.5, "4.5"), (0.2, "1.8")])
+def test_a_drive_that_reports_at_another_rate_is_named(clock: float, spacing_ms: str) -> None:
+    """Slower, and goals brake for want of readings; faster, and the bus carries more than was reckoned with."""
+    arm = reporting(up=False)
+    arm.sim.drives[1].report_clock = clock
+    failure = arm.bring_up().failure
+    assert failure is not None
+    assert failure.joint == 1
+    assert f"The drive of joint2 (firmware 2.0.0) sends its position every {spacing_ms} ms, although" in str(failure)
+    assert "it was told to every 9 ms: set bus.positions to polled" in str(failure)
+    arm.close()
+
+
+@pytest.mark.parametrize("fault", [LostReplies(0.1), DuplicateReplies(0.1, 0.002), LateReplies(0.1, 0.005)])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_line_that_loses_doubles_or_delays_is_no_other_rate(fault: object, seed: int) -> None:
+    arm = reporting(up=False, faults=[fault], seed=seed)
+    assert arm.bring_up().failure is None
+    arm.close()
+
+
+def test_silence_about_reports_is_no_refusal() -> None:
+    """Acknowledgements are off, and nobody knows whether this command has one then."""
+    arm = reporting(up=False)
+    for drive in arm.sim.drives:
+        drive._commands[0x11] = replace(drive._commands[0x11], motion=True)
+    assert arm.bring_up().failure is None
+    assert min(reports(arm)) > 50
     arm.close()
 
 
