@@ -1,4 +1,5 @@
-"""Finding out what a ZDT drive makes of `FC`, and setting it up: part of bring-up where the arm file asks for FC.
+"""Finding out what a ZDT drive makes of `FC`, and setting it up: part of bring-up, and of
+referencing, where the arm file asks for FC.
 
 `F1` sets speed, ramp and mode once, `FC` then sends targets alone. Every user of it known here sends amounts to go,
 even one that set the mode of absolute targets, so what a drive makes of `F1` with mode 01 is not believed but seen.
@@ -27,8 +28,8 @@ PULSES_BESIDE = 2
 SLOWEST_RPM, HIGHEST_RPM = 1, 3000
 ALMOST_PULSES = 1.0
 """Targets and positions nearer than this are the same."""
-LOOKS = 12
-"""Positions read, each a cycle or two apart, before the last one counts: at 1 rpm a pulse takes 19 ms."""
+WATCHED_S = 0.2
+"""For at least so long positions are read before the last one counts: at 1 rpm a pulse takes 19 ms."""
 
 
 def highest_rpm(arm: ArmConfig, joint: JointConfig) -> int:
@@ -70,20 +71,22 @@ def prepare(arm: ArmConfig, joint: int, drive: ZdtDrive, version: Version) -> Di
                 "it was told that they are absolute: set bus.position_command to FD.",
             )
     else:
+        yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)  # should the last of them have been lost
         raise _unclear(joint, config, version)
     stood = yield from _counts(joint, config, registers.ASK_POSITION)
-    if not (yield from _stays(pulses, stood, ALMOST_PULSES * counts_per_pulse)):
+    looks = math.ceil(WATCHED_S * arm.control.rate_hz)  # each is a cycle at least
+    if not (yield from _stays(pulses, stood, ALMOST_PULSES * counts_per_pulse, looks)):
         yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)
         raise _unclear(joint, config, version)
     setup = registers.fast_setup(highest_rpm(arm, config), acc_byte)
     yield Ask(setup, (3,), answered=arm.bus.acknowledge, before=(setup,))
 
 
-def _stays(pulses: int, stood: int, within: float) -> Answered[bool]:
+def _stays(pulses: int, stood: int, within: float, looks: int) -> Answered[bool]:
     """Tell a drive to go to the target at which it stands, and see whether it stays there (counts)."""
     told: tuple[bytes, ...] = (registers.fast_target(pulses),)
     position: int | None = None
-    for _ in range(LOOKS):
+    for _ in range(looks):
         answer = yield Ask(registers.ASK_POSITION, (7,), before=told)
         position, told = registers.signed_of(answer, registers.ASK_POSITION, 4), ()
     return position is not None and abs(position - stood) < within

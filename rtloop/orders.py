@@ -41,6 +41,7 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
                 count_from(loop, order.joint, order.value, order.code)
         elif order.kind == port.REFERENCING:
             core.referencing_joint = order.joint
+            loop.axes[order.joint].fast_ready = 0  # until its drive has been seen to take FC as absolute again
             if order.code == 1 and core.mode == Mode.REFERENCING:
                 forget_count(loop, order.joint)
         elif order.kind == port.HOME_ALL:

@@ -11,12 +11,13 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from config.joint import JointConfig
+from config.joint import JointConfig, ZdtDrive
 from config.schema import ArmConfig
+from rtloop import fast_targets, reports
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, drive_addresses, silent_amid
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
-from rtloop.port import ADOPT, COUNT_FROM, REFERENCING, REFERENCING_DONE, ServicePort
+from rtloop.port import ADOPT, COUNT_FROM, FAST_READY, REFERENCING, REFERENCING_DONE, ServicePort
 from rtloop.saved import NotSaved
 from shm.words import Fault, Unreferenced
 
@@ -100,7 +101,7 @@ class Referencing(Conversation):
         for joint in list(self._dialogues):
             self._exchanges.pop(joint, None)
             self._dialogues.pop(joint).close()
-            self.begin({joint: self._stand(joint)})
+            self.begin({joint: self._give_up(joint)})
 
     def _goes_on(self) -> bool:
         if not self._later:
@@ -133,6 +134,7 @@ class Referencing(Conversation):
             stopped = yield from self._see_it_end(joint, config, began)
             yield from self._judge(joint, config, stopped, expected_rad)
             yield from self._require_mark(joint, config, mark_ms)
+            yield from self._set_up(joint, config)
             if flags & registers.POWER_LOST:
                 yield from self._clear_power_lost(joint, config)
             target = yield from self._standing(joint, config)
@@ -254,6 +256,7 @@ class Referencing(Conversation):
             self.post(REFERENCING, joint=joint)
             config = self.arm.joints[joint]
             flags = yield from self._sound(joint, config)
+            yield from self._set_up(joint, config)
             target = yield from self._standing(joint, config)
             zero_rad = self._port.zero_rad(joint)
             counts_nowhere = flags & registers.POWER_LOST and not self._port.power_loss_known(joint)
@@ -282,6 +285,30 @@ class Referencing(Conversation):
             self._keep_lost_beyond(joint, reason)
         except NotSaved as problem:
             raise TalkFailed(joint, str(problem)) from None
+
+    def _give_up(self, joint: int) -> Dialogue:
+        """What `end` does to a joint's turn; one whose angle is still known is led on."""
+        yield from self._stand(joint)
+        if self._port.referenced(joint):
+            yield from self._set_up(joint, self.arm.joints[joint])
+
+    def _set_up(self, joint: int, config: JointConfig) -> Dialogue:
+        """Tell a drive anew what leading it rests on, and see it: gone with its power.
+
+        Nobody notices that a drive is switched off and on while its count means no angle.
+        """
+        if not (self.arm.bus.reported or self.arm.bus.fast_targets):
+            return
+        drive = config.drive
+        assert isinstance(drive, ZdtDrive)  # no others are spoken to
+        version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
+        if version is None:
+            raise TalkFailed(joint, silent_amid(config, "firmware"))
+        if self.arm.bus.reported:
+            yield from reports.begin(self.arm, self._port, joint, version)
+        if self.arm.bus.fast_targets:
+            yield from fast_targets.prepare(self.arm, joint, drive, version)
+            self.post(FAST_READY, joint=joint)
 
     def _sound(self, joint: int, config: JointConfig) -> zdt_talk.Answered[int]:
         """Stop a drive that may be on its way somewhere, and see that it holds; its flags."""
