@@ -115,7 +115,8 @@ def in_use(outcome: Outcome, bitrate: int | None, frames: list[Frame]) -> Outcom
     if frames:
         outcome.notes.append(
             f"Frames were heard before anybody was asked (addresses {addresses}): another program drives these drives, "
-            "or they report by themselves, so nobody was asked; end that program and scan again."
+            "or they report by themselves, so nobody was asked; end that program or, where none runs, switch the "
+            "drives off and on, and scan again."
         )
     else:
         outcome.notes.append(

@@ -201,6 +201,7 @@ def test_a_bus_that_is_in_use_is_not_spoken_on() -> None:
     outcome = searched(port)
     assert (outcome.bitrate, outcome.asked, outcome.drives) == (500_000, [], [])
     assert "(addresses 4)" in outcome.notes[0]
+    assert "end that program or, where none runs, switch the drives off and on" in outcome.notes[0]
     assert port.functions == set()
 
 

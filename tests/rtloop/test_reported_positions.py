@@ -11,8 +11,10 @@ from virtual import VirtualArm, recorded_goal
 
 from config.budget import budget
 from config.loader import load_arm
+from rtloop.calibration.talk import OneDrive
 from rtloop.drives import zdt_registers
 from rtloop.farewell import Farewell
+from rtloop.settings.session import Session
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.bus import Frame
 from sim.faults import DuplicateReplies, LateReplies, LostReplies, PowerLoss, SerialBlocked, Silent
@@ -207,6 +209,24 @@ def test_drives_that_a_killed_predecessor_left_reporting(positions: str, period_
     said = sum("sent its position by itself, which was ended" in sentence for sentence in arm.told)
     assert said == (6 if positions == "polled" else 0)
     assert finish(arm, arm.play("small")) == Outcome.SUCCEEDED
+    arm.close()
+
+
+@pytest.mark.parametrize("period_ms", [4, 9])
+def test_drives_that_report_are_understood_by_those_who_ask_and_move_them(period_ms: int) -> None:
+    """`rtarm drives` and `rtarm calibrate` with drives that a killed predecessor left reporting."""
+    arm = VirtualArm(load_arm("episode1"))
+    for number, drive in enumerate(arm.sim.drives):
+        drive.receive(arm.sim.now_ns, Frame((number + 1) << 8, zdt_registers.report_position(period_ms)))
+    session = Session(arm.arm, arm.port, lambda: arm.now_ns, arm.cycle)
+    session.read()
+    assert [(report.answers, report.left_alone) for report in session.reports.values()] == [(True, [])] * 6
+    stood_rad = arm.sim.true_position_rad(1, arm.sim.now_ns - 1)
+    talk = OneDrive(arm.arm, arm.port, now_ns=arm.now_ns, joint=1, dialogue=lambda drive: drive.turn(6000, 20))
+    arm.until(lambda: talk.poll(arm.now_ns))
+    assert talk.problem is None
+    turned_rad = arm.sim.true_position_rad(1, arm.sim.now_ns - 1) - stood_rad
+    assert abs(turned_rad * arm.arm.joints[1].encoder_counts_per_rad) == pytest.approx(6000, abs=30)
     arm.close()
 
 
