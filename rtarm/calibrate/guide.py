@@ -18,7 +18,7 @@ from rtarm.calibrate.angles import (
     ratio_found,
     zero_deg,
 )
-from rtarm.calibrate.person import Person, agrees, chosen, number
+from rtarm.calibrate.person import Person, agrees, as_number, chosen, number
 from rtarm.calibrate.words import positive_in_words
 from rtloop.calibration.session import DriveState, Found, NotDone
 
@@ -261,10 +261,7 @@ class Guide:
                 return None
             if answer in ("y", "yes"):
                 return self._drives.look(self._joint)
-            try:
-                wanted_deg = float(answer.removesuffix("°").replace(",", "."))
-            except ValueError:
-                wanted_deg = float("nan")
+            wanted_deg = as_number(answer)
             if not abs(wanted_deg) <= most:
                 self._person.tell(f"{answer} is no number from -{most:g} to {most:g}.")
                 continue

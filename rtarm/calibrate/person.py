@@ -7,6 +7,7 @@ import shutil
 import sys
 import termios
 import textwrap
+from contextlib import suppress
 from typing import Protocol
 
 WIDEST = 110
@@ -34,14 +35,19 @@ class Terminal:
         print(_wrapped(text), flush=True)
 
     def answer(self, question: str) -> str:
-        if sys.stdin.isatty():  # what was typed before a question is no answer to it
-            termios.tcflush(sys.stdin, termios.TCIFLUSH)
-        print(f"{_wrapped(question)} ", end="", flush=True)
-        line = sys.stdin.readline()
-        if not line:
-            print(flush=True)
+        if sys.stdin is None or not sys.stdin.isatty():  # what comes through a pipe was not said in sight of the arm
+            raise Quit("answers are taken from a terminal alone, and the standard input is none")
+        try:
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)  # what was typed before a question is no answer to it
+            print(f"{_wrapped(question)} ", end="", flush=True)
+            typed = sys.stdin.buffer.readline()
+        except (OSError, termios.error):  # of a terminal that is gone
+            typed = b""
+        if not typed.endswith(b"\n"):  # a line that was not ended is no answer either
+            with suppress(OSError):
+                print(flush=True)
             raise Quit("the input ended")
-        line = line.strip()
+        line = typed.decode(errors="replace").strip()
         if line.lower() in ("q", "quit"):
             raise Quit("you ended it")
         return line
@@ -76,10 +82,15 @@ def number(person: Person, question: str) -> float | None:
         answer = person.answer(f"{question} [a number; Enter: none, q ends]")
         if not answer:
             return None
-        try:
-            value = float(answer.removesuffix("°").replace(",", "."))
-        except ValueError:
-            value = math.nan
+        value = as_number(answer)
         if math.isfinite(value):
             return value
         person.tell(f"{answer!r} is no number.")
+
+
+def as_number(answer: str) -> float:
+    """What a person typed for a number, with a point or a comma; NaN if it is none."""
+    try:
+        return math.nan if "_" in answer else float(answer.removesuffix("°").replace(",", "."))
+    except ValueError:
+        return math.nan
