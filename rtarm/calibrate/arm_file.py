@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import json
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -18,7 +19,9 @@ from config.schema import ArmConfig
 from rtarm.errors import Refusal
 
 Changes = Mapping[str, float]
-"""New values of a joint by their fields: direction, ratio, zero_deg."""
+"""New values of a joint by their fields: direction, ratio, zero_deg, lower_deg, upper_deg."""
+UNLIKELY = 12_345.625
+"""A value that stands in no arm file."""
 
 
 class ArmFile:
@@ -53,6 +56,29 @@ class ArmFile:
             return path.read_bytes().decode("utf-8")  # with the line ends it has
         except (OSError, UnicodeDecodeError) as problem:
             raise Refusal(f"{path} cannot be read any more ({problem}).") from None
+
+    def require_own_values(self, joint: int, fields: Iterable[str]) -> None:
+        """Raise Refusal where a field of a joint cannot be written without changing another place of the file."""
+        for field in fields:
+            wanted = json.loads(json.dumps(yaml.safe_load(self._text)))  # nothing is shared in it
+            wanted["joints"][joint][field] = UNLIKELY
+            try:
+                found = yaml.safe_load(with_value(self._text, joint, field, written(UNLIKELY)))
+            except yaml.YAMLError:  # an alias has lost its anchor
+                found = None
+            if found != wanted:
+                raise Refusal(
+                    f"{field} of {self._arm.joints[joint].name} in {self._source} is shared with other places of the "
+                    "file (an anchor), so it cannot be written for this joint alone: write the value itself there, "
+                    "then run this again."
+                )
+
+    def require_valid(self, joint: int, changes: Changes) -> None:
+        """Raise Refusal where the file could not have these values; nothing is written."""
+        with tempfile.TemporaryDirectory() as folder:
+            aside = Path(folder) / self.path.name
+            aside.write_bytes(self._edited(joint, changes).encode("utf-8"))
+            self._checked(aside, joint, changes)
 
     def difference(self, joint: int, changes: Changes) -> str:
         """What `write` would change, as a unified diff; raises Refusal where it cannot be done."""
@@ -113,10 +139,10 @@ class ArmFile:
         try:
             found = load_arm(path)
         except ConfigError as error:
-            problem = error.errors[0]
+            problem = error.errors[0].problem.rstrip(".")
             raise Refusal(
                 f"The arm file would not be valid with {in_words(changes)} for {name} ({problem}), so it was left as "
-                "it is."
+                "it is: mend that in it by hand."
             ) from None
         wanted = self._arm.model_dump()
         wanted["joints"][joint].update(changes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -160,3 +161,34 @@ def test_values_that_several_joints_share_are_not_changed_for_all(arm_file: Path
     file.write(2, {"zero_deg": 84})
     assert [joint.zero_deg for joint in load_arm(arm_file).joints][:3] == [180, 90, 84]
     assert arm_file.read_text(encoding="utf-8") == text.replace("zero_deg: 83", "zero_deg: 84")
+    with pytest.raises(Refusal, match=r"ratio of joint1 .* is shared with other places of the file \(an anchor\)"):
+        file.require_own_values(0, ["direction", "ratio"])
+    with pytest.raises(Refusal, match=r"do not stand in its own entry"):
+        file.require_own_values(2, ["ratio"])
+    file.require_own_values(1, CHANGES)
+
+
+@pytest.mark.parametrize(("anchored", "used"), [("ratio: &r 25", "ratio: *r"), ("zero_deg: &r 180", "zero_deg: *r")])
+def test_a_value_with_an_anchor_is_refused_before_anything_moves(arm_file: Path, anchored: str, used: str) -> None:
+    field = used.partition(":")[0]
+    text = arm_file.read_text(encoding="utf-8").replace(anchored.replace("&r ", ""), anchored, 1)
+    at = text.index("  - name: joint3")
+    text = text[:at] + re.sub(rf"{field}: \d+", used, text[at:], count=1)
+    arm_file.write_text(text, encoding="utf-8")
+    file = ArmFile(str(arm_file), None)
+    for joint in (0, 2):
+        with pytest.raises(Refusal, match=f"{field} of joint{joint + 1} .* is shared with other places"):
+            file.require_own_values(joint, [field])
+    file.require_own_values(1, CHANGES)
+
+
+def test_what_the_file_cannot_have_is_known_without_writing(arm_file: Path) -> None:
+    before = arm_file.read_bytes()
+    file = ArmFile(str(arm_file), None)
+    file.require_valid(0, CHANGES | {"lower_deg": -170.5})
+    with pytest.raises(Refusal, match=r"would not be valid with ratio: 0\.0001 for joint1 \(.*\), so it was left"):
+        file.require_valid(0, {"ratio": 0.0001})
+    with pytest.raises(Refusal, match="lower_deg of joint1 is 150, above its upper_deg 140"):
+        file.require_valid(0, {"lower_deg": 150})
+    assert arm_file.read_bytes() == before
+    assert list(arm_file.parent.iterdir()) == [arm_file]
