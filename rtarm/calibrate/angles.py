@@ -18,6 +18,8 @@ READ_TO_DEG = 1.0
 """How well a person reads the angle between two marks."""
 LEAST_ANGLE_DEG = 20.0
 """Between two marks: below it the ratio is known to no better than a twentieth."""
+LEAST_MOTOR_DEG = 5.0
+"""Between two marks: a motor that holds dithers by less, and one that turned less did not turn the joint."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,14 @@ class RatioFound:
 def ratio_found(counts: int, angle_deg: float, in_file: float) -> RatioFound:
     """Ratio of a joint that turned by an angle (without sign, as measured) while its motor turned by so many counts."""
     turns = abs(counts) / ENCODER_COUNTS_PER_REVOLUTION
+    if turns * 360.0 < LEAST_MOTOR_DEG:
+        return RatioFound(
+            math.nan,
+            math.nan,
+            None,
+            f"The motor turned by {turns * 360.0:.1f}° only, which tells no ratio: the joint has to get from the first "
+            "mark to the second one before it is measured.",
+        )
     if angle_deg < LEAST_ANGLE_DEG:
         return RatioFound(
             math.nan,

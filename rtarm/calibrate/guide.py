@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -20,9 +21,12 @@ from rtarm.calibrate.angles import (
 )
 from rtarm.calibrate.person import Person, agrees, as_number, chosen, number
 from rtarm.calibrate.words import positive_in_words
+from rtarm.errors import Refusal
 from rtloop.calibration.session import DriveState, Found, NotDone
 
 RATIO_DIGITS = 4
+AT_STOP_DEG = 0.5
+"""A limit within this of the homing stop is the stop; a joint that was homed is believed 1.1° outside its limits."""
 FALLS = (
     "Limp, the joint turns freely and falls where gravity pulls it and all that hangs on it: take its weight in your "
     "hands before you agree."
@@ -54,9 +58,20 @@ class Values:
 
 
 class Guide:
-    """One joint's way; `values` has what has been found and agreed to so far."""
+    """One joint's way; `values` has what has been found and agreed to so far, `limits` those that changed with it.
 
-    def __init__(self, arm: ArmConfig, joint: int, found: Found, drives: Drives, person: Person) -> None:
+    `require` raises Refusal where the arm file could not have the values it is called with.
+    """
+
+    def __init__(
+        self,
+        arm: ArmConfig,
+        joint: int,
+        found: Found,
+        drives: Drives,
+        person: Person,
+        require: Callable[[Mapping[str, float]], None],
+    ) -> None:
         self._arm = arm
         self._joint = joint
         self._config = arm.joints[joint]
@@ -64,11 +79,18 @@ class Guide:
         self._found = found
         self._drives = drives
         self._person = person
+        self._require = require
+        self.limits: dict[str, float] = {}
         self.before = Values(self._config.direction, self._config.ratio, self._config.zero_deg)
         self.values = Values(**vars(self.before))
 
+    @property
+    def changes(self) -> dict[str, float]:
+        """The fields of the joint that are to be written, with their new values."""
+        return {**self.values.changes_from(self.before), **self.limits}
+
     def go(self) -> None:
-        """All three steps; raises Quit, and whatever the drives raise."""
+        """All three steps; raises Quit, Refusal for a ratio the file cannot have, and whatever the drives raise."""
         before, tell = self.before, self._person.tell
         state = self._drives.look(self._joint)
         tell("")
@@ -83,7 +105,8 @@ class Guide:
             self._drives.hold(self._joint)
         self._find_direction()
         self._find_ratio()
-        self._find_zero()
+        if not self._find_zero() and self.changes:
+            self._warn_of_zero()
 
     # --- 1: direction
 
@@ -143,6 +166,7 @@ class Guide:
             ratio = self._decided(found)
             if ratio is not None:
                 self.values.ratio = ratio
+                self._require(self.changes)  # a zero found with it could not be written either
                 tell(f"ratio: {ratio:g}{self._beside_file('ratio')}")
                 return
         tell(f"ratio stays {self.values.ratio:g}.")
@@ -182,7 +206,8 @@ class Guide:
 
     # --- 3: zero
 
-    def _find_zero(self) -> None:
+    def _find_zero(self) -> bool:
+        """Whether it was found."""
         tell, values = self._person.tell, self.values
         tell(
             f"3. Zero: at its homing stop {self._name} is at -zero_deg, {-values.zero_deg:g}° by the file. The joint "
@@ -190,7 +215,7 @@ class Guide:
         )
         if not self._counts_from_stop():
             tell(f"zero_deg stays {values.zero_deg:g}.")
-            return
+            return False
         while how := self._asked_how():
             state = self._placed(how)
             if state is None:
@@ -203,11 +228,67 @@ class Guide:
                 f"The motor stands {motor_angle_deg(state.counts, values.ratio):.2f}° of the joint from the homing "
                 f"stop: zero_deg is {found:g}, as well as the joint stands on the mark."
             )
-            if agrees(self._person, f"Take {found:g}?"):
+            if self._fits({"zero_deg": found}) and agrees(self._person, f"Take {found:g}?"):
                 values.zero_deg = found
                 tell(f"zero_deg: {found:g}{self._beside_file('zero_deg')}")
-                return
+                self._match_limit(state.counts)
+                return True
         tell(f"zero_deg stays {values.zero_deg:g}.")
+        return False
+
+    def _match_limit(self, counts: int) -> None:
+        """The homing stop is an end of the joint's range: offer its angle for the limit there."""
+        values, name = self.values, self._name
+        low = values.direction * counts > 0
+        field, other = ("lower_deg", "upper_deg") if low else ("upper_deg", "lower_deg")
+        limit, stop = getattr(self._config, field), -values.zero_deg + 0.0  # no -0
+        inside_deg = (limit - stop) if low else (stop - limit)
+        if counts == 0 or abs(inside_deg) < AT_STOP_DEG:
+            return
+        self._person.tell(
+            f"So the homing stop is the {'lower' if low else 'upper'} end of {name}, at {stop:g}°, but {field} in the "
+            f"file is {limit:g}: "
+            + (
+                "a joint that has been homed then stands outside its limits, and is not believed."
+                if inside_deg > 0
+                else "a goal beyond the stop would press the joint against it."
+            )
+        )
+        if self._fits({field: stop}) and agrees(self._person, f"Take {stop:g} for {field}?"):
+            self.limits = {field: stop}
+            self._person.tell(
+                f"{field}: {stop:g}; the file says {limit:g}. {other} stays {getattr(self._config, other):g}: see that "
+                f"{name} gets so far."
+            )
+        else:
+            self._person.tell(f"{field} stays {limit:g}: mend it by hand before you move the arm.")
+
+    def _fits(self, changes: Mapping[str, float]) -> bool:
+        """Whether the file could have these values too; the person is told why not."""
+        try:
+            self._require({**self.changes, **changes})
+        except Refusal as problem:
+            self._person.tell(str(problem))
+            return False
+        return True
+
+    def _warn_of_zero(self) -> None:
+        """Other values have changed, and the zero was not found with them."""
+        values, config = self.values, self._config
+        self._person.tell(
+            f"zero_deg {values.zero_deg:g} was not found with these values: it is right only if {self._name} is at "
+            f"{-values.zero_deg:g}° at its homing stop. If it was measured with the old ones, find it anew."
+        )
+        state = self._drives.look(self._joint)
+        if state.doubt is not None:
+            return
+        here_deg = values.direction * motor_angle_deg(state.counts, values.ratio) - values.zero_deg
+        limits = f"{config.lower_deg:g}° to {config.upper_deg:g}°"
+        inside = config.lower_deg - AT_STOP_DEG <= here_deg <= config.upper_deg + AT_STOP_DEG
+        self._person.tell(
+            f"With them {self._name} would stand at {here_deg:.1f}° now, {'within' if inside else 'outside'} its "
+            f"limits of {limits}: look whether that is so."
+        )
 
     def _counts_from_stop(self) -> bool:
         """Whether the drive counts from the homing stop, after a homing run if the person wants one."""

@@ -20,6 +20,8 @@ from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, signals_raise
 from rtloop.calibration.session import DriveState, Found, NotDone
 
+FIELDS = ("direction", "ratio", "zero_deg", "lower_deg", "upper_deg")
+"""What may be written of a joint."""
 INTRODUCTION = (
     "One drive moves at a time, by small angles, slowly, and only after your y; the others stay as they are. Keep a "
     "hand on the switch in the power line and everything else out of the arm's reach. Ctrl-C or q stops what moves and "
@@ -81,6 +83,8 @@ def calibrate(
         raise Refusal(f"Arm {arm.name} has mock drives and no bus, so there is nothing to calibrate.")
     joints = chosen_joints(arm, names)
     file = ArmFile(argument, output)
+    for joint in joints:
+        file.require_own_values(joint, FIELDS)
     written: list[str] = []
     beside: list[OfflineProcess] = []
     try:
@@ -98,15 +102,16 @@ def calibrate(
         if beside and beside[0].refused:
             raise Refusal(f"{beside[0].refused} {_what_was_written(file, written)}", ExitCode.LOOP_REFUSED) from None
         raise Refusal(f"Ended ({ended}); the arm stands. {_what_was_written(file, written)}") from None
-    person.tell(_what_was_written(file, written))
+    if not written:
+        person.tell(_what_was_written(file, written))
 
 
 def _one_joint(
     arm: ArmConfig, joint: int, drives: ProcessDrives, person: Person, file: ArmFile, written: list[str]
 ) -> None:
-    guide = Guide(arm, joint, drives.found[joint], drives, person)
+    guide = Guide(arm, joint, drives.found[joint], drives, person, lambda changes: file.require_valid(joint, changes))
     guide.go()
-    changes = guide.values.changes_from(guide.before)
+    changes = guide.changes
     if not changes:
         person.tell(f"{arm.joints[joint].name}: nothing to write.")
         return
@@ -114,6 +119,7 @@ def _one_joint(
     if agrees(person, f"Write this to {file.path}?"):
         file.write(joint, changes)
         written.append(f"{arm.joints[joint].name} ({in_words(changes)})")
+        person.tell(_what_was_written(file, written[-1:]))
     else:
         person.tell(f"{arm.joints[joint].name}: nothing was written.")
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import Phase, assume, example, given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 from typer.testing import Result
 from virtual import START_NS, VirtualArm
 from written_arm import WrittenArm
@@ -29,6 +31,7 @@ from rtarm.calibrate.angles import (
 from rtarm.calibrate.guide import Guide, Values
 from rtarm.calibrate.person import Quit, agrees, number
 from rtarm.calibrate.words import positive_in_words
+from rtarm.errors import Refusal
 from rtloop.calibration.session import MOST_COUNTS, MOST_RPM, Session
 from sim.arm import SimulatedArm
 
@@ -160,7 +163,16 @@ class Scene:
         self.seen_deg = self.mark_deg = 0.0
         self.misreads_deg = 0.0
         self.homed = False
-        self.guide = Guide(self.arm, joint, self.session.found[joint], self.session, self)
+        self.guide = Guide(self.arm, joint, self.session.found[joint], self.session, self, self._require)
+
+    def _require(self, changes: Mapping[str, float]) -> None:
+        values = self.arm.model_dump()
+        values["joints"][self.joint].update(changes)
+        values["joints"][self.joint]["max_acceleration_rad_s2"] = 40.0 / self.guide.values.ratio  # see with_joint
+        try:
+            ArmConfig.model_validate(values)
+        except ValidationError as error:
+            raise Refusal(str(error)) from None
 
     @property
     def here_deg(self) -> float:
@@ -332,6 +344,106 @@ def test_who_never_sees_it_move_keeps_the_direction_of_the_file() -> None:
     assert ["30.0°" in moves[0], "60.0°" in moves[1], "120.0°" in moves[2], len(moves)] == [True, True, True, 4]
     assert scene.told[-1] == "direction stays 1."
     assert scene.here_deg == pytest.approx(began_deg, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("truth", "in_file", "limits", "sentence"),
+    [
+        (  # as in docs/calibration.md: the stop is farther out than the file says
+            Values(1, 4.0, 112.5),
+            Values(1, 4.0, 110.0),
+            {"lower_deg": -112.5},
+            "lower end of joint5, at -112.5°, but lower_deg in the file is -110: a joint that has been homed then "
+            "stands outside its limits, and is not believed.",
+        ),
+        (
+            Values(-1, 4.0, 107.5),
+            Values(1, 4.0, 110.0),
+            {"lower_deg": -107.5},
+            "lower end of joint5, at -107.5°, but lower_deg in the file is -110: a goal beyond the stop would press",
+        ),
+        (Values(1, 4.0, 110.3), Values(-1, 4.0, 110.0), {}, None),
+    ],
+)
+def test_the_limit_at_the_stop_goes_with_the_zero(
+    truth: Values, in_file: Values, limits: dict[str, float], sentence: str | None
+) -> None:
+    scene = Scene(truth, in_file, 4, homed=False)
+    scene.guide.go()
+    assert scene.guide.limits == pytest.approx(limits, abs=0.02)
+    told = " ".join(scene.told)
+    assert sentence is None or sentence in re.sub(r"(\.\d)\d*°", r"\1°", told)
+    assert ("homing stop is the" in told) == (sentence is not None)
+    assert set(scene.guide.changes) - {"direction", "ratio", "zero_deg"} == set(limits)
+
+
+def test_a_joint_whose_stop_is_its_upper_end_gets_its_upper_limit_there() -> None:
+    """Its motor counts up from the stop, and turns it down: at the stop it is at its highest angle."""
+    scene = Scene(Values(1, 4.0, 110.0), Values(1, 4.0, 110.0), 4)
+    scene.guide.values = Values(-1, 4.0, -100.0)
+    scene.guide._match_limit(round(100 * 4 / 360 * TURN))  # it stands on its zero mark
+    assert scene.guide.limits == {"upper_deg": 100.0}
+    assert "the upper end of joint5, at 100°, but upper_deg in the file is 110" in scene.told[0]
+    scene.guide.limits = {}
+    scene.answer = lambda question: "n"  # type: ignore[method-assign]
+    scene.guide._match_limit(round(100 * 4 / 360 * TURN))
+    assert scene.guide.limits == {}
+    assert scene.told[-1] == "upper_deg stays 110: mend it by hand before you move the arm."
+
+
+def test_a_new_direction_with_the_old_zero_is_warned_of() -> None:
+    scene = Scene(Values(-1, 4.0, 110.0), Values(1, 4.0, 110.0), 4)
+    given_answer = scene.answer
+    scene.answer = lambda q: "" if "How shall" in q else given_answer(q)  # type: ignore[method-assign]
+    scene.guide.go()
+    assert scene.guide.changes == {"direction": -1}
+    assert "zero_deg 110 was not found with these values: it is right only if joint5 is at -110° at" in scene.told[-2]
+    here_deg = scene.here_deg
+    assert f"would stand at {here_deg:.1f}° now, within its limits of -110° to 110°" in scene.told[-1]
+
+
+def test_nothing_changed_is_nothing_to_warn_of() -> None:
+    scene = Scene(Values(1, 4.0, 110.0), Values(1, 4.0, 110.0), 4)
+    given_answer = scene.answer
+    scene.answer = lambda q: "" if "How shall" in q else given_answer(q)  # type: ignore[method-assign]
+    scene.guide.go()
+    assert scene.told[-1] == "zero_deg stays 110."
+
+
+def test_a_ratio_that_the_file_cannot_have_is_said_before_the_zero() -> None:
+    scene = Scene(Values(1, 4.0, 110.0), Values(1, 25.0, 110.0), 4)
+
+    def require(changes: Mapping[str, float]) -> None:
+        raise Refusal(f"not valid with ratio {changes['ratio']:g}")
+
+    scene.guide._require = require
+    with pytest.raises(Refusal, match="not valid with ratio 4"):
+        scene.guide.go()
+    assert not any("Zero" in line for line in scene.told)
+    assert scene.sim.drives[4].enabled
+
+
+def test_an_angle_that_no_zero_can_have_is_asked_for_again() -> None:
+    scene = Scene(Values(1, 4.0, 110.0), Values(1, 4.0, 110.0), 4, homed=False)
+    given_answer = scene.answer
+    typed = iter(["-50000", "50000"])
+    scene.answer = lambda q: next(typed, None) or given_answer(q) if "At how many degrees" in q else given_answer(q)  # type: ignore[method-assign]
+    scene.guide.go()
+    assert sum("36000" in line for line in scene.told) == 2
+    assert scene.guide.values.zero_deg == pytest.approx(110.0, abs=0.02)
+
+
+def test_a_motor_that_did_not_turn_tells_no_ratio() -> None:
+    """Both marks agreed to without a turn between them, and an angle typed all the same."""
+    for counts in (0, 3, -900):
+        found = ratio_found(counts, 90.0, in_file=25.0)
+        assert found.suggestion is None
+        assert "tells no ratio" in str(found.too_small_for)
+    scene = Scene(Values(1, 4.0, 110.0), Values(1, 4.0, 110.0), 4)
+    answers = iter(["d", "y", "y", "90", ""])
+    scene.answer = lambda question: next(answers)  # type: ignore[method-assign]
+    scene.guide._find_ratio()
+    assert scene.guide.values.ratio == 4.0
 
 
 def test_turns_that_are_no_turns_are_asked_again() -> None:
