@@ -8,6 +8,7 @@ from typing import Protocol
 
 from config.schema import ArmConfig
 from rtarm.calibrate.angles import (
+    FIRST_MOTOR_DEG,
     READ_TO_DEG,
     Move,
     RatioFound,
@@ -80,6 +81,7 @@ class Guide:
         self._drives = drives
         self._person = person
         self._require = require
+        self._longest_motor_deg = 0.0
         self.limits: dict[str, float] = {}
         self.before = Values(self._config.direction, self._config.ratio, self._config.zero_deg)
         self.values = Values(**vars(self.before))
@@ -124,13 +126,13 @@ class Guide:
                 continue
             if answer not in ("y", "yes"):
                 break
-            self._drives.turn(self._joint, sign * move.counts, move.rpm)
+            self._turn(Move(sign * move.counts, move.rpm))
             seen = chosen(
                 self._person,
                 f"It has turned and stands. Which way did {self._name} go?",
                 {"p": "the positive way", "n": "the negative way", "u": "not seen, go farther"},
             )
-            self._drives.turn(self._joint, -sign * move.counts, move.rpm)
+            self._turn(Move(-sign * move.counts, move.rpm))
             if seen == "u":
                 farther += 1
                 continue
@@ -332,8 +334,8 @@ class Guide:
     def _jogged_to(self, mark: str) -> DriveState | None:
         """Turn the joint by its drive until the person says that it is there; None if they give up."""
         values = self.values
-        most = most_joint_deg(values.ratio)
         while True:
+            most = self._most_joint_deg()
             answer = self._person.answer(
                 f"Degrees to turn {self._name}, up to ±{most:g} at a time [a number; y: it is on {mark}; Enter: give "
                 "up; q ends]"
@@ -349,9 +351,18 @@ class Guide:
             move = joint_move(values.direction * wanted_deg, values.ratio, self._config.motor_rpm)
             if agrees(self._person, f"{self._described(move)}. Turn it?"):
                 try:
-                    self._drives.turn(self._joint, move.counts, move.rpm)
+                    self._turn(move)
                 except NotDone as refused:
                     self._person.tell(str(refused))
+
+    def _most_joint_deg(self) -> float:
+        """Longest next move: a wrong ratio shows in a short one, so none is more than twice as long as those before."""
+        seen_deg = max(FIRST_MOTOR_DEG, 2.0 * self._longest_motor_deg) / self.values.ratio
+        return min(most_joint_deg(self.values.ratio), float(f"{seen_deg:.3g}"))
+
+    def _turn(self, move: Move) -> None:
+        self._drives.turn(self._joint, move.counts, move.rpm)
+        self._longest_motor_deg = max(self._longest_motor_deg, abs(move.motor_deg))
 
     def _take_hold(self) -> None:
         self._person.answer("Keep it there and press Enter: its drive then holds it where it stands [q ends]:")

@@ -446,6 +446,33 @@ def test_a_motor_that_did_not_turn_tells_no_ratio() -> None:
     assert scene.guide.values.ratio == 4.0
 
 
+def test_no_move_is_much_longer_than_those_before_it() -> None:
+    """The file takes joint1 for one of ratio 25, and it is one of ratio 1: 15° by the file would be 375° of it."""
+    scene = Scene(Values(1, 1.0, 180.0), Values(1, 25.0, 180.0))
+    given_answer = scene.answer
+    began_deg = scene.here_deg
+    jogs = iter([15, 1.2, -15, -1.3, 2.4, 4.8, -1.0, 9.6, 15, -15])
+
+    def answer(question: str) -> str:
+        if "Turn it? [y/N; o" in question:
+            return ""  # the direction is left out
+        if "Degrees to turn" not in question:
+            return given_answer(question)
+        scene.asked.append(question)
+        return f"{next(jogs, '')}"
+
+    scene.answer = answer  # type: ignore[method-assign]
+    scene.guide._find_direction()
+    scene.guide._jogged_to("its mark")
+    refused = [line.split()[0] for line in scene.told if "is no number" in line]
+    assert refused == ["15", "-15"]
+    most = [question.partition("±")[2].split()[0] for question in scene.asked if "±" in question]
+    assert most == ["1.2", "1.2", "2.4", "2.4", "2.6", "4.8", "9.6", "9.6", "15", "15", "15"]
+    moves = [float(q.partition(" turns by ")[2].split("°")[0]) for q in scene.asked if " turns by " in q]
+    assert moves == [30.0, -32.5, 60.0, 120.0, -25.0, 240.0, 375.0, -375.0]
+    assert scene.here_deg - began_deg == pytest.approx(sum(moves), abs=0.5)
+
+
 def test_turns_that_are_no_turns_are_asked_again() -> None:
     scene = Scene(Values(1, 1.0, 30.0), Values(1, 1.0, 30.0), 5)
     jogs = iter(["nan", "16", "-15.1", "up", "1e9", "15", "y"])
