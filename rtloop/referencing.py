@@ -79,11 +79,16 @@ class Referencing(Conversation):
         placed: Mapping[int, float],
         tell: Callable[[str], None],
         keep_lost: KeepLost,
+        again: str = "`rtarm clear-fault` and `rtarm home` again",
     ) -> None:
-        """`keep_lost` remembers beyond this process why a joint's angle is not known, or that it is."""
+        """`keep_lost` remembers beyond this process why a joint's angle is not known, or that it is.
+
+        `again` is how a person tries once more, in sentences.
+        """
         super().__init__(arm, port, now_ns, fault=Fault.HOMING, last_order=REFERENCING_DONE)
         self._tell = tell
         self._keep_lost_beyond = keep_lost
+        self._again = again
         self._ending = False
         with_drive = drive_addresses(arm)
         for joint in sorted({*homed, *placed} - set(with_drive)):  # what is commanded is where it is
@@ -183,7 +188,7 @@ class Referencing(Conversation):
                     joint,
                     f"The drive of {config.name} has not found its homing stop within {self.arm.homing.timeout_s:g} s, "
                     "or was stopped: see that it can reach the stop and that direction, speed and collision current in "
-                    "its menu fit, then `rtarm clear-fault` and `rtarm home` again.",
+                    f"its menu fit, then {self._again}.",
                 )
             if ended >= AGREEING and not failed:
                 return last
@@ -200,15 +205,15 @@ class Referencing(Conversation):
                 joint,
                 f"The drive of {config.name} counts {measured} after its homing run, not 0, or has tripped its "
                 "protection, so it has not found its stop: see that it can reach it and that its homing parameters "
-                "fit, then `rtarm clear-fault` and `rtarm home` again.",
+                f"fit, then {self._again}.",
             )
         stopped_rad = config.direction * stopped / config.encoder_counts_per_rad - self._port.zero_rad(joint)
         if expected_rad is not None and abs(stopped_rad - expected_rad) > ELSEWHERE_RAD:
             raise TalkFailed(
                 joint,
                 f"{config.name} met something at {math.degrees(stopped_rad):.1f}°, although its stop is at "
-                f"{math.degrees(expected_rad):.1f}°: remove what is in its way, then `rtarm clear-fault` and `rtarm "
-                "home` again, which then takes whatever stops it for its stop.",
+                f"{math.degrees(expected_rad):.1f}°: remove what is in its way, then {self._again}, "
+                "which then takes whatever stops it for its stop.",
             )
 
     def _require_mark(self, joint: int, config: JointConfig, mark_ms: int) -> Dialogue:
@@ -217,7 +222,7 @@ class Referencing(Conversation):
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} has lost power during its homing run, so what it counts is no angle: see "
-                "to its supply, then `rtarm clear-fault` and `rtarm home` again.",
+                f"to its supply, then {self._again}.",
             )
 
     def _stand(self, joint: int) -> Dialogue:
@@ -333,7 +338,7 @@ class Referencing(Conversation):
         raise TalkFailed(
             joint,
             f"The drive of {config.name} stands {measured - target} counts from its own target and does not take where "
-            "it is for it: switch it off and on, then `rtarm clear-fault` and home it again.",
+            f"it is for it: switch it off and on, then {self._again}.",
         )
 
     def _flags(self, joint: int, config: JointConfig) -> zdt_talk.Answered[int]:

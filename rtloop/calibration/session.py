@@ -160,6 +160,7 @@ class Session:
 
     def home(self, joint: int) -> DriveState:
         """Let the drive run to its stop, from which it then counts."""
+        self._have(joint, Drive.require_held)
         talk = Referencing(
             self._arm,
             self._port,
@@ -168,6 +169,7 @@ class Session:
             placed={},
             tell=self._tell,
             keep_lost=self._remember,
+            again="run this again",
         )
         try:
             self._hold(talk)

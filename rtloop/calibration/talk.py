@@ -93,6 +93,13 @@ class Drive:
             raise self._fails(silent_amid(self._config, "status"))
         return found
 
+    def require_held(self) -> Answered[int]:
+        """Its flags, once they say that it holds the joint and may move it."""
+        flags = yield from self._require_sound()
+        if not flags & registers.ENABLED:
+            raise self._fails(f"The drive of {self._config.name} is limp, so it cannot turn: let it hold first.")
+        return flags
+
     # --- holding and letting go
 
     def stand(self) -> Answered[int]:
@@ -139,9 +146,7 @@ class Drive:
 
         Raises TalkFailed once it has been stopped again, or could not be.
         """
-        flags = yield from self._require_sound()
-        if not flags & registers.ENABLED:
-            raise self._fails(f"The drive of {self._config.name} is limp, so it cannot turn: let it hold first.")
+        flags = yield from self.require_held()
         start = yield from self._standing_on_target()
         pulses = round((start + by_counts) * self._pulses_per_turn / ENCODER_COUNTS_PER_REVOLUTION)
         goal = round(pulses * ENCODER_COUNTS_PER_REVOLUTION / self._pulses_per_turn)

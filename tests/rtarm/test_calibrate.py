@@ -142,7 +142,7 @@ class Scene:
         self.by = by
         self.virtual = VirtualArm(self.arm)
         true_arm = with_joint(truth, joint, stop_deg=-truth.zero_deg)
-        self.sim = SimulatedArm(true_arm, start_ns=START_NS, joint_position_rad=[0.3] * 6, **options)
+        self.sim = SimulatedArm(true_arm, start_ns=START_NS, joint_position_rad=[0.6] * 6, **options)
         self.sim.feed(START_NS, b"C\rS6\rO\r")
         self.virtual.sim = self.sim
         self.virtual.front_alive = False
@@ -253,6 +253,7 @@ IN_FILES = st.builds(Values, BITS, st.integers(1, 40).map(float), st.integers(-1
 @settings(max_examples=12, deadline=None, phases=(Phase.explicit, Phase.generate))
 @given(truth=TRUTHS, in_file=IN_FILES, misreads_deg=st.floats(-0.9, 0.9), joint=st.integers(0, 5))
 @example(Values(-1, 20.0, 170.0), Values(1, 25.0, 180.0), 0.5, 0)
+@example(Values(-1, 1.0, 5.0), Values(-1, 17.0, -116.0), 0.0, 3)  # 30° towards a stop that is 39° away
 def test_whatever_is_true_is_what_is_found(truth: Values, in_file: Values, misreads_deg: float, joint: int) -> None:
     scene = Scene(truth, in_file, joint, homed=False)
     scene.misreads_deg = misreads_deg

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -224,6 +225,33 @@ def test_a_homing_run_makes_its_count_mean_something():
     assert bench.lost == {5: None}
     assert any("homed" in line for line in bench.told)
     bench.require_standing(5)
+
+
+@pytest.mark.parametrize(
+    ("fault", "after", "sentence"),
+    [
+        (faults.Refusing("joint1", 0.0), 0, "does not begin its homing run"),
+        (faults.PowerLoss("joint1", 0.0, 0.02), 100, "has lost power during .*, then run this again"),
+        (faults.Protection("joint1", 0.0), 0, "is in protection and holds nothing: .*, then run this again"),
+        (faults.Protection("joint1", 0.0), 100, "its protection, .*, then run this again"),
+        (faults.Disabled("joint1", 0.0), 0, "is limp, so it cannot turn"),
+    ],
+)
+def test_a_homing_run_that_fails_is_told_with_what_can_be_done_here(fault: Any, after: int, sentence: str):
+    bench = Bench()
+    pauses = itertools.count()
+
+    def at_once_or_amid_the_run() -> None:
+        if next(pauses) == after:
+            bench.inject(fault)
+
+    bench.each_pause = at_once_or_amid_the_run
+    if after == 0:
+        bench.session.look(0)
+    with pytest.raises(TalkFailed, match=sentence) as failed:
+        bench.session.home(0)
+    assert "rtarm" not in str(failed.value)
+    bench.require_standing()
 
 
 def test_firmware_that_cannot_tell_a_loss_of_power_is_doubted():
