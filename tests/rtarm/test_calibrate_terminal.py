@@ -161,20 +161,26 @@ def test_a_session_from_direction_to_file(truth: Stack, mine: Path) -> None:
         at.type("2.5")
         at.read_until("Take 24.9")
         at.type("y")
+        at.read_until("lower_deg in the file is -30: a goal beyond the stop would press the joint against it.")
+        at.read_until("for lower_deg?")
+        at.type("y")
+        at.read_until("lower_deg: -24.9")
         at.read_until("+  zero_deg: 24.9")
         assert mine.read_text(encoding="utf-8") == before
         at.read_until(f"Write this to {mine}?")
         at.type("y")
         at.read_until(f"Written to {mine}: joint6 (direction: -1, ratio: 2, zero_deg: 24.9")
+        at.read_until("lower_deg: -24.9")
         assert at.code() == 0
     finally:
         at.close()
     found = load_arm(mine).joints[5]
     assert (found.direction, found.ratio) == (-1, 2.0)
+    assert found.lower_deg == -found.zero_deg
     assert found.zero_deg == pytest.approx(25.0, abs=0.1)
     after = mine.read_text(encoding="utf-8")
     assert after.startswith("# my arm\n") and after.endswith("# its end\n")
-    assert sum(old != new for old, new in zip(before.splitlines(), after.splitlines(), strict=True)) == 3
+    assert sum(old != new for old, new in zip(before.splitlines(), after.splitlines(), strict=True)) == 4
     assert no_process_left(truth)
     motions = truth.truth()
     for name, motion in motions.items():
