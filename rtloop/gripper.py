@@ -11,7 +11,6 @@ is shown and said, and is never a fault of the arm: an arm that stops because of
 from __future__ import annotations
 
 import math
-import secrets
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -41,7 +40,6 @@ OUTSIDE_RAD = math.radians(20.0)
 HOMING_MS = 60_000
 """For a homing run; the drive is told so too."""
 HOMING_LATE_NS = 1_000_000_000
-MARKS_MS = 900
 LOOKS = 6
 LEAST_MA = 100
 _BAD = registers.PROTECTED | registers.POWER_LOST
@@ -298,8 +296,7 @@ class GripperTalk(Conversation):
         self._shown["order"], self._shown["measured_ns"] = order.sequence, 0
         self._shown["target_rad"] = math.nan
         self._show()
-        # the same value afterwards says that the drive has not been switched off and on meanwhile
-        mark_ms = HOMING_MS + 1 + secrets.randbelow(MARKS_MS)
+        mark_ms = zdt_talk.homing_mark_ms(HOMING_MS, self.now_ns)
         if not (yield from zdt_talk.set_homing_timeout(mark_ms)):
             raise _Trouble(GripTrouble.NOT_HOMED, (yield from self._counts(registers.ASK_POSITION)))
         ended = (yield from self._begin_homing()) and (yield from self._see_homing_end())

@@ -31,8 +31,6 @@ LOOKS = 6
 """For the beginning of a run: a collision of the factory's 60 ms lasts longer than two of them."""
 STANDS_TRIES = 8
 LATE_S = 1.0
-MARKS = 900
-"""Which of the marks a run gets is the clock's: a value that somebody has stored in a drive is hardly that one."""
 
 
 KeepLost = Callable[[int, Unreferenced | None], None]
@@ -122,9 +120,7 @@ class Referencing(Conversation):
         self._tell(f"{config.name}: homing; the drive runs to its stop by itself, for {limit_s:g} s at most.")
         flags = yield from self._sound(joint, config)
         expected_rad = -config.zero_rad if self._port.referenced(joint) else None
-        # no other value of volatile memory is the same but by chance, so one that is there afterwards says that the
-        # drive has not been switched off and on meanwhile, after which it counts 0 anywhere
-        mark_ms = round(limit_s * 1e3) + 1 + self.now_ns // 1_000_000 % MARKS
+        mark_ms = zdt_talk.homing_mark_ms(round(limit_s * 1e3), self.now_ns)
         if not (yield from zdt_talk.set_homing_timeout(mark_ms)):
             raise TalkFailed(
                 joint,

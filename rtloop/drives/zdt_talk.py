@@ -11,6 +11,8 @@ from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_registers import Block, HomingParameters
 
 SURE_TRIES = 4
+HOMING_MARKS = 900
+"""Which of the marks a homing run gets is the clock's: a value that somebody has stored is hardly that one."""
 Value = TypeVar("Value")
 Answered = Generator[Ask, bytes | None, Value]
 """Part of a dialogue that ends in a value."""
@@ -62,6 +64,15 @@ def set_reports(period_ms: int) -> Answered[bool]:
 def read_homing() -> Answered[HomingParameters | None]:
     """The homing parameters."""
     return registers.homing_of((yield Ask(registers.ASK_HOMING, (8,), packets=registers.HOMING_PACKETS)))
+
+
+def homing_mark_ms(limit_ms: int, now_ns: int) -> int:
+    """A homing time-out just above `limit_ms` (ms) by which a drive is known again after its run.
+
+    No other value of volatile memory is the same but by chance, so one that is there afterwards says that the drive has
+    not been switched off and on meanwhile, after which it counts 0 anywhere.
+    """
+    return limit_ms + 1 + now_ns // 1_000_000 % HOMING_MARKS
 
 
 def set_homing_timeout(timeout_ms: int) -> Answered[bool]:

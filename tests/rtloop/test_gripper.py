@@ -317,6 +317,17 @@ def test_a_drive_that_lost_power_is_not_moved_before_it_is_homed(stage: Stage) -
     assert stage.true_rad == pytest.approx(0.7, abs=0.002)
 
 
+def test_a_homing_run_is_the_same_each_time_in_virtual_time() -> None:
+    def sent() -> list[Any]:
+        stage = Stage()
+        stage.known()
+        assert stage.over(stage.ask(Request.GRIP_HOME), at_most_s=30.0) == Grip.REACHED
+        stage.arm.close()
+        return list(stage.arm.sent)
+
+    assert sent() == sent()
+
+
 @pytest.mark.parametrize("cycles", [0, 12, 24, 27, 33])
 def test_an_order_that_comes_amid_a_look_at_a_troubled_drive_is_not_lost(stage: Stage, cycles: int) -> None:
     stage.inject(faults.PowerLoss("gripper_joint", 0.0, 0.1))
