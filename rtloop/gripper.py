@@ -245,7 +245,8 @@ class GripperTalk(Conversation):
             return
         wanted_ma = self._full_ma
         if effort > 0.0:
-            wanted_ma = min(max(round(effort / self._servo.nm_per_ampere * 1e3), LEAST_MA), self._full_ma)
+            wished_ma = effort / self._servo.nm_per_ampere * 1e3  # infinite for the highest numbers there are
+            wanted_ma = round(min(max(wished_ma, LEAST_MA), self._full_ma))
         for _ in range(TRIES):
             if wanted_ma == self._limit_ma:
                 return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -257,6 +258,17 @@ def test_an_effort_limits_the_current_and_is_measured() -> None:
     assert float(stage.shown["measured_effort"]) == pytest.approx(0.627 * 0.5)
     assert stage.go(1.0) == Grip.REACHED
     assert drive.settings.closed_loop_ma == full_ma, "no effort named is all there is"
+    stage.arm.close()
+
+
+def test_the_highest_effort_there_is_is_all_it_has() -> None:
+    """Who wants all of it may say so with the highest float there is, which no current is."""
+    stage = Stage({"nm_per_ampere": 0.5})
+    stage.known()
+    full_ma = stage.arm.sim.gripper.settings.closed_loop_ma
+    assert stage.go(1.0, effort=0.25) == Grip.REACHED
+    assert stage.go(0.5, effort=sys.float_info.max) == Grip.REACHED
+    assert stage.arm.sim.gripper.settings.closed_loop_ma == full_ma
     stage.arm.close()
 
 
