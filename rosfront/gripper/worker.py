@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 from queue import Empty, SimpleQueue
+from typing import Any
 
 from config.gripper import GripperConfig
 from motion.gripping import STILL_SHARE, Grip, GripJudge, stall_ns
@@ -224,10 +225,29 @@ class GripperWorker(threading.Thread):
             self._fail(problem)
 
     def _read(self, hook: Gripper) -> Reading:
-        reading = hook.read()
+        reading = self._checked(hook.read())
         if not math.isfinite(reading.position_rad) and reading.grip is not Grip.MOVING:
             raise GripperTrouble(f"The gripper says that it is at {reading.position_rad} rad: look at its sensor.")
-        return reading if reading.measured_ns else reading._replace(measured_ns=time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        return reading._replace(measured_ns=min(reading.measured_ns, now_ns) if reading.measured_ns else now_ns)
+
+    def _checked(self, found: Any) -> Reading:
+        """What a hook has returned, each field of its kind: other threads, that of /joint_states too, rely on that."""
+        try:
+            position, velocity, effort, grip, trouble, measured_ns = found
+            return Reading(
+                float(position),
+                float(velocity),
+                float(effort),
+                None if grip is None else Grip(grip),
+                str(trouble),
+                int(measured_ns),
+            )
+        except (TypeError, ValueError, OverflowError) as problem:
+            raise GripperTrouble(
+                f"The gripper's hook {self._config.hook} returns {found!r} from `read`, which is no Reading of numbers "
+                "(docs/gripper.md): mend it."
+            ) from problem
 
     def _follow(self, hook: Gripper, reading: Reading) -> None:
         """What a reading says of the motion that runs."""

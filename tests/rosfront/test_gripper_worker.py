@@ -191,6 +191,37 @@ def test_a_reading_that_is_no_number_is_a_trouble(stage: Stage) -> None:
     assert "nan rad" in stage.go(0.7).sentence
 
 
+@pytest.mark.parametrize(
+    "reading",
+    [
+        None,
+        0.3,
+        (0.3,),
+        Reading(0.3, None),  # type: ignore[arg-type]
+        Reading(0.3, effort="little"),  # type: ignore[arg-type]
+        Reading(0.3, grip="moving"),  # type: ignore[arg-type]
+        Reading(0.3, measured_ns="now"),  # type: ignore[arg-type]
+        Reading(0.3, measured_ns=math.inf),  # type: ignore[arg-type]
+        Reading(10**400),
+    ],
+)
+def test_a_reading_of_other_things_than_numbers_is_a_trouble_and_harms_no_other_thread(
+    stage: Stage, reading: Any
+) -> None:
+    """The thread of /joint_states takes its numbers as they are; without it the arm stops."""
+    stage.hook.read = lambda: reading
+    assert "returns" in stage.go(0.7).sentence
+    assert stage.worker.measured(time.monotonic_ns()) is None
+    assert stage.worker.shown.grip is Grip.TROUBLE
+
+
+def test_a_reading_from_the_future_grows_old_too(stage: Stage) -> None:
+    ahead_ns = time.monotonic_ns() + 3_600_000_000_000
+    stage.hook.read = lambda: Reading(0.3, measured_ns=ahead_ns)
+    assert stage.go(0.3).how is Ended.REACHED
+    assert stage.worker.measured(time.monotonic_ns() + 2_000_000_000) is None
+
+
 def test_a_reading_is_known_until_it_is_old(stage: Stage) -> None:
     assert stage.go(0.7).how is Ended.REACHED
     now_ns = time.monotonic_ns()
