@@ -157,6 +157,8 @@ class GripperServer:
             target_rad, max_effort = asked(handle.request)
         except GoalRefused as reason:
             return refused(reason)
+        if handle.is_cancel_requested:  # taken in one turn with its goal, when nothing could be stopped yet
+            return Verdict(Status.CANCELED, 0, "Canceled before the gripper had begun to move.")
 
         def feedback(reading: Reading) -> None:
             if handle.is_active:

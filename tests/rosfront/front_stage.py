@@ -126,3 +126,24 @@ def serving_alone(name, **trajectory):
         ends.callback(client.close)
         until(front.serving.ever_attached.is_set, "a front that serves")
         yield loop, front, client, thread
+
+
+def pile_up(goals, monkeypatch):
+    """From then on a GoalServer's action server takes goals and cancels in pairs; returns what it has taken."""
+    server, taken = goals._server, []
+    is_ready, take_data = server.is_ready, server.take_data
+
+    def both_are_ready(wait_set):
+        ready = is_ready(wait_set)
+        if server._is_goal_request_ready != server._is_cancel_request_ready:
+            server._is_goal_request_ready = server._is_cancel_request_ready = False
+        return ready
+
+    def take():
+        data = take_data()
+        taken.append(set(data))
+        return data
+
+    monkeypatch.setattr(server, "is_ready", both_are_ready)
+    monkeypatch.setattr(server, "take_data", take)
+    return taken

@@ -18,7 +18,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
 from action_msgs.srv import CancelGoal
-from front_stage import SlowJudge, Stage, goal, serving_alone
+from front_stage import SlowJudge, Stage, goal, pile_up, serving_alone
 from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, Operator, until
 from std_srvs.srv import Trigger
 
@@ -309,34 +309,13 @@ def test_at_the_end_a_goal_being_considered_is_rejected(arm_name, monkeypatch):
         judge.pass_on.set()
 
 
-def pile_up(front, monkeypatch):
-    """From now on the action server takes goals and cancels in pairs; returns what it has taken."""
-    server, taken = front._goals._server, []
-    is_ready, take_data = server.is_ready, server.take_data
-
-    def both_are_ready(wait_set):
-        ready = is_ready(wait_set)
-        if server._is_goal_request_ready != server._is_cancel_request_ready:
-            server._is_goal_request_ready = server._is_cancel_request_ready = False
-        return ready
-
-    def take():
-        data = take_data()
-        taken.append(set(data))
-        return data
-
-    monkeypatch.setattr(server, "is_ready", both_are_ready)
-    monkeypatch.setattr(server, "take_data", take)
-    return taken
-
-
 def test_a_cancel_that_is_taken_with_a_considered_goal_does_not_wait_for_it(arm_name, monkeypatch):
     with serving_alone(arm_name, strict_reject=True) as (loop, front, client, _):
         running = client.send(goal(seconds=5))
         until(lambda: loop.active, "motion")
         judge = SlowJudge(monkeypatch)
         with monkeypatch.context() as patched:
-            taken = pile_up(front, patched)
+            taken = pile_up(front._goals, patched)
             answer = client.action.send_goal_async(goal())
             running.cancel_goal_async()
             until(lambda: {"goal", "cancel"} in taken, "both at once")
@@ -350,7 +329,7 @@ def test_a_cancel_that_is_taken_with_a_considered_goal_does_not_wait_for_it(arm_
 
 def test_a_cancel_of_all_goals_means_the_one_that_is_taken_with_it(arm_name, monkeypatch):
     with serving_alone(arm_name) as (_, front, client, _):
-        taken = pile_up(front, monkeypatch)
+        taken = pile_up(front._goals, monkeypatch)
         answer = client.action.send_goal_async(goal(seconds=5))
         everything = client.node.create_client(
             CancelGoal, f"/alone_{arm_name}/follow_joint_trajectory/_action/cancel_goal"

@@ -11,9 +11,11 @@ pytest.importorskip("rclpy")
 
 import rclpy
 import yaml
+from action_msgs.srv import CancelGoal
 from control_msgs.action import GripperCommand, ParallelGripperCommand
 from diagnostic_msgs.msg import DiagnosticArray
 from fake_loop import FakeLoop
+from front_stage import pile_up
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
@@ -161,6 +163,23 @@ def test_a_cancel_truly_stops_it(client):
     assert 0.6 < result.position < 1.9
     time.sleep(0.3)
     assert client.front._gripper.worker.shown.reading.position_rad == pytest.approx(result.position, abs=1e-9)
+
+
+def test_a_cancel_that_is_taken_with_its_goal_counts(client, monkeypatch):
+    client.go(1.9)
+    taken = pile_up(client.front._gripper._servers[0], monkeypatch)
+    answer = client.actions[GripperCommand].send_goal_async(command(0.6))
+    name = f"/{client.front.arm.gripper.controller_name}/gripper_cmd/_action/cancel_goal"
+    everything = client.node.create_client(CancelGoal, name)
+    assert everything.wait_for_service(10.0)
+    canceling = everything.call_async(CancelGoal.Request())
+    until(canceling.done, "the answer to a cancel")
+    assert {"goal", "cancel"} in taken and len(canceling.result().goals_canceling) == 1
+    until(answer.done, "the answer to a goal")
+    status, result = client.result(answer.result())
+    assert (status, result.reached_goal, result.stalled) == (CANCELED, False, False)
+    time.sleep(0.3)
+    assert client.front._gripper.worker.shown.reading.position_rad == pytest.approx(1.9, abs=0.02)
 
 
 def test_a_newer_goal_of_either_action_takes_over(client):
