@@ -35,6 +35,7 @@ from rosfront.verdict import Status, Verdict, aborted, refused
 SERVO_LOWEST_DEG, SERVO_HIGHEST_DEG = 0, 110
 """What `servo_gripper` clamps its angle to, as in the full node."""
 WITHOUT_SERVICES = "robot_arm_interfaces is not installed, so gripper_control and servo_gripper are not offered."
+HANG_EVERY_S = 1.0
 _STATUS = {Ended.REACHED: Status.SUCCEEDED, Ended.STALLED: Status.SUCCEEDED, Ended.CANCELED: Status.CANCELED}
 
 
@@ -86,6 +87,7 @@ class GripperServer:
         else:
             node.create_service(GripperControl, "gripper_control", self._control, callback_group=group)
             node.create_service(ServoGripper, "servo_gripper", self._servo, callback_group=group)
+        node.create_timer(HANG_EVERY_S, self._end_what_hangs, callback_group=group)
         self.worker.start()
 
     @property
@@ -96,8 +98,18 @@ class GripperServer:
     def close(self, patience_s: float) -> None:
         """Stop what moves and end; its clients hear of it."""
         self.worker.close(patience_s)
-        for motion in list(self._motions.values()):  # of a hook that hangs, or that came after its end
-            motion.on_end(End(Ended.TROUBLE, None, "The ROS process was stopped."))
+        self._give_up("The ROS process was stopped.")  # of a hook that hangs, or that came after its end
+
+    def _end_what_hangs(self) -> None:
+        """A hook that does not return leaves its clients without an answer otherwise."""
+        sentence = self.worker.hang()
+        if sentence:
+            self._give_up(sentence)
+
+    def _give_up(self, sentence: str) -> None:
+        for motion in list(self._motions.values()):
+            motion.given_up = True
+            motion.on_end(End(Ended.TROUBLE, None, sentence))
 
     # --- what is asked for: the target (rad) and the effort (N·m); raises GoalRefused
 

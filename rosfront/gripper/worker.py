@@ -1,7 +1,9 @@
 """The gripper's thread: it alone calls the hook, and every motion gets exactly one end from it.
 
 A hook may take its time, or hang; that holds up nothing but the gripper. Motions come from any thread, a newer one
-replaces an older one, and a motion ends: reached, stalled, canceled, replaced, in trouble, or too late.
+replaces an older one, and a motion ends: reached, stalled, canceled, replaced, in trouble, or too late. A hook that
+does not return keeps this thread from ending them: then somebody else gives them up (`hang`), and when it does return
+they are not begun.
 """
 
 from __future__ import annotations
@@ -30,6 +32,8 @@ STAND_WITHIN_S = 2.0
 LATE_S = 10.0
 """A motion may take three times what the whole range takes at its speed, and this."""
 HOMED_WITHIN_S = 120.0
+HANGS_AFTER_S = 10.0
+"""A hook that has not returned for so long hangs."""
 CLOSING = "The ROS process was stopped before the gripper had come to its end; it was told to hold."
 NEVER_READ = "The gripper has not been read yet."
 
@@ -72,6 +76,8 @@ class Motion:
     begun_s: float = field(default_factory=time.monotonic)
     until_s: float = math.inf
     canceled_s: float = 0.0
+    given_up: bool = False
+    """Set by another thread that has told of its end while the hook hung."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +110,7 @@ class GripperWorker(threading.Thread):
         self._motion: Motion | None = None
         self._before: Reading | None = None
         self._leaving = False
+        self._called_s = math.inf
         self._rest_grip = Grip.UNKNOWN
         self.shown = Shown(None, Grip.UNKNOWN, NEVER_READ)
 
@@ -122,6 +129,17 @@ class GripperWorker(threading.Thread):
         self._works.put(self._leave)
         self.join(patience_s)
 
+    def hang(self) -> str:
+        """The sentence about a hook that does not return, else nothing."""
+        if time.monotonic() - self._called_s < HANGS_AFTER_S:
+            return ""
+        sentence = (
+            f"The gripper's hook {self._config.hook} has not returned for {HANGS_AFTER_S:g} s: it hangs; look at what "
+            "moves the gripper, mend the hook, or start rtarm again."
+        )
+        self._show(None, Grip.TROUBLE, sentence)
+        return sentence
+
     def measured(self, now_ns: int) -> tuple[float, float, float] | None:
         """Position, velocity and effort if they are known at this moment (CLOCK_MONOTONIC), else None."""
         reading = self.shown.reading
@@ -136,13 +154,17 @@ class GripperWorker(threading.Thread):
         """Until `close`: do what is asked, then look where the gripper is."""
         while not self._leaving:
             try:
-                self._works.get(timeout=self._pause_s())()
+                work = self._works.get(timeout=self._pause_s())
                 while True:
-                    self._works.get_nowait()()
+                    self._called_s = time.monotonic()
+                    work()
+                    work = self._works.get_nowait()
             except Empty:
                 pass
             if not self._leaving:
+                self._called_s = time.monotonic()
                 self._look()
+            self._called_s = math.inf
 
     def _pause_s(self) -> float:
         if self._motion is not None:
@@ -150,6 +172,8 @@ class GripperWorker(threading.Thread):
         return TROUBLE_PERIOD_S if self._hook is None else RESTING_PERIOD_S
 
     def _begin(self, motion: Motion) -> None:
+        if motion.given_up:
+            return
         self._end(Ended.REPLACED, "A newer command for the gripper has replaced it.")
         self._motion = motion
         hook = self._opened()
@@ -169,6 +193,9 @@ class GripperWorker(threading.Thread):
             )
             longest_s = (config.upper_rad - config.lower_rad) / config.speed_rad_s
             motion.until_s = motion.begun_s + LATE_S + 3.0 * longest_s
+            if motion.given_up:
+                self._motion = None
+                return
             hook.move(motion.target_rad, motion.max_effort)
         except Exception as problem:
             self._fail(problem)
@@ -256,6 +283,10 @@ class GripperWorker(threading.Thread):
         known = math.isfinite(reading.position_rad)
         self._show(reading if known else None, grip, reading.trouble)
         if motion is None:
+            return
+        if motion.given_up:
+            self._motion = None
+            hook.stop()
             return
         if known:
             motion.on_reading(reading)

@@ -26,6 +26,7 @@ from std_srvs.srv import Trigger
 
 from config.loader import load_arm
 from rosfront.gripper import server as gripper_server
+from rosfront.gripper import worker as gripper_worker
 from rosfront.link import attach
 from rosfront.node import FrontNode
 
@@ -238,6 +239,20 @@ def test_without_a_fresh_reading_its_joint_is_left_out(client, monkeypatch):
 
 def _raise():
     raise OSError("the port is gone")
+
+
+def test_a_hook_that_hangs_ends_its_goals_and_a_cancel(client, monkeypatch):
+    monkeypatch.setattr(gripper_worker, "HANGS_AFTER_S", 0.3)
+    client.go(1.9)
+    returns = threading.Event()
+    handle = client.send(command(0.6))
+    monkeypatch.setattr(client.front._gripper.worker._hook, "read", returns.wait)
+    client.cancel(handle)
+    late = client.send(command(1.0))
+    assert client.result(handle)[0] == client.result(late)[0] == ABORTED
+    monkeypatch.undo()
+    returns.set()
+    assert client.go(1.5)[0] == SUCCEEDED
 
 
 def test_diagnostics_tell_of_it(client):

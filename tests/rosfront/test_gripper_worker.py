@@ -21,6 +21,7 @@ from config import ConfigError, load_arm
 from config.gripper import GripperConfig
 from motion.gripping import Grip
 from rosfront.gripper import servo as servo_module
+from rosfront.gripper import worker as worker_module
 from rosfront.gripper.hook import GripperTrouble, NotThereYet, Reading
 from rosfront.gripper.own import hook_of, load_class
 from rosfront.gripper.servo import ServoGripper
@@ -239,6 +240,43 @@ def test_the_end_of_the_program_stops_it_and_is_heard(stage: Stage) -> None:
     assert stage.hook.asked[-2:] == [("stop", 0.7), ("close", 0.7)]
 
 
+def test_a_hook_that_hangs_is_said_and_what_was_given_up_is_never_begun(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker_module, "HANGS_AFTER_S", 0.1)
+    assert stage.go(0.1).how is Ended.REACHED and stage.worker.hang() == ""
+    stage.hook.pause.set()
+    until(stage.worker.hang, "the hang")
+    assert "has not returned" in stage.worker.hang()
+    assert (stage.worker.measured(time.monotonic_ns()), stage.worker.shown.grip) == (None, Grip.TROUBLE)
+    assert len([line for line in stage.said if "has not returned" in line]) == 1
+    motion, _ = stage.begin(0.7)
+    motion.given_up = True
+    stage.hook.pause.clear()
+    assert stage.go(0.3).how is Ended.REACHED
+    assert [angle for what, angle in stage.hook.asked if what == "move"] == [0.1, 0.3]
+    assert "The gripper is in order again." in stage.said and stage.worker.hang() == ""
+
+
+@pytest.mark.parametrize("amid", ["_begin", "_look"])
+def test_a_motion_given_up_while_its_hook_hung_does_not_go_on(stage: Stage, amid: str) -> None:
+    stage.hook.jumps, stage.hook.grip = False, Grip.MOVING
+    if amid == "_begin":
+        stage.hook.pause.set()
+        time.sleep(0.15)
+    motion, ends = stage.begin(0.7)
+    if amid == "_look":
+        until(lambda: stage.hook.asked, "the motion")
+    motion.given_up = True
+    stage.hook.pause.clear()
+    until(lambda: stage.worker._motion is None and stage.worker._works.empty(), "a gripper without a motion")
+    stage.hook.grip = None
+    assert stage.go(0.0).how is Ended.REACHED
+    wanted = [] if amid == "_begin" else [("move", 0.7), ("stop", 0.0)]
+    assert stage.hook.asked == [*wanted, ("move", 0.0)]
+    assert ends == [], "whoever gave it up has told of its end"
+
+
 def test_a_hook_that_hangs_does_not_hold_up_the_end(stage: Stage) -> None:
     stage.hook.pause.set()
     time.sleep(0.15)
@@ -247,7 +285,8 @@ def test_a_hook_that_hangs_does_not_hold_up_the_end(stage: Stage) -> None:
     assert time.monotonic() - began_s < 2.0
 
 
-def test_a_hook_that_cannot_be_opened_is_tried_again() -> None:
+def test_a_hook_that_cannot_be_opened_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worker_module, "TROUBLE_PERIOD_S", 0.05)
     tries: list[int] = []
 
     def make() -> Hook:
