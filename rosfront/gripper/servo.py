@@ -51,6 +51,7 @@ class ServoGripper:
         try:
             shown = self._serving.gripper()
         except NotServing as reason:
+            self._order = 0  # a new control process counts anew
             raise NotThereYet(reason.sentence) from reason
         if shown is None:
             raise NotThereYet(NOT_YET)
@@ -79,7 +80,7 @@ class ServoGripper:
         grip = Grip(int(shown["grip"]))
         if int(shown["order"]) < self._order:
             if time.monotonic() - self._asked_s > TAKEN_WITHIN_S:
-                self._order = 0  # a new control process counts anew
+                self._order = 0
                 raise GripperTrouble("The control process has not passed the command on to the gripper: try again.")
             grip = Grip.MOVING
         elif int(shown["trouble"]) != GripTrouble.NONE:
