@@ -108,7 +108,7 @@ class GripperServer:
 
     def _give_up(self, sentence: str) -> None:
         for motion in list(self._motions.values()):
-            motion.given_up = True
+            motion.given_up.set()
             motion.on_end(End(Ended.TROUBLE, None, sentence))
 
     # --- what is asked for: the target (rad) and the effort (N·m); raises GoalRefused

@@ -76,7 +76,7 @@ class Motion:
     begun_s: float = field(default_factory=time.monotonic)
     until_s: float = math.inf
     canceled_s: float = 0.0
-    given_up: bool = False
+    given_up: threading.Event = field(default_factory=threading.Event)
     """Set by another thread that has told of its end while the hook hung."""
 
 
@@ -172,7 +172,7 @@ class GripperWorker(threading.Thread):
         return TROUBLE_PERIOD_S if self._hook is None else RESTING_PERIOD_S
 
     def _begin(self, motion: Motion) -> None:
-        if motion.given_up:
+        if motion.given_up.is_set():
             return
         self._end(Ended.REPLACED, "A newer command for the gripper has replaced it.")
         self._motion = motion
@@ -193,7 +193,7 @@ class GripperWorker(threading.Thread):
             )
             longest_s = (config.upper_rad - config.lower_rad) / config.speed_rad_s
             motion.until_s = motion.begun_s + LATE_S + 3.0 * longest_s
-            if motion.given_up:
+            if motion.given_up.is_set():
                 self._motion = None
                 return
             hook.move(motion.target_rad, motion.max_effort)
@@ -284,7 +284,7 @@ class GripperWorker(threading.Thread):
         self._show(reading if known else None, grip, reading.trouble)
         if motion is None:
             return
-        if motion.given_up:
+        if motion.given_up.is_set():
             self._motion = None
             hook.stop()
             return

@@ -111,7 +111,7 @@ def serving(name, gripper, **trajectory):
 
 @pytest.fixture(scope="module")
 def client(new_arm_name):
-    with serving(new_arm_name(), {"options": {"object_deg": 30.0}, "lower_deg": 10.0}) as client:
+    with serving(new_arm_name(), {"options": {"object_deg": 30.0}, "lower_deg": 10.0, "stall_time_s": 0.2}) as client:
         yield client
 
 
@@ -291,7 +291,7 @@ def test_a_hook_that_cannot_home_says_so(client):
 
 
 def test_strict_reject_rejects_a_bad_goal(arm_name):
-    with serving(arm_name, {}, strict_reject=True) as client:
+    with serving(arm_name, {"speed_deg_s": 500.0}, strict_reject=True) as client:
         assert not client.send(command(5.0)).accepted
         assert client.go(1.0)[0] == SUCCEEDED
 
@@ -313,7 +313,7 @@ def test_without_robot_arm_interfaces_there_is_everything_else(arm_name, monkeyp
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "robot_arm_interfaces", None)
     monkeypatch.setattr(gripper_server, "WITHOUT_SERVICES", "left out", raising=True)
-    with serving(arm_name, {}) as client:
+    with serving(arm_name, {"speed_deg_s": 500.0}) as client:
         assert client.go(1.0)[0] == SUCCEEDED
 
 

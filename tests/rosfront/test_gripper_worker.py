@@ -251,7 +251,7 @@ def test_a_hook_that_hangs_is_said_and_what_was_given_up_is_never_begun(
     assert (stage.worker.measured(time.monotonic_ns()), stage.worker.shown.grip) == (None, Grip.TROUBLE)
     assert len([line for line in stage.said if "has not returned" in line]) == 1
     motion, _ = stage.begin(0.7)
-    motion.given_up = True
+    motion.given_up.set()
     stage.hook.pause.clear()
     assert stage.go(0.3).how is Ended.REACHED
     assert [angle for what, angle in stage.hook.asked if what == "move"] == [0.1, 0.3]
@@ -267,7 +267,7 @@ def test_a_motion_given_up_while_its_hook_hung_does_not_go_on(stage: Stage, amid
     motion, ends = stage.begin(0.7)
     if amid == "_look":
         until(lambda: stage.hook.asked, "the motion")
-    motion.given_up = True
+    motion.given_up.set()
     stage.hook.pause.clear()
     until(lambda: stage.worker._motion is None and stage.worker._works.empty(), "a gripper without a motion")
     stage.hook.grip = None
