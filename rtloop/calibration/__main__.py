@@ -10,41 +10,28 @@ at the end. Exit codes as of `python -m rtloop`.
 from __future__ import annotations
 
 import json
-import select
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict
 
-from config.errors import ConfigError
 from config.schema import ArmConfig
-from rtloop import saved
-from rtloop.__main__ import STOP_SIGNALS, arm_of, compiled_cycle, tell
+from rtloop import offline, saved
 from rtloop.calibration.session import DriveState, NotDone, Session
-from rtloop.conversation import TalkFailed
+from rtloop.offline import heard_more, next_line, say
 from rtloop.port import ServicePort
-from rtloop.process import BUSY_POLL_S, CannotStart, ControlProcess, Ended, StopAsked
-from rtloop.settings.__main__ import next_line, say
-from rtloop.wire.refusal import WireRefused
-from shm.errors import AlreadyHeld, SharedMemoryError
+from rtloop.process import BUSY_POLL_S, Ended
 
 
 def main(arguments: list[str] | None = None) -> int:
-    try:
-        arm = arm_of(arguments, "python -m rtloop.calibration", "Turns one drive at a time.")
-        stop_asked = StopAsked(STOP_SIGNALS)
-        process = ControlProcess(arm, compiled_cycle(stop_asked), tell, stop_asked)
-        return process.serve_offline(lambda port, pause: serve(arm, port, pause))
-    except AlreadyHeld as error:
-        say(
-            "refused",
-            "Joints are calibrated by a control process of their own, and this arm has one already: end that first "
-            f"(Ctrl-C in its `rtarm up`), then run this again. ({error})",
-        )
-        return 2
-    except (ConfigError, SharedMemoryError, CannotStart, WireRefused, TalkFailed) as error:
-        say("refused", str(error))
-        return 2
+    return offline.run(
+        arguments,
+        "python -m rtloop.calibration",
+        "Turns one drive at a time.",
+        serve,
+        alone="Joints are calibrated",
+        refuses=NotDone,
+    )
 
 
 def serve(arm: ArmConfig, port: ServicePort, pause: Callable[[], None]) -> None:
@@ -52,7 +39,7 @@ def serve(arm: ArmConfig, port: ServicePort, pause: Callable[[], None]) -> None:
 
     def pause_unless_interrupted() -> None:
         pause()
-        if select.select([sys.stdin], (), (), 0)[0]:
+        if heard_more():
             raise Ended(0)
 
     session = Session(

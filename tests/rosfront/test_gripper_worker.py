@@ -412,21 +412,6 @@ def test_a_new_control_process_is_not_asked_for_an_order_of_its_predecessor(monk
     assert servo.read().grip is Grip.REACHED
 
 
-def test_a_new_control_process_is_not_asked_for_an_order_of_its_predecessor(monkeypatch: pytest.MonkeyPatch) -> None:
-    loop = Loop()
-    servo = ServoGripper(loop)
-    servo.move(1.0, 0.0)
-    loop.record["order"] = 1
-    loop.show(Grip.REACHED, 1.0)
-    assert servo.read().grip is Grip.REACHED
-    loop.absence = "It is not running."
-    with pytest.raises(NotThereYet):
-        servo.read()
-    loop.absence, loop.record["order"] = "", 0
-    monkeypatch.setattr(servo_module, "TAKEN_WITHIN_S", 0.0)
-    assert servo.read().grip is Grip.REACHED
-
-
 def test_a_record_that_nobody_writes_any_more_is_not_believed() -> None:
     loop = Loop()
     loop.show(Grip.HELD, 0.3)
