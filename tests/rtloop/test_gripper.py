@@ -19,6 +19,7 @@ from config.budget import budget
 from motion.gripping import Grip, GripJudge, stall_ns
 from rtloop.conversation import Conversation, split_packets
 from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_talk
 from rtloop.port import SEND, Frame
 from shm.gripper import read_gripper
 from shm.words import Answer, Fault, GripTrouble, Mode, Outcome, Request
@@ -269,6 +270,22 @@ def test_the_highest_effort_there_is_is_all_it_has() -> None:
     assert stage.go(1.0, effort=0.25) == Grip.REACHED
     assert stage.go(0.5, effort=sys.float_info.max) == Grip.REACHED
     assert stage.arm.sim.gripper.settings.closed_loop_ma == full_ma
+    stage.arm.close()
+
+
+def test_a_spoilt_answer_is_not_what_the_limit_is_set_back_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    read_block, tries = zdt_talk.read_block, []
+
+    def spoilt_at_first() -> Any:
+        block = yield from read_block()
+        tries.append(block)
+        return replace(block, current_ma=block.current_ma ^ 0x1000) if len(tries) == 1 else block
+
+    stage = Stage({"nm_per_ampere": 0.5})
+    monkeypatch.setattr(zdt_talk, "read_block", spoilt_at_first)
+    stage.known()
+    assert stage.go(1.0, effort=0.25) == stage.go(0.5) == Grip.REACHED
+    assert len(tries) > 2 and stage.arm.sim.gripper.settings.closed_loop_ma == tries[-1].current_ma == 3000
     stage.arm.close()
 
 
