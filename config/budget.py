@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from config.bus import HIGHEST_CAN_BITRATE, SERIAL_BAUDS
 from config.errors import ConfigError
 from config.gripper import MOVING_POLL_HZ
-from config.schema import HIGHEST_CAN_BITRATE, SERIAL_BAUDS, ArmConfig, ControlConfig
+from config.schema import ArmConfig, ControlConfig
 
 UART_BITS_PER_CHARACTER = 10
 """Start bit, eight data bits, stop bit."""

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from config import derived
+from config import ramp
 from config.joint import ENCODER_COUNTS_PER_REVOLUTION, FULL_STEPS_PER_REVOLUTION
 from config.section import KEYS_BESIDE_CONTROLLERS, NoBool, Section, refuse, refuse_name
 
@@ -227,4 +227,4 @@ class GripperConfig(Section):
     def acc_byte(self) -> int:
         """Ramp of the servo's position command; the hardest where none reaches the speed in time."""
         assert self.servo is not None
-        return derived.smallest_acc_byte(self.servo.ratio, self.acceleration_rad_s2) or max(derived.ACC_BYTES)
+        return ramp.smallest_acc_byte(self.servo.ratio, self.acceleration_rad_s2) or max(ramp.ACC_BYTES)

@@ -8,7 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from config.schema import ArmConfig, PoseMove
+from config.homing import PoseMove
+from config.schema import ArmConfig
 from rosfront.goal import plan_move
 from rosfront.moves import joint_move
 from rosfront.plan import GoalPlan

@@ -15,7 +15,7 @@ import termios
 import time
 import tty as std_tty
 
-from config.schema import SLCAN_BITRATES
+from config.bus import SLCAN_BITRATES
 from rtloop.wire.refusal import WireRefused
 
 ANSWER_PATIENCE_S = 0.15

@@ -12,20 +12,17 @@ from rich.console import Console
 
 from config import ArmConfig, ConfigError, load_arm
 from config.check import render_check, render_errors
-from config.derived import (
-    acc_byte,
-    braking_deceleration_rad_s2,
+from config.derived import acc_byte, braking_deceleration_rad_s2, derived_table, silence_acc_byte
+from config.loader import ARMS_FOLDER
+from config.ramp import (
     coast_rad,
-    derived_table,
     nearest_silence_byte,
     nearest_usable_acceleration_rad_s2,
     ramp_rad_s2,
     ramp_rpm_s,
-    silence_acc_byte,
     smallest_acc_byte,
     stop_time_s,
 )
-from config.loader import ARMS_FOLDER
 
 
 def test_ramps_of_the_manual() -> None:

@@ -12,13 +12,12 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 from config import load_arm
+from config.bus import SERIAL_BAUDS, BusConfig
 from config.errors import ConfigError
 from config.geometry import DhRow, KinematicsConfig
 from config.joint import JointConfig, MockDrive, ZdtDrive
 from config.schema import (
-    SERIAL_BAUDS,
     ArmConfig,
-    BusConfig,
     ControlConfig,
     FrontConfig,
     LimitsConfig,

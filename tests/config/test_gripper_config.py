@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from config import ArmConfig, ConfigError, check_budget, load_arm
 from config.budget import budget, frame_bits
-from config.derived import ramp_rpm_s
+from config.ramp import ramp_rpm_s
 
 SERVO = {"hook": "servo", "servo": {"address": 7}}
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from launched import Started, everything_started
 
-from config.schema import ParkingConfig
+from config.homing import ParkingConfig
 from rtarm.launcher import FRONT_STOP_S, LOOP_STOP_S, SIM_STOP_S
 
 pytest.importorskip("xacro")

@@ -10,7 +10,7 @@ pytest.importorskip("control_msgs")
 from front_stage import SlowJudge, goal, serving_alone
 from ros_client import SUCCEEDED, until
 
-from config.schema import HomingConfig, ParkingConfig, PoseMove
+from config.homing import HomingConfig, ParkingConfig, PoseMove
 from rosfront import own_moves
 from rosfront.own_moves import OwnMoves
 

@@ -14,9 +14,10 @@ import pytest
 from trajectory_messages import NS
 from virtual import VirtualArm
 
+from config.bus import BusConfig
 from config.joint import MockDrive
 from config.loader import load_arm
-from config.schema import ArmConfig, BusConfig
+from config.schema import ArmConfig
 from rosfront.goal import plan_goal
 from rosfront.link import Link
 from rosfront.plan import GoalPlan

@@ -1,0 +1,197 @@
+"""The section `bus` of an arm file: the CAN bus, its adapter, and how drives are spoken to."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from config.section import Section, refuse
+
+SLCAN_BITRATES: dict[int, str] = {
+    10_000: "S0",
+    20_000: "S1",
+    50_000: "S2",
+    100_000: "S3",
+    125_000: "S4",
+    250_000: "S5",
+    500_000: "S6",
+    1_000_000: "S8",
+}
+"""CAN bit rates that every SLCAN adapter understands alike, with the command that sets them."""
+
+AMBIGUOUS_SLCAN_BITRATES = (750_000, 800_000)
+"""S7 is 800 kbit/s in LAWICEL, USBtin and Nakakiyo firmware and 750 kbit/s in the canable original."""
+
+LOWEST_CAN_BITRATE, HIGHEST_CAN_BITRATE = 10_000, 1_000_000
+"""Bit rates of classic CAN."""
+
+INTERFACE_NAME = re.compile(r"(?!\.\.?$)[^\s/:]{1,15}")
+"""What Linux takes as the name of a network interface (IFNAMSIZ)."""
+
+SERIAL_BAUDS = (
+    9_600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 500_000, 576_000, 921_600, 1_000_000,
+    1_152_000, 1_500_000, 2_000_000, 2_500_000, 3_000_000, 3_500_000, 4_000_000,
+)  # fmt: skip
+"""Serial speeds that Linux knows by name (termios B9600 … B4000000)."""
+
+
+class BusConfig(Section):
+    """The CAN bus and the adapter it is reached through."""
+
+    interface: Literal["slcan", "socketcan", "mock"] = Field(
+        description="How the bus is reached: slcan is a serial CAN adapter, socketcan a CAN interface of the system, "
+        "mock is no bus at all."
+    )
+    channel: str | None = Field(
+        default=None,
+        min_length=1,
+        description="Device of the adapter, such as /dev/ttyACM0 (slcan), or the interface, such as can0 (socketcan).",
+    )
+    usb_index: int | None = Field(
+        default=None,
+        ge=0,
+        le=255,
+        description="Short for channel: n means /dev/ttyUSB<n> (slcan) or can<n> (socketcan).",
+    )
+    bitrate: int = Field(default=500_000, gt=0, description="CAN bit rate (bit/s); the drives' menu must agree.")
+    serial_baud: int | Literal["cdc"] = Field(
+        default="cdc",
+        description="Speed of the serial line to the adapter (baud) where it is a true UART; cdc where the "
+        "adapter is a USB device for which the number means nothing.",
+    )
+    load_limit: float = Field(
+        default=0.85,
+        gt=0,
+        le=1,
+        description="Highest planned bus load (share of the bit rate, worst-case bit stuffing); the rest is "
+        "for bring-up, diagnosis and repeated frames.",
+    )
+    acknowledge: bool = Field(
+        default=False,
+        description="Whether drives acknowledge motion commands; false turns it off at bring-up, in the "
+        "drives' volatile memory only.",
+    )
+    positions: Literal["polled", "reported"] = Field(
+        default="polled",
+        description="How positions are read: polled asks every drive in every cycle, reported lets each drive send its "
+        "position by itself (X42S and Y42 generation), which bring-up sets in the drives' volatile memory only.",
+    )
+
+    position_command: Literal["FD", "FC"] = Field(
+        default="FD",
+        description="How targets are sent: FD carries speed, ramp and target in two frames; FC (firmware 2.0.0 and "
+        "newer) the target alone in one, with a speed and a ramp that were set before. Rougher, and only where "
+        "bring-up finds that a drive takes FC as absolute: see docs/streaming.md.",
+    )
+
+    @field_validator("serial_baud", mode="before")
+    @classmethod
+    def _known_baud(cls, value: Any) -> Any:
+        if value == "cdc" or (type(value) is int and value in SERIAL_BAUDS):
+            return value
+        allowed = ", ".join(str(baud) for baud in SERIAL_BAUDS)
+        raise refuse(
+            "",
+            f"serial_baud is {value!r}, but a serial line knows {allowed}; choose the one your adapter is "
+            "set to, or cdc if it is a USB device without a true UART.",
+        )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> BusConfig:
+        if self.interface == "mock":
+            for field in ("channel", "usb_index"):
+                value = getattr(self, field)
+                if value is not None:
+                    raise refuse(
+                        field,
+                        f"{field} is {value!r}, but interface mock opens no device; remove {field}, or set "
+                        "interface to slcan or socketcan.",
+                    )
+            for field, default in (("positions", "polled"), ("position_command", "FD")):
+                value = getattr(self, field)
+                if value != default:
+                    raise refuse(
+                        field,
+                        f"{field} is {value}, but interface mock has no drives that could do that; remove {field}, or "
+                        "set interface to slcan or socketcan.",
+                    )
+            return self
+        if self.channel is not None and self.usb_index is not None:
+            raise refuse(
+                "usb_index",
+                f"usb_index {self.usb_index} ({self._indexed}) and channel {self.channel} both "
+                "name the adapter, and only one may; remove one of them.",
+            )
+        if self.channel is None and self.usb_index is None:
+            device, such_as, one = (
+                ("adapter's device", "/dev/ttyACM0", "/dev/ttyUSB1")
+                if self.interface == "slcan"
+                else ("name of the CAN interface", "can0", "can1")
+            )
+            raise refuse(
+                "interface",
+                f"interface {self.interface} needs the {device} and the file names none; add channel "
+                f"(such as {such_as}) or usb_index (1 means {one}).",
+            )
+        if self.interface == "socketcan":
+            self._refuse_what_no_can_interface_has()
+        else:
+            self._refuse_what_no_slcan_adapter_has()
+        return self
+
+    def _refuse_what_no_can_interface_has(self) -> None:
+        if not INTERFACE_NAME.fullmatch(self.resolved_channel):
+            raise refuse(
+                "channel",
+                f"channel is {self.resolved_channel!r}, but a CAN interface has a name of 1 to 15 characters without "
+                "/ such as can0; name one of those `ip link` shows, or set interface to slcan for a serial adapter.",
+            )
+        if self.serial_baud != "cdc":
+            raise refuse(
+                "serial_baud",
+                f"serial_baud is {self.serial_baud}, but interface socketcan has no serial line; remove serial_baud.",
+            )
+        if not LOWEST_CAN_BITRATE <= self.bitrate <= HIGHEST_CAN_BITRATE:
+            raise refuse(
+                "bitrate",
+                f"bitrate is {self.bitrate}, but classic CAN has {LOWEST_CAN_BITRATE} to {HIGHEST_CAN_BITRATE} bit/s; "
+                "choose the one the drives are set to.",
+            )
+
+    def _refuse_what_no_slcan_adapter_has(self) -> None:
+        if self.bitrate in AMBIGUOUS_SLCAN_BITRATES:
+            raise refuse(
+                "bitrate",
+                f"bitrate is {self.bitrate}, which no SLCAN command names for certain (S7 is 800000 in some "
+                "adapters and 750000 in others); set the drives to 500000 or 1000000 and use that.",
+            )
+        if self.bitrate not in SLCAN_BITRATES:
+            allowed = ", ".join(str(bitrate) for bitrate in SLCAN_BITRATES)
+            raise refuse(
+                "bitrate",
+                f"bitrate is {self.bitrate}, but an SLCAN adapter offers {allowed}; choose the one the "
+                "drives are set to.",
+            )
+
+    @property
+    def reported(self) -> bool:
+        """Whether drives send their positions by themselves."""
+        return self.positions == "reported"
+
+    @property
+    def fast_targets(self) -> bool:
+        """Whether targets are sent with FC."""
+        return self.position_command == "FC"
+
+    @property
+    def _indexed(self) -> str:
+        return f"can{self.usb_index}" if self.interface == "socketcan" else f"/dev/ttyUSB{self.usb_index}"
+
+    @property
+    def resolved_channel(self) -> str:
+        """The device or interface to open; `mock` where there is none."""
+        if self.channel is not None:
+            return self.channel
+        return "mock" if self.usb_index is None else self._indexed
