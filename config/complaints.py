@@ -1,0 +1,189 @@
+"""What the schema found wrong, as sentences for people: what, its value, what is allowed, what to do."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from typing import Any, get_args
+
+import yaml
+from pydantic import BaseModel
+from pydantic_core import ErrorDetails
+
+from config.errors import ConfigError
+from config.joint import JointConfig
+from config.schema import ArmConfig
+from config.yaml_text import Location, find_line, parts_of, text_of
+
+_DERIVED_FIELDS = {
+    "max_velocity_rad_s": "the joint's velocity limit is derived: set motor_rpm and ratio instead",
+    "lower_rad": "limits are given in degrees: use lower_deg",
+    "upper_rad": "limits are given in degrees: use upper_deg",
+    "zero_rad": "the offset is given in degrees: use zero_deg",
+}
+
+
+def complaint(
+    details: ErrorDetails, values: Mapping[str, Any], root: yaml.Node, file: str, overridden: set[str]
+) -> ConfigError:
+    """One problem that pydantic found in `values`, which `root` says and `overridden` replaces in places."""
+    location, model = _place(details["loc"])
+    context = details.get("ctx", {})
+    if details["type"] == "arm_config":
+        location = (*location, *parts_of(str(context["field"])))
+        problem = str(context["sentence"])
+    else:
+        problem = _sentence(details, location, model, _subject(location, values))
+    text = text_of(location)
+    from_override = text in overridden
+    return ConfigError(
+        problem,
+        file=file,
+        line=None if from_override else find_line(root, location),
+        location=text or None,
+        overridden=from_override,
+    )
+
+
+def _place(loc: tuple[int | str, ...]) -> tuple[Location, type[BaseModel]]:
+    """Pydantic's location without the tags of unions, and the model the last part is a field of."""
+    model: type[BaseModel] = ArmConfig
+    owner: type[BaseModel] = ArmConfig
+    location: list[str | int] = []
+    choices: dict[str, type[BaseModel]] = {}
+    for part in loc:
+        if isinstance(part, str) and part in choices:
+            model, choices = choices[part], {}
+            continue
+        location.append(part)
+        if isinstance(part, int):
+            continue
+        owner = model
+        field = model.model_fields.get(part)
+        models = [] if field is None else _models_in(field.annotation)
+        choices = {_family(found): found for found in models} if len(models) > 1 else {}
+        if len(models) == 1:
+            model = models[0]
+    return tuple(location), owner
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for argument in get_args(annotation) for model in _models_in(argument)]
+
+
+def _family(model: type[BaseModel]) -> str:
+    return str(get_args(model.model_fields["family"].annotation)[0])
+
+
+def _subject(location: Location, values: Mapping[str, Any]) -> str:
+    """How the sentence names the field: `ratio of joint3`, `rate_hz`, `the file`."""
+    if not location:
+        return "the file"
+    last = location[-1]
+    name = f"entry {last}" if isinstance(last, int) else str(last)
+    if len(location) < 2 or location[0] != "joints" or not isinstance(location[1], int):
+        return name
+    joints = values.get("joints")
+    joint = joints[location[1]] if isinstance(joints, list) and location[1] < len(joints) else None
+    joint_name = joint.get("name") if isinstance(joint, dict) else None
+    whose = joint_name if isinstance(joint_name, str) and last != "name" else f"joints[{location[1]}]"
+    return whose if len(location) == 2 else f"{name} of {whose}"
+
+
+_WANTED = {
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "list_type": "a list",
+    "model_type": "a group of fields",
+    "model_attributes_type": "a group of fields",
+    "dict_type": "a group of fields",
+}
+
+
+def _sentence(details: ErrorDetails, location: Location, model: type[BaseModel], subject: str) -> str:
+    kind, context = details["type"], details.get("ctx", {})
+    value = _shown(details["input"])
+    if kind == "extra_forbidden":
+        return _unknown_field(str(location[-1]), model, subject)
+    if kind == "missing":
+        return f"{subject} is missing; add it: {_meaning(location, model)}"
+    if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
+        return f"{subject} is {value}, but must be {_bounds(location, model)}; correct it."
+    if kind == "literal_error":
+        return f"{subject} is {value}, but must be {context['expected']}; choose one."
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        families = ", ".join(_family(found) for found in _models_in(JointConfig.model_fields["drive"].annotation))
+        if kind == "union_tag_not_found":
+            return f"{subject} does not say its family; add family, one of {families}."
+        return f"family in {subject} is {context['tag']!r}, but the known families are {families}; choose one."
+    if kind == "string_pattern_mismatch":
+        return f"{subject} is {value}, which is not allowed; {_meaning(location, model)}"
+    if kind == "string_too_short":
+        return f"{subject} is empty; write its value, or remove the field."
+    if kind in ("too_short", "too_long"):
+        return f"{subject} has {context['actual_length']} entries, but an arm has 1 to 32; correct the list."
+    if kind in _WANTED:
+        return f"{subject} is {value}, but must be {_WANTED[kind]}; {_type_advice(details['input'], kind)}"
+    reason = details["msg"][0].lower() + details["msg"][1:]
+    return f"{subject} is {value}, which is not allowed ({reason}); correct it."
+
+
+def _shown(value: object) -> str:
+    if value is None:
+        return "left empty"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return f"the text {value if len(value) <= 40 else value[:37] + '…'!r}"
+    if isinstance(value, (int, float)):
+        return format(value, "g") if isinstance(value, float) else _short_int(value)
+    if isinstance(value, Mapping):
+        return "a group of fields"
+    return "a list" if isinstance(value, Sequence) else f"a {type(value).__name__}"
+
+
+def _short_int(value: int) -> str:
+    return str(value) if value.bit_length() <= 64 else "a number of more than 64 bits"
+
+
+def _type_advice(value: object, kind: str) -> str:
+    if isinstance(value, str) and kind in ("float_type", "int_type"):
+        try:
+            number = float(value)
+        except ValueError:
+            return "write the number alone, in the unit the field's name says."
+        return f"write it as {number:.12g}, with plain digits and without quotes."
+    if isinstance(value, bool) and kind == "string_type":
+        return "YAML reads yes, no, on and off as true and false: put the text in quotes."
+    return "correct it."
+
+
+def _meaning(location: Location, model: type[BaseModel]) -> str:
+    field = model.model_fields.get(str(location[-1])) if location else None
+    description = "correct it." if field is None or field.description is None else field.description
+    return description[0].lower() + description[1:]
+
+
+def _bounds(location: Location, model: type[BaseModel]) -> str:
+    field = model.model_fields[str(location[-1])]
+    words: list[str] = []
+    for attribute, word in (("gt", "above"), ("ge", "at least"), ("lt", "below"), ("le", "at most")):
+        for bound in field.metadata:
+            if getattr(bound, attribute, None) is not None:
+                words.append(f"{word} {getattr(bound, attribute):,g}".replace(",", ""))
+    return " and ".join(words)
+
+
+def _unknown_field(name: str, model: type[BaseModel], subject: str) -> str:
+    if model is JointConfig and name in _DERIVED_FIELDS:
+        return f"{subject} is not a field; {_DERIVED_FIELDS[name]}."
+    known = list(model.model_fields)
+    guess = difflib.get_close_matches(name, known, n=1)
+    hint = f" (did you mean {guess[0]}?)" if guess else ""
+    return f"{subject} is not a field{hint}; known here are {', '.join(known)}; correct or remove it."
