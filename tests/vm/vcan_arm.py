@@ -16,7 +16,8 @@ def start_on_vcan(stack: Stack) -> ArmConfig:
     values["bus"] = {"interface": "socketcan", "channel": "vcan0", "bitrate": 500_000}
     values["control"]["rate_hz"] = RATE_HZ
     values["joints"] = values["joints"][:JOINTS]
-    values.pop("kinematics", None)
+    for of_six_joints in ("kinematics", "homing"):
+        values.pop(of_six_joints, None)
     values.setdefault("limits", {}).update(stale_brake_s=0.4, stale_fault_s=2.0, front_timeout_s=10.0)
     stack.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
     truth = ("--truth", str(stack.truth_file))
