@@ -82,7 +82,7 @@ class Texts:
         whole = (ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8")
         values = yaml.safe_load(whole)
         values["joints"] = values["joints"][:1]
-        del values["kinematics"]  # one row a joint
+        del values["kinematics"], values["homing"]  # one row and one angle a joint
         self._values = values
 
     def case(self, random: np.random.Generator) -> None:
