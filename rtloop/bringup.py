@@ -198,7 +198,7 @@ class BringUp(Conversation):
                 joint,
                 f"The drive of {config.name} tells its configuration in another way whenever it is asked, so its "
                 "acknowledgements are not set, for which all of it is written back: check the adapter, its cable and "
-                "the CAN wires, then start again.",
+                "the CAN wires, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
             )
         yield Ask(registers.write_block(replace(block, response=wanted), store=False), (3,))
         for _ in range(TRIES):  # an answer from before the change may still be on its way

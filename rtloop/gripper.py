@@ -19,11 +19,11 @@ import numpy as np
 from config.gripper import HIGHEST_UNLIMITED_MA, MOVING_POLL_HZ, RESTING_POLL_HZ
 from config.joint import ENCODER_COUNTS_PER_REVOLUTION, FULL_STEPS_PER_REVOLUTION
 from config.schema import ArmConfig
-from motion.gripping import AGREEING, Grip, GripJudge, stall_ns
+from motion.gripping import Grip, GripJudge, stall_ns
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
-from rtloop.drives.zdt_talk import Answered
+from rtloop.drives.zdt_talk import AGREEING, Answered
 from rtloop.port import Frame, ServicePort
 from shm import layout
 from shm.gripper import show_gripper
@@ -40,7 +40,6 @@ OUTSIDE_RAD = math.radians(20.0)
 HOMING_MS = 60_000
 """For a homing run; the drive is told so too."""
 HOMING_LATE_NS = 1_000_000_000
-LOOKS = 6
 LEAST_MA = 100
 _BAD = registers.PROTECTED | registers.POWER_LOST
 
@@ -300,7 +299,7 @@ class GripperTalk(Conversation):
         mark_ms = zdt_talk.homing_mark_ms(HOMING_MS, self.now_ns)
         if not (yield from zdt_talk.set_homing_timeout(mark_ms)):
             raise _Trouble(GripTrouble.NOT_HOMED, (yield from self._counts(registers.ASK_POSITION)))
-        ended = (yield from self._begin_homing()) and (yield from self._see_homing_end())
+        ended = (yield from zdt_talk.begin_homing()) and (yield from self._see_homing_end())
         if not ended:
             yield from zdt_talk.read_flags(registers.ASK_STATUS, before=(registers.END_HOMING, registers.STOP))
         counts = yield from self._counts(registers.ASK_POSITION)
@@ -313,19 +312,6 @@ class GripperTalk(Conversation):
             if not (yield from self._flags()) & registers.POWER_LOST:
                 break
         self._recover(Grip.REACHED)
-
-    def _begin_homing(self) -> Answered[bool]:
-        """Say it until the drive says twice that it homes."""
-        for _ in range(TRIES):
-            before: tuple[bytes, ...] = (registers.HOME_BY_COLLISION,)
-            seen = 0
-            for _ in range(LOOKS):
-                flags = yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS, before)
-                before = ()
-                seen = seen + 1 if flags is not None and flags & registers.HOMING else 0
-                if seen >= AGREEING:
-                    return True
-        return False
 
     def _see_homing_end(self) -> Answered[bool]:
         """Whether the run has ended at its stop, within its time and with no other order before."""

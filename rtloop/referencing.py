@@ -17,6 +17,7 @@ from rtloop import fast_targets, reports
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, drive_addresses, silent_amid
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
+from rtloop.drives.zdt_talk import AGREEING
 from rtloop.port import ADOPT, COUNT_FROM, FAST_READY, REFERENCING, REFERENCING_DONE, ServicePort
 from rtloop.saved import NotSaved
 from shm.words import Fault, Unreferenced
@@ -25,10 +26,6 @@ AT_STOP_RAD = 0.02
 """A drive whose run has ended counts from where it stands: its shaft may settle this far from there."""
 ELSEWHERE_RAD = 0.1
 """A joint whose angle was known before stops within this of its stop, or something was in its way."""
-AGREEING = 2
-"""Answers in a row that say the same: one alone may be garbled."""
-LOOKS = 6
-"""For the beginning of a run: a collision of the factory's 60 ms lasts longer than two of them."""
 STANDS_TRIES = 8
 LATE_S = 1.0
 
@@ -149,16 +146,8 @@ class Referencing(Conversation):
         self._tell(f"{config.name}: homed.")
 
     def _begin_run(self, joint: int, config: JointConfig) -> Dialogue:
-        """Say it until the drive says twice that it homes: no acknowledgement is waited for, and one may be lost."""
-        for _ in range(TRIES):
-            before: tuple[bytes, ...] = (registers.HOME_BY_COLLISION,)
-            seen = 0
-            for _ in range(LOOKS):
-                flags = yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS, before)
-                before = ()
-                seen = seen + 1 if flags is not None and flags & registers.HOMING else 0
-                if seen >= AGREEING:
-                    return
+        if (yield from zdt_talk.begin_homing()):
+            return
         raise TalkFailed(
             joint,
             f"The drive of {config.name} does not begin its homing run: look at its display for a fault and at its "

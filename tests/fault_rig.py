@@ -281,8 +281,8 @@ class Rig(Stack):
             wait(lambda: self.mode() not in (Mode.BRINGING_UP, Mode.STOPPING, Mode.EXECUTING), "rest", READY_S)
             if self.mode() == Mode.FAULT:
                 refused = self.user.order("clear_fault")
-                if refused:
-                    time.sleep(0.2)  # a person who is told that the arm still moves waits for a moment
+                if refused:  # while it moves
+                    wait(lambda: self.mode() != Mode.FAULT or self._stands(), "an arm that stands", READY_S)
                 steps += ["fault cleared"] if not refused else []
                 continue
             snapshot = self.snapshot()
@@ -291,6 +291,11 @@ class Rig(Stack):
                     return steps
                 steps.append(f"referenced: {self._reference(snapshot)}")
         raise Hang(f"the arm did not come back into service: {steps}, last refused with {refused!r}")
+
+    def _stands(self) -> bool:
+        """Whether nothing is commanded to move."""
+        snapshot = self.snapshot()
+        return snapshot is not None and not np.any(snapshot["joints"]["commanded_velocity_rad_s"])
 
     def _is_served(self) -> bool:
         return bool(self.user.servers() - set(self.dead_servers))

@@ -6,11 +6,15 @@ from collections.abc import Generator
 from dataclasses import replace
 from typing import TypeVar
 
-from rtloop.conversation import Ask
+from rtloop.conversation import TRIES, Ask
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_registers import Block, HomingParameters
 
+AGREEING = 2
+"""Answers in a row that say the same: one alone may be garbled."""
 SURE_TRIES = 4
+LOOKS = 6
+"""For the beginning of a homing run: a collision of the factory's 60 ms lasts longer than two of them."""
 HOMING_MARKS = 900
 """Which of the marks a homing run gets is the clock's: a value that somebody has stored is hardly that one."""
 Value = TypeVar("Value")
@@ -83,3 +87,20 @@ def set_homing_timeout(timeout_ms: int) -> Answered[bool]:
     changed = replace(parameters, timeout_ms=timeout_ms)
     yield Ask(registers.write_homing(changed), (3,))
     return (yield from read_homing()) == changed
+
+
+def begin_homing() -> Answered[bool]:
+    """Let the drive run to its stop; whether it has said, in answers that agree, that it does.
+
+    It is told until then: no acknowledgement is waited for, and a command may be lost.
+    """
+    for _ in range(TRIES):
+        before: tuple[bytes, ...] = (registers.HOME_BY_COLLISION,)
+        seen = 0
+        for _ in range(LOOKS):
+            flags = yield from read_flags(registers.ASK_HOMING_STATUS, before)
+            before = ()
+            seen = seen + 1 if flags is not None and flags & registers.HOMING else 0
+            if seen >= AGREEING:
+                return True
+    return False

@@ -103,10 +103,8 @@ def goal(seconds=0.3, to_rad=0.01, names=None):
 
 
 @contextlib.contextmanager
-def serving_alone(name, **trajectory):
-    """A front and a client of their own: loop, front, client, and the thread in which the front spins."""
-    controller = f"alone_{name}"
-    arm = load_arm("mock", overrides={"name": name, "trajectory": trajectory, "front": {"controller_name": controller}})
+def served(arm):
+    """A front of its own, beside a stand-in for the control process: loop, front, and the thread in which it spins."""
     with contextlib.ExitStack() as ends:
         loop = FakeLoop(arm)
         ends.callback(loop.stop)
@@ -122,8 +120,15 @@ def serving_alone(name, **trajectory):
         thread.start()
         ends.callback(thread.join, 5.0)
         ends.callback(front.close, 2.0)
-        client = Client(controller)
-        ends.callback(client.close)
+        yield loop, front, thread
+
+
+@contextlib.contextmanager
+def serving_alone(name, **trajectory):
+    """A front and a client of their own: loop, front, client, and the thread in which the front spins."""
+    controller = f"alone_{name}"
+    arm = load_arm("mock", overrides={"name": name, "trajectory": trajectory, "front": {"controller_name": controller}})
+    with served(arm) as (loop, front, thread), contextlib.closing(Client(controller)) as client:
         until(front.serving.ever_attached.is_set, "a front that serves")
         yield loop, front, client, thread
 

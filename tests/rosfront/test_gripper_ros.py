@@ -9,16 +9,12 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-import rclpy
 import yaml
 from action_msgs.srv import CancelGoal
 from control_msgs.action import GripperCommand, ParallelGripperCommand
 from diagnostic_msgs.msg import DiagnosticArray
-from fake_loop import FakeLoop
-from front_stage import pile_up
+from front_stage import pile_up, served
 from rclpy.action import ActionClient
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 from ros_client import ABORTED, CANCELED, LONGEST_GOAL_S, SUCCEEDED, Operator, until
 from sensor_msgs.msg import JointState
 from stack import Stack
@@ -27,8 +23,6 @@ from std_srvs.srv import Trigger
 from config.loader import load_arm
 from rosfront.gripper import server as gripper_server
 from rosfront.gripper import worker as gripper_worker
-from rosfront.link import attach
-from rosfront.node import FrontNode
 
 JOINTS = [f"joint{number}" for number in range(1, 7)]
 NAN = math.nan
@@ -88,23 +82,7 @@ def serving(name, gripper, **trajectory):
         "gripper": {"hook": "simulated", "controller_name": f"gripper_{name}", **gripper},
     }
     arm = load_arm("mock", overrides=overrides)
-    with contextlib.ExitStack() as ends:
-        loop = FakeLoop(arm)
-        ends.callback(loop.stop)
-        loop.start()
-        if not rclpy.ok():
-            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-            ends.callback(rclpy.shutdown)
-        executor = SingleThreadedExecutor()
-        front = FrontNode(arm, executor, attach(arm))
-        ends.callback(front.node.destroy_node)
-        ends.callback(executor.shutdown)
-        thread = threading.Thread(target=front.spin, daemon=True)
-        thread.start()
-        ends.callback(thread.join, 5.0)
-        ends.callback(front.close, 2.0)
-        client = Client(f"gripper_{name}", f"arm_{name}")
-        ends.callback(client.close)
+    with served(arm) as (_, front, _), contextlib.closing(Client(f"gripper_{name}", f"arm_{name}")) as client:
         client.front = front
         yield client
 
