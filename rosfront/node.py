@@ -185,9 +185,9 @@ class FrontNode:
     def finish(self, end: EndSignal) -> None:
         """Park, if the arm file says so and the arm stands; another end signal stops it instead."""
         self._action_goals.close()
-        parking = self._own_moves.park(on_end=end.give)
-        if parking is not None and self.arm.parking is not None:
-            end.wait(self.arm.parking.timeout_s)
+        parking = self.arm.parking
+        if parking is not None and self._own_moves.park(parking, on_end=end.give):
+            end.wait(parking.timeout_s)
 
     def close(self, patience_s: float) -> None:
         """Stop a running goal on its path, tell its client, and end; call from a thread of neither kind.

@@ -8,13 +8,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from config.homing import PoseMove
+from config.homing import ParkingConfig, PoseMove
 from config.schema import ArmConfig
 from rosfront.goal import plan_move
 from rosfront.moves import joint_move
 from rosfront.plan import GoalPlan
 from rosfront.refusals import GoalRefused, InMotion, ParkingTooLong
-from rosfront.serving import Execution, Serving
+from rosfront.serving import Serving
 from rosfront.verdict import Status, Verdict
 from shm.words import Mode
 
@@ -56,14 +56,11 @@ class OwnMoves:
         said = "The pose after homing is reached." if reached else "The pose after homing is not reached:"
         self._tell(f"{said} {verdict.sentence}")
 
-    def park(self, on_end: Callable[[], object]) -> Execution | None:
-        """Begin to park, where the file says so and the arm stands; None, said why, where it does not.
+    def park(self, parking: ParkingConfig, on_end: Callable[[], object]) -> bool:
+        """Begin to park, if the arm stands; else say why not. Whether it was begun.
 
         `on_end` is called once it has ended, however.
         """
-        parking = self._arm.parking
-        if parking is None:
-            return None
 
         def ended(verdict: Verdict) -> None:
             self._tell("Parked." if verdict.status is Status.SUCCEEDED else f"Not parked: {verdict.sentence}")
@@ -77,12 +74,12 @@ class OwnMoves:
             takes_s = plan.times_ns[-1] * 1e-9 / speed_scale if speed_scale > 0.0 else math.inf
             if takes_s > parking.timeout_s:
                 raise ParkingTooLong(takes_s, parking.timeout_s, speed_scale)
-            execution = self._serving.start(plan, ended, turn=turn)
+            self._serving.start(plan, ended, turn=turn)
         except GoalRefused as reason:
             self._tell(f"Not parked: {reason.sentence}")
-            return None
+            return False
         self._tell(f"Parking, for {takes_s:.1f} s; a second signal stops the arm instead.")
-        return execution
+        return True
 
     def _plan(self, pose: PoseMove) -> GoalPlan:
         """From rest alone: who is asked for something else meanwhile does that. Raises GoalRefused."""

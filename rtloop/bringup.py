@@ -17,7 +17,7 @@ from config.budget import budget
 from config.joint import JointConfig, ZdtDrive
 from config.schema import ArmConfig
 from rtloop import fast_targets, reports
-from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, silent_amid
+from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_registers import Version
@@ -96,7 +96,7 @@ class BringUp(Conversation):
                 "stands where `rtarm status` says before it moves."
             )
         reason = Unreferenced.REFERENCED
-        flags = yield from self._status(joint, config)
+        flags = yield from zdt_talk.status_of(joint, config)
         if flags & registers.PROTECTED:
             if not self._clears_protection:
                 raise TalkFailed(
@@ -105,7 +105,7 @@ class BringUp(Conversation):
                     "the joint, then `rtarm clear-fault`.",
                 )
             yield Ask(registers.CLEAR_PROTECTION, (3,))
-            flags = yield from self._status(joint, config)
+            flags = yield from zdt_talk.status_of(joint, config)
             if flags & registers.PROTECTED:
                 raise TalkFailed(
                     joint,
@@ -132,7 +132,7 @@ class BringUp(Conversation):
             for _ in range(TRIES):
                 # it may pull its shaft to the target of before it was let go
                 yield Ask(registers.STOP, (3,), answered=self.arm.bus.acknowledge, before=(registers.ENABLE,))
-                flags = yield from self._status(joint, config)
+                flags = yield from zdt_talk.status_of(joint, config)
                 if flags & registers.ENABLED:
                     break
             else:
@@ -163,12 +163,6 @@ class BringUp(Conversation):
 
     def _stop(self) -> Ask:
         return Ask(registers.STOP, (3,), answered=self.arm.bus.acknowledge)
-
-    def _status(self, joint: int, config: JointConfig) -> Answered[int]:
-        flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
-        if flags is None:
-            raise TalkFailed(joint, silent_amid(config, "status"))
-        return flags
 
     def _settle_configuration(self, joint: int, config: JointConfig, drive: ZdtDrive, version: Version) -> Dialogue:
         """Check what would make motion wrong; set the response mode in volatile memory."""
@@ -242,10 +236,8 @@ class BringUp(Conversation):
         counts_per_rad = config.direction * config.encoder_counts_per_rad
         zero_rad = self._port.zero_rad(joint)
         while True:
-            measured = yield from zdt_talk.read_counts(registers.ASK_POSITION)
-            target = yield from zdt_talk.read_counts(registers.ASK_TARGET)
-            if measured is None or target is None:
-                raise TalkFailed(joint, silent_amid(config, "position"))
+            measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
+            target = yield from zdt_talk.counts_of(joint, config, registers.ASK_TARGET)
             measured_rad = measured / counts_per_rad - zero_rad
             target_rad = target / counts_per_rad - zero_rad
             if abs(target_rad - measured_rad) <= ADOPT_WITHIN_RAD:

@@ -18,7 +18,7 @@ import math
 from config.derived import silence_acc_byte
 from config.joint import ENCODER_COUNTS_PER_REVOLUTION, JointConfig, ZdtDrive
 from config.schema import ArmConfig
-from rtloop.conversation import TRIES, Ask, Dialogue, TalkFailed, silent_amid
+from rtloop.conversation import TRIES, Ask, Dialogue, TalkFailed
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_registers import Version
@@ -56,7 +56,7 @@ def prepare(arm: ArmConfig, joint: int, drive: ZdtDrive, version: Version) -> Di
     slowly = registers.fast_setup(SLOWEST_RPM, acc_byte)
     for _ in range(TRIES):
         yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)  # wherever it is on its way to
-        target = yield from _counts(joint, config, registers.ASK_TARGET)
+        target = yield from zdt_talk.counts_of(joint, config, registers.ASK_TARGET)
         pulses = round(target / counts_per_pulse)
         there = registers.fast_target(beside(pulses))
         answer = yield Ask(registers.ASK_TARGET, (7,), before=(slowly, there, there), after=(registers.STOP,))
@@ -73,7 +73,7 @@ def prepare(arm: ArmConfig, joint: int, drive: ZdtDrive, version: Version) -> Di
     else:
         yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)  # should the last of them have been lost
         raise _unclear(joint, config, version)
-    stood = yield from _counts(joint, config, registers.ASK_POSITION)
+    stood = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
     looks = math.ceil(WATCHED_S * arm.control.rate_hz)  # each is a cycle at least
     if not (yield from _stays(pulses, stood, ALMOST_PULSES * counts_per_pulse, looks)):
         yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)
@@ -90,13 +90,6 @@ def _stays(pulses: int, stood: int, within: float, looks: int) -> Answered[bool]
         answer = yield Ask(registers.ASK_POSITION, (7,), before=told)
         position, told = registers.signed_of(answer, registers.ASK_POSITION, 4), ()
     return position is not None and abs(position - stood) < within
-
-
-def _counts(joint: int, config: JointConfig, question: bytes) -> Answered[int]:
-    counts = yield from zdt_talk.read_counts(question)
-    if counts is None:
-        raise TalkFailed(joint, silent_amid(config, "position"))
-    return counts
 
 
 def _unclear(joint: int, config: JointConfig, version: Version) -> TalkFailed:

@@ -348,8 +348,18 @@ class ControlProcess:
                 self._told_of_lost = str(problem)
                 self._tell(str(problem))
 
-    def _is_asked_to_reference(self) -> bool:
-        return bool(self._core["home_asked"] or self._core["reference_asked"])
+    def _asked_for(self) -> Conversation | None:
+        """The conversation that the cycle asks for next, begun; None where it asks for none."""
+        core, now_ns = self._core, time.monotonic_ns()
+        if int(core["bring_up_asked"]) == 1:
+            core["bring_up_asked"] = 0
+            return self._bring_up(clears_protection=True)
+        if int(core["release_asked"]) == 1:
+            core["release_asked"] = 0  # taken back by the cycle when the drives are enabled meanwhile
+            return Release(self._arm, self._port, now_ns=now_ns)
+        if not self._stop_asked.yes and (core["home_asked"] or core["reference_asked"]):
+            return referencing_asked_for(self._arm, self._loop, self._port, now_ns, self._tell, self._keep_lost)
+        return None
 
     def _supervise(self, ready: Callable[[], None]) -> int:
         # fresh rings have room for its beginning
@@ -383,16 +393,8 @@ class ControlProcess:
                 ready()
                 first = False
                 self._begin_with_gripper()
-            if talk is None and int(self._core["bring_up_asked"]) == 1:
-                self._core["bring_up_asked"] = 0
-                talk = self._bring_up(clears_protection=True)
-            elif talk is None and int(self._core["release_asked"]) == 1:
-                self._core["release_asked"] = 0  # taken back by the cycle when the drives are enabled meanwhile
-                talk = Release(self._arm, self._port, now_ns=time.monotonic_ns())
-            elif talk is None and not self._stop_asked.yes and self._is_asked_to_reference():
-                talk = referencing_asked_for(
-                    self._arm, self._loop, self._port, time.monotonic_ns(), self._tell, self._keep_lost
-                )
+            if talk is None:
+                talk = self._asked_for()
             if isinstance(talk, Referencing) and (self._stop_asked.yes or int(self._core["referencing_ends"]) == 1):
                 talk.end()
             if not self._cycle.is_alive():

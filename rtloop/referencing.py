@@ -124,7 +124,7 @@ class Referencing(Conversation):
                 f"The drive of {config.name} does not take a homing time-out of {limit_s:g} s: set it in its menu, or "
                 "lower homing.timeout_s.",
             )
-        began = yield from self._counts(joint, config, registers.ASK_POSITION)
+        began = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
         self._keep_lost(joint, Unreferenced.NOT_HOMED)
         self.post(REFERENCING, joint=joint, code=1)
         try:
@@ -179,12 +179,12 @@ class Referencing(Conversation):
                 return last
             if not ended:
                 last = newest  # the drive has still been homing after it was read, so it had not set its count anew
-                newest = yield from self._counts(joint, config, registers.ASK_POSITION)
+                newest = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
 
     def _judge(self, joint: int, config: JointConfig, stopped: int, expected_rad: float | None) -> Dialogue:
         """Whether the drive counts 0, and stopped about where its stop is known to be."""
-        flags = yield from self._flags(joint, config)
-        measured = yield from self._counts(joint, config, registers.ASK_POSITION)
+        flags = yield from zdt_talk.status_of(joint, config)
+        measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
         if flags & registers.PROTECTED or abs(measured) > AT_STOP_RAD * config.encoder_counts_per_rad:
             raise TalkFailed(
                 joint,
@@ -231,7 +231,7 @@ class Referencing(Conversation):
         """The count means an angle again; only then may the flag go that said it does not."""
         for _ in range(TRIES):
             yield Ask(registers.CLEAR_POWER_LOST, (3,))
-            if not (yield from self._flags(joint, config)) & registers.POWER_LOST:
+            if not (yield from zdt_talk.status_of(joint, config)) & registers.POWER_LOST:
                 return
         raise TalkFailed(
             joint,
@@ -261,7 +261,7 @@ class Referencing(Conversation):
                     self._keep_lost(joint, None)  # the next process counts from there too
             else:
                 self._keep_lost(joint, Unreferenced.NOT_HOMED)  # what is said is known to this process alone
-                measured = yield from self._counts(joint, config, registers.ASK_POSITION)
+                measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
                 zero_rad = config.direction * measured / config.encoder_counts_per_rad - angle_rad
             position_rad = config.direction * target / config.encoder_counts_per_rad - zero_rad
             self._count_from(joint, zero_rad, position_rad, flag_stays=bool(flags & registers.POWER_LOST))
@@ -303,7 +303,7 @@ class Referencing(Conversation):
     def _sound(self, joint: int, config: JointConfig) -> zdt_talk.Answered[int]:
         """Stop a drive that may be on its way somewhere, and see that it holds; its flags."""
         yield Ask(registers.STOP, (3,), answered=self.arm.bus.acknowledge)
-        flags = yield from self._flags(joint, config)
+        flags = yield from zdt_talk.status_of(joint, config)
         if flags & registers.PROTECTED or not flags & registers.ENABLED:
             raise TalkFailed(
                 joint,
@@ -315,8 +315,8 @@ class Referencing(Conversation):
     def _standing(self, joint: int, config: JointConfig) -> zdt_talk.Answered[int]:
         """The drive's own target, once it stands on it: what it is commanded to be is then no motion."""
         for _ in range(TRIES):
-            measured = yield from self._counts(joint, config, registers.ASK_POSITION)
-            target = yield from self._counts(joint, config, registers.ASK_TARGET)
+            measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
+            target = yield from zdt_talk.counts_of(joint, config, registers.ASK_TARGET)
             if abs(measured - target) <= AT_STOP_RAD * config.encoder_counts_per_rad:
                 return target
             yield Ask(registers.STOP, (3,), answered=self.arm.bus.acknowledge)
@@ -325,18 +325,6 @@ class Referencing(Conversation):
             f"The drive of {config.name} stands {measured - target} counts from its own target and does not take where "
             f"it is for it: switch it off and on, then {self._again}.",
         )
-
-    def _flags(self, joint: int, config: JointConfig) -> zdt_talk.Answered[int]:
-        flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
-        if flags is None:
-            raise TalkFailed(joint, silent_amid(config, "status"))
-        return flags
-
-    def _counts(self, joint: int, config: JointConfig, question: bytes) -> zdt_talk.Answered[int]:
-        counts = yield from zdt_talk.read_counts(question)
-        if counts is None:
-            raise TalkFailed(joint, silent_amid(config, "position"))
-        return counts
 
     def _count_from(
         self,

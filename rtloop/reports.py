@@ -4,8 +4,7 @@ Reports go with the power of a drive, like all that stands in its volatile memor
 """
 
 from config.schema import ArmConfig
-from rtloop.conversation import Dialogue, TalkFailed, silent_amid
-from rtloop.drives import zdt_registers as registers
+from rtloop.conversation import Dialogue, TalkFailed
 from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
@@ -53,8 +52,7 @@ def _spacing_ms(arm: ArmConfig, port: ServicePort, joint: int) -> Answered[float
     before = port.unasked(joint)
     reports: list[tuple[int, int]] = []
     for _ in range(REPORT_LOOKS):
-        if (yield from zdt_talk.read_flags(registers.ASK_STATUS)) is None:
-            raise TalkFailed(joint, silent_amid(arm.joints[joint], "status"))
+        yield from zdt_talk.status_of(joint, arm.joints[joint])
         count = port.unasked(joint) - before
         if count > 0:  # the reading of before was perhaps no report
             reports.append((count, port.measured_ns(joint)))

@@ -6,7 +6,8 @@ from collections.abc import Generator
 from dataclasses import replace
 from typing import TypeVar
 
-from rtloop.conversation import TRIES, Ask
+from config.joint import JointConfig
+from rtloop.conversation import TRIES, Ask, TalkFailed, silent_amid
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_registers import Block, HomingParameters
 
@@ -33,6 +34,22 @@ def read_flags(question: bytes, before: tuple[bytes, ...] = ()) -> Answered[int 
 def read_counts(question: bytes) -> Answered[int | None]:
     """A position in encoder counts: ASK_POSITION the measured one, ASK_TARGET the drive's own target."""
     return registers.signed_of((yield Ask(question, (7,))), question, 4)
+
+
+def status_of(joint: int, config: JointConfig) -> Answered[int]:
+    """The flags of ASK_STATUS; raises TalkFailed where the drive is silent."""
+    flags = yield from read_flags(registers.ASK_STATUS)
+    if flags is None:
+        raise TalkFailed(joint, silent_amid(config, "status"))
+    return flags
+
+
+def counts_of(joint: int, config: JointConfig, question: bytes) -> Answered[int]:
+    """A position as `read_counts` reads it; raises TalkFailed where the drive is silent."""
+    counts = yield from read_counts(question)
+    if counts is None:
+        raise TalkFailed(joint, silent_amid(config, "position"))
+    return counts
 
 
 def read_block() -> Answered[Block | None]:

@@ -23,11 +23,8 @@ def told():
 
 
 def moves_of(front, told):
-    """The moves of the front's arm, were these poses in its file; what is put is done at once."""
-    sections = {
-        "homing": HomingConfig(then=PoseMove(joints_deg=POSE_DEG)),
-        "parking": ParkingConfig(joints_deg=POSE_DEG, speed_ratio=1.0, timeout_s=20.0),
-    }
+    """The moves of the front's arm, were this pose in its file; what is put is done at once."""
+    sections = {"homing": HomingConfig(then=PoseMove(joints_deg=POSE_DEG))}
     return OwnMoves(front.arm.model_copy(update=sections), front.serving, lambda work: work(), told.append)
 
 
@@ -73,7 +70,8 @@ def test_whoever_asks_for_something_else_while_the_pose_is_planned_gets_no_move(
 def test_parking_that_is_slowed_beyond_its_time_is_not_begun(arm_name, told, factor, said):
     with serving_alone(arm_name) as (loop, front, _, _):
         loop.snapshot["speed_scale_asked"] = factor
+        parking = ParkingConfig(joints_deg=POSE_DEG, speed_ratio=1.0, timeout_s=20.0)
         until(lambda: front.serving.newest()["speed_scale_asked"] == factor, "that it is seen")
-        assert moves_of(front, told).park(lambda: None) is None
+        assert not moves_of(front, told).park(parking, lambda: None)
         assert len(told) == 1 and told[0].startswith("Not parked: It would") and said in told[0]
         assert front.serving.idle and not loop.records
