@@ -9,7 +9,7 @@ virtual time.
 from typing import Any
 
 from rtloop import frames, goals, guard, intake, measured, orders, setpoints
-from rtloop.drives import zdt
+from rtloop.correction import ERROR_SHARE_1_S
 from rtloop.events import record_event, set_result
 from rtloop.show import show
 from rtloop.state import HISTORY_SLOTS
@@ -66,7 +66,7 @@ def begin_cycle(loop: Loop, shared: Shared, now_ns: int) -> None:
         away_ns = min(max(gap_ns - loop.params.period_ns, 0), GAP_NS)
         if axis.unanswered_since_ns != 0:
             axis.unanswered_since_ns += max(waited_ns - loop.params.period_ns, 0)  # the loop was away, not the drive
-        axis.slip_rad *= 1.0 - min(zdt.ERROR_SHARE_1_S * period_s, 1.0)
+        axis.slip_rad *= 1.0 - min(ERROR_SHARE_1_S * period_s, 1.0)
         axis.slip_rad += abs(axis.velocity_rad_s) * away_ns * 1e-9
         loop.history_rad[slot * MAX_JOINTS + joint] = axis.position_rad
     core.history_next += 1

@@ -4,13 +4,12 @@ from typing import Any
 
 from rtloop import guard, port, service
 from rtloop import status as status_bits
-from rtloop.drives import zdt
+from rtloop.drives import families
 from rtloop.modes import is_limp
-from rtloop.state import FAMILY_MOCK, FAMILY_ZDT, QUESTIONS
 from rtloop.wire import outgoing, received
 from rtloop.wire.outgoing import frame_bits
 from shm.jit import jit
-from shm.words import Mode, Unreferenced
+from shm.words import Mode
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
@@ -30,19 +29,13 @@ def encode(loop: Loop, shared: Shared) -> None:
     guard.stop_who_is_elsewhere(loop)
     for joint in range(params.joint_count):
         axis = loop.axes[joint]
-        if loop.joints[joint].family == FAMILY_MOCK:
+        if not families.is_on_the_bus(loop, joint):
             mirror(loop, joint)
         elif axis.stop_frames_due > 0:
-            if axis.unreferenced_reason == Unreferenced.NOT_HOMED:  # it may be amid a run, which a stop need not end
-                send(loop, shared, loop.joints[joint].address << 8, 3, zdt.END_HOMING, 0)
-            if send(loop, shared, loop.joints[joint].address << 8, 4, zdt.STOP, 0):
+            if families.stop(loop, shared, joint):
                 axis.stop_frames_due -= 1  # comes back if the wire does not take it
-        elif leads and guard.may_be_led(loop, joint) and params.fast_targets == 1:
-            send(loop, shared, loop.joints[joint].address << 8, 6, zdt.fast_command(loop, joint), 0)
         elif leads and guard.may_be_led(loop, joint):
-            first, second = zdt.command(loop, joint)
-            send(loop, shared, loop.joints[joint].address << 8, 8, first, 1)
-            send(loop, shared, (loop.joints[joint].address << 8) | 1, 5, second, 0)
+            families.lead(loop, shared, joint)
     if core.mode != Mode.OFFLINE and heard:
         ask(loop, shared)
     elif core.mode != Mode.OFFLINE:
@@ -54,7 +47,7 @@ def encode(loop: Loop, shared: Shared) -> None:
 def say_nothing(loop: Loop) -> None:
     """The wire is gone: drives are silent from now on, and what conversations wanted to say is not said later."""
     for joint in range(loop.params.joint_count):
-        if loop.joints[joint].family == FAMILY_ZDT and loop.axes[joint].unanswered_since_ns == 0:
+        if families.is_on_the_bus(loop, joint) and loop.axes[joint].unanswered_since_ns == 0:
             loop.axes[joint].unanswered_since_ns = loop.core.now_ns
     while service.inbox(loop) > 0 and loop.service_in.records[service.inbox_slot(loop)].kind == port.SEND:
         service.inbox_done(loop)
@@ -73,49 +66,21 @@ def mirror(loop: Loop, joint: int) -> None:
 
 
 @jit
-def send(loop: Loop, shared: Shared, frame_id: int, length: int, data: int, joined: int) -> bool:
-    """Append one extended frame for the wire; `joined` is 1 where the next one belongs to the same command.
-
-    False when there is no room for it. What the wire then does not take `outgoing` takes back.
-    """
-    if not outgoing.put(loop, frame_id, True, length, data, joined):
-        return False
-    bits = frame_bits(True, length)
-    loop.core.tx_bits += bits
-    shared.counters.bits_on_bus += bits
-    shared.counters.frames_sent += 1
-    loop.core.unheard_frames += 1
-    return True
-
-
-@jit
 def ask(loop: Loop, shared: Shared) -> None:
     """Ask every drive that does not report its position for it, and one of them in turn for its status."""
     core, params = loop.core, loop.params
     for joint in range(params.joint_count):
-        if loop.joints[joint].family == FAMILY_ZDT:
+        if families.is_on_the_bus(loop, joint):
             axis = loop.axes[joint]
             if params.reported == 0 or guard.report_is_asked_for(loop, joint):
-                ask_position(loop, shared, joint)
+                families.ask_position(loop, shared, joint)
             if axis.unanswered_since_ns == 0:
                 axis.unanswered_since_ns = core.now_ns
     core.status_turn = (core.status_turn + 1) % params.joint_count
-    if loop.joints[core.status_turn].family == FAMILY_ZDT:
-        send(loop, shared, loop.joints[core.status_turn].address << 8, 2, zdt.READ_STATUS, 0)
+    if families.is_on_the_bus(loop, core.status_turn):
+        families.ask_status(loop, shared, core.status_turn)
         if core.unheeded_since_ns == 0:
             core.unheeded_since_ns = core.now_ns
-
-
-@jit
-def ask_position(loop: Loop, shared: Shared, joint: int) -> None:
-    if send(loop, shared, loop.joints[joint].address << 8, 2, zdt.READ_POSITION, 0):
-        note_question(loop, joint)
-
-
-@jit
-def note_question(loop: Loop, joint: int) -> None:
-    """An answer to come is no report."""
-    loop.axes[joint].questions = min(loop.axes[joint].questions + 1, QUESTIONS)
 
 
 @jit
@@ -126,8 +91,8 @@ def probe(loop: Loop, shared: Shared) -> None:
         return
     core.probed_ns = core.now_ns
     core.probe_turn = (core.probe_turn + 1) % params.joint_count
-    if loop.joints[core.probe_turn].family == FAMILY_ZDT:
-        ask_position(loop, shared, core.probe_turn)
+    if families.is_on_the_bus(loop, core.probe_turn):
+        families.ask_position(loop, shared, core.probe_turn)
 
 
 @jit
@@ -144,8 +109,10 @@ def send_service_frames(loop: Loop, shared: Shared) -> None:
             break
         for _ in range(packets):
             order = loop.service_in.records[service.inbox_slot(loop)]
-            send(loop, shared, order.id, order.length, order.data, order.joined)
-            if order.data == zdt.READ_POSITION and loop.joint_at[order.id >> 8] >= 0:
-                note_question(loop, loop.joint_at[order.id >> 8])
+            joint = loop.joint_at[order.id >> 8]
+            stops = joint if joint >= 0 and families.is_stop(loop, joint, order.data) else -1
+            outgoing.send(loop, shared, order.id, True, order.length, order.data, order.joined, stops)
+            if joint >= 0:
+                families.note_what_was_said(loop, joint, order.data)
             core.service_credit_bits -= frame_bits(True, order.length)
             service.inbox_done(loop)

@@ -9,7 +9,7 @@ from typing import Any
 
 from rtloop import status as status_bits
 from rtloop.agreed import agreed_error_rad, agreed_error_rad_s, agreed_error_rad_s2
-from rtloop.drives import zdt
+from rtloop.correction import ERROR_SPEED_SHARE
 from rtloop.events import record_event
 from rtloop.faults import latch_fault
 from rtloop.modes import is_limp
@@ -254,7 +254,7 @@ def possible_rad(loop: Loop, joint: int, since_ns: int) -> float:
     """
     axis, row = loop.axes[joint], loop.joints[joint]
     by_hand = is_limp(loop.core.mode) or stays_limp(loop, joint)
-    speed_rad_s = row.max_velocity_rad_s * (HAND_SHARE if by_hand else zdt.ERROR_SPEED_SHARE)
+    speed_rad_s = row.max_velocity_rad_s * (HAND_SHARE if by_hand else ERROR_SPEED_SHARE)
     possible = loop.params.position_jump_rad + speed_rad_s * max(since_ns, 0) * 1e-9 + axis.slip_rad + axis.lag_rad
     return float(possible)
 

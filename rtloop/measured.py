@@ -7,7 +7,7 @@ compared with what was commanded at that very instant.
 from typing import Any
 
 from rtloop import guard, service
-from rtloop.drives import zdt
+from rtloop.drives import families
 from rtloop.faults import latch_fault
 from rtloop.recorder import EXTENDED, record_frame
 from rtloop.state import (
@@ -142,38 +142,7 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, extended: int, length:
     service.hand_out(loop, frame_id, length, data, time_ns)
     if joint == GRIPPER:
         return
-    kind, value = zdt.decode(frame_id & 255, length, data)
-    if kind == zdt.POSITION:
-        hear_position(loop, joint, value, time_ns)
-    elif kind == zdt.STATUS:
-        core.unheeded_since_ns = 0
-        guard.take_status(loop, joint, value)
-        if loop.axes[joint].bad_statuses == 1:
-            core.status_turn = joint - 1  # ask this drive again at once
-    elif kind == zdt.REFUSED:
-        shared.counters.drive_errors += 1
-        if value == zdt.MOVE or value == zdt.FAST_MOVE:
-            loop.axes[joint].refusals += 1
-
-
-@jit
-def hear_position(loop: Loop, joint: int, counts: int, time_ns: int) -> None:
-    """Keep a position until everything has been heard: answers that come twice, late or in a burst count once.
-
-    Answers and reports are the same bytes; what comes while no question is open is a report.
-    """
-    axis, row = loop.axes[joint], loop.joints[joint]
-    delay_ns = row.reply_delay_ns
-    if axis.questions > 0:
-        axis.questions -= 1
-    else:
-        axis.unasked += 1
-        axis.heard_unasked = 1
-        if loop.params.reported == 1:
-            delay_ns = row.report_delay_ns
-    axis.heard = 1
-    axis.heard_rad = zdt.to_radians(loop, joint, counts)
-    axis.heard_ns = time_ns - delay_ns
+    families.hear(loop, shared, joint, frame_id, length, data, time_ns)
 
 
 @jit

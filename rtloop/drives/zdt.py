@@ -23,16 +23,18 @@ import math
 from typing import Any
 
 from config.derived import LEAD_PERIODS
+from rtloop import hearing
 from rtloop import status as status_bits
 from rtloop.agreed import steady_error_rad
+from rtloop.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
+from rtloop.state import QUESTIONS
+from rtloop.wire import outgoing
 from shm.jit import jit
+from shm.words import Unreferenced
 
-Loop = Any
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
 
-ERROR_SHARE_1_S = 8.0
-"""Share of the measured error that goes into the speed, per second: corrected within about 1/8 s."""
-ERROR_SPEED_SHARE = 0.25
-"""That part of the speed never exceeds this share of the joint's highest velocity: a held joint is not rushed at."""
 FAST_OFFSET_SHARE = 0.25
 """With FC the error moves the target, by no more than this share of what it is ahead of the setpoint."""
 HIGHEST_RPM = 3000
@@ -202,3 +204,70 @@ def common_status(flags: int) -> int:
     if flags & 0x80:
         status |= status_bits.POWER_LOST
     return status
+
+
+# --- what the cycle asks of a family of drives
+
+
+@jit
+def lead(loop: Loop, shared: Shared, joint: int) -> None:
+    """Send what leads a drive through the coming period."""
+    frame_id = loop.joints[joint].address << 8
+    if loop.params.fast_targets == 1:
+        outgoing.send(loop, shared, frame_id, True, 6, fast_command(loop, joint))
+        return
+    first, second = command(loop, joint)
+    outgoing.send(loop, shared, frame_id, True, 8, first, 1)
+    outgoing.send(loop, shared, frame_id | 1, True, 5, second)
+
+
+@jit
+def stop(loop: Loop, shared: Shared, joint: int) -> bool:
+    """Tell a drive to stop where it is; False when there is no room for that."""
+    frame_id = loop.joints[joint].address << 8
+    if loop.axes[joint].unreferenced_reason == Unreferenced.NOT_HOMED:
+        # it may be amid a run, which a stop need not end
+        outgoing.send(loop, shared, frame_id, True, 3, END_HOMING)
+    return bool(outgoing.send(loop, shared, frame_id, True, 4, STOP, 0, joint))
+
+
+@jit
+def ask_position(loop: Loop, shared: Shared, joint: int) -> None:
+    if outgoing.send(loop, shared, loop.joints[joint].address << 8, True, 2, READ_POSITION):
+        note_question(loop, joint)
+
+
+@jit
+def ask_status(loop: Loop, shared: Shared, joint: int) -> None:
+    outgoing.send(loop, shared, loop.joints[joint].address << 8, True, 2, READ_STATUS)
+
+
+@jit
+def is_stop(data: int) -> bool:
+    """Whether a frame's data are the stop command."""
+    return data == STOP
+
+
+@jit
+def note_what_was_said(loop: Loop, joint: int, data: int) -> None:
+    """A conversation has told a drive something in the cycle's frames: a question of its own will be answered."""
+    if data == READ_POSITION:
+        note_question(loop, joint)
+
+
+@jit
+def note_question(loop: Loop, joint: int) -> None:
+    """An answer to come is no report."""
+    loop.axes[joint].questions = min(loop.axes[joint].questions + 1, QUESTIONS)
+
+
+@jit
+def hear(loop: Loop, shared: Shared, joint: int, frame_id: int, length: int, data: int, time_ns: int) -> None:
+    """Take what a drive says."""
+    kind, value = decode(frame_id & 255, length, data)
+    if kind == POSITION:
+        hearing.hear_position(loop, joint, to_radians(loop, joint, value), time_ns)
+    elif kind == STATUS:
+        hearing.hear_status(loop, joint, value)
+    elif kind == REFUSED:
+        hearing.hear_refusal(loop, shared, joint, value in (MOVE, FAST_MOVE))

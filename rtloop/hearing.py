@@ -1,0 +1,47 @@
+"""What a drive has said, kept for its joint: families of drives decode their bytes and call these."""
+
+from typing import Any
+
+from rtloop import guard
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+
+@jit
+def hear_position(loop: Loop, joint: int, position_rad: float, time_ns: int) -> None:
+    """Keep a position until everything has been heard: answers that come twice, late or in a burst count once.
+
+    Answers and reports are the same bytes; what comes while no question is open is a report.
+    """
+    axis, row = loop.axes[joint], loop.joints[joint]
+    delay_ns = row.reply_delay_ns
+    if axis.questions > 0:
+        axis.questions -= 1
+    else:
+        axis.unasked += 1
+        axis.heard_unasked = 1
+        if loop.params.reported == 1:
+            delay_ns = row.report_delay_ns
+    axis.heard = 1
+    axis.heard_rad = position_rad
+    axis.heard_ns = time_ns - delay_ns
+
+
+@jit
+def hear_status(loop: Loop, joint: int, status: int) -> None:
+    """Take status bits (`rtloop.status`); a drive that may be in trouble is asked again at once."""
+    core = loop.core
+    core.unheeded_since_ns = 0
+    guard.take_status(loop, joint, status)
+    if loop.axes[joint].bad_statuses == 1:
+        core.status_turn = joint - 1
+
+
+@jit
+def hear_refusal(loop: Loop, shared: Shared, joint: int, of_motion: bool) -> None:
+    """A drive does not do what it was told."""
+    shared.counters.drive_errors += 1
+    if of_motion:
+        loop.axes[joint].refusals += 1
