@@ -7,7 +7,7 @@ from rtloop import status as status_bits
 from rtloop.drives import families
 from rtloop.modes import is_limp
 from rtloop.wire import outgoing, received
-from rtloop.wire.outgoing import frame_bits
+from rtloop.wire.frame_kinds import EXTENDED, frame_bits
 from shm.jit import jit
 from shm.words import Mode
 
@@ -111,8 +111,8 @@ def send_service_frames(loop: Loop, shared: Shared) -> None:
             order = loop.service_in.records[service.inbox_slot(loop)]
             joint = loop.joint_at[order.id >> 8]
             stops = joint if joint >= 0 and families.is_stop(loop, joint, order.data) else -1
-            outgoing.send(loop, shared, order.id, True, order.length, order.data, order.joined, stops)
+            outgoing.send(loop, shared, order.id, EXTENDED, order.length, order.data, order.joined, stops)
             if joint >= 0:
                 families.note_what_was_said(loop, joint, order.data)
-            core.service_credit_bits -= frame_bits(True, order.length)
+            core.service_credit_bits -= frame_bits(EXTENDED, order.length)
             service.inbox_done(loop)

@@ -9,7 +9,7 @@ from typing import Any
 from rtloop import guard, service
 from rtloop.drives import families
 from rtloop.faults import latch_fault
-from rtloop.recorder import EXTENDED, record_frame
+from rtloop.recorder import marks_of, record_frame
 from rtloop.state import (
     ADDRESSES,
     CAN_FRAME_BYTES,
@@ -22,7 +22,7 @@ from rtloop.state import (
     WIRE_SOCKETCAN,
 )
 from rtloop.wire import can_errors, can_frame, received, slcan
-from rtloop.wire.outgoing import frame_bits
+from rtloop.wire.frame_kinds import EXTENDED, frame_bits
 from shm.jit import jit
 from shm.layout import MAX_JOINTS
 from shm.words import BusState, Fault, Mode
@@ -86,23 +86,23 @@ def forget_half_lines(loop: Loop) -> None:
 
 @jit
 def take_line(loop: Loop, shared: Shared, time_ns: int) -> None:
-    kind, frame_id, extended, length, data = slcan.decode_line(loop)
-    if kind == slcan.LINE_WRONG or loop.core.line_spoilt == 1:
+    line, frame_id, kind, length, data = slcan.decode_line(loop)
+    if line == slcan.LINE_WRONG or loop.core.line_spoilt == 1:
         shared.counters.wire_errors += 1
-    elif kind == slcan.LINE_FRAME:
-        take_frame(loop, shared, frame_id, extended, length, data, time_ns)
+    elif line == slcan.LINE_FRAME:
+        take_frame(loop, shared, frame_id, kind, length, data, time_ns)
 
 
 @jit
 def take_records(loop: Loop, shared: Shared, end: int, time_ns: int) -> None:
     """SocketCAN: the frames up to `end`."""
     for at in range(loop.core.rx_taken, end, CAN_FRAME_BYTES):
-        kind, frame_id, extended, length, data = can_frame.decode_record(loop, at)
-        if kind == can_frame.RECORD_FRAME:
-            take_frame(loop, shared, frame_id, extended, length, data, time_ns)
-        elif kind == can_frame.RECORD_ERROR:
+        record, frame_id, kind, length, data = can_frame.decode_record(loop, at)
+        if record == can_frame.RECORD_FRAME:
+            take_frame(loop, shared, frame_id, kind, length, data, time_ns)
+        elif record == can_frame.RECORD_ERROR:
             take_error(loop, shared, frame_id, data)
-        elif kind == can_frame.RECORD_WRONG:
+        elif record == can_frame.RECORD_WRONG:
             shared.counters.wire_errors += 1
 
 
@@ -124,7 +124,7 @@ def take_error(loop: Loop, shared: Shared, error_class: int, data: int) -> None:
 
 
 @jit
-def take_frame(loop: Loop, shared: Shared, frame_id: int, extended: int, length: int, data: int, time_ns: int) -> None:
+def take_frame(loop: Loop, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int) -> None:
     """A frame from a drive: into the axis it belongs to, and to the conversation that may wait for it.
 
     Adapters may echo what they send. A question is never as long as its answer and no answer begins as a command does,
@@ -132,10 +132,10 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, extended: int, length:
     """
     core = loop.core
     shared.counters.frames_received += 1
-    shared.counters.bits_on_bus += frame_bits(extended == 1, length)
-    record_frame(loop, shared, time_ns, frame_id, EXTENDED if extended == 1 else 0, length, data)
+    shared.counters.bits_on_bus += frame_bits(kind, length)
+    record_frame(loop, shared, time_ns, frame_id, marks_of(kind), length, data)
     address = frame_id >> 8
-    if extended == 0 or address >= ADDRESSES or loop.joint_at[address] == NOBODY:
+    if kind != EXTENDED or address >= ADDRESSES or loop.joint_at[address] == NOBODY:
         return
     joint = loop.joint_at[address]
     core.unheard_frames = 0

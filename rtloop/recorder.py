@@ -9,6 +9,7 @@ that only the recorder's few words are summed again.
 from typing import Any
 
 from rtloop.state import LOOP, offset_of
+from rtloop.wire.frame_kinds import EXTENDED, REMOTE
 from shm import layout, recording
 from shm.atomics import load_relaxed, store_relaxed, store_release
 from shm.jit import jit
@@ -19,7 +20,6 @@ Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 SENT = recording.SENT
-EXTENDED = recording.EXTENDED
 
 _RECORDS_WRITTEN = offset_of(layout.STATE, "records_written")
 _FRAMES_WRITTEN = offset_of(layout.STATE, "frames_written")
@@ -89,8 +89,15 @@ def record_cycle(loop: Loop, shared: Shared) -> None:
 
 
 @jit
+def marks_of(kind: int) -> int:
+    """A frame's kind (`rtloop.wire.frame_kinds`) as it is recorded."""
+    marks = recording.EXTENDED if kind & EXTENDED else 0
+    return marks | recording.REMOTE if kind & REMOTE else marks
+
+
+@jit
 def record_frame(loop: Loop, shared: Shared, time_ns: int, frame_id: int, marks: int, length: int, data: int) -> None:
-    """Keep a CAN frame; `marks` are SENT and EXTENDED."""
+    """Keep a CAN frame; `marks` are SENT and those of its kind."""
     slots = shared.recorder.frame_slots
     if slots == 0:
         return

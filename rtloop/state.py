@@ -393,7 +393,7 @@ LOOP = np.dtype(
         ("tx_ends", "i8", (TX_FRAMES,)),  # byte behind each frame
         ("tx_joined", "u1", (TX_FRAMES,)),  # 1: the next frame belongs to the same command
         ("tx_ids", "i8", (TX_FRAMES,)),
-        ("tx_extended", "u1", (TX_FRAMES,)),
+        ("tx_kinds", "u1", (TX_FRAMES,)),  # bits of rtloop.wire.frame_kinds
         ("tx_stops", "i1", (TX_FRAMES,)),  # joint whose stop command it is, -1 for none
         ("tx_sizes", "i8", (TX_FRAMES,)),  # data bytes of each frame
         ("tx_data", "i8", (TX_FRAMES,)),  # the first byte lowest

@@ -16,6 +16,7 @@ from shm.files import MemoryFile
 LENGTH_SHIFT = 32
 EXTENDED = 1 << 40
 SENT = 1 << 41
+REMOTE = 1 << 42
 LENGTH_MASK = 15
 IDENTIFIER_MASK = 0x1FFFFFFF
 

@@ -41,7 +41,7 @@ from rtarm.recording.mcap_format import (
     library_of,
 )
 from shm import layout
-from shm.recording import EXTENDED, LENGTH_SHIFT, SENT, Recording, record_dtype
+from shm.recording import EXTENDED, LENGTH_SHIFT, REMOTE, SENT, Recording, record_dtype
 from shm.words import Slowed
 
 
@@ -332,6 +332,7 @@ def _frames_of(rows: list[dict[str, Any]]) -> np.ndarray:
         if len(data) > 8:
             raise ValueError(f"a frame of {len(data)} bytes")
         marks = (SENT if row["sent"] else 0) | (EXTENDED if row["extended"] else 0)
+        marks |= REMOTE if row.get("remote") else 0  # files of before have none
         frame["monotonic_ns"] = row["monotonic_ns"]
         frame["head"] = row["id"] | len(data) << LENGTH_SHIFT | marks
         frame["data"] = int.from_bytes(data.ljust(8, b"\0"), "little", signed=True)

@@ -41,7 +41,7 @@ from rtarm.recording.mcap_format import (
 from rtarm.status import key
 from rtarm.top.events import BAD, ODD, happening
 from shm import layout
-from shm.recording import EXTENDED, IDENTIFIER_MASK, LENGTH_MASK, LENGTH_SHIFT, SENT, Recording
+from shm.recording import EXTENDED, IDENTIFIER_MASK, LENGTH_MASK, LENGTH_SHIFT, REMOTE, SENT, Recording
 from shm.words import Slowed
 
 ASIDE_PREFIX, ASIDE_SUFFIX = ".rtarm-", ".new"
@@ -222,6 +222,7 @@ def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]
         "joint": {"type": ["string", "null"], "description": "whose drive has its address"},
         "id": integer,
         "extended": {"type": "boolean"},
+        "remote": {"type": "boolean"},
         "data": {"type": "string", "description": "bytes in hexadecimal"},
     }
     yield FRAMES, "rtarm.Frame", {"title": "rtarm.Frame", "type": "object", "properties": frame}
@@ -317,6 +318,7 @@ def _frames(recording: Recording) -> Iterator[_Message]:
             "joint": by_address.get(identifier >> 8) if head & EXTENDED else None,
             "id": identifier,
             "extended": bool(head & EXTENDED),
+            "remote": bool(head & REMOTE),
             "data": struct.pack("<q", data)[:length].hex(),
         }
         yield monotonic_ns, epoch_ns, FRAMES, content

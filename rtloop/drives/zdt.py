@@ -29,6 +29,7 @@ from rtloop.agreed import steady_error_rad
 from rtloop.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
 from rtloop.state import QUESTIONS
 from rtloop.wire import outgoing
+from rtloop.wire.frame_kinds import EXTENDED
 from shm.jit import jit
 from shm.words import Unreferenced
 
@@ -214,11 +215,11 @@ def lead(loop: Loop, shared: Shared, joint: int) -> None:
     """Send what leads a drive through the coming period."""
     frame_id = loop.joints[joint].address << 8
     if loop.params.fast_targets == 1:
-        outgoing.send(loop, shared, frame_id, True, 6, fast_command(loop, joint))
+        outgoing.send(loop, shared, frame_id, EXTENDED, 6, fast_command(loop, joint))
         return
     first, second = command(loop, joint)
-    outgoing.send(loop, shared, frame_id, True, 8, first, 1)
-    outgoing.send(loop, shared, frame_id | 1, True, 5, second)
+    outgoing.send(loop, shared, frame_id, EXTENDED, 8, first, 1)
+    outgoing.send(loop, shared, frame_id | 1, EXTENDED, 5, second)
 
 
 @jit
@@ -227,19 +228,19 @@ def stop(loop: Loop, shared: Shared, joint: int) -> bool:
     frame_id = loop.joints[joint].address << 8
     if loop.axes[joint].unreferenced_reason == Unreferenced.NOT_HOMED:
         # it may be amid a run, which a stop need not end
-        outgoing.send(loop, shared, frame_id, True, 3, END_HOMING)
-    return bool(outgoing.send(loop, shared, frame_id, True, 4, STOP, 0, joint))
+        outgoing.send(loop, shared, frame_id, EXTENDED, 3, END_HOMING)
+    return bool(outgoing.send(loop, shared, frame_id, EXTENDED, 4, STOP, 0, joint))
 
 
 @jit
 def ask_position(loop: Loop, shared: Shared, joint: int) -> None:
-    if outgoing.send(loop, shared, loop.joints[joint].address << 8, True, 2, READ_POSITION):
+    if outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_POSITION):
         note_question(loop, joint)
 
 
 @jit
 def ask_status(loop: Loop, shared: Shared, joint: int) -> None:
-    outgoing.send(loop, shared, loop.joints[joint].address << 8, True, 2, READ_STATUS)
+    outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_STATUS)
 
 
 @jit

@@ -8,6 +8,7 @@ from typing import Any
 
 from rtloop.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES
 from rtloop.wire.can_words import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
+from rtloop.wire.frame_kinds import EXTENDED, REMOTE, STANDARD
 from shm.jit import jit
 
 Loop = Any
@@ -23,27 +24,34 @@ RECORD_ERROR = 3
 
 
 @jit
-def encode_frame(loop: Loop, frame_id: int, extended: int, length: int, data: int) -> bool:
-    """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full."""
+def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
+    """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full.
+
+    `kind` is bits of `rtloop.wire.frame_kinds`.
+    """
     core, tx = loop.core, loop.tx
     at = core.tx_length
     if at + CAN_FRAME_BYTES > TX_BYTES:
         return False
-    word = frame_id | EXTENDED_FLAG if extended else frame_id
+    word = frame_id | EXTENDED_FLAG if kind & EXTENDED else frame_id
+    held = length
+    if kind & REMOTE:
+        word |= REMOTE_FLAG
+        held = 0
     for i in range(_LENGTH_AT):
         tx[at + i] = (word >> (8 * i)) & 255
     for i in range(_LENGTH_AT, _DATA_AT):
         tx[at + i] = 0
     tx[at + _LENGTH_AT] = length
     for i in range(LONGEST_DATA):
-        tx[at + _DATA_AT + i] = (data >> (8 * i)) & 255 if i < length else 0
+        tx[at + _DATA_AT + i] = (data >> (8 * i)) & 255 if i < held else 0
     core.tx_length = at + CAN_FRAME_BYTES
     return True
 
 
 @jit
 def decode_record(loop: Loop, at: int) -> tuple[int, int, int, int, int]:
-    """(RECORD_…, id, extended, length, data) of the record that stands at byte `at` of the receive ring.
+    """(RECORD_…, id, kind, length, data) of the record that stands at byte `at` of the receive ring.
 
     The ring holds whole records and is a whole number of them long, so none is divided by its end. The id of an error
     frame is its class. Remote frames are nothing to us.
@@ -64,7 +72,7 @@ def decode_record(loop: Loop, at: int) -> tuple[int, int, int, int, int]:
     if word & REMOTE_FLAG:
         return RECORD_OTHER, 0, 0, 0, 0
     if word & EXTENDED_FLAG:
-        return RECORD_FRAME, word & EXTENDED_MASK, 1, length, data
+        return RECORD_FRAME, word & EXTENDED_MASK, EXTENDED, length, data
     if word > STANDARD_MASK:
         return RECORD_WRONG, 0, 0, 0, 0
-    return RECORD_FRAME, word, 0, length, data
+    return RECORD_FRAME, word, STANDARD, length, data

@@ -7,10 +7,10 @@ but a frame that is half on its way, and the rest of a command that a drive has 
 
 from typing import Any
 
-from config.budget import unchecked_frame_bits
-from rtloop.recorder import EXTENDED, SENT, record_frame
+from rtloop.recorder import SENT, marks_of, record_frame
 from rtloop.state import SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_SOCKETCAN
 from rtloop.wire import can_frame, slcan
+from rtloop.wire.frame_kinds import frame_bits
 from shm.jit import jit
 
 Loop = Any  # record of dtype rtloop.state.LOOP
@@ -18,20 +18,18 @@ Shared = Any  # record of dtype shm.layout.STATE
 
 LONGEST_FRAME_BYTES = SLCAN_LONGEST_LINE
 
-frame_bits = jit(unchecked_frame_bits)
-
 
 @jit
 def send(
-    loop: Loop, shared: Shared, frame_id: int, extended: bool, length: int, data: int, joined: int = 0, stops: int = -1
+    loop: Loop, shared: Shared, frame_id: int, kind: int, length: int, data: int, joined: int = 0, stops: int = -1
 ) -> bool:
     """Append a frame for the wire, and count it; False when there is no room. See `put`.
 
     What the wire then does not take is taken back.
     """
-    if not put(loop, frame_id, extended, length, data, joined, stops):
+    if not put(loop, frame_id, kind, length, data, joined, stops):
         return False
-    bits = frame_bits(extended, length)
+    bits = frame_bits(kind, length)
     loop.core.tx_bits += bits
     shared.counters.bits_on_bus += bits
     shared.counters.frames_sent += 1
@@ -40,23 +38,23 @@ def send(
 
 
 @jit
-def put(loop: Loop, frame_id: int, extended: bool, length: int, data: int, joined: int, stops: int = -1) -> bool:
+def put(loop: Loop, frame_id: int, kind: int, length: int, data: int, joined: int, stops: int = -1) -> bool:
     """Append a frame as this arm's wire wants it; False when there is no room.
 
-    `data` holds the bytes, the first lowest; `joined` is 1 where the next frame belongs to the same command; `stops` is
-    the joint whose stop command it is, -1 for none.
+    `kind` is bits of `frame_kinds`; `data` holds the bytes, the first lowest; `joined` is 1 where the next frame
+    belongs to the same command; `stops` is the joint whose stop command it is, -1 for none.
     """
     core = loop.core
     if not has_room(loop, 1):
         return False
     if loop.params.wire == WIRE_SOCKETCAN:
-        can_frame.encode_frame(loop, frame_id, extended, length, data)
+        can_frame.encode_frame(loop, frame_id, kind, length, data)
     else:
-        slcan.encode_frame(loop, frame_id, extended, length, data)
+        slcan.encode_frame(loop, frame_id, kind, length, data)
     loop.tx_ends[core.tx_frames] = core.tx_length
     loop.tx_joined[core.tx_frames] = joined
     loop.tx_ids[core.tx_frames] = frame_id
-    loop.tx_extended[core.tx_frames] = extended
+    loop.tx_kinds[core.tx_frames] = kind
     loop.tx_stops[core.tx_frames] = stops
     loop.tx_sizes[core.tx_frames] = length
     loop.tx_data[core.tx_frames] = data
@@ -111,10 +109,10 @@ def keep(loop: Loop, shared: Shared, sent: int, first: int, end: int) -> None:
     shared.counters.frames_sent -= core.tx_frames - end
     core.unheard_frames -= core.tx_frames - end
     for frame in range(first):
-        marks = SENT | EXTENDED if loop.tx_extended[frame] else SENT
+        marks = SENT | marks_of(loop.tx_kinds[frame])
         record_frame(loop, shared, core.now_ns, loop.tx_ids[frame], marks, loop.tx_sizes[frame], loop.tx_data[frame])
     for frame in range(end, core.tx_frames):
-        shared.counters.bits_on_bus -= frame_bits(loop.tx_extended[frame] == 1, loop.tx_sizes[frame])
+        shared.counters.bits_on_bus -= frame_bits(loop.tx_kinds[frame], loop.tx_sizes[frame])
         if loop.tx_stops[frame] >= 0:
             loop.axes[loop.tx_stops[frame]].stop_frames_due += 1
     if sent > 0:
@@ -124,7 +122,7 @@ def keep(loop: Loop, shared: Shared, sent: int, first: int, end: int) -> None:
             ends[frame - first] = ends[frame] - sent
             loop.tx_joined[frame - first] = loop.tx_joined[frame]
             loop.tx_ids[frame - first] = loop.tx_ids[frame]
-            loop.tx_extended[frame - first] = loop.tx_extended[frame]
+            loop.tx_kinds[frame - first] = loop.tx_kinds[frame]
             loop.tx_stops[frame - first] = loop.tx_stops[frame]
             loop.tx_sizes[frame - first] = loop.tx_sizes[frame]
             loop.tx_data[frame - first] = loop.tx_data[frame]

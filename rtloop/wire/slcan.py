@@ -1,9 +1,9 @@
 """SLCAN (LAWICEL) lines to and from CAN frames, in the cycle.
 
-`T` + 8 hex digits of id + length digit + data (extended), `t` + 3 digits (standard), every line closed by CR;
-BEL (07) is the adapter's refusal. Transmit answers (`z`, `Z`), empty lines and anything unknown are dropped:
-adapters differ in what they answer, so nothing here waits for an answer. A time stamp after the data
-(`Z1`, `Z2`) is ignored because the length digit says where the data end.
+`T` + 8 hex digits of id + length digit + data (extended), `t` + 3 digits (standard), `R` and `r` the same without data
+(remote frames), every line closed by CR; BEL (07) is the adapter's refusal. Transmit answers (`z`, `Z`), empty lines
+and anything unknown are dropped: adapters differ in what they answer, so nothing here waits for an answer. A time stamp
+after the data (`Z1`, `Z2`) is ignored because the length digit says where the data end.
 """
 
 from string import hexdigits
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from rtloop.state import LINE_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
+from rtloop.wire.frame_kinds import EXTENDED, REMOTE, STANDARD
 from shm.jit import jit
 
 Loop = Any
@@ -20,6 +21,8 @@ CR = 13
 BEL = 7
 _T_EXTENDED = ord("T")
 _T_STANDARD = ord("t")
+_R_EXTENDED = ord("R")
+_R_STANDARD = ord("r")
 _HEX_VALUES = np.array([int(chr(code), 16) if chr(code) in hexdigits else -1 for code in range(256)], np.int8)
 """A table, because nobody can guess whether the next digit is a letter: not even a branch predictor."""
 
@@ -37,21 +40,27 @@ def hex_value(code: int) -> int:
 
 
 @jit
-def encode_frame(loop: Loop, frame_id: int, extended: int, length: int, data: int) -> bool:
-    """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full."""
+def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
+    """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full.
+
+    `kind` is bits of `rtloop.wire.frame_kinds`.
+    """
     core, tx = loop.core, loop.tx
     at = core.tx_length
     if at + SLCAN_LONGEST_LINE > TX_BYTES:
         return False
-    digits = 8 if extended else 3
-    tx[at] = _T_EXTENDED if extended else _T_STANDARD
+    digits = 8 if kind & EXTENDED else 3
+    if kind & REMOTE:
+        tx[at] = _R_EXTENDED if kind & EXTENDED else _R_STANDARD
+    else:
+        tx[at] = _T_EXTENDED if kind & EXTENDED else _T_STANDARD
     at += 1
     for i in range(digits):
         tx[at] = hex_digit((frame_id >> (4 * (digits - 1 - i))) & 15)
         at += 1
     tx[at] = 48 + length
     at += 1
-    for i in range(length):
+    for i in range(0 if kind & REMOTE else length):
         byte = (data >> (8 * i)) & 255
         tx[at] = hex_digit(byte >> 4)
         tx[at + 1] = hex_digit(byte & 15)
@@ -68,12 +77,12 @@ LINE_WRONG = 2
 
 @jit
 def decode_line(loop: Loop) -> tuple[int, int, int, int, int]:
-    """(LINE_…, id, extended, length, data) of the line collected in `loop.line`."""
+    """(LINE_…, id, kind, length, data) of the line collected in `loop.line`; remote frames are nothing to us."""
     line, count = loop.line, loop.core.line_length
     if count == 0 or (line[0] != _T_EXTENDED and line[0] != _T_STANDARD):
         return LINE_OTHER, 0, 0, 0, 0
-    extended = 1 if line[0] == _T_EXTENDED else 0
-    digits = 8 if extended else 3
+    kind = EXTENDED if line[0] == _T_EXTENDED else STANDARD
+    digits = 8 if kind == EXTENDED else 3
     if count < digits + 2:
         return LINE_WRONG, 0, 0, 0, 0
     frame_id = 0
@@ -83,7 +92,7 @@ def decode_line(loop: Loop) -> tuple[int, int, int, int, int]:
             return LINE_WRONG, 0, 0, 0, 0
         frame_id = (frame_id << 4) | value
     length = hex_value(line[digits + 1])
-    highest_id = 0x1FFFFFFF if extended == 1 else 0x7FF
+    highest_id = 0x1FFFFFFF if kind == EXTENDED else 0x7FF
     if length < 0 or length > 8 or count < digits + 2 + 2 * length or frame_id > highest_id:
         return LINE_WRONG, 0, 0, 0, 0
     data = 0
@@ -93,7 +102,7 @@ def decode_line(loop: Loop) -> tuple[int, int, int, int, int]:
         if high < 0 or low < 0:
             return LINE_WRONG, 0, 0, 0, 0
         data |= ((high << 4) | low) << (8 * i)
-    return LINE_FRAME, frame_id, extended, length, data
+    return LINE_FRAME, frame_id, kind, length, data
 
 
 @jit
