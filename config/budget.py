@@ -1,17 +1,20 @@
 """What one control cycle puts on the bus and on the serial line to the adapter, and whether it fits.
 
 Everything is worst case: bit stuffing at its most, every frame of the cycle sent. Frame lengths follow
-from the CAN 2.0 frame format, the three bits between frames included; the frames of a ZDT cycle from the
-Emm_V5 manual; characters from the LAWICEL SLCAN protocol.
+from the CAN 2.0 frame format, the three bits between frames included (`config.frames`); the frames of a cycle from
+what the drives' families say; characters from the LAWICEL SLCAN protocol.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from config.bus import HIGHEST_CAN_BITRATE, SERIAL_BAUDS
+from config.bus import HIGHEST_CAN_BITRATE, SERIAL_BAUDS, BusConfig
+from config.drives.drive import Drive
 from config.errors import ConfigError
+from config.frames import CycleFrames, PeriodicFrames
 from config.gripper import MOVING_POLL_HZ
 from config.schema import ArmConfig, ControlConfig
 
@@ -33,84 +36,32 @@ LOWEST_RATE_HZ = float(
 """The lowest control rate the schema allows (Hz)."""
 
 
-def frame_bits(extended: bool, data_bytes: int) -> int:
-    """Bits of a classic CAN data frame with worst-case stuffing and the three bits of interframe space."""
-    if not 0 <= data_bytes <= 8:
-        raise ValueError(f"a classic CAN frame has 0 to 8 data bytes, not {data_bytes}")
-    return unchecked_frame_bits(extended, data_bytes)
+def cycle_of(drives: Sequence[Drive], bus: BusConfig) -> tuple[CycleFrames, ...]:
+    """The frames of one control cycle with these drives, alike ones counted together.
 
-
-def unchecked_frame_bits(extended: bool, data_bytes: int) -> int:
-    """The same without the check, which would bring the interpreter into compiled code."""
-    if extended:
-        return 67 + 8 * data_bytes + (53 + 8 * data_bytes) // 4
-    return 47 + 8 * data_bytes + (33 + 8 * data_bytes) // 4
-
-
-def slcan_chars(extended: bool, data_bytes: int) -> int:
-    """Characters of an SLCAN data frame: letter, identifier, length digit, two a byte, carriage return."""
-    if not 0 <= data_bytes <= 8:
-        raise ValueError(f"a classic CAN frame has 0 to 8 data bytes, not {data_bytes}")
-    return 1 + (8 if extended else 3) + 1 + 2 * data_bytes + 1
-
-
-@dataclass(frozen=True)
-class CycleFrames:
-    """Frames of one kind in one control cycle."""
-
-    what: str
-    count: int
-    data_bytes: int
-    from_host: bool
-    extended: bool = True
-
-    @property
-    def bits(self) -> int:
-        """Bits of all of them on the bus."""
-        return self.count * frame_bits(self.extended, self.data_bytes)
-
-    @property
-    def chars(self) -> int:
-        """Characters of all of them on an SLCAN serial line, without the adapter's replies."""
-        return self.count * slcan_chars(self.extended, self.data_bytes)
-
-
-def zdt_cycle(
-    drives: int, acknowledge: bool, reported: bool = False, fast_targets: bool = False
-) -> tuple[CycleFrames, ...]:
-    """A cycle of ZDT drives: a target and a position reading for each, a status reading for one in turn.
-
-    The position command FD has 13 bytes and goes out as frames of 8 and 5 bytes, FC (`fast_targets`) has 6; either is
-    answered with 3 where it is acknowledged. Reading the position (36) is 2 bytes out and 7 back, the status (3A) 2 out
-    and 3 back. `reported` positions come unasked, with the same 7 bytes and at the drives' own clocks; their period is
-    longer than a cycle (`ControlConfig.report_period_ms`), so one of each drive is the most that a cycle meets.
+    Each drive's own, one drive's in turn (the most that any of them needs), and those a family has in common.
     """
-    if drives == 0:
-        return ()
-    acknowledgements = (CycleFrames("command acknowledged", drives, 3, from_host=False),) if acknowledge else ()
-    requests: tuple[CycleFrames, ...] = (
-        () if reported else (CycleFrames("position request", drives, 2, from_host=True),)
-    )
-    commands: tuple[CycleFrames, ...] = (
-        CycleFrames("position command, first part", drives, 8, from_host=True),
-        CycleFrames("position command, second part", drives, 5, from_host=True),
-    )
-    if fast_targets:
-        commands = (CycleFrames("position command", drives, 6, from_host=True),)
-    return (
-        *commands,
-        *acknowledgements,
-        *requests,
-        CycleFrames("position report" if reported else "position reply", drives, 7, from_host=False),
-        CycleFrames("status request", 1, 2, from_host=True),
-        CycleFrames("status reply", 1, 3, from_host=False),
-    )
+    found = [frames for drive in drives for frames in drive.each_cycle(bus)]
+    turns = [drive.in_turn(bus) for drive in drives]
+    found += max(turns, key=lambda turn: sum(frames.bits for frames in turn), default=())
+    families = {drive.family: drive for drive in drives}
+    found += [frames for drive in families.values() for frames in drive.for_all(bus)]
+    counts: dict[CycleFrames, int] = {}
+    for frames in found:
+        alike = replace(frames, count=1)
+        counts[alike] = counts.get(alike, 0) + frames.count
+    return tuple(replace(frames, count=count) for frames, count in counts.items())
 
 
 def cycle_frames(arm: ArmConfig) -> tuple[CycleFrames, ...]:
     """The frames of one control cycle of this arm; none with mock drives."""
-    zdt_drives = sum(joint.drive.family == "zdt" for joint in arm.joints)
-    return zdt_cycle(zdt_drives, arm.bus.acknowledge, arm.bus.reported, arm.bus.fast_targets)
+    return cycle_of([joint.drive for joint in arm.joints], arm.bus)
+
+
+def frames_beside(arm: ArmConfig) -> tuple[PeriodicFrames, ...]:
+    """What is on the bus beside the cycle, at rates of its own: what drives send by themselves, and a gripper's."""
+    drives = tuple(frames for joint in arm.joints for frames in joint.drive.by_itself())
+    return (*drives, *(PeriodicFrames(frames, MOVING_POLL_HZ, "the gripper") for frames in gripper_frames(arm)))
 
 
 def gripper_frames(arm: ArmConfig) -> tuple[CycleFrames, ...]:
@@ -140,13 +91,18 @@ class Budget:
     load_limit: float
     serial_baud: int | None
     """Speed of the UART to the adapter; None where no UART limits (USB device, mock)."""
-    beside: tuple[CycleFrames, ...] = ()
-    """Frames of conversations that never end, `MOVING_POLL_HZ` times a second at most."""
+    beside: tuple[PeriodicFrames, ...] = ()
+    """Frames at rates of their own."""
+
+    @property
+    def beside_words(self) -> str:
+        """What the frames beside the cycle are for, in sentences."""
+        return " and ".join(dict.fromkeys(beside.whose for beside in self.beside))
 
     @property
     def bits_beside_s(self) -> float:
         """Worst-case bits a second on the bus beside the cycle."""
-        return MOVING_POLL_HZ * sum(frames.bits for frames in self.beside)
+        return sum(beside.rate_hz * beside.frames.bits for beside in self.beside)
 
     @property
     def frames_per_cycle(self) -> int:
@@ -183,7 +139,9 @@ class Budget:
     @property
     def serial_bits_beside_s(self) -> float:
         """Bits a second beside the cycle in their busier direction, which is taken to be the cycle's too."""
-        return MOVING_POLL_HZ * UART_BITS_PER_CHARACTER * max(_chars_out(self.beside), _chars_in(self.beside))
+        out = sum(beside.rate_hz * _chars_out((beside.frames,)) for beside in self.beside)
+        back = sum(beside.rate_hz * _chars_in((beside.frames,)) for beside in self.beside)
+        return UART_BITS_PER_CHARACTER * max(out, back)
 
     @property
     def serial_bits_per_cycle(self) -> int:
@@ -238,7 +196,7 @@ def budget(arm: ArmConfig) -> Budget:
         bitrate=arm.bus.bitrate,
         load_limit=arm.bus.load_limit,
         serial_baud=None if baud == "cdc" or arm.bus.interface != "slcan" else baud,
-        beside=gripper_frames(arm),
+        beside=frames_beside(arm),
     )
 
 
@@ -269,7 +227,7 @@ def _bus_sentence(found: Budget, arm: ArmConfig) -> str:
     ways = [f"use a faster bus (bus.bitrate, up to {HIGHEST_BITRATE})"] if found.bitrate < HIGHEST_BITRATE else []
     if arm.bus.acknowledge:
         ways.append("turn bus.acknowledge off")
-    beside = f" + {found.bits_beside_s:.0f} bit/s for the gripper" if found.beside else ""
+    beside = f" + {found.bits_beside_s:.0f} bit/s for {found.beside_words}" if found.beside else ""
     return (
         f"rate_hz is {found.rate_hz:g}, but {found.bits_per_cycle} bits a cycle × {found.rate_hz:g} Hz{beside} = "
         f"{found.bits_per_cycle * found.rate_hz + found.bits_beside_s:.0f} bit/s is {found.bus_load:.1%} of the "
@@ -281,7 +239,7 @@ def _bus_sentence(found: Budget, arm: ArmConfig) -> str:
 def _serial_sentence(found: Budget) -> str:
     chars = max(found.chars_out_per_cycle, found.chars_in_per_cycle)
     load = found.serial_load or 0.0
-    beside = f" + {found.serial_bits_beside_s:.0f} bit/s for the gripper" if found.beside else ""
+    beside = f" + {found.serial_bits_beside_s:.0f} bit/s beside it" if found.beside else ""
     faster = [baud for baud in SERIAL_BAUDS if baud >= found.serial_baud_needed]
     ways = [f"set adapter and bus.serial_baud to {faster[0]}"] if faster else ["use an adapter without UART (cdc)"]
     return (

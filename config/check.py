@@ -130,7 +130,7 @@ def budget_table(arm: ArmConfig, found: Budget) -> Table:
                 "positions", f"reported every {arm.control.report_period_ms} ms: at most one of each drive a cycle"
             )
         if found.beside:
-            table.add_row("gripper", f"{found.bits_beside_s:.0f} bit/s while it moves")
+            table.add_row("beside it", f"{found.bits_beside_s:.0f} bit/s for {found.beside_words}")
         table.add_row(
             "bus load",
             f"{found.bus_load:.1%} of {found.bitrate} bit/s, limit {found.load_limit:.0%}"

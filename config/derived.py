@@ -81,7 +81,7 @@ def derived_table(arm: ArmConfig) -> list[DerivedJoint]:
 
 
 def _derive(joint: JointConfig, arm: ArmConfig) -> DerivedJoint:
-    has_ramp = joint.drive.family == "zdt"
+    has_ramp = joint.drive.stepper_ramp
     return DerivedJoint(
         name=joint.name,
         lower_deg=joint.lower_deg,

@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from config import ramp
-from config.joint import ENCODER_COUNTS_PER_REVOLUTION, FULL_STEPS_PER_REVOLUTION
+from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION, FULL_STEPS_PER_REVOLUTION, zdt_identifiers
+from config.frames import Identifiers
 from config.section import KEYS_BESIDE_CONTROLLERS, NoBool, Section, refuse, refuse_name
 
 SIMULATED, SERVO = "simulated", "servo"
@@ -59,6 +60,11 @@ class GripperServo(Section):
         "limits the current and effort is measured. Left out, a goal's effort is not obeyed and measured effort is "
         "NaN.",
     )
+
+    @property
+    def identifiers(self) -> tuple[Identifiers, ...]:
+        """What it hears and says on the bus."""
+        return zdt_identifiers(self.address)
 
     @property
     def pulses_per_rad(self) -> float:

@@ -18,12 +18,12 @@ from pydantic import (
     model_validator,
 )
 
-from config import ramp
 from config.bus import BusConfig
+from config.drives.together import check_drives
 from config.geometry import KinematicsConfig
 from config.gripper import GROUP, LINK, GripperConfig
 from config.homing import HomingConfig, ParkingConfig
-from config.joint import JointConfig, ZdtDrive
+from config.joint import JointConfig
 from config.section import KEYS_BESIDE_CONTROLLERS, NoBool, Section, refuse, refuse_name
 
 FIXED_JOINTS = ("virtual_joint", "flange_joint")
@@ -268,7 +268,6 @@ class ArmConfig(Section):
     @model_validator(mode="after")
     def _joints_are_distinct(self) -> ArmConfig:
         first_with_name: dict[str, int] = {}
-        first_with_address: dict[int, str] = {}
         for index, joint in enumerate(self.joints):
             if joint.name in first_with_name:
                 raise refuse(
@@ -277,15 +276,11 @@ class ArmConfig(Section):
                     f"joints[{index}]; every joint needs a name of its own: rename one.",
                 )
             first_with_name[joint.name] = index
-            if isinstance(joint.drive, ZdtDrive):
-                address = joint.drive.address
-                if address in first_with_address:
-                    raise refuse(
-                        f"joints[{index}].drive.address",
-                        f"address {address} is used by {first_with_address[address]} and {joint.name}; every "
-                        "drive on the bus needs an address of its own: change one, in its menu and here.",
-                    )
-                first_with_address[address] = joint.name
+        return self
+
+    @model_validator(mode="after")
+    def _drives_go_together(self) -> ArmConfig:
+        check_drives(self.joints, self.bus, self.limits)
         return self
 
     @model_validator(mode="after")
@@ -317,7 +312,7 @@ class ArmConfig(Section):
                 "or socketcan.",
             )
         for joint in self.joints:
-            if isinstance(joint.drive, ZdtDrive) and joint.drive.address == gripper.servo.address:
+            if any(mine.meets(theirs) for mine in gripper.servo.identifiers for theirs in joint.drive.identifiers):
                 raise refuse(
                     "gripper.servo.address",
                     f"address {gripper.servo.address} is used by {joint.name} and the gripper; every drive on the bus "
@@ -363,42 +358,6 @@ class ArmConfig(Section):
         """Indexes of the joints that a homing run of the arm homes, in its order."""
         names = [joint.name for joint in self.joints]
         return list(range(len(names))) if self.homing.order is None else [names.index(n) for n in self.homing.order]
-
-    @model_validator(mode="after")
-    def _drives_suit_the_bus(self) -> ArmConfig:
-        mock_bus = self.bus.interface == "mock"
-        for index, joint in enumerate(self.joints):
-            if (joint.drive.family == "mock") == mock_bus:
-                continue
-            if mock_bus:
-                sentence = (
-                    f"{joint.name} has a {joint.drive.family} drive, but interface mock reaches no drives; "
-                    "set bus.interface to slcan or socketcan, or use an arm file whose drives are all mock (such as "
-                    "mock)."
-                )
-            else:
-                sentence = (
-                    f"{joint.name} has a mock drive, but interface {self.bus.interface} needs a real drive "
-                    "for every joint; give it one (family zdt), or set bus.interface to mock for all joints."
-                )
-            raise refuse(f"joints[{index}].drive.family", sentence)
-        return self
-
-    @model_validator(mode="after")
-    def _silence_is_a_controlled_stop(self) -> ArmConfig:
-        for index, joint in enumerate(self.joints):
-            if not isinstance(joint.drive, ZdtDrive):
-                continue
-            limit = joint.max_acceleration_rad_s2
-            if ramp.nearest_silence_byte(joint.ratio, limit, self.limits.silence_brake_factor) is None:
-                nearest = ramp.nearest_usable_acceleration_rad_s2(joint.ratio, limit)
-                raise refuse(
-                    f"joints[{index}].max_acceleration_rad_s2",
-                    f"max_acceleration_rad_s2 of {joint.name} is {limit:g}, for which a ZDT drive with ratio "
-                    f"{joint.ratio:g} has no ramp that brakes at 1.5 to 2 times that limit when it hears "
-                    f"nothing more; the nearest limit that has one is {nearest:.4g}.",
-                )
-        return self
 
     @model_validator(mode="after")
     def _kinematics_fit_the_joints(self) -> ArmConfig:

@@ -14,7 +14,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from config.budget import budget
-from config.joint import JointConfig, ZdtDrive
+from config.drives.zdt import ZdtDrive
+from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop import fast_targets, reports
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed

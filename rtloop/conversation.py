@@ -8,7 +8,8 @@ conversation works at start, at run time, and in tests in virtual time.
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 
-from config.joint import JointConfig, ZdtDrive
+from config.drives.zdt import ZdtDrive
+from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.port import BRING_UP_FAILED, SEND, Frame, ServicePort
 from shm.words import Fault

@@ -16,7 +16,8 @@ would show as a degree of the motor in the fifth of a second that it is watched,
 import math
 
 from config.derived import silence_acc_byte
-from config.joint import ENCODER_COUNTS_PER_REVOLUTION, JointConfig, ZdtDrive
+from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION, ZdtDrive
+from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Ask, Dialogue, TalkFailed
 from rtloop.drives import zdt_registers as registers
@@ -52,7 +53,7 @@ def prepare(arm: ArmConfig, joint: int, drive: ZdtDrive, version: Version) -> Di
             "set bus.position_command to FD.",
         )
     acc_byte = silence_acc_byte(config, arm.limits)
-    counts_per_pulse = ENCODER_COUNTS_PER_REVOLUTION / drive.command_pulses_per_revolution
+    counts_per_pulse = ENCODER_COUNTS_PER_REVOLUTION / drive.command_steps_per_revolution
     slowly = registers.fast_setup(SLOWEST_RPM, acc_byte)
     for _ in range(TRIES):
         yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)  # wherever it is on its way to

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION, FULL_STEPS_PER_REVOLUTION
 from config.gripper import HIGHEST_UNLIMITED_MA, MOVING_POLL_HZ, RESTING_POLL_HZ
-from config.joint import ENCODER_COUNTS_PER_REVOLUTION, FULL_STEPS_PER_REVOLUTION
 from config.schema import ArmConfig
 from motion.gripping import Grip, GripJudge, stall_ns
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue

@@ -11,7 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from config.joint import JointConfig, ZdtDrive
+from config.drives.zdt import ZdtDrive
+from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop import fast_targets, reports
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, drive_addresses, silent_amid

@@ -9,9 +9,10 @@ import math
 
 import numpy as np
 
-from config.budget import frame_bits
 from config.derived import braking_deceleration_rad_s2, silence_acc_byte
-from config.joint import JointConfig, ZdtDrive
+from config.drives.zdt import ZdtDrive
+from config.frames import frame_bits
+from config.joint import JointConfig
 from config.schema import ArmConfig
 from motion import stopping
 from shm import layout

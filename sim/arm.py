@@ -22,9 +22,9 @@ from typing import Literal
 import numpy as np
 
 from config import schema
+from config.drives.zdt import ZdtDrive as ZdtConfig
 from config.gripper import GripperConfig
 from config.joint import JointConfig
-from config.joint import ZdtDrive as ZdtConfig
 from sim import faults as wrong
 from sim.adapter import Dialect, LineFault, SlcanAdapter
 from sim.babble import Babbler

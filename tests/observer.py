@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from motion_figures import STEP_NS, WINDOW_S, accelerations
 
-from config.joint import JointConfig, ZdtDrive
+from config.drives.zdt import ZdtDrive
+from config.joint import JointConfig
 from config.schema import ArmConfig
 from sim.arm import SimulatedArm
 from sim.truth import JointTruth

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from config.joint import ENCODER_COUNTS_PER_REVOLUTION
+from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION
 from rtloop.calibration.session import MOST_COUNTS, MOST_RPM
 
 SLOW_DEG_S = 2.0

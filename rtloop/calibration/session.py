@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from config.joint import ENCODER_COUNTS_PER_REVOLUTION
+from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION
 from config.schema import ArmConfig
 from rtloop.calibration.talk import Drive, OneDrive
 from rtloop.conversation import Conversation, TalkFailed
@@ -107,7 +107,7 @@ class Session:
         """Why a pulse of this drive would not be what the arm file takes it for."""
         assert block is not None  # else it is left alone
         drive = self._arm.joints[[joint.name for joint in self._arm.joints].index(report.joint)].drive
-        expected = drive.command_pulses_per_revolution
+        expected = drive.command_steps_per_revolution
         if block.full_steps is not None and block.full_steps * block.microsteps == expected:
             return []
         return [

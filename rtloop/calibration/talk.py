@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from typing import Generic, TypeVar
 
-from config.joint import ENCODER_COUNTS_PER_REVOLUTION, JointConfig, ZdtDrive
+from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION, ZdtDrive
+from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, silent_amid
 from rtloop.drives import zdt_registers as registers
@@ -74,7 +75,7 @@ class Drive:
         self._config: JointConfig = arm.joints[joint]
         drive = self._config.drive
         assert isinstance(drive, ZdtDrive)  # no others are on the bus
-        self._pulses_per_turn = drive.command_pulses_per_revolution
+        self._pulses_per_turn = drive.command_steps_per_revolution
         self._now_ns = now_ns
 
     # --- reading

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, fields, replace
 
-from config.joint import FULL_STEPS_PER_REVOLUTION
+from config.drives.zdt import FULL_STEPS_PER_REVOLUTION
 
 ASK_FIRMWARE = b"\x1f\x6b"
 ASK_TRIP = b"\x13\x6b"

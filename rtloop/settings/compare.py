@@ -10,7 +10,8 @@ from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-from config.joint import FULL_STEPS_PER_REVOLUTION, JointConfig, ZdtDrive
+from config.drives.zdt import FULL_STEPS_PER_REVOLUTION, ZdtDrive
+from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_registers import Block

@@ -1,6 +1,6 @@
 """What kind of classic CAN frame one is, as bits; none of them: a data frame with a standard identifier (11 bits)."""
 
-from config.budget import unchecked_frame_bits
+from config.frames import unchecked_frame_bits
 from shm.jit import jit
 
 STANDARD = 0

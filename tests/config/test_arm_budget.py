@@ -10,7 +10,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from config import ConfigError, check_budget, load_arm
-from config.budget import Budget, budget, frame_bits, shown_rate, slcan_chars, zdt_cycle
+from config.budget import Budget, budget, cycle_of, shown_rate
+from config.bus import BusConfig
+from config.drives.zdt import ZdtDrive
+from config.frames import CycleFrames, frame_bits, slcan_chars
+
+
+def zdt_cycle(
+    drives: int, acknowledge: bool, *, reported: bool = False, fast_targets: bool = False
+) -> tuple[CycleFrames, ...]:
+    bus = BusConfig(
+        interface="slcan",
+        channel="/dev/ttyACM0",
+        acknowledge=acknowledge,
+        positions="reported" if reported else "polled",
+        position_command="FC" if fast_targets else "FD",
+    )
+    return cycle_of([ZdtDrive(family="zdt", address=number + 1) for number in range(drives)], bus)
 
 
 def episode1(**changes: dict[str, Any]) -> Budget:

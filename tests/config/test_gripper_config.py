@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from config import ArmConfig, ConfigError, check_budget, load_arm
-from config.budget import budget, frame_bits
+from config.budget import budget
+from config.frames import frame_bits
 from config.ramp import ramp_rpm_s
 
 SERVO = {"hook": "servo", "servo": {"address": 7}}

@@ -18,7 +18,7 @@ from typer.testing import Result
 from virtual import START_NS, VirtualArm
 from written_arm import WrittenArm
 
-from config.joint import ENCODER_COUNTS_PER_REVOLUTION as TURN
+from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION as TURN
 from config.loader import ARMS_FOLDER, load_arm
 from config.schema import ArmConfig
 from rtarm.calibrate.angles import (

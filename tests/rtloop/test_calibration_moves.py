@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
 
-from config.joint import ENCODER_COUNTS_PER_REVOLUTION
+from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rtloop.calibration.session import MOST_COUNTS, MOST_RPM, NotDone, Session

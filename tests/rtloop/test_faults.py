@@ -5,7 +5,7 @@ import pytest
 from observer import frames_sent
 from virtual import VirtualArm, recorded_goal
 
-from config.budget import frame_bits
+from config.frames import frame_bits
 from rtloop.conversation import split_packets
 from rtloop.cycle import step
 from rtloop.port import SEND

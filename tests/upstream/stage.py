@@ -15,7 +15,7 @@ from trajectory_messages import NS
 from virtual import VirtualArm
 
 from config.bus import BusConfig
-from config.joint import MockDrive
+from config.drives.mock import MockDrive
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rosfront.goal import plan_goal

@@ -1,0 +1,75 @@
+"""What every family of drives says of itself to the rest of the configuration."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from config.bus import BusConfig
+from config.frames import CycleFrames, Identifiers, PeriodicFrames
+from config.section import Section
+
+
+class Drive(Section):
+    """A drive of an arm file; a family's own file says what is different."""
+
+    family: str
+    called: ClassVar[str]
+    """One of its drives, in sentences."""
+    highest_motor_rpm: ClassVar[float]
+    """Highest speed that may be asked of a motor (rpm)."""
+    stepper_ramp: ClassVar[bool] = False
+    """Whether its ramp is a byte of each command, as in `config.ramp`."""
+
+    number_field: ClassVar[str] = "address"
+    """The field that holds its number."""
+
+    @property
+    def number(self) -> int:
+        """What tells it from others of its family on the bus; 0 where there is none."""
+        return 0
+
+    @property
+    def knows_its_angle(self) -> bool:
+        """Whether what it counts means an angle as soon as it has power, without homing."""
+        return False
+
+    @property
+    def plans_its_motion(self) -> bool:
+        """Whether it goes to a target with a speed and a ramp of its own, and so brakes by itself in silence."""
+        return False
+
+    @property
+    def command_steps_per_revolution(self) -> float:
+        """Steps of a position command for one motor turn."""
+        raise NotImplementedError
+
+    @property
+    def reading_steps_per_revolution(self) -> float:
+        """Steps of a position that it tells, for one motor turn."""
+        return self.command_steps_per_revolution
+
+    @property
+    def highest_turns(self) -> float | None:
+        """Motor turns from its zero that a command can reach, either way; None where no joint can leave that range."""
+        return None
+
+    @property
+    def identifiers(self) -> tuple[Identifiers, ...]:
+        """What it hears and says on the bus."""
+        return ()
+
+    def each_cycle(self, bus: BusConfig) -> tuple[CycleFrames, ...]:
+        """Frames of this drive in every control cycle, at most."""
+        return ()
+
+    def in_turn(self, bus: BusConfig) -> tuple[CycleFrames, ...]:
+        """Frames beside those that a cycle exchanges with one of the arm's drives, each in turn."""
+        return ()
+
+    def for_all(self, bus: BusConfig) -> tuple[CycleFrames, ...]:
+        """Frames that a cycle sends once for all drives of the family."""
+        return ()
+
+    def by_itself(self) -> tuple[PeriodicFrames, ...]:
+        """Frames that it sends at its own clock."""
+        return ()

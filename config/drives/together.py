@@ -1,0 +1,138 @@
+"""Whether the drives of an arm go together: with each other, with the bus and with what their joints ask of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from config import ramp
+from config.bus import BusConfig
+from config.drives.drive import Drive
+from config.joint import JointConfig
+from config.section import refuse
+
+
+class Limits(Protocol):
+    """What is asked of the section `limits`."""
+
+    @property
+    def silence_brake_factor(self) -> float:
+        """Braking of a drive that hears nothing more, as a multiple of the joint's acceleration limit."""
+
+
+def check_drives(joints: Sequence[JointConfig], bus: BusConfig, limits: Limits) -> None:
+    """Refuse the first thing that is wrong with an arm's drives (pydantic's custom errors, `config.section.refuse`)."""
+    _are_told_apart(joints)
+    _are_not_too_fast(joints)
+    _reach_the_whole_range(joints)
+    _do_what_the_bus_asks(joints, bus)
+    _suit_the_bus(joints, bus)
+    _brake_in_silence(joints, limits)
+
+
+def shares_identifiers(one: Drive, other: Drive) -> bool:
+    """Whether a CAN identifier could be of either drive, beside those that a family's drives have in common."""
+    alike = one.family == other.family
+    return any(
+        mine.meets(theirs) and not (alike and mine.shared and theirs.shared)
+        for mine in one.identifiers
+        for theirs in other.identifiers
+    )
+
+
+def _article(noun: str) -> str:
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
+
+
+def _are_told_apart(joints: Sequence[JointConfig]) -> None:
+    for index, joint in enumerate(joints):
+        for other in joints[:index]:
+            if not shares_identifiers(joint.drive, other.drive):
+                continue
+            field = joint.drive.number_field
+            place = f"joints[{index}].drive.{field}"
+            number = joint.drive.number
+            if other.drive.family == joint.drive.family and other.drive.number == number:
+                raise refuse(
+                    place,
+                    f"{field} {number} is used by {other.name} and {joint.name}; every drive on the bus needs "
+                    f"{_article(field)} of its own: change one, in its menu and here.",
+                )
+            raise refuse(
+                place,
+                f"{field} {number} of {joint.name} ({joint.drive.called}) uses CAN identifiers that "
+                f"{other.drive.number_field} {other.drive.number} of {other.name} ({other.drive.called}) uses too, so "
+                "neither could be told from the other: change one of the two, in the drive and here.",
+            )
+
+
+def _are_not_too_fast(joints: Sequence[JointConfig]) -> None:
+    for index, joint in enumerate(joints):
+        if joint.motor_rpm > joint.drive.highest_motor_rpm:
+            raise refuse(
+                f"joints[{index}].motor_rpm",
+                f"motor_rpm is {joint.motor_rpm:g}, but must be at least 0.01 and at most "
+                f"{joint.drive.highest_motor_rpm:g} with {joint.drive.called}.",
+            )
+
+
+def _reach_the_whole_range(joints: Sequence[JointConfig]) -> None:
+    for index, joint in enumerate(joints):
+        most = joint.drive.highest_turns
+        if most is None:
+            continue
+        for field in ("lower_deg", "upper_deg"):
+            turns = (getattr(joint, field) + joint.zero_deg) * joint.ratio / 360.0
+            if abs(turns) > most:
+                raise refuse(
+                    f"joints[{index}].{field}",
+                    f"{field} of {joint.name} is {getattr(joint, field):g}, {abs(turns):.1f} motor turns from its "
+                    f"drive's zero, but {joint.drive.called} is commanded within {most:.4g}; narrow the "
+                    "range, or move the drive's zero and zero_deg.",
+                )
+
+
+def _do_what_the_bus_asks(joints: Sequence[JointConfig], bus: BusConfig) -> None:
+    others = [joint for joint in joints if joint.drive.family not in ("zdt", "mock")]
+    for field, default in (("positions", "polled"), ("position_command", "FD")):
+        value = getattr(bus, field)
+        if value != default and others:
+            raise refuse(
+                f"bus.{field}",
+                f"{field} is {value}, which is known of ZDT drives alone, but {others[0].name} has "
+                f"{others[0].drive.called}; remove {field}.",
+            )
+
+
+def _suit_the_bus(joints: Sequence[JointConfig], bus: BusConfig) -> None:
+    mock_bus = bus.interface == "mock"
+    for index, joint in enumerate(joints):
+        if (joint.drive.family == "mock") == mock_bus:
+            continue
+        if mock_bus:
+            sentence = (
+                f"{joint.name} has a {joint.drive.family} drive, but interface mock reaches no drives; "
+                "set bus.interface to slcan or socketcan, or use an arm file whose drives are all mock (such as "
+                "mock)."
+            )
+        else:
+            sentence = (
+                f"{joint.name} has a mock drive, but interface {bus.interface} needs a real drive "
+                "for every joint; give it one (family zdt), or set bus.interface to mock for all joints."
+            )
+        raise refuse(f"joints[{index}].drive.family", sentence)
+
+
+def _brake_in_silence(joints: Sequence[JointConfig], limits: Limits) -> None:
+    for index, joint in enumerate(joints):
+        if not joint.drive.stepper_ramp:
+            continue
+        limit = joint.max_acceleration_rad_s2
+        if ramp.nearest_silence_byte(joint.ratio, limit, limits.silence_brake_factor) is None:
+            nearest = ramp.nearest_usable_acceleration_rad_s2(joint.ratio, limit)
+            raise refuse(
+                f"joints[{index}].max_acceleration_rad_s2",
+                f"max_acceleration_rad_s2 of {joint.name} is {limit:g}, for which {joint.drive.called} with ratio "
+                f"{joint.ratio:g} has no ramp that brakes at 1.5 to 2 times that limit when it hears "
+                f"nothing more; the nearest limit that has one is {nearest:.4g}.",
+            )
