@@ -11,9 +11,10 @@ from live import NS, LiveStack
 from config.loader import load_arm
 from config.schema import RealtimeConfig
 from rtloop import realtime
+from rtloop.beginning import new_loop
 from rtloop.libc import CLOCK_MONOTONIC, TIMER_ABSTIME, clock_nanosleep
 from rtloop.run import monotonic_ns
-from rtloop.state import new_loop, offset_of
+from rtloop.state import offset_of
 from shm import layout, seqlock
 from shm.atomics import load_acquire, store_relaxed
 from shm.jit import jit

@@ -41,7 +41,7 @@ def cycle_of(drives: Sequence[Drive], bus: BusConfig) -> tuple[CycleFrames, ...]
 
     Each drive's own, one drive's in turn (the most that any of them needs), and those a family has in common.
     """
-    found = [frames for drive in drives for frames in drive.each_cycle(bus)]
+    found = [frames for drive in drives for frames in (*drive.commands(bus), *drive.readings(bus))]
     turns = [drive.in_turn(bus) for drive in drives]
     found += max(turns, key=lambda turn: sum(frames.bits for frames in turn), default=())
     families = {drive.family: drive for drive in drives}

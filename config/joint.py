@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -12,7 +12,13 @@ from config.drives.odrive import OdriveDrive
 from config.drives.zdt import ZdtDrive
 from config.section import NoBool, Section, refuse, refuse_name
 
-DriveConfig = Annotated[ZdtDrive | OdriveDrive | MockDrive, Field(discriminator="family")]
+Drives = ZdtDrive | OdriveDrive | MockDrive
+"""One line a family. Its name is that of its files: config/drives/, rtloop/drives/ and sim/drives/ have one of it."""
+DriveConfig = Annotated[Drives, Field(discriminator="family")]
+FAMILIES: tuple[str, ...] = tuple(
+    sorted((get_args(kind.model_fields["family"].annotation)[0] for kind in get_args(Drives)), key="mock".__ne__)
+)
+"""Their names; the first is no drive at all."""
 
 
 class JointConfig(Section):

@@ -6,9 +6,9 @@ conversation works at start, at run time, and in tests in virtual time.
 """
 
 from collections.abc import Generator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
 
-from config.drives.zdt import ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.port import BRING_UP_FAILED, SEND, Frame, ServicePort
@@ -18,8 +18,6 @@ ANSWER_PATIENCE_NS = 60_000_000
 ANSWER_PERIODS = 3
 """A question waits for the next cycle and its answer for the one after; at low rates that is what lasts."""
 TRIES = 5
-NOT_UNDERSTOOD = b"\x00\xee\x6b"
-"""What a drive answers to a command that is none to it (zdt-emm-v5.md)."""
 
 
 class TalkFailed(Exception):
@@ -30,20 +28,26 @@ class TalkFailed(Exception):
         self.joint = joint
 
 
-@dataclass(frozen=True)
-class Ask:
-    """A command and how to know its answer: function byte and number of packets, or one short reply.
+class Again:
+    """What a question makes of a frame that shows that it must be asked again."""
 
-    The commands `before` and `after` leave with it, in the same cycle and right before and behind it. Their answers are
-    not waited for, and they are said once, however often the question is.
-    """
 
-    payload: bytes
-    reply_lengths: tuple[int, ...]
-    packets: int = 1
-    answered: bool = True
-    before: tuple[bytes, ...] = ()
-    after: tuple[bytes, ...] = ()
+Packet = tuple[Frame, bool]
+"""A frame, and whether the next one belongs to the same command."""
+
+
+class Question(Protocol):
+    """Something to ask a drive, in the form of its family."""
+
+    @property
+    def answered(self) -> bool:
+        """Whether an answer is to be waited for, however often it must be asked."""
+
+    def packets(self, first: bool) -> list[Packet]:
+        """What is said, the first time or again."""
+
+    def hear(self, frame: Frame, last_try: bool) -> Any | Again | None:
+        """What is the answer, if this frame of the drive's makes it whole."""
 
 
 def silent_amid(config: JointConfig, what: str) -> str:
@@ -54,31 +58,20 @@ def silent_amid(config: JointConfig, what: str) -> str:
     )
 
 
-Dialogue = Generator[Ask, bytes | None, None]
+Dialogue = Generator[Question, Any, None]
+"""What is said to one drive; a question that stays without an answer gets None."""
+Value = TypeVar("Value")
+Part = Generator[Question, Any, Value]
+"""Part of a dialogue that ends in a value."""
 
 
 @dataclass
 class _Exchange:
     """A running question to one drive."""
 
-    ask: Ask
+    question: Question
     sent_ns: int
     tries: int
-    packets: dict[int, bytes] = field(default_factory=dict)
-
-
-def split_packets(address: int, payload: bytes) -> list[Frame]:
-    """CAN frames of a ZDT command: ≤ 8 bytes in one; longer ones repeat the function byte in every packet."""
-    if len(payload) <= 8:
-        return [Frame(address << 8, payload)]
-    function, rest = payload[:1], payload[1:]
-    pieces = [rest[at : at + 7] for at in range(0, len(rest), 7)]
-    return [Frame((address << 8) | number, function + piece) for number, piece in enumerate(pieces)]
-
-
-def drive_addresses(arm: ArmConfig) -> dict[int, int]:
-    """Joint → address, of every joint whose drive is spoken to on the bus."""
-    return {j: joint.drive.address for j, joint in enumerate(arm.joints) if isinstance(joint.drive, ZdtDrive)}
 
 
 class Conversation:
@@ -95,9 +88,8 @@ class Conversation:
         self.now_ns = now_ns
         self.done = False
         self.failure: TalkFailed | None = None
-        self._port = port
+        self.port = port
         self._patience_ns = max(ANSWER_PATIENCE_NS, ANSWER_PERIODS * arm.control.period_ns)
-        self._addresses = drive_addresses(arm)
         self._fault = fault
         self._last_order = last_order
         self._dialogues: dict[int, Dialogue] = {}
@@ -134,7 +126,7 @@ class Conversation:
 
     def _received(self) -> list[Frame]:
         """What the drives of this conversation have said since the last look."""
-        return self._port.received()
+        return self.port.received()
 
     def _goes_on(self) -> bool:
         """Begin what follows when every dialogue is over; whether there is something."""
@@ -142,65 +134,49 @@ class Conversation:
 
     def post(self, kind: int, joint: int = -1, value: float = 0.0, code: int = 0) -> None:
         """Tell the cycle a decision."""
-        if not self._port.post(kind, joint=joint, value=value, code=code):
+        if not self.port.post(kind, joint=joint, value=value, code=code):
             raise TalkFailed(joint, "The control cycle takes no orders: it has stopped; start rtarm again.")
 
     def _flush(self) -> None:
         """Put commands in as far as there is room, each as a whole: another conversation may speak after it."""
         while self._outbox:
             frames = 1 + next(number for number, (_, joined) in enumerate(self._outbox) if not joined)
-            if self._port.room() < frames:
+            if self.port.room() < frames:
                 return
             for frame, joined in self._outbox[:frames]:
-                self._port.post(SEND, frame=frame, joined=joined)
+                self.port.post(SEND, frame=frame, joined=joined)
             del self._outbox[:frames]
 
-    def _advance(self, joint: int, answer: bytes | None) -> None:
+    def _advance(self, joint: int, answer: Any) -> None:
         self._exchanges.pop(joint, None)
         try:
-            ask = self._dialogues[joint].send(answer)
+            question = self._dialogues[joint].send(answer)
         except StopIteration:
             del self._dialogues[joint]
             return
-        self._exchanges[joint] = _Exchange(ask, self.now_ns, 1)
-        self._say(joint, ask)
+        self._exchanges[joint] = _Exchange(question, self.now_ns, 1)
+        self._say(joint, question)
 
-    def _say(self, joint: int, ask: Ask) -> None:
+    def _say(self, joint: int, question: Question) -> None:
         told_once = self._exchanges[joint].tries == 1
-        before, after = (ask.before, ask.after) if told_once else ((), ())
-        frames = [f for told in (*before, ask.payload, *after) for f in split_packets(self._addresses[joint], told)]
-        self._outbox += [(frame, number < len(frames) - 1) for number, frame in enumerate(frames)]
+        self._outbox += [(frame._replace(joint=joint), joined) for frame, joined in question.packets(told_once)]
         self._flush()
 
     def _hear(self, frame: Frame) -> None:
-        for joint, exchange in list(self._exchanges.items()):
-            if frame.id >> 8 != self._addresses[joint] or not frame.data:
-                continue
-            if frame.time_ns < exchange.sent_ns:
-                continue  # the late answer to an earlier question
-            packet, ask = frame.id & 255, exchange.ask
-            if packet == 0 and frame.data == NOT_UNDERSTOOD and exchange.tries < TRIES:
-                self._repeat(joint)  # the half of a command that a predecessor left spoils what is said first
-            elif packet == 0 and (_is_refusal(frame.data, ask.payload[0])):
-                self._advance(joint, frame.data)
-            elif frame.data[0] == ask.payload[0] and packet < ask.packets:
-                if ask.packets == 1 and len(frame.data) not in ask.reply_lengths:
-                    continue  # an echo of the question, or an answer to somebody else's
-                exchange.packets[packet] = frame.data
-                if len(exchange.packets) == ask.packets:
-                    joined = exchange.packets[0][:1]
-                    for number in range(ask.packets):
-                        joined += exchange.packets[number][1:]
-                    if joined[-1] == 0x6B:
-                        self._advance(joint, joined)
-                    else:
-                        exchange.packets.clear()
+        exchange = self._exchanges.get(frame.joint)
+        if exchange is None or frame.time_ns < exchange.sent_ns:
+            return  # nobody has asked, or it is the late answer to an earlier question
+        answer = exchange.question.hear(frame, exchange.tries >= TRIES)
+        if isinstance(answer, Again):
+            self._repeat(frame.joint)
+        elif answer is not None:
+            self._advance(frame.joint, answer)
 
     def _repeat_or_give_up(self, joint: int) -> None:
         exchange = self._exchanges[joint]
         if self.now_ns - exchange.sent_ns < self._patience_ns:
             return
-        if not exchange.ask.answered or exchange.tries >= TRIES:
+        if not exchange.question.answered or exchange.tries >= TRIES:
             self._advance(joint, None)
             return
         self._repeat(joint)
@@ -209,12 +185,4 @@ class Conversation:
         exchange = self._exchanges[joint]
         exchange.tries += 1
         exchange.sent_ns = self.now_ns
-        exchange.packets.clear()
-        self._say(joint, exchange.ask)
-
-
-def _is_refusal(data: bytes, function: int) -> bool:
-    """`func E2 6B`, `func EE 6B` or `00 EE 6B`."""
-    if len(data) != 3 or data[2] != 0x6B:
-        return False
-    return (data[0] == function and data[1] in (0xE2, 0xEE) and function != 0x3A) or data == NOT_UNDERSTOOD
+        self._say(joint, exchange.question)

@@ -4,8 +4,9 @@ They would go on for as long as they have power, and load the bus of whoever use
 """
 
 from config.schema import ArmConfig
-from rtloop.conversation import Conversation, Dialogue, drive_addresses
+from rtloop.conversation import Conversation
 from rtloop.drives import zdt_talk
+from rtloop.drives.zdt_ask import ZdtDialogue, addressed, zdt_addresses
 from rtloop.port import ServicePort
 from shm.words import Fault
 
@@ -15,7 +16,8 @@ class Farewell(Conversation):
 
     def __init__(self, arm: ArmConfig, port: ServicePort, *, now_ns: int) -> None:
         super().__init__(arm, port, now_ns, fault=Fault.NONE)
-        self.begin({joint: self._end_reports() for joint in drive_addresses(arm)} if arm.bus.reported else {})
+        reporting = zdt_addresses(arm) if arm.bus.reported else {}
+        self.begin({joint: addressed(address, self._end_reports()) for joint, address in reporting.items()})
 
-    def _end_reports(self) -> Dialogue:
+    def _end_reports(self) -> ZdtDialogue:
         yield from zdt_talk.set_reports(0)

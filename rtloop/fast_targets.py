@@ -19,9 +19,10 @@ from config.derived import silence_acc_byte
 from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION, ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.conversation import TRIES, Ask, Dialogue, TalkFailed
+from rtloop.conversation import TRIES, TalkFailed
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
+from rtloop.drives.zdt_ask import Ask, ZdtDialogue
 from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
 
@@ -43,7 +44,7 @@ def beside(pulses: int) -> int:
     return pulses + (PULSES_BESIDE if pulses >= 0 else -PULSES_BESIDE)
 
 
-def prepare(arm: ArmConfig, joint: int, drive: ZdtDrive, version: Version) -> Dialogue:
+def prepare(arm: ArmConfig, joint: int, drive: ZdtDrive, version: Version) -> ZdtDialogue:
     """See that `FC` means an absolute target to the drive, then set its speed and ramp; raises TalkFailed."""
     config = arm.joints[joint]
     if version.firmware < registers.FAST_FIRMWARE:

@@ -7,7 +7,7 @@ from rtloop import status as status_bits
 from rtloop.drives import families
 from rtloop.modes import is_limp
 from rtloop.wire import outgoing, received
-from rtloop.wire.frame_kinds import EXTENDED, frame_bits
+from rtloop.wire.outgoing import frame_bits
 from shm.jit import jit
 from shm.words import Mode
 
@@ -32,10 +32,10 @@ def encode(loop: Loop, shared: Shared) -> None:
         if not families.is_on_the_bus(loop, joint):
             mirror(loop, joint)
         elif axis.stop_frames_due > 0:
-            if families.stop(loop, shared, joint):
+            if families.stop(loop, joint, shared):
                 axis.stop_frames_due -= 1  # comes back if the wire does not take it
         elif leads and guard.may_be_led(loop, joint):
-            families.lead(loop, shared, joint)
+            families.lead(loop, joint, shared)
     if core.mode != Mode.OFFLINE and heard:
         ask(loop, shared)
     elif core.mode != Mode.OFFLINE:
@@ -73,12 +73,12 @@ def ask(loop: Loop, shared: Shared) -> None:
         if families.is_on_the_bus(loop, joint):
             axis = loop.axes[joint]
             if params.reported == 0 or guard.report_is_asked_for(loop, joint):
-                families.ask_position(loop, shared, joint)
+                families.ask_position(loop, joint, shared)
             if axis.unanswered_since_ns == 0:
                 axis.unanswered_since_ns = core.now_ns
     core.status_turn = (core.status_turn + 1) % params.joint_count
     if families.is_on_the_bus(loop, core.status_turn):
-        families.ask_status(loop, shared, core.status_turn)
+        families.ask_status(loop, core.status_turn, shared)
         if core.unheeded_since_ns == 0:
             core.unheeded_since_ns = core.now_ns
 
@@ -92,7 +92,7 @@ def probe(loop: Loop, shared: Shared) -> None:
     core.probed_ns = core.now_ns
     core.probe_turn = (core.probe_turn + 1) % params.joint_count
     if families.is_on_the_bus(loop, core.probe_turn):
-        families.ask_position(loop, shared, core.probe_turn)
+        families.ask_position(loop, core.probe_turn, shared)
 
 
 @jit
@@ -109,10 +109,10 @@ def send_service_frames(loop: Loop, shared: Shared) -> None:
             break
         for _ in range(packets):
             order = loop.service_in.records[service.inbox_slot(loop)]
-            joint = loop.joint_at[order.id >> 8]
-            stops = joint if joint >= 0 and families.is_stop(loop, joint, order.data) else -1
-            outgoing.send(loop, shared, order.id, EXTENDED, order.length, order.data, order.joined, stops)
+            joint = order.joint
+            stops = joint if joint >= 0 and families.is_stop(loop, joint, order.id, order.data) else -1
+            outgoing.send(loop, shared, order.id, order.frame_kind, order.length, order.data, order.joined, stops)
             if joint >= 0:
-                families.note_what_was_said(loop, joint, order.data)
-            core.service_credit_bits -= frame_bits(EXTENDED, order.length)
+                families.note_what_was_said(loop, joint, order.id, order.data)
+            core.service_credit_bits -= frame_bits(order.frame_kind, order.length)
             service.inbox_done(loop)

@@ -20,17 +20,19 @@ from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION, FULL_STEPS_PER_REVO
 from config.gripper import HIGHEST_UNLIMITED_MA, MOVING_POLL_HZ, RESTING_POLL_HZ
 from config.schema import ArmConfig
 from motion.gripping import Grip, GripJudge, stall_ns
-from rtloop.conversation import TRIES, Ask, Conversation, Dialogue
+from rtloop.conversation import TRIES, Conversation
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
+from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
 from rtloop.drives.zdt_talk import AGREEING, Answered
 from rtloop.port import Frame, ServicePort
+from rtloop.state import GRIPPER
 from shm import layout
 from shm.gripper import show_gripper
 from shm.sentences import grip_trouble_sentence
 from shm.words import Fault, GripTrouble, Request
 
-ONLY = 0
+ONLY = GRIPPER
 """The conversation's only drive."""
 AFTER_TROUBLE_NS = 1_000_000_000
 HELD_RAD = 0.02
@@ -78,7 +80,6 @@ class GripperTalk(Conversation):
         assert arm.gripper is not None and arm.gripper.servo is not None
         self._gripper, self._servo = arm.gripper, arm.gripper.servo
         super().__init__(arm, port, now_ns, fault=Fault.NONE)
-        self._addresses = {ONLY: self._servo.address}
         self._core = loop[0]["core"]
         self._state = state
         self._tell = tell
@@ -104,12 +105,12 @@ class GripperTalk(Conversation):
         return int(self._shown["grip"]) == Grip.MOVING
 
     def _received(self) -> list[Frame]:
-        return self._port.received(self._servo.address)
+        return self.port.received(of_gripper=True)
 
     def _goes_on(self) -> bool:
         """Always: a turn follows a turn."""
         if self.now_ns >= self._next_ns or self._waits:
-            self.begin({ONLY: self._turn()})
+            self.begin({ONLY: addressed(self._servo.address, self._turn())})
         return True
 
     # --- orders
@@ -142,7 +143,7 @@ class GripperTalk(Conversation):
 
     # --- a turn
 
-    def _turn(self) -> Dialogue:
+    def _turn(self) -> ZdtDialogue:
         order = None
         try:
             if not self._known:
@@ -182,7 +183,7 @@ class GripperTalk(Conversation):
         self._shown["monotonic_ns"] = self.now_ns
         show_gripper(self._state, self._shown)
 
-    def _get_to_know(self) -> Dialogue:
+    def _get_to_know(self) -> ZdtDialogue:
         """What would make its motion wrong; it may be another drive than before."""
         version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
         if version is None:
@@ -206,7 +207,7 @@ class GripperTalk(Conversation):
 
     # --- what it is asked
 
-    def _obey(self, order: Order) -> Dialogue:
+    def _obey(self, order: Order) -> ZdtDialogue:
         self._judge = None
         if order.kind == Request.GRIP_HOME:
             yield from self._home(order)
@@ -218,7 +219,7 @@ class GripperTalk(Conversation):
             yield from self._limit_current(order.effort)
             yield from self._set_off(order.angle_rad)
 
-    def _make_able(self) -> Dialogue:
+    def _make_able(self) -> ZdtDialogue:
         """Let a drive that has let go hold again: who commands a motion wants that. A lost count stays lost."""
         flags = yield from self._flags()
         if flags & registers.POWER_LOST:
@@ -238,7 +239,7 @@ class GripperTalk(Conversation):
             flags = yield from self._flags()
         raise _Trouble(GripTrouble.DISABLED)
 
-    def _limit_current(self, effort: float) -> Dialogue:
+    def _limit_current(self, effort: float) -> ZdtDialogue:
         """Push no harder than is wished; without a wish, as hard as the drive was found to."""
         if self._servo.nm_per_ampere is None:
             return
@@ -255,7 +256,7 @@ class GripperTalk(Conversation):
         if wanted_ma != self._limit_ma:
             raise _Trouble(GripTrouble.CURRENT, wanted_ma)
 
-    def _set_off(self, angle_rad: float) -> Dialogue:
+    def _set_off(self, angle_rad: float) -> ZdtDialogue:
         """Command the motion until the drive says that its target is this one: a frame may be lost."""
         position_rad = yield from self._position_rad()
         self._require_inside(position_rad)
@@ -279,7 +280,7 @@ class GripperTalk(Conversation):
         self._shown["target_rad"] = angle_rad
         self._recover(Grip.MOVING)
 
-    def _hold(self) -> Dialogue:
+    def _hold(self) -> ZdtDialogue:
         """Let it stand where it is, so that it neither moves nor pushes."""
         for _ in range(TRIES):
             target = yield from self._counts(registers.ASK_TARGET, before=(registers.STOP,))
@@ -290,7 +291,7 @@ class GripperTalk(Conversation):
 
     # --- its homing run
 
-    def _home(self, order: Order) -> Dialogue:
+    def _home(self, order: Order) -> ZdtDialogue:
         """Let the drive find its stop, which is its count 0; an order that comes meanwhile ends that."""
         self._recover(Grip.MOVING)
         self._shown["order"], self._shown["measured_ns"] = order.sequence, 0
@@ -329,7 +330,7 @@ class GripperTalk(Conversation):
 
     # --- where it is
 
-    def _look(self) -> Dialogue:
+    def _look(self) -> ZdtDialogue:
         position_rad = yield from self._position_rad()
         heard_ns, trouble = self.now_ns, GripTrouble.NONE
         self._turns += 1
@@ -366,7 +367,7 @@ class GripperTalk(Conversation):
             yield from self._hold()  # it has arrived, and pushes against something just before its target
         return GripTrouble.NONE
 
-    def _measure_effort(self, nm_per_ampere: float) -> Dialogue:
+    def _measure_effort(self, nm_per_ampere: float) -> ZdtDialogue:
         current_ma = registers.number_of((yield Ask(registers.ASK_CURRENT, (4,))), registers.ASK_CURRENT, 2)
         self._shown["measured_effort"] = math.nan if current_ma is None else current_ma * 1e-3 * nm_per_ampere
 

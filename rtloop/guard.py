@@ -123,6 +123,10 @@ def check_measured(loop: Loop, shared: Shared) -> None:
                 latch_fault(loop, shared, Fault.REFERENCE_LOST, joint, 0.0, 0.0)
                 continue
             latch_fault(loop, shared, Fault.DRIVE_FAULT, joint, float(axis.status), 0.0)
+        timeout_ns = loop.joints[joint].status_timeout_ns
+        if timeout_ns > 0 and core.now_ns - axis.status_ns > timeout_ns:
+            axis.status |= status_bits.COMMUNICATION
+            latch_fault(loop, shared, Fault.DRIVE_FAULT, joint, float(axis.status), 0.0)
         if axis.refusals >= REFUSALS_TO_BELIEVE:
             latch_fault(loop, shared, Fault.DRIVE_FAULT, joint, float(axis.status), 0.0)
         error = agreed_error_rad(axis)
@@ -173,6 +177,7 @@ def take_status(loop: Loop, joint: int, status: int) -> None:
     if axis.power_loss_known == 1:
         status &= ~status_bits.POWER_LOST
     axis.status = status | status_bits.ANSWERED
+    axis.status_ns = loop.core.now_ns
     axis.status_readings += 1
     bad = status & (status_bits.PROTECTED | status_bits.POWER_LOST) != 0 or status & status_bits.ENABLED == 0
     axis.bad_statuses = axis.bad_statuses + 1 if bad else 0
@@ -198,17 +203,24 @@ def stop_if_it_was_away(loop: Loop, joint: int, waited_ns: int) -> None:
     A bring-up that somebody has asked for meanwhile has forgotten how long the drive was away: then its first reading.
     """
     axis = loop.axes[joint]
-    lost = loop.core.mode == Mode.FAULT or outlives_a_clear(axis.unreferenced_reason)
+    lost = loop.core.mode == Mode.FAULT or outlives_a_clear(loop, joint)
     away = axis.readings == 0 or waited_ns > loop.params.stale_fault_ns
     if axis.referenced == 0 and lost and away:
         axis.stop_frames_due = STOP_FRAMES
 
 
 @jit
-def outlives_a_clear(reason: int) -> bool:
-    """Whether a joint stays unreferenced although the drive looks sound again: clearing a fault never references."""
-    doubtful = reason == Unreferenced.POSITION_JUMP or reason == Unreferenced.NOT_HOMED or reason == Unreferenced.MOVED
-    return doubtful or reason == Unreferenced.POWER_LOST or reason == Unreferenced.SILENT
+def outlives_a_clear(loop: Loop, joint: int) -> bool:
+    """Whether a joint stays unreferenced although the drive looks sound again: clearing a fault never references.
+
+    What an absolute encoder tells means an angle whatever happened, unless its readings themselves were in doubt.
+    """
+    reason = loop.axes[joint].unreferenced_reason
+    if reason == Unreferenced.POSITION_JUMP or reason == Unreferenced.NOT_HOMED or reason == Unreferenced.INCREMENTAL:
+        return True
+    if loop.joints[joint].knows_its_angle == 1:
+        return False
+    return bool(reason == Unreferenced.MOVED or reason == Unreferenced.POWER_LOST or reason == Unreferenced.SILENT)
 
 
 @jit

@@ -3,6 +3,7 @@
 from typing import Any
 
 from rtloop import guard
+from rtloop.state import QUESTIONS
 from shm.jit import jit
 
 Loop = Any  # record of dtype rtloop.state.LOOP
@@ -27,6 +28,36 @@ def hear_position(loop: Loop, joint: int, position_rad: float, time_ns: int) -> 
     axis.heard = 1
     axis.heard_rad = position_rad
     axis.heard_ns = time_ns - delay_ns
+
+
+@jit
+def note_question(loop: Loop, joint: int) -> None:
+    """A drive was asked for its position: an answer to come is no report."""
+    loop.axes[joint].questions = min(loop.axes[joint].questions + 1, QUESTIONS)
+
+
+@jit
+def hear_velocity(loop: Loop, joint: int, velocity_rad_s: float) -> None:
+    """Keep the joint's velocity as its drive measures it."""
+    loop.axes[joint].told_velocity_rad_s = velocity_rad_s
+
+
+@jit
+def hear_effort(loop: Loop, joint: int, effort_nm: float) -> None:
+    """Keep the torque at the joint."""
+    loop.axes[joint].effort_nm = effort_nm
+
+
+@jit
+def hear_temperature(loop: Loop, joint: int, temperature_c: float) -> None:
+    """Keep the highest temperature that the drive tells of itself."""
+    loop.axes[joint].temperature_c = temperature_c
+
+
+@jit
+def hear_voltage(loop: Loop, joint: int, voltage_v: float) -> None:
+    """Keep the drive's supply."""
+    loop.axes[joint].voltage_v = voltage_v
 
 
 @jit

@@ -11,7 +11,6 @@ from rtloop.drives import families
 from rtloop.faults import latch_fault
 from rtloop.recorder import marks_of, record_frame
 from rtloop.state import (
-    ADDRESSES,
     CAN_FRAME_BYTES,
     GRIPPER,
     HISTORY_SLOTS,
@@ -22,7 +21,7 @@ from rtloop.state import (
     WIRE_SOCKETCAN,
 )
 from rtloop.wire import can_errors, can_frame, received, slcan
-from rtloop.wire.frame_kinds import EXTENDED, frame_bits
+from rtloop.wire.outgoing import frame_bits
 from shm.jit import jit
 from shm.layout import MAX_JOINTS
 from shm.words import BusState, Fault, Mode
@@ -134,15 +133,23 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, kind: int, length: int
     shared.counters.frames_received += 1
     shared.counters.bits_on_bus += frame_bits(kind, length)
     record_frame(loop, shared, time_ns, frame_id, marks_of(kind), length, data)
-    address = frame_id >> 8
-    if kind != EXTENDED or address >= ADDRESSES or loop.joint_at[address] == NOBODY:
+    joint = whose(loop, frame_id, kind)
+    if joint == NOBODY:
         return
-    joint = loop.joint_at[address]
     core.unheard_frames = 0
-    service.hand_out(loop, frame_id, length, data, time_ns)
-    if joint == GRIPPER:
-        return
-    families.hear(loop, shared, joint, frame_id, length, data, time_ns)
+    service.hand_out(loop, joint, frame_id, kind, length, data, time_ns)
+    if joint != GRIPPER:
+        families.hear(loop, joint, shared, frame_id, kind, length, data, time_ns)
+
+
+@jit
+def whose(loop: Loop, frame_id: int, kind: int) -> int:
+    """The joint whose drive says such a frame, GRIPPER or NOBODY."""
+    for number in range(loop.params.listener_count):
+        listener = loop.listeners[number]
+        if (frame_id ^ listener.match) & listener.mask == 0 and kind == listener.kind:
+            return int(listener.joint)
+    return NOBODY
 
 
 @jit

@@ -1,5 +1,6 @@
 """Orders of the conversation in ordinary Python: how bring-up tells the cycle where the joints stand."""
 
+import math
 from typing import Any
 
 from rtloop import intake, port, service
@@ -78,12 +79,14 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
         axis.referenced = 0
-        if not outlives_a_clear(axis.unreferenced_reason):
+        if not outlives_a_clear(loop, joint):
             axis.unreferenced_reason = Unreferenced.NOT_BROUGHT_UP
         axis.readings = axis.status_readings = axis.bad_statuses = axis.doubted = axis.refusals = 0
         axis.lag_ns = axis.fast_ready = 0
         axis.status = 0
         axis.unanswered_since_ns = 0
+        axis.status_ns = core.now_ns
+        axis.told_velocity_rad_s = axis.effort_nm = axis.temperature_c = axis.voltage_v = math.nan
 
 
 @jit
@@ -123,7 +126,7 @@ def adopt(loop: Loop, joint: int, position_rad: float, reason: int) -> None:
         axis.measured_ns = loop.core.now_ns
     axis.slip_rad = axis.lag_rad = axis.error_before_rad = axis.velocity_error_before_rad_s = 0.0
     axis.error_acceleration_rad_s2 = axis.error_acceleration_before_rad_s2 = 0.0
-    if reason == Unreferenced.POWER_LOST or not outlives_a_clear(axis.unreferenced_reason):
+    if reason == Unreferenced.POWER_LOST or not outlives_a_clear(loop, joint):
         axis.unreferenced_reason = reason
     axis.referenced = 1 if axis.unreferenced_reason == Unreferenced.REFERENCED else 0
     if axis.referenced == 1:  # any other is stopped before it is led again

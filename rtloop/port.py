@@ -6,12 +6,12 @@ sends meanwhile to `service_out`. The cycle's side is `rtloop.service`.
 """
 
 from collections import deque
-from collections.abc import Collection
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from rtloop.state import LOOP, SERVICE_SLOTS, offset_of
+from rtloop.state import GRIPPER, LOOP, NOBODY, SERVICE_SLOTS, offset_of
+from rtloop.wire.frame_words import EXTENDED
 
 SEND = 1  # send a CAN frame
 ADOPT = 2  # joint stands at `value`; code = Unreferenced reason (0: referenced)
@@ -36,6 +36,10 @@ class Frame(NamedTuple):
     id: int
     data: bytes
     time_ns: int = 0
+    kind: int = EXTENDED
+    """Bits of `rtloop.wire.frame_words`."""
+    joint: int = NOBODY
+    """Whose drive says it or is told it."""
 
 
 class Words(Protocol):
@@ -51,19 +55,27 @@ class Words(Protocol):
 class ServicePort:
     """Ordinary Python's end of the rings; from one thread.
 
-    One conversation at a time with the joints' drives, and beside it one with each drive that is set `aside`.
+    One conversation at a time with the joints' drives, and beside it one with the gripper's.
     """
 
-    def __init__(self, loop: np.ndarray, words: Words, aside: Collection[int] = ()) -> None:
-        """`aside` are addresses of drives that are no joint's."""
+    def __init__(self, loop: np.ndarray, words: Words) -> None:
         self._record = loop[0]
         self._address = int(loop.ctypes.data)
         self._words = words
-        self._heard: dict[int | None, deque[Frame]] = {whose: deque(maxlen=SERVICE_SLOTS) for whose in (None, *aside)}
+        self._heard_of_joints: deque[Frame] = deque(maxlen=SERVICE_SLOTS)
+        self._heard_of_gripper: deque[Frame] = deque(maxlen=SERVICE_SLOTS)
 
     def zero_rad(self, joint: int) -> float:
         """What the joint's angle is counted from; another than the arm file's where a person said where it stands."""
         return float(self._record["joints"][joint]["zero_rad"])
+
+    def reading_per_rad(self, joint: int) -> float:
+        """What the joint's drive tells for a radian, the joint's direction in it."""
+        return float(self._record["joints"][joint]["reading_per_rad"])
+
+    def reading_step_rad(self, joint: int) -> float:
+        """The least that two of the joint's readings can differ."""
+        return float(self._record["joints"][joint]["reading_step_rad"])
 
     def referenced(self, joint: int) -> bool:
         """Whether the joint's count is known to mean an angle."""
@@ -111,6 +123,8 @@ class ServicePort:
         record["joined"] = int(joined)
         if frame is not None:
             record["id"] = frame.id
+            record["frame_kind"] = frame.kind
+            record["joint"] = frame.joint
             record["length"] = len(frame.data)
             record["data"] = int.from_bytes(frame.data.ljust(8, b"\0"), "little", signed=True)
         self._words.store_word(self._address + IN + WRITTEN, written + 1)
@@ -121,18 +135,19 @@ class ServicePort:
         written, taken = self._counts(IN)
         return SERVICE_SLOTS - (written - taken)
 
-    def received(self, address: int | None = None) -> list[Frame]:
-        """Every frame handed out since the last call that is from this drive set aside, or from none of those."""
+    def received(self, of_gripper: bool = False) -> list[Frame]:
+        """Every frame handed out since the last call that is from a joint's drive, or from the gripper's."""
         written, taken = self._counts(OUT)
         for number in range(taken, written):
             record = self._record["service_out"]["records"][number % SERVICE_SLOTS]
             data = int(record["data"]).to_bytes(8, "little", signed=True)[: int(record["length"])]
-            frame = Frame(int(record["id"]), data, int(record["time_ns"]))
-            whose = frame.id >> 8
-            self._heard[whose if whose in self._heard else None].append(frame)
+            joint = int(record["joint"])
+            frame = Frame(int(record["id"]), data, int(record["time_ns"]), int(record["frame_kind"]), joint)
+            (self._heard_of_gripper if joint == GRIPPER else self._heard_of_joints).append(frame)
             self._words.store_word(self._address + OUT + TAKEN, number + 1)
-        frames = list(self._heard[address])
-        self._heard[address].clear()
+        heard = self._heard_of_gripper if of_gripper else self._heard_of_joints
+        frames = list(heard)
+        heard.clear()
         return frames
 
     def _counts(self, ring_at: int) -> tuple[int, int]:

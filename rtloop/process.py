@@ -1,5 +1,6 @@
 """The control process around the cycle: memory files, wire, threads, bring-up, orderly end."""
 
+import math
 import signal
 import threading
 import time
@@ -11,6 +12,7 @@ from config.budget import check_budget
 from config.loader import arm_hash
 from config.schema import ArmConfig
 from rtloop import realtime, saved
+from rtloop.beginning import new_loop, show_limits
 from rtloop.bringup import BringUp
 from rtloop.compiled import CompiledCycle
 from rtloop.conversation import Conversation, TalkFailed
@@ -19,7 +21,7 @@ from rtloop.gripper import GripperTalk
 from rtloop.port import HOME_ALL, ServicePort
 from rtloop.referencing import Referencing, referencing_asked_for
 from rtloop.release import Release
-from rtloop.state import new_loop, offset_of, show_limits
+from rtloop.state import offset_of
 from rtloop.wire.opening import close_wire, keeps_frames, lost_bytes, open_wire
 from rtloop.wire.refusal import WireRefused
 from shm import files
@@ -93,8 +95,7 @@ class ControlProcess:
         try:
             self._loop = new_loop(arm, self._files.state.address, self._files.command.address)
             self._open_wire()
-            servo = None if arm.gripper is None else arm.gripper.servo
-            self._port = ServicePort(self._loop, compiled, aside=() if servo is None else (servo.address,))
+            self._port = ServicePort(self._loop, compiled)
             self._gripper: GripperTalk | None = None
             show_limits(self._files.state.record["limits"], self._loop)
             arrays = (self._loop, self._files.state.array, self._files.command.array)
@@ -130,11 +131,9 @@ class ControlProcess:
 
     def _save_positions(self) -> None:
         """After an orderly end: the drives hold the arm, or it is limp and may be moved."""
-        joints, axes = self._loop[0]["joints"], self._loop[0]["axes"]
+        axes = self._loop[0]["axes"]
         counts = {
-            joint: round(
-                float((axes[joint]["measured_rad"] + joints[joint]["zero_rad"]) * joints[joint]["counts_per_rad"])
-            )
+            joint: self._steps(joint)
             for joint in range(len(self._arm.joints))
             if axes[joint]["referenced"] == 1 and axes[joint]["readings"] > 0
         }
@@ -142,6 +141,12 @@ class ControlProcess:
             saved.save(self._arm, counts)
         except saved.NotSaved as problem:
             self._tell(str(problem))
+
+    def _steps(self, joint: int) -> int:
+        """Where the joint stands, in steps of what its drive tells."""
+        row, axis = self._loop[0]["joints"][joint], self._loop[0]["axes"][joint]
+        step_rad = math.copysign(row["reading_step_rad"], row["reading_per_rad"])
+        return round(float((axis["measured_rad"] + row["zero_rad"]) / step_rad))
 
     def serve_offline(self, work: Callable[[ServicePort, Callable[[], None]], None]) -> int:
         """Do `work` beside a cycle that stays offline: nothing is brought up, and the cycle itself moves nothing.

@@ -9,7 +9,7 @@ that only the recorder's few words are summed again.
 from typing import Any
 
 from rtloop.state import LOOP, offset_of
-from rtloop.wire.frame_kinds import EXTENDED, REMOTE
+from rtloop.wire.frame_words import EXTENDED, REMOTE
 from shm import layout, recording
 from shm.atomics import load_relaxed, store_relaxed, store_release
 from shm.jit import jit
@@ -90,7 +90,7 @@ def record_cycle(loop: Loop, shared: Shared) -> None:
 
 @jit
 def marks_of(kind: int) -> int:
-    """A frame's kind (`rtloop.wire.frame_kinds`) as it is recorded."""
+    """A frame's kind (`rtloop.wire.frame_words`) as it is recorded."""
     marks = recording.EXTENDED if kind & EXTENDED else 0
     return marks | recording.REMOTE if kind & REMOTE else marks
 

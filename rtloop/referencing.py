@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -15,9 +16,11 @@ from config.drives.zdt import ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop import fast_targets, reports
-from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, drive_addresses, silent_amid
+from rtloop.conversation import TRIES, Conversation, Dialogue, TalkFailed, silent_amid
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
+from rtloop.drives.setup import joints_on_the_bus
+from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
 from rtloop.drives.zdt_talk import AGREEING
 from rtloop.port import ADOPT, COUNT_FROM, FAST_READY, REFERENCING, REFERENCING_DONE, ServicePort
 from rtloop.saved import NotSaved
@@ -28,6 +31,8 @@ AT_STOP_RAD = 0.02
 ELSEWHERE_RAD = 0.1
 """A joint whose angle was known before stops within this of its stop, or something was in its way."""
 STANDS_TRIES = 8
+FRESH_NS = 100_000_000
+"""A reading is not older than that where a drive answers."""
 LATE_S = 1.0
 
 
@@ -86,12 +91,13 @@ class Referencing(Conversation):
         self._keep_lost_beyond = keep_lost
         self._again = again
         self._ending = False
-        with_drive = drive_addresses(arm)
+        with_drive = joints_on_the_bus(arm)
         for joint in sorted({*homed, *placed} - set(with_drive)):  # what is commanded is where it is
-            self._count_from(joint, arm.joints[joint].zero_rad, self._port.commanded_rad(joint))
-        self._later: list[tuple[int, Callable[[int], Dialogue]]]
-        self._later = [(joint, self._home) for joint in homed if joint in with_drive]
-        self._later += [(joint, self._place_at(angle)) for joint, angle in placed.items() if joint in with_drive]
+            self._count_from(joint, arm.joints[joint].zero_rad, self.port.commanded_rad(joint))
+        self._later = [(joint, partial(self._home, joint)) for joint in homed if joint in with_drive]
+        self._later += [
+            (joint, partial(self._place, joint, angle)) for joint, angle in placed.items() if joint in with_drive
+        ]
 
     def end(self) -> None:
         """Stop what is under way; a joint amid its run stays without a reference. All is over once its drive stands."""
@@ -102,22 +108,54 @@ class Referencing(Conversation):
         for joint in list(self._dialogues):
             self._exchanges.pop(joint, None)
             self._dialogues.pop(joint).close()
-            self.begin({joint: self._give_up(joint)})
+            drive = self.arm.joints[joint].drive
+            if isinstance(drive, ZdtDrive):
+                self.begin({joint: addressed(drive.address, self._give_up(joint))})
 
     def _goes_on(self) -> bool:
         if not self._later:
             return False
         joint, dialogue = self._later.pop(0)
-        self.begin({joint: dialogue(joint)})
+        self.begin({joint: dialogue()})
         return True
+
+    def _home(self, joint: int) -> Dialogue:
+        """Let the drive find its stop; one whose encoder is absolute need not."""
+        config = self.arm.joints[joint]
+        if isinstance(config.drive, ZdtDrive):
+            return (yield from addressed(config.drive.address, self._home_zdt(joint)))
+        if not config.drive.knows_its_angle:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} has no homing run of its own: look where the joint stands, `rtarm "
+                "clear-fault`, and say its angle with `rtarm reference`.",
+            )
+        self._tell(f"{config.name}: its drive knows its angle, so there is nothing to home.")
+
+    def _place(self, joint: int, angle_rad: float) -> Dialogue:
+        """Take a person's word for where the joint stands, or NaN for what it reads."""
+        drive = self.arm.joints[joint].drive
+        if isinstance(drive, ZdtDrive):
+            return (yield from addressed(drive.address, self._place_zdt(joint, angle_rad)))
+        if self.now_ns - self.port.measured_ns(joint) > FRESH_NS:
+            raise TalkFailed(joint, silent_amid(self.arm.joints[joint], "position"))
+        self.post(REFERENCING, joint=joint)
+        zero_rad, measured_rad = self.port.zero_rad(joint), self.port.measured_rad(joint)
+        if not math.isnan(angle_rad):
+            self._keep_lost(joint, Unreferenced.NOT_HOMED if drive.knows_its_angle else None)
+            zero_rad += measured_rad - angle_rad
+            measured_rad = angle_rad
+        elif zero_rad == self.arm.joints[joint].zero_rad:
+            self._keep_lost(joint, None)
+        self._count_from(joint, zero_rad, measured_rad)
 
     # --- a homing run
 
-    def _home(self, joint: int) -> Dialogue:
+    def _home_zdt(self, joint: int) -> ZdtDialogue:
         config, limit_s = self.arm.joints[joint], self.arm.homing.timeout_s
         self._tell(f"{config.name}: homing; the drive runs to its stop by itself, for {limit_s:g} s at most.")
         flags = yield from self._sound(joint, config)
-        expected_rad = -config.zero_rad if self._port.referenced(joint) else None
+        expected_rad = -config.zero_rad if self.port.referenced(joint) else None
         mark_ms = zdt_talk.homing_mark_ms(round(limit_s * 1e3), self.now_ns)
         if not (yield from zdt_talk.set_homing_timeout(mark_ms)):
             raise TalkFailed(
@@ -146,7 +184,7 @@ class Referencing(Conversation):
         self._count_from(joint, zero_rad, config.direction * target / config.encoder_counts_per_rad - zero_rad)
         self._tell(f"{config.name}: homed.")
 
-    def _begin_run(self, joint: int, config: JointConfig) -> Dialogue:
+    def _begin_run(self, joint: int, config: JointConfig) -> ZdtDialogue:
         if (yield from zdt_talk.begin_homing()):
             return
         raise TalkFailed(
@@ -182,7 +220,7 @@ class Referencing(Conversation):
                 last = newest  # the drive has still been homing after it was read, so it had not set its count anew
                 newest = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
 
-    def _judge(self, joint: int, config: JointConfig, stopped: int, expected_rad: float | None) -> Dialogue:
+    def _judge(self, joint: int, config: JointConfig, stopped: int, expected_rad: float | None) -> ZdtDialogue:
         """Whether the drive counts 0, and stopped about where its stop is known to be."""
         flags = yield from zdt_talk.status_of(joint, config)
         measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
@@ -193,7 +231,7 @@ class Referencing(Conversation):
                 "protection, so it has not found its stop: see that it can reach it and that its homing parameters "
                 f"fit, then {self._again}.",
             )
-        stopped_rad = config.direction * stopped / config.encoder_counts_per_rad - self._port.zero_rad(joint)
+        stopped_rad = config.direction * stopped / config.encoder_counts_per_rad - self.port.zero_rad(joint)
         if expected_rad is not None and abs(stopped_rad - expected_rad) > ELSEWHERE_RAD:
             raise TalkFailed(
                 joint,
@@ -202,7 +240,7 @@ class Referencing(Conversation):
                 "which then takes whatever stops it for its stop.",
             )
 
-    def _require_mark(self, joint: int, config: JointConfig, mark_ms: int) -> Dialogue:
+    def _require_mark(self, joint: int, config: JointConfig, mark_ms: int) -> ZdtDialogue:
         parameters = yield from zdt_talk.read_homing()
         if parameters is None or parameters.timeout_ms != mark_ms:
             raise TalkFailed(
@@ -211,7 +249,7 @@ class Referencing(Conversation):
                 f"to its supply, then {self._again}.",
             )
 
-    def _stand(self, joint: int) -> Dialogue:
+    def _stand(self, joint: int) -> ZdtDialogue:
         """End whatever run there is, and see that it has ended."""
         config = self.arm.joints[joint]
         seen = 0
@@ -228,7 +266,7 @@ class Referencing(Conversation):
             "switch in the power line if it does.",
         )
 
-    def _clear_power_lost(self, joint: int, config: JointConfig) -> Dialogue:
+    def _clear_power_lost(self, joint: int, config: JointConfig) -> ZdtDialogue:
         """The count means an angle again; only then may the flag go that said it does not."""
         for _ in range(TRIES):
             yield Ask(registers.CLEAR_POWER_LOST, (3,))
@@ -242,32 +280,27 @@ class Referencing(Conversation):
 
     # --- a person's word
 
-    def _place_at(self, angle_rad: float) -> Callable[[int], Dialogue]:
-        def place(joint: int) -> Dialogue:
-            self.post(REFERENCING, joint=joint)
-            config = self.arm.joints[joint]
-            flags = yield from self._sound(joint, config)
-            yield from self._set_up(joint, config)
-            target = yield from self._standing(joint, config)
-            zero_rad = self._port.zero_rad(joint)
-            counts_nowhere = flags & registers.POWER_LOST and not self._port.power_loss_known(joint)
-            if math.isnan(angle_rad) and counts_nowhere:
-                self._tell(
-                    f"{config.name}: its drive has lost power, so what it counts is no angle: say where it stands."
-                )
-                self._count_from(joint, zero_rad, self._port.commanded_rad(joint), Unreferenced.POWER_LOST)
-                return
-            if math.isnan(angle_rad):
-                if zero_rad == config.zero_rad:
-                    self._keep_lost(joint, None)  # the next process counts from there too
-            else:
-                self._keep_lost(joint, Unreferenced.NOT_HOMED)  # what is said is known to this process alone
-                measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
-                zero_rad = config.direction * measured / config.encoder_counts_per_rad - angle_rad
-            position_rad = config.direction * target / config.encoder_counts_per_rad - zero_rad
-            self._count_from(joint, zero_rad, position_rad, flag_stays=bool(flags & registers.POWER_LOST))
-
-        return place
+    def _place_zdt(self, joint: int, angle_rad: float) -> ZdtDialogue:
+        self.post(REFERENCING, joint=joint)
+        config = self.arm.joints[joint]
+        flags = yield from self._sound(joint, config)
+        yield from self._set_up(joint, config)
+        target = yield from self._standing(joint, config)
+        zero_rad = self.port.zero_rad(joint)
+        counts_nowhere = flags & registers.POWER_LOST and not self.port.power_loss_known(joint)
+        if math.isnan(angle_rad) and counts_nowhere:
+            self._tell(f"{config.name}: its drive has lost power, so what it counts is no angle: say where it stands.")
+            self._count_from(joint, zero_rad, self.port.commanded_rad(joint), Unreferenced.POWER_LOST)
+            return
+        if math.isnan(angle_rad):
+            if zero_rad == config.zero_rad:
+                self._keep_lost(joint, None)  # the next process counts from there too
+        else:
+            self._keep_lost(joint, Unreferenced.NOT_HOMED)  # what is said is known to this process alone
+            measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
+            zero_rad = config.direction * measured / config.encoder_counts_per_rad - angle_rad
+        position_rad = config.direction * target / config.encoder_counts_per_rad - zero_rad
+        self._count_from(joint, zero_rad, position_rad, flag_stays=bool(flags & registers.POWER_LOST))
 
     # --- both
 
@@ -277,13 +310,13 @@ class Referencing(Conversation):
         except NotSaved as problem:
             raise TalkFailed(joint, str(problem)) from None
 
-    def _give_up(self, joint: int) -> Dialogue:
+    def _give_up(self, joint: int) -> ZdtDialogue:
         """What `end` does to a joint's turn; one whose angle is still known is led on."""
         yield from self._stand(joint)
-        if self._port.referenced(joint):
+        if self.port.referenced(joint):
             yield from self._set_up(joint, self.arm.joints[joint])
 
-    def _set_up(self, joint: int, config: JointConfig) -> Dialogue:
+    def _set_up(self, joint: int, config: JointConfig) -> ZdtDialogue:
         """Tell a drive anew what leading it rests on, and see it: gone with its power.
 
         Nobody notices that a drive is switched off and on while its count means no angle.
@@ -296,7 +329,7 @@ class Referencing(Conversation):
         if version is None:
             raise TalkFailed(joint, silent_amid(config, "firmware"))
         if self.arm.bus.reported:
-            yield from reports.begin(self.arm, self._port, joint, version)
+            yield from reports.begin(self.arm, self.port, joint, version)
         if self.arm.bus.fast_targets:
             yield from fast_targets.prepare(self.arm, joint, drive, version)
             self.post(FAST_READY, joint=joint)

@@ -4,8 +4,9 @@ Reports go with the power of a drive, like all that stands in its volatile memor
 """
 
 from config.schema import ArmConfig
-from rtloop.conversation import Dialogue, TalkFailed
+from rtloop.conversation import TalkFailed
 from rtloop.drives import zdt_talk
+from rtloop.drives.zdt_ask import ZdtDialogue
 from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
 from rtloop.port import ServicePort
@@ -21,7 +22,7 @@ SPACING = (0.75, 1.35)
 with (`config.budget`), and slower ones are missing too often (`rtloop.guard`)."""
 
 
-def begin(arm: ArmConfig, port: ServicePort, joint: int, version: Version) -> Dialogue:
+def begin(arm: ArmConfig, port: ServicePort, joint: int, version: Version) -> ZdtDialogue:
     """Have a drive report its position, and see that it does; raises TalkFailed.
 
     Whether `11` is acknowledged by a drive whose acknowledgements are off is not documented, so silence is no refusal.

@@ -36,13 +36,15 @@ def pass_on(loop: Loop, ring_at: int, word: int) -> None:
 
 
 @jit
-def hand_out(loop: Loop, frame_id: int, length: int, data: int, time_ns: int) -> None:
-    """Cycle side: give a received frame to ordinary Python; dropped when it does not listen."""
+def hand_out(loop: Loop, joint: int, frame_id: int, kind: int, length: int, data: int, time_ns: int) -> None:
+    """Cycle side: give ordinary Python a frame of a joint's drive, or the gripper's; dropped when nobody listens."""
     if not room(loop, OUT):
         return
     record = loop.service_out.records[next_slot(loop, OUT, WRITTEN)]
     record.kind = SEND
     record.id = frame_id
+    record.frame_kind = kind
+    record.joint = joint
     record.length = length
     record.data = data
     record.time_ns = time_ns

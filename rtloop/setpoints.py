@@ -76,7 +76,7 @@ def hold_measured(loop: Loop) -> None:
     for joint in range(loop.params.joint_count):
         axis, row = loop.axes[joint], loop.joints[joint]
         if axis.referenced == 1 and row.family != FAMILY_MOCK:
-            dither = STILL_COUNTS / abs(row.counts_per_rad) / (loop.params.period_ns * 1e-9)
+            dither = STILL_COUNTS * row.reading_step_rad / (loop.params.period_ns * 1e-9)
             still = abs(axis.measured_velocity_rad_s) < max(STILL_SHARE * row.max_velocity_rad_s, dither)
             seen = axis.measured_ns >= core.rebase_ns + 2 * loop.params.period_ns
             if not (seen and still) and core.now_ns - core.rebase_ns < REBASE_PATIENCE_NS:

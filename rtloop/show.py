@@ -67,8 +67,11 @@ def show(loop: Loop, shared: Shared) -> None:
         shown.commanded_velocity_rad_s = axis.velocity_rad_s
         shown.commanded_acceleration_rad_s2 = axis.acceleration_rad_s2
         shown.measured_position_rad = axis.measured_rad
-        shown.measured_velocity_rad_s = axis.measured_velocity_rad_s
-        shown.measured_effort = math.nan
+        told = axis.told_velocity_rad_s
+        shown.measured_velocity_rad_s = told if math.isfinite(told) else axis.measured_velocity_rad_s
+        shown.measured_effort = axis.effort_nm
+        shown.drive_temperature_c = axis.temperature_c
+        shown.drive_voltage_v = axis.voltage_v
         shown.measured_ns = axis.measured_ns
         shown.reference_position_rad = axis.reference_rad
         shown.reference_velocity_rad_s = axis.reference_velocity_rad_s

@@ -5,19 +5,10 @@ end of a cycle. One record instead of objects keeps the compiled cycle free of a
 something that can be copied, compared and replayed.
 """
 
-import math
-
 import numpy as np
 
-from config.derived import braking_deceleration_rad_s2, silence_acc_byte
-from config.drives.zdt import ZdtDrive
-from config.frames import frame_bits
-from config.joint import JointConfig
-from config.schema import ArmConfig
-from motion import stopping
 from shm import layout
 from shm.layout import MAX_JOINTS
-from shm.words import Mode, Unreferenced
 
 WINDOW_KNOTS = 4096
 """Knots the loop keeps of a trajectory: at least its stopping distance at any sensible spacing."""
@@ -34,9 +25,9 @@ CAN_FRAME_BYTES = 16
 """`struct can_frame`; the receive ring holds a whole number of them."""
 TX_FRAMES = TX_BYTES // CAN_FRAME_BYTES
 RX_FRAMES = READ_BYTES // CAN_FRAME_BYTES
-ADDRESSES = 256
+LISTENERS = 4 * MAX_JOINTS + 4
 NOBODY, GRIPPER = -1, -2
-"""In `joint_at`: addresses whose answers are no joint's; those of a gripper belong to its conversation."""
+"""Whose frame it is, where it is no joint's; those of a gripper's drive belong to its conversation."""
 CANCELED_SLOTS = 16
 """Goals in a row that can be canceled before the loop has seen any of them; a power of two."""
 BLEND_SAMPLES = 32
@@ -47,20 +38,18 @@ WIRE_SOCKETCAN = 2
 WIRES = {"mock": WIRE_MOCK, "slcan": WIRE_SLCAN, "socketcan": WIRE_SOCKETCAN}
 
 FAMILY_MOCK = 0
-FAMILY_ZDT = 1
+"""A joint's family is its place among `config.joint.FAMILIES`, whose first is no drive at all."""
 
-SERIAL_BITS_PER_CHARACTER = 10
 SLCAN_LONGEST_LINE = 27
 ADAPTER_FRAMES = 64
 """Frames that an adapter is taken to hold back while nobody on the bus acknowledges any."""
 QUESTIONS = 2
 """Questions for one drive's position that are taken to be open at most: an answer may come a cycle late, or never."""
-REPLY_PROCESSING_NS = 300_000
-"""Time a ZDT drive is assumed to take from a request to its answer (unproven on hardware)."""
 
 PARAMS = np.dtype(
     [
         ("joint_count", "i8"),
+        ("listener_count", "i8"),
         ("homing_mask", "i8"),  # joints of the arm's homing run
         ("period_ns", "i8"),
         ("wire", "i8"),
@@ -92,9 +81,11 @@ JOINT_PARAMS = np.dtype(
     [
         ("family", "i8"),
         ("address", "i8"),
-        ("pulses_per_rad", "f8"),  # signed: the joint's direction is in it
-        ("counts_per_rad", "f8"),  # likewise
+        ("command_per_rad", "f8"),  # what the drive is told (ZDT: pulses) for a radian; the joint's direction is in it
+        ("reading_per_rad", "f8"),  # what it tells (ZDT: encoder counts), likewise
+        ("reading_step_rad", "f8"),  # the least that two readings can differ
         ("zero_rad", "f8"),
+        ("knows_its_angle", "i8"),  # 1: what it tells means an angle as soon as it has power
         ("lower_rad", "f8"),
         ("upper_rad", "f8"),
         ("slack_rad", "f8"),  # what rounding to pulses and counts may put a joint at its limit beyond it
@@ -102,6 +93,8 @@ JOINT_PARAMS = np.dtype(
         ("max_acceleration_rad_s2", "f8"),
         ("silence_deceleration_rad_s2", "f8"),
         ("acc_byte", "i8"),
+        ("status_timeout_ns", "i8"),  # within which a drive says its status by itself, 0 where it is asked
+        ("effort_per_unit", "f8"),  # torque at the joint (Nm) for one of what the drive tells, 0 = it tells none
         ("rpm_per_rad_s", "f8"),
         ("command_delay_s", "f8"),  # from the start of the cycle until its target has reached the drive
         ("reply_delay_ns", "i8"),  # from the drive's reading of its encoder until the reply has arrived
@@ -146,7 +139,12 @@ AXIS = np.dtype(
         ("refusals", "i8"),  # of motion commands since the last sound status
         # the oldest question for a position without a believable answer, or since when a report is waited for; 0 none
         ("unanswered_since_ns", "i8"),
+        ("told_velocity_rad_s", "f8"),  # as the drive measures it; NaN where it does not, as the next three
+        ("effort_nm", "f8"),
+        ("temperature_c", "f8"),
+        ("voltage_v", "f8"),
         ("status", "i8"),
+        ("status_ns", "i8"),  # when a drive that says its status by itself has done so last
         ("status_readings", "i8"),
         ("referenced", "i8"),
         ("unreferenced_reason", "i8"),
@@ -296,6 +294,7 @@ FRAME = np.dtype(
     [
         ("kind", "i8"),
         ("id", "i8"),
+        ("frame_kind", "i8"),  # bits of rtloop.wire.frame_words
         ("length", "i8"),
         ("joined", "i8"),  # 1: the next record must leave in the same cycle (packets of one command)
         ("data", "i8"),  # eight bytes, the first lowest
@@ -370,12 +369,22 @@ RECEIVED = np.dtype(
     ]
 )
 
+LISTENER = np.dtype(
+    [
+        # frames whose identifier has the bits of `match` where `mask` has ones
+        ("match", "i8"),
+        ("mask", "i8"),
+        ("kind", "i8"),  # of the frame, bits of rtloop.wire.frame_words
+        ("joint", "i8"),  # or GRIPPER
+    ]
+)
+
 LOOP = np.dtype(
     [
         ("params", PARAMS),
         ("stop", "i8"),  # both threads look at it, so it stands with what nobody writes
         ("joints", JOINT_PARAMS, (MAX_JOINTS,)),
-        ("joint_at", "i8", (ADDRESSES,)),  # drive address → joint, NOBODY or GRIPPER
+        ("listeners", LISTENER, (LISTENERS,)),  # who hears which frames
         ("core", CORE),
         ("axes", AXIS, (MAX_JOINTS,)),
         ("paths", PATH, (2,)),
@@ -394,7 +403,7 @@ LOOP = np.dtype(
         ("tx_ends", "i8", (TX_FRAMES,)),  # byte behind each frame
         ("tx_joined", "u1", (TX_FRAMES,)),  # 1: the next frame belongs to the same command
         ("tx_ids", "i8", (TX_FRAMES,)),
-        ("tx_kinds", "u1", (TX_FRAMES,)),  # bits of rtloop.wire.frame_kinds
+        ("tx_kinds", "u1", (TX_FRAMES,)),  # bits of rtloop.wire.frame_words
         ("tx_stops", "i1", (TX_FRAMES,)),  # joint whose stop command it is, -1 for none
         ("tx_sizes", "i8", (TX_FRAMES,)),  # data bytes of each frame
         ("tx_data", "i8", (TX_FRAMES,)),  # the first byte lowest
@@ -417,118 +426,3 @@ def offset_of(dtype: np.dtype, *path: str) -> int:
         dtype, here = dtype.fields[name][:2]
         at += here
     return at
-
-
-def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.ndarray:
-    """The state of a control process that has not run a cycle yet, shape (1,), dtype LOOP.
-
-    The addresses are those of mapped memory of dtypes layout.STATE and layout.COMMAND, which must outlive it.
-    """
-    loop = np.zeros(1, LOOP)
-    params, core = loop[0]["params"], loop[0]["core"]
-    params["address"] = loop.ctypes.data
-    params["state_address"] = state_address
-    params["command_address"] = command_address
-    _fill_params(params, arm)
-    loop[0]["wire"]["fd"] = loop[0]["wire"]["fd_in_use"] = -1
-    lay_out_messages(loop[0]["tx_messages"], loop[0]["tx_parts"], loop[0]["tx"])
-    reader = loop[0]["reader"]
-    lay_out_messages(reader["messages"], reader["parts"], reader["bytes"])
-    loop[0]["joint_at"][:] = NOBODY
-    if arm.gripper is not None and arm.gripper.servo is not None:
-        loop[0]["joint_at"][arm.gripper.servo.address] = GRIPPER
-        params["has_gripper"] = 1
-        params["gripper_lower_rad"], params["gripper_upper_rad"] = arm.gripper.lower_rad, arm.gripper.upper_rad
-    for index, joint in enumerate(arm.joints):
-        _fill_joint(loop[0]["joints"][index], joint, arm, index)
-        if isinstance(joint.drive, ZdtDrive):
-            loop[0]["joint_at"][joint.drive.address] = index
-        axis = loop[0]["axes"][index]
-        axis["unreferenced_reason"] = Unreferenced.NOT_BROUGHT_UP
-        axis["measured_rad"] = math.nan
-        axis["reference_rad"] = math.nan
-    core["mode"] = Mode.OFFLINE
-    core["fault_joint"] = core["referencing_joint"] = -1
-    core["ending_joint"] = -1
-    core["rate"] = core["rate_target"] = core["speed_scale"] = core["entry_rate"] = 1.0
-    return loop
-
-
-def show_limits(limits: np.void, loop: np.ndarray) -> None:
-    """Say in the state file (a record of dtype layout.LIMITS) what the arm may do."""
-    params, joints = loop[0]["params"], loop[0]["joints"]
-    for name in layout.LIMITS.names or ():
-        if name in (PARAMS.names or ()):
-            limits[name] = params[name]
-    for name in ("lower_rad", "upper_rad", "max_velocity_rad_s", "max_acceleration_rad_s2"):
-        limits["joints"][name] = joints[name]
-    limits["joints"]["drive_address"] = joints["address"]
-
-
-def lay_out_messages(messages: np.ndarray, parts: np.ndarray, data: np.ndarray) -> None:
-    """Prepare a batch of messages once: the only part of each is its CAN frame in `data`."""
-    parts["address"] = data.ctypes.data + CAN_FRAME_BYTES * np.arange(len(parts))
-    parts["length"] = CAN_FRAME_BYTES
-    messages["parts"] = parts.ctypes.data + PART.itemsize * np.arange(len(parts))
-    messages["part_count"] = 1
-
-
-def longest_stop_s(arm: ArmConfig) -> float:
-    """Duration within which every stop on the path ends, whatever the arm is doing."""
-    slowest_s = max(joint.max_velocity_rad_s / joint.max_acceleration_rad_s2 for joint in arm.joints)
-    return stopping.longest_s(slowest_s, arm.limits.braking_factor)
-
-
-def _fill_params(params: np.void, arm: ArmConfig) -> None:
-    limits = arm.limits
-    period_ns = arm.control.period_ns
-    params["joint_count"] = len(arm.joints)
-    params["period_ns"] = period_ns
-    params["homing_mask"] = sum(1 << joint for joint in arm.homing_order)
-    params["wire"] = WIRES[arm.bus.interface]
-    for name in ("start_tolerance_rad", "velocity_margin", "acceleration_margin", "braking_factor"):
-        params[name] = getattr(limits, name)
-    params["following_error_rad"] = limits.following_error_rad
-    params["position_jump_rad"] = limits.position_jump_rad
-    reported = arm.bus.reported
-    reading_ns = arm.control.report_period_ms * 1_000_000 if reported else period_ns
-    params["stale_brake_ns"] = max(round(limits.stale_brake_s * 1e9), 3 * reading_ns)
-    params["stale_fault_ns"] = max(round(limits.stale_fault_s * 1e9), 4 * reading_ns)
-    params["reported"] = reported
-    params["fast_targets"] = arm.bus.fast_targets
-    params["reading_ns"] = reading_ns
-    params["report_overdue_ns"] = max(2 * period_ns, reading_ns + period_ns // 2)
-    params["front_timeout_ns"] = round(limits.front_timeout_s * 1e9)
-    params["longest_stop_s"] = longest_stop_s(arm)
-    params["service_bits"] = round(arm.bus.bitrate * period_ns * 1e-9 * 0.95)
-
-
-def _fill_joint(row: np.void, joint: JointConfig, arm: ArmConfig, index: int) -> None:
-    row["zero_rad"] = joint.zero_rad
-    row["lower_rad"], row["upper_rad"] = joint.lower_rad, joint.upper_rad
-    row["slack_rad"] = joint.command_pulse_rad + joint.encoder_count_rad
-    row["max_velocity_rad_s"] = joint.max_velocity_rad_s
-    row["max_acceleration_rad_s2"] = joint.max_acceleration_rad_s2
-    row["silence_deceleration_rad_s2"] = joint.max_acceleration_rad_s2 * arm.limits.silence_brake_factor
-    row["rpm_per_rad_s"] = joint.ratio * 60.0 / (2.0 * math.pi)
-    row["pulses_per_rad"] = joint.direction * joint.command_pulses_per_rad
-    row["counts_per_rad"] = joint.direction * joint.encoder_counts_per_rad
-    if isinstance(joint.drive, ZdtDrive):
-        row["family"] = FAMILY_ZDT
-        row["address"] = joint.drive.address
-        row["acc_byte"] = silence_acc_byte(joint, arm.limits)
-        row["silence_deceleration_rad_s2"] = braking_deceleration_rad_s2(joint, int(row["acc_byte"]))
-        bit_s = 1.0 / arm.bus.bitrate
-        command_bits = frame_bits(True, 6) if arm.bus.fast_targets else frame_bits(True, 8) + frame_bits(True, 5)
-        row["command_delay_s"] = (index + 1) * command_bits * bit_s + _character_s(arm) * SLCAN_LONGEST_LINE
-        reply_s = frame_bits(True, 7) * bit_s + _character_s(arm) * (SLCAN_LONGEST_LINE - 2)
-        row["reply_delay_ns"] = round(reply_s * 1e9) + REPLY_PROCESSING_NS
-        row["report_delay_ns"] = round(reply_s * 1e9)
-    else:
-        row["family"] = FAMILY_MOCK
-
-
-def _character_s(arm: ArmConfig) -> float:
-    """Time of one character on the serial line; a USB device's is not worth counting."""
-    baud = arm.bus.serial_baud
-    return 0.0 if baud == "cdc" else SERIAL_BITS_PER_CHARACTER / float(baud)

@@ -337,6 +337,12 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
         "Old firmware does not tell that it has lost power, and nobody watched meanwhile.",
         "Look at the joint; `rtarm reference` it if it stands where it reads, home it if not.",
     ),
+    Unreferenced.INCREMENTAL: Meaning(
+        "The drive of {joint} counts from where it was switched on, so its angle is not known: say where it stands "
+        "with `rtarm reference`.",
+        "An incremental encoder knows how far it has turned, not where it is.",
+        "Look at the joint and say its angle (`rtarm reference JOINT=DEGREES`).",
+    ),
     Unreferenced.OUTSIDE_LIMITS: Meaning(
         "{joint} stands outside its limits, so its count or its zero must be wrong: home it with `rtarm home`, or say "
         "where it stands with `rtarm reference`; if it comes back, check zero_deg, direction and limits in the arm "

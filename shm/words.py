@@ -140,6 +140,7 @@ class Unreferenced(IntEnum):
     OUTSIDE_LIMITS = 6
     NOT_HOMED = 7  # its homing run has not ended, or not where it should
     MOVED = 8  # it does not stand where it stood when rtarm was ended
+    INCREMENTAL = 9  # its drive counts from where it was switched on, and nobody has said where that is
 
 
 class DriveStatus(IntFlag):
@@ -151,6 +152,13 @@ class DriveStatus(IntFlag):
     PROTECTED = 8
     POWER_LOST = 16
     ANSWERED = 32  # at least one reading since bring-up
+    # why the drive has an error, where it tells
+    OVER_CURRENT = 64
+    OVER_VOLTAGE = 128
+    UNDER_VOLTAGE = 256
+    OVER_TEMPERATURE = 512
+    ENCODER = 1024
+    COMMUNICATION = 2048
 
 
 class Event(IntEnum):

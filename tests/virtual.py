@@ -16,13 +16,13 @@ import numpy as np
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rtloop import entries
+from rtloop.beginning import new_loop, show_limits
 from rtloop.bringup import BringUp
 from rtloop.cycle import step
 from rtloop.gripper import GripperTalk
 from rtloop.port import ServicePort
 from rtloop.referencing import Referencing, referencing_asked_for
 from rtloop.release import Release
-from rtloop.state import new_loop, show_limits
 from rtloop.wire import outgoing, received
 from shm import layout
 from shm.client import CommandWriter, StateReader
@@ -83,8 +83,7 @@ class VirtualArm:
         show_limits(self.state.record["limits"], self.loop)
         self.reader = StateReader(self.state)
         self.writer = CommandWriter(self.command)
-        servo = None if self.arm.gripper is None else self.arm.gripper.servo
-        self.port = ServicePort(self.loop, entries, aside=() if servo is None else (servo.address,))
+        self.port = ServicePort(self.loop, entries)
         self.gripper: GripperTalk | None = None
         self.now_ns = START_NS
         self.suspended_ns = 0

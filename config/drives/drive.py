@@ -17,6 +17,8 @@ class Drive(Section):
     """One of its drives, in sentences."""
     highest_motor_rpm: ClassVar[float]
     """Highest speed that may be asked of a motor (rpm)."""
+    processing_s: ClassVar[float] = 300e-6
+    """Time it is assumed to take from a request to its answer (unproven on hardware)."""
     stepper_ramp: ClassVar[bool] = False
     """Whether its ramp is a byte of each command, as in `config.ramp`."""
 
@@ -58,8 +60,12 @@ class Drive(Section):
         """What it hears and says on the bus."""
         return ()
 
-    def each_cycle(self, bus: BusConfig) -> tuple[CycleFrames, ...]:
-        """Frames of this drive in every control cycle, at most."""
+    def commands(self, bus: BusConfig) -> tuple[CycleFrames, ...]:
+        """Frames that lead it in a control cycle, with what it answers to them."""
+        return ()
+
+    def readings(self, bus: BusConfig) -> tuple[CycleFrames, ...]:
+        """Frames of a control cycle that tell where it is."""
         return ()
 
     def in_turn(self, bus: BusConfig) -> tuple[CycleFrames, ...]:

@@ -71,10 +71,13 @@ class OdriveDrive(Drive):
         """All commands of its node: requests and answers share them."""
         return (standard(self.node_id << _COMMAND_BITS, mask=0x3F << _COMMAND_BITS, from_drive=True),)
 
-    def each_cycle(self, bus: BusConfig) -> tuple[CycleFrames, ...]:
-        """Position with velocity ahead (0C), and the encoder's estimates (09) by remote request."""
+    def commands(self, bus: BusConfig) -> tuple[CycleFrames, ...]:
+        """Position with velocity ahead (0C)."""
+        return (CycleFrames("ODrive position command", 1, 8, from_host=True, extended=False),)
+
+    def readings(self, bus: BusConfig) -> tuple[CycleFrames, ...]:
+        """The encoder's estimates (09), by remote request."""
         return (
-            CycleFrames("ODrive position command", 1, 8, from_host=True, extended=False),
             CycleFrames("ODrive estimates request", 1, 0, from_host=True, extended=False, remote=True),
             CycleFrames("ODrive estimates", 1, 8, from_host=False, extended=False),
         )

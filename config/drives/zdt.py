@@ -110,14 +110,8 @@ class ZdtDrive(Drive):
         """The packets of its address: requests and answers share them."""
         return zdt_identifiers(self.address)
 
-    def each_cycle(self, bus: BusConfig) -> tuple[CycleFrames, ...]:
-        """A target and a position reading.
-
-        The position command FD has 13 bytes and goes out as frames of 8 and 5 bytes, FC has 6; either is answered with
-        3 where it is acknowledged. Reading the position (36) is 2 bytes out and 7 back. Reported positions come
-        unasked, with the same 7 bytes and at the drives' own clocks; their period is longer than a cycle
-        (`ControlConfig.report_period_ms`), so one of each drive is the most that a cycle meets.
-        """
+    def commands(self, bus: BusConfig) -> tuple[CycleFrames, ...]:
+        """A target: FD has 13 bytes and goes out as frames of 8 and 5 bytes, FC has 6; 3 acknowledge either."""
         commands: tuple[CycleFrames, ...] = (
             CycleFrames("position command, first part", 1, 8, from_host=True),
             CycleFrames("position command, second part", 1, 5, from_host=True),
@@ -125,9 +119,17 @@ class ZdtDrive(Drive):
         if bus.fast_targets:
             commands = (CycleFrames("position command", 1, 6, from_host=True),)
         acknowledgements = (CycleFrames("command acknowledged", 1, 3, from_host=False),) if bus.acknowledge else ()
+        return (*commands, *acknowledgements)
+
+    def readings(self, bus: BusConfig) -> tuple[CycleFrames, ...]:
+        """The position (36), 2 bytes out and 7 back.
+
+        Reported positions come unasked, with the same 7 bytes and at the drives' own clocks; their period is longer
+        than a cycle (`ControlConfig.report_period_ms`), so one of each drive is the most that a cycle meets.
+        """
         requests = () if bus.reported else (CycleFrames("position request", 1, 2, from_host=True),)
         told = "position report" if bus.reported else "position reply"
-        return (*commands, *acknowledgements, *requests, CycleFrames(told, 1, 7, from_host=False))
+        return (*requests, CycleFrames(told, 1, 7, from_host=False))
 
     def in_turn(self, bus: BusConfig) -> tuple[CycleFrames, ...]:
         """The status (3A), 2 bytes out and 3 back."""

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from rtarm.scan.wires import Frame, SlcanWire, Wire
-from rtloop.conversation import NOT_UNDERSTOOD, split_packets
 from rtloop.drives import zdt_registers as registers
+from rtloop.drives.zdt_ask import NOT_UNDERSTOOD, split_packets
 
 BITRATES = (500_000, 1_000_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000)
 """In the order in which they are tried: drives leave the factory with the first."""

@@ -13,9 +13,10 @@ from typing import Generic, TypeVar
 from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION, ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.conversation import TRIES, Ask, Conversation, Dialogue, TalkFailed, silent_amid
+from rtloop.conversation import TRIES, Conversation, TalkFailed, silent_amid
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
+from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed, zdt_addresses
 from rtloop.drives.zdt_talk import Answered
 from rtloop.port import ServicePort
 from shm.words import Fault
@@ -58,9 +59,10 @@ class OneDrive(Conversation, Generic[Result]):
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP)
         self.result: Result | None = None
         self.problem: TalkFailed | None = None
-        self.begin({joint: self._have(dialogue(Drive(arm, joint, lambda: self.now_ns)))})
+        talk = self._have(dialogue(Drive(arm, joint, lambda: self.now_ns)))
+        self.begin({joint: addressed(zdt_addresses(arm)[joint], talk)})
 
-    def _have(self, dialogue: Generator[Ask, bytes | None, Result]) -> Dialogue:
+    def _have(self, dialogue: Generator[Ask, bytes | None, Result]) -> ZdtDialogue:
         try:
             self.result = yield from dialogue
         except TalkFailed as problem:

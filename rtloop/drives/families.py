@@ -1,16 +1,41 @@
-"""Families of drives, as the cycle sees them: one line a family in each of these functions.
+"""Families of drives, as the cycle sees them: a family's file has these functions for its own drives.
 
-A family's file has these functions for its own drives. A mock drive says nothing and hears nothing.
+Each of them becomes one function for all families, which looks at the joint's; what `config.joint.FAMILIES` names is
+found here by its name. A mock drive says nothing and hears nothing.
 """
 
+import importlib
+from collections.abc import Callable
 from typing import Any
 
-from rtloop.drives import zdt
-from rtloop.state import FAMILY_MOCK, FAMILY_ZDT
+from config.joint import FAMILIES
+from rtloop.drives import mock
+from rtloop.state import FAMILY_MOCK
 from shm.jit import jit
 
 Loop = Any  # record of dtype rtloop.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
+
+
+def _by_family(name: str) -> Any:
+    """The function of this name for a joint of any family; its arguments begin with the loop, and end with the joint's.
+
+    A chain of comparisons, which the compiler makes one function of.
+    """
+    chosen: Callable[..., Any] = getattr(mock, name)
+    for number, family in enumerate(FAMILIES):
+        if number != FAMILY_MOCK:
+            chosen = _either(number, getattr(importlib.import_module(f"rtloop.drives.{family}"), name), chosen)
+    return chosen
+
+
+def _either(number: int, does: Callable[..., Any], otherwise: Callable[..., Any]) -> Callable[..., Any]:
+    @jit
+    def choose(loop: Loop, joint: int, *rest: Any) -> Any:
+        if loop.joints[joint].family == number:
+            return does(loop, joint, *rest)
+        return otherwise(loop, joint, *rest)
+
+    return choose
 
 
 @jit
@@ -19,50 +44,17 @@ def is_on_the_bus(loop: Loop, joint: int) -> bool:
     return bool(loop.joints[joint].family != FAMILY_MOCK)
 
 
-@jit
-def lead(loop: Loop, shared: Shared, joint: int) -> None:
-    """Send what leads a drive through the coming period."""
-    if loop.joints[joint].family == FAMILY_ZDT:
-        zdt.lead(loop, shared, joint)
-
-
-@jit
-def stop(loop: Loop, shared: Shared, joint: int) -> bool:
-    """Tell a drive to stop where it is; False when there is no room for that."""
-    if loop.joints[joint].family == FAMILY_ZDT:
-        return bool(zdt.stop(loop, shared, joint))
-    return True
-
-
-@jit
-def ask_position(loop: Loop, shared: Shared, joint: int) -> None:
-    """Ask a drive where it is."""
-    if loop.joints[joint].family == FAMILY_ZDT:
-        zdt.ask_position(loop, shared, joint)
-
-
-@jit
-def ask_status(loop: Loop, shared: Shared, joint: int) -> None:
-    """Ask a drive how it is."""
-    if loop.joints[joint].family == FAMILY_ZDT:
-        zdt.ask_status(loop, shared, joint)
-
-
-@jit
-def is_stop(loop: Loop, joint: int, data: int) -> bool:
-    """Whether a frame to the joint's drive is the stop command."""
-    return bool(loop.joints[joint].family == FAMILY_ZDT and zdt.is_stop(data))
-
-
-@jit
-def note_what_was_said(loop: Loop, joint: int, data: int) -> None:
-    """A conversation has told a drive something among the cycle's frames."""
-    if loop.joints[joint].family == FAMILY_ZDT:
-        zdt.note_what_was_said(loop, joint, data)
-
-
-@jit
-def hear(loop: Loop, shared: Shared, joint: int, frame_id: int, length: int, data: int, time_ns: int) -> None:
-    """Take what a drive says."""
-    if loop.joints[joint].family == FAMILY_ZDT:
-        zdt.hear(loop, shared, joint, frame_id, length, data, time_ns)
+lead = _by_family("lead")
+"""(loop, joint, shared) → None: send what leads the drive through the coming period."""
+stop = _by_family("stop")
+"""(loop, joint, shared) → bool: tell the drive to stop where it is; False when there is no room for that."""
+ask_position = _by_family("ask_position")
+"""(loop, joint, shared) → None: ask the drive where it is, unless leading it has done so in this cycle."""
+ask_status = _by_family("ask_status")
+"""(loop, joint, shared) → None: ask the drive how it is."""
+is_stop = _by_family("is_stop")
+"""(loop, joint, frame_id, data) → bool: whether a frame to the drive is the stop command."""
+note_what_was_said = _by_family("note_what_was_said")
+"""(loop, joint, frame_id, data) → None: a conversation has told the drive something among the cycle's frames."""
+hear = _by_family("hear")
+"""(loop, joint, shared, frame_id, kind, length, data, time_ns) → None: take what the drive says."""

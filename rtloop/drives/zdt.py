@@ -27,9 +27,8 @@ from rtloop import hearing
 from rtloop import status as status_bits
 from rtloop.agreed import steady_error_rad
 from rtloop.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
-from rtloop.state import QUESTIONS
 from rtloop.wire import outgoing
-from rtloop.wire.frame_kinds import EXTENDED
+from rtloop.wire.frame_words import EXTENDED
 from shm.jit import jit
 from shm.words import Unreferenced
 
@@ -94,13 +93,13 @@ END_HOMING = 0x9C | (0x48 << 8) | (CHECKSUM << 16)
 @jit
 def to_pulses(loop: Loop, joint: int, position_rad: float) -> int:
     row = loop.joints[joint]
-    return round((position_rad + row.zero_rad) * row.pulses_per_rad)
+    return round((position_rad + row.zero_rad) * row.command_per_rad)
 
 
 @jit
 def to_radians(loop: Loop, joint: int, counts: int) -> float:
     row = loop.joints[joint]
-    return counts / row.counts_per_rad - row.zero_rad
+    return counts / row.reading_per_rad - row.zero_rad
 
 
 @jit
@@ -211,7 +210,7 @@ def common_status(flags: int) -> int:
 
 
 @jit
-def lead(loop: Loop, shared: Shared, joint: int) -> None:
+def lead(loop: Loop, joint: int, shared: Shared) -> None:
     """Send what leads a drive through the coming period."""
     frame_id = loop.joints[joint].address << 8
     if loop.params.fast_targets == 1:
@@ -223,7 +222,7 @@ def lead(loop: Loop, shared: Shared, joint: int) -> None:
 
 
 @jit
-def stop(loop: Loop, shared: Shared, joint: int) -> bool:
+def stop(loop: Loop, joint: int, shared: Shared) -> bool:
     """Tell a drive to stop where it is; False when there is no room for that."""
     frame_id = loop.joints[joint].address << 8
     if loop.axes[joint].unreferenced_reason == Unreferenced.NOT_HOMED:
@@ -233,37 +232,33 @@ def stop(loop: Loop, shared: Shared, joint: int) -> bool:
 
 
 @jit
-def ask_position(loop: Loop, shared: Shared, joint: int) -> None:
+def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
     if outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_POSITION):
-        note_question(loop, joint)
+        hearing.note_question(loop, joint)
 
 
 @jit
-def ask_status(loop: Loop, shared: Shared, joint: int) -> None:
+def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
     outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_STATUS)
 
 
 @jit
-def is_stop(data: int) -> bool:
+def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
     """Whether a frame's data are the stop command."""
-    return data == STOP
+    return bool(data == STOP)
 
 
 @jit
-def note_what_was_said(loop: Loop, joint: int, data: int) -> None:
+def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
     """A conversation has told a drive something in the cycle's frames: a question of its own will be answered."""
     if data == READ_POSITION:
-        note_question(loop, joint)
+        hearing.note_question(loop, joint)
 
 
 @jit
-def note_question(loop: Loop, joint: int) -> None:
-    """An answer to come is no report."""
-    loop.axes[joint].questions = min(loop.axes[joint].questions + 1, QUESTIONS)
-
-
-@jit
-def hear(loop: Loop, shared: Shared, joint: int, frame_id: int, length: int, data: int, time_ns: int) -> None:
+def hear(
+    loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
+) -> None:
     """Take what a drive says."""
     kind, value = decode(frame_id & 255, length, data)
     if kind == POSITION:

@@ -7,8 +7,9 @@ from dataclasses import replace
 from typing import TypeVar
 
 from config.joint import JointConfig
-from rtloop.conversation import TRIES, Ask, TalkFailed, silent_amid
+from rtloop.conversation import TRIES, TalkFailed, silent_amid
 from rtloop.drives import zdt_registers as registers
+from rtloop.drives.zdt_ask import Ask
 from rtloop.drives.zdt_registers import Block, HomingParameters
 
 AGREEING = 2

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from config.schema import ArmConfig
-from rtloop.conversation import NOT_UNDERSTOOD, TRIES, Ask, Conversation, Dialogue
+from rtloop.conversation import TRIES, Conversation, Question
 from rtloop.drives import zdt_registers as registers
+from rtloop.drives.zdt_ask import NOT_UNDERSTOOD, Ask, ZdtDialogue, ZdtQuestion, addressed, zdt_addresses
 from rtloop.drives.zdt_registers import Block, HomingParameters, Trip, Version
 from rtloop.drives.zdt_talk import Answered, read_block, read_counts, read_flags, read_homing, read_watchdog
 from rtloop.port import Frame, ServicePort
@@ -64,10 +65,11 @@ class ReadSettings(Conversation):
 
     def __init__(self, arm: ArmConfig, port: ServicePort, *, now_ns: int) -> None:
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP)
-        self.found: dict[int, Reading] = {joint: Reading() for joint in self._addresses}
-        self.begin({joint: self._read(reading) for joint, reading in self.found.items()})
+        self.found: dict[int, Reading] = {joint: Reading() for joint in zdt_addresses(arm)}
+        addresses = zdt_addresses(arm)
+        self.begin({joint: addressed(addresses[joint], self._read(found)) for joint, found in self.found.items()})
 
-    def _read(self, found: Reading) -> Dialogue:
+    def _read(self, found: Reading) -> ZdtDialogue:
         found.version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
         if found.version is None:
             return
@@ -82,16 +84,15 @@ class ReadSettings(Conversation):
         found.rpm = registers.signed_of((yield Ask(registers.ASK_SPEED, (5,))), registers.ASK_SPEED, 2)
         found.position_counts = yield from read_counts(registers.ASK_POSITION)
 
-    def _say(self, joint: int, ask: Ask) -> None:
-        if ask.payload == registers.ASK_FIRMWARE:
+    def _say(self, joint: int, question: Question) -> None:
+        if isinstance(question, ZdtQuestion) and question.ask.payload == registers.ASK_FIRMWARE:
             self.found[joint].questions += 1
-        super()._say(joint, ask)
+        super()._say(joint, question)
 
     def _hear(self, frame: Frame) -> None:
         """Besides what is asked for: signs of a drive that speaks another language, or of two at one address."""
-        for joint, found in self.found.items():
-            if frame.id >> 8 == self._addresses[joint] and frame.id & 0xFF == 0 and len(frame.data) > 2:
-                self._note(found, frame.data)
+        if frame.joint in self.found and frame.id & 0xFF == 0 and len(frame.data) > 2:
+            self._note(self.found[frame.joint], frame.data)
         super()._hear(frame)
 
     @staticmethod
@@ -127,9 +128,9 @@ class WriteSettings(Conversation):
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP)
         self.problem: str | None = None
         """Why it cannot be said that the drive has what it was told, after its name; None if it has."""
-        self.begin({joint: self._write(block, watchdog_ms, store)})
+        self.begin({joint: addressed(zdt_addresses(arm)[joint], self._write(block, watchdog_ms, store))})
 
-    def _write(self, block: Block | None, watchdog_ms: int | None, store: bool) -> Dialogue:
+    def _write(self, block: Block | None, watchdog_ms: int | None, store: bool) -> ZdtDialogue:
         if block is not None:
             answer = yield Ask(registers.write_block(block, store=store), (3,), answered=False)
             self.problem = yield from self._read_back(answer, read_block, block)

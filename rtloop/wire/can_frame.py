@@ -8,7 +8,7 @@ from typing import Any
 
 from rtloop.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES
 from rtloop.wire.can_words import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
-from rtloop.wire.frame_kinds import EXTENDED, REMOTE, STANDARD
+from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
 from shm.jit import jit
 
 Loop = Any
@@ -27,7 +27,7 @@ RECORD_ERROR = 3
 def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
     """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full.
 
-    `kind` is bits of `rtloop.wire.frame_kinds`.
+    `kind` is bits of `rtloop.wire.frame_words`.
     """
     core, tx = loop.core, loop.tx
     at = core.tx_length

@@ -8,8 +8,9 @@ import socket
 import struct
 from collections.abc import Sequence
 
+from config.frames import Identifiers
 from rtloop.wire.can_link import Link, can_interfaces, link_of
-from rtloop.wire.can_words import EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, WATCHED
+from rtloop.wire.can_words import EXTENDED_FLAG, REMOTE_FLAG, WATCHED
 from rtloop.wire.refusal import WireRefused
 
 RECEIVE_BYTES = 1 << 20
@@ -24,25 +25,26 @@ _CAN_RAW_ERR_FILTER = 2  # Python has no name for it
 _SO_MEMINFO = 55
 _MEMINFO_UNSENT, _MEMINFO_DROPS = 2, 8
 _FILTER = struct.Struct("=II")
-_PACKETS = 0xFF
-"""Packet number, the lowest byte of an identifier: all of a drive's are heard."""
 
 
 def open_socketcan(
-    channel: str, bitrate: int, addresses: Sequence[int], frames_per_cycle: int
+    channel: str, bitrate: int, heard: Sequence[Identifiers], frames_per_cycle: int, drives: int
 ) -> tuple[int, list[str]]:
-    """Open a CAN interface; its descriptor, non-blocking, and what is not as it should be. Raises WireRefused."""
+    """Open a CAN interface for frames that are `heard`; its descriptor, non-blocking, and what is not as it should be.
+
+    Raises WireRefused.
+    """
     link = _usable_link(channel, bitrate)
     try:
         opened = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)
     except (OSError, AttributeError):
         raise WireRefused("This system has no raw CAN sockets: load them with `sudo modprobe can_raw`.") from None
     try:
-        for option, value in filters(addresses).items():
+        for option, value in filters(heard).items():
             opened.setsockopt(socket.SOL_CAN_RAW, option, value)
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
         # Linux doubles what it is told here, for its own use.
-        held_back = frames_held_back(frames_per_cycle, len(addresses))
+        held_back = frames_held_back(frames_per_cycle, drives)
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, held_back * FRAME_MEMORY_BYTES // 2)
         opened.bind((channel,))
     except OSError as problem:
@@ -64,10 +66,15 @@ def frames_held_back(frames_per_cycle: int, drives: int) -> int:
     return CYCLES_HELD_BACK * frames_per_cycle + STOPS_HELD_BACK * drives
 
 
-def filters(addresses: Sequence[int]) -> dict[int, bytes]:
-    """The socket's options: data frames of these drives with extended identifiers, and the errors that are decoded."""
-    exactly = EXTENDED_FLAG | REMOTE_FLAG | EXTENDED_MASK & ~_PACKETS
-    passing = b"".join(_FILTER.pack(EXTENDED_FLAG | address << 8, exactly) for address in addresses)
+def filters(heard: Sequence[Identifiers]) -> dict[int, bytes]:
+    """The socket's options: data frames with identifiers that drives use, and the errors that are decoded."""
+    passing = b"".join(
+        _FILTER.pack(
+            used.match | (EXTENDED_FLAG if used.extended else 0),
+            used.mask | EXTENDED_FLAG | REMOTE_FLAG,
+        )
+        for used in heard
+    )
     return {
         socket.CAN_RAW_FILTER: passing,
         _CAN_RAW_ERR_FILTER: struct.pack("=I", WATCHED),

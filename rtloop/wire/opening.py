@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 from config.budget import cycle_frames
 from config.schema import ArmConfig
-from rtloop.conversation import drive_addresses
+from rtloop.beginning import listeners
+from rtloop.drives.setup import joints_on_the_bus
 from rtloop.state import CAN_FRAME_BYTES
 from rtloop.wire.can_socket import dropped_frames, holds_back, open_socketcan
 from rtloop.wire.tty import close_slcan, open_slcan
@@ -30,7 +31,8 @@ def open_wire(arm: ArmConfig) -> OpenWire | None:
         return OpenWire(open_slcan(bus.resolved_channel, bus.serial_baud, bus.bitrate), [])
     if bus.interface == "socketcan":
         sent = sum(frames.count for frames in cycle_frames(arm) if frames.from_host)
-        return OpenWire(*open_socketcan(bus.resolved_channel, bus.bitrate, list(drive_addresses(arm).values()), sent))
+        heard, drives = [used for used, _ in listeners(arm)], len(joints_on_the_bus(arm))
+        return OpenWire(*open_socketcan(bus.resolved_channel, bus.bitrate, heard, sent, drives))
     return None
 
 

@@ -7,16 +7,26 @@ but a frame that is half on its way, and the rest of a command that a drive has 
 
 from typing import Any
 
+from config.frames import unchecked_frame_bits
 from rtloop.recorder import SENT, marks_of, record_frame
 from rtloop.state import SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_SOCKETCAN
 from rtloop.wire import can_frame, slcan
-from rtloop.wire.frame_kinds import frame_bits
+from rtloop.wire.frame_words import EXTENDED, REMOTE
 from shm.jit import jit
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 LONGEST_FRAME_BYTES = SLCAN_LONGEST_LINE
+
+
+_data_frame_bits = jit(unchecked_frame_bits)
+
+
+@jit
+def frame_bits(kind: int, length: int) -> int:
+    """Bits of a frame on the bus, with worst-case stuffing and the three bits of interframe space."""
+    return int(_data_frame_bits(kind & EXTENDED != 0, 0 if kind & REMOTE else length))
 
 
 @jit
@@ -41,7 +51,7 @@ def send(
 def put(loop: Loop, frame_id: int, kind: int, length: int, data: int, joined: int, stops: int = -1) -> bool:
     """Append a frame as this arm's wire wants it; False when there is no room.
 
-    `kind` is bits of `frame_kinds`; `data` holds the bytes, the first lowest; `joined` is 1 where the next frame
+    `kind` is bits of `frame_words`; `data` holds the bytes, the first lowest; `joined` is 1 where the next frame
     belongs to the same command; `stops` is the joint whose stop command it is, -1 for none.
     """
     core = loop.core

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rtloop.state import LINE_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
-from rtloop.wire.frame_kinds import EXTENDED, REMOTE, STANDARD
+from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
 from shm.jit import jit
 
 Loop = Any
@@ -43,7 +43,7 @@ def hex_value(code: int) -> int:
 def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
     """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full.
 
-    `kind` is bits of `rtloop.wire.frame_kinds`.
+    `kind` is bits of `rtloop.wire.frame_words`.
     """
     core, tx = loop.core, loop.tx
     at = core.tx_length

@@ -18,9 +18,10 @@ import numpy as np
 
 from config.loader import load_arm
 from rtloop import service
+from rtloop.beginning import new_loop
 from rtloop.events import record_event
 from rtloop.port import IN, TAKEN, WRITTEN
-from rtloop.state import LOOP, RX_BYTES, RX_CHUNKS, SERVICE_SLOTS, new_loop, offset_of
+from rtloop.state import LOOP, RX_BYTES, RX_CHUNKS, SERVICE_SLOTS, offset_of
 from rtloop.wire import received
 from shm import layout
 from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release

@@ -6,8 +6,8 @@ from observer import frames_sent
 from virtual import VirtualArm, recorded_goal
 
 from config.frames import frame_bits
-from rtloop.conversation import split_packets
 from rtloop.cycle import step
+from rtloop.drives.zdt_ask import split_packets
 from rtloop.port import SEND
 from rtloop.wire import outgoing, received
 from shm.recording import SENT, read_recording
@@ -381,8 +381,8 @@ def test_the_drives_wait_for_a_coasting_arm_to_stand() -> None:
     again = VirtualArm.__new__(VirtualArm)
     again.__dict__.update(arm.__dict__)
     from rtloop import entries
+    from rtloop.beginning import new_loop
     from rtloop.port import ServicePort
-    from rtloop.state import new_loop
 
     again.loop = new_loop(arm.arm, arm.state.address, arm.command.address)
     again.port = ServicePort(again.loop, entries)

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from config.loader import load_arm
 from rtloop import run
-from rtloop.state import CAN_FRAME_BYTES, TX_FRAMES, new_loop
+from rtloop.beginning import new_loop
+from rtloop.state import CAN_FRAME_BYTES, TX_FRAMES
 from rtloop.wire import outgoing, received
 from shm import layout
 

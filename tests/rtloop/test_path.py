@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from config.loader import load_arm
 from rtloop import path
-from rtloop.state import WINDOW_KNOTS, new_loop
+from rtloop.beginning import new_loop
+from rtloop.state import WINDOW_KNOTS
 
 LOOP = new_loop(load_arm("mock"), 0, 0)
 KNOTS = st.lists(st.integers(1, 10**9), min_size=1, max_size=40).map(np.cumsum)

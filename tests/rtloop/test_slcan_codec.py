@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from config.loader import load_arm
+from rtloop.beginning import new_loop
 from rtloop.measured import take_what_the_bus_brought
-from rtloop.state import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES, new_loop
+from rtloop.state import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
 from rtloop.wire import received, slcan
 from shm import layout
 

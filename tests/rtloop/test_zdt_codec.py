@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from config.loader import load_arm
 from rtloop import status
+from rtloop.beginning import new_loop
 from rtloop.cycle import step
 from rtloop.drives import zdt
 from rtloop.measured import take_frame
-from rtloop.state import new_loop
 from shm import layout
 from shm.words import Mode
 

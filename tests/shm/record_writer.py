@@ -9,8 +9,9 @@ import threading
 from typing import Any
 
 from config.loader import load_arm
+from rtloop.beginning import new_loop
 from rtloop.recorder import record_cycle, record_frame
-from rtloop.state import LOOP, new_loop, offset_of
+from rtloop.state import LOOP, offset_of
 from shm import files, layout
 from shm.atomics import store_relaxed
 from shm.jit import jit

@@ -15,7 +15,7 @@ from virtual import private_file
 
 from config.loader import load_arm
 from rtloop import recorder
-from rtloop.state import new_loop
+from rtloop.beginning import new_loop
 from shm import files, layout, recording
 from shm.recording import frame_check, read_recording
 

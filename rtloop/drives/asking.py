@@ -1,0 +1,32 @@
+"""Questions to drives that answer in one frame: what is said, and how the answer is known."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rtloop.conversation import Packet
+from rtloop.port import Frame
+
+
+@dataclass(frozen=True)
+class AskFrames:
+    """Frames that leave together, and how to know the answer; `rtloop.conversation.Question`.
+
+    With no frames it is a question what the drive says by itself.
+    """
+
+    frames: tuple[Frame, ...]
+    is_answer: Callable[[Frame], bool]
+    answered: bool = True
+
+    def packets(self, first: bool) -> list[Packet]:
+        """What is said, the first time or again."""
+        return [(frame, number < len(self.frames) - 1) for number, frame in enumerate(self.frames)]
+
+    def hear(self, frame: Frame, last_try: bool) -> Frame | None:
+        """The frame, if it is the answer."""
+        return frame if self.is_answer(frame) else None
+
+
+def say(*frames: Frame) -> AskFrames:
+    """Frames that nothing answers."""
+    return AskFrames(frames, lambda frame: False, answered=False)

@@ -1,0 +1,47 @@
+"""No drive: nothing is sent and nothing heard; `rtloop.frames.mirror` measures what is commanded."""
+
+from typing import Any
+
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+
+@jit
+def lead(loop: Loop, joint: int, shared: Shared) -> None:
+    """Nobody is led."""
+
+
+@jit
+def stop(loop: Loop, joint: int, shared: Shared) -> bool:
+    """It stands."""
+    return True
+
+
+@jit
+def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
+    """Nobody answers."""
+
+
+@jit
+def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
+    """Nobody answers."""
+
+
+@jit
+def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
+    """Nothing is said to it."""
+    return False
+
+
+@jit
+def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
+    """Nothing was."""
+
+
+@jit
+def hear(
+    loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
+) -> None:
+    """It says nothing."""

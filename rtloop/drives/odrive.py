@@ -1,0 +1,123 @@
+"""ODrive with CANSimple in the cycle: a follower of set-points, told position and velocity in one frame.
+
+Protocol facts (firmware 0.5.6: its CAN guide and DBC file): standard identifiers, node << 5 | command, little-endian.
+0C is an input position (float turns, velocity and torque ahead as int16 of 0.001); 09 are the encoder's estimates
+(float turns, turns/s), 17 bus voltage and current, 14 motor current, each told when a remote frame asks for it; 01 is
+the heartbeat (error word, axis state), which comes by itself. Requests and answers share their identifiers.
+"""
+
+import math
+from typing import Any
+
+from rtloop import following, hearing
+from rtloop import status as status_bits
+from rtloop.drives import words
+from rtloop.drives.odrive_setup import (
+    ANSWER_BYTES,
+    BUS,
+    CLOSED_LOOP,
+    COMMANDS,
+    CURRENT,
+    ESTIMATES,
+    HEARTBEAT,
+    INPUT_POSITION,
+)
+from rtloop.wire import outgoing
+from rtloop.wire.frame_words import REMOTE, STANDARD
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+AHEAD_PER_UNIT = 1000.0
+MOST_AHEAD = 32_767
+
+
+@jit
+def identifier(loop: Loop, joint: int, command: int) -> int:
+    return int(loop.joints[joint].address << 5 | command)
+
+
+@jit
+def input_position(turns: float, turns_s: float) -> int:
+    """Data of 0C: a position, and the velocity that belongs to it."""
+    ahead = words.bounded(turns_s * AHEAD_PER_UNIT, MOST_AHEAD) & 0xFFFF
+    return words.float_word(turns) | ahead << 32
+
+
+@jit
+def lead(loop: Loop, joint: int, shared: Shared) -> None:
+    row = loop.joints[joint]
+    position_rad, velocity_rad_s = following.setpoint(loop, joint)
+    data = input_position((position_rad + row.zero_rad) * row.command_per_rad, velocity_rad_s * row.command_per_rad)
+    outgoing.send(loop, shared, identifier(loop, joint, INPUT_POSITION), STANDARD, 8, data)
+
+
+@jit
+def stop(loop: Loop, joint: int, shared: Shared) -> bool:
+    """Hold where it was last heard to be: 02, its emergency stop, would let the joint fall."""
+    row, axis = loop.joints[joint], loop.axes[joint]
+    if not math.isfinite(axis.heard_rad):
+        return True
+    data = input_position((axis.heard_rad + row.zero_rad) * row.command_per_rad, 0.0)
+    return bool(outgoing.send(loop, shared, identifier(loop, joint, INPUT_POSITION), STANDARD, 8, data, 0, joint))
+
+
+@jit
+def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
+    if outgoing.send(loop, shared, identifier(loop, joint, ESTIMATES), REMOTE, ANSWER_BYTES, 0):
+        hearing.note_question(loop, joint)
+
+
+@jit
+def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
+    """Its status comes by itself; what else it measures is asked for in turn."""
+    turn = loop.core.cycle // loop.params.joint_count
+    what = CURRENT if turn & 1 and loop.joints[joint].effort_per_unit != 0.0 else BUS
+    outgoing.send(loop, shared, identifier(loop, joint, what), REMOTE, ANSWER_BYTES, 0)
+
+
+@jit
+def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
+    """Conversations let it stand by other means."""
+    return False
+
+
+@jit
+def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
+    """What it sends unasked is counted as if it were reports; nothing depends on that."""
+
+
+@jit
+def hear(
+    loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
+) -> None:
+    row = loop.joints[joint]
+    command = frame_id & (COMMANDS - 1)
+    if length != 8:
+        return
+    first, second = words.float_at(data, 0), words.float_at(data, 4)
+    if command == ESTIMATES and math.isfinite(first) and math.isfinite(second):
+        hearing.hear_position(loop, joint, first / row.reading_per_rad - row.zero_rad, time_ns)
+        hearing.hear_velocity(loop, joint, second / row.reading_per_rad)
+    elif command == BUS and math.isfinite(first):
+        hearing.hear_voltage(loop, joint, first)
+    elif command == CURRENT and math.isfinite(second) and row.effort_per_unit != 0.0:
+        hearing.hear_effort(loop, joint, second * row.effort_per_unit)
+    elif command == HEARTBEAT:
+        hearing.hear_status(loop, joint, common_status(words.unsigned(data, 0, 4), words.unsigned(data, 4, 1)))
+
+
+@jit
+def common_status(error: int, state: int) -> int:
+    """The heartbeat's error word and axis state in common bits."""
+    status = status_bits.ENABLED if state == CLOSED_LOOP else 0
+    if error != 0:
+        status |= status_bits.PROTECTED
+    if error & (1 << 7 | 1 << 8 | 1 << 19):
+        status |= status_bits.ENCODER
+    if error & 1 << 18:
+        status |= status_bits.OVER_TEMPERATURE
+    if error & 1 << 11:
+        status |= status_bits.COMMUNICATION
+    return status

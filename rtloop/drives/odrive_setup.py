@@ -1,0 +1,191 @@
+"""Bring-up and release of an ODrive axis with CANSimple; what its frames are is said in `rtloop.drives.odrive`.
+
+What it is asked (nothing moves): its position, then its heartbeat, which says whether it has an error and whether it is
+in closed loop. An axis that is idle gets its input position put to where it stands before its loop is closed. One whose
+loop is closed gets the same, because nothing tells what its input position is, and the modes are set behind that: where
+it stood still it keeps standing, by as much as it was off its old one.
+"""
+
+import math
+import struct
+from collections.abc import Callable
+
+import numpy as np
+
+from config.drives.odrive import OdriveDrive
+from config.joint import JointConfig
+from config.schema import ArmConfig
+from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.drives.asking import AskFrames, say
+from rtloop.drives.setup import Found, Host
+from rtloop.port import Frame
+from rtloop.wire.frame_words import REMOTE, STANDARD
+from shm.words import Unreferenced
+
+COMMANDS = 32
+"""Commands of a node: the lowest bits of an identifier."""
+HEARTBEAT, AXIS_STATE, ESTIMATES, MODES, INPUT_POSITION = 0x01, 0x07, 0x09, 0x0B, 0x0C
+CURRENT, BUS, CLEAR_ERRORS = 0x14, 0x17, 0x18
+ANSWER_BYTES = 8
+"""Length of every answer, which a remote frame names."""
+
+IDLE, CLOSED_LOOP = 1, 8
+POSITION_CONTROL, PASSTHROUGH = 3, 1
+
+ERRORS = (
+    (0, "invalid state"),
+    (6, "motor"),
+    (7, "sensorless estimator"),
+    (8, "encoder"),
+    (9, "controller"),
+    (11, "watchdog expired"),
+    (12, "minimum end stop"),
+    (13, "maximum end stop"),
+    (14, "emergency stop asked over CAN"),
+    (17, "homing without an end stop"),
+    (18, "over-temperature"),
+    (19, "position unknown"),
+)
+"""Bits of the heartbeat's error word (firmware 0.5.6)."""
+
+MISSED_HEARTBEATS = 3
+BUSY_S = 2.0
+"""An axis closes its loop within less, unless it must be calibrated first."""
+
+
+def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
+    """What the cycle needs of an ODrive axis; see `rtloop.drives.setup.Setup`."""
+    drive = _drive(joint)
+    row["command_per_rad"] = row["reading_per_rad"] = joint.direction * joint.ratio / (2.0 * math.pi)
+    row["status_timeout_ns"] = MISSED_HEARTBEATS * drive.heartbeat_ms * 1_000_000
+    if drive.nm_per_ampere is not None:
+        row["effort_per_unit"] = joint.direction * joint.ratio * drive.nm_per_ampere
+
+
+def bring_up(host: Host, joint: int) -> Part[Found]:
+    """What `rtloop.drives.setup.Setup` says; see the head of this file."""
+    config = host.arm.joints[joint]
+    node = _drive(config).node_id
+    if (yield _asked(node, ESTIMATES)) is None:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} (node {node}) does not answer: check its power, its node and the bit rate "
+            f"({host.arm.bus.bitrate} bit/s; axis.config.can.node_id and can.config.baud_rate), and the CAN wires with "
+            "120 Ω at both ends.",
+        )
+    error, state = yield from _heartbeat(host.arm, joint)
+    if error:
+        if not host.clears_protection:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} has an error ({error_words(error)}) and holds nothing: remove the cause, "
+                "then `rtarm clear-fault`.",
+            )
+        yield say(_frame(node, CLEAR_ERRORS))
+        error, state = yield from _heartbeat(host.arm, joint, lambda error, state: error == 0)
+        if error:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} keeps its error ({error_words(error)}) after it was cleared, so what "
+                "caused it is still there: find it with `dump_errors` in odrivetool, then `rtarm clear-fault`.",
+            )
+    for _ in range(TRIES):
+        standing = yield from _turns(joint, config)
+        here = _frame(node, INPUT_POSITION, struct.pack("<fhh", standing, 0, 0))
+        modes = _frame(node, MODES, struct.pack("<II", POSITION_CONTROL, PASSTHROUGH))
+        yield say(here, modes)
+        if state == CLOSED_LOOP:
+            break
+        yield say(_frame(node, AXIS_STATE, struct.pack("<II", CLOSED_LOOP, 0)))
+        error, state = yield from _heartbeat(host.arm, joint, lambda error, state: state == CLOSED_LOOP)
+        if state == CLOSED_LOOP:
+            break
+    else:
+        why = f"its error is {error_words(error)}" if error else f"its state is {state}"
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} does not close its loop ({why}): calibrate its motor and encoder with "
+            "odrivetool and save that in the drive, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+        )
+    turns = yield from _turns(joint, config)
+    return Found(turns, turns, Unreferenced.REFERENCED if _drive(config).knows_its_angle else Unreferenced.INCREMENTAL)
+
+
+def let_go(arm: ArmConfig, joint: int) -> Dialogue:
+    """Let the axis go idle, and see that it has; raises TalkFailed."""
+    config = arm.joints[joint]
+    for _ in range(TRIES):
+        yield say(_frame(_drive(config).node_id, AXIS_STATE, struct.pack("<II", IDLE, 0)))
+        _, state = yield from _heartbeat(arm, joint, lambda error, state: state != CLOSED_LOOP)
+        if state != CLOSED_LOOP:
+            return
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} keeps its loop closed after being told to let go: keep clear of the arm, look at "
+        "the axis in odrivetool, then `rtarm clear-fault`, which brings all drives up again.",
+    )
+
+
+def error_words(error: int) -> str:
+    """The heartbeat's error word for people."""
+    known = [words for bit, words in ERRORS if error >> bit & 1]
+    unknown = error & ~sum(1 << bit for bit, _ in ERRORS)
+    return ", ".join([*known, *([f"{unknown:#x}"] if unknown else [])]) or "none"
+
+
+def _drive(config: JointConfig) -> OdriveDrive:
+    assert isinstance(config.drive, OdriveDrive)
+    return config.drive
+
+
+def _frame(node: int, command: int, data: bytes = b"") -> Frame:
+    return Frame(node << 5 | command, data.ljust(ANSWER_BYTES, b"\0"), kind=STANDARD)
+
+
+def _asked(node: int, command: int) -> AskFrames:
+    """A remote frame for one of the node's values."""
+    request = Frame(node << 5 | command, bytes(ANSWER_BYTES), kind=STANDARD | REMOTE)
+    return AskFrames((request,), lambda frame: frame.id & (COMMANDS - 1) == command and len(frame.data) == ANSWER_BYTES)
+
+
+def _turns(joint: int, config: JointConfig) -> Part[float]:
+    """Where the motor stands; raises TalkFailed."""
+    for _ in range(TRIES):
+        answer = yield _asked(_drive(config).node_id, ESTIMATES)
+        if answer is None:
+            raise TalkFailed(joint, silent_amid(config, "position"))
+        turns = float(struct.unpack("<f", answer.data[:4])[0])
+        if math.isfinite(turns):
+            return turns
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} says that its position is no number: calibrate its encoder with odrivetool, then "
+        "`rtarm clear-fault`, or `rtarm up` where it has ended.",
+    )
+
+
+def _heartbeat(
+    arm: ArmConfig, joint: int, until: Callable[[int, int], bool] = lambda error, state: True
+) -> Part[tuple[int, int]]:
+    """Error word and axis state of the next heartbeat that is as wanted, or of the last within a while.
+
+    Raises TalkFailed where none comes.
+    """
+    config = arm.joints[joint]
+    heartbeat_s = _drive(config).heartbeat_ms * 1e-3
+    found: tuple[int, int] | None = None
+    listened = AskFrames((), lambda frame: frame.id & (COMMANDS - 1) == HEARTBEAT and len(frame.data) == ANSWER_BYTES)
+    for _ in range(math.ceil((MISSED_HEARTBEATS * heartbeat_s + BUSY_S) / heartbeat_s)):
+        frame = yield listened
+        if frame is None:
+            break
+        found = struct.unpack("<IB", frame.data[:5])
+        if until(*found):
+            return found
+    if found is None:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} sends no heartbeat: set axis.config.can.heartbeat_rate_ms to "
+            f"{_drive(config).heartbeat_ms}, or heartbeat_ms in the arm file to what it is.",
+        )
+    return found

@@ -1,0 +1,73 @@
+"""What a family's file `<family>_setup.py` has for ordinary Python: a drive's numbers, bring-up and release."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol, cast
+
+import numpy as np
+
+from config.drives.drive import Drive
+from config.joint import JointConfig
+from config.schema import ArmConfig
+from rtloop.conversation import Dialogue, Part
+from rtloop.port import ServicePort
+from shm.words import Unreferenced
+
+
+class Found(NamedTuple):
+    """What bring-up has found a drive to be, which is then commanded to stay."""
+
+    reading: float
+    """Where it stands, as it tells its position."""
+    target: float
+    """Where it holds, or would, in the same unit; the joint is commanded to be there."""
+    reason: Unreferenced = Unreferenced.REFERENCED
+    """Why its count is not known to mean an angle."""
+
+
+class Host(Protocol):
+    """The bring-up that a drive's dialogue is part of."""
+
+    arm: ArmConfig
+    port: ServicePort
+    now_ns: int
+    clears_protection: bool
+    """Whether a person has asked for it, so that a drive's latched error may be cleared."""
+    lost_before: Mapping[int, Unreferenced]
+    """Joints whose angle was not known in an earlier process, and why."""
+    unasked_before: list[int]
+    """Positions that had come unasked from each joint's drive when this began."""
+
+    def tell(self, sentence: str) -> None:
+        """Say something to people."""
+
+    def post(self, kind: int, joint: int = -1, value: float = 0.0, code: int = 0) -> None:
+        """Tell the cycle a decision."""
+
+
+class Setup(Protocol):
+    """The functions of such a file."""
+
+    def fill(self, row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
+        """Put the numbers of the codec into a row of dtype rtloop.state.JOINT_PARAMS; the common ones are there."""
+
+    def bring_up(self, host: Host, joint: int) -> Part[Found]:
+        """See that the drive answers, is what the arm file says, and holds where it stands; raises TalkFailed.
+
+        Nothing moves: a drive that is on its way somewhere is stopped, one that is limp is enabled where it stands.
+        """
+
+    def let_go(self, arm: ArmConfig, joint: int) -> Dialogue:
+        """Let the drive go limp, and see that it has; raises TalkFailed."""
+
+
+def setup_of(drive: Drive) -> Setup:
+    """The file of a drive's family."""
+    return cast(Setup, importlib.import_module(f"rtloop.drives.{drive.family}_setup"))
+
+
+def joints_on_the_bus(arm: ArmConfig) -> list[int]:
+    """The joints whose drives are spoken to."""
+    return [number for number, joint in enumerate(arm.joints) if joint.drive.identifiers]

@@ -1,0 +1,50 @@
+"""Numbers in the eight data bytes of a frame, which the cycle holds as one word, the first byte lowest."""
+
+import math
+
+import numpy as np
+
+from shm.jit import jit
+
+
+@jit
+def unsigned(data: int, at: int, size: int) -> int:
+    """`size` bytes (1 to 4) from byte `at`, little-endian."""
+    return (data >> (8 * at)) & ((1 << (8 * size)) - 1)
+
+
+@jit
+def signed(data: int, at: int, size: int) -> int:
+    """The same as a number with a sign."""
+    value = unsigned(data, at, size)
+    half = 1 << (8 * size - 1)
+    return value - 2 * half if value >= half else value
+
+
+@jit
+def float_at(data: int, at: int) -> float:
+    """An IEEE 754 single at byte `at`, little-endian."""
+    return float(np.int32(signed(data, at, 4)).view(np.float32))
+
+
+@jit
+def float_word(value: float) -> int:
+    """The four bytes of an IEEE 754 single, little-endian."""
+    return int(np.float32(value).view(np.int32)) & 0xFFFFFFFF
+
+
+@jit
+def bounded(value: float, most: int) -> int:
+    """The nearest whole number within ±most; a NaN is 0."""
+    if math.isnan(value):
+        return 0
+    return round(min(max(value, -float(most)), float(most)))
+
+
+@jit
+def swapped(value: int, size: int) -> int:
+    """The lowest `size` bytes of a number in the other order: for fields whose highest byte comes first."""
+    found = 0
+    for number in range(size):
+        found |= ((value >> (8 * number)) & 255) << (8 * (size - 1 - number))
+    return found

@@ -1,0 +1,108 @@
+"""Commands to ZDT (Emm_V5) drives in conversations, and how their answers are known: dialogues yield an `Ask`."""
+
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from typing import cast
+
+from config.drives.zdt import ZdtDrive
+from config.schema import ArmConfig
+from rtloop.conversation import Again, Packet, Part, Value
+from rtloop.port import Frame
+
+NOT_UNDERSTOOD = b"\x00\xee\x6b"
+"""What a drive answers to a command that is none to it (zdt-emm-v5.md)."""
+
+
+@dataclass(frozen=True)
+class Ask:
+    """A command and how to know its answer: function byte and number of packets, or one short reply.
+
+    The commands `before` and `after` leave with it, in the same cycle and right before and behind it. Their answers are
+    not waited for, and they are said once, however often the question is.
+    """
+
+    payload: bytes
+    reply_lengths: tuple[int, ...]
+    packets: int = 1
+    answered: bool = True
+    before: tuple[bytes, ...] = ()
+    after: tuple[bytes, ...] = ()
+
+
+ZdtDialogue = Generator[Ask, bytes | None, None]
+"""What is said to one drive, whose address does not matter to it."""
+
+
+def addressed(address: int, dialogue: Generator[Ask, bytes | None, Value]) -> Part[Value]:
+    """A dialogue with the drive at an address."""
+    answer: bytes | None = None
+    while True:
+        try:
+            ask = dialogue.send(answer)
+        except StopIteration as end:
+            return cast(Value, end.value)
+        answer = yield ZdtQuestion(address, ask)
+
+
+@dataclass
+class ZdtQuestion:
+    """An `Ask` to the drive at an address; the packets of its answer come one by one."""
+
+    address: int
+    ask: Ask
+    _packets: dict[int, bytes] = field(default_factory=dict)
+
+    @property
+    def answered(self) -> bool:
+        """Whether an answer is to be waited for, however often it must be asked."""
+        return self.ask.answered
+
+    def packets(self, first: bool) -> list[Packet]:
+        """What is said, the first time or again."""
+        self._packets.clear()
+        before, after = (self.ask.before, self.ask.after) if first else ((), ())
+        frames = [frame for told in (*before, self.ask.payload, *after) for frame in split_packets(self.address, told)]
+        return [(frame, number < len(frames) - 1) for number, frame in enumerate(frames)]
+
+    def hear(self, frame: Frame, last_try: bool) -> bytes | Again | None:
+        """The answer, once its last packet is there."""
+        packet, ask = frame.id & 255, self.ask
+        if not frame.data:
+            return None
+        if packet == 0 and frame.data == NOT_UNDERSTOOD and not last_try:
+            return Again()  # the half of a command that a predecessor left spoils what is said first
+        if packet == 0 and _is_refusal(frame.data, ask.payload[0]):
+            return frame.data
+        if frame.data[0] != ask.payload[0] or packet >= ask.packets:
+            return None
+        if ask.packets == 1 and len(frame.data) not in ask.reply_lengths:
+            return None  # an echo of the question, or an answer to somebody else's
+        self._packets[packet] = frame.data
+        if len(self._packets) < ask.packets:
+            return None
+        joined = self._packets[0][:1] + b"".join(self._packets[number][1:] for number in range(ask.packets))
+        if joined[-1] == 0x6B:
+            return joined
+        self._packets.clear()
+        return None
+
+
+def split_packets(address: int, payload: bytes) -> list[Frame]:
+    """CAN frames of a command: ≤ 8 bytes in one; longer ones repeat the function byte in every packet."""
+    if len(payload) <= 8:
+        return [Frame(address << 8, payload)]
+    function, rest = payload[:1], payload[1:]
+    pieces = [rest[at : at + 7] for at in range(0, len(rest), 7)]
+    return [Frame((address << 8) | number, function + piece) for number, piece in enumerate(pieces)]
+
+
+def zdt_addresses(arm: ArmConfig) -> dict[int, int]:
+    """Joint → address, of every joint with such a drive."""
+    return {j: joint.drive.address for j, joint in enumerate(arm.joints) if isinstance(joint.drive, ZdtDrive)}
+
+
+def _is_refusal(data: bytes, function: int) -> bool:
+    """`func E2 6B`, `func EE 6B` or `00 EE 6B`."""
+    if len(data) != 3 or data[2] != 0x6B:
+        return False
+    return (data[0] == function and data[1] in (0xE2, 0xEE) and function != 0x3A) or data == NOT_UNDERSTOOD

@@ -1,0 +1,260 @@
+"""Bring-up and release of a ZDT drive.
+
+What it is asked (init_mode 1, nothing moves): firmware, status, configuration block (response mode turned off in
+volatile memory when it differs and the firmware is one whose block we know), position and target until the two agree.
+Where the arm file says so, it is told to send its position by itself, and must; and what it makes of FC is found out
+(`rtloop.fast_targets`). A drive that is on its way somewhere, or has lost power, is stopped first.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from config.budget import budget
+from config.derived import braking_deceleration_rad_s2, silence_acc_byte
+from config.drives.zdt import ZdtDrive
+from config.joint import JointConfig
+from config.schema import ArmConfig
+from rtloop import fast_targets, reports
+from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed
+from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_talk
+from rtloop.drives.setup import Found, Host
+from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
+from rtloop.drives.zdt_registers import Version
+from rtloop.drives.zdt_talk import Answered
+from rtloop.port import FAST_READY
+from shm.sentences import unreferenced_sentence
+from shm.words import Unreferenced
+
+SETTLE_PATIENCE_NS = 3_000_000_000
+HOMING_TRIES = 10
+ADOPT_WITHIN_RAD = 0.02
+"""A drive whose target lies this near to its position is taken at its word."""
+
+
+def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
+    """What the cycle needs of a ZDT drive; see `rtloop.drives.setup.Setup`."""
+    row["acc_byte"] = silence_acc_byte(joint, arm.limits)
+    row["silence_deceleration_rad_s2"] = braking_deceleration_rad_s2(joint, int(row["acc_byte"]))
+
+
+def bring_up(host: Host, joint: int) -> Part[Found]:
+    """What `rtloop.drives.setup.Setup` says; see the head of this file."""
+    drive = host.arm.joints[joint].drive
+    assert isinstance(drive, ZdtDrive)
+    return addressed(drive.address, _bring_up(host, joint, host.arm.joints[joint], drive))
+
+
+def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> Answered[Found]:
+    answer = yield Ask(registers.ASK_FIRMWARE, (4, 6))
+    if answer is None:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} (address {drive.address}) does not answer: check its power, its address "
+            f"and the bit rate ({host.arm.bus.bitrate} bit/s) in its menu, and the CAN wires with 120 Ω at both "
+            "ends.",
+        )
+    version = registers.version_of(answer)
+    if version is None:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} (address {drive.address}) answers the question for its firmware with "
+            f"{answer.hex(' ')}, which no ZDT drive with Emm firmware does: see what stands at that address.",
+        )
+    if not version.newer:
+        host.tell(
+            f"{config.name}: firmware {version} cannot say whether the drive has lost power; see that the joint "
+            "stands where `rtarm status` says before it moves."
+        )
+    reason = Unreferenced.REFERENCED
+    flags = yield from zdt_talk.status_of(joint, config)
+    if flags & registers.PROTECTED:
+        if not host.clears_protection:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} has tripped its stall protection and holds nothing: free what blocks "
+                "the joint, then `rtarm clear-fault`.",
+            )
+        yield Ask(registers.CLEAR_PROTECTION, (3,))
+        flags = yield from zdt_talk.status_of(joint, config)
+        if flags & registers.PROTECTED:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} stays in protection after it was cleared, so what tripped it (a "
+                "blocked joint, heat, current) is still there: find it on the drive's display, let the drive cool, "
+                "then `rtarm clear-fault`.",
+            )
+    if flags & registers.POWER_LOST and not host.port.power_loss_known(joint):
+        yield _stop(host)  # since it has power it may have heard targets of before
+        reason = Unreferenced.POWER_LOST
+        host.tell(
+            f"{config.name} is not referenced: its drive has lost power since its position was set, so its count "
+            "does not mean an angle: home it with `rtarm home`, or say where it stands with `rtarm reference`; "
+            "until then goals are refused."
+        )
+    homing = yield from _end_homing(host, joint, config)
+    if reason == Unreferenced.REFERENCED:
+        reason = Unreferenced.NOT_HOMED if homing else host.lost_before.get(joint, reason)
+        if reason != Unreferenced.REFERENCED:
+            host.tell(unreferenced_sentence(reason, config.name))
+    yield from _settle_configuration(host, joint, config, drive, version)
+    yield from _settle_reports(host, joint, config, version)
+    if not flags & registers.ENABLED:
+        for _ in range(TRIES):
+            # it may pull its shaft to the target of before it was let go
+            yield Ask(registers.STOP, (3,), answered=host.arm.bus.acknowledge, before=(registers.ENABLE,))
+            flags = yield from zdt_talk.status_of(joint, config)
+            if flags & registers.ENABLED:
+                break
+        else:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} stays disabled after being enabled: look at its display for a fault "
+                "and at the En setting in its menu.",
+            )
+    if host.arm.bus.fast_targets:
+        yield from fast_targets.prepare(host.arm, joint, drive, version)
+        host.post(FAST_READY, joint=joint)
+    return (yield from _standing(host, joint, config, reason))
+
+
+def _end_homing(host: Host, joint: int, config: JointConfig) -> Answered[bool]:
+    """End a homing run that a control process has left behind; whether there was one."""
+    end: tuple[bytes, ...] = ()
+    for looks in range(HOMING_TRIES):
+        flags = yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS, before=end)
+        if flags is None or not flags & registers.HOMING:
+            return looks > 0
+        if looks > 0:  # one answer alone may be garbled
+            end = (registers.END_HOMING, registers.STOP)
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} is amid a homing run and does not end it: use the switch in the power line, "
+        "then `rtarm clear-fault`.",
+    )
+
+
+def _stop(host: Host) -> Ask:
+    return Ask(registers.STOP, (3,), answered=host.arm.bus.acknowledge)
+
+
+def _settle_configuration(
+    host: Host, joint: int, config: JointConfig, drive: ZdtDrive, version: Version
+) -> ZdtDialogue:
+    """Check what would make motion wrong; set the response mode in volatile memory."""
+    wanted = registers.RESPONSE_RECEIVE if host.arm.bus.acknowledge else registers.RESPONSE_NONE
+    block = yield from zdt_talk.read_block()
+    if block is None or not version.known:
+        if not host.arm.bus.acknowledge:
+            _require_budget_with_acknowledgements(host, joint, config, version)
+        return
+    if block.checksum != 0:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} uses checksum mode {block.checksum}, only 0 (the constant 6B) is spoken "
+            "here: set Checksum to 0x6B in its menu.",
+        )
+    if block.microsteps != drive.microsteps:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} is set to {block.microsteps} microsteps, the arm file says "
+            f"{drive.microsteps}: positions would be wrong by that factor; change one of the two.",
+        )
+    if block.response == wanted:
+        return
+    block = yield from zdt_talk.read_block_surely()
+    if block is None:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} tells its configuration in another way whenever it is asked, so its "
+            "acknowledgements are not set, for which all of it is written back: check the adapter, its cable and "
+            "the CAN wires, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+        )
+    yield Ask(registers.write_block(replace(block, response=wanted), store=False), (3,))
+    for _ in range(TRIES):  # an answer from before the change may still be on its way
+        after = yield from zdt_talk.read_block()
+        if after is not None and after.response == wanted:
+            break
+    else:
+        _require_budget_with_acknowledgements(host, joint, config, version)
+        host.tell(f"{config.name}: its drive keeps its acknowledgements on although told otherwise.")
+        return
+    name = "on" if wanted else "off"
+    host.tell(f"{config.name}: acknowledgements turned {name} in the drive's volatile memory.")
+
+
+def _settle_reports(host: Host, joint: int, config: JointConfig, version: Version) -> ZdtDialogue:
+    """Have the position sent as the arm file says, in volatile memory: by the drive itself, or when it is asked.
+
+    A control process that was killed leaves its drives reporting; they are told to cease only where they do.
+    """
+    if not host.arm.bus.reported:
+        by_itself = host.port.unasked(joint) - host.unasked_before[joint] >= reports.REPORTS_TO_BELIEVE
+        if by_itself and (yield from zdt_talk.set_reports(0)):
+            host.tell(f"{config.name}: its drive sent its position by itself, which was ended.")
+        return
+    yield from reports.begin(host.arm, host.port, joint, version)
+
+
+def _require_budget_with_acknowledgements(host: Host, joint: int, config: JointConfig, version: Version) -> None:
+    loud = host.arm.model_copy(update={"bus": host.arm.bus.model_copy(update={"acknowledge": True})})
+    found = budget(loud)
+    if not found.fits:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} (firmware {version}) keeps acknowledging commands, and with "
+            f"acknowledgements the bus carries {found.highest_rate_hz:.0f} Hz, not "
+            f"{host.arm.control.rate_hz:g} Hz: lower control.rate_hz, or turn its Response off in its menu.",
+        )
+
+
+def _standing(host: Host, joint: int, config: JointConfig, reason: Unreferenced) -> Answered[Found]:
+    """Where the drive stands, and its own target once that is near."""
+    started_ns = host.now_ns
+    stopped = False
+    counts_per_rad = config.direction * config.encoder_counts_per_rad
+    zero_rad = host.port.zero_rad(joint)
+    while True:
+        measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
+        target = yield from zdt_talk.counts_of(joint, config, registers.ASK_TARGET)
+        measured_rad = measured / counts_per_rad - zero_rad
+        target_rad = target / counts_per_rad - zero_rad
+        if abs(target_rad - measured_rad) <= ADOPT_WITHIN_RAD:
+            break
+        if not stopped:  # whatever it is on its way to, nobody here has told it
+            stopped = True
+            yield _stop(host)
+            continue
+        if host.now_ns - started_ns > SETTLE_PATIENCE_NS:
+            if reason == Unreferenced.REFERENCED:
+                reason = Unreferenced.TARGET_FAR
+                host.tell(
+                    f"{config.name} is not referenced: its drive stands {measured_rad - target_rad:+.3f} rad from "
+                    "its own target and does not go there: find what holds it, then `rtarm reference` it if it "
+                    "stands where `rtarm status` says, or home it."
+                )
+            target = measured
+            break
+    return Found(measured, target, reason)
+
+
+def let_go(arm: ArmConfig, joint: int) -> Dialogue:
+    """Let the drive go limp, and see that it has; raises TalkFailed."""
+    drive = arm.joints[joint].drive
+    assert isinstance(drive, ZdtDrive)
+    return addressed(drive.address, _let_go(arm, joint))
+
+
+def _let_go(arm: ArmConfig, joint: int) -> ZdtDialogue:
+    name = arm.joints[joint].name
+    for _ in range(TRIES):
+        yield Ask(registers.RELEASE, (3,), answered=arm.bus.acknowledge)
+        flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
+        if flags is not None and not flags & registers.ENABLED:
+            return
+    raise TalkFailed(
+        joint,
+        f"The drive of {name} stays enabled after being told to let go: keep clear of the arm, look at the drive's "
+        "display, then `rtarm clear-fault`, which brings all drives up again.",
+    )
