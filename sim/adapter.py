@@ -19,6 +19,7 @@ import heapq
 import itertools
 import random
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -51,13 +52,13 @@ class LineFault:
     Attributes:
         kind: "twice", "late" or "cut".
         delay_ns: until the line comes again, or at all, or the rest of it; None never.
-        address: drive whose frames it strikes; None all.
+        strikes: tells the frames it strikes; None all.
     """
 
     kind: Literal["twice", "late", "cut"]
     share: float
     delay_ns: int | None
-    address: int | None = None
+    strikes: Callable[[Frame], bool] | None = None
 
 
 class SlcanAdapter:
@@ -179,7 +180,9 @@ class SlcanAdapter:
         stamp = f"{now_ns // 1_000_000 % 60_000:04X}" if self._stamped else ""
         line = f"{head}{tail}{stamp}\r".encode()
         for fault in self.line_faults:
-            mine = fault.address is None or fault.address == frame.can_id >> 8
+            if not line:
+                break
+            mine = fault.strikes is None or fault.strikes(frame)
             if mine and self._random.random() < fault.share:
                 cut = {"twice": len(line), "late": 0, "cut": self._random.randrange(1, len(line))}[fault.kind]
                 if fault.delay_ns is not None:

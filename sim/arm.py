@@ -17,55 +17,52 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
 from config import schema
-from config.drives.zdt import ZdtDrive as ZdtConfig
 from config.gripper import GripperConfig
-from config.joint import JointConfig
 from sim import faults as wrong
 from sim.adapter import Dialect, LineFault, SlcanAdapter
 from sim.babble import Babbler
 from sim.bus import Bus, Frame, Outbox
 from sim.can_interface import CanInterface
+from sim.drives.drive import Drive, Mounting
+from sim.drives.families import FAMILIES
 from sim.drives.ramp import GRAINS_PER_REVOLUTION, NEVER
 from sim.drives.shaft import Reals, Times
 from sim.drives.zdt import ZdtDrive
-from sim.drives.zdt_settings import Homing, Settings
+from sim.drives.zdt_settings import CAN_CODES, Settings, homing_towards
 from sim.faults import Fault
 
-HOMING_RPM = 30
 FINGER_SLACK_RAD = math.radians(5.0)
-HOMING_TIMEOUT_MS = 120_000
 
+Value = TypeVar("Value")
 At = Callable[[float | None, Callable[[int], None]], None]
 """Lets something happen at a time [s] after the one a fault's times count from; never, if that is None."""
 
 HIGHEST_PRIORITY = Frame(0, b"", extended=False)
-"""Nothing wins against it; drives take no standard frames."""
+"""Nothing wins against it, and no drive understands it."""
 COUNT_RANGE = 1 << 32
-TRIP_FLAGS = {"stall": 0x00, "temperature": 0x10, "current": 0x20}
-"""Bits of `3B` (zdt-emm-v5.md section 4); a stall is told by `3A` alone."""
 
 
 class SimulatedArm:
-    """Six (or any number of) drives behind an SLCAN adapter or a CAN interface.
+    """Six (or any number of) drives of any families behind an SLCAN adapter or a CAN interface.
 
     Args:
-        arm: its configuration; all joints must be of family zdt.
+        arm: its configuration; the families of its drives must be among `sim.drives.families`.
         start_ns: when it begins; the first time that may be told.
-        joint_position_rad: where the joints stand, to the nearest command pulse; all zero by default.
+        joint_position_rad: where the joints stand (ZDT drives to the nearest command pulse); all zero by default.
         seed: of every random delay and fault.
         faults: what goes wrong, and when.
         dialect: how the adapter answers, see `sim.adapter`.
-        firmware: of all drives, see `sim.drives.zdt`.
+        firmware: of all ZDT drives, see `sim.drives.zdt`.
         homed: False makes drives that have just been switched on where they stand: they count from zero
             and say that power was lost.
-        retarget: whether drives take a position command in mid-move, see `sim.drives.zdt`.
-        enabling: what drives do that are enabled again, see `sim.drives.zdt`.
-        lag_s: time constant of the shafts behind their ramps [s].
+        retarget: whether ZDT drives take a position command in mid-move, see `sim.drives.zdt`.
+        enabling: what ZDT drives do that are enabled again, see `sim.drives.zdt`.
+        lag_s: time constant of the shafts of ZDT drives behind their ramps [s].
         echo: whether the adapter reports its own transmissions as received frames.
 
     Attributes:
@@ -113,44 +110,29 @@ class SimulatedArm:
                 echo=echo,
                 seed=seed,
             )
-        self.drives: list[ZdtDrive] = []
+        self.drives: list[Drive] = []
         for index, (joint, position_rad) in enumerate(zip(arm.joints, positions, strict=True)):
-            if not isinstance(joint.drive, ZdtConfig):
+            make = FAMILIES.get(joint.drive.family)
+            if make is None:
                 raise ValueError(
-                    f"joint {joint.name} of arm {arm.name} has a {joint.drive.family} drive, but only zdt "
-                    "drives can be simulated; run an arm with such drives without a simulator."
+                    f"joint {joint.name} of arm {arm.name} has a {joint.drive.family} drive, but only "
+                    f"{', '.join(FAMILIES)} drives can be simulated; run an arm with such drives without a simulator."
                 )
-            settings = Settings(
-                address=joint.drive.address,
-                microstep=joint.drive.microsteps % 256,
-                can_code=_CAN_CODES.get(arm.bus.bitrate, 7),
-            )
-            drive = ZdtDrive(
-                settings,
+            mounting = Mounting(
+                joint=joint,
+                bitrate=arm.bus.bitrate,
                 start_ns=start_ns,
-                position_pulses=round(joint.direction * (position_rad + joint.zero_rad) * joint.command_pulses_per_rad),
+                position_rad=position_rad,
                 homed=homed,
-                homing=Homing(
-                    mode=2,
-                    direction=1 if joint.direction > 0 else 0,
-                    rpm=HOMING_RPM,
-                    timeout_ms=HOMING_TIMEOUT_MS,
-                ),
+                seed=seed * 1000 + index,
                 firmware=firmware,
                 retarget=retarget,
                 enabling=enabling,
                 lag_s=lag_s,
-                seed=seed * 1000 + index,
             )
-            stop = round(_motor_turns(joint, joint.lower_rad) * GRAINS_PER_REVOLUTION)
-            if joint.direction > 0:
-                drive.shaft.low = stop
-            else:
-                drive.shaft.high = stop
-            self.drives.append(drive)
+            self.drives.append(make(mounting))
         self.gripper = self._gripper_drive(start_ns, firmware, homed, seed)
         self._seed = seed
-        self._firmware = firmware
         self._script = _Script()
         self.bus.nodes += [self.adapter, *self.drives, *([self.gripper] if self.gripper else []), self._script]
         for fault in faults:
@@ -165,14 +147,12 @@ class SimulatedArm:
             Settings(
                 address=servo.address,
                 microstep=servo.microsteps % 256,
-                can_code=_CAN_CODES.get(self.config.bus.bitrate, 7),
+                can_code=CAN_CODES.get(self.config.bus.bitrate, CAN_CODES[500_000]),
             ),
             start_ns=start_ns,
             position_pulses=round((gripper.open_rad + servo.zero_rad) * servo.pulses_per_rad),
             homed=homed,
-            homing=Homing(
-                mode=2, direction=1 if servo.direction > 0 else 0, rpm=HOMING_RPM, timeout_ms=HOMING_TIMEOUT_MS
-            ),
+            homing=homing_towards(servo.direction),
             firmware=firmware,
             seed=seed * 1000 + len(self.config.joints),
         )
@@ -221,7 +201,8 @@ class SimulatedArm:
         self.bus.run_until(self.now_ns)
         due_ns = self.adapter.next_due_ns()
         if due_ns == NEVER:
-            answer_ns = min(drive.reply_delay_ns[0] for drive in self.drives)
+            drives = [*self.drives, *([self.gripper] if self.gripper else [])]
+            answer_ns = min(drive.reply_delay_ns[0] for drive in drives)
             due_ns = self.bus.quiet_until_ns(self.adapter, answer_ns)
         return None if due_ns == NEVER else due_ns
 
@@ -231,7 +212,8 @@ class SimulatedArm:
         What lies in the past happens now.
 
         Raises:
-            ValueError: the arm has no such joint, or no serial adapter that such a fault could befall.
+            ValueError: the arm has no such joint, its drive is of a family without such faults, or the arm has no
+                serial adapter that it could befall.
         """
         origin_ns = self.start_ns if since_ns is None else since_ns
 
@@ -239,10 +221,12 @@ class SimulatedArm:
             if at_s is not None:
                 self._script.add(max(origin_ns + round(at_s * 1e9), self.now_ns), action)
 
-        if not self._inject_on_the_bus(fault, at) and not self._inject_in_adapter(fault, at):
+        done = self._inject_in_drive(fault, at) or self._inject_in_zdt(fault, at) or self._inject_in_adapter(fault, at)
+        if not done:
             raise ValueError(f"{fault} is no fault this arm can have.")
 
-    def _inject_on_the_bus(self, fault: Fault, at: At) -> bool:
+    def _inject_in_drive(self, fault: Fault, at: At) -> bool:
+        """What can go wrong with a drive of any family, or beside it on the bus."""
         match fault:
             case wrong.Silent(joint, at_s, until_s):
                 at(at_s, self._drive(joint).unplug)
@@ -252,29 +236,18 @@ class SimulatedArm:
                 at(at_s + off_s, self._drive(joint).power_on)
             case wrong.Stall(joint, at_s):
                 at(at_s, self._drive(joint).block_shaft)
-            case wrong.Thing(at_s, deg, until_s) if self.config.gripper is not None and self.gripper is not None:
-                at(at_s, partial(self._put_between_fingers, math.radians(deg)))
-                at(until_s, partial(self._put_between_fingers, _closed_stop_rad(self.config.gripper)))
             case wrong.Protection(joint, at_s, until_s, cause):
                 drive = self._drive(joint)
                 at(at_s, partial(_set, drive, "cause_lasts", until_s is not None))
-                at(at_s, partial(_call, drive.trip, TRIP_FLAGS[cause]))
+                at(at_s, partial(_call, drive.protect, cause))
                 at(until_s, partial(_set, drive, "cause_lasts", False))
             case wrong.Disabled(joint, at_s):
                 at(at_s, self._drive(joint).disable)
-            case wrong.Refusing(joint, at_s, until_s):
-                at(at_s, partial(_set, self._drive(joint), "refuses", True))
-                at(until_s, partial(_set, self._drive(joint), "refuses", False))
-            case wrong.CountSlip(joint, at_s, deg):
-                at(at_s, partial(_call, self._drive(joint).slip, self._counts(joint, deg)))
-            case wrong.CountWrap(joint, at_s):
-                at(at_s, partial(_set, self._drive(joint), "count_shift", -COUNT_RANGE))
+            case wrong.Thing(at_s, deg, until_s) if self.config.gripper is not None and self.gripper is not None:
+                at(at_s, partial(self._put_between_fingers, math.radians(deg)))
+                at(until_s, partial(self._put_between_fingers, _closed_stop_rad(self.config.gripper)))
             case wrong.SameAddress(joint, at_s):
                 at(at_s, partial(self._add_drive, self._drive(joint)))
-            case wrong.KeepsSettings(joint, at_s):
-                at(at_s, partial(_set, self._drive(joint), "keeps_settings", True))
-            case wrong.ForeignFirmware(joint, at_s):
-                at(at_s, partial(_set, self._drive(joint), "foreign", True))
             case wrong.LostReplies(share, at_s, joint_or_all):
                 for drive in self._chosen(joint_or_all):
                     at(at_s, partial(_set, drive, "reply_loss", share))
@@ -283,19 +256,40 @@ class SimulatedArm:
                     least, greatest = drive.reply_delay_ns
                     slow = (least + round(extra_s * 1e9), greatest + round((extra_s + jitter_s) * 1e9))
                     at(at_s, partial(_set, drive, "reply_delay_ns", slow))
-            case wrong.WrongChecksums(share, at_s, joint_or_all):
-                for drive in self._chosen(joint_or_all):
-                    at(at_s, partial(_set, drive, "wrong_checksums", share))
-            case wrong.WrongValues(share, most_deg, at_s, joint_or_all):
-                for joint_config, drive in zip(self.config.joints, self.drives, strict=True):
-                    if joint_or_all in (None, joint_config.name):
-                        most = abs(self._counts(joint_config.name, most_deg))
-                        at(at_s, partial(_set, drive, "wrong_values", (share, most)))
-            case wrong.Babble(at_s, until_s, joint):
+            case wrong.Babble(at_s, until_s, joint_or_none):
                 babbler = Babbler()
                 self.bus.nodes.append(babbler)
-                at(at_s, partial(self._babble, babbler, joint))
+                at(at_s, partial(self._babble, babbler, joint_or_none))
                 at(until_s, babbler.end)
+            case _:
+                return False
+        return True
+
+    def _inject_in_zdt(self, fault: Fault, at: At) -> bool:
+        """What only a ZDT drive can suffer."""
+        drives = self._zdt_drives(getattr(fault, "joint", None))
+        if not drives:
+            return False
+        match fault:
+            case wrong.Refusing(_, at_s, until_s):
+                at(at_s, partial(_set, drives[0], "refuses", True))
+                at(until_s, partial(_set, drives[0], "refuses", False))
+            case wrong.CountSlip(joint, at_s, deg):
+                at(at_s, partial(_call, drives[0].slip, self._counts(joint, deg)))
+            case wrong.CountWrap(_, at_s):
+                at(at_s, partial(_set, drives[0], "count_shift", -COUNT_RANGE))
+            case wrong.KeepsSettings(_, at_s):
+                at(at_s, partial(_set, drives[0], "keeps_settings", True))
+            case wrong.ForeignFirmware(_, at_s):
+                at(at_s, partial(_set, drives[0], "foreign", True))
+            case wrong.WrongChecksums(share, at_s):
+                for drive in drives:
+                    at(at_s, partial(_set, drive, "wrong_checksums", share))
+            case wrong.WrongValues(share, most_deg, at_s, joint_or_all):
+                for config, node in zip(self.config.joints, self.drives, strict=True):
+                    if isinstance(node, ZdtDrive) and joint_or_all in (None, config.name):
+                        most = abs(self._counts(config.name, most_deg))
+                        at(at_s, partial(_set, node, "wrong_values", (share, most)))
             case _:
                 return False
         return True
@@ -308,12 +302,12 @@ class SimulatedArm:
             case wrong.CorruptBytes(share, at_s):
                 at(at_s, partial(_set, adapter, "corruption", share))
             case wrong.DuplicateReplies(share, gap_s, at_s, joint):
-                self._spoil_lines(at, at_s, LineFault("twice", share, round(gap_s * 1e9), self._address(joint)))
+                self._spoil_lines(at, at_s, LineFault("twice", share, round(gap_s * 1e9), self._owner(joint)))
             case wrong.LateReplies(share, late_s, at_s, joint):
-                self._spoil_lines(at, at_s, LineFault("late", share, round(late_s * 1e9), self._address(joint)))
+                self._spoil_lines(at, at_s, LineFault("late", share, round(late_s * 1e9), self._owner(joint)))
             case wrong.CutLines(share, rest_s, at_s, joint):
                 rest_ns = None if rest_s is None else round(rest_s * 1e9)
-                self._spoil_lines(at, at_s, LineFault("cut", share, rest_ns, self._address(joint)))
+                self._spoil_lines(at, at_s, LineFault("cut", share, rest_ns, self._owner(joint)))
             case wrong.ReceiveStall(at_s, stall_s, depth):
                 at(at_s, lambda _: adapter.stall(int(depth)))
                 at(at_s + stall_s, adapter.recover)
@@ -335,20 +329,14 @@ class SimulatedArm:
     def _babble(self, babbler: Babbler, joint: str | None, now_ns: int) -> None:
         frame = HIGHEST_PRIORITY
         if joint is not None:
-            drive = self._drive(joint)
-            drive.advance(now_ns)
-            frame = Frame(drive.settings.address << 8, drive.position_answer())
+            frame = self._drive(joint).state_frame(now_ns)
         babbler.begin(now_ns, frame)
 
-    def _add_drive(self, other: ZdtDrive, now_ns: int) -> None:
-        self.bus.nodes.append(
-            ZdtDrive(
-                other.settings, start_ns=now_ns, firmware=self._firmware, seed=self._seed * 1000 + len(self.bus.nodes)
-            )
-        )
+    def _add_drive(self, other: Drive, now_ns: int) -> None:
+        self.bus.nodes.append(other.twin(now_ns, self._seed * 1000 + len(self.bus.nodes)))
 
-    def _address(self, joint: str | None) -> int | None:
-        return None if joint is None else self._drive(joint).settings.address
+    def _owner(self, joint: str | None) -> Callable[[Frame], bool] | None:
+        return None if joint is None else self._drive(joint).owns
 
     def _counts(self, joint: str, deg: float) -> int:
         config = next(config for config in self.config.joints if config.name == joint)
@@ -398,7 +386,7 @@ class SimulatedArm:
         config = self.config.joints[joint]
         return config.direction * 2.0 * math.pi / 60.0 / config.ratio
 
-    def _drive(self, name: str) -> ZdtDrive:
+    def _drive(self, name: str) -> Drive:
         names = [joint.name for joint in self.config.joints]
         gripper = self.config.gripper
         if gripper is not None and self.gripper is not None and name == gripper.joint:
@@ -407,15 +395,18 @@ class SimulatedArm:
             raise ValueError(f"arm {self.config.name} has no joint {name!r}; it has {', '.join(names)}.")
         return self.drives[names.index(name)]
 
-    def _chosen(self, name: str | None) -> list[ZdtDrive]:
+    def _chosen(self, name: str | None) -> list[Drive]:
         return self.drives if name is None else [self._drive(name)]
+
+    def _zdt_drives(self, name: str | None) -> list[ZdtDrive]:
+        return [drive for drive in self._chosen(name) if isinstance(drive, ZdtDrive)]
 
 
 def _set(owner: object, name: str, value: object, _: int) -> None:
     setattr(owner, name, value)
 
 
-def _call(action: Callable[[int, int], None], value: int, now_ns: int) -> None:
+def _call(action: Callable[[int, Value], None], value: Value, now_ns: int) -> None:
     action(now_ns, value)
 
 
@@ -445,19 +436,6 @@ class _Script:
         """It does not send."""
 
 
-_CAN_CODES = {
-    10_000: 0,
-    20_000: 1,
-    50_000: 2,
-    100_000: 4,
-    125_000: 5,
-    250_000: 6,
-    500_000: 7,
-    1_000_000: 9,
-}
-"""The drive's menu codes for its bit rate (zdt-emm-v5.md section 1)."""
-
-
 def _closed_stop_rad(gripper: GripperConfig) -> float:
     """Where the closed fingers meet: the count 0 of its homing, where that lies below its range."""
     assert gripper.servo is not None
@@ -474,7 +452,3 @@ def _let_stop(drive: ZdtDrive, gripper: GripperConfig, low_rad: float, now_ns: i
     ]
     low, high = sorted(round(turn * GRAINS_PER_REVOLUTION) for turn in turns)
     drive.let_stop(now_ns, low, high)
-
-
-def _motor_turns(joint: JointConfig, position_rad: float) -> float:
-    return joint.direction * (position_rad + joint.zero_rad) * joint.ratio / (2.0 * math.pi)

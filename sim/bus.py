@@ -37,8 +37,8 @@ class Node(Protocol):
     Attributes:
         outbox: what it wants to send.
         listening: whether it hears frames and acknowledges them.
-        address: the second lowest byte of the identifiers it cares for (0 everybody does); None for all.
-            It is only spared the others: it still checks.
+        address: None hears every frame. A number hears extended frames alone, those whose identifier is that number
+            or 0 above its lowest byte (as ZDT drives are spoken to): it is only spared the others, and still checks.
         wake_ns: when it next does something of its own accord that others could notice.
     """
 
@@ -59,6 +59,8 @@ class Node(Protocol):
 
 _CRC_POLYNOMIAL = 0x4599
 _INTERFRAME_BITS = 3
+_SHORTEST_FRAME_BITS = 44
+"""A standard frame without data nor stuff bits, up to the end of its end-of-frame field."""
 _TAIL_BITS = 13
 """CRC delimiter, acknowledge slot and delimiter, end of frame, interframe space."""
 
@@ -170,7 +172,8 @@ class Bus:
             answer_ns: the least time any node takes to answer a frame.
         """
         free_ns = self._free_ns
-        answer_ns += 55 * 1_000_000_000 // self.bitrate
+        interframe_ns = _INTERFRAME_BITS * 1_000_000_000 // self.bitrate
+        answer_ns += _SHORTEST_FRAME_BITS * 1_000_000_000 // self.bitrate
         earliest = NEVER
         if self._flying is not None:
             ends_ns, _, sender = self._flying
@@ -179,14 +182,14 @@ class Bus:
             if node is listener:
                 due_ns = node.wake_ns
                 if node.outbox and self._heard(node):
-                    frame = node.outbox[0][1]
-                    due_ns = min(due_ns, free_ns + self.frame_ns(frame) + answer_ns)
+                    heard_ns = free_ns + self.frame_ns(node.outbox[0][1]) - interframe_ns
+                    due_ns = min(due_ns, heard_ns + answer_ns)
             else:
                 due_ns = node.wake_ns
                 if node.outbox and self._heard(node):
                     ready_ns, frame = node.outbox[0]
                     sent_ns = max(ready_ns, free_ns) + self.frame_ns(frame)
-                    due_ns = min(due_ns, sent_ns - _INTERFRAME_BITS * 1_000_000_000 // self.bitrate)
+                    due_ns = min(due_ns, sent_ns - interframe_ns)
             earliest = min(earliest, due_ns)
         return earliest
 
@@ -224,9 +227,10 @@ class Bus:
         self._flying = None
         self._clock_ns = ends_ns
         sender.sent(ends_ns, frame)
-        target = frame.can_id >> 8
+        heard = (None, frame.can_id >> 8) if frame.extended else (None,)
+        everybody = frame.extended and frame.can_id < 0x100
         for node in self.nodes:
-            if node is not sender and node.listening and (not target or node.address in (target, None)):
+            if node is not sender and node.listening and (everybody or node.address in heard):
                 node.receive(ends_ns, frame)
 
 

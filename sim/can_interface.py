@@ -51,7 +51,9 @@ class CanInterface:
                 continue
             extended = bool(word & EXTENDED)
             can_id = word & (EXTENDED_MASK if extended else STANDARD_MASK)
-            self.outbox.append((now_ns, Frame(can_id, content[:length], extended, bool(word & REMOTE))))
+            remote = bool(word & REMOTE)
+            data = bytes(length) if remote else content[:length]
+            self.outbox.append((now_ns, Frame(can_id, data, extended, remote)))
 
     def collect(self, now_ns: int) -> bytes:
         """The frames that have arrived by `now_ns`."""

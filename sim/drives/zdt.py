@@ -45,13 +45,17 @@ from __future__ import annotations
 from collections import deque
 from typing import Literal
 
+from config.drives.zdt import ZdtDrive as ZdtConfig
 from sim.bus import Frame, Outbox
-from sim.drives.ramp import NEVER
+from sim.drives.drive import Cause, Mounting
+from sim.drives.ramp import GRAINS_PER_REVOLUTION, NEVER
 from sim.drives.zdt_functions import CHECKSUM, READ_ARGUMENT, Functions
 from sim.drives.zdt_motion import COMPLETE, DONE
-from sim.drives.zdt_settings import Homing, Settings
+from sim.drives.zdt_settings import CAN_CODES, Homing, Settings, homing_towards
 
 FORMAT_ERROR = b"\x00\xee\x6b"
+TRIP_FLAGS: dict[Cause, int] = {"stall": 0x00, "temperature": 0x10, "current": 0x20}
+"""Bits of `3B` (section 4); a stall is told by `3A` alone."""
 
 
 class ZdtDrive(Functions):
@@ -126,6 +130,36 @@ class ZdtDrive(Functions):
         self.bare_report_ack = False
         self._replied_ns = start_ns
         self._partial: tuple[int, bytearray, int] | None = None
+
+    @classmethod
+    def mounted(cls, mounting: Mounting) -> ZdtDrive:
+        """The drive of a joint, with a stop at the joint's lower limit, towards which it homes."""
+        joint = mounting.joint
+        assert isinstance(joint.drive, ZdtConfig)
+        drive = cls(
+            Settings(
+                address=joint.drive.address,
+                microstep=joint.drive.microsteps % 256,
+                can_code=CAN_CODES.get(mounting.bitrate, CAN_CODES[500_000]),
+            ),
+            start_ns=mounting.start_ns,
+            position_pulses=round(
+                joint.direction * (mounting.position_rad + joint.zero_rad) * joint.command_pulses_per_rad
+            ),
+            homed=mounting.homed,
+            homing=homing_towards(joint.direction),
+            firmware=mounting.firmware,
+            retarget=mounting.retarget,
+            enabling=mounting.enabling,
+            lag_s=mounting.lag_s,
+            seed=mounting.seed,
+        )
+        stop = round(mounting.turns(joint.lower_rad) * GRAINS_PER_REVOLUTION)
+        if joint.direction > 0:
+            drive.shaft.low = stop
+        else:
+            drive.shaft.high = stop
+        return drive
 
     # -- the bus's side ------------------------------------------------------------------------------
 
@@ -218,6 +252,10 @@ class ZdtDrive(Functions):
         self.connected = True
         self.listening = self.powered
 
+    def protect(self, now_ns: int, cause: Cause) -> None:
+        """Trip the protection for a cause that stands until `cause_lasts` is False and it is cleared."""
+        self.trip(now_ns, TRIP_FLAGS[cause])
+
     def trip(self, now_ns: int, causes: int) -> None:
         """Trip the protection, which lets the shaft go; `causes` are the bits of `3B` that then stand."""
         self.advance(now_ns)
@@ -232,6 +270,21 @@ class ZdtDrive(Functions):
         self.enabled = False
         self._release()
         self._schedule()
+
+    # -- as others know it ---------------------------------------------------------------------------
+
+    def owns(self, frame: Frame) -> bool:
+        """Whether the frame is of its conversation with the host."""
+        return frame.can_id >> 8 == self.settings.address
+
+    def state_frame(self, now_ns: int) -> Frame:
+        """The position it would answer at `now_ns`."""
+        self.advance(now_ns)
+        return Frame(self.settings.address << 8, self.position_answer())
+
+    def twin(self, now_ns: int, seed: int) -> ZdtDrive:
+        """Another drive with its address, from `now_ns` on, which counts from zero."""
+        return ZdtDrive(self.settings, start_ns=now_ns, firmware="new" if self._new else "old", seed=seed)
 
     # -- requests and answers ------------------------------------------------------------------------
 

@@ -8,6 +8,21 @@ from dataclasses import dataclass
 _SETTINGS = struct.Struct(">8B3H6B4H")
 _HOMING = struct.Struct(">BBHIHHHB")
 
+CAN_CODES = {
+    10_000: 0,
+    20_000: 1,
+    50_000: 2,
+    100_000: 4,
+    125_000: 5,
+    250_000: 6,
+    500_000: 7,
+    1_000_000: 9,
+}
+"""The drive's menu codes for its bit rate (section 1)."""
+
+ARM_HOMING_RPM = 30
+ARM_HOMING_TIMEOUT_MS = 120_000
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -82,3 +97,8 @@ class Homing:
     def unpack(cls, data: bytes) -> Homing:
         """The parameters read from 15 data bytes."""
         return cls(*_HOMING.unpack(data))
+
+
+def homing_towards(direction: int) -> Homing:
+    """How the drive of a joint homes: to the mechanical stop at the joint's lower end."""
+    return Homing(mode=2, direction=1 if direction > 0 else 0, rpm=ARM_HOMING_RPM, timeout_ms=ARM_HOMING_TIMEOUT_MS)

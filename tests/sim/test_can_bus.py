@@ -116,6 +116,93 @@ def test_a_standard_frame_beats_an_extended_one_of_the_same_base(bus, stations):
     assert [frame.extended for _, frame in stations[2].heard] == [False, True]
 
 
+def bits_of_arbitration(frame: Frame) -> str:
+    """Identifier and flags up to where data and remote frames, base and extended ones differ (ISO 11898-1)."""
+    ident = f"{frame.can_id:029b}"
+    if frame.extended:
+        return ident[:11] + "11" + ident[11:] + f"{frame.remote:b}"
+    return f"{frame.can_id:011b}" + f"{frame.remote:b}" + "0"
+
+
+close = st.builds(
+    lambda base, low, extended, remote: Frame(base << 18 | low if extended else base, b"", extended, remote),
+    st.integers(0, 3),
+    st.integers(0, 1),
+    st.booleans(),
+    st.booleans(),
+)
+
+
+@given(st.lists(st.one_of(close, frames), min_size=1, max_size=12, unique_by=bits_of_arbitration))
+def test_frames_that_wait_together_go_in_the_order_in_which_dominant_bits_win(waiting):
+    bus, ear = Bus(500_000, 0), Station()
+    senders = [Station() for _ in waiting]
+    for sender, frame in zip(senders, waiting, strict=True):
+        sender.outbox.append((0, frame))
+    bus.nodes += [ear, *senders]
+    bus.run_until(10**9)
+    assert [frame for _, frame in ear.heard] == sorted(waiting, key=bits_of_arbitration)
+    for sender, frame in zip(senders, waiting, strict=True):
+        assert frame not in [heard for _, heard in sender.heard]
+
+
+@pytest.mark.parametrize(
+    ("frame", "hear"),
+    [
+        (Frame(0x2FF, b""), {2, None}),
+        (Frame(0x0FF, b""), {1, 2, None}),
+        (Frame(0x10000200, b""), {None}),
+        (Frame(0x200, b"", extended=False), {None}),
+        (Frame(0x0FF, b"", extended=False), {None}),
+        (Frame(0x200, b"", remote=True), {2, None}),
+        (Frame(0x2FF, b"", extended=False, remote=True), {None}),
+    ],
+)
+def test_who_hears_what(frame, hear):
+    bus, sender = Bus(500_000, 0), Station()
+    ears = {address: Station() for address in (1, 2, None)}
+    for address, ear in ears.items():
+        ear.address = address
+    bus.nodes += [sender, *ears.values()]
+    sender.outbox.append((0, frame))
+    bus.run_until(10**9)
+    assert {address for address, ear in ears.items() if ear.heard} == hear
+    assert sender.heard == []
+
+
+class Answerer(Station):
+    """Answers each frame that is not an answer, a time after it has heard it."""
+
+    def __init__(self, after_ns: int, answer: Frame) -> None:
+        super().__init__()
+        self.after_ns, self.answer = after_ns, answer
+
+    def receive(self, now_ns: int, frame: Frame) -> None:
+        if frame.can_id != self.answer.can_id:
+            self.outbox.append((now_ns + self.after_ns, self.answer))
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 10**6), frames), max_size=4),
+    st.lists(st.tuples(st.integers(0, 10**6), frames), max_size=4),
+    frames,
+    st.integers(0, 300_000),
+)
+def test_nothing_comes_before_the_quiet_is_said_to_end(own, others, answer, after_ns):
+    bus, listener, other = Bus(500_000, 0), Station(), Station()
+    bus.nodes += [listener, other, Answerer(after_ns, answer)]
+    listener.outbox.extend(sorted(own, key=lambda item: item[0]))
+    other.outbox.extend(sorted(others, key=lambda item: item[0]))
+    now_ns = 0
+    while (until_ns := bus.quiet_until_ns(listener, after_ns)) != NEVER:
+        before = len(listener.heard)
+        bus.run_until(max(until_ns - 1, now_ns))
+        assert len(listener.heard) == before
+        now_ns = max(until_ns, now_ns + 1)
+        bus.run_until(now_ns)
+    assert not listener.outbox and not other.outbox
+
+
 def test_a_frame_in_flight_is_not_heard_before_its_end(bus, stations):
     frame = Frame(0x100, b"\x01")
     stations[0].outbox.append((0, frame))

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import serial
 
+from sim.drives.families import FAMILIES
 from sim.truth import load_truth, load_wire
 
 pytestmark = pytest.mark.process
@@ -214,7 +215,7 @@ def test_a_stale_link_is_replaced_but_a_file_is_not(start, tmp_path):
         (["--arm", "episode1", "--start-deg", "a"], "must be numbers"),
         (["--arm", "episode1", "--link", "/nonexistent/tty"], "there is no folder /nonexistent"),
         (["--arm", "episode1", "--truth", "/nonexistent/truth.npz"], "there is no folder"),
-        (["--arm", "mock"], "only zdt drives can be simulated"),
+        (["--arm", "mock"], f"has a mock drive, but only {', '.join(FAMILIES)} drives can be simulated"),
     ],
 )
 def test_bad_options_are_one_sentence(options, sentence, capsys):

@@ -1,0 +1,13 @@
+"""The families of drives that can be simulated, one line each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from sim.drives.drive import Drive, Mounting
+from sim.drives.zdt import ZdtDrive
+
+FAMILIES: dict[str, Callable[[Mounting], Drive]] = {
+    "zdt": ZdtDrive.mounted,
+}
+"""Makes the drive of a joint, by the family its configuration names."""
