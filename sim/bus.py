@@ -179,17 +179,11 @@ class Bus:
             ends_ns, _, sender = self._flying
             earliest = ends_ns + (answer_ns if sender is listener else 0)
         for node in self.nodes:
-            if node is listener:
-                due_ns = node.wake_ns
-                if node.outbox and self._heard(node):
-                    heard_ns = free_ns + self.frame_ns(node.outbox[0][1]) - interframe_ns
-                    due_ns = min(due_ns, heard_ns + answer_ns)
-            else:
-                due_ns = node.wake_ns
-                if node.outbox and self._heard(node):
-                    ready_ns, frame = node.outbox[0]
-                    sent_ns = max(ready_ns, free_ns) + self.frame_ns(frame)
-                    due_ns = min(due_ns, sent_ns - interframe_ns)
+            due_ns = node.wake_ns
+            if node.outbox and self._heard(node):
+                ready_ns, frame = node.outbox[0]
+                ends_ns = max(ready_ns, free_ns) + self.frame_ns(frame) - interframe_ns
+                due_ns = min(due_ns, ends_ns + (answer_ns if node is listener else 0))
             earliest = min(earliest, due_ns)
         return earliest
 
