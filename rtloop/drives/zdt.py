@@ -9,11 +9,7 @@ with the sign in a byte of its own):
 Requests and replies share their ids; they differ in length for every function used here, which is how a
 reply is told from an echo of one's own request.
 
-Streaming: the drive plans its own ramp to whatever target it heard last. A target at the setpoint makes it
-sprint and stop in every cycle, so the target lies ahead of the setpoint by one period of motion plus the
-braking distance of the ramp it is given, and the speed field alone sets the pace: the planned mean velocity
-of the coming period plus a small share of the measured error. Since the ramp is 1.5 to 2 times the joint's
-acceleration limit, a drive that hears nothing more brakes by itself, bounded, on the target's last word.
+Streaming: a target ahead, and a speed that sets the pace (`rtloop.leading`).
 
 `FC int32` sends such a target alone, in one packet; speed, ramp and mode stand in the drive since `F1`
 (`rtloop.fast_targets`). It is led by how far ahead its targets lie (`fast_command`).
@@ -22,11 +18,10 @@ acceleration limit, a drive that hears nothing more brakes by itself, bounded, o
 import math
 from typing import Any
 
-from config.derived import LEAD_PERIODS
-from rtloop import hearing
+from rtloop import hearing, leading
 from rtloop import status as status_bits
 from rtloop.agreed import steady_error_rad
-from rtloop.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
+from rtloop.correction import ERROR_SHARE_1_S
 from rtloop.wire import outgoing
 from rtloop.wire.frame_words import EXTENDED
 from shm.jit import jit
@@ -106,25 +101,8 @@ def to_radians(loop: Loop, joint: int, counts: int) -> float:
 def command(loop: Loop, joint: int) -> tuple[int, int]:
     """The two packets that lead a drive through the coming period; carries the speed's rounding over."""
     row, axis = loop.joints[joint], loop.axes[joint]
-    period_s = loop.params.period_ns * 1e-9
-    planned = (axis.next_position_rad - axis.position_rad) / period_s
-    # the frame arrives command_delay_s into the cycle and is in force for one period from there
-    speed = planned + axis.next_acceleration_rad_s2 * row.command_delay_s
-    most = ERROR_SPEED_SHARE * row.max_velocity_rad_s
-    # whole rpm keep the mean by being up to half an rpm off for a period: to correct that error would only add to it
-    rounding_rad = 0.5 / row.rpm_per_rad_s * period_s
-    error_rad = steady_error_rad(axis, 2.0 * row.slack_rad)
-    error_rad -= min(max(error_rad, -rounding_rad), rounding_rad)
-    speed += min(max(ERROR_SHARE_1_S * error_rad, -most), most)
-    most = loop.params.velocity_margin * row.max_velocity_rad_s
-    speed = min(max(speed, -most), most)
-    lead = period_s * LEAD_PERIODS + row.command_delay_s
-    brake = speed * speed / (2.0 * row.silence_deceleration_rad_s2)
-    target = axis.next_position_rad
-    standing = axis.velocity_rad_s == 0.0 and axis.next_velocity_rad_s == 0.0
-    if not standing:
-        target += speed * lead + math.copysign(brake, speed)
-        target = min(max(target, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad)
+    # whole rpm keep the mean by being up to half an rpm off for a period
+    target, speed = leading.target_ahead(loop, joint, 0.5 / row.rpm_per_rad_s)
     wanted_rpm = abs(speed) * row.rpm_per_rad_s + axis.rpm_remainder
     rpm = round(wanted_rpm)
     axis.rpm_remainder = min(max(wanted_rpm - rpm, -1.0), 1.0)
