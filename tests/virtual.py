@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from config.bus import SLCAN_BITRATES
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rtloop import entries
@@ -105,7 +106,7 @@ class VirtualArm:
                 **sim_options,
             )
             if self.arm.bus.interface == "slcan":
-                self.sim.feed(START_NS, b"C\rS6\rO\r")
+                self.sim.feed(START_NS, f"C\r{SLCAN_BITRATES[self.arm.bus.bitrate]}\rO\r".encode())
 
     @property
     def core(self) -> np.void:

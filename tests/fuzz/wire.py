@@ -12,8 +12,10 @@ import numpy as np
 from fuzz import memory
 from fuzz.memory import SOUND, UNKNOWN_WORD
 from rtloop.cycle import step
+from rtloop.measured import whose
 from rtloop.port import OUT, TAKEN, WRITTEN
 from rtloop.wire import received
+from rtloop.wire.frame_words import EXTENDED
 from shm.atomics import store_relaxed
 from shm.jit import jit
 
@@ -79,7 +81,7 @@ def put_frame(out: np.ndarray, at: int, frame_id: int, length: int, data: int) -
 def position_reply(loop: Loop, joint: int, off_rad: float) -> int:
     """`36 sign counts32 6B` of a joint that is where it is commanded, but for an error."""
     row = loop.joints[joint]
-    counts = round((loop.axes[joint].position_rad + off_rad + row.zero_rad) * row.counts_per_rad)
+    counts = round((loop.axes[joint].position_rad + off_rad + row.zero_rad) * row.reading_per_rad)
     size = min(abs(counts), 0xFFFFFFFF)
     data = 0x36 | ((1 if counts < 0 else 0) << 8) | (0x6B << 48)
     for i in range(4):
@@ -201,10 +203,9 @@ def judge_bytes(loop: Loop, count: int, verdict: np.ndarray) -> int:
         frame_id, length = hex_at(tx, at + 1, 8), tx[at + 9] - 48
         if frame_id < 0 or length < 0 or length > 8 or at + 10 + 2 * length >= count:
             return BAD_LINE
-        address = frame_id >> 8
-        if address >= 256 or loop.joint_at[address] < 0 or tx[at + 10 + 2 * length] != CR:
+        joint = whose(loop, frame_id, EXTENDED)
+        if joint < 0 or tx[at + 10 + 2 * length] != CR:
             return BAD_LINE
-        joint = loop.joint_at[address]
         if hex_at(tx, at + 10, 2) == 0xFD:
             if loop.axes[joint].referenced == 0:
                 verdict[0] = joint
@@ -216,8 +217,8 @@ def judge_bytes(loop: Loop, count: int, verdict: np.ndarray) -> int:
                 if hex_at(tx, first + 12, 2) == 1:
                     pulses = -pulses
                 row = loop.joints[joint]
-                target = pulses / row.pulses_per_rad - row.zero_rad
-                slack = 3.0 / abs(row.pulses_per_rad) + row.slack_rad
+                target = pulses / row.command_per_rad - row.zero_rad
+                slack = 3.0 / abs(row.command_per_rad) + row.slack_rad
                 if not (row.lower_rad - slack <= target <= row.upper_rad + slack):
                     verdict[0], verdict[1] = joint, target
                     return BAD_TARGET

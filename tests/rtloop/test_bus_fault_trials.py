@@ -53,7 +53,7 @@ def say(arm: VirtualArm, *lines: bytes) -> None:
 def position_line(arm: VirtualArm, joint: int, off_rad: float = 0.0) -> bytes:
     """The answer of a drive that stands `off_rad` from where it was last measured."""
     row, axis = arm.loop[0]["joints"][joint], arm.loop[0]["axes"][joint]
-    counts = round((float(axis["measured_rad"]) + off_rad + float(row["zero_rad"])) * float(row["counts_per_rad"]))
+    counts = round((float(axis["measured_rad"]) + off_rad + float(row["zero_rad"])) * float(row["reading_per_rad"]))
     return b"T%08X736%02X%08X6B" % (int(row["address"]) << 8, counts < 0, abs(counts))
 
 

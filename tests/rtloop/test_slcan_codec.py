@@ -252,7 +252,7 @@ def test_the_next_frame_is_found_after_noise(loop, shared, noise, errors):
     assert taken(loop, shared, noise + POSITION) == (1, errors)
     assert loop[0]["axes"][0]["readings"] == 1
     assert loop[0]["axes"][0]["measured_rad"] == pytest.approx(
-        65536 / loop[0]["joints"][0]["counts_per_rad"] - loop[0]["joints"][0]["zero_rad"]
+        65536 / loop[0]["joints"][0]["reading_per_rad"] - loop[0]["joints"][0]["zero_rad"]
     )
 
 
