@@ -12,7 +12,14 @@ from typing import Literal, Protocol
 
 from config.joint import JointConfig
 from sim.bus import Frame, Node
+from sim.drives.servo import Load
 from sim.drives.shaft import Reals, Times
+
+LINK_KG_M2, LINK_FRICTION_NM = 0.02, 0.02
+ROTOR_KG_M2, ROTOR_FRICTION_NM = 2e-5, 0.005
+"""Inertia and friction of a joint, and of a motor [inf]."""
+STRENGTH = 4.0
+"""Torque of a motor beside what its joint's acceleration limit needs [inf]."""
 
 Cause = Literal["stall", "temperature", "current"]
 """Why a protection trips."""
@@ -120,3 +127,12 @@ class Mounting:
         """Revolutions its shaft has made from where it counts 0 when the joint stands at an angle."""
         joint = self.joint
         return joint.direction * (position_rad + joint.zero_rad) * joint.ratio / (2.0 * math.pi)
+
+    @property
+    def load(self) -> Load:
+        """A link of a small arm, as the drive feels it through its gear, and a motor strong enough for its limits."""
+        joint = self.joint
+        inertia_kg_m2 = ROTOR_KG_M2 + LINK_KG_M2 / joint.ratio**2
+        friction_nm = ROTOR_FRICTION_NM + LINK_FRICTION_NM / joint.ratio
+        needed_nm = inertia_kg_m2 * joint.max_acceleration_rad_s2 * joint.ratio + friction_nm
+        return Load(inertia_kg_m2, friction_nm, STRENGTH * needed_nm)
