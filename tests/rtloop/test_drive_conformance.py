@@ -28,6 +28,7 @@ class Family:
     Attributes:
         arm: name of the arm file; its joints are those of episode1, so that the recorded goals fit.
         path_error_deg: of joints 1 to 3, rms, while a recorded goal runs.
+        ripple: of the true velocity at the highest speed (rms, a share of it), beside what whole motor rpm make.
         braking: highest true deceleration in silence, as a multiple of the joint's limit; infinite for a follower of
             set-points, which stops where it was told last, as hard as it can.
         measures: what it publishes beside its position.
@@ -35,13 +36,16 @@ class Family:
 
     arm: str
     path_error_deg: float
+    ripple: float
     braking: float
     measures: tuple[str, ...] = ()
 
 
 FAMILIES = (
-    Family("episode1", path_error_deg=0.02, braking=2.2),
-    Family("odrive6", path_error_deg=0.02, braking=math.inf, measures=("measured_effort", "drive_voltage_v")),
+    Family("episode1", path_error_deg=0.02, ripple=0.001, braking=2.2),
+    Family(
+        "odrive6", path_error_deg=0.02, ripple=0.01, braking=math.inf, measures=("measured_effort", "drive_voltage_v")
+    ),
 )
 
 
@@ -141,7 +145,10 @@ def test_a_recorded_goal_runs_true(family: Family, name: str) -> None:
 
 @pytest.mark.parametrize("joint", [0, 2])
 def test_constant_speed_is_even(family: Family, joint: int) -> None:
-    """Ripple of the true velocity at the joint's highest speed: half a motor rpm (rms) is what whole rpm allow."""
+    """Ripple of the true velocity at the joint's highest speed: half a motor rpm (rms) is what whole rpm allow.
+
+    A follower's set-point stands still for a cycle, and its position loop sees the difference.
+    """
     arm = brought_up(family)
     config = arm.arm.joints[joint]
     speed = config.max_velocity_rad_s
@@ -160,7 +167,8 @@ def test_constant_speed_is_even(family: Family, joint: int) -> None:
     assert arm.outcome(goal) == Outcome.SUCCEEDED
     steady_ns = started_ns + int((speed_up_s + 0.4) * 1e9)
     _, _, velocity_rad_s = sampled_truth(arm.sim, joint, steady_ns, steady_ns + 500_000_000)
-    assert rms(velocity_rad_s - sign * speed) / speed <= 0.5 / config.motor_rpm + 0.001
+    whole_rpm = 0.5 / config.motor_rpm if config.drive.stepper_ramp else 0.0
+    assert rms(velocity_rad_s - sign * speed) / speed <= whole_rpm + family.ripple
     arm.close()
 
 

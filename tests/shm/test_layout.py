@@ -15,6 +15,8 @@ UNITS = {
     "rad_s2": "rad/s²",
     "bitrate": "bit/s",
     "bits_on_bus": "bit",
+    "temperature_c": "°C",
+    "voltage_v": "V",
 }
 """Ending of a word's name → its unit; the longest ending that fits decides."""
 
