@@ -1,0 +1,68 @@
+"""Hands frames to one simulated servo drive and takes what it says, in virtual time and without a bus."""
+
+from __future__ import annotations
+
+from sim.bus import Frame
+from sim.drives.conversation import ServoDrive
+
+MILLISECOND = 1_000_000
+
+
+def frame(text: str) -> Frame:
+    """A frame as written in the facts: `027# 08 00` (standard, three digits), `0300AA01# 00`, or `049# remote`."""
+    ident, _, data = text.partition("#")
+    remote = data.strip() == "remote"
+    return Frame(int(ident, 16), b"" if remote else bytes.fromhex(data), len(ident) > 3, remote)
+
+
+def text(said: Frame) -> str:
+    """The same the other way round."""
+    ident = f"{said.can_id:08X}" if said.extended else f"{said.can_id:03X}"
+    return f"{ident}# " + ("remote" if said.remote else said.data.hex(" ").upper())
+
+
+class ServoBench:
+    """A drive on a table, whose frames come and go at once."""
+
+    def __init__(self, drive: ServoDrive) -> None:
+        self.drive = drive
+        self.now_ns = 0
+
+    def tell(self, *texts: str | Frame) -> None:
+        """Send frames."""
+        for item in texts:
+            self.drive.receive(self.now_ns, frame(item) if isinstance(item, str) else item)
+
+    def heard(self) -> list[str]:
+        """What it has said since."""
+        texts = [text(said) for _, said in self.drive.outbox]
+        self.drive.outbox.clear()
+        return texts
+
+    def ask(self, item: str | Frame) -> list[str]:
+        """Send a frame and return what the drive says to it."""
+        self.heard()
+        self.tell(item)
+        return self.heard()
+
+    def wait(self, milliseconds: float) -> list[str]:
+        """Let time pass, waking the drive when it wants to be; what it said of its own accord."""
+        end_ns = self.now_ns + round(milliseconds * MILLISECOND)
+        texts = []
+        while self.drive.wake_ns <= end_ns:
+            self.now_ns = max(self.now_ns, self.drive.wake_ns)
+            self.drive.wake(self.now_ns)
+            texts += self.heard()
+        self.now_ns = end_ns
+        self.drive.advance(end_ns)
+        return texts
+
+    @property
+    def turns(self) -> float:
+        """Where its shaft truly is [rev]."""
+        return self.drive.shaft.past(self.now_ns)[0]
+
+    @property
+    def turns_s(self) -> float:
+        """How fast it truly is [rev/s]."""
+        return self.drive.shaft.past(self.now_ns)[1] / 60.0

@@ -1,0 +1,386 @@
+"""The simulated ODrive axis: golden frames, its states, what moves it, and what it ignores.
+
+Frames marked (facts) are the vectors of other-drives.md; the others follow from its tables and the firmware's layout.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from servo_bench import ServoBench
+
+from sim.bus import Frame
+from sim.drives.odrive import (
+    CLOSED_LOOP,
+    ESTOP_REQUESTED,
+    IDLE,
+    INVALID_STATE,
+    WATCHDOG_EXPIRED,
+    OdriveDrive,
+    Settings,
+)
+from sim.drives.servo import Load, Spin
+
+CLOSE = "027# 08 00 00 00 00 00 00 00"  # node 1 closed loop (facts)
+PASSTHROUGH = "02B# 03 00 00 00 01 00 00 00"  # node 1 position + passthrough (facts)
+TRAPEZOID = "02B# 03 00 00 00 05 00 00 00"
+RAMPED = "02B# 02 00 00 00 02 00 00 00"
+
+
+def quiet(node_id: int = 1, **changes) -> Settings:
+    return Settings(
+        **{"node_id": node_id, "heartbeat_ms": 0, "estimates_ms": 0, "top": 20.0, "ampere": 100.0} | changes
+    )
+
+
+def axis(turns: float = 0.0, **changes) -> ServoBench:
+    return ServoBench(OdriveDrive(quiet(**changes), turns=turns, load=Load(1e-4, 0.01, 4.0)))
+
+
+def position(turns: float, ahead: int = 0, torque: int = 0, node: int = 1) -> Frame:
+    return Frame(node << 5 | 0x0C, struct.pack("<fhh", turns, ahead, torque), extended=False)
+
+
+def floats(node: int, command: int, *values: float) -> Frame:
+    return Frame(node << 5 | command, struct.pack(f"<{len(values)}f", *values), extended=False)
+
+
+# --- golden frames --------------------------------------------------------------------------------------
+
+
+def test_position_of_the_facts():
+    bench = axis(node_id=3)
+    bench.tell("067# 08 00 00 00 00 00 00 00", "06C# 00 00 80 3F 00 00 00 00")  # node 3 to 1 rev (facts)
+    bench.wait(2000)
+    assert bench.turns == pytest.approx(1.0, abs=1e-6)
+
+
+def test_estimates_of_the_facts():
+    bench = axis(node_id=2, turns=0.25, encoder_cpr=4096)
+    bench.drive.shaft.obey(Spin(-0.5, 1e9))
+    bench.wait(0.1)
+    assert bench.ask("049# remote") == ["049# 00 00 80 3E 00 00 00 BF"]  # 0.25 rev, -0.5 rev/s (facts)
+
+
+@pytest.mark.parametrize(
+    ("request_text", "answer"),
+    [
+        ("023# remote", "023# 00 00 00 00 00 00 00 00"),
+        ("024# remote", "024# 00 00 00 00 00 00 00 00"),
+        ("025# remote", "025# 00 00 00 00 00 00 00 00"),
+        ("029# remote", "029# 00 00 40 3F 00 00 00 00"),
+        ("029#", "029# 00 00 40 3F 00 00 00 00"),  # the firmware takes a frame without data for a request
+        ("02A# remote", "02A# 00 18 00 00 00 18 00 00"),
+        ("034# remote", "034# 00 00 00 00 00 00 00 00"),
+        ("037# remote", "037# 00 00 C0 41 CD CC 4C 3D"),  # 24 V, 0.05 A
+        ("03D# 01", "03D# 00 00 00 00 00 00 00 00"),
+    ],
+)
+def test_reads(request_text, answer):
+    assert axis(turns=0.75).ask(request_text) == [answer]
+
+
+def test_a_remote_request_of_any_length_is_answered():
+    bench = axis()
+    for length in range(9):
+        assert len(bench.ask(Frame(0x029, bytes(length), extended=False, remote=True))) == 1
+
+
+def test_heartbeats_and_estimates_come_by_themselves():
+    bench = ServoBench(OdriveDrive(Settings(node_id=1)))
+    said = bench.wait(1000)
+    assert said.count("021# 00 00 00 00 01 00 00 80") == 10  # idle, trajectory done
+    assert said.count("029# 00 00 00 00 00 00 00 00") == 100
+    bench.tell(CLOSE)
+    assert "021# 00 00 00 00 08 00 00 80" in bench.wait(100)
+    bench.tell("022#")
+    assert "021# 00 40 00 00 01 00 00 80" in bench.wait(100)
+
+
+def test_answers_come_after_the_reply_delay_and_keep_their_order():
+    drive = OdriveDrive(quiet())
+    for now_ns in range(0, 500_000, 50_000):
+        drive.receive(now_ns, Frame(0x029, b"", extended=False, remote=True))
+    ready = [time_ns for time_ns, _ in drive.outbox]
+    assert ready == sorted(ready)
+    least, greatest = drive.reply_delay_ns
+    assert ready[0] >= least
+    assert all(time_ns <= now_ns + greatest for now_ns, time_ns in zip(range(0, 500_000, 50_000), ready, strict=True))
+
+
+# --- states ---------------------------------------------------------------------------------------------
+
+
+def test_closing_the_loop_moves_nothing():
+    bench = axis(turns=3.3)
+    bench.tell(position(50.0, 500), CLOSE)
+    bench.wait(500)
+    assert bench.drive.state == CLOSED_LOOP
+    assert bench.turns == 3.3
+
+
+def test_an_axis_that_is_not_calibrated_must_be_first():
+    bench = axis(calibrated=False)
+    bench.tell(CLOSE)
+    assert (bench.drive.state, bench.drive.axis_error) == (IDLE, INVALID_STATE)
+    bench.tell("027# 03 00 00 00")
+    assert bench.drive.state == IDLE  # an error stands
+    bench.tell("038#", "027# 03 00 00 00")
+    states, most = [], 0.0
+    for _ in range(120):
+        bench.wait(100)
+        states.append(bench.drive.state)
+        most = max(most, bench.turns)
+    assert list(dict.fromkeys(states)) == [4, 7, IDLE]
+    assert most == pytest.approx(8 / 7, abs=1e-6)
+    assert bench.turns == pytest.approx(0.0, abs=1e-6)
+    bench.tell(CLOSE)
+    assert (bench.drive.state, bench.drive.axis_error) == (CLOSED_LOOP, 0)
+
+
+def test_an_error_opens_the_loop_and_clearing_does_not_close_it():
+    bench = axis()
+    bench.tell(CLOSE, "022#")
+    assert (bench.drive.state, bench.drive.axis_error) == (IDLE, ESTOP_REQUESTED)
+    bench.tell(CLOSE)
+    assert bench.drive.axis_error == ESTOP_REQUESTED | INVALID_STATE
+    bench.tell("038#")
+    assert (bench.drive.state, bench.drive.axis_error) == (IDLE, 0)
+    bench.tell(CLOSE)
+    assert bench.drive.state == CLOSED_LOOP
+
+
+@pytest.mark.parametrize(
+    ("cause", "heartbeat", "motor", "controller"),
+    [
+        ("stall", "021# 00 02 00 00 01 00 00 81", 0, 0x80),
+        ("temperature", "021# 00 00 04 00 01 00 00 80", 0, 0),
+        ("current", "021# 40 00 00 00 01 01 00 80", 0x1000, 0),
+    ],
+)
+def test_what_a_protection_says(cause, heartbeat, motor, controller):
+    bench = axis(heartbeat_ms=100)
+    bench.tell(CLOSE)
+    bench.drive.cause_lasts = True
+    bench.drive.protect(bench.now_ns, cause)
+    assert heartbeat in bench.wait(100)
+    bench.tell("038#")
+    assert heartbeat in bench.wait(100)
+    assert bench.ask("023# remote") == [f"023# {struct.pack('<Q', motor).hex(' ').upper()}"]
+    assert bench.ask("03D# remote") == [f"03D# {struct.pack('<Q', controller).hex(' ').upper()}"]
+    bench.drive.cause_lasts = False
+    bench.tell("038#")
+    assert bench.drive.axis_error == 0
+
+
+def test_the_watchdog_lets_go_when_nobody_speaks_to_the_node():
+    bench = axis(watchdog_s=0.1)
+    bench.tell(CLOSE)
+    for _ in range(5):
+        bench.wait(90)
+        bench.tell(Frame(0x021, b"", extended=False))
+    assert bench.drive.state == CLOSED_LOOP
+    bench.wait(50)
+    bench.tell(Frame(0x041, b"", extended=False))
+    bench.wait(60)
+    assert (bench.drive.state, bench.drive.axis_error) == (IDLE, WATCHDOG_EXPIRED)
+
+
+# --- motion ---------------------------------------------------------------------------------------------
+
+
+def test_passthrough_with_velocity_ahead_follows_without_lag():
+    bench = axis()
+    bench.tell(PASSTHROUGH, CLOSE)
+    for tick in range(500):
+        bench.tell(position(tick * 0.002, ahead=1000))
+        bench.wait(2)
+    assert bench.turns == pytest.approx(500 * 0.002, abs=3e-3)
+    assert bench.turns_s == pytest.approx(1.0, rel=0.05)
+    bench.tell(position(1.0))
+    bench.wait(2000)
+    assert bench.turns == pytest.approx(1.0, abs=1e-6)
+
+
+def test_trapezoids_keep_their_limits_and_may_be_changed_on_the_way():
+    bench = axis(heartbeat_ms=10)
+    bench.tell(TRAPEZOID, floats(1, 0x11, 3.0), floats(1, 0x12, 10.0, 5.0), CLOSE, position(5.0))
+    said = bench.wait(500)
+    assert said[-1] == "021# 00 00 00 00 08 00 00 00"  # trajectory not done
+    assert bench.turns_s == pytest.approx(3.0)
+    bench.tell(position(-1.0))
+    assert bench.wait(5000)[-1] == "021# 00 00 00 00 08 00 00 80"
+    assert bench.turns == pytest.approx(-1.0, abs=1e-6)
+    speeds = bench.drive.shaft.history(np.arange(0, 5 * 10**9, 250_000))[1] / 60.0
+    assert np.abs(speeds).max() <= 3.0
+    assert np.abs(np.diff(speeds)).max() <= 10.0 * 250e-6 * (1 + 1e-9)
+
+
+def test_velocity_control_with_a_ramp_and_without():
+    bench = axis(ramp=4.0)
+    bench.tell(RAMPED, CLOSE, floats(1, 0x0D, 2.0, 0.0))
+    bench.wait(250)
+    assert bench.turns_s == pytest.approx(1.0, abs=0.01)
+    bench.tell("02B# 02 00 00 00 01 00 00 00", floats(1, 0x0D, -5.0, 0.0))
+    bench.wait(500)
+    assert bench.turns_s == pytest.approx(-5.0, rel=0.01)
+
+
+def test_torque_control_and_the_current_it_takes():
+    bench = axis()
+    bench.tell("02B# 01 00 00 00 01 00 00 00", CLOSE, floats(1, 0x0E, 0.05))
+    bench.wait(50)
+    assert bench.turns_s * 2 * np.pi == pytest.approx((0.05 - 0.01) / 1e-4 * 0.05, rel=0.01)
+    (answer,) = bench.ask("034# remote")
+    assert struct.unpack("<ff", bytes.fromhex(answer[5:])) == pytest.approx((0.05 / 0.04, 0.05 / 0.04))
+
+
+def test_limits_hold_for_velocity_and_current():
+    bench = axis()
+    bench.tell(PASSTHROUGH, floats(1, 0x0F, 1.5, 1.0), CLOSE, position(3.0))
+    bench.wait(1000)
+    speeds = bench.drive.shaft.history(np.arange(0, 10**9, 250_000))[1] / 60.0
+    assert 1.4 < speeds.max() <= 1.5 + 1e-9
+    most = 1.0 * 0.04 / 1e-4 * 250e-6 / (2 * np.pi)
+    assert np.diff(speeds).max() <= most * (1 + 1e-9)
+
+
+def test_modes_that_do_not_go_together_are_an_error_when_the_loop_is_closed():
+    bench = axis()
+    bench.tell("02B# 03 00 00 00 02 00 00 00")
+    assert bench.drive.axis_error == 0
+    bench.tell(CLOSE)
+    assert (bench.drive.state, bench.drive.axis_error, bench.drive.controller_error) == (IDLE, 0x200, 0x02)
+
+
+def test_a_count_that_is_set_under_a_closed_loop_moves_the_shaft():
+    bench = axis(turns=1.0)
+    bench.tell("039# 00 40 00 00")
+    assert bench.ask("029# remote") == ["029# 00 00 00 40 00 00 00 00"]
+    bench.tell(CLOSE, "039# 00 00 00 00")
+    bench.wait(2000)
+    assert bench.turns == pytest.approx(3.0, abs=1e-6)
+
+
+def test_idle_is_limp():
+    bench = axis()
+    bench.tell(RAMPED, CLOSE, floats(1, 0x0D, 20.0, 0.0))
+    bench.wait(10_000)
+    bench.tell("027# 01 00 00 00")
+    fast = bench.turns_s
+    bench.wait(100)
+    slower = bench.turns_s
+    assert 0.0 < slower < fast
+    bench.tell(position(0.0))
+    bench.wait(10_000)
+    assert bench.turns_s == 0.0 and bench.turns > 5.0
+
+
+# --- power ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("absolute", [False, True])
+def test_what_it_counts_after_power_was_lost(absolute):
+    bench = axis(turns=2.5, absolute=absolute)
+    bench.tell(CLOSE)
+    bench.drive.power_off(bench.now_ns)
+    assert not bench.drive.listening and bench.wait(1000) == []
+    bench.drive.power_on(bench.now_ns)
+    assert (bench.drive.state, bench.turns) == (IDLE, 2.5)
+    assert bench.drive.counted == (2.5 if absolute else 0.0)
+    bench.tell(CLOSE, position(1.0))
+    bench.wait(2000)
+    assert bench.turns == pytest.approx(1.0 if absolute else 3.5, abs=1e-6)
+
+
+def test_rebooting_is_like_power():
+    bench = axis(turns=2.5)
+    bench.tell(floats(1, 0x0F, 1.5, 1.0), CLOSE, "036#")
+    assert (bench.drive.state, bench.drive.counted, bench.drive.settings.top) == (IDLE, 0.0, 20.0)
+
+
+def test_a_new_node_is_heard_at_once_and_kept():
+    bench = axis()
+    bench.tell("026# 09 00 00 00")
+    assert bench.ask("029# remote") == []
+    assert len(bench.ask("129# remote")) == 1
+    bench.tell("126# 40 00 00 00")  # there is no node 64
+    bench.drive.power_off(bench.now_ns)
+    bench.drive.power_on(bench.now_ns)
+    assert len(bench.ask("129# remote")) == 1
+
+
+# --- hostile frames -------------------------------------------------------------------------------------
+
+hostile = st.one_of(
+    # Other nodes, and extended identifiers that look like its own.
+    st.builds(lambda can_id, data: Frame(can_id, data, False), st.integers(0, 0x7FF), st.binary(max_size=8)).filter(
+        lambda item: item.can_id >> 5 != 1
+    ),
+    st.builds(Frame, st.integers(0x20, 0x3F), st.binary(max_size=8)),
+    # Remote frames at what only can be written, and writes that are too short.
+    st.sampled_from([0x07, 0x0B, 0x0C, 0x0D, 0x0E, 0x0F, 0x11, 0x12, 0x19, 0x1A, 0x1B]).map(
+        lambda command: Frame(0x20 | command, bytes(8), False, True)
+    ),
+    st.builds(
+        lambda command, data: Frame(0x20 | command, data, False),
+        st.sampled_from([0x06, 0x07, 0x0B, 0x0C, 0x0D, 0x0E, 0x0F, 0x11, 0x12, 0x19, 0x1A, 0x1B]),
+        st.binary(max_size=3),
+    ),
+    # What is unknown, and what only the drive says.
+    st.builds(
+        lambda command, data: Frame(0x20 | command, data, False),
+        st.sampled_from([0x00, 0x01, 0x08, 0x10, 0x13, 0x1E, 0x1F]),
+        st.binary(max_size=8),
+    ),
+    # Numbers that are none.
+    st.builds(
+        lambda command, bad, other: Frame(0x20 | command, struct.pack("<ff", bad, other), False),
+        st.sampled_from([0x0D, 0x0F, 0x12, 0x1B]),
+        st.sampled_from([float("nan"), float("inf"), float("-inf")]),
+        st.floats(width=32),
+    ),
+    st.just(Frame(0x2C, struct.pack("<fhh", float("nan"), 0, 0), False)),
+)
+
+
+@settings(deadline=None)
+@given(st.lists(hostile, min_size=1, max_size=10))
+def test_hostile_frames_change_nothing_and_meet_silence(frames):
+    bench = axis(turns=0.5)
+    bench.tell(PASSTHROUGH, CLOSE)
+    before = repr((bench.drive.settings, bench.drive.state, bench.drive.axis_error, bench.drive._input))
+    bench.tell(*frames)
+    assert bench.heard() == []
+    bench.wait(100)
+    assert repr((bench.drive.settings, bench.drive.state, bench.drive.axis_error, bench.drive._input)) == before
+    assert bench.turns == 0.5
+
+
+@settings(deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, 0x1F).filter(lambda command: command != 0x06),
+            st.binary(max_size=8),
+            st.booleans(),
+            st.integers(0, 50),
+        ),
+        max_size=20,
+    )
+)
+def test_no_frame_makes_it_jump_or_break(frames):
+    bench = axis()
+    bench.tell(CLOSE)
+    for command, data, remote, pause_ms in frames:
+        bench.tell(Frame(0x20 | command, data, False, remote))
+        bench.wait(pause_ms)
+    times_ns = np.arange(0, bench.now_ns + 1, 250_000)
+    positions, rpm = bench.drive.shaft.history(times_ns)
+    assert np.isfinite(positions).all()
+    scale = max(1.0, np.abs(positions).max())
+    assert np.allclose(np.diff(positions), rpm[:-1] / 60.0 * 250e-6, atol=1e-9 * scale)
