@@ -321,7 +321,7 @@ hostile = st.one_of(
     st.builds(lambda can_id, data: Frame(can_id, data, False), st.integers(0, 0x7FF), st.binary(max_size=8)).filter(
         lambda item: item.can_id >> 5 != 1
     ),
-    st.builds(Frame, st.integers(0x20, 0x3F), st.binary(max_size=8)),
+    st.builds(Frame, st.integers(0x20, 0x3F), st.binary(max_size=8), st.just(True), st.just(False)),
     # Remote frames at what only can be written, and writes that are too short.
     st.sampled_from([0x07, 0x0B, 0x0C, 0x0D, 0x0E, 0x0F, 0x11, 0x12, 0x19, 0x1A, 0x1B]).map(
         lambda command: Frame(0x20 | command, bytes(8), False, True)
