@@ -59,7 +59,7 @@ CALIBRATION_TURNS, CALIBRATION_TURNS_S = 8.0 / 7.0, 2.0 / 7.0
 CALIBRATION_RAMP = 10.0
 """[rev/s²] [inf]."""
 
-VELOCITY_BANDWIDTH_S, HEADROOM = 400.0, 1.2
+VELOCITY_BANDWIDTH_S, HEADROOM = 150.0, 1.2
 """How its owner tuned its velocity loop [1/s], and its velocity limit beside the joint's [inf]."""
 WINDING_OHM, BOARD_W = 0.05, 1.2
 """What makes the current of its supply plausible [inf]."""
