@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from config.bus import HIGHEST_CAN_BITRATE, SERIAL_BAUDS, BusConfig
 from config.drives.drive import Drive
 from config.errors import ConfigError
-from config.frames import CycleFrames, PeriodicFrames
+from config.frames import ADAPTER_FRAMES, CycleFrames, PeriodicFrames
 from config.gripper import MOVING_POLL_HZ
 from config.schema import ArmConfig, ControlConfig
 
@@ -213,6 +213,12 @@ def check_budget(arm: ArmConfig) -> Budget:
         sentences.append(_bus_sentence(found, arm))
     if found.rate_hz > found.serial_highest_rate_hz:
         sentences.append(_serial_sentence(found))
+    at_once = sum(frames.count for frames in found.frames if frames.from_host)
+    if arm.bus.interface == "slcan" and at_once > ADAPTER_FRAMES:
+        sentences.append(
+            f"a cycle sends {at_once} frames at once, but a serial adapter holds back {ADAPTER_FRAMES} and loses the "
+            "rest; set bus.interface to socketcan, or divide the joints among more arms."
+        )
     if sentences:
         raise ConfigError.of([_at_rate(arm, sentence) for sentence in sentences])
     return found

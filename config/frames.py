@@ -76,6 +76,9 @@ class Identifiers:
         return self.extended == other.extended and (self.match ^ other.match) & self.mask & other.mask == 0
 
 
+ADAPTER_FRAMES = 64
+"""Frames that an adapter is taken to hold back: for a bus that is busy, or while nobody on it acknowledges any."""
+
 STANDARD_MASK = 0x7FF
 EXTENDED_MASK = 0x1FFFFFFF
 

@@ -16,6 +16,8 @@ from shm.words import Fault, Unreferenced
 
 SLACK_RAD = 0.02
 """A joint that reads this little beyond a limit stands at it."""
+MADE_GOOD_BY_ABSOLUTE = frozenset({Unreferenced.POWER_LOST, Unreferenced.SILENT, Unreferenced.MOVED})
+"""Reasons that mean nothing where an encoder is absolute; `rtloop.guard.outlives_a_clear` says the same."""
 
 
 class BringUp(Conversation):
@@ -72,6 +74,11 @@ class BringUp(Conversation):
         if reason == Unreferenced.INCREMENTAL and self._referenced_before[joint]:
             reason = Unreferenced.REFERENCED
         elif reason == Unreferenced.INCREMENTAL:
+            self.tell(unreferenced_sentence(reason, config.name))
+        lost = self.lost_before.get(joint, Unreferenced.REFERENCED)
+        made_good = config.drive.knows_its_angle and lost in MADE_GOOD_BY_ABSOLUTE
+        if reason == Unreferenced.REFERENCED and lost != Unreferenced.REFERENCED and not made_good:
+            reason = lost
             self.tell(unreferenced_sentence(reason, config.name))
         step = math.copysign(self.port.reading_step_rad(joint), per_rad)
         moved_rad = measured_rad + zero_rad - self._counts_before[joint] * step if joint in self._counts_before else 0.0

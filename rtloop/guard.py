@@ -7,6 +7,7 @@ last good one.
 import math
 from typing import Any
 
+from config.frames import ADAPTER_FRAMES
 from rtloop import status as status_bits
 from rtloop.agreed import agreed_error_rad, agreed_error_rad_s, agreed_error_rad_s2
 from rtloop.correction import ERROR_SPEED_SHARE
@@ -14,7 +15,6 @@ from rtloop.events import record_event
 from rtloop.faults import latch_fault
 from rtloop.modes import is_limp
 from rtloop.path import in_goal
-from rtloop.state import ADAPTER_FRAMES
 from shm.jit import jit
 from shm.words import Event, Fault, Mode, Outcome, Unreferenced
 

@@ -41,8 +41,6 @@ FAMILY_MOCK = 0
 """A joint's family is its place among `config.joint.FAMILIES`, whose first is no drive at all."""
 
 SLCAN_LONGEST_LINE = 27
-ADAPTER_FRAMES = 64
-"""Frames that an adapter is taken to hold back while nobody on the bus acknowledges any."""
 QUESTIONS = 2
 """Questions for one drive's position that are taken to be open at most: an answer may come a cycle late, or never."""
 

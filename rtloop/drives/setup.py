@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
 from typing import NamedTuple, Protocol, cast
 
 import numpy as np
@@ -35,8 +34,6 @@ class Host(Protocol):
     now_ns: int
     clears_protection: bool
     """Whether a person has asked for it, so that a drive's latched error may be cleared."""
-    lost_before: Mapping[int, Unreferenced]
-    """Joints whose angle was not known in an earlier process, and why."""
     unasked_before: list[int]
     """Positions that had come unasked from each joint's drive when this began."""
 

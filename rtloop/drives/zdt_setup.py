@@ -94,10 +94,9 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
             "until then goals are refused."
         )
     homing = yield from _end_homing(host, joint, config)
-    if reason == Unreferenced.REFERENCED:
-        reason = Unreferenced.NOT_HOMED if homing else host.lost_before.get(joint, reason)
-        if reason != Unreferenced.REFERENCED:
-            host.tell(unreferenced_sentence(reason, config.name))
+    if reason == Unreferenced.REFERENCED and homing:
+        reason = Unreferenced.NOT_HOMED
+        host.tell(unreferenced_sentence(reason, config.name))
     yield from _settle_configuration(host, joint, config, drive, version)
     yield from _settle_reports(host, joint, config, version)
     if not flags & registers.ENABLED:

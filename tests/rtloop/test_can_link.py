@@ -7,11 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from config.drives.zdt import zdt_identifiers
+from config.frames import standard
 from rtloop.wire import can_link
 from rtloop.wire.can_link import bitrate_in, link_of, question
 from rtloop.wire.can_socket import filters, open_socketcan
 from rtloop.wire.can_words import WATCHED
 from rtloop.wire.refusal import WireRefused
+
+HEARD = zdt_identifiers(1)
 
 
 def attribute(kind, content):
@@ -89,17 +93,19 @@ def test_sentences_say_what_to_do(network):
     network("can1", index=7)
     network("eth0", kind=1)
     with pytest.raises(WireRefused, match=r"no CAN interface eth0.*found: can0, can1"):
-        open_socketcan("eth0", 500_000, [1], 19)
+        open_socketcan("eth0", 500_000, HEARD, 19, 1)
     up = r"txqueuelen 128`, then `sudo ip link set can0 up type can bitrate 500000 restart-ms 100`"
     with pytest.raises(WireRefused, match=rf"can0 is down: set it up with `sudo ip link set can0 {up}"):
-        open_socketcan("can0", 500_000, [1], 19)
+        open_socketcan("can0", 500_000, HEARD, 19, 1)
     with pytest.raises(
         WireRefused, match=r"can1 runs at 250000 bit/s, and the arm's bus.bitrate is 500000: take it down"
     ):
-        open_socketcan("can1", 500_000, [1], 19)
+        open_socketcan("can1", 500_000, HEARD, 19, 1)
 
 
 def test_the_filter_is_each_drives_identifiers_extended_and_with_data():
-    options = filters([1, 0x1F])
-    assert options[socket.CAN_RAW_FILTER] == struct.pack("=4I", 0x80000100, 0xDFFFFF00, 0x80001F00, 0xDFFFFF00)
+    heard = [*zdt_identifiers(1), *zdt_identifiers(0x1F), standard(0x40, mask=0x7E0, from_drive=True)]
+    passing = (0x80000100, 0xDFFFFF00, 0x80001F00, 0xDFFFFF00, 0x040, 0xC00007E0)
+    options = filters(heard)
+    assert options[socket.CAN_RAW_FILTER] == struct.pack("=6I", *passing)
     assert options[2] == struct.pack("=I", WATCHED)

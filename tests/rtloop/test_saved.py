@@ -12,6 +12,8 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from rtloop import saved
+from rtloop.beginning import new_loop
+from rtloop.bringup import MADE_GOOD_BY_ABSOLUTE
 from rtloop.guard import outlives_a_clear
 from shm.words import Answer, Fault, Mode, Request, Unreferenced
 
@@ -41,8 +43,22 @@ REASONS = st.sampled_from(sorted(saved.OUTLIVES_THE_PROCESS))
 FROM_NOWHERE = (Unreferenced.POWER_LOST, Unreferenced.NOT_HOMED)
 
 
-def test_what_no_clear_forgives_no_restart_forgives():
-    assert {r for r in Unreferenced if outlives_a_clear.py_func(r)} == saved.OUTLIVES_THE_PROCESS
+@pytest.mark.parametrize(
+    ("knows_its_angle", "forgiven"),
+    [(0, set()), (1, {Unreferenced.POWER_LOST, Unreferenced.SILENT, Unreferenced.MOVED})],
+)
+def test_what_no_clear_forgives_no_restart_forgives(knows_its_angle, forgiven):
+    """Beside one reason that every restart finds anew; and whatever an absolute encoder makes good."""
+    loop = new_loop(load_arm("episode1"), 0, 0)
+    loop[0]["joints"][0]["knows_its_angle"] = knows_its_angle
+    outlive = set()
+    for reason in Unreferenced:
+        loop[0]["axes"][0]["unreferenced_reason"] = reason
+        if outlives_a_clear(loop[0], 0):
+            outlive.add(reason)
+    assert outlive - {Unreferenced.INCREMENTAL} == saved.OUTLIVES_THE_PROCESS - forgiven
+    assert Unreferenced.INCREMENTAL in outlive
+    assert forgiven == (MADE_GOOD_BY_ABSOLUTE if knows_its_angle else set())
 
 
 @settings(deadline=None)

@@ -14,12 +14,14 @@ import threading
 import pytest
 from can_records import ERROR, EXTENDED, REMOTE, error_record, record
 
+from config.drives.zdt import zdt_identifiers
 from rtloop.wire import can_words
 from rtloop.wire.can_link import bitrate_in, can_interfaces, link_of
 from rtloop.wire.can_socket import dropped_frames, frames_held_back, holds_back, open_socketcan
 from rtloop.wire.refusal import WireRefused
 
 DRIVES = [1, 2, 3, 4, 5, 6]
+HEARD = [used for address in DRIVES for used in zdt_identifiers(address)]
 FRAMES_PER_CYCLE = 19
 READING = bytes((0x36, 0, 0, 0, 0x40, 0, 0x6B))
 BITRATE = 500_000
@@ -33,7 +35,7 @@ def ip(*arguments):
 
 @pytest.fixture
 def ours():
-    fd, complaints = open_socketcan("vcan0", BITRATE, DRIVES, FRAMES_PER_CYCLE)
+    fd, complaints = open_socketcan("vcan0", BITRATE, HEARD, FRAMES_PER_CYCLE, len(HEARD))
     assert complaints == []
     yield fd
     os.close(fd)
@@ -160,16 +162,16 @@ def test_what_the_system_says_of_an_interface():
 @pytest.mark.parametrize(("name", "said"), [("can9", "There is no CAN interface can9"), ("lo", "no CAN interface lo")])
 def test_no_such_interface(name, said):
     with pytest.raises(WireRefused, match=said):
-        open_socketcan(name, BITRATE, DRIVES, FRAMES_PER_CYCLE)
+        open_socketcan(name, BITRATE, HEARD, FRAMES_PER_CYCLE, len(HEARD))
 
 
 def test_an_interface_that_is_down():
     ip("link", "add", "dev", "vcan1", "type", "vcan")
     try:
         with pytest.raises(WireRefused, match=r"vcan1 is down: .*txqueuelen 128.*bitrate 500000 restart-ms 100"):
-            open_socketcan("vcan1", BITRATE, DRIVES, FRAMES_PER_CYCLE)
+            open_socketcan("vcan1", BITRATE, HEARD, FRAMES_PER_CYCLE, len(HEARD))
         ip("link", "set", "vcan1", "txqueuelen", "10", "up")
-        fd, complaints = open_socketcan("vcan1", BITRATE, DRIVES, FRAMES_PER_CYCLE)
+        fd, complaints = open_socketcan("vcan1", BITRATE, HEARD, FRAMES_PER_CYCLE, len(HEARD))
         os.close(fd)
         assert len(complaints) == 1
         assert "holds back 10 frames and a cycle sends 19" in complaints[0]
@@ -208,8 +210,8 @@ def test_another_bit_rate_is_refused(serial_interface):
     assert found.bitrate == 250_000
     said = rf"{serial_interface} runs at 250000 bit/s, and the arm's bus.bitrate is 500000"
     with pytest.raises(WireRefused, match=said):
-        open_socketcan(serial_interface, BITRATE, DRIVES, FRAMES_PER_CYCLE)
-    fd, _ = open_socketcan(serial_interface, 250_000, DRIVES, FRAMES_PER_CYCLE)
+        open_socketcan(serial_interface, BITRATE, HEARD, FRAMES_PER_CYCLE, len(HEARD))
+    fd, _ = open_socketcan(serial_interface, 250_000, HEARD, FRAMES_PER_CYCLE, len(HEARD))
     os.close(fd)
 
 
