@@ -93,6 +93,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         standing = yield from _turns(joint, config)
         here = _frame(node, INPUT_POSITION, struct.pack("<fhh", standing, 0, 0))
         modes = _frame(node, MODES, struct.pack("<II", POSITION_CONTROL, PASSTHROUGH))
+        yield say(here)  # twice: modes without it would send an axis to whatever its input position is
         yield say(here, modes)
         if state == CLOSED_LOOP:
             break
