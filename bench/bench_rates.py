@@ -62,6 +62,7 @@ def reached_hz(name: str, computed_hz: float) -> float:
     return low
 
 
+@pytest.mark.timeout(1800)
 def test_highest_rates(capsys: pytest.CaptureFixture[str]) -> None:
     """A row of the table in docs/drive-families.md for each arm."""
     with capsys.disabled():
