@@ -507,14 +507,14 @@ def test_a_command_goes_into_the_ring_as_a_whole_or_not_at_all() -> None:
 
 def test_each_conversation_hears_its_own_drives(stage: Stage) -> None:
     stage.arm.gripper = None
-    stage.arm.port.received(ADDRESS), stage.arm.port.received()
+    stage.arm.port.received(of_gripper=True), stage.arm.port.received()
     for address in (ADDRESS, 3):
         stage.arm.port.post(SEND, frame=Frame(address << 8, registers.ASK_FIRMWARE))
     stage.run(0.1)
-    assert {frame.id for frame in stage.arm.port.received(ADDRESS)} == {ADDRESS << 8}
+    assert {frame.id for frame in stage.arm.port.received(of_gripper=True)} == {ADDRESS << 8}
     others = {frame.id >> 8 for frame in stage.arm.port.received()}
     assert ADDRESS not in others and 3 in others
-    assert stage.arm.port.received(ADDRESS) == stage.arm.port.received() == []
+    assert stage.arm.port.received(of_gripper=True) == stage.arm.port.received() == []
 
 
 # --- the judge ------------------------------------------------------------------------------------------
