@@ -206,6 +206,13 @@ def test_passthrough_with_velocity_ahead_follows_without_lag():
     assert bench.turns == pytest.approx(1.0, abs=1e-6)
 
 
+def test_torque_ahead_accelerates_at_once():
+    bench = axis(velocity_gain=1e-6)
+    bench.tell(PASSTHROUGH, CLOSE, position(0.0, torque=50))
+    bench.wait(10)
+    assert bench.turns_s * 2 * np.pi == pytest.approx(0.05 / 1e-4 * 0.01, rel=0.05)
+
+
 def test_trapezoids_keep_their_limits_and_may_be_changed_on_the_way():
     bench = axis(heartbeat_ms=10)
     bench.tell(TRAPEZOID, floats(1, 0x11, 3.0), floats(1, 0x12, 10.0, 5.0), CLOSE, position(5.0))
@@ -285,7 +292,7 @@ def test_idle_is_limp():
 
 @pytest.mark.parametrize("absolute", [False, True])
 def test_what_it_counts_after_power_was_lost(absolute):
-    bench = axis(turns=2.5, absolute=absolute)
+    bench = axis(turns=2.5, absolute=absolute, heartbeat_ms=100)
     bench.tell(CLOSE)
     bench.drive.power_off(bench.now_ns)
     assert not bench.drive.listening and bench.wait(1000) == []

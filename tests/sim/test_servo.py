@@ -268,14 +268,15 @@ def test_a_blocked_shaft_stands_at_once_and_for_good(law):
 @given(st.lists(times, min_size=1, max_size=20))
 def test_how_often_time_is_looked_at_changes_nothing(pauses):
     seen, unseen = Servo(0, 0.0), Servo(0, 0.0)
-    for servo in (seen, unseen):
-        servo.obey(Plan(3.0, 5.0, 50.0))
     now_ns = 0
-    for pause_ns in pauses:
-        now_ns += pause_ns
-        seen.advance(now_ns)
-        assert seen.position_at(now_ns) == seen.past(now_ns)[0]
-    unseen.advance(now_ns)
+    for target in (3.0, 2.0):
+        for servo in (seen, unseen):
+            servo.obey(Plan(target, 5.0, 50.0))
+        for pause_ns in pauses:
+            now_ns += pause_ns
+            seen.advance(now_ns)
+            assert seen.position_at(now_ns) == seen.past(now_ns)[0]
+        unseen.advance(now_ns)
     assert seen.past(now_ns) == unseen.past(now_ns)
     assert list(seen.changes_ns()) == list(unseen.changes_ns())
     assert np.array_equal(seen.history(seen.changes_ns())[0], unseen.history(seen.changes_ns())[0])

@@ -233,6 +233,13 @@ def test_a_silent_drive_goes_on_with_what_it_was_told(broken):
     assert host.arm.drives[0].state == CLOSED_LOOP
 
 
+def test_an_answer_that_was_ready_when_the_plug_came_loose_is_never_sent(odrives):
+    host = talk(odrives, SlowReplies(0.01, joint="joint1"), Silent("joint1", AT_S, until_s=AT_S + 0.1))
+    host.wait(AT_S * 1e3 - 6)
+    host.say(b"r0298\r")
+    assert host.lines(1, 0x09, 300) == []
+
+
 def test_a_drive_without_power_is_silent_and_limp_and_forgets(broken):
     host = broken(PowerLoss("joint1", AT_S, off_s=0.5))
     before = host.arm.true_position_rad(0, host.now_ns)
@@ -304,15 +311,17 @@ def test_lines_of_one_drive_are_spoilt_and_no_others(broken):
 
 def test_waking_only_when_told_misses_nothing(odrives):
     """What a server in real time does: it sleeps until `next_due_ns`."""
+    slow = [SlowReplies(0.005, joint=f"joint{number}") for number in range(2, 7)]
 
     def run(lazily: bool) -> bytes:
-        host = talk(with_odrives(odrives, *range(6), estimates_ms=7))
+        host = talk(with_odrives(odrives, *range(6), estimates_ms=7), *slow)
         host.say(b"r0298\rr0498\r")
         end_ns = host.now_ns + 200 * MILLISECOND
-        said = b""
+        said = host.arm.collect(host.now_ns)
         while lazily and (due_ns := host.arm.next_due_ns()) is not None and due_ns <= end_ns:
-            assert due_ns > host.arm.now_ns or said == b""
-            said += host.arm.collect(max(due_ns, host.arm.now_ns))
+            assert due_ns > host.arm.now_ns
+            assert host.arm.collect(due_ns - 1) == b""
+            said += host.arm.collect(due_ns)
         return said + host.arm.collect(end_ns)
 
     assert run(lazily=True) == run(lazily=False)

@@ -49,6 +49,12 @@ def test_what_one_interface_writes_another_reads(sent):
     assert [frame for _, frame in here.outbox] == sent
 
 
+def test_of_a_remote_frame_the_data_means_nothing():
+    interface = CanInterface()
+    interface.feed(0, bytes.fromhex("29000040 02000000 DEADBEEF00000000"))
+    assert [frame for _, frame in interface.outbox] == [Frame(0x029, bytes(2), extended=False, remote=True)]
+
+
 def test_what_is_no_frame_is_refused():
     with pytest.raises(ValueError, match="no whole number of CAN frames"):
         CanInterface().feed(0, bytes(15))
