@@ -10,7 +10,7 @@ from virtual import VirtualArm
 from config.errors import ConfigError
 from config.loader import load_arm
 from config.schema import ArmConfig
-from shm.words import Fault, Mode, Outcome
+from shm.words import Answer, Fault, Mode, Outcome, Request
 from sim.faults import Protection, Silent
 
 ZDT = {"family": "zdt", "microsteps": 16}
@@ -96,6 +96,20 @@ def test_arms_have_one_to_32_joints(drive: dict[str, Any], number: str, rate_hz:
     goal = there_and_back(arm)
     arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
     assert arm.outcome(goal) == Outcome.SUCCEEDED
+    arm.close()
+
+
+def test_a_gripper_has_a_drive_of_another_family_than_the_arm() -> None:
+    """A ZDT gripper on an arm of ODrives goes where it is told while the arm moves."""
+    arm = VirtualArm(load_arm("odrive6", overrides={"gripper": {"hook": "servo", "servo": {"address": 7}}}))
+    assert arm.bring_up().failure is None, arm.told
+    arm.begin_with_gripper()
+    arm.until(lambda: bool(np.isfinite(arm.state.record["gripper"]["position_rad"])))
+    goal = there_and_back(arm)
+    assert arm.ask(Request.GRIP, value=0.5) == Answer.DONE
+    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    assert arm.sim.gripper_rad(arm.sim.now_ns) == pytest.approx(0.5, abs=0.01)
     arm.close()
 
 
