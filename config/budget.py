@@ -2,7 +2,7 @@
 
 Everything is worst case: bit stuffing at its most, every frame of the cycle sent. Frame lengths follow
 from the CAN 2.0 frame format, the three bits between frames included (`config.frames`); the frames of a cycle from
-what the drives' families say; characters from the LAWICEL SLCAN protocol.
+what the drives' families say; bytes on a serial line from `config.serial_adapters`.
 """
 
 from __future__ import annotations
@@ -17,15 +17,13 @@ from config.errors import ConfigError
 from config.frames import ADAPTER_FRAMES, CycleFrames, PeriodicFrames
 from config.gripper import MOVING_POLL_HZ
 from config.schema import ArmConfig, ControlConfig
+from config.serial_adapters import SERIAL_ADAPTERS, SerialAdapter
 
 UART_BITS_PER_CHARACTER = 10
 """Start bit, eight data bits, stop bit."""
 
 UART_LOAD_LIMIT = 0.95
 """Share of a UART's speed that the cycle may plan with."""
-
-SLCAN_TRANSMIT_REPLY_CHARS = 2
-"""`Z` and carriage return, the adapter's answer to each extended frame handed to it."""
 
 HIGHEST_BITRATE = HIGHEST_CAN_BITRATE
 """The fastest bus there is (bit/s); an SLCAN adapter offers it too."""
@@ -93,6 +91,8 @@ class Budget:
     """Speed of the UART to the adapter; None where no UART limits (USB device, mock)."""
     beside: tuple[PeriodicFrames, ...] = ()
     """Frames at rates of their own."""
+    adapter: SerialAdapter = SERIAL_ADAPTERS["slcan"]
+    """The adapter of the serial line, where there is one."""
 
     @property
     def beside_words(self) -> str:
@@ -128,19 +128,19 @@ class Budget:
 
     @property
     def chars_out_per_cycle(self) -> int:
-        """Characters from the host to the adapter in one cycle."""
-        return _chars_out(self.frames)
+        """Bytes from the host to a serial adapter in one cycle."""
+        return _chars_out(self.frames, self.adapter)
 
     @property
     def chars_in_per_cycle(self) -> int:
-        """Characters from the adapter to the host in one cycle, replies to transmitted frames included."""
-        return _chars_in(self.frames)
+        """Bytes from a serial adapter to the host in one cycle, replies to transmitted frames included."""
+        return _chars_in(self.frames, self.adapter)
 
     @property
     def serial_bits_beside_s(self) -> float:
         """Bits a second beside the cycle in their busier direction, which is taken to be the cycle's too."""
-        out = sum(beside.rate_hz * _chars_out((beside.frames,)) for beside in self.beside)
-        back = sum(beside.rate_hz * _chars_in((beside.frames,)) for beside in self.beside)
+        out = sum(beside.rate_hz * _chars_out((beside.frames,), self.adapter) for beside in self.beside)
+        back = sum(beside.rate_hz * _chars_in((beside.frames,), self.adapter) for beside in self.beside)
         return UART_BITS_PER_CHARACTER * max(out, back)
 
     @property
@@ -178,25 +178,27 @@ class Budget:
         return self.rate_hz <= self.highest_rate_hz
 
 
-def _chars_out(frames: tuple[CycleFrames, ...]) -> int:
-    return sum(kind.chars for kind in frames if kind.from_host)
+def _chars_out(frames: tuple[CycleFrames, ...], adapter: SerialAdapter) -> int:
+    return sum(adapter.bytes_of(kind) for kind in frames if kind.from_host)
 
 
-def _chars_in(frames: tuple[CycleFrames, ...]) -> int:
-    received = sum(kind.chars for kind in frames if not kind.from_host)
-    return received + SLCAN_TRANSMIT_REPLY_CHARS * sum(kind.count for kind in frames if kind.from_host)
+def _chars_in(frames: tuple[CycleFrames, ...], adapter: SerialAdapter) -> int:
+    received = sum(adapter.bytes_of(kind) for kind in frames if not kind.from_host)
+    return received + adapter.reply_bytes * sum(kind.count for kind in frames if kind.from_host)
 
 
 def budget(arm: ArmConfig) -> Budget:
     """The load of the arm's control cycle at its control rate."""
     baud = arm.bus.serial_baud
+    adapter = SERIAL_ADAPTERS.get(arm.bus.interface)
     return Budget(
         frames=cycle_frames(arm),
         rate_hz=arm.control.rate_hz,
         bitrate=arm.bus.bitrate,
         load_limit=arm.bus.load_limit,
-        serial_baud=None if baud == "cdc" or arm.bus.interface != "slcan" else baud,
+        serial_baud=None if baud == "cdc" or adapter is None else baud,
         beside=frames_beside(arm),
+        adapter=adapter or SERIAL_ADAPTERS["slcan"],
     )
 
 
@@ -249,7 +251,7 @@ def _serial_sentence(found: Budget) -> str:
     faster = [baud for baud in SERIAL_BAUDS if baud >= found.serial_baud_needed]
     ways = [f"set adapter and bus.serial_baud to {faster[0]}"] if faster else ["use an adapter without UART (cdc)"]
     return (
-        f"rate_hz is {found.rate_hz:g}, but {chars} characters a cycle × {UART_BITS_PER_CHARACTER} bits × "
+        f"rate_hz is {found.rate_hz:g}, but {chars} {found.adapter.unit} a cycle × {UART_BITS_PER_CHARACTER} bits × "
         f"{found.rate_hz:g} Hz{beside} = "
         f"{found.serial_bits_per_cycle * found.rate_hz + found.serial_bits_beside_s:.0f} bit/s is {load:.1%} of "
         f"the {found.serial_baud} baud serial line, above its limit of {UART_LOAD_LIMIT:.0%}; "

@@ -8,18 +8,7 @@ from typing import Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from config.section import Section, refuse
-
-SLCAN_BITRATES: dict[int, str] = {
-    10_000: "S0",
-    20_000: "S1",
-    50_000: "S2",
-    100_000: "S3",
-    125_000: "S4",
-    250_000: "S5",
-    500_000: "S6",
-    1_000_000: "S8",
-}
-"""CAN bit rates that every SLCAN adapter understands alike, with the command that sets them."""
+from config.serial_adapters import SERIAL_ADAPTERS
 
 AMBIGUOUS_SLCAN_BITRATES = (750_000, 800_000)
 """S7 is 800 kbit/s in LAWICEL, USBtin and Nakakiyo firmware and 750 kbit/s in the canable original."""
@@ -40,26 +29,28 @@ SERIAL_BAUDS = (
 class BusConfig(Section):
     """The CAN bus and the adapter it is reached through."""
 
-    interface: Literal["slcan", "socketcan", "mock"] = Field(
-        description="How the bus is reached: slcan is a serial CAN adapter, socketcan a CAN interface of the system, "
-        "mock is no bus at all."
+    interface: Literal["slcan", "seeedstudio", "ch340-at", "socketcan", "mock"] = Field(
+        description="How the bus is reached: slcan, seeedstudio (Seeed and Waveshare USB-CAN-A) and ch340-at (the "
+        "adapters of RobStride and CyberGear drives) are serial CAN adapters, socketcan is a CAN interface of the "
+        "system, mock is no bus at all."
     )
     channel: str | None = Field(
         default=None,
         min_length=1,
-        description="Device of the adapter, such as /dev/ttyACM0 (slcan), or the interface, such as can0 (socketcan).",
+        description="Device of a serial adapter, such as /dev/ttyACM0, or the interface, such as can0 (socketcan).",
     )
     usb_index: int | None = Field(
         default=None,
         ge=0,
         le=255,
-        description="Short for channel: n means /dev/ttyUSB<n> (slcan) or can<n> (socketcan).",
+        description="Short for channel: n means /dev/ttyUSB<n> (a serial adapter) or can<n> (socketcan).",
     )
     bitrate: int = Field(default=500_000, gt=0, description="CAN bit rate (bit/s); the drives' menu must agree.")
     serial_baud: int | Literal["cdc"] = Field(
         default="cdc",
         description="Speed of the serial line to the adapter (baud) where it is a true UART; cdc where the "
-        "adapter is a USB device for which the number means nothing.",
+        "adapter is a USB device for which the number means nothing. Left out, it is 2000000 with seeedstudio and "
+        "921600 with ch340-at.",
     )
     load_limit: float = Field(
         default=0.85,
@@ -85,6 +76,15 @@ class BusConfig(Section):
         "newer) the target alone in one, with a speed and a ramp that were set before. Rougher, and only where "
         "bring-up finds that a drive takes FC as absolute: see docs/streaming.md.",
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _adapter_knows_its_baud(cls, values: Any) -> Any:
+        if isinstance(values, dict) and isinstance(interface := values.get("interface"), str):
+            adapter = SERIAL_ADAPTERS.get(interface)
+            if adapter is not None and adapter.serial_baud != "cdc":
+                return {"serial_baud": adapter.serial_baud, **values}
+        return values
 
     @field_validator("serial_baud", mode="before")
     @classmethod
@@ -125,11 +125,9 @@ class BusConfig(Section):
                 "name the adapter, and only one may; remove one of them.",
             )
         if self.channel is None and self.usb_index is None:
-            device, such_as, one = (
-                ("adapter's device", "/dev/ttyACM0", "/dev/ttyUSB1")
-                if self.interface == "slcan"
-                else ("name of the CAN interface", "can0", "can1")
-            )
+            device, such_as, one = "name of the CAN interface", "can0", "can1"
+            if self.interface in SERIAL_ADAPTERS:
+                device, such_as, one = "adapter's device", SERIAL_ADAPTERS[self.interface].device, "/dev/ttyUSB1"
             raise refuse(
                 "interface",
                 f"interface {self.interface} needs the {device} and the file names none; add channel "
@@ -138,7 +136,7 @@ class BusConfig(Section):
         if self.interface == "socketcan":
             self._refuse_what_no_can_interface_has()
         else:
-            self._refuse_what_no_slcan_adapter_has()
+            self._refuse_what_its_adapter_has_not()
         return self
 
     def _refuse_what_no_can_interface_has(self) -> None:
@@ -160,18 +158,19 @@ class BusConfig(Section):
                 "choose the one the drives are set to.",
             )
 
-    def _refuse_what_no_slcan_adapter_has(self) -> None:
-        if self.bitrate in AMBIGUOUS_SLCAN_BITRATES:
+    def _refuse_what_its_adapter_has_not(self) -> None:
+        if self.interface == "slcan" and self.bitrate in AMBIGUOUS_SLCAN_BITRATES:
             raise refuse(
                 "bitrate",
                 f"bitrate is {self.bitrate}, which no SLCAN command names for certain (S7 is 800000 in some "
                 "adapters and 750000 in others); set the drives to 500000 or 1000000 and use that.",
             )
-        if self.bitrate not in SLCAN_BITRATES:
-            allowed = ", ".join(str(bitrate) for bitrate in SLCAN_BITRATES)
+        adapter = SERIAL_ADAPTERS[self.interface]
+        if self.bitrate not in adapter.bitrates:
+            allowed = ", ".join(str(bitrate) for bitrate in adapter.bitrates)
             raise refuse(
                 "bitrate",
-                f"bitrate is {self.bitrate}, but an SLCAN adapter offers {allowed}; choose the one the "
+                f"bitrate is {self.bitrate}, but {adapter.name} offers {allowed}; choose the one the "
                 "drives are set to.",
             )
 

@@ -5,10 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 
-def frame_bits(extended: bool, data_bytes: int) -> int:
-    """Bits of a classic CAN data frame with worst-case stuffing and the three bits of interframe space."""
+def check_data_bytes(data_bytes: int) -> None:
+    """Raise ValueError for more data than a classic CAN frame has."""
     if not 0 <= data_bytes <= 8:
         raise ValueError(f"a classic CAN frame has 0 to 8 data bytes, not {data_bytes}")
+
+
+def frame_bits(extended: bool, data_bytes: int) -> int:
+    """Bits of a classic CAN data frame with worst-case stuffing and the three bits of interframe space."""
+    check_data_bytes(data_bytes)
     return unchecked_frame_bits(extended, data_bytes)
 
 
@@ -21,8 +26,7 @@ def unchecked_frame_bits(extended: bool, data_bytes: int) -> int:
 
 def slcan_chars(extended: bool, data_bytes: int) -> int:
     """Characters of an SLCAN data frame: letter, identifier, length digit, two a byte, carriage return."""
-    if not 0 <= data_bytes <= 8:
-        raise ValueError(f"a classic CAN frame has 0 to 8 data bytes, not {data_bytes}")
+    check_data_bytes(data_bytes)
     return 1 + (8 if extended else 3) + 1 + 2 * data_bytes + 1
 
 
@@ -42,11 +46,6 @@ class CycleFrames:
     def bits(self) -> int:
         """Bits of all of them on the bus."""
         return self.count * frame_bits(self.extended, self.data_bytes)
-
-    @property
-    def chars(self) -> int:
-        """Characters of all of them on an SLCAN serial line, without the adapter's replies."""
-        return self.count * slcan_chars(self.extended, self.data_bytes)
 
 
 @dataclass(frozen=True)

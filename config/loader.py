@@ -19,6 +19,7 @@ from pydantic import ValidationError
 from config.complaints import complaint
 from config.errors import ConfigError
 from config.schema import ArmConfig, Source
+from config.serial_adapters import SERIAL_ADAPTERS
 from config.yaml_text import UNREADABLE, Location, lines, parse, text_of, value_of
 
 ARMS_FOLDER = Path(__file__).parent / "arms"
@@ -156,7 +157,7 @@ def parse_overrides(assignments: Sequence[str]) -> dict[str, Any]:
 def _exclusive(overrides: Mapping[str, Any], values: Mapping[str, Any]) -> Mapping[str, Any]:
     """An override that names the adapter by channel or usb_index replaces whatever the file names it by.
 
-    Overriding the interface with mock, which has no adapter, removes it; with socketcan, the serial line's speed.
+    Overriding the interface with mock, which has no adapter, removes it; another interface runs at its own speed.
     """
     bus, file_bus = overrides.get("bus"), values.get("bus")
     if not isinstance(bus, Mapping) or not isinstance(file_bus, Mapping):
@@ -164,8 +165,10 @@ def _exclusive(overrides: Mapping[str, Any], values: Mapping[str, Any]) -> Mappi
     if bus.get("interface") == "mock":
         absent = {key: None for key in ("channel", "usb_index") if file_bus.get(key) is not None}
         return {**overrides, "bus": {**absent, **bus}}
-    if bus.get("interface") == "socketcan" and "serial_baud" in file_bus:
-        bus = {"serial_baud": "cdc", **bus}
+    interface = bus.get("interface")
+    if "serial_baud" in file_bus and interface is not None and interface != file_bus.get("interface"):
+        adapter = SERIAL_ADAPTERS.get(str(interface))
+        bus = {"serial_baud": "cdc" if adapter is None else adapter.serial_baud, **bus}
         overrides = {**overrides, "bus": bus}
     for given, other in (("channel", "usb_index"), ("usb_index", "channel")):
         if bus.get(given) is not None and other not in bus and file_bus.get(other) is not None:

@@ -4,10 +4,12 @@ import math
 
 import numpy as np
 
+from config.budget import UART_BITS_PER_CHARACTER
 from config.bus import BusConfig
 from config.frames import Identifiers
 from config.joint import FAMILIES, JointConfig
 from config.schema import ArmConfig
+from config.serial_adapters import SERIAL_ADAPTERS
 from motion import stopping
 from rtloop.drives.setup import setup_of
 from rtloop.state import (
@@ -16,14 +18,11 @@ from rtloop.state import (
     LOOP,
     PARAMS,
     PART,
-    SLCAN_LONGEST_LINE,
     WIRES,
 )
 from rtloop.wire.frame_words import EXTENDED, STANDARD
 from shm import layout
 from shm.words import Mode, Unreferenced
-
-SERIAL_BITS_PER_CHARACTER = 10
 
 
 def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.ndarray:
@@ -129,13 +128,14 @@ def _fill_joint(row: np.void, joint: JointConfig, arm: ArmConfig, index: int) ->
     row["command_per_rad"] = joint.direction * joint.command_pulses_per_rad
     row["reading_per_rad"] = joint.direction * joint.encoder_counts_per_rad
     row["reading_step_rad"] = joint.encoder_count_rad
-    character_s = _character_s(arm)
+    adapter = SERIAL_ADAPTERS.get(arm.bus.interface, SERIAL_ADAPTERS["slcan"])
+    byte_s = _byte_s(arm)
     bit_s = 1.0 / arm.bus.bitrate
     command_bits = sum(_bits_from_host(before, arm.bus) for before in arm.joints[: index + 1])
-    row["command_delay_s"] = command_bits * bit_s + character_s * SLCAN_LONGEST_LINE
+    row["command_delay_s"] = command_bits * bit_s + byte_s * adapter.frame_bytes(True, 8)
     replies = [frames for frames in drive.readings(arm.bus) if not frames.from_host]
     for reply in replies[-1:]:
-        reply_s = reply.bits * bit_s + character_s * reply.chars
+        reply_s = reply.bits * bit_s + byte_s * adapter.bytes_of(reply)
         row["report_delay_ns"] = round(reply_s * 1e9)
         row["reply_delay_ns"] = round((reply_s + drive.processing_s) * 1e9)
     setup_of(drive).fill(row, joint, arm)
@@ -153,7 +153,7 @@ def listeners(arm: ArmConfig) -> list[tuple[Identifiers, int]]:
     return [(used, whose) for used, whose in found if used.from_drive]
 
 
-def _character_s(arm: ArmConfig) -> float:
-    """Time of one character on the serial line; a USB device's is not worth counting."""
+def _byte_s(arm: ArmConfig) -> float:
+    """Time of one byte on the serial line; a USB device's is not worth counting, and a socket has none."""
     baud = arm.bus.serial_baud
-    return 0.0 if baud == "cdc" else SERIAL_BITS_PER_CHARACTER / float(baud)
+    return 0.0 if baud == "cdc" else UART_BITS_PER_CHARACTER / float(baud)

@@ -1,4 +1,4 @@
-"""What the bus brought: bytes to lines, lines to frames, frames to the measured state of the joints.
+"""What the bus brought: bytes to frames, frames to the measured state of the joints.
 
 A reading is stamped with the time at which the encoder was read (the arrival of its bytes less the way back) and
 compared with what was commanded at that very instant.
@@ -10,17 +10,9 @@ from rtloop import guard, service
 from rtloop.drives import families
 from rtloop.faults import latch_fault
 from rtloop.recorder import marks_of, record_frame
-from rtloop.state import (
-    CAN_FRAME_BYTES,
-    GRIPPER,
-    HISTORY_SLOTS,
-    NOBODY,
-    RX_BYTES,
-    RX_CHUNKS,
-    WIRE_MOCK,
-    WIRE_SOCKETCAN,
-)
-from rtloop.wire import can_errors, can_frame, received, slcan
+from rtloop.state import GRIPPER, HISTORY_SLOTS, NOBODY, RX_CHUNKS, WIRE_MOCK
+from rtloop.wire import can_errors, received, wires
+from rtloop.wire.found import CONTROLLER_ERROR, FRAME, NOTHING
 from rtloop.wire.outgoing import frame_bits
 from shm.jit import jit
 from shm.layout import MAX_JOINTS
@@ -47,11 +39,7 @@ def take_what_the_bus_brought(loop: Loop, shared: Shared) -> None:
         chunk = loop.received.chunks[core.rx_chunks_taken & (RX_CHUNKS - 1)]
         time_ns, end = chunk.time_ns, chunk.end
         shared.counters.bytes_received += end - core.rx_taken
-        if loop.params.wire == WIRE_SOCKETCAN:
-            take_records(loop, shared, end, time_ns)
-        else:
-            take_characters(loop, shared, end, time_ns)
-        core.rx_taken = end
+        take_frames(loop, shared, end, time_ns)
         core.rx_chunks_taken += 1
     received.taken(loop, core.rx_taken, core.rx_chunks_taken)
     take_positions(loop, shared)
@@ -64,45 +52,15 @@ def take_what_the_bus_brought(loop: Loop, shared: Shared) -> None:
 
 
 @jit
-def take_characters(loop: Loop, shared: Shared, end: int, time_ns: int) -> None:
-    """SLCAN: the characters up to `end`, which may finish lines."""
-    core = loop.core
-    ring = loop.received.bytes
-    for i in range(core.rx_taken, end):
-        byte = ring[i & (RX_BYTES - 1)]
-        if byte == slcan.BEL:
-            shared.counters.wire_errors += 1
-            forget_half_lines(loop)
-        elif slcan.collect(loop, byte):
-            take_line(loop, shared, time_ns)
-            forget_half_lines(loop)
-
-
-@jit
-def forget_half_lines(loop: Loop) -> None:
-    loop.core.line_length = loop.core.line_spoilt = 0
-
-
-@jit
-def take_line(loop: Loop, shared: Shared, time_ns: int) -> None:
-    line, frame_id, kind, length, data = slcan.decode_line(loop)
-    if line == slcan.LINE_WRONG or loop.core.line_spoilt == 1:
-        shared.counters.wire_errors += 1
-    elif line == slcan.LINE_FRAME:
-        take_frame(loop, shared, frame_id, kind, length, data, time_ns)
-
-
-@jit
-def take_records(loop: Loop, shared: Shared, end: int, time_ns: int) -> None:
-    """SocketCAN: the frames up to `end`."""
-    for at in range(loop.core.rx_taken, end, CAN_FRAME_BYTES):
-        record, frame_id, kind, length, data = can_frame.decode_record(loop, at)
-        if record == can_frame.RECORD_FRAME:
+def take_frames(loop: Loop, shared: Shared, end: int, time_ns: int) -> None:
+    """The frames that end before `end`."""
+    found = FRAME
+    while found != NOTHING:
+        found, frame_id, kind, length, data = wires.next_frame(loop, shared, end)
+        if found == FRAME:
             take_frame(loop, shared, frame_id, kind, length, data, time_ns)
-        elif record == can_frame.RECORD_ERROR:
+        elif found == CONTROLLER_ERROR:
             take_error(loop, shared, frame_id, data)
-        elif record == can_frame.RECORD_WRONG:
-            shared.counters.wire_errors += 1
 
 
 @jit

@@ -7,7 +7,6 @@ locks that an ordinary-priority kernel worker may hold); the cycle only looks at
 
 from typing import Any
 
-from rtloop import measured
 from rtloop.cycle import step
 from rtloop.events import record_event
 from rtloop.libc import (
@@ -31,7 +30,7 @@ from rtloop.libc import (
     write,
 )
 from rtloop.state import CAN_FRAME_BYTES, LOOP, READ_BYTES, RX_FRAMES, WIRE_SOCKETCAN, offset_of
-from rtloop.wire import outgoing, received
+from rtloop.wire import outgoing, received, wires
 from shm import histogram
 from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
 from shm.jit import jit
@@ -109,7 +108,7 @@ def take_over_wire(loop: Loop, shared: Shared) -> int:
     fd = load_acquire(base + _FD)
     if fd != load_relaxed(base + _FD_IN_USE):
         outgoing.forget(loop, shared)
-        measured.forget_half_lines(loop)
+        wires.forget_half_frames(loop)
         if fd >= 0 and loop.core.cycle > 0:
             shared.counters.bus_state = BusState.ACTIVE
             record_event(loop, shared, Event.WIRE, -1, 0, 0.0, 0.0)

@@ -35,7 +35,15 @@ BLEND_SAMPLES = 32
 WIRE_MOCK = 0
 WIRE_SLCAN = 1
 WIRE_SOCKETCAN = 2
-WIRES = {"mock": WIRE_MOCK, "slcan": WIRE_SLCAN, "socketcan": WIRE_SOCKETCAN}
+WIRE_SEEED = 3
+WIRE_AT = 4
+WIRES = {
+    "mock": WIRE_MOCK,
+    "slcan": WIRE_SLCAN,
+    "socketcan": WIRE_SOCKETCAN,
+    "seeedstudio": WIRE_SEEED,
+    "ch340-at": WIRE_AT,
+}
 
 FAMILY_MOCK = 0
 """A joint's family is its place among `config.joint.FAMILIES`, whose first is no drive at all."""
@@ -280,6 +288,7 @@ CORE = np.dtype(
         ("service_credit_bits", "i8"),
         ("line_length", "i8"),
         ("line_spoilt", "i8"),
+        ("line_needed", "i8"),  # bytes that must be collected before the next look at them
         ("status_turn", "i8"),
         ("unheeded_since_ns", "i8"),  # the oldest question for a status since which no drive has told any, 0 none
         ("rx_taken", "i8"),  # bytes taken from the receive ring

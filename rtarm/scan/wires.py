@@ -15,7 +15,7 @@ import struct
 import time
 from typing import NamedTuple, Protocol
 
-from config.bus import SLCAN_BITRATES
+from config.serial_adapters import SLCAN_BITRATES
 from rtloop.wire.can_words import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK
 
 ANSWER_S = 0.15

@@ -8,10 +8,12 @@ from typing import Any
 
 from rtloop.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES
 from rtloop.wire.can_words import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
+from rtloop.wire.found import CONTROLLER_ERROR, FRAME, NOTHING
 from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
 from shm.jit import jit
 
 Loop = Any
+Shared = Any
 
 LONGEST_DATA = 8
 _LENGTH_AT = 4
@@ -76,3 +78,22 @@ def decode_record(loop: Loop, at: int) -> tuple[int, int, int, int, int]:
     if word > STANDARD_MASK:
         return RECORD_WRONG, 0, 0, 0, 0
     return RECORD_FRAME, word, STANDARD, length, data
+
+
+@jit
+def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int, int]:
+    """(FRAME or CONTROLLER_ERROR, id, kind, length, data) of the next one in the receive ring up to `end`, or NOTHING.
+
+    The records before it are taken; garbled ones are counted.
+    """
+    core = loop.core
+    while core.rx_taken < end:
+        record, frame_id, kind, length, data = decode_record(loop, core.rx_taken)
+        core.rx_taken += CAN_FRAME_BYTES
+        if record == RECORD_FRAME:
+            return FRAME, frame_id, kind, length, data
+        if record == RECORD_ERROR:
+            return CONTROLLER_ERROR, frame_id, kind, length, data
+        if record == RECORD_WRONG:
+            shared.counters.wire_errors += 1
+    return NOTHING, 0, 0, 0, 0

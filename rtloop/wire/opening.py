@@ -9,8 +9,9 @@ from config.schema import ArmConfig
 from rtloop.beginning import listeners
 from rtloop.drives.setup import joints_on_the_bus
 from rtloop.state import CAN_FRAME_BYTES
+from rtloop.wire.binary_adapters import AT_CLOSING, open_at, open_seeed, seeed_closing
 from rtloop.wire.can_socket import dropped_frames, holds_back, open_socketcan
-from rtloop.wire.tty import close_slcan, open_slcan
+from rtloop.wire.tty import close_port, close_slcan, open_slcan
 
 LAST_FRAMES_S = 0.05
 """For so long the last cycle's frames may still be on their way."""
@@ -29,6 +30,10 @@ def open_wire(arm: ArmConfig) -> OpenWire | None:
     bus = arm.bus
     if bus.interface == "slcan":
         return OpenWire(open_slcan(bus.resolved_channel, bus.serial_baud, bus.bitrate), [])
+    if bus.interface == "seeedstudio":
+        return OpenWire(open_seeed(bus.resolved_channel, bus.serial_baud, bus.bitrate), [])
+    if bus.interface == "ch340-at":
+        return OpenWire(*open_at(bus.resolved_channel, bus.serial_baud))
     if bus.interface == "socketcan":
         sent = sum(frames.count for frames in cycle_frames(arm) if frames.from_host)
         heard, drives = [used for used, _ in listeners(arm)], len(joints_on_the_bus(arm))
@@ -40,6 +45,10 @@ def close_wire(arm: ArmConfig, fd: int) -> None:
     """Close what `open_wire` has opened; an adapter that is gone already is no error."""
     if arm.bus.interface == "slcan":
         close_slcan(fd)
+    elif arm.bus.interface == "seeedstudio":
+        close_port(fd, seeed_closing(arm.bus.bitrate))
+    elif arm.bus.interface == "ch340-at":
+        close_port(fd, AT_CLOSING)
     else:
         os.close(fd)
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from config.frames import unchecked_frame_bits
 from rtloop.recorder import SENT, marks_of, record_frame
-from rtloop.state import SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_SOCKETCAN
-from rtloop.wire import can_frame, slcan
+from rtloop.state import SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES
+from rtloop.wire import wires
 from rtloop.wire.frame_words import EXTENDED, REMOTE
 from shm.jit import jit
 
@@ -18,6 +18,7 @@ Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 LONGEST_FRAME_BYTES = SLCAN_LONGEST_LINE
+"""No wire needs more for a frame."""
 
 
 _data_frame_bits = jit(unchecked_frame_bits)
@@ -55,12 +56,8 @@ def put(loop: Loop, frame_id: int, kind: int, length: int, data: int, joined: in
     belongs to the same command; `stops` is the joint whose stop command it is, -1 for none.
     """
     core = loop.core
-    if not has_room(loop, 1):
+    if not has_room(loop, 1) or not wires.encode_frame(loop, frame_id, kind, length, data):
         return False
-    if loop.params.wire == WIRE_SOCKETCAN:
-        can_frame.encode_frame(loop, frame_id, kind, length, data)
-    else:
-        slcan.encode_frame(loop, frame_id, kind, length, data)
     loop.tx_ends[core.tx_frames] = core.tx_length
     loop.tx_joined[core.tx_frames] = joined
     loop.tx_ids[core.tx_frames] = frame_id

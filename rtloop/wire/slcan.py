@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from rtloop.state import LINE_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
+from rtloop.state import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
+from rtloop.wire.found import FRAME, NOTHING
 from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
 from shm.jit import jit
 
 Loop = Any
+Shared = Any
 
 CR = 13
 BEL = 7
@@ -117,3 +119,29 @@ def collect(loop: Loop, byte: int) -> bool:
     else:
         core.line_spoilt = 1
     return False
+
+
+@jit
+def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int, int]:
+    """(FRAME, id, kind, length, data) of the next data frame in the receive ring up to `end`, or NOTHING.
+
+    The characters before it are taken; refusals (BEL) and garbled lines are counted.
+    """
+    core, ring = loop.core, loop.received.bytes
+    for at in range(core.rx_taken, end):
+        byte = ring[at & (RX_BYTES - 1)]
+        if byte == BEL:
+            shared.counters.wire_errors += 1
+            core.line_length = core.line_spoilt = 0
+        elif collect(loop, byte):
+            line, frame_id, kind, length, data = decode_line(loop)
+            if core.line_spoilt == 1:
+                line = LINE_WRONG
+            core.line_length = core.line_spoilt = 0
+            if line == LINE_FRAME:
+                core.rx_taken = at + 1
+                return FRAME, frame_id, kind, length, data
+            if line == LINE_WRONG:
+                shared.counters.wire_errors += 1
+    core.rx_taken = end
+    return NOTHING, 0, 0, 0, 0

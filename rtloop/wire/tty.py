@@ -2,7 +2,8 @@
 
 This is ordinary Python and runs before the first cycle. Adapters differ in what they answer (LAWICEL: CR or
 BEL, the original canable: nothing), so an answer is looked for during a short while and only a refusal
-counts.
+counts. An adapter may be in any state: its predecessor was killed in the middle of a line and left the channel
+open, or an adapter with the canable firmware in its silent mode (`M1`).
 """
 
 import array
@@ -14,8 +15,9 @@ import select
 import termios
 import time
 import tty as std_tty
+from collections.abc import Iterator
 
-from config.bus import SLCAN_BITRATES
+from config.serial_adapters import SLCAN_BITRATES
 from rtloop.wire.refusal import WireRefused
 
 ANSWER_PATIENCE_S = 0.15
@@ -24,9 +26,17 @@ _TIOCGSERIAL = 0x541E
 _TIOCSSERIAL = 0x541F
 _SERIAL_STRUCT_INTS = 18
 _FLAGS_INT = 4
-BEL = b"\x07"
+CR, BEL = b"\r", b"\x07"
 CLOSING = b"\rC\r"
 """Ends a line that may be half said, then the channel."""
+FORGETTING = b"\r\r" + CLOSING + b"M0\r"
+"""The same, and lets an adapter with the canable firmware speak that was left silent; others refuse that, as they may."""
+QUIET_S = 0.05
+"""An adapter that has said nothing for so long has said all it had to; FTDI chips hold bytes back for 16 ms."""
+DRAINED_WITHIN_S = 0.5
+N_SLCAN = 17
+"""The line discipline of the kernel's SLCAN driver (linux/tty.h), which `slcand` puts a port in."""
+_TIOCGETD = 0x5424
 
 
 def open_port(channel: str, serial_baud: int | str) -> int:
@@ -45,28 +55,36 @@ def open_port(channel: str, serial_baud: int | str) -> int:
     return fd
 
 
-def open_slcan(channel: str, serial_baud: int | str, bitrate: int) -> int:
-    """Open an SLCAN adapter and return its descriptor, non-blocking; raises WireRefused."""
+@contextlib.contextmanager
+def setting_up(channel: str, serial_baud: int | str) -> Iterator[int]:
+    """A port that is open; what goes wrong while it is set up closes it. Raises WireRefused."""
     fd = open_port(channel, serial_baud)
     try:
-        _say(fd, b"C\r")  # an adapter that is closed already may refuse this, which is as good
-        rate = SLCAN_BITRATES[bitrate]
-        if BEL in _say(fd, f"{rate}\r".encode()):
-            raise WireRefused(
-                f"The adapter at {channel} refuses {bitrate} bit/s ({rate} was answered with BEL): choose one it "
-                "offers, or another adapter."
-            )
-        if BEL in _say(fd, b"O\r"):
-            raise WireRefused(
-                f"The adapter at {channel} refuses to open its CAN channel (O was answered with BEL): unplug it and "
-                "plug it in again, and check that the CAN side has power and termination."
-            )
+        yield fd
     except OSError as problem:
         os.close(fd)
         raise _gone(channel, problem) from problem
     except BaseException:
         os.close(fd)
         raise
+
+
+def open_slcan(channel: str, serial_baud: int | str, bitrate: int) -> int:
+    """Open an SLCAN adapter and return its descriptor, non-blocking; raises WireRefused."""
+    with setting_up(channel, serial_baud) as fd:
+        os.write(fd, FORGETTING)  # an adapter that is closed already may refuse this, which is as good
+        drain(fd)
+        rate = SLCAN_BITRATES[bitrate]
+        if _say(fd, f"{rate}\r".encode()) == BEL:
+            raise WireRefused(
+                f"The adapter at {channel} refuses {bitrate} bit/s ({rate} was answered with BEL): choose one it "
+                "offers, or another adapter."
+            )
+        if _say(fd, b"O\r") == BEL:
+            raise WireRefused(
+                f"The adapter at {channel} refuses to open its CAN channel (O was answered with BEL): unplug it and "
+                "plug it in again, and check that the CAN side has power and termination."
+            )
     return fd
 
 
@@ -76,11 +94,25 @@ def close_slcan(fd: int) -> None:
     What the system still keeps is dropped first, and the adapter drops what it keeps when its channel is closed: drives
     that get their power back later must not hear targets of today.
     """
+    close_port(fd, CLOSING)
+
+
+def close_port(fd: int, farewell: bytes) -> None:
+    """Drop what the system keeps for the adapter, say something last and close; one that is gone is no error."""
     with contextlib.suppress(OSError, termios.error):
         termios.tcflush(fd, termios.TCOFLUSH)
     with contextlib.suppress(OSError):
-        os.write(fd, CLOSING)
+        os.write(fd, farewell)
     os.close(fd)
+
+
+def drain(fd: int) -> bytes:
+    """What an adapter says until it says no more, or for half a second where it does not cease."""
+    said = b""
+    deadline = time.monotonic() + DRAINED_WITHIN_S
+    while time.monotonic() < deadline and select.select([fd], [], [], QUIET_S)[0]:
+        said += os.read(fd, 4096)
+    return said
 
 
 def _open_tty(channel: str) -> int:
@@ -105,6 +137,12 @@ def _open_tty(channel: str) -> int:
     if not os.isatty(fd):
         os.close(fd)
         raise WireRefused(f"{channel} is not a serial port: name the adapter's port as the channel.")
+    if _line_discipline(fd) == N_SLCAN:
+        os.close(fd)
+        raise WireRefused(
+            f"{channel} is attached to the kernel's own SLCAN driver: end slcand, or reach the arm through the CAN "
+            "interface it has made (interface socketcan; `ip -brief link show type can` names it)."
+        )
     try:
         # TIOCEXCL does not keep root out, so both kinds of exclusion are used
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -115,6 +153,13 @@ def _open_tty(channel: str) -> int:
             raise WireRefused(_busy(channel)) from None
         raise _gone(channel, problem) from problem
     return fd
+
+
+def _line_discipline(fd: int) -> int:
+    number = array.array("i", [0])
+    with contextlib.suppress(OSError):
+        fcntl.ioctl(fd, _TIOCGETD, number)
+    return number[0]
 
 
 def _gone(channel: str, problem: Exception) -> WireRefused:
@@ -156,7 +201,10 @@ def _ask_for_low_latency(fd: int) -> None:
 
 
 def _say(fd: int, command: bytes) -> bytes:
-    """Send a command and return what comes back within a short while, up to the first CR or BEL."""
+    """Send a command; CR or BEL, or nothing where it is not answered within a short while.
+
+    Lines that are not empty answer no command of ours: frames of an open channel, or what an adapter says of itself.
+    """
     os.write(fd, command)
     answer = b""
     deadline = time.monotonic() + ANSWER_PATIENCE_S
@@ -165,6 +213,8 @@ def _say(fd: int, command: bytes) -> bytes:
         if not ready:
             break
         answer += os.read(fd, 256)
-        if answer.endswith((b"\r", BEL)):
-            break
-    return answer
+        if BEL in answer:
+            return BEL
+        if b"" in answer.split(CR)[:-1]:
+            return CR
+    return b""

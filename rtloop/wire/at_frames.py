@@ -1,0 +1,101 @@
+"""Frames of the serial adapters that RobStride and CyberGear drives come with, in the cycle.
+
+`41 54` ("AT"), identifier << 3 | 4 as 32 bits, the highest first, the length, the data, `0D 0A` (facts/can-adapters.md,
+section 3). The low three bits say what kind of frame it is, and 4 is extended; nobody has shown another kind to work,
+so others are neither sent nor taken.
+"""
+
+from typing import Any
+
+from rtloop.state import RX_BYTES, TX_BYTES
+from rtloop.wire import framed
+from rtloop.wire.found import FRAME, NOTHING
+from rtloop.wire.frame_words import EXTENDED
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+LONGEST_FRAME_BYTES = 17
+SHORTEST_FRAME_BYTES = 9
+LONGEST_DATA = 8
+_A, _T, _CR, _LF = 0x41, 0x54, 0x0D, 0x0A
+_DATA_AT = 7
+_KIND_BITS = 7
+_EXTENDED = 4
+
+
+@jit
+def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
+    """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest.
+
+    `kind` is bits of `rtloop.wire.frame_words`. False when full, and for any kind but EXTENDED.
+    """
+    core, tx = loop.core, loop.tx
+    at = core.tx_length
+    if at + LONGEST_FRAME_BYTES > TX_BYTES or kind != EXTENDED:
+        return False
+    word = frame_id << 3 | _EXTENDED
+    tx[at] = _A
+    tx[at + 1] = _T
+    for i in range(4):
+        tx[at + 2 + i] = (word >> (8 * (3 - i))) & 255
+    tx[at + 6] = length
+    at += _DATA_AT
+    for i in range(length):
+        tx[at] = (data >> (8 * i)) & 255
+        at += 1
+    tx[at] = _CR
+    tx[at + 1] = _LF
+    core.tx_length = at + 2
+    return True
+
+
+@jit
+def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int, int]:
+    """(FRAME, id, kind, length, data) of the next extended data frame in the receive ring up to `end`, or NOTHING.
+
+    The bytes before it are taken; what is none of a frame is counted.
+    """
+    core, ring = loop.core, loop.received.bytes
+    while framed.has_enough(loop) or core.rx_taken < end:
+        if not framed.has_enough(loop):
+            byte = ring[core.rx_taken & (RX_BYTES - 1)]
+            core.rx_taken += 1
+            if not framed.collect(loop, byte):
+                continue
+        found, frame_id, length, data = look(loop)
+        if found == framed.SOUND:
+            return FRAME, frame_id, EXTENDED, length, data
+        if found == framed.WRONG:
+            shared.counters.wire_errors += 1
+    return NOTHING, 0, 0, 0, 0
+
+
+@jit
+def look(loop: Loop) -> tuple[int, int, int, int]:
+    """(framed.…, id, length, data) of what the collected bytes begin with.
+
+    Unless there must be MORE of them it is taken out.
+    """
+    core, line = loop.core, loop.line
+    if core.line_length < SHORTEST_FRAME_BYTES:
+        return framed.wait_for(loop, SHORTEST_FRAME_BYTES), 0, 0, 0
+    length = int(line[_DATA_AT - 1])
+    if line[0] != _A or line[1] != _T or length > LONGEST_DATA:
+        return framed.resynchronise(loop, _A, SHORTEST_FRAME_BYTES), 0, 0, 0
+    end = _DATA_AT + length
+    if core.line_length < end + 2:
+        return framed.wait_for(loop, end + 2), 0, 0, 0
+    if line[end] != _CR or line[end + 1] != _LF:
+        return framed.resynchronise(loop, _A, SHORTEST_FRAME_BYTES), 0, 0, 0
+    word = 0
+    for i in range(4):
+        word = word << 8 | int(line[2 + i])
+    data = 0
+    for i in range(length):
+        data |= int(line[_DATA_AT + i]) << (8 * i)
+    framed.found_sound(loop, end + 2, SHORTEST_FRAME_BYTES)
+    if word & _KIND_BITS != _EXTENDED:
+        return framed.OTHER, 0, 0, 0
+    return framed.SOUND, word >> 3, length, data

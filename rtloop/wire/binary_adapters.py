@@ -1,0 +1,54 @@
+"""Opening and closing the serial adapters with binary frames: USB-CAN-A (facts/can-adapters.md, section 2), AT (3).
+
+Neither says whether it has understood its bit rate, so only a port that cannot be opened is refused. A predecessor that
+was killed may have left half a frame behind; zeros complete it to one with a wrong trailer, which is dropped.
+"""
+
+import os
+
+from config.serial_adapters import SEEED_BITRATES
+from rtloop.wire.tty import drain, setting_up
+
+STANDARD_ONLY, EXTENDED_ONLY = 1, 2
+"""What kind of frames a USB-CAN-A is set to; one setting may not deliver both."""
+NORMAL, APART = 0, 3
+"""Modes of a USB-CAN-A; apart (loop-back and silent) it neither hears the bus nor sends."""
+LONGEST_FRAME = 20
+FILLER = bytes(LONGEST_FRAME)
+
+AT_HANDSHAKE = b"AT+AT\r\n"
+AT_AGREES = b"OK\r\n"
+AT_CLOSING = FILLER
+
+
+def set_up_frame(bitrate: int, frames: int, mode: int) -> bytes:
+    """The 20 bytes that set a USB-CAN-A up for its variable-length framing, without a filter."""
+    content = bytes((0x12, SEEED_BITRATES[bitrate], frames, *bytes(8), mode, 0x01, *bytes(4)))
+    return b"\xaa\x55" + content + bytes((sum(content) & 0xFF,))
+
+
+def open_seeed(channel: str, serial_baud: int | str, bitrate: int) -> int:
+    """Open a USB-CAN-A for extended frames; its descriptor, non-blocking. Raises WireRefused."""
+    with setting_up(channel, serial_baud) as fd:
+        os.write(fd, FILLER + set_up_frame(bitrate, EXTENDED_ONLY, NORMAL))
+        drain(fd)
+    return fd
+
+
+def seeed_closing(bitrate: int) -> bytes:
+    """What takes a USB-CAN-A off the bus, so that it drops the frames it keeps."""
+    return FILLER + set_up_frame(bitrate, EXTENDED_ONLY, APART)
+
+
+def open_at(channel: str, serial_baud: int | str) -> tuple[int, list[str]]:
+    """Open an AT adapter; its descriptor, non-blocking, and what is not as it should be. Raises WireRefused."""
+    with setting_up(channel, serial_baud) as fd:
+        os.write(fd, FILLER + AT_HANDSHAKE)
+        answered = AT_AGREES in drain(fd)
+    complaints = []
+    if not answered:
+        complaints.append(
+            f"The adapter at {channel} has not answered its handshake (AT+AT): if no drive is heard either, check "
+            "that it is an AT adapter and that bus.serial_baud is its speed."
+        )
+    return fd, complaints

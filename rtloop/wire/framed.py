@@ -1,0 +1,71 @@
+"""What adapters with binary frames have in common: bytes are collected until a frame can be judged.
+
+Nothing is escaped in such frames, so one is parsed by its length and believed for its trailer. What is none loses its
+first byte, and the rest is looked at again from the next byte that could begin one: a frame that was cut, or a byte too
+many, costs that frame alone. Loss is counted once until the next sound frame, however many bytes it takes.
+"""
+
+from typing import Any
+
+from shm.jit import jit
+
+Loop = Any
+
+MORE = 0
+SOUND = 1
+OTHER = 2
+WRONG = 3
+
+
+@jit
+def collect(loop: Loop, byte: int) -> bool:
+    """Add a received byte; True when there are enough of them to look at (`wait_for` says how many that is)."""
+    core = loop.core
+    loop.line[core.line_length] = byte
+    core.line_length += 1
+    return bool(core.line_length >= core.line_needed)
+
+
+@jit
+def has_enough(loop: Loop) -> bool:
+    """Whether what is collected can be looked at again, although no byte has come."""
+    core = loop.core
+    return bool(core.line_length > 0 and core.line_length >= core.line_needed)
+
+
+@jit
+def wait_for(loop: Loop, count: int) -> int:
+    """No look before so many bytes are there, LINE_BYTES at most."""
+    loop.core.line_needed = count
+    return MORE
+
+
+@jit
+def take_out(loop: Loop, count: int, shortest: int) -> None:
+    """Forget the first bytes; the next frame has `shortest` bytes at the least."""
+    core, line = loop.core, loop.line
+    left = core.line_length - count
+    for i in range(left):
+        line[i] = line[count + i]
+    core.line_length = left
+    core.line_needed = shortest
+
+
+@jit
+def found_sound(loop: Loop, count: int, shortest: int) -> None:
+    """The first bytes were a frame."""
+    take_out(loop, count, shortest)
+    loop.core.line_spoilt = 0
+
+
+@jit
+def resynchronise(loop: Loop, start: int, shortest: int) -> int:
+    """The first byte begins no frame: forget it, and all up to the next `start`. WRONG the first time, then OTHER."""
+    core, line = loop.core, loop.line
+    at = 1
+    while at < core.line_length and line[at] != start:
+        at += 1
+    take_out(loop, at, shortest)
+    before = core.line_spoilt
+    core.line_spoilt = 1
+    return OTHER if before == 1 else WRONG

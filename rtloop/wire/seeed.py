@@ -1,0 +1,125 @@
+"""Frames of a Seeed or Waveshare USB-CAN-A adapter in its variable-length framing, in the cycle.
+
+`AA`, then C0 | extended << 5 | remote << 4 | length, the identifier (2 or 4 bytes, the lowest first), the data, `55`
+(facts/can-adapters.md, section 2). `AA 55` begins what has 20 bytes and a sum instead: status, or a frame of the fixed
+framing that an adapter uses before it is set up. A remote frame has no data; should an adapter send as many bytes as
+are asked for, they are skipped.
+"""
+
+from typing import Any
+
+from rtloop.state import RX_BYTES, TX_BYTES
+from rtloop.wire import framed
+from rtloop.wire.found import FRAME, NOTHING
+from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+START, END = 0xAA, 0x55
+LONGEST_FRAME_BYTES = 15
+SHORTEST_FRAME_BYTES = 5
+FIXED_BYTES = 20
+"""Of what begins with `AA 55`; the last is the sum of those behind that."""
+LONGEST_DATA = 8
+_KIND = 0xC0
+_EXTENDED_BIT, _REMOTE_BIT = 0x20, 0x10
+_LENGTH_BITS = 0x0F
+
+
+@jit
+def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
+    """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full.
+
+    `kind` is bits of `rtloop.wire.frame_words`.
+    """
+    core, tx = loop.core, loop.tx
+    at = core.tx_length
+    if at + LONGEST_FRAME_BYTES > TX_BYTES:
+        return False
+    tx[at] = START
+    tx[at + 1] = _KIND | (_EXTENDED_BIT if kind & EXTENDED else 0) | (_REMOTE_BIT if kind & REMOTE else 0) | length
+    at += 2
+    for i in range(4 if kind & EXTENDED else 2):
+        tx[at] = (frame_id >> (8 * i)) & 255
+        at += 1
+    for i in range(0 if kind & REMOTE else length):
+        tx[at] = (data >> (8 * i)) & 255
+        at += 1
+    tx[at] = END
+    core.tx_length = at + 1
+    return True
+
+
+@jit
+def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int, int]:
+    """(FRAME, id, kind, length, data) of the next data frame in the receive ring up to `end`, or NOTHING.
+
+    The bytes before it are taken; what is none of a frame is counted. Remote frames are nothing to us.
+    """
+    core, ring = loop.core, loop.received.bytes
+    while framed.has_enough(loop) or core.rx_taken < end:
+        if not framed.has_enough(loop):
+            byte = ring[core.rx_taken & (RX_BYTES - 1)]
+            core.rx_taken += 1
+            if not framed.collect(loop, byte):
+                continue
+        found, frame_id, kind, length, data = look(loop)
+        if found == framed.SOUND:
+            return FRAME, frame_id, kind, length, data
+        if found == framed.WRONG:
+            shared.counters.wire_errors += 1
+    return NOTHING, 0, 0, 0, 0
+
+
+@jit
+def look(loop: Loop) -> tuple[int, int, int, int, int]:
+    """(framed.…, id, kind, length, data) of what the collected bytes begin with.
+
+    Unless there must be MORE of them it is taken out.
+    """
+    core, line = loop.core, loop.line
+    head = int(line[1])
+    if core.line_length < SHORTEST_FRAME_BYTES:
+        return framed.wait_for(loop, SHORTEST_FRAME_BYTES), 0, 0, 0, 0
+    if line[0] == START and head == END:
+        return look_at_fixed(loop), 0, 0, 0, 0
+    length = head & _LENGTH_BITS
+    if line[0] != START or head & _KIND != _KIND or length > LONGEST_DATA:
+        return framed.resynchronise(loop, START, SHORTEST_FRAME_BYTES), 0, 0, 0, 0
+    kind = EXTENDED if head & _EXTENDED_BIT else STANDARD
+    begin = 6 if kind == EXTENDED else 4
+    end = begin
+    if head & _REMOTE_BIT == 0 or (core.line_length > end and line[end] != END):
+        end += length
+    if core.line_length <= end:
+        return framed.wait_for(loop, end + 1), 0, 0, 0, 0
+    frame_id = 0
+    for i in range(2, begin):
+        frame_id |= int(line[i]) << (8 * (i - 2))
+    if line[end] != END or frame_id > (0x1FFFFFFF if kind == EXTENDED else 0x7FF):
+        return framed.resynchronise(loop, START, SHORTEST_FRAME_BYTES), 0, 0, 0, 0
+    data = 0
+    if head & _REMOTE_BIT == 0:
+        for i in range(length):
+            data |= int(line[begin + i]) << (8 * i)
+    framed.found_sound(loop, end + 1, SHORTEST_FRAME_BYTES)
+    if head & _REMOTE_BIT:
+        return framed.OTHER, 0, 0, 0, 0
+    return framed.SOUND, frame_id, kind, length, data
+
+
+@jit
+def look_at_fixed(loop: Loop) -> int:
+    """framed.… of what begins with `AA 55`: whole and sound it is skipped."""
+    core, line = loop.core, loop.line
+    if core.line_length < FIXED_BYTES:
+        return framed.wait_for(loop, FIXED_BYTES)
+    total = 0
+    for i in range(2, FIXED_BYTES - 1):
+        total += int(line[i])
+    if total & 255 != line[FIXED_BYTES - 1]:
+        return framed.resynchronise(loop, START, SHORTEST_FRAME_BYTES)
+    framed.found_sound(loop, FIXED_BYTES, SHORTEST_FRAME_BYTES)
+    return framed.OTHER

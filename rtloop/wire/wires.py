@@ -1,0 +1,57 @@
+"""Wires, as the cycle sees them: one line a wire in each of these functions.
+
+A wire's file has these functions for its own bytes.
+"""
+
+from typing import Any
+
+from rtloop.state import WIRE_AT, WIRE_SEEED, WIRE_SLCAN, WIRE_SOCKETCAN
+from rtloop.wire import at_frames, can_frame, seeed, slcan
+from rtloop.wire.found import NOTHING
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+
+@jit
+def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
+    """Append a frame to the transmit buffer as this arm's wire wants it; False where there is no room.
+
+    `kind` is bits of `frame_words`; `data` holds the bytes, the first lowest.
+    """
+    wire = loop.params.wire
+    if wire == WIRE_SLCAN:
+        return bool(slcan.encode_frame(loop, frame_id, kind, length, data))
+    if wire == WIRE_SOCKETCAN:
+        return bool(can_frame.encode_frame(loop, frame_id, kind, length, data))
+    if wire == WIRE_SEEED:
+        return bool(seeed.encode_frame(loop, frame_id, kind, length, data))
+    if wire == WIRE_AT:
+        return bool(at_frames.encode_frame(loop, frame_id, kind, length, data))
+    return False
+
+
+@jit
+def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int, int]:
+    """(found.…, id, kind, length, data) of the next frame in the receive ring up to `end`; what is none is counted.
+
+    NOTHING when all bytes up to `end` are taken; a frame that they begin waits for the rest of it.
+    """
+    wire = loop.params.wire
+    if wire == WIRE_SLCAN:
+        return slcan.next_frame(loop, shared, end)
+    if wire == WIRE_SOCKETCAN:
+        return can_frame.next_frame(loop, shared, end)
+    if wire == WIRE_SEEED:
+        return seeed.next_frame(loop, shared, end)
+    if wire == WIRE_AT:
+        return at_frames.next_frame(loop, shared, end)
+    return NOTHING, 0, 0, 0, 0
+
+
+@jit
+def forget_half_frames(loop: Loop) -> None:
+    """What has come so far belongs to no frame of what comes now."""
+    core = loop.core
+    core.line_length = core.line_spoilt = core.line_needed = 0
