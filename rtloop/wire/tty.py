@@ -30,7 +30,7 @@ CR, BEL = b"\r", b"\x07"
 CLOSING = b"\rC\r"
 """Ends a line that may be half said, then the channel."""
 FORGETTING = b"\r\r" + CLOSING + b"M0\r"
-"""The same, and lets an adapter with the canable firmware speak that was left silent; others refuse that, as they may."""
+"""The same, and makes a canable that was left silent speak again; others refuse that, as they may."""
 QUIET_S = 0.05
 """An adapter that has said nothing for so long has said all it had to; FTDI chips hold bytes back for 16 ms."""
 DRAINED_WITHIN_S = 0.5
