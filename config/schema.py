@@ -19,7 +19,7 @@ from pydantic import (
 )
 
 from config.bus import BusConfig
-from config.drives.together import check_drives
+from config.drives.together import check_adapter, check_drives
 from config.geometry import KinematicsConfig
 from config.gripper import GROUP, LINK, GripperConfig
 from config.homing import HomingConfig, ParkingConfig
@@ -318,6 +318,12 @@ class ArmConfig(Section):
                     f"address {gripper.servo.address} is used by {joint.name} and the gripper; every drive on the bus "
                     "needs an address of its own: change one, in its menu and here.",
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _adapter_carries_what_drives_say(self) -> ArmConfig:
+        servo = None if self.gripper is None else self.gripper.servo
+        check_adapter(self.joints, self.bus, () if servo is None else servo.identifiers)
         return self
 
     @model_validator(mode="after")

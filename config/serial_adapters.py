@@ -43,6 +43,7 @@ SEEED_BITRATES: dict[int, int] = {
 AT_BITRATES = (1_000_000,)
 """The bit rate of the drives that the `AT` adapter is sold with; nothing in its handshake changes it."""
 
+
 def seeed_bytes(extended: bool, data_bytes: int) -> int:
     """Bytes of a USB-CAN-A data frame: AA, kind and length, identifier, data, 55."""
     check_data_bytes(data_bytes)
@@ -73,6 +74,12 @@ class SerialAdapter:
     """What the adapter says to each frame that is handed to it."""
     device: str
     """What its port may be called."""
+    standard: bool = True
+    """Whether it carries standard identifiers (11 bits) beside extended ones."""
+    both_at_once: bool = True
+    """Whether one setting of it delivers both."""
+    remote: bool = True
+    """Whether it carries remote frames."""
 
     def bytes_of(self, frames: CycleFrames) -> int:
         """Bytes of frames on the serial line, without the adapter's replies."""
@@ -81,11 +88,34 @@ class SerialAdapter:
 
 SERIAL_ADAPTERS: dict[str, SerialAdapter] = {
     "slcan": SerialAdapter(
-        "an SLCAN adapter", tuple(SLCAN_BITRATES), "cdc", slcan_chars, "characters", len("Z\r"), "/dev/ttyACM0"
+        name="an SLCAN adapter",
+        bitrates=tuple(SLCAN_BITRATES),
+        serial_baud="cdc",
+        frame_bytes=slcan_chars,
+        unit="characters",
+        reply_bytes=len("Z\r"),
+        device="/dev/ttyACM0",
     ),
     "seeedstudio": SerialAdapter(
-        "a USB-CAN-A adapter", tuple(SEEED_BITRATES), 2_000_000, seeed_bytes, "bytes", 0, "/dev/ttyUSB0"
+        name="a USB-CAN-A adapter",
+        bitrates=tuple(SEEED_BITRATES),
+        serial_baud=2_000_000,
+        frame_bytes=seeed_bytes,
+        unit="bytes",
+        reply_bytes=0,
+        device="/dev/ttyUSB0",
+        both_at_once=False,
     ),
-    "ch340-at": SerialAdapter("an AT adapter", AT_BITRATES, 921_600, at_bytes, "bytes", 0, "/dev/ttyUSB0"),
+    "ch340-at": SerialAdapter(
+        name="an AT adapter",
+        bitrates=AT_BITRATES,
+        serial_baud=921_600,
+        frame_bytes=at_bytes,
+        unit="bytes",
+        reply_bytes=0,
+        device="/dev/ttyUSB0",
+        standard=False,
+        remote=False,
+    ),
 }
 """By the name of the interface in an arm file."""

@@ -8,8 +8,10 @@ from typing import Protocol
 from config import ramp
 from config.bus import BusConfig
 from config.drives.drive import Drive
+from config.frames import CycleFrames, Identifiers
 from config.joint import JointConfig
 from config.section import refuse
+from config.serial_adapters import SERIAL_ADAPTERS
 
 
 class Limits(Protocol):
@@ -121,6 +123,43 @@ def _suit_the_bus(joints: Sequence[JointConfig], bus: BusConfig) -> None:
                 "for every joint; give it one (family zdt), or set bus.interface to mock for all joints."
             )
         raise refuse(f"joints[{index}].drive.family", sentence)
+
+
+def check_adapter(joints: Sequence[JointConfig], bus: BusConfig, beside: Sequence[Identifiers]) -> None:
+    """Refuse drives whose frames the arm's serial adapter does not carry; `beside`: what a gripper's drive uses."""
+    adapter = SERIAL_ADAPTERS.get(bus.interface)
+    if adapter is None:
+        return
+    others = ", or ".join(name for name in ("slcan", "socketcan") if name != bus.interface)
+    remedy = f"reach the arm through another adapter ({others})."
+    standard = [joint for joint in joints if not all(used.extended for used in joint.drive.identifiers)]
+    extended = [joint.name for joint in joints if any(used.extended for used in joint.drive.identifiers)]
+    if any(used.extended for used in beside):
+        extended.append("the gripper")
+    asked = [joint for joint in joints if any(frames.remote for frames in _exchanged(joint, bus))]
+    if standard and not adapter.standard:
+        raise refuse(
+            "bus.interface",
+            f"interface {bus.interface} is not known to carry standard identifiers, which {standard[0].name} "
+            f"({standard[0].drive.called}) uses; {remedy}",
+        )
+    if standard and extended and not adapter.both_at_once:
+        raise refuse(
+            "bus.interface",
+            f"interface {bus.interface} delivers either standard or extended identifiers, but {standard[0].name} "
+            f"({standard[0].drive.called}) uses standard ones and {extended[0]} extended ones; {remedy}",
+        )
+    if asked and not adapter.remote:
+        raise refuse(
+            "bus.interface",
+            f"interface {bus.interface} is not known to carry remote frames, by which {asked[0].name} "
+            f"({asked[0].drive.called}) is asked; {remedy}",
+        )
+
+
+def _exchanged(joint: JointConfig, bus: BusConfig) -> tuple[CycleFrames, ...]:
+    drive = joint.drive
+    return (*drive.each_cycle(bus), *drive.in_turn(bus), *drive.for_all(bus))
 
 
 def _brake_in_silence(joints: Sequence[JointConfig], limits: Limits) -> None:

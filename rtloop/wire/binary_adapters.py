@@ -27,17 +27,17 @@ def set_up_frame(bitrate: int, frames: int, mode: int) -> bytes:
     return b"\xaa\x55" + content + bytes((sum(content) & 0xFF,))
 
 
-def open_seeed(channel: str, serial_baud: int | str, bitrate: int) -> int:
-    """Open a USB-CAN-A for extended frames; its descriptor, non-blocking. Raises WireRefused."""
+def open_seeed(channel: str, serial_baud: int | str, bitrate: int, frames: int) -> int:
+    """Open a USB-CAN-A for frames of one kind; its descriptor, non-blocking. Raises WireRefused."""
     with setting_up(channel, serial_baud) as fd:
-        os.write(fd, FILLER + set_up_frame(bitrate, EXTENDED_ONLY, NORMAL))
+        os.write(fd, FILLER + set_up_frame(bitrate, frames, NORMAL))
         drain(fd)
     return fd
 
 
-def seeed_closing(bitrate: int) -> bytes:
+def seeed_closing(bitrate: int, frames: int) -> bytes:
     """What takes a USB-CAN-A off the bus, so that it drops the frames it keeps."""
-    return FILLER + set_up_frame(bitrate, EXTENDED_ONLY, APART)
+    return FILLER + set_up_frame(bitrate, frames, APART)
 
 
 def open_at(channel: str, serial_baud: int | str) -> tuple[int, list[str]]:

@@ -2,6 +2,7 @@
 
 import os
 import time
+from itertools import chain
 from typing import NamedTuple
 
 from config.budget import cycle_frames
@@ -9,7 +10,14 @@ from config.schema import ArmConfig
 from rtloop.beginning import listeners
 from rtloop.drives.setup import joints_on_the_bus
 from rtloop.state import CAN_FRAME_BYTES
-from rtloop.wire.binary_adapters import AT_CLOSING, open_at, open_seeed, seeed_closing
+from rtloop.wire.binary_adapters import (
+    AT_CLOSING,
+    EXTENDED_ONLY,
+    STANDARD_ONLY,
+    open_at,
+    open_seeed,
+    seeed_closing,
+)
 from rtloop.wire.can_socket import dropped_frames, holds_back, open_socketcan
 from rtloop.wire.tty import close_port, close_slcan, open_slcan
 
@@ -31,7 +39,7 @@ def open_wire(arm: ArmConfig) -> OpenWire | None:
     if bus.interface == "slcan":
         return OpenWire(open_slcan(bus.resolved_channel, bus.serial_baud, bus.bitrate), [])
     if bus.interface == "seeedstudio":
-        return OpenWire(open_seeed(bus.resolved_channel, bus.serial_baud, bus.bitrate), [])
+        return OpenWire(open_seeed(bus.resolved_channel, bus.serial_baud, bus.bitrate, seeed_frames(arm)), [])
     if bus.interface == "ch340-at":
         return OpenWire(*open_at(bus.resolved_channel, bus.serial_baud))
     if bus.interface == "socketcan":
@@ -46,11 +54,18 @@ def close_wire(arm: ArmConfig, fd: int) -> None:
     if arm.bus.interface == "slcan":
         close_slcan(fd)
     elif arm.bus.interface == "seeedstudio":
-        close_port(fd, seeed_closing(arm.bus.bitrate))
+        close_port(fd, seeed_closing(arm.bus.bitrate, seeed_frames(arm)))
     elif arm.bus.interface == "ch340-at":
         close_port(fd, AT_CLOSING)
     else:
         os.close(fd)
+
+
+def seeed_frames(arm: ArmConfig) -> int:
+    """What a USB-CAN-A must be set to for the arm's drives, which use one kind of identifiers (config.drives.together)."""
+    servo = None if arm.gripper is None else arm.gripper.servo
+    used = [*(joint.drive.identifiers for joint in arm.joints), servo.identifiers if servo else ()]
+    return EXTENDED_ONLY if any(of.extended for of in chain.from_iterable(used)) else STANDARD_ONLY
 
 
 def keeps_frames(arm: ArmConfig, fd: int) -> bool:
