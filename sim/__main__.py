@@ -22,6 +22,7 @@ from pathlib import Path
 
 from config.errors import ConfigError
 from config.loader import load_arm, parse_overrides
+from sim.adapter import DIALECTS
 from sim.arm import SimulatedArm
 from sim.can_socket import CanServer
 from sim.faults import FAULTS, parse_fault
@@ -138,7 +139,7 @@ def _be_as_prompt_as_hardware() -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m sim",
-        description="Simulated drives behind an SLCAN adapter at a pseudo-terminal, or on a CAN interface.",
+        description="Simulated drives behind a serial adapter at a pseudo-terminal, or on a CAN interface.",
     )
     parser.add_argument("--arm", required=True, help="name of an arm, or path of its YAML file")
     parser.add_argument(
@@ -154,7 +155,7 @@ def _parser() -> argparse.ArgumentParser:
         "--fault", action="append", default=[], help=f"NAME:FIELD=VALUE,… with NAME of {', '.join(FAULTS)}"
     )
     parser.add_argument("--faults-from-stdin", action="store_true", help="take faults while running, too")
-    parser.add_argument("--dialect", choices=("lawicel", "canable"), default="lawicel", help="of the adapter")
+    parser.add_argument("--dialect", choices=DIALECTS, default="lawicel", help="of an SLCAN adapter")
     parser.add_argument("--firmware", choices=("new", "old"), default="new", help="of the drives")
     parser.add_argument("--unhomed", action="store_true", help="drives that have just been switched on")
     parser.add_argument("--seed", type=int, default=0, help="of random delays and faults")

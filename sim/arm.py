@@ -17,14 +17,16 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from config import schema
+from config.bus import BusConfig
 from config.gripper import GripperConfig
 from sim import faults as wrong
-from sim.adapter import Dialect, LineFault, SlcanAdapter
+from sim.adapter import Dialect, SlcanAdapter
+from sim.at_adapter import AtAdapter
 from sim.babble import Babbler
 from sim.bus import Bus, Frame, Outbox
 from sim.can_interface import CanInterface
@@ -35,6 +37,8 @@ from sim.drives.shaft import Reals, Times
 from sim.drives.zdt import ZdtDrive
 from sim.drives.zdt_settings import CAN_CODES, Settings, homing_towards
 from sim.faults import Fault
+from sim.seeed_adapter import SeeedAdapter
+from sim.serial_adapter import LineFault, SerialAdapter
 
 FINGER_SLACK_RAD = math.radians(5.0)
 
@@ -48,7 +52,7 @@ COUNT_RANGE = 1 << 32
 
 
 class SimulatedArm:
-    """Six (or any number of) drives of any families behind an SLCAN adapter or a CAN interface.
+    """Six (or any number of) drives of any families behind a serial adapter or a CAN interface.
 
     Args:
         arm: its configuration; the families of its drives must be among `sim.drives.families`.
@@ -56,7 +60,7 @@ class SimulatedArm:
         joint_position_rad: where the joints stand (ZDT drives to the nearest command pulse); all zero by default.
         seed: of every random delay and fault.
         faults: what goes wrong, and when.
-        dialect: how the adapter answers, see `sim.adapter`.
+        dialect: how an SLCAN adapter answers, see `sim.adapter`.
         firmware: of all ZDT drives, see `sim.drives.zdt`.
         homed: False makes drives that have just been switched on where they stand: they count from zero
             and say that power was lost.
@@ -98,18 +102,11 @@ class SimulatedArm:
                 "joints; give one for each."
             )
         self.bus = Bus(arm.bus.bitrate, start_ns)
-        baud = arm.bus.serial_baud
-        self.adapter: SlcanAdapter | CanInterface
+        self.adapter: SerialAdapter[Any] | CanInterface
         if arm.bus.interface == "socketcan":
             self.adapter = CanInterface()
         else:
-            self.adapter = SlcanAdapter(
-                arm.bus.bitrate,
-                dialect=dialect,
-                baud=None if baud == "cdc" else baud,
-                echo=echo,
-                seed=seed,
-            )
+            self.adapter = _serial_adapter(arm.bus, dialect, echo=echo, seed=seed)
         self.drives: list[Drive] = []
         for index, (joint, position_rad) in enumerate(zip(arm.joints, positions, strict=True)):
             make = FAMILIES.get(joint.drive.family)
@@ -342,9 +339,9 @@ class SimulatedArm:
         config = next(config for config in self.config.joints if config.name == joint)
         return round(config.direction * math.radians(deg) * config.encoder_counts_per_rad)
 
-    def serial_adapter(self) -> SlcanAdapter:
+    def serial_adapter(self) -> SerialAdapter[Any]:
         """The adapter of an arm that is reached through a serial port; raises ValueError for one that is not."""
-        if not isinstance(self.adapter, SlcanAdapter):
+        if not isinstance(self.adapter, SerialAdapter):
             raise ValueError(f"arm {self.config.name} has no serial adapter that this fault could befall.")
         return self.adapter
 
@@ -400,6 +397,15 @@ class SimulatedArm:
 
     def _zdt_drives(self, name: str | None) -> list[ZdtDrive]:
         return [drive for drive in self._chosen(name) if isinstance(drive, ZdtDrive)]
+
+
+def _serial_adapter(bus: BusConfig, dialect: Dialect, *, echo: bool, seed: int) -> SerialAdapter[Any]:
+    baud = None if bus.serial_baud == "cdc" else bus.serial_baud
+    if bus.interface == "seeedstudio":
+        return SeeedAdapter(bus.bitrate, baud=baud, echo=echo, seed=seed)
+    if bus.interface == "ch340-at":
+        return AtAdapter(bus.bitrate, baud=baud, echo=echo, seed=seed)
+    return SlcanAdapter(bus.bitrate, dialect=dialect, baud=baud, echo=echo, seed=seed)
 
 
 def _set(owner: object, name: str, value: object, _: int) -> None:

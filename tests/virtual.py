@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from config.bus import SLCAN_BITRATES
 from config.loader import load_arm
 from config.schema import ArmConfig
+from config.serial_adapters import SLCAN_BITRATES
 from rtloop import entries
 from rtloop.beginning import new_loop, show_limits
 from rtloop.bringup import BringUp
@@ -75,6 +75,7 @@ class VirtualArm:
         faults: Sequence[Any] = (),
         seed: int = 0,
         jitter_ns: int = 100_000,
+        opening: bytes | None = None,
         **sim_options: Any,
     ) -> None:
         self.arm = load_arm(arm) if isinstance(arm, str) else arm
@@ -105,8 +106,10 @@ class VirtualArm:
                 faults=faults,
                 **sim_options,
             )
-            if self.arm.bus.interface == "slcan":
-                self.sim.feed(START_NS, f"C\r{SLCAN_BITRATES[self.arm.bus.bitrate]}\rO\r".encode())
+            if opening is None and self.arm.bus.interface == "slcan":
+                opening = f"C{SLCAN_BITRATES[self.arm.bus.bitrate]}O".encode()
+            if opening:
+                self.sim.feed(START_NS, opening)
 
     @property
     def core(self) -> np.void:

@@ -62,7 +62,7 @@ def close_wire(arm: ArmConfig, fd: int) -> None:
 
 
 def seeed_frames(arm: ArmConfig) -> int:
-    """What a USB-CAN-A must be set to for the arm's drives, which use one kind of identifiers (config.drives.together)."""
+    """What a USB-CAN-A must be set to for the arm's drives, which use one kind (config.drives.together)."""
     servo = None if arm.gripper is None else arm.gripper.servo
     used = [*(joint.drive.identifiers for joint in arm.joints), servo.identifiers if servo else ()]
     return EXTENDED_ONLY if any(of.extended for of in chain.from_iterable(used)) else STANDARD_ONLY
