@@ -159,7 +159,7 @@ def check_adapter(joints: Sequence[JointConfig], bus: BusConfig, beside: Sequenc
 
 def _exchanged(joint: JointConfig, bus: BusConfig) -> tuple[CycleFrames, ...]:
     drive = joint.drive
-    return (*drive.each_cycle(bus), *drive.in_turn(bus), *drive.for_all(bus))
+    return (*drive.commands(bus), *drive.readings(bus), *drive.in_turn(bus), *drive.for_all(bus))
 
 
 def _brake_in_silence(joints: Sequence[JointConfig], limits: Limits) -> None:

@@ -20,11 +20,12 @@ from config.budget import budget
 from config.loader import load_arm
 from config.schema import ArmConfig
 from config.serial_adapters import SERIAL_ADAPTERS
+from rtloop.beginning import new_loop
 from rtloop.measured import take_what_the_bus_brought
 from rtloop.run import take_over_wire
-from rtloop.state import RX_BYTES, TX_FRAMES, new_loop
+from rtloop.state import RX_BYTES, TX_FRAMES
 from rtloop.wire import outgoing, received
-from rtloop.wire.frame_kinds import EXTENDED, REMOTE, STANDARD
+from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
 from shm import layout
 from shm.words import Answer, Fault, Mode, Outcome, Request
 from sim.bus import Frame
