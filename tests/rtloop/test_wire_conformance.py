@@ -139,8 +139,9 @@ def test_what_is_heard_is_what_was_said(wire: Wire) -> None:
         bench = Bench(wire)
         data = bytes([0x36, counts < 0]) + abs(counts).to_bytes(4, "big") + b"\x6b"
         assert bench.hear(wire.spell(Frame(0x100, data))) == (1, 0)
-        joint, axis = bench.loop[0]["joints"][0], bench.loop[0]["axes"][0]
-        assert axis["measured_rad"] == counts / joint["counts_per_rad"] - joint["zero_rad"]
+        joint, axis = arm_of(wire.name).joints[0], bench.loop[0]["axes"][0]
+        wanted_rad = joint.direction * counts / joint.encoder_counts_per_rad - joint.zero_rad
+        assert axis["measured_rad"] == pytest.approx(wanted_rad, rel=1e-12)
         for other in (Frame(0x000, data), Frame(0x700, data)):
             assert bench.hear(wire.spell(other)) == (1, 0)
         assert axis["readings"] == 1
