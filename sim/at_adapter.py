@@ -1,7 +1,7 @@
 """The serial adapter that RobStride and CyberGear drives come with (can-adapters.md section 3).
 
 It answers its handshake with OK [inf] and is on the bus from then on, at 1 Mbit/s. Frames with standard identifiers and
-remote frames it does not carry [inf].
+remote frames it does not carry [inf]. What ends wrongly is dropped whole [inf, the worst case].
 """
 
 from __future__ import annotations
@@ -45,11 +45,9 @@ class AtAdapter(SerialAdapter[Frame | None]):
             if len(piece) < size:
                 break
             word = int.from_bytes(piece[2:6], "big")
-            if size == 0 or piece[size - 2 : size] != TAIL or word & 7 != EXTENDED:
-                at += 1
-                continue
-            at += size
-            yield max(at - before, 0), Frame(word >> 3, piece[7 : size - 2])
+            at += max(size, 1)
+            if size and piece[size - 2 : size] == TAIL and word & 7 == EXTENDED:
+                yield max(at - before, 0), Frame(word >> 3, piece[7 : size - 2])
         self._rest = b"" if at < 0 else waiting[at:]
 
     def _act(self, now_ns: int, message: Frame | None) -> None:

@@ -1,7 +1,7 @@
 """A Seeed or Waveshare USB-CAN-A adapter in its variable-length framing (can-adapters.md section 2).
 
 It answers nothing but a question for its status, and is not on the bus before it is set up. What it is set to, standard
-or extended, is what it delivers; it sends both [inf]. The fixed framing is not modelled: set to that it leaves the bus.
+or extended, is what it delivers; it sends both [inf]. What ends wrongly is dropped whole [inf, the worst case]. The fixed framing is not modelled: set to that it leaves the bus.
 """
 
 from __future__ import annotations
@@ -43,12 +43,10 @@ class SeeedAdapter(SerialAdapter[Frame | bytes]):
             if size is None or len(waiting) - at < size:
                 break
             piece = waiting[at : at + size]
+            at += max(size, 1)
             message = _meaning(piece) if size else None
-            if message is None:
-                at += 1
-                continue
-            at += size
-            yield max(at - before, 0), message
+            if message is not None:
+                yield max(at - before, 0), message
         self._rest = b"" if at < 0 else waiting[at:]
 
     def _act(self, now_ns: int, message: Frame | bytes) -> None:
