@@ -1,7 +1,8 @@
 """A Seeed or Waveshare USB-CAN-A adapter in its variable-length framing (can-adapters.md section 2).
 
 It answers nothing but a question for its status, and is not on the bus before it is set up. What it is set to, standard
-or extended, is what it delivers; it sends both [inf]. What ends wrongly is dropped whole [inf, the worst case]. The fixed framing is not modelled: set to that it leaves the bus.
+or extended, is what it delivers; it sends both [inf]. What ends wrongly is dropped whole [inf, the worst case]. The
+fixed framing is not modelled: set to that it leaves the bus.
 """
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ class VirtualArm:
                 **sim_options,
             )
             if opening is None and self.arm.bus.interface == "slcan":
-                opening = f"C{SLCAN_BITRATES[self.arm.bus.bitrate]}O".encode()
+                opening = f"C\r{SLCAN_BITRATES[self.arm.bus.bitrate]}\rO\r".encode()
             if opening:
                 self.sim.feed(START_NS, opening)
 
