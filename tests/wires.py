@@ -25,6 +25,7 @@ class Wire:
         spell: the bytes of a frame.
         read: the frames in bytes that are whole; fails on what is none.
         opening: what opens a simulated adapter for a bus of 1 Mbit/s.
+        left_open: what opens it for another bus, where it can be.
         golden: bytes with their source, and what they mean.
         noise: bytes that are no frame, and how many errors they count for when sound frames follow.
         kinds: (extended, remote) of the frames it carries.
@@ -40,6 +41,7 @@ class Wire:
     spell: Callable[[Frame], bytes]
     read: Callable[[bytes], list[Frame]]
     opening: bytes
+    left_open: bytes
     golden: Sequence[tuple[bytes, Frame]]
     noise: Sequence[tuple[bytes, int]]
     kinds: Sequence[tuple[bool, bool]] = ((False, False), (True, False), (False, True), (True, True))
@@ -105,6 +107,7 @@ def slcan(name: str, *, dialect: str, answered: int, before: bytes = b"", stamp:
         spell=spell_slcan,
         read=read_slcan,
         opening=b"C\rS8\r" + before + b"O\r",
+        left_open=b"C\rS6\r" + before + b"O\r",
         golden=SLCAN_GOLDEN,
         noise=SLCAN_NOISE,
         answered=answered,
@@ -227,6 +230,7 @@ WIRES = [
         spell=spell_record,
         read=read_records,
         opening=b"",
+        left_open=b"",
         golden=[
             (bytes.fromhex("EFCDAB92 02 000000 AA55000000000000"), Frame(0x12ABCDEF, b"\xaa\x55")),
             (bytes.fromhex("56040000 03 000000 1122330000000000"), Frame(0x456, b"\x11\x22\x33", False)),
@@ -244,6 +248,7 @@ WIRES = [
         spell=spell_seeed,
         read=read_seeed,
         opening=bytes.fromhex("AA 55 12 01 02 00000000 00000000 00 01 00000000 16"),
+        left_open=bytes.fromhex("AA 55 12 03 01 00000000 00000000 00 01 00000000 17"),
         golden=SEEED_GOLDEN,
         noise=SEEED_NOISE,
     ),
@@ -253,6 +258,7 @@ WIRES = [
         spell=spell_at,
         read=read_at,
         opening=bytes.fromhex("41 54 2B 41 54 0D 0A"),
+        left_open=bytes.fromhex("41 54 2B 41 54 0D 0A"),
         golden=AT_GOLDEN,
         noise=AT_NOISE,
         kinds=((True, False),),

@@ -103,7 +103,7 @@ def test_an_adapter_is_opened_closed_and_opened_again(served: Served, wire: Wire
 @pytest.mark.parametrize("wire", SERIAL, ids=str)
 @pytest.mark.parametrize("killed_at", KILLED_AT)
 def test_a_channel_that_is_open_and_half_a_frame_are_left_behind(served: Served, wire: Wire, killed_at: int) -> None:
-    served.left_behind(wire.opening + wire.spell(Frame(0x200, b"\xfd\x01\x02\x03\x04\x05\x06\x07"))[:killed_at])
+    served.left_behind(wire.left_open + wire.spell(Frame(0x200, b"\xfd\x01\x02\x03\x04\x05\x06\x07"))[:killed_at])
     opens_and_works(served, wire)
     assert served.sim.bus.frames == 2  # the question and its answer: what was half said went nowhere
 
