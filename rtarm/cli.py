@@ -46,7 +46,9 @@ def main(
 def up(
     arm: ArmArgument,
     sim: Annotated[bool, typer.Option("--sim", help="Simulate the drives; no hardware is opened.")] = False,
-    interface: Annotated[str | None, typer.Option(help="How the bus is reached (slcan, socketcan, mock).")] = None,
+    interface: Annotated[
+        str | None, typer.Option(help="How the bus is reached (slcan, seeedstudio, ch340-at, socketcan, mock).")
+    ] = None,
     channel: Annotated[
         str | None, typer.Option(help="Device of the CAN adapter (/dev/ttyACM0) or CAN interface (can0).")
     ] = None,

@@ -24,7 +24,9 @@ def calibrate(
         Path | None,
         typer.Option("--output", "-o", metavar="FILE", help="Make this file instead of changing the arm file."),
     ] = None,
-    interface: Annotated[str | None, typer.Option(help="How the bus is reached (slcan, socketcan).")] = None,
+    interface: Annotated[
+        str | None, typer.Option(help="How the bus is reached (slcan, seeedstudio, ch340-at, socketcan).")
+    ] = None,
     channel: Annotated[
         str | None, typer.Option(help="Device of the CAN adapter (/dev/ttyACM0) or CAN interface (can0).")
     ] = None,

@@ -20,7 +20,9 @@ def drives(
         bool, typer.Option("--write", help="Write what differs to the drives' volatile memory, and read it back.")
     ] = False,
     store: Annotated[bool, typer.Option("--store", help="With --write: to their flash too, after a question.")] = False,
-    interface: Annotated[str | None, typer.Option(help="How the bus is reached (slcan, socketcan).")] = None,
+    interface: Annotated[
+        str | None, typer.Option(help="How the bus is reached (slcan, seeedstudio, ch340-at, socketcan).")
+    ] = None,
     channel: Annotated[
         str | None, typer.Option(help="Device of the CAN adapter (/dev/ttyACM0) or CAN interface (can0).")
     ] = None,

@@ -131,7 +131,8 @@ def load_plan(
             raise Refusal(
                 f"Arm {arm_argument} has mock drives and no bus, so there is nothing to simulate: leave sim out."
             )
-        loaded_with = _with_channel(overrides, SIMULATED_CHANNEL)
+        interface = _simulated_interface(arm_argument, overrides)
+        loaded_with = _with_channel(overrides, interface, SIMULATED_CHANNEL)
     arm = load_arm(arm_argument, overrides=loaded_with)
     check_budget(arm)
     check_ros()
@@ -163,9 +164,22 @@ def check_ros() -> None:
         )
 
 
-def _with_channel(overrides: Mapping[str, Any], channel: str) -> dict[str, Any]:
-    """A simulated arm stands behind a serial adapter, whatever the real one is reached through."""
-    return {**overrides, "bus": {**overrides.get("bus", {}), "interface": "slcan", "channel": channel}}
+def _simulated_interface(arm_argument: str, overrides: Mapping[str, Any]) -> str:
+    """A simulated arm stands behind a serial adapter: its own kind, or SLCAN where the real one has none."""
+    from config.errors import ConfigError
+    from config.loader import load_arm
+    from config.serial_adapters import SERIAL_ADAPTERS
+
+    bus = {**overrides.get("bus", {}), "channel": SIMULATED_CHANNEL}
+    try:
+        interface = load_arm(arm_argument, overrides={**overrides, "bus": bus}).bus.interface
+    except ConfigError:
+        return "slcan"  # with which it may load, and if not, that error is the one to show
+    return interface if interface in SERIAL_ADAPTERS else "slcan"
+
+
+def _with_channel(overrides: Mapping[str, Any], interface: str, channel: str) -> dict[str, Any]:
+    return {**overrides, "bus": {**overrides.get("bus", {}), "interface": interface, "channel": channel}}
 
 
 class Launcher:
@@ -192,7 +206,7 @@ class Launcher:
         plan = self.plan
         overrides = plan.overrides
         if plan.simulated:
-            overrides = _with_channel(overrides, await self._start_sim())
+            overrides = _with_channel(overrides, plan.arm.bus.interface, await self._start_sim())
         self._arguments = [plan.arm_argument, *override_arguments(overrides)]
         started = time.monotonic()
         self._loop = await self._spawn("loop", "rtloop", self._arguments, plain_environment())
@@ -267,7 +281,7 @@ class Launcher:
 
     async def _start_sim(self) -> str:
         """Start the simulated arm; returns the terminal it listens at."""
-        overrides = _with_channel(self.plan.overrides, SIMULATED_CHANNEL)
+        overrides = _with_channel(self.plan.overrides, self.plan.arm.bus.interface, SIMULATED_CHANNEL)
         arguments = ["--arm", self.plan.arm_argument, *override_arguments(overrides)]
         if self.plan.start_deg is not None:
             arguments += ["--start-deg=" + ",".join(f"{angle:.9g}" for angle in self.plan.start_deg)]

@@ -15,14 +15,23 @@ from observer import judge
 from stack import PATIENCE_S, Stack
 
 from config.loader import arm_hash, load_arm
+from config.serial_adapters import SERIAL_ADAPTERS
 from shm.client import CommandWriter, StateReader
 from shm.files import open_state, own_command
 from shm.words import Answer, Event, Fault, Mode, Request
 
 
 @pytest.fixture
-def stack(tmp_path: Path) -> Iterator[Stack]:
+def interface() -> str:
+    return "slcan"
+
+
+@pytest.fixture
+def stack(tmp_path: Path, interface: str) -> Iterator[Stack]:
     running = Stack(f"t{secrets.token_hex(4)}", tmp_path, start_deg=[0, 0, 90, 0, 0, 0])
+    adapter = SERIAL_ADAPTERS[interface]
+    bitrate = 500_000 if 500_000 in adapter.bitrates else 1_000_000
+    running.change(bus={"interface": interface, "bitrate": bitrate, "serial_baud": adapter.serial_baud})
     running.start_sim()
     yield running
     running.close()
@@ -59,6 +68,7 @@ class Watched:
 
 
 @pytest.mark.process
+@pytest.mark.parametrize("interface", SERIAL_ADAPTERS)
 def test_an_adapter_that_is_plugged_in_again_is_noticed_and_waits_for_a_clear(stack: Stack) -> None:
     loop = stack.start_loop()
     arm = Watched(stack)
