@@ -7,7 +7,7 @@ so others are neither sent nor taken.
 
 from typing import Any
 
-from rtloop.state import RX_BYTES, TX_BYTES
+from rtloop.state import TX_BYTES
 from rtloop.wire import framed
 from rtloop.wire.found import FRAME, NOTHING
 from rtloop.wire.frame_words import EXTENDED
@@ -57,13 +57,7 @@ def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int
 
     The bytes before it are taken; what is none of a frame is counted.
     """
-    core, ring = loop.core, loop.received.bytes
-    while framed.has_enough(loop) or core.rx_taken < end:
-        if not framed.has_enough(loop):
-            byte = ring[core.rx_taken & (RX_BYTES - 1)]
-            core.rx_taken += 1
-            if not framed.collect(loop, byte):
-                continue
+    while framed.collect(loop, end):
         found, frame_id, length, data = look(loop)
         if found == framed.SOUND:
             return FRAME, frame_id, EXTENDED, length, data

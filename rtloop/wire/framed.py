@@ -7,6 +7,7 @@ many, costs that frame alone. Loss is counted once until the next sound frame, h
 
 from typing import Any
 
+from rtloop.state import RX_BYTES
 from shm.jit import jit
 
 Loop = Any
@@ -18,19 +19,17 @@ WRONG = 3
 
 
 @jit
-def collect(loop: Loop, byte: int) -> bool:
-    """Add a received byte; True when there are enough of them to look at (`wait_for` says how many that is)."""
-    core = loop.core
-    loop.line[core.line_length] = byte
-    core.line_length += 1
-    return bool(core.line_length >= core.line_needed)
-
-
-@jit
-def has_enough(loop: Loop) -> bool:
-    """Whether what is collected can be looked at again, although no byte has come."""
-    core = loop.core
-    return bool(core.line_length > 0 and core.line_length >= core.line_needed)
+def collect(loop: Loop, end: int) -> bool:
+    """Take bytes of the receive ring up to `end`; True when there are enough to look at (`wait_for` says how many)."""
+    core, ring, line = loop.core, loop.received.bytes, loop.line
+    needed = max(core.line_needed, 1)
+    have, at = core.line_length, core.rx_taken
+    while have < needed and at < end:
+        line[have] = ring[at & (RX_BYTES - 1)]
+        have += 1
+        at += 1
+    core.line_length, core.rx_taken = have, at
+    return bool(have >= needed)
 
 
 @jit
