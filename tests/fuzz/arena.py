@@ -6,6 +6,12 @@ from virtual import VirtualArm, recorded_goal
 from config.loader import load_arm
 from fuzz import memory, wire
 
+OPENINGS = {
+    "seeedstudio": bytes.fromhex("AA 55 12 03 02 00000000 00000000 00 01 00000000 18"),
+    "ch340-at": b"AT+AT\r\n",
+}
+"""What puts a simulated adapter on the arm's bus (facts/can-adapters.md)."""
+
 
 class MemoryArena:
     """The mock arm, whose command file anybody may write to."""
@@ -61,9 +67,12 @@ class WireArena(MemoryArena):
 
     GUILT = wire.GUILT
 
-    def __init__(self, rate_hz: float = 120.0) -> None:
-        arm = load_arm("episode1", overrides={"control": {"rate_hz": rate_hz}})
-        self.arm = VirtualArm(arm, start_rad=recorded_goal("small")["joints"][0, :, 0])
+    def __init__(self, rate_hz: float = 120.0, interface: str = "slcan") -> None:
+        bitrate = 1_000_000 if interface == "ch340-at" else 500_000
+        bus = {"interface": interface, "bitrate": bitrate}
+        arm = load_arm("episode1", overrides={"control": {"rate_hz": rate_hz}, "bus": bus})
+        start_rad = recorded_goal("small")["joints"][0, :, 0]
+        self.arm = VirtualArm(arm, start_rad=start_rad, opening=OPENINGS.get(interface))
         self._out = np.zeros(wire.MOST_BYTES, np.uint8)
         self._begin()
 

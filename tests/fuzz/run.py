@@ -14,10 +14,12 @@ from fuzz.texts import Parameters, Texts
 from fuzz.truth import Truth
 
 HANG_S = 120
-COMPILED = ("memory", "wire")
+COMPILED = ("memory", "wire", "seeed", "at")
 TARGETS: dict[str, Callable[[], Any]] = {
     "memory": MemoryArena,
     "wire": WireArena,
+    "seeed": lambda: WireArena(interface="seeedstudio"),
+    "at": lambda: WireArena(interface="ch340-at"),
     "truth": Truth,
     "goals": lambda: Messages("goals"),
     "streams": lambda: Messages("streams"),
@@ -27,10 +29,19 @@ TARGETS: dict[str, Callable[[], Any]] = {
     "parameters": Parameters,
 }
 CASES_A_MILLION = {
-    **{"memory": 700_000, "wire": 200_000, "truth": 200, "goals": 15_000, "streams": 15_000, "bytes": 20_000},
+    **{
+        "memory": 600_000,
+        "wire": 150_000,
+        "seeed": 100_000,
+        "at": 50_000,
+        "truth": 200,
+        "goals": 15_000,
+        "streams": 15_000,
+        "bytes": 20_000,
+    },
     **{"yaml": 4_800, "overrides": 5_000, "parameters": 40_000},
 }
-CHUNK = {"memory": 10_000, "wire": 5_000, "truth": 10, "yaml": 200, "overrides": 250}
+CHUNK = {"memory": 10_000, "wire": 5_000, "seeed": 5_000, "at": 5_000, "truth": 10, "yaml": 200, "overrides": 250}
 
 _open: dict[str, Any] = {}
 

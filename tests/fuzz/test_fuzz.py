@@ -63,6 +63,15 @@ def test_hostile_bytes_move_nothing_beyond_its_limits(hostile_wire: WireArena) -
     assert hostile_wire.faults[Fault.REFERENCE_LOST] > 50 and hostile_wire.faults[Fault.DRIVE_FAULT] > 50
 
 
+@pytest.mark.parametrize("interface", ["seeedstudio", "ch340-at"])
+def test_hostile_bytes_of_binary_frames_move_nothing_beyond_its_limits(interface: str) -> None:
+    arena = WireArena(interface=interface)
+    assert arena.run(SEED, 0, 1_000) == (1_000, "")
+    assert arena.faults[Fault.NONE] > 200
+    assert arena.faults[Fault.REFERENCE_LOST] > 30 and arena.faults[Fault.DRIVE_FAULT] > 30
+    arena.close()
+
+
 def test_the_judge_of_motion_finds_what_is_there(hostile_memory: MemoryArena) -> None:
     """The same writer, and limits that are a little tighter than those the loop goes by."""
     loop = hostile_memory.arm.loop

@@ -1,8 +1,8 @@
 """Hostile bytes from the adapter, and hostile frames from the drives, against the whole cycle: all compiled.
 
-The arm is the one with six drives on a serial adapter. Before each cycle some drives answer as drives do, and a writer
-who knows the grammar of the lines, or does not care for it, puts its own between them. The judge decodes what the cycle
-sends by itself.
+The arm is the one with six drives on a serial adapter of any kind. Before each cycle some drives answer as drives do, and
+a writer who knows the grammar of its frames, or does not care for it, puts its own between them. The judge decodes what
+the cycle sends by itself.
 """
 
 from typing import Any
@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from fuzz import memory
+from fuzz.framing import put_byte, put_frame, read_frame
 from fuzz.memory import SOUND, UNKNOWN_WORD
 from rtloop.cycle import step
 from rtloop.measured import whose
 from rtloop.port import OUT, TAKEN, WRITTEN
+from rtloop.state import WIRE_SLCAN
 from rtloop.wire import received
 from rtloop.wire.frame_words import EXTENDED
 from shm.atomics import store_relaxed
@@ -27,7 +29,6 @@ MOST_BYTES = 2048
 CR, BEL = 13, 7
 BAD_LINE, BAD_TARGET, LED_BLIND = 7, 8, 9
 GUILT = (*memory.GUILT, "a line that is none", "a target outside its limits", "led without a reference")
-_HEX = np.frombuffer(b"0123456789ABCDEF", np.uint8)
 _TEMPLATES = [b"z", b"Z", b"", b"\x07", b"V1013", b"NA123", b"FA4", b"T", b"t", b"T0", b"t1FF", b"r1238", b"R000001008"]
 _TEMPLATES += [
     b"T0000010073601",
@@ -38,43 +39,30 @@ _TEMPLATES += [
     b"C",
     b"O",
 ]
+_SLCAN_TEMPLATES = len(_TEMPLATES)
+_TEMPLATES += [
+    b"\xaa",
+    b"\x55",
+    b"\xaa\x55",
+    b"\xaa\x55\x04" + bytes(16) + b"\x04",
+    b"\xaa\xe8\x00\x01",
+    b"\xaa\xe7\x00\x01\x00\x00\x36\x00",
+    b"\xaa\xf8\x00\x01\x00\x00\x55",
+    b"\xaa\xc9\x00\x01\x55",
+    b"A",
+    b"AT",
+    b"AT+AT\r\n",
+    b"OK\r\n",
+    b"AT\x00\x00\x08\x04\x08\x36",
+    b"AT\x00\x00\x08\x04\x09",
+    b"AT\x20\x00\x00\x00\x02\x36\x6b\r\n",
+    b"\r\n",
+]
 _PIECES = np.zeros((len(_TEMPLATES), 32), np.uint8)
 for _row, _text in zip(_PIECES, _TEMPLATES, strict=True):
     _row[: len(_text)] = np.frombuffer(_text, np.uint8)
 _LENGTHS = np.array([len(text) for text in _TEMPLATES])
 _FUNCTIONS = np.array([0x36, 0x3A, 0xFD, 0xFE, 0xF3, 0x00, 0xE2, 0xEE, 0x35])
-
-
-@jit
-def put_byte(out: np.ndarray, at: int, byte: int) -> int:
-    """Append a byte; where the next one goes."""
-    if at < len(out):
-        out[at] = byte
-        return at + 1
-    return at
-
-
-@jit
-def put_hex(out: np.ndarray, at: int, value: int, digits: int) -> int:
-    for i in range(digits):
-        digit = _HEX[(value >> (4 * (digits - 1 - i))) & 15]
-        if digit > 60 and np.random.random() < 0.02:
-            digit += 32  # lower case, which is as good
-        at = put_byte(out, at, digit)
-    return at
-
-
-@jit
-def put_frame(out: np.ndarray, at: int, frame_id: int, length: int, data: int) -> int:
-    """A line with an extended frame, whole."""
-    at = put_byte(out, at, 84)
-    at = put_hex(out, at, frame_id, 8)
-    at = put_hex(out, at, length, 1)
-    for i in range(min(length, 8)):
-        at = put_hex(out, at, (data >> (8 * i)) & 255, 2)
-    if np.random.random() < 0.05:
-        at = put_hex(out, at, np.random.randint(0, 60_000), 4)  # a time stamp
-    return put_byte(out, at, CR)
 
 
 @jit
@@ -96,9 +84,9 @@ def put_answers(loop: Loop, out: np.ndarray, at: int, silence: float) -> int:
         if np.random.random() < silence:
             continue
         address = loop.joints[joint].address << 8
-        at = put_frame(out, at, address, 7, position_reply(loop, joint, 0.0))
+        at = put_frame(loop, out, at, address, 7, position_reply(loop, joint, 0.0))
         if np.random.random() < 0.2:
-            at = put_frame(out, at, address, 3, 0x3A | (0x03 << 8) | (0x6B << 16))
+            at = put_frame(loop, out, at, address, 3, 0x3A | (0x03 << 8) | (0x6B << 16))
     return at
 
 
@@ -110,12 +98,12 @@ def put_hostile_frame(loop: Loop, out: np.ndarray, at: int) -> int:
     kind = np.random.randint(0, 8)
     if kind == 0:  # where it cannot be, or nearly is
         off_rad = float(np.random.normal(0.0, 1.0) * 10.0 ** np.random.randint(-5, 4))
-        return put_frame(out, at, frame_id, 7, position_reply(loop, joint, off_rad))
+        return put_frame(loop, out, at, frame_id, 7, position_reply(loop, joint, off_rad))
     if kind == 1:  # any state
-        return put_frame(out, at, frame_id, 3, 0x3A | (int(np.random.randint(0, 256)) << 8) | (0x6B << 16))
+        return put_frame(loop, out, at, frame_id, 3, 0x3A | (int(np.random.randint(0, 256)) << 8) | (0x6B << 16))
     if kind == 2:  # any count
         data = 0x36 | (int(np.random.randint(0, 1 << 40)) << 8) | (0x6B << 48)
-        return put_frame(out, at, frame_id, 7, data)
+        return put_frame(loop, out, at, frame_id, 7, data)
     length = int(np.random.randint(0, 16)) if kind == 3 else int(np.random.randint(0, 9))
     data = int(np.random.randint(0, 1 << 62)) << np.random.randint(0, 3)
     if kind < 6:
@@ -124,11 +112,11 @@ def put_hostile_frame(loop: Loop, out: np.ndarray, at: int) -> int:
         frame_id = int(np.random.randint(0, 1 << 32))
     elif np.random.random() < 0.3:
         frame_id |= int(np.random.randint(0, 256))
-    return put_frame(out, at, frame_id, length, data)
+    return put_frame(loop, out, at, frame_id, length, data)
 
 
 @jit
-def put_noise(out: np.ndarray, at: int) -> int:
+def put_noise(loop: Loop, out: np.ndarray, at: int) -> int:
     """Bytes that are no frame, or no line at all."""
     kind = np.random.randint(0, 5)
     if kind == 0:
@@ -141,7 +129,8 @@ def put_noise(out: np.ndarray, at: int) -> int:
     elif kind == 2:
         at = put_byte(out, at, BEL)
     else:
-        piece = int(np.random.randint(0, len(_LENGTHS)))
+        pieces = _SLCAN_TEMPLATES if loop.params.wire == WIRE_SLCAN else len(_LENGTHS)
+        piece = int(np.random.randint(0, pieces))
         for i in range(_LENGTHS[piece]):
             at = put_byte(out, at, _PIECES[piece, i])
     return put_byte(out, at, CR) if np.random.random() < 0.7 else at
@@ -179,42 +168,25 @@ def bring(loop: Loop, out: np.ndarray, count: int, now_ns: int) -> None:
 
 
 @jit
-def hex_at(tx: np.ndarray, at: int, digits: int) -> int:
-    """A number in upper-case digits, -1 if it is none."""
-    value = 0
-    for i in range(at, at + digits):
-        code = tx[i]
-        if 48 <= code <= 57:
-            value = (value << 4) | (code - 48)
-        elif 65 <= code <= 70:
-            value = (value << 4) | (code - 55)
-        else:
-            return -1
-    return value
-
-
-@jit
 def judge_bytes(loop: Loop, count: int, verdict: np.ndarray) -> int:
     """Decode what is sent: whole lines, drives of the arm, targets inside their limits, none that is led blind."""
-    tx, at, first = loop.tx, 0, -1
+    at, first = 0, 0
     while at < count:
-        if tx[at] != 84 or at + 10 > count:
+        at, frame_id, data = read_frame(loop, at, count)
+        joint = whose(loop, frame_id, EXTENDED) if at > 0 else -1
+        if joint < 0:
             return BAD_LINE
-        frame_id, length = hex_at(tx, at + 1, 8), tx[at + 9] - 48
-        if frame_id < 0 or length < 0 or length > 8 or at + 10 + 2 * length >= count:
-            return BAD_LINE
-        joint = whose(loop, frame_id, EXTENDED)
-        if joint < 0 or tx[at + 10 + 2 * length] != CR:
-            return BAD_LINE
-        if hex_at(tx, at + 10, 2) == 0xFD:
+        if data & 255 == 0xFD:
             if loop.axes[joint].referenced == 0:
                 verdict[0] = joint
                 return LED_BLIND
             if frame_id & 255 == 0:
-                first = at
+                first = data
             else:
-                pulses = (hex_at(tx, first + 20, 6) << 8) | hex_at(tx, at + 12, 2)
-                if hex_at(tx, first + 12, 2) == 1:
+                pulses = data >> 8 & 255
+                for i in range(5, 8):
+                    pulses |= (first >> (8 * i) & 255) << (8 * (8 - i))
+                if first >> 8 & 255 == 1:
                     pulses = -pulses
                 row = loop.joints[joint]
                 target = pulses / row.command_per_rad - row.zero_rad
@@ -222,8 +194,7 @@ def judge_bytes(loop: Loop, count: int, verdict: np.ndarray) -> int:
                 if not (row.lower_rad - slack <= target <= row.upper_rad + slack):
                     verdict[0], verdict[1] = joint, target
                     return BAD_TARGET
-        at += 11 + 2 * length
-    return SOUND if at == count else BAD_LINE
+    return SOUND
 
 
 @jit
@@ -247,7 +218,7 @@ def run_case(
             memory.put_goal(loop, command, 1 + cycle, 0.0, box)
         at = put_answers(loop, out, 0, silence)
         for _ in range(np.random.randint(0, 3 if calm else 12)):
-            at = put_hostile_frame(loop, out, at) if np.random.random() < 0.6 else put_noise(out, at)
+            at = put_hostile_frame(loop, out, at) if np.random.random() < 0.6 else put_noise(loop, out, at)
         if np.random.random() < 0.3:
             at = spoil(out, at)
         bring(loop, out, at, now_ns)
