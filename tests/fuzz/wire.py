@@ -1,8 +1,8 @@
 """Hostile bytes from the adapter, and hostile frames from the drives, against the whole cycle: all compiled.
 
-The arm is the one with six drives on a serial adapter of any kind. Before each cycle some drives answer as drives do, and
-a writer who knows the grammar of its frames, or does not care for it, puts its own between them. The judge decodes what
-the cycle sends by itself.
+The arm is the one with six drives on a serial adapter of any kind. Before each cycle some drives answer as drives do,
+and a writer who knows the grammar of its frames, or does not care for it, puts its own between them. The judge decodes
+what the cycle sends by itself.
 """
 
 from typing import Any
