@@ -6,7 +6,9 @@ import re
 from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
+from config.python_can import PythonCan
 from config.section import Section, refuse
 from config.serial_adapters import SERIAL_ADAPTERS
 
@@ -29,21 +31,23 @@ SERIAL_BAUDS = (
 class BusConfig(Section):
     """The CAN bus and the adapter it is reached through."""
 
-    interface: Literal["slcan", "seeedstudio", "ch340-at", "socketcan", "mock"] = Field(
+    interface: Literal["slcan", "seeedstudio", "ch340-at", "socketcan", "python-can", "mock"] = Field(
         description="How the bus is reached: slcan, seeedstudio (Seeed and Waveshare USB-CAN-A) and ch340-at (the "
         "adapters of RobStride and CyberGear drives) are serial CAN adapters, socketcan is a CAN interface of the "
-        "system, mock is no bus at all."
+        "system, python-can any interface of that library (see python_can), mock is no bus at all."
     )
     channel: str | None = Field(
         default=None,
         min_length=1,
-        description="Device of a serial adapter, such as /dev/ttyACM0, or the interface, such as can0 (socketcan).",
+        description="Device of a serial adapter, such as /dev/ttyACM0, or the interface, such as can0 (socketcan), or "
+        "what python-can calls it, such as PCAN_USBBUS1.",
     )
     usb_index: int | None = Field(
         default=None,
         ge=0,
         le=255,
-        description="Short for channel: n means /dev/ttyUSB<n> (a serial adapter) or can<n> (socketcan).",
+        description="Short for channel: n means /dev/ttyUSB<n> (a serial adapter), can<n> (socketcan), or with "
+        "python-can PCAN_USBBUS<n> (pcan), device number n (gs_usb), or what the interface's name says.",
     )
     bitrate: int = Field(default=500_000, gt=0, description="CAN bit rate (bit/s); the drives' menu must agree.")
     serial_baud: int | Literal["cdc"] = Field(
@@ -77,6 +81,11 @@ class BusConfig(Section):
         "bring-up finds that a drive takes FC as absolute: see docs/streaming.md.",
     )
 
+    python_can: PythonCan | None = Field(
+        default=None,
+        description="With interface python-can: which of its interfaces, and options of that, each as python-can calls "
+        "it.",
+    )
     @model_validator(mode="before")
     @classmethod
     def _adapter_knows_its_baud(cls, values: Any) -> Any:
@@ -100,6 +109,8 @@ class BusConfig(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> BusConfig:
+        if (self.interface == "python-can") != (self.python_can is not None):
+            raise self._refuse_half_of_python_can()
         if self.interface == "mock":
             for field in ("channel", "usb_index"):
                 value = getattr(self, field)
@@ -128,6 +139,8 @@ class BusConfig(Section):
             device, such_as, one = "name of the CAN interface", "can0", "can1"
             if self.interface in SERIAL_ADAPTERS:
                 device, such_as, one = "adapter's device", SERIAL_ADAPTERS[self.interface].device, "/dev/ttyUSB1"
+            elif self.interface == "python-can":
+                device, such_as, one = "name that python-can has for it", "PCAN_USBBUS1", "PCAN_USBBUS1 with pcan"
             raise refuse(
                 "interface",
                 f"interface {self.interface} needs the {device} and the file names none; add channel "
@@ -135,6 +148,8 @@ class BusConfig(Section):
             )
         if self.interface == "socketcan":
             self._refuse_what_no_can_interface_has()
+        elif self.interface == "python-can":
+            self._refuse_what_python_can_has_not()
         else:
             self._refuse_what_its_adapter_has_not()
         return self
@@ -151,12 +166,46 @@ class BusConfig(Section):
                 "serial_baud",
                 f"serial_baud is {self.serial_baud}, but interface socketcan has no serial line; remove serial_baud.",
             )
+        self._refuse_no_classic_bitrate()
+
+    def _refuse_no_classic_bitrate(self) -> None:
         if not LOWEST_CAN_BITRATE <= self.bitrate <= HIGHEST_CAN_BITRATE:
             raise refuse(
                 "bitrate",
                 f"bitrate is {self.bitrate}, but classic CAN has {LOWEST_CAN_BITRATE} to {HIGHEST_CAN_BITRATE} bit/s; "
                 "choose the one the drives are set to.",
             )
+
+    def _refuse_half_of_python_can(self) -> PydanticCustomError:
+        if self.python_can is None:
+            return refuse(
+                "interface",
+                "interface python-can does not say which of python-can's interfaces; add python_can: "
+                "{interface: pcan}, or another that python-can knows.",
+            )
+        return refuse(
+            "python_can",
+            f"python_can stands beside interface {self.interface}, which does not use python-can; remove it, or set "
+            "interface to python-can.",
+        )
+
+    def _refuse_what_python_can_has_not(self) -> None:
+        assert self.python_can is not None
+        name = self.python_can.interface
+        if self.channel is None and self.usb_index is not None and self.python_can.indexed(self.usb_index) is None:
+            allowed = "PCAN_USBBUS1 to PCAN_USBBUS16" if name == "pcan" else "no adapters by number"
+            raise refuse(
+                "usb_index",
+                f"usb_index is {self.usb_index}, but python-can's {name} has {allowed}; name the adapter as channel, "
+                "by python-can's name for it.",
+            )
+        if self.serial_baud != "cdc":
+            raise refuse(
+                "serial_baud",
+                f"serial_baud is {self.serial_baud}, but python-can's interfaces have names of their own for it; "
+                "remove it and set python_can.tty_baudrate (slcan) or python_can.baudrate (seeedstudio).",
+            )
+        self._refuse_no_classic_bitrate()
 
     def _refuse_what_its_adapter_has_not(self) -> None:
         if self.interface == "slcan" and self.bitrate in AMBIGUOUS_SLCAN_BITRATES:
@@ -186,6 +235,8 @@ class BusConfig(Section):
 
     @property
     def _indexed(self) -> str:
+        if self.python_can is not None and self.usb_index is not None:
+            return str(self.python_can.indexed(self.usb_index))
         return f"can{self.usb_index}" if self.interface == "socketcan" else f"/dev/ttyUSB{self.usb_index}"
 
     @property

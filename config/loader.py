@@ -27,6 +27,9 @@ ARMS_FOLDER = Path(__file__).parent / "arms"
 
 LONGEST_FILE_BYTES = 1_000_000
 
+ABSENT = object()
+"""In overrides: what the file says there is taken away."""
+
 
 def known_arms() -> list[str]:
     """Names of the arms that come with rtarm, sorted."""
@@ -158,10 +161,14 @@ def _exclusive(overrides: Mapping[str, Any], values: Mapping[str, Any]) -> Mappi
     """An override that names the adapter by channel or usb_index replaces whatever the file names it by.
 
     Overriding the interface with mock, which has no adapter, removes it; another interface runs at its own speed.
+    Overriding it with any but python-can removes what is python-can's, and naming another of python-can's interfaces
+    removes the options of the file's.
     """
     bus, file_bus = overrides.get("bus"), values.get("bus")
     if not isinstance(bus, Mapping) or not isinstance(file_bus, Mapping):
         return overrides
+    bus = _of_one_interface(bus, file_bus)
+    overrides = {**overrides, "bus": bus}
     if bus.get("interface") == "mock":
         absent = {key: None for key in ("channel", "usb_index") if file_bus.get(key) is not None}
         return {**overrides, "bus": {**absent, **bus}}
@@ -176,13 +183,28 @@ def _exclusive(overrides: Mapping[str, Any], values: Mapping[str, Any]) -> Mappi
     return overrides
 
 
+def _of_one_interface(bus: Mapping[str, Any], file_bus: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The overrides of section `bus`, with the file's own words for python-can taken away where they mean another."""
+    in_file = file_bus.get("python_can")
+    if not isinstance(in_file, Mapping):
+        return bus
+    if bus.get("interface", "python-can") != "python-can":
+        return {"python_can": None, **bus}
+    given = bus.get("python_can")
+    if isinstance(given, Mapping) and given.get("interface", in_file.get("interface")) != in_file.get("interface"):
+        return {**bus, "python_can": {**dict.fromkeys(in_file, ABSENT), **given}}
+    return bus
+
+
 def _merge(
     below: Mapping[str, Any], above: Mapping[str, Any], location: Location, overridden: set[str]
 ) -> dict[str, Any]:
     merged = dict(below)
     for key, value in above.items():
         here = (*location, key)
-        if isinstance(value, Mapping):
+        if value is ABSENT:
+            del merged[key]
+        elif isinstance(value, Mapping):
             base = merged.get(key)
             merged[key] = _merge(base if isinstance(base, Mapping) else {}, value, here, overridden)
         else:

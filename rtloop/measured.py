@@ -11,7 +11,7 @@ from rtloop.drives import families
 from rtloop.faults import latch_fault
 from rtloop.recorder import marks_of, record_frame
 from rtloop.state import GRIPPER, HISTORY_SLOTS, NOBODY, RX_CHUNKS, WIRE_MOCK
-from rtloop.wire import can_errors, received, wires
+from rtloop.wire import can_errors, outgoing, received, wires
 from rtloop.wire.found import CONTROLLER_ERROR, FRAME, NOTHING
 from rtloop.wire.outgoing import frame_bits
 from shm.jit import jit
@@ -44,6 +44,7 @@ def take_what_the_bus_brought(loop: Loop, shared: Shared) -> None:
     received.taken(loop, core.rx_taken, core.rx_chunks_taken)
     take_positions(loop, shared)
     shared.counters.receive_overflows = received.lost(loop)
+    outgoing.take_back(loop, shared, received.unsent(loop))
     error = received.closed(loop) - 1
     if error >= 0:
         core.silenced = 1

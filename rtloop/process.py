@@ -22,7 +22,7 @@ from rtloop.port import HOME_ALL, ServicePort
 from rtloop.referencing import Referencing, referencing_asked_for
 from rtloop.release import Release
 from rtloop.state import offset_of
-from rtloop.wire.opening import close_wire, keeps_frames, lost_bytes, open_wire
+from rtloop.wire.opening import OpenWire, close_wire, keeps_frames, lost_bytes, open_wire, unsent_bytes
 from rtloop.wire.refusal import WireRefused
 from shm import files
 from shm.sentences import STILL_QUEUED, WIRE_IS_BACK
@@ -86,9 +86,9 @@ class ControlProcess:
             arm.bus.bitrate if arm.bus.interface != "mock" else 0,
         )
         self._files = files.create(identity)
-        self._fd = -1
+        self._wire: OpenWire | None = None
         self._lost_references: dict[int, Unreferenced] = {}
-        self._dropped_before = 0
+        self._dropped_before = self._unsent_before = 0
         self._brought_up = False
         self._next_try_s = self._next_lost_s = self._next_keep_s = 0.0
         self._told_of_wire = self._told_of_lost = ""
@@ -171,7 +171,7 @@ class ControlProcess:
             raise Ended(0)
         if not self._cycle.is_alive():
             raise Ended(3)
-        if self._fd >= 0 and self._load("received", "arrived", "closed") != 0:
+        if self._wire is not None and self._load("received", "arrived", "closed") != 0:
             raise WireRefused(
                 f"The adapter at {self._arm.bus.resolved_channel} is gone in the middle of a conversation, so what a "
                 "drive was told last may have arrived or not: plug it in again and read what the drives have."
@@ -181,7 +181,7 @@ class ControlProcess:
 
     def _start_threads(self) -> None:
         threading.stack_size(realtime.THREAD_STACK_BYTES)
-        if self._fd >= 0:
+        if self._wire is not None:
             self._start_reader()
         self._start(self._cycle)  # the last: it publishes what both were given
         while int(self._core["cycle"]) == 0 and self._cycle.is_alive():
@@ -229,11 +229,10 @@ class ControlProcess:
                 thread.join(THREAD_PATIENCE_S)
 
     def _release(self) -> None:
-        if self._fd >= 0:
-            if keeps_frames(self._arm, self._fd):
+        if self._wire is not None:
+            if keeps_frames(self._arm, self._wire):
                 self._tell(STILL_QUEUED.sentence.format(channel=self._arm.bus.resolved_channel))
-            close_wire(self._arm, self._fd)
-            self._fd = -1
+            self._close_wire(self._wire)
         self._files.remove()
 
     def _store(self, value: int, *word: str) -> None:
@@ -253,9 +252,10 @@ class ControlProcess:
             return
         for complaint in wire.complaints:
             self._tell(complaint)
-        self._fd = wire.fd
+        self._wire = wire
         self._dropped_before = self._load("received", "arrived", "dropped")
-        self._store(self._fd, "wire", "fd")
+        self._unsent_before = self._load("received", "arrived", "unsent")
+        self._store(wire.fd, "wire", "fd")
         self._store(0, "received", "arrived", "closed")  # the last: the cycle makes frames from here on
 
     def _attend_wire(self) -> None:
@@ -263,18 +263,28 @@ class ControlProcess:
         if self._arm.bus.interface == "mock":
             return
         now_s = time.monotonic()
-        if self._fd < 0:
+        if self._wire is None:
             if now_s >= self._next_try_s:
                 self._next_try_s = now_s + REOPEN_EVERY_S
                 self._try_again()
         elif self._load("received", "arrived", "closed") != 0:
-            self._let_wire_go()
+            self._let_wire_go(self._wire)
             self._next_try_s = now_s
         elif now_s >= self._next_lost_s:
             self._next_lost_s = now_s + LOST_EVERY_S
-            self._store(self._dropped_before + lost_bytes(self._arm, self._fd), "received", "arrived", "dropped")
+            self._count_lost(self._wire)
 
-    def _let_wire_go(self) -> None:
+    def _count_lost(self, wire: OpenWire) -> None:
+        """Let the cycle know what ordinary Python alone can find out."""
+        self._store(self._dropped_before + lost_bytes(self._arm, wire), "received", "arrived", "dropped")
+        self._store(self._unsent_before + unsent_bytes(wire), "received", "arrived", "unsent")
+
+    def _close_wire(self, wire: OpenWire) -> None:
+        for complaint in close_wire(self._arm, wire):
+            self._tell(complaint)
+        self._wire = None
+
+    def _let_wire_go(self, wire: OpenWire) -> None:
         """Close what is gone, once neither thread uses it any more."""
         self._store(-1, "wire", "fd")
         while self._load("wire", "fd_in_use") != -1 and self._cycle.is_alive():
@@ -282,8 +292,8 @@ class ControlProcess:
         if self._reader is not None:
             self._reader.join()
             self._reader = None
-        close_wire(self._arm, self._fd)
-        self._fd = -1
+        self._close_wire(wire)
+        self._store(self._unsent_before + unsent_bytes(wire), "received", "arrived", "unsent")
         self._told_of_wire = ""
 
     def _try_again(self) -> None:

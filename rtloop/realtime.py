@@ -5,6 +5,7 @@ silently, so each is read back; what was not obtained is one sentence, and fatal
 configuration requires it.
 """
 
+import contextlib
 import ctypes
 import os
 import re
@@ -108,6 +109,18 @@ def prepare_thread(wanted: RealtimeConfig, obtained: Obtained, *, below: int = 0
         obtained.priority = os.sched_getparam(0).sched_priority
         allowed = os.sched_getaffinity(0)
         obtained.cpu = next(iter(allowed)) if len(allowed) == 1 else -1
+
+
+def prepare_helper(wanted: RealtimeConfig, *, below: int) -> None:
+    """What concerns a thread of ordinary Python that the cycle's frames pass: a priority `below` the cycle's own.
+
+    Not the cycle's CPU, and nothing is said where it is not given: the cycle's own thread has said so then.
+    """
+    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals() - _OWN_FAULTS)  # handlers are the main thread's
+    _libc().prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    with contextlib.suppress(OSError):
+        priority = max(wanted.priority - below, 1)
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
 
 
 def lock_recorder(rings: Range, obtained: Obtained) -> None:

@@ -37,12 +37,14 @@ WIRE_SLCAN = 1
 WIRE_SOCKETCAN = 2
 WIRE_SEEED = 3
 WIRE_AT = 4
+WIRE_PYTHON_CAN = 5
 WIRES = {
     "mock": WIRE_MOCK,
     "slcan": WIRE_SLCAN,
     "socketcan": WIRE_SOCKETCAN,
     "seeedstudio": WIRE_SEEED,
     "ch340-at": WIRE_AT,
+    "python-can": WIRE_PYTHON_CAN,
 }
 
 FAMILY_MOCK = 0
@@ -283,6 +285,7 @@ CORE = np.dtype(
         ("tx_owed", "i8"),  # frames at the front that go first, whatever was decided meanwhile
         ("tx_bits", "i8"),
         ("unheard_frames", "i8"),  # given to the wire since a drive was last heard
+        ("unsent_taken_back", "i8"),  # bytes of `received.arrived.unsent` that the counters know of
         ("probe_turn", "i8"),
         ("probed_ns", "i8"),
         ("service_credit_bits", "i8"),
@@ -322,8 +325,9 @@ ARRIVED = np.dtype(
         ("lost", "i8"),
         ("closed", "i8"),  # errno + 1 once the wire is gone
         ("dropped", "i8"),  # bytes that the system had no room for, as ordinary Python found out
+        ("unsent", "i8"),  # bytes that the wire had taken and did not send after all, as ordinary Python found out
         ("clock", "i8", (2,)),
-        ("padding", "i8", (9,)),
+        ("padding", "i8", (8,)),
     ]
 )
 

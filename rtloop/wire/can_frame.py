@@ -6,7 +6,7 @@ u32 id with its flags in the machine's byte order (little-endian on all that run
 
 from typing import Any
 
-from rtloop.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES
+from rtloop.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN
 from rtloop.wire.can_words import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from rtloop.wire.found import CONTROLLER_ERROR, FRAME, NOTHING
 from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
@@ -17,12 +17,20 @@ Shared = Any
 
 LONGEST_DATA = 8
 _LENGTH_AT = 4
+_MARKS_AT = 5
+_MADE_AT = 6
 _DATA_AT = 8
 
 RECORD_OTHER = 0
 RECORD_FRAME = 1
 RECORD_WRONG = 2
 RECORD_ERROR = 3
+
+
+@jit
+def is_carried_by(wire: int) -> bool:
+    """Whether frames go to and come from this wire in this form."""
+    return wire in (WIRE_SOCKETCAN, WIRE_PYTHON_CAN)
 
 
 @jit
@@ -49,6 +57,18 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
         tx[at + _DATA_AT + i] = (data >> (8 * i)) & 255 if i < held else 0
     core.tx_length = at + CAN_FRAME_BYTES
     return True
+
+
+@jit
+def mark(loop: Loop, marks: int) -> None:
+    """Put our own marks into the unused bytes of the last frame, and when it was made (ms, 16 bits).
+
+    For `rtloop.wire.bridge`, which sends no set-point that is old.
+    """
+    at, made_ms = loop.core.tx_length - CAN_FRAME_BYTES, loop.core.now_ns // 1_000_000
+    loop.tx[at + _MARKS_AT] = marks
+    loop.tx[at + _MADE_AT] = made_ms & 255
+    loop.tx[at + _MADE_AT + 1] = (made_ms >> 8) & 255
 
 
 @jit

@@ -18,3 +18,7 @@ RESTARTED = 0x100
 
 WATCHED = TRANSMIT_TIMEOUT | CONTROLLER | PROTOCOL | TRANSCEIVER | NO_ACKNOWLEDGE | BUS_OFF | BUS_ERROR | RESTARTED
 """The classes asked for: to lose an arbitration is how a bus works, and no error."""
+
+STOP = 1
+JOINED = 2
+"""Our own marks on a frame for the bridge: it is a stop command; the next one belongs to the same command."""

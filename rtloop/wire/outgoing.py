@@ -9,8 +9,9 @@ from typing import Any
 
 from config.frames import unchecked_frame_bits
 from rtloop.recorder import SENT, marks_of, record_frame
-from rtloop.state import SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES
-from rtloop.wire import wires
+from rtloop.state import CAN_FRAME_BYTES, SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_PYTHON_CAN
+from rtloop.wire import can_frame, wires
+from rtloop.wire.can_words import JOINED, STOP
 from rtloop.wire.frame_words import EXTENDED, REMOTE
 from shm.jit import jit
 
@@ -58,6 +59,8 @@ def put(loop: Loop, frame_id: int, kind: int, length: int, data: int, joined: in
     core = loop.core
     if not has_room(loop, 1) or not wires.encode_frame(loop, frame_id, kind, length, data):
         return False
+    if loop.params.wire == WIRE_PYTHON_CAN:
+        can_frame.mark(loop, (STOP if stops >= 0 else 0) | (JOINED if joined else 0))
     loop.tx_ends[core.tx_frames] = core.tx_length
     loop.tx_joined[core.tx_frames] = joined
     loop.tx_ids[core.tx_frames] = frame_id
@@ -135,6 +138,17 @@ def keep(loop: Loop, shared: Shared, sent: int, first: int, end: int) -> None:
             loop.tx_data[frame - first] = loop.tx_data[frame]
     core.tx_length = left
     core.tx_frames = core.tx_owed = end - first
+
+
+@jit
+def take_back(loop: Loop, shared: Shared, unsent: int) -> None:
+    """Of the bytes that the wire took, so many were not sent after all, in all since the start: whole CAN frames."""
+    core = loop.core
+    more = unsent - core.unsent_taken_back
+    core.unsent_taken_back = unsent
+    shared.counters.bytes_unsent += more
+    shared.counters.bytes_sent -= more
+    shared.counters.frames_sent -= more // CAN_FRAME_BYTES
 
 
 @jit

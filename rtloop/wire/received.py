@@ -16,6 +16,7 @@ _ARRIVED = offset_of(LOOP, "received", "arrived", "bytes")
 _CHUNKS_ARRIVED = offset_of(LOOP, "received", "arrived", "chunks")
 _LOST = offset_of(LOOP, "received", "arrived", "lost")
 _DROPPED = offset_of(LOOP, "received", "arrived", "dropped")
+_UNSENT = offset_of(LOOP, "received", "arrived", "unsent")
 _CLOSED = offset_of(LOOP, "received", "arrived", "closed")
 _TAKEN = offset_of(LOOP, "received", "taken", "bytes")
 _CHUNKS_TAKEN = offset_of(LOOP, "received", "taken", "chunks")
@@ -67,6 +68,12 @@ def taken(loop: Loop, count: int, chunks: int) -> None:
 def lost(loop: Loop) -> int:
     """Bytes that found no room, here or in the system."""
     return load_acquire(loop.params.address + _LOST) + load_acquire(loop.params.address + _DROPPED)
+
+
+@jit
+def unsent(loop: Loop) -> int:
+    """Bytes that the wire took and did not send after all."""
+    return load_acquire(loop.params.address + _UNSENT)
 
 
 @jit

@@ -5,7 +5,7 @@ A wire's file has these functions for its own bytes.
 
 from typing import Any
 
-from rtloop.state import WIRE_AT, WIRE_SEEED, WIRE_SLCAN, WIRE_SOCKETCAN
+from rtloop.state import WIRE_AT, WIRE_SEEED, WIRE_SLCAN
 from rtloop.wire import at_frames, can_frame, seeed, slcan
 from rtloop.wire.found import NOTHING
 from shm.jit import jit
@@ -23,7 +23,7 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
     wire = loop.params.wire
     if wire == WIRE_SLCAN:
         return bool(slcan.encode_frame(loop, frame_id, kind, length, data))
-    if wire == WIRE_SOCKETCAN:
+    if can_frame.is_carried_by(wire):
         return bool(can_frame.encode_frame(loop, frame_id, kind, length, data))
     if wire == WIRE_SEEED:
         return bool(seeed.encode_frame(loop, frame_id, kind, length, data))
@@ -41,7 +41,7 @@ def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int
     wire = loop.params.wire
     if wire == WIRE_SLCAN:
         return slcan.next_frame(loop, shared, end)
-    if wire == WIRE_SOCKETCAN:
+    if can_frame.is_carried_by(wire):
         return can_frame.next_frame(loop, shared, end)
     if wire == WIRE_SEEED:
         return seeed.next_frame(loop, shared, end)

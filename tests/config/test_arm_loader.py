@@ -236,7 +236,7 @@ def test_malformed_yaml(tmp_path: Path, text: str, line: int | None, words: str)
         ("usb_index: 1", "#", "bus.interface", "interface slcan needs the adapter's device"),
         ("usb_index: 1", 'channel: ""', "bus.channel", "channel is empty"),
         ("usb_index: 1", "usb_index: -1", "bus.usb_index", "usb_index is -1, but must be at least 0"),
-        ("interface: slcan", "interface: can0", "bus.interface", "'ch340-at', 'socketcan' or 'mock'; choose one"),
+        ("interface: slcan", "interface: can0", "bus.interface", "'socketcan', 'python-can' or 'mock'; choose one"),
         ("interface: slcan", "interface: mock", "bus.usb_index", "interface mock opens no device"),
         ("bitrate: 500000", "bitrate: 800000", "bus.bitrate", "S7 is 800000 in some adapters and 750000"),
         ("bitrate: 500000", "bitrate: 750000", "bus.bitrate", "S7 is 800000 in some adapters and 750000"),

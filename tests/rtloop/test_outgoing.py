@@ -17,7 +17,8 @@ from rtloop.state import CAN_FRAME_BYTES, TX_FRAMES
 from rtloop.wire import outgoing, received
 from shm import layout
 
-INTERFACES = ("slcan", "socketcan")
+INTERFACES = ("slcan", "socketcan", "python-can")
+BESIDES = {"python-can": {"channel": "here", "python_can": {"interface": "virtual"}}}
 CYCLE = [(0x300, 1), (0x301, 0), (0x400, 1), (0x401, 0), (0x100, 0), (0x200, 0)]
 """Identifiers of a cycle's frames, and whether the next one belongs to the same command."""
 FIRST, SECOND = b"\x11", b"\x22"
@@ -27,7 +28,9 @@ class Sender:
     """A loop's transmit buffer, filled and emptied by hand."""
 
     def __init__(self, interface):
-        self.loop = new_loop(load_arm("episode1", overrides={"bus": {"interface": interface}}), 0, 0)
+        self.loop = new_loop(
+            load_arm("episode1", overrides={"bus": {"interface": interface, **BESIDES.get(interface, {})}}), 0, 0
+        )
         self.shared = np.zeros(1, layout.STATE)
         self.is_serial = interface == "slcan"
 
@@ -71,7 +74,7 @@ def torn(frames):
 def test_only_what_is_owed_is_sent_late(interface, share):
     sender = Sender(interface)
     sender.fill(FIRST)
-    size = CAN_FRAME_BYTES if interface == "socketcan" else 1
+    size = 1 if interface == "slcan" else CAN_FRAME_BYTES
     count = int(len(sender.buffer) * share) // size * size
     arrived = sender.take(count)
     sender.fill(SECOND)
@@ -94,7 +97,7 @@ def test_whatever_a_wire_takes_no_command_is_torn(interface, data):
     arrived = b""
     for number in range(data.draw(st.integers(1, 6))):
         sender.fill(bytes((number,)))
-        size = CAN_FRAME_BYTES if interface == "socketcan" else 1
+        size = 1 if interface == "slcan" else CAN_FRAME_BYTES
         arrived += sender.take(data.draw(st.integers(0, len(sender.buffer) // size)) * size)
     sender.fill(b"\xee")
     frames = sender.frames(arrived + sender.take(len(sender.buffer)))
