@@ -1,6 +1,7 @@
 """`python -m sim --arm ARM --link PATH`: a simulated arm at a pseudo-terminal, until SIGTERM or SIGINT.
 
-With `--can vcan0` it lives on that CAN interface instead. Prints `ready <terminal or interface>` when it can be
+With `--can vcan0` it lives on that CAN interface instead, with `--python-can interface=…,channel=…` on a bus of
+python-can, another adapter on the host's bus for instance. Prints `ready <terminal or interface>` when it can be
 opened. SIGUSR1 writes the true motion so far to the file given with `--truth` and then prints `truth <file>`; the same
 file is written at the end. With `--truth-window-s` it holds that many seconds, and what is older is forgotten. With
 `--faults-from-stdin` every line that comes in is a fault, its times counted from that moment, answered by
@@ -19,15 +20,22 @@ import signal
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 from config.errors import ConfigError
 from config.loader import load_arm, parse_overrides
 from sim.adapter import DIALECTS
 from sim.arm import SimulatedArm
+from sim.can_interface import CanInterface
 from sim.can_socket import CanServer
 from sim.faults import FAULTS, parse_fault
 from sim.pty import PtyServer
 from sim.truth import save_truth
+
+if TYPE_CHECKING:
+    from sim.python_can_host import PythonCanServer
+
+Server: TypeAlias = "PtyServer | CanServer | PythonCanServer"
 
 PR_SET_TIMERSLACK = 29
 PRIORITY = 20
@@ -47,12 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
             firmware=options.firmware,
             homed=not options.unhomed,
         )
-        if (options.can is not None) != (arm.config.bus.interface == "socketcan"):
-            raise ValueError(
-                f"arm {arm.config.name} is reached through {arm.config.bus.interface}: --can is for interface "
-                "socketcan, and for that alone."
-            )
-        server = PtyServer(arm, options.link) if options.can is None else CanServer(arm, options.can)
+        server = _server(arm, options)
     except (ConfigError, ValueError, OSError) as error:
         print(f"sim: {error}", file=sys.stderr)
         return 2
@@ -65,7 +68,33 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _serve(server: PtyServer | CanServer, truth: Path | None, window_s: float | None, faults_from_stdin: bool) -> None:
+def _server(arm: SimulatedArm, options: argparse.Namespace) -> Server:
+    interface = arm.config.bus.interface
+    name = arm.config.name
+    if (options.can is not None) != (interface == "socketcan"):
+        raise ValueError(
+            f"arm {name} is reached through {interface}: --can is for interface socketcan, and for that alone."
+        )
+    on_python_can = interface == "python-can" and isinstance(arm.adapter, CanInterface)
+    if on_python_can and options.python_can is None:
+        raise ValueError(
+            f"arm {name} is reached through python-can: name the simulated drives' end of its bus, as in --python-can "
+            "interface=pcan,channel=PCAN_USBBUS2; or let the arm have python_can: {interface: slcan}, which they are "
+            "behind without any adapter."
+        )
+    if options.python_can is not None:
+        if not on_python_can:
+            raise ValueError(
+                f"arm {name} is reached through a serial adapter or a CAN interface of the system: --python-can is for "
+                "an arm with interface python-can alone."
+            )
+        from sim.python_can_host import PythonCanServer, opened  # most simulated arms need no python-can
+
+        return PythonCanServer(arm, opened(options.python_can, arm.config.bus.bitrate))
+    return PtyServer(arm, options.link) if options.can is None else CanServer(arm, options.can)
+
+
+def _serve(server: Server, truth: Path | None, window_s: float | None, faults_from_stdin: bool) -> None:
     pending: set[int] = set()
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1):
         signal.signal(number, lambda caught, _: pending.add(caught))
@@ -107,14 +136,14 @@ def _serve(server: PtyServer | CanServer, truth: Path | None, window_s: float | 
     write_truth()
 
 
-def _forget_before(server: PtyServer | CanServer, time_ns: int) -> None:
+def _forget_before(server: Server, time_ns: int) -> None:
     for drive in server.arm.drives:
         drive.shaft.forget_before(time_ns)
     if server.heard is not None:
         server.heard = [piece for piece in server.heard if piece[0] >= time_ns]
 
 
-def _inject(server: PtyServer | CanServer, text: str) -> str:
+def _inject(server: Server, text: str) -> str:
     now_ns = time.monotonic_ns()
     try:
         server.arm.run_until(now_ns)
@@ -147,6 +176,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--link", type=Path, help="symbolic link to make to the terminal")
+    place.add_argument(
+        "--python-can",
+        metavar="KEY=VALUE,…",
+        help="bus of python-can to live on (interface=pcan,channel=PCAN_USBBUS2), of an arm with interface python-can",
+    )
     place.add_argument(
         "--can", metavar="INTERFACE", help="CAN interface to live on (vcan0), of an arm with interface socketcan"
     )

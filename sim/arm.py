@@ -24,6 +24,7 @@ import numpy as np
 from config import schema
 from config.bus import BusConfig
 from config.gripper import GripperConfig
+from config.serial_adapters import SERIAL_ADAPTERS
 from sim import faults as wrong
 from sim.adapter import Dialect, SlcanAdapter
 from sim.at_adapter import AtAdapter
@@ -103,7 +104,7 @@ class SimulatedArm:
             )
         self.bus = Bus(arm.bus.bitrate, start_ns)
         self.adapter: SerialAdapter[Any] | CanInterface
-        if arm.bus.interface == "socketcan":
+        if spoken_to(arm.bus) not in SERIAL_ADAPTERS:
             self.adapter = CanInterface()
         else:
             self.adapter = _serial_adapter(arm.bus, dialect, echo=echo, seed=seed)
@@ -399,11 +400,17 @@ class SimulatedArm:
         return [drive for drive in self._chosen(name) if isinstance(drive, ZdtDrive)]
 
 
+def spoken_to(bus: BusConfig) -> str:
+    """What is spoken to the arm's adapter, by the control process itself or by python-can for it."""
+    return bus.interface if bus.python_can is None else bus.python_can.interface
+
+
 def _serial_adapter(bus: BusConfig, dialect: Dialect, *, echo: bool, seed: int) -> SerialAdapter[Any]:
     baud = None if bus.serial_baud == "cdc" else bus.serial_baud
-    if bus.interface == "seeedstudio":
+    spoken = spoken_to(bus)
+    if spoken == "seeedstudio":
         return SeeedAdapter(bus.bitrate, baud=baud, echo=echo, seed=seed)
-    if bus.interface == "ch340-at":
+    if spoken == "ch340-at":
         return AtAdapter(bus.bitrate, baud=baud, echo=echo, seed=seed)
     return SlcanAdapter(bus.bitrate, dialect=dialect, baud=baud, echo=echo, seed=seed)
 

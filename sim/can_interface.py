@@ -18,6 +18,23 @@ EXTENDED_MASK, STANDARD_MASK = 0x1FFFFFFF, 0x7FF
 LONGEST_DATA = 8
 
 
+def packed(frame: Frame) -> bytes:
+    """A frame as a raw CAN socket has it."""
+    word = frame.can_id | (EXTENDED if frame.extended else 0) | (REMOTE if frame.remote else 0)
+    return RECORD.pack(word, len(frame.data), b"" if frame.remote else frame.data)
+
+
+def unpacked(record: bytes) -> Frame:
+    """The frame in one record; raises ValueError for what is none."""
+    word, length, content = RECORD.unpack(record)
+    if length > LONGEST_DATA:
+        raise ValueError(f"a CAN frame has at most {LONGEST_DATA} data bytes, not {length}.")
+    extended = bool(word & EXTENDED)
+    can_id = word & (EXTENDED_MASK if extended else STANDARD_MASK)
+    remote = bool(word & REMOTE)
+    return Frame(can_id, bytes(length) if remote else content[:length], extended, remote)
+
+
 class CanInterface:
     """A node of the bus whose other side is a raw CAN socket.
 
@@ -43,17 +60,12 @@ class CanInterface:
         """Whole frames the host wrote at `now_ns`; raises ValueError for what is none."""
         if len(data) % RECORD.size:
             raise ValueError(f"{len(data)} bytes are no whole number of CAN frames of {RECORD.size} bytes.")
-        for word, length, content in RECORD.iter_unpack(data):
-            if length > LONGEST_DATA:
-                raise ValueError(f"a CAN frame has at most {LONGEST_DATA} data bytes, not {length}.")
+        for at in range(0, len(data), RECORD.size):
+            frame = unpacked(data[at : at + RECORD.size])
             if len(self.outbox) >= self.queue:
                 self.lost_frames += 1
                 continue
-            extended = bool(word & EXTENDED)
-            can_id = word & (EXTENDED_MASK if extended else STANDARD_MASK)
-            remote = bool(word & REMOTE)
-            data = bytes(length) if remote else content[:length]
-            self.outbox.append((now_ns, Frame(can_id, data, extended, remote)))
+            self.outbox.append((now_ns, frame))
 
     def collect(self, now_ns: int) -> bytes:
         """The frames that have arrived by `now_ns`."""
@@ -68,9 +80,7 @@ class CanInterface:
 
     def receive(self, now_ns: int, frame: Frame) -> None:
         """Pass a frame on to the host."""
-        word = frame.can_id | (EXTENDED if frame.extended else 0) | (REMOTE if frame.remote else 0)
-        content = b"" if frame.remote else frame.data
-        self._records.append((now_ns, RECORD.pack(word, len(frame.data), content)))
+        self._records.append((now_ns, packed(frame)))
 
     def sent(self, now_ns: int, frame: Frame) -> None:
         """Its own frame went out; the sending socket does not hear it."""

@@ -8,6 +8,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,20 @@ from shm.files import open_state, own_command
 from shm.words import Answer, Event, Fault, Mode, Request
 
 
+
+def bus_of(interface: str) -> dict[str, Any]:
+    """Section `bus` of an arm behind the simulated adapter of this kind; python-can speaks SLCAN to it."""
+    if interface == "python-can":
+        return {
+            "interface": interface,
+            "serial_baud": "cdc",
+            "python_can": {"interface": "slcan", "sleep_after_open": 0.0},
+        }
+    adapter = SERIAL_ADAPTERS[interface]
+    bitrate = 500_000 if 500_000 in adapter.bitrates else 1_000_000
+    return {"interface": interface, "bitrate": bitrate, "serial_baud": adapter.serial_baud}
+
+
 @pytest.fixture
 def interface() -> str:
     return "slcan"
@@ -29,9 +44,7 @@ def interface() -> str:
 @pytest.fixture
 def stack(tmp_path: Path, interface: str) -> Iterator[Stack]:
     running = Stack(f"t{secrets.token_hex(4)}", tmp_path, start_deg=[0, 0, 90, 0, 0, 0])
-    adapter = SERIAL_ADAPTERS[interface]
-    bitrate = 500_000 if 500_000 in adapter.bitrates else 1_000_000
-    running.change(bus={"interface": interface, "bitrate": bitrate, "serial_baud": adapter.serial_baud})
+    running.change(bus=bus_of(interface))
     running.start_sim()
     yield running
     running.close()
@@ -68,7 +81,7 @@ class Watched:
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("interface", SERIAL_ADAPTERS)
+@pytest.mark.parametrize("interface", [*SERIAL_ADAPTERS, "python-can"])
 def test_an_adapter_that_is_plugged_in_again_is_noticed_and_waits_for_a_clear(stack: Stack) -> None:
     loop = stack.start_loop()
     arm = Watched(stack)
