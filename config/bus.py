@@ -86,6 +86,7 @@ class BusConfig(Section):
         description="With interface python-can: which of its interfaces, and options of that, each as python-can calls "
         "it.",
     )
+
     @model_validator(mode="before")
     @classmethod
     def _adapter_knows_its_baud(cls, values: Any) -> Any:

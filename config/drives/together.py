@@ -127,10 +127,11 @@ def _suit_the_bus(joints: Sequence[JointConfig], bus: BusConfig) -> None:
 
 def check_adapter(joints: Sequence[JointConfig], bus: BusConfig, beside: Sequence[Identifiers]) -> None:
     """Refuse drives whose frames the arm's serial adapter does not carry; `beside`: what a gripper's drive uses."""
-    adapter = SERIAL_ADAPTERS.get(bus.interface if bus.python_can is None else bus.python_can.interface)
+    name = bus.interface if bus.python_can is None else bus.python_can.interface
+    adapter = SERIAL_ADAPTERS.get(name)
     if adapter is None:
         return
-    others = ", or ".join(name for name in ("slcan", "socketcan") if name != bus.interface)
+    others = ", or ".join(other for other in ("slcan", "socketcan") if other != name)
     remedy = f"reach the arm through another adapter ({others})."
     standard = [joint for joint in joints if not all(used.extended for used in joint.drive.identifiers)]
     extended = [joint.name for joint in joints if any(used.extended for used in joint.drive.identifiers)]
@@ -140,19 +141,19 @@ def check_adapter(joints: Sequence[JointConfig], bus: BusConfig, beside: Sequenc
     if standard and not adapter.standard:
         raise refuse(
             "bus.interface",
-            f"interface {bus.interface} is not known to carry standard identifiers, which {standard[0].name} "
+            f"interface {name} is not known to carry standard identifiers, which {standard[0].name} "
             f"({standard[0].drive.called}) uses; {remedy}",
         )
     if standard and extended and not adapter.both_at_once:
         raise refuse(
             "bus.interface",
-            f"interface {bus.interface} delivers either standard or extended identifiers, but {standard[0].name} "
+            f"interface {name} delivers either standard or extended identifiers, but {standard[0].name} "
             f"({standard[0].drive.called}) uses standard ones and {extended[0]} extended ones; {remedy}",
         )
     if asked and not adapter.remote:
         raise refuse(
             "bus.interface",
-            f"interface {bus.interface} is not known to carry remote frames, by which {asked[0].name} "
+            f"interface {name} is not known to carry remote frames, by which {asked[0].name} "
             f"({asked[0].drive.called}) is asked; {remedy}",
         )
 

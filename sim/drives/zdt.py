@@ -312,34 +312,35 @@ class ZdtDrive(Functions):
             self._refuse_format(broadcast)
         else:
             self._feed_watchdog()
+            asked = self.settings.address
             code = command.act(request[1:-1] if command.argument is None else request[2:-1])
             self._watch_contact()
             response = self.settings.response
             told = not command.motion or (response in (1, 3) or (response == 4 and not command.moves))
             if told and (not broadcast or (function == 0xFF and self.settings.address == 1)):
                 bare = self.bare_report_ack and function == 0x11 and code == DONE
-                self._reply(bytes((function,)) if bare else bytes((function, code)))
+                self._reply(bytes((function,)) if bare else bytes((function, code)), asked)
             self._schedule()
 
     def _refuse_format(self, broadcast: bool) -> None:
         if not broadcast:
             self._send(FORMAT_ERROR, self._ready_ns())
 
-    def _reply(self, body: bytes) -> None:
-        self._send(body + bytes((CHECKSUM,)), self._ready_ns())
+    def _reply(self, body: bytes, address: int | None = None) -> None:
+        self._send(body + bytes((CHECKSUM,)), self._ready_ns(), address)
 
     def _ready_ns(self) -> int:
         least, greatest = self.reply_delay_ns
         return self._now_ns + least + int((greatest - least) * self._random.random())
 
-    def _send(self, message: bytes, ready_ns: int) -> None:
-        """Queue a message, in several packets if it is long."""
+    def _send(self, message: bytes, ready_ns: int, address: int | None = None) -> None:
+        """Queue a message, in several packets if it is long; the answer to a new address still bears the old one."""
         if not self.connected or (self.reply_loss and self._random.random() < self.reply_loss):
             return
         if self.wrong_checksums and self._random.random() < self.wrong_checksums:
             message = message[:-1] + bytes((self._random.choice([b for b in range(256) if b != CHECKSUM]),))
         ready_ns = self._replied_ns = max(ready_ns, self._replied_ns)
-        base = self.settings.address << 8
+        base = (self.settings.address if address is None else address) << 8
         if len(message) <= 8:
             self.outbox.append((ready_ns, Frame(base, message)))
             return
