@@ -5,7 +5,7 @@ A new wire is one more entry of WIRES; `tests/rtloop/test_wire_conformance.py` t
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from can_records import RECORD
@@ -218,29 +218,42 @@ AT_NOISE = [
     (bytes.fromhex("41 54 00 00 08 06 00 0D 0A"), 0),  # a remote frame
 ]
 
+SOCKETCAN = Wire(
+    name="socketcan",
+    bus={"interface": "socketcan", "channel": "can0", "usb_index": None},
+    spell=spell_record,
+    read=read_records,
+    opening=b"",
+    left_open=b"",
+    golden=[
+        (bytes.fromhex("EFCDAB92 02 000000 AA55000000000000"), Frame(0x12ABCDEF, b"\xaa\x55")),
+        (bytes.fromhex("56040000 03 000000 1122330000000000"), Frame(0x456, b"\x11\x22\x33", False)),
+        (bytes.fromhex("64000040 08 000000 0000000000000000"), Frame(0x064, bytes(8), False, True)),
+    ],
+    noise=[
+        (bytes.fromhex("00010080 09 000000 0000000000000000"), 1),  # nine bytes do not exist
+        (bytes.fromhex("00080000 00 000000 0000000000000000"), 1),  # 12 bits of identifier
+    ],
+    unit=RECORD.size,
+)
+"""The same records pass the bridge to python-can; what it makes of them is tested in `tests/rtloop/test_bridge.py`."""
+
 WIRES = [
     slcan("slcan", dialect="lawicel", answered=2),
     slcan("slcan-stamped", dialect="lawicel", answered=2, before=b"Z1\r", stamp=4),
     slcan("slcan-canable", dialect="canable", answered=0),
     slcan("slcan-canable2", dialect="canable2", answered=2),
     slcan("slcan-canable2-stamped", dialect="canable2", answered=2, before=b"Z2\r", stamp=8),
-    Wire(
-        name="socketcan",
-        bus={"interface": "socketcan", "channel": "can0", "usb_index": None},
-        spell=spell_record,
-        read=read_records,
-        opening=b"",
-        left_open=b"",
-        golden=[
-            (bytes.fromhex("EFCDAB92 02 000000 AA55000000000000"), Frame(0x12ABCDEF, b"\xaa\x55")),
-            (bytes.fromhex("56040000 03 000000 1122330000000000"), Frame(0x456, b"\x11\x22\x33", False)),
-            (bytes.fromhex("64000040 08 000000 0000000000000000"), Frame(0x064, bytes(8), False, True)),
-        ],
-        noise=[
-            (bytes.fromhex("00010080 09 000000 0000000000000000"), 1),  # nine bytes do not exist
-            (bytes.fromhex("00080000 00 000000 0000000000000000"), 1),  # 12 bits of identifier
-        ],
-        unit=RECORD.size,
+    SOCKETCAN,
+    replace(
+        SOCKETCAN,
+        name="python-can",
+        bus={
+            "interface": "python-can",
+            "channel": "here",
+            "usb_index": None,
+            "python_can": {"interface": "virtual"},
+        },
     ),
     Wire(
         name="seeedstudio",
