@@ -22,7 +22,6 @@ from shm.files import open_state, own_command
 from shm.words import Answer, Event, Fault, Mode, Request
 
 
-
 def bus_of(interface: str) -> dict[str, Any]:
     """Section `bus` of an arm behind the simulated adapter of this kind; python-can speaks SLCAN to it."""
     if interface == "python-can":
