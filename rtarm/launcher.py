@@ -75,6 +75,8 @@ class Plan:
     front_environment: Mapping[str, str] = field(default_factory=dict)
     front_arguments: Sequence[str] = ()
     """What the ROS process is given besides, such as `--ros-args`."""
+    simulated_adapter: Mapping[str, Any] = field(default_factory=dict)
+    """What the simulated arm's adapter changes in section `bus`, its channel apart."""
 
 
 def parameter_arguments(parameters: Mapping[str, Any]) -> list[str]:
@@ -125,19 +127,19 @@ def load_plan(
     from config.budget import check_budget
     from config.loader import load_arm
 
-    loaded_with = overrides
+    loaded_with, adapter = overrides, {}
     if simulated:
         if _needs_no_bus(arm_argument):
             raise Refusal(
                 f"Arm {arm_argument} has mock drives and no bus, so there is nothing to simulate: leave sim out."
             )
-        interface = _simulated_interface(arm_argument, overrides)
-        loaded_with = _with_channel(overrides, interface, SIMULATED_CHANNEL)
+        adapter = _simulated_adapter(arm_argument, overrides)
+        loaded_with = _with_channel(overrides, adapter, SIMULATED_CHANNEL)
     arm = load_arm(arm_argument, overrides=loaded_with)
     check_budget(arm)
     check_ros()
     environment = front_environment or {}
-    return Plan(arm, arm_argument, overrides, simulated, start_deg, again, environment, front_arguments)
+    return Plan(arm, arm_argument, overrides, simulated, start_deg, again, environment, front_arguments, adapter)
 
 
 def _needs_no_bus(arm_argument: str) -> bool:
@@ -164,22 +166,28 @@ def check_ros() -> None:
         )
 
 
-def _simulated_interface(arm_argument: str, overrides: Mapping[str, Any]) -> str:
-    """A simulated arm stands behind a serial adapter: its own kind, or SLCAN where the real one has none."""
+def _simulated_adapter(arm_argument: str, overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """A simulated arm stands behind a serial adapter: its own kind, or SLCAN where the real one has none.
+
+    Where python-can speaks to the real one, it does so to the simulated one too.
+    """
     from config.errors import ConfigError
     from config.loader import load_arm
     from config.serial_adapters import SERIAL_ADAPTERS
 
     bus = {**overrides.get("bus", {}), "channel": SIMULATED_CHANNEL}
     try:
-        interface = load_arm(arm_argument, overrides={**overrides, "bus": bus}).bus.interface
+        found = load_arm(arm_argument, overrides={**overrides, "bus": bus}).bus
     except ConfigError:
-        return "slcan"  # with which it may load, and if not, that error is the one to show
-    return interface if interface in SERIAL_ADAPTERS else "slcan"
+        return {"interface": "slcan"}  # with which it may load, and if not, that error is the one to show
+    if found.python_can is not None:
+        its_own = found.python_can.interface in SERIAL_ADAPTERS
+        return {} if its_own else {"python_can": {"interface": "slcan", "sleep_after_open": 0.0}}
+    return {"interface": found.interface if found.interface in SERIAL_ADAPTERS else "slcan"}
 
 
-def _with_channel(overrides: Mapping[str, Any], interface: str, channel: str) -> dict[str, Any]:
-    return {**overrides, "bus": {**overrides.get("bus", {}), "interface": interface, "channel": channel}}
+def _with_channel(overrides: Mapping[str, Any], adapter: Mapping[str, Any], channel: str) -> dict[str, Any]:
+    return {**overrides, "bus": {**overrides.get("bus", {}), **adapter, "channel": channel}}
 
 
 class Launcher:
@@ -206,7 +214,7 @@ class Launcher:
         plan = self.plan
         overrides = plan.overrides
         if plan.simulated:
-            overrides = _with_channel(overrides, plan.arm.bus.interface, await self._start_sim())
+            overrides = _with_channel(overrides, plan.simulated_adapter, await self._start_sim())
         self._arguments = [plan.arm_argument, *override_arguments(overrides)]
         started = time.monotonic()
         self._loop = await self._spawn("loop", "rtloop", self._arguments, plain_environment())
@@ -281,7 +289,7 @@ class Launcher:
 
     async def _start_sim(self) -> str:
         """Start the simulated arm; returns the terminal it listens at."""
-        overrides = _with_channel(self.plan.overrides, self.plan.arm.bus.interface, SIMULATED_CHANNEL)
+        overrides = _with_channel(self.plan.overrides, self.plan.simulated_adapter, SIMULATED_CHANNEL)
         arguments = ["--arm", self.plan.arm_argument, *override_arguments(overrides)]
         if self.plan.start_deg is not None:
             arguments += ["--start-deg=" + ",".join(f"{angle:.9g}" for angle in self.plan.start_deg)]

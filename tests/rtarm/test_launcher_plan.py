@@ -35,6 +35,25 @@ def test_a_simulated_arm_needs_no_adapter_in_its_file(arm_file: Path) -> None:
     assert plan.overrides == {}  # the real channel is made when the simulator starts
 
 
+@pytest.mark.parametrize(
+    ("python_can", "options"),
+    [
+        ("{interface: pcan, device_id: 7}", {"sleep_after_open": 0.0}),
+        ("{interface: slcan, rtscts: true}", {"rtscts": True}),
+    ],
+)
+def test_python_can_speaks_to_the_simulated_adapter_where_it_does_to_the_real_one(
+    arm_file: Path, python_can: str, options: dict[str, object]
+) -> None:
+    text = arm_file.read_text(encoding="utf-8")
+    text = text.replace("interface: slcan", f"interface: python-can\n  python_can: {python_can}")
+    kept = [line for line in text.splitlines() if "usb_index:" not in line and "serial_baud:" not in line]
+    arm_file.write_text("\n".join(kept), encoding="utf-8")
+    bus = load_plan(str(arm_file), {}, simulated=True).arm.bus
+    assert bus.interface == "python-can" and bus.python_can is not None
+    assert (bus.python_can.interface, dict(bus.python_can.options)) == ("slcan", options)
+
+
 def test_options_are_part_of_what_is_checked() -> None:
     plan = load_plan("episode1", {"control": {"rate_hz": 100.0}, "bus": {"channel": "/dev/x"}}, simulated=False)
     assert (plan.arm.control.rate_hz, plan.arm.bus.resolved_channel) == (100.0, "/dev/x")
