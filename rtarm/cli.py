@@ -47,7 +47,8 @@ def up(
     arm: ArmArgument,
     sim: Annotated[bool, typer.Option("--sim", help="Simulate the drives; no hardware is opened.")] = False,
     interface: Annotated[
-        str | None, typer.Option(help="How the bus is reached (slcan, seeedstudio, ch340-at, socketcan, mock).")
+        str | None,
+        typer.Option(help="How the bus is reached (slcan, seeedstudio, ch340-at, socketcan, python-can, mock)."),
     ] = None,
     channel: Annotated[
         str | None, typer.Option(help="Device of the CAN adapter (/dev/ttyACM0) or CAN interface (can0).")

@@ -25,7 +25,7 @@ def calibrate(
         typer.Option("--output", "-o", metavar="FILE", help="Make this file instead of changing the arm file."),
     ] = None,
     interface: Annotated[
-        str | None, typer.Option(help="How the bus is reached (slcan, seeedstudio, ch340-at, socketcan).")
+        str | None, typer.Option(help="How the bus is reached (slcan, seeedstudio, ch340-at, socketcan, python-can).")
     ] = None,
     channel: Annotated[
         str | None, typer.Option(help="Device of the CAN adapter (/dev/ttyACM0) or CAN interface (can0).")

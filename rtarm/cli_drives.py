@@ -21,7 +21,7 @@ def drives(
     ] = False,
     store: Annotated[bool, typer.Option("--store", help="With --write: to their flash too, after a question.")] = False,
     interface: Annotated[
-        str | None, typer.Option(help="How the bus is reached (slcan, seeedstudio, ch340-at, socketcan).")
+        str | None, typer.Option(help="How the bus is reached (slcan, seeedstudio, ch340-at, socketcan, python-can).")
     ] = None,
     channel: Annotated[
         str | None, typer.Option(help="Device of the CAN adapter (/dev/ttyACM0) or CAN interface (can0).")

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from config.python_can import SERIAL_INTERFACES
 from config.schema import ArmConfig
 from rtarm.doctor.finding import Found, Write, bad, note, ok, together, warn
 from rtarm.doctor.machine import Machine, Unknown, settled
@@ -40,11 +41,17 @@ def serial_adapters(machine: Machine, arm: ArmConfig | None) -> list[str]:
         folder = "/sys/class/tty"
         return [name for name in machine.names(folder) if name.startswith(SERIAL_PREFIXES)]
     device = channel(arm)
-    if arm.bus.interface == "socketcan" or device is None or device in can_interfaces(machine):
+    if arm.bus.interface == "socketcan" or _by_library(arm) or device is None or device in can_interfaces(machine):
         return []
     if not machine.exists(device):
         raise Unknown(f"{device} is not there")
     return [_kernel_name(machine, device)]
+
+
+def _by_library(arm: ArmConfig) -> bool:
+    """Whether python-can reaches the adapter by other means than a serial port."""
+    through = arm.bus.python_can
+    return through is not None and through.interface not in SERIAL_INTERFACES
 
 
 def _kernel_name(machine: Machine, device: str) -> str:
@@ -110,6 +117,8 @@ def port(machine: Machine, arm: ArmConfig | None) -> Found:
         return ok(f"{arm.name} has no bus (interface {arm.bus.interface})")
     if device in can_interfaces(machine):
         return ok(f"{device}, a CAN interface")
+    if _by_library(arm):
+        return ok(f"{device}, which python-can alone can look for")
     if arm.bus.interface == "socketcan":
         there = ", ".join(can_interfaces(machine)) or "none"
         return bad(

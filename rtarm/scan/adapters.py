@@ -221,7 +221,8 @@ def beyond_reach(found: list[dict[str, Any]], known: list[Adapter]) -> list[Adap
             str(entry.get("channel")),
             None,
             f"seen by python-can as {entry.get('interface')}",
-            not_tried="rtarm reaches slcan and socketcan: use the kernel's driver for it, if there is one.",
+            not_tried="A scan tries serial adapters and CAN interfaces: use the kernel's driver for it, or let the "
+            f"arm's file say bus.interface python-can and bus.python_can.interface {entry.get('interface')}.",
         )
         for entry in found
         if entry.get("interface") not in ("virtual", "socketcan", "slcan", "serial", "udp_multicast")

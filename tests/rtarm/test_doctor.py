@@ -413,6 +413,10 @@ def test_the_port_of_the_arm(tmp_path: Path) -> None:
         Level.OK, "mock has no bus (interface mock)"
     )
     assert run(port, build(tmp_path / "can"), can_arm()) == Found(Level.OK, "can0, a CAN interface")
+    by_library = {"interface": "python-can", "usb_index": 1, "python_can": {"interface": "pcan"}}
+    assert run(port, build(tmp_path / "lib"), load_arm("episode1", overrides={"bus": by_library})) == Found(
+        Level.OK, "PCAN_USBBUS1, which python-can alone can look for"
+    )
     gone = run(port, build(tmp_path / "no can"), can_arm("can1"))
     assert (gone.level, gone.found) == (Level.BAD, "there is no CAN interface can1 (found: can0)")
 

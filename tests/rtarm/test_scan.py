@@ -427,7 +427,7 @@ def test_what_only_python_can_sees_is_told(tmp_path: Path) -> None:
     ]
     report = scan(machine(tmp_path, {}), [], detect=lambda: (seen, None))
     assert [entry["channel"] for entry in report["adapters"]] == ["PCAN_USBBUS1"]
-    assert "rtarm reaches slcan and socketcan" in report["adapters"][0]["not_tried"]
+    assert "bus.interface python-can and bus.python_can.interface " in report["adapters"][0]["not_tried"]
     report = scan(machine(tmp_path / "other", {}), [], detect=lambda: ([], "It was not asked."))
     assert (report["adapters"], report["notes"], report["found"]) == ([], ["It was not asked."], False)
 

@@ -1,4 +1,4 @@
-"""A whole arm behind python-can: its control process on a virtual bus, and on somebody else's adapter code (slcan)."""
+"""A whole arm behind python-can: its control process on a virtual bus, and on somebody else's adapter code."""
 
 import contextlib
 import os
@@ -146,8 +146,11 @@ def test_an_arm_moves_on_a_virtual_bus(inside):
     judge(motion_violations(inside.arm, truth, began_ns, inside.sim.now_ns))
 
 
-def test_an_arm_behind_python_can_s_own_slcan(stack):
-    bridged(stack, "slcan", sleep_after_open=0.0)
+@pytest.mark.parametrize(
+    ("interface", "options"), [("slcan", {"sleep_after_open": 0.0}), ("seeedstudio", {"timeout": 0.001})]
+)
+def test_an_arm_behind_somebody_else_s_adapter_code(stack, interface, options):
+    bridged(stack, interface, **options)
     stack.start_sim()
     began_ns = time.monotonic_ns()
     loop = stack.start_loop()
