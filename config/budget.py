@@ -216,7 +216,7 @@ def check_budget(arm: ArmConfig) -> Budget:
     if found.rate_hz > found.serial_highest_rate_hz:
         sentences.append(_serial_sentence(found))
     at_once = sum(frames.count for frames in found.frames if frames.from_host)
-    if arm.bus.interface == "slcan" and at_once > ADAPTER_FRAMES:
+    if arm.bus.spoken == "slcan" and at_once > ADAPTER_FRAMES:
         sentences.append(
             f"a cycle sends {at_once} frames at once, but a serial adapter holds back {ADAPTER_FRAMES} and loses the "
             "rest; set bus.interface to socketcan, or divide the joints among more arms."

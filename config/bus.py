@@ -141,7 +141,8 @@ class BusConfig(Section):
             if self.interface in SERIAL_ADAPTERS:
                 device, such_as, one = "adapter's device", SERIAL_ADAPTERS[self.interface].device, "/dev/ttyUSB1"
             elif self.interface == "python-can":
-                device, such_as, one = "name that python-can has for it", "PCAN_USBBUS1", "PCAN_USBBUS1 with pcan"
+                device = "name that python-can has for the adapter"
+                such_as, one = "PCAN_USBBUS1", "PCAN_USBBUS1 with pcan"
             raise refuse(
                 "interface",
                 f"interface {self.interface} needs the {device} and the file names none; add channel "
@@ -233,6 +234,11 @@ class BusConfig(Section):
     def fast_targets(self) -> bool:
         """Whether targets are sent with FC."""
         return self.position_command == "FC"
+
+    @property
+    def spoken(self) -> str:
+        """The interface whose language the adapter hears, from the control process itself or from python-can for it."""
+        return self.interface if self.python_can is None else self.python_can.interface
 
     @property
     def _indexed(self) -> str:

@@ -181,9 +181,9 @@ def _simulated_adapter(arm_argument: str, overrides: Mapping[str, Any]) -> dict[
     except ConfigError:
         return {"interface": "slcan"}  # with which it may load, and if not, that error is the one to show
     if found.python_can is not None:
-        its_own = found.python_can.interface in SERIAL_ADAPTERS
-        return {} if its_own else {"python_can": {"interface": "slcan", "sleep_after_open": 0.0}}
-    return {"interface": found.interface if found.interface in SERIAL_ADAPTERS else "slcan"}
+        other = {"python_can": {"interface": "slcan", "sleep_after_open": 0.0}}
+        return {} if found.spoken in SERIAL_ADAPTERS else other
+    return {"interface": found.spoken if found.spoken in SERIAL_ADAPTERS else "slcan"}
 
 
 def _with_channel(overrides: Mapping[str, Any], adapter: Mapping[str, Any], channel: str) -> dict[str, Any]:

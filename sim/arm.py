@@ -104,7 +104,7 @@ class SimulatedArm:
             )
         self.bus = Bus(arm.bus.bitrate, start_ns)
         self.adapter: SerialAdapter[Any] | CanInterface
-        if spoken_to(arm.bus) not in SERIAL_ADAPTERS:
+        if arm.bus.spoken not in SERIAL_ADAPTERS:
             self.adapter = CanInterface()
         else:
             self.adapter = _serial_adapter(arm.bus, dialect, echo=echo, seed=seed)
@@ -400,17 +400,11 @@ class SimulatedArm:
         return [drive for drive in self._chosen(name) if isinstance(drive, ZdtDrive)]
 
 
-def spoken_to(bus: BusConfig) -> str:
-    """What is spoken to the arm's adapter, by the control process itself or by python-can for it."""
-    return bus.interface if bus.python_can is None else bus.python_can.interface
-
-
 def _serial_adapter(bus: BusConfig, dialect: Dialect, *, echo: bool, seed: int) -> SerialAdapter[Any]:
     baud = None if bus.serial_baud == "cdc" else bus.serial_baud
-    spoken = spoken_to(bus)
-    if spoken == "seeedstudio":
+    if bus.spoken == "seeedstudio":
         return SeeedAdapter(bus.bitrate, baud=baud, echo=echo, seed=seed)
-    if spoken == "ch340-at":
+    if bus.spoken == "ch340-at":
         return AtAdapter(bus.bitrate, baud=baud, echo=echo, seed=seed)
     return SlcanAdapter(bus.bitrate, dialect=dialect, baud=baud, echo=echo, seed=seed)
 

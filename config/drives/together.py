@@ -127,7 +127,7 @@ def _suit_the_bus(joints: Sequence[JointConfig], bus: BusConfig) -> None:
 
 def check_adapter(joints: Sequence[JointConfig], bus: BusConfig, beside: Sequence[Identifiers]) -> None:
     """Refuse drives whose frames the arm's serial adapter does not carry; `beside`: what a gripper's drive uses."""
-    name = bus.interface if bus.python_can is None else bus.python_can.interface
+    name = bus.spoken
     adapter = SERIAL_ADAPTERS.get(name)
     if adapter is None:
         return
