@@ -1,9 +1,9 @@
-"""What all servo drives have in common on the bus, so that a family's file is its protocol and little else.
+"""What all drives have in common on the bus, so that a family's file is its protocol and little else.
 
 A family derives from `ServoDrive` and writes: `take` (a frame that ended, any frame of anybody), `boot` (what it is
 like after power comes), `release` (let the shaft go), `owns`, `state_frame`, `twin` and `protect`. It sends with
 `reply` (an answer, after its reply delay) and `say` (now), and does things later or again and again with `after` and
-`every`.
+`every`. A family whose shaft is another one derives from `BusDrive`.
 """
 
 from __future__ import annotations
@@ -25,28 +25,19 @@ MAILBOXES = 16
 """Frames that wait for the bus at most; what a drive wants to say then is lost [inf]."""
 
 
-class ServoDrive(ABC):
-    """A node of the bus with a servo's shaft.
+class BusDrive(ABC):
+    """A node of the bus; what its shaft is, a class that derives from it says.
 
     Args:
         start_ns: when it begins to exist; the first time it may be told.
-        turns: where its shaft stands [rev], as the arm sees it.
-        counted: what it counts there [rev]; None: what the arm sees.
-        load: what it moves.
         seed: of the jitter of its answers.
 
     Attributes:
         outbox, listening, address, wake_ns: what the bus asks; see `sim.bus.Node`.
-        shaft: its true motion [rev].
-        origin: where the shaft stands when it counts 0 [rev].
-        celsius: temperature of its motor; settable.
-        supply_v: voltage of its supply; settable.
         reply_delay_ns, reply_loss, cause_lasts, powered, connected, enabled: see `sim.drives.drive.Drive`.
     """
 
-    def __init__(
-        self, *, start_ns: int, turns: float, counted: float | None = None, load: Load | None = None, seed: int = 0
-    ) -> None:
+    def __init__(self, *, start_ns: int, seed: int = 0) -> None:
         self.outbox: Outbox = deque()
         self.wake_ns = NEVER
         self.listening = True
@@ -56,10 +47,6 @@ class ServoDrive(ABC):
         self.cause_lasts = False
         self.powered = self.connected = True
         self.enabled = False
-        self.celsius = 30.0
-        self.supply_v = 24.0
-        self.shaft = Servo(start_ns, turns, load)
-        self.origin = 0.0 if counted is None else turns - counted
         self._now_ns = start_ns
         self._replied_ns = start_ns
         self._random = random.Random(seed)
@@ -74,6 +61,14 @@ class ServoDrive(ABC):
     @abstractmethod
     def boot(self) -> None:
         """Forget what is volatile and begin, with a shaft that nobody holds, as after power comes."""
+
+    @abstractmethod
+    def advance(self, now_ns: int) -> None:
+        """Live up to `now_ns`; a time already lived changes nothing."""
+
+    @abstractmethod
+    def loosen(self) -> None:
+        """Hold the shaft no more: there is no power."""
 
     @abstractmethod
     def release(self) -> None:
@@ -96,11 +91,6 @@ class ServoDrive(ABC):
         """Trip the protection, which lets the shaft go."""
 
     # -- what a family uses --------------------------------------------------------------------------
-
-    @property
-    def counted(self) -> float:
-        """What it counts now [rev]."""
-        return self.shaft.position_at(self._now_ns) - self.origin
 
     def reply(self, frame: Frame) -> None:
         """Send an answer after the reply delay; answers keep their order."""
@@ -144,12 +134,6 @@ class ServoDrive(ABC):
 
     # -- the bus's side ------------------------------------------------------------------------------
 
-    def advance(self, now_ns: int) -> None:
-        """Live up to `now_ns`; a time already lived changes nothing."""
-        if now_ns > self._now_ns:
-            self._now_ns = now_ns
-            self.shaft.advance(now_ns)
-
     def receive(self, now_ns: int, frame: Frame) -> None:
         """Take a frame that ended at `now_ns` from the bus."""
         self.advance(now_ns)
@@ -178,8 +162,8 @@ class ServoDrive(ABC):
         self.powered = self.listening = self.enabled = False
         self.outbox.clear()
         self._timers.clear()
+        self.loosen()
         self._schedule()
-        self.shaft.obey(Limp())
 
     def power_on(self, now_ns: int) -> None:
         """Boot."""
@@ -200,12 +184,54 @@ class ServoDrive(ABC):
         self.connected = True
         self.listening = self.powered
 
-    def block_shaft(self, now_ns: int) -> None:
-        """Hold the shaft where it is from `now_ns` on."""
-        self.advance(now_ns)
-        self.shaft.block(now_ns)
-
     def disable(self, now_ns: int) -> None:
         """Be let go by somebody, not over the bus."""
         self.advance(now_ns)
         self.release()
+
+
+class ServoDrive(BusDrive):
+    """A node of the bus with a servo's shaft.
+
+    Args:
+        start_ns, seed: see `BusDrive`.
+        turns: where its shaft stands [rev], as the arm sees it.
+        counted: what it counts there [rev]; None: what the arm sees.
+        load: what it moves.
+
+    Attributes:
+        shaft: its true motion [rev].
+        origin: where the shaft stands when it counts 0 [rev].
+        celsius: temperature of its motor; settable.
+        supply_v: voltage of its supply; settable.
+        the others: see `BusDrive`.
+    """
+
+    def __init__(
+        self, *, start_ns: int, turns: float, counted: float | None = None, load: Load | None = None, seed: int = 0
+    ) -> None:
+        super().__init__(start_ns=start_ns, seed=seed)
+        self.celsius = 30.0
+        self.supply_v = 24.0
+        self.shaft = Servo(start_ns, turns, load)
+        self.origin = 0.0 if counted is None else turns - counted
+
+    @property
+    def counted(self) -> float:
+        """What it counts now [rev]."""
+        return self.shaft.position_at(self._now_ns) - self.origin
+
+    def advance(self, now_ns: int) -> None:
+        """Live up to `now_ns`; a time already lived changes nothing."""
+        if now_ns > self._now_ns:
+            self._now_ns = now_ns
+            self.shaft.advance(now_ns)
+
+    def loosen(self) -> None:
+        """Coast."""
+        self.shaft.obey(Limp())
+
+    def block_shaft(self, now_ns: int) -> None:
+        """Hold the shaft where it is from `now_ns` on."""
+        self.advance(now_ns)
+        self.shaft.block(now_ns)
