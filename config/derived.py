@@ -17,7 +17,7 @@ A drive that hears nothing more therefore goes on for one period to the next set
 
 
 def acc_byte(joint: JointConfig) -> int:
-    """The smallest acc byte with which a ZDT joint reaches its acceleration limit."""
+    """The smallest acc byte with which a stepper's joint reaches its acceleration limit."""
     found = smallest_acc_byte(joint.ratio, joint.max_acceleration_rad_s2)
     if found is None:
         raise ValueError(f"no acc byte lets {joint.name} reach {joint.max_acceleration_rad_s2:g} rad/s²")
@@ -25,7 +25,7 @@ def acc_byte(joint: JointConfig) -> int:
 
 
 def silence_acc_byte(joint: JointConfig, limits: LimitsConfig) -> int:
-    """The acc byte each motion frame of a ZDT joint carries, so that silence is a controlled stop.
+    """The acc byte each motion frame of a stepper's joint carries, so that silence is a controlled stop.
 
     With it the drive, when it hears nothing more, brakes by itself at 1.5 to 2 times the joint's
     acceleration limit, nearest to `limits.silence_brake_factor`. The schema has made sure that it exists.
@@ -37,13 +37,13 @@ def silence_acc_byte(joint: JointConfig, limits: LimitsConfig) -> int:
 
 
 def braking_deceleration_rad_s2(joint: JointConfig, acc_byte: int) -> float:
-    """Deceleration of the joint when its ZDT drive ramps down with this acc byte (rad/s²)."""
+    """Deceleration of the joint when its stepper drive ramps down with this acc byte (rad/s²)."""
     return ramp_rad_s2(joint.ratio, acc_byte)
 
 
 @dataclass(frozen=True)
 class SilenceStop:
-    """What a ZDT drive does at full speed when it hears nothing more, from the last frame it heard."""
+    """What a stepper drive does at full speed when it hears nothing more, from the last frame it heard."""
 
     acc_byte: int
     deceleration_rad_s2: float
@@ -72,7 +72,7 @@ class DerivedJoint:
     acc_byte: int | None
     """Smallest byte that reaches the acceleration limit; None for a drive without a ramp byte."""
     silence: SilenceStop | None
-    """None for a drive that has no ramp of its own (mock)."""
+    """None for a drive that has no ramp byte."""
 
 
 def derived_table(arm: ArmConfig) -> list[DerivedJoint]:

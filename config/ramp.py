@@ -1,7 +1,7 @@
-"""The ramp of a ZDT drive, which is one byte, and what follows from it alone.
+"""The ramp of a stepper drive (ZDT, MKS), which is one byte, and what follows from it alone.
 
 The speed changes by 1 rpm every (256 - acc) * 50 µs, that is by 20000 / (256 - acc) motor rpm per second; acc 0 means
-no ramp (ZDT Emm_V5 manual, command FD).
+no ramp (ZDT Emm_V5 manual, command FD; MKS SERVO42D/57D_CAN manual V1.0.6, 6.1).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _RAD_S_PER_RPM = 2.0 * math.pi / 60.0
 
 
 def ramp_rpm_s(acc_byte: int) -> float:
-    """Ramp of a ZDT drive for an acc byte of 1 to 255, in motor rpm per second."""
+    """Ramp of the drive for an acc byte of 1 to 255, in motor rpm per second."""
     if acc_byte not in ACC_BYTES:
         raise ValueError(f"acc byte is {acc_byte}; a ramp needs 1 to 255")
     return RAMP_RPM_S / (256 - acc_byte)

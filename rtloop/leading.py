@@ -44,3 +44,16 @@ def target_ahead(loop: Loop, joint: int, coarse_rad_s: float) -> tuple[float, fl
         target += speed * lead + math.copysign(brake, speed)
         target = min(max(target, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad)
     return target, speed
+
+
+@jit
+def whole_rpm(loop: Loop, joint: int, speed_rad_s: float, most_rpm: int) -> int:
+    """The speed as a whole number of motor rpm, 1 at the least, so that the last step is reached.
+
+    What rounding leaves out is carried over to the next period.
+    """
+    row, axis = loop.joints[joint], loop.axes[joint]
+    wanted_rpm = abs(speed_rad_s) * row.rpm_per_rad_s + axis.rpm_remainder
+    rpm = round(wanted_rpm)
+    axis.rpm_remainder = min(max(wanted_rpm - rpm, -1.0), 1.0)
+    return min(max(rpm, 1), most_rpm)

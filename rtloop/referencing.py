@@ -19,7 +19,7 @@ from rtloop import fast_targets, reports
 from rtloop.conversation import TRIES, Conversation, Dialogue, TalkFailed, silent_amid
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
-from rtloop.drives.setup import joints_on_the_bus
+from rtloop.drives.setup import Homes, homing_of, joints_on_the_bus
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
 from rtloop.drives.zdt_talk import AGREEING
 from rtloop.port import ADOPT, COUNT_FROM, FAST_READY, REFERENCING, REFERENCING_DONE, ServicePort
@@ -89,7 +89,7 @@ class Referencing(Conversation):
         super().__init__(arm, port, now_ns, fault=Fault.HOMING, last_order=REFERENCING_DONE)
         self._tell = tell
         self._keep_lost_beyond = keep_lost
-        self._again = again
+        self.again = again
         self._ending = False
         with_drive = joints_on_the_bus(arm)
         for joint in sorted({*homed, *placed} - set(with_drive)):  # what is commanded is where it is
@@ -109,8 +109,11 @@ class Referencing(Conversation):
             self._exchanges.pop(joint, None)
             self._dialogues.pop(joint).close()
             drive = self.arm.joints[joint].drive
+            homes = homing_of(drive)
             if isinstance(drive, ZdtDrive):
                 self.begin({joint: addressed(drive.address, self._give_up(joint))})
+            elif homes is not None:
+                self.begin({joint: homes.end_homing(self.arm, joint)})
 
     def _goes_on(self) -> bool:
         if not self._later:
@@ -124,6 +127,9 @@ class Referencing(Conversation):
         config = self.arm.joints[joint]
         if isinstance(config.drive, ZdtDrive):
             return (yield from addressed(config.drive.address, self._home_zdt(joint)))
+        homes = homing_of(config.drive)
+        if homes is not None:
+            return (yield from self._home_by(homes, joint))
         if not config.drive.knows_its_angle:
             raise TalkFailed(
                 joint,
@@ -151,9 +157,44 @@ class Referencing(Conversation):
 
     # --- a homing run
 
+    def _home_by(self, homes: Homes, joint: int) -> Dialogue:
+        """A run as the family's own file lets it happen."""
+        config, port = self.arm.joints[joint], self.port
+        self._tell_of_run(config)
+        expected_rad = -config.zero_rad if port.referenced(joint) else None
+        before_rad = port.zero_rad(joint)
+        self._keep_lost(joint, Unreferenced.NOT_HOMED)
+        self.post(REFERENCING, joint=joint, code=1)
+        try:
+            stopped, target = yield from homes.home(self, joint)
+            self._require_place(joint, stopped / port.reading_per_rad(joint) - before_rad, expected_rad)
+        except TalkFailed:
+            yield from homes.end_homing(self.arm, joint)
+            raise
+        self._keep_lost(joint, None)
+        self._count_from(joint, config.zero_rad, target / port.reading_per_rad(joint) - config.zero_rad)
+        self._tell(f"{config.name}: homed.")
+
+    def _tell_of_run(self, config: JointConfig) -> None:
+        self._tell(
+            f"{config.name}: homing; the drive runs to its stop by itself, for {self.arm.homing.timeout_s:g} s at most."
+        )
+
+    def _require_place(self, joint: int, stopped_rad: float, expected_rad: float | None) -> None:
+        """Whether it stopped about where its stop is known to be."""
+        if expected_rad is None or abs(stopped_rad - expected_rad) <= ELSEWHERE_RAD:
+            return
+        config = self.arm.joints[joint]
+        raise TalkFailed(
+            joint,
+            f"{config.name} met something at {math.degrees(stopped_rad):.1f}°, although its stop is at "
+            f"{math.degrees(expected_rad):.1f}°: remove what is in its way, then {self.again}, "
+            "which then takes whatever stops it for its stop.",
+        )
+
     def _home_zdt(self, joint: int) -> ZdtDialogue:
         config, limit_s = self.arm.joints[joint], self.arm.homing.timeout_s
-        self._tell(f"{config.name}: homing; the drive runs to its stop by itself, for {limit_s:g} s at most.")
+        self._tell_of_run(config)
         flags = yield from self._sound(joint, config)
         expected_rad = -config.zero_rad if self.port.referenced(joint) else None
         mark_ms = zdt_talk.homing_mark_ms(round(limit_s * 1e3), self.now_ns)
@@ -212,7 +253,7 @@ class Referencing(Conversation):
                     joint,
                     f"The drive of {config.name} has not found its homing stop within {self.arm.homing.timeout_s:g} s, "
                     "or was stopped: see that it can reach the stop and that direction, speed and collision current in "
-                    f"its menu fit, then {self._again}.",
+                    f"its menu fit, then {self.again}.",
                 )
             if ended >= AGREEING and not failed:
                 return last
@@ -229,16 +270,10 @@ class Referencing(Conversation):
                 joint,
                 f"The drive of {config.name} counts {measured} after its homing run, not 0, or has tripped its "
                 "protection, so it has not found its stop: see that it can reach it and that its homing parameters "
-                f"fit, then {self._again}.",
+                f"fit, then {self.again}.",
             )
         stopped_rad = config.direction * stopped / config.encoder_counts_per_rad - self.port.zero_rad(joint)
-        if expected_rad is not None and abs(stopped_rad - expected_rad) > ELSEWHERE_RAD:
-            raise TalkFailed(
-                joint,
-                f"{config.name} met something at {math.degrees(stopped_rad):.1f}°, although its stop is at "
-                f"{math.degrees(expected_rad):.1f}°: remove what is in its way, then {self._again}, "
-                "which then takes whatever stops it for its stop.",
-            )
+        self._require_place(joint, stopped_rad, expected_rad)
 
     def _require_mark(self, joint: int, config: JointConfig, mark_ms: int) -> ZdtDialogue:
         parameters = yield from zdt_talk.read_homing()
@@ -246,7 +281,7 @@ class Referencing(Conversation):
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} has lost power during its homing run, so what it counts is no angle: see "
-                f"to its supply, then {self._again}.",
+                f"to its supply, then {self.again}.",
             )
 
     def _stand(self, joint: int) -> ZdtDialogue:
@@ -357,7 +392,7 @@ class Referencing(Conversation):
         raise TalkFailed(
             joint,
             f"The drive of {config.name} stands {measured - target} counts from its own target and does not take where "
-            f"it is for it: switch it off and on, then {self._again}.",
+            f"it is for it: switch it off and on, then {self.again}.",
         )
 
     def _count_from(

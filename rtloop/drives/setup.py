@@ -60,9 +60,39 @@ class Setup(Protocol):
         """Let the drive go limp, and see that it has; raises TalkFailed."""
 
 
+class HomingHost(Protocol):
+    """The homing run that a drive's dialogue is part of."""
+
+    arm: ArmConfig
+    port: ServicePort
+    now_ns: int
+    again: str
+    """How a person tries once more, in sentences."""
+
+
+class Homes(Protocol):
+    """What such a file has besides where its drives can find a stop by themselves."""
+
+    def home(self, host: HomingHost, joint: int) -> Part[tuple[float, float]]:
+        """Let the drive find its stop, and see that it counts from there; raises TalkFailed.
+
+        Returns:
+            Where it stopped, as it counted before, and its own target as it counts now.
+        """
+
+    def end_homing(self, arm: ArmConfig, joint: int) -> Dialogue:
+        """End the run, if there is one, and see that the drive stands; raises TalkFailed."""
+
+
 def setup_of(drive: Drive) -> Setup:
     """The file of a drive's family."""
     return cast(Setup, importlib.import_module(f"rtloop.drives.{drive.family}_setup"))
+
+
+def homing_of(drive: Drive) -> Homes | None:
+    """The file of a drive's family, if its drives can find a stop by themselves."""
+    found = setup_of(drive)
+    return cast(Homes, found) if hasattr(found, "home") else None
 
 
 def joints_on_the_bus(arm: ArmConfig) -> list[int]:

@@ -100,14 +100,11 @@ def to_radians(loop: Loop, joint: int, counts: int) -> float:
 @jit
 def command(loop: Loop, joint: int) -> tuple[int, int]:
     """The two packets that lead a drive through the coming period; carries the speed's rounding over."""
-    row, axis = loop.joints[joint], loop.axes[joint]
+    row = loop.joints[joint]
     # whole rpm keep the mean by being up to half an rpm off for a period
     target, speed = leading.target_ahead(loop, joint, 0.5 / row.rpm_per_rad_s)
-    wanted_rpm = abs(speed) * row.rpm_per_rad_s + axis.rpm_remainder
-    rpm = round(wanted_rpm)
-    axis.rpm_remainder = min(max(wanted_rpm - rpm, -1.0), 1.0)
-    rpm = max(rpm, 1)  # so that the last pulse is reached
-    return pack_target(min(rpm, HIGHEST_RPM), row.acc_byte, to_pulses(loop, joint, target))
+    rpm = leading.whole_rpm(loop, joint, speed, HIGHEST_RPM)
+    return pack_target(rpm, row.acc_byte, to_pulses(loop, joint, target))
 
 
 @jit

@@ -1,0 +1,160 @@
+"""MKS SERVO42D/57D in the cycle: numbers to CAN frames and back.
+
+Protocol facts (manual V1.0.6; mks-servo-can): standard identifiers, the drive's CanID in both directions; big-endian;
+the last byte is the sum of the identifier and all bytes before it. 16384 counts a motor turn.
+- `F5 rpm16 acc counts24`: go to an absolute target with at most that speed and a ramp of 1 rpm every (256 - acc) · 50
+  µs, also in mid-move; with rpm 0 it is a halt along that ramp, after which the drive holds;
+- `31` → `31 counts48`; `3A` → `3A enabled`; `3E` → `3E tripped`; `F7` stops at once, homing runs too;
+- results are `F5 code`: 0 refused, 1 begun, 2 done, 3 stopped at a limit, 5 waits for others.
+A request and its answer differ in length for every function used here, which tells an answer from an echo.
+
+Streaming: a target ahead, and a speed that sets the pace (`rtloop.leading`), as with ZDT drives.
+"""
+
+from typing import Any
+
+from config.drives.mks import FARTHEST_COUNTS
+from rtloop import hearing, leading
+from rtloop import status as status_bits
+from rtloop.drives import words
+from rtloop.drives.mks_setup import (
+    EMERGENCY_STOP,
+    HIGHEST_RPM,
+    MOVE,
+    READ_ENABLED,
+    READ_POSITION,
+    READ_PROTECTED,
+    REFUSED,
+    STOPPED_AT_LIMIT,
+)
+from rtloop.wire import outgoing
+from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
+from shm.jit import jit
+from shm.words import Unreferenced
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+
+@jit
+def checksum(frame_id: int, data: int, length: int) -> int:
+    """The byte that follows the first `length` bytes."""
+    total = frame_id
+    for at in range(length):
+        total += (data >> (8 * at)) & 255
+    return total & 255
+
+
+@jit
+def closed(frame_id: int, data: int, length: int) -> int:
+    """Data of a frame with its checksum behind the first `length` bytes."""
+    return data | checksum(frame_id, data, length) << (8 * length)
+
+
+@jit
+def pack_target(can_id: int, rpm: int, acc_byte: int, counts: int) -> int:
+    """Data of `F5`: rpm 0 to 3000, acc 0 to 255, a target that is kept within what an int24 reaches."""
+    target = min(max(counts, -FARTHEST_COUNTS), FARTHEST_COUNTS) & 0xFFFFFF
+    return closed(can_id, MOVE | words.swapped(rpm, 2) << 8 | acc_byte << 24 | words.swapped(target, 3) << 32, 7)
+
+
+@jit
+def is_sound(frame_id: int, data: int, length: int) -> bool:
+    """Whether the last byte is what it should be."""
+    if length < 2:
+        return False
+    return bool((data >> (8 * (length - 1))) & 255 == checksum(frame_id, data, length - 1))
+
+
+@jit
+def counts_of(data: int) -> int:
+    """The int48 of `31`."""
+    value = words.swapped((data >> 8) & 0xFFFFFFFFFFFF, 6)
+    return value - (1 << 48) if value >= 1 << 47 else value
+
+
+@jit
+def send(loop: Loop, shared: Shared, joint: int, data: int, length: int, stops: int = -1) -> bool:
+    """Send `length` bytes and their checksum; False when there is no room."""
+    can_id = loop.joints[joint].address
+    packed = closed(can_id, data, length)
+    return bool(outgoing.send(loop, shared, can_id, STANDARD, length + 1, packed, 0, stops))
+
+
+@jit
+def halt(loop: Loop, joint: int) -> int:
+    """`F5` with no speed, without its checksum: rest along the ramp of every motion, wherever that ends."""
+    return int(MOVE | loop.joints[joint].acc_byte << 24)
+
+
+# --- what the cycle asks of a family of drives
+
+
+@jit
+def lead(loop: Loop, joint: int, shared: Shared) -> None:
+    row = loop.joints[joint]
+    # whole rpm keep the mean by being up to half an rpm off for a period
+    target_rad, speed_rad_s = leading.target_ahead(loop, joint, 0.5 / row.rpm_per_rad_s)
+    rpm = leading.whole_rpm(loop, joint, speed_rad_s, HIGHEST_RPM)
+    counts = words.bounded((target_rad + row.zero_rad) * row.command_per_rad, FARTHEST_COUNTS)
+    data = pack_target(row.address, rpm, row.acc_byte, counts)
+    outgoing.send(loop, shared, row.address, STANDARD, 8, data)
+
+
+@jit
+def stop(loop: Loop, joint: int, shared: Shared) -> bool:
+    """Halt along the ramp and hold there; `F7` is not recommended above 1000 rpm, but alone ends homing runs."""
+    if loop.axes[joint].unreferenced_reason == Unreferenced.NOT_HOMED:
+        send(loop, shared, joint, EMERGENCY_STOP, 1)
+    return send(loop, shared, joint, halt(loop, joint), 7, joint)
+
+
+@jit
+def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
+    if send(loop, shared, joint, READ_POSITION, 1):
+        hearing.note_question(loop, joint)
+
+
+@jit
+def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
+    """Whether it is enabled and whether its protection has tripped, in turn; again what was bad the last time."""
+    axis = loop.axes[joint]
+    asked = READ_PROTECTED if (loop.core.cycle // loop.params.joint_count) & 1 else READ_ENABLED
+    if axis.bad_statuses > 0:
+        asked = READ_PROTECTED if axis.status & status_bits.PROTECTED else READ_ENABLED
+    send(loop, shared, joint, asked, 1)
+
+
+@jit
+def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
+    """Whether a conversation's frame is the halt."""
+    return bool(data == closed(frame_id, halt(loop, joint), 7))
+
+
+@jit
+def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
+    """A question for the position in a conversation will be answered too."""
+    if data == closed(frame_id, READ_POSITION, 1):
+        hearing.note_question(loop, joint)
+
+
+@jit
+def hear(
+    loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
+) -> None:
+    if kind & (EXTENDED | REMOTE) != 0 or not is_sound(frame_id, data, length):
+        return
+    row, axis = loop.joints[joint], loop.axes[joint]
+    code, value = data & 255, (data >> 8) & 255
+    if length == 8 and code == READ_POSITION:
+        hearing.hear_position(loop, joint, counts_of(data) / row.reading_per_rad - row.zero_rad, time_ns)
+    elif length == 3 and code == READ_ENABLED and value <= 1:
+        hearing.hear_status(loop, joint, axis.status & PROTECTION | value * status_bits.ENABLED)
+    elif length == 3 and code == READ_PROTECTED and value <= 1 and axis.status & status_bits.ANSWERED != 0:
+        hearing.hear_status(loop, joint, axis.status & status_bits.ENABLED | value * PROTECTION)
+    elif length == 3 and code == MOVE and value in (REFUSED, STOPPED_AT_LIMIT):
+        hearing.hear_refusal(loop, shared, joint, True)
+
+
+PROTECTION = status_bits.PROTECTED | status_bits.STALLED
+"""What a tripped protection means: the motor was stalled, and its shaft is loose."""

@@ -1,0 +1,406 @@
+"""Bring-up, homing and release of an MKS SERVO42D/57D; what its frames are is said in `rtloop.drives.mks`.
+
+What it is asked (nothing moves): its position, whether it moves, its work mode, microsteps and acknowledgements, its
+protection, whether it is enabled, and how far it stands from its own target. A drive that is on its way somewhere is
+stopped first. What must be different is told to it: the work mode SR_vFOC (`82`), without which it heeds no motion
+commands, and whether it acknowledges (`8C`); a drive keeps both. Firmware before V1.0.6 cannot be asked for settings
+(`00`), so they are told to it each time.
+
+Its count begins where it was switched on, and nothing tells that it was.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from config.budget import budget
+from config.derived import braking_deceleration_rad_s2, silence_acc_byte
+from config.drives.mks import COUNTS_PER_REVOLUTION, MksDrive
+from config.joint import JointConfig
+from config.schema import ArmConfig
+from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.drives.asking import AskFrames
+from rtloop.drives.setup import Found, HomingHost, Host
+from rtloop.port import Frame
+from rtloop.wire.frame_words import STANDARD
+from shm.sentences import unreferenced_sentence
+from shm.words import Unreferenced
+
+READ_PARAMETER = 0x00
+READ_POSITION, READ_ERROR = 0x31, 0x39
+READ_ENABLED, READ_HOMED, CLEAR_PROTECTION, READ_PROTECTED = 0x3A, 0x3B, 0x3D, 0x3E
+WORK_MODE, MICROSTEPS, ANSWERS, HOME = 0x82, 0x84, 0x8C, 0x91
+READ_STATE, ENABLE, MOVE, EMERGENCY_STOP = 0xF1, 0xF3, 0xF5, 0xF7
+
+STOP_AT_ONCE = bytes((MOVE, 0, 0, 0, 0, 0, 0))
+"""No speed, and no ramp to it: stand still in position mode, as the manual says it (V1.0.6, 6.8)."""
+
+REFUSED, BEGUN, STOPPED_AT_LIMIT = 0, 1, 3
+"""Results of a command."""
+STANDS, HOMING, CALIBRATING = 1, 5, 6
+"""Answers to READ_STATE; those between tell that it moves."""
+HOMING_FAILED = 2
+SR_VFOC = 5
+HIGHEST_RPM = 3000
+"""In SR_vFOC."""
+TRUE_SPEED_MICROSTEPS = (16, 32, 64)
+"""With which the speed of a command is in rpm; others make it another one (manual V1.0.6, 6.1)."""
+ERROR_STEPS_PER_REVOLUTION = 51_200
+
+AGREEING = 2
+"""Answers in a row that say the same: one alone may be a moment's."""
+ADOPT_WITHIN_RAD = 0.02
+"""A drive whose target lies this near to its position is taken at its word."""
+HALT_PATIENCE_NS = 4_000_000_000
+"""From 3000 rpm to rest with a ramp of 750 rpm/s; then it is stopped at once."""
+SETTLE_PATIENCE_NS = 3_000_000_000
+BEGIN_NS = 1_000_000_000
+"""Within which a homing run has begun."""
+LATE_S = 1.0
+BOOT_NS = 100_000_000
+"""A drive that is switched off and on is silent for longer (unproven), which the cycle's readings show."""
+
+
+def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
+    """What the cycle needs of an MKS drive; see `rtloop.drives.setup.Setup`."""
+    row["acc_byte"] = silence_acc_byte(joint, arm.limits)
+    row["silence_deceleration_rad_s2"] = braking_deceleration_rad_s2(joint, int(row["acc_byte"]))
+
+
+def bring_up(host: Host, joint: int) -> Part[Found]:
+    """What `rtloop.drives.setup.Setup` says; see the head of this file."""
+    config = host.arm.joints[joint]
+    can_id = _can_id(config)
+    if (yield _ask(can_id, 8, READ_POSITION)) is None:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} (CanID {can_id}) does not answer: check its power, CanID and CanRate "
+            f"({host.arm.bus.bitrate} bit/s) in its menu, and the CAN wires with 120 Ω at both ends.",
+        )
+    was_homing = yield from _stand(host, joint)
+    reason = Unreferenced.INCREMENTAL
+    if was_homing:
+        reason = Unreferenced.NOT_HOMED
+        host.tell(unreferenced_sentence(reason, config.name))
+    yield from _settle_mode(host, joint)
+    yield from _settle_answers(host, joint)
+    enabled = yield from _read(joint, config, READ_ENABLED, "status")
+    yield from _clear_protection(host, joint)
+    if not enabled or not (yield from _read(joint, config, READ_ENABLED, "status")):
+        yield from _enable(host.arm, joint)
+    return (yield from _standing(host, joint, reason))
+
+
+def let_go(arm: ArmConfig, joint: int) -> Dialogue:
+    """Let the drive go limp, and see that it has; raises TalkFailed."""
+    config = arm.joints[joint]
+    for _ in range(TRIES):
+        enabled = yield _ask(_can_id(config), 3, READ_ENABLED, before=(bytes((ENABLE, 0)),))
+        if enabled is not None and enabled.data[1] == 0:
+            return
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} stays enabled after being told to let go: keep clear of the arm, look at the "
+        "drive's display, then `rtarm clear-fault`, which brings all drives up again.",
+    )
+
+
+# --- its homing run
+
+
+def home(host: HomingHost, joint: int) -> Part[tuple[float, float]]:
+    """What `rtloop.drives.setup.Homes` says: the drive runs as its homing parameters (menu Hm_…) say."""
+    config = host.arm.joints[joint]
+    can_id = _can_id(config)
+    began = yield from _position(joint, config)
+    yield from _begin_run(host, joint, config)
+    stopped = yield from _see_it_end(host, joint, config, began)
+    result = yield _ask(can_id, (3, 4), READ_HOMED)
+    measured = yield from _position(joint, config)
+    tripped = yield from _read(joint, config, READ_PROTECTED, "protection")
+    failed = result is not None and result.data[-2] == HOMING_FAILED
+    if failed or tripped or abs(measured) > ADOPT_WITHIN_RAD * config.encoder_counts_per_rad:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} counts {measured} after its homing run, not 0, or says that the run failed or "
+            "that its protection has tripped, so it has not found its stop: see that it can reach it and that Hm_Mode, "
+            f"Hm_Dir, Hm_Speed and Hm_Ma in its menu fit, then {host.again}.",
+        )
+    if not (yield from _read(joint, config, READ_ENABLED, "status")):
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} has let the joint go at the end of its homing run: set EndLimit in its menu "
+            f"to Disable, then {host.again}.",
+        )
+    return stopped, (yield from _target(joint, config))
+
+
+def end_homing(arm: ArmConfig, joint: int) -> Dialogue:
+    """End whatever run there is, and see that it has ended; raises TalkFailed."""
+    config = arm.joints[joint]
+    seen = 0
+    for _ in range(TRIES + AGREEING):
+        state = yield _ask(_can_id(config), 3, READ_STATE, before=(bytes((EMERGENCY_STOP,)),))
+        seen = seen + 1 if state is not None and state.data[1] == STANDS else 0
+        if seen >= AGREEING:
+            return
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} does not say that it has ended its homing run: it may still move, use the switch "
+        "in the power line if it does.",
+    )
+
+
+def _begin_run(host: HomingHost, joint: int, config: JointConfig) -> Part[None]:
+    can_id, since_ns = _can_id(config), host.now_ns
+    answer = yield _ask(can_id, 3, HOME, answered=False)  # whether it has begun is told by its state
+    refused = answer is not None and answer.data[1] == REFUSED
+    seen = 0
+    while not refused and host.now_ns - since_ns < BEGIN_NS:
+        state = yield from _read(joint, config, READ_STATE, "state")
+        seen = seen + 1 if state == HOMING else 0
+        if seen >= AGREEING:
+            return
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} does not begin its homing run: look at its display for a fault, and at Hm_Mode, "
+        f"Hm_Dir and Hm_Speed in its menu, then {host.again}.",
+    )
+
+
+def _see_it_end(host: HomingHost, joint: int, config: JointConfig, last: int) -> Part[int]:
+    """Wait for the end of the run; the last count of before it, as the drive counted then."""
+    began_ns, newest, ended = host.now_ns, last, 0
+    while ended < AGREEING:
+        state = yield from _read(joint, config, READ_STATE, "homing state")
+        _require_unbroken(host, joint, config)
+        ended = ended + 1 if state != HOMING else 0
+        if not ended:
+            last = newest  # the drive has still been homing after it was read, so it had not set its count anew
+            newest = yield from _position(joint, config)
+        if host.now_ns - began_ns > (host.arm.homing.timeout_s + LATE_S) * 1e9:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} has not found its homing stop within {host.arm.homing.timeout_s:g} s: see "
+                "that it can reach the stop and that Hm_Mode, Hm_Dir, Hm_Speed and Hm_Ma in its menu fit, then "
+                f"{host.again}.",
+            )
+    return last
+
+
+def _require_unbroken(host: HomingHost, joint: int, config: JointConfig) -> None:
+    """A drive that was switched off and on counts from 0 where it stands, as one does that has found its stop."""
+    if host.now_ns - host.port.measured_ns(joint) > BOOT_NS:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} fell silent during its homing run, so what it counts may be no angle: see to "
+            f"its supply and the CAN wires, then {host.again}.",
+        )
+
+
+# --- bring-up
+
+
+def _stand(host: Host, joint: int) -> Part[bool]:
+    """See that it stands, and stop it if not; whether it was amid a homing run."""
+    config = host.arm.joints[joint]
+    can_id, began_ns = _can_id(config), host.now_ns
+    halt = bytes((MOVE, 0, 0, silence_acc_byte(config, host.arm.limits), 0, 0, 0))
+    before: tuple[bytes, ...] = ()
+    standing = homing = 0
+    while standing < AGREEING:
+        answer = yield _ask(can_id, 3, READ_STATE, before=before)
+        state = answer.data[1] if answer is not None else 0
+        if state == CALIBRATING:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} is calibrating its encoder: wait until it has ended, then `rtarm "
+                "clear-fault`, or `rtarm up` where it has ended.",
+            )
+        homing += state == HOMING
+        waited_ns = host.now_ns - began_ns
+        if state in (STANDS, 0):  # 0: in a work mode in which it tells no state, and obeys nobody here
+            standing, before = standing + 1, ()
+        elif waited_ns > HALT_PATIENCE_NS + SETTLE_PATIENCE_NS:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} moves and does not stop when it is told to: use the switch in the power "
+                "line, then `rtarm clear-fault`.",
+            )
+        else:
+            standing = 0
+            before = (bytes((EMERGENCY_STOP,)) if state == HOMING or waited_ns > HALT_PATIENCE_NS else halt,)
+    return homing >= AGREEING
+
+
+def _settle_mode(host: Host, joint: int) -> Part[None]:
+    """See that it heeds commands from the bus, and takes their speed for what it is."""
+    config = host.arm.joints[joint]
+    microsteps = yield from _parameter(config, MICROSTEPS, 3)
+    if microsteps is not None and (microsteps[1] or 256) not in TRUE_SPEED_MICROSTEPS:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} is set to {microsteps[1] or 256} microsteps, with which its speed is not the "
+            "one it is told: set MStep in its menu to 16, 32 or 64.",
+        )
+    mode = yield from _parameter(config, WORK_MODE, 3)
+    if mode is not None and mode[1] == SR_VFOC:
+        return
+    if not (yield from _told(config, WORK_MODE, SR_VFOC)):
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} does not take the work mode SR_vFOC, in which alone it heeds commands from "
+            "the bus: set Mode in its menu.",
+        )
+    if mode is not None:
+        host.tell(f"{config.name}: its drive was set to the work mode SR_vFOC, which it keeps.")
+
+
+def _settle_answers(host: Host, joint: int) -> Part[None]:
+    """Have commands acknowledged or not as the arm file says; never does it tell by itself that a motion has ended."""
+    config = host.arm.joints[joint]
+    wanted = int(host.arm.bus.acknowledge)
+    found = yield from _parameter(config, ANSWERS, 4)
+    if found is not None and found[1:3] == bytes((wanted, 0)):
+        return
+    if (yield from _told(config, ANSWERS, wanted, 0)):
+        if found is not None:
+            name = "on" if wanted else "off"
+            host.tell(f"{config.name}: acknowledgements turned {name} in its drive, which keeps that.")
+        return
+    loud = host.arm.model_copy(update={"bus": host.arm.bus.model_copy(update={"acknowledge": True})})
+    fits = budget(loud)
+    if not fits.fits:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} keeps acknowledging commands, and with acknowledgements the bus carries "
+            f"{fits.highest_rate_hz:.0f} Hz, not {host.arm.control.rate_hz:g} Hz: lower control.rate_hz, or set CanRSP "
+            "in its menu to Disable.",
+        )
+    host.tell(f"{config.name}: its drive keeps its acknowledgements on although told otherwise.")
+
+
+def _clear_protection(host: Host, joint: int) -> Part[None]:
+    config = host.arm.joints[joint]
+    if not (yield from _read(joint, config, READ_PROTECTED, "protection")):
+        return
+    if not host.clears_protection:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} has tripped its stall protection and holds nothing: free what blocks the "
+            "joint, then `rtarm clear-fault`.",
+        )
+    yield _ask(_can_id(config), 3, CLEAR_PROTECTION)
+    if (yield from _read(joint, config, READ_PROTECTED, "protection")):
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} stays in protection after it was cleared, so what tripped it (a blocked "
+            "joint, current) is still there: find it on the drive's display, then `rtarm clear-fault`.",
+        )
+
+
+def _enable(arm: ArmConfig, joint: int) -> Part[None]:
+    """Let it hold where it stands: the stop right behind it in case it would go to a target of before."""
+    config = arm.joints[joint]
+    for _ in range(TRIES):
+        enabled = yield _ask(_can_id(config), 3, READ_ENABLED, before=(bytes((ENABLE, 1)), STOP_AT_ONCE))
+        if enabled is not None and enabled.data[1] == 1:
+            return
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} stays disabled after being enabled: look at its display for a fault.",
+    )
+
+
+def _standing(host: Host, joint: int, reason: Unreferenced) -> Part[Found]:
+    """Where the drive stands, and its own target once that is near."""
+    config, started_ns, stopped = host.arm.joints[joint], host.now_ns, False
+    within = ADOPT_WITHIN_RAD * config.encoder_counts_per_rad
+    while True:
+        measured = yield from _position(joint, config)
+        target = yield from _target(joint, config)
+        if abs(target - measured) <= within:
+            return Found(measured, target, reason)
+        if not stopped:  # whatever keeps it from there, nobody here has sent it
+            stopped = True
+            yield _ask(_can_id(config), 3, READ_STATE, before=(STOP_AT_ONCE,))
+        elif host.now_ns - started_ns > SETTLE_PATIENCE_NS:
+            return Found(measured, measured, reason)
+
+
+# --- what it is asked
+
+
+def _can_id(config: JointConfig) -> int:
+    assert isinstance(config.drive, MksDrive)
+    return config.drive.can_id
+
+
+def _frame(can_id: int, data: bytes) -> Frame:
+    return Frame(can_id, data + bytes(((can_id + sum(data)) & 0xFF,)), kind=STANDARD)
+
+
+def _is_answer(can_id: int, lengths: tuple[int, ...], code: int) -> Callable[[Frame], bool]:
+    def is_answer(frame: Frame) -> bool:
+        data = frame.data
+        sound = len(data) in lengths and data[-1] == (can_id + sum(data[:-1])) & 0xFF
+        return sound and frame.kind == STANDARD and data[0] == code
+
+    return is_answer
+
+
+def _ask(
+    can_id: int, length: int | tuple[int, ...], *data: int, before: tuple[bytes, ...] = (), answered: bool = True
+) -> AskFrames:
+    """A command, and its answer of so many bytes; what leaves right before it is said as often, and not waited for."""
+    lengths = (length,) if isinstance(length, int) else length
+    frames = tuple(_frame(can_id, told) for told in (*before, bytes(data)))
+    return AskFrames(frames, _is_answer(can_id, lengths, data[0]), answered)
+
+
+def _told(config: JointConfig, *data: int) -> Part[bool]:
+    """Whether the drive takes a setting."""
+    can_id = _can_id(config)
+    for _ in range(TRIES):
+        answer = yield _ask(can_id, 3, *data)
+        if answer is None:
+            return False
+        if answer.data[1] == BEGUN:
+            return True
+    return False
+
+
+def _parameter(config: JointConfig, code: int, length: int) -> Part[bytes | None]:
+    """The answer to the question for a setting, of so many bytes; None where the drive cannot be asked for it."""
+    can_id = _can_id(config)
+    question = AskFrames((_frame(can_id, bytes((READ_PARAMETER, code))),), _is_answer(can_id, (3, 4), code))
+    answer = yield question
+    if answer is None or len(answer.data) != length or answer.data[1:3] == b"\xff\xff":
+        return None
+    return bytes(answer.data)
+
+
+def _read(joint: int, config: JointConfig, code: int, what: str) -> Part[int]:
+    """The byte a question of one byte is answered with; raises TalkFailed."""
+    answer = yield _ask(_can_id(config), 3, code)
+    if answer is None:
+        raise TalkFailed(joint, silent_amid(config, what))
+    return int(answer.data[1])
+
+
+def _position(joint: int, config: JointConfig) -> Part[int]:
+    """Where the motor stands (counts); raises TalkFailed."""
+    answer = yield _ask(_can_id(config), 8, READ_POSITION)
+    if answer is None:
+        raise TalkFailed(joint, silent_amid(config, "position"))
+    return int.from_bytes(answer.data[1:7], "big", signed=True)
+
+
+def _target(joint: int, config: JointConfig) -> Part[int]:
+    """Where the drive holds (counts): from where it stands by the error it tells; raises TalkFailed."""
+    answer = yield _ask(_can_id(config), 6, READ_ERROR)
+    if answer is None:
+        raise TalkFailed(joint, silent_amid(config, "angle error"))
+    error = int.from_bytes(answer.data[1:5], "big", signed=True)
+    measured = yield from _position(joint, config)
+    return measured + round(error * COUNTS_PER_REVOLUTION / ERROR_STEPS_PER_REVOLUTION)
