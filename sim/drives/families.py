@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from sim.drives.drive import Drive, Mounting
+from sim.drives.mks import MksDrive
 from sim.drives.odrive import OdriveDrive
 from sim.drives.zdt import ZdtDrive
 
 FAMILIES: dict[str, Callable[[Mounting], Drive]] = {
     "zdt": ZdtDrive.mounted,
     "odrive": OdriveDrive.mounted,
+    "mks": MksDrive.mounted,
 }
 """Makes the drive of a joint, by the family its configuration names."""

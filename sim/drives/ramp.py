@@ -73,6 +73,11 @@ class Ramp:
         """Whether it stands and nothing will move it."""
         return self.speed_rpm == 0 and self.event_ns == NEVER
 
+    @property
+    def next_rpm(self) -> int:
+        """Signed speed after the next change, if there is one [rpm]."""
+        return self.speed_rpm if self.event_ns == NEVER else self._next_rpm
+
     def seek(self, target: int, rpm: int, tick_ns: int) -> None:
         """Go to `target` [grains], never asking for more than `rpm` (>= 0), one rpm per `tick_ns`."""
         self.target = target

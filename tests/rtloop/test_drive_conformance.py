@@ -46,6 +46,7 @@ FAMILIES = (
     Family(
         "odrive6", path_error_deg=0.02, ripple=0.01, braking=math.inf, measures=("measured_effort", "drive_voltage_v")
     ),
+    Family("mks6", path_error_deg=0.02, ripple=0.001, braking=2.2),
 )
 
 
