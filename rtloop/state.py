@@ -103,6 +103,13 @@ JOINT_PARAMS = np.dtype(
         ("acc_byte", "i8"),
         ("status_timeout_ns", "i8"),  # within which a drive says its status by itself, 0 where it is asked
         ("effort_per_unit", "f8"),  # torque at the joint (Nm) for one of what the drive tells, 0 = it tells none
+        # what the fields of a drive's frames reach either way, at its own shaft; 0 where that is fixed
+        ("range_rad", "f8"),
+        ("range_rad_s", "f8"),
+        ("range_nm", "f8"),
+        ("stiffness_nm_rad", "f8"),  # with which it follows set-points, at its own shaft; 0 where that is its own
+        ("damping_nm_s_rad", "f8"),
+        ("plans_its_motion", "i8"),  # 1: it goes to targets with a ramp of its own
         ("rpm_per_rad_s", "f8"),
         ("command_delay_s", "f8"),  # from the start of the cycle until its target has reached the drive
         ("reply_delay_ns", "i8"),  # from the drive's reading of its encoder until the reply has arrived
@@ -135,6 +142,7 @@ AXIS = np.dtype(
         ("lag_ns", "i8"),  # how much older than its stamp the reading may be, because its question waited so long
         ("lag_rad", "f8"),  # what was commanded meanwhile
         ("readings", "i8"),
+        ("asked_cycle", "i8"),  # the last one in which a command has asked it for its position as well
         ("questions", "i8"),  # for its position that may still be answered, QUESTIONS at most
         ("unasked", "i8"),  # positions that came although no question was left: reports
         ("heard", "i8"),  # 1: a position came since the last cycle

@@ -15,8 +15,6 @@ class Drive(Section):
     family: str
     called: ClassVar[str]
     """One of its drives, in sentences."""
-    highest_motor_rpm: ClassVar[float]
-    """Highest speed that may be asked of a motor (rpm)."""
     processing_s: ClassVar[float] = 300e-6
     """Time it is assumed to take from a request to its answer (unproven on hardware)."""
     stepper_ramp: ClassVar[bool] = False
@@ -39,6 +37,11 @@ class Drive(Section):
     def plans_its_motion(self) -> bool:
         """Whether it goes to a target with a speed and a ramp of its own, and so brakes by itself in silence."""
         return False
+
+    @property
+    def highest_motor_rpm(self) -> float:
+        """Highest speed that may be asked of a motor (rpm)."""
+        raise NotImplementedError
 
     @property
     def command_steps_per_revolution(self) -> float:

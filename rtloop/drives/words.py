@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from rtloop.drives import fields
 from shm.jit import jit
 
 
@@ -48,3 +49,7 @@ def swapped(value: int, size: int) -> int:
     for number in range(size):
         found |= ((value >> (8 * number)) & 255) << (8 * (size - 1 - number))
     return found
+
+
+field = jit(fields.field)
+of_field = jit(fields.of_field)

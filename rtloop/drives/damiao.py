@@ -1,0 +1,198 @@
+"""Damiao motors in the cycle: followers of set-points (mode mit), or led by targets (position_velocity).
+
+Protocol facts (damiao-motor 1.0.6; the makers' DM-J4310-2EC manual): standard identifiers. A command of mode mit goes
+to the motor's ID and packs, the highest bits first, position (16 bits), velocity, stiffness, damping and torque (12
+each); one of mode position_velocity to 100 (hex) more and holds two little-endian floats (rad, rad/s). Each is answered
+on the motor's master ID: status and the motor's ID in four bits each, position, velocity and torque packed likewise,
+then the temperatures of power stage and rotor. Registers are asked for through 7FF: the motor's ID, operation (CC asks
+for the same feedback and moves nothing), register, value; answers come on the master ID too, in the same form.
+"""
+
+import math
+from typing import Any
+
+from config.drives.damiao import HIGHEST_KD, HIGHEST_KP, POSITION_VELOCITY_OFFSET, REGISTERS_ID
+from rtloop import following, hearing, leading
+from rtloop import status as status_bits
+from rtloop.correction import ERROR_SPEED_SHARE
+from rtloop.drives import words
+from rtloop.drives.damiao_setup import (
+    ENABLED,
+    FEEDBACK,
+    LOST_COMMUNICATION,
+    MOS_HOT,
+    OVER_CURRENT,
+    OVER_VOLTAGE,
+    OVERLOAD,
+    READ,
+    ROTOR_HOT,
+    STORE,
+    UNDER_VOLTAGE,
+    WRITE,
+)
+from rtloop.wire import outgoing
+from rtloop.wire.frame_words import STANDARD
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+Row = Any  # record of dtype rtloop.state.JOINT_PARAMS
+
+
+@jit
+def setpoint_data(row: Row, rad: float, rad_s: float, nm: float) -> int:
+    """Data of a command of mode mit, in terms of the motor's shaft; `row` has ranges, stiffness and damping."""
+    packed = words.field(rad, row.range_rad, 16) << 48
+    packed |= words.field(rad_s, row.range_rad_s, 12) << 36
+    # stiffness and damping are the upper halves of ranges that begin at 0
+    packed |= words.field(2.0 * row.stiffness_nm_rad - HIGHEST_KP, HIGHEST_KP, 12) << 24
+    packed |= words.field(2.0 * row.damping_nm_s_rad - HIGHEST_KD, HIGHEST_KD, 12) << 12
+    packed |= words.field(nm, row.range_nm, 12)
+    last = words.swapped(packed & 0xFFFFFFFF, 4)
+    return words.swapped(packed >> 32 & 0xFFFFFFFF, 4) | words.signed(last, 0, 4) << 32
+
+
+@jit
+def target_data(rad: float, rad_s: float) -> int:
+    """Data of a command of mode position_velocity: where to, and how fast at most."""
+    return words.float_word(rad) | words.float_word(rad_s) << 32
+
+
+@jit
+def following_data(row: Row, rad: float, rad_s: float) -> int:
+    """A set-point with what its fields cut off put into the torque field, whose steps are finer than stiffness × one.
+
+    What position and velocity lose by being cut off to whole steps would tug at the joint at every step.
+    """
+    lost_rad = rad - words.of_field(words.field(rad, row.range_rad, 16), row.range_rad, 16)
+    lost_rad_s = rad_s - words.of_field(words.field(rad_s, row.range_rad_s, 12), row.range_rad_s, 12)
+    return setpoint_data(row, rad, rad_s, row.stiffness_nm_rad * lost_rad + row.damping_nm_s_rad * lost_rad_s)
+
+
+@jit
+def lead(loop: Loop, joint: int, shared: Shared) -> None:
+    row, axis = loop.joints[joint], loop.axes[joint]
+    if row.plans_its_motion == 0:
+        position_rad, velocity_rad_s = following.setpoint(loop, joint)
+        rad, rad_s = (position_rad + row.zero_rad) * row.command_per_rad, velocity_rad_s * row.command_per_rad
+        command(loop, joint, shared, row.address, following_data(row, rad, rad_s), -1)
+        return
+    target_rad, speed_rad_s = leading.target_ahead(loop, joint, 0.0)
+    if axis.velocity_rad_s == 0.0 and axis.next_velocity_rad_s == 0.0:
+        speed_rad_s = holding_rad_s(row)
+    rad, rad_s = (target_rad + row.zero_rad) * row.command_per_rad, abs(speed_rad_s * row.command_per_rad)
+    command(loop, joint, shared, row.address + POSITION_VELOCITY_OFFSET, target_data(rad, rad_s), -1)
+
+
+@jit
+def holding_rad_s(row: Row) -> float:
+    """Speed at which a standing joint comes back that was pushed away; with none it would let itself be pushed."""
+    return float(ERROR_SPEED_SHARE * row.max_velocity_rad_s)
+
+
+@jit
+def stop(loop: Loop, joint: int, shared: Shared) -> bool:
+    """Hold where it was last heard to be, or with a ramp of its own where that ends: disabled it would fall."""
+    row, axis = loop.joints[joint], loop.axes[joint]
+    if not math.isfinite(axis.heard_rad):
+        return True
+    if row.plans_its_motion == 0:
+        rad = (axis.heard_rad + row.zero_rad) * row.command_per_rad
+        return command(loop, joint, shared, row.address, following_data(row, rad, 0.0), joint)
+    told_rad_s = axis.told_velocity_rad_s if math.isfinite(axis.told_velocity_rad_s) else 0.0
+    speed_rad_s = min(abs(told_rad_s), row.max_velocity_rad_s)
+    way_rad = speed_rad_s * speed_rad_s / (2.0 * row.silence_deceleration_rad_s2)
+    way_rad += speed_rad_s * loop.params.period_ns * 1e-9  # since it was heard
+    target_rad = axis.heard_rad + math.copysign(way_rad, told_rad_s)
+    rad = (target_rad + row.zero_rad) * row.command_per_rad
+    rad_s = abs(max(speed_rad_s, holding_rad_s(row)) * row.command_per_rad)
+    data = target_data(rad, rad_s)
+    return command(loop, joint, shared, row.address + POSITION_VELOCITY_OFFSET, data, joint)
+
+
+@jit
+def command(loop: Loop, joint: int, shared: Shared, frame_id: int, data: int, stops: int) -> bool:
+    """Send a frame that the drive obeys and answers with its feedback; False when there is no room."""
+    if not outgoing.send(loop, shared, frame_id, STANDARD, 8, data, 0, stops):
+        return False
+    loop.axes[joint].asked_cycle = loop.core.cycle
+    hearing.note_question(loop, joint)
+    return True
+
+
+@jit
+def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
+    if loop.axes[joint].asked_cycle == loop.core.cycle:
+        return
+    data = loop.joints[joint].address | FEEDBACK << 16
+    if outgoing.send(loop, shared, REGISTERS_ID, STANDARD, 8, data):
+        hearing.note_question(loop, joint)
+
+
+@jit
+def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
+    """Its feedback has its status."""
+
+
+@jit
+def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
+    """Conversations let it stand by other means."""
+    return False
+
+
+@jit
+def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
+    """All but questions about registers is answered with its feedback."""
+    if frame_id != REGISTERS_ID or words.unsigned(data, 2, 1) == FEEDBACK:
+        hearing.note_question(loop, joint)
+
+
+@jit
+def hear(
+    loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
+) -> None:
+    row = loop.joints[joint]
+    if length != 8 or tells_a_register(row.address, data) or data & 15 != row.address & 15:
+        return
+    fields = words.swapped(data, 8)
+    rad = words.of_field(fields >> 40 & 0xFFFF, row.range_rad, 16)
+    rad_s = words.of_field(fields >> 28 & 0xFFF, row.range_rad_s, 12)
+    nm = words.of_field(fields >> 16 & 0xFFF, row.range_nm, 12)
+    hearing.hear_position(loop, joint, rad / row.reading_per_rad - row.zero_rad, time_ns)
+    hearing.hear_velocity(loop, joint, rad_s / row.reading_per_rad)
+    hearing.hear_effort(loop, joint, nm * row.effort_per_unit)
+    hearing.hear_temperature(loop, joint, float(max(fields >> 8 & 255, fields & 255)))
+    hearing.hear_status(loop, joint, common_status(data >> 4 & 15))
+
+
+@jit
+def tells_a_register(address: int, data: int) -> bool:
+    """Whether an answer is about a register.
+
+    Its beginning, the motor's whole ID and an operation, could also be feedback of a motor that stands on one of three
+    steps in the lowest hundredth of its range: that is then not heard.
+    """
+    operation = words.unsigned(data, 2, 1)
+    ours = data & 0xFFFF == address
+    return bool(ours and operation in (READ, WRITE, STORE))
+
+
+@jit
+def common_status(code: int) -> int:
+    """The status code of a feedback in common bits: 0 is limp, 1 enabled, every other an error."""
+    if code == ENABLED:
+        return status_bits.ENABLED
+    if code == 0:
+        return 0
+    status = status_bits.PROTECTED
+    if code == OVER_VOLTAGE:
+        status |= status_bits.OVER_VOLTAGE
+    elif code == UNDER_VOLTAGE:
+        status |= status_bits.UNDER_VOLTAGE
+    elif code in (OVER_CURRENT, OVERLOAD):
+        status |= status_bits.OVER_CURRENT
+    elif code in (MOS_HOT, ROTOR_HOT):
+        status |= status_bits.OVER_TEMPERATURE
+    elif code == LOST_COMMUNICATION:
+        status |= status_bits.COMMUNICATION
+    return status

@@ -1,0 +1,327 @@
+"""Bring-up and release of a Damiao motor; what its frames are is said in `rtloop.drives.damiao`.
+
+What it is asked, by frames that move nothing: its feedback, which says how it is; the ranges of its fields, without
+which no position means anything; its mode, its ramp and its alarm time. What differs of the last three is written to
+its volatile memory and read back. Then it is enabled and told to stay where it stands, before and right behind that, so
+that no old target counts. A motor that was enabled is told the same: in mode mit the torque that it makes just then is
+taken for that of its stiffness, so that a load does not sag.
+
+Its alarm time (register 9) lets the motor go when it hears no command for so long, and a released arm falls; what asks
+for feedback does not count as one (as far as is known), so it would let go before the first goal. Without it a motor
+that hears nothing more keeps its last target, which is what a stop is; so it is set to 0 until the power is lost.
+"""
+
+import math
+import struct
+from typing import NamedTuple
+
+import numpy as np
+
+from config.drives.damiao import (
+    HIGHEST_KD,
+    HIGHEST_KP,
+    POSITION_VELOCITY_OFFSET,
+    REGISTERS_ID,
+    DamiaoDrive,
+    Ranges,
+)
+from config.joint import JointConfig
+from config.schema import ArmConfig
+from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.correction import ERROR_SPEED_SHARE
+from rtloop.drives.asking import AskFrames, say
+from rtloop.drives.fields import field, of_field
+from rtloop.drives.setup import Found, Host
+from rtloop.port import Frame
+from rtloop.wire.frame_words import STANDARD
+from shm.words import Unreferenced
+
+READ, WRITE, STORE, FEEDBACK = 0x33, 0x55, 0xAA, 0xCC
+"""Operations of frames on 7FF."""
+CLEAR_ERROR, ENABLE, DISABLE = 0xFB, 0xFC, 0xFD
+"""Last byte of a command whose other bytes are FF."""
+
+LIMP, ENABLED = 0, 1
+OVER_VOLTAGE, UNDER_VOLTAGE, OVER_CURRENT, MOS_HOT, ROTOR_HOT, LOST_COMMUNICATION, OVERLOAD = range(8, 15)
+"""Status codes of the feedback."""
+ERRORS = {
+    OVER_VOLTAGE: "over-voltage",
+    UNDER_VOLTAGE: "under-voltage",
+    OVER_CURRENT: "over-current",
+    MOS_HOT: "power stage too hot",
+    ROTOR_HOT: "motor too hot",
+    LOST_COMMUNICATION: "communication lost",
+    OVERLOAD: "overload",
+}
+
+ACC, DEC, TIMEOUT, CONTROL_MODE, PMAX, VMAX, TMAX = 4, 5, 9, 10, 21, 22, 23
+"""Registers (table of damiao-motor 1.0.6): ramps (rad/s², that of braking negative), alarm time, mode, ranges."""
+TIMEOUT_UNIT_S = 50e-6
+MODES = {"mit": 1, "position_velocity": 2}
+RANGES = ((PMAX, "PMAX", "position", "rad"), (VMAX, "VMAX", "velocity", "rad/s"), (TMAX, "TMAX", "torque", "N·m"))
+RANGE_FIELDS = ("position_range_rad", "velocity_range_rad_s", "torque_range_nm")
+SAME = 1e-4
+"""Two values of a register that differ by less, relatively, are one that was rounded (12.566 is 4π)."""
+STANDING_STEPS = 2
+"""A motor that tells no more steps of velocity than these stands."""
+
+
+class Feedback(NamedTuple):
+    """What a motor tells of itself: status code, position (rad), velocity (rad/s) and torque (N·m) of its shaft."""
+
+    code: int
+    rad: float
+    rad_s: float
+    nm: float
+
+
+def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
+    """What the cycle needs of a Damiao motor; see `rtloop.drives.setup.Setup`."""
+    drive = _drive(joint)
+    row["command_per_rad"] = row["reading_per_rad"] = joint.direction * joint.ratio
+    row["effort_per_unit"] = joint.direction * joint.ratio
+    row["range_rad"], row["range_rad_s"], row["range_nm"] = drive.ranges
+    row["stiffness_nm_rad"], row["damping_nm_s_rad"] = drive.kp or 0.0, drive.kd or 0.0
+    row["plans_its_motion"] = drive.plans_its_motion
+    row["knows_its_angle"] = is_unambiguous(joint)
+
+
+def is_unambiguous(joint: JointConfig) -> bool:
+    """Whether what the motor tells means one angle of the joint: after a loss of power it counts within half a turn."""
+    turns = [(limit + joint.zero_deg) * joint.ratio / 360.0 for limit in (joint.lower_deg, joint.upper_deg)]
+    return max(map(abs, turns)) <= 0.5
+
+
+def bring_up(host: Host, joint: int) -> Part[Found]:
+    """What `rtloop.drives.setup.Setup` says; see the head of this file."""
+    config = host.arm.joints[joint]
+    drive = _drive(config)
+    found = yield from _sound(host, joint)
+    yield from _check_ranges(joint, config)
+    yield from _set_up(host, joint, enabled=found.code == ENABLED)
+    for _ in range(TRIES):
+        found = yield from _feedback(joint, config)
+        stay = _stay(config, found, host.arm.limits.following_error_rad * config.ratio)
+        yield say(stay) if found.code == ENABLED else say(stay, _command(drive, ENABLE), stay)
+        found = yield from _feedback(joint, config)
+        if found.code == ENABLED:
+            break
+    else:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} does not let itself be enabled (its status is {status_words(found.code)}): "
+            "see what it says in the maker's tool, remove the cause, then `rtarm clear-fault`, or `rtarm up` where "
+            "it has ended.",
+        )
+    reason = Unreferenced.REFERENCED if is_unambiguous(config) else Unreferenced.INCREMENTAL
+    return Found(found.rad, _held_rad(config, found, host.arm.limits.following_error_rad * config.ratio), reason)
+
+
+def let_go(arm: ArmConfig, joint: int) -> Dialogue:
+    """Disable the motor, and see that it is; raises TalkFailed."""
+    config = arm.joints[joint]
+    for _ in range(TRIES):
+        yield say(_command(_drive(config), DISABLE))
+        if (yield from _feedback(joint, config)).code != ENABLED:
+            return
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} stays enabled after being told to let go: keep clear of the arm, switch the "
+        "drive off, then on, then `rtarm clear-fault`, which brings all drives up again.",
+    )
+
+
+def status_words(code: int) -> str:
+    """A status code for people."""
+    return ERRORS.get(code, {LIMP: "limp", ENABLED: "enabled"}.get(code, f"{code:#x}"))
+
+
+def feedback_of(data: bytes, ranges: Ranges) -> Feedback:
+    """What 8 bytes of feedback say."""
+    packed = int.from_bytes(data, "big")
+    return Feedback(
+        data[0] >> 4,
+        of_field(packed >> 40 & 0xFFFF, ranges.rad, 16),
+        of_field(packed >> 28 & 0xFFF, ranges.rad_s, 12),
+        of_field(packed >> 16 & 0xFFF, ranges.nm, 12),
+    )
+
+
+def setpoint_bytes(drive: DamiaoDrive, rad: float) -> bytes:
+    """A command of mode mit to stand at a position (rad, of the motor's shaft)."""
+    ranges, kp, kd = drive.ranges, drive.kp or 0.0, drive.kd or 0.0
+    packed = field(rad, ranges.rad, 16) << 48 | field(0.0, ranges.rad_s, 12) << 36
+    packed |= field(2.0 * kp - HIGHEST_KP, HIGHEST_KP, 12) << 24 | field(2.0 * kd - HIGHEST_KD, HIGHEST_KD, 12) << 12
+    return (packed | field(0.0, ranges.nm, 12)).to_bytes(8, "big")
+
+
+def _drive(config: JointConfig) -> DamiaoDrive:
+    assert isinstance(config.drive, DamiaoDrive)
+    return config.drive
+
+
+def _command(drive: DamiaoDrive, last: int) -> Frame:
+    return Frame(drive.motor_id, b"\xff" * 7 + bytes([last]), kind=STANDARD)
+
+
+def _stay(config: JointConfig, found: Feedback, most_rad: float) -> Frame:
+    """The command to stay where it stands."""
+    drive = _drive(config)
+    rad = _held_rad(config, found, most_rad)
+    if drive.mode == "mit":
+        return Frame(drive.motor_id, setpoint_bytes(drive, rad), kind=STANDARD)
+    rad_s = ERROR_SPEED_SHARE * config.max_velocity_rad_s * config.ratio
+    return Frame(drive.motor_id + POSITION_VELOCITY_OFFSET, struct.pack("<ff", rad, rad_s), kind=STANDARD)
+
+
+def _held_rad(config: JointConfig, found: Feedback, most_rad: float) -> float:
+    """Where the motor holds, at most so far from where it stands: a spring with this torque is bent."""
+    drive = _drive(config)
+    stands = abs(found.rad_s) <= STANDING_STEPS * 2.0 * drive.ranges.rad_s / 0xFFF
+    if drive.kp is None or found.code != ENABLED or not stands:
+        return found.rad
+    return found.rad + min(max(found.nm / drive.kp, -most_rad), most_rad)
+
+
+def _asked(config: JointConfig) -> AskFrames:
+    """The question for a motor's feedback: on its master ID, with the lowest bits of its own ID."""
+    drive = _drive(config)
+    request = Frame(REGISTERS_ID, struct.pack("<HBB4x", drive.motor_id, FEEDBACK, 0), kind=STANDARD)
+    return AskFrames((request,), lambda frame: is_feedback(drive, frame.data))
+
+
+def is_feedback(drive: DamiaoDrive, data: bytes) -> bool:
+    """Whether a frame on a motor's master ID is its feedback; see `rtloop.drives.damiao.tells_a_register`."""
+    return len(data) == 8 and data[0] & 15 == drive.motor_id & 15 and not _tells_register(drive, data)
+
+
+def _tells_register(drive: DamiaoDrive, data: bytes) -> bool:
+    return data[:2] == struct.pack("<H", drive.motor_id) and data[2] in (READ, WRITE, STORE)
+
+
+def _feedback(joint: int, config: JointConfig) -> Part[Feedback]:
+    """How the motor is; raises TalkFailed."""
+    answer = yield _asked(config)
+    if answer is None:
+        raise TalkFailed(joint, silent_amid(config, "feedback"))
+    return feedback_of(answer.data, _drive(config).ranges)
+
+
+def _sound(host: Host, joint: int) -> Part[Feedback]:
+    """See that it answers and has no error, which is cleared where a person has asked for it; raises TalkFailed."""
+    config = host.arm.joints[joint]
+    drive = _drive(config)
+    answer = yield _asked(config)
+    if answer is None:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} (motor_id {drive.motor_id:#x}) does not answer on its master_id "
+            f"{drive.master_id:#x}: check its power, its ESC_ID and MST_ID (registers 8 and 7, in the maker's tool), "
+            f"its bit rate ({host.arm.bus.bitrate} bit/s, register 35), and the CAN wires with 120 Ω at both ends.",
+        )
+    found = feedback_of(answer.data, drive.ranges)
+    if found.code in (LIMP, ENABLED):
+        return found
+    if not host.clears_protection:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} has an error ({status_words(found.code)}) and holds nothing: remove the "
+            "cause, then `rtarm clear-fault`.",
+        )
+    for _ in range(TRIES):
+        yield say(_command(drive, CLEAR_ERROR))
+        found = yield from _feedback(joint, config)
+        if found.code in (LIMP, ENABLED):
+            return found
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} keeps its error ({status_words(found.code)}) after it was cleared, so what caused "
+        "it is still there: remove that, then `rtarm clear-fault`.",
+    )
+
+
+def _check_ranges(joint: int, config: JointConfig) -> Part[None]:
+    """See that the fields reach what the arm file says; raises TalkFailed."""
+    drive = _drive(config)
+    for (register, name, what, unit), field_name, expected in zip(RANGES, RANGE_FIELDS, drive.ranges, strict=True):
+        value = yield from _read_float(joint, config, register)
+        if math.isclose(value, expected, rel_tol=SAME):
+            continue
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} says that its {what} range is ±{value:g} {unit} (register {register}, "
+            f"{name}), but the arm file ±{expected:g}, so every {what} would be taken for another: set model or "
+            f"{field_name} of {config.name} to what the motor has, or the register to {expected:g} with the maker's "
+            "tool.",
+        )
+
+
+def _set_up(host: Host, joint: int, *, enabled: bool) -> Part[None]:
+    """Set mode, ramp and alarm time in volatile memory where they differ, and say so; raises TalkFailed."""
+    config = host.arm.joints[joint]
+    drive = _drive(config)
+    done: list[str] = []
+    mode = yield from _read_whole(joint, config, CONTROL_MODE)
+    if mode != MODES[drive.mode]:
+        if enabled:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} is enabled in mode {mode} (register {CONTROL_MODE}), but the arm file "
+                f"wants {MODES[drive.mode]} ({drive.mode}), and which target would count after a change is not known: "
+                "support the arm, switch the drive off, then on, and `rtarm clear-fault`, or `rtarm up` where it has "
+                "ended; or set mode in the arm file to what it is.",
+            )
+        yield from _write(joint, config, CONTROL_MODE, struct.pack("<I", MODES[drive.mode]))
+        done.append(f"its mode from {mode} to {MODES[drive.mode]} ({drive.mode}, register {CONTROL_MODE})")
+    if drive.plans_its_motion:
+        ramp = config.max_acceleration_rad_s2 * host.arm.limits.silence_brake_factor * config.ratio
+        for register, name, wanted in ((ACC, "acceleration", ramp), (DEC, "deceleration", -ramp)):
+            value = yield from _read_float(joint, config, register)
+            if not math.isclose(value, wanted, rel_tol=SAME):
+                yield from _write(joint, config, register, struct.pack("<f", wanted))
+                done.append(f"its {name} from {value:g} to {wanted:g} rad/s² (register {register})")
+    timeout = yield from _read_whole(joint, config, TIMEOUT)
+    if timeout:
+        yield from _write(joint, config, TIMEOUT, bytes(4))
+        done.append(
+            f"its alarm time from {timeout * TIMEOUT_UNIT_S * 1e3:g} ms to none (register {TIMEOUT}: it would let go "
+            "of the joint when it hears nothing for so long; without it the motor stays where it was told)"
+        )
+    if done:
+        host.tell(f"The drive of {config.name} was set up until it loses its power: {', '.join(done)}.")
+
+
+def _read(joint: int, config: JointConfig, register: int) -> Part[bytes]:
+    """The four bytes of a register; raises TalkFailed."""
+    drive = _drive(config)
+    request = Frame(REGISTERS_ID, struct.pack("<HBB4x", drive.motor_id, READ, register), kind=STANDARD)
+    expected = request.data[:4]
+    answer = yield AskFrames((request,), lambda frame: len(frame.data) == 8 and frame.data[:4] == expected)
+    if answer is None:
+        raise TalkFailed(joint, silent_amid(config, f"register {register}"))
+    return bytes(answer.data[4:])
+
+
+def _read_float(joint: int, config: JointConfig, register: int) -> Part[float]:
+    data = yield from _read(joint, config, register)
+    return float(struct.unpack("<f", data)[0])
+
+
+def _read_whole(joint: int, config: JointConfig, register: int) -> Part[int]:
+    data = yield from _read(joint, config, register)
+    return int.from_bytes(data, "little")
+
+
+def _write(joint: int, config: JointConfig, register: int, value: bytes) -> Part[None]:
+    """Write a register in volatile memory, and see that it has the value; raises TalkFailed."""
+    head = struct.pack("<HBB", _drive(config).motor_id, WRITE, register)
+    for _ in range(TRIES):
+        yield say(Frame(REGISTERS_ID, head + value, kind=STANDARD))
+        found = yield from _read(joint, config, register)
+        if found == value:
+            return
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} keeps register {register} at {found.hex(' ')} although {value.hex(' ')} was "
+        "written: set it with the maker's tool, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+    )
