@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from sim.drives.damiao import DamiaoDrive
 from sim.drives.drive import Drive, Mounting
 from sim.drives.mks import MksDrive
 from sim.drives.odrive import OdriveDrive
@@ -13,5 +14,6 @@ FAMILIES: dict[str, Callable[[Mounting], Drive]] = {
     "zdt": ZdtDrive.mounted,
     "odrive": OdriveDrive.mounted,
     "mks": MksDrive.mounted,
+    "damiao": DamiaoDrive.mounted,
 }
 """Makes the drive of a joint, by the family its configuration names."""

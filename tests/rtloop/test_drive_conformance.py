@@ -47,6 +47,20 @@ FAMILIES = (
         "odrive6", path_error_deg=0.02, ripple=0.01, braking=math.inf, measures=("measured_effort", "drive_voltage_v")
     ),
     Family("mks6", path_error_deg=0.02, ripple=0.001, braking=2.2),
+    Family(
+        "damiao6",
+        path_error_deg=0.02,
+        ripple=0.01,
+        braking=math.inf,
+        measures=("measured_effort", "drive_temperature_c"),
+    ),
+    Family(
+        "damiao6_pv",
+        path_error_deg=0.02,
+        ripple=0.01,
+        braking=2.2,
+        measures=("measured_effort", "drive_temperature_c"),
+    ),
 )
 
 
