@@ -110,6 +110,7 @@ JOINT_PARAMS = np.dtype(
         ("stiffness_nm_rad", "f8"),  # with which it follows set-points, at its own shaft; 0 where that is its own
         ("damping_nm_s_rad", "f8"),
         ("plans_its_motion", "i8"),  # 1: it goes to targets with a ramp of its own
+        ("position_bytes", "i8"),  # length of the frame that tells its position, where that is a setting
         ("rpm_per_rad_s", "f8"),
         ("command_delay_s", "f8"),  # from the start of the cycle until its target has reached the drive
         ("reply_delay_ns", "i8"),  # from the drive's reading of its encoder until the reply has arrived
@@ -161,6 +162,7 @@ AXIS = np.dtype(
         ("voltage_v", "f8"),
         ("status", "i8"),
         ("status_ns", "i8"),  # when a drive that says its status by itself has done so last
+        ("error_code", "i8"),  # that its drive told last, 0 none
         ("status_readings", "i8"),
         ("referenced", "i8"),
         ("unreferenced_reason", "i8"),
@@ -301,6 +303,7 @@ CORE = np.dtype(
         ("line_spoilt", "i8"),
         ("line_needed", "i8"),  # bytes that must be collected before the next look at them
         ("status_turn", "i8"),
+        ("sync_cycle", "i8"),  # in which the last SYNC left
         ("unheeded_since_ns", "i8"),  # the oldest question for a status since which no drive has told any, 0 none
         ("rx_taken", "i8"),  # bytes taken from the receive ring
         ("rx_chunks_taken", "i8"),

@@ -1,0 +1,156 @@
+"""CiA 402 in the cycle, in cyclic synchronous position: a target each, one SYNC for all, an answer from each.
+
+Protocol facts (CiA 301 and 402): standard identifiers, a base and the node's number; little-endian. RPDO1 (200) holds
+controlword and target position, and takes effect with the next SYNC (080), with which every drive also tells statusword
+and position (and torque) as TPDO1 (180). The drive goes in a straight line from target to target, each of them reached
+as long after its SYNC as its interpolation time says (60C2, the cycle's period), which is when the next one comes.
+Emergencies (080) hold an error code, heartbeats (700) the node's state.
+"""
+
+from typing import Any
+
+from rtloop import hearing
+from rtloop import status as status_bits
+from rtloop.drives import words
+from rtloop.drives.cia402_setup import (
+    BOOT_UP,
+    EMERGENCY,
+    ENABLE_OPERATION,
+    FAULT,
+    FAULT_MASK,
+    FAULT_REACTION,
+    HEARTBEAT,
+    HIGHEST_COUNT,
+    OPERATION_ENABLED,
+    OPERATIONAL,
+    RPDO1,
+    RPDO1_BYTES,
+    STATE_MASK,
+    SYNC,
+    TPDO1,
+)
+from rtloop.wire import outgoing
+from rtloop.wire.frame_words import STANDARD
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+
+@jit
+def target_data(counts: int) -> int:
+    """Data of RPDO1: the controlword of an enabled drive, and a target."""
+    return ENABLE_OPERATION | (counts & 0xFFFFFFFF) << 16
+
+
+@jit
+def setpoint_rad(loop: Loop, joint: int) -> float:
+    """Where the joint is due when the drive has reached this cycle's target: a period after this cycle's SYNC.
+
+    The next setpoint is due a period after the cycle's start, and the SYNC arrives `command_delay_s` behind that.
+    """
+    row, axis = loop.joints[joint], loop.axes[joint]
+    behind_s = row.command_delay_s
+    position = axis.next_position_rad
+    position += behind_s * (axis.next_velocity_rad_s + 0.5 * behind_s * axis.next_acceleration_rad_s2)
+    return min(max(position, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad)
+
+
+@jit
+def send_target(loop: Loop, joint: int, shared: Shared, position_rad: float, stops: int) -> bool:
+    row = loop.joints[joint]
+    counts = words.bounded((position_rad + row.zero_rad) * row.command_per_rad, HIGHEST_COUNT)
+    frame_id = RPDO1 + row.address
+    return bool(outgoing.send(loop, shared, frame_id, STANDARD, RPDO1_BYTES, target_data(counts), 0, stops))
+
+
+@jit
+def lead(loop: Loop, joint: int, shared: Shared) -> None:
+    send_target(loop, joint, shared, setpoint_rad(loop, joint), -1)
+
+
+@jit
+def stop(loop: Loop, joint: int, shared: Shared) -> bool:
+    """Hold where it was last heard to be; a quick stop may let it go, which its option code 605A decides.
+
+    One that has said that it holds nothing is told nothing, since every target enables.
+    """
+    axis = loop.axes[joint]
+    holds = axis.status & status_bits.ANSWERED == 0 or axis.status & status_bits.ENABLED != 0
+    if axis.heard_ns == 0 or not holds:
+        return True
+    return send_target(loop, joint, shared, axis.heard_rad, joint)
+
+
+@jit
+def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
+    """One SYNC a cycle asks all drives of the family, led or not."""
+    core = loop.core
+    if core.sync_cycle != core.cycle:
+        if not outgoing.send(loop, shared, SYNC, STANDARD, 0, 0):
+            return
+        core.sync_cycle = core.cycle
+    hearing.note_question(loop, joint)
+
+
+@jit
+def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
+    """Its status comes with every position."""
+
+
+@jit
+def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
+    """Conversations let it stand by other means."""
+    return False
+
+
+@jit
+def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
+    """Conversations ask for objects, which are none of the cycle's."""
+
+
+@jit
+def hear(
+    loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
+) -> None:
+    row, axis = loop.joints[joint], loop.axes[joint]
+    base = frame_id - row.address
+    if base == TPDO1 and length == row.position_bytes:
+        hearing.hear_position(loop, joint, words.signed(data, 2, 4) / row.reading_per_rad - row.zero_rad, time_ns)
+        hearing.hear_status(loop, joint, common_status(words.unsigned(data, 0, 2), axis.error_code))
+        if row.effort_per_unit != 0.0:
+            hearing.hear_effort(loop, joint, words.signed(data, 6, 2) * row.effort_per_unit)
+    elif base == EMERGENCY and length == 8:
+        axis.error_code = words.unsigned(data, 0, 2)
+    elif base == HEARTBEAT and length == 1 and words.unsigned(data, 0, 1) != OPERATIONAL:
+        lost = status_bits.POWER_LOST if words.unsigned(data, 0, 1) == BOOT_UP else axis.status & status_bits.POWER_LOST
+        hearing.hear_status(loop, joint, status_bits.COMMUNICATION | lost)
+
+
+@jit
+def common_status(statusword: int, error_code: int) -> int:
+    """Statusword, and the error code that an emergency told, in common bits."""
+    if statusword & FAULT_MASK == FAULT or statusword & FAULT_MASK == FAULT_REACTION:
+        return status_bits.PROTECTED | error_class(error_code)
+    return status_bits.ENABLED if statusword & STATE_MASK == OPERATION_ENABLED else 0
+
+
+@jit
+def error_class(code: int) -> int:
+    """The common bits of an error code; CiA 301 gives its first digits, CiA 402 the others."""
+    group, third = code >> 8, code >> 4 & 15
+    if group >> 4 == 2:
+        return status_bits.OVER_CURRENT
+    if group >> 4 == 3 and third == 1:
+        return status_bits.OVER_VOLTAGE
+    if (group >> 4 == 3 and third == 2) or code >> 4 == 0x511:
+        return status_bits.UNDER_VOLTAGE
+    if group >> 4 == 4 and third != 2:  # 4x20 is too cold
+        return status_bits.OVER_TEMPERATURE
+    if group == 0x73:
+        return status_bits.ENCODER
+    if group == 0x81 or group == 0x82 or group == 0x75:
+        return status_bits.COMMUNICATION
+    if code == 0x8611 or code == 0x7121:
+        return status_bits.STALLED
+    return 0

@@ -1,0 +1,167 @@
+"""CANopen's service data objects as a drive's dialogue asks for them: one expedited transfer at a time (CiA 301).
+
+Request and reply have eight bytes: command, index (little-endian), sub-index, and four bytes of data or of abort code.
+A reply is known by index and sub-index, which it repeats; what was read is a number of one to four bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from config.drives.cia402 import SDO_REPLY, SDO_REQUEST
+from config.joint import JointConfig
+from rtloop.conversation import Part, TalkFailed, silent_amid
+from rtloop.drives.asking import AskFrames
+from rtloop.port import Frame
+from rtloop.wire.frame_words import STANDARD
+
+READ, WRITTEN, ABORT = 0x40, 0x60, 0x80
+WRITE = {1: 0x2F, 2: 0x2B, 3: 0x27, 4: 0x23}
+"""Command of a write, by the number of its bytes."""
+EXPEDITED, SIZE_SHOWN = 0x02, 0x01
+READ_REPLY, READ_REPLY_MASK = 0x42, 0xE2
+SDO_BYTES = 8
+
+NO_OBJECT, NO_SUBINDEX = 0x0602_0000, 0x0609_0011
+ABORTS = {
+    0x0503_0000: "the toggle bit did not change",
+    0x0504_0000: "it waited too long for the rest of a transfer",
+    0x0504_0001: "it does not know that command",
+    0x0504_0005: "it has no memory left for that",
+    0x0601_0000: "that access is not supported",
+    0x0601_0001: "the object can only be written",
+    0x0601_0002: "the object can only be read",
+    NO_OBJECT: "it has no such object",
+    0x0604_0041: "the object cannot be mapped into a PDO",
+    0x0604_0042: "a PDO cannot hold so much",
+    0x0604_0043: "the parameters do not go together",
+    0x0604_0047: "an inconsistency within the drive",
+    0x0606_0000: "a hardware error hinders the access",
+    0x0607_0010: "the value has the wrong length",
+    0x0607_0012: "the value is too long",
+    0x0607_0013: "the value is too short",
+    NO_SUBINDEX: "the object has no such part",
+    0x0609_0030: "it does not allow that value",
+    0x0609_0031: "the value is too high",
+    0x0609_0032: "the value is too low",
+    0x0609_0036: "its highest value would be below its lowest",
+    0x0800_0000: "a general error",
+    0x0800_0020: "it cannot take or store that",
+    0x0800_0021: "something within the drive keeps that to itself (local control)",
+    0x0800_0022: "not in the state in which it is now",
+    0x0800_0023: "its list of objects is missing",
+}
+"""Abort codes of CiA 301."""
+
+
+@dataclass(frozen=True)
+class Object:
+    """An entry of a drive's object dictionary: a number."""
+
+    index: int
+    sub: int
+    size: int
+    """Bytes, 1 to 4."""
+    what: str
+    """What it is, for people."""
+    signed: bool = False
+
+    @property
+    def name(self) -> str:
+        """As people look it up in a manual."""
+        return f"{self.index:04X}:{self.sub:02X} ({self.what})"
+
+
+class Aborted(TalkFailed):
+    """The drive does not read or write an object; `code` says why."""
+
+    def __init__(self, joint: int, sentence: str, code: int) -> None:
+        super().__init__(joint, sentence)
+        self.code = code
+
+
+def abort_words(code: int) -> str:
+    """An abort code for people."""
+    return f"{ABORTS.get(code, 'a reason of its own')}, abort code {code:08X}"
+
+
+def reading(node: int, entry: Object) -> AskFrames:
+    """The question what an object's value is."""
+    return _asked(node, entry, READ, b"", lambda command: command & READ_REPLY_MASK == READ_REPLY)
+
+
+def writing(node: int, entry: Object, value: int) -> AskFrames:
+    """The order to take a value."""
+    data = (value % (1 << 8 * entry.size)).to_bytes(entry.size, "little")
+    return _asked(node, entry, WRITE[entry.size], data, lambda command: command == WRITTEN)
+
+
+def value_in(frame: Frame, entry: Object) -> int:
+    """What the reply to a reading says; the drive's own size counts, where it shows it."""
+    command = frame.data[0]
+    size = 4 - (command >> 2 & 3) if command & SIZE_SHOWN else entry.size
+    return int.from_bytes(frame.data[4 : 4 + size], "little", signed=entry.signed)
+
+
+@dataclass(frozen=True)
+class Node:
+    """The drive of a joint as its dialogue asks it; every call raises TalkFailed where it is silent."""
+
+    joint: int
+    config: JointConfig
+
+    @property
+    def number(self) -> int:
+        """Of the node."""
+        return self.config.drive.number
+
+    def read(self, entry: Object) -> Part[int]:
+        """An object's value; raises Aborted."""
+        reply = yield reading(self.number, entry)
+        return value_in(self._heard(entry, reply, "tell"), entry)
+
+    def read_if_there(self, entry: Object) -> Part[int | None]:
+        """The same of an object that a drive need not have: None where it has not."""
+        try:
+            return (yield from self.read(entry))
+        except Aborted as aborted:
+            if aborted.code in (NO_OBJECT, NO_SUBINDEX):
+                return None
+            raise
+
+    def write(self, entry: Object, value: int) -> Part[None]:
+        """Let the drive take a value; raises Aborted."""
+        reply = yield writing(self.number, entry, value)
+        self._heard(entry, reply, f"take {value if entry.signed else hex(value)} for")
+
+    def ensure(self, entry: Object, value: int) -> Part[None]:
+        """Write a value where the drive has another one, and nothing where it has no such object; raises Aborted."""
+        found = yield from self.read_if_there(entry)
+        if found is not None and found != value:
+            yield from self.write(entry, value)
+
+    def _heard(self, entry: Object, reply: Frame | None, wanted: str) -> Frame:
+        if reply is None:
+            raise TalkFailed(self.joint, silent_amid(self.config, f"object {entry.name}"))
+        if reply.data[0] == ABORT:
+            code = int.from_bytes(reply.data[4:], "little")
+            raise Aborted(
+                self.joint,
+                f"The drive of {self.config.name} does not {wanted} object {entry.name}: {abort_words(code)}. See what "
+                "its manual says of that object, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+                code,
+            )
+        return reply
+
+
+def _asked(node: int, entry: Object, command: int, data: bytes, fits: Callable[[int], bool]) -> AskFrames:
+    place = bytes((entry.index & 0xFF, entry.index >> 8, entry.sub))
+    request = Frame(SDO_REQUEST + node, bytes((command,)) + place + data.ljust(4, b"\0"), kind=STANDARD)
+
+    def is_answer(frame: Frame) -> bool:
+        if frame.id != SDO_REPLY + node or len(frame.data) != SDO_BYTES or frame.data[1:4] != place:
+            return False
+        return frame.data[0] == ABORT or fits(frame.data[0])
+
+    return AskFrames((request,), is_answer)
