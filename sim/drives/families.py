@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from sim.drives.damiao import DamiaoDrive
+from sim.drives.cia402 import Cia402Drive
 from sim.drives.drive import Drive, Mounting
 from sim.drives.mks import MksDrive
 from sim.drives.odrive import OdriveDrive
@@ -15,5 +16,6 @@ FAMILIES: dict[str, Callable[[Mounting], Drive]] = {
     "odrive": OdriveDrive.mounted,
     "mks": MksDrive.mounted,
     "damiao": DamiaoDrive.mounted,
+    "cia402": Cia402Drive.mounted,
 }
 """Makes the drive of a joint, by the family its configuration names."""

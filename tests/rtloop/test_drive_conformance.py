@@ -61,6 +61,7 @@ FAMILIES = (
         braking=2.2,
         measures=("measured_effort", "drive_temperature_c"),
     ),
+    Family("cia402_6", path_error_deg=0.02, ripple=0.01, braking=math.inf, measures=("measured_effort",)),
 )
 
 
