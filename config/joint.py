@@ -7,9 +7,9 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
+from config.drives.cia402 import Cia402Drive
 from config.drives.damiao import DamiaoDrive
 from config.drives.mks import MksDrive
-from config.drives.cia402 import Cia402Drive
 from config.drives.mock import MockDrive
 from config.drives.odrive import OdriveDrive
 from config.drives.zdt import ZdtDrive

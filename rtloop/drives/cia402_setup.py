@@ -225,10 +225,10 @@ def _answer_delay_s(arm: ArmConfig, drive: Cia402Drive) -> float:
 
 def _through_s(arm: ArmConfig, frames: Sequence[CycleFrames]) -> float:
     """Time that frames take one after the other, over the bus and, at the same time, over the serial line (s)."""
-    baud = budget(arm).serial_baud
-    character_s = 0.0 if baud is None else UART_BITS_PER_CHARACTER / baud
+    found = budget(arm)
+    byte_s = 0.0 if found.serial_baud is None else UART_BITS_PER_CHARACTER / found.serial_baud
     on_bus_s = [part.bits / arm.bus.bitrate for part in frames]
-    on_line_s = [part.chars * character_s for part in frames]
+    on_line_s = [found.adapter.bytes_of(part) * byte_s for part in frames]
     return max(sum(on_bus_s) + on_line_s[0], sum(on_line_s) + on_bus_s[-1])
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim.drives.damiao import DamiaoDrive
 from sim.drives.cia402 import Cia402Drive
+from sim.drives.damiao import DamiaoDrive
 from sim.drives.drive import Drive, Mounting
 from sim.drives.mks import MksDrive
 from sim.drives.odrive import OdriveDrive
