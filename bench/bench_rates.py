@@ -14,11 +14,11 @@ import pytest
 from virtual import VirtualArm, recorded_goal
 
 from config.budget import budget
-from config.loader import load_arm
+from config.loader import known_arms, load_arm
 from config.schema import ArmConfig
 from shm.words import Answer, Outcome, Request
 
-ARMS = ("episode1", "odrive6")
+ARMS = [name for name in known_arms() if name != "mock"]
 STEP_HZ = 5.0
 GOAL = "small"
 
