@@ -25,6 +25,7 @@ class Wire:
         spell: the bytes of a frame.
         read: the frames in bytes that are whole; fails on what is none.
         opening: what opens a simulated adapter for a bus of 1 Mbit/s.
+        opening_standard: the same for standard identifiers, where that is another thing.
         left_open: what opens it for another bus, where it can be.
         golden: bytes with their source, and what they mean.
         noise: bytes that are no frame, and how many errors they count for when sound frames follow.
@@ -45,6 +46,7 @@ class Wire:
     golden: Sequence[tuple[bytes, Frame]]
     noise: Sequence[tuple[bytes, int]]
     kinds: Sequence[tuple[bool, bool]] = ((False, False), (True, False), (False, True), (True, True))
+    opening_standard: bytes | None = None
     answered: int = 0
     stamp: int = 0
     cut_costs: int = 0
@@ -261,6 +263,7 @@ WIRES = [
         spell=spell_seeed,
         read=read_seeed,
         opening=bytes.fromhex("AA 55 12 01 02 00000000 00000000 00 01 00000000 16"),
+        opening_standard=bytes.fromhex("AA 55 12 01 01 00000000 00000000 00 01 00000000 15"),
         left_open=bytes.fromhex("AA 55 12 03 01 00000000 00000000 00 01 00000000 17"),
         golden=SEEED_GOLDEN,
         noise=SEEED_NOISE,

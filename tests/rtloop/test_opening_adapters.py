@@ -89,7 +89,7 @@ def opens_and_works(served: Served, wire: Wire) -> None:
     assert opened is not None and opened.complaints == []
     assert served.sim.adapter.is_open and served.sim.adapter.listening
     answer(served, opened.fd, wire)
-    close_wire(served.arm, opened.fd)
+    close_wire(served.arm, opened)
 
 
 @pytest.mark.parametrize("wire", SERIAL, ids=str)
@@ -121,7 +121,7 @@ def test_a_handshake_without_an_answer_is_a_complaint(served: Served) -> None:
     assert opened is not None
     (complaint,) = opened.complaints
     assert "has not answered its handshake" in complaint
-    close_wire(served.arm, opened.fd)
+    close_wire(served.arm, opened)
 
 
 # --- adapters that are not what they should be -------------------------------------------------------------

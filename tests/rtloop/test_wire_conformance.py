@@ -339,6 +339,24 @@ def test_a_goal_moves_the_drives_alike_on_every_wire(wire: Wire, by_others: dict
     rig.arm.close()
 
 
+@pytest.mark.parametrize("wire", [wire for wire in WIRES if (False, True) in wire.kinds], ids=str)
+def test_drives_with_standard_identifiers_that_are_asked_by_remote_frames(wire: Wire) -> None:
+    """ODrives on every wire that carries both."""
+    arm = VirtualArm(
+        load_arm("odrive6", overrides={"bus": {**wire.bus, "bitrate": 1_000_000}}),
+        start_rad=recorded_goal("small")["joints"][0, :, 0],
+        opening=wire.opening if wire.opening_standard is None else wire.opening_standard,
+        **wire.options,
+    )
+    assert arm.bring_up().failure is None
+    goal = arm.play("small")
+    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    remote = [frame for _, data in arm.sent for frame in wire.read(data) if frame.remote]
+    assert remote and not any(frame.extended for frame in remote)
+    arm.close()
+
+
 @every_wire
 def test_bytes_and_bits_are_those_of_the_budget(rig: Rig, wire: Wire) -> None:
     """A hundred cycles in motion, at the speed that the adapter's serial line has."""
