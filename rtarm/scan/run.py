@@ -137,5 +137,6 @@ def _try_serial(adapter: Adapter) -> tuple[Outcome, int | str]:
             close_slcan(fd)
     raise WireRefused(
         f"It has not answered as an SLCAN adapter at any of {', '.join(map(str, bauds))} baud, so no bit rate was "
-        "tried: give it power, or choose an adapter that speaks SLCAN or becomes a CAN interface."
+        "tried: give it power. An adapter of another kind (USB-CAN-A, AT) is not recognised here: its arm file says "
+        "bus.interface seeedstudio or ch340-at (docs/adapters.md)."
     )
