@@ -1,9 +1,11 @@
 """Opening a bus of python-can: any of its interfaces, as the section `bus.python_can` says, or a sentence why not."""
 
+import contextlib
 import difflib
 import importlib
 import inspect
 import logging
+import re
 from typing import TYPE_CHECKING, Any
 
 from config.budget import cycle_frames
@@ -31,6 +33,7 @@ ADVICE = {
     "robotell": "`pip install pyserial`",
 }
 """What an interface of python-can needs besides."""
+_LOOKED_FOR = re.compile(r"""kwargs(?:\.get\(|\.pop\(|\[)\s*["'](\w+)["']""")
 
 
 def open_python_can(arm: ArmConfig) -> Bridge:
@@ -98,19 +101,27 @@ def _bus_class(interface: str) -> "type[can.BusABC]":
 
 def _refuse_unknown_options(settings: PythonCan, bus_class: "type[can.BusABC]", options: dict[str, Any]) -> None:
     """Most classes swallow what they do not know, and a mistyped option would do nothing."""
-    known: set[str] = set()
-    for owner in bus_class.__mro__:
-        if "__init__" in vars(owner) and owner is not object:
-            known.update(inspect.signature(owner).parameters)
-    known -= {"self", "args", "kwargs"}
-    for name in options:
-        if name in settings.options and name not in known:
+    known = known_options(bus_class)
+    for name in settings.options:
+        if name not in known:
             allowed = ", ".join(sorted(known - {"channel", "bitrate"}))
             raise WireRefused(
                 f"bus.python_can.{name} is no option of python-can's {settings.interface}: it takes {allowed}."
             )
-    if "bitrate" not in known:
+    takes_all = any(p.kind is p.VAR_KEYWORD for p in inspect.signature(bus_class).parameters.values())
+    if "bitrate" not in known and not takes_all:
         del options["bitrate"]
+
+
+def known_options(bus_class: "type[can.BusABC]") -> set[str]:
+    """What a class of python-can takes: its arguments, and what it looks for among those without a name (`kwargs`)."""
+    known: set[str] = set()
+    for owner in bus_class.__mro__:
+        if "__init__" in vars(owner) and owner is not object:
+            known.update(inspect.signature(owner).parameters)
+        with contextlib.suppress(OSError, TypeError):  # no source
+            known.update(_LOOKED_FOR.findall(inspect.getsource(owner)))
+    return known - {"self", "args", "kwargs"}
 
 
 def _refusal(arm: ArmConfig, interface: str, problem: Exception) -> WireRefused:

@@ -12,6 +12,8 @@ import time
 from types import SimpleNamespace
 
 import can
+import can.interfaces.pcan
+import can.interfaces.slcan
 import numpy as np
 import pytest
 from can_records import EXTENDED, REMOTE, error_record, record, unpacked
@@ -33,7 +35,7 @@ from rtloop.wire.bridge import (
     record_of,
 )
 from rtloop.wire.frame_words import EXTENDED as EXTENDED_KIND
-from rtloop.wire.python_can import all_options, open_python_can
+from rtloop.wire.python_can import all_options, known_options, open_python_can
 from rtloop.wire.refusal import WireRefused
 from shm import layout
 
@@ -418,6 +420,12 @@ def test_names_that_python_can_does_not_know_are_refused_with_those_it_knows():
     sentence = refusal(arm_on("virtual", rx_queue=3))
     assert sentence.startswith("bus.python_can.rx_queue is no option of python-can's virtual: it takes ")
     assert "rx_queue_size" in sentence
+
+
+def test_options_that_a_class_looks_for_without_naming_them_are_known():
+    assert {"auto_reset", "device_id", "bitrate", "state"} <= known_options(can.interfaces.pcan.PcanBus)
+    assert "PCANBasic" in refusal(arm_on("pcan", "PCAN_USBBUS1", auto_reset=True))
+    assert {"btr", "tty_baudrate"} <= known_options(can.interfaces.slcan.slcanBus)
 
 
 def test_what_an_interface_needs_besides_is_named(monkeypatch):
