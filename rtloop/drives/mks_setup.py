@@ -207,7 +207,7 @@ def _stand(host: Host, joint: int) -> Part[bool]:
     can_id, began_ns = _can_id(config), host.now_ns
     halt = bytes((MOVE, 0, 0, silence_acc_byte(config, host.arm.limits), 0, 0, 0))
     before: tuple[bytes, ...] = ()
-    standing = homing = 0
+    standing, was_homing = 0, False
     while standing < AGREEING:
         answer = yield _ask(can_id, 3, READ_STATE, before=before)
         state = answer.data[1] if answer is not None else 0
@@ -217,7 +217,7 @@ def _stand(host: Host, joint: int) -> Part[bool]:
                 f"The drive of {config.name} is calibrating its encoder: wait until it has ended, then `rtarm "
                 "clear-fault`, or `rtarm up` where it has ended.",
             )
-        homing += state == HOMING
+        was_homing |= state == HOMING
         waited_ns = host.now_ns - began_ns
         if state in (STANDS, 0):  # 0: in a work mode in which it tells no state, and obeys nobody here
             standing, before = standing + 1, ()
@@ -230,7 +230,7 @@ def _stand(host: Host, joint: int) -> Part[bool]:
         else:
             standing = 0
             before = (bytes((EMERGENCY_STOP,)) if state == HOMING or waited_ns > HALT_PATIENCE_NS else halt,)
-    return homing >= AGREEING
+    return was_homing
 
 
 def _settle_mode(host: Host, joint: int) -> Part[None]:
