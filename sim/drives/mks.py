@@ -51,6 +51,8 @@ CALIBRATION_NS = 2_000_000_000
 COLLISION_NS = 100_000_000
 """How long a homing run pushes against a stop [inf]."""
 STALL_NS = 1_000_000_000
+SWITCH_BEFORE_STOP = GRAINS_PER_REVOLUTION // 50
+"""How far before a joint's mechanical stop the switch of its drive closes [inf] [grains]."""
 SWITCH_TRAVEL = GRAINS_PER_REVOLUTION // 200
 """How far a switch has to be left until it opens [inf] [grains]."""
 
@@ -135,7 +137,10 @@ class MksDrive(BusDrive):
 
     @classmethod
     def mounted(cls, mounting: Mounting) -> MksDrive:
-        """The drive of a joint, enabled, with a stop at the joint's lower limit, towards which it homes."""
+        """The drive of a joint, enabled, with a stop at the joint's lower limit and a switch before that.
+
+        It homes towards the stop, without the switch.
+        """
         joint = mounting.joint
         assert isinstance(joint.drive, MksConfig)
         rates = {125_000: 0, 250_000: 1, 500_000: 2, 1_000_000: 3}
@@ -156,6 +161,7 @@ class MksDrive(BusDrive):
         )
         drive.enabled = True
         stop = round(mounting.turns(joint.lower_rad) * GRAINS_PER_REVOLUTION)
+        drive.switch = (stop + joint.direction * SWITCH_BEFORE_STOP, -joint.direction)
         if joint.direction > 0:
             drive.shaft.low = stop
         else:
