@@ -1,0 +1,331 @@
+"""The simulated Damiao motor: golden frames, its modes, its registers, what lets it go, and what it ignores.
+
+Frames marked (facts) are the vectors of other-drives.md; the others follow from its tables and damiao-motor 1.0.6.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from servo_bench import ServoBench
+
+from sim.bus import Frame
+from sim.drives.damiao import (
+    ACC,
+    CTRL_MODE,
+    DEC,
+    ENABLED,
+    ESC_ID,
+    LIMP,
+    LOST_COMMUNICATION,
+    MIT,
+    MST_ID,
+    POSITION_VELOCITY,
+    TIMEOUT,
+    TMAX,
+    VMAX,
+    DamiaoDrive,
+)
+from sim.drives.servo import TURN_RAD, Load
+
+ENABLE = "001# FF FF FF FF FF FF FF FC"  # (facts)
+DISABLE, ZERO, CLEAR = (f"001# FF FF FF FF FF FF FF {last}" for last in ("FD", "FE", "FB"))
+NOTHING = "001# 7F FF 7F F0 00 00 07 FF"  # all zero (facts)
+TO_ONE = "001# 8A 3C 7F F0 51 33 37 FF"  # p 1.0, kp 10, kd 1 (facts)
+GO_TO_ONE = "101# 00 00 80 3F 00 00 00 40"  # 1.0 rad at 2.0 rad/s (facts)
+SET_MODE_2 = "7FF# 01 00 55 0A 02 00 00 00"  # (facts)
+READ_MODE = "7FF# 01 00 33 0A 00 00 00 00"  # (facts)
+HOW = "7FF# 01 00 CC 00 00 00 00 00"
+CODE_RAD = 25.0 / 65535
+
+
+def motor(rad: float = 0.0, **registers: float) -> ServoBench:
+    """A DM4340 with motor ID 1 and master ID 11 (hex); registers by their names here."""
+    numbers = {"acc": ACC, "dec": DEC, "mode": CTRL_MODE, "timeout": TIMEOUT, "esc": ESC_ID, "mst": MST_ID}
+    held = {MST_ID: 0x11, VMAX: 10.0, TMAX: 28.0} | {numbers[name]: value for name, value in registers.items()}
+    return ServoBench(DamiaoDrive(held, turns=rad / TURN_RAD, load=Load(0.02, 0.02, 20.0)))
+
+
+def rad(bench: ServoBench) -> float:
+    return bench.turns * TURN_RAD
+
+
+def moved(rad_: float, rad_s: float, offset: int = 0x100) -> Frame:
+    return Frame(offset + 1, struct.pack("<ff", rad_, rad_s), extended=False)
+
+
+# --- golden frames --------------------------------------------------------------------------------------
+
+
+def test_feedback_of_the_facts():
+    bench = motor(rad=1.0)
+    bench.drive.celsius = 35.0
+    bench.tell(ENABLE)
+    # power stage and motor the other way round there: 40 and 35 °C
+    assert bench.ask(HOW) == ["011# 11 8A 3C 7F F7 FF 1E 23"]
+
+
+def test_set_points_of_the_facts():
+    bench = motor()
+    bench.tell(ENABLE, TO_ONE)
+    bench.wait(2000)
+    # friction, and what the fields of torque and velocity cut off, against 10 N·m/rad
+    assert rad(bench) == pytest.approx(1.0, abs=(0.02 + 28.0 / 4095 + 10.0 / 4095) / 10.0 + CODE_RAD)
+    bench.tell(NOTHING)
+    bench.wait(1000)
+    assert bench.turns_s == 0.0  # free to turn, and friction has stopped it
+
+
+def test_targets_of_the_facts():
+    bench = motor(acc=4.0, dec=-4.0)
+    assert bench.ask(SET_MODE_2) == ["011# 01 00 55 0A 02 00 00 00"]
+    assert bench.ask(READ_MODE) == ["011# 01 00 33 0A 02 00 00 00"]
+    bench.tell(ENABLE, GO_TO_ONE)
+    bench.wait(250)
+    assert bench.turns_s * TURN_RAD == pytest.approx(4.0 * 0.25, rel=0.01)  # the ramp
+    bench.wait(250)
+    assert bench.turns_s * TURN_RAD == pytest.approx(2.0, rel=0.01)  # as fast as told
+    bench.wait(2000)
+    assert rad(bench) == pytest.approx(1.0, abs=1e-6)
+    assert bench.turns_s == 0.0
+
+
+# --- enabling, errors, alarm ----------------------------------------------------------------------------
+
+
+def test_limp_motors_obey_nothing_and_answer():
+    bench = motor()
+    (answer,) = bench.ask(TO_ONE)
+    bench.wait(500)
+    assert (rad(bench), answer[5:7]) == (0.0, "01")
+    bench.tell(ENABLE)
+    bench.wait(500)
+    assert rad(bench) == 0.0  # what was told before is forgotten
+
+
+def test_a_motor_that_keeps_its_targets_goes_there():
+    bench = motor(mode=POSITION_VELOCITY)
+    bench.drive.keeps_targets = True
+    bench.tell(GO_TO_ONE, ENABLE)
+    bench.wait(2000)
+    assert rad(bench) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_disabled_motor_coasts():
+    bench = motor(mode=POSITION_VELOCITY, acc=100.0)
+    bench.tell(ENABLE, moved(10.0, 5.0))
+    bench.wait(500)
+    bench.tell(DISABLE)
+    assert bench.ask(HOW)[0][5:7] == "01"
+    bench.wait(10)
+    assert bench.turns_s * TURN_RAD == pytest.approx(5.0, rel=0.02)
+
+
+@pytest.mark.parametrize(("cause", "code"), [("stall", 0xE), ("temperature", 0xC), ("current", 0xA)])
+def test_errors_let_go_and_stay_until_they_are_cleared(cause, code):
+    bench = motor()
+    bench.tell(ENABLE)
+    bench.drive.protect(bench.now_ns, cause)
+    assert bench.ask(ENABLE)[0][5] == f"{code:X}"
+    bench.drive.cause_lasts = True
+    assert bench.ask(CLEAR)[0][5] == f"{code:X}"
+    bench.drive.cause_lasts = False
+    assert bench.ask(CLEAR)[0][5] == "0"
+    assert bench.ask(ENABLE)[0][5] == "1"
+
+
+def test_the_alarm_lets_go_of_a_motor_that_hears_no_command():
+    """10,000 units of 50 µs are half a second; asking for feedback is no command."""
+    bench = motor(timeout=10_000)
+    bench.tell(ENABLE, TO_ONE)
+    for _ in range(4):
+        bench.wait(400)
+        assert bench.ask(TO_ONE)[0][5] == "1"
+    bench.wait(400)
+    assert bench.ask(HOW)[0][5] == "1"
+    bench.wait(200)
+    assert bench.ask(HOW)[0][5] == "D"
+    assert (bench.drive.status, bench.drive.enabled) == (LOST_COMMUNICATION, False)
+
+
+def test_no_alarm_rings_of_a_motor_that_is_limp_or_has_none():
+    limp = motor(timeout=100)
+    limp.tell(TO_ONE)
+    limp.wait(1000)
+    assert limp.drive.status == LIMP
+    bench = motor(timeout=100)
+    bench.tell(ENABLE, "7FF# 01 00 55 09 00 00 00 00")
+    bench.wait(1000)
+    assert bench.drive.status == ENABLED
+
+
+def test_power_brings_back_what_was_stored_and_the_last_turn_alone():
+    bench = motor(rad=1.5 * TURN_RAD + 0.25)
+    bench.tell(ENABLE, SET_MODE_2)
+    bench.drive.power_off(bench.now_ns)
+    bench.drive.power_on(bench.now_ns)
+    assert (bench.drive.registers[CTRL_MODE], bench.drive.status) == (MIT, LIMP)
+    assert bench.drive.counted * TURN_RAD == pytest.approx(0.25 - 0.5 * TURN_RAD)
+    assert bench.ask("7FF# 01 00 AA 01 00 00 00 00") == ["011# 01 00 AA 01 00 00 00 00"]
+    bench.tell(SET_MODE_2, "7FF# 01 00 AA 01 00 00 00 00", "7FF# 01 00 55 0A 03 00 00 00")
+    bench.drive.power_off(bench.now_ns)
+    bench.drive.power_on(bench.now_ns)
+    assert bench.drive.registers[CTRL_MODE] == POSITION_VELOCITY
+
+
+def test_zero_is_set_where_it_stands():
+    bench = motor(rad=1.0)
+    assert bench.ask(ZERO)[0][8:13] == "7F FF"
+    assert rad(bench) == pytest.approx(1.0)
+
+
+# --- modes ----------------------------------------------------------------------------------------------
+
+
+def test_damping_alone_turns_at_a_speed():
+    bench = motor()
+    code = int((2.0 + 10.0) * 4095 / 20.0)
+    bench.tell(ENABLE, Frame(1, (0x7FFF << 48 | code << 36 | 0xFFF << 12 | 0x7FF).to_bytes(8, "big"), extended=False))
+    bench.wait(200)
+    assert bench.turns_s * TURN_RAD == pytest.approx(2.0 - 0.02 / 5.0, abs=20.0 / 4095)
+
+
+def test_a_torque_alone_accelerates():
+    bench = motor()
+    code = math.ceil((1.0 + 28.0) * 4095 / 56.0)
+    nm = code * 56.0 / 4095 - 28.0
+    bench.tell(ENABLE, Frame(1, (0x7FFF_7FF0_0000_0000 | code).to_bytes(8, "big"), extended=False))
+    bench.wait(100)
+    assert bench.turns_s * TURN_RAD == pytest.approx((nm - 0.02) / 0.02 * 0.1, rel=0.02)
+
+
+def test_commands_of_another_mode_are_answered_and_do_nothing():
+    bench = motor()
+    bench.tell(ENABLE)
+    for frame in (moved(1.0, 2.0), moved(2.0, 0.0, 0x200), moved(1.0, 2.0, 0x300)):
+        assert len(bench.ask(frame)) == 1
+    bench.wait(500)
+    assert rad(bench) == 0.0
+
+
+def test_velocity_and_force_position():
+    bench = motor(mode=3, acc=10.0)
+    bench.tell(ENABLE, moved(-3.0, 0.0, 0x200))
+    bench.wait(500)
+    assert bench.turns_s * TURN_RAD == pytest.approx(-3.0)
+    bench = motor(mode=4, acc=10.0, dec=-10.0)
+    bench.tell(ENABLE, Frame(0x301, struct.pack("<fHH", 1.0, 200, 10_000), extended=False))
+    bench.wait(400)
+    assert bench.turns_s * TURN_RAD == pytest.approx(2.0)
+    bench.wait(1000)
+    assert rad(bench) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_another_mode_forgets_what_was_told():
+    bench = motor(mode=POSITION_VELOCITY, acc=10.0, dec=-10.0)
+    bench.tell(ENABLE, moved(10.0, 2.0))
+    bench.wait(500)
+    bench.tell("7FF# 01 00 55 0A 03 00 00 00")
+    bench.wait(500)
+    assert bench.turns_s == 0.0
+    assert rad(bench) < 2.0
+
+
+def test_a_speed_of_nothing_stops_by_the_ramp():
+    bench = motor(mode=POSITION_VELOCITY, acc=100.0, dec=-4.0)
+    bench.tell(ENABLE, moved(10.0, 2.0))
+    bench.wait(500)
+    bench.tell(moved(10.0, 0.0))
+    bench.wait(250)
+    assert bench.turns_s * TURN_RAD == pytest.approx(1.0, rel=0.02)
+
+
+# --- registers ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "held"),
+    [
+        (0x0A, "05 00 00 00", "01 00 00 00"),
+        (0x0A, "00 00 00 00", "01 00 00 00"),
+        (0x04, "00 00 80 BF", "00 00 A0 41"),  # an acceleration below zero
+        (0x05, "00 00 80 3F", "00 00 A0 C1"),  # a deceleration above
+        (0x15, "00 00 C0 7F", "00 00 48 41"),  # no number
+        (0x07, "00 08 00 00", "11 00 00 00"),  # no standard identifier
+        (0x14, "00 00 00 00", "00 00 20 41"),  # read only
+        (0x04, "00 00 80 3F", "00 00 80 3F"),
+    ],
+)
+def test_registers_take_what_they_may(register, value, held):
+    bench = motor()
+    assert bench.ask(f"7FF# 01 00 55 {register:02X} {value}") == [f"011# 01 00 55 {register:02X} {held}"]
+    assert bench.ask(f"7FF# 01 00 33 {register:02X} 00 00 00 00") == [f"011# 01 00 33 {register:02X} {held}"]
+
+
+def test_measured_registers():
+    bench = motor(rad=0.5)
+    bench.drive.supply_v, bench.drive.celsius = 23.5, 41.0
+    values = [bench.ask(f"7FF# 01 00 33 {number:02X} 00 00 00 00")[0][17:] for number in (60, 61, 62, 81)]
+    assert [struct.unpack("<f", bytes.fromhex(value))[0] for value in values] == [23.5, 36.0, 41.0, 0.5]
+
+
+def test_other_ids_are_its_own_from_then_on():
+    bench = motor()
+    bench.tell("7FF# 01 00 55 08 05 00 00 00", "7FF# 05 00 55 07 25 00 00 00")
+    assert bench.ask(HOW) == []
+    assert bench.ask("7FF# 05 00 CC 00 00 00 00 00")[0][:8] == "025# 05 "
+
+
+# --- what it ignores ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        "002# FF FF FF FF FF FF FF FC",
+        "001# FF FF FF FF FF FF FC",
+        "00000001# FF FF FF FF FF FF FF FC",
+        "001# remote",
+        "401# 00 00 80 3F 00 00 00 40",
+        "081# FF FF FF FF FF FF FF FC",
+        "7FF# 02 00 CC 00 00 00 00 00",
+        "7FF# 01 01 CC 00 00 00 00 00",
+        "7FF# 01 00 33 29 00 00 00 00",  # no such register
+        "7FF# 01 00 44 0A 00 00 00 00",  # no such operation
+        "7FF# 01 00 55 0A 02",
+        "7FF# 01 00",
+        "011# 11 8A 3C 7F F7 FF 28 23",
+    ],
+)
+def test_what_is_not_for_it_meets_silence(frame):
+    bench = motor()
+    assert bench.ask(frame) == []
+    assert (bench.drive.status, bench.drive.registers[CTRL_MODE]) == (LIMP, MIT)
+
+
+def test_what_it_owns():
+    drive = motor().drive
+    owned = [Frame(number, bytes(8), extended=False) for number in (0x001, 0x101, 0x201, 0x301, 0x011)]
+    assert all(map(drive.owns, owned))
+    assert drive.owns(Frame(0x7FF, b"\x01\x00\xcc\x00", extended=False))
+    assert not drive.owns(Frame(0x7FF, b"\x02\x00\xcc\x00", extended=False))
+    assert not drive.owns(Frame(0x001, bytes(8)))
+    assert not drive.owns(Frame(0x401, bytes(8), extended=False))
+
+
+@settings(deadline=None, max_examples=100)
+@given(
+    st.lists(st.tuples(st.sampled_from([0x001, 0x101, 0x201, 0x301, 0x7FF, 0x002]), st.binary(max_size=8)), max_size=20)
+)
+def test_no_frames_break_it(frames):
+    bench = motor(timeout=100)
+    bench.tell(ENABLE)
+    for can_id, data in frames:
+        bench.tell(Frame(can_id, (b"\x01\x00" + data)[:8] if can_id == 0x7FF else data, extended=False))
+        bench.wait(3)
+    assert math.isfinite(bench.turns) and math.isfinite(bench.turns_s)
+    assert len(bench.drive.state_frame(bench.now_ns).data) == 8
