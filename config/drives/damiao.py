@@ -14,8 +14,9 @@ from config.section import refuse
 
 REGISTERS_ID = 0x7FF
 """All Damiao drives hear questions about registers there; whose it is stands in the first two bytes."""
-COMMAND_MASK = 0x7FF & ~0x300
-"""A drive hears its number, and 100, 200 and 300 (hexadecimal) more: one for each of its modes."""
+COMMAND_MASK = 0xFF
+"""A motor hears its number, and 100, 200 and 300 (hexadecimal) more, one for each of its modes. It compares the lowest
+byte alone and answers the others too, as people found in its firmware (umeow0716/damiao_firmware on GitHub)."""
 POSITION_VELOCITY_OFFSET = 0x100
 HIGHEST_KP, HIGHEST_KD = 500.0, 5.0
 POSITION_STEPS = 0xFFFF
@@ -52,7 +53,7 @@ class DamiaoDrive(Drive):
 
     family: Literal["damiao"] = Field(description="Drive family.")
     motor_id: int = Field(
-        ge=1, le=0xFF, description="What it hears: its CAN ID, register 8 (ESC_ID); commands use 100 (hex) more too."
+        ge=1, le=0xFE, description="What it hears: its CAN ID, register 8 (ESC_ID); commands use 100 (hex) more too."
     )
     master_id: int = Field(
         ge=1,
@@ -111,8 +112,8 @@ class DamiaoDrive(Drive):
             raise refuse(
                 "master_id",
                 f"master_id is {self.master_id:#x}, on which the motor with motor_id {self.motor_id:#x} hears "
-                f"commands: it must be none of motor_id and 100, 200 or 300 (hex) more; set register 7 of the motor, "
-                f"and master_id, to another one, such as {self.motor_id + 0x10:#x}.",
+                "commands: its lowest byte must not be motor_id; set register 7 of the motor, and master_id, to another "
+                f"one, such as {self.motor_id + 0x10:#x}.",
             )
         return self
 

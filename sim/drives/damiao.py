@@ -1,23 +1,25 @@
 """A Damiao motor on CAN, from its frames to its shaft.
 
 Written from other-drives.md, from damiao-motor 1.0.6 (frames, table of registers, table of models) and from what people
-found in the firmware (umeow0716/damiao_firmware on GitHub: what feeds the alarm, what disabling forgets); [inf] marks
-what none of them says and is assumed here: a host should not depend on it.
+found out about the firmware (umeow0716/damiao_firmware on GitHub: whom it hears, what feeds the alarm, what FB does);
+[inf] marks what none of them says and is assumed here: a host should not depend on it.
 
 Modelled:
-- Identifiers: standard. Commands on the motor's ID (mode 1, MIT, and those of seven FF), 100, 200 and 300 (hex) more
-  (modes 2 to 4), registers on 7FF with its ID in front; all it says comes on its master ID. Wrong IDs, extended and
-  remote frames, wrong lengths meet silence. [inf] Both IDs change as soon as their registers are written.
-- Every command is answered with feedback, also one of another mode, which does nothing else. Registers: read, write,
-  store, ask for feedback; a write is answered with what then stands there. [inf] A value out of its range, or of a
-  read-only register, changes nothing; an unknown register meets silence.
+- Identifiers: standard. It hears every one whose lowest byte is its ID: its number (mode 1, MIT), 100, 200 and 300
+  (hex) more (modes 2 to 4), and answers the others and those of another mode with feedback alone. Commands of seven FF
+  count on all of them. Registers are on 7FF with its ID in front; all it says comes on its master ID. Other IDs, extended and
+  remote frames, wrong lengths [inf] meet silence. Both IDs change as soon as their registers are written.
+- Every command is answered with feedback. Registers: read, write, store (a limp motor's), ask for feedback; a write is
+  answered with what then stands there. A value out of its range, or of a read-only register, changes nothing; an
+  unknown register meets silence.
 - Modes: MIT (stiffness, damping, torque), position-velocity (a trapezoid by ACC and DEC, no faster than told and than
   MAX_SPD), velocity (by the same ramps), force-position (as position-velocity; the share of current caps the torque).
   [inf] A number that is not finite changes nothing; a speed of 0 stops by the ramp and stays.
 - Enabling begins without stiffness, or with a speed of 0, as disabling and another mode do: what was told is forgotten.
   With `keeps_targets` it is not, and a motor that is enabled goes where it was told last [inf].
 - The alarm (TIMEOUT) lets an enabled motor go that has heard no command for so long; frames on 7FF are none.
-- Errors let the shaft go, stand in the status, and end by FB. Setting zero (FE) lasts, and counts from where it stands.
+- Errors let the shaft go, stand in the status, and end by FB, which lets a sound motor go too. Setting zero (FE) lasts,
+  and counts from where it stands.
 - What was written is lost with the power unless stored. The encoder sees one turn of the output shaft: after power
   comes it counts within half a turn of zero.
 
@@ -151,9 +153,8 @@ class DamiaoDrive(ServoDrive):
         return struct.pack("<H", self._motor_id)
 
     def _mode_of(self, can_id: int) -> int | None:
-        """The mode whose commands come with an identifier."""
-        offset = can_id - self._motor_id
-        return 1 + (offset >> 8) if 0 <= offset <= 0x300 and offset & 0xFF == 0 else None
+        """The mode whose commands come with an identifier (above 4: of none), None where it is not heard."""
+        return 1 + (can_id >> 8) if can_id & 0xFF == self._motor_id & 0xFF else None
 
     # -- what happens to it --------------------------------------------------------------------------
 
@@ -217,7 +218,7 @@ class DamiaoDrive(ServoDrive):
         if mode is None or len(frame.data) != 8:
             return
         self._feed_alarm()
-        if mode == MIT and frame.data[:7] == _COMMAND_HEAD and frame.data[7] in (ENABLE, DISABLE, ZERO, CLEAR):
+        if frame.data[:7] == _COMMAND_HEAD and frame.data[7] in (ENABLE, DISABLE, ZERO, CLEAR):
             self._take_state(frame.data[7])
         elif mode == self.registers[CTRL_MODE]:
             self._lead(self._law(mode, frame.data))
@@ -231,8 +232,8 @@ class DamiaoDrive(ServoDrive):
                 self._let_go(LIMP)
         elif command == ZERO:
             self.origin = self.shaft.position_at(self._now_ns)
-        elif not self.enabled and not self.cause_lasts:
-            self.status = LIMP
+        elif not self.cause_lasts:
+            self._let_go(LIMP)
 
     def _lead(self, law: Law | None) -> None:
         if law is not None:
@@ -297,8 +298,10 @@ class DamiaoDrive(ServoDrive):
             self.reply(self._feedback())
             return
         if operation == STORE:
+            if self.enabled:
+                return
             self._flash.update({number: self.registers[number] for number in {*FLOATS, *WHOLE} - READ_ONLY})
-            self._answer(data[:4], bytes(4))
+            self._answer(data[:4], b"")
             return
         if register not in FLOATS and register not in WHOLE:
             return

@@ -33,7 +33,7 @@ def with_drives(*drives: dict, **of_joint: object) -> dict:
         ({name: value for name, value in GOOD.items() if name != "kd"}, "kd", "kd is missing, but in mode mit"),
         (PLANNING | {"kp": 50.0}, "kp", "kp is 50, but in mode position_velocity .* remove kp"),
         (GOOD | {"motor_id": 0}, "motor_id", "motor_id of joint1 is 0"),
-        (GOOD | {"motor_id": 0x100}, "motor_id", "motor_id of joint1 is 256"),
+        (GOOD | {"motor_id": 0xFF}, "motor_id", "motor_id of joint1 is 255"),
         (GOOD | {"master_id": 0}, "master_id", "master_id of joint1 is 0"),
         (GOOD | {"master_id": 0x7FF}, "master_id", "master_id of joint1 is 2047"),
         (GOOD | {"master_id": 1}, "master_id", "master_id is 0x1, on which the motor with motor_id 0x1 hears"),

@@ -125,6 +125,18 @@ def test_a_disabled_motor_coasts():
     assert bench.turns_s * TURN_RAD == pytest.approx(5.0, rel=0.02)
 
 
+def test_commands_of_state_count_on_all_that_it_hears():
+    bench = motor()
+    assert bench.ask(ENABLE.replace("001", "101"))[0][5] == "1"
+    assert bench.ask(CLEAR)[0][5] == "0"  # a sound motor lets go too
+
+
+def test_only_a_limp_motor_stores():
+    bench = motor()
+    bench.tell(ENABLE)
+    assert bench.ask("7FF# 01 00 AA 01 00 00 00 00") == []
+
+
 @pytest.mark.parametrize(("cause", "code"), [("stall", 0xE), ("temperature", 0xC), ("current", 0xA)])
 def test_errors_let_go_and_stay_until_they_are_cleared(cause, code):
     bench = motor()
@@ -165,12 +177,12 @@ def test_no_alarm_rings_of_a_motor_that_is_limp_or_has_none():
 
 def test_power_brings_back_what_was_stored_and_the_last_turn_alone():
     bench = motor(rad=1.5 * TURN_RAD + 0.25)
-    bench.tell(ENABLE, SET_MODE_2)
+    bench.tell(SET_MODE_2, ENABLE)
     bench.drive.power_off(bench.now_ns)
     bench.drive.power_on(bench.now_ns)
     assert (bench.drive.registers[CTRL_MODE], bench.drive.status) == (MIT, LIMP)
     assert bench.drive.counted * TURN_RAD == pytest.approx(0.25 - 0.5 * TURN_RAD)
-    assert bench.ask("7FF# 01 00 AA 01 00 00 00 00") == ["011# 01 00 AA 01 00 00 00 00"]
+    assert bench.ask("7FF# 01 00 AA 01 00 00 00 00") == ["011# 01 00 AA 01"]
     bench.tell(SET_MODE_2, "7FF# 01 00 AA 01 00 00 00 00", "7FF# 01 00 55 0A 03 00 00 00")
     bench.drive.power_off(bench.now_ns)
     bench.drive.power_on(bench.now_ns)
@@ -206,7 +218,7 @@ def test_a_torque_alone_accelerates():
 def test_commands_of_another_mode_are_answered_and_do_nothing():
     bench = motor()
     bench.tell(ENABLE)
-    for frame in (moved(1.0, 2.0), moved(2.0, 0.0, 0x200), moved(1.0, 2.0, 0x300)):
+    for frame in (moved(1.0, 2.0, offset) for offset in (0x100, 0x200, 0x300, 0x400, 0x600)):
         assert len(bench.ask(frame)) == 1
     bench.wait(500)
     assert rad(bench) == 0.0
@@ -290,7 +302,6 @@ def test_other_ids_are_its_own_from_then_on():
         "001# FF FF FF FF FF FF FC",
         "00000001# FF FF FF FF FF FF FF FC",
         "001# remote",
-        "401# 00 00 80 3F 00 00 00 40",
         "081# FF FF FF FF FF FF FF FC",
         "7FF# 02 00 CC 00 00 00 00 00",
         "7FF# 01 01 CC 00 00 00 00 00",
@@ -314,7 +325,7 @@ def test_what_it_owns():
     assert drive.owns(Frame(0x7FF, b"\x01\x00\xcc\x00", extended=False))
     assert not drive.owns(Frame(0x7FF, b"\x02\x00\xcc\x00", extended=False))
     assert not drive.owns(Frame(0x001, bytes(8)))
-    assert not drive.owns(Frame(0x401, bytes(8), extended=False))
+    assert not drive.owns(Frame(0x002, bytes(8), extended=False))
 
 
 @settings(deadline=None, max_examples=100)
