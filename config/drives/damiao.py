@@ -112,8 +112,8 @@ class DamiaoDrive(Drive):
             raise refuse(
                 "master_id",
                 f"master_id is {self.master_id:#x}, on which the motor with motor_id {self.motor_id:#x} hears "
-                "commands: its lowest byte must not be motor_id; set register 7 of the motor, and master_id, to another "
-                f"one, such as {self.motor_id + 0x10:#x}.",
+                "commands: its lowest byte must not be motor_id; set register 7 of the motor, and master_id, to "
+                f"another one, such as {self.motor_id + 0x10:#x}.",
             )
         return self
 

@@ -7,8 +7,8 @@ found out about the firmware (umeow0716/damiao_firmware on GitHub: whom it hears
 Modelled:
 - Identifiers: standard. It hears every one whose lowest byte is its ID: its number (mode 1, MIT), 100, 200 and 300
   (hex) more (modes 2 to 4), and answers the others and those of another mode with feedback alone. Commands of seven FF
-  count on all of them. Registers are on 7FF with its ID in front; all it says comes on its master ID. Other IDs, extended and
-  remote frames, wrong lengths [inf] meet silence. Both IDs change as soon as their registers are written.
+  count on all of them. Registers are on 7FF with its ID in front; all it says comes on its master ID. Other IDs,
+  extended and remote frames, wrong lengths [inf] meet silence. Both IDs change as soon as their registers are written.
 - Every command is answered with feedback. Registers: read, write, store (a limp motor's), ask for feedback; a write is
   answered with what then stands there. A value out of its range, or of a read-only register, changes nothing; an
   unknown register meets silence.
