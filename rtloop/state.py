@@ -111,6 +111,9 @@ JOINT_PARAMS = np.dtype(
         ("damping_nm_s_rad", "f8"),
         ("plans_its_motion", "i8"),  # 1: it goes to targets with a ramp of its own
         ("position_bytes", "i8"),  # length of the frame that tells its position, where that is a setting
+        ("gains_word", "i8"),  # stiffness and damping as the frames hold them, where they come with each set-point
+        ("position_gain_1_s", "f8"),  # of its own position loop, 0 where that is not needed
+        ("host_id", "i8"),  # what it answers to, where that stands in its identifiers
         ("rpm_per_rad_s", "f8"),
         ("command_delay_s", "f8"),  # from the start of the cycle until its target has reached the drive
         ("reply_delay_ns", "i8"),  # from the drive's reading of its encoder until the reply has arrived

@@ -1,0 +1,255 @@
+"""RobStride motors and the Xiaomi CyberGear in the cycle.
+
+Protocol facts (the CyberGear's manual in belovictor/cybergear-docs; sirwart/robstride; RobStride/Python_Sample):
+extended identifiers, type << 24 | data16 << 8 | for whom. Type 1 is a set-point with gains (position, velocity,
+stiffness, damping: 16 bits each, highest byte first; torque in data16), 17 reads and 18 writes a parameter (index and
+value lowest byte first). All but 17 are answered with type 2: position, velocity, torque, temperature (highest byte
+first), and in the identifier the motor, its faults and whether it runs. Type 21 is said by itself where it fails.
+
+Mode control: a follower of set-points. A frame that leads it is answered with all it measures, so nothing is asked.
+
+Modes position and csp: its own position loop, a gain on the distance to the target within a speed limit, and no ramp
+that anything is known of (run mode 1 of RobStrides has one and ignores this speed limit; 5 is like the CyberGear's 1).
+A target at the set-point would be followed 1/gain late and in steps, so it is led as drives with a ramp are: the speed
+limit sets the pace, and the target lies so far ahead that the limit is what counts until the next frame: by a period,
+by the way of the frame, and by what the loop begins to slow down at (speed / gain). In silence it therefore goes on for
+that long and stops on the target, not faster than with speed × gain.
+"""
+
+import math
+from typing import Any
+
+from config.drives.robstride import CONTROL, READ, TYPE_BIT, WRITE
+from rtloop import following, hearing, leading
+from rtloop import status as status_bits
+from rtloop.correction import ERROR_SPEED_SHARE
+from rtloop.drives import words
+from rtloop.drives.robstride_setup import (
+    FAULT,
+    FAULT_BIT,
+    FEEDBACK,
+    MODE_BIT,
+    POSITION,
+    POSITION_TARGET,
+    RUN,
+    SPEED_LIMIT,
+    SPEED_TARGET,
+    VELOCITY,
+    VOLTAGE,
+)
+from rtloop.wire import outgoing
+from rtloop.wire.frame_words import EXTENDED
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+BITS = 16
+NO_TORQUE = 0x7FFF
+CELSIUS_PER_STEP = 0.1
+
+UNDER_VOLTAGE, OVER_CURRENT, OVER_TEMPERATURE = 0x01, 0x02, 0x04
+ENCODERS = 0x08 | 0x10 | 0x20
+"""Bits of a feedback's faults: magnetic, Hall (RobStrides: stall) and uncalibrated encoders."""
+FAULT_TEMPERATURE, FAULT_UNDER_VOLTAGE, FAULT_OVER_VOLTAGE = 0x01, 0x04, 0x08
+FAULT_CURRENTS, FAULT_ENCODER = 0x10 | 0x20 | 0x10000, 0x80
+"""Bits of the word that type 21 says."""
+
+
+@jit
+def identifier(loop: Loop, joint: int, kind: int, data16: int) -> int:
+    return int(kind << TYPE_BIT | data16 << 8 | loop.joints[joint].address)
+
+
+@jit
+def set_point(loop: Loop, joint: int, position: float, velocity: float) -> int:
+    """Data of type 1, position and velocity being those of its output shaft (rad, rad/s)."""
+    row = loop.joints[joint]
+    place = words.swapped(words.field(position, row.range_rad, BITS), 2)
+    speed = words.swapped(words.field(velocity, row.range_rad_s, BITS), 2)
+    return int(place | speed << 16 | row.gains_word << 32)
+
+
+@jit
+def parameter(index: int, value: float) -> int:
+    """Data of type 18, and with 0 of type 17."""
+    return int(index | words.float_word(value) << 32)
+
+
+@jit
+def send_set_point(loop: Loop, joint: int, shared: Shared, position: float, velocity: float, stops: int) -> bool:
+    data = set_point(loop, joint, position, velocity)
+    sent = outgoing.send(loop, shared, identifier(loop, joint, CONTROL, NO_TORQUE), EXTENDED, 8, data, 0, stops)
+    return told(loop, joint, sent)
+
+
+@jit
+def send_target(loop: Loop, joint: int, shared: Shared, speed: float, target: float, stops: int) -> bool:
+    """A speed limit and a target for its own position loop (rad/s, rad of its output shaft)."""
+    frame_id = identifier(loop, joint, WRITE, loop.joints[joint].host_id)
+    if not outgoing.has_room(loop, 2):
+        return False
+    outgoing.send(loop, shared, frame_id, EXTENDED, 8, parameter(SPEED_LIMIT, speed), 1)
+    hearing.note_question(loop, joint)
+    sent = outgoing.send(loop, shared, frame_id, EXTENDED, 8, parameter(POSITION_TARGET, target), 0, stops)
+    return told(loop, joint, sent)
+
+
+@jit
+def told(loop: Loop, joint: int, sent: bool) -> bool:
+    """What was sent is answered with its position."""
+    if sent:
+        loop.axes[joint].asked_cycle = loop.core.cycle
+        hearing.note_question(loop, joint)
+    return sent
+
+
+@jit
+def target_ahead(loop: Loop, joint: int) -> tuple[float, float]:
+    """Target (rad) and speed limit (rad/s) of the joint for its own position loop; see the head of this file."""
+    row, axis = loop.joints[joint], loop.axes[joint]
+    target, speed = leading.target_ahead(loop, joint, 0.0)
+    if axis.velocity_rad_s == 0.0 and axis.next_velocity_rad_s == 0.0:
+        return target, ERROR_SPEED_SHARE * row.max_velocity_rad_s
+    target += speed / row.position_gain_1_s
+    return min(max(target, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad), abs(speed)
+
+
+@jit
+def lead(loop: Loop, joint: int, shared: Shared) -> None:
+    row = loop.joints[joint]
+    if row.position_gain_1_s == 0.0:
+        position, velocity = following.setpoint(loop, joint)
+        velocity *= row.command_per_rad
+        send_set_point(loop, joint, shared, (position + row.zero_rad) * row.command_per_rad, velocity, -1)
+    else:
+        target, speed = target_ahead(loop, joint)
+        speed *= abs(row.command_per_rad)
+        send_target(loop, joint, shared, speed, (target + row.zero_rad) * row.command_per_rad, -1)
+
+
+@jit
+def stop(loop: Loop, joint: int, shared: Shared) -> bool:
+    """Hold where it was last heard to be: type 4, its stop, would let the joint fall."""
+    row, axis = loop.joints[joint], loop.axes[joint]
+    if not math.isfinite(axis.heard_rad):
+        return True
+    here = (axis.heard_rad + row.zero_rad) * row.command_per_rad
+    if row.position_gain_1_s == 0.0:
+        return send_set_point(loop, joint, shared, here, 0.0, joint)
+    speed = ERROR_SPEED_SHARE * row.max_velocity_rad_s * abs(row.command_per_rad)
+    return send_target(loop, joint, shared, speed, here, joint)
+
+
+@jit
+def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
+    if loop.axes[joint].asked_cycle == loop.core.cycle:
+        return
+    frame_id = identifier(loop, joint, READ, loop.joints[joint].host_id)
+    if outgoing.send(loop, shared, frame_id, EXTENDED, 8, POSITION):
+        hearing.note_question(loop, joint)
+
+
+@jit
+def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
+    """One that is led says how it is; one that is not is asked in turn, by what moves nothing in any mode.
+
+    That is to set the target of its speed mode, to rest.
+    """
+    host_id = loop.joints[joint].host_id
+    turn = loop.core.cycle // loop.params.joint_count
+    if loop.axes[joint].asked_cycle == loop.core.cycle or turn & 1:
+        outgoing.send(loop, shared, identifier(loop, joint, READ, host_id), EXTENDED, 8, VOLTAGE)
+    elif outgoing.send(
+        loop, shared, identifier(loop, joint, WRITE, host_id), EXTENDED, 8, parameter(SPEED_TARGET, 0.0)
+    ):
+        hearing.note_question(loop, joint)
+
+
+@jit
+def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
+    """Conversations let it stand by other means."""
+    return False
+
+
+@jit
+def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
+    """All but other parameters are answered with a position."""
+    if frame_id >> TYPE_BIT != READ or words.unsigned(data, 0, 2) == POSITION:
+        hearing.note_question(loop, joint)
+
+
+@jit
+def hear(
+    loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
+) -> None:
+    said = frame_id >> TYPE_BIT
+    if length != 8:
+        return
+    if said == FEEDBACK:
+        hear_feedback(loop, joint, frame_id, data, time_ns)
+    elif said == READ and (frame_id >> FAULT_BIT) & 0xFF == 0:
+        hear_parameter(loop, joint, words.unsigned(data, 0, 2), words.float_at(data, 4), time_ns)
+    elif said == FAULT and words.unsigned(data, 0, 4) != 0:
+        hearing.hear_status(loop, joint, fault_status(words.unsigned(data, 0, 4)))
+
+
+@jit
+def hear_feedback(loop: Loop, joint: int, frame_id: int, data: int, time_ns: int) -> None:
+    row = loop.joints[joint]
+    position = words.of_field(words.swapped(words.unsigned(data, 0, 2), 2), row.range_rad, BITS)
+    velocity = words.of_field(words.swapped(words.unsigned(data, 2, 2), 2), row.range_rad_s, BITS)
+    torque = words.of_field(words.swapped(words.unsigned(data, 4, 2), 2), row.range_nm, BITS)
+    hearing.hear_position(loop, joint, position / row.reading_per_rad - row.zero_rad, time_ns)
+    hearing.hear_velocity(loop, joint, velocity / row.reading_per_rad)
+    hearing.hear_effort(loop, joint, torque * row.effort_per_unit)
+    celsius = words.signed(words.swapped(words.unsigned(data, 6, 2), 2), 0, 2) * CELSIUS_PER_STEP
+    hearing.hear_temperature(loop, joint, celsius)
+    hearing.hear_status(loop, joint, common_status((frame_id >> MODE_BIT) & 3, (frame_id >> FAULT_BIT) & 0x3F))
+
+
+@jit
+def hear_parameter(loop: Loop, joint: int, index: int, value: float, time_ns: int) -> None:
+    row = loop.joints[joint]
+    if not math.isfinite(value):
+        return
+    if index == POSITION:
+        hearing.hear_position(loop, joint, value / row.reading_per_rad - row.zero_rad, time_ns)
+    elif index == VELOCITY:
+        hearing.hear_velocity(loop, joint, value / row.reading_per_rad)
+    elif index == VOLTAGE:
+        hearing.hear_voltage(loop, joint, value)
+
+
+@jit
+def common_status(mode: int, faults: int) -> int:
+    """State and faults of a feedback in common bits."""
+    status = status_bits.ENABLED if mode == RUN else 0
+    if faults != 0:
+        status |= status_bits.PROTECTED
+    if faults & UNDER_VOLTAGE:
+        status |= status_bits.UNDER_VOLTAGE
+    if faults & OVER_CURRENT:
+        status |= status_bits.OVER_CURRENT
+    if faults & OVER_TEMPERATURE:
+        status |= status_bits.OVER_TEMPERATURE
+    if faults & ENCODERS:
+        status |= status_bits.ENCODER
+    return status
+
+
+@jit
+def fault_status(fault: int) -> int:
+    """The word of type 21 in common bits; its other bits are overload and the driver chip."""
+    status = status_bits.PROTECTED
+    if fault & FAULT_TEMPERATURE:
+        status |= status_bits.OVER_TEMPERATURE
+    if fault & FAULT_UNDER_VOLTAGE:
+        status |= status_bits.UNDER_VOLTAGE
+    if fault & FAULT_OVER_VOLTAGE:
+        status |= status_bits.OVER_VOLTAGE
+    if fault & FAULT_CURRENTS:
+        status |= status_bits.OVER_CURRENT
+    if fault & FAULT_ENCODER:
+        status |= status_bits.ENCODER
+    return status

@@ -1,0 +1,291 @@
+"""Bring-up and release of a RobStride motor or CyberGear; what its frames are is said in `rtloop.drives.robstride`.
+
+What it is asked (nothing moves): how it is, by setting the target of its speed mode to 0, which is answered with its
+state in every mode; then its run mode. One that runs in control mode goes on holding what it was told last. One that
+runs in its position loop gets the place where it stands as its target.
+
+One that is stopped is given its run mode, and before it is enabled what it shall hold, because it would begin with what
+it was told last: in control mode a set-point where it stands, and the same again with the enabling itself; with its own
+position loop a target where it stands, and a speed limit with which it would creep, whatever became of that target.
+"""
+
+import math
+import struct
+from typing import NamedTuple
+
+import numpy as np
+
+from config.drives.robstride import CONTROL, ENABLE, FIELD_STEPS, READ, STOP, TYPE_BIT, WRITE, RobstrideDrive
+from config.joint import JointConfig
+from config.schema import ArmConfig
+from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.correction import ERROR_SPEED_SHARE
+from rtloop.drives.asking import AskFrames
+from rtloop.drives.setup import Found, Host
+from rtloop.port import Frame
+from shm.words import Unreferenced
+
+FEEDBACK, FAULT = 2, 21
+"""Types of frames that only a motor says."""
+RUN_MODE, SPEED_TARGET, POSITION_TARGET, SPEED_LIMIT = 0x7005, 0x700A, 0x7016, 0x7017
+POSITION, VELOCITY, VOLTAGE, POSITION_GAIN = 0x7019, 0x701B, 0x701C, 0x701E
+"""Indexes of parameters; what type 18 writes is lost without power."""
+RESET, RUN = 0, 2
+"""What bits 22 and 23 of a feedback's identifier say; 1 is calibrating."""
+MODE_BIT, FAULT_BIT = 22, 16
+FAULTS = ("under-voltage", "over-current", "over-temperature", "magnetic encoder", "Hall or stall", "uncalibrated")
+"""Bits 16 to 21 of a feedback's identifier; 20 is a stall on RobStrides."""
+RUN_MODES = {"control": 0, "position": 1, "csp": 5}
+USUAL_POSITION_GAIN_1_S = 30.0
+CREEP_RAD_S = 0.01
+ALIKE = 1e-4
+"""A parameter that is set may be rounded by as much."""
+
+
+class State(NamedTuple):
+    """What the identifier of a feedback says."""
+
+    mode: int
+    faults: int
+
+    @property
+    def fault_words(self) -> str:
+        """Its faults for people."""
+        return ", ".join(name for bit, name in enumerate(FAULTS) if self.faults >> bit & 1)
+
+
+def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
+    """What the cycle needs of a motor; see `rtloop.drives.setup.Setup`."""
+    drive = _drive(joint)
+    row["command_per_rad"] = row["reading_per_rad"] = row["effort_per_unit"] = joint.direction * joint.ratio
+    row["host_id"] = drive.host_id
+    row["range_rad"], row["range_rad_s"] = drive.position_range_rad, drive.velocity_range_rad_s
+    row["range_nm"] = drive.torque_range_nm
+    if drive.mode == "control":
+        row["gains_word"] = int.from_bytes(_gains(drive), "little")
+    else:
+        row["position_gain_1_s"] = position_gain_1_s(drive)
+        row["silence_deceleration_rad_s2"] = math.inf
+
+
+def position_gain_1_s(drive: RobstrideDrive) -> float:
+    """Gain of its own position loop."""
+    return USUAL_POSITION_GAIN_1_S if drive.position_gain_1_s is None else drive.position_gain_1_s
+
+
+def bring_up(host: Host, joint: int) -> Part[Found]:
+    """What `rtloop.drives.setup.Setup` says; see the head of this file."""
+    config = host.arm.joints[joint]
+    drive = _drive(config)
+    state = yield from _asked_how_it_is(drive)
+    if state is None:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} (motor_id {drive.motor_id}) does not answer: check its power, its ID and the "
+            f"bit rate ({host.arm.bus.bitrate} bit/s; RobStrides come with 1000000), and the CAN wires with 120 Ω at "
+            "both ends.",
+        )
+    if state.faults:
+        state = yield from _without_faults(host, joint, state)
+    if state.mode == RUN:
+        yield from _refuse_another_run_mode(joint, config)
+    for _ in range(TRIES):
+        standing = yield from _where_it_stands(joint, config)
+        if state.mode != RUN:
+            yield from _prepare(joint, config, standing)
+            state = yield from _enabled(joint, config, standing)
+        elif drive.mode != "control":
+            yield from _aim(joint, config, standing)
+        if state.mode == RUN:
+            break
+    else:
+        why = f"its faults are {state.fault_words}" if state.faults else f"its state is {state.mode}"
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} does not run after being enabled ({why}): calibrate its encoder with the "
+            "maker's program, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+        )
+    standing = yield from _where_it_stands(joint, config)
+    if drive.mode != "control":
+        hold_rad_s = ERROR_SPEED_SHARE * config.max_velocity_rad_s * config.ratio
+        yield from _said(joint, config, _write(drive, SPEED_LIMIT, hold_rad_s))
+    return Found(standing, standing, Unreferenced.REFERENCED if drive.knows_its_angle else Unreferenced.INCREMENTAL)
+
+
+def let_go(arm: ArmConfig, joint: int) -> Dialogue:
+    """Stop the motor, which lets it go, and see that it has; raises TalkFailed."""
+    config = arm.joints[joint]
+    for _ in range(TRIES):
+        state = yield from _said(joint, config, _frame(_drive(config), STOP))
+        if state.mode != RUN:
+            return
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} keeps running after being told to let go: keep clear of the arm, switch the "
+        "drive off, then `rtarm clear-fault`, which brings all drives up again.",
+    )
+
+
+def _without_faults(host: Host, joint: int, state: State) -> Part[State]:
+    """Clear its faults, if a person has asked for that; raises TalkFailed."""
+    config = host.arm.joints[joint]
+    if not host.clears_protection:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} has a fault ({state.fault_words}) and holds nothing: remove the cause, then "
+            "`rtarm clear-fault`.",
+        )
+    for _ in range(TRIES):
+        state = yield from _said(joint, config, _frame(_drive(config), STOP, b"\x01"))
+        if not state.faults:
+            return state
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} keeps its fault ({state.fault_words}) after it was cleared, so what caused it is "
+        "still there: remove it, then `rtarm clear-fault`.",
+    )
+
+
+def _refuse_another_run_mode(joint: int, config: JointConfig) -> Part[None]:
+    """Refuse a motor that somebody else leads: its mode can only be changed by letting the joint fall."""
+    run_mode = yield from _parameter(joint, config, RUN_MODE, "run mode")
+    wanted = RUN_MODES[_drive(config).mode]
+    if run_mode[0] != wanted:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} runs in run mode {run_mode[0]}, but mode {_drive(config).mode} is run mode "
+            f"{wanted}, which is set while it is stopped: end the program that leads it, support the arm, switch the "
+            "drive off and on, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+        )
+
+
+def _prepare(joint: int, config: JointConfig, standing: float) -> Part[None]:
+    """Give a stopped motor its run mode, and what it shall hold once it is enabled; raises TalkFailed."""
+    drive = _drive(config)
+    wanted = RUN_MODES[drive.mode]
+    for _ in range(TRIES):
+        yield from _said(joint, config, _frame(drive, WRITE, struct.pack("<HxxB", RUN_MODE, wanted)))
+        found = yield from _parameter(joint, config, RUN_MODE, "run mode")
+        if found[0] == wanted:
+            break
+    else:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} does not take run mode {wanted} (it stays at {found[0]}): mode position is "
+            "for CyberGears, csp for RobStrides; mode control is known to both.",
+        )
+    if drive.mode == "control":
+        yield from _said(joint, config, _hold(drive, standing))
+    else:
+        yield from _aim(joint, config, standing)
+
+
+def _aim(joint: int, config: JointConfig, standing: float) -> Part[None]:
+    """Let its own position loop hold where it stands, at a creep; raises TalkFailed."""
+    drive = _drive(config)
+    wanted = {SPEED_LIMIT: CREEP_RAD_S, POSITION_GAIN: position_gain_1_s(drive), POSITION_TARGET: standing}
+    for index, value in wanted.items():
+        for _ in range(TRIES):
+            yield from _said(joint, config, _write(drive, index, value))
+            found = yield from _parameter(joint, config, index, f"parameter {index:X}")
+            has = float(struct.unpack("<f", found)[0])
+            if math.isclose(has, value, rel_tol=ALIKE, abs_tol=ALIKE):
+                break
+        else:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} does not take {value:.6g} as its parameter {index:X} (it has "
+                f"{has:.6g}): give the joint mode control, or look at its firmware.",
+            )
+
+
+def _enabled(joint: int, config: JointConfig, standing: float) -> Part[State]:
+    """How it is after being enabled; in control mode its first set-point comes with that."""
+    drive = _drive(config)
+    hold = (_hold(drive, standing),) if drive.mode == "control" else ()
+    yield from _said(joint, config, _frame(drive, ENABLE), *hold)
+    state = yield from _asked_how_it_is(drive)
+    if state is None:
+        raise TalkFailed(joint, silent_amid(config, "state"))
+    return state
+
+
+def _drive(config: JointConfig) -> RobstrideDrive:
+    assert isinstance(config.drive, RobstrideDrive)
+    return config.drive
+
+
+def _frame(drive: RobstrideDrive, kind: int, data: bytes = b"", data16: int | None = None) -> Frame:
+    data16 = drive.host_id if data16 is None else data16
+    return Frame(kind << TYPE_BIT | data16 << 8 | drive.motor_id, data.ljust(8, b"\0"))
+
+
+def _write(drive: RobstrideDrive, index: int, value: float) -> Frame:
+    return _frame(drive, WRITE, struct.pack("<Hxxf", index, value))
+
+
+def _code(value: float, lowest: float, highest: float) -> int:
+    """A number as a field of 16 bits, cut off as the maker's sample does."""
+    return int((min(max(value, lowest), highest) - lowest) / (highest - lowest) * FIELD_STEPS + 1e-6)
+
+
+def _gains(drive: RobstrideDrive) -> bytes:
+    assert drive.kp is not None and drive.kd is not None
+    return struct.pack(">HH", _code(drive.kp, 0.0, drive.kp_range), _code(drive.kd, 0.0, drive.kd_range))
+
+
+def _hold(drive: RobstrideDrive, standing: float) -> Frame:
+    """A set-point at rest, without torque of its own."""
+    position = _code(standing, -drive.position_range_rad, drive.position_range_rad)
+    middle = FIELD_STEPS >> 1
+    return _frame(drive, CONTROL, struct.pack(">HH", position, middle) + _gains(drive), data16=middle)
+
+
+def _said(joint: int, config: JointConfig, *frames: Frame) -> Part[State]:
+    """Say something that is answered with feedback; raises TalkFailed where it is not."""
+    answer = yield AskFrames(frames, _is_feedback)
+    if answer is None:
+        raise TalkFailed(joint, silent_amid(config, "state"))
+    return _state(answer)
+
+
+def _asked_how_it_is(drive: RobstrideDrive) -> Part[State | None]:
+    """Its state, None where it does not answer."""
+    answer = yield AskFrames((_write(drive, SPEED_TARGET, 0.0),), _is_feedback)
+    return None if answer is None else _state(answer)
+
+
+def _is_feedback(frame: Frame) -> bool:
+    return frame.id >> TYPE_BIT == FEEDBACK and len(frame.data) == 8
+
+
+def _state(frame: Frame) -> State:
+    return State(frame.id >> MODE_BIT & 3, frame.id >> FAULT_BIT & 0x3F)
+
+
+def _parameter(joint: int, config: JointConfig, index: int, what: str) -> Part[bytes]:
+    """The four bytes of a parameter's value; raises TalkFailed."""
+    request = _frame(_drive(config), READ, struct.pack("<H", index))
+
+    def is_answer(frame: Frame) -> bool:
+        known = frame.id >> 16 & 0xFF == 0  # anything else there is a RobStride that has no such parameter
+        return frame.id >> TYPE_BIT == READ and known and len(frame.data) == 8 and frame.data[:2] == request.data[:2]
+
+    answer = yield AskFrames((request,), is_answer)
+    if answer is None:
+        raise TalkFailed(joint, silent_amid(config, what))
+    return bytes(answer.data[4:])
+
+
+def _where_it_stands(joint: int, config: JointConfig) -> Part[float]:
+    """Angle of its output shaft (rad); raises TalkFailed."""
+    for _ in range(TRIES):
+        data = yield from _parameter(joint, config, POSITION, "position")
+        angle = float(struct.unpack("<f", data)[0])
+        if math.isfinite(angle):
+            return angle
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} says that its position is no number: calibrate its encoder with the maker's "
+        "program, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+    )
