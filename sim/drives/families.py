@@ -9,6 +9,7 @@ from sim.drives.damiao import DamiaoDrive
 from sim.drives.drive import Drive, Mounting
 from sim.drives.mks import MksDrive
 from sim.drives.odrive import OdriveDrive
+from sim.drives.robstride import RobstrideDrive
 from sim.drives.zdt import ZdtDrive
 
 FAMILIES: dict[str, Callable[[Mounting], Drive]] = {
@@ -17,5 +18,6 @@ FAMILIES: dict[str, Callable[[Mounting], Drive]] = {
     "mks": MksDrive.mounted,
     "damiao": DamiaoDrive.mounted,
     "cia402": Cia402Drive.mounted,
+    "robstride": RobstrideDrive.mounted,
 }
 """Makes the drive of a joint, by the family its configuration names."""

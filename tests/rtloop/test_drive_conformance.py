@@ -6,6 +6,7 @@ simulated bus, never by a variable of the loop.
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.faults import Disabled, PowerLoss, Protection, Silent
 
 ALL = 0b111111
+DATA = Path(__file__).parents[1] / "data"
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class Family:
     measures: tuple[str, ...] = ()
 
 
+EVERYTHING = ("measured_effort", "drive_temperature_c", "drive_voltage_v")
+
 FAMILIES = (
     Family("episode1", path_error_deg=0.02, ripple=0.001, braking=2.2),
     Family(
@@ -62,10 +66,18 @@ FAMILIES = (
         measures=("measured_effort", "drive_temperature_c"),
     ),
     Family("cia402_6", path_error_deg=0.02, ripple=0.01, braking=math.inf, measures=("measured_effort",)),
+    Family("robstride6", path_error_deg=0.03, ripple=0.01, braking=math.inf, measures=EVERYTHING),
+    Family(
+        str(DATA / "robstride6_position.yaml"),
+        path_error_deg=0.03,
+        ripple=0.01,
+        braking=math.inf,
+        measures=EVERYTHING,
+    ),
 )
 
 
-@pytest.fixture(params=FAMILIES, ids=lambda family: family.arm)
+@pytest.fixture(params=FAMILIES, ids=lambda family: Path(family.arm).stem)
 def family(request: pytest.FixtureRequest) -> Family:
     """Each family in turn."""
     return request.param
