@@ -66,11 +66,11 @@ FAMILIES = (
         measures=("measured_effort", "drive_temperature_c"),
     ),
     Family("cia402_6", path_error_deg=0.02, ripple=0.01, braking=math.inf, measures=("measured_effort",)),
-    Family("robstride6", path_error_deg=0.03, ripple=0.01, braking=math.inf, measures=EVERYTHING),
+    Family("robstride6", path_error_deg=0.03, ripple=0.015, braking=math.inf, measures=EVERYTHING),
     Family(
         str(DATA / "robstride6_position.yaml"),
         path_error_deg=0.03,
-        ripple=0.01,
+        ripple=0.003,
         braking=math.inf,
         measures=EVERYTHING,
     ),

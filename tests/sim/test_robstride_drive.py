@@ -1,0 +1,222 @@
+"""The simulated RobStride motor: golden frames, its run modes, what moves it, and what it ignores.
+
+Frames marked (facts) are the vectors of other-drives.md (host AA, motor 1); the others follow from its tables.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from servo_bench import ServoBench
+
+from sim.bus import Frame
+from sim.drives.robstride import OVER_CURRENT, RESET, RUN, STALL, RobstrideDrive, Settings
+from sim.drives.servo import TURN_RAD, Load
+
+ENABLE = "0300AA01# 00 00 00 00 00 00 00 00"  # (facts)
+POSITION_MODE = "1200AA01# 05 70 00 00 01 00 00 00"  # (facts)
+TARGET = "1200AA01# 16 70 00 00 00 00 80 3F"  # 1.0 rad (facts)
+READ_POSITION = "1100AA01# 19 70 00 00 00 00 00 00"  # (facts)
+SET_POINT = "017FFF01# 8A 2F 7F FF 0F 5C 33 33"  # p 1.0, kp 30, kd 1 (facts)
+AT_ONE = "028001AA# 8A 2F 7F FF 7F FF 01 31"  # run, 1.0 rad, 30.5 °C (facts)
+LET_GO = "0400AA01# 00 00 00 00 00 00 00 00"
+CLEAR = "0400AA01# 01 00 00 00 00 00 00 00"
+
+
+def motor(turns: float = 0.0, **changes) -> ServoBench:
+    bench = ServoBench(
+        RobstrideDrive(Settings(**{"motor_id": 1} | changes), turns=turns, load=Load(1e-3, 0.02, 10.0), seed=1)
+    )
+    bench.drive.celsius = 30.5
+    return bench
+
+
+def write(index: int, value: float) -> Frame:
+    return Frame(0x1200AA01, struct.pack("<Hxxf", index, value))
+
+
+def radians(bench: ServoBench) -> float:
+    return bench.turns * TURN_RAD
+
+
+# --- golden frames --------------------------------------------------------------------------------------
+
+
+def test_feedback_of_the_facts():
+    bench = motor(1.0 / TURN_RAD, absolute=True)
+    assert bench.ask(ENABLE)[0].startswith("028001AA# 8A 2F ")
+    bench.ask("1200AA01# 0A 70 00 00 00 00 00 00")
+    bench.wait(10)
+    assert bench.ask(ENABLE) == [AT_ONE]
+
+
+def test_position_of_the_facts():
+    bench = motor(1.0 / TURN_RAD, absolute=True)
+    assert bench.ask(READ_POSITION) == ["110001AA# 19 70 00 00 00 00 80 3F"]
+
+
+def test_a_target_of_the_facts():
+    bench = motor()
+    bench.tell(POSITION_MODE, ENABLE, TARGET)
+    bench.wait(3000)
+    assert radians(bench) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_set_point_of_the_facts():
+    bench = motor()
+    bench.tell(ENABLE, SET_POINT)
+    bench.wait(2000)
+    assert radians(bench) == pytest.approx(
+        1.0, abs=0.02 / 30 + 4e-4
+    )  # friction over stiffness, and the position's step
+
+
+def test_its_id_is_told_to_anybody():
+    assert motor().ask("0000AA01# 00 00 00 00 00 00 00 00")[0].startswith("000001FE# ")
+
+
+# --- what moves it --------------------------------------------------------------------------------------
+
+
+def test_stopped_it_does_not_move():
+    bench = motor()
+    bench.tell(SET_POINT, TARGET)
+    bench.wait(500)
+    assert bench.turns == 0.0
+
+
+def test_its_position_loop_keeps_the_speed_limit_and_has_no_ramp():
+    bench = motor()
+    bench.tell(POSITION_MODE, write(0x7017, 0.5), ENABLE, TARGET)
+    bench.wait(100)
+    assert bench.turns_s * TURN_RAD == pytest.approx(0.5, rel=1e-3)  # long since: a ramp of 10 would need 50 ms
+    bench.wait(3000)
+    assert radians(bench) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_run_mode_one_of_robstrides_has_a_ramp_and_another_limit():
+    bench = motor(robstride=True)
+    bench.tell(POSITION_MODE, write(0x7017, 0.1), ENABLE, TARGET)
+    bench.wait(100)
+    assert bench.turns_s * TURN_RAD == pytest.approx(1.0, rel=0.01)  # 10 rad/s² for 0.1 s
+    bench.wait(1000)
+    assert radians(bench) == pytest.approx(1.0, abs=1e-5)
+    bench.tell(LET_GO, Frame(0x1200AA01, struct.pack("<HxxBxxx", 0x7005, 5)), ENABLE, write(0x7016, 0.5))
+    bench.wait(1000)
+    assert bench.turns_s * TURN_RAD == pytest.approx(-0.1, rel=1e-3)
+
+
+def test_a_run_mode_that_it_has_not_is_not_taken():
+    bench = motor()
+    bench.tell(Frame(0x1200AA01, struct.pack("<HxxBxxx", 0x7005, 5)))
+    assert bench.ask("1100AA01# 05 70 00 00 00 00 00 00") == ["110001AA# 05 70 00 00 00 00 00 00"]
+
+
+def test_its_run_mode_stays_while_it_runs():
+    bench = motor()
+    bench.tell(ENABLE, POSITION_MODE)
+    assert bench.drive.parameters[0x7005] == 0
+    bench.tell(LET_GO, POSITION_MODE)
+    assert bench.drive.parameters[0x7005] == 1
+
+
+def test_enabling_acts_on_what_it_was_told_last():
+    """Why a host says what to hold before it enables."""
+    bench = motor()
+    bench.tell(POSITION_MODE, TARGET, ENABLE)
+    bench.wait(100)
+    assert bench.turns_s > 0.0
+
+
+def test_a_speed_of_zero_moves_nothing_in_any_mode():
+    for mode in range(4):
+        bench = motor(0.1, absolute=True)
+        bench.tell(Frame(0x1200AA01, struct.pack("<HxxBxxx", 0x7005, mode)), write(0x7016, 0.2 * math.pi), ENABLE)
+        bench.wait(300)
+        before = bench.turns
+        bench.tell(write(0x700A, 0.0))
+        bench.wait(300)
+        assert bench.turns == pytest.approx(before, abs=1e-6)
+
+
+# --- faults, power and names ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("cause", "fault"), [("stall", STALL), ("current", OVER_CURRENT)])
+def test_a_fault_is_said_and_stops_it_until_it_is_cleared(cause, fault):
+    bench = motor()
+    bench.tell(ENABLE)
+    bench.drive.protect(bench.now_ns, cause)
+    said = bench.heard()[-1]
+    assert said.startswith("150001AA# ") and said != "150001AA# 00 00 00 00 00 00 00 00"
+    assert (bench.drive.state, bench.drive.faults) == (RESET, fault)
+    assert bench.ask(ENABLE)[0].startswith(f"02{fault:02X}01AA# ")
+    bench.drive.cause_lasts = True
+    bench.tell(CLEAR)
+    assert bench.drive.faults == fault
+    bench.drive.cause_lasts = False
+    bench.tell(LET_GO)
+    assert bench.drive.faults == fault
+    bench.tell(CLEAR, ENABLE)
+    assert (bench.drive.state, bench.drive.faults) == (RUN, 0)
+
+
+def test_power_makes_it_forget_where_it_counts_from_unless_its_encoder_is_absolute():
+    for absolute, counted in ((False, 0.0), (True, 0.25 * TURN_RAD)):
+        bench = motor(0.25, absolute=absolute)
+        bench.tell(POSITION_MODE, ENABLE)
+        bench.drive.power_off(bench.now_ns)
+        bench.drive.power_on(bench.now_ns)
+        assert bench.drive.state == RESET and bench.drive.parameters[0x7005] == 0
+        told = bytes.fromhex(bench.ask(READ_POSITION)[0].partition("# ")[2])
+        assert struct.unpack("<f", told[4:])[0] == pytest.approx(counted)
+
+
+def test_its_zero_and_its_id_can_be_set():
+    bench = motor(0.25, absolute=True)
+    bench.tell("0600AA01# 01 00 00 00 00 00 00 00")
+    assert bench.drive.counted == 0.0
+    assert bench.ask("0707AA01# 01 00 00 00 00 00 00 00")[0].startswith("000007FE# ")
+    assert bench.ask(READ_POSITION) == []
+
+
+# --- what it ignores ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "0300AA02# 00 00 00 00 00 00 00 00",  # another motor
+        "0300AA01# 00 00 00 00 00 00 00",  # too short
+        "301# 00 00 00 00 00 00 00 00",  # standard
+        "0300AA01# remote",
+        "028001AA# 8A 2F 7F FF 7F FF 01 31",  # feedback
+        "1F00AA01# 00 00 00 00 00 00 00 00",
+        "1100AA01# 34 12 00 00 00 00 00 00",  # a parameter that it does not know
+    ],
+)
+def test_frames_that_are_not_for_it(text):
+    bench = motor()
+    assert bench.ask(text) == []
+    assert bench.drive.state == RESET
+
+
+def test_a_number_that_is_none_changes_nothing():
+    bench = motor()
+    bench.tell(POSITION_MODE, ENABLE, write(0x7016, math.nan), write(0x7017, math.inf))
+    bench.wait(100)
+    assert bench.turns == 0.0 and bench.drive.parameters[0x7017] == 2.0
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 0x1FFFFFFF), st.binary(max_size=8)), max_size=20))
+def test_it_outlives_any_frames(frames):
+    bench = motor()
+    for ident, data in frames:
+        bench.tell(Frame(ident & ~0xFF | 1, data), Frame(ident, data))
+        bench.wait(5)
+    assert math.isfinite(bench.turns)
