@@ -1,0 +1,126 @@
+"""Bringing RobStride motors up: nothing moves whatever they were told before, and what is not as the arm file says."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from motion_figures import sampled_truth
+from virtual import VirtualArm
+
+from rtloop.drives.robstride_setup import CREEP_RAD_S
+from shm.words import Mode
+from sim.bus import Frame
+from sim.drives.robstride import RESET, RUN
+from sim.faults import Disabled, Protection
+
+CONTROL = "robstride6"
+POSITION = str(Path(__file__).parents[1] / "data" / "robstride6_position.yaml")
+both = pytest.mark.parametrize("name", [CONTROL, POSITION], ids=["control", "position"])
+EVERYWHERE = 0x017FFF00
+"""A set-point's identifier, without the motor."""
+
+
+def told(arm: VirtualArm, joint: int, kind: int, data: bytes) -> None:
+    """Somebody else says something to a motor."""
+    drive = arm.sim.drives[joint]
+    drive.receive(arm.sim.now_ns, Frame(kind << 24 | 0xEE00 | drive.settings.motor_id, data.ljust(8, b"\0")))
+    drive.outbox.clear()
+
+
+def led_elsewhere(arm: VirtualArm) -> None:
+    """Every motor was told to be somewhere else, and then stopped."""
+    for joint in range(6):
+        told(arm, joint, 4, b"")
+        told(arm, joint, 18, struct.pack("<Hxxf", 0x7016, 2.0))
+        told(arm, joint, 18, struct.pack("<Hxxf", 0x7017, 9.0))
+        told(arm, joint, 1, bytes.fromhex("E0 00 7F FF FF FF 33 33"))
+
+
+def way(arm: VirtualArm) -> float:
+    """The farthest that any joint has been from where it began (rad)."""
+    return max(float(np.ptp(sampled_truth(arm.sim, joint, arm.sim.start_ns, arm.sim.now_ns)[1])) for joint in range(6))
+
+
+@both
+def test_nothing_moves_whatever_stopped_motors_were_told_before(name: str) -> None:
+    arm = VirtualArm(name, faults=[Disabled(f"joint{n}", 0.0) for n in range(1, 7)])
+    arm.cycles(3)
+    led_elsewhere(arm)
+    assert arm.bring_up().failure is None, arm.told
+    arm.cycles(100)
+    assert all(drive.state == RUN for drive in arm.sim.drives)
+    assert way(arm) <= 2 * arm.arm.joints[0].encoder_count_rad
+    arm.close()
+
+
+def test_a_motor_that_forgets_its_target_when_it_is_enabled_creeps() -> None:
+    """What becomes of a target that was written before is unproven, so the speed limit alone keeps it in place."""
+    arm = VirtualArm(POSITION)
+    drive = arm.sim.drives[0]
+    enable = drive._does[3]
+
+    def forgetful(data16: int, data: bytes) -> None:
+        drive.parameters[0x7016] = 2.0
+        enable(data16, data)
+
+    drive._does[3] = forgetful
+    assert arm.bring_up().failure is None, arm.told
+    assert 0.0 < way(arm) <= CREEP_RAD_S * 0.5
+    arm.close()
+
+
+@both
+def test_a_motor_that_runs_already_goes_on_holding(name: str) -> None:
+    arm = VirtualArm(name)
+    arm.bring_up()
+    arm.cycles(10)
+    before, frames = way(arm), arm.sim.bus.frames
+    assert arm.bring_up().failure is None
+    arm.cycles(20)
+    assert arm.sim.bus.frames > frames
+    assert way(arm) <= before + arm.arm.joints[0].encoder_count_rad
+    assert not any(" 03" in str(item) for item in arm.told)
+    arm.close()
+
+
+@both
+def test_a_motor_that_somebody_else_leads_is_left_alone(name: str) -> None:
+    arm = VirtualArm(name)
+    arm.cycles(2)
+    told(arm, 3, 18, struct.pack("<HxxB", 0x7005, 2))
+    told(arm, 3, 3, b"")
+    failed = arm.bring_up().failure
+    assert failed is not None and "joint4 runs in run mode 2" in str(failed) and "switch the drive off" in str(failed)
+    assert arm.sim.drives[3].state == RUN and way(arm) <= arm.arm.joints[0].encoder_count_rad
+    arm.close()
+
+
+def test_a_run_mode_that_the_firmware_has_not_is_said() -> None:
+    arm = VirtualArm(POSITION)
+    arm.sim.drives[1].settings = type(arm.sim.drives[1].settings)(motor_id=2, robstride=False)
+    arm.sim.drives[1]._does[18] = lambda data16, data: arm.sim.drives[1].reply(arm.sim.drives[1]._feedback())
+    failed = arm.bring_up().failure
+    assert (
+        failed is not None and "joint2 does not take run mode 1" in str(failed) and "csp for RobStrides" in str(failed)
+    )
+    arm.close()
+
+
+def test_a_fault_is_said_and_cleared_only_when_a_person_wants_that() -> None:
+    arm = VirtualArm(CONTROL, faults=[Protection("joint5", 0.0, 0.1)])
+    arm.cycles(40)
+    failed = arm.bring_up().failure
+    assert failed is not None and "joint5 has a fault" in str(failed) and "rtarm clear-fault" in str(failed)
+    assert arm.sim.drives[4].state == RESET
+    assert arm.bring_up(clears_protection=True).failure is None
+    assert arm.core["mode"] == Mode.HOLDING
+    arm.close()
+
+
+def test_a_motor_that_is_not_there_is_said() -> None:
+    arm = VirtualArm(CONTROL)
+    arm.sim.drives[2].power_off(arm.sim.now_ns)
+    failed = arm.bring_up().failure
+    assert failed is not None and "joint3 (motor_id 3) does not answer" in str(failed)
+    arm.close()
