@@ -20,6 +20,7 @@ from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.correction import ERROR_SPEED_SHARE
+from rtloop.drives import fields
 from rtloop.drives.asking import AskFrames
 from rtloop.drives.setup import Found, Host
 from rtloop.port import Frame
@@ -224,19 +225,19 @@ def _write(drive: RobstrideDrive, index: int, value: float) -> Frame:
     return _frame(drive, WRITE, struct.pack("<Hxxf", index, value))
 
 
-def _code(value: float, lowest: float, highest: float) -> int:
-    """A number as a field of 16 bits, cut off as the maker's sample does."""
-    return int((min(max(value, lowest), highest) - lowest) / (highest - lowest) * FIELD_STEPS + 1e-6)
+def _gain(value: float, most: float) -> int:
+    """A number from 0 to `most` as 16 bits."""
+    return fields.field(2.0 * value - most, most, 16)
 
 
 def _gains(drive: RobstrideDrive) -> bytes:
     assert drive.kp is not None and drive.kd is not None
-    return struct.pack(">HH", _code(drive.kp, 0.0, drive.kp_range), _code(drive.kd, 0.0, drive.kd_range))
+    return struct.pack(">HH", _gain(drive.kp, drive.kp_range), _gain(drive.kd, drive.kd_range))
 
 
 def _hold(drive: RobstrideDrive, standing: float) -> Frame:
     """A set-point at rest, without torque of its own."""
-    position = _code(standing, -drive.position_range_rad, drive.position_range_rad)
+    position = fields.field(standing, drive.position_range_rad, 16)
     middle = FIELD_STEPS >> 1
     return _frame(drive, CONTROL, struct.pack(">HH", position, middle) + _gains(drive), data16=middle)
 

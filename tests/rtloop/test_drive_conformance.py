@@ -6,7 +6,6 @@ simulated bus, never by a variable of the loop.
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,6 @@ from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.faults import Disabled, PowerLoss, Protection, Silent
 
 ALL = 0b111111
-DATA = Path(__file__).parents[1] / "data"
 
 
 @dataclass(frozen=True)
@@ -67,17 +65,11 @@ FAMILIES = (
     ),
     Family("cia402_6", path_error_deg=0.02, ripple=0.01, braking=math.inf, measures=("measured_effort",)),
     Family("robstride6", path_error_deg=0.03, ripple=0.015, braking=math.inf, measures=EVERYTHING),
-    Family(
-        str(DATA / "robstride6_position.yaml"),
-        path_error_deg=0.03,
-        ripple=0.003,
-        braking=math.inf,
-        measures=EVERYTHING,
-    ),
+    Family("robstride6_position", path_error_deg=0.03, ripple=0.003, braking=math.inf, measures=EVERYTHING),
 )
 
 
-@pytest.fixture(params=FAMILIES, ids=lambda family: Path(family.arm).stem)
+@pytest.fixture(params=FAMILIES, ids=lambda family: family.arm)
 def family(request: pytest.FixtureRequest) -> Family:
     """Each family in turn."""
     return request.param

@@ -1,7 +1,6 @@
 """Bringing RobStride motors up: nothing moves whatever they were told before, and what is not as the arm file says."""
 
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,10 +14,8 @@ from sim.drives.robstride import RESET, RUN
 from sim.faults import Disabled, Protection
 
 CONTROL = "robstride6"
-POSITION = str(Path(__file__).parents[1] / "data" / "robstride6_position.yaml")
-both = pytest.mark.parametrize("name", [CONTROL, POSITION], ids=["control", "position"])
-EVERYWHERE = 0x017FFF00
-"""A set-point's identifier, without the motor."""
+POSITION = "robstride6_position"
+both = pytest.mark.parametrize("name", [CONTROL, POSITION])
 
 
 def told(arm: VirtualArm, joint: int, kind: int, data: bytes) -> None:
