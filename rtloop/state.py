@@ -147,6 +147,9 @@ AXIS = np.dtype(
         ("lag_rad", "f8"),  # what was commanded meanwhile
         ("readings", "i8"),
         ("asked_cycle", "i8"),  # the last one in which a command has asked it for its position as well
+        ("led_cycle", "i8"),  # the last one in which it was led, where that is told apart
+        ("let_go", "i8"),  # 1: it was told to let go, and has said so
+        ("brake_released", "i8"),  # 1: it has said that its brake is released
         ("questions", "i8"),  # for its position that may still be answered, QUESTIONS at most
         ("unasked", "i8"),  # positions that came although no question was left: reports
         ("heard", "i8"),  # 1: a position came since the last cycle

@@ -39,6 +39,11 @@ class Drive(Section):
         return False
 
     @property
+    def ramp_range_rad_s2(self) -> tuple[float, float] | None:
+        """Least and most that the ramp of its own shaft can be set to (rad/s²); None where any will do."""
+        return None
+
+    @property
     def highest_motor_rpm(self) -> float:
         """Highest speed that may be asked of a motor (rpm)."""
         raise NotImplementedError

@@ -13,6 +13,9 @@ from config.joint import JointConfig
 from config.section import refuse
 from config.serial_adapters import SERIAL_ADAPTERS
 
+LEAST_SILENCE_FACTOR, MOST_SILENCE_FACTOR = 1.5, 2.0
+"""With what share of its joint's acceleration limit a drive brakes that hears nothing more."""
+
 
 class Limits(Protocol):
     """What is asked of the section `limits`."""
@@ -165,6 +168,7 @@ def _exchanged(joint: JointConfig, bus: BusConfig) -> tuple[CycleFrames, ...]:
 
 def _brake_in_silence(joints: Sequence[JointConfig], limits: Limits) -> None:
     for index, joint in enumerate(joints):
+        _have_a_ramp_for_silence(index, joint)
         if not joint.drive.stepper_ramp:
             continue
         limit = joint.max_acceleration_rad_s2
@@ -176,3 +180,19 @@ def _brake_in_silence(joints: Sequence[JointConfig], limits: Limits) -> None:
                 f"{joint.ratio:g} has no ramp that brakes at 1.5 to 2 times that limit when it hears "
                 f"nothing more; the nearest limit that has one is {nearest:.4g}.",
             )
+
+
+def _have_a_ramp_for_silence(index: int, joint: JointConfig) -> None:
+    range_rad_s2 = joint.drive.ramp_range_rad_s2
+    if range_rad_s2 is None:
+        return
+    limit = joint.max_acceleration_rad_s2
+    least, most = (ramp / joint.ratio for ramp in range_rad_s2)
+    if not LEAST_SILENCE_FACTOR * limit <= most or not least <= MOST_SILENCE_FACTOR * limit:
+        nearest = most / LEAST_SILENCE_FACTOR if LEAST_SILENCE_FACTOR * limit > most else least / MOST_SILENCE_FACTOR
+        raise refuse(
+            f"joints[{index}].max_acceleration_rad_s2",
+            f"max_acceleration_rad_s2 of {joint.name} is {limit:g}, but {joint.drive.called} with ratio "
+            f"{joint.ratio:g} has ramps from {least:.4g} to {most:.4g} rad/s², none of them 1.5 to 2 times that limit, "
+            f"with which it would brake when it hears nothing more; the nearest limit that has one is {nearest:.4g}.",
+        )

@@ -8,6 +8,7 @@ from sim.drives.cia402 import Cia402Drive
 from sim.drives.damiao import DamiaoDrive
 from sim.drives.drive import Drive, Mounting
 from sim.drives.mks import MksDrive
+from sim.drives.myactuator import MyactuatorDrive
 from sim.drives.odrive import OdriveDrive
 from sim.drives.robstride import RobstrideDrive
 from sim.drives.zdt import ZdtDrive
@@ -18,6 +19,7 @@ FAMILIES: dict[str, Callable[[Mounting], Drive]] = {
     "mks": MksDrive.mounted,
     "damiao": DamiaoDrive.mounted,
     "cia402": Cia402Drive.mounted,
+    "myactuator": MyactuatorDrive.mounted,
     "robstride": RobstrideDrive.mounted,
 }
 """Makes the drive of a joint, by the family its configuration names."""

@@ -64,6 +64,7 @@ FAMILIES = (
         measures=("measured_effort", "drive_temperature_c"),
     ),
     Family("cia402_6", path_error_deg=0.02, ripple=0.01, braking=math.inf, measures=("measured_effort",)),
+    Family("myactuator6", path_error_deg=0.02, ripple=0.025, braking=2.2, measures=EVERYTHING),
     Family("robstride6", path_error_deg=0.03, ripple=0.015, braking=math.inf, measures=EVERYTHING),
     Family("robstride6_position", path_error_deg=0.03, ripple=0.003, braking=math.inf, measures=EVERYTHING),
 )

@@ -1,0 +1,156 @@
+"""MyActuator RMD motors in the cycle: targets ahead for a drive that plans its own ramp.
+
+Protocol facts (Motor Motion Protocol V4.2 for V3 drivers; 2b-t/myactuator_rmd and its tests): standard identifiers, 140
++ ID out and 240 + ID back, always 8 bytes, lowest byte first; an answer begins with the command's byte. A4 is an
+absolute target (0.01° of the output shaft) with the highest speed of its trapezoid (whole degrees a second), answered
+with temperature, current (0.01 A), speed (whole °/s) and an angle of whole degrees; 92 is answered with the angle in
+0.01°; 9A with temperature, brake, voltage (0.1 V) and error word; 9C as A4 is; 81 stops, with the loop closed.
+
+A speed of 0 would be no limit at all, so 1 is the least that is sent.
+
+Nothing in an answer says whether the motor holds its shaft. What is taken for that: it has answered a motion command
+since it was told to let go (80), and does not say that its brake is locked after having said that it was released
+(motors without a brake may say either).
+"""
+
+from typing import Any
+
+from rtloop import hearing, leading
+from rtloop import status as status_bits
+from rtloop.drives import words
+from rtloop.drives.myactuator_setup import ANGLE, FEEDBACK, SHUTDOWN, STATUS, STOP, TARGET
+from rtloop.wire import outgoing
+from rtloop.wire.frame_words import STANDARD
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+REQUEST_BASE = 0x140
+HIGHEST_SPEED_DPS = 0xFFFF
+HIGHEST_ANGLE = 0x7FFFFFFF
+STEPS_PER_DEGREE = 100.0
+DPS_PER_RPM = 6.0
+VOLT_PER_STEP = 0.1
+
+STALL, LOW_VOLTAGE, OVER_VOLTAGE, OVER_CURRENT, POWER = 0x0002, 0x0004, 0x0008, 0x0010, 0x0040
+OVER_TEMPERATURE, ENCODER = 0x1000, 0x2000
+"""Bits of the error word; power is the current that it takes from its supply."""
+
+
+@jit
+def identifier(loop: Loop, joint: int) -> int:
+    return int(REQUEST_BASE + loop.joints[joint].address)
+
+
+@jit
+def target_with_speed(angle: int, speed_dps: int) -> int:
+    """Data of A4."""
+    return int(TARGET | speed_dps << 16 | (angle & 0xFFFFFFFF) << 32)
+
+
+@jit
+def command(loop: Loop, joint: int) -> int:
+    """Data that leads a motor through the coming period; carries the speed's rounding over."""
+    row, axis = loop.joints[joint], loop.axes[joint]
+    dps_per_rad_s = abs(row.command_per_rad) / STEPS_PER_DEGREE
+    target, speed = leading.target_ahead(loop, joint, 0.5 / dps_per_rad_s)
+    wanted_dps = abs(speed) * dps_per_rad_s + axis.rpm_remainder * DPS_PER_RPM
+    speed_dps = round(wanted_dps)
+    axis.rpm_remainder = min(max(wanted_dps - speed_dps, -1.0), 1.0) / DPS_PER_RPM
+    angle = words.bounded((target + row.zero_rad) * row.command_per_rad, HIGHEST_ANGLE)
+    return target_with_speed(angle, min(max(speed_dps, 1), HIGHEST_SPEED_DPS))
+
+
+@jit
+def lead(loop: Loop, joint: int, shared: Shared) -> None:
+    if outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, command(loop, joint)):
+        loop.axes[joint].led_cycle = loop.core.cycle
+
+
+@jit
+def stop(loop: Loop, joint: int, shared: Shared) -> bool:
+    return bool(outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, STOP, 0, joint))
+
+
+@jit
+def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
+    if outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, ANGLE):
+        hearing.note_question(loop, joint)
+
+
+@jit
+def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
+    """One that is led tells its speed and current by that; one that is not is asked for them every other time."""
+    axis = loop.axes[joint]
+    turn = loop.core.cycle // loop.params.joint_count
+    silent = axis.led_cycle != loop.core.cycle and axis.bad_statuses == 0
+    what = FEEDBACK if silent and turn & 1 else STATUS
+    outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, what)
+
+
+@jit
+def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
+    return bool(data == STOP)
+
+
+@jit
+def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
+    if data == ANGLE:
+        hearing.note_question(loop, joint)
+
+
+@jit
+def hear(
+    loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
+) -> None:
+    row, axis = loop.joints[joint], loop.axes[joint]
+    said = data & 255
+    if length != 8:
+        return
+    if said == ANGLE:
+        hearing.hear_position(loop, joint, words.signed(data, 4, 4) / row.reading_per_rad - row.zero_rad, time_ns)
+    elif said in (TARGET, FEEDBACK):
+        hearing.hear_temperature(loop, joint, float(words.signed(data, 1, 1)))
+        if row.effort_per_unit != 0.0:
+            hearing.hear_effort(loop, joint, words.signed(data, 2, 2) * row.effort_per_unit)
+        hearing.hear_velocity(loop, joint, words.signed(data, 4, 2) * STEPS_PER_DEGREE / row.reading_per_rad)
+        if said == TARGET:
+            axis.let_go = 0
+    elif said == STATUS:
+        hearing.hear_temperature(loop, joint, float(words.signed(data, 1, 1)))
+        hearing.hear_voltage(loop, joint, words.unsigned(data, 4, 2) * VOLT_PER_STEP)
+        hearing.hear_status(
+            loop, joint, common_status(holds(axis, words.unsigned(data, 3, 1)), words.unsigned(data, 6, 2))
+        )
+    elif said == SHUTDOWN:
+        axis.let_go = 1
+
+
+@jit
+def holds(axis: Any, brake: int) -> bool:
+    """Whether a motor that says so of its brake holds its shaft; see the head of this file."""
+    if brake != 0:
+        axis.brake_released = 1
+    return bool(axis.let_go == 0 and (brake != 0 or axis.brake_released == 0))
+
+
+@jit
+def common_status(enabled: bool, error: int) -> int:
+    """Whether it holds, and its error word, in common bits."""
+    status = status_bits.ENABLED if enabled else 0
+    if error != 0:
+        status |= status_bits.PROTECTED
+    if error & STALL:
+        status |= status_bits.STALLED
+    if error & LOW_VOLTAGE:
+        status |= status_bits.UNDER_VOLTAGE
+    if error & OVER_VOLTAGE:
+        status |= status_bits.OVER_VOLTAGE
+    if error & (OVER_CURRENT | POWER):
+        status |= status_bits.OVER_CURRENT
+    if error & OVER_TEMPERATURE:
+        status |= status_bits.OVER_TEMPERATURE
+    if error & ENCODER:
+        status |= status_bits.ENCODER
+    return status

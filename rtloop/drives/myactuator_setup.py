@@ -1,0 +1,222 @@
+"""Bring-up and release of a MyActuator RMD motor; what its frames are is said in `rtloop.drives.myactuator`.
+
+What it is asked (nothing moves): its angle, its errors, how fast it is, and the ramp of its position planning. One that
+is on its way is stopped (81). The ramp is written (43) only where it is another one, since that goes to its ROM; it is
+what brakes the joint when the motor hears nothing more, so it must be the one that the arm file asks for. Then the
+motor gets where it stands as its target, at one degree a second, and a brake that it says is locked is released (77).
+
+Errors that end by themselves are waited for; the others (stall, over-current, lost parameters) end with a restart only
+(V4.2, 8), for which a person's `rtarm clear-fault` is taken: the motor holds nothing then anyway.
+
+The communication timeout (B3) is not used: it cuts the motor's output (V4.2, 2.30), so a joint without a brake falls,
+when a control process ends orderly too; nor can it be read. Silence is a stop on the ramp without it.
+"""
+
+import math
+import struct
+
+import numpy as np
+
+from config.drives.myactuator import RAMP_DPS_S, REPLY, REQUEST, MyactuatorDrive
+from config.joint import JointConfig
+from config.schema import ArmConfig
+from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.drives.asking import AskFrames, say
+from rtloop.drives.setup import Found, Host
+from rtloop.port import Frame
+from rtloop.wire.frame_words import STANDARD
+from shm.words import Unreferenced
+
+READ_RAMP, WRITE_RAMP, RESET, RELEASE_BRAKE = 0x42, 0x43, 0x76, 0x77
+SHUTDOWN, STOP, ANGLE, STATUS, FEEDBACK = 0x80, 0x81, 0x92, 0x9A, 0x9C
+TARGET = 0xA4
+RAMPS = ((0, "acceleration"), (1, "deceleration"))
+"""Indexes of 42 and 43: those of position planning."""
+ERRORS = (
+    (0x0002, "stall"),
+    (0x0004, "low voltage"),
+    (0x0008, "over-voltage"),
+    (0x0010, "over-current"),
+    (0x0040, "power"),
+    (0x0080, "lost parameters"),
+    (0x0100, "over-speed"),
+    (0x1000, "over-temperature"),
+    (0x2000, "encoder"),
+)
+"""Bits of the status' error word."""
+NEEDS_RESTART = 0x0002 | 0x0010 | 0x0080
+CREEP_DPS = 1
+RESTART_S = 5.0
+HUNDREDTHS = 100.0
+
+
+def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
+    """What the cycle needs of a motor; see `rtloop.drives.setup.Setup`."""
+    drive = _drive(joint)
+    row["silence_deceleration_rad_s2"] = math.radians(ramp_dps_s(joint, arm)) / joint.ratio
+    if drive.nm_per_ampere is not None:
+        row["effort_per_unit"] = joint.direction * joint.ratio * drive.nm_per_ampere / HUNDREDTHS
+
+
+def ramp_dps_s(joint: JointConfig, arm: ArmConfig) -> int:
+    """The ramp with which a motor brakes in silence (degrees/s² of its output shaft)."""
+    wanted = joint.max_acceleration_rad_s2 * arm.limits.silence_brake_factor * joint.ratio
+    return min(max(round(math.degrees(wanted)), RAMP_DPS_S[0]), RAMP_DPS_S[1])
+
+
+def error_words(error: int) -> str:
+    """The error word for people."""
+    known = [words for bit, words in ERRORS if error & bit]
+    unknown = error & ~sum(bit for bit, _ in ERRORS)
+    return ", ".join([*known, *([f"{unknown:#x}"] if unknown else [])]) or "none"
+
+
+def bring_up(host: Host, joint: int) -> Part[Found]:
+    """What `rtloop.drives.setup.Setup` says; see the head of this file."""
+    config = host.arm.joints[joint]
+    drive = _drive(config)
+    if (yield _asked(drive, ANGLE)) is None:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} (motor_id {drive.motor_id}) does not answer: check its power, its ID and the "
+            f"bit rate ({host.arm.bus.bitrate} bit/s; motors come with 1000000), and the CAN wires with 120 Ω at both "
+            "ends.",
+        )
+    restarted = yield from _without_errors(host, joint)
+    yield from _at_rest(joint, config)
+    yield from _with_its_ramp(host, joint)
+    held = yield from _angle(joint, config)
+    yield from _answered(joint, config, TARGET, "target", struct.pack("<xHi", CREEP_DPS, held))
+    status = yield from _answered(joint, config, STATUS, "status")
+    if status[3] == 0:  # or it has no brake
+        yield from _answered(joint, config, RELEASE_BRAKE, "brake")
+    reading = yield from _angle(joint, config)
+    reason = Unreferenced.POWER_LOST if restarted else Unreferenced.INCREMENTAL
+    return Found(reading, held, Unreferenced.REFERENCED if drive.knows_its_angle else reason)
+
+
+def let_go(arm: ArmConfig, joint: int) -> Dialogue:
+    """Shut the motor down, which says so; raises TalkFailed."""
+    config = arm.joints[joint]
+    if (yield _asked(_drive(config), SHUTDOWN)) is None:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} does not say that it has let go: keep clear of the arm, check its power and "
+            "the CAN wires, then `rtarm clear-fault`, which brings all drives up again.",
+        )
+
+
+def _without_errors(host: Host, joint: int) -> Part[bool]:
+    """See that the motor has no error; whether it was restarted for that; raises TalkFailed."""
+    config = host.arm.joints[joint]
+    error = yield from _error(joint, config)
+    if not error:
+        return False
+    if not host.clears_protection:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} has an error ({error_words(error)}) and holds nothing: remove the cause, then "
+            "`rtarm clear-fault`.",
+        )
+    restarts = bool(error & NEEDS_RESTART)
+    if restarts:
+        host.tell(
+            f"{config.name}: its drive is restarted, because its error ({error_words(error)}) ends with that only."
+        )
+        yield say(_frame(_drive(config), RESET))
+        began_ns = host.now_ns
+        while (yield _asked(_drive(config), ANGLE)) is None:
+            if host.now_ns - began_ns > RESTART_S * 1e9:
+                raise TalkFailed(joint, silent_amid(config, "restart"))
+    for _ in range(TRIES):
+        error = yield from _error(joint, config)
+        if not error:
+            return restarts
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} keeps its error ({error_words(error)}), so what caused it is still there: remove "
+        "it, then `rtarm clear-fault`.",
+    )
+
+
+def _at_rest(joint: int, config: JointConfig) -> Part[None]:
+    """Stop a motor that is on its way; raises TalkFailed."""
+    for _ in range(TRIES * TRIES):
+        feedback = yield from _answered(joint, config, FEEDBACK, "speed")
+        if struct.unpack_from("<h", feedback, 4)[0] == 0:
+            return
+        yield from _answered(joint, config, STOP, "stop")
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} turns and does not stop: end what leads or moves it, then `rtarm clear-fault`, or "
+        "`rtarm up` where it has ended.",
+    )
+
+
+def _with_its_ramp(host: Host, joint: int) -> Part[None]:
+    """See that the motor brakes in silence as the arm file says, and set that where it does not; raises TalkFailed."""
+    config = host.arm.joints[joint]
+    wanted = ramp_dps_s(config, host.arm)
+    for index, name in RAMPS:
+        was = found = yield from _ramp(joint, config, index, name)
+        for _ in range(TRIES):
+            if found == wanted:
+                break
+            yield from _answered(joint, config, WRITE_RAMP, name, struct.pack("<BxxI", index, wanted))
+            found = yield from _ramp(joint, config, index, name)
+        if found != wanted:
+            raise TalkFailed(
+                joint,
+                f"The drive of {config.name} does not take {wanted} °/s² as the {name} of its position planning (it "
+                f"stays at {found}): set it with the maker's program, then `rtarm clear-fault`, or `rtarm up` where it "
+                "has ended.",
+            )
+        if was != wanted:
+            host.tell(f"{config.name}: the {name} of its drive was {was} °/s² and is {wanted} °/s² now, in its ROM.")
+
+
+def _drive(config: JointConfig) -> MyactuatorDrive:
+    assert isinstance(config.drive, MyactuatorDrive)
+    return config.drive
+
+
+def _frame(drive: MyactuatorDrive, command: int, data: bytes = b"") -> Frame:
+    return Frame(REQUEST + drive.motor_id, bytes((command, *data)).ljust(8, b"\0"), kind=STANDARD)
+
+
+def _asked(drive: MyactuatorDrive, command: int, data: bytes = b"") -> AskFrames:
+    """A command, and its answer, which begins as it does."""
+    request = _frame(drive, command, data)
+    same = 2 if command in (READ_RAMP, WRITE_RAMP) else 1
+
+    def is_answer(frame: Frame) -> bool:
+        whose = frame.id == REPLY + drive.motor_id
+        return whose and len(frame.data) == 8 and frame.data[:same] == request.data[:same]
+
+    return AskFrames((request,), is_answer)
+
+
+def _answered(joint: int, config: JointConfig, command: int, what: str, data: bytes = b"") -> Part[bytes]:
+    """The data of the answer; raises TalkFailed where there is none."""
+    answer = yield _asked(_drive(config), command, data)
+    if answer is None:
+        raise TalkFailed(joint, silent_amid(config, what))
+    return bytes(answer.data)
+
+
+def _angle(joint: int, config: JointConfig) -> Part[int]:
+    """Angle of its output shaft (0.01°); raises TalkFailed."""
+    data = yield from _answered(joint, config, ANGLE, "position")
+    return int(struct.unpack_from("<i", data, 4)[0])
+
+
+def _error(joint: int, config: JointConfig) -> Part[int]:
+    """The error word; raises TalkFailed."""
+    data = yield from _answered(joint, config, STATUS, "status")
+    return int(struct.unpack_from("<H", data, 6)[0])
+
+
+def _ramp(joint: int, config: JointConfig, index: int, name: str) -> Part[int]:
+    """A ramp of its position planning (degrees/s²); raises TalkFailed."""
+    data = yield from _answered(joint, config, READ_RAMP, name, bytes((index,)))
+    return int(struct.unpack_from("<I", data, 4)[0])

@@ -1,0 +1,236 @@
+"""The simulated MyActuator motor: golden frames, what moves it, its errors, brake and ROM, and what it ignores.
+
+Frames marked (facts) are the vectors of other-drives.md, (V4.2) those of the maker's protocol.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from servo_bench import ServoBench
+
+from sim.bus import Frame
+from sim.drives.myactuator import OFF, POSITION, RESTART_NS, SPEED, MyactuatorDrive, Settings
+from sim.drives.servo import Load
+
+TARGET = "141# A4 00 F4 01 A0 8C 00 00"  # 360° at 500 dps (facts)
+SPIN = "141# A2 00 00 00 10 27 00 00"  # 100 dps (facts)
+TIMEOUT = "141# B3 00 00 00 E8 03 00 00"  # 1000 ms (facts)
+ANGLE = "141# 92 00 00 00 00 00 00 00"
+STATUS = "141# 9A 00 00 00 00 00 00 00"
+SHUT_DOWN = "141# 80 00 00 00 00 00 00 00"
+STOP = "141# 81 00 00 00 00 00 00 00"
+RESTART = "141# 76 00 00 00 00 00 00 00"
+
+
+def motor(turns: float = 0.0, **changes) -> ServoBench:
+    bench = ServoBench(MyactuatorDrive(Settings(**changes), turns=turns, load=Load(1e-3, 0.02, 10.0), seed=1))
+    bench.drive.celsius, bench.drive.supply_v = 50.0, 48.5
+    return bench
+
+
+def status(bench: ServoBench) -> tuple[int, int]:
+    """Brake and errors, as 9A tells them."""
+    data = bytes.fromhex(bench.ask(STATUS)[0].partition("# ")[2])
+    return data[3], int.from_bytes(data[6:], "little")
+
+
+# --- golden frames --------------------------------------------------------------------------------------
+
+
+def test_a_target_of_the_facts():
+    bench = motor()
+    assert bench.ask(TARGET)[0].startswith("241# A4 32 ")
+    bench.wait(400)
+    assert bench.turns_s * 360 == pytest.approx(500)
+    bench.wait(1000)
+    assert bench.turns == pytest.approx(1.0, abs=1e-6)
+    assert bench.ask(ANGLE) == ["241# 92 00 00 00 A0 8C 00 00"]  # (V4.2)
+
+
+def test_a_speed_of_the_facts():
+    bench = motor()
+    bench.tell(SPIN)
+    bench.wait(500)
+    assert bench.turns_s * 360 == pytest.approx(100)
+
+
+def test_status_of_the_facts():
+    bench = motor()
+    bench.tell(TARGET)
+    bench.drive.error = 0x0004
+    bench.drive.cause_lasts = True
+    assert bench.ask(STATUS) == ["241# 9A 32 00 01 E5 01 04 00"]
+
+
+def test_feedback_is_laid_out_as_in_the_facts():
+    bench = motor(45 / 360, absolute=True)
+    assert bench.ask("141# 9C 00 00 00 00 00 00 00") == ["241# 9C 32 00 00 00 00 2D 00"]
+
+
+def test_ramps_as_the_maker_reads_and_writes_them():
+    bench = motor()
+    assert bench.ask("141# 42 01 00 00 00 00 00 00") == ["241# 42 01 00 00 10 27 00 00"]  # (V4.2)
+    assert bench.ask("141# 43 01 00 00 C8 00 00 00") == ["241# 43 01 00 00 C8 00 00 00"]
+    assert bench.ask("141# 42 01 00 00 00 00 00 00") == ["241# 42 01 00 00 C8 00 00 00"]
+    assert bench.drive.rom_writes == 1
+    bench.tell("141# 43 01 00 00 05 00 00 00")
+    assert bench.drive.settings.ramps_dps_s[1] == 200 and bench.drive.rom_writes == 1
+
+
+def test_model_and_version_of_the_maker():
+    bench = motor()
+    assert bench.ask("141# B5 00 00 00 00 00 00 00") == ["241# B5 58 38 53 32 56 31 30"]  # (V4.2)
+    assert bench.ask("141# B2 00 00 00 00 00 00 00") == ["241# B2 00 00 00 2E 89 34 01"]  # (V4.2)
+
+
+# --- what moves it --------------------------------------------------------------------------------------
+
+
+def test_its_ramps_are_those_that_were_set():
+    bench = motor(ramps_dps_s=[200, 100, 10_000, 10_000])
+    bench.tell(TARGET)
+    bench.wait(500)
+    assert bench.turns_s * 360 == pytest.approx(100, rel=0.01)
+    bench.wait(5000)
+    assert bench.turns == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_target_may_be_changed_on_the_way():
+    bench = motor()
+    bench.tell(TARGET)
+    bench.wait(300)
+    bench.tell("141# A4 00 64 00 00 00 00 00")
+    bench.wait(4000)
+    assert bench.turns == pytest.approx(0.0, abs=1e-6)
+
+
+def test_without_ramps_it_follows_at_once():
+    bench = motor(ramps_dps_s=[0, 0, 10_000, 10_000])
+    bench.tell(TARGET)
+    bench.wait(40)
+    assert bench.turns_s * 360 == pytest.approx(500, rel=0.02)
+
+
+def test_stop_keeps_the_loop_closed():
+    bench = motor()
+    bench.tell(SPIN)
+    bench.wait(100)
+    assert bench.ask(STOP) == ["241# 81 00 00 00 00 00 00 00"]
+    bench.wait(100)
+    assert (bench.turns_s, bench.drive.mode, bench.drive.enabled) == (0.0, SPEED, True)
+    assert bench.ask("141# 70 00 00 00 00 00 00 00") == ["241# 70 00 00 00 00 00 00 02"]
+
+
+def test_by_a_way_and_by_current():
+    bench = motor(0.5, absolute=True)
+    bench.tell("141# A8 00 F4 01 28 23 00 00")
+    bench.wait(2000)
+    assert bench.turns == pytest.approx(0.75, abs=1e-6)
+    bench.tell("141# A1 00 00 00 64 00 00 00")
+    bench.wait(10)
+    assert bench.turns_s > 0.1
+
+
+def test_all_motors_hear_one_identifier():
+    assert motor(motor_id=7).ask("280# 92 00 00 00 00 00 00 00") == ["247# 92 00 00 00 00 00 00 00"]
+
+
+# --- errors, brake, power and silence -------------------------------------------------------------------
+
+
+def test_an_error_of_level_one_ends_with_a_restart_only():
+    bench = motor(0.25, absolute=True)
+    bench.tell(TARGET)
+    bench.drive.protect(bench.now_ns, "stall")
+    assert status(bench) == (0, 0x0002)
+    bench.tell(TARGET)
+    assert bench.drive.mode == OFF
+    assert bench.ask(RESTART) == []
+    bench.wait(RESTART_NS / 2e6)
+    assert not bench.drive.listening
+    bench.wait(RESTART_NS / 1e6)
+    assert bench.drive.listening and status(bench) == (0, 0)
+    bench.tell(TARGET)
+    assert bench.drive.mode == POSITION
+
+
+def test_other_errors_end_with_their_cause():
+    bench = motor()
+    bench.drive.cause_lasts = True
+    bench.drive.protect(bench.now_ns, "temperature")
+    assert status(bench) == (0, 0x1000)
+    bench.drive.cause_lasts = False
+    assert status(bench) == (0, 0)
+
+
+def test_a_brake_holds_what_is_shut_down():
+    for brake, stays in ((True, True), (False, False)):
+        bench = motor(brake=brake)
+        bench.tell(SPIN)
+        bench.wait(100)
+        assert bench.ask(SHUT_DOWN) == ["241# 80 00 00 00 00 00 00 00"]
+        bench.wait(1)
+        before = bench.turns
+        bench.wait(10)
+        assert (bench.turns == before) == stays
+        assert status(bench)[0] == 0
+
+
+def test_silence_beyond_its_timeout_shuts_it_down():
+    bench = motor()
+    bench.tell(TIMEOUT, SPIN)
+    bench.wait(900)
+    assert bench.drive.mode == SPEED
+    bench.wait(200)
+    assert bench.drive.mode == OFF and bench.drive.rom_writes == 1
+    bench.tell(SPIN)
+    assert bench.drive.mode == SPEED
+
+
+def test_power_and_zero():
+    for absolute, counted in ((False, 0), (True, 9000)):
+        bench = motor(0.25, absolute=absolute)
+        bench.tell(TARGET)
+        bench.drive.power_off(bench.now_ns)
+        bench.drive.power_on(bench.now_ns)
+        told = bytes.fromhex(bench.ask(ANGLE)[0].partition("# ")[2])
+        assert struct.unpack_from("<i", told, 4)[0] == counted and bench.drive.mode == OFF
+    bench.tell("141# 64 00 00 00 00 00 00 00")
+    assert bench.drive.counted != 0.0
+    bench.tell(RESTART)
+    bench.wait(2 * RESTART_NS / 1e6)
+    assert bench.ask(ANGLE) == ["241# 92 00 00 00 00 00 00 00"]
+
+
+# --- what it ignores ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "142# 92 00 00 00 00 00 00 00",  # another motor
+        "241# 92 00 00 00 00 00 00 00",
+        "141# 92 00 00 00 00 00 00",  # too short
+        "00000141# 92 00 00 00 00 00 00 00",  # extended
+        "141# remote",
+        "141# 55 00 00 00 00 00 00 00",
+        "141# 42 09 00 00 00 00 00 00",
+    ],
+)
+def test_frames_that_are_not_for_it(text):
+    assert motor().ask(text) == []
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 0x7FF), st.binary(max_size=8)), max_size=20))
+def test_it_outlives_any_frames(frames):
+    bench = motor()
+    for ident, data in frames:
+        bench.tell(Frame(0x141, data, extended=False), Frame(ident, data, extended=False))
+        bench.wait(5)
+    assert math.isfinite(bench.turns)
