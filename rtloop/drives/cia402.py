@@ -32,6 +32,7 @@ from rtloop.drives.cia402_setup import (
 from rtloop.wire import outgoing
 from rtloop.wire.frame_words import STANDARD
 from shm.jit import jit
+from shm.words import Unreferenced
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
@@ -71,15 +72,17 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
-    """Hold where it was last heard to be; a quick stop may let it go, which its option code 605A decides.
+    """Hold where it was measured last; a quick stop may let it go, which its option code 605A decides.
 
-    One that has said that it holds nothing is told nothing, since every target enables.
+    Nothing is told to a drive that has said that it holds nothing, since every target enables, nor to one whose
+    readings are in doubt, since it would jump there: without a target each stands at its last one.
     """
     axis = loop.axes[joint]
-    holds = axis.status & status_bits.ANSWERED == 0 or axis.status & status_bits.ENABLED != 0
-    if axis.heard_ns == 0 or not holds:
+    limp = axis.status & status_bits.ANSWERED != 0 and axis.status & status_bits.ENABLED == 0
+    doubtful = axis.referenced == 0 and axis.unreferenced_reason == Unreferenced.POSITION_JUMP
+    if limp or doubtful or axis.readings == 0:
         return True
-    return send_target(loop, joint, shared, axis.heard_rad, joint)
+    return send_target(loop, joint, shared, axis.measured_rad, joint)
 
 
 @jit

@@ -116,7 +116,7 @@ ERRORS = (
     (0xFF00, 0x7300, "sensor"),
     (0xFF00, 0x7500, "communication"),
     (0xF000, 0x7000, "a module beside the drive"),
-    (0xFE00, 0x8000, "monitoring"),
+    (0xFF00, 0x8000, "monitoring"),
     (0xFF00, 0x8100, "communication"),
     (0xFF00, 0x8200, "communication"),
     (0xFFFF, 0x8611, "following error"),
