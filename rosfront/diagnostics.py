@@ -4,6 +4,7 @@ Made in the publisher's thread between two messages, from the control process' m
 listens. A level speaks of now: what only happened once is told by the report that follows it.
 """
 
+import math
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -22,15 +23,21 @@ from rosfront.plan import NS
 from rosfront.refusals import NotServing
 from rosfront.serving import STALLED_NS, Serving, hung
 from rosfront.verdict import fault_of
+from shm.drive_words import HELPLESS, TROUBLE, troubles_of, words_of
 from shm.errors import TornRead
 from shm.histogram import percentiles_ns
 from shm.layout import BUS_TROUBLE
 from shm.sentences import NOBODY_ACKNOWLEDGES, bus_state_sentence, joint_name, mode_name, unreferenced_sentence
-from shm.words import BusState, DriveStatus, Fault, Mode, Phase, Unreferenced
+from shm.words import BusState, Fault, Mode, Phase, Unreferenced
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 PERCENTS = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
-DRIVE_TROUBLE = DriveStatus.STALLED | DriveStatus.PROTECTED | DriveStatus.POWER_LOST
+MEASURED = (
+    ("temperature", "drive_temperature_c", "°C"),
+    ("supply", "drive_voltage_v", "V"),
+    ("effort", "measured_effort", "Nm"),
+)
+"""What a joint's drive may measure: key, word of the snapshot, unit."""
 POLICIES = {0: "no real-time priority", 1: "SCHED_FIFO", 2: "SCHED_RR"}
 _TOLD_BY_MODE = {
     Mode.OFFLINE: "The drives have not been brought up yet: wait for it.",
@@ -195,7 +202,7 @@ class Diagnostics:
 
     def _joint(self, index: int, snapshot: np.ndarray) -> Any:
         name, row = self._serving.joints[index], snapshot["joints"][index]
-        status = DriveStatus(int(row["drive_status"]))
+        status = int(row["drive_status"])
         measured_ns = int(row["measured_ns"])
         age_s = (int(snapshot["monotonic_ns"]) - measured_ns) / NS
         level, message = OK, "referenced"
@@ -203,19 +210,22 @@ class Diagnostics:
             reason = int(row["unreferenced_reason"]) or Unreferenced.NOT_BROUGHT_UP
             message = unreferenced_sentence(reason, name)
             level = WARN if reason == Unreferenced.NOT_BROUGHT_UP else ERROR
-        elif status & DRIVE_TROUBLE:
-            level, message = ERROR, f"The drive of {name} says: {_words(status & DRIVE_TROUBLE)}; remove the cause."
+        elif status & HELPLESS:
+            level, message = ERROR, f"The drive of {name} says: {', '.join(troubles_of(status))}; remove the cause."
         elif measured_ns and age_s > self._arm.limits.stale_fault_s:
             level, message = ERROR, f"{name} was last read {age_s:.3f} s ago: check its drive, cable and supply."
         elif measured_ns and age_s > self._late_s:
             level, message = WARN, f"{name} was last read {age_s:.3f} s ago: its drive answers late."
+        elif status & TROUBLE:
+            level, message = WARN, f"The drive of {name} warns: {', '.join(troubles_of(status))}."
         values = {
-            "drive": _words(status) or "nothing reported",
+            "drive": ", ".join(words_of(status)) or "nothing reported",
             "referenced": bool(row["referenced"]),
             "age of the reading": f"{age_s * 1e3:.1f} ms" if measured_ns else "never read",
             "measured": f"{float(row['measured_position_rad']):.5f} rad",
             "commanded": f"{float(row['commanded_position_rad']):.5f} rad",
             "error": f"{float(row['reference_position_rad'] - row['measured_position_rad']):.5f} rad",
+            **{what: words for what, word, unit in MEASURED if (words := _figure(float(row[word]), unit))},
         }
         return self._status(name, level, message, values)
 
@@ -250,6 +260,6 @@ def _word(kind: Any, number: int) -> str:
         return f"unknown {number}"
 
 
-def _words(status: DriveStatus) -> str:
-    """The drive's bits in words."""
-    return ", ".join(str(flag.name).lower().replace("_", " ") for flag in status)
+def _figure(value: float, unit: str) -> str:
+    """What a drive measures; empty where it measures none."""
+    return f"{value:.3f} {unit}" if math.isfinite(value) else ""

@@ -41,8 +41,10 @@ INTERFACES = (
     "drive_status",
     "referenced",
     "reading_age",
+    "drive_temperature",
+    "drive_voltage",
 )
-"""Of each joint in /dynamic_joint_states; the age in seconds, the others as in shared memory."""
+"""Of each joint in /dynamic_joint_states; the age in seconds, the others as in shared memory (°C, V, NaN for none)."""
 LISTENERS_EVERY_S = 0.25
 _GOAL_PLACE = bytes(range(0xF0, 0x100))
 """Stands for a goal's id, which a client chooses, while the places in a message are found out; never in UTF-8."""
@@ -288,6 +290,8 @@ class StateTopics:
             joints["drive_status"].tolist(),
             joints["referenced"].tolist(),
             [(now_ns - measured_ns) / NS for measured_ns in joints["measured_ns"].tolist()],
+            joints["drive_temperature_c"].tolist(),
+            joints["drive_voltage_v"].tolist(),
             strict=True,
         )
         return self._dynamic.fill((stamp_ns,), list(rows))

@@ -124,7 +124,8 @@ def status(
     with sentences():
         import json
 
-        from rtarm.status import read_status, render_status, resolve_arm
+        from rtarm.status import read_status, resolve_arm
+        from rtarm.status_tables import render_status
         from shm.errors import SharedMemoryError
 
         try:

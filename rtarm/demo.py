@@ -30,13 +30,8 @@ from rtarm.interrupt import Interrupted
 from rtarm.launcher import Launcher, Plan, action_name, load_plan
 from rtarm.processes import Child, describe_end, ros_environment
 from rtarm.reporter import Reporter
-from rtarm.status import (
-    counters,
-    describe_scheduling,
-    percentiles_us,
-    scheduling,
-    timing_table,
-)
+from rtarm.status import counters, describe_scheduling, percentiles_us, scheduling
+from rtarm.status_tables import timing_table
 from rtarm.tracking import Tracker, Window, errors_rad, plain
 from rtarm.up import run_launched
 from shm import files

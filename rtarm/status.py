@@ -10,15 +10,12 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from rich import box
-from rich.console import Group, RenderableType
-from rich.table import Table
-from rich.text import Text
 
 from motion.gripping import Grip
 from rtarm.errors import Refusal
 from shm import files, histogram
 from shm.client import StateReader
+from shm.drive_words import WORDS, troubles_of, words_of
 from shm.files import MemoryFile
 from shm.gripper import read_gripper
 from shm.layout import BUS_TROUBLE, RESULT_SLOTS
@@ -30,7 +27,7 @@ from shm.sentences import (
     outcome_sentence,
     unreferenced_sentence,
 )
-from shm.words import BusState, Fault, Mode, Outcome, Phase, Unreferenced
+from shm.words import BusState, DriveStatus, Fault, Mode, Outcome, Phase, Unreferenced
 
 Report = dict[str, Any]
 """What `--json` prints; keys carry their units."""
@@ -139,13 +136,6 @@ def _gripper(memory: MemoryFile, now_ns: int) -> Report | None:
     }
 
 
-def gripper_words(gripper: Mapping[str, Any]) -> str:
-    """The same in words: what it does and where, or what is wrong with it."""
-    if gripper["trouble"] is not None:
-        return str(gripper["trouble"])
-    return f"{gripper['grip']} at {shown(gripper['position_rad'], 1, degrees=True)}°"
-
-
 def of_cycle(cycle: Any, joints: Sequence[str], now_ns: int) -> Report:
     """What a snapshot tells, or the flight recorder's record of a cycle, whose words have the same names."""
     return {
@@ -231,12 +221,26 @@ def problems(report: Mapping[str, Any]) -> list[str]:
     if report["bus"]["state"] in DOUBTFUL_BUS:
         found.append(bus_state_sentence(DOUBTFUL_BUS[report["bus"]["state"]]))
     found += [joint["unreferenced"] for joint in report["joints"] if joint["unreferenced"] is not None]
+    found += [_drive_problem(joint) for joint in report["joints"] if _is_told_of_the_drive_alone(joint, report)]
     front = report["front"]
     if front["pid"] is None:
         found.append("No ROS process serves the arm, so it takes no goals: `rtarm up` starts one and keeps it alive.")
     elif front["heartbeat_age_ms"] is None or front["heartbeat_age_ms"] > FRONT_SILENT_S * 1e3:
         found.append(f"The ROS process (pid {front['pid']}) gives no sign of life: look at its log.")
     return found
+
+
+def _is_told_of_the_drive_alone(joint: Mapping[str, Any], report: Mapping[str, Any]) -> bool:
+    """Whether a drive has an error that no fault speaks of, as where its joint is not referenced."""
+    blamed = report["fault"] is not None and report["fault"]["joint"] == joint["name"]
+    return WORDS[DriveStatus.PROTECTED] in joint["drive_trouble"] and not blamed
+
+
+def _drive_problem(joint: Mapping[str, Any]) -> str:
+    return (
+        f"The drive of {joint['name']} has an error ({', '.join(joint['drive_trouble'])}) and may hold nothing: remove "
+        "the cause, then `rtarm clear-fault`."
+    )
 
 
 def _fault(snapshot: np.ndarray, joints: Sequence[str], now_ns: int) -> Report | None:
@@ -286,7 +290,7 @@ def _last_result(snapshot: np.ndarray, joints: Sequence[str]) -> Report | None:
 def _joint(name: str, record: np.void, now_ns: int) -> Report:
     measured_ns, referenced = int(record["measured_ns"]), bool(record["referenced"])
     read = measured_ns != 0
-    reason = int(record["unreferenced_reason"])
+    reason, status = int(record["unreferenced_reason"]), int(record["drive_status"])
     return {
         "name": name,
         "position_rad": _finite(float(record["measured_position_rad"])) if read else None,
@@ -296,6 +300,11 @@ def _joint(name: str, record: np.void, now_ns: int) -> Report:
         if read
         else None,
         "age_ms": (now_ns - measured_ns) * 1e-6 if read else None,
+        "effort_nm": _finite(float(record["measured_effort"])),
+        "temperature_c": _finite(float(record["drive_temperature_c"])),
+        "voltage_v": _finite(float(record["drive_voltage_v"])),
+        "drive": words_of(status),
+        "drive_trouble": troubles_of(status),
         "referenced": referenced,
         "unreferenced": None if referenced else unreferenced_sentence(reason or Unreferenced.NOT_BROUGHT_UP, name),
     }
@@ -303,116 +312,3 @@ def _joint(name: str, record: np.void, now_ns: int) -> Report:
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-# --- for people -----------------------------------------------------------------------------------------
-
-
-def render_status(report: Mapping[str, Any]) -> RenderableType:
-    """The report as tables that fit 80 columns."""
-    return Group(
-        heading(report),
-        *(Text(f"- {sentence}", style="yellow") for sentence in report["problems"]),
-        _joints_table(report["joints"]),
-        _facts_table(report),
-        timing_table(report),
-    )
-
-
-def heading(report: Mapping[str, Any]) -> Text:
-    """Arm, mode and whether it is fit to move, in one line."""
-    return Text.assemble(
-        (f"{report['arm']}: {report['mode'].replace('_', ' ')}", "bold"),
-        ", ",
-        ("healthy", "green") if report["healthy"] else ("not fit to move", "bold red"),
-    )
-
-
-def _joints_table(joints: Sequence[Mapping[str, Any]]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("joint")
-    for column in ("measured °", "rad", "°/s", "commanded °", "age ms"):
-        table.add_column(column, justify="right", no_wrap=True)
-    table.add_column("referenced")
-    for joint in joints:
-        position, velocity = joint["position_rad"], joint["velocity_rad_s"]
-        table.add_row(
-            joint["name"],
-            shown(position, 3, degrees=True),
-            shown(position, 5),
-            shown(velocity, 2, degrees=True),
-            shown(joint["commanded_rad"], 3, degrees=True),
-            shown(joint["age_ms"], 1),
-            "yes" if joint["referenced"] else "NO",
-        )
-    return table
-
-
-def shown(value: float | None, digits: int, *, degrees: bool = False) -> str:
-    """A figure in so many decimals (with `degrees`: radians as degrees), or that there is none."""
-    if value is None:
-        return "-"
-    return f"{math.degrees(value) if degrees else value:.{digits}f}"
-
-
-def _facts_table(report: Mapping[str, Any]) -> Table:
-    bus, front = report["bus"], report["front"]
-    table = Table.grid(padding=(0, 2))
-    table.add_column(no_wrap=True)
-    table.add_column()
-    table.add_row("goal", goal_words(report))
-    table.add_row("speed scale", f"{report['speed_scale']:.2f}")
-    if report["gripper"] is not None:
-        table.add_row("gripper", gripper_words(report["gripper"]))
-    served = "none" if front["pid"] is None else f"pid {front['pid']}"
-    pids = f"control pid {report['loop']['pid']}, ROS {served}"
-    table.add_row("processes", f"{pids}, up {duration_words(report['uptime_s'])}")
-    table.add_row("cycles", f"{report['cycles']} at {report['rate_hz']:g} Hz, {report['overruns']} overruns")
-    table.add_row("scheduling", describe_scheduling(report["scheduling"]))
-    load = "" if bus["load"] is None else f", load {bus['load']:.1%}"
-    table.add_row("bus", f"{bus['frames_tx']} frames sent, {bus['frames_rx']} received{load}")
-    trouble = trouble_words(bus)
-    if trouble:
-        table.add_row("bus trouble", trouble)
-    return table
-
-
-def trouble_words(bus: Mapping[str, Any]) -> str:
-    """What went wrong on the bus, counted; empty when nothing did."""
-    return ", ".join(f"{bus[name]} {name.replace('_', ' ')}" for name in BUS_TROUBLE if bus[name])
-
-
-def goal_words(report: Mapping[str, Any]) -> str:
-    """Where the goal stands, or how the last one ended."""
-    goal, last = report["goal"], report["last_result"]
-    if goal is not None:
-        end = "" if goal["duration_s"] is None else f" of {goal['duration_s']:.2f}"
-        return f"{goal['id']} {goal['phase']}, {goal['clock_s'] or 0.0:.2f}{end} s"
-    return "none" if last is None else f"none; the last one ({last['goal_id']}): {last['sentence']}"
-
-
-def duration_words(seconds: float) -> str:
-    """Such as `2 h 5 min`, `3 min 12 s`, `4.2 s`."""
-    minutes, rest = divmod(int(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s" if minutes else f"{seconds:.1f} s"
-
-
-def timing_rows(report: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Lateness and cycle time in microseconds, a row each: name and the columns of `TIMING_COLUMNS`."""
-    return [
-        (name, *(f"{report[figure][column]:.1f}" for column in (*PERCENTS, "max")))
-        for name, figure in (("wake-up lateness µs", "lateness_us"), ("cycle time µs", "cycle_us"))
-    ]
-
-
-TIMING_COLUMNS = ("p50", "p99", "p99.9", "max")
-
-
-def timing_table(report: Mapping[str, Any]) -> Table:
-    table = Table("timing", box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in TIMING_COLUMNS:
-        table.add_column(column, justify="right")
-    for row in timing_rows(report):
-        table.add_row(*row)
-    return table

@@ -71,7 +71,13 @@ def show_limits(limits: np.void, loop: np.ndarray) -> None:
             limits[name] = params[name]
     for name in ("lower_rad", "upper_rad", "max_velocity_rad_s", "max_acceleration_rad_s2"):
         limits["joints"][name] = joints[name]
-    limits["joints"]["drive_address"] = joints["address"]
+
+
+def show_identifiers(table: np.ndarray, arm: ArmConfig) -> None:
+    """Say in the state file (records of dtype layout.IDENTIFIERS) which frames belong to which joint's drive."""
+    used = [(one, joint) for joint, config in enumerate(arm.joints) for one in config.drive.identifiers]
+    rows = [(one.match, one.mask, one.extended, joint) for one, joint in used if not one.shared]
+    table[: len(rows)] = rows[: len(table)]
 
 
 def lay_out_messages(messages: np.ndarray, parts: np.ndarray, data: np.ndarray) -> None:

@@ -29,6 +29,7 @@ REQUEST_SLOTS = 64
 EVENT_SLOTS = 1024
 RESULT_SLOTS = 16
 ANSWER_SLOTS = 16
+IDENTIFIER_SLOTS = 8 * MAX_JOINTS
 RECORDED_NS = 33_000_000_000
 """What the flight recorder keeps: 30 s, the moment after a fault until it is read, and the reading itself."""
 HISTOGRAM_SUB_BITS = 6
@@ -251,8 +252,7 @@ LIMITS_JOINT = _record(
         Word("upper_rad", "f8", "rad", "upper position limit"),
         Word("max_velocity_rad_s", "f8", "rad/s", "velocity limit"),
         Word("max_acceleration_rad_s2", "f8", "rad/s²", "acceleration limit"),
-        Word("drive_address", "i8", "", "address of its drive on the bus, 0 where there is none"),
-        Word("reserved", ("i8", (3,)), "", ""),
+        Word("reserved", ("i8", (4,)), "", ""),
     ],
 )
 
@@ -270,6 +270,16 @@ LIMITS = _record(
         Word("longest_stop_s", "f8", "s", "every stop on the path ends within this"),
         Word("padding", ("i8", (7,)), "", ""),
         Word("joints", (LIMITS_JOINT, (MAX_JOINTS,)), "", "one record a joint"),
+    ],
+)
+
+IDENTIFIERS = _record(
+    "identifiers of a drive",
+    [
+        Word("match", "i8", "", "they have its bits where `mask` has ones"),
+        Word("mask", "i8", "", "0 = there are no more rows"),
+        Word("extended", "i8", "", "1 where they have 29 bits"),
+        Word("joint", "i8", "", "the joint whose drive hears or says them"),
     ],
 )
 
@@ -359,6 +369,9 @@ STATE = _record(
         ),
         Word("events", (EVENT, (EVENT_SLOTS,)), "", "history, overwritten from the oldest"),
         Word("limits", LIMITS, "", "what the arm's configuration allows"),
+        Word(
+            "identifiers", (IDENTIFIERS, (IDENTIFIER_SLOTS,)), "", "whose frames are whose; those of several left out"
+        ),
         Word("gripper", GRIPPER, "", "the gripper, where it is a drive on the arm's bus"),
         Word("recorder", RECORDER, "", ""),
         Word("records_written", LINE_WORD, "", "records of cycles ever written, in its first word"),

@@ -42,6 +42,7 @@ class Recording:
         frames: one a CAN frame, in their order, dtype layout.BUS_FRAME.
         events: of dtype layout.EVENT, oldest first.
         limits: what the configuration allowed, dtype layout.LIMITS, no dimensions.
+        identifiers: whose frames are whose, of dtype layout.IDENTIFIERS.
         scheduling: what the control process was given, dtype layout.SCHEDULING, no dimensions.
         lateness: histogram since the start of the control process, dtype layout.HISTOGRAM, no dimensions.
         cycle_time: the same of its computing time.
@@ -58,6 +59,7 @@ class Recording:
     frames: np.ndarray
     events: np.ndarray
     limits: np.ndarray
+    identifiers: np.ndarray
     scheduling: np.ndarray
     lateness: np.ndarray
     cycle_time: np.ndarray
@@ -106,6 +108,7 @@ def read_recording(memory: MemoryFile) -> Recording:
         frames=frames,
         events=newest_events(record, layout.EVENT_SLOTS),
         limits=np.array(record["limits"]),
+        identifiers=np.array(record["identifiers"][record["identifiers"]["mask"] != 0]),
         scheduling=np.array(record["scheduling"]),
         lateness=np.array(record["lateness"]),
         cycle_time=np.array(record["cycle_time"]),

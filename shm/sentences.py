@@ -2,13 +2,15 @@
 
 Every outcome, fault, answer, bus state and reason has a `Meaning`: the sentence (what happened, with the value; what is
 allowed; what to do), why the check exists, and the ways out. Placeholders in a sentence are `{joint}`,
-`{value}` and `{limit}`; `{value:mode}` writes the value as the name of a mode.
+`{value}` and `{limit}`; `{value:mode}` writes the value as the name of a mode, `{value:drive}` what is wrong by the
+status bits of a drive.
 """
 
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import NamedTuple, TypeVar
 
+from shm import drive_words
 from shm.words import Answer, BusState, Fault, GripTrouble, Mode, Outcome, Unreferenced
 
 Key = TypeVar("Key", bound=IntEnum)
@@ -25,11 +27,13 @@ class Meaning(NamedTuple):
 
 
 class _Value(float):
-    """A number that can be written as the name of a mode."""
+    """A number that can be written as the name of a mode, or as what is wrong with a drive."""
 
     def __format__(self, spec: str) -> str:
         if spec == "mode":
             return mode_name(int(self)) if self.is_integer() else f"in unknown mode {float(self)}"
+        if spec == "drive":
+            return drive_words.fault_words(int(self)) if self.is_integer() else f"unknown status {float(self)}"
         return super().__format__(spec)
 
 
@@ -214,10 +218,10 @@ FAULTS: dict[Fault, Meaning] = {
         "it reads, home it if not.",
     ),
     Fault.DRIVE_FAULT: Meaning(
-        "The drive of {joint} reports a fault of its own (protected or not enabled) or refuses motion: remove the "
-        "cause, then `rtarm clear-fault`.",
-        "A drive in protection does not follow setpoints.",
-        "Free the joint, let the drive cool, clear the fault.",
+        "The drive of {joint} reports a fault of its own ({value:drive}): remove the cause, then `rtarm clear-fault`.",
+        "A drive that has an error, or is not enabled, does not follow setpoints and may hold nothing.",
+        "Look at what it names, and at its display or its maker's tool: free the joint, let the drive cool, check its "
+        "supply, its encoder and its cable; clear the fault.",
     ),
     Fault.REFERENCE_LOST: Meaning(
         "{joint} lost its reference, so its angle is not known and it gets no motion: see `rtarm status` for the "

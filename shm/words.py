@@ -117,7 +117,7 @@ class Fault(IntEnum):
     ACCELERATION_LIMIT = 4
     FOLLOWING_ERROR = 5
     STALE_READING = 6
-    DRIVE_FAULT = 7  # the drive reports stall protection or is not enabled
+    DRIVE_FAULT = 7  # the drive has an error, is limp, refuses motion or says no status; value: its status
     REFERENCE_LOST = 8
     COMMAND_RING = 9  # corrupt record or index in the command file
     WIRE = 10  # the adapter refuses or is gone

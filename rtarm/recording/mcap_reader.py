@@ -25,6 +25,7 @@ from rtarm.recording.mcap_format import (
     JOINT_WORDS,
     JOINTS,
     JSON,
+    LATER_JOINT_WORDS,
     LIBRARY,
     LIMITS,
     LONGEST_NAME,
@@ -232,6 +233,7 @@ def _made(
         frames=tables[FRAMES],
         events=tables[EVENTS],
         limits=_limits_of(limits, joints),
+        identifiers=_identifiers_of(json.loads(about.get("identifiers", "[]")), len(joints)),
         scheduling=_filled_one(layout.SCHEDULING, json.loads(about["scheduling"])),
         lateness=_histogram_of(json.loads(timing.get("lateness", "{}"))),
         cycle_time=_histogram_of(json.loads(timing.get("cycle_time", "{}"))),
@@ -270,6 +272,9 @@ def _states_of(rows: list[dict[str, Any]]) -> np.ndarray:
 
 
 def _joints_of(rows: list[dict[str, Any]]) -> np.ndarray:
+    for row in rows:
+        for name in LATER_JOINT_WORDS:
+            row.setdefault(name, None)
     return _filled(JOINT_MESSAGE, JOINT_MESSAGE.names or (), rows)
 
 
@@ -312,8 +317,18 @@ def _limits_of(texts: dict[str, str], joints: Sequence[str]) -> np.ndarray:
     rows = values.pop("joints")
     made = _filled_one(layout.LIMITS, values)
     for index, name in enumerate(joints):
-        for word, value in rows[name].items():
-            made["joints"][word][index] = math.nan if value is None else value
+        for word in set(layout.LIMITS_JOINT.names or ()) & rows[name].keys():  # files of before have one more
+            made["joints"][word][index] = math.nan if rows[name][word] is None else rows[name][word]
+    return made
+
+
+def _identifiers_of(rows: list[list[int]], joint_count: int) -> np.ndarray:
+    """Files of before have none; their frames say themselves whose they are."""
+    made = np.zeros(len(rows), layout.IDENTIFIERS)
+    for number, row in enumerate(rows):
+        made[number] = tuple(row)
+    if np.any((made["joint"] < 0) | (made["joint"] >= joint_count)):
+        raise ValueError("identifiers of no joint")
     return made
 
 

@@ -11,7 +11,8 @@ import stat
 import struct
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
@@ -41,6 +42,7 @@ from rtarm.recording.mcap_format import (
 from rtarm.status import key
 from rtarm.top.events import BAD, ODD, happening
 from shm import layout
+from shm.drive_words import words_of
 from shm.recording import EXTENDED, IDENTIFIER_MASK, LENGTH_MASK, LENGTH_SHIFT, REMOTE, SENT, Recording
 from shm.words import Slowed
 
@@ -147,6 +149,7 @@ def _metadata(recording: Recording, reason: Reason) -> dict[str, dict[str, str]]
         "written_epoch_ns": time.time_ns(),
         "reason": reason.word,
         "sentence": reason.sentence,
+        "identifiers": recording.identifiers.tolist(),
         "scheduling": _as_dict(recording.scheduling, skipped=("padding",)),
     }
     limits = _as_dict(recording.limits, skipped=("padding", "joints"))
@@ -201,6 +204,7 @@ def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]
         "number": {"type": "integer", "description": units["number"].meaning},
         "error_rad": {"type": ["number", "null"], "description": "measured less commanded, of the same instant (rad)"},
         "age_s": {"type": ["number", "null"], "description": "age of the reading in this cycle (s)"},
+        "drive_says": {"type": "array", "items": {"type": "string"}, "description": "drive_status in words"},
     }
     for name in joints:
         yield JOINTS + name, "rtarm.Joint", schema("rtarm.Joint", layout.JOINT, JOINT_WORDS, derived)
@@ -219,7 +223,7 @@ def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]
     frame = {
         "monotonic_ns": integer,
         "sent": {"type": "boolean", "description": "whether the control process sent it; it came otherwise"},
-        "joint": {"type": ["string", "null"], "description": "whose drive has its address"},
+        "joint": {"type": ["string", "null"], "description": "whose drive hears or says its identifier"},
         "id": integer,
         "extended": {"type": "boolean"},
         "remote": {"type": "boolean"},
@@ -275,6 +279,7 @@ def _batch(recording: Recording, records: np.ndarray) -> Iterator[_Message]:
             joint["number"] = state["number"]
             joint["error_rad"] = _plain(errors[number][index])
             joint["age_s"] = _plain(float(ages[number, index]))
+            joint["drive_says"] = words_of(joint["drive_status"])
             yield *at, JOINTS + name, joint
 
 
@@ -303,9 +308,20 @@ def _events(recording: Recording) -> Iterator[_Message]:
         yield told.monotonic_ns, epoch_ns, EVENTS, content
 
 
+def _whose(recording: Recording) -> Callable[[int, bool], str | None]:
+    """Which joint's drive an identifier belongs to; None for those of nobody, or of several."""
+    rows = recording.identifiers.tolist()
+
+    @cache
+    def whose(identifier: int, extended: bool) -> str | None:
+        found = {joint for match, mask, long, joint in rows if (identifier ^ match) & mask == 0 and long == extended}
+        return recording.joints[found.pop()] if len(found) == 1 else None
+
+    return whose
+
+
 def _frames(recording: Recording) -> Iterator[_Message]:
-    addresses = recording.limits["joints"]["drive_address"][: len(recording.joints)].tolist()
-    by_address = {address: name for address, name in zip(addresses, recording.joints, strict=True) if address}
+    whose = _whose(recording)
     order = np.argsort(recording.frames["monotonic_ns"], kind="stable")  # what was sent has its cycle's planned time
     frames = recording.frames[order]
     epochs = _to_epoch(recording, frames["monotonic_ns"])
@@ -315,7 +331,7 @@ def _frames(recording: Recording) -> Iterator[_Message]:
         content = {
             "monotonic_ns": monotonic_ns,
             "sent": bool(head & SENT),
-            "joint": by_address.get(identifier >> 8) if head & EXTENDED else None,
+            "joint": whose(identifier, bool(head & EXTENDED)),
             "id": identifier,
             "extended": bool(head & EXTENDED),
             "remote": bool(head & REMOTE),

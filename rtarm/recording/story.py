@@ -53,9 +53,15 @@ UNLED = (Mode.OFFLINE, Mode.BRINGING_UP, Mode.DISABLED, Mode.FREE, Mode.REFERENC
 """Modes in which a joint need not be where it is commanded."""
 
 STATUS = {
-    DriveStatus.STALLED: "that its shaft is held",
-    DriveStatus.PROTECTED: "that its stall protection has tripped",
-    DriveStatus.POWER_LOST: "that it has lost power",
+    DriveStatus.STALLED: "reports that its shaft is held",
+    DriveStatus.PROTECTED: "reports that it has an error and may hold nothing (its protection has tripped)",
+    DriveStatus.POWER_LOST: "reports that it has lost power",
+    DriveStatus.OVER_CURRENT: "reports too high a current",
+    DriveStatus.OVER_VOLTAGE: "reports too high a supply voltage",
+    DriveStatus.UNDER_VOLTAGE: "reports too low a supply voltage",
+    DriveStatus.OVER_TEMPERATURE: "reports that it is too hot",
+    DriveStatus.ENCODER: "reports an error of its encoder",
+    DriveStatus.COMMUNICATION: "was lost from sight: it heard nothing for too long, or its status no longer comes",
 }
 
 
@@ -323,13 +329,13 @@ def _errors(recording: Recording) -> Iterator[Line]:
 
 
 def _drives(recording: Recording) -> Iterator[Line]:
-    """What drives reported of themselves."""
+    """What drives reported of themselves, and what they had measured by then."""
     records = recording.records
     for joint, name in enumerate(recording.joints):
         status = records["joints"]["drive_status"][:, joint]
         for bit, what in STATUS.items():
             for at in _onsets(status & bit != 0):
-                sentence = f"The drive of {name} reports {what}."
+                sentence = f"The drive of {name} {what}{_measured(records['joints'][at, joint])}."
                 yield Line(int(records["monotonic_ns"][at]), sentence, ODD, sign=True, joint=joint)
         enabled = status & DriveStatus.ENABLED != 0
         answered = status & DriveStatus.ANSWERED != 0
@@ -337,6 +343,13 @@ def _drives(recording: Recording) -> Iterator[Line]:
             if status[at - 1] & DriveStatus.ENABLED:
                 sentence = f"The drive of {name} reports that it is not enabled."
                 yield Line(int(records["monotonic_ns"][at]), sentence, ODD, sign=True, joint=joint)
+
+
+def _measured(row: np.void) -> str:
+    """What the drive had measured of itself when it said something, as far as it measures anything."""
+    told = (("drive_temperature_c", "{:.0f} °C"), ("drive_voltage_v", "{:.1f} V"), ("measured_effort", "{:.2f} Nm"))
+    found = [words.format(row[name]) for name, words in told if math.isfinite(row[name])]
+    return f" ({', '.join(found)})" if found else ""
 
 
 def _standing(recording: Recording) -> Iterator[Line]:

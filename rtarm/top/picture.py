@@ -14,7 +14,8 @@ from rich.segment import Segment
 from rich.style import Style
 from rich.text import Text
 
-from rtarm.status import describe_scheduling, duration_words, goal_words, heading, shown, trouble_words
+from rtarm.status import describe_scheduling
+from rtarm.status_tables import DRIVE_COLUMNS, DriveColumn, duration_words, goal_words, heading, shown, trouble_words
 from rtarm.top.watch import BINS, BINS_A_DECADE, Look, Timing
 
 GAP = 1
@@ -45,6 +46,13 @@ class Column(NamedTuple):
     cell: Callable[[Any], str]
 
 
+def _measured_column(number: int, measured: DriveColumn) -> Column:
+    def cell(joint: Mapping[str, Any]) -> str:
+        return shown(joint[measured.key], measured.digits)
+
+    return Column(measured.heading, 7, 7 + number, cell)
+
+
 JOINT_COLUMNS = (
     Column("measured °", 10, 0, lambda joint: shown(joint["position_rad"], 3, degrees=True)),
     Column("commanded °", 11, 2, lambda joint: shown(joint["commanded_rad"], 3, degrees=True)),
@@ -53,6 +61,10 @@ JOINT_COLUMNS = (
     Column("age ms", 9, 4, lambda joint: shown(joint["age_ms"], 1)),
     Column("referenced", 10, 5, lambda joint: "yes" if joint["referenced"] else "NO"),
 )
+MEASURED_COLUMNS = tuple(_measured_column(number, one) for number, one in enumerate(DRIVE_COLUMNS))
+"""What only some drives measure, in the order of `DRIVE_COLUMNS`: for arms that have such."""
+TROUBLE_COLUMN = Column("drive says", 24, 6, lambda joint: _cut_off(", ".join(joint["drive_trouble"]), 24))
+"""While a drive has trouble."""
 TIMING_COLUMNS = (
     Column("p50", 7, 3, lambda timing: shown(timing.figures["p50"], 1)),
     Column("p99", 7, 1, lambda timing: shown(timing.figures["p99"], 1)),
@@ -60,6 +72,10 @@ TIMING_COLUMNS = (
     Column("max", 9, 0, lambda timing: shown(timing.figures["max"], 1)),
     Column(SCALE, BINS, 4, lambda timing: bars(timing.spectrum)),
 )
+
+
+def _cut_off(words: str, width: int) -> str:
+    return words if len(words) <= width else f"{words[: width - 1]}…"
 
 
 class Picture:
@@ -240,11 +256,20 @@ def _table(
     return [head, *(line(label, [column.cell(row) for column in columns], style) for label, row, style in rows)]
 
 
+def joint_columns(joints: Sequence[Mapping[str, Any]]) -> list[Column]:
+    """The columns that have something to show."""
+    measured = zip(DRIVE_COLUMNS, MEASURED_COLUMNS, strict=True)
+    columns = [column for one, column in measured if any(joint[one.key] is not None for joint in joints)]
+    troubled = any(joint["drive_trouble"] for joint in joints)
+    return [*JOINT_COLUMNS, *columns, *([TROUBLE_COLUMN] if troubled else [])]
+
+
 def _joints(joints: Sequence[Mapping[str, Any]], width: int) -> list[Text]:
     rows = [(joint["name"], joint, "" if joint["referenced"] else "red") for joint in joints]
     longest = max(cell_len(name) for name in ("joint", *(name for name, _, _ in rows)))
-    spare = width - sum(column.width + GAP for column in JOINT_COLUMNS)
-    return _table("joint", min(longest, max(NAME_WIDTH, spare)), JOINT_COLUMNS, rows, width)
+    columns = joint_columns(joints)
+    spare = width - sum(column.width + GAP for column in columns)
+    return _table("joint", min(longest, max(NAME_WIDTH, spare)), columns, rows, width)
 
 
 def _timing(timings: Sequence[Timing], width: int) -> list[Text]:

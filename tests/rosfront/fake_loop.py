@@ -31,7 +31,8 @@ class FakeLoop(threading.Thread):
         self.snapshot = np.zeros(1, layout.SNAPSHOT)[0]
         rows = self.snapshot["joints"][: self.joints]
         rows["referenced"] = 1
-        rows["measured_effort"] = np.nan
+        for word in ("measured_effort", "drive_temperature_c", "drive_voltage_v"):
+            rows[word] = np.nan
         rows["drive_status"] = DriveStatus.ENABLED | DriveStatus.ANSWERED
         rows["commanded_position_rad"] = 0.0 if position_rad is None else position_rad
         self.rows = rows

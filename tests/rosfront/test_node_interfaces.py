@@ -125,6 +125,7 @@ def test_dynamic_joint_states(stage, operator):
         assert found["referenced"] == (joint != 3)
         assert found["position"] == found["commanded_position"] == 0.0
         assert np.isnan(found["effort"]) and found["reading_age"] == 0.0
+        assert np.isnan(found["drive_temperature"]) and np.isnan(found["drive_voltage"])
 
 
 def test_nothing_is_filled_for_nobody(arm_name):
@@ -184,6 +185,28 @@ def test_diagnostics_name_what_is_wrong(stage, operator):
     assert report["joint1"].level == report["arm"].level == DiagnosticStatus.OK
     assert report["bus"].level == DiagnosticStatus.WARN and "3 wire errors" in report["bus"].message
     assert report["cycle"].level == DiagnosticStatus.WARN and "2 cycles missed" in report["cycle"].message
+
+
+def test_diagnostics_show_what_drives_measure_and_warn_of(stage, operator):
+    rows = stage.loop.rows
+    assert not {"temperature", "supply", "effort"} & values(report_after(stage, operator)["joint3"]).keys()
+    rows["drive_temperature_c"][2], rows["drive_voltage_v"][2], rows["measured_effort"][2] = 51.5, 23.75, -1.25
+    rows["drive_status"][2] |= int(DriveStatus.OVER_TEMPERATURE)
+    rows["drive_status"][3] |= int(DriveStatus.PROTECTED | DriveStatus.OVER_CURRENT)
+    report = report_after(stage, operator)
+    shown = values(report["joint3"])
+    assert (shown["temperature"], shown["supply"], shown["effort"]) == ("51.500 °C", "23.750 V", "-1.250 Nm")
+    assert (report["joint3"].level, report["joint3"].message) == (
+        DiagnosticStatus.WARN,
+        "The drive of joint3 warns: over-temperature.",
+    )
+    assert (report["joint4"].level, report["joint4"].message) == (
+        DiagnosticStatus.ERROR,
+        "The drive of joint4 says: protected, over-current; remove the cause.",
+    )
+    for word in ("measured_effort", "drive_temperature_c", "drive_voltage_v"):
+        rows[word] = np.nan
+    rows["drive_status"] = DriveStatus.ENABLED | DriveStatus.ANSWERED
 
 
 def test_what_happened_once_is_told_once(stage, operator):

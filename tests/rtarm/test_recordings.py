@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from mixed_arm import mixed
 from rich.console import Console
 from typer.testing import Result
 from virtual import VirtualArm, recorded_goal
@@ -40,7 +41,7 @@ from rtloop.wire import received
 from rtloop.wire.slcan import BEL
 from shm import files, layout
 from shm.recording import Recording, read_recording
-from shm.words import BusState, Event, Fault, Outcome, Request
+from shm.words import BusState, DriveStatus, Event, Fault, Outcome, Request
 from sim.faults import PowerLoss, Stall
 
 Rtarm = Callable[..., Result]
@@ -126,7 +127,7 @@ def test_what_is_read_is_what_was_written(power_loss: Recording, a_file: Path) -
         assert getattr(found, name) == getattr(power_loss, name), name
     for name in set(power_loss.records.dtype.names) - {"crc", "decisions_crc"}:  # check sums of the ring itself
         assert found.records[name].tobytes() == power_loss.records[name].tobytes(), name
-    for name in ("events", "limits", "scheduling", "lateness", "cycle_time"):
+    for name in ("events", "limits", "identifiers", "scheduling", "lateness", "cycle_time"):
         assert getattr(found, name).tobytes() == getattr(power_loss, name).tobytes(), name
     order = np.argsort(power_loss.frames["monotonic_ns"], kind="stable")
     for name in ("monotonic_ns", "head", "data"):
@@ -158,6 +159,83 @@ def test_a_plain_reader_finds_channels_schemas_and_ros_times(power_loss: Recordi
         assert times[0] > EPOCH_NS
         names = {record.name for record in reader.iter_metadata()}
         assert names == {"rtarm", "rtarm.limits", "rtarm.timing"}
+
+
+def messages(path: Path, topic: str) -> list[dict[str, Any]]:
+    with path.open("rb") as file:
+        return [json.loads(message.data) for _, _, message in make_reader(file).iter_messages([topic])]
+
+
+def test_each_frame_is_told_with_the_joint_whose_drive_it_is_of(tmp_path: Path) -> None:
+    """ZDT drives and ODrives in turn, whose numbers are the same: 1 << 8 extended, 2 << 5 standard."""
+    arm = VirtualArm(mixed())
+    assert arm.bring_up().failure is None
+    path = tmp_path / "mixed.mcap"
+    mcap_writer.write(recorded(arm), NOW, path)
+    frames = messages(path, mcap_format.FRAMES)
+    assert {frame["joint"] for frame in frames} == {f"joint{number}" for number in range(1, 7)}
+    for frame in frames:
+        number = frame["id"] >> 8 if frame["extended"] else frame["id"] >> 5
+        assert frame["joint"] == f"joint{number}", frame
+    assert {frame["sent"] for frame in frames} == {True, False}
+
+
+def test_what_nobody_or_more_than_one_drive_owns_is_nobodys(power_loss: Recording, tmp_path: Path) -> None:
+    identifiers = power_loss.identifiers.copy()
+    identifiers["match"][2] = identifiers["match"][1]
+    path = tmp_path / "doubtful.mcap"
+    mcap_writer.write(Recording(**{**vars(power_loss), "identifiers": identifiers}), NOW, path)
+    assert {frame["joint"] for frame in messages(path, mcap_format.FRAMES)} == {
+        None,
+        *(name for name in power_loss.joints if name not in ("joint2", "joint3")),
+    }
+
+
+def test_a_file_of_before_is_read_as_one_whose_drives_measured_nothing(
+    power_loss: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such files lack words of the joints and the identifiers, and have an address among the limits."""
+    records = power_loss.records[:5].copy()
+    records["joints"]["drive_temperature_c"] = 40.0
+    whole = Recording(**{**vars(power_loss), "records": records})
+    path = tmp_path / "before.mcap"
+    before = [name for name in mcap_format.JOINT_WORDS if name not in mcap_format.LATER_JOINT_WORDS]
+    described = mcap_writer._metadata(whole, NOW)
+    limits = json.loads(described["rtarm.limits"]["joints"])
+    described["rtarm.limits"]["joints"] = json.dumps(
+        {name: {**row, "drive_address": 3} for name, row in limits.items()}
+    )
+    del described["rtarm"]["identifiers"]
+    with monkeypatch.context() as patch:
+        patch.setattr(mcap_writer, "JOINT_WORDS", before)
+        patch.setattr(mcap_writer, "_metadata", lambda *_: described)
+        mcap_writer.write(whole, NOW, path)
+    assert "drive_voltage_v" not in messages(path, mcap_format.JOINTS + "joint1")[0]
+    loaded = mcap_reader.read(path)
+    assert loaded.damage == "" and len(loaded.recording.identifiers) == 0
+    found = loaded.recording.records
+    for word in mcap_format.LATER_JOINT_WORDS:
+        assert np.isnan(found["joints"][word]).all()
+    for word in before:
+        assert found["joints"][word].tobytes() == records["joints"][word].tobytes(), word
+    assert loaded.recording.limits.tobytes() == power_loss.limits.tobytes()
+
+
+def test_what_a_drive_said_and_had_measured_is_told(power_loss: Recording, tmp_path: Path) -> None:
+    records = power_loss.records.copy()
+    rows = records["joints"][:, 2]
+    said_from = len(records) - 20
+    rows["drive_status"][said_from:] |= int(DriveStatus.PROTECTED | DriveStatus.OVER_TEMPERATURE)
+    rows["drive_temperature_c"], rows["measured_effort"] = 81.4, -2.5
+    recording = Recording(**{**vars(power_loss), "records": records})
+    sentences = [line.sentence for line in told(recording).lines if line.joint == 2]
+    assert "The drive of joint3 reports that it is too hot (81 °C, -2.50 Nm)." in sentences
+    assert any(sentence.startswith("The drive of joint3 reports that it has an error") for sentence in sentences)
+    path = tmp_path / "hot.mcap"
+    mcap_writer.write(recording, NOW, path)
+    last = messages(path, mcap_format.JOINTS + "joint3")[-1]
+    assert (last["drive_temperature_c"], last["drive_voltage_v"]) == (81.4, None)
+    assert {"enabled", "protected", "over-temperature"} <= set(last["drive_says"])
 
 
 def test_numbers_that_json_does_not_know_are_null(power_loss: Recording, tmp_path: Path) -> None:

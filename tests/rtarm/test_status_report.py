@@ -19,7 +19,7 @@ from rtarm import status
 from rtarm.errors import Refusal
 from shm import files, histogram, layout
 from shm.gripper import show_gripper
-from shm.words import Fault, GripTrouble, Mode, Outcome, Phase, Unreferenced
+from shm.words import DriveStatus, Fault, GripTrouble, Mode, Outcome, Phase, Unreferenced
 
 Rtarm = Callable[..., Result]
 
@@ -51,6 +51,46 @@ def test_the_tables_say_the_same(arm: WrittenArm, rtarm: Rtarm) -> None:
     assert f"{arm.name}: holding, healthy" in result.stdout
     assert "30.000   0.52360" in result.stdout
     assert "no real-time priority, memory not locked, any CPU, CPU latency not held" in result.stdout
+
+
+def test_what_drives_measure_is_told(arm: WrittenArm, rtarm: Rtarm) -> None:
+    arm.rows["drive_status"] = DriveStatus.ENABLED | DriveStatus.ANSWERED
+    arm.publish()
+    with arm.served():
+        assert "drive of" not in rtarm("status", arm.name).stdout  # none of it is measured
+        arm.rows["measured_effort"] = (-2.25, math.nan)
+        arm.rows["drive_temperature_c"] = (41.0, math.nan)
+        arm.rows["drive_voltage_v"] = (math.nan, 23.9)
+        arm.publish()
+        shoulder, elbow = json.loads(rtarm("status", arm.name, "--json").stdout)["joints"]
+        table = rtarm("status", arm.name).stdout
+    assert (shoulder["effort_nm"], shoulder["temperature_c"], shoulder["voltage_v"]) == (-2.25, 41.0, None)
+    assert (elbow["effort_nm"], elbow["temperature_c"], elbow["voltage_v"]) == (None, None, 23.9)
+    assert shoulder["drive"] == ["enabled", "answered"] and shoulder["drive_trouble"] == []
+    assert re.search(r"drive of +Nm +°C +V +says", table)
+    assert re.search(r"shoulder +-2\.25 +41 +- +enabled, answered", table)
+    assert re.search(r"elbow +- +- +23\.9 +enabled, answered", table)
+
+
+def test_an_error_of_a_drive_that_no_fault_speaks_of_is_a_problem(arm: WrittenArm, rtarm: Rtarm) -> None:
+    said = DriveStatus.ANSWERED | DriveStatus.PROTECTED | DriveStatus.OVER_TEMPERATURE
+    arm.rows["drive_status"][1] = said
+    arm.publish()
+    with arm.served():
+        report = json.loads(rtarm("status", arm.name, "--json").stdout)
+        assert re.search(r"elbow +protected, answered, over-temperature", rtarm("status", arm.name).stdout)
+        assert report["problems"] == [
+            "The drive of elbow has an error (protected, over-temperature) and may hold nothing: remove the cause, "
+            "then `rtarm clear-fault`."
+        ]
+        arm.snapshot["mode"], arm.snapshot["fault"], arm.snapshot["fault_joint"] = Mode.FAULT, Fault.DRIVE_FAULT, 1
+        arm.snapshot["fault_value"] = float(said)
+        arm.publish()
+        report = json.loads(rtarm("status", arm.name, "--json").stdout)
+    assert report["problems"] == [
+        "The drive of elbow reports a fault of its own (protected, over-temperature, not enabled): remove the cause, "
+        "then `rtarm clear-fault`."
+    ]
 
 
 def test_a_gripper_on_the_bus_is_told_of(arm: WrittenArm, rtarm: Rtarm) -> None:

@@ -381,6 +381,11 @@ def report(joints: list[str], **more: Any) -> dict[str, Any]:
                 "age_ms": 3.0,
                 "referenced": True,
                 "unreferenced": None,
+                "effort_nm": None,
+                "temperature_c": None,
+                "voltage_v": None,
+                "drive": ["enabled", "answered"],
+                "drive_trouble": [],
             }
             for name in joints
         ],
@@ -440,6 +445,24 @@ def test_what_is_left_out_in_a_narrow_terminal() -> None:
     assert [column.heading for column in fitting(JOINT_COLUMNS, 28)] == ["measured °", "error °"]
     assert [column.heading for column in fitting(TIMING_COLUMNS, 36)] == ["p50", "p99", "p99.9", "max"]
     assert fitting(JOINT_COLUMNS, 200) == list(JOINT_COLUMNS)
+
+
+def test_what_some_drives_measure_has_columns_where_there_is_room() -> None:
+    found = report(["joint1", "joint2"])
+    found["joints"][1] |= {"effort_nm": 1.5, "temperature_c": 41.2}
+    one, two = (line for line in drawn(look(found, []), 120, 24) if line.startswith("joint") and "°" not in line)
+    assert one.split()[-2:] == ["-", "-"] and two.split()[-3:] == ["yes", "1.50", "41"]
+    head = next(line for line in drawn(look(found, []), 120, 24) if line.startswith("joint "))
+    assert head.split()[-2:] == ["Nm", "°C"] and "V" not in head.split()
+    assert not any("°C" in line for line in drawn(look(found, []), 80, 24))
+
+
+def test_what_is_wrong_with_a_drive_stands_beside_its_joint() -> None:
+    found = report(["joint1", "joint2"])
+    found["joints"][1]["drive_trouble"] = ["protected", "over-current", "over-temperature"]
+    lines = drawn(look(found, []), 120, 24)
+    assert any(line.startswith("joint2") and line.rstrip().endswith(" protected, over-current…") for line in lines)
+    assert any("drive says" in line for line in lines)
 
 
 texts = st.text(st.characters(codec="utf-8", exclude_categories=("C", "Z")), min_size=1, max_size=64)

@@ -31,7 +31,8 @@ class WrittenArm:
         self.snapshot["speed_scale"] = 1.0
         self.rows = self.snapshot["joints"][: len(JOINTS)]
         self.rows["referenced"] = 1
-        self.rows["measured_effort"] = np.nan
+        for word in ("measured_effort", "drive_temperature_c", "drive_voltage_v"):
+            self.rows[word] = np.nan
         self.state["counters"]["cycles"] = 1234
         self.state["scheduling"]["cpu"] = -1
         self.publish()

@@ -1,39 +1,16 @@
 """Drives of several families on one bus, and arms of one to 32 joints."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
+from mixed_arm import ODRIVE, ZDT, arm_of, mixed
 from virtual import VirtualArm
 
 from config.errors import ConfigError
 from config.loader import load_arm
-from config.schema import ArmConfig
 from shm.words import Answer, Fault, Mode, Outcome, Request
 from sim.faults import Protection, Silent
-
-ZDT = {"family": "zdt", "microsteps": 16}
-ODRIVE = {"family": "odrive", "encoder": "absolute", "estimates_ms": 0}
-
-
-def arm_of(drives: Sequence[dict[str, Any]], *, rate_hz: float, interface: str = "slcan") -> ArmConfig:
-    """An arm whose joints differ only in their drives."""
-    joint = {
-        "ratio": 25,
-        "lower_deg": -90,
-        "upper_deg": 90,
-        "motor_rpm": 100,
-        "max_acceleration_rad_s2": 2.0,
-    }
-    return ArmConfig.model_validate(
-        {
-            "name": "mixed",
-            "control": {"rate_hz": rate_hz},
-            "bus": {"interface": interface, "channel": "can0", "bitrate": 1_000_000},
-            "joints": [{"name": f"joint{number}", "drive": drive, **joint} for number, drive in enumerate(drives, 1)],
-        }
-    )
 
 
 def there_and_back(arm: VirtualArm, by_rad: float = 0.1) -> int:
@@ -43,12 +20,6 @@ def there_and_back(arm: VirtualArm, by_rad: float = 0.1) -> int:
     joints[:, :, 0] = arm.loop[0]["axes"]["position_rad"][:count]
     joints[1, :, 0] += by_rad
     return arm.send_goal(np.array([0, 1_000_000_000, 2_000_000_000]), joints, order=3)
-
-
-def mixed() -> ArmConfig:
-    """ZDT and ODrive in turn."""
-    drives = [{**ZDT, "address": n} if n % 2 else {**ODRIVE, "node_id": n} for n in range(1, 7)]
-    return arm_of(drives, rate_hz=150)
 
 
 def test_families_move_together_on_one_bus() -> None:

@@ -1,0 +1,34 @@
+"""Arms whose drives are of several families."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from config.schema import ArmConfig
+
+ZDT = {"family": "zdt", "microsteps": 16}
+ODRIVE = {"family": "odrive", "encoder": "absolute", "estimates_ms": 0}
+
+
+def arm_of(drives: Sequence[dict[str, Any]], *, rate_hz: float, interface: str = "slcan") -> ArmConfig:
+    """An arm whose joints differ only in their drives."""
+    joint = {
+        "ratio": 25,
+        "lower_deg": -90,
+        "upper_deg": 90,
+        "motor_rpm": 100,
+        "max_acceleration_rad_s2": 2.0,
+    }
+    return ArmConfig.model_validate(
+        {
+            "name": "mixed",
+            "control": {"rate_hz": rate_hz},
+            "bus": {"interface": interface, "channel": "can0", "bitrate": 1_000_000},
+            "joints": [{"name": f"joint{number}", "drive": drive, **joint} for number, drive in enumerate(drives, 1)],
+        }
+    )
+
+
+def mixed() -> ArmConfig:
+    """ZDT and ODrive in turn."""
+    drives = [{**ZDT, "address": n} if n % 2 else {**ODRIVE, "node_id": n} for n in range(1, 7)]
+    return arm_of(drives, rate_hz=150)
