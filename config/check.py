@@ -29,6 +29,11 @@ def render_check(arm: ArmConfig) -> RenderableType:
     ]
     if any(joint.silence is not None for joint in joints):
         parts.append(silence_table(joints))
+    followers = [joint.name for joint in arm.joints if joint.drive.identifiers and not joint.drive.plans_its_motion]
+    if followers:
+        parts.append(
+            Text(f"In silence {', '.join(followers)}: at the last set-point heard, as hard as the drive can.\n")
+        )
     if any(drive_settings(joint) for joint in arm.joints):
         parts.append(settings_table(arm.joints))
     parts.append(budget_table(arm, budget(arm)))
@@ -84,8 +89,8 @@ def silence_table(joints: Iterable[DerivedJoint]) -> Table:
             continue
         table.add_row(
             escape(joint.name),
-            str(stop.acc_byte),
-            str(joint.acc_byte),
+            "-" if stop.acc_byte is None else str(stop.acc_byte),
+            "-" if joint.acc_byte is None else str(joint.acc_byte),
             f"{stop.deceleration_rad_s2:.3f}",
             f"{stop.factor:.2f}",
             f"{stop.coast_deg:.2f}",

@@ -43,9 +43,10 @@ def braking_deceleration_rad_s2(joint: JointConfig, acc_byte: int) -> float:
 
 @dataclass(frozen=True)
 class SilenceStop:
-    """What a stepper drive does at full speed when it hears nothing more, from the last frame it heard."""
+    """What a drive with a ramp of its own does at full speed when it hears nothing more, from the last frame on."""
 
-    acc_byte: int
+    acc_byte: int | None
+    """None where its ramp is no byte of a command but is set in it, in whatever unit it has."""
     deceleration_rad_s2: float
     factor: float
     """Deceleration as a multiple of the joint's acceleration limit."""
@@ -72,7 +73,7 @@ class DerivedJoint:
     acc_byte: int | None
     """Smallest byte that reaches the acceleration limit; None for a drive without a ramp byte."""
     silence: SilenceStop | None
-    """None for a drive that has no ramp byte."""
+    """None for a drive without a ramp of its own: it stops at the last set-point that it heard."""
 
 
 def derived_table(arm: ArmConfig) -> list[DerivedJoint]:
@@ -96,14 +97,17 @@ def _derive(joint: JointConfig, arm: ArmConfig) -> DerivedJoint:
         command_pulse_deg=math.degrees(joint.command_pulse_rad),
         encoder_count_deg=math.degrees(joint.encoder_count_rad),
         acc_byte=acc_byte(joint) if has_ramp else None,
-        silence=_silence_stop(joint, arm) if has_ramp else None,
+        silence=_silence_stop(joint, arm) if joint.drive.plans_its_motion else None,
     )
 
 
 def _silence_stop(joint: JointConfig, arm: ArmConfig) -> SilenceStop:
-    byte = silence_acc_byte(joint, arm.limits)
+    byte = silence_acc_byte(joint, arm.limits) if joint.drive.stepper_ramp else None
     goes_on_s = (1.0 if arm.bus.fast_targets else 1.0 + LEAD_PERIODS) * arm.control.period_ns * 1e-9
-    deceleration = braking_deceleration_rad_s2(joint, byte)
+    if byte is not None:
+        deceleration = braking_deceleration_rad_s2(joint, byte)
+    else:
+        deceleration = arm.limits.silence_brake_factor * joint.max_acceleration_rad_s2
     return SilenceStop(
         acc_byte=byte,
         deceleration_rad_s2=deceleration,

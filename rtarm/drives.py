@@ -22,6 +22,7 @@ from config.schema import ArmConfig
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import undisturbed
 from rtarm.processes import plain_environment, shared_death
+from rtarm.zdt_joints import other_drives, zdt_joints
 
 PATIENCE_S = 10.0
 HEADINGS = {
@@ -124,6 +125,17 @@ def offline_process(module: str, arm: str, overrides: Mapping[str, Any]) -> Iter
             process.close()
 
 
+def not_read(arm: ArmConfig) -> str:
+    """A sentence about the drives of other families; empty where there are none."""
+    others = other_drives(arm, range(len(arm.joints)))
+    if not others:
+        return ""
+    return (
+        f"what is set in the drives of {others} is neither read nor written; docs/drive-families.md says what must be "
+        "set there, with their maker's tool."
+    )
+
+
 def plan(report: Report) -> list[str]:
     """What a write would change, a line a drive."""
     lines = []
@@ -178,6 +190,8 @@ def run(
     """
     if arm.bus.interface == "mock":
         raise Refusal(f"Arm {arm.name} has mock drives and no bus, so there are no settings to read.")
+    if not zdt_joints(arm):
+        raise Refusal(f"Arm {arm.name} has no ZDT drive, and only their settings are known here: {not_read(arm)}")
     with offline_process("rtloop.settings", argument, overrides) as process:
         report = process.answer("ready")
         if not write or not plan(report):
@@ -206,16 +220,19 @@ def render(arm: ArmConfig, report: Report) -> RenderableType:
         _table(drives),
     ]
     sentences = [sentence for drive in drives for sentence in (*drive["left_alone"], *drive["notes"])]
+    beside = not_read(arm)
+    sentences += [beside[0].upper() + beside[1:]] if beside else []
     parts += [Text(f"- {sentence}") for sentence in sentences]
-    parts.append(Text(summary(report), style="bold"))
+    which = "Every drive that was read" if beside else "Every drive"
+    parts.append(Text(summary(report, which), style="bold"))
     return Group(*parts)
 
 
-def summary(report: Report) -> str:
-    """The last line: whether all is well, and what to do where it is not."""
+def summary(report: Report, which: str = "Every drive") -> str:
+    """The last line: whether all is well, and what to do where it is not; `which` drives are spoken of."""
     drives = report["drives"]
     if agrees(report):
-        return "Every drive is as the arm file wants it; what the file does not name is shown in brackets."
+        return f"{which} is as the arm file wants it; what the file does not name is shown in brackets."
     changes = sum(len(drive["to_write"]) for drive in drives)
     if "failure" in report and changes:
         return f"{_count(changes, 'setting')} still to be written."

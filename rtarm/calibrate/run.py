@@ -18,10 +18,17 @@ from rtarm.calibrate.person import Person, Quit, agrees
 from rtarm.drives import OfflineProcess, offline_process
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, signals_raise
+from rtarm.zdt_joints import other_drives, zdt_joints
 from rtloop.calibration.session import DriveState, Found, NotDone
 
 FIELDS = ("direction", "ratio", "zero_deg", "lower_deg", "upper_deg")
 """What may be written of a joint."""
+OTHER_FAMILIES = "Only ZDT drives can be turned by a small angle here."
+BY_HAND = (
+    "With the drives of {drives}: write direction, ratio and zero_deg into the arm file by hand, start the arm, let it "
+    "go with `rtarm free`, lead a joint with your hand and see in `rtarm top` whether it counts the right way and as "
+    "far as it turns; `rtarm reference` says where it stands."
+)
 INTRODUCTION = (
     "One drive moves at a time, by small angles, slowly, and only after your y; the others stay as they are. Keep a "
     "hand on the switch in the power line and everything else out of the arm's reach. Ctrl-C or q stops what moves and "
@@ -62,12 +69,17 @@ class ProcessDrives:
 
 
 def chosen_joints(arm: ArmConfig, names: Sequence[str]) -> list[int]:
-    """Numbers of the joints to be calibrated, all of them without names, in the arm file's order."""
+    """Numbers of the joints to be calibrated, all that can be without names, in the arm file's order."""
     known = [joint.name for joint in arm.joints]
     for name in names:
         if name not in known:
             raise Refusal(f"Arm {arm.name} has no joint {name!r}; it has {', '.join(known)}.")
-    return [joint for joint, name in enumerate(known) if not names or name in names]
+    can_be = zdt_joints(arm)
+    asked = [joint for joint, name in enumerate(known) if name in names]
+    beyond = other_drives(arm, asked if names else [] if can_be else range(len(known)))
+    if beyond:
+        raise Refusal(f"{OTHER_FAMILIES} {BY_HAND.format(drives=beyond)}")
+    return asked if names else can_be
 
 
 def calibrate(
@@ -96,6 +108,9 @@ def calibrate(
                 raise Refusal("\n".join(problems), ExitCode.LOOP_REFUSED)
             person.tell(INTRODUCTION)
             person.tell(_others(arm, joints, drives.found))
+            beyond = other_drives(arm, range(len(arm.joints)))
+            if beyond:
+                person.tell(f"{OTHER_FAMILIES} {BY_HAND.format(drives=beyond)}")
             for joint in joints:
                 _one_joint(arm, joint, drives, person, file, written)
     except (Quit, Interrupted) as ended:

@@ -18,6 +18,22 @@ UNKNOWN = {
 """What a drive does not know, with what it means."""
 
 
+UNHEARD_OF = {
+    "odrive": "Whether an ODrive's encoder is absolute is not overheard: docs/drive-families.md says what to fill in.",
+    "cia402": "A CANopen node need not be a drive. counts_per_revolution is not overheard: docs/drive-families.md.",
+}
+"""What a family's arm file needs beside what is overheard of a drive."""
+
+
+def _zdt(drive: dict[str, Any]) -> str:
+    microsteps = drive["microsteps"]
+    return f"family: zdt, address: {drive['address']}" + ("" if microsteps is None else f", microsteps: {microsteps}")
+
+
+def _overheard(drive: dict[str, Any]) -> str:
+    return f"family: {drive['family']}, node_id: {drive['number']}"
+
+
 def proposal(entry: dict[str, Any]) -> str:
     """YAML for the adapter and drives of one entry of the report."""
     outcome = entry["outcome"]
@@ -30,6 +46,7 @@ def proposal(entry: dict[str, Any]) -> str:
         lines += [
             "# If this is an Episode1 arm, copy config/arms/episode1.yaml instead, and take the section bus from here.",
         ]
+    lines += [f"# {sentence}" for sentence in sorted({UNHEARD_OF[one["family"]] for one in outcome["overheard"]})]
     lines += ["schema_version: 1", "name: my_arm", "control:", "  rate_hz: 100", "bus:"]
     lines += [f"  interface: {entry['interface']}", f"  channel: {entry['channel']}"]
     if outcome["bitrate"] is not None:
@@ -37,13 +54,8 @@ def proposal(entry: dict[str, Any]) -> str:
     if entry["serial_baud"] not in (None, "cdc"):
         lines.append(f"  serial_baud: {entry['serial_baud']}")
     lines.append("joints:")
-    for number, drive in enumerate(drives, 1):
-        microsteps = drive["microsteps"]
-        lines += [
-            f"  - name: joint{number}",
-            f"    drive: {{family: zdt, address: {drive['address']}"
-            + (f", microsteps: {microsteps}}}" if microsteps is not None else "}"),
-        ]
+    for number, drive in enumerate([*map(_zdt, drives), *map(_overheard, outcome["overheard"])], 1):
+        lines += [f"  - name: joint{number}", f"    drive: {{{drive}}}"]
         lines += [
             f"    {name}:{f'   # {meaning}' if number == 1 and meaning else ''}" for name, meaning in UNKNOWN.items()
         ]

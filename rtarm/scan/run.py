@@ -63,7 +63,8 @@ def scan(
 
 
 def _drive_count(entry: Report) -> int:
-    return len(entry["outcome"]["drives"]) if entry["outcome"] else 0
+    outcome = entry["outcome"]
+    return len(outcome["drives"]) + len(outcome["overheard"]) if outcome else 0
 
 
 def _named(machine: Machine, port: str) -> Adapter:

@@ -1,10 +1,16 @@
-"""Looking for drives on a bus: listening first, then asking, bit rate by bit rate, and no longer than is said."""
+"""Looking for drives on a bus: listening first, then asking, bit rate by bit rate, and no longer than is said.
+
+ZDT drives are asked; drives that speak by themselves are overheard (`rtarm.scan.overheard`), and nobody is asked then.
+The questions move nothing of any family: their identifiers are extended and below 1 << 16, where all others that are
+known here use standard ones, but for RobStride motors, to which they ask motor 0 who it is.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from rtarm.scan.overheard import Overheard, drive_of, overheard
 from rtarm.scan.wires import Frame, SlcanWire, Wire
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_ask import NOT_UNDERSTOOD, split_packets
@@ -20,6 +26,8 @@ UNHEARD = (
     "only while nothing else does."
 )
 LISTEN_S = 0.12
+OVERHEARD_S = 1.1
+"""So long is listened where drives speak by themselves: heartbeats a second apart are heard too."""
 BUSY_FRAMES = 2
 """Frames heard before anybody was asked that make a bus somebody else's."""
 FIRST_ADDRESSES = range(1, 17)
@@ -55,6 +63,7 @@ class Outcome:
 
     bitrate: int | None = None
     drives: list[FoundDrive] = field(default_factory=list)
+    overheard: list[Overheard] = field(default_factory=list)
     listened: list[int] = field(default_factory=list)
     asked: list[int] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -67,11 +76,11 @@ def search_slcan(wire: SlcanWire) -> Outcome:
     for bitrate in BITRATES:
         if not wire.open(bitrate, listen_only=True):
             continue  # the adapter has not got this rate, or cannot merely listen
-        frames = wire.receive(LISTEN_S)
+        frames = _listen(wire, LISTEN_S)
         wire.close()
         outcome.listened.append(bitrate)
-        if len(frames) + wire.foreign >= BUSY_FRAMES:
-            return in_use(outcome, bitrate, frames)
+        if _others_speak(wire, frames):
+            return in_use(outcome, bitrate, wire, frames)
     for bitrate in BITRATES:
         if wire.now_s() > ends_s:
             left = ", ".join(str(rate) for rate in BITRATES if rate not in outcome.asked)
@@ -99,20 +108,39 @@ def search_slcan(wire: SlcanWire) -> Outcome:
 def search_link(wire: Wire, bitrate: int | None) -> Outcome:
     """Look for drives on a CAN interface, at the one bit rate the system has given it (bit/s; None for none)."""
     outcome = Outcome(listened=[bitrate] if bitrate else [])
-    frames = wire.receive(LISTEN_S)
-    if len(frames) + wire.foreign >= BUSY_FRAMES:
-        return in_use(outcome, bitrate, frames)
+    frames = _listen(wire, OVERHEARD_S)
+    if _others_speak(wire, frames):
+        return in_use(outcome, bitrate, wire, frames)
     outcome.asked = outcome.listened
     outcome.drives = ask_everybody(wire, bitrate or BITRATES[0], wire.now_s() + LONGEST_S)
     outcome.bitrate = bitrate if outcome.drives else None
     return outcome
 
 
-def in_use(outcome: Outcome, bitrate: int | None, frames: list[Frame]) -> Outcome:
+def _listen(wire: Wire, patience_s: float) -> list[Frame]:
+    """What ZDT drives say within that time; drives that speak by themselves are given more of it."""
+    frames = wire.receive(patience_s)
+    if patience_s < OVERHEARD_S and any(map(drive_of, wire.standard)):
+        frames += wire.receive(OVERHEARD_S - patience_s)
+    return frames
+
+
+def _others_speak(wire: Wire, frames: list[Frame]) -> bool:
+    """Whether the bus is somebody's already; one frame may be a garbled one, but a heartbeat is a drive's."""
+    return len(frames) + wire.foreign >= BUSY_FRAMES or any(map(drive_of, wire.standard))
+
+
+def in_use(outcome: Outcome, bitrate: int | None, wire: Wire, frames: list[Frame]) -> Outcome:
     """Somebody speaks already: that is told, and nobody is asked."""
     addresses = ", ".join(str(address) for address in sorted({frame.id >> 8 for frame in frames}))
     outcome.bitrate = bitrate
-    if frames:
+    outcome.overheard = overheard(wire.standard)
+    if outcome.overheard and not frames:
+        outcome.notes.append(
+            "Nobody was asked, since these drives were overheard: others that speak only when they are spoken to are "
+            "not shown. To look for ZDT drives too, connect them alone and scan again."
+        )
+    elif frames:
         outcome.notes.append(
             f"Frames were heard before anybody was asked (addresses {addresses}): another program drives these drives, "
             "or they report by themselves, so nobody was asked; end that program or, where none runs, switch the "

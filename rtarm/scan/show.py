@@ -37,6 +37,8 @@ def _adapter(entry: Report) -> list[RenderableType]:
     if outcome["drives"]:
         parts.append(_table(outcome["drives"]))
         parts += [Text(f"  - {note}") for drive in outcome["drives"] for note in drive["notes"]]
+    if outcome["overheard"]:
+        parts.append(_overheard_table(outcome["overheard"]))
     return parts
 
 
@@ -47,11 +49,17 @@ def _verdict(entry: Report, outcome: Report) -> str:
         count = len(outcome["drives"])
         rate = f" at {outcome['bitrate']} bit/s" if outcome["bitrate"] else ""
         return f"{count} drive{'' if count == 1 else 's'} answer{'s' if count == 1 else ''}{rate}{baud}"
+    if outcome["overheard"]:
+        count = len(outcome["overheard"])
+        speaks = "drive speaks" if count == 1 else "drives speak"
+        rate = f" at {outcome['bitrate']} bit/s" if outcome["bitrate"] else ""
+        return f"{count} {speaks} by {'itself' if count == 1 else 'themselves'}{rate}{baud}"
     if not outcome["asked"]:
         return "in use" if outcome["notes"] else "nobody was asked"
     return (
-        f"no drive answers (asked at {rates} bit/s{baud}): check the drives' power, the two CAN wires, 120 Ω at both "
-        "ends, and that the port in the drives' menu is set to CAN"
+        f"no ZDT drive answers (asked at {rates} bit/s{baud}), and no heartbeat of an ODrive or a CANopen drive was "
+        "heard: check the drives' power, the two CAN wires, 120 Ω at both ends, and that the port in a ZDT drive's "
+        "menu is set to CAN; drives of other families are not asked, name them in an arm file (docs/drive-families.md)"
     )
 
 
@@ -63,6 +71,15 @@ def _table(drives: list[Report]) -> Table:
         values = (drive["address"], drive["firmware"], drive["microsteps"], drive["response"], drive["current_ma"])
         cells = ["?" if value is None else escape(str(value)) for value in values]
         table.add_row(*cells, _state(drive))
+    return table
+
+
+def _overheard_table(drives: list[Report]) -> Table:
+    table = Table("overheard", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("node", justify="right")
+    table.add_column("state")
+    for drive in drives:
+        table.add_row(escape(drive["called"]), str(drive["number"]), escape(drive["state"]))
     return table
 
 

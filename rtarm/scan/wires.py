@@ -13,8 +13,10 @@ import select
 import socket
 import struct
 import time
+from collections import deque
 from typing import NamedTuple, Protocol
 
+from config.frames import STANDARD_MASK
 from config.serial_adapters import SLCAN_BITRATES
 from rtloop.wire.can_words import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK
 
@@ -25,12 +27,14 @@ PASSIVE, BUS_ERROR = 0x20, 0x80
 """Bits of an adapter's flags (can-adapters.md 1): nobody acknowledges what it sends."""
 FOREIGN = re.compile(rb"(?:t[0-7][0-9A-Fa-f]{2}|r[0-7][0-9A-Fa-f]{2}|R[01][0-9A-Fa-f]{7})[0-8]")
 """How the line of a frame begins that no drive sends (can-adapters.md 1)."""
+MOST_STANDARD = 4096
+"""Frames that are looked at for drives that speak by themselves: as many as half a second of a full, quick bus."""
 _CAN_FRAME = struct.Struct("=IB3x8s")
 _READ_BYTES = 4096
 
 
 class Frame(NamedTuple):
-    """A data frame with an extended identifier, as drives speak."""
+    """A data frame; which kind its identifier is, is said where it is used."""
 
     id: int
     data: bytes
@@ -40,10 +44,12 @@ class Wire(Protocol):
     """What a scan needs of a bus.
 
     Attributes:
-        foreign: frames that came since it was opened and are none of a drive: standard identifiers, remote frames.
+        foreign: frames that came since it was opened and are none of a ZDT drive: standard identifiers, remote frames.
+        standard: the newest of them that are data frames, at most `MOST_STANDARD`.
     """
 
     foreign: int
+    standard: deque[Frame]
 
     def send(self, frame: Frame) -> None:
         """Send one frame; what does not leave is lost."""
@@ -98,7 +104,8 @@ class SlcanWire:
 
     Attributes:
         answers: whether it has answered any command; the original canable firmware never does.
-        foreign: frames that came since its channel was opened and are none of a drive.
+        foreign: frames that came since its channel was opened and are none of a ZDT drive.
+        standard: the newest of them that are data frames with a standard identifier.
     """
 
     def __init__(self, port: Port) -> None:
@@ -106,6 +113,7 @@ class SlcanWire:
         self._rest = b""
         self.answers = False
         self.foreign = 0
+        self.standard: deque[Frame] = deque(maxlen=MOST_STANDARD)
         self.now_s = port.now_s
 
     def greet(self) -> bool:
@@ -118,6 +126,7 @@ class SlcanWire:
         """Open its channel; False when it refuses."""
         self.close()
         self.foreign = 0
+        self.standard.clear()
         refused = BEL in self._say(SLCAN_BITRATES[bitrate].encode() + CR)
         return not refused and BEL not in self._say(b"L\r" if listen_only else b"O\r")
 
@@ -136,6 +145,7 @@ class SlcanWire:
             *lines, self._rest = (self._rest + self._port.read(left_s)).split(CR)
             frames += [frame for line in lines if (frame := frame_of(line)) is not None]
             self.foreign += sum(FOREIGN.match(line.lstrip(BEL)) is not None for line in lines)
+            self.standard += [frame for line in lines if (frame := standard_frame_of(line)) is not None]
         return frames
 
     def troubled(self) -> bool:
@@ -156,16 +166,25 @@ class SlcanWire:
 
 
 def frame_of(line: bytes) -> Frame | None:
-    """The frame in a line without its CR; None for any other line (can-adapters.md 1)."""
-    line = line.lstrip(BEL)
-    if line[:1] != b"T" or len(line) < 10:
+    """The frame with an extended identifier in a line without its CR; None for any other line (can-adapters.md 1)."""
+    return _frame_in(line, b"T", 8, EXTENDED_MASK)
+
+
+def standard_frame_of(line: bytes) -> Frame | None:
+    """The same of a standard identifier."""
+    return _frame_in(line, b"t", 3, STANDARD_MASK)
+
+
+def _frame_in(line: bytes, letter: bytes, digits: int, highest: int) -> Frame | None:
+    line, head = line.lstrip(BEL), 2 + digits
+    if line[:1] != letter or len(line) < head:
         return None
     try:
-        frame_id, length = int(line[1:9], 16), int(line[9:10], 16)
-        data = bytes.fromhex(line[10 : 10 + 2 * length].decode("ascii"))
+        frame_id, length = int(line[1 : head - 1], 16), int(line[head - 1 : head], 16)
+        data = bytes.fromhex(line[head : head + 2 * length].decode("ascii"))
     except ValueError:
         return None
-    if length > 8 or len(data) != length or not 0 <= frame_id <= EXTENDED_MASK:
+    if length > 8 or len(data) != length or not 0 <= frame_id <= highest:
         return None
     return Frame(frame_id, data)
 
@@ -177,6 +196,7 @@ class CanWire:
         self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_CLOEXEC, socket.CAN_RAW)
         self._refused = False
         self.foreign = 0
+        self.standard: deque[Frame] = deque(maxlen=MOST_STANDARD)
         try:
             self._socket.bind((name,))
         except OSError:
@@ -207,6 +227,8 @@ class CanWire:
                     frames.append(Frame(frame_id & EXTENDED_MASK, data[:length]))
                 elif not frame_id & ERROR_FLAG:
                     self.foreign += 1
+                    if frame_id <= STANDARD_MASK:  # no flag is set: neither extended nor remote
+                        self.standard.append(Frame(frame_id, data[:length]))
         return frames
 
     def troubled(self) -> bool:

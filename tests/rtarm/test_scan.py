@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import socket
 import subprocess
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,7 @@ import yaml
 from fake_machine import Content, can_link, place
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 from stack import ROOT, Stack
 from typer.testing import Result
 
@@ -24,9 +28,12 @@ from config.loader import load_arm
 from rtarm.doctor.machine import Machine
 from rtarm.errors import Refusal
 from rtarm.scan import adapters, search
+from rtarm.scan.overheard import drive_of
+from rtarm.scan.proposal import proposal
 from rtarm.scan.run import scan
 from rtarm.scan.search import BITRATES, LONGEST_S, Outcome, search_link, search_slcan
-from rtarm.scan.wires import CanWire, Frame, SlcanWire, frame_of
+from rtarm.scan.show import render
+from rtarm.scan.wires import CanWire, Frame, SlcanWire, frame_of, standard_frame_of
 from rtloop.wire.tty import open_port
 from sim import faults
 from sim.arm import SimulatedArm
@@ -118,9 +125,12 @@ def test_frames_of_a_can_interface() -> None:
         theirs.send(bytes.fromhex("00010080 06000000 1F00C8006F6B0000"))
         theirs.send(bytes.fromhex("00010000 02000000 1F6B000000000000"))  # a standard frame
         theirs.send(bytes.fromhex("04000020 08000000 0000000000000000"))  # an error frame
-        wire.foreign = 0
+        theirs.send(bytes.fromhex("01070000 01000000 0500000000000000"))
+        theirs.send(bytes.fromhex("01070040 01000000 0500000000000000"))  # a remote frame
+        wire.foreign, wire.standard = 0, deque()
         assert wire.receive(0.05) == [Frame(0x100, bytes.fromhex("1F00C8006F6B"))]
-        assert wire.foreign == 1
+        assert wire.foreign == 3
+        assert list(wire.standard) == [Frame(0x100, b"\x1f\x6b"), Frame(0x701, b"\x05")]
 
 
 # --- searching ------------------------------------------------------------------------------------------
@@ -244,6 +254,70 @@ def test_a_can_interface_of_other_machines_is_not_spoken_on() -> None:
     assert (outcome.drives, outcome.asked, wire.sent) == ([], [], [])
 
 
+@pytest.mark.parametrize(
+    ("line", "family", "number", "state"),
+    [
+        (b"t02180000000008000000", "odrive", 1, "closed loop"),  # facts/other-drives.md, ODrive: 01 heartbeat
+        (b"t7E184000000001000000", "odrive", 63, "error 0x40"),
+        (b"t701105", "cia402", 1, "operational"),  # CiA 301, heartbeat: 700 + node
+        (b"t77F17F", "cia402", 127, "pre-operational"),
+        (b"t701100", "cia402", 1, "boot-up"),
+    ],
+)
+def test_heartbeats_are_known_for_what_they_are(line: bytes, family: str, number: int, state: str) -> None:
+    frame = standard_frame_of(line)
+    assert frame is not None
+    found = drive_of(frame)
+    assert found is not None and (found.family, found.number, found.state) == (family, number, state)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"t0227000000000800000000",  # ODrive's e-stop
+        b"t0217000000000800",  # too short
+        b"t02180000000020000000",  # no state of an axis
+        b"t700105",  # the node 0
+        b"t780105",
+        b"t701142",  # no state of a node
+        b"t70120505",
+        b"T00000021800000000080000000",
+    ],
+)
+def test_what_is_no_heartbeat_is_nobodys(line: bytes) -> None:
+    frame = standard_frame_of(line)
+    assert frame is None or drive_of(frame) is None
+
+
+@given(st.integers(0, 0x7FF), st.binary(max_size=8))
+def test_any_frame_is_a_drives_or_nobodys(identifier: int, data: bytes) -> None:
+    found = drive_of(Frame(identifier, data))
+    assert found is None or found.number in range(128)
+
+
+@pytest.mark.parametrize(("arm", "family", "called"), [("odrive6", "odrive", "ODrive axis")])
+def test_drives_that_speak_by_themselves_are_overheard_and_nobody_is_asked(arm: str, family: str, called: str) -> None:
+    port = VirtualPort(SimulatedArm(load_arm(arm)))
+    wire = SlcanWire(port)
+    wire.greet()
+    outcome = search_slcan(wire)
+    assert (outcome.bitrate, outcome.asked, outcome.drives) == (1_000_000, [], [])
+    assert [(drive.family, drive.number) for drive in outcome.overheard] == [(family, n) for n in range(1, 7)]
+    assert port.functions == set() and b"t" not in port.written.lower().replace(b"\r", b"")
+    entry = {"outcome": asdict(outcome), "serial_baud": "cdc", "interface": "slcan", "channel": "/dev/ttyACM0"}
+    shown = io.StringIO()
+    Console(file=shown, width=100).print(
+        render(
+            {"adapters": [{**entry, "what": "adapter", "usb": None, "not_tried": None}], "notes": [], "proposal": None}
+        )
+    )
+    assert "6 drives speak by themselves at 1000000 bit/s" in shown.getvalue() and called in shown.getvalue()
+    proposed = yaml.safe_load(proposal(entry))
+    assert [joint["drive"] for joint in proposed["joints"]] == [
+        {"family": family, "node_id": number} for number in range(1, 7)
+    ]
+
+
 def test_an_adapter_that_cannot_merely_listen_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
     opened = SlcanWire.open
     monkeypatch.setattr(
@@ -294,6 +368,7 @@ class VirtualCan:
 
     def __init__(self) -> None:
         self.foreign = 0
+        self.standard: deque[Frame] = deque()
         overrides = {"bus": {"interface": "socketcan", "channel": "can0"}}
         self.sim = SimulatedArm(load_arm("episode1", overrides=overrides))
         self.sent: list[Frame] = []

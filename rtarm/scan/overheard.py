@@ -1,0 +1,50 @@
+"""Drives that make themselves known without being asked, by what a scan overhears of them.
+
+An ODrive axis (CANSimple, firmware 0.5.6: its CAN guide and DBC file) says a heartbeat on the standard identifier
+node << 5 | 1: eight bytes, the error word (u32, little-endian) first and the axis state behind it, every 100 ms unless
+set otherwise. A CANopen node (CiA 301, heartbeat protocol) says one on 700 + node: one byte, its state; how often, or
+whether at all, is set in it. Where their identifiers meet, their lengths tell them apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from rtarm.scan.wires import Frame
+
+ODRIVE_HEARTBEAT, ODRIVE_COMMANDS = 0x01, 0x20
+ODRIVE_STATES = range(14)
+"""Axis states of firmware 0.5.6: 0 undefined to 13 encoder Hall phase calibration."""
+CLOSED_LOOP = 8
+CANOPEN_HEARTBEAT, CANOPEN_NODES = 0x700, range(1, 128)
+CANOPEN_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
+
+
+@dataclass(frozen=True)
+class Overheard:
+    """A drive that has spoken by itself."""
+
+    family: str
+    called: str
+    number: int
+    state: str
+
+
+def drive_of(frame: Frame) -> Overheard | None:
+    """Whose heartbeat a standard frame looks like; None for any other frame."""
+    node, command = divmod(frame.id, ODRIVE_COMMANDS)
+    if command == ODRIVE_HEARTBEAT and len(frame.data) == 8 and frame.data[4] in ODRIVE_STATES:
+        error, state = int.from_bytes(frame.data[:4], "little"), frame.data[4]
+        words = f"error {error:#x}" if error else "closed loop" if state == CLOSED_LOOP else f"axis state {state}"
+        return Overheard("odrive", "ODrive axis", node, words)
+    node = frame.id - CANOPEN_HEARTBEAT
+    if node in CANOPEN_NODES and len(frame.data) == 1 and frame.data[0] in CANOPEN_STATES:
+        return Overheard("cia402", "CANopen node", node, CANOPEN_STATES[frame.data[0]])
+    return None
+
+
+def overheard(frames: Iterable[Frame]) -> list[Overheard]:
+    """Who has spoken, each as last heard, by family and number."""
+    found = {(drive.family, drive.number): drive for frame in frames if (drive := drive_of(frame)) is not None}
+    return [found[key] for key in sorted(found)]
