@@ -69,7 +69,8 @@ REFUSED = [
     (("up", "episode1", "--rate", "5"), "rate_hz is 5, but must be at least 10"),
     (
         ("up", "episode1", "--interface", "vcan"),
-        "interface is the text 'vcan', but must be 'slcan', 'seeedstudio', 'ch340-at', 'socketcan', 'python-can' or 'mock'",
+        "interface is the text 'vcan', but must be 'slcan', 'seeedstudio', 'ch340-at', 'socketcan', 'python-can' or "
+        "'mock'",
     ),
     (("up", "episode1", "--init-mode", "2"), "init_mode is 2, but must be 0 or 1"),
     (("up", "mock", "--channel", "can0"), "channel is 'can0', but interface mock opens no device"),
