@@ -13,6 +13,8 @@ STANDARD_ONLY, EXTENDED_ONLY = 1, 2
 """What kind of frames a USB-CAN-A is set to; one setting may not deliver both."""
 NORMAL, APART = 0, 3
 """Modes of a USB-CAN-A; apart (loop-back and silent) it neither hears the bus nor sends."""
+_SENT_ONCE = 0x01
+"""What follows the mode, as python-can and the maker's own program send it (docs/hardware-status.md)."""
 LONGEST_FRAME = 20
 FILLER = bytes(LONGEST_FRAME)
 
@@ -23,7 +25,7 @@ AT_CLOSING = FILLER
 
 def set_up_frame(bitrate: int, frames: int, mode: int) -> bytes:
     """The 20 bytes that set a USB-CAN-A up for its variable-length framing, without a filter."""
-    content = bytes((0x12, SEEED_BITRATES[bitrate], frames, *bytes(8), mode, 0x01, *bytes(4)))
+    content = bytes((0x12, SEEED_BITRATES[bitrate], frames, *bytes(8), mode, _SENT_ONCE, *bytes(4)))
     return b"\xaa\x55" + content + bytes((sum(content) & 0xFF,))
 
 
