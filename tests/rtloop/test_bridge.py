@@ -288,6 +288,20 @@ def test_an_unreadable_line_is_counted_and_the_next_one_heard(make_bridge):
     assert bridge.trouble == ""
 
 
+def test_errors_with_sound_frames_between_them_are_no_reason_to_close(make_bridge):
+    """For longer than a bus may fail without one."""
+    bus = StrangeBus()
+    bridge = make_bridge(bus)
+    until_s = time.monotonic() + 3 * FAILING_S
+    while time.monotonic() < until_s:
+        bus.coming.put(can.CanOperationError("garbled"))
+        bus.coming.put(message())
+        assert [read(bridge), read(bridge)[:1]] == [UNREADABLE, b"\0"]
+    bus.coming.put(can.CanOperationError("garbled"))
+    assert read(bridge) == UNREADABLE
+    assert bridge.trouble == ""
+
+
 def test_more_than_the_reader_takes_is_dropped_and_counted(make_bridge):
     """The system keeps some hundred frames for it."""
     bus = StrangeBus()
@@ -446,8 +460,8 @@ def test_an_adapter_that_is_not_there_is_said_in_one_sentence(tmp_path):
 
 
 def test_a_user_s_own_settings_of_python_can_change_nothing(virtual, monkeypatch):
-    """They may name another channel, or a filter: the arm's file says it all."""
-    monkeypatch.setenv("CAN_CONFIG", '{"receive_own_messages": true, "rx_queue_size": 1}')
+    """They may name another channel, or what python-can cannot even read: the arm's file says it all."""
+    monkeypatch.setenv("CAN_CONFIG", '{"data_bitrate": "nonsense"}')
     monkeypatch.setenv("CAN_CHANNEL", "elsewhere")
     test_an_arm_finds_the_bus_that_its_file_names(virtual)
 
