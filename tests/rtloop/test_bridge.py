@@ -461,7 +461,7 @@ def test_an_adapter_that_is_not_there_is_said_in_one_sentence(tmp_path):
 
 def test_a_user_s_own_settings_of_python_can_change_nothing(virtual, monkeypatch):
     """They may name another channel, or what python-can cannot even read: the arm's file says it all."""
-    monkeypatch.setenv("CAN_CONFIG", '{"data_bitrate": "nonsense"}')
+    monkeypatch.setenv("CAN_CONFIG", '{"port": "nonsense"}')
     monkeypatch.setenv("CAN_CHANNEL", "elsewhere")
     test_an_arm_finds_the_bus_that_its_file_names(virtual)
 
