@@ -16,23 +16,34 @@ from shm.jit import jit
 Loop = Any  # record of dtype rtloop.state.LOOP
 
 
-def _by_family(name: str) -> Any:
-    """The function of this name for a joint of any family; its arguments begin with the loop, and end with the joint's.
+AT_ONCE = 4
+"""Families that one function chooses among: each more function costs compiling, each more family in one does not."""
 
-    A chain of comparisons, which the compiler makes one function of.
-    """
+
+def _by_family(name: str) -> Any:
+    """The function of this name for a joint of any family; its arguments begin with the loop and the joint."""
     chosen: Callable[..., Any] = getattr(mock, name)
-    for number, family in enumerate(FAMILIES):
-        if number != FAMILY_MOCK:
-            chosen = _either(number, getattr(importlib.import_module(f"rtloop.drives.{family}"), name), chosen)
+    others = [number for number in range(len(FAMILIES)) if number != FAMILY_MOCK]
+    for first in range(others[0], len(FAMILIES), AT_ONCE):
+        modules = [importlib.import_module(f"rtloop.drives.{family}") for family in FAMILIES[first : first + AT_ONCE]]
+        chosen = _among(first, [getattr(module, name) for module in modules], chosen)
     return chosen
 
 
-def _either(number: int, does: Callable[..., Any], otherwise: Callable[..., Any]) -> Callable[..., Any]:
+def _among(first: int, does: list[Callable[..., Any]], otherwise: Callable[..., Any]) -> Callable[..., Any]:
+    one, two, three, four = (*does, *[otherwise] * (AT_ONCE - len(does)))
+
     @jit
     def choose(loop: Loop, joint: int, *rest: Any) -> Any:
-        if loop.joints[joint].family == number:
-            return does(loop, joint, *rest)
+        family = loop.joints[joint].family - first
+        if family == 0:
+            return one(loop, joint, *rest)
+        if family == 1:
+            return two(loop, joint, *rest)
+        if family == 2:
+            return three(loop, joint, *rest)
+        if family == 3:
+            return four(loop, joint, *rest)
         return otherwise(loop, joint, *rest)
 
     return choose

@@ -39,7 +39,8 @@ def send(
 
     What the wire then does not take is taken back.
     """
-    if not put(loop, frame_id, kind, length, data, joined, stops):
+    # as plain numbers: what is known when this is compiled would be compiled apart, down to the wire's codec
+    if not put(loop, int(frame_id), int(kind), int(length), int(data), int(joined), int(stops)):
         return False
     bits = frame_bits(kind, length)
     loop.core.tx_bits += bits
