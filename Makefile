@@ -11,7 +11,7 @@ ROS := $(if $(ROS_DISTRO),$(shell $(PYTHON) -c 'import rclpy' 2>/dev/null && ech
 ROS_FROM := $(or $(ROS),wheels)
 EXTRAS := bench$(COMMA)dev$(if $(ROS),,$(COMMA)ros)
 INTERFACES := $(shell find rosfront/interfaces -type f -not -name '*.pyc')
-COMPILED := $(wildcard config/*.py) $(shell find motion shm rtloop -name '*.py')
+COMPILED := $(wildcard config/*.py config/drives/*.py) $(shell find motion shm rtloop -name '*.py')
 SOURCES := config motion shm rtloop rosfront sim rtarm ros bench tests
 
 # Set by the ROS wheels inside a Python of theirs: an inherited one would make ours skip its library path.
