@@ -30,6 +30,7 @@ from rtarm.interrupt import Interrupted
 from rtarm.launcher import Launcher, Plan, action_name, load_plan
 from rtarm.processes import Child, describe_end, ros_environment
 from rtarm.reporter import Reporter
+from rtarm.requests import connect, reference
 from rtarm.status import counters, describe_scheduling, percentiles_us, scheduling
 from rtarm.status_tables import timing_table
 from rtarm.tracking import Tracker, Window, errors_rad, plain
@@ -118,6 +119,8 @@ async def _play(plan: Plan, goals: Sequence[Goal], reporter: Reporter) -> dict[s
         client = await _start_client(plan, goals, played, reporter)
         try:
             await launcher.start()
+            if said := await asyncio.to_thread(say_where_it_stands, plan.arm):
+                reporter.say(said)
             with reporter.waiting("action client starting", client.name):
                 async with asyncio.timeout(CLIENT_PATIENCE_S):
                     ready = await client.ready()
@@ -141,6 +144,18 @@ async def _play(plan: Plan, goals: Sequence[Goal], reporter: Reporter) -> dict[s
 
     await run_launched(launcher, work)
     return report
+
+
+def say_where_it_stands(arm: ArmConfig) -> str:
+    """What a person does whose drives count from where they were switched on; nothing to say where none do.
+
+    The simulated joints stand where their drives count. A homing run finds that out by itself.
+    """
+    if arm.control.init_mode == 0:
+        return ""
+    with connect(arm.name) as connection:
+        unknown = connection.lost(connection.snapshot())
+    return reference(arm.name, dict.fromkeys(unknown)) if unknown else ""
 
 
 async def _start_client(plan: Plan, goals: Sequence[Goal], played: Played, reporter: Reporter) -> Child:
