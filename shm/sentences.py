@@ -343,9 +343,9 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
     ),
     Unreferenced.INCREMENTAL: Meaning(
         "The drive of {joint} counts from where it was switched on, so its angle is not known: say where it stands "
-        "with `rtarm reference`.",
+        "with `rtarm reference`, or home it where its drive can.",
         "An incremental encoder knows how far it has turned, not where it is.",
-        "Look at the joint and say its angle (`rtarm reference JOINT=DEGREES`).",
+        "Look at the joint and say its angle (`rtarm reference JOINT=DEGREES`), or `rtarm home` it.",
     ),
     Unreferenced.OUTSIDE_LIMITS: Meaning(
         "{joint} stands outside its limits, so its count or its zero must be wrong: home it with `rtarm home`, or say "

@@ -204,6 +204,35 @@ def test_an_angle_is_not_known_until_it_is_said():
     arm.close()
 
 
+# --- stops ----------------------------------------------------------------------------------------------
+
+
+def told_since(arm: VirtualArm, first: int, can_id: int) -> list[bytes]:
+    """Data of the frames to a drive among what the cycle has sent since."""
+    lines = b"".join(data for _, data in arm.sent[first:]).split(b"\r")
+    return [bytes.fromhex(line[5:].decode()) for line in lines if line[:4] == f"t{can_id:03X}".encode()]
+
+
+def test_a_drive_that_was_away_is_halted_along_its_ramp_and_holds():
+    arm = referenced((0.0,) * 6)
+    joints = np.zeros((2, 6, 3))
+    joints[1, :, 0] = 0.5
+    arm.send_goal(np.array([0, 5_000_000_000]), joints)
+    arm.cycles(150)
+    arm.sim.inject(Silent("joint2", 0.0, 0.3), since_ns=arm.sim.now_ns)
+    first = len(arm.sent)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=0.5)
+    arm.cycles(150)
+    acc = int(arm.loop[0]["joints"][1]["acc_byte"])
+    halt = bytes((0xF5, 0, 0, acc, 0, 0, 0))
+    assert halt + bytes((checksum(2, halt),)) in told_since(arm, first, 2)
+    assert b"\xf7\xf9" not in told_since(arm, first, 2)  # at once, which is hard on the gear
+    stood_ns = arm.sim.now_ns
+    arm.cycles(50)
+    assert way_of(arm, 1, stood_ns) == 0.0 and drives(arm)[1].enabled
+    arm.close()
+
+
 # --- homing ---------------------------------------------------------------------------------------------
 
 
