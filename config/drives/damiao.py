@@ -1,4 +1,4 @@
-"""Damiao motors (DM4310, DM4340 …): brushless motors with gear and encoder at the output shaft, on CAN."""
+"""Damiao motors (DM4310, DM4340 …): brushless motors with gear, mostly with an encoder at the output shaft."""
 
 from __future__ import annotations
 
@@ -65,6 +65,11 @@ class DamiaoDrive(Drive):
     mode: Literal["mit", "position_velocity"] = Field(
         description="mit: it follows each set-point with stiffness kp and damping kd; position_velocity: it goes to "
         "targets with a ramp of its own."
+    )
+    encoder: Literal["absolute", "incremental"] = Field(
+        default="absolute",
+        description="absolute: a second encoder sees the output shaft (2EC motors), so its position means an angle as "
+        "soon as it has power; incremental: a person says where the joint stands, with `rtarm reference`.",
     )
     kp: float | None = Field(
         default=None,
@@ -134,8 +139,8 @@ class DamiaoDrive(Drive):
 
     @property
     def knows_its_angle(self) -> bool:
-        """Its encoder sees the output shaft, so its zero stays, within a turn of it."""
-        return True
+        """With an encoder at the output shaft, within a turn of it."""
+        return self.encoder == "absolute"
 
     @property
     def plans_its_motion(self) -> bool:

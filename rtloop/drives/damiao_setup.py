@@ -83,13 +83,16 @@ def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
     row["range_rad"], row["range_rad_s"], row["range_nm"] = drive.ranges
     row["stiffness_nm_rad"], row["damping_nm_s_rad"] = drive.kp or 0.0, drive.kd or 0.0
     row["plans_its_motion"] = drive.plans_its_motion
-    row["knows_its_angle"] = is_unambiguous(joint)
+    row["knows_its_angle"] = knows_its_angle(joint)
 
 
-def is_unambiguous(joint: JointConfig) -> bool:
-    """Whether what the motor tells means one angle of the joint: after a loss of power it counts within half a turn."""
-    turns = [(limit + joint.zero_deg) * joint.ratio / 360.0 for limit in (joint.lower_deg, joint.upper_deg)]
-    return max(map(abs, turns)) <= 0.5
+def knows_its_angle(joint: JointConfig) -> bool:
+    """Whether what the motor tells means one angle of the joint: after a loss of power it may count a turn elsewhere.
+
+    A joint that turns less than that then reads outside its limits, which bring-up notices.
+    """
+    turns = (joint.upper_deg - joint.lower_deg) * joint.ratio / 360.0
+    return joint.drive.knows_its_angle and turns < 1.0
 
 
 def bring_up(host: Host, joint: int) -> Part[Found]:
@@ -113,7 +116,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
             "see what it says in the maker's tool, remove the cause, then `rtarm clear-fault`, or `rtarm up` where "
             "it has ended.",
         )
-    reason = Unreferenced.REFERENCED if is_unambiguous(config) else Unreferenced.INCREMENTAL
+    reason = Unreferenced.REFERENCED if knows_its_angle(config) else Unreferenced.INCREMENTAL
     return Found(found.rad, _held_rad(config, found, host.arm.limits.following_error_rad * config.ratio), reason)
 
 

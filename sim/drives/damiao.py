@@ -20,8 +20,8 @@ Modelled:
 - The alarm (TIMEOUT) lets an enabled motor go that has heard no command for so long; frames on 7FF are none.
 - Errors let the shaft go, stand in the status, and end by FB, which lets a sound motor go too. Setting zero (FE) lasts,
   and counts from where it stands.
-- What was written is lost with the power unless stored. The encoder sees one turn of the output shaft: after power
-  comes it counts within half a turn of zero.
+- What was written is lost with the power unless stored. An absolute encoder sees one turn of the output shaft: after
+  power comes it counts within half a turn of zero. Without it the motor counts from 0 where it stands then [inf].
 
 Not modelled: serial port, discovery and firmware frames, CAN FD, calibration, loops as tuned (KP_ASR …), bit rate
 register, over- and under-voltage by the supply.
@@ -75,6 +75,7 @@ class DamiaoDrive(ServoDrive):
 
     Args:
         registers: those of its flash that differ from `FLOATS` and `WHOLE`.
+        absolute: whether an encoder sees its output shaft.
         start_ns, turns, counted, load, seed: see `ServoDrive`.
 
     Attributes:
@@ -87,6 +88,7 @@ class DamiaoDrive(ServoDrive):
         self,
         registers: dict[int, float] | None = None,
         *,
+        absolute: bool = True,
         start_ns: int = 0,
         turns: float = 0.0,
         counted: float | None = None,
@@ -95,6 +97,7 @@ class DamiaoDrive(ServoDrive):
     ) -> None:
         super().__init__(start_ns=start_ns, turns=turns, counted=counted, load=load, seed=seed)
         self.keeps_targets = False
+        self._absolute = absolute
         self._flash: dict[int, float] = {**FLOATS, **WHOLE, **(registers or {})}
         self._strongest_nm = self.shaft.load.torque_nm
         self._begin()
@@ -114,7 +117,16 @@ class DamiaoDrive(ServoDrive):
             TMAX: ranges.nm,
         }
         turns = mounting.turns(mounting.position_rad)
-        return cls(registers, start_ns=mounting.start_ns, turns=turns, load=mounting.load, seed=mounting.seed)
+        absolute = config.encoder == "absolute"
+        return cls(
+            registers,
+            absolute=absolute,
+            start_ns=mounting.start_ns,
+            turns=turns,
+            counted=turns if mounting.homed or absolute else 0.0,
+            load=mounting.load,
+            seed=mounting.seed,
+        )
 
     # -- as others know it ---------------------------------------------------------------------------
 
@@ -160,7 +172,7 @@ class DamiaoDrive(ServoDrive):
 
     def boot(self) -> None:
         """Limp, with what was stored; of the turns that were counted only the last one's part is known."""
-        self.origin += round(self.counted)
+        self.origin += round(self.counted) if self._absolute else self.counted
         self._begin()
 
     def _begin(self) -> None:

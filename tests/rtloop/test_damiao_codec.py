@@ -392,9 +392,12 @@ def test_what_is_wrong_is_one_sentence(feedback: list[bytes], options: dict, sen
     assert motor.told == []
 
 
-def test_a_joint_that_turns_further_than_its_encoder_knows_is_for_a_person() -> None:
+@pytest.mark.parametrize("change", [{"ratio": 1.2}, {"drive": {"encoder": "incremental"}}])
+def test_a_joint_whose_angle_the_encoder_does_not_know_is_for_a_person(change: dict) -> None:
+    """Behind a gear of 1.2 the 320° of joint1 are more than a turn of the motor."""
     values = [joint.model_dump() for joint in ARM.joints]
-    values[0]["ratio"] = 3.0
+    drive = values[0]["drive"] | change.get("drive", {})
+    values[0] |= change | {"drive": drive}
     arm = ArmConfig.model_validate(ARM.model_dump() | {"joints": values})
     motor = Motor(arm, LIMP_HERE, LIMP_HERE, ENABLED_HERE, held={setup.CONTROL_MODE: struct.pack("<I", 1)})
     assert motor.said(bring_up(motor, 0))[1].reason == Unreferenced.INCREMENTAL

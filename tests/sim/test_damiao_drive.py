@@ -189,6 +189,14 @@ def test_power_brings_back_what_was_stored_and_the_last_turn_alone():
     assert bench.drive.registers[CTRL_MODE] == POSITION_VELOCITY
 
 
+def test_without_an_encoder_at_the_shaft_it_counts_from_where_it_gets_its_power():
+    bench = ServoBench(DamiaoDrive({MST_ID: 0x11}, absolute=False, turns=0.3))
+    assert bench.drive.counted == pytest.approx(0.3)
+    bench.drive.power_off(bench.now_ns)
+    bench.drive.power_on(bench.now_ns)
+    assert bench.drive.counted == 0.0
+
+
 def test_zero_is_set_where_it_stands():
     bench = motor(rad=1.0)
     assert bench.ask(ZERO)[0][8:13] == "7F FF"
