@@ -1,0 +1,132 @@
+"""Bringing MyActuator motors up: their ramps, their errors, their brakes, and what is not as the arm file says."""
+
+import struct
+
+import numpy as np
+import pytest
+from motion_figures import sampled_truth
+from virtual import VirtualArm
+
+from config.loader import load_arm
+from config.schema import ArmConfig
+from rtloop import status as status_bits
+from rtloop.drives.myactuator_setup import ramp_dps_s
+from shm.words import Mode, Unreferenced
+from sim.bus import Frame
+from sim.drives.myactuator import OFF, POSITION
+from sim.faults import Disabled, Protection
+
+ARM = "myactuator6"
+
+
+def told(arm: VirtualArm, joint: int, data: bytes) -> None:
+    """Somebody else says something to a motor."""
+    drive = arm.sim.drives[joint]
+    frame = Frame(0x140 + drive.settings.motor_id, data.ljust(8, b"\0"), extended=False)
+    drive.receive(arm.sim.now_ns, frame)
+    drive.outbox.clear()
+
+
+def way(arm: VirtualArm) -> float:
+    """The farthest that any joint has been from where it began (rad)."""
+    return max(float(np.ptp(sampled_truth(arm.sim, joint, arm.sim.start_ns, arm.sim.now_ns)[1])) for joint in range(6))
+
+
+def test_ramps_are_written_once_and_said() -> None:
+    arm = VirtualArm(ARM)
+    assert arm.bring_up().failure is None, arm.told
+    for joint, drive in enumerate(arm.sim.drives):
+        wanted = ramp_dps_s(arm.arm.joints[joint], arm.arm)
+        assert drive.settings.ramps_dps_s[:2] == [wanted, wanted] and drive.rom_writes == 2
+        assert drive.settings.timeout_ms == 0
+    said = [sentence for sentence in arm.told if "°/s²" in sentence]
+    assert len(said) == 12 and "joint1: the acceleration of its drive was 10000 °/s² and is 201 °/s² now" in said[0]
+    assert arm.bring_up().failure is None
+    assert all(drive.rom_writes == 2 for drive in arm.sim.drives)
+    arm.close()
+
+
+def test_a_ramp_that_is_not_taken_is_said() -> None:
+    arm = VirtualArm(ARM)
+    arm.sim.drives[3]._does[0x43] = bytes
+    failed = arm.bring_up().failure
+    assert failed is not None and "joint4 does not take 501 °/s² as the acceleration" in str(failed)
+    assert "stays at 10000" in str(failed)
+    arm.close()
+
+
+def test_a_motor_that_is_on_its_way_is_stopped() -> None:
+    arm = VirtualArm(ARM)
+    arm.cycles(2)
+    told(arm, 0, struct.pack("<BxHi", 0xA4, 20, 9000))
+    arm.cycles(20)
+    assert arm.bring_up().failure is None, arm.told
+    stood_rad, place_rad = way(arm), arm.sim.true_position_rad(0, arm.sim.now_ns)
+    arm.cycles(100)
+    assert way(arm) - stood_rad < 1e-4
+    assert abs(arm.loop[0]["axes"][0]["position_rad"] - place_rad) < 3 * arm.arm.joints[0].encoder_count_rad
+    arm.close()
+
+
+def test_a_brake_is_released_and_its_locking_is_a_fault() -> None:
+    arm = VirtualArm(ARM, faults=[Disabled(f"joint{n}", 0.0) for n in range(1, 7)])
+    for drive in arm.sim.drives:
+        drive.settings.brake = True
+    arm.cycles(3)
+    assert arm.bring_up().failure is None, arm.told
+    assert all(drive.brake_released and drive.mode == POSITION for drive in arm.sim.drives)
+    assert way(arm) < 2e-4
+    arm.cycles(20)
+    told(arm, 2, b"\x78")
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=0.5)
+    assert arm.core["fault_joint"] == 2
+    arm.close()
+
+
+def test_a_motor_that_never_tells_of_a_brake_is_taken_as_it_is() -> None:
+    arm = VirtualArm(ARM)
+    for drive in arm.sim.drives:
+        answers = drive._status
+        drive._does[0x9A] = lambda data, answers=answers: answers(data)[:3] + b"\0" + answers(data)[4:]
+    assert arm.bring_up().failure is None, arm.told
+    arm.cycles(30)
+    assert arm.core["mode"] == Mode.HOLDING
+    assert all(axis["status"] & status_bits.ENABLED for axis in arm.loop[0]["axes"][:6])
+    arm.close()
+
+
+@pytest.mark.parametrize(("cause", "restarted"), [("stall", True), ("temperature", False)])
+def test_errors_end_when_a_person_wants_that(cause: str, restarted: bool) -> None:
+    document = load_arm(ARM).model_dump(exclude_unset=True)
+    document["joints"][4]["drive"]["encoder"] = "incremental"
+    arm = VirtualArm(ArmConfig.model_validate(document), faults=[Protection("joint5", 0.0, 0.5, cause=cause)])
+    arm.cycles(10)
+    failed = arm.bring_up().failure
+    assert failed is not None and "joint5 has an error" in str(failed) and "rtarm clear-fault" in str(failed)
+    failed = arm.bring_up(clears_protection=True).failure
+    assert failed is not None and "joint5 keeps its error" in str(failed)
+    arm.cycles(150)
+    assert arm.bring_up(clears_protection=True).failure is None, arm.told
+    assert any("joint5: its drive is restarted" in sentence for sentence in arm.told) == restarted
+    reason = arm.loop[0]["axes"][4]["unreferenced_reason"]
+    assert reason == (Unreferenced.POWER_LOST if restarted else Unreferenced.INCREMENTAL)
+    assert way(arm) < 1e-3
+    arm.close()
+
+
+def test_a_motor_that_is_not_there_is_said() -> None:
+    arm = VirtualArm(ARM)
+    arm.sim.drives[2].power_off(arm.sim.now_ns)
+    failed = arm.bring_up().failure
+    assert failed is not None and "joint3 (motor_id 3) does not answer" in str(failed)
+    arm.close()
+
+
+def test_a_motor_that_is_let_go_says_so() -> None:
+    arm = VirtualArm(ARM)
+    arm.bring_up()
+    told(arm, 1, b"\x80")
+    assert arm.sim.drives[1].mode == OFF
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=0.5)
+    assert arm.core["fault_joint"] == 1
+    arm.close()
