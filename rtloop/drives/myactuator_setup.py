@@ -157,8 +157,10 @@ def _with_its_ramp(host: Host, joint: int) -> Part[None]:
     """See that the motor brakes in silence as the arm file says, and set that where it does not; raises TalkFailed."""
     config = host.arm.joints[joint]
     wanted = ramp_dps_s(config, host.arm)
+    before = []
     for index, name in RAMPS:
-        was = found = yield from _ramp(joint, config, index, name)
+        found = yield from _ramp(joint, config, index, name)
+        before.append(found)
         for _ in range(TRIES):
             if found == wanted:
                 break
@@ -171,8 +173,12 @@ def _with_its_ramp(host: Host, joint: int) -> Part[None]:
                 f"stays at {found}): set it with the maker's program, then `rtarm clear-fault`, or `rtarm up` where it "
                 "has ended.",
             )
-        if was != wanted:
-            host.tell(f"{config.name}: the {name} of its drive was {was} °/s² and is {wanted} °/s² now, in its ROM.")
+    if before != [wanted, wanted]:
+        up, down = before
+        host.tell(
+            f"{config.name}: the ramp of its drive was {up} °/s² up and {down} °/s² down, and is {wanted} °/s² now; "
+            "its ROM keeps that."
+        )
 
 
 def _drive(config: JointConfig) -> MyactuatorDrive:
