@@ -11,7 +11,7 @@ OWN_GEAR = ("robstride", "myactuator")
 
 
 def arm_of(drives: Sequence[dict[str, Any]], *, rate_hz: float, interface: str = "slcan") -> ArmConfig:
-    """An arm whose joints differ only in their drives, and move alike; motors with a gear of their own have no other."""
+    """An arm whose joints differ only in their drives and move alike; motors with a gear of their own have no other."""
     joint = {"lower_deg": -90, "upper_deg": 90, "max_acceleration_rad_s2": 2.0}
     geared = {"ratio": 25, "motor_rpm": 100}
     direct = {"ratio": 1, "motor_rpm": 4}
