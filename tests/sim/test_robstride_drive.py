@@ -59,6 +59,12 @@ def test_position_of_the_facts():
     assert bench.ask(READ_POSITION) == ["110001AA# 19 70 00 00 00 00 80 3F"]
 
 
+def test_a_parameter_as_in_the_makers_manual():
+    """Motor 7F, host FD: loc_kp is 30 (the manual of RobStride 03, on reading parameters)."""
+    asked = "1100FD7F# 1E 70 00 00 00 00 00 00"
+    assert motor(motor_id=0x7F).ask(asked) == ["11007FFD# 1E 70 00 00 00 00 F0 41"]
+
+
 def test_a_target_of_the_facts():
     bench = motor()
     bench.tell(POSITION_MODE, ENABLE, TARGET)
