@@ -21,7 +21,7 @@ from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.correction import ERROR_SPEED_SHARE
 from rtloop.drives import fields
-from rtloop.drives.asking import AskFrames
+from rtloop.drives.asking import AskFrames, say
 from rtloop.drives.setup import Found, Host
 from rtloop.port import Frame
 from shm.words import Unreferenced
@@ -176,7 +176,7 @@ def _prepare(joint: int, config: JointConfig, standing: float) -> Part[None]:
             "for CyberGears, csp for RobStrides; mode control is known to both.",
         )
     if drive.mode == "control":
-        yield from _said(joint, config, _hold(drive, standing))
+        yield say(_hold(drive, standing))  # one that is stopped need not answer it
     else:
         yield from _aim(joint, config, standing)
 

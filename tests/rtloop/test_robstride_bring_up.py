@@ -51,6 +51,20 @@ def test_nothing_moves_whatever_stopped_motors_were_told_before(name: str) -> No
     arm.close()
 
 
+def test_a_motor_that_takes_no_set_point_while_it_is_stopped_is_brought_up_as_well() -> None:
+    arm = VirtualArm(CONTROL)
+    for drive in arm.sim.drives:
+        control = drive._does[1]
+        drive._does[1] = lambda data16, data, drive=drive, control=control: (
+            control(data16, data) if drive.state == RUN else None
+        )
+    assert arm.bring_up().failure is None, arm.told
+    arm.cycles(50)
+    assert all(drive.state == RUN for drive in arm.sim.drives)
+    assert way(arm) <= 2 * arm.arm.joints[0].encoder_count_rad
+    arm.close()
+
+
 def test_a_motor_that_forgets_its_target_when_it_is_enabled_creeps() -> None:
     """What becomes of a target that was written before is unproven, so the speed limit alone keeps it in place."""
     arm = VirtualArm(POSITION)
