@@ -46,6 +46,7 @@ ABORTS = {
     0x0609_0031: "the value is too high",
     0x0609_0032: "the value is too low",
     0x0609_0036: "its highest value would be below its lowest",
+    0x060A_0023: "what it needs for that is not available",
     0x0800_0000: "a general error",
     0x0800_0020: "it cannot take or store that",
     0x0800_0021: "something within the drive keeps that to itself (local control)",

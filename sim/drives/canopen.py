@@ -204,9 +204,11 @@ class CanopenNode(ServoDrive):
         def count(value: int) -> int:
             if pdo.valid or not self._may_map():
                 return NOT_IN_THIS_STATE
-            bits = sum(one & 0xFF for one in pdo.mapped[:value])
-            if value > MAPPED_AT_MOST or bits > PDO_BITS:
+            wanted = pdo.mapped[:value]
+            if value > MAPPED_AT_MOST or sum(one & 0xFF for one in wanted) > PDO_BITS:
                 return PDO_TOO_LONG
+            if 0 in wanted:
+                return NOT_MAPPABLE
             pdo.count = value
             return 0
 
