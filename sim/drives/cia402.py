@@ -155,8 +155,8 @@ class Cia402Drive(CanopenNode):
 
     def _fail(self, code: int) -> None:
         self.objects[0x603F, 0].value = code
-        self._go(FAULT)
         self.emergency(code, GENERIC_ERROR)
+        self._go(FAULT)
 
     # -- objects -------------------------------------------------------------------------------------
 
@@ -218,7 +218,7 @@ class Cia402Drive(CanopenNode):
         took = mode == PROFILE_POSITION and self.number(0x6040) & NEW_TARGET
         if follows or took:
             word |= MODE_BIT
-        if isinstance(law, Plan | Spin) and law.rests:
+        if self.shaft.speed == 0.0 and (isinstance(law, Spin) or (isinstance(law, Plan) and law.rests)):
             word |= REACHED
         return word
 
@@ -327,7 +327,7 @@ class Cia402Drive(CanopenNode):
             target = self.number(0x607A) / self.counts
             start = self.shaft.position_at(self._now_ns) if word & RELATIVE else self.origin
             self._plan(start + target)
-        elif isinstance(law, Spin) and law.rests:
+        elif isinstance(law, Spin):
             self._plan(self.shaft.position_at(self._now_ns))
 
     def _plan(self, target: float) -> None:
