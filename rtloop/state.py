@@ -178,6 +178,8 @@ AXIS = np.dtype(
         ("rpm_remainder", "f8"),
         ("fast_ready", "i8"),  # 1: its speed and ramp for FC are set, and it takes FC as absolute
         ("fast_offset_rad", "f8"),  # by which its targets lie further ahead than they should, so that it is on time
+        ("behind_rad", "f8"),  # by which its targets still lie behind the setpoint, because it was not led for a while
+        ("behind_rad_s", "f8"),  # how fast that grows
         ("slip_rad", "f8"),  # how far the drive may have run ahead while the loop was away
     ]
 )

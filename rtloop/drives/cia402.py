@@ -11,6 +11,7 @@ from typing import Any
 
 from rtloop import hearing
 from rtloop import status as status_bits
+from rtloop.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
 from rtloop.drives import words
 from rtloop.drives.cia402_setup import (
     BOOT_UP,
@@ -36,6 +37,11 @@ from shm.words import Unreferenced
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
+
+STANDS_AFTER_CYCLES = 3
+"""Without a target a drive ends its line in the next cycle, and has come to rest soon after."""
+FRESH_PERIODS = 3
+"""A reading is of the SYNC of the cycle before; one that is older than this tells nothing of where the drive is."""
 
 
 @jit
@@ -67,20 +73,42 @@ def send_target(loop: Loop, joint: int, shared: Shared, position_rad: float, sto
 
 @jit
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
-    send_target(loop, joint, shared, setpoint_rad(loop, joint), -1)
+    send_target(loop, joint, shared, setpoint_rad(loop, joint) - still_behind_rad(loop, joint), -1)
+
+
+@jit
+def still_behind_rad(loop: Loop, joint: int) -> float:
+    """How far its target stays behind the setpoint, because it was not led for a while.
+
+    It has stood at its last target meanwhile, and would jump to a new one within a period. So it begins at rest from
+    where it is, with the joint's acceleration limit, and makes good what it is behind at a share of its highest speed.
+    """
+    core, row, axis = loop.core, loop.joints[joint], loop.axes[joint]
+    period_s = loop.params.period_ns * 1e-9
+    if core.cycle - axis.led_cycle > STANDS_AFTER_CYCLES:
+        axis.behind_rad = setpoint_rad(loop, joint) - axis.measured_rad
+        axis.behind_rad_s = axis.next_velocity_rad_s
+    axis.led_cycle = core.cycle
+    most = ERROR_SPEED_SHARE * row.max_velocity_rad_s
+    wanted_rad_s = -min(max(ERROR_SHARE_1_S * axis.behind_rad, -most), most)
+    change = row.max_acceleration_rad_s2 * period_s
+    axis.behind_rad_s += min(max(wanted_rad_s - axis.behind_rad_s, -change), change)
+    axis.behind_rad += axis.behind_rad_s * period_s
+    return float(axis.behind_rad)
 
 
 @jit
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
-    """Hold where it was measured last; a quick stop may let it go, which its option code 605A decides.
+    """Hold where it is measured; a quick stop may let it go, which its option code 605A decides.
 
-    Nothing is told to a drive that has said that it holds nothing, since every target enables, nor to one whose
-    readings are in doubt, since it would jump there: without a target each stands at its last one.
+    Without a target it stands at its last one. So nothing is told to a drive whose last reading is old or in doubt,
+    since it would jump there, nor to one that has said that it holds nothing, since every target enables.
     """
     axis = loop.axes[joint]
     limp = axis.status & status_bits.ANSWERED != 0 and axis.status & status_bits.ENABLED == 0
     doubtful = axis.referenced == 0 and axis.unreferenced_reason == Unreferenced.POSITION_JUMP
-    if limp or doubtful or axis.readings == 0:
+    old = loop.core.now_ns - axis.measured_ns > FRESH_PERIODS * loop.params.period_ns
+    if limp or doubtful or old or axis.readings == 0:
         return True
     return send_target(loop, joint, shared, axis.measured_rad, joint)
 

@@ -8,6 +8,7 @@ from motion_figures import sampled_truth
 from virtual import VirtualArm, recorded_goal
 
 from config.loader import load_arm
+from rtloop.correction import ERROR_SPEED_SHARE
 from shm.words import Answer, Mode, Request
 from sim.drives import canopen, cia402
 from sim.drives.cia402 import Cia402Drive
@@ -337,3 +338,41 @@ def test_the_example_arm_can_be_slower_and_faster() -> None:
         drive = drive_of(arm, 0)
         assert drive._beat_ns() == arm.period_ns
         arm.close()
+
+
+def amid_a_goal() -> VirtualArm:
+    arm = an_arm(start_rad=recorded_goal("large")["joints"][0, :, 0])
+    assert arm.bring_up().failure is None
+    arm.play("large")
+    arm.cycles(400)
+    return arm
+
+
+def test_a_drive_that_was_not_led_for_a_while_is_not_rushed_to_the_setpoint() -> None:
+    """Away for less than what is a fault: the setpoint has gone on, and the drive would be there within a period."""
+    arm = amid_a_goal()
+    joint, drive = 3, drive_of(arm, 3)
+    since_ns, goes_rad_s = arm.sim.now_ns, abs(arm.loop[0]["axes"][joint]["velocity_rad_s"])
+    drive.unplug(since_ns)
+    arm.cycles(15)
+    drive.plug_in(arm.sim.now_ns)
+    arm.cycles(100)
+    assert arm.core["mode"] == Mode.EXECUTING
+    _, _, velocity_rad_s = sampled_truth(arm.sim, joint, since_ns, arm.sim.now_ns)
+    most = goes_rad_s + ERROR_SPEED_SHARE * arm.arm.joints[joint].max_velocity_rad_s
+    assert np.abs(velocity_rad_s).max() <= 1.2 * most
+    arm.close()
+
+
+def test_a_drive_whose_answers_are_lost_stands_at_its_last_target() -> None:
+    """It hears, and would jump back to where it was heard of last if that were its stop."""
+    arm = amid_a_goal()
+    drive = drive_of(arm, 3)
+    drive.reply_loss = 1.0
+    arm.sent.clear()
+    arm.cycles(200)
+    assert arm.core["mode"] == Mode.FAULT
+    targets = [int.from_bytes(data[2:], "little", signed=True) for frame_id, data in told(arm) if frame_id == 0x204]
+    assert targets == sorted(targets), "never back"
+    assert abs(drive._position() - targets[-1]) <= 1
+    arm.close()
