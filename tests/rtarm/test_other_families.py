@@ -1,0 +1,116 @@
+"""Tools on arms whose drives are not ZDT's, or not all of them: each works on what it knows and says what it leaves."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from mixed_arm import mixed
+from rich.console import Console
+from typer.testing import Result
+from virtual import VirtualArm
+
+from config.check import render_check
+from config.derived import derived_table
+from config.loader import load_arm
+from rtarm.calibrate.run import chosen_joints
+from rtarm.drives import render
+from rtarm.errors import Refusal
+from rtarm.zdt_joints import other_drives, zdt_joints
+from rtloop.calibration.session import Session as Calibration
+from rtloop.settings.compare import as_json
+from rtloop.settings.session import Session
+
+Rtarm = Callable[..., Result]
+
+
+def shown(what: Any) -> str:
+    """What rich prints of it, lines joined."""
+    out = io.StringIO()
+    Console(file=out, width=200).print(what)
+    return out.getvalue()
+
+
+def resting() -> VirtualArm:
+    """ZDT drives (joints 1, 3, 5) and ODrives on one bus, that nobody has brought up."""
+    arm = VirtualArm(mixed())
+    arm.front_alive = False
+    arm.cycles(3)
+    return arm
+
+
+def test_drives_of_others_are_named_by_their_families() -> None:
+    arm = mixed()
+    assert zdt_joints(arm) == [0, 2, 4]
+    assert other_drives(arm, range(6)) == "joint2, joint4 and joint6 (an ODrive axis)"
+    assert other_drives(arm, [1]) == "joint2 (an ODrive axis)" and other_drives(arm, [0, 2]) == ""
+
+
+@pytest.mark.parametrize("command", ["drives", "calibrate"])
+def test_an_arm_without_zdt_drives_is_refused_in_a_sentence(command: str, rtarm: Rtarm) -> None:
+    result = rtarm(command, "odrive6")
+    assert result.exit_code == 1
+    assert "ZDT drive" in result.output and "joint5 and joint6 (an ODrive axis)" in result.output
+
+
+def test_settings_of_a_mixed_arm_are_those_of_its_zdt_drives() -> None:
+    arm = resting()
+    session = Session(arm.arm, arm.port, lambda: arm.now_ns, arm.cycle)
+    session.read()
+    assert sorted(session.reports) == [0, 2, 4]
+    assert all(report.answers and report.agrees for report in session.reports.values())
+    text = shown(render(arm.arm, {"drives": [as_json(report) for report in session.reports.values()]}))
+    assert "mixed: 3 drives" in text
+    assert "What is set in the drives of joint2, joint4 and joint6 (an ODrive axis) is neither read nor" in text
+    assert "Every drive that was read is as the arm file wants it" in text
+    arm.close()
+
+
+def test_a_calibration_of_a_mixed_arm_is_of_its_zdt_drives() -> None:
+    arm = mixed()
+    assert chosen_joints(arm, []) == [0, 2, 4] and chosen_joints(arm, ["joint3"]) == [2]
+    with pytest.raises(Refusal, match=r"joint2 \(an ODrive axis\): write direction, ratio"):
+        chosen_joints(arm, ["joint1", "joint2"])
+    virtual = resting()
+    session = Calibration(
+        virtual.arm,
+        virtual.port,
+        clock_ns=lambda: virtual.now_ns,
+        pause=virtual.cycle,
+        rest=virtual.cycle,
+        tell=lambda _: None,
+        keep_lost=lambda joint, reason: None,
+    )
+    session.read()
+    assert {joint: found.problems for joint, found in session.found.items()} == {0: [], 2: [], 4: []}
+    virtual.close()
+
+
+def test_what_drives_do_in_silence_is_shown_of_steppers_and_followers() -> None:
+    arm = mixed()
+    stepper, follower, *_ = derived_table(arm)
+    assert stepper.silence is not None and stepper.silence.acc_byte is not None
+    assert follower.silence is None
+    assert "In silence joint2, joint4, joint6: at the last set-point heard" in shown(render_check(arm))
+
+
+def test_a_ramp_that_is_no_byte_of_a_command_is_shown_too() -> None:
+    arm = load_arm("damiao6_pv")
+    for joint in derived_table(arm):
+        assert joint.acc_byte is None and joint.silence is not None and joint.silence.acc_byte is None
+        assert joint.silence.factor == pytest.approx(arm.limits.silence_brake_factor)
+        assert joint.silence.deceleration_rad_s2 == joint.silence.factor * joint.max_acceleration_rad_s2
+        assert joint.silence.coast_deg > 0.0
+    text = shown(render_check(arm))
+    assert re.search(r"joint1 +- +- +3\.500 +1\.75", text) and "In silence joint" not in text
+
+
+@pytest.mark.parametrize("name", ["odrive6", "damiao6", "damiao6_pv", "mks6", "cia402_6", "mock"])
+def test_every_arm_is_checked(name: str, rtarm: Rtarm) -> None:
+    result = rtarm("config", "check", name)
+    assert result.exit_code == 0, result.output
+    assert ("In silence" in result.output) == (name not in ("mock", "damiao6_pv", "mks6"))  # ramps of their own
+    assert load_arm(name).joints[0].name in result.output
