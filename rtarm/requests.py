@@ -67,6 +67,10 @@ class Connection:
             raise Refusal(f"Arm {self.arm} has no joint {joint!r}; its joints are {', '.join(self.joints)}.")
         return self.joints.index(joint)
 
+    def homes(self, joint: str) -> bool:
+        """Whether the joint's drive finds a stop when it is homed; any other passes at once."""
+        return bool(self._reader.memory.record["limits"]["joints"]["homes"][self.index(joint)])
+
     def limits_deg(self, index: int) -> tuple[float, float]:
         """Lowest and highest angle of a joint (degrees)."""
         row = self._reader.memory.record["limits"]["joints"][index]
@@ -195,8 +199,9 @@ def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
         begun: list[str] = []
 
         def on_joint(joint: str) -> None:
-            begun.append(joint)
-            tell(f"{joint}: on its way to its stop; Ctrl-C ends it.")
+            if connection.homes(joint):
+                begun.append(joint)
+                tell(f"{joint}: on its way to its stop; Ctrl-C ends it.")
 
         try:
             connection.order(Request.HOME, joint_mask=mask)
@@ -210,11 +215,16 @@ def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
         lost = connection.lost(after)
         if sentence := connection.fault(after):
             raise Refusal(sentence)
-        if not_homed := [joint for joint in joints or begun if joint in lost or joint not in begun]:
+        if not_homed := [
+            joint for joint in joints or begun if joint in lost or (joint not in begun and connection.homes(joint))
+        ]:
             ended = f"The homing run was ended before it had come to the end with {', '.join(not_homed)}."
             raise Refusal(" ".join([ended, *lost.values()]))
         stands = ", ".join(_stands_at(after, connection.index(joint), joint) for joint in begun)
-    return " ".join([f"Homed; arm {arm} holds where it stands: {stands}.", *lost.values()])
+        runs = any(map(connection.homes, joints or connection.joints))
+    if not runs:
+        return " ".join([f"Arm {arm} holds where it stands; no drive of these joints finds a stop.", *lost.values()])
+    return " ".join([f"Homed; arm {arm} holds where it stands: {stands or 'nothing was homed'}.", *lost.values()])
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from config.joint import FAMILIES, JointConfig
 from config.schema import ArmConfig
 from config.serial_adapters import SERIAL_ADAPTERS
 from motion import stopping
-from rtloop.drives.setup import setup_of
+from rtloop.drives.setup import homes_by_a_run, setup_of
 from rtloop.state import (
     CAN_FRAME_BYTES,
     GRIPPER,
@@ -73,10 +73,13 @@ def show_limits(limits: np.void, loop: np.ndarray) -> None:
         limits["joints"][name] = joints[name]
 
 
-def show_identifiers(table: np.ndarray, arm: ArmConfig) -> None:
-    """Say in the state file (records of dtype layout.IDENTIFIERS) which frames belong to which joint's drive."""
+def show_drives(state: np.void, arm: ArmConfig) -> None:
+    """Say in the state file (a record of dtype layout.STATE) whose frames are whose, and which joints home by a run."""
+    for joint, config in enumerate(arm.joints):
+        state["limits"]["joints"]["homes"][joint] = homes_by_a_run(config.drive)
     used = [(one, joint) for joint, config in enumerate(arm.joints) for one in config.drive.identifiers]
     rows = [(one.match, one.mask, one.extended, joint) for one, joint in used if not one.shared]
+    table = state["identifiers"]
     table[: len(rows)] = rows[: len(table)]
 
 

@@ -12,7 +12,7 @@ from config.budget import check_budget
 from config.loader import arm_hash
 from config.schema import ArmConfig
 from rtloop import realtime, saved
-from rtloop.beginning import new_loop, show_identifiers, show_limits
+from rtloop.beginning import new_loop, show_drives, show_limits
 from rtloop.bringup import BringUp
 from rtloop.compiled import CompiledCycle
 from rtloop.conversation import Conversation, TalkFailed
@@ -98,7 +98,7 @@ class ControlProcess:
             self._port = ServicePort(self._loop, compiled)
             self._gripper: GripperTalk | None = None
             show_limits(self._files.state.record["limits"], self._loop)
-            show_identifiers(self._files.state.record["identifiers"], arm)
+            show_drives(self._files.state.record, arm)
             arrays = (self._loop, self._files.state.array, self._files.command.array)
             used = [(array.ctypes.data, array.nbytes) for array in arrays]
             self._obtained = realtime.prepare_process([*used, *compiled.memory])

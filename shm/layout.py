@@ -252,7 +252,8 @@ LIMITS_JOINT = _record(
         Word("upper_rad", "f8", "rad", "upper position limit"),
         Word("max_velocity_rad_s", "f8", "rad/s", "velocity limit"),
         Word("max_acceleration_rad_s2", "f8", "rad/s²", "acceleration limit"),
-        Word("reserved", ("i8", (4,)), "", ""),
+        Word("homes", "i8", "", "1 where its drive can find a stop by itself, so that homing is a run"),
+        Word("reserved", ("i8", (3,)), "", ""),
     ],
 )
 

@@ -17,7 +17,7 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from config.serial_adapters import SLCAN_BITRATES
 from rtloop import entries
-from rtloop.beginning import new_loop, show_identifiers, show_limits
+from rtloop.beginning import new_loop, show_drives, show_limits
 from rtloop.bringup import BringUp
 from rtloop.cycle import step
 from rtloop.gripper import GripperTalk
@@ -83,7 +83,7 @@ class VirtualArm:
         self.command = private_file(layout.COMMAND, self.arm)
         self.loop = new_loop(self.arm, self.state.address, self.command.address)
         show_limits(self.state.record["limits"], self.loop)
-        show_identifiers(self.state.record["identifiers"], self.arm)
+        show_drives(self.state.record, self.arm)
         self.reader = StateReader(self.state)
         self.writer = CommandWriter(self.command)
         self.port = ServicePort(self.loop, entries)

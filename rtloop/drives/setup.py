@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol, cast
 import numpy as np
 
 from config.drives.drive import Drive
+from config.drives.zdt import ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import Dialogue, Part
@@ -93,6 +94,11 @@ def homing_of(drive: Drive) -> Homes | None:
     """The file of a drive's family, if its drives can find a stop by themselves."""
     found = setup_of(drive)
     return cast(Homes, found) if hasattr(found, "home") else None
+
+
+def homes_by_a_run(drive: Drive) -> bool:
+    """Whether its drives find a stop when they are homed (`rtloop.referencing` says how ZDT's do)."""
+    return isinstance(drive, ZdtDrive) or (bool(drive.identifiers) and homing_of(drive) is not None)
 
 
 def joints_on_the_bus(arm: ArmConfig) -> list[int]:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 from mixed_arm import mixed
 from rich.console import Console
@@ -16,13 +17,16 @@ from virtual import VirtualArm
 from config.check import render_check
 from config.derived import derived_table
 from config.loader import load_arm
+from config.schema import ArmConfig
 from rtarm.calibrate.run import chosen_joints
 from rtarm.drives import render
 from rtarm.errors import Refusal
 from rtarm.zdt_joints import other_drives, zdt_joints
+from rtloop.beginning import show_drives
 from rtloop.calibration.session import Session as Calibration
 from rtloop.settings.compare import as_json
 from rtloop.settings.session import Session
+from shm import layout
 
 Rtarm = Callable[..., Result]
 
@@ -87,6 +91,17 @@ def test_a_calibration_of_a_mixed_arm_is_of_its_zdt_drives() -> None:
     session.read()
     assert {joint: found.problems for joint, found in session.found.items()} == {0: [], 2: [], 4: []}
     virtual.close()
+
+
+def test_which_joints_home_by_a_run_stands_in_the_state_file() -> None:
+    def shown_of(arm: ArmConfig) -> list[int]:
+        state = np.zeros((), layout.STATE)
+        show_drives(state[()], arm)
+        homes: list[int] = state["limits"]["joints"]["homes"][:6].tolist()
+        return homes
+
+    assert shown_of(mixed()) == [1, 0, 1, 0, 1, 0]
+    assert [shown_of(load_arm(name)) for name in ("mks6", "odrive6", "mock")] == [[1] * 6, [0] * 6, [0] * 6]
 
 
 def test_what_drives_do_in_silence_is_shown_of_steppers_and_followers() -> None:

@@ -140,3 +140,30 @@ def test_a_refused_clear_is_said(arm: WrittenArm, rtarm: Rtarm) -> None:
         result = rtarm("clear-fault", arm.name)
     assert result.exit_code == 1
     assert "cannot do this in its present mode" in result.stderr
+
+
+def homed(arm: WrittenArm, rtarm: Rtarm, *joints: str) -> Result:
+    """`rtarm home` of an arm whose control process has nothing to do for it, or ends it at once."""
+    with arm.answering(lambda _arm, _kind: Answer.DONE):
+        return rtarm("home", *joints, "--arm", arm.name)
+
+
+def test_joints_whose_drives_know_their_angle_need_no_homing(arm: WrittenArm, rtarm: Rtarm) -> None:
+    for named in ((), ("elbow",), ("shoulder", "elbow")):
+        result = homed(arm, rtarm, *named)
+        assert (result.exit_code, result.stdout.strip()) == (
+            0,
+            f"Arm {arm.name} holds where it stands; no drive of these joints finds a stop.",
+        )
+    arm.rows["referenced"][1] = 0
+    arm.rows["unreferenced_reason"][1] = Unreferenced.INCREMENTAL
+    result = homed(arm, rtarm, "elbow")
+    assert result.exit_code == 1 and "counts from where it was switched on" in result.output
+
+
+def test_a_run_that_never_began_is_told_of_joints_that_home(arm: WrittenArm, rtarm: Rtarm) -> None:
+    arm.state["limits"]["joints"]["homes"][0] = 1
+    assert homed(arm, rtarm, "elbow").exit_code == 0
+    result = homed(arm, rtarm, "shoulder", "elbow")
+    assert result.exit_code == 1
+    assert "ended before it had come to the end with shoulder." in result.output
