@@ -318,6 +318,28 @@ def test_drives_that_speak_by_themselves_are_overheard_and_nobody_is_asked(arm: 
     ]
 
 
+class OneHeartbeat(VirtualPort):
+    """A bus at 1 Mbit/s on which a single ODrive speaks, once while it is listened there."""
+
+    said = False
+
+    def read(self, patience_s: float) -> bytes:
+        data = super().read(min(patience_s, 0.01))
+        if data or self.said or not self.sim.adapter._listen_only or b"S8\r" not in self.written:
+            return data  # the adapter's own answers come first
+        self.said = True
+        return data + b"t0A180000000001000000\r"
+
+
+def test_a_single_heartbeat_is_a_drives() -> None:
+    port = OneHeartbeat(bus().sim)
+    wire = SlcanWire(port)
+    wire.greet()
+    outcome = search_slcan(wire)
+    assert (outcome.bitrate, outcome.asked, port.functions) == (1_000_000, [], set())
+    assert [(drive.number, drive.state) for drive in outcome.overheard] == [(5, "axis state 1")]
+
+
 def test_an_adapter_that_cannot_merely_listen_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
     opened = SlcanWire.open
     monkeypatch.setattr(
