@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from config.loader import known_arms
 from rtarm.processes import middleware_segments
 from rtarm.recording import folder, mcap_reader, story
 from shm import files
@@ -308,6 +309,13 @@ def test_the_demo_plays_a_goal_and_writes_its_figures(
     assert report["bus"]["frames_rx"] > 0
     assert 0.3 < report["bus"]["load"] < 1.0
     assert set(report["scheduling"]) == {"policy", "priority", "memory_locked", "cpu", "dma_latency_held"}
+
+
+@pytest.mark.parametrize("arm", [name for name in known_arms() if name not in ("mock", "episode1")])
+def test_the_demo_of_each_family_plays_a_goal(start: Callable[..., Command], arm: str) -> None:
+    command = start("demo", "--arm", arm, "--goal", str(RECORDED / "small.json"))
+    assert command.end() == 0, command.output + command.errors
+    assert "1 of 1 goals succeeded" in command.output
 
 
 def test_a_demo_whose_goal_is_refused_fails_with_its_sentence(
