@@ -58,7 +58,9 @@ BEGIN_NS = 1_000_000_000
 """Within which a homing run has begun."""
 LATE_S = 1.0
 BOOT_NS = 100_000_000
-"""A drive that is switched off and on is silent for longer (unproven), which the cycle's readings show."""
+"""A drive that is switched off and on is silent for longer (unproven)."""
+BOOT_PERIODS = 4
+"""At low rates an answer takes that long anyhow."""
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
@@ -115,8 +117,8 @@ def home(host: HomingHost, joint: int) -> Part[tuple[float, float]]:
     began = yield from _position(joint, config)
     yield from _begin_run(host, joint, config)
     stopped = yield from _see_it_end(host, joint, config, began)
+    measured = yield from _unbroken(host, joint, _position(joint, config))
     result = yield _ask(can_id, (3, 4), READ_HOMED)
-    measured = yield from _position(joint, config)
     tripped = yield from _read(joint, config, READ_PROTECTED, "protection")
     failed = result is not None and result.data[-2] == HOMING_FAILED
     if failed or tripped or abs(measured) > ADOPT_WITHIN_RAD * config.encoder_counts_per_rad:
@@ -157,7 +159,7 @@ def _begin_run(host: HomingHost, joint: int, config: JointConfig) -> Part[None]:
     refused = answer is not None and answer.data[1] == REFUSED
     seen = 0
     while not refused and host.now_ns - since_ns < BEGIN_NS:
-        state = yield from _read(joint, config, READ_STATE, "state")
+        state = yield from _unbroken(host, joint, _read(joint, config, READ_STATE, "state"))
         seen = seen + 1 if state == HOMING else 0
         if seen >= AGREEING:
             return
@@ -172,12 +174,11 @@ def _see_it_end(host: HomingHost, joint: int, config: JointConfig, last: int) ->
     """Wait for the end of the run; the last count of before it, as the drive counted then."""
     began_ns, newest, ended = host.now_ns, last, 0
     while ended < AGREEING:
-        state = yield from _read(joint, config, READ_STATE, "homing state")
-        _require_unbroken(host, joint, config)
+        state = yield from _unbroken(host, joint, _read(joint, config, READ_STATE, "homing state"))
         ended = ended + 1 if state != HOMING else 0
         if not ended:
             last = newest  # the drive has still been homing after it was read, so it had not set its count anew
-            newest = yield from _position(joint, config)
+            newest = yield from _unbroken(host, joint, _position(joint, config))
         if host.now_ns - began_ns > (host.arm.homing.timeout_s + LATE_S) * 1e9:
             raise TalkFailed(
                 joint,
@@ -188,14 +189,20 @@ def _see_it_end(host: HomingHost, joint: int, config: JointConfig, last: int) ->
     return last
 
 
-def _require_unbroken(host: HomingHost, joint: int, config: JointConfig) -> None:
-    """A drive that was switched off and on counts from 0 where it stands, as one does that has found its stop."""
-    if host.now_ns - host.port.measured_ns(joint) > BOOT_NS:
+def _unbroken(host: HomingHost, joint: int, part: Part[int]) -> Part[int]:
+    """A question amid a run, and that its answer did not take as long as switching the drive off and on.
+
+    Such a drive counts from 0 where it stands, as one does that has found its stop.
+    """
+    asked_ns = host.now_ns
+    value = yield from part
+    if host.now_ns - asked_ns > max(BOOT_NS, BOOT_PERIODS * host.arm.control.period_ns):
         raise TalkFailed(
             joint,
-            f"The drive of {config.name} fell silent during its homing run, so what it counts may be no angle: see to "
-            f"its supply and the CAN wires, then {host.again}.",
+            f"The drive of {host.arm.joints[joint].name} fell silent during its homing run, so what it counts may be no "
+            f"angle: see to its supply and the CAN wires, then {host.again}.",
         )
+    return value
 
 
 # --- bring-up

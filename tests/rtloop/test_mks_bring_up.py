@@ -310,12 +310,31 @@ def test_a_run_that_finds_nothing_is_ended():
     arm.close()
 
 
-@pytest.mark.parametrize("off_s", [0.15, 1.0])
-def test_power_lost_amid_a_run_is_no_stop_that_was_found(off_s):
-    """It counts 0 where it stands, as a drive does that has found its stop."""
+@pytest.mark.parametrize("off_s", [0.1, 0.15, 1.0])
+@pytest.mark.parametrize("boots_enabled", [False, True])
+def test_power_lost_amid_a_run_is_no_stop_that_was_found(off_s, boots_enabled):
+    """It counts 0 where it stands, as a drive does that has found its stop, and may hold there too."""
     arm = referenced((0.0,) * 6)
+    drive = drives(arm)[1]
+    boot = drive.boot
+
+    def enabled() -> None:
+        boot()
+        drive.enabled = boots_enabled
+
+    drive.boot = enabled
     arm.sim.inject(PowerLoss("joint2", 1.0, off_s=off_s), since_ns=arm.sim.now_ns)
     assert "joint2" in failed_run(arm)
+    arm.close()
+
+
+@pytest.mark.parametrize("rate_hz", [20, 150])
+def test_a_slow_cycle_and_a_lossy_bus_home_too(rate_hz):
+    arm = referenced(overrides={"control": {"rate_hz": rate_hz}})
+    drives(arm)[1].reply_loss = 0.02
+    assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
+    assert arm.reference().failure is None, arm.told
+    assert arm.loop[0]["axes"][1]["referenced"] == 1
     arm.close()
 
 
