@@ -28,6 +28,8 @@ NODES = 0x7F
 
 INITIALISING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
 START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
+ORDERED = {START: OPERATIONAL, STOP: STOPPED, ENTER_PRE_OPERATIONAL: PRE_OPERATIONAL}
+"""States of a node, and the orders (NMT) that lead there."""
 
 RECEIVE_PDO, RECEIVE_MAP, TRANSMIT_PDO, TRANSMIT_MAP = 0x1400, 0x1600, 0x1800, 0x1A00
 NOT_VALID = 1 << 31
@@ -293,18 +295,14 @@ class CanopenNode(ServoDrive):
     def _order(self, data: bytes) -> None:
         if len(data) != 2 or data[1] not in (0, self.node):
             return
-        match data[0]:
-            case 0x01:
-                self._enter(OPERATIONAL)
-            case 0x02:
-                self._enter(STOPPED)
-            case 0x80:
-                self._enter(PRE_OPERATIONAL)
-            case 0x81:
-                self.reset()
-            case 0x82:
-                self._enter(PRE_OPERATIONAL)
-                self.boot_up()
+        order = data[0]
+        if order == RESET_NODE:
+            self.reset()
+        elif order == RESET_COMMUNICATION:
+            self._enter(PRE_OPERATIONAL)
+            self.boot_up()
+        elif order in ORDERED:
+            self._enter(ORDERED[order])
 
     def _enter(self, state: int) -> None:
         left = self.state == OPERATIONAL and state != OPERATIONAL

@@ -18,9 +18,9 @@ from sim.drives.drive import Cause, Mounting
 from sim.drives.servo import TURN_RAD, Interpolation, Limp, Load, Plan, Spin
 
 NOT_READY, SWITCH_ON_DISABLED, READY, SWITCHED_ON = 0x00, 0x40, 0x21, 0x23
-OPERATION_ENABLED, QUICK_STOP, FAULT_REACTION, FAULT = 0x27, 0x07, 0x0F, 0x08
-"""States, as the statusword tells them."""
-VOLTAGE, WARNING, REMOTE, REACHED, MODE_BIT, FOLLOWING_ERROR = 1 << 4, 1 << 7, 1 << 9, 1 << 10, 1 << 12, 1 << 13
+OPERATION_ENABLED, QUICK_STOP, FAULT = 0x27, 0x07, 0x08
+"""States, as the statusword tells them; the reaction to a fault takes no time."""
+VOLTAGE, REMOTE, REACHED, MODE_BIT = 1 << 4, 1 << 9, 1 << 10, 1 << 12
 """Other bits of it; MODE_BIT is a target taken (profile position) or followed (CSP)."""
 NEW_TARGET, RELATIVE, FAULT_RESET, HALT = 1 << 4, 1 << 6, 1 << 7, 1 << 8
 """Bits of the controlword."""
@@ -40,7 +40,6 @@ QUICK_STOP_S = 0.05
 """Time from its highest speed to rest in a quick stop [inf]."""
 HEADROOM = 1.5
 """Of its profile velocity over the joint's highest [inf]."""
-AT_REST_TURNS_S = 1e-6
 
 
 class Cia402Drive(CanopenNode):

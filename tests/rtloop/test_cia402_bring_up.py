@@ -14,7 +14,6 @@ from sim.drives import canopen, cia402
 from sim.drives.cia402 import Cia402Drive
 from sim.faults import Protection, Silent
 
-FIRST_WORDS = {0x06, 0x07, 0x0F}
 JOINT = 1
 """The joint whose drive is broken."""
 
