@@ -19,7 +19,7 @@ from rtloop.wire.frame_words import STANDARD
 READ, WRITTEN, ABORT = 0x40, 0x60, 0x80
 WRITE = {1: 0x2F, 2: 0x2B, 3: 0x27, 4: 0x23}
 """Command of a write, by the number of its bytes."""
-EXPEDITED, SIZE_SHOWN = 0x02, 0x01
+SIZE_SHOWN = 0x01
 READ_REPLY, READ_REPLY_MASK = 0x42, 0xE2
 SDO_BYTES = 8
 
