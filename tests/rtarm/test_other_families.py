@@ -21,12 +21,18 @@ from config.schema import ArmConfig
 from rtarm.calibrate.run import chosen_joints
 from rtarm.drives import render
 from rtarm.errors import Refusal
+from rtarm.recording.mcap_format import Reason
+from rtarm.recording.story import tell
+from rtarm.status import of_cycle
 from rtarm.zdt_joints import other_drives, zdt_joints
 from rtloop.beginning import show_drives
 from rtloop.calibration.session import Session as Calibration
 from rtloop.settings.compare import as_json
 from rtloop.settings.session import Session
 from shm import layout
+from shm.recording import read_recording
+from shm.words import Fault
+from sim.faults import Protection
 
 Rtarm = Callable[..., Result]
 
@@ -90,6 +96,29 @@ def test_a_calibration_of_a_mixed_arm_is_of_its_zdt_drives() -> None:
     )
     session.read()
     assert {joint: found.problems for joint, found in session.found.items()} == {0: [], 2: [], 4: []}
+    virtual.close()
+
+
+def test_why_a_drive_has_an_error_reaches_people() -> None:
+    """An ODrive (joint2) that is too hot: in the fault, in the report of its joint, and in the recording's story."""
+    virtual = VirtualArm(mixed())
+    assert virtual.bring_up().failure is None
+    assert virtual.sim is not None
+    virtual.sim.inject(Protection("joint2", 0.0, cause="temperature"), since_ns=virtual.now_ns)
+    virtual.until(lambda: virtual.core["fault"] != Fault.NONE)
+    virtual.cycles(5)
+    found = of_cycle(virtual.reader.snapshot(), [joint.name for joint in virtual.arm.joints], virtual.now_ns)
+    assert found["fault"]["name"] == "drive_fault"
+    assert found["fault"]["sentence"].startswith(
+        "The drive of joint2 reports a fault of its own (protected, over-temperature, not enabled): remove the cause"
+    )
+    assert found["joints"][1]["drive_trouble"] == ["protected", "over-temperature"]
+    assert found["joints"][1]["voltage_v"] == pytest.approx(24.0, abs=1.0)
+    assert found["joints"][0]["voltage_v"] is None and found["joints"][0]["drive_trouble"] == []
+    told = tell(read_recording(virtual.state), Reason("fault", ""))
+    assert any(
+        line.sentence.startswith("The drive of joint2 reports that it is too hot (24.0 V") for line in told.lines
+    )
     virtual.close()
 
 
