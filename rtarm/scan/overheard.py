@@ -16,7 +16,7 @@ from rtarm.scan.wires import Frame
 ODRIVE_HEARTBEAT, ODRIVE_COMMANDS = 0x01, 0x20
 ODRIVE_STATES = range(14)
 """Axis states of firmware 0.5.6: 0 undefined to 13 encoder Hall phase calibration."""
-CLOSED_LOOP = 8
+ODRIVE_USUAL = {1: "idle", 8: "closed loop"}
 CANOPEN_HEARTBEAT, CANOPEN_NODES = 0x700, range(1, 128)
 CANOPEN_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 
@@ -36,7 +36,7 @@ def drive_of(frame: Frame) -> Overheard | None:
     node, command = divmod(frame.id, ODRIVE_COMMANDS)
     if command == ODRIVE_HEARTBEAT and len(frame.data) == 8 and frame.data[4] in ODRIVE_STATES:
         error, state = int.from_bytes(frame.data[:4], "little"), frame.data[4]
-        words = f"error {error:#x}" if error else "closed loop" if state == CLOSED_LOOP else f"axis state {state}"
+        words = f"error {error:#x}" if error else ODRIVE_USUAL.get(state, f"axis state {state}")
         return Overheard("odrive", "ODrive axis", node, words)
     node = frame.id - CANOPEN_HEARTBEAT
     if node in CANOPEN_NODES and len(frame.data) == 1 and frame.data[0] in CANOPEN_STATES:

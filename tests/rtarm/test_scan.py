@@ -259,6 +259,7 @@ def test_a_can_interface_of_other_machines_is_not_spoken_on() -> None:
     [
         (b"t02180000000008000000", "odrive", 1, "closed loop"),  # facts/other-drives.md, ODrive: 01 heartbeat
         (b"t7E184000000001000000", "odrive", 63, "error 0x40"),
+        (b"t04180000000003000000", "odrive", 2, "axis state 3"),
         (b"t701105", "cia402", 1, "operational"),  # CiA 301, heartbeat: 700 + node
         (b"t77F17F", "cia402", 127, "pre-operational"),
         (b"t701100", "cia402", 1, "boot-up"),
@@ -337,7 +338,7 @@ def test_a_single_heartbeat_is_a_drives() -> None:
     wire.greet()
     outcome = search_slcan(wire)
     assert (outcome.bitrate, outcome.asked, port.functions) == (1_000_000, [], set())
-    assert [(drive.number, drive.state) for drive in outcome.overheard] == [(5, "axis state 1")]
+    assert [(drive.number, drive.state) for drive in outcome.overheard] == [(5, "idle")]
 
 
 def test_an_adapter_that_cannot_merely_listen_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
