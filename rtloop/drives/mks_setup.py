@@ -199,8 +199,8 @@ def _unbroken(host: HomingHost, joint: int, part: Part[int]) -> Part[int]:
     if host.now_ns - asked_ns > max(BOOT_NS, BOOT_PERIODS * host.arm.control.period_ns):
         raise TalkFailed(
             joint,
-            f"The drive of {host.arm.joints[joint].name} fell silent during its homing run, so what it counts may be no "
-            f"angle: see to its supply and the CAN wires, then {host.again}.",
+            f"The drive of {host.arm.joints[joint].name} fell silent during its homing run, so what it counts may be "
+            f"no angle: see to its supply and the CAN wires, then {host.again}.",
         )
     return value
 

@@ -40,7 +40,10 @@ def changed(old: str, new: str, text: str = EPISODE1) -> str:
 
 
 def test_the_known_arms() -> None:
-    assert known_arms() == ["episode1", "mock"]
+    assert known_arms() == [
+        *("cia402_6", "damiao6", "damiao6_pv", "episode1", "mks6", "mock", "myactuator6", "odrive6", "robstride6"),
+        "robstride6_position",
+    ]
     for name in known_arms():
         assert load_arm(name).name == name
 
@@ -150,7 +153,8 @@ def test_an_unknown_arm_lists_the_known_ones() -> None:
     with pytest.raises(ConfigError) as caught:
         load_arm("episod1")
     assert str(caught.value) == (
-        "no arm is called 'episod1' (did you mean episode1?); the known arms are episode1, mock; use one of "
+        "no arm is called 'episod1' (did you mean episode1?); the known arms are "
+        f"{', '.join(known_arms())}; use one of "
         "them, or the path of your own arm file (such as ./my_arm.yaml)."
     )
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from sim_host import MILLISECOND, START_NS, Host, read
 
-from config.bus import SLCAN_BITRATES
 from config.drives.odrive import OdriveDrive as OdriveConfig
 from config.loader import load_arm
 from config.schema import ArmConfig
+from config.serial_adapters import SLCAN_BITRATES
 from sim.arm import SimulatedArm
 from sim.drives.odrive import CLOSED_LOOP, IDLE, OdriveDrive
 from sim.drives.zdt import ZdtDrive
