@@ -314,7 +314,7 @@ def test_a_run_that_finds_nothing_is_ended():
 @pytest.mark.parametrize("boots_enabled", [False, True])
 def test_power_lost_amid_a_run_is_no_stop_that_was_found(off_s, boots_enabled):
     """It counts 0 where it stands, as a drive does that has found its stop, and may hold there too."""
-    arm = referenced((0.0,) * 6)
+    arm = brought_up(arm_of((0.0,) * 6))  # nobody knows where its stop is
     drive = drives(arm)[1]
     boot = drive.boot
 
