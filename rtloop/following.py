@@ -2,9 +2,13 @@
 
 from typing import Any
 
+from rtloop.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
 from shm.jit import jit
 
 Loop = Any  # record of dtype rtloop.state.LOOP
+
+STANDS_AFTER_CYCLES = 3
+"""Without a target a drive ends its line in the next cycle, and has come to rest soon after."""
 
 
 @jit
@@ -19,3 +23,27 @@ def setpoint(loop: Loop, joint: int) -> tuple[float, float]:
     position = axis.position_rad + share * (axis.next_position_rad - axis.position_rad)
     velocity = axis.velocity_rad_s + share * (axis.next_velocity_rad_s - axis.velocity_rad_s)
     return min(max(position, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad), velocity
+
+
+@jit
+def still_behind_rad(loop: Loop, joint: int, setpoint_rad: float) -> float:
+    """How far what a drive is told stays behind the setpoint, because it was not led for a while.
+
+    It has stood at its last target meanwhile, and would jump to a new one within a period. So it begins at rest from
+    where it is, with the joint's acceleration limit, and makes good what it is behind at a share of its highest speed;
+    `behind_rad_s` of the axis is the change of what is returned. Once in each cycle in which the drive is led.
+
+    For drives whose own loop leaves no error at rest: one that carries a load by being off its target would let it sag.
+    """
+    core, row, axis = loop.core, loop.joints[joint], loop.axes[joint]
+    period_s = loop.params.period_ns * 1e-9
+    if core.cycle - axis.led_cycle > STANDS_AFTER_CYCLES:
+        axis.behind_rad = setpoint_rad - axis.measured_rad
+        axis.behind_rad_s = axis.next_velocity_rad_s
+    axis.led_cycle = core.cycle
+    most = ERROR_SPEED_SHARE * row.max_velocity_rad_s
+    wanted_rad_s = -min(max(ERROR_SHARE_1_S * axis.behind_rad, -most), most)
+    change = row.max_acceleration_rad_s2 * period_s
+    axis.behind_rad_s += min(max(wanted_rad_s - axis.behind_rad_s, -change), change)
+    axis.behind_rad += axis.behind_rad_s * period_s
+    return float(axis.behind_rad)

@@ -25,7 +25,7 @@ CAN_FRAME_BYTES = 16
 """`struct can_frame`; the receive ring holds a whole number of them."""
 TX_FRAMES = TX_BYTES // CAN_FRAME_BYTES
 RX_FRAMES = READ_BYTES // CAN_FRAME_BYTES
-LISTENERS = 4 * MAX_JOINTS + 4
+LISTENERS = 8 * MAX_JOINTS
 NOBODY, GRIPPER = -1, -2
 """Whose frame it is, where it is no joint's; those of a gripper's drive belong to its conversation."""
 CANCELED_SLOTS = 16

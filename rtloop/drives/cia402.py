@@ -9,9 +9,8 @@ Emergencies (080) hold an error code, heartbeats (700) the node's state.
 
 from typing import Any
 
-from rtloop import hearing
+from rtloop import following, hearing
 from rtloop import status as status_bits
-from rtloop.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
 from rtloop.drives import words
 from rtloop.drives.cia402_setup import (
     BOOT_UP,
@@ -38,8 +37,6 @@ from shm.words import Unreferenced
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
-STANDS_AFTER_CYCLES = 3
-"""Without a target a drive ends its line in the next cycle, and has come to rest soon after."""
 FRESH_PERIODS = 3
 """A reading is of the SYNC of the cycle before; one that is older than this tells nothing of where the drive is."""
 
@@ -73,28 +70,8 @@ def send_target(loop: Loop, joint: int, shared: Shared, position_rad: float, sto
 
 @jit
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
-    send_target(loop, joint, shared, setpoint_rad(loop, joint) - still_behind_rad(loop, joint), -1)
-
-
-@jit
-def still_behind_rad(loop: Loop, joint: int) -> float:
-    """How far its target stays behind the setpoint, because it was not led for a while.
-
-    It has stood at its last target meanwhile, and would jump to a new one within a period. So it begins at rest from
-    where it is, with the joint's acceleration limit, and makes good what it is behind at a share of its highest speed.
-    """
-    core, row, axis = loop.core, loop.joints[joint], loop.axes[joint]
-    period_s = loop.params.period_ns * 1e-9
-    if core.cycle - axis.led_cycle > STANDS_AFTER_CYCLES:
-        axis.behind_rad = setpoint_rad(loop, joint) - axis.measured_rad
-        axis.behind_rad_s = axis.next_velocity_rad_s
-    axis.led_cycle = core.cycle
-    most = ERROR_SPEED_SHARE * row.max_velocity_rad_s
-    wanted_rad_s = -min(max(ERROR_SHARE_1_S * axis.behind_rad, -most), most)
-    change = row.max_acceleration_rad_s2 * period_s
-    axis.behind_rad_s += min(max(wanted_rad_s - axis.behind_rad_s, -change), change)
-    axis.behind_rad += axis.behind_rad_s * period_s
-    return float(axis.behind_rad)
+    target_rad = setpoint_rad(loop, joint)
+    send_target(loop, joint, shared, target_rad - following.still_behind_rad(loop, joint, target_rad), -1)
 
 
 @jit

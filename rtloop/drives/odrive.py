@@ -47,8 +47,10 @@ def input_position(turns: float, turns_s: float) -> int:
 
 @jit
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
-    row = loop.joints[joint]
+    row, axis = loop.joints[joint], loop.axes[joint]
     position_rad, velocity_rad_s = following.setpoint(loop, joint)
+    position_rad -= following.still_behind_rad(loop, joint, position_rad)
+    velocity_rad_s -= axis.behind_rad_s
     data = input_position((position_rad + row.zero_rad) * row.command_per_rad, velocity_rad_s * row.command_per_rad)
     outgoing.send(loop, shared, identifier(loop, joint, INPUT_POSITION), STANDARD, 8, data)
 

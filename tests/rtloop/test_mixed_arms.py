@@ -8,7 +8,9 @@ from mixed_arm import ODRIVE, ZDT, arm_of, mixed
 from virtual import VirtualArm
 
 from config.errors import ConfigError
-from config.loader import load_arm
+from config.loader import known_arms, load_arm
+from rtloop.state import LISTENERS
+from shm.layout import MAX_JOINTS
 from shm.words import Answer, Fault, Mode, Outcome, Request
 from sim.faults import Protection, Silent
 
@@ -82,6 +84,12 @@ def test_a_gripper_has_a_drive_of_another_family_than_the_arm() -> None:
     assert arm.outcome(goal) == Outcome.SUCCEEDED
     assert arm.sim.gripper_rad(arm.sim.now_ns) == pytest.approx(0.5, abs=0.01)
     arm.close()
+
+
+@pytest.mark.parametrize("name", [name for name in known_arms() if name != "mock"])
+def test_32_drives_of_any_family_and_a_gripper_are_heard(name: str) -> None:
+    said = max(sum(used.from_drive for used in joint.drive.identifiers) for joint in load_arm(name).joints)
+    assert MAX_JOINTS * said + 1 <= LISTENERS
 
 
 def test_drives_that_could_be_taken_for_each_other_are_refused() -> None:

@@ -16,6 +16,7 @@ from virtual import private_file
 from config.loader import load_arm
 from rtloop import recorder
 from rtloop.beginning import new_loop
+from rtloop.wire import frame_words
 from shm import files, layout, recording
 from shm.recording import frame_check, read_recording
 
@@ -115,7 +116,7 @@ def test_a_spoilt_word_of_a_frame_is_noticed(words, at, change):
 
 def test_frames_are_read_as_they_were_recorded(small):
     loop, state = small
-    sent = recorder.SENT | recorder.EXTENDED
+    sent = recorder.SENT | recorder.marks_of(frame_words.EXTENDED)
     recorder.record_frame(loop[0], state.array[0], 5, 0x101, sent, 8, -3)
     recorder.record_frame(loop[0], state.array[0], 6, 0x7FF, 0, 2, 0x6B36)
     first, second = read_recording(state).frames
@@ -129,9 +130,9 @@ def test_frames_are_read_as_they_were_recorded(small):
     found = read_recording(state)
     assert found.frames["data"].tolist() == list(range(2 * slots + 1, 3 * slots))
     assert found.lost == 0
-    ring = np.frombuffer(
-        state.map, layout.BUS_FRAME, slots, int(state.record["recorder"]["record_slots"]) * 872 + layout.STATE.itemsize
-    )
+    described = state.record["recorder"]
+    rings_at = int(described["record_slots"] * described["record_bytes"])
+    ring = np.frombuffer(state.map, layout.BUS_FRAME, slots, rings_at + layout.STATE.itemsize)
     ring["data"][7] += 1
     assert read_recording(state).lost == 1
     del ring
