@@ -6,7 +6,7 @@ was killed may have left half a frame behind; zeros complete it to one with a wr
 
 import os
 
-from config.serial_adapters import SEEED_BITRATES
+from config.serial_adapters import SEEED_BITRATES, SERIAL_ADAPTERS
 from rtloop.wire.tty import drain, setting_up
 
 STANDARD_ONLY, EXTENDED_ONLY = 1, 2
@@ -29,9 +29,17 @@ def set_up_frame(bitrate: int, frames: int, mode: int) -> bytes:
     return b"\xaa\x55" + content + bytes((sum(content) & 0xFF,))
 
 
+def line_speed(interface: str, serial_baud: int | str) -> int | str:
+    """What the port of a binary adapter is set to: where the file says cdc, the kind's own speed all the same.
+
+    A true USB device does not care, and a CH340 that is taken for one would stay at whatever speed it was.
+    """
+    return SERIAL_ADAPTERS[interface].serial_baud if serial_baud == "cdc" else serial_baud
+
+
 def open_seeed(channel: str, serial_baud: int | str, bitrate: int, frames: int) -> int:
     """Open a USB-CAN-A for frames of one kind; its descriptor, non-blocking. Raises WireRefused."""
-    with setting_up(channel, serial_baud) as fd:
+    with setting_up(channel, line_speed("seeedstudio", serial_baud)) as fd:
         os.write(fd, FILLER + set_up_frame(bitrate, frames, NORMAL))
         drain(fd)
     return fd
@@ -44,7 +52,7 @@ def seeed_closing(bitrate: int, frames: int) -> bytes:
 
 def open_at(channel: str, serial_baud: int | str) -> tuple[int, list[str]]:
     """Open an AT adapter; its descriptor, non-blocking, and what is not as it should be. Raises WireRefused."""
-    with setting_up(channel, serial_baud) as fd:
+    with setting_up(channel, line_speed("ch340-at", serial_baud)) as fd:
         os.write(fd, FILLER + AT_HANDSHAKE)
         answered = AT_AGREES in drain(fd)
     complaints = []

@@ -5,6 +5,7 @@ The adapters are simulated at byte level (`sim`); the bus behind them has real d
 
 import os
 import select
+import termios
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -98,6 +99,19 @@ def test_an_adapter_is_opened_closed_and_opened_again(served: Served, wire: Wire
         opens_and_works(served, wire)
         if wire.name != "ch340-at":  # nothing is known that would close it
             served.until(lambda: not served.sim.adapter.is_open)
+
+
+@pytest.mark.parametrize(("name", "speed"), [("seeedstudio", termios.B2000000), ("ch340-at", termios.B921600)])
+def test_a_binary_adapter_that_is_taken_for_a_usb_device_gets_its_speed(name: str, speed: int) -> None:
+    wire = next(wire for wire in SERIAL if wire.name == name)
+    served = Served(wire, serial_baud="cdc")
+    try:
+        opened = open_wire(served.arm)
+        assert opened is not None
+        assert termios.tcgetattr(opened.fd)[4:6] == [speed, speed]
+        close_wire(served.arm, opened)
+    finally:
+        served.close()
 
 
 @pytest.mark.parametrize("wire", SERIAL, ids=str)
