@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Protocol
 
 from config import ramp
@@ -35,14 +36,13 @@ def check_drives(joints: Sequence[JointConfig], bus: BusConfig, limits: Limits) 
     _brake_in_silence(joints, limits)
 
 
-def shares_identifiers(one: Drive, other: Drive) -> bool:
-    """Whether a CAN identifier could be of either drive, beside those that a family's drives have in common."""
+def common_identifier(one: Drive, other: Drive) -> int | None:
+    """A CAN identifier that could be of either drive, beside those that a family's drives have in common; or None."""
     alike = one.family == other.family
-    return any(
-        mine.meets(theirs) and not (alike and mine.shared and theirs.shared)
-        for mine in one.identifiers
-        for theirs in other.identifiers
-    )
+    for mine, theirs in product(one.identifiers, other.identifiers):
+        if mine.meets(theirs) and not (alike and mine.shared and theirs.shared):
+            return mine.match & mine.mask | theirs.match & theirs.mask
+    return None
 
 
 def _article(noun: str) -> str:
@@ -52,7 +52,8 @@ def _article(noun: str) -> str:
 def _are_told_apart(joints: Sequence[JointConfig]) -> None:
     for index, joint in enumerate(joints):
         for other in joints[:index]:
-            if not shares_identifiers(joint.drive, other.drive):
+            common = common_identifier(joint.drive, other.drive)
+            if common is None:
                 continue
             field = joint.drive.number_field
             place = f"joints[{index}].drive.{field}"
@@ -66,8 +67,9 @@ def _are_told_apart(joints: Sequence[JointConfig]) -> None:
             raise refuse(
                 place,
                 f"{field} {number} of {joint.name} ({joint.drive.called}) uses CAN identifiers that "
-                f"{other.drive.number_field} {other.drive.number} of {other.name} ({other.drive.called}) uses too, so "
-                "neither could be told from the other: change one of the two, in the drive and here.",
+                f"{other.drive.number_field} {other.drive.number} of {other.name} ({other.drive.called}) uses too, "
+                f"{common:#x} among them, so neither could be told from the other: change one of the two, in the "
+                "drive and here.",
             )
 
 

@@ -61,6 +61,13 @@ def test_two_motors_that_could_be_taken_for_each_other_are_refused(other: dict) 
         load_arm("damiao6", overrides=with_drives(GOOD, second))
 
 
+def test_it_is_said_which_identifier_two_motors_have_in_common() -> None:
+    """Whoever gave two motors one master ID finds it in the sentence, which names the motors by their motor IDs."""
+    second = GOOD | {"motor_id": 2, "master_id": 0x11}
+    with pytest.raises(ConfigError, match=r"motor_id 1 of joint1 .* uses too, 0x11 among them, so neither"):
+        load_arm("damiao6", overrides=with_drives(GOOD, second))
+
+
 def test_everybodys_registers_are_shared_by_damiao_motors_alone() -> None:
     odrive = {"family": "odrive", "node_id": 1}
     load_arm("damiao6", overrides=with_drives(GOOD, odrive))
