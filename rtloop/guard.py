@@ -186,6 +186,19 @@ def take_status(loop: Loop, joint: int, status: int) -> None:
 
 
 @jit
+def knows_where_it_stands(loop: Loop, joint: int) -> bool:
+    """Whether the last reading tells where the joint is now, so that its drive can be told to stay there.
+
+    A follower of set-points that hears no more of them stands at its last one; an old or garbled reading, or one that
+    was counted from another zero, would move it away from there.
+    """
+    axis = loop.axes[joint]
+    if axis.readings == 0 or axis.doubted == 1:
+        return False
+    return bool(loop.core.now_ns - axis.measured_ns <= loop.params.stale_brake_ns)
+
+
+@jit
 def lose_reference(loop: Loop, shared: Shared, joint: int, reason: int) -> None:
     """The drive's count means nothing any more: stop command, then no motion frame until it is referenced."""
     axis = loop.axes[joint]

@@ -12,7 +12,7 @@ import math
 from typing import Any
 
 from config.drives.damiao import HIGHEST_KD, HIGHEST_KP, POSITION_VELOCITY_OFFSET, REGISTERS_ID
-from rtloop import following, hearing, leading
+from rtloop import following, guard, hearing, leading
 from rtloop import status as status_bits
 from rtloop.correction import ERROR_SPEED_SHARE
 from rtloop.drives import words
@@ -92,18 +92,21 @@ def holding_rad_s(row: Row) -> float:
 
 @jit
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
-    """Hold where it was last heard to be, or with a ramp of its own where that ends: disabled it would fall."""
+    """Hold where it is measured, or with a ramp of its own where that ends: disabled it would fall.
+
+    One that is not led stands at its last target, or goes on to it by its ramp.
+    """
     row, axis = loop.joints[joint], loop.axes[joint]
-    if not math.isfinite(axis.heard_rad):
+    if not guard.knows_where_it_stands(loop, joint):
         return True
     if row.plans_its_motion == 0:
-        rad = (axis.heard_rad + row.zero_rad) * row.command_per_rad
+        rad = (axis.measured_rad + row.zero_rad) * row.command_per_rad
         return command(loop, joint, shared, row.address, following_data(row, rad, 0.0), joint)
     told_rad_s = axis.told_velocity_rad_s if math.isfinite(axis.told_velocity_rad_s) else 0.0
     speed_rad_s = min(abs(told_rad_s), row.max_velocity_rad_s)
     way_rad = speed_rad_s * speed_rad_s / (2.0 * row.silence_deceleration_rad_s2)
-    way_rad += speed_rad_s * loop.params.period_ns * 1e-9  # since it was heard
-    target_rad = axis.heard_rad + math.copysign(way_rad, told_rad_s)
+    way_rad += speed_rad_s * loop.params.period_ns * 1e-9  # since it was measured
+    target_rad = axis.measured_rad + math.copysign(way_rad, told_rad_s)
     rad = (target_rad + row.zero_rad) * row.command_per_rad
     rad_s = abs(max(speed_rad_s, holding_rad_s(row)) * row.command_per_rad)
     data = target_data(rad, rad_s)

@@ -9,7 +9,7 @@ the heartbeat (error word, axis state), which comes by itself. Requests and answ
 import math
 from typing import Any
 
-from rtloop import following, hearing
+from rtloop import following, guard, hearing
 from rtloop import status as status_bits
 from rtloop.drives import words
 from rtloop.drives.odrive_setup import (
@@ -57,11 +57,11 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
-    """Hold where it was last heard to be: 02, its emergency stop, would let the joint fall."""
+    """Hold where it is measured: 02, its emergency stop, would let it fall. Unled it stands at its last target."""
     row, axis = loop.joints[joint], loop.axes[joint]
-    if not math.isfinite(axis.heard_rad):
+    if not guard.knows_where_it_stands(loop, joint):
         return True
-    data = input_position((axis.heard_rad + row.zero_rad) * row.command_per_rad, 0.0)
+    data = input_position((axis.measured_rad + row.zero_rad) * row.command_per_rad, 0.0)
     return bool(outgoing.send(loop, shared, identifier(loop, joint, INPUT_POSITION), STANDARD, 8, data, 0, joint))
 
 

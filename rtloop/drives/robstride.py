@@ -20,7 +20,7 @@ import math
 from typing import Any
 
 from config.drives.robstride import CONTROL, READ, TYPE_BIT, WRITE
-from rtloop import following, hearing, leading
+from rtloop import following, guard, hearing, leading
 from rtloop import status as status_bits
 from rtloop.correction import ERROR_SPEED_SHARE
 from rtloop.drives import words
@@ -130,11 +130,11 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
-    """Hold where it was last heard to be: type 4, its stop, would let the joint fall."""
+    """Hold where it is measured: type 4, its stop, would let the joint fall. Unled it stands at its last target."""
     row, axis = loop.joints[joint], loop.axes[joint]
-    if not math.isfinite(axis.heard_rad):
+    if not guard.knows_where_it_stands(loop, joint):
         return True
-    here = (axis.heard_rad + row.zero_rad) * row.command_per_rad
+    here = (axis.measured_rad + row.zero_rad) * row.command_per_rad
     if row.position_gain_1_s == 0.0:
         return send_set_point(loop, joint, shared, here, 0.0, joint)
     speed = ERROR_SPEED_SHARE * row.max_velocity_rad_s * abs(row.command_per_rad)

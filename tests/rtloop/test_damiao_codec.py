@@ -215,10 +215,10 @@ def test_a_drive_that_was_led_is_not_asked_as_well(arm: ArmConfig, identifier: i
 
 @pytest.mark.parametrize("arm", [ARM, PLANNING], ids=lambda arm: arm.name)
 def test_a_stop_is_a_hold_and_never_lets_go(arm: ArmConfig) -> None:
-    """In mode mit where it was heard; with a ramp of its own where that ramp ends, at the speed that it has."""
+    """In mode mit where it is measured; with a ramp of its own where that ramp ends, at the speed that it has."""
     cycle = made(arm)
     axis, row = cycle.loop[0]["axes"][1], cycle.loop[0]["joints"][1]
-    axis["heard_rad"], axis["told_velocity_rad_s"] = 0.5, -0.3
+    axis["measured_rad"], axis["readings"], axis["told_velocity_rad_s"] = 0.5, 1, -0.3
     assert damiao.stop(cycle.loop[0], 1, cycle.shared[0])
     data = struct.pack("<q", cycle.loop[0]["tx_data"][0])
     assert cycle.loop[0]["tx_ids"][0] == (0x002 if arm is ARM else 0x102)
@@ -230,8 +230,7 @@ def test_a_stop_is_a_hold_and_never_lets_go(arm: ArmConfig) -> None:
         assert speed == pytest.approx(0.3)
 
 
-def test_where_nothing_was_heard_a_stop_says_nothing(cycle: SimpleNamespace) -> None:
-    cycle.loop[0]["axes"][1]["heard_rad"] = math.nan
+def test_where_nothing_was_measured_a_stop_says_nothing(cycle: SimpleNamespace) -> None:
     assert damiao.stop(cycle.loop[0], 1, cycle.shared[0])
     assert cycle.loop[0]["core"]["tx_frames"] == 0
 

@@ -263,11 +263,12 @@ def test_a_motor_that_stands_is_told_where_it_stands():
 
 
 @pytest.mark.parametrize("drive", [CONTROL, POSITION])
-def test_a_stop_is_where_it_was_last_heard(drive):
+def test_a_stop_is_where_it_is_measured(drive):
     cycle = Cycle(drive)
-    cycle.axis["heard_rad"] = math.nan
     assert cycle.sends(robstride.stop) == []
     cycle.hears("028001AA# 8A 2F 90 00 7F FF 01 31")
+    assert cycle.sends(robstride.stop) == []  # nobody has said yet whether that can be
+    cycle.axis["measured_rad"], cycle.axis["readings"] = cycle.axis["heard_rad"], 1
     *_, told = cycle.sends(robstride.stop)
     if drive == CONTROL:
         assert told in ("017FFF01# 8A 2F 7F FF 0F 5C 33 33", "017FFF01# 8A 2E 7F FF 0F 5C 33 33")

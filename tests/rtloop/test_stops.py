@@ -1,0 +1,57 @@
+"""Drives that are told to stay where they stand: what is known of where that is, and what is not."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from motion_figures import sampled_truth
+from virtual import VirtualArm, recorded_goal
+
+from config.loader import load_arm
+from rtloop.beginning import new_loop
+from rtloop.drives import families
+from shm import layout
+from shm.words import Answer, Mode, Request
+
+TOLD_A_PLACE = pytest.mark.parametrize(
+    "name", ["odrive6", "damiao6", "damiao6_pv", "robstride6", "robstride6_position"]
+)
+
+
+@TOLD_A_PLACE
+def test_a_drive_that_is_not_heard_any_more_is_not_taken_back(name: str) -> None:
+    """It hears and obeys, but its answers are lost: where it was heard last lies behind where it has been led since."""
+    goal = recorded_goal("large")
+    arm = VirtualArm(name, start_rad=goal["joints"][0, :, 0])
+    assert arm.bring_up().failure is None, arm.told
+    if not np.all(arm.loop[0]["axes"]["referenced"][:6]):
+        assert arm.ask(Request.REFERENCE, joint_mask=0b111111, value=math.nan) == Answer.DONE
+        assert arm.reference().failure is None
+    arm.play("large")
+    arm.cycles(int(0.4 * goal["times_ns"][-1] / arm.period_ns))
+    speeds = arm.loop[0]["axes"]["velocity_rad_s"][:6].copy()
+    joint = int(np.argmax(np.abs(speeds)))
+    assert abs(speeds[joint]) > 0.5
+    lost_ns = arm.sim.now_ns
+    arm.sim.drives[joint].reply = lambda *answer, **options: None
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=0.5)
+    arm.cycles(int(0.5e9 / arm.period_ns))
+    _, position_rad, _ = sampled_truth(arm.sim, joint, lost_ns, arm.sim.now_ns)
+    ahead_rad = np.sign(speeds[joint]) * (position_rad - position_rad[0])
+    assert ahead_rad.max() - ahead_rad[-1] <= 0.002
+    arm.close()
+
+
+@TOLD_A_PLACE
+@pytest.mark.parametrize("unknown", [{"readings": 0}, {"doubted": 1}, {"measured_ns": -100_000_000}, {}])
+def test_nothing_is_told_where_nobody_knows_the_place(name: str, unknown: dict[str, int]) -> None:
+    """Nothing read since the zero was set anew, an implausible reading, an old one; else it is told to stay."""
+    cycle = SimpleNamespace(loop=new_loop(load_arm(name), 0, 0), shared=np.zeros(1, layout.STATE))
+    axis = cycle.loop[0]["axes"][1]
+    axis["heard_rad"] = axis["measured_rad"] = 0.5
+    axis["readings"] = 3
+    for word, value in unknown.items():
+        axis[word] = value
+    assert families.stop(cycle.loop[0], 1, cycle.shared[0])
+    assert (cycle.loop[0]["core"]["tx_frames"] == 0) == bool(unknown)
