@@ -1,8 +1,10 @@
 """Bring-up and release of a RobStride motor or CyberGear; what its frames are is said in `rtloop.drives.robstride`.
 
 What it is asked (nothing moves): how it is, by setting the target of its speed mode to 0, which is answered with its
-state in every mode; then its run mode. One that runs in control mode goes on holding what it was told last. One that
-runs in its position loop gets the place where it stands as its target.
+state in every mode; then its run mode. One that runs in control mode is told to hold where it stands, since it may
+have been told to turn, or to be limp; the torque that it makes just then is taken for that of its stiffness, so that a
+load does not sag. One that runs in its position loop gets the place where it stands as its target. One that stands
+beyond what its frames reach is left alone: told to stay there it would go to the end of that.
 
 One that is stopped is given its run mode, and before it is enabled what it shall hold, because it would begin with what
 it was told last: in control mode a set-point where it stands, and the same again with the enabling itself; with its own
@@ -39,6 +41,8 @@ FAULTS = ("under-voltage", "over-current", "over-temperature", "magnetic encoder
 RUN_MODES = {"control": 0, "position": 1, "csp": 5}
 USUAL_POSITION_GAIN_1_S = 30.0
 CREEP_RAD_S = 0.01
+STANDING_RAD_S = 0.03
+"""A motor that is not faster stands."""
 ALIKE = 1e-4
 """A parameter that is set may be rounded by as much."""
 
@@ -91,11 +95,14 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     if state.mode == RUN:
         yield from _refuse_another_run_mode(joint, config)
     for _ in range(TRIES):
-        standing = yield from _where_it_stands(joint, config)
+        standing = held = yield from _where_it_stands(joint, config)
+        _require_within_its_field(joint, config, standing)
         if state.mode != RUN:
             yield from _prepare(joint, config, standing)
             state = yield from _enabled(joint, config, standing)
-        elif drive.mode != "control":
+        elif drive.mode == "control":
+            held = yield from _hold_as_it_is(host, joint, standing)
+        else:
             yield from _aim(joint, config, standing)
         if state.mode == RUN:
             break
@@ -110,7 +117,8 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     if drive.mode != "control":
         hold_rad_s = ERROR_SPEED_SHARE * config.max_velocity_rad_s * config.ratio
         yield from _said(joint, config, _write(drive, SPEED_LIMIT, hold_rad_s))
-    return Found(standing, standing, Unreferenced.REFERENCED if drive.knows_its_angle else Unreferenced.INCREMENTAL)
+        held = standing
+    return Found(standing, held, Unreferenced.REFERENCED if drive.knows_its_angle else Unreferenced.INCREMENTAL)
 
 
 def let_go(arm: ArmConfig, joint: int) -> Dialogue:
@@ -158,6 +166,42 @@ def _refuse_another_run_mode(joint: int, config: JointConfig) -> Part[None]:
             f"{wanted}, which is set while it is stopped: end the program that leads it, support the arm, switch the "
             "drive off and on, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
         )
+
+
+def _require_within_its_field(joint: int, config: JointConfig, rad: float) -> None:
+    """Refuse a motor that stands where no frame reaches; raises TalkFailed."""
+    most = _drive(config).position_range_rad
+    if abs(rad) <= most:
+        return
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} stands at {rad:+.3f} rad of its shaft, beyond what its frames reach "
+        f"(±{most:.6g} rad), so it would be moved if it were told to stay: turn the joint back by hand while the drive "
+        "is off, or set its zero with the maker's program, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+    )
+
+
+def _hold_as_it_is(host: Host, joint: int, standing: float) -> Part[float]:
+    """Let one that runs in control mode hold where it stands, with the torque that it makes; what it is told to hold.
+
+    Raises TalkFailed.
+    """
+    config = host.arm.joints[joint]
+    drive = _drive(config)
+    answer = yield AskFrames((_write(drive, SPEED_TARGET, 0.0),), _is_feedback)
+    if answer is None:
+        raise TalkFailed(joint, silent_amid(config, "state"))
+    _, speed, torque = struct.unpack_from(">HHH", answer.data)
+    held = standing
+    if abs(fields.of_field(speed, drive.velocity_range_rad_s, 16)) <= STANDING_RAD_S:
+        assert drive.kp is not None
+        most = host.arm.limits.following_error_rad * config.ratio
+        held += min(max(fields.of_field(torque, drive.torque_range_nm, 16) / drive.kp, -most), most)
+    # the nearest step, not the one below: it is the one that it was told, if it was told to hold
+    reach = drive.position_range_rad
+    held = fields.of_field(fields.field(held + reach / FIELD_STEPS, reach, 16), reach, 16)
+    yield from _said(joint, config, _hold(drive, held))
+    return held
 
 
 def _prepare(joint: int, config: JointConfig, standing: float) -> Part[None]:

@@ -1,13 +1,18 @@
 """Bringing RobStride motors up: nothing moves whatever they were told before, and what is not as the arm file says."""
 
+import math
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from motion_figures import sampled_truth
 from virtual import VirtualArm
 
-from rtloop.drives.robstride_setup import CREEP_RAD_S
+from config.loader import load_arm
+from rtloop.drives import fields
+from rtloop.drives.robstride_setup import CREEP_RAD_S, _hold_as_it_is
+from rtloop.port import Frame as PortFrame
 from shm.words import Mode
 from sim.bus import Frame
 from sim.drives.robstride import RESET, RUN
@@ -93,6 +98,52 @@ def test_a_motor_that_runs_already_is_neither_stopped_nor_enabled_again(name: st
     assert b"T1100FD01" in said and b"T03" not in said and b"T04" not in said
     assert way(arm) <= way_before + arm.arm.joints[0].encoder_count_rad
     arm.close()
+
+
+@both
+@pytest.mark.parametrize("away_rad", [-20.0, 20.0])
+def test_a_motor_beyond_what_its_frames_reach_is_left_alone(name: str, away_rad: float) -> None:
+    """It would go to the end of its field if it were told to stay."""
+    arm = VirtualArm(name, faults=[Disabled("joint2", 0.0)])
+    arm.sim.drives[1].origin -= away_rad / (2 * math.pi)
+    failed = arm.bring_up().failure
+    assert failed is not None and "joint2 stands at" in str(failed) and "by hand" in str(failed)
+    arm.cycles(50)
+    assert arm.sim.drives[1].state == RESET and way(arm) <= 2 * arm.arm.joints[0].encoder_count_rad
+    arm.close()
+
+
+def test_a_motor_that_was_told_to_turn_or_to_be_limp_holds_after_it_was_brought_up() -> None:
+    """Set-points without stiffness: 1.8 rad/s, and nothing at all."""
+    arm = VirtualArm(CONTROL)
+    arm.cycles(3)
+    for joint, set_point in ((0, "8000 87D0 0000 3333"), (1, "8000 8000 0000 0000")):
+        told(arm, joint, 3, b"")
+        told(arm, joint, 1, bytes.fromhex(set_point))
+    assert arm.bring_up().failure is None, arm.told
+    arm.cycles(40)
+    since_ns = arm.sim.now_ns
+    arm.cycles(100)
+    assert float(np.ptp(sampled_truth(arm.sim, 0, since_ns, arm.sim.now_ns)[1])) < 0.001
+    assert all(drive._set_point.kp > 0.0 for drive in arm.sim.drives[:2])
+    arm.close()
+
+
+def test_a_motor_that_bears_a_load_goes_on_bearing_it() -> None:
+    """2 N·m with a stiffness of kp: it is held that far ahead of where it stands, and commanded to be there."""
+    config = load_arm(CONTROL).joints[0]
+    host = SimpleNamespace(arm=load_arm(CONTROL))
+    dialogue = _hold_as_it_is(host, 0, 1.0)
+    next(dialogue)
+    torque = fields.field(2.0, config.drive.torque_range_nm, 16)
+    feedback = PortFrame(0x02800100 | config.drive.host_id, struct.pack(">HHHH", 0x8A2F, 0x7FFF, torque, 0x0131))
+    told_to_hold = dialogue.send(feedback).packets(True)[0][0]
+    held_rad = 1.0 + 2.0 / config.drive.kp
+    code = fields.field(held_rad, config.drive.position_range_rad, 16)
+    assert abs(struct.unpack_from(">H", told_to_hold.data)[0] - code) <= 1
+    with pytest.raises(StopIteration) as end:
+        dialogue.send(feedback)
+    assert end.value.value == pytest.approx(held_rad, abs=1e-4)
 
 
 @both
