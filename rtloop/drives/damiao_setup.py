@@ -20,6 +20,7 @@ import numpy as np
 from config.drives.damiao import (
     HIGHEST_KD,
     HIGHEST_KP,
+    POSITION_STEPS,
     POSITION_VELOCITY_OFFSET,
     REGISTERS_ID,
     DamiaoDrive,
@@ -101,6 +102,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     drive = _drive(config)
     found = yield from _sound(host, joint)
     yield from _check_ranges(joint, config)
+    _require_within_its_field(joint, config, found.rad)
     yield from _set_up(host, joint, enabled=found.code == ENABLED)
     for _ in range(TRIES):
         found = yield from _feedback(joint, config)
@@ -257,6 +259,20 @@ def _check_ranges(joint: int, config: JointConfig) -> Part[None]:
             f"{field_name} of {config.name} to what the motor has, or the register to {expected:g} with the maker's "
             "tool.",
         )
+
+
+def _require_within_its_field(joint: int, config: JointConfig, rad: float) -> None:
+    """Refuse a motor at the end of its position field: it may stand beyond, and to stay there would move it."""
+    most = _drive(config).ranges.rad
+    if abs(rad) < most * (1.0 - 1.0 / POSITION_STEPS):
+        return
+    raise TalkFailed(
+        joint,
+        f"The drive of {config.name} stands at or beyond an end of what its frames reach (±{most:g} rad of its shaft), "
+        "so nobody knows where, and it would be moved if it were told to stay: turn the joint back by hand while the "
+        "drive is off, or set its zero with the maker's tool, then `rtarm clear-fault`, or `rtarm up` where it has "
+        "ended.",
+    )
 
 
 def _set_up(host: Host, joint: int, *, enabled: bool) -> Part[None]:

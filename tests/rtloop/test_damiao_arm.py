@@ -80,6 +80,20 @@ def test_an_arm_that_holds_is_taken_over_as_it_is(name: str) -> None:
 
 
 @MODES
+@pytest.mark.parametrize("away_rad", [-20.0, 20.0])
+def test_a_motor_beyond_what_its_frames_reach_is_left_alone(name: str, away_rad: float) -> None:
+    """It says the end of its field, and would go there if it were told to stay at what it says."""
+    arm = VirtualArm(name, start_rad=START_RAD, faults=[Disabled("joint3", 0.0)])
+    arm.sim.drives[2].origin -= away_rad / (2.0 * math.pi)
+    began_ns = arm.sim.now_ns
+    failure = arm.bring_up().failure
+    assert failure is not None and "joint3 stands at or beyond an end" in str(failure)
+    arm.cycles(20)
+    assert stands(arm, began_ns) and not arm.sim.drives[2].enabled
+    arm.close()
+
+
+@MODES
 def test_an_alarm_time_is_taken_away_and_said_before_it_can_let_go(name: str) -> None:
     """Half a second without commands: the arm holds all the same, for as long as nobody moves it."""
     arm = switched_on(name)
