@@ -20,6 +20,11 @@ ANSWER_PERIODS = 3
 TRIES = 5
 
 
+def answer_patience_s(arm: ArmConfig) -> float:
+    """How long one try waits for an answer, or for what a drive says by itself."""
+    return max(ANSWER_PATIENCE_NS, ANSWER_PERIODS * arm.control.period_ns) * 1e-9
+
+
 class TalkFailed(Exception):
     """A conversation cannot go on; the text is the sentence people read."""
 
@@ -89,7 +94,7 @@ class Conversation:
         self.done = False
         self.failure: TalkFailed | None = None
         self.port = port
-        self._patience_ns = max(ANSWER_PATIENCE_NS, ANSWER_PERIODS * arm.control.period_ns)
+        self._patience_ns = round(answer_patience_s(arm) * 1e9)
         self._fault = fault
         self._last_order = last_order
         self._dialogues: dict[int, Dialogue] = {}

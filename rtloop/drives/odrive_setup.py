@@ -15,7 +15,7 @@ import numpy as np
 from config.drives.odrive import OdriveDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, answer_patience_s, silent_amid
 from rtloop.drives.asking import AskFrames, say
 from rtloop.drives.setup import Found, Host
 from rtloop.port import Frame
@@ -176,10 +176,15 @@ def _heartbeat(
     heartbeat_s = _drive(config).heartbeat_ms * 1e-3
     found: tuple[int, int] | None = None
     listened = AskFrames((), lambda frame: frame.id & (COMMANDS - 1) == HEARTBEAT and len(frame.data) == ANSWER_BYTES)
-    for _ in range(math.ceil((MISSED_HEARTBEATS * heartbeat_s + BUSY_S) / heartbeat_s)):
+    waited_s = silent_s = 0.0
+    while waited_s < MISSED_HEARTBEATS * heartbeat_s + BUSY_S and silent_s < MISSED_HEARTBEATS * heartbeat_s:
         frame = yield listened
-        if frame is None:
-            break
+        if frame is None:  # it may be less than a heartbeat that was listened for
+            waited_s += TRIES * answer_patience_s(arm)
+            silent_s += TRIES * answer_patience_s(arm)
+            continue
+        waited_s += heartbeat_s
+        silent_s = 0.0
         found = struct.unpack("<IB", frame.data[:5])
         if until(*found):
             return found
