@@ -6,7 +6,7 @@ the last byte is the sum of the identifier and all bytes before it. 16384 counts
   µs, also in mid-move; with rpm 0 it is a halt along that ramp, after which the drive holds;
 - `31` → `31 counts48`; `3A` → `3A enabled`; `3E` → `3E tripped`; `F7` stops at once, homing runs too;
 - results are `F5 code`: 0 refused, 1 begun, 2 done, 3 stopped at a limit, 5 waits for others.
-A request and its answer differ in length for every function used here, which tells an answer from an echo.
+A request and its answer differ in length for every function that is heard here, which tells an answer from an echo.
 
 Streaming: a target ahead, and a speed that sets the pace (`rtloop.leading`), as with ZDT drives.
 """

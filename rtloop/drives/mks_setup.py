@@ -359,10 +359,14 @@ def _is_answer(can_id: int, lengths: tuple[int, ...], code: int) -> Callable[[Fr
 def _ask(
     can_id: int, length: int | tuple[int, ...], *data: int, before: tuple[bytes, ...] = (), answered: bool = True
 ) -> AskFrames:
-    """A command, and its answer of so many bytes; what leaves right before it is said as often, and not waited for."""
+    """A command, and its answer of so many bytes; what leaves right before it is said as often, and not waited for.
+
+    An adapter may echo the command, which is as long as its answer in one case (82), but never the same.
+    """
     lengths = (length,) if isinstance(length, int) else length
     frames = tuple(_frame(can_id, told) for told in (*before, bytes(data)))
-    return AskFrames(frames, _is_answer(can_id, lengths, data[0]), answered)
+    is_answer = _is_answer(can_id, lengths, data[0])
+    return AskFrames(frames, lambda frame: is_answer(frame) and frame.data != frames[-1].data, answered)
 
 
 def _told(config: JointConfig, *data: int) -> Part[bool]:

@@ -9,6 +9,9 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from rtloop import status
+from rtloop.drives.mks_setup import _told
+from rtloop.port import Frame as PortFrame
+from rtloop.wire.frame_words import STANDARD
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.bus import Frame
 from sim.drives.mks import MksDrive, checksum
@@ -112,6 +115,13 @@ def test_firmware_that_cannot_be_asked_is_told():
     assert sorted(codes) == [0x82] * 6 + [0x8C] * 6
     assert {drive.settings[0x8C] for drive in drives(arm)} == {b"\x00\x00"}
     arm.close()
+
+
+def test_an_echo_of_a_setting_is_not_its_answer():
+    """82 05 88 is as long as what answers it, 82 01 84."""
+    question = next(_told(load_arm("mks6").joints[0], 0x82, 0x05))
+    assert question.hear(PortFrame(1, bytes.fromhex("820588"), kind=STANDARD), False) is None
+    assert question.hear(PortFrame(1, bytes.fromhex("820184"), kind=STANDARD), False) is not None
 
 
 def test_microsteps_that_make_another_speed_are_refused():
