@@ -147,13 +147,17 @@ class Referencing(Conversation):
             raise TalkFailed(joint, silent_amid(self.arm.joints[joint], "position"))
         self.post(REFERENCING, joint=joint)
         zero_rad, measured_rad = self.port.zero_rad(joint), self.port.measured_rad(joint)
+        # what the drive holds, which a load keeps it from, goes on being commanded
+        bent_rad = self.port.commanded_rad(joint) - measured_rad
+        if abs(bent_rad) > self.arm.limits.following_error_rad:
+            bent_rad = 0.0
         if not math.isnan(angle_rad):
             self._keep_lost(joint, Unreferenced.NOT_HOMED if drive.knows_its_angle else None)
             zero_rad += measured_rad - angle_rad
             measured_rad = angle_rad
         elif zero_rad == self.arm.joints[joint].zero_rad:
             self._keep_lost(joint, None)
-        self._count_from(joint, zero_rad, measured_rad)
+        self._count_from(joint, zero_rad, measured_rad + bent_rad)
 
     # --- a homing run
 

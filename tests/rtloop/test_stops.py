@@ -1,4 +1,4 @@
-"""Drives that are told to stay where they stand: what is known of where that is, and what is not."""
+"""Drives that are told to stay where they stand: what is known of where that is, of what they hold, and what is not."""
 
 import math
 from types import SimpleNamespace
@@ -19,15 +19,21 @@ TOLD_A_PLACE = pytest.mark.parametrize(
 )
 
 
-@TOLD_A_PLACE
-def test_a_drive_that_is_not_heard_any_more_is_not_taken_back(name: str) -> None:
-    """It hears and obeys, but its answers are lost: where it was heard last lies behind where it has been led since."""
-    goal = recorded_goal("large")
-    arm = VirtualArm(name, start_rad=goal["joints"][0, :, 0])
+def referenced(name: str) -> VirtualArm:
+    """An arm that holds at the beginning of a recorded goal; a person has said of joints that they stand there."""
+    arm = VirtualArm(name, start_rad=recorded_goal("large")["joints"][0, :, 0])
     assert arm.bring_up().failure is None, arm.told
     if not np.all(arm.loop[0]["axes"]["referenced"][:6]):
         assert arm.ask(Request.REFERENCE, joint_mask=0b111111, value=math.nan) == Answer.DONE
         assert arm.reference().failure is None
+    return arm
+
+
+@TOLD_A_PLACE
+def test_a_drive_that_is_not_heard_any_more_is_not_taken_back(name: str) -> None:
+    """It hears and obeys, but its answers are lost: where it was heard last lies behind where it has been led since."""
+    goal = recorded_goal("large")
+    arm = referenced(name)
     arm.play("large")
     arm.cycles(int(0.4 * goal["times_ns"][-1] / arm.period_ns))
     speeds = arm.loop[0]["axes"]["velocity_rad_s"][:6].copy()
@@ -55,3 +61,17 @@ def test_nothing_is_told_where_nobody_knows_the_place(name: str, unknown: dict[s
         axis[word] = value
     assert families.stop(cycle.loop[0], 1, cycle.shared[0])
     assert (cycle.loop[0]["core"]["tx_frames"] == 0) == bool(unknown)
+
+
+@pytest.mark.parametrize("name", ["odrive6", "mks6", "damiao6", "cia402_6", "myactuator6", "robstride6"])
+@pytest.mark.parametrize(("bent_rad", "kept_rad"), [(0.015, 0.015), (-0.015, -0.015), (1.0, 0.0)])
+def test_a_joint_that_is_referenced_is_still_told_what_it_holds(name: str, bent_rad: float, kept_rad: float) -> None:
+    """A load keeps a drive from its target: to command where it stands would let it sink by as much again."""
+    arm = referenced(name)
+    axis = arm.loop[0]["axes"][1]
+    axis["position_rad"] = axis["next_position_rad"] = axis["measured_rad"] + bent_rad
+    said_rad = float(axis["measured_rad"]) + 0.1
+    assert arm.ask(Request.REFERENCE, joint_mask=0b10, value=said_rad) == Answer.DONE
+    assert arm.reference().failure is None
+    assert axis["position_rad"] - said_rad == pytest.approx(kept_rad, abs=0.001)
+    arm.close()
