@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rtloop.conversation import Packet
+from rtloop.conversation import TRIES, Packet, Part
 from rtloop.port import Frame
 
 
@@ -30,3 +30,17 @@ class AskFrames:
 def say(*frames: Frame) -> AskFrames:
     """Frames that nothing answers."""
     return AskFrames(frames, lambda frame: False, answered=False)
+
+
+def confirmed(read: Callable[[], Part[float]], within: float) -> Part[float]:
+    """A place that was read twice in a row: a serial line has no checksum, and a drive is told to be there.
+
+    One that moves so fast that no two readings agree is where it was read last.
+    """
+    before = yield from read()
+    for _ in range(TRIES):
+        found = yield from read()
+        if abs(found - before) <= within:
+            break
+        before = found
+    return found

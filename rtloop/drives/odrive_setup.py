@@ -16,8 +16,8 @@ from config.drives.odrive import OdriveDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, answer_patience_s, silent_amid
-from rtloop.drives.asking import AskFrames, say
-from rtloop.drives.setup import Found, Host
+from rtloop.drives.asking import AskFrames, confirmed, say
+from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host
 from rtloop.port import Frame
 from rtloop.wire.frame_words import REMOTE, STANDARD
 from shm.words import Unreferenced
@@ -90,7 +90,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
                 "caused it is still there: find it with `dump_errors` in odrivetool, then `rtarm clear-fault`.",
             )
     for _ in range(TRIES):
-        standing = yield from _turns(joint, config)
+        standing = yield from confirmed(lambda: _turns(joint, config), SAME_PLACE_RAD * config.ratio / (2.0 * math.pi))
         here = _frame(node, INPUT_POSITION, struct.pack("<fhh", standing, 0, 0))
         modes = _frame(node, MODES, struct.pack("<II", POSITION_CONTROL, PASSTHROUGH))
         yield say(here)  # twice: modes without it would send an axis to whatever its input position is
@@ -108,7 +108,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
             f"The drive of {config.name} does not close its loop ({why}): calibrate its motor and encoder with "
             "odrivetool and save that in the drive, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
         )
-    turns = yield from _turns(joint, config)
+    turns = yield from confirmed(lambda: _turns(joint, config), SAME_PLACE_RAD * config.ratio / (2.0 * math.pi))
     return Found(turns, turns, Unreferenced.REFERENCED if _drive(config).knows_its_angle else Unreferenced.INCREMENTAL)
 
 

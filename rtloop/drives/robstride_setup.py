@@ -23,8 +23,8 @@ from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.correction import ERROR_SPEED_SHARE
 from rtloop.drives import fields
-from rtloop.drives.asking import AskFrames, say
-from rtloop.drives.setup import Found, Host
+from rtloop.drives.asking import AskFrames, confirmed, say
+from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host
 from rtloop.port import Frame
 from shm.words import Unreferenced
 
@@ -95,7 +95,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     if state.mode == RUN:
         yield from _refuse_another_run_mode(joint, config)
     for _ in range(TRIES):
-        standing = held = yield from _where_it_stands(joint, config)
+        standing = held = yield from confirmed(lambda: _where_it_stands(joint, config), SAME_PLACE_RAD * config.ratio)
         _require_within_its_field(joint, config, standing)
         if state.mode != RUN:
             yield from _prepare(joint, config, standing)
@@ -113,7 +113,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
             f"The drive of {config.name} does not run after being enabled ({why}): calibrate its encoder with the "
             "maker's program, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
         )
-    standing = yield from _where_it_stands(joint, config)
+    standing = yield from confirmed(lambda: _where_it_stands(joint, config), SAME_PLACE_RAD * config.ratio)
     if drive.mode != "control":
         hold_rad_s = ERROR_SPEED_SHARE * config.max_velocity_rad_s * config.ratio
         yield from _said(joint, config, _write(drive, SPEED_LIMIT, hold_rad_s))

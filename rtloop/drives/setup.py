@@ -15,6 +15,9 @@ from rtloop.conversation import Dialogue, Part
 from rtloop.port import ServicePort
 from shm.words import Unreferenced
 
+SAME_PLACE_RAD = 0.02
+"""Two readings of a joint that stands differ by less."""
+
 
 class Found(NamedTuple):
     """What bring-up has found a drive to be, which is then commanded to stay."""

@@ -1,6 +1,8 @@
 """Drives that are told to stay where they stand: what is known of where that is, of what they hold, and what is not."""
 
 import math
+import struct
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +15,8 @@ from rtloop.beginning import new_loop
 from rtloop.drives import families
 from shm import layout
 from shm.words import Answer, Mode, Request
+from sim.bus import Frame
+from sim.faults import Disabled
 
 TOLD_A_PLACE = pytest.mark.parametrize(
     "name", ["odrive6", "damiao6", "damiao6_pv", "robstride6", "robstride6_position"]
@@ -75,3 +79,35 @@ def test_a_joint_that_is_referenced_is_still_told_what_it_holds(name: str, bent_
     assert arm.reference().failure is None
     assert axis["position_rad"] - said_rad == pytest.approx(kept_rad, abs=0.001)
     arm.close()
+
+
+@pytest.mark.parametrize(("name", "from_parameter", "most"), [("odrive6", False, 80), ("robstride6", True, 8)])
+def test_a_garbled_place_is_not_where_a_drive_is_enabled(name: str, from_parameter: bool, most: int) -> None:
+    """One answer of joint 2 says another place while it is brought up: whichever it is, nothing moves."""
+    for garbled in range(1, most):
+        arm = VirtualArm(name, faults=[Disabled("joint2", 0.0)])
+        if name == "odrive6":  # one that is idle begins where it stands, whatever it was told
+            assert arm.bring_up().failure is None
+        began_ns = arm.sim.now_ns
+        drive = arm.sim.drives[1]
+        said, reply = [0], drive.reply
+
+        def once(
+            frame: Frame, said: list[int] = said, reply: Callable[[Frame], None] = reply, at: int = garbled
+        ) -> None:
+            place = frame.can_id >> 24 == 17 and frame.data[:2] == b"\x19\x70" if from_parameter else True
+            said[0] += place
+            if place and said[0] == at:
+                head, tail = (4, 8) if from_parameter else (0, 4)
+                value = struct.unpack("<f", frame.data[head:tail])[0] + 2.0
+                frame = Frame(
+                    frame.can_id, frame.data[:head] + struct.pack("<f", value) + frame.data[tail:], frame.extended
+                )
+            reply(frame)
+
+        drive.reply = once
+        arm.bring_up()
+        arm.cycles(40)
+        _, position_rad, _ = sampled_truth(arm.sim, 1, began_ns, arm.sim.now_ns)
+        assert np.ptp(position_rad) <= 0.002, garbled
+        arm.close()
