@@ -3,6 +3,7 @@
 from typing import Any
 
 from rtloop.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
+from rtloop.state import NOT_LED
 from shm.jit import jit
 
 Loop = Any  # record of dtype rtloop.state.LOOP
@@ -37,7 +38,9 @@ def still_behind_rad(loop: Loop, joint: int, setpoint_rad: float) -> float:
     """
     core, row, axis = loop.core, loop.joints[joint], loop.axes[joint]
     period_s = loop.params.period_ns * 1e-9
-    if core.cycle - axis.led_cycle > STANDS_AFTER_CYCLES:
+    if axis.led_cycle == NOT_LED:  # it holds what is commanded, by as much off that as its load makes
+        axis.behind_rad = axis.behind_rad_s = 0.0
+    elif core.cycle - axis.led_cycle > STANDS_AFTER_CYCLES:
         axis.behind_rad = setpoint_rad - axis.measured_rad
         axis.behind_rad_s = axis.next_velocity_rad_s
     axis.led_cycle = core.cycle

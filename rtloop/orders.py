@@ -7,7 +7,7 @@ from rtloop import intake, port, service
 from rtloop.faults import latch_fault
 from rtloop.guard import outlives_a_clear
 from rtloop.modes import change_mode
-from rtloop.state import HISTORY_SLOTS
+from rtloop.state import HISTORY_SLOTS, NOT_LED
 from shm.jit import jit
 from shm.layout import MAX_JOINTS
 from shm.words import Answer, BusState, Fault, Mode, Request, Unreferenced
@@ -118,6 +118,7 @@ def adopt(loop: Loop, joint: int, position_rad: float, reason: int) -> None:
     axis.acceleration_rad_s2 = axis.next_acceleration_rad_s2 = 0.0
     axis.difference_velocity_rad_s = 0.0
     axis.rpm_remainder = axis.fast_offset_rad = 0.0
+    axis.led_cycle = NOT_LED
     for slot in range(HISTORY_SLOTS):
         loop.history_rad[slot * MAX_JOINTS + joint] = position_rad
     axis.reference_rad, axis.reference_velocity_rad_s = position_rad, 0.0

@@ -26,6 +26,8 @@ CAN_FRAME_BYTES = 16
 TX_FRAMES = TX_BYTES // CAN_FRAME_BYTES
 RX_FRAMES = READ_BYTES // CAN_FRAME_BYTES
 LISTENERS = 8 * MAX_JOINTS
+NOT_LED = -1
+"""A drive that was adopted where it stands, and has been told nothing since."""
 NOBODY, GRIPPER = -1, -2
 """Whose frame it is, where it is no joint's; those of a gripper's drive belong to its conversation."""
 CANCELED_SLOTS = 16
@@ -147,7 +149,7 @@ AXIS = np.dtype(
         ("lag_rad", "f8"),  # what was commanded meanwhile
         ("readings", "i8"),
         ("asked_cycle", "i8"),  # the last one in which a command has asked it for its position as well
-        ("led_cycle", "i8"),  # the last one in which it was led, where that is told apart
+        ("led_cycle", "i8"),  # the last one in which it was led, where that is told apart; NOT_LED since it was adopted
         ("let_go", "i8"),  # 1: it was told to let go, and has said so
         ("brake_released", "i8"),  # 1: it has said that its brake is released
         ("questions", "i8"),  # for its position that may still be answered, QUESTIONS at most
