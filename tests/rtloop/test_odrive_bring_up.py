@@ -15,7 +15,7 @@ def test_every_heartbeat_that_an_arm_file_may_name_is_waited_for(heartbeat_ms: i
         joint["drive"]["heartbeat_ms"] = heartbeat_ms
     arm = VirtualArm(ArmConfig.model_validate(given))
     assert arm.bring_up(at_most_s=20.0).failure is None
-    assert arm.core["mode"] == Mode.HOLDING
+    arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=1.0)  # the ring still holds what was said last
     assert arm.ask(Request.DISABLE) == Answer.DONE
     assert arm.release(at_most_s=20.0).failure is None
     arm.close()
