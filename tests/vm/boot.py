@@ -173,8 +173,6 @@ def run(folder: Path, kernel: Path, modules: Path, arguments: list[str]) -> int:
     """Boot, run the tests, and return how they ended; a machine that hangs is ended and its console shown."""
     share = folder / "share"
     share.mkdir()
-    (CACHE / "cache").mkdir(parents=True, exist_ok=True)
-    (share / "cache").symlink_to(CACHE / "cache")  # followed out here, by the file server
     packages = Path(sysconfig.get_path("purelib"))
     libraries = [Path(sys.prefix) / "lib", *sorted(packages.glob("ros_*.libs"))]  # which Python would start anew for
     inside = INSIDE.format(
@@ -237,6 +235,8 @@ def compile_for(machine: "subprocess.Popen[bytes]", share: Path, began: float) -
     environment["XDG_CACHE_HOME"] = str(CACHE / "cache")
     command = [ROOT / ".venv/bin/python", "-c", COMPILE, str(told)]
     result = subprocess.run(command, cwd=ROOT, env=environment, check=False)
+    # a link to it would be followed inside, where much of our file system is hidden
+    shutil.copytree(CACHE / "cache", share / "cache")
     (share / "compiled").touch()
     return result.returncode == 0
 
