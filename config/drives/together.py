@@ -125,7 +125,7 @@ def _suit_the_bus(joints: Sequence[JointConfig], bus: BusConfig) -> None:
         else:
             sentence = (
                 f"{joint.name} has a mock drive, but interface {bus.interface} needs a real drive "
-                "for every joint; give it one (family zdt), or set bus.interface to mock for all joints."
+                "for every joint; give it one (such as family zdt), or set bus.interface to mock for all joints."
             )
         raise refuse(f"joints[{index}].drive.family", sentence)
 
