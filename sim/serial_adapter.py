@@ -11,6 +11,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import random
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -41,7 +42,7 @@ class LineFault:
     strikes: Callable[[Frame], bool] | None = None
 
 
-class SerialAdapter(Generic[Message]):
+class SerialAdapter(ABC, Generic[Message]):
     """A node of the bus whose other side is a serial port; its kind is a class of its own.
 
     Args:
@@ -104,17 +105,17 @@ class SerialAdapter(Generic[Message]):
 
     # -- what a kind of adapter does -------------------------------------------------------------------
 
+    @abstractmethod
     def _split(self, data: bytes) -> Iterator[tuple[int, Message]]:
         """What the host's bytes mean, each with the number of these bytes at which it is complete."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _act(self, now_ns: int, message: Message) -> None:
         """Do what the host has asked for."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _spelt(self, now_ns: int, frame: Frame) -> bytes:
         """A received frame as the host is told of it; nothing where it is not."""
-        raise NotImplementedError
 
     # -- the host's side -----------------------------------------------------------------------------
 

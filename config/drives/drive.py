@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import ClassVar
 
 from config.bus import BusConfig
@@ -9,7 +10,7 @@ from config.frames import CycleFrames, Identifiers, PeriodicFrames
 from config.section import Section
 
 
-class Drive(Section):
+class Drive(Section, ABC):
     """A drive of an arm file; a family's own file says what is different."""
 
     family: str
@@ -44,14 +45,14 @@ class Drive(Section):
         return None
 
     @property
+    @abstractmethod
     def highest_motor_rpm(self) -> float:
         """Highest speed that may be asked of a motor (rpm)."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def command_steps_per_revolution(self) -> float:
         """Steps of a position command for one motor turn."""
-        raise NotImplementedError
 
     @property
     def reading_steps_per_revolution(self) -> float:
