@@ -25,6 +25,8 @@ ROUNDING = 1.0 + 1e-6
 STATUSES_TO_BELIEVE = 2
 REFUSALS_TO_BELIEVE = 2
 STOP_FRAMES = 3
+FRESH_READINGS = 3
+"""A reading that is as old as so many that should have come since tells nothing of where the joint is."""
 PROBES = 10
 """Drives are asked so often, each time one of them, between the last frame anybody heard and the latched fault."""
 HAND_SHARE = 2.0
@@ -195,7 +197,7 @@ def knows_where_it_stands(loop: Loop, joint: int) -> bool:
     axis = loop.axes[joint]
     if axis.readings == 0 or axis.doubted == 1:
         return False
-    return bool(loop.core.now_ns - axis.measured_ns <= loop.params.stale_brake_ns)
+    return bool(loop.core.now_ns - axis.measured_ns <= FRESH_READINGS * loop.params.reading_ns)
 
 
 @jit

@@ -9,7 +9,7 @@ Emergencies (080) hold an error code, heartbeats (700) the node's state.
 
 from typing import Any
 
-from rtloop import following, hearing
+from rtloop import following, guard, hearing
 from rtloop import status as status_bits
 from rtloop.drives import words
 from rtloop.drives.cia402_setup import (
@@ -36,9 +36,6 @@ from shm.words import Unreferenced
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
-
-FRESH_PERIODS = 3
-"""A reading is of the SYNC of the cycle before; one that is older than this tells nothing of where the drive is."""
 
 
 @jit
@@ -84,8 +81,7 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
     axis = loop.axes[joint]
     limp = axis.status & status_bits.ANSWERED != 0 and axis.status & status_bits.ENABLED == 0
     doubtful = axis.referenced == 0 and axis.unreferenced_reason == Unreferenced.POSITION_JUMP
-    old = loop.core.now_ns - axis.measured_ns > FRESH_PERIODS * loop.params.period_ns
-    if limp or doubtful or old or axis.readings == 0:
+    if limp or doubtful or not guard.knows_where_it_stands(loop, joint):
         return True
     return send_target(loop, joint, shared, axis.measured_rad, joint)
 
