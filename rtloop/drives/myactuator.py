@@ -36,6 +36,15 @@ VOLT_PER_STEP = 0.1
 STALL, LOW_VOLTAGE, OVER_VOLTAGE, OVER_CURRENT, POWER = 0x0002, 0x0004, 0x0008, 0x0010, 0x0040
 OVER_TEMPERATURE, ENCODER = 0x1000, 0x2000
 """Bits of the error word; power is the current that it takes from its supply."""
+ERROR_MEANINGS = (
+    (0xFFFF, status_bits.PROTECTED),
+    (STALL, status_bits.STALLED),
+    (LOW_VOLTAGE, status_bits.UNDER_VOLTAGE),
+    (OVER_VOLTAGE, status_bits.OVER_VOLTAGE),
+    (OVER_CURRENT | POWER, status_bits.OVER_CURRENT),
+    (OVER_TEMPERATURE, status_bits.OVER_TEMPERATURE),
+    (ENCODER, status_bits.ENCODER),
+)
 
 
 @jit
@@ -138,19 +147,4 @@ def holds(axis: Any, brake: int) -> bool:
 @jit
 def common_status(enabled: bool, error: int) -> int:
     """Whether it holds, and its error word, in common bits."""
-    status = status_bits.ENABLED if enabled else 0
-    if error != 0:
-        status |= status_bits.PROTECTED
-    if error & STALL:
-        status |= status_bits.STALLED
-    if error & LOW_VOLTAGE:
-        status |= status_bits.UNDER_VOLTAGE
-    if error & OVER_VOLTAGE:
-        status |= status_bits.OVER_VOLTAGE
-    if error & (OVER_CURRENT | POWER):
-        status |= status_bits.OVER_CURRENT
-    if error & OVER_TEMPERATURE:
-        status |= status_bits.OVER_TEMPERATURE
-    if error & ENCODER:
-        status |= status_bits.ENCODER
-    return status
+    return words.meaning(error, ERROR_MEANINGS) | (status_bits.ENABLED if enabled else 0)

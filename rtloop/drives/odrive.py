@@ -32,6 +32,13 @@ Shared = Any  # record of dtype shm.layout.STATE
 AHEAD_PER_UNIT = 1000.0
 MOST_AHEAD = 32_767
 
+ERROR_MEANINGS = (
+    (0xFFFFFFFF, status_bits.PROTECTED),
+    (1 << 7 | 1 << 8 | 1 << 19, status_bits.ENCODER),
+    (1 << 18, status_bits.OVER_TEMPERATURE),
+    (1 << 11, status_bits.COMMUNICATION),
+)
+
 
 @jit
 def identifier(loop: Loop, joint: int, command: int) -> int:
@@ -113,13 +120,4 @@ def hear(
 @jit
 def common_status(error: int, state: int) -> int:
     """The heartbeat's error word and axis state in common bits."""
-    status = status_bits.ENABLED if state == CLOSED_LOOP else 0
-    if error != 0:
-        status |= status_bits.PROTECTED
-    if error & (1 << 7 | 1 << 8 | 1 << 19):
-        status |= status_bits.ENCODER
-    if error & 1 << 18:
-        status |= status_bits.OVER_TEMPERATURE
-    if error & 1 << 11:
-        status |= status_bits.COMMUNICATION
-    return status
+    return words.meaning(error, ERROR_MEANINGS) | (status_bits.ENABLED if state == CLOSED_LOOP else 0)

@@ -54,6 +54,20 @@ ENCODERS = 0x08 | 0x10 | 0x20
 FAULT_TEMPERATURE, FAULT_UNDER_VOLTAGE, FAULT_OVER_VOLTAGE = 0x01, 0x04, 0x08
 FAULT_CURRENTS, FAULT_ENCODER = 0x10 | 0x20 | 0x10000, 0x80
 """Bits of the word that type 21 says."""
+FLAG_MEANINGS = (
+    (0x3F, status_bits.PROTECTED),
+    (UNDER_VOLTAGE, status_bits.UNDER_VOLTAGE),
+    (OVER_CURRENT, status_bits.OVER_CURRENT),
+    (OVER_TEMPERATURE, status_bits.OVER_TEMPERATURE),
+    (ENCODERS, status_bits.ENCODER),
+)
+FAULT_MEANINGS = (
+    (FAULT_TEMPERATURE, status_bits.OVER_TEMPERATURE),
+    (FAULT_UNDER_VOLTAGE, status_bits.UNDER_VOLTAGE),
+    (FAULT_OVER_VOLTAGE, status_bits.OVER_VOLTAGE),
+    (FAULT_CURRENTS, status_bits.OVER_CURRENT),
+    (FAULT_ENCODER, status_bits.ENCODER),
+)
 
 
 @jit
@@ -224,32 +238,10 @@ def hear_parameter(loop: Loop, joint: int, index: int, value: float, time_ns: in
 @jit
 def common_status(mode: int, faults: int) -> int:
     """State and faults of a feedback in common bits."""
-    status = status_bits.ENABLED if mode == RUN else 0
-    if faults != 0:
-        status |= status_bits.PROTECTED
-    if faults & UNDER_VOLTAGE:
-        status |= status_bits.UNDER_VOLTAGE
-    if faults & OVER_CURRENT:
-        status |= status_bits.OVER_CURRENT
-    if faults & OVER_TEMPERATURE:
-        status |= status_bits.OVER_TEMPERATURE
-    if faults & ENCODERS:
-        status |= status_bits.ENCODER
-    return status
+    return words.meaning(faults, FLAG_MEANINGS) | (status_bits.ENABLED if mode == RUN else 0)
 
 
 @jit
 def fault_status(fault: int) -> int:
     """The word of type 21 in common bits; its other bits are overload and the driver chip."""
-    status = status_bits.PROTECTED
-    if fault & FAULT_TEMPERATURE:
-        status |= status_bits.OVER_TEMPERATURE
-    if fault & FAULT_UNDER_VOLTAGE:
-        status |= status_bits.UNDER_VOLTAGE
-    if fault & FAULT_OVER_VOLTAGE:
-        status |= status_bits.OVER_VOLTAGE
-    if fault & FAULT_CURRENTS:
-        status |= status_bits.OVER_CURRENT
-    if fault & FAULT_ENCODER:
-        status |= status_bits.ENCODER
-    return status
+    return words.meaning(fault, FAULT_MEANINGS) | status_bits.PROTECTED

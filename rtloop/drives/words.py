@@ -43,6 +43,16 @@ def bounded(value: float, most: int) -> int:
 
 
 @jit
+def meaning(bits: int, table: tuple[tuple[int, int], ...]) -> int:
+    """What an error word's bits are in common bits (`rtloop.status`); `table` has pairs of its bits and theirs."""
+    found = 0
+    for theirs, common in table:
+        if bits & theirs:
+            found |= common
+    return found
+
+
+@jit
 def swapped(value: int, size: int) -> int:
     """The lowest `size` bytes of a number in the other order: for fields whose highest byte comes first."""
     found = 0
