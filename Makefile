@@ -9,7 +9,7 @@ ROS_SETUP := /opt/ros/jazzy/setup.bash
 # Where a ROS installation is sourced, rclpy comes from there and the wheels are left out: the two do not mix.
 ROS := $(if $(ROS_DISTRO),$(shell $(PYTHON) -c 'import rclpy' 2>/dev/null && echo installation))
 ROS_FROM := $(or $(ROS),wheels)
-EXTRAS := bench$(COMMA)dev$(if $(ROS),,$(COMMA)ros)
+EXTRAS := bench$(COMMA)dev$(COMMA)docs$(COMMA)plot$(COMMA)teach$(COMMA)view$(if $(ROS),,$(COMMA)ros)
 INTERFACES := $(shell find rosfront/interfaces -type f -not -name '*.pyc')
 COMPILED := $(wildcard config/*.py config/drives/*.py) $(shell find motion shm rtloop -name '*.py')
 SOURCES := config motion shm rtloop rosfront sim rtarm ros bench tests
