@@ -14,7 +14,6 @@ import gc
 import json
 import os
 import sys
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -25,6 +24,7 @@ import numpy as np
 from rtarm.errors import Refusal
 from rtarm.goals import Goal, load_goal
 from rtarm.processes import READY
+from rtarm.ros_client import goal_message, served_node, wait
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -87,54 +87,6 @@ def percentiles(values: np.ndarray) -> dict[str, float]:
     }
 
 
-def goal_message(document: dict[str, Any]) -> Any:
-    """The recorded goal as a FollowJointTrajectory.Goal, field for field."""
-    from control_msgs.action import FollowJointTrajectory
-
-    message = FollowJointTrajectory.Goal()
-    fill(message, document)
-    return message
-
-
-def fill(message: Any, values: dict[str, Any]) -> None:
-    """Set the fields of a ROS message from plain values, whatever its type.
-
-    Raises:
-        Refusal: the values have a field that the message has not, or a value of the wrong type.
-    """
-    types = message.get_fields_and_field_types()
-    for name, value in values.items():
-        if name not in types:
-            raise Refusal(f"The goal has a field {name!r}, which {type(message).__name__} has not: remove it.")
-        present = getattr(message, name)
-        try:
-            if isinstance(value, dict):
-                fill(present, value)
-            elif isinstance(value, list) and value and isinstance(value[0], dict):
-                setattr(message, name, [_filled(types[name], item) for item in value])
-            else:
-                setattr(message, name, value)
-        except (AssertionError, AttributeError, TypeError, ValueError):
-            raise Refusal(f"The goal's field {name!r} is no {types[name]}: correct it.") from None
-
-
-def _filled(sequence: str, values: dict[str, Any]) -> Any:
-    """A message of the type in `sequence<trajectory_msgs/JointTrajectoryPoint>`."""
-    import importlib
-
-    package, name = sequence.partition("<")[2].rstrip(">").split(",")[0].split("/")
-    message = getattr(importlib.import_module(f"{package}.msg"), name)()
-    fill(message, values)
-    return message
-
-
-def wait(future: Any, patience_s: float) -> bool:
-    """Whether an rclpy future, which another thread completes, is done in time."""
-    done = threading.Event()
-    future.add_done_callback(lambda _: done.set())
-    return done.wait(patience_s)
-
-
 def play(client: Any, goal: Goal) -> bool:
     """Send one goal, report how it went, and say whether it succeeded."""
     from action_msgs.msg import GoalStatus
@@ -190,32 +142,12 @@ def _failed(goal: Goal, code: int, sentence: str) -> bool:
 @contextlib.contextmanager
 def listening(name: str) -> Iterator[tuple[Node, Arrivals]]:
     """A node of this name, served by a thread of its own, and how /joint_states arrive at it."""
-    import rclpy
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-    from rclpy.signals import SignalHandlerOptions
-    from rclpy.utilities import try_shutdown
     from sensor_msgs.msg import JointState
 
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # SIGTERM simply ends it
-    node = rclpy.create_node(name)
     arrivals = Arrivals()
-    node.create_subscription(JointState, "/joint_states", arrivals.take, 10, raw=True)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-
-    def spin() -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            executor.spin()
-
-    spinner = threading.Thread(target=spin, daemon=True)
-    spinner.start()
-    try:
+    with served_node(name) as node:
+        node.create_subscription(JointState, "/joint_states", arrivals.take, 10, raw=True)
         yield node, arrivals
-    finally:
-        executor.shutdown()
-        spinner.join()
-        node.destroy_node()
-        try_shutdown()
 
 
 def run(action: str, goals: Sequence[Goal]) -> int:

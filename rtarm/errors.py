@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 from enum import IntEnum
 
@@ -42,6 +43,12 @@ class Refusal(Exception):
         super().__init__(sentence)
         self.sentence = sentence
         self.code = code
+
+
+def needs(package: str, extra: str) -> None:
+    """Refuse, with what to install, where an optional package (by its import name) is missing."""
+    if importlib.util.find_spec(package) is None:
+        raise Refusal(f"{package} is not installed, and this needs it: `pip install 'rtarm[{extra}]'`, then try again.")
 
 
 class AlreadySaid(Refusal):

@@ -16,12 +16,11 @@ import time
 from typing import Any
 
 from rtarm.bench.measured import obey
-from rtarm.demo_client import goal_message, listening, report, wait
+from rtarm.demo_client import listening, report
 from rtarm.processes import READY
+from rtarm.ros_client import goal_message, has_server, wait
 
 SERVER_PATIENCE_S = 20.0
-MUTUAL_S = 0.3
-"""For the server to find the client too, without which its answer is lost: only the other direction can be seen."""
 ANSWER_PATIENCE_S = 5.0
 RESULT_PATIENCE_S = 30.0
 
@@ -35,9 +34,8 @@ def play(node: Any, action: str, goal: dict[str, Any]) -> None:
     gc.freeze()  # before a slice rather than in it
     client = ActionClient(node, FollowJointTrajectory, action)
     try:
-        if not client.wait_for_server(timeout_sec=SERVER_PATIENCE_S):
+        if not has_server(client, SERVER_PATIENCE_S):
             return _failed(f"No action server {action} appeared within {SERVER_PATIENCE_S:g} s.")
-        time.sleep(MUTUAL_S)
         message = goal_message(goal)
         sent_ns = time.monotonic_ns()
         sent = client.send_goal_async(message)

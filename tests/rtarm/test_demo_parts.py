@@ -15,9 +15,10 @@ from written_arm import JOINTS, WrittenArm
 
 from config.loader import load_arm
 from rtarm import demo
-from rtarm.demo_client import Arrivals, fill, goal_message
+from rtarm.demo_client import Arrivals
 from rtarm.errors import Refusal
 from rtarm.goals import load_goal, tour
+from rtarm.ros_client import fill, goal_message
 from rtarm.status import percentiles_us
 from rtarm.tracking import Tracker, Window
 from shm import files, histogram

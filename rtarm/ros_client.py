@@ -1,0 +1,103 @@
+# mypy: allow-untyped-calls
+# (rclpy annotates some of its functions and leaves the others untyped)
+"""What our own ROS clients share: a node with a thread that serves it, waiting for futures, goals as messages."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import threading
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from rtarm.errors import Refusal
+
+if TYPE_CHECKING:
+    from rclpy.action.client import ActionClient
+    from rclpy.node import Node
+
+MUTUAL_S = 0.3
+"""For the server to find the client too, without which its answer is lost: only the other direction can be seen."""
+
+
+@contextlib.contextmanager
+def served_node(name: str) -> Iterator[Node]:
+    """A node of this name, served by a thread of its own."""
+    import rclpy
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.utilities import try_shutdown
+
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # SIGTERM simply ends it
+    node = rclpy.create_node(name)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+
+    def spin() -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            executor.spin()
+
+    spinner = threading.Thread(target=spin, daemon=True)
+    spinner.start()
+    try:
+        yield node
+    finally:
+        executor.shutdown()
+        spinner.join()
+        node.destroy_node()
+        try_shutdown()
+
+
+def has_server(client: ActionClient, patience_s: float) -> bool:
+    """Whether an action has a server within some time; both have found each other then."""
+    if not client.wait_for_server(timeout_sec=patience_s):
+        return False
+    time.sleep(MUTUAL_S)
+    return True
+
+
+def goal_message(document: dict[str, Any]) -> Any:
+    """The recorded goal as a FollowJointTrajectory.Goal, field for field."""
+    from control_msgs.action import FollowJointTrajectory
+
+    message = FollowJointTrajectory.Goal()
+    fill(message, document)
+    return message
+
+
+def fill(message: Any, values: dict[str, Any]) -> None:
+    """Set the fields of a ROS message from plain values, whatever its type.
+
+    Raises:
+        Refusal: the values have a field that the message has not, or a value of the wrong type.
+    """
+    types = message.get_fields_and_field_types()
+    for name, value in values.items():
+        if name not in types:
+            raise Refusal(f"The goal has a field {name!r}, which {type(message).__name__} has not: remove it.")
+        present = getattr(message, name)
+        try:
+            if isinstance(value, dict):
+                fill(present, value)
+            elif isinstance(value, list) and value and isinstance(value[0], dict):
+                setattr(message, name, [_filled(types[name], item) for item in value])
+            else:
+                setattr(message, name, value)
+        except (AssertionError, AttributeError, TypeError, ValueError):
+            raise Refusal(f"The goal's field {name!r} is no {types[name]}: correct it.") from None
+
+
+def _filled(sequence: str, values: dict[str, Any]) -> Any:
+    """A message of the type in `sequence<trajectory_msgs/JointTrajectoryPoint>`."""
+    package, name = sequence.partition("<")[2].rstrip(">").split(",")[0].split("/")
+    message = getattr(importlib.import_module(f"{package}.msg"), name)()
+    fill(message, values)
+    return message
+
+
+def wait(future: Any, patience_s: float) -> bool:
+    """Whether an rclpy future, which another thread completes, is done in time."""
+    done = threading.Event()
+    future.add_done_callback(lambda _: done.set())
+    return done.wait(patience_s)

@@ -1,0 +1,210 @@
+"""Sends goals to a running arm through its ordinary action, so that every check of a MoveIt goal applies.
+
+ROS lives in a process of its own (`rtarm.goal_sender`), which starts in about a second; who sends needs no ROS.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+
+from config.schema import ArmConfig
+from rtarm.errors import Refusal
+from rtarm.launcher import action_name, check_ros
+from rtarm.processes import READY, ros_environment
+
+START_PATIENCE_S = 60.0
+END_PATIENCE_S = 10.0
+LAST_LINES = 20
+
+
+class Outcome(NamedTuple):
+    """How a goal ended: its FollowJointTrajectory error code and the arm's own sentence."""
+
+    succeeded: bool
+    code: int
+    sentence: str
+
+
+class Sender:
+    """Sends goals and hears how they end; all methods may be called from any thread."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+        self._state = threading.Condition()
+        self._outcomes: dict[int, Outcome] = {}
+        self._errors: deque[str] = deque(maxlen=LAST_LINES)
+        self._last = 0
+        self._ready = False
+        self._ended = False
+        assert process.stdout is not None and process.stderr is not None
+        self._listeners = (
+            threading.Thread(target=self._hear, args=(process.stdout,), name="goal results", daemon=True),
+            threading.Thread(target=self._errors.extend, args=(process.stderr,), name="goal sender", daemon=True),
+        )
+        for listener in self._listeners:
+            listener.start()
+
+    @property
+    def pid(self) -> int:
+        """Process id of the one that speaks ROS."""
+        return self._process.pid
+
+    def wait_ready(self, patience_s: float) -> None:
+        """Wait until the arm's action is found.
+
+        Raises:
+            Refusal: it is not.
+        """
+        with self._state:
+            found = self._state.wait_for(lambda: self._ready or self._ended, patience_s)
+        if not found:
+            raise Refusal(f"The process that sends goals has not started within {patience_s:g} s: try again.")
+        if not self._ready:
+            raise self._gone()
+
+    def send(self, document: dict[str, Any]) -> int:
+        """Send a FollowJointTrajectory goal (as `rtarm.goals`, field for field) and return its number at once.
+
+        A goal that runs already is replaced, as the action has it.
+
+        Raises:
+            Refusal: the process that sends is gone.
+        """
+        with self._state:
+            self._last += 1
+            number = self._last
+            self._say({"number": number, "goal": document})
+        return number
+
+    def cancel(self) -> None:
+        """Cancel what was sent and still runs: the arm stops on its path. What is gone needs no cancelling."""
+        with suppress(Refusal), self._state:
+            self._say({})
+
+    def wait(self, number: int, patience_s: float) -> Outcome:
+        """How a goal ended, each once.
+
+        Raises:
+            Refusal: it has not ended in time, or the process that sends is gone.
+        """
+        with self._state:
+            self._state.wait_for(lambda: number in self._outcomes or self._ended, patience_s)
+            if number in self._outcomes:
+                return self._outcomes.pop(number)
+        if self._ended:
+            raise self._gone()
+        raise Refusal(f"The goal has no result after {patience_s:.1f} s: look at `rtarm status`.")
+
+    def ended(self, number: int) -> Outcome | None:
+        """How a goal ended, each once; None while it has not."""
+        with self._state:
+            return self._outcomes.pop(number, None)
+
+    def close(self) -> None:
+        """End; what still runs is cancelled."""
+        assert self._process.stdin is not None
+        with suppress(OSError), self._state:
+            self._process.stdin.close()
+        try:
+            self._process.wait(END_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        for listener in self._listeners:
+            listener.join()
+        for stream in (self._process.stdout, self._process.stderr):
+            assert stream is not None
+            stream.close()
+
+    def _say(self, what: dict[str, Any]) -> None:
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps(what) + "\n")
+            self._process.stdin.flush()
+        except (OSError, ValueError):
+            raise self._gone() from None
+
+    def _hear(self, lines: IO[str]) -> None:
+        for line in lines:
+            with self._state:
+                if line.startswith(READY):
+                    self._ready = True
+                elif line.startswith("{"):
+                    heard = json.loads(line)
+                    self._outcomes[heard["number"]] = Outcome(heard["succeeded"], heard["code"], heard["sentence"])
+                self._state.notify_all()
+        with self._state:
+            self._ended = True
+            self._state.notify_all()
+
+    def _gone(self) -> Refusal:
+        self._listeners[1].join(1.0)  # its last words
+        said = self._errors[-1].strip() if self._errors else ""
+        if not self._ready and said:
+            return Refusal(said)
+        return Refusal(f"The process that sends goals has ended{f' ({said})' if said else ''}: try again.")
+
+
+@contextmanager
+def sending(arm: ArmConfig) -> Iterator[Sender]:
+    """A sender to the arm's action, found in the ROS domain of the environment.
+
+    At its end, a goal that still runs is cancelled.
+
+    Raises:
+        Refusal: there is no ROS here, or no ROS process serves the arm.
+    """
+    check_ros()
+    environment = ros_environment()
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", arm.front.discovery.upper())
+    process = subprocess.Popen(
+        # -P: a folder called config where the user happens to stand is not our package.
+        [sys.executable, "-P", "-m", "rtarm.goal_sender", action_name(arm)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        process_group=0,  # a terminal's Ctrl-C is for who sends, who then cancels
+    )
+    sender = Sender(process)
+    try:
+        sender.wait_ready(START_PATIENCE_S)
+        yield sender
+    finally:
+        sender.close()
+
+
+def goal_document(
+    joint_names: Sequence[str],
+    times_s: np.ndarray,
+    positions_rad: np.ndarray,
+    velocities_rad_s: np.ndarray | None = None,
+    accelerations_rad_s2: np.ndarray | None = None,
+) -> dict[str, Any]:
+    """A FollowJointTrajectory goal as `Sender.send` takes it.
+
+    Args:
+        joint_names: N names.
+        times_s: M times from the start.
+        positions_rad, velocities_rad_s, accelerations_rad_s2: M × N.
+    """
+    named = {"positions": positions_rad, "velocities": velocities_rad_s, "accelerations": accelerations_rad_s2}
+    points = []
+    for at, time_s in enumerate(times_s):
+        whole_s = math.floor(time_s)
+        nanosec = round((time_s - whole_s) * 1e9)
+        carried_s, nanosec = divmod(nanosec, 1_000_000_000)  # 0.9999999999 rounds up to a second
+        point: dict[str, Any] = {name: values[at].tolist() for name, values in named.items() if values is not None}
+        points.append({**point, "time_from_start": {"sec": whole_s + carried_s, "nanosec": nanosec}})
+    return {"trajectory": {"joint_names": list(joint_names), "points": points}}

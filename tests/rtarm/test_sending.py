@@ -1,0 +1,138 @@
+"""Goals from a process that speaks no ROS, through the ordinary action of a real arm."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from stack import Stack
+
+from config.loader import load_arm
+from rtarm.errors import Refusal
+from rtarm.sending import Sender, goal_document, sending
+from rtarm.status import read_status
+
+JOINTS = [f"joint{number}" for number in range(1, 7)]
+PATIENCE_S = 30.0
+
+
+def move(joint: str, degrees: float, duration_s: float, start_deg: float = 0.0) -> dict[str, Any]:
+    return goal_document([joint], np.array([0.0, duration_s]), np.radians([[start_deg], [degrees]]))
+
+
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    folder = tmp_path_factory.mktemp("sending")
+    stack = Stack(f"sending_{os.getpid()}", folder, start_deg=[0.0] * 6)
+    try:
+        stack.start_sim()
+        stack.start_loop()
+        stack.start_front()
+        yield stack
+    finally:
+        stack.close()
+
+
+def arm_of(stack: Stack) -> Any:
+    return load_arm(str(stack.arm_file))
+
+
+def until_executing(stack: Stack, sender: Sender, number: int) -> None:
+    while read_status(stack.name)["mode"] != "executing":
+        assert sender.ended(number) is None
+
+
+@pytest.mark.process
+def test_a_goal_moves_the_arm_and_says_how_it_ended(stack: Stack) -> None:
+    with sending(arm_of(stack)) as sender:
+        outcome = sender.wait(sender.send(move("joint6", 5.0, 1.0)), PATIENCE_S)
+        assert outcome.succeeded and outcome.code == 0 and "Goal reached" in outcome.sentence
+        back = sender.wait(sender.send(move("joint6", 0.0, 1.0, 5.0)), PATIENCE_S)
+        assert back.succeeded
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("document", "said"),
+    [
+        (move("joint6", 5.0, 0.01), "joint6"),
+        (move("elbow", 5.0, 1.0), "elbow"),
+        ({"trajectory": {"joint_names": "joint6"}}, "joint_names"),
+        ({"path": 1}, "'path'"),
+    ],
+    ids=["too fast", "unknown joint", "no list", "no such field"],
+)
+def test_a_goal_that_is_refused_says_why_and_the_next_one_goes(
+    stack: Stack, document: dict[str, Any], said: str
+) -> None:
+    with sending(arm_of(stack)) as sender:
+        outcome = sender.wait(sender.send(document), PATIENCE_S)
+        assert not outcome.succeeded and outcome.code != 0 and said in outcome.sentence
+        assert sender.wait(sender.send(move("joint6", 0.0, 0.5)), PATIENCE_S).succeeded
+
+
+@pytest.mark.process
+def test_a_goal_that_is_cancelled_ends_on_its_path(stack: Stack) -> None:
+    with sending(arm_of(stack)) as sender:
+        number = sender.send(move("joint6", 0.0, 20.0))
+        until_executing(stack, sender, number)
+        sender.cancel()
+        assert not sender.wait(number, PATIENCE_S).succeeded
+        hasty = sender.send(move("joint6", 0.0, 20.0))
+        sender.cancel()  # before its answer can have come
+        assert not sender.wait(hasty, PATIENCE_S).succeeded
+
+
+@pytest.mark.process
+def test_what_still_runs_is_cancelled_when_nobody_waits_any_more(stack: Stack) -> None:
+    with sending(arm_of(stack)) as sender:
+        until_executing(stack, sender, sender.send(move("joint6", 0.0, 20.0)))
+    status = read_status(stack.name)
+    assert (status["mode"], status["last_result"]["outcome"]) == ("holding", "canceled")
+
+
+@pytest.mark.process
+def test_a_sender_that_is_killed_is_told_and_its_arm_is_not_hurt(stack: Stack) -> None:
+    with sending(arm_of(stack)) as sender:
+        number = sender.send(move("joint6", 0.0, 3.0))
+        until_executing(stack, sender, number)
+        os.kill(sender.pid, signal.SIGKILL)
+        with pytest.raises(Refusal, match="process that sends goals has ended"):
+            sender.wait(number, PATIENCE_S)
+        with pytest.raises(Refusal, match="has ended"):
+            sender.send(move("joint6", 0.0, 1.0))
+        sender.cancel()
+    with sending(arm_of(stack)) as sender:
+        assert sender.wait(sender.send(move("joint6", 0.0, 0.5)), PATIENCE_S).succeeded
+
+
+@pytest.mark.process
+def test_an_arm_that_nobody_serves_is_one_sentence(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rtarm.sending.action_name", lambda arm: "/nobody/follow_joint_trajectory")
+    said = r"^No ROS process serves /nobody/.* in ROS domain \d+: .*rtarm status"
+    with pytest.raises(Refusal, match=said), sending(arm_of(stack)):
+        pass
+
+
+@given(
+    times=st.lists(st.floats(0, 1e6), min_size=1, max_size=20).map(sorted),
+    scale=st.floats(-10, 10),
+)
+def test_a_document_holds_each_time_to_the_nanosecond(times: list[float], scale: float) -> None:
+    positions = np.outer(np.arange(len(times)), np.ones(6)) * scale
+    document = goal_document(JOINTS, np.array(times), positions, positions, None)
+    points = document["trajectory"]["points"]
+    assert document["trajectory"]["joint_names"] == JOINTS
+    for time_s, row, point in zip(times, positions, points, strict=True):
+        stamp = point["time_from_start"]
+        assert 0 <= stamp["nanosec"] < 1_000_000_000
+        assert math.isclose(stamp["sec"] + stamp["nanosec"] * 1e-9, time_s, rel_tol=1e-12, abs_tol=1e-9)
+        assert point["positions"] == point["velocities"] == row.tolist()
+        assert "accelerations" not in point
