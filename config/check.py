@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import asdict
+from typing import Any
 
 from rich import box
 from rich.console import Group, RenderableType
@@ -38,6 +40,23 @@ def render_check(arm: ArmConfig) -> RenderableType:
         parts.append(settings_table(arm.joints))
     parts.append(budget_table(arm, budget(arm)))
     return Group(*parts)
+
+
+def figures(arm: ArmConfig) -> dict[str, Any]:
+    """The same as plain values; a rate that nothing limits is None."""
+    found = budget(arm)
+    highest_hz = found.highest_rate_hz
+    return {
+        "arm": arm.name,
+        "interface": arm.bus.interface,
+        "channel": arm.bus.resolved_channel,
+        "rate_hz": found.rate_hz,
+        "highest_rate_hz": highest_hz if math.isfinite(highest_hz) else None,
+        "bus_load": found.bus_load,
+        "serial_load": found.serial_load,
+        "frames_per_cycle": found.frames_per_cycle,
+        "joints": [asdict(joint) for joint in derived_table(arm)],
+    }
 
 
 def render_errors(error: ConfigError) -> RenderableType:

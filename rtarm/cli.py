@@ -11,9 +11,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rtarm import completion
 from rtarm.cli_calibrate import calibrate_app
 from rtarm.cli_drives import drives_app
-from rtarm.cli_frame import ArmArgument, RunningArm, again, app, config_app, draw, overrides_given, sentences
+from rtarm.cli_frame import (
+    ArmArgument,
+    AsJson,
+    RunningArm,
+    again,
+    app,
+    config_app,
+    draw,
+    draw_json,
+    overrides_given,
+    sentences,
+)
 from rtarm.cli_orders import orders
 from rtarm.errors import ExitCode, Refusal, exit_code_table
 
@@ -112,7 +124,7 @@ def demo(
 @app.command(epilog="Exit codes:\n\n" + exit_code_table())
 def status(
     arm: RunningArm = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show what a running arm does, from its shared memory alone.
 
@@ -121,22 +133,13 @@ def status(
 
     Example: [bold]rtarm status --json[/bold]
     """
-    with sentences():
-        import json
-
+    with sentences({"arm": arm, "running": False, "healthy": False} if as_json else None):
         from rtarm.status import read_status, resolve_arm
         from rtarm.status_tables import render_status
-        from shm.errors import SharedMemoryError
 
-        try:
-            report = read_status(resolve_arm(arm))
-        except (Refusal, SharedMemoryError) as refused:
-            if as_json:
-                typer.echo(json.dumps({"arm": arm, "running": False, "healthy": False, "problems": [str(refused)]}))
-                raise typer.Exit(int(ExitCode.REFUSED)) from None
-            raise
+        report = read_status(resolve_arm(arm))
         if as_json:
-            typer.echo(json.dumps(report, indent=2, allow_nan=False))
+            draw_json(report)
         else:
             draw(render_status(report))
         raise typer.Exit(int(ExitCode.DONE if report["healthy"] else ExitCode.UNHEALTHY))
@@ -164,7 +167,7 @@ def doctor(
         str | None,
         typer.Argument(metavar="ARM", help="Name or file of the arm to run here; left out: this machine alone."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of lines.")] = False,
+    as_json: AsJson = False,
     fix: Annotated[
         bool, typer.Option("--fix", help="Set what a reboot brings back by itself (as root), and say how to undo it.")
     ] = False,
@@ -175,9 +178,7 @@ def doctor(
 
     Example: [bold]rtarm doctor episode1[/bold]
     """
-    with sentences():
-        import json
-
+    with sentences({"healthy": False} if as_json else None):
         from config.loader import load_arm
         from rtarm.doctor.machine import Machine
         from rtarm.doctor.report import examine, show
@@ -185,7 +186,7 @@ def doctor(
 
         report = examine(Machine(), None if arm is None else load_arm(arm), fix=fix)
         if as_json:
-            typer.echo(json.dumps(report, indent=2))
+            draw_json(report)
         else:
             show(report, LastingConsole(highlight=False, emoji=False))
         raise typer.Exit(int(ExitCode.DONE if report["healthy"] else ExitCode.UNHEALTHY))
@@ -239,18 +240,28 @@ def record(
 @app.command()
 def explain(
     file: Annotated[
-        Path | None, typer.Argument(metavar="FILE", help="A recording; left out: the newest one there is.")
+        Path | None,
+        typer.Argument(
+            metavar="FILE",
+            help="A recording; left out: the newest one there is.",
+            autocompletion=completion.recordings,
+        ),
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Tell what a recording shows: what happened first, which limit, which joint, and what the arm did then.
 
     Example: [bold]rtarm explain[/bold]
     """
-    with sentences():
-        from rtarm.recording.explain import explanation
+    with sentences({} if as_json else None):
+        from rtarm.recording.explain import explanation, plain
         from rtarm.recording.folder import newest
 
-        draw(explanation(file or newest()))
+        told = explanation(file or newest())
+        if as_json:
+            draw_json(plain(told))
+        else:
+            draw(told)
 
 
 @app.command()
@@ -272,19 +283,23 @@ def replay(
 
 
 @config_app.command("check")
-def config_check(arm: ArmArgument) -> None:
+def config_check(arm: ArmArgument, as_json: AsJson = False) -> None:
     """Check an arm file and print what follows from it: limits, resolution, bus load, highest rate.
 
     Example: [bold]rtarm config check ./my_arm.yaml[/bold]
     """
-    with sentences():
+    with sentences({"arm": arm, "fits": False} if as_json else None):
         from config.budget import check_budget
-        from config.check import render_check
+        from config.check import figures, render_check
         from config.loader import load_arm
 
         loaded = load_arm(arm)
-        draw(render_check(loaded))
-        check_budget(loaded)
+        if as_json:
+            check_budget(loaded)
+            draw_json({**figures(loaded), "fits": True})
+        else:
+            draw(render_check(loaded))
+            check_budget(loaded)
 
 
 @app.command("moveit-config")

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from rtarm.cli_frame import ArmArgument, draw, overrides_given, sentences
+from rtarm.cli_frame import ArmArgument, AsJson, draw, draw_json, overrides_given, sentences
 from rtarm.errors import ExitCode, Refusal, exit_code_table
 
 drives_app = typer.Typer()
@@ -26,7 +26,7 @@ def drives(
     channel: Annotated[
         str | None, typer.Option(help="Device of the CAN adapter (/dev/ttyACM0) or CAN interface (can0).")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show the settings of every drive beside those the arm file names; write them only when told.
 
@@ -34,9 +34,7 @@ def drives(
 
     Example: [bold]rtarm drives ./my_arm.yaml --write[/bold]
     """
-    with sentences():
-        import json
-
+    with sentences({"arm": arm, "agrees": False} if as_json else None):
         from config.loader import load_arm
         from rtarm.drives import agrees, render, run
 
@@ -47,26 +45,20 @@ def drives(
 
         def show(report: dict[str, Any]) -> None:
             if as_json:
-                typer.echo(json.dumps({"arm": loaded.name, "agrees": agrees(report), **report}, indent=2))
+                draw_json({"arm": loaded.name, "agrees": agrees(report), **report})
             else:
                 draw(render(loaded, report))
 
-        try:
-            report = run(
-                loaded,
-                arm,
-                overrides,
-                write=write,
-                store=store,
-                show=show,
-                told=lambda line: typer.echo(line, err=True),
-                confirm=lambda question: typer.confirm(question, err=True),
-            )
-        except Refusal as refused:
-            if as_json:
-                typer.echo(json.dumps({"arm": loaded.name, "agrees": False, "problems": [refused.sentence]}))
-                raise typer.Exit(int(refused.code)) from None
-            raise
+        report = run(
+            loaded,
+            arm,
+            overrides,
+            write=write,
+            store=store,
+            show=show,
+            told=lambda line: typer.echo(line, err=True),
+            confirm=lambda question: typer.confirm(question, err=True),
+        )
         if report.get("failure"):
             typer.echo(report["failure"], err=True)
         raise typer.Exit(int(ExitCode.DONE if agrees(report) else ExitCode.UNHEALTHY))
@@ -80,7 +72,7 @@ def scan(
             "--port", metavar="PATH", help="Serial port (/dev/ttyUSB0) or CAN interface (can0) to look at; repeatable."
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Find CAN adapters, the bit rate of the bus behind each, and the drives on it; propose an arm file.
 
@@ -89,16 +81,14 @@ def scan(
 
     Example: [bold]rtarm scan --port /dev/ttyUSB0[/bold]
     """
-    with sentences():
-        import json
-
+    with sentences({"found": False} if as_json else None):
         from rtarm.doctor.machine import Machine
         from rtarm.scan.run import scan as look
         from rtarm.scan.show import render
 
         report = look(Machine(), port or [], telling=lambda line: typer.echo(line, err=True))
         if as_json:
-            typer.echo(json.dumps(report, indent=2))
+            draw_json(report)
         else:
             draw(render(report))
             typer.echo(report["proposal"] or "", nl=False)

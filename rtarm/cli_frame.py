@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
+from rtarm import completion
 from rtarm.errors import ExitCode, exit_code_table, foreseen
 
 if TYPE_CHECKING:
@@ -45,7 +47,6 @@ app = typer.Typer(
     cls=Commands,
     name="rtarm",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     help="Drives a robot arm of CAN servo drives from MoveIt 2.\n\nExample: [bold]rtarm demo[/bold] plays a "
@@ -60,12 +61,22 @@ config_app = typer.Typer(
 app.add_typer(config_app, name="config")
 
 ArmArgument = Annotated[
-    str, typer.Argument(metavar="ARM", help="Name of an arm, or path of an arm file (./my_arm.yaml).")
+    str,
+    typer.Argument(
+        metavar="ARM",
+        help="Name of an arm, or path of an arm file (./my_arm.yaml).",
+        autocompletion=completion.known_arms,
+    ),
 ]
 RunningArm = Annotated[
     str | None,
-    typer.Argument(metavar="ARM", help="Name or file of a running arm; left out: the only one that runs."),
+    typer.Argument(
+        metavar="ARM",
+        help="Name or file of a running arm; left out: the only one that runs.",
+        autocompletion=completion.running_arms,
+    ),
 ]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 
 
 def overrides_given(options: dict[str, dict[str, Any]]) -> dict[str, Any]:
@@ -88,9 +99,18 @@ def draw(what: RenderableType) -> None:
     Console(highlight=False, emoji=False).print(what)
 
 
+def draw_json(what: Mapping[str, Any]) -> None:
+    """One JSON object; of numbers that are none a script makes nothing, so there must be no such."""
+    typer.echo(json.dumps(what, indent=2, allow_nan=False))
+
+
 @contextmanager
-def sentences() -> Iterator[None]:
-    """Foreseeable errors end as their sentence on standard error and an exit code, never as a traceback."""
+def sentences(as_json: Mapping[str, Any] | None = None) -> Iterator[None]:
+    """Foreseeable errors end as their sentence on standard error and an exit code, never as a traceback.
+
+    With `as_json` they end as that object with the sentences as its `problems`, on standard output, since a script
+    that asked for JSON gets JSON.
+    """
     try:
         yield
     except Exception as error:
@@ -98,6 +118,8 @@ def sentences() -> Iterator[None]:
         if told is None:
             raise
         sentence, code = told
-        if sentence:
+        if as_json is not None:
+            draw_json({**as_json, "problems": sentence.splitlines()})
+        elif sentence:
             typer.echo(sentence, err=True)
         raise typer.Exit(int(code)) from None

@@ -2,120 +2,152 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from rtarm.cli_frame import RunningArm, sentences
+from rtarm import completion
+from rtarm.cli_frame import AsJson, RunningArm, draw_json, sentences
 
 orders = typer.Typer()
 """The commands, for `rtarm.cli` to add."""
 
 
+def _not_done(arm: str | None, as_json: bool) -> dict[str, Any] | None:
+    """What a refusal is in JSON, where that is asked for."""
+    return {"arm": arm, "done": False} if as_json else None
+
+
+def _done(arm: str, sentence: str, as_json: bool) -> None:
+    if as_json:
+        draw_json({"arm": arm, "done": True, "said": sentence})
+    else:
+        typer.echo(sentence)
+
+
 @orders.command()
-def stop(arm: RunningArm = None) -> None:
+def stop(arm: RunningArm = None, as_json: AsJson = False) -> None:
     """Stop a running arm on its path and wait until it stands; works without the ROS process.
 
     Example: [bold]rtarm stop[/bold]
     """
-    with sentences():
+    with sentences(_not_done(arm, as_json)):
         from rtarm import requests
         from rtarm.status import resolve_arm
 
-        typer.echo(requests.stop(resolve_arm(arm)))
+        name = resolve_arm(arm)
+        _done(name, requests.stop(name), as_json)
 
 
 @orders.command("clear-fault")
-def clear_fault(arm: RunningArm = None) -> None:
+def clear_fault(arm: RunningArm = None, as_json: AsJson = False) -> None:
     """Clear a latched fault, once its cause is removed, and bring the drives up again.
 
     Example: [bold]rtarm clear-fault episode1[/bold]
     """
-    with sentences():
+    with sentences(_not_done(arm, as_json)):
         from rtarm import requests
         from rtarm.status import resolve_arm
 
-        typer.echo(requests.clear_fault(resolve_arm(arm)))
+        name = resolve_arm(arm)
+        _done(name, requests.clear_fault(name), as_json)
 
 
 @orders.command()
-def hold(arm: RunningArm = None) -> None:
+def hold(arm: RunningArm = None, as_json: AsJson = False) -> None:
     """Pause the running goal: the arm stops on its path and holds; `rtarm resume` lets it go on.
 
     Example: [bold]rtarm hold[/bold]
     """
-    with sentences():
+    with sentences(_not_done(arm, as_json)):
         from rtarm import requests
         from rtarm.status import resolve_arm
 
-        typer.echo(requests.hold(resolve_arm(arm)))
+        name = resolve_arm(arm)
+        _done(name, requests.hold(name), as_json)
 
 
 @orders.command()
-def resume(arm: RunningArm = None) -> None:
+def resume(arm: RunningArm = None, as_json: AsJson = False) -> None:
     """Let a paused goal go on.
 
     Example: [bold]rtarm resume[/bold]
     """
-    with sentences():
+    with sentences(_not_done(arm, as_json)):
         from rtarm import requests
         from rtarm.status import resolve_arm
 
-        typer.echo(requests.resume(resolve_arm(arm)))
+        name = resolve_arm(arm)
+        _done(name, requests.resume(name), as_json)
 
 
 @orders.command()
-def enable(arm: RunningArm = None) -> None:
+def enable(arm: RunningArm = None, as_json: AsJson = False) -> None:
     """Enable the drives of a limp arm, which then holds where it stands.
 
     Example: [bold]rtarm enable[/bold]
     """
-    with sentences():
+    with sentences(_not_done(arm, as_json)):
         from rtarm import requests
         from rtarm.status import resolve_arm
 
-        typer.echo(requests.enable(resolve_arm(arm)))
+        name = resolve_arm(arm)
+        _done(name, requests.enable(name), as_json)
 
 
 @orders.command()
-def disable(arm: RunningArm = None) -> None:
+def disable(arm: RunningArm = None, as_json: AsJson = False) -> None:
     """Let the drives of a standing arm go limp and take it out of service: it falls where gravity pulls it.
 
     Example: [bold]rtarm disable[/bold]
     """
-    with sentences():
+    with sentences(_not_done(arm, as_json)):
         from rtarm import requests
         from rtarm.status import resolve_arm
         from shm.words import Request
 
-        typer.echo(requests.let_go(resolve_arm(arm), Request.DISABLE))
+        name = resolve_arm(arm)
+        _done(name, requests.let_go(name, Request.DISABLE), as_json)
 
 
 @orders.command()
-def free(arm: RunningArm = None) -> None:
+def free(arm: RunningArm = None, as_json: AsJson = False) -> None:
     """Let the drives of a standing arm go limp, to lead it by hand: hold it, it falls where gravity pulls it.
 
     Example: [bold]rtarm free[/bold]
     """
-    with sentences():
+    with sentences(_not_done(arm, as_json)):
         from rtarm import requests
         from rtarm.status import resolve_arm
         from shm.words import Request
 
-        typer.echo(requests.let_go(resolve_arm(arm), Request.FREE))
+        name = resolve_arm(arm)
+        _done(name, requests.let_go(name, Request.FREE), as_json)
 
 
 NamedArm = Annotated[
-    str | None, typer.Option("--arm", metavar="ARM", help="Name of the arm or its file; left out: the one that runs.")
+    str | None,
+    typer.Option(
+        "--arm",
+        metavar="ARM",
+        help="Name of the arm or its file; left out: the one that runs.",
+        autocompletion=completion.running_arms,
+    ),
 ]
 
 
 @orders.command()
 def home(
     joints: Annotated[
-        list[str] | None, typer.Argument(metavar="[JOINT]…", help="Left out: those of homing.order in the arm file.")
+        list[str] | None,
+        typer.Argument(
+            metavar="[JOINT]…",
+            help="Left out: those of homing.order in the arm file.",
+            autocompletion=completion.joints,
+        ),
     ] = None,
     arm: NamedArm = None,
+    as_json: AsJson = False,
 ) -> None:
     """Let joints find their homing stops, one after the other: [bold]the arm moves[/bold].
 
@@ -124,27 +156,34 @@ def home(
 
     Example: [bold]rtarm home joint2 joint3[/bold]
     """
-    with sentences():
+    with sentences(_not_done(arm, as_json)):
         from rtarm import requests
         from rtarm.status import resolve_arm
 
-        typer.echo(requests.home(resolve_arm(arm), joints or [], typer.echo))
+        name = resolve_arm(arm)
+        _done(name, requests.home(name, joints or [], lambda line: typer.echo(line, err=as_json)), as_json)
 
 
 @orders.command()
 def reference(
     joints: Annotated[
         list[str],
-        typer.Argument(metavar="JOINT[=DEGREES]…", help="With an angle: it stands there; without: where it reads."),
+        typer.Argument(
+            metavar="JOINT[=DEGREES]…",
+            help="With an angle: it stands there; without: where it reads.",
+            autocompletion=completion.joints,
+        ),
     ],
     arm: NamedArm = None,
+    as_json: AsJson = False,
 ) -> None:
     """Say where joints without a reference stand, if you know better; nothing moves. Look twice: goals believe it.
 
     Example: [bold]rtarm reference joint2 joint3=-12.5[/bold]
     """
-    with sentences():
+    with sentences(_not_done(arm, as_json)):
         from rtarm import requests
         from rtarm.status import resolve_arm
 
-        typer.echo(requests.reference(resolve_arm(arm), requests.angles_said(joints)))
+        name = resolve_arm(arm)
+        _done(name, requests.reference(name, requests.angles_said(joints)), as_json)

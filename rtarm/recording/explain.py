@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.padding import Padding
@@ -12,7 +13,10 @@ from rich.text import Text
 from rtarm.recording.chart import joint_charts
 from rtarm.recording.mcap_format import Loaded
 from rtarm.recording.mcap_reader import read
-from rtarm.recording.story import guilty_joint, since, tell
+from rtarm.recording.story import Line, guilty_joint, since, tell
+from rtarm.status import key
+from shm.sentences import joint_name
+from shm.words import Fault
 
 WIDEST_CHART = 110
 
@@ -50,6 +54,31 @@ class Explanation:
             style = "bold " + line.style if line is self.story.first else line.style
             table.add_row(since(line.monotonic_ns, self.story.zero_ns).strip(), Text(line.sentence, style=style))
         return table
+
+
+def plain(told: Explanation) -> dict[str, Any]:
+    """The story as plain values; times in seconds from the fault, or from the last cycle where there is none."""
+    story, recording = told.story, told.loaded.recording
+
+    def line(of: Line) -> dict[str, Any]:
+        joint = joint_name(of.joint, recording.joints) if of.joint >= 0 else None
+        return {
+            "time_s": (of.monotonic_ns - story.zero_ns) * 1e-9,
+            "sentence": of.sentence,
+            "sign": of.sign,
+            "joint": joint,
+        }
+
+    return {
+        "arm": recording.arm,
+        "reason": told.loaded.reason.word,
+        "damage": told.loaded.damage or None,
+        "fault": key(Fault, story.fault),
+        "joint": joint_name(story.joint, recording.joints) if story.joint >= 0 else None,
+        "verdict": list(story.verdict),
+        "first": line(story.first) if story.first is not None else None,
+        "lines": [line(each) for each in story.lines],
+    }
 
 
 def explanation(path: Path) -> Explanation:

@@ -3,21 +3,39 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 from typer.testing import Result
+from written_arm import WrittenArm
 
 from rtarm import launcher
+from rtarm.cli import app
 from rtarm.errors import MEANINGS, ExitCode
 
-COMMANDS = [
-    *(("up",), ("demo",), ("status",), ("stop",), ("clear-fault",)),
-    *(("top",), ("doctor",), ("drives",), ("scan",), ("calibrate",), ("config", "check"), ("moveit-config",)),
+
+def commands(group: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Every command there is, as its words."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from commands(command, (*above, name))
+        else:
+            yield (*above, name)
+
+
+COMMANDS = sorted(commands(typer.main.get_command(app)))
+SAY_JSON = [
+    *(("status",), ("doctor",), ("drives",), ("scan",), ("explain",), ("config", "check")),
+    *(("stop",), ("hold",), ("resume",), ("enable",), ("disable",), ("free",), ("home",), ("reference",)),
+    ("clear-fault",),
 ]
+"""Commands whose answer a script would want to read."""
 
 Rtarm = Callable[..., Result]
 
@@ -26,7 +44,7 @@ Rtarm = Callable[..., Result]
 def test_help_says_what_it_does_with_an_example(command: tuple[str, ...], rtarm: Rtarm) -> None:
     result = rtarm(*command, "--help")
     assert result.exit_code == 0
-    assert f"Example: rtarm {command[0] if command else 'demo'}" in " ".join(result.stdout.split())
+    assert f"Example: rtarm {' '.join(command) or 'demo'}" in " ".join(result.stdout.split())
 
 
 def test_the_exit_codes_are_in_the_help(rtarm: Rtarm) -> None:
@@ -34,6 +52,61 @@ def test_the_exit_codes_are_in_the_help(rtarm: Rtarm) -> None:
         text = " ".join(rtarm(*command, "--help").stdout.split())
         for code in ExitCode:
             assert f"{code.value} {MEANINGS[code]}" in text
+
+
+@pytest.mark.parametrize("command", SAY_JSON, ids=" ".join)
+def test_an_answer_in_json_stays_json_when_it_is_a_refusal(command: tuple[str, ...], rtarm: Rtarm) -> None:
+    missing = {"scan": ["--port", "/dev/nowhere"], "explain": ["nowhere.mcap"], "home": ["--arm", "t_nobody"]}
+    missing["reference"] = ["joint1", "--arm", "t_nobody"]
+    result = rtarm(*command, *missing.get(command[0], ["t_nobody"]), "--json")
+    assert (result.exit_code, result.stderr) == (1, "")
+    (problem,) = json.loads(result.stdout)["problems"]
+    assert problem.endswith(".") and ("nobody" in problem or "nowhere" in problem)
+
+
+def test_config_check_in_json_has_the_figures(rtarm: Rtarm) -> None:
+    result = rtarm("config", "check", "episode1", "--json")
+    figures = json.loads(result.stdout)
+    assert (result.exit_code, figures["arm"], figures["fits"]) == (0, "episode1", True)
+    assert [joint["name"] for joint in figures["joints"]] == [f"joint{number}" for number in range(1, 7)]
+    assert round(figures["highest_rate_hz"], 1) == 123.2
+    assert json.loads(rtarm("config", "check", "mock", "--json").stdout)["highest_rate_hz"] is None
+
+
+def test_what_is_no_terminal_gets_no_colours() -> None:
+    for arguments in (("--help",), ("config", "check", "episode1"), ("status", "t_nobody")):
+        result = subprocess.run([sys.executable, "-m", "rtarm", *arguments], capture_output=True, check=False)
+        assert b"\x1b" not in result.stdout + result.stderr
+
+
+def offered(line: str) -> list[str]:
+    """What the shell gets for a line that is not finished."""
+    words = line.split(" ")
+    asked = {"_RTARM_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}
+    program = "from rtarm.cli import app; app(prog_name='rtarm')"
+    result = subprocess.run(
+        [sys.executable, "-c", program], env={**os.environ, **asked}, capture_output=True, text=True, check=True
+    )
+    return result.stdout.split()
+
+
+def test_the_shell_completes_commands_options_and_arms(arm: WrittenArm) -> None:
+    assert offered("rtarm clear") == ["clear-fault"]
+    assert "--json" in offered("rtarm status --")
+    assert offered("rtarm up odr") == ["odrive6"]
+    assert arm.name in offered("rtarm status ")
+    assert arm.name in offered("rtarm home --arm ")
+    assert "joint3" in offered("rtarm home ")
+
+
+def test_the_shell_completes_recordings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    folder = tmp_path / "rtarm" / "recordings"
+    folder.mkdir(parents=True)
+    recording = folder / "episode1-20261121T231323Z-stale_reading.mcap"
+    recording.touch()
+    (folder / "notes.mcap").touch()
+    assert offered("rtarm explain ") == [str(recording)]
 
 
 def test_help_loads_nothing_heavy() -> None:
