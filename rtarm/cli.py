@@ -58,6 +58,12 @@ def main(
 def up(
     arm: ArmArgument,
     sim: Annotated[bool, typer.Option("--sim", help="Simulate the drives; no hardware is opened.")] = False,
+    hand: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MOTION", help="With --sim: a hand that leads the arm whenever it is limp (`wave`, or a CSV file)."
+        ),
+    ] = None,
     interface: Annotated[
         str | None,
         typer.Option(help="How the bus is reached (slcan, seeedstudio, ch340-at, socketcan, python-can, mock)."),
@@ -87,13 +93,15 @@ def up(
                 "--sim brings its own adapter, so --interface and --channel cannot be given with it: leave "
                 "out either --sim or those two."
             )
+        if hand is not None and not sim:
+            raise Refusal("--hand is the hand of a simulated arm: give --sim with it, or lead the real arm yourself.")
         overrides = overrides_given(
             {
                 "bus": {"interface": interface, "channel": channel},
                 "control": {"rate_hz": rate, "init_mode": init_mode},
             }
         )
-        plan = load_plan(arm, overrides, simulated=sim, again=again())
+        plan = load_plan(arm, overrides, simulated=sim, again=again(), hand=hand)
         raise typer.Exit(run(plan, _reporter()))
 
 

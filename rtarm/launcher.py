@@ -77,6 +77,8 @@ class Plan:
     """What the ROS process is given besides, such as `--ros-args`."""
     simulated_adapter: Mapping[str, Any] = field(default_factory=dict)
     """What the simulated arm's adapter changes in section `bus`, its channel apart."""
+    hand: str | None = None
+    """The motion along which a hand leads the simulated arm whenever it is limp, as `sim.hand` knows it."""
 
 
 def parameter_arguments(parameters: Mapping[str, Any]) -> list[str]:
@@ -117,6 +119,7 @@ def load_plan(
     again: str = "",
     front_environment: Mapping[str, str] | None = None,
     front_arguments: Sequence[str] = (),
+    hand: str | None = None,
 ) -> Plan:
     """Check the configuration, the budget and what is installed before anything is started.
 
@@ -139,7 +142,7 @@ def load_plan(
     check_budget(arm)
     check_ros()
     environment = front_environment or {}
-    return Plan(arm, arm_argument, overrides, simulated, start_deg, again, environment, front_arguments, adapter)
+    return Plan(arm, arm_argument, overrides, simulated, start_deg, again, environment, front_arguments, adapter, hand)
 
 
 def _needs_no_bus(arm_argument: str) -> bool:
@@ -293,6 +296,8 @@ class Launcher:
         arguments = ["--arm", self.plan.arm_argument, *override_arguments(overrides)]
         if self.plan.start_deg is not None:
             arguments += ["--start-deg=" + ",".join(f"{angle:.9g}" for angle in self.plan.start_deg)]
+        if self.plan.hand is not None:
+            arguments += ["--hand", self.plan.hand]
         self._sim = await self._spawn("sim", "sim", arguments, plain_environment())
         terminal = await self._wait_ready(self._sim, SIM_PATIENCE_S, "simulated arm starting")
         self._say(self._sim, f"ready, {len(self.plan.arm.joints)} simulated drives behind {terminal}")

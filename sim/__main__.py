@@ -5,7 +5,7 @@ python-can, another adapter on the host's bus for instance. Prints `ready <termi
 opened. SIGUSR1 writes the true motion so far to the file given with `--truth` and then prints `truth <file>`; the same
 file is written at the end. With `--truth-window-s` it holds that many seconds, and what is older is forgotten. With
 `--faults-from-stdin` every line that comes in is a fault, its times counted from that moment, answered by
-`fault <line>`, or by `refused <sentence>`.
+`fault <line>`, or by `refused <sentence>`. With `--hand` somebody leads the arm whenever it is limp.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from sim.arm import SimulatedArm
 from sim.can_interface import CanInterface
 from sim.can_socket import CanServer
 from sim.faults import FAULTS, parse_fault
+from sim.hand import load_guided
 from sim.pty import PtyServer
 from sim.truth import save_truth
 
@@ -45,8 +46,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the simulator; returns its exit code."""
     options = _parser().parse_args(arguments)
     try:
+        config = load_arm(options.arm, overrides=parse_overrides(options.set))
         arm = SimulatedArm(
-            load_arm(options.arm, overrides=parse_overrides(options.set)),
+            config,
             start_ns=time.monotonic_ns(),
             joint_position_rad=_start(options.start_deg),
             seed=options.seed,
@@ -54,6 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
             dialect=options.dialect,
             firmware=options.firmware,
             homed=not options.unhomed,
+            hand=None if options.hand is None else load_guided(options.hand, [joint.name for joint in config.joints]),
         )
         server = _server(arm, options)
     except (ConfigError, ValueError, OSError) as error:
@@ -189,6 +192,11 @@ def _parser() -> argparse.ArgumentParser:
         "--fault", action="append", default=[], help=f"NAME:FIELD=VALUE,… with NAME of {', '.join(FAULTS)}"
     )
     parser.add_argument("--faults-from-stdin", action="store_true", help="take faults while running, too")
+    parser.add_argument(
+        "--hand",
+        metavar="FILE",
+        help="motion (CSV, or `wave`) along which a hand leads the joints whenever all are limp",
+    )
     parser.add_argument("--dialect", choices=DIALECTS, default="lawicel", help="of an SLCAN adapter")
     parser.add_argument("--firmware", choices=("new", "old"), default="new", help="of the drives")
     parser.add_argument("--unhomed", action="store_true", help="drives that have just been switched on")

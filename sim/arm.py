@@ -38,6 +38,7 @@ from sim.drives.shaft import Reals, Times
 from sim.drives.zdt import ZdtDrive
 from sim.drives.zdt_settings import CAN_CODES, Settings, homing_towards
 from sim.faults import Fault
+from sim.hand import Guided, Hand
 from sim.seeed_adapter import SeeedAdapter
 from sim.serial_adapter import LineFault, SerialAdapter
 
@@ -69,6 +70,7 @@ class SimulatedArm:
         enabling: what ZDT drives do that are enabled again, see `sim.drives.zdt`.
         lag_s: time constant of the shafts of ZDT drives behind their ramps [s].
         echo: whether the adapter reports its own transmissions as received frames.
+        hand: a motion along which somebody leads the joints whenever all are limp, see `sim.hand`.
 
     Attributes:
         drives: in joint order.
@@ -93,6 +95,7 @@ class SimulatedArm:
         enabling: Literal["hold", "pull"] = "hold",
         lag_s: float = 0.0,
         echo: bool = False,
+        hand: Guided | None = None,
     ) -> None:
         self.config = arm
         self.start_ns = self.now_ns = start_ns
@@ -133,6 +136,8 @@ class SimulatedArm:
         self._seed = seed
         self._script = _Script()
         self.bus.nodes += [self.adapter, *self.drives, *([self.gripper] if self.gripper else []), self._script]
+        if hand is not None:
+            self.bus.nodes.append(Hand(hand, arm.joints, self.drives, start_ns))
         for fault in faults:
             self.inject(fault)
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from sim.bus import Frame, Outbox
 from sim.drives.drive import Cause, Drive
 from sim.drives.ramp import NEVER
-from sim.drives.servo import Limp, Load, Servo
+from sim.drives.servo import Led, Limp, Load, Servo
 
 REPLY_DELAY_NS = (100_000, 300_000)
 """Least and greatest time from a request to its answer [inf]; drives answer from an interrupt or a loop of a kilohertz
@@ -230,6 +230,16 @@ class ServoDrive(BusDrive):
     def loosen(self) -> None:
         """Coast."""
         self.shaft.obey(Limp())
+
+    @property
+    def limp(self) -> bool:
+        """Whether nothing but friction holds its shaft."""
+        return isinstance(self.shaft.law, Limp)
+
+    def lead(self, now_ns: int, turns_s: float) -> None:
+        """Have its limp shaft turned by a hand [rev/s]."""
+        self.advance(now_ns)
+        self.shaft.obey(Led(turns_s))
 
     def block_shaft(self, now_ns: int) -> None:
         """Hold the shaft where it is from `now_ns` on."""

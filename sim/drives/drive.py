@@ -64,6 +64,10 @@ class Drive(Node, Protocol):
     def shaft(self) -> TrueMotion:
         """Its true motion, as far as it has been advanced."""
 
+    @property
+    def limp(self) -> bool:
+        """Whether nothing but friction holds its shaft."""
+
     def advance(self, now_ns: int) -> None:
         """Live up to `now_ns`; a time already lived changes nothing."""
 
@@ -81,6 +85,9 @@ class Drive(Node, Protocol):
 
     def block_shaft(self, now_ns: int) -> None:
         """Hold the shaft where it is from `now_ns` on."""
+
+    def lead(self, now_ns: int, turns_s: float) -> None:
+        """Have its limp shaft turned by a hand with this speed [rev/s], until told otherwise or enabled."""
 
     def disable(self, now_ns: int) -> None:
         """Be let go by somebody, not over the bus."""

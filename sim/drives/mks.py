@@ -517,6 +517,16 @@ class MksDrive(BusDrive):
         self.stepper.release()
         self._schedule()
 
+    @property
+    def limp(self) -> bool:
+        """Whether nothing but friction holds its shaft."""
+        return not self.enabled
+
+    def lead(self, now_ns: int, turns_s: float) -> None:
+        """Have its limp shaft turned by a hand [rev/s]."""
+        self.advance(now_ns)
+        self.stepper.lead(round(turns_s * 60.0))
+
     def block_shaft(self, now_ns: int) -> None:
         """Hold the shaft where it is from `now_ns` on."""
         self.advance(now_ns)

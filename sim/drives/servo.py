@@ -7,7 +7,7 @@ something else of it.
 
 Positions are revolutions of what the drive counts, speeds revolutions per second, torques N·m, times ns.
 
-Laws: `Hold`, `Limp`, `Plan` (a trapezoid to a target, retargeted at any time), `Spin` (a speed, by a ramp), `Torque`
+Laws: `Hold`, `Limp`, `Led` (a hand turns it), `Plan` (a trapezoid to a target, retargeted at any time), `Spin` (a speed, by a ramp), `Torque`
 (stiffness, damping and torque on the load's inertia, as MIT mode), `Cascade` (position loop around a velocity loop,
 with feed-forward) and `Interpolation` (straight lines between targets that come at a beat). A drive's file may add its
 own.
@@ -95,6 +95,18 @@ class Limp:
     def speed(self, load: Load, time_ns: int, position: float, speed: float) -> float:
         """What friction leaves."""
         return load.dragged(speed)
+
+
+class Led(Limp):
+    """Be turned by a hand with a speed [rev/s], limp as it is."""
+
+    def __init__(self, turns_s: float) -> None:
+        self.turns_s = turns_s
+        self.rests = turns_s == 0.0
+
+    def speed(self, load: Load, time_ns: int, position: float, speed: float) -> float:
+        """The hand's."""
+        return self.turns_s
 
 
 class Spin:

@@ -124,6 +124,12 @@ class Stepper:
         else:
             self.run(0, COAST_TICK_NS)
 
+    def lead(self, rpm: int) -> None:
+        """Have the released shaft turned by a hand; at a stop the hand goes on from there."""
+        if self._pressed:
+            self.hold()
+        self.run(rpm, 0)
+
     def block(self) -> None:
         """Hold the shaft where it is."""
         self.shaft.block(self._now_ns)

@@ -120,6 +120,19 @@ class Motion(ABC):
         self.shaft.block(now_ns)
         self._watch_contact()
 
+    @property
+    def limp(self) -> bool:
+        """Whether nothing but friction holds its shaft."""
+        return not self.enabled or self.protected or not self.powered
+
+    def lead(self, now_ns: int, turns_s: float) -> None:
+        """Have its limp shaft turned by a hand [rev/s]; at a stop the hand goes on from there."""
+        self.advance(now_ns)
+        if self._stalled:
+            self._ramp.place(self.shaft.place(now_ns))
+        self._ramp.run(round(turns_s * 60.0), 0)
+        self._watch_contact()
+
     def let_stop(self, now_ns: int, low: int, high: int) -> None:
         """From `now_ns` on something solid stands there on either side of the shaft [grains]."""
         self.advance(now_ns)
