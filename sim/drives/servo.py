@@ -7,10 +7,10 @@ something else of it.
 
 Positions are revolutions of what the drive counts, speeds revolutions per second, torques N·m, times ns.
 
-Laws: `Hold`, `Limp`, `Led` (a hand turns it), `Plan` (a trapezoid to a target, retargeted at any time), `Spin` (a speed, by a ramp), `Torque`
-(stiffness, damping and torque on the load's inertia, as MIT mode), `Cascade` (position loop around a velocity loop,
-with feed-forward) and `Interpolation` (straight lines between targets that come at a beat). A drive's file may add its
-own.
+Laws: `Hold`, `Limp`, `Led` (a hand turns it), `Plan` (a trapezoid to a target, retargeted at any time), `Spin` (a
+speed, by a ramp), `Torque` (stiffness, damping and torque on the load's inertia, as MIT mode), `Cascade` (position
+loop around a velocity loop, with feed-forward) and `Interpolation` (straight lines between targets that come at a
+beat). A drive's file may add its own.
 
 Not modelled: gravity, elasticity, backlash, cogging and saturation of the current loop beyond a torque limit. Friction
 is a constant torque against the motion; loops with an integrator (`Cascade`, `Plan`, `Spin`, `Interpolation`) are taken

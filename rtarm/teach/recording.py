@@ -1,0 +1,99 @@
+"""What the encoders of a running arm say, cycle by cycle, from the flight recorder of its state file.
+
+The recorder keeps the last half minute, so a reader that is kept waiting for some seconds loses nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rtarm.teach.making import Readings
+from rtarm.teach.motion import Limits
+from shm.files import MemoryFile, joint_names
+from shm.layout import STATE
+from shm.recording import is_whole, record_dtype
+from shm.words import Fault, Mode
+
+
+def limits_of(memory: MemoryFile) -> Limits:
+    """The limits that an arm's control process keeps, from its state file."""
+    names = joint_names(memory.record["header"])
+    rows = np.array(memory.record["limits"]["joints"][: len(names)])
+    return Limits(
+        names,
+        *(
+            rows[name].astype(float)
+            for name in ("lower_rad", "upper_rad", "max_velocity_rad_s", "max_acceleration_rad_s2")
+        ),
+    )
+
+
+class FreeMotion:
+    """What is read while an arm is led by hand, from now on until it is free no more.
+
+    Attributes:
+        ended: whether it is free no more, or a joint's angle is not known any more.
+        lost: cycles that were overwritten before they were read.
+        last: the newest cycle's record, None before the first.
+    """
+
+    def __init__(self, memory: MemoryFile) -> None:
+        header = memory.record["header"]
+        self._memory = memory
+        self._dtype = record_dtype(int(header["joint_count"]))
+        self._next = int(memory.record["records_written"][0])
+        self._times_ns: list[np.ndarray] = []
+        self._positions: list[np.ndarray] = []
+        self.ended = False
+        self.lost = 0
+        self.last: np.void | None = None
+
+    def take(self) -> None:
+        """Read the cycles that have come since."""
+        if self.ended:
+            return
+        records = self._new_records()
+        joints = records["joints"]
+        led = (
+            (records["mode"] == Mode.FREE)
+            & (records["fault"] == Fault.NONE)
+            & np.logical_and.reduce(joints["referenced"] != 0, axis=1)
+        )
+        if not led.all():
+            self.ended = True
+            self.last = records[np.argmin(led)]
+            records = records[: np.argmin(led)]
+        elif len(records):
+            self.last = records[-1]
+        if len(records):
+            self._times_ns.append(records["joints"]["measured_ns"])
+            self._positions.append(records["joints"]["measured_position_rad"])
+
+    def readings(self) -> list[Readings]:
+        """What each joint's encoder said, each reading once; times count from the first of all."""
+        if not self._times_ns:
+            return []
+        times_ns, positions_rad = np.concatenate(self._times_ns), np.concatenate(self._positions)
+        begin_ns = times_ns[0].min()
+        return [
+            Readings((times[fresh] - begin_ns) * 1e-9, places[fresh])
+            for times, places in zip(times_ns.T, positions_rad.T, strict=True)
+            for fresh in (np.flatnonzero(np.diff(np.maximum.accumulate(times), prepend=times[0] - 1)),)
+        ]
+
+    def _new_records(self) -> np.ndarray:
+        """Whole records since the last ones, in their order."""
+        memory, size = self._memory, int(self._memory.record["recorder"]["record_bytes"])
+        slots = int(memory.record["recorder"]["record_slots"])
+        written = int(memory.record["records_written"][0])
+        oldest = max(self._next, written - slots + 1)
+        found = []
+        for number in range(oldest, written):
+            at = STATE.itemsize + number % slots * size
+            copy = memory.map[at : at + size]
+            record = np.frombuffer(copy, self._dtype)
+            if int(record["number"][0]) == number and is_whole(memoryview(copy)):
+                found.append(record)
+        self.lost += written - self._next - len(found)
+        self._next = written
+        return np.concatenate(found) if found else np.zeros(0, self._dtype)
