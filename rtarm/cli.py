@@ -27,6 +27,7 @@ from rtarm.cli_frame import (
     sentences,
 )
 from rtarm.cli_orders import orders
+from rtarm.cli_view import view_app
 from rtarm.errors import ExitCode, Refusal, exit_code_table
 
 if TYPE_CHECKING:
@@ -345,5 +346,6 @@ def _reporter() -> Reporter:
 app.add_typer(orders)
 app.add_typer(drives_app)
 app.add_typer(calibrate_app)
+app.add_typer(view_app)
 
 __all__ = ["app"]

@@ -388,3 +388,12 @@ def resume(arm: str) -> str:
     with connect(arm) as connection:
         connection.order(Request.RESUME)
     return f"The goal of {arm} goes on."
+
+
+def speed(arm: str, scale: float) -> str:
+    """Set the speed scale, 0 (stands still) to 1, at which every goal runs on its path; say so."""
+    if not 0.0 <= scale <= 1.0:
+        raise Refusal(f"The speed scale is {scale:g}, but goals run at 0 to 1 of their own speed: choose one of these.")
+    with connect(arm) as connection:
+        connection.order(Request.SPEED_SCALE, value=scale)
+    return f"Goals of {arm} run at {scale:.0%} of their speed."

@@ -41,13 +41,12 @@ class Replay:
     def look(self) -> Look:
         """What was to be seen at the time that has been reached."""
         start_ns, end_ns = int(self._instants[0]), int(self._instants[-1])
-        passed_ns = round((self._clock() - self._began_ns) * self._speed)
-        now_ns = min(start_ns + passed_ns, end_ns)
+        now_ns = min(self._now_ns(), end_ns)
         at = int(np.searchsorted(self._instants, now_ns, side="right")) - 1
         since = int(np.searchsorted(self._instants, now_ns - RECENT_S * NS))
         record = self._recording.records[at]
         report = self._report(at, now_ns)
-        if start_ns + passed_ns >= end_ns:
+        if now_ns >= end_ns:
             report["problems"].insert(0, f"The recording ends here, after {(end_ns - start_ns) / NS:.1f} s.")
         recent_s = (now_ns - int(self._instants[since])) / NS
         return Look(
@@ -63,6 +62,14 @@ class Replay:
             happenings=self._until(now_ns),
             epoch_offset_ns=int(record["epoch_ns"]) - int(record["monotonic_ns"]),
         )
+
+    def reached(self) -> int:
+        """How many cycles lie behind."""
+        return int(np.searchsorted(self._instants, self._now_ns(), side="right"))
+
+    def _now_ns(self) -> int:
+        """The time that has been reached, on the recording's clock; it goes on behind the end."""
+        return int(self._instants[0]) + round((self._clock() - self._began_ns) * self._speed)
 
     def _until(self, now_ns: int) -> list[Happening]:
         """What had happened, newest first."""

@@ -1,0 +1,212 @@
+"""What stands beside the arm, as HTML: pure functions of a look. Everything from outside is escaped."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+from config.joint import JointConfig
+from config.schema import ArmConfig
+from rtarm.status import describe_scheduling
+from rtarm.status_tables import duration_words, gripper_words, shown, trouble_words
+from rtarm.top.events import BAD, GOOD, ODD, Happening
+from rtarm.top.watch import Look
+from rtarm.view.limits import Nearness, Side, nearness, share
+from rtarm.view.words import Words
+
+EVENTS = 24
+"""So many are shown, newest first."""
+
+STYLE = """<style>
+.rt {font-size: 13px; line-height: 1.4; padding: 4px 10px; color: #1f2933}
+.rt b.mode {font-size: 17px; margin-right: 8px}
+.rt .tag {display: inline-block; border-radius: 10px; padding: 0 8px; font-size: 12px; color: #fff; background: #2b8a3e}
+.rt .tag.bad {background: #c92a2a}
+.rt .say {border-left: 4px solid #e67700; background: #fff4e6; padding: 4px 8px; margin-top: 5px; border-radius: 3px}
+.rt .say.bad {border-color: #c92a2a; background: #fff0f0}
+.rt .say.good {border-color: #2b8a3e; background: #ebfbee}
+.rt .dim {color: #7b8794}
+.rt table {border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums}
+.rt th {font-weight: 500; color: #7b8794; text-align: right; padding: 1px 0 1px 6px}
+.rt td {text-align: right; padding: 1px 0 1px 6px; white-space: nowrap}
+.rt th:first-child, .rt td:first-child {text-align: left; padding-left: 0}
+.rt td.text {text-align: left; white-space: normal}
+.rt .near td {color: #b35c00} .rt .bad td {color: #c92a2a}
+.rt .bar {position: relative; height: 3px; background: #e4e7eb; border-radius: 2px; margin: 0 0 4px}
+.rt .bar i {position: absolute; width: 7px; height: 7px; top: -2px; margin-left: -3px; border-radius: 4px}
+.rt .bar i.is {background: #3e4c59} .rt .bar i.ought {background: #2878dc; opacity: .5}
+.rt .near .bar i.is {background: #e67700} .rt .bad .bar i.is {background: #c92a2a}
+.rt .GOOD {color: #2b8a3e} .rt .BAD {color: #c92a2a} .rt .ODD {color: #b35c00}
+</style>"""
+OF_THE_PAST = "<style>canvas {filter: grayscale(1); opacity: .3} .rt.now {opacity: .4}</style>"
+"""What is shown is not of now."""
+
+_CLASSES = {GOOD: "GOOD", BAD: "BAD", ODD: "ODD"}
+
+
+def state_html(look: Look, arm: ArmConfig, words: Words) -> str:
+    """Mode, goal, what is wrong and what to do; the first thing that is read."""
+    report = look.report
+    if look.trouble is not None:
+        said = _say(look.trouble, "bad", "trouble")
+        return _page(f'<b class="mode" id="rt-mode">{escape(words.waiting)}</b>{said}') + OF_THE_PAST
+    if report is None:
+        return _page(f'<b class="mode" id="rt-mode">{escape(words.waiting)}</b>')
+    mode = words.modes.get(report["mode"], report["mode"].replace("_", " "))
+    tag = f'<span class="tag">{escape(words.fit)}</span>'
+    if not report["healthy"]:
+        tag = f'<span class="tag bad">{escape(words.unfit)}</span>'
+    fault = report["fault"]
+    said = [
+        _say(sentence, "bad" if fault is not None and sentence == fault["sentence"] else "", "problem")
+        for sentence in report["problems"]
+    ]
+    last = report["last_result"]
+    lines = [
+        f'<div><b class="mode" id="rt-mode" data-mode="{escape(report["mode"])}">{escape(mode)}</b>{tag}</div>',
+        f'<div id="rt-goal">{escape(words.goal)}: {escape(goal_words(report, words))}, '
+        f"{escape(words.speed_now.format(scale=report['speed_scale']))}</div>",
+        *said,
+    ]
+    if report["goal"] is None and last is not None:
+        told = words.last_result.format(id=last["goal_id"], sentence=last["sentence"])
+        lines.append(f'<div class="dim" id="rt-result">{escape(told)}</div>')
+    if arm.kinematics is None:
+        lines.append(f'<div class="dim">{escape(words.no_geometry)}</div>')
+    return _page("".join(lines))
+
+
+def goal_words(report: Mapping[str, Any], words: Words) -> str:
+    """Where the running goal stands."""
+    goal = report["goal"]
+    if goal is None:
+        return words.no_goal
+    phase = words.phases.get(goal["phase"], goal["phase"])
+    text = words.goal_endless if goal["duration_s"] is None else words.goal_of
+    return text.format(id=goal["id"], phase=phase, clock=goal["clock_s"] or 0.0, duration=goal["duration_s"])
+
+
+def joints_html(look: Look, arm: ArmConfig, words: Words) -> str:
+    """A row a joint: where it is and ought to be, in its range too, and the limit it is near."""
+    if look.report is None:
+        return _page("", now=True)
+    head = "".join(f"<th>{escape(one)}</th>" for one in (words.joint, words.measured, words.commanded, words.error))
+    rows, near = [], []
+    for joint, config in zip(look.report["joints"], arm.joints, strict=True):
+        close = nearness(config, joint["position_rad"])
+        rows.append(_joint(joint, config, close))
+        if close is not None:
+            near.append(_say(near_words(config.name, close, words), "bad" if close.side is Side.BEYOND else "", "near"))
+        if joint["drive_trouble"]:
+            near.append(_say(f"{config.name}: {', '.join(joint['drive_trouble'])}", "bad", "drive"))
+    gripper = look.report.get("gripper")
+    held = "" if gripper is None else f"<div>{escape(words.gripper)}: {escape(gripper_words(gripper))}</div>"
+    return _page(f"<table><tr>{head}</tr>{''.join(rows)}</table>{held}{''.join(near)}", now=True)
+
+
+def near_words(joint: str, close: Nearness, words: Words) -> str:
+    """The sentence about a limit that is near."""
+    text = {Side.LOWER: words.near_lower, Side.UPPER: words.near_upper, Side.BEYOND: words.beyond}[close.side]
+    return text.format(joint=joint, distance=close.distance_deg, limit=close.limit_deg)
+
+
+def _joint(joint: Mapping[str, Any], config: JointConfig, close: Nearness | None) -> str:
+    kind = "bad" if (close is not None and close.side is Side.BEYOND) or not joint["referenced"] else ""
+    kind = kind or ("near" if close is not None else "")
+    name = escape(config.name)
+    figures = "".join(
+        f'<td data-{key}="{name}">{shown(joint[field], digits, degrees=True)}</td>'
+        for key, field, digits in (
+            ("measured", "position_rad", 2),
+            ("commanded", "commanded_rad", 2),
+            ("error", "error_rad", 3),
+        )
+    )
+    dots = "".join(
+        f'<i class="{dot}" style="left:{100.0 * share(config, at_rad):.1f}%"></i>'
+        for dot, at_rad in (("ought", joint["commanded_rad"]), ("is", joint["position_rad"]))
+        if at_rad is not None
+    )
+    return (
+        f'<tr class="{kind}"><td>{name}</td>{figures}</tr>'
+        f'<tr class="{kind}"><td colspan="4"><div class="bar">{dots}</div></td></tr>'
+    )
+
+
+def events_html(look: Look, words: Words) -> str:
+    """What happened, newest first."""
+    rows = [_event(one, look.epoch_offset_ns) for one in look.happenings[:EVENTS]]
+    return _page(f"<table>{''.join(rows)}</table>" if rows else escape(words.nothing_yet))
+
+
+def _event(one: Happening, epoch_offset_ns: int) -> str:
+    clock = time.strftime("%H:%M:%S", time.localtime((one.monotonic_ns + epoch_offset_ns) * 1e-9))
+    kind = _CLASSES.get(one.style, "")
+    return f'<tr><td class="dim" valign="top">{clock}</td><td class="text {kind}">{escape(one.sentence)}</td></tr>'
+
+
+def machine_html(look: Look, words: Words) -> str:
+    """What bears on punctuality: cycles, overruns, lateness, bus, processes."""
+    report, recent = look.report, look.recent
+    if report is None or recent is None:
+        return _page("", now=True)
+    rows = [
+        (
+            words.cycles,
+            words.cycles_told.format(
+                cycles=report["cycles"], rate=report["rate_hz"], uptime=duration_words(report["uptime_s"])
+            ),
+            "",
+        ),
+        (
+            words.overruns,
+            words.overruns_told.format(all=report["overruns"], recent=recent["overruns"], span=look.recent_span),
+            "BAD" if recent["overruns"] else "",
+        ),
+    ]
+    names = {"lateness": words.lateness, "cycle": words.cycle_time}
+    rows += [
+        (names[timing.what], words.percentiles.format(**timing.figures, span=timing.span), "")
+        for timing in look.timings[::2]
+    ]
+    bus = recent["bus"]
+    seconds = look.recent_s
+    if bus["load"] is None or seconds <= 0.0:
+        rows.append((words.bus, words.no_bus, ""))
+    else:
+        told = words.bus_told.format(
+            load=bus["load"], sent=bus["frames_tx"] / seconds, received=bus["frames_rx"] / seconds
+        )
+        rows.append((words.bus, told, ""))
+    if trouble := trouble_words(report["bus"]):
+        rows.append((words.bus_trouble, trouble, "BAD" if trouble_words(bus) else ""))
+    front = report["front"]["pid"]
+    rows += [
+        (words.ros, words.ros_none if front is None else words.ros_told.format(pid=front), ""),
+        (
+            words.control,
+            words.control_told.format(pid=report["loop"]["pid"], scheduling=describe_scheduling(report["scheduling"])),
+            "",
+        ),
+    ]
+    cells = (
+        f'<tr><td class="dim" valign="top">{escape(name)}</td><td class="text {kind}">{escape(told)}</td></tr>'
+        for name, told, kind in rows
+    )
+    return _page(f'<table id="rt-machine">{"".join(cells)}</table>', now=True)
+
+
+def answer_html(sentences: Sequence[tuple[str, bool]]) -> str:
+    """What came of the buttons that were pressed last; True with what was done."""
+    said = (_say(sentence, "good" if good else "bad", "answer") for sentence, good in sentences)
+    return _page("".join(said))
+
+
+def _say(sentence: str, kind: str, what: str) -> str:
+    return f'<div class="say {kind}" data-say="{what}">{escape(sentence)}</div>'
+
+
+def _page(body: str, *, now: bool = False) -> str:
+    return f'<div class="rt{" now" if now else ""}">{body}</div>'

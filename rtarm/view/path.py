@@ -1,0 +1,112 @@
+"""The way of the running goal, from the ring of knots in which the ROS process hands it to the control process."""
+
+from __future__ import annotations
+
+import contextlib
+import zlib
+
+import numpy as np
+
+from motion.segment import cubic, evaluate, linear, quintic
+from shm import files, layout
+from shm.errors import SharedMemoryError
+from shm.files import MemoryFile
+from shm.words import Setpoint
+
+POINTS = 240
+"""A path is drawn with so many points at the most."""
+MOST_KNOTS = 20_000
+"""Of a goal without end, such as a stream, as many of the newest."""
+
+_NS = 1e-9
+_LINEAR, _CUBIC = 1, 3
+
+
+class GoalPath:
+    """The knots of one goal, gathered while they are in the ring: it keeps the newest 4096 records only."""
+
+    def __init__(self, arm: str, joint_count: int) -> None:
+        self._arm = arm
+        self._used = layout.used_bytes(layout.SETPOINT, joint_count)
+        self._joint_count = joint_count
+        self._memory: MemoryFile | None = None
+        self._goal_id = 0
+        self._read = 0
+        self._knots: dict[int, tuple[int, np.ndarray]] = {}
+        self._drawn = np.zeros((0, joint_count))
+
+    def of(self, goal_id: int) -> np.ndarray:
+        """Joint angles (n, joints) along a goal, n at most `POINTS`; none for goal 0 and where none can be read."""
+        if goal_id != self._goal_id:
+            self.close()  # the file of a new control process is another one
+            self._goal_id, self._read = goal_id, 0
+            self._knots.clear()
+            self._drawn = np.zeros((0, self._joint_count))
+        if goal_id and self._gather():
+            self._drawn = sampled(self._knots, self._joint_count)
+        return self._drawn
+
+    def close(self) -> None:
+        """Let go of the command file."""
+        if self._memory is not None:
+            self._memory.close()
+            self._memory = None
+
+    def _gather(self) -> bool:
+        """Take what has come into the ring since; whether there was any."""
+        if self._memory is None:
+            with contextlib.suppress(SharedMemoryError):
+                self._memory = files.open_command(self._arm)  # only to be read here
+        if self._memory is None:
+            return False
+        written = int(self._memory.record["setpoints_written"][0])
+        ring = self._memory.record["setpoints"]
+        before = len(self._knots), self._read
+        for number in range(max(self._read, written - layout.SETPOINT_SLOTS + 1), written):
+            raw = ring[number % layout.SETPOINT_SLOTS].tobytes()[: self._used]
+            if zlib.crc32(raw[8:]) != int.from_bytes(raw[:8], "little"):
+                continue
+            knot = np.frombuffer(raw.ljust(layout.SETPOINT.itemsize, b"\0"), layout.SETPOINT)[0]
+            if int(knot["goal_id"]) == self._goal_id and int(knot["kind"]) == Setpoint.KNOT:
+                joints = knot["joints"][: self._joint_count]
+                state = np.stack([joints[name] for name in joints.dtype.names], axis=-1)
+                self._knots[int(knot["time_ns"])] = (int(knot["order"]), state)
+        for old in sorted(self._knots)[:-MOST_KNOTS]:
+            del self._knots[old]
+        self._read = written
+        return (len(self._knots), self._read) != before
+
+
+def sampled(knots: dict[int, tuple[int, np.ndarray]], joint_count: int) -> np.ndarray:
+    """Joint angles (n, joints) at equal steps of time along knots.
+
+    Args:
+        knots: time (ns) → order of the segment that ends there, and position, velocity and acceleration (joints, 3).
+    """
+    if len(knots) < 2:
+        return np.zeros((0, joint_count))
+    times_ns = sorted(knots)
+    times_s = np.array(times_ns) * _NS
+    orders = np.array([knots[at][0] for at in times_ns])
+    states = np.stack([knots[at][1] for at in times_ns])
+    at_s = np.linspace(times_s[0], times_s[-1], POINTS)
+    end = np.clip(np.searchsorted(times_s, at_s), 1, len(times_s) - 1)
+    (p0, v0, a0), (p1, v1, a1) = (np.moveaxis(states[index], -1, 0) for index in (end - 1, end))
+    duration_s = (times_s[end] - times_s[end - 1])[:, None]
+    of_order = {
+        _LINEAR: linear(p0, p1, duration_s),
+        _CUBIC: cubic(p0, v0, p1, v1, duration_s),
+    }
+    along_s = (at_s - times_s[end - 1])[:, None]
+    positions: np.ndarray = evaluate(*quintic(p0, v0, a0, p1, v1, a1, duration_s), along_s)[0]
+    for order, coefficients in of_order.items():
+        rows = orders[end] == order
+        positions[rows] = evaluate(*coefficients, along_s)[0][rows]
+    return positions
+
+
+def thinned(points: np.ndarray) -> np.ndarray:
+    """At most `POINTS` of some points, the first and the last among them."""
+    if len(points) <= POINTS:
+        return points
+    return points[np.linspace(0, len(points) - 1, POINTS).round().astype(int)]
