@@ -12,7 +12,7 @@ ROS_FROM := $(or $(ROS),wheels)
 EXTRAS := bench$(COMMA)dev$(COMMA)docs$(COMMA)plot$(COMMA)teach$(COMMA)view$(if $(ROS),,$(COMMA)ros)
 INTERFACES := $(shell find rosfront/interfaces -type f -not -name '*.pyc')
 COMPILED := $(wildcard config/*.py config/drives/*.py) $(shell find motion shm rtloop -name '*.py')
-SOURCES := config motion shm rtloop rosfront sim rtarm ros bench tests
+SOURCES := config motion shm rtloop rosfront sim rtarm ros handbook bench tests
 
 # Set by the ROS wheels inside a Python of theirs: an inherited one would make ours skip its library path.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
@@ -24,13 +24,15 @@ TRIALS ?= 200
 CASES ?= 1000000
 SEED ?= 1
 
-.PHONY: help env demo test test-vm check bench trials bus-trials bus-trials-live soak fuzz clean
+.PHONY: help env demo test test-vm check docs reference bench trials bus-trials bus-trials-live soak fuzz clean
 
 help:
 	@echo 'make demo     play a recorded MoveIt goal on a simulated arm'
 	@echo 'make test     run the tests'
 	@echo 'make test-vm  run tests/vm in a small virtual machine that has SocketCAN'
 	@echo 'make check    ruff and mypy'
+	@echo 'make docs     build the documentation into build/site'
+	@echo 'make reference  make the pages of docs/reference anew from the code'
 	@echo 'make bench    run the benchmarks'
 	@echo 'make trials   hurt the processes of an arm in motion, TRIALS=200 times'
 	@echo 'make bus-trials  hurt the bus of an arm in virtual time, TRIALS=200 times in each way'
@@ -56,6 +58,12 @@ check: $(STAMPS)/interfaces
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+docs: $(STAMPS)/packages
+	$(BIN)/python -m mkdocs build --quiet
+
+reference: $(STAMPS)/interfaces
+	$(BIN)/python -m handbook docs/reference
 
 bench: env
 	$(BIN)/rtarm bench

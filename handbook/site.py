@@ -1,8 +1,9 @@
 """A hook of MkDocs: the site is made from `build/docs`, which holds `docs/` and what its pages lead to outside of it.
 
-On GitHub a page may lead to any file of the repository. A site has only its own pages; so the README becomes its entry, CONTRIBUTING
-and CHANGELOG become pages, and every other file or folder that a page leads to is shown on a page of its own below
-`source/`. Links are rewritten on the way; one that leads nowhere stays as it is, and MkDocs complains of it.
+On GitHub a page may lead to any file of the repository. A site has only its own pages; so the README becomes its
+entry, CONTRIBUTING and CHANGELOG become pages, and every other file or folder that a page leads to is shown on a page
+of its own below `source/`. Links are rewritten on the way; one that leads nowhere stays as it is, and MkDocs
+complains of it.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -83,7 +84,7 @@ def cells(row: str) -> list[str]:
     """The cells of a row of a table; a bar inside code, or behind a backslash, is none between cells."""
     hidden = re.sub(r"\\\|", "  ", blanked(row, CODE))
     cuts = [at for at, mark in enumerate(hidden) if mark == "|"]
-    return [row[begin + 1 : end].strip() for begin, end in zip(cuts, cuts[1:], strict=False)]
+    return [row[begin + 1 : end].strip() for begin, end in pairwise(cuts)]
 
 
 def code_words(text: str) -> set[str]:

@@ -77,10 +77,11 @@ def differences(english_page: Path, chinese_page: Path) -> Iterator[str]:
 
 def section_differences(page: Path, english: Section, chinese: Section) -> Iterator[str]:
     """Where a section's twin is not what it is."""
-    wanted = sorted(t for target in english.targets if (t := wanted_target(page, target)) is not None)
-    found = sorted(t for target in chinese.targets if wanted_target(page, target) is not None for t in [target])
+    wanted = sorted(there for target in english.targets if (there := wanted_target(page, target)) is not None)
+    found = sorted(target for target in chinese.targets if wanted_target(page, target) is not None)
     if wanted != found:
-        yield f"links lead to {sorted(set(found) - set(wanted))} instead of {sorted(set(wanted) - set(found))}, {len(found)} for {len(wanted)}"
+        instead = sorted(set(found) - set(wanted)), sorted(set(wanted) - set(found))
+        yield "links lead to {} instead of {}, ".format(*instead) + f"{len(found)} for {len(wanted)}"
     for mark in (r"[-*]", r"\d+\."):
         if english.items(mark) != chinese.items(mark):
             yield f"{chinese.items(mark)} items of lists ({mark}) for {english.items(mark)}"
@@ -120,6 +121,7 @@ def table_differences(english: list[list[list[str]]], chinese: list[list[list[st
 
 def task_pages() -> list[Path]:
     """The pages of the site that are there in both languages."""
+
     class Loader(yaml.SafeLoader):
         """mkdocs.yml names a function, which is of no interest here."""
 

@@ -1,0 +1,13 @@
+"""The reference pages, each with the function that makes it."""
+
+from collections.abc import Callable
+
+from handbook import commands, configuration, faults, memory, ros
+
+PAGES: dict[str, Callable[[], str]] = {
+    "commands.md": commands.build,
+    "configuration.md": configuration.build,
+    "faults.md": faults.build,
+    "memory.md": memory.build,
+    "ros.md": ros.build,
+}
