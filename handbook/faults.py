@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from enum import IntEnum
-from pathlib import Path
 from typing import Any
 
 from handbook.markdown import code, page, table
@@ -18,13 +17,20 @@ What `rtarm status`, the results of goals and `/diagnostics` say, and what to do
 `rtarm clear-fault`, once its cause is removed; each has [a page of its own](#latched-faults). `…` stands for a value,
 `JOINT` for a joint's name."""
 TABLES: tuple[tuple[str, str, Mapping[Any, Meaning]], ...] = (
-    ("Outcomes of goals", "How a goal ended; the number is the word `outcome` of a result.", sentences.OUTCOMES),
-    ("Joints without a reference", "Why a joint's count means no angle; goals are refused.", sentences.UNREFERENCED),
+    (
+        "Outcomes of goals",
+        "[How a goal ended](../faults/goals.md), the word `outcome` of a result.",
+        sentences.OUTCOMES,
+    ),
+    (
+        "Joints without a reference",
+        "[Why a joint's count means no angle](../faults/unreferenced.md); goals are refused.",
+        sentences.UNREFERENCED,
+    ),
     ("Answers to requests", "What `rtarm hold`, `home`, `reference` … are answered.", sentences.ANSWERS),
     ("The gripper on the bus", "Why a gripper's drive does not do as it is told.", sentences.GRIP_TROUBLES),
     ("The bus", "What the CAN controller thinks of its bus (SocketCAN).", sentences.BUS_STATES),
 )
-DOCS = Path(__file__).parents[1] / "docs"
 HEADS = ("code", "name", "sentence", "reason", "remedy")
 
 
@@ -44,8 +50,7 @@ def build() -> str:
 
 def linked(fault: Fault, name: str) -> str:
     """A fault's name, leading to its page."""
-    page_name = fault.name.lower().replace("_", "-") + ".md"
-    return f"[{name}](../faults/{page_name})" if (DOCS / "faults" / page_name).exists() else name
+    return f"[{name}](../faults/{fault.name.lower()}.md)"
 
 
 def row(key: IntEnum, meaning: Meaning) -> tuple[str, ...]:

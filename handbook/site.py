@@ -12,7 +12,7 @@ import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from handbook.links import leads_elsewhere, targets, with_targets
 
@@ -35,7 +35,20 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     root = Path(config.config_file_path).parent
     config.docs_dir = str(root / "build" / "docs")
     assemble(root, Path(config.docs_dir))
+    config.nav = [with_folders(entry, Path(config.docs_dir)) for entry in config.nav or []]
     return config
+
+
+def with_folders(entry: Any, tree: Path) -> Any:
+    """An entry of the navigation, in which `FOLDER/*` stands for the pages of a folder, its index first."""
+    if isinstance(entry, dict):
+        return {title: with_folders(below, tree) for title, below in entry.items()}
+    if isinstance(entry, str) and entry.endswith("/*"):
+        names = {path.name for path in (tree / entry[:-2]).glob("*.md") if not path.name.endswith(".zh.md")}
+        return [f"{entry[:-1]}{name}" for name in sorted(names, key=lambda name: (name != "index.md", name))]
+    if isinstance(entry, list):
+        return [with_folders(below, tree) for below in entry]
+    return entry
 
 
 def assemble(root: Path, tree: Path) -> None:
