@@ -56,7 +56,9 @@ RUN: dict[str, Run] = {
     "rtarm drives episode1": Run(ADAPTER, "joint6", (DONE, UNHEALTHY)),
     "rtarm drives my_arm.yaml": Run(ADAPTER, "joint6", (DONE, UNHEALTHY)),
     "rtarm drives my_arm.yaml --write": Run(ADAPTER, "joint6"),
-    "rtarm drives ./my_arm.yaml --write --store": Run(ADAPTER, "joint6"),
+    "rtarm drives ./my_arm.yaml --write --store": Run(
+        ADAPTER, "written and read back", talk=(("Write flash?", "y\n"),)
+    ),
     "rtarm calibrate ./my_arm.yaml": Run(ADAPTER, "1. Direction", talk=(("q ends", "q\n"),)),
     "rtarm calibrate ./my_arm.yaml --joint joint5": Run(ADAPTER, "1. Direction", talk=(("q ends", "q\n"),)),
     "rtarm up episode1 --channel /dev/ttyUSB1": Run(ADAPTER, "ended in order", talk=RUNS),
