@@ -57,16 +57,17 @@ class History:
         columns, none = list(self._columns), np.zeros((0, self._joint_count))
         numbers = np.array([column.number for column in columns], dtype=np.int64)
         newest = numbers[-1] if len(numbers) else 0
-        angles = [
-            np.degrees(np.stack(rows)) if rows else none
-            for rows in (
-                [column.commanded_rad for column in columns],
-                [column.measured_rad for column in columns],
-                [column.error_rad for column in columns],
-            )
-        ]
-        lateness_us = np.array([column.lateness_s for column in columns]) * 1e6
-        return Curves((numbers - newest) * COLUMN_NS * 1e-9, *angles, lateness_us)
+
+        def degrees(rows: list[np.ndarray]) -> np.ndarray:
+            return np.degrees(np.stack(rows)) if rows else none
+
+        return Curves(
+            times_s=(numbers - newest) * COLUMN_NS * 1e-9,
+            commanded_deg=degrees([column.commanded_rad for column in columns]),
+            measured_deg=degrees([column.measured_rad for column in columns]),
+            error_deg=degrees([column.error_rad for column in columns]),
+            lateness_us=np.array([column.lateness_s for column in columns]) * 1e6,
+        )
 
 
 def column_of(records: np.ndarray) -> Column:

@@ -89,7 +89,7 @@ class Orders:
 
         still = np.zeros((1, len(to_rad)))
         names = [joint.name for joint in self._arm.joints]
-        document = goal_document(names, [takes_s], to_rad[None], still, still)
+        document = goal_document(names, np.array([takes_s]), to_rad[None], still, still)
         sender = self._ready()
         number = sender.send(document)
         tell(self._words.on_the_way.format(duration=takes_s / max(float(snapshot["speed_scale_asked"]), 0.01)))

@@ -10,6 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from rtarm.top.watch import Look
 from rtarm.view.history import History
 from rtarm.view.limits import Side, nearness
 from rtarm.view.orders import Orders, duration_s
-from rtarm.view.panels import STYLE, answer_html, events_html, joints_html, machine_html, state_html
+from rtarm.view.panels import STYLE, answer_html, events_html, joints_html, machine_html, problems_html, state_html
 from rtarm.view.plots import Plots
 from rtarm.view.scene import BROKEN, NEAR, SHOWN_APART_RAD, Colour, Scene
 from rtarm.view.source import Source
@@ -64,6 +65,7 @@ class Page:
         self._controls = None if orders is None else Controls(server, arm, orders, words, self._scene)
         if self._controls is None:
             gui.add_html(f'<div class="rt dim">{words.recording}</div>')
+        self._problems = gui.add_html("")
         tabs = gui.add_tab_group()
         with tabs.add_tab(words.joints):
             self._joints = gui.add_html("")
@@ -119,7 +121,7 @@ class Page:
         if look.trouble is None:
             self._plots.update(self._history.curves())
         with self._server.atomic():
-            _set(self._state, state_html(look, self._arm, self._words))
+            _set(self._state, state_html(look, self._words))
             if look.report is not None and look.trouble is None:
                 self._tell(look, look.report)
             _set(self._events, events_html(look, self._words))
@@ -127,6 +129,7 @@ class Page:
                 self._controls.offer(look)
 
     def _tell(self, look: Look, report: dict[str, Any]) -> None:
+        _set(self._problems, problems_html(look, self._arm, self._words))
         _set(self._joints, joints_html(look, self._arm, self._words))
         _set(self._machine, machine_html(look, self._words))
         if self._scene is not None:
@@ -182,10 +185,10 @@ class Controls:
         self._clear.visible = False
         self._enable = gui.add_button(words.enable, hint=words.enable_hint, color="green", visible=False)
         self._enable.on_click(self._ask_to_enable)
-        self._speed = gui.add_slider(words.speed, 0, 100, 1, 100, hint=words.speed_hint)
+        self._speed: Any = gui.add_slider(words.speed, 0, 100, 1, 100, hint=words.speed_hint)
         self._speed.on_update(self._speed_moved)
         self._answer = gui.add_html("")
-        self._sliders: list[viser.GuiSliderHandle[float]] = []
+        self._sliders: list[Any] = []
 
     def _button(self, label: str, hint: str, order: Callable[[], str], colour: Any) -> viser.GuiButtonHandle:
         button = self._server.gui.add_button(label, hint=hint, color=colour)
@@ -205,7 +208,7 @@ class Controls:
                 step=STEP_DEG,
                 initial_value=round(min(max(0, low), high) * STEP_DEG, 1),
             )
-            slider.on_update(lambda event, index=index: self._slider_moved(event, index))
+            slider.on_update(partial(self._slider_moved, index))
             self._sliders.append(slider)
         self._go = gui.add_button(words.go_nowhere, hint=words.go_hint, color="green", disabled=True)
         self._go.on_click(lambda _: self._give(words.go_nowhere, self._go_there))
@@ -312,7 +315,7 @@ class Controls:
                     return sentence
             sentence = self._orders.speed(percent / 100.0)
 
-    def _slider_moved(self, event: viser.GuiEvent[Any], index: int) -> None:
+    def _slider_moved(self, index: int, event: viser.GuiEvent[Any]) -> None:
         if event.client_id is None:
             return
         joint = self._arm.joints[index]

@@ -27,6 +27,7 @@ STYLE = """<style>
 .rt .say {border-left: 4px solid #e67700; background: #fff4e6; padding: 4px 8px; margin-top: 5px; border-radius: 3px}
 .rt .say.bad {border-color: #c92a2a; background: #fff0f0}
 .rt .say.good {border-color: #2b8a3e; background: #ebfbee}
+.rt .box {max-height: 190px; overflow-y: auto}
 .rt .dim {color: #7b8794}
 .rt table {border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums}
 .rt th {font-weight: 500; color: #7b8794; text-align: right; padding: 1px 0 1px 6px}
@@ -39,6 +40,7 @@ STYLE = """<style>
 .rt .bar i.is {background: #3e4c59} .rt .bar i.ought {background: #2878dc; opacity: .5}
 .rt .near .bar i.is {background: #e67700} .rt .bad .bar i.is {background: #c92a2a}
 .rt .GOOD {color: #2b8a3e} .rt .BAD {color: #c92a2a} .rt .ODD {color: #b35c00}
+.u-legend .u-value, .u-legend tr:first-child {display: none} .u-legend th::after {content: "" !important}
 </style>"""
 OF_THE_PAST = "<style>canvas {filter: grayscale(1); opacity: .3} .rt.now {opacity: .4}</style>"
 """What is shown is not of now."""
@@ -46,36 +48,39 @@ OF_THE_PAST = "<style>canvas {filter: grayscale(1); opacity: .3} .rt.now {opacit
 _CLASSES = {GOOD: "GOOD", BAD: "BAD", ODD: "ODD"}
 
 
-def state_html(look: Look, arm: ArmConfig, words: Words) -> str:
-    """Mode, goal, what is wrong and what to do; the first thing that is read."""
+def state_html(look: Look, words: Words) -> str:
+    """Mode, fitness and goal; why what is shown is not of now."""
     report = look.report
-    if look.trouble is not None:
-        said = _say(look.trouble, "bad", "trouble")
-        return _page(f'<b class="mode" id="rt-mode">{escape(words.waiting)}</b>{said}') + OF_THE_PAST
-    if report is None:
-        return _page(f'<b class="mode" id="rt-mode">{escape(words.waiting)}</b>')
+    if report is None or look.trouble is not None:
+        said = "" if look.trouble is None else _say(look.trouble, "bad", "trouble") + OF_THE_PAST
+        return _page(f'<b class="mode" id="rt-mode">{escape(words.waiting)}</b>{said}')
     mode = words.modes.get(report["mode"], report["mode"].replace("_", " "))
     tag = f'<span class="tag">{escape(words.fit)}</span>'
     if not report["healthy"]:
         tag = f'<span class="tag bad">{escape(words.unfit)}</span>'
-    fault = report["fault"]
-    said = [
+    goal = f"{words.goal}: {goal_words(report, words)}, {words.speed_now.format(scale=report['speed_scale'])}"
+    return _page(
+        f'<div><b class="mode" id="rt-mode" data-mode="{escape(report["mode"])}">{escape(mode)}</b>{tag}</div>'
+        f'<div id="rt-goal">{escape(goal)}</div>'
+    )
+
+
+def problems_html(look: Look, arm: ArmConfig, words: Words) -> str:
+    """What is wrong and what to do; else how the last goal ended."""
+    report = look.report
+    if report is None:
+        return _page("", now=True)
+    fault, last = report["fault"], report["last_result"]
+    lines = [
         _say(sentence, "bad" if fault is not None and sentence == fault["sentence"] else "", "problem")
         for sentence in report["problems"]
-    ]
-    last = report["last_result"]
-    lines = [
-        f'<div><b class="mode" id="rt-mode" data-mode="{escape(report["mode"])}">{escape(mode)}</b>{tag}</div>',
-        f'<div id="rt-goal">{escape(words.goal)}: {escape(goal_words(report, words))}, '
-        f"{escape(words.speed_now.format(scale=report['speed_scale']))}</div>",
-        *said,
     ]
     if report["goal"] is None and last is not None:
         told = words.last_result.format(id=last["goal_id"], sentence=last["sentence"])
         lines.append(f'<div class="dim" id="rt-result">{escape(told)}</div>')
     if arm.kinematics is None:
         lines.append(f'<div class="dim">{escape(words.no_geometry)}</div>')
-    return _page("".join(lines))
+    return _page(f'<div class="box">{"".join(lines)}</div>', now=True)
 
 
 def goal_words(report: Mapping[str, Any], words: Words) -> str:

@@ -93,15 +93,22 @@ def sampled(knots: dict[int, tuple[int, np.ndarray]], joint_count: int) -> np.nd
     end = np.clip(np.searchsorted(times_s, at_s), 1, len(times_s) - 1)
     (p0, v0, a0), (p1, v1, a1) = (np.moveaxis(states[index], -1, 0) for index in (end - 1, end))
     duration_s = (times_s[end] - times_s[end - 1])[:, None]
-    of_order = {
-        _LINEAR: linear(p0, p1, duration_s),
-        _CUBIC: cubic(p0, v0, p1, v1, duration_s),
-    }
     along_s = (at_s - times_s[end - 1])[:, None]
-    positions: np.ndarray = evaluate(*quintic(p0, v0, a0, p1, v1, a1, duration_s), along_s)[0]
-    for order, coefficients in of_order.items():
-        rows = orders[end] == order
-        positions[rows] = evaluate(*coefficients, along_s)[0][rows]
+    order = orders[end][:, None]
+    return np.where(
+        order == _LINEAR,
+        _positions(linear(p0, p1, duration_s), along_s),
+        np.where(
+            order == _CUBIC,
+            _positions(cubic(p0, v0, p1, v1, duration_s), along_s),
+            _positions(quintic(p0, v0, a0, p1, v1, a1, duration_s), along_s),
+        ),
+    )
+
+
+def _positions(coefficients: tuple[np.ndarray, ...], along_s: np.ndarray) -> np.ndarray:
+    c0, c1, c2, c3, c4, c5 = coefficients
+    positions: np.ndarray = evaluate(c0, c1, c2, c3, c4, c5, along_s)[0]
     return positions
 
 
@@ -109,4 +116,5 @@ def thinned(points: np.ndarray) -> np.ndarray:
     """At most `POINTS` of some points, the first and the last among them."""
     if len(points) <= POINTS:
         return points
-    return points[np.linspace(0, len(points) - 1, POINTS).round().astype(int)]
+    kept: np.ndarray = points[np.linspace(0, len(points) - 1, POINTS).round().astype(int)]
+    return kept

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,9 +13,11 @@ from rtarm.view.words import Words
 if TYPE_CHECKING:
     import viser
 
-HEIGHT_PX = 170
+HEIGHT_PX = 150
 COLOURS = ("#2878dc", "#e67700", "#2b8a3e", "#c92a2a", "#7048e8", "#0c8599", "#a61e4d", "#5c940d")
 IS, OUGHT = "#3e4c59", "#2878dc"
+ANGLES_DEG, ERRORS_DEG, LATENESS_US = (-1.0, 1.0), (-0.05, 0.05), (0.0, 200.0)
+"""What each plot shows at the least, so that noise about nothing looks like nothing."""
 _SPAN_S = COLUMNS * COLUMN_NS * 1e-9
 _PADDING = (6, 12, 0, 0)
 
@@ -30,11 +32,11 @@ class Plots:
         self._choice = gui.add_dropdown(words.which_joint, [self._all, *self._joints], initial_value=self._all)
         of_all = [(name, COLOURS[index % len(COLOURS)]) for index, name in enumerate(self._joints)]
         of_one = [(words.measured, IS), (words.commanded, OUGHT)]
-        self._position_all = _plot(gui, words.position_plot, of_all, words)
-        self._position_one = _plot(gui, words.position_plot, of_one, words, visible=False)
-        self._error_all = _plot(gui, words.error_plot, of_all, words)
-        self._error_one = _plot(gui, words.error_plot, of_one[:1], words, visible=False)
-        self._lateness = _plot(gui, words.lateness_plot, [(words.late, "#7048e8")], words)
+        self._position_all = _plot(gui, words.position_plot, of_all, words, ANGLES_DEG)
+        self._position_one = _plot(gui, words.position_plot, of_one, words, ANGLES_DEG, visible=False)
+        self._error_all = _plot(gui, words.error_plot, of_all, words, ERRORS_DEG)
+        self._error_one = _plot(gui, words.error_plot, of_one[:1], words, ERRORS_DEG, visible=False)
+        self._lateness = _plot(gui, words.lateness_plot, [(words.late, "#7048e8")], words, LATENESS_US)
 
     def update(self, curves: Curves) -> None:
         """Draw what there is now; an empty history leaves the plots as they are."""
@@ -66,8 +68,20 @@ def _rows(table: np.ndarray) -> list[np.ndarray]:
     return [np.ascontiguousarray(row) for row in table.T]
 
 
+def _around(soft: tuple[float, float]) -> Any:
+    """A range that fits the data and never shows less than `soft`."""
+    low, high = ({"pad": 0.1, "soft": edge, "mode": 1} for edge in soft)
+    return {"min": low, "max": high}
+
+
 def _plot(
-    gui: viser.GuiApi, title: str, series: Sequence[tuple[str, str]], words: Words, *, visible: bool = True
+    gui: viser.GuiApi,
+    title: str,
+    series: Sequence[tuple[str, str]],
+    words: Words,
+    soft: tuple[float, float],
+    *,
+    visible: bool = True,
 ) -> viser.GuiUplotHandle:
     from viser import uplot
 
@@ -79,7 +93,7 @@ def _plot(
             *(uplot.Series(label=label, stroke=colour, width=1.5) for label, colour in series),
         ),
         title=title,
-        scales={"x": uplot.Scale(time=False, range=(-_SPAN_S, 0.0))},
+        scales={"x": uplot.Scale(time=False, range=(-_SPAN_S, 0.0)), "y": uplot.Scale(range=_around(soft))},
         legend=uplot.Legend(show=len(series) > 1),
         cursor=uplot.Cursor(drag=uplot.Cursor_Drag(x=True, y=False, setScale=True)),
         height=HEIGHT_PX,

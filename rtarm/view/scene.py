@@ -26,11 +26,19 @@ Colour = tuple[int, int, int]
 Quaternion = tuple[float, float, float, float]
 """w, x, y, z."""
 
-LIGHT, DARK, MARK = (tuple(round(255 * part) for part in MATERIALS[name][:3]) for name in ("light", "dark", "mark"))
+
+def _colour(material: str) -> Colour:
+    red, green, blue, _ = (round(255 * part) for part in MATERIALS[material])
+    return red, green, blue
+
+
+LIGHT, DARK, MARK = _colour("light"), _colour("dark"), _colour("mark")
 NEAR, BROKEN = (230, 160, 0), (215, 40, 40)
 """A link whose joint is near a limit, and one that the fault names."""
 GHOST, WISH, PATH = (40, 120, 220), (20, 160, 90), (40, 120, 220)
 GHOST_OPACITY = 0.3
+SLIMMER_M = 0.0004
+"""Every other link is so much thinner: two surfaces in one place would flicker."""
 SWOLLEN_M = 0.004
 """A ghost is so much thicker than the arm, and so is seen around it while both are in one place."""
 SHOWN_APART_RAD = 0.002
@@ -63,21 +71,23 @@ def body(link: Link, swollen_m: float = 0.0) -> trimesh.Trimesh:
     parts = []
     for bone in link.bones:
         if bone.length_m > 0.0:
-            cylinder = trimesh.creation.cylinder(radius=radius_m, height=bone.length_m, sections=48)
+            cylinder: trimesh.Trimesh = trimesh.creation.cylinder(radius=radius_m, height=bone.length_m, sections=48)
             cylinder.apply_transform(matrix(Origin(bone.middle_m, bone.rpy_rad)))
             parts.append(cylinder)
     for end_m in link.ends_m:
-        ball = trimesh.creation.icosphere(subdivisions=3, radius=radius_m)
+        ball: trimesh.Trimesh = trimesh.creation.icosphere(subdivisions=3, radius=radius_m)
         ball.apply_translation(end_m)
         parts.append(ball)
-    return trimesh.util.concatenate(parts)
+    whole = trimesh.util.concatenate(parts)
+    assert isinstance(whole, trimesh.Trimesh)
+    return whole
 
 
 def nose(link: Link) -> trimesh.Trimesh:
     """The mark towards x that lets the last link's turn be seen."""
     import trimesh
 
-    box = trimesh.creation.box((link.radius_m, link.radius_m / 4.0, link.radius_m / 4.0))
+    box: trimesh.Trimesh = trimesh.creation.box((link.radius_m, link.radius_m / 4.0, link.radius_m / 4.0))
     x, y, z = link.bones[-1].end_m
     box.apply_translation((x + link.radius_m, y, z))
     return box
@@ -130,7 +140,8 @@ class Figure:
     def _add(
         self, server: viser.ViserServer, path: str, link: Link, look: _Look, colour: Colour, *, marked: bool
     ) -> None:
-        mesh = body(link, 0.0 if look is SOLID else SWOLLEN_M)
+        slimmer_m = SLIMMER_M * (len(self._bodies) % 2)
+        mesh = body(link, -slimmer_m if look is SOLID else SWOLLEN_M - slimmer_m)
         self._colours.append(look.colour or colour)
         self._bodies.append(
             server.scene.add_mesh_simple(
@@ -195,8 +206,8 @@ class Scene:
             shadow_opacity=0.15,
         )
         server.scene.add_frame("/base", axes_length=0.25 * reach, axes_radius=0.005 * reach)
-        server.initial_camera.look_at = (0.0, 0.0, 0.38 * reach)
-        server.initial_camera.position = (1.15 * reach, -1.35 * reach, 0.95 * reach)
+        server.initial_camera.look_at = (0.15 * reach, 0.0, 0.33 * reach)
+        server.initial_camera.position = (0.75 * reach, -1.05 * reach, 0.75 * reach)
         self.measured = Figure(server, arm, kinematics, "measured", SOLID)
         self.commanded = Figure(server, arm, kinematics, "commanded", SHADE)
         self.wished = Figure(server, arm, kinematics, "wished", WISHED)

@@ -1,0 +1,173 @@
+"""A real browser without a window, and the page of `rtarm view` in it as a person meets it."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+PATIENCE_S = 60.0
+OPTIONS = (
+    "--headless=new",
+    "--no-sandbox",  # a container's root has no other way
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--window-size=1280,887",  # of which the page gets 1280 × 800
+    "--disable-background-networking",
+    "--force-device-scale-factor=1",
+)
+
+
+class Browser:
+    """One tab, or several."""
+
+    def __init__(self) -> None:
+        from selenium import webdriver
+
+        options = webdriver.ChromeOptions()
+        options.binary_location = CHROMIUM
+        for option in OPTIONS:
+            options.add_argument(option)
+        options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
+        self.driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+        self._tab = self.driver.current_window_handle
+
+    def close(self) -> None:
+        self.driver.quit()
+
+    def open(self, url: str) -> None:
+        """Open a page in the first tab and wait until it shows an arm."""
+        self.driver.switch_to.window(self._tab)
+        self.driver.get(url)
+        self.until(lambda: self.text("#rt-mode"))
+        self.until(self._rendered)
+        for notice in self._all("#webgl-software-rendering button"):
+            notice.click()
+        self.until(lambda: not self._all("#webgl-software-rendering"))
+
+    def open_beside(self, url: str) -> None:
+        """Open a page in one more tab, which is then the one that is looked at."""
+        self.driver.switch_to.new_window("tab")
+        self.driver.get(url)
+        self.until(lambda: self.text("#rt-mode"))
+
+    def close_beside(self) -> None:
+        """Back to the first tab."""
+        self.driver.close()
+        self.driver.switch_to.window(self._tab)
+
+    def until(self, true: Callable[[], Any], patience_s: float = PATIENCE_S) -> Any:
+        """Wait until something is seen; what it was."""
+        from selenium.common.exceptions import StaleElementReferenceException
+
+        deadline = time.monotonic() + patience_s
+        while True:
+            try:
+                found = true()
+            except StaleElementReferenceException:
+                found = None
+            if found:
+                return found
+            assert time.monotonic() < deadline, f"never seen:\n{self.driver.find_element('tag name', 'body').text}"
+            time.sleep(0.05)
+
+    def text(self, selector: str) -> str:
+        """What stands in an element, "" while there is none."""
+        return str(
+            self.driver.execute_script(
+                "const e = document.querySelector(arguments[0]); return e === null ? '' : e.textContent", selector
+            )
+        )
+
+    def texts(self, selector: str) -> list[str]:
+        return list(
+            self.driver.execute_script(
+                "return [...document.querySelectorAll(arguments[0])].map(e => e.textContent)", selector
+            )
+        )
+
+    def said(self, what: str) -> str:
+        """All sentences of one kind (trouble, problem, near, answer), joined."""
+        return " ".join(self.texts(f"[data-say={what}]"))
+
+    def buttons(self) -> list[str]:
+        return self.texts("button .mantine-Button-label")
+
+    def press(self, label: str) -> None:
+        """Press the button whose label begins so."""
+        path = f"//button[.//span[contains(@class,'Button-label') and starts-with(normalize-space(.), '{label}')]]"
+        button = self.until(lambda: [one for one in self.driver.find_elements("xpath", path) if one.is_enabled()])[0]
+        button.click()
+
+    def tab(self, label: str) -> None:
+        path = f"//button[@role='tab' and normalize-space(.)='{label}']"
+        self.until(lambda: self.driver.find_elements("xpath", path))[0].click()
+
+    def slide(self, label: str, value: float) -> None:
+        """Type a number into the field of a slider."""
+        from selenium.webdriver.common.keys import Keys
+
+        field = self.until(lambda: self._field(label))[0]
+        field.send_keys(Keys.CONTROL, "a")
+        field.send_keys(f"{value:g}", Keys.TAB)
+
+    def slider(self, label: str) -> float:
+        """Where a slider stands."""
+        return float(self._field(label)[0].get_attribute("value"))
+
+    def picture(self) -> np.ndarray:
+        """The scene as it is seen: (height, width, 3)."""
+        import imageio.v3 as iio
+
+        canvas = self.driver.find_element("css selector", "canvas[data-engine]")
+        image: np.ndarray = iio.imread(io.BytesIO(canvas.screenshot_as_png))
+        return image[..., :3].astype(int)
+
+    def keep(self, name: str) -> None:
+        """Save what is seen for the documentation, where `RTARM_PICTURES` names a folder."""
+        if folder := os.environ.get("RTARM_PICTURES"):
+            self.driver.save_screenshot(str(Path(folder, f"{name}.png")))
+
+    def plotted(self, title: str) -> list[list[float]]:
+        """The figures of a plot that is shown, a row a series, times first."""
+        script = """for (const one of Object.values(window.__viserTestpoints.uplots)) {
+            if (one.chart.root.querySelector('.u-title').textContent === arguments[0])
+                return one.chart.data.map(row => [...row])
+        } return []"""
+        return list(self.driver.execute_script(script, title))
+
+    def asked(self) -> Iterator[str]:
+        """Every address that the page has asked for since the last call, web sockets included."""
+        for entry in self.driver.get_log("performance"):
+            message = json.loads(entry["message"])["message"]
+            if message["method"] == "Network.requestWillBeSent":
+                yield message["params"]["request"]["url"]
+            elif message["method"] == "Network.webSocketCreated":
+                yield message["params"]["url"]
+
+    def _rendered(self) -> bool:
+        return bool(self._all("canvas[data-engine]"))
+
+    def _all(self, selector: str) -> list[Any]:
+        return list(self.driver.find_elements("css selector", selector))
+
+    def _field(self, label: str) -> list[Any]:
+        path = (
+            f"//label[normalize-space(.)='{label}']/ancestor::div[contains(@class,'Flex-root')][1]//input[@type='text']"
+        )
+        return list(self.driver.find_elements("xpath", path))
+
+
+def host_of(url: str) -> str:
+    """The host that an address names, "" for what is in the page itself (data:, blob:)."""
+    return re.sub(r"^\[|\]$", "", urlsplit(url.removeprefix("blob:")).hostname or "")

@@ -1,0 +1,274 @@
+"""`rtarm view` in a real browser, beside arms that really run."""
+
+from __future__ import annotations
+
+import math
+import re
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from browser import CHROMIUM, DRIVER, Browser, host_of
+from stack import Process, Stack
+
+from config.loader import ARMS_FOLDER
+from rtarm import requests
+from rtarm.status import Report, read_status
+from shm.words import Request
+
+pytestmark = [
+    pytest.mark.process,
+    pytest.mark.skipif(
+        CHROMIUM is None or DRIVER is None, reason="needs Debian's packages chromium and chromium-driver"
+    ),
+]
+
+SLOW_DEG = 60.0
+"""joint1 needs several seconds for so much."""
+
+
+class ViewedArm(Stack):
+    """An arm and the process that serves its page."""
+
+    def start_view(self, *options: str) -> Process:
+        self.view = self._keep(Process("rtarm", "view", str(self.arm_file), "--port", "0", *options, needs_ros=True))
+        line = self.view.line_with("http://")
+        self.url = re.search(r"http://\S+", line).group()
+        return self.view
+
+    def status(self) -> Report:
+        return read_status(self.name)
+
+    def until(self, condition: Callable[[Report], Any], patience_s: float = 60.0) -> Report:
+        """The first report that fulfils a condition."""
+        deadline = time.monotonic() + patience_s
+        while not condition(report := self.status()):
+            assert time.monotonic() < deadline, report
+            time.sleep(0.02)
+        return report
+
+    def position_deg(self, joint: int) -> float:
+        return math.degrees(self.status()["joints"][joint - 1]["position_rad"])
+
+
+def mock_with_geometry(arm: Stack) -> None:
+    """Make it an arm whose drives do as they are told, however busy the machine is."""
+    mock, episode1 = (yaml.safe_load((ARMS_FOLDER / f"{name}.yaml").read_text()) for name in ("mock", "episode1"))
+    mock |= {"name": arm.name, "kinematics": episode1["kinematics"]}
+    mock["front"]["controller_name"] = f"controller_{arm.name}"
+    arm.arm_file.write_text(yaml.safe_dump(mock), encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    browser = Browser()
+    yield browser
+    browser.close()
+
+
+@pytest.fixture(scope="module")
+def running(new_arm_name: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewedArm]:
+    """A mock arm with its ROS process and its page."""
+    arm = ViewedArm(new_arm_name(), tmp_path_factory.mktemp("view"))
+    mock_with_geometry(arm)
+    arm.start_loop()
+    arm.start_front()
+    arm.start_view()
+    yield arm
+    arm.close()
+
+
+@pytest.fixture
+def arm(running: ViewedArm, browser: Browser) -> Iterator[ViewedArm]:
+    """The same, holding at full speed, in the browser."""
+    requests.stop(running.name)
+    requests.speed(running.name, 1.0)
+    browser.open(running.url)
+    yield running
+
+
+def go(browser: Browser, **to_deg: float) -> None:
+    """Set sliders and send the goal."""
+    browser.tab("Move")
+    for joint, degrees in to_deg.items():
+        browser.slide(f"{joint} °", degrees)
+    browser.until(lambda: any(label.startswith("Go there: the arm moves") for label in browser.buttons()))
+    browser.press("Go there")
+
+
+def blue(picture: np.ndarray) -> int:
+    """How many pixels the ghost tints."""
+    return int(np.count_nonzero(picture[..., 2] - picture[..., 0] > 25))
+
+
+def test_the_page_shows_the_arm_as_it_is_and_asks_nobody_else(arm: ViewedArm, browser: Browser) -> None:
+    browser.until(lambda: browser.text("#rt-mode") == "holding")
+    for joint in arm.status()["joints"]:
+        for kind, radians in (("measured", joint["position_rad"]), ("commanded", joint["commanded_rad"])):
+            shown = browser.text(f"[data-{kind}={joint['name']}]")
+            assert float(shown) == pytest.approx(math.degrees(radians), abs=0.006)
+    browser.tab("Machine")
+    browser.until(lambda: re.search(r"\d+ at 100 Hz", browser.text("#rt-machine")))
+    assert f"pid {arm.front.process.pid}" in browser.text("#rt-machine")
+    browser.tab("Events")
+    browser.until(lambda: "Mode: holding." in browser.texts("td.text"))
+    times, *joints = browser.until(lambda: browser.plotted("Position °"))
+    assert len(joints) == 6 and times[-1] == 0.0 and times[0] >= -30.0
+    assert browser.plotted("Wake-up lateness µs (worst of 0.1 s)")[1][-1] > 0.0
+    asked = list(browser.asked())
+    assert any(url.startswith("ws://") for url in asked)
+    assert {host_of(url) for url in asked} <= {"127.0.0.1", ""}
+    browser.tab("Joints")
+    browser.keep("view")
+
+
+def test_a_slider_moves_the_arm_when_go_is_pressed_and_not_before(arm: ViewedArm, browser: Browser) -> None:
+    at_rest = browser.picture()
+    began_deg = arm.position_deg(1)
+    to_deg = began_deg + SLOW_DEG if began_deg < 0.0 else began_deg - SLOW_DEG
+    browser.tab("Move")
+    browser.slide("joint1 °", round(to_deg, 1))
+    wished = browser.until(lambda: (picture := browser.picture()) is not None and _green(picture) > 500 and [picture])[
+        0
+    ]
+    assert arm.status()["goal"] is None and arm.position_deg(1) == began_deg
+    browser.keep("view_move")
+    browser.press("Go there: the arm moves for")
+    arm.until(lambda report: report["mode"] == "executing")
+    browser.until(lambda: browser.text("#rt-mode") == "executing")
+    moving = browser.until(lambda: (picture := browser.picture()) is not None and blue(picture) > 500 and [picture])[0]
+    assert blue(at_rest) < 50 < _green(wished)
+    assert np.count_nonzero(np.abs(moving - at_rest).max(axis=-1) > 60) > 1000, "the arm itself stands elsewhere"
+    browser.tab("Joints")
+    browser.keep("view_goal")
+    arm.until(lambda report: report["goal"] is None)
+    assert arm.position_deg(1) == pytest.approx(to_deg, abs=0.06)
+    browser.until(lambda: "Goal reached" in browser.said("answer"))
+    browser.until(lambda: browser.text("[data-measured=joint1]") == f"{arm.position_deg(1):.2f}")
+    browser.until(lambda: blue(browser.picture()) < 50)
+    browser.tab("Move")
+    browser.until(lambda: browser.slider("joint1 °") == pytest.approx(arm.position_deg(1), abs=0.06))
+
+
+def test_hold_stops_the_arm_resume_lets_it_go_on_and_stop_ends_the_goal(arm: ViewedArm, browser: Browser) -> None:
+    began_deg = arm.position_deg(1)
+    go(browser, joint1=round(began_deg + SLOW_DEG if began_deg < 0.0 else began_deg - SLOW_DEG, 1))
+    arm.until(lambda report: report["mode"] == "executing" and report["goal"]["clock_s"] > 0.3)
+    browser.press("Hold")
+    report = arm.until(lambda report: report["goal"]["phase"] == "paused")
+    assert abs(arm.position_deg(1) - began_deg) < SLOW_DEG - 5.0
+    browser.until(lambda: "stands on its path" in browser.said("answer"))
+    browser.until(lambda: "paused" in browser.text("#rt-goal"))
+    browser.press("Resume")
+    arm.until(lambda now: now["goal"]["phase"] == "running" and now["goal"]["clock_s"] > report["goal"]["clock_s"])
+    browser.press("Stop and end the goal")
+    arm.until(lambda now: now["goal"] is None)
+    assert abs(arm.position_deg(1) - began_deg) < SLOW_DEG - 1.0
+    browser.until(lambda: "stopped on its path and stands" in browser.said("answer"))
+
+
+def test_a_goal_that_runs_is_never_replaced(arm: ViewedArm, browser: Browser) -> None:
+    began_deg = arm.position_deg(1)
+    go(browser, joint1=round(began_deg + SLOW_DEG if began_deg < 0.0 else began_deg - SLOW_DEG, 1))
+    running = arm.until(lambda report: report["mode"] == "executing")["goal"]["id"]
+    browser.press("Hold")
+    arm.until(lambda report: report["goal"]["phase"] == "paused")
+    go(browser, joint5=10.0)
+    browser.until(lambda: f"Goal {running} is running" in browser.said("answer"))
+    assert arm.status()["goal"]["id"] == running
+
+
+def test_a_limp_arm_refuses_goals_and_is_enabled_only_after_a_second_press(arm: ViewedArm, browser: Browser) -> None:
+    requests.let_go(arm.name, Request.DISABLE)
+    try:
+        browser.until(lambda: "The drives are limp" in browser.said("problem"))
+        go(browser, joint5=20.0)
+        browser.until(lambda: "disabled" in browser.said("answer"))
+        browser.keep("view_refused")
+        browser.press("Enable drives")
+        browser.until(lambda: "Leave it as it is" in browser.buttons())
+        assert arm.status()["mode"] == "disabled"
+        browser.press("Leave it as it is")
+        browser.until(lambda: "Leave it as it is" not in browser.buttons())
+        assert arm.status()["mode"] == "disabled"
+        browser.press("Enable drives …")
+        browser.until(lambda: "Leave it as it is" in browser.buttons())
+        browser.keep("view_enable")
+        browser.press("Enable the drives")
+        arm.until(lambda report: report["mode"] == "holding")
+        browser.until(lambda: "are enabled" in browser.said("answer"))
+        browser.until(lambda: not any(label.startswith("Enable drives") for label in browser.buttons()))
+    finally:
+        if arm.status()["mode"] == "disabled":
+            requests.enable(arm.name)
+
+
+def test_the_speed_slider_slows_every_goal_and_follows_others(arm: ViewedArm, browser: Browser) -> None:
+    browser.slide("Speed %", 40)
+    arm.until(lambda report: report["speed_scale"] == pytest.approx(0.4))
+    requests.speed(arm.name, 0.8)
+    browser.until(lambda: browser.slider("Speed %") == 80)
+
+
+def test_a_joint_near_its_limit_is_told(arm: ViewedArm, browser: Browser) -> None:
+    go(browser, joint5=108.0)
+    browser.until(lambda: "Goal reached" in browser.said("answer"))
+    browser.tab("Joints")
+    browser.until(lambda: "joint5 is 2.0° from its upper limit (110°)" in browser.said("near"))
+    browser.keep("view_limit")
+
+
+def test_two_tabs_show_one_page(arm: ViewedArm, browser: Browser) -> None:
+    browser.open_beside(arm.url)
+    try:
+        browser.tab("Move")
+        browser.slide("joint4 °", 100)
+        browser.until(lambda: any(label.startswith("Go there: the arm moves") for label in browser.buttons()))
+    finally:
+        browser.close_beside()
+    browser.tab("Move")
+    browser.until(lambda: browser.slider("joint4 °") == 100)
+    browser.press("Sliders back to the arm")
+    browser.until(lambda: browser.slider("joint4 °") == pytest.approx(arm.position_deg(4), abs=0.06))
+
+
+def test_the_end_of_the_control_process_is_told_and_the_next_one_followed(arm: ViewedArm, browser: Browser) -> None:
+    arm.loop.process.send_signal(signal.SIGKILL)
+    arm.loop.process.wait()
+    browser.until(lambda: "start it again" in browser.said("trouble"))
+    assert browser.text("#rt-mode") == "waiting"
+    filters = browser.driver.execute_script("return getComputedStyle(document.querySelector('canvas')).filter")
+    assert "grayscale" in filters
+    browser.keep("view_ended")
+    arm.start_loop()
+    browser.until(lambda: browser.text("#rt-mode") == "holding")
+    assert browser.said("trouble") == ""
+
+
+def test_a_fault_is_told_with_what_to_do(browser: Browser, new_arm_name: Callable[[], str], tmp_path: Path) -> None:
+    arm = ViewedArm(new_arm_name(), tmp_path)
+    try:
+        arm.start_sim()
+        arm.start_loop()
+        arm.start_view()
+        browser.open(arm.url)
+        arm.sim.process.send_signal(signal.SIGSTOP)  # silent drives
+        browser.until(lambda: browser.text("#rt-mode") == "fault")
+        arm.sim.process.send_signal(signal.SIGCONT)
+        assert "has given no believable answer" in browser.said("problem")
+        assert "`rtarm clear-fault`" in browser.said("problem")
+        browser.keep("view_fault")
+        browser.press("Clear fault")
+        browser.until(lambda: "is cleared" in browser.said("answer"))
+        arm.until(lambda report: report["fault"] is None)
+    finally:
+        arm.close()
+
+
+def _green(picture: np.ndarray) -> int:
+    return int(np.count_nonzero(picture[..., 1] - picture[..., 0] > 25))
