@@ -27,7 +27,7 @@ SEED ?= 1
 .PHONY: help env demo test test-vm check docs reference bench trials bus-trials bus-trials-live soak fuzz clean
 
 help:
-	@echo 'make demo     play a recorded MoveIt goal on a simulated arm'
+	@echo 'make demo     play a recorded MoveIt goal on a simulated arm, VIEW=1 to watch and move it in a browser'
 	@echo 'make test     run the tests'
 	@echo 'make test-vm  run tests/vm in a small virtual machine that has SocketCAN'
 	@echo 'make check    ruff and mypy'
@@ -45,7 +45,7 @@ help:
 env: $(STAMPS)/warm
 
 demo: env
-	$(BIN)/rtarm demo
+	$(BIN)/rtarm demo$(if $(VIEW), --view)
 
 # What hangs in C code no signal interrupts: all stacks are printed and the run ends, instead of lasting for ever.
 test: env $(STAMPS)/colcon

@@ -77,6 +77,7 @@ def up(
         int | None,
         typer.Option(metavar="0|1", help="1: take over the pose the arm stands in; 0: run homing."),
     ] = None,
+    view: Annotated[bool, typer.Option("--view", help="Serve its page too, as `rtarm view` does.")] = False,
 ) -> None:
     """Start an arm: control process and ROS process, and with --sim the simulated drives.
 
@@ -102,7 +103,7 @@ def up(
                 "control": {"rate_hz": rate, "init_mode": init_mode},
             }
         )
-        plan = load_plan(arm, overrides, simulated=sim, again=again(), hand=hand)
+        plan = load_plan(arm, overrides, simulated=sim, again=again(), hand=hand, view=view)
         raise typer.Exit(run(plan, _reporter()))
 
 
@@ -116,18 +117,22 @@ def demo(
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write all figures to this file.")
     ] = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="Serve the arm's page, and keep the arm to be moved from it until Ctrl-C.")
+    ] = False,
 ) -> None:
     """Play goals that MoveIt planned on a simulated arm, and show how well it followed them.
 
     Starts the simulated drives, the control process, the ROS process and an action client of its own, in a
-    ROS domain of their own. The exit code is 0 only if every goal succeeded.
+    ROS domain of their own. The exit code is 0 only if every goal succeeded. With --view the goals begin as soon as a
+    browser shows the page, or after half a minute.
 
-    Example: [bold]rtarm demo --json figures.json[/bold]
+    Example: [bold]rtarm demo --view[/bold]
     """
     with sentences():
         from rtarm.demo import run_demo
 
-        raise typer.Exit(run_demo(arm, goal, json_file, _reporter()))
+        raise typer.Exit(run_demo(arm, goal, json_file, _reporter(), view=view))
 
 
 @app.command(epilog="Exit codes:\n\n" + exit_code_table())

@@ -18,17 +18,25 @@ def view(
         str | None,
         typer.Argument(metavar="ARM", help="Name or file of a running arm; left out: the only one that runs."),
     ] = None,
-    port: Annotated[int, typer.Option(metavar="N", help="Port of the page on 127.0.0.1.")] = 8460,
+    host: Annotated[
+        str,
+        typer.Option(metavar="ADDRESS", help="Address of this machine to serve at; other machines may then connect."),
+    ] = "127.0.0.1",
+    port: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=0, max=65535, help="Port; left out: 8460, or a free one if it is taken; 0: any."),
+    ] = None,
     language: Annotated[str, typer.Option(metavar="en|zh", help="Language of the page.")] = "en",
 ) -> None:
     """Show a running arm in a browser, and move it from there, until Ctrl-C.
 
     Picture, plots, faults with what to do, buttons and sliders. Reads the arm's memory files only; what a button asks
-    for goes the way of every other request, and a slider's motion is a goal like any other.
+    for goes the way of every other request, and a slider's motion is a goal like any other. The page opens at the
+    address that is printed, with its token, and not without it.
 
     Example: [bold]rtarm view episode1[/bold]
     """
     with sentences():
         from rtarm.view.start import view_arm
 
-        view_arm(arm, port, language, typer.echo)
+        view_arm(arm, host, port, language, typer.echo)

@@ -9,7 +9,7 @@ import math
 import os
 import random
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,11 +35,13 @@ from rtarm.status import counters, describe_scheduling, percentiles_us, scheduli
 from rtarm.status_tables import timing_table
 from rtarm.tracking import Tracker, Window, errors_rad, plain
 from rtarm.up import run_launched
+from rtarm.view.beside import PageBeside
 from shm import files
 from shm.client import StateReader
 
 CLIENT_PATIENCE_S = 60.0
 CLIENT_STOP_S = 2.0
+BROWSER_PATIENCE_S = 30.0
 DRAW_EVERY_S = 0.1
 LINE_EVERY_S = 1.0
 """Between two lines of progress where there is no terminal."""
@@ -60,8 +62,12 @@ class Played:
     playing: str = ""
 
 
-def run_demo(arm_argument: str, goal_file: Path | None, json_file: Path | None, reporter: Reporter) -> ExitCode:
+def run_demo(
+    arm_argument: str, goal_file: Path | None, json_file: Path | None, reporter: Reporter, *, view: bool = False
+) -> ExitCode:
     """Play the goals and print the summary; writes the figures to `json_file` if there is one.
+
+    With `view` the arm has its page, and stays after the goals until a signal.
 
     Raises:
         Refusal, ConfigError: it cannot be done, or an arm's process ended by itself.
@@ -69,24 +75,34 @@ def run_demo(arm_argument: str, goal_file: Path | None, json_file: Path | None, 
     if json_file is not None and not (json_file.absolute().parent.is_dir() and not json_file.is_dir()):
         raise Refusal(f"{json_file} cannot be written: name a file in a folder that exists.")
     goals = tour() if goal_file is None else [load_goal(goal_file)]
-    plan = make_plan(arm_argument, goals)
+    plan = make_plan(arm_argument, goals, view=view)
+    report: dict[str, Any] = {}
+
+    def conclude(found: dict[str, Any]) -> None:
+        report.update(found)
+        reporter.console.print(render_summary(report, plan.arm))
+        if json_file is not None:
+            _write(report, json_file)
+
     try:
-        report = asyncio.run(_play(plan, goals, reporter))
+        asyncio.run(_play(plan, goals, conclude, reporter))
     except Interrupted as signalled:
-        raise Refusal(f"The demo was ended by {signalled} before its goals were.", ExitCode.GOAL_FAILED) from None
+        if not report:
+            raise Refusal(f"The demo was ended by {signalled} before its goals were.", ExitCode.GOAL_FAILED) from None
     finally:
         for path in files.DIRECTORY.glob(f"rtarm.{plan.arm.name}.*"):
             path.unlink(missing_ok=True)  # nobody will start an arm of this name again
-    reporter.console.print(render_summary(report, plan.arm))
-    if json_file is not None:
-        try:
-            json_file.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise Refusal(f"{json_file} cannot be written ({error.strerror}): name another file.") from None
     return ExitCode.DONE if report["succeeded"] else ExitCode.GOAL_FAILED
 
 
-def make_plan(arm_argument: str, goals: Sequence[Goal]) -> Plan:
+def _write(report: Mapping[str, Any], json_file: Path) -> None:
+    try:
+        json_file.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise Refusal(f"{json_file} cannot be written ({error.strerror}): name another file.") from None
+
+
+def make_plan(arm_argument: str, goals: Sequence[Goal], *, view: bool = False) -> Plan:
     """An arm under a name of its own, which disturbs no running arm, standing where the first goal begins."""
     arm = load_arm(arm_argument)
     overrides = {"name": f"{arm.name[:LONGEST_NAME]}_demo_{secrets.token_hex(2)}"}
@@ -96,9 +112,10 @@ def make_plan(arm_argument: str, goals: Sequence[Goal]) -> Plan:
         overrides,
         simulated=arm.bus.interface != "mock",
         start_deg=start_deg(arm, goals[0]),
-        again="rtarm demo",
+        again="rtarm demo --view" if view else "rtarm demo",
         front_environment={"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
         front_arguments=("--ros-args", "--log-level", "warn"),  # the client tells how the goals end
+        view=view,
     )
 
 
@@ -110,9 +127,10 @@ def start_deg(arm: ArmConfig, goal: Goal) -> list[float]:
     ]
 
 
-async def _play(plan: Plan, goals: Sequence[Goal], reporter: Reporter) -> dict[str, Any]:
+async def _play(
+    plan: Plan, goals: Sequence[Goal], conclude: Callable[[dict[str, Any]], None], reporter: Reporter
+) -> None:
     launcher = Launcher(plan, reporter)
-    report: dict[str, Any] = {}
 
     async def work() -> None:
         played = Played()
@@ -126,24 +144,42 @@ async def _play(plan: Plan, goals: Sequence[Goal], reporter: Reporter) -> dict[s
                     ready = await client.ready()
             if ready is None:
                 raise Refusal(f"The action client ended {describe_end(await client.ended())}: see its lines above.")
-            watch = asyncio.create_task(launcher.watch())
-            perform = asyncio.create_task(_perform(plan, goals, client, played, reporter))
+
+            async def perform() -> None:
+                if launcher.page is not None:
+                    await _wait_for_browser(launcher.page, reporter)
+                conclude(await _perform(plan, goals, client, played, reporter))
+                if launcher.page is not None:
+                    reporter.say(
+                        f"the arm stays, to be moved from its page {launcher.page.url}; Ctrl-C ends all", style="bold"
+                    )
+                    await asyncio.Event().wait()
+
+            watch, performing = asyncio.create_task(launcher.watch()), asyncio.create_task(perform())
             try:
-                await asyncio.wait((watch, perform), return_when=asyncio.FIRST_COMPLETED)
-                if not perform.done():
+                await asyncio.wait((watch, performing), return_when=asyncio.FIRST_COMPLETED)
+                if not performing.done():
                     watch.result()  # raises why the rest is pointless
-                report.update(perform.result())
+                performing.result()
             finally:
-                for task in (watch, perform):
+                for task in (watch, performing):
                     task.cancel()
-                await asyncio.gather(watch, perform, return_exceptions=True)
+                await asyncio.gather(watch, performing, return_exceptions=True)
         except TimeoutError:
             raise Refusal(f"The action client did not find the arm within {CLIENT_PATIENCE_S:g} s.") from None
         finally:
             await client.stop(CLIENT_STOP_S)
 
     await run_launched(launcher, work)
-    return report
+
+
+async def _wait_for_browser(page: PageBeside, reporter: Reporter) -> None:
+    with (
+        reporter.waiting(f"the goals begin when a browser shows the page, or in {BROWSER_PATIENCE_S:g} s"),
+        contextlib.suppress(TimeoutError),
+    ):
+        async with asyncio.timeout(BROWSER_PATIENCE_S):
+            await page.settled.wait()
 
 
 def say_where_it_stands(arm: ArmConfig) -> str:

@@ -16,7 +16,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rtarm.errors import AlreadySaid, ExitCode, Refusal
+from rtarm.errors import AlreadySaid, ExitCode, Refusal, needs
 from rtarm.processes import (
     Child,
     describe_end,
@@ -28,6 +28,7 @@ from rtarm.processes import (
 )
 from rtarm.recording.after_fault import FaultRecorder
 from rtarm.reporter import Reporter
+from rtarm.view.beside import PageBeside
 
 if TYPE_CHECKING:
     from config.schema import ArmConfig
@@ -79,6 +80,8 @@ class Plan:
     """What the simulated arm's adapter changes in section `bus`, its channel apart."""
     hand: str | None = None
     """The motion along which a hand leads the simulated arm whenever it is limp, as `sim.hand` knows it."""
+    view: bool = False
+    """Whether its page is served beside it."""
 
 
 def parameter_arguments(parameters: Mapping[str, Any]) -> list[str]:
@@ -120,12 +123,13 @@ def load_plan(
     front_environment: Mapping[str, str] | None = None,
     front_arguments: Sequence[str] = (),
     hand: str | None = None,
+    view: bool = False,
 ) -> Plan:
     """Check the configuration, the budget and what is installed before anything is started.
 
     Raises:
         ConfigError: the arm, an option or the budget is not right.
-        Refusal: there is nothing to simulate, or the ROS process cannot run here.
+        Refusal: there is nothing to simulate, or the ROS process or the page cannot run here.
     """
     from config.budget import check_budget
     from config.loader import load_arm
@@ -141,8 +145,21 @@ def load_plan(
     arm = load_arm(arm_argument, overrides=loaded_with)
     check_budget(arm)
     check_ros()
-    environment = front_environment or {}
-    return Plan(arm, arm_argument, overrides, simulated, start_deg, again, environment, front_arguments, adapter, hand)
+    if view:
+        needs("viser", "view")
+    return Plan(
+        arm=arm,
+        arm_argument=arm_argument,
+        overrides=overrides,
+        simulated=simulated,
+        start_deg=start_deg,
+        again=again,
+        front_environment=front_environment or {},
+        front_arguments=front_arguments,
+        simulated_adapter=adapter,
+        hand=hand,
+        view=view,
+    )
 
 
 def _needs_no_bus(arm_argument: str) -> bool:
@@ -205,6 +222,7 @@ class Launcher:
         self._loop: Child | None = None
         self._front: Child | None = None
         self._recorder = FaultRecorder(plan.arm.name, reporter.say)
+        self.page = PageBeside(reporter) if plan.view else None
         self._segments: list[Path] = []
         self._noting: asyncio.Task[None] | None = None
 
@@ -238,15 +256,18 @@ class Launcher:
         others = [asyncio.create_task(self._watch_loop()), asyncio.create_task(self._keep_front())]
         if self._sim is not None:
             others.append(asyncio.create_task(self._watch_sim(self._sim)))
-        recorder = asyncio.create_task(self._recorder.watch())  # whatever becomes of it ends nothing
+        beside = [asyncio.create_task(self._recorder.watch())]  # whatever becomes of these ends nothing
+        if self.page is not None:
+            environment = {**plain_environment(), **self.plan.front_environment}
+            beside.append(asyncio.create_task(self.page.watch(self._arguments, environment)))
         try:
             done, _ = await asyncio.wait(others, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()
         finally:
-            for task in (*others, recorder):
+            for task in (*others, *beside):
                 task.cancel()
-            await asyncio.gather(*others, recorder, return_exceptions=True)
+            await asyncio.gather(*others, *beside, return_exceptions=True)
 
     async def stop(self) -> None:
         """End what runs, in order, each within its patience."""
@@ -261,6 +282,8 @@ class Launcher:
                 continue
             if not await child.stop(patience_s):
                 self._say(child, f"did not end within {patience_s:g} s and was killed", style="bold red")
+        if self.page is not None:
+            await self.page.stop()  # last: it shows the end, and the arm waits for no page
         if self._noting is not None:
             self._noting.cancel()
         await self._recorder.close(died=self._loop is not None and bool(self._loop.code))

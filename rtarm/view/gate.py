@@ -31,7 +31,7 @@ from hmac import compare_digest
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rtarm.errors import Refusal
+from rtarm.errors import Refusal, needs
 
 if TYPE_CHECKING:
     import asyncio
@@ -66,6 +66,7 @@ class Opened(NamedTuple):
     server: ViserServer
     url: str
     """Holds the token: whoever has it may do all that the page can."""
+    reachable_from_elsewhere: bool
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ def open_server(host: str = LOOPBACK, port: int | None = None) -> Opened:
             f"viser {viser.__version__} starts its server in a way that rtarm does not know and could not guard, so it "
             "was not started: install the viser that rtarm's constraints.txt names."
         )
-    return Opened(server, f"http://{_shown(host, address)}:{bound_port}/{gate.token}/")
+    return Opened(server, f"http://{_shown(host, address)}:{bound_port}/{gate.token}/", gate.any_address)
 
 
 def listen(host: str, port: int | None) -> socket.socket:
@@ -200,10 +201,8 @@ def _is_loopback(address: str) -> bool:
 
 def _quiet_server() -> type[ViserServer]:
     """viser's server, without lines of its own on standard output, and without a way out into the world."""
-    try:
-        import viser
-    except ImportError:
-        raise Refusal("The page needs viser, which is not installed: `pip install 'rtarm[view]'`.") from None
+    needs("viser", "view")
+    import viser
 
     class QuietServer(viser.ViserServer):
         def request_share_url(self, verbose: bool = True) -> None:

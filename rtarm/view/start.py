@@ -9,26 +9,30 @@ from config.loader import known_arms, load_arm
 from config.schema import ArmConfig
 from rtarm.errors import Refusal
 from rtarm.status import resolve_arm
+from rtarm.view.gate import open_server
 from rtarm.view.orders import Orders
 from rtarm.view.run import serve
 from rtarm.view.source import LiveArm
 from rtarm.view.words import words_of
 
 
-def view_arm(argument: str | None, port: int, language: str, tell: Callable[[str], None]) -> None:
-    """Serve the page of a running arm until a signal.
+def view_arm(argument: str | None, host: str, port: int | None, language: str, tell: Callable[[str], None]) -> None:
+    """Serve the page of a running arm until a signal (`host` and `port` as in `gate.open_server`).
 
     Raises:
         Refusal, ConfigError, SharedMemoryError: no such arm runs, or its page cannot be served.
     """
-    import viser
-
     words = words_of(language)
     arm = arm_of(argument)
     source = LiveArm(arm)
-    server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
-    tell(f"http://127.0.0.1:{server.get_port()}/ shows {arm.name}; Ctrl-C ends the page, and the arm goes on.")
-    serve(server, arm, source, Orders(arm, words), words)
+    page = open_server(host, port)
+    if page.reachable_from_elsewhere:
+        tell(
+            "Other machines can connect, and nothing on the way is encrypted: whoever has or overhears this address "
+            "moves the arm. `ssh -L` needs no --host (docs/security.md)."
+        )
+    tell(f"{page.url} shows {arm.name}; Ctrl-C ends the page, and the arm goes on.")
+    serve(page.server, arm, source, Orders(arm, words), words)
 
 
 def arm_of(argument: str | None) -> ArmConfig:

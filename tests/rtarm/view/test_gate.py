@@ -367,7 +367,7 @@ def test_a_browser_cannot_ask_for_a_way_out_into_the_world(page: Opened, monkeyp
 
 def test_it_listens_on_the_loopback_address_alone(page: Opened) -> None:
     host, port, _ = place(page)
-    assert host == "127.0.0.1"
+    assert host == "127.0.0.1" and not page.reachable_from_elsewhere
     rows = [line.split() for line in Path("/proc/net/tcp").read_text(encoding="ascii").splitlines()]
     assert [row[1] for row in rows if row[1].endswith(f":{port:04X}") and row[3] == "0A"] == [f"0100007F:{port:04X}"]
 
@@ -405,7 +405,8 @@ def test_a_page_for_other_machines_names_this_machine() -> None:
     with opened("0.0.0.0") as page:
         _, port, token = place(page)
         assert page.url == f"http://{socket.gethostname()}:{port}/{token}/"
-        here = Opened(page.server, f"http://127.0.0.1:{port}/{token}/")
+        assert page.reachable_from_elsewhere
+        here = page._replace(url=f"http://127.0.0.1:{port}/{token}/")
         assert get(here, f"/{token}/", {}).status == 200
         assert get(here, f"/{token}/", {"Host": f"{socket.gethostname()}:{port}"}).status == 200
         assert get(here, f"/{token}/", {"Host": "evil.example"}).status == 403
@@ -452,6 +453,6 @@ def test_a_missing_viser_is_told_with_what_to_install() -> None:
         [sys.executable, "-c", program], env=os.environ, capture_output=True, text=True, check=False, timeout=60
     )
     assert (done.stdout, done.stderr) == (
-        "The page needs viser, which is not installed: `pip install 'rtarm[view]'`.\n",
+        "viser is not installed, and this needs it: `pip install 'rtarm[view]'`, then try again.\n",
         "",
     )

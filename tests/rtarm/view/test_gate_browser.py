@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("viser")
-webdriver = pytest.importorskip("selenium.webdriver")
+pytest.importorskip("selenium")
 
+from selenium import webdriver
 from selenium.webdriver.support.ui import WebDriverWait
 
 from rtarm.view.gate import Opened, open_server
