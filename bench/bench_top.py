@@ -1,13 +1,10 @@
 """What `rtarm top` costs the control process it watches: lateness and cycle time at 1 kHz, with it and without.
 
-Slices without and with it alternate, so that a noisy neighbour hits both. A slice with it is compared with the slices
-before and after it (their geometric mean); what the machine does by itself is how much neighbouring slices without it
-differ. The arm is a mock arm, so that nothing but the cycle is measured; it is watched in a pseudo-terminal of 120 by
-40, which this process empties as a terminal would.
+Slices without and with it alternate and are compared as `slices` says. The arm is a mock arm, so that nothing but the
+cycle is measured; it is watched in a pseudo-terminal of 120 by 40, which this process empties as a terminal would.
 """
 
 import fcntl
-import math
 import os
 import statistics
 import struct
@@ -16,9 +13,8 @@ import sys
 import termios
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -28,15 +24,10 @@ pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
 from live import LiveStack, Usage, live
-
-from rtarm.status import percentiles_us
-from rtarm.tracking import Window
+from slices import SLICE_S, compare, slice_of, without_priority
 
 RATE_HZ = 1000.0
-SLICE_S = 5.0
-SETTLE_S = 0.5
 PAIRS = 8
-FIGURES = ("p50", "p99", "p99_9", "max")
 FRAME = b"\x1b[H"
 """The cursor goes home before each picture."""
 
@@ -81,18 +72,6 @@ def top(arm: str) -> Iterator[SimpleNamespace]:
         os.close(master)
 
 
-def slice_of(stack: LiveStack) -> dict[str, float]:
-    """Percentiles of a slice from now on, in µs, and its overruns."""
-    time.sleep(SETTLE_S)
-    window = Window(stack.reader)
-    time.sleep(SLICE_S)
-    found = {"overruns": float(window.counters()[0]["overruns"])}
-    for what in ("lateness", "cycle_time"):
-        figures = percentiles_us(window.histogram(what))
-        found |= {f"{what} {name}": figures[name] for name in FIGURES}
-    return found
-
-
 def watched_slice(stack: LiveStack, used: list[tuple[float, float]]) -> dict[str, float]:
     """The same with `rtarm top`, whose processor time and frames a second are added to `used`."""
     with top(stack.name) as watcher:
@@ -101,16 +80,6 @@ def watched_slice(stack: LiveStack, used: list[tuple[float, float]]) -> dict[str
         seconds = time.monotonic() - begun
         used.append(((Usage(watcher).processor_s - before) / seconds, (watcher.frames - frames) / seconds))
     return found
-
-
-def without_priority(stack: LiveStack) -> None:
-    """Take the real-time priority from the cycle, as on a machine that gives none."""
-    for task in os.listdir(f"/proc/{stack.loop.process.pid}/task"):
-        os.sched_setscheduler(int(task), os.SCHED_OTHER, os.sched_param(0))
-
-
-def spread(ratios: Sequence[float]) -> str:
-    return f"{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
 
 
 @pytest.mark.benchmark(group="live")
@@ -123,31 +92,16 @@ def test_top(benchmark, report, tmp_path, priority):
                 without_priority(stack)
             used: list[tuple[float, float]] = []
             alone, watched = [slice_of(stack)], []
-            for _ in range(PAIRS):
-                watched.append(watched_slice(stack, used))
+            for number in range(PAIRS):
+                watched.append((number, watched_slice(stack, used)))
                 alone.append(slice_of(stack))
             return alone, watched, used
 
     alone, watched, used = benchmark.pedantic(measure, rounds=1)
     report(f"1 kHz mock arm, {priority} priority: with / without rtarm top", f"{PAIRS} pairs of {SLICE_S:g} s")
-    for what in ("lateness", "cycle_time"):
-        for name in FIGURES:
-            key = f"{what} {name}"
-            without, with_it = [one[key] for one in alone], [one[key] for one in watched]
-            cost = [
-                b / math.sqrt(a * c) for a, b, c in zip(without[:-1], with_it, without[1:], strict=True) if a * c > 0
-            ]
-            noise = [c / a for a, c in pairwise(without) if a > 0]
-            benchmark.extra_info[key] = {"with_us": with_it, "without_us": without, "ratio": cost, "noise": noise}
-            report(
-                f"  {key.replace('_9', '.9').replace('_', ' ')}",
-                f"{spread(cost)}; without / without {spread(noise)}; "
-                f"{statistics.median(with_it):.1f} and {statistics.median(without):.1f} µs",
-            )
-    overruns = [sum(one["overruns"] for one in slices) for slices in (watched, alone[1:])]
+    benchmark.extra_info.update(compare(report, alone, watched))
     shares, frames = zip(*used, strict=True)
-    benchmark.extra_info.update(overruns=overruns, core=shares, frames_a_second=frames)
-    report("  overruns with, without", f"{overruns[0]:.0f}, {overruns[1]:.0f}")
+    benchmark.extra_info.update(core=shares, frames_a_second=frames)
     report(
         "  rtarm top itself",
         f"{100 * statistics.median(shares):.1f} % of a core at {statistics.median(frames):.1f} frames/s",

@@ -13,6 +13,17 @@ _LINES: list[str] = []
 Report = Callable[[str, str], None]
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """For whom minutes are too long, where a benchmark has a short form."""
+    parser.addoption("--quick", action="store_true", help="bench_view: two minutes instead of twenty")
+
+
+@pytest.fixture
+def quick(request: pytest.FixtureRequest) -> bool:
+    """Whether the short form was asked for."""
+    return bool(request.config.getoption("--quick"))
+
+
 @pytest.fixture
 def report() -> Report:
     """Put a figure into the summary: what was measured, and the sentence about it."""
