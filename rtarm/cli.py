@@ -1,7 +1,7 @@
 """The command line. Everything heavy is imported inside the command that needs it, so that help is quick.
 
-Commands to a running arm stand in `cli_orders`, those about adapters and drives in `cli_drives`, the guide through an
-arm's joints in `cli_calibrate`.
+Recordings have their commands in `cli_recordings`, a running arm is told what to do by those of `cli_orders`; adapters
+and drives have theirs in `cli_drives`, the guide through an arm's joints its own in `cli_calibrate`.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from rtarm.cli_frame import (
     sentences,
 )
 from rtarm.cli_orders import orders
+from rtarm.cli_recordings import recordings_app
 from rtarm.cli_view import view_app
 from rtarm.errors import ExitCode, Refusal, exit_code_table
 
@@ -229,73 +230,6 @@ def bench(
         raise typer.Exit(run_bench(QUICK if quick else FULL, json_file, plot_file, _reporter()))
 
 
-@app.command()
-def record(
-    arm: Annotated[
-        str | None, typer.Argument(metavar="ARM", help="Name or file of an arm; left out: the only one there is.")
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Left out: a new one among the recordings.")
-    ] = None,
-) -> None:
-    """Write the last half minute of an arm to a file: every cycle, every CAN frame, everything that happened.
-
-    Works without the ROS process, and with what a control process that died has left behind. `rtarm up` does the
-    same by itself after each latched fault. The file is an MCAP, which Foxglove opens too.
-
-    Example: [bold]rtarm record episode1 -o strange_noise.mcap[/bold]
-    """
-    with sentences():
-        from rtarm.recording.make import left_by, record_now
-
-        typer.echo(str(record_now(left_by(arm), output)))
-
-
-@app.command()
-def explain(
-    file: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="FILE",
-            help="A recording; left out: the newest one there is.",
-            autocompletion=completion.recordings,
-        ),
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Tell what a recording shows: what happened first, which limit, which joint, and what the arm did then.
-
-    Example: [bold]rtarm explain[/bold]
-    """
-    with sentences({} if as_json else None):
-        from rtarm.recording.explain import explanation, plain
-        from rtarm.recording.folder import newest
-
-        told = explanation(file or newest())
-        if as_json:
-            draw_json(plain(told))
-        else:
-            draw(told)
-
-
-@app.command()
-def replay(
-    file: Annotated[
-        Path | None, typer.Argument(metavar="FILE", help="A recording; left out: the newest one there is.")
-    ] = None,
-    speed: Annotated[float, typer.Option(metavar="FACTOR", help="1 is as it happened, 0.1 ten times slower.")] = 1.0,
-) -> None:
-    """Play a recording in the terminal as `rtarm top` would have shown it, until q or Ctrl-C.
-
-    Example: [bold]rtarm replay --speed 0.2[/bold]
-    """
-    with sentences():
-        from rtarm.recording.folder import newest
-        from rtarm.recording.replay import play
-
-        play(file or newest(), speed)
-
-
 @config_app.command("check")
 def config_check(arm: ArmArgument, as_json: AsJson = False) -> None:
     """Check an arm file and print what follows from it: limits, resolution, bus load, highest rate.
@@ -348,6 +282,7 @@ def _reporter() -> Reporter:
     return Reporter(LastingConsole(highlight=False, emoji=False))
 
 
+app.add_typer(recordings_app)
 app.add_typer(orders)
 app.add_typer(drives_app)
 app.add_typer(calibrate_app)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import select
 import signal
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
@@ -42,6 +44,34 @@ def signals_raise() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def signals_noted() -> Iterator[Callable[[float], str]]:
+    """SIGINT, SIGTERM and SIGHUP are noted, and disturb nothing.
+
+    What is yielded waits for so many seconds, or until one has come, and returns its name, else "".
+    """
+    noted: list[str] = []
+    reader, writer = os.pipe()
+
+    def note(number: int, _: FrameType | None) -> None:
+        if not noted:
+            os.write(writer, b"\0")
+        noted.append(signal.Signals(number).name)
+
+    def wait(seconds: float) -> str:
+        select.select((reader,), (), (), max(seconds, 0.0))
+        return noted[0] if noted else ""
+
+    before = {number: signal.signal(number, note) for number in STOP_SIGNALS}
+    try:
+        yield wait
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        os.close(reader)
+        os.close(writer)
 
 
 async def interruptible(

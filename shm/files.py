@@ -382,6 +382,18 @@ def open_command(arm: str, arm_hash: int | None = None) -> MemoryFile:
     return _open(command_path(arm), layout.COMMAND, arm, arm_hash, writable=True)
 
 
+def watch_command(arm: str, pid: int) -> MemoryFile | None:
+    """Map the command file read-only; None where there is none of the control process with this pid."""
+    try:
+        memory = _open(command_path(arm), layout.COMMAND, arm, None, writable=False)
+    except SharedMemoryError:
+        return None
+    if int(memory.record["header"]["pid"]) == pid:
+        return memory
+    memory.close()
+    return None
+
+
 def own_command(arm: str, arm_hash: int) -> MemoryFile:
     """Map the command file as the front; raises AlreadyHeld when another front owns it."""
     memory = open_command(arm, arm_hash)

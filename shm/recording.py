@@ -5,13 +5,14 @@ and is left out and counted. Nothing here rests on the order in which words beco
 """
 
 import zlib
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from shm import files, layout
 from shm.files import MemoryFile
+from shm.words import Setpoint
 
 LENGTH_SHIFT = 32
 EXTENDED = 1 << 40
@@ -20,8 +21,21 @@ REMOTE = 1 << 42
 LENGTH_MASK = 15
 IDENTIFIER_MASK = 0x1FFFFFFF
 
+
+class Position(NamedTuple):
+    """How far an arm's rings have been read: the number of the next record of a cycle, frame, event …"""
+
+    records: int = 0
+    frames: int = 0
+    events: int = 0
+    requests: int = 0
+    setpoints: int = 0
+
+
 _OWN_AT: int = layout.RECORD.fields["number"][1]  # type: ignore[index]
 _CHANGING_AT: int = layout.RECORD.fields["cycle"][1]  # type: ignore[index]
+_KEPT = ("records_written", "frames_written", "events_written")
+_ASKED = ("requests_written", "setpoints_written")
 
 
 def frame_check(number: Any, time_ns: Any, head: Any, data: Any) -> Any:
@@ -47,6 +61,9 @@ class Recording:
         lateness: histogram since the start of the control process, dtype layout.HISTOGRAM, no dimensions.
         cycle_time: the same of its computing time.
         lost: records that could not be read because they were just being written.
+        requests: what was asked of the arm, of dtype layout.REQUEST; none where its command file was not to be had.
+        openings: the goals that were sent to it, of dtype layout.BEGIN; the same.
+        results: of the newest goals, of dtype layout.RESULT; one that was just being written may be half.
     """
 
     arm: str
@@ -64,6 +81,9 @@ class Recording:
     lateness: np.ndarray
     cycle_time: np.ndarray
     lost: int = 0
+    requests: np.ndarray = field(default_factory=lambda: np.zeros(0, layout.REQUEST))
+    openings: np.ndarray = field(default_factory=lambda: np.zeros(0, layout.BEGIN))
+    results: np.ndarray = field(default_factory=lambda: np.zeros(0, layout.RESULT))
 
 
 def record_dtype(joint_count: int) -> np.dtype:
@@ -89,15 +109,51 @@ def is_whole(record: memoryview) -> bool:
     return crc == zlib.crc32(record[_OWN_AT:_CHANGING_AT], snapshot)
 
 
-def read_recording(memory: MemoryFile) -> Recording:
-    """Everything that stands in a mapped state file."""
+def read_recording(memory: MemoryFile, command: MemoryFile | None = None) -> Recording:
+    """Everything that stands in a mapped state file, and of the command file beside it what was asked."""
+    return read_on(memory, kept_from(memory, command), command)[0]
+
+
+def kept_from(memory: MemoryFile, command: MemoryFile | None = None) -> Position:
+    """Where what is kept begins."""
+    rings = _rings(memory)
+    asked = (0, 0) if command is None else (int(command.record[name][0]) for name in _ASKED)
+    slots = (rings.record_slots, rings.frame_slots, layout.EVENT_SLOTS, layout.REQUEST_SLOTS, layout.SETPOINT_SLOTS)
+    written = (*(int(memory.record[name][0]) for name in _KEPT), *asked)
+    # the slot of the one before the oldest may just be written again
+    return Position(*(max(0, one - size + 1) for one, size in zip(written, slots, strict=True)))
+
+
+def now_at(memory: MemoryFile, command: MemoryFile | None = None) -> Position:
+    """Where what is written from now on will begin."""
+    asked = () if command is None else (int(command.record[name][0]) for name in _ASKED)
+    return Position(*(max(0, int(memory.record[name][0])) for name in _KEPT), *(max(0, one) for one in asked))
+
+
+def read_on(
+    memory: MemoryFile, since: Position, command: MemoryFile | None = None, most: int | None = None
+) -> tuple[Recording, Position]:
+    """What was written since a position, and the position behind it.
+
+    At most `most` cycles, and frames in the proportion of their rings. A record that is not whole yet is left for the
+    next time; what was overwritten before it was read is missing, so that the positions lie further apart than there
+    are records.
+    """
     record = memory.record
     header = record["header"]
     joint_count = int(header["joint_count"])
-    rings = layout.rings(joint_count, int(header["period_ns"]), int(header["bitrate"]))
-    frames, frames_lost = _frames(memory, rings)
-    records, records_lost = _records(memory, rings, joint_count)
-    return Recording(
+    rings = _rings(memory)
+    most_frames = None if most is None else most * max(rings.frame_slots // rings.record_slots, 1)
+    frames, frames_lost, next_frame = _frames(memory, rings, since.frames, most_frames)
+    records, records_lost, next_record = _records(memory, rings, joint_count, since.records, most)
+    happened = int(record["events_written"][0])
+    events = _events(record, max(0, since.events, happened - layout.EVENT_SLOTS), happened)
+    requests, openings = np.zeros(0, layout.REQUEST), np.zeros(0, layout.BEGIN)
+    next_request, next_setpoint = since.requests, since.setpoints
+    if command is not None:
+        requests, next_request = _requests(command.record, since.requests)
+        openings, next_setpoint = _openings(command.record, joint_count, since.setpoints)
+    recording = Recording(
         arm=files.arm_name(header),
         joints=files.joint_names(header),
         arm_hash=int(header["arm_hash"]),
@@ -106,14 +162,23 @@ def read_recording(memory: MemoryFile) -> Recording:
         bitrate=int(header["bitrate"]),
         records=records,
         frames=frames,
-        events=newest_events(record, layout.EVENT_SLOTS),
+        events=events,
         limits=np.array(record["limits"]),
         identifiers=np.array(record["identifiers"][record["identifiers"]["mask"] != 0]),
         scheduling=np.array(record["scheduling"]),
         lateness=np.array(record["lateness"]),
         cycle_time=np.array(record["cycle_time"]),
         lost=records_lost + frames_lost,
+        requests=requests,
+        openings=openings,
+        results=np.array(record["snapshot"]["results"]),
     )
+    return recording, Position(next_record, next_frame, max(happened, since.events), next_request, next_setpoint)
+
+
+def _rings(memory: MemoryFile) -> layout.Rings:
+    header = memory.record["header"]
+    return layout.rings(*(int(header[name]) for name in ("joint_count", "period_ns", "bitrate")))
 
 
 def newest_events(record: np.void, count: int) -> np.ndarray:
@@ -123,43 +188,82 @@ def newest_events(record: np.void, count: int) -> np.ndarray:
     again at the next look and keeps nothing of it.
     """
     written = int(record["events_written"][0])
-    first = max(0, written - count)
+    return _events(record, max(0, written - count), written)
+
+
+def _events(record: np.void, first: int, written: int) -> np.ndarray:
+    """The events of these numbers, as far as they are kept."""
     events: np.ndarray = record["events"][np.arange(first, written) % layout.EVENT_SLOTS]
     intact_from = int(record["events_written"][0]) - layout.EVENT_SLOTS + 1  # older ones were overwritten meanwhile
     return events[max(0, intact_from - first) :]
 
 
-def _records(memory: MemoryFile, rings: layout.Rings, joint_count: int) -> tuple[np.ndarray, int]:
-    """The whole records of cycles in their order, and how many are not whole."""
-    dtype = record_dtype(joint_count)
-    copy, numbers = _copied(memory, layout.STATE.itemsize, rings.record_bytes, rings.record_slots, "records_written")
-    found = np.frombuffer(copy, dtype)
+def _records(
+    memory: MemoryFile, rings: layout.Rings, joint_count: int, since: int, most: int | None
+) -> tuple[np.ndarray, int, int]:
+    """The whole records of cycles in their order, how many are not whole, and the number behind the last whole one."""
+    size = rings.record_bytes
+    copy, numbers = _copied(memory, layout.STATE.itemsize, size, rings.record_slots, "records_written", since, most)
+    found = np.frombuffer(copy, record_dtype(joint_count))
     view = memoryview(copy)
-    slots = numbers % rings.record_slots
-    whole = [
-        int(slot)
-        for slot, number in zip(slots.tolist(), numbers.tolist(), strict=True)
-        if int(found["number"][slot]) == number
-        and is_whole(view[slot * rings.record_bytes : (slot + 1) * rings.record_bytes])
-    ]
-    return found[whole], len(numbers) - len(whole)
+    whole = found["number"] == numbers
+    for at in np.flatnonzero(whole).tolist():
+        whole[at] = is_whole(view[at * size : (at + 1) * size])
+    return found[whole], int(np.count_nonzero(~whole)), _behind(numbers, whole, since)
 
 
-def _frames(memory: MemoryFile, rings: layout.Rings) -> tuple[np.ndarray, int]:
-    """The whole records of frames in their order, and how many are not whole."""
+def _frames(memory: MemoryFile, rings: layout.Rings, since: int, most: int | None) -> tuple[np.ndarray, int, int]:
+    """The whole records of frames in their order, how many are not whole, and the number behind the last whole one."""
     dtype = layout.BUS_FRAME
     if rings.frame_slots == 0:
-        return np.zeros(0, dtype), 0
-    copy, numbers = _copied(memory, rings.frames_at, dtype.itemsize, rings.frame_slots, "frames_written")
-    found = np.frombuffer(copy, dtype)[numbers % rings.frame_slots]
+        return np.zeros(0, dtype), 0, since
+    copy, numbers = _copied(memory, rings.frames_at, dtype.itemsize, rings.frame_slots, "frames_written", since, most)
+    found = np.frombuffer(copy, dtype)
     whole = found["check"] == frame_check(numbers, found["monotonic_ns"], found["head"], found["data"])
-    return found[whole], int(np.count_nonzero(~whole))
+    return found[whole], int(np.count_nonzero(~whole)), _behind(numbers, whole, since)
 
 
-def _copied(memory: MemoryFile, at: int, size: int, slots: int, head: str) -> tuple[bytes, np.ndarray]:
-    """A copy of a ring, and the numbers of the records that were written before and not overwritten meanwhile."""
+def _behind(numbers: np.ndarray, whole: np.ndarray, since: int) -> int:
+    """Where to read on: behind the last whole record, or at the oldest there is where none is whole."""
+    if whole.any():
+        return int(numbers[whole][-1]) + 1
+    return int(numbers[0]) if len(numbers) else since
+
+
+def _copied(
+    memory: MemoryFile, at: int, size: int, slots: int, head: str, since: int, most: int | None
+) -> tuple[bytes, np.ndarray]:
+    """Copies of a ring's records from a number on that were not overwritten meanwhile, and their numbers."""
     written = int(memory.record[head][0])
-    copy = memory.map[at : at + size * slots]
-    latest = max(int(memory.record[head][0]), written)
-    oldest = max(latest - slots + 1, 0)  # the slot of the one before it may just be written again
-    return copy, np.arange(min(oldest, written), written)
+    first = max(since, written - slots, 0)
+    last = written if most is None else min(written, first + most)
+    if last <= first:
+        return b"", np.zeros(0, np.int64)
+    start, end = first % slots, first % slots + last - first
+    copy = (
+        memory.map[at + start * size : at + min(end, slots) * size] + memory.map[at : at + max(end - slots, 0) * size]
+    )
+    oldest = int(memory.record[head][0]) - slots + 1  # the slot of the one before it may just be written again
+    skipped = min(max(oldest - first, 0), last - first)
+    return copy[skipped * size :], np.arange(first + skipped, last)
+
+
+def _requests(record: np.void, since: int) -> tuple[np.ndarray, int]:
+    """The whole requests of a command file from a number on, and the number of the next."""
+    written = int(record["requests_written"][0])
+    numbers = np.arange(max(since, written - layout.REQUEST_SLOTS, 0), written)
+    rows: np.ndarray = record["requests"][numbers % layout.REQUEST_SLOTS]
+    whole = [zlib.crc32(row.tobytes()[8:]) == int(row["crc"]) for row in rows]
+    return rows[(rows["sequence"] == numbers + 1) & np.array(whole, bool)], max(written, since)
+
+
+def _openings(record: np.void, joint_count: int, since: int) -> tuple[np.ndarray, int]:
+    """The whole BEGIN records of a command file from a number on, and the number of the next."""
+    written = int(record["setpoints_written"][0])
+    numbers = np.arange(max(since, written - layout.SETPOINT_SLOTS, 0), written)
+    slots = numbers % layout.SETPOINT_SLOTS
+    begins = record["setpoints"]["kind"][slots] == Setpoint.BEGIN
+    rows: np.ndarray = record["setpoints"][slots[begins]].view(layout.BEGIN)
+    used = layout.used_bytes(layout.BEGIN, joint_count)
+    whole = [zlib.crc32(row.tobytes()[8:used]) == int(row["crc"]) for row in rows]
+    return rows[(rows["sequence"] == numbers[begins]) & np.array(whole, bool)], max(written, since)

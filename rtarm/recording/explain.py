@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rtarm.recording.chart import joint_charts
-from rtarm.recording.mcap_format import Loaded
+from rtarm.recording.mcap_format import Loaded, Step
 from rtarm.recording.mcap_reader import read
 from rtarm.recording.story import Line, guilty_joint, since, tell
 from rtarm.status import key
@@ -81,10 +81,10 @@ def plain(told: Explanation) -> dict[str, Any]:
     }
 
 
-def explanation(path: Path) -> Explanation:
+def explanation(path: Path, step: Step = lambda _: None) -> Explanation:
     """The story of a file.
 
     Raises:
         Refusal: it is no recording that can be read.
     """
-    return Explanation(read(path))
+    return Explanation(read(path, step))

@@ -21,6 +21,8 @@ KEPT_BYTES = 1 << 30
 SUFFIX = ".mcap"
 OWN_NAME = re.compile(r"[^-]+-\d{8}T\d{6}Z-\w+(-\d+)?" + re.escape(SUFFIX))
 """What `new_path` makes: the name of an arm has no hyphen."""
+LONG = "long"
+"""What a recording that went on is named after: somebody asked for it, so it is never removed to make room."""
 ABANDONED_S = 600.0
 """A writer adds to its file every few seconds."""
 
@@ -54,15 +56,22 @@ def new_path(arm: str, why: str) -> Path:
 
 def remove_old(arm: str) -> None:
     """Remove all but the newest recordings of an arm, and of all, and what killed writers have left."""
-    for path in {*recordings(arm)[KEPT:], *recordings()[KEPT_IN_ALL:], *_beyond_room(), *_abandoned()}:
+    mine = [path for _, path in _removable() if path.name.startswith(f"{arm}-")]
+    everybodys = [path for _, path in _removable()]
+    for path in {*mine[KEPT:], *everybodys[KEPT_IN_ALL:], *_beyond_room(), *_abandoned()}:
         with contextlib.suppress(OSError):
             path.unlink()
+
+
+def _removable() -> list[tuple[int, Path]]:
+    """Bytes and path of each recording that makes room for others, the newest first."""
+    return [(size, path) for _, size, path in _found() if f"-{LONG}" not in path.name]
 
 
 def _beyond_room() -> Iterator[Path]:
     """The recordings that have no room beside newer ones; the newest always has."""
     used = 0
-    for _, size, path in _found():
+    for size, path in _removable():
         beyond = used > 0 and used + size > KEPT_BYTES
         used += size
         if beyond:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rtarm.errors import Refusal
 from rtarm.recording import folder
-from rtarm.recording.mcap_format import Reason
+from rtarm.recording.mcap_format import Reason, Step
 from rtarm.recording.mcap_writer import write
 from rtarm.status import key, resolve_arm
 from shm import files
@@ -48,28 +48,31 @@ def left_by(argument: str | None) -> MemoryFile:
     return files.left_behind(arms[0])
 
 
-def record_now(memory: MemoryFile, path: Path | None) -> Path:
+def record_now(memory: MemoryFile, path: Path | None, step: Step = lambda _: None) -> Path:
     """Write a recording of a state file, which is closed then; the file that was written.
 
     Raises:
         Refusal: it cannot be written.
     """
     lives = files.is_held(memory.fd)
-    return record(memory, ASKED if lives else DEATH, path)
+    return record(memory, ASKED if lives else DEATH, path, step)
 
 
-def record(memory: MemoryFile, word: str, path: Path | None = None) -> Path:
+def record(memory: MemoryFile, word: str, path: Path | None = None, step: Step = lambda _: None) -> Path:
     """The same, for a reason that is known; without a path among the recordings, of which old ones make room."""
+    command = files.watch_command(files.arm_name(memory.record["header"]), int(memory.record["header"]["pid"]))
     try:
-        recording = read_recording(memory)
+        recording = read_recording(memory, command)
     finally:
         memory.close()
+        if command is not None:
+            command.close()
     reason = Reason(word, _sentence(word, recording))
     if path is not None:
-        write(recording, reason, path)
+        write(recording, reason, path, step)
         return path
     path = folder.new_path(recording.arm, _name(word, recording))
-    write(recording, reason, path)
+    write(recording, reason, path, step)
     folder.remove_old(recording.arm)
     return path
 

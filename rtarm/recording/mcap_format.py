@@ -1,13 +1,15 @@
 """A recording as an MCAP file: JSON messages with their schemas, which Foxglove plots, and back again.
 
 Channels: `/rtarm/state` and `/rtarm/joints/<joint>` in every cycle, of which they carry the `number`, `/rtarm/events`
-with their sentences (as a log), `/rtarm/frames` of the bus. Times are those of ROS; what the motion is timed by stands
-in `monotonic_ns` of the state. What else is known of the arm leads the file as metadata, so that one that was cut off
-can still be told, and a file of others' is known before it is read to its end.
+with their sentences (as a log), `/rtarm/frames` of the bus; made of these, so that `mcap_reader` lets them be,
+`/rtarm/commands` (what was asked, and the answers) and `/rtarm/statistics` once a second. Times are those of ROS; what
+the motion is timed by stands in `monotonic_ns` of the state. What else is known of the arm leads the file as metadata,
+so that one that was cut off can still be told, and a file of others' is known before it is read to its end.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import IntEnum
 from typing import IO, NamedTuple
 
@@ -21,6 +23,7 @@ MAGIC = b"\x89MCAP0\r\n"
 FORMAT = "1"
 METADATA, LIMITS, TIMING = "rtarm", "rtarm.limits", "rtarm.timing"
 STATE, JOINTS, EVENTS, FRAMES = "/rtarm/state", "/rtarm/joints/", "/rtarm/events", "/rtarm/frames"
+COMMANDS, STATISTICS = "/rtarm/commands", "/rtarm/statistics"
 LIBRARY = "rtarm "
 """So begins what our files say that they were written by."""
 JSON = "json"
@@ -50,6 +53,10 @@ EVENT_WORDS = list(layout.EVENT.names or ())
 STATE_MESSAGE = np.dtype([(name, layout.RECORD[name]) for name in CYCLE_WORDS])
 JOINT_MESSAGE = np.dtype([("number", np.int64), *((name, layout.JOINT[name]) for name in JOINT_WORDS)])
 """A message of a cycle's state and of a joint in it, as numbers."""
+
+
+Step = Callable[[float], None]
+"""Is told how much of a work is done, 0…1."""
 
 
 class Reason(NamedTuple):

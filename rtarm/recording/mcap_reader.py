@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import stat
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import IntEnum
@@ -39,6 +40,7 @@ from rtarm.recording.mcap_format import (
     TIMING,
     Loaded,
     Reason,
+    Step,
     library_of,
 )
 from shm import layout
@@ -46,8 +48,8 @@ from shm.recording import EXTENDED, LENGTH_SHIFT, REMOTE, SENT, Recording, recor
 from shm.words import Slowed
 
 
-def read(path: Path) -> Loaded:
-    """Read a file; of one that is damaged, what can be read.
+def read(path: Path, step: Step = lambda _: None) -> Loaded:
+    """Read a file; of one that is damaged, what can be read. `step` is told how much of it is read, 0…1.
 
     Raises:
         Refusal: it cannot be opened, or is no recording of ours.
@@ -61,7 +63,7 @@ def read(path: Path) -> Loaded:
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise Refusal(f"{path} is no MCAP file: give one that `rtarm record` has written.")
-            return _read(path, file)
+            return _read(path, file, step)
     except FileNotFoundError:
         raise Refusal(f"{path} is not there: `rtarm explain` without a file takes the newest recording.") from None
     except OSError as problem:
@@ -84,14 +86,14 @@ class _Damage:
             cycles = "1 cycle is" if self.incomplete == 1 else f"{self.incomplete} cycles are"
             parts.append(f"{cycles} incomplete and left out")
         if not self.ended:
-            parts.append("it ends too early, as if it had been cut off")
+            parts.append("it ends too early, as if it had been cut off or were still being written")
         return "; ".join(parts)
 
 
-def _read(path: Path, file: IO[bytes]) -> Loaded:
+def _read(path: Path, file: IO[bytes], step: Step) -> Loaded:
     library = library_of(file)
     damage = _Damage()
-    records = _whole_records(file, damage)
+    records = _whole_records(file, damage, step)
     metadata = _head(records)
     if METADATA not in metadata or LIMITS not in metadata:
         if library is None or library.startswith(LIBRARY):
@@ -131,11 +133,12 @@ def _topics(file: IO[bytes]) -> dict[int, str]:
     return {number: one.topic for number, one in channels.items() if one.message_encoding == JSON}
 
 
-def _whole_records(file: IO[bytes], damage: _Damage) -> Iterator[Any]:
+def _whole_records(file: IO[bytes], damage: _Damage, step: Step) -> Iterator[Any]:
     """A file's records one by one, those of chunks too, and before each chunk None; what is spoilt is left out."""
     from mcap.records import Chunk, Footer
     from mcap.stream_reader import StreamReader, breakup_chunk
 
+    size = max(os.fstat(file.fileno()).st_size, 1)
     file.seek(0)
     records = StreamReader(file, emit_chunks=True, record_size_limit=LONGEST_RECORD).records
     while True:
@@ -151,6 +154,7 @@ def _whole_records(file: IO[bytes], damage: _Damage) -> Iterator[Any]:
         if not isinstance(record, Chunk):
             yield record
             continue
+        step(file.tell() / size)
         yield None
         try:
             inner = breakup_chunk(record, validate_crc=True)

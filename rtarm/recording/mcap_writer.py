@@ -19,9 +19,12 @@ from typing import IO, Any
 import numpy as np
 
 from rtarm.errors import Refusal
+from rtarm.recording import commands, statistics
+from rtarm.recording.commands import Commands
 from rtarm.recording.mcap_format import (
     BATCH,
     CHUNK_BYTES,
+    COMMANDS,
     CYCLE_WORDS,
     EVENT_WORDS,
     EVENTS,
@@ -35,10 +38,13 @@ from rtarm.recording.mcap_format import (
     METADATA,
     NAMED,
     STATE,
+    STATISTICS,
     TIMING,
     Reason,
+    Step,
     library_of,
 )
+from rtarm.recording.statistics import Figures, Seconds
 from rtarm.status import key
 from rtarm.top.events import BAD, ODD, happening
 from shm import layout
@@ -54,37 +60,50 @@ _LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
 _encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
+_Message = tuple[int, int, str, dict[str, Any]]
+"""CLOCK_MONOTONIC, ROS time, channel, content."""
+
+
 class NotWritten(Refusal):
     """A recording could not be written."""
 
 
-def write(recording: Recording, reason: Reason, path: Path) -> None:
+def write(recording: Recording, reason: Reason, path: Path, step: Step = lambda _: None) -> None:
     """Write a file that only this user may read, whole or not at all, in place of nothing but an older recording.
 
     Raises:
         NotWritten: with the sentence for people.
     """
     try:
-        _check_target(path)
+        check_target(path)
         if len(recording.records) == 0:
             raise NotWritten(
                 f"The control process of {recording.arm} has not run a cycle, so there is nothing to record."
             )
-        _make_folder(path.parent)
-        fd, aside = tempfile.mkstemp(ASIDE_SUFFIX, ASIDE_PREFIX, path.parent)  # new, of mode 0600, follows no link
+        fd, aside = new_aside(path)
         try:
             with open(fd, "wb") as file:
-                _write(recording, reason, file)
+                _write(recording, reason, file, step)
             os.replace(aside, path)
         finally:
             Path(aside).unlink(missing_ok=True)
     except OSError as problem:
-        full = problem.errno in (errno.ENOSPC, errno.EDQUOT)
-        remedy = "free some space there" if full else "give a file in a folder that you may write to"
+        remedy = "free some space there" if is_full(problem) else "give a file in a folder that you may write to"
         raise NotWritten(f"The recording {path} cannot be written ({problem.strerror}): {remedy}.") from problem
 
 
-def _check_target(path: Path) -> None:
+def is_full(problem: OSError) -> bool:
+    """Whether there was no room."""
+    return problem.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
+def new_aside(path: Path) -> tuple[int, str]:
+    """A new open file beside where a recording is to be, of mode 0600, which follows no link; and its name."""
+    _make_folder(path.parent)
+    return tempfile.mkstemp(ASIDE_SUFFIX, ASIDE_PREFIX, path.parent)
+
+
+def check_target(path: Path) -> None:
     """Refuse to write over anything but a recording."""
     try:
         mode = path.lstat().st_mode
@@ -107,22 +126,60 @@ def _make_folder(path: Path) -> None:
         path.mkdir(0o700, exist_ok=True)
 
 
-def _write(recording: Recording, reason: Reason, file: IO[bytes]) -> None:
-    from mcap.writer import CompressionType, Writer
+def _write(recording: Recording, reason: Reason, file: IO[bytes], step: Step) -> None:
+    growing = Growing(file, recording, reason)
+    growing.add(recording, step)
+    growing.finish()
 
-    writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-    writer.start(profile="", library=LIBRARY + _version())
-    for name, values in _metadata(recording, reason).items():
-        writer.add_metadata(name, values)
-    channels = {}
-    for name, schema_name, schema in _schemas(recording.joints):
-        schema_id = writer.register_schema(schema_name, "jsonschema", json.dumps(schema).encode())
-        channels[name] = writer.register_channel(name, JSON, schema_id)
-    for message in heapq.merge(*_messages(recording), key=lambda one: one[0]):
+
+class Growing:
+    """A recording that is written piece by piece."""
+
+    def __init__(self, file: IO[bytes], first: Recording, reason: Reason) -> None:
+        """Write what leads the file; `first` is the first of its pieces."""
+        from mcap.writer import CompressionType, Writer
+
+        self._writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile="", library=LIBRARY + _version())
+        for name, values in _metadata(first, reason).items():
+            self._writer.add_metadata(name, values)
+        self._channels = {}
+        for name, schema_name, schema in _schemas(first.joints):
+            schema_id = self._writer.register_schema(schema_name, "jsonschema", json.dumps(schema).encode())
+            self._channels[name] = self._writer.register_channel(name, JSON, schema_id)
+        self._seconds = Seconds(first.bitrate)
+        self._commands = Commands()
+
+    def add(self, piece: Recording, step: Step = lambda _: None) -> None:
+        """Append a piece, which has at least one cycle."""
+        start_ns = int(piece.records["monotonic_ns"][0])
+        span_ns = max(int(piece.records["monotonic_ns"][-1]) - start_ns, 1)
+        messages = (
+            _cycles(piece),
+            _events(piece),
+            _frames(piece),
+            _commands(piece, self._commands.add(piece)),
+            map(_figures, self._seconds.add(piece.records)),
+        )
+        for number, message in enumerate(heapq.merge(*messages, key=lambda one: one[0])):
+            self._add(message)
+            if number % BATCH == 0:
+                step(min(max((message[0] - start_ns) / span_ns, 0.0), 1.0))
+
+    def flush(self) -> None:
+        """Hand over what was added, so that it can be read whatever comes."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+
+    def finish(self) -> None:
+        """The end of the file, by which a reader finds its way in it."""
+        for figures in self._seconds.rest():
+            self._add(_figures(figures))
+        self._writer.finish()  # type: ignore[no-untyped-call]
+
+    def _add(self, message: _Message) -> None:
         _, epoch_ns, name, content = message
         data = _encode(content).encode()
-        writer.add_message(channels[name], log_time=epoch_ns, publish_time=epoch_ns, data=data)
-    writer.finish()  # type: ignore[no-untyped-call]
+        self._writer.add_message(self._channels[name], log_time=epoch_ns, publish_time=epoch_ns, data=data)
 
 
 def _version() -> str:
@@ -230,14 +287,11 @@ def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]
         "data": {"type": "string", "description": "bytes in hexadecimal"},
     }
     yield FRAMES, "rtarm.Frame", {"title": "rtarm.Frame", "type": "object", "properties": frame}
-
-
-_Message = tuple[int, int, str, dict[str, Any]]
-"""CLOCK_MONOTONIC, ROS time, channel, content."""
-
-
-def _messages(recording: Recording) -> tuple[Iterator[_Message], ...]:
-    return _cycles(recording), _events(recording), _frames(recording)
+    for name, title, properties in (
+        (COMMANDS, "rtarm.Command", commands.properties()),
+        (STATISTICS, "rtarm.Statistics", statistics.properties()),
+    ):
+        yield name, title, {"title": title, "type": "object", "properties": properties}
 
 
 def _columns(records: np.ndarray, names: Sequence[str]) -> Iterator[dict[str, Any]]:
@@ -338,3 +392,13 @@ def _frames(recording: Recording) -> Iterator[_Message]:
             "data": struct.pack("<q", data)[:length].hex(),
         }
         yield monotonic_ns, epoch_ns, FRAMES, content
+
+
+def _commands(recording: Recording, found: Sequence[commands.Command]) -> Iterator[_Message]:
+    epochs = _to_epoch(recording, np.array([one.monotonic_ns for one in found], np.int64))
+    for command, epoch_ns in zip(found, epochs, strict=True):
+        yield command.monotonic_ns, epoch_ns, COMMANDS, command.content
+
+
+def _figures(figures: Figures) -> _Message:
+    return figures.monotonic_ns, figures.epoch_ns, STATISTICS, figures.content

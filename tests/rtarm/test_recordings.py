@@ -141,7 +141,8 @@ def test_a_plain_reader_finds_channels_schemas_and_ros_times(power_loss: Recordi
         assert summary is not None and summary.statistics is not None
         topics = {channel.topic: channel for channel in summary.channels.values()}
         joints = {f"/rtarm/joints/{name}" for name in power_loss.joints}
-        assert set(topics) == {"/rtarm/state", "/rtarm/events", "/rtarm/frames", *joints}
+        others = {"/rtarm/events", "/rtarm/frames", "/rtarm/commands", "/rtarm/statistics"}
+        assert set(topics) == {"/rtarm/state", *others, *joints}
         assert {channel.message_encoding for channel in topics.values()} == {"json"}
         for schema in summary.schemas.values():
             assert schema.encoding == "jsonschema" and json.loads(schema.data)["type"] == "object"

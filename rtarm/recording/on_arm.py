@@ -1,0 +1,303 @@
+"""`rtarm replay --on-arm`: the running arm moves as a recorded one was moved, through its ordinary action.
+
+What is replayed is the path that was *commanded*: it was made inside the limits, it is as smooth as the arm was asked
+to be, and it has no gaps where a drive did not answer. The measured one lags behind it and carries the encoders' noise,
+and an arm that follows it would lag behind that once more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from config.errors import ConfigError
+from config.loader import known_arms, load_arm
+from config.schema import ArmConfig
+from rosfront.moves import Profile
+from rtarm.calibrate.person import Person, Quit, agrees
+from rtarm.errors import ExitCode, Refusal
+from rtarm.interrupt import Interrupted, signals_raise, undisturbed
+from rtarm.launcher import SIMULATED_CHANNEL
+from rtarm.requests import STOP_PATIENCE_S, Connection, connect, stands
+from rtarm.sending import Sender, goal_document, sending
+from rtarm.status import resolve_arm
+from shm import files
+from shm.recording import Recording
+from shm.words import Fault, Mode, Slowed
+
+LED = (Mode.HOLDING, Mode.EXECUTING, Mode.STOPPING)
+"""Modes in which the arm is where it is commanded."""
+SLOW = 0.25
+"""Share of the limits that the way to the beginning uses."""
+THERE_RAD = math.radians(0.5)
+"""No joint farther than this from the beginning: the motion can begin, since the action finds the rest of the way."""
+KNOT_SHARE = 0.02
+"""Of the way between two points of the way to the beginning."""
+SLOWEST = 0.01
+BESIDE = 1e-6
+"""What a value may be beside its limit (rad and the like): rounding."""
+PATIENCE_S = 86_400.0
+"""A person may pause a goal, and slow it down, for as long as he likes."""
+
+
+class Path(NamedTuple):
+    """A commanded motion from rest to rest.
+
+    Attributes:
+        times_s: (n,), from 0.
+        positions_rad, velocities_rad_s, accelerations_rad_s2: (n, joints).
+        begins_s, ends_s: where in the recording it lies.
+        ended_by: what the rest of the recording is left out for, "" if nothing moved there.
+    """
+
+    times_s: np.ndarray
+    positions_rad: np.ndarray
+    velocities_rad_s: np.ndarray
+    accelerations_rad_s2: np.ndarray
+    begins_s: float
+    ends_s: float
+    ended_by: str
+
+
+def path_of(recording: Recording) -> Path:
+    """The first motion in a recording from rest to rest, all goals of it, up to whatever interrupts it.
+
+    It is interrupted by a fault, by cycles that are missing, and by the drives being let go or referenced: what was
+    commanded then is no motion that anybody asked for. It ends where the arm last stood before that.
+
+    Raises:
+        Refusal: there is no such motion.
+    """
+    records = recording.records
+    led = np.isin(records["mode"], LED) & (records["fault"] == Fault.NONE) & (records["slowed"] & Slowed.OWN_BRAKE == 0)
+    led &= np.isfinite(records["joints"]["commanded_position_rad"]).all(axis=1)
+    moving = np.any(records["joints"]["commanded_velocity_rad_s"] != 0.0, axis=1)
+    breaks = np.flatnonzero((np.diff(records["number"]) != 1) | (led[1:] != led[:-1])) + 1
+    for start, end in zip((0, *breaks), (*breaks, len(records)), strict=True):
+        at = np.arange(start, end)
+        rests = at[~moving[start:end]]
+        if not led[start] or len(rests) < 2:
+            continue
+        goes = np.flatnonzero(moving[rests[0] : rests[-1]]) + rests[0]
+        if len(goes):
+            return _cut(recording, goes[0] - 1, goes[-1] + 1, _why_cut(records, end, bool(moving[end - 1])))
+    raise Refusal(
+        "In this recording the arm never moves from rest to rest while it was led by goals, so there is no motion to "
+        "replay: record one with `rtarm record --for SECONDS` while it moves."
+    )
+
+
+def _why_cut(records: np.ndarray, end: int, amid: bool) -> str:
+    if end == len(records):
+        return "the recording ends in motion" if amid else ""
+    if records["fault"][end] != Fault.NONE:
+        return "a fault was latched"
+    if records["number"][end] - records["number"][end - 1] != 1:
+        return "cycles are missing in the recording"
+    return "the drives were let go, referenced or brought up"
+
+
+def _cut(recording: Recording, first: int, last: int, why: str) -> Path:
+    rows = recording.records[first : last + 1]
+    start_ns = int(recording.records["monotonic_ns"][0])
+    times_s = (rows["monotonic_ns"] - rows["monotonic_ns"][0]) * 1e-9
+    joints = rows["joints"]
+    return Path(
+        times_s,
+        joints["commanded_position_rad"],
+        joints["commanded_velocity_rad_s"],
+        joints["commanded_acceleration_rad_s2"],
+        float(rows["monotonic_ns"][0] - start_ns) * 1e-9,
+        float(rows["monotonic_ns"][-1] - start_ns) * 1e-9,
+        why,
+    )
+
+
+def check(recording: Recording, path: Path, joints: Sequence[str], limits: np.ndarray) -> None:
+    """Refuse a path that is not for an arm with these joints and limits (rows of layout.LIMITS_JOINT).
+
+    Raises:
+        Refusal: with the first thing that does not fit.
+    """
+    if tuple(joints) != recording.joints:
+        raise Refusal(
+            f"The recording is of an arm with the joints {', '.join(recording.joints)}, and this one has "
+            f"{', '.join(joints)}: replay it on the arm that it was made of."
+        )
+    for index, name in enumerate(joints):
+        row = limits[index]
+        for what, value, lower, upper, unit in (
+            ("goes to", path.positions_rad[:, index], row["lower_rad"], row["upper_rad"], "rad"),
+            ("moves at", path.velocities_rad_s[:, index], None, row["max_velocity_rad_s"], "rad/s"),
+            ("accelerates by", path.accelerations_rad_s2[:, index], None, row["max_acceleration_rad_s2"], "rad/s²"),
+        ):
+            least, most = (-upper if lower is None else lower), upper
+            worst = value[np.argmax(np.maximum(value - most, least - value))]
+            if not least - BESIDE <= worst <= most * (1 + BESIDE) + BESIDE:
+                raise Refusal(
+                    f"{name} {what} {worst:.4f} {unit} in the recording, and this arm allows {least:.4f} to "
+                    f"{most:.4f} {unit}: its limits are others than those it was recorded with."
+                )
+
+
+def goal_of(recording: Recording, path: Path, speed: float) -> dict[str, Any]:
+    """The path as a goal, as it was or slower, between whose points the arm follows the cubics it followed then."""
+    return goal_document(
+        recording.joints, path.times_s / speed, path.positions_rad, velocities_rad_s=path.velocities_rad_s * speed
+    )
+
+
+def replay_on_arm(recording: Recording, argument: str | None, *, speed: float, yes: bool, person: Person) -> None:
+    """Move a running arm along the commanded path of a recording.
+
+    Args:
+        argument: name or file of the running arm; None for the one that was recorded.
+        speed: 1 is as it was, less is slower.
+        yes: nobody is asked before the arm moves.
+
+    Raises:
+        Refusal: it does not fit, nobody agreed, or a goal did not succeed.
+        SharedMemoryError, ConfigError: the arm is not running, or its file cannot be read.
+    """
+    if not SLOWEST <= speed <= 1.0:
+        raise Refusal(f"--speed is {speed:g}, but an arm replays at {SLOWEST:g} to 1 times the speed of then.")
+    path = path_of(recording)
+    arm = resolve_arm(argument or recording.arm)
+    with connect(arm) as connection:
+        _refuse_unfit(connection)
+        memory = files.open_state(arm)
+        try:
+            check(recording, path, connection.joints, np.array(memory.record["limits"]["joints"]))
+            same = int(memory.record["header"]["arm_hash"]) == recording.arm_hash
+        finally:
+            memory.close()
+        config = _running_config(argument, arm)
+        person.tell(_announcement(recording, path, speed, same=same))
+        try:
+            with signals_raise():
+                if not yes:
+                    _ask(connection, recording, path, person)
+                with sending(config) as sender:
+                    _go_to_start(connection, sender, recording, path, person)
+                    person.tell("Replaying.")
+                    person.tell(_run(connection, sender, goal_of(recording, path, speed)))
+        except Interrupted as signalled:
+            raise Refusal(f"Ended by {signalled}; arm {arm} stands.", ExitCode.GOAL_FAILED) from None
+
+
+def _refuse_unfit(connection: Connection) -> None:
+    """Raise Refusal where a fault is latched, a joint's angle is not known, or the arm does not just hold."""
+    snapshot = connection.snapshot()
+    if sentence := connection.fault(snapshot):
+        raise Refusal(f"A fault is latched, clear it first: {sentence}")
+    if lost := connection.lost(snapshot):
+        raise Refusal(" ".join(lost.values()))
+    if int(snapshot["mode"]) != Mode.HOLDING:
+        raise Refusal(f"Arm {connection.arm} does not stand and hold just now: see `rtarm status`, then try again.")
+
+
+def _announcement(recording: Recording, path: Path, speed: float, *, same: bool) -> str:
+    said = [
+        f"What was commanded {path.begins_s:.1f} s to {path.ends_s:.1f} s into the recording is replayed, which takes "
+        f"{path.times_s[-1] / speed:.1f} s"
+    ]
+    if path.ended_by:
+        said.append(f"; nothing after that, since {path.ended_by}")
+    said.append(".")
+    if not same:
+        said.append(
+            f" The arm file is not the one that {recording.arm} was recorded with: if zero_deg, direction or ratio of a "
+            "joint is another now, the same angles are other places."
+        )
+    return "".join(said)
+
+
+def _running_config(argument: str | None, arm: str) -> ArmConfig:
+    """The file of a running arm, which tells where its action is.
+
+    Raises:
+        Refusal: nobody knows which file that is.
+        ConfigError: it cannot be read.
+    """
+    given = argument if argument is not None and ("/" in argument or argument.endswith((".yaml", ".yml"))) else arm
+    if given == arm and arm not in known_arms():
+        raise Refusal(f"{arm} is no arm that comes with rtarm: say which file it runs with, `--arm ./{arm}.yaml`.")
+    try:
+        return load_arm(given)
+    except ConfigError:  # a simulated arm's file may name no adapter
+        return load_arm(given, overrides={"bus": {"interface": "slcan", "channel": SIMULATED_CHANNEL}})
+
+
+def _stands_at(connection: Connection) -> np.ndarray:
+    return np.array(connection.snapshot()["joints"][: len(connection.joints)]["commanded_position_rad"])
+
+
+def _way(recording: Recording, start_rad: np.ndarray, target_rad: np.ndarray) -> str:
+    """From where to where each joint goes that goes anywhere."""
+    return ", ".join(
+        f"{joint} {math.degrees(start):.1f}° → {math.degrees(target):.1f}°"
+        for joint, start, target in zip(recording.joints, start_rad, target_rad, strict=True)
+        if abs(target - start) > THERE_RAD / 10.0
+    )
+
+
+def _is_there(connection: Connection, path: Path) -> bool:
+    return bool((np.abs(_stands_at(connection) - path.positions_rad[0]) <= THERE_RAD).all())
+
+
+def _ask(connection: Connection, recording: Recording, path: Path, person: Person) -> None:
+    """Let a person agree, who sees what stands in the arm's way; nothing here does."""
+    way = _way(recording, _stands_at(connection), path.positions_rad[0])
+    first = f"first slowly to where that begins ({way}), then " if not _is_there(connection, path) else ""
+    try:
+        agreed = agrees(person, f"The arm moves, {first}along the path of then. Is the way clear?")
+    except Quit as ended:
+        raise Refusal(f"Nothing was done ({ended}): say y, or give --yes in a script.") from None
+    if not agreed:
+        raise Refusal("Nothing was done; the arm stands where it stood.")
+
+
+def _go_to_start(connection: Connection, sender: Sender, recording: Recording, path: Path, person: Person) -> None:
+    start_rad, target_rad = _stands_at(connection), path.positions_rad[0]
+    way_rad = target_rad - start_rad
+    if not np.any(np.abs(way_rad) > BESIDE):
+        return
+    rows = recording.limits["joints"][: len(recording.joints)]
+    length = np.maximum(np.abs(way_rad), BESIDE)
+    profile = Profile.fastest(
+        float((SLOW * rows["max_velocity_rad_s"] / length).min()),
+        float((SLOW * rows["max_acceleration_rad_s2"] / length).min()),
+    )
+    times_s = profile.times_s(KNOT_SHARE)
+    share, rate, bend = (values[:, np.newaxis] for values in profile.at(times_s))
+    if way := _way(recording, start_rad, target_rad):
+        person.tell(f"To where it begins, {times_s[-1]:.1f} s: {way}.")
+    positions_rad = start_rad + share * way_rad
+    _run(connection, sender, goal_document(recording.joints, times_s, positions_rad, rate * way_rad, bend * way_rad))
+
+
+def _run(connection: Connection, sender: Sender, goal: dict[str, Any]) -> str:
+    """Send a goal and wait for its end: the sentence of its success. A signal cancels it, and the arm stands then.
+
+    Raises:
+        Refusal: it did not succeed.
+        Interrupted: a signal came.
+    """
+    try:
+        outcome = sender.wait(sender.send(goal), PATIENCE_S)
+    except Interrupted:
+        with undisturbed():
+            sender.cancel()
+            connection.wait(
+                stands,
+                STOP_PATIENCE_S,
+                f"Arm {connection.arm} still moves {STOP_PATIENCE_S:g} s after its goal was cancelled: use the "
+                "emergency stop, then look at `rtarm status`.",
+            )
+        raise
+    if not outcome.succeeded:
+        raise Refusal(outcome.sentence, ExitCode.GOAL_FAILED)
+    return outcome.sentence
