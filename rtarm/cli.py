@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtarm import completion
 from rtarm.cli_calibrate import calibrate_app
 from rtarm.cli_drives import drives_app
 from rtarm.cli_frame import (

@@ -7,13 +7,20 @@ from typing import Annotated
 
 import typer
 
-from rtarm.cli_frame import draw, sentences
+from rtarm import completion
+from rtarm.cli_frame import AsJson, draw, draw_json, sentences
+from rtarm.errors import Refusal
 
 recordings_app = typer.Typer()
 """The commands, for `rtarm.cli` to add."""
 
 Recorded = Annotated[
-    Path | None, typer.Argument(metavar="FILE", help="A recording; left out: the newest one there is.")
+    Path | None,
+    typer.Argument(
+        metavar="FILE",
+        help="A recording; left out: the newest one there is.",
+        autocompletion=completion.recordings,
+    ),
 ]
 
 
@@ -69,19 +76,22 @@ MOST_NICE = 19
 
 
 @recordings_app.command()
-def explain(file: Recorded = None) -> None:
+def explain(file: Recorded = None, as_json: AsJson = False) -> None:
     """Tell what a recording shows: what happened first, which limit, which joint, and what the arm did then.
 
     Example: [bold]rtarm explain[/bold]
     """
-    with sentences():
+    with sentences({} if as_json else None):
         from rtarm.recording import shown
-        from rtarm.recording.explain import explanation
+        from rtarm.recording.explain import explanation, plain
         from rtarm.recording.folder import newest
 
         with shown.share("reading") as step:
-            story = explanation(file or newest(), step)
-        draw(story)
+            told = explanation(file or newest(), step)
+        if as_json:
+            draw_json(plain(told))
+        else:
+            draw(told)
 
 
 @recordings_app.command()
@@ -104,3 +114,54 @@ def plot(
         with shown.share("drawing") as step:
             picture = draw_picture(file or newest(), output, step)
         typer.echo(str(picture))
+
+
+@recordings_app.command()
+def replay(
+    file: Recorded = None,
+    speed: Annotated[float, typer.Option(metavar="FACTOR", help="1 is as it happened, 0.1 ten times slower.")] = 1.0,
+    on_arm: Annotated[bool, typer.Option("--on-arm", help="Move the running arm as it was moved then.")] = False,
+    arm: Annotated[
+        str | None,
+        typer.Option(
+            "--arm",
+            metavar="ARM",
+            help="With --on-arm: name or file of the running arm; left out: the one that was recorded.",
+            autocompletion=completion.running_arms,
+        ),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="With --on-arm: do not ask before the arm moves.")] = False,
+) -> None:
+    """Play a recording in the terminal as `rtarm top` would have shown it, until q or Ctrl-C.
+
+    With --on-arm the running arm moves instead: slowly to where the recorded motion began, then along the path that was
+    commanded then, up to a fault at most, as a goal of its ordinary action. Nothing sees what is in the arm's way;
+    Ctrl-C stops it on its path.
+
+    Example: [bold]rtarm replay --speed 0.2[/bold], [bold]rtarm replay FILE --on-arm --speed 0.5[/bold]
+    """
+    with sentences():
+        from rtarm.recording import shown
+        from rtarm.recording.folder import newest
+        from rtarm.recording.mcap_reader import read
+
+        _refuse_what_does_not_fit(on_arm=on_arm, arm=arm, yes=yes)
+        path = file or newest()
+        with shown.share("reading") as step:
+            recording = read(path, step).recording
+        if on_arm:
+            from rtarm.calibrate.person import Terminal
+            from rtarm.recording.on_arm import replay_on_arm
+
+            replay_on_arm(recording, arm, speed=speed, yes=yes, person=Terminal())
+        else:
+            from rtarm.recording.replay import play
+
+            play(recording, speed)
+
+
+def _refuse_what_does_not_fit(*, on_arm: bool, arm: str | None, yes: bool) -> None:
+    """Raise Refusal for options that would mean nothing."""
+    without = [name for name, given in (("--arm", arm is not None), ("--yes", yes)) if given and not on_arm]
+    if without:
+        raise Refusal(f"{' and '.join(without)} say how an arm is moved: give --on-arm too, or leave them out.")

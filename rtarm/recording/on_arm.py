@@ -209,8 +209,8 @@ def _announcement(recording: Recording, path: Path, speed: float, *, same: bool)
     said.append(".")
     if not same:
         said.append(
-            f" The arm file is not the one that {recording.arm} was recorded with: if zero_deg, direction or ratio of a "
-            "joint is another now, the same angles are other places."
+            f" The arm file is not the one that {recording.arm} was recorded with: if zero_deg, direction or ratio of "
+            "a joint is another now, the same angles are other places."
         )
     return "".join(said)
 

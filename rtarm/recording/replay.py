@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
 from rtarm.errors import Refusal
-from rtarm.recording.mcap_reader import read
 from rtarm.status import PERCENTS, Report, counters, key, of_cycle, problems, scheduling
 from rtarm.top.events import Happening, happening
 from rtarm.top.terminal import show
@@ -139,14 +137,13 @@ class Replay:
         }
 
 
-def play(path: Path, speed: float) -> None:
-    """Show a file until somebody ends it.
+def play(recording: Recording, speed: float) -> None:
+    """Show a recording until somebody ends it.
 
     Raises:
-        Refusal: the speed is none, the file is no recording that can be read, or there is no terminal.
+        Refusal: the speed is none, or there is no terminal.
     """
     if not (math.isfinite(speed) and speed > 0):
         raise Refusal(f"--speed is {speed:g}, but a recording plays forward only: give a factor above 0, such as 0.5.")
-    recording = read(path).recording
     no_terminal = "`rtarm replay` draws on a terminal and this is none: use `rtarm explain` for a recording in words."
     show(lambda: Replay(recording, speed), no_terminal)
