@@ -5,6 +5,6 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from handbook.site import on_config
+from handbook.site import on_config, on_page_markdown
 
-__all__ = ["on_config"]
+__all__ = ["on_config", "on_page_markdown"]

@@ -18,6 +18,7 @@ from handbook.links import leads_elsewhere, targets, with_targets
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.pages import Page
 
 PAGES_OUTSIDE = {
     "README.md": "index.md",
@@ -27,6 +28,7 @@ PAGES_OUTSIDE = {
 }
 """Pages of the repository that stand outside docs/, and their place in the site."""
 LANGUAGES = {".py": "python", ".yaml": "yaml", ".json": "json", ".toml": "toml", ".sh": "bash", ".action": "text"}
+ENGLISH_BOOST = 4
 GENERATED = {"__pycache__", ".git", ".venv", "build", "dist"}
 
 
@@ -37,6 +39,13 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     assemble(root, Path(config.docs_dir))
     config.nav = [with_folders(entry, Path(config.docs_dir)) for entry in config.nav or []]
     return config
+
+
+def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
+    """Let English pages come first in a search, as one index serves both languages; Chinese words find Chinese pages."""
+    if not page.file.src_uri.endswith(".zh.md"):
+        page.meta.setdefault("search", {}).setdefault("boost", ENGLISH_BOOST)
+    return markdown
 
 
 def with_folders(entry: Any, tree: Path) -> Any:
