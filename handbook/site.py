@@ -42,7 +42,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
-    """Let English pages come first in a search, as one index serves both languages; Chinese words find Chinese pages."""
+    """Let English pages come first in a search, as one index serves both languages; Chinese words find Chinese ones."""
     if not page.file.src_uri.endswith(".zh.md"):
         page.meta.setdefault("search", {}).setdefault("boost", ENGLISH_BOOST)
     return markdown
