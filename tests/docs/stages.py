@@ -13,7 +13,8 @@ from terminal import CTRL_C
 
 from rtarm.errors import ExitCode
 
-DONE, REFUSED, UNHEALTHY = (int(code) for code in (ExitCode.DONE, ExitCode.REFUSED, ExitCode.UNHEALTHY))
+DONE, REFUSED, UNHEALTHY = int(ExitCode.DONE), int(ExitCode.REFUSED), int(ExitCode.UNHEALTHY)
+LOOP_REFUSED = int(ExitCode.LOOP_REFUSED)
 
 NOTHING = "nothing runs"
 ADAPTER = "simulated drives behind an adapter"
@@ -47,6 +48,8 @@ RUN: dict[str, Run] = {
     "rtarm doctor episode1 --json": Run(NOTHING, '"healthy"', (DONE, UNHEALTHY)),
     "rtarm config check episode1 --json": Run(NOTHING),
     "rtarm moveit-config ./my_arm.yaml -o ~/ros2_ws/src": Run(NOTHING, "_moveit_config"),
+    "rtarm up ./my_arm.yaml --sim --rate 200": Run(NOTHING, "the highest rate that fits is", (REFUSED,)),
+    "rtarm up ./my_arm.yaml --channel /dev/ttyUSB7": Run(NOTHING, "There is no serial port", (LOOP_REFUSED,)),
     "rtarm up mock": Run(NOTHING, "ended in order", talk=RUNS),
     "rtarm demo": Run(NOTHING, "4 of 4 goals succeeded"),
     "python -m sim --arm odrive6 --link arm.tty": Run(NOTHING, talk=(("ready /dev/pts", CTRL_C),)),
@@ -79,10 +82,13 @@ RUN: dict[str, Run] = {
     "python goal.py": Run(ARM, "Goal reached: the largest error is"),
     "rtarm reference joint1": Run(ARM, "Taken: joint1"),
     "rtarm reference joint2": Run(ARM, "Taken: joint2"),
+    "rtarm reference joint2=-12.5": Run(ARM, "Taken: joint2 -12.50°"),
     "rtarm reference joint6=-24": Run(ARM, "Taken: joint6 -24.00°"),
     "rtarm free": Run(ARM, "are limp: lead it by hand"),
     "rtarm enable": Run(ARM, "are enabled; the arm holds where it stands"),
     "rtarm disable": Run(ARM, "out of service until `rtarm enable`"),
+    "rtarm home joint1": Run(ARM, "Homed"),
+    "rtarm home joint2": Run(ARM, "Homed"),
     "rtarm home joint6": Run(ARM, "Homed"),
     "rtarm home joint6 joint5": Run(ARM, "Homed"),
     "rtarm home joint2 joint5": Run(ARM, "Homed"),
@@ -102,6 +108,7 @@ NOT_RUN: dict[str, str] = {
     "git clone *": "needs the network",
     "ln -s *": "needs a ROS workspace",
     "ls -l /dev/serial/by-id/": "needs an adapter",
+    "ip -details link show can0": "needs a CAN interface",
     "candump vcan0": "needs a CAN interface",
     "cat >> my_arm.yaml": "a person types on",
     "cp config/arms/episode1.yaml my_arm.yaml": "the stages' my_arm.yaml is this file under a name of its own",
@@ -111,7 +118,7 @@ NOT_RUN: dict[str, str] = {
     "python -m sim --arm my_arm.yaml --can vcan0": "needs a CAN interface: tests/vm",
     "rtarm up my_arm.yaml": "needs a CAN interface: tests/vm",
     "rtarm up episode1 --interface socketcan --channel can0": "needs a CAN interface: tests/vm",
-    "rtarm up episode1 --channel /dev/pts/1": "the same as with /dev/ttyUSB1",
+    "rtarm up * --channel /dev/pts/?": "the same as with /dev/ttyUSB1",
     "rtarm up episode1 --sim": "the stage with an arm is this",
     "rtarm up my_arm.yaml --sim": "the stage with an arm is this",
     "rtarm up ./my_arm.yaml --sim": "the stage with an arm is this",
