@@ -134,6 +134,7 @@ def chromium() -> Iterator[webdriver.Chrome]:
     for option in OPTIONS:
         options.add_argument(option)
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    driver.set_script_timeout(PATIENCE_S)
     try:
         yield driver
     finally:
