@@ -55,11 +55,18 @@ def page_status(url: str) -> int:
         connection.close()
 
 
-def pid_of_page(process: Process) -> int:
+def pid_of(process: Process, module: str = "rtarm.view") -> int:
+    """The child that runs a module."""
     arguments = ["ps", "-o", "pid=,args=", "--ppid", str(process.process.pid)]
     lines = subprocess.run(arguments, capture_output=True, text=True, check=True).stdout.splitlines()
-    (pid,) = [int(line.split()[0]) for line in lines if "rtarm.view" in line]
+    (pid,) = [int(line.split()[0]) for line in lines if f"-m {module} " in line]
     return pid
+
+
+def domain_of(pid: int) -> list[bytes]:
+    """What a process was told of the ROS domain."""
+    words = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+    return sorted(word for word in words if word.startswith(b"ROS_"))
 
 
 def test_the_page_stands_beside_the_arm_and_ends_with_it(up: Process, arm_name: str) -> None:
@@ -67,7 +74,7 @@ def test_the_page_stands_beside_the_arm_and_ends_with_it(up: Process, arm_name: 
     assert page_status(url) == 200
     with PlainViewer(url) as viewer:
         viewer.wait_for_page()
-    pid = pid_of_page(up)
+    pid = pid_of(up)
     assert os.getpriority(os.PRIO_PROCESS, pid) == 19
     up.process.send_signal(signal.SIGINT)
     assert up.code() == 0
@@ -81,7 +88,7 @@ def test_a_page_that_dies_takes_nothing_with_it(up: Process, arm_name: str) -> N
     url = address(up)
     assert page_status(url) == 200
     before = read_status(arm_name)
-    os.kill(pid_of_page(up), signal.SIGKILL)
+    os.kill(pid_of(up), signal.SIGKILL)
     up.line_with("view   the page ended by SIGKILL; the arm goes on, and `rtarm view` opens a new page")
     after = read_status(arm_name)
     assert after["healthy"]
@@ -92,7 +99,7 @@ def test_a_page_that_dies_takes_nothing_with_it(up: Process, arm_name: str) -> N
 
 def test_a_page_ends_when_rtarm_up_is_killed(up: Process, arm_name: str) -> None:
     address(up)
-    pid, loop = pid_of_page(up), read_status(arm_name)["loop"]["pid"]
+    pid, loop = pid_of(up), read_status(arm_name)["loop"]["pid"]
     up.process.kill()
     until(lambda: not (Path(f"/proc/{pid}").exists() or Path(f"/proc/{loop}").exists()), "the end of its processes")
 
@@ -134,6 +141,8 @@ def test_the_demo_waits_for_a_browser_plays_and_stays(arm_file: Path, arm_name: 
             assert json.loads(figures.read_text(encoding="utf-8"))["succeeded"]
             (name,) = [arm for arm in files.running_arms() if arm.startswith(f"{arm_name}_demo_")]
             assert read_status(name)["running"]
+            # Or the page's goals would go to another arm.
+            assert domain_of(pid_of(demo)) == domain_of(pid_of(demo, "rosfront"))
         assert page_status(url) == 200
         demo.process.send_signal(signal.SIGINT)
         assert demo.code() == 0
