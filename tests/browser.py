@@ -110,7 +110,7 @@ class Browser:
         button.click()
 
     def tab(self, label: str) -> None:
-        path = f"//button[@role='tab' and normalize-space(.)='{label}']"
+        path = f"//*[@role='tab' and normalize-space(.)='{label}']"
         self.until(lambda: self.driver.find_elements("xpath", path))[0].click()
 
     def slide(self, label: str, value: float) -> None:
@@ -124,6 +124,16 @@ class Browser:
     def slider(self, label: str) -> float:
         """Where a slider stands."""
         return float(self._field(label)[0].get_attribute("value"))
+
+    def look(self, enough: Callable[[np.ndarray], bool]) -> np.ndarray:
+        """The first picture of the scene that shows enough."""
+
+        def looked() -> list[np.ndarray]:
+            picture = self.picture()
+            return [picture] if enough(picture) else []
+
+        found: np.ndarray = self.until(looked)[0]
+        return found
 
     def picture(self) -> np.ndarray:
         """The scene as it is seen: (height, width, 3)."""
@@ -162,10 +172,8 @@ class Browser:
         return list(self.driver.find_elements("css selector", selector))
 
     def _field(self, label: str) -> list[Any]:
-        path = (
-            f"//label[normalize-space(.)='{label}']/ancestor::div[contains(@class,'Flex-root')][1]//input[@type='text']"
-        )
-        return list(self.driver.find_elements("xpath", path))
+        row = f"//label[normalize-space(.)='{label}']/ancestor::div[contains(@class,'Flex-root')][1]"
+        return list(self.driver.find_elements("xpath", f"{row}//input[@type='text']"))
 
 
 def host_of(url: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -10,7 +11,7 @@ from typing import Any
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtarm.status import describe_scheduling
-from rtarm.status_tables import duration_words, gripper_words, shown, trouble_words
+from rtarm.status_tables import duration_words, gripper_words, trouble_words
 from rtarm.top.events import BAD, GOOD, ODD, Happening
 from rtarm.top.watch import Look
 from rtarm.view.limits import Nearness, Side, nearness, share
@@ -111,6 +112,11 @@ def joints_html(look: Look, arm: ArmConfig, words: Words) -> str:
     return _page(f"<table><tr>{head}</tr>{''.join(rows)}</table>{held}{''.join(near)}", now=True)
 
 
+def degrees(value_rad: float | None, digits: int) -> str:
+    """An angle in so many decimals of a degree, none of which is -0."""
+    return "-" if value_rad is None else f"{round(math.degrees(value_rad), digits) + 0.0:.{digits}f}"
+
+
 def near_words(joint: str, close: Nearness, words: Words) -> str:
     """The sentence about a limit that is near."""
     text = {Side.LOWER: words.near_lower, Side.UPPER: words.near_upper, Side.BEYOND: words.beyond}[close.side]
@@ -122,7 +128,7 @@ def _joint(joint: Mapping[str, Any], config: JointConfig, close: Nearness | None
     kind = kind or ("near" if close is not None else "")
     name = escape(config.name)
     figures = "".join(
-        f'<td data-{key}="{name}">{shown(joint[field], digits, degrees=True)}</td>'
+        f'<td data-{key}="{name}">{degrees(joint[field], digits)}</td>'
         for key, field, digits in (
             ("measured", "position_rad", 2),
             ("commanded", "commanded_rad", 2),

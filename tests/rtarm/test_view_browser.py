@@ -23,11 +23,11 @@ from shm.words import Request
 
 pytestmark = [
     pytest.mark.process,
-    pytest.mark.skipif(
-        CHROMIUM is None or DRIVER is None, reason="needs Debian's packages chromium and chromium-driver"
-    ),
+    pytest.mark.skipif(CHROMIUM is None or DRIVER is None, reason="needs Debian's chromium and chromium-driver"),
 ]
 
+PICTURED = "my_arm" if os.environ.get("RTARM_PICTURES") else ""
+"""In pictures for the documentation an arm has a name that looks like one."""
 SLOW_DEG = 60.0
 """joint1 needs several seconds for so much."""
 
@@ -73,8 +73,8 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def running(new_arm_name: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewedArm]:
-    """A mock arm with its ROS process and its page."""
-    arm = ViewedArm(new_arm_name(), tmp_path_factory.mktemp("view"))
+    """A mock arm with its ROS process and its page, closed before another one takes its name."""
+    arm = ViewedArm(PICTURED or new_arm_name(), tmp_path_factory.mktemp("view"))
     mock_with_geometry(arm)
     arm.start_loop()
     arm.start_front()
@@ -106,6 +106,11 @@ def blue(picture: np.ndarray) -> int:
     return int(np.count_nonzero(picture[..., 2] - picture[..., 0] > 25))
 
 
+def green(picture: np.ndarray) -> int:
+    """How many pixels the wish tints."""
+    return int(np.count_nonzero(picture[..., 1] - np.maximum(picture[..., 0], picture[..., 2]) > 15))
+
+
 def test_the_page_shows_the_arm_as_it_is_and_asks_nobody_else(arm: ViewedArm, browser: Browser) -> None:
     browser.until(lambda: browser.text("#rt-mode") == "holding")
     for joint in arm.status()["joints"]:
@@ -133,16 +138,14 @@ def test_a_slider_moves_the_arm_when_go_is_pressed_and_not_before(arm: ViewedArm
     to_deg = began_deg + SLOW_DEG if began_deg < 0.0 else began_deg - SLOW_DEG
     browser.tab("Move")
     browser.slide("joint1 °", round(to_deg, 1))
-    wished = browser.until(lambda: (picture := browser.picture()) is not None and _green(picture) > 500 and [picture])[
-        0
-    ]
+    wished = browser.look(lambda picture: green(picture) > 500)
     assert arm.status()["goal"] is None and arm.position_deg(1) == began_deg
     browser.keep("view_move")
     browser.press("Go there: the arm moves for")
     arm.until(lambda report: report["mode"] == "executing")
     browser.until(lambda: browser.text("#rt-mode") == "executing")
-    moving = browser.until(lambda: (picture := browser.picture()) is not None and blue(picture) > 500 and [picture])[0]
-    assert blue(at_rest) < 50 < _green(wished)
+    moving = browser.look(lambda picture: blue(picture) > 500)
+    assert blue(at_rest) < 50 and green(at_rest) < 500 and blue(wished) < 50
     assert np.count_nonzero(np.abs(moving - at_rest).max(axis=-1) > 60) > 1000, "the arm itself stands elsewhere"
     browser.tab("Joints")
     browser.keep("view_goal")
@@ -150,7 +153,7 @@ def test_a_slider_moves_the_arm_when_go_is_pressed_and_not_before(arm: ViewedArm
     assert arm.position_deg(1) == pytest.approx(to_deg, abs=0.06)
     browser.until(lambda: "Goal reached" in browser.said("answer"))
     browser.until(lambda: browser.text("[data-measured=joint1]") == f"{arm.position_deg(1):.2f}")
-    browser.until(lambda: blue(browser.picture()) < 50)
+    browser.look(lambda picture: blue(picture) < 50)
     browser.tab("Move")
     browser.until(lambda: browser.slider("joint1 °") == pytest.approx(arm.position_deg(1), abs=0.06))
 
@@ -251,7 +254,7 @@ def test_the_end_of_the_control_process_is_told_and_the_next_one_followed(arm: V
 
 
 def test_a_fault_is_told_with_what_to_do(browser: Browser, new_arm_name: Callable[[], str], tmp_path: Path) -> None:
-    arm = ViewedArm(new_arm_name(), tmp_path)
+    arm = ViewedArm(PICTURED or new_arm_name(), tmp_path)
     try:
         arm.start_sim()
         arm.start_loop()
@@ -268,7 +271,3 @@ def test_a_fault_is_told_with_what_to_do(browser: Browser, new_arm_name: Callabl
         arm.until(lambda report: report["fault"] is None)
     finally:
         arm.close()
-
-
-def _green(picture: np.ndarray) -> int:
-    return int(np.count_nonzero(picture[..., 1] - picture[..., 0] > 25))
