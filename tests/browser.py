@@ -157,13 +157,13 @@ class Browser:
         return list(self.driver.execute_script(script, title))
 
     def asked(self) -> Iterator[str]:
-        """Every address that the page has asked for since the last call, web sockets included."""
+        """Every address that the page has asked for since the last call, that of its web socket included."""
         for entry in self.driver.get_log("performance"):
             message = json.loads(entry["message"])["message"]
             if message["method"] == "Network.requestWillBeSent":
                 yield message["params"]["request"]["url"]
-            elif message["method"] == "Network.webSocketCreated":
-                yield message["params"]["url"]
+        for entry in self.driver.get_log("browser"):  # a worker has the web socket, and says where it connects to
+            yield from re.findall(r"Connecting to: (\S+)", entry["message"])
 
     def _rendered(self) -> bool:
         return bool(self._all("canvas[data-engine]"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import signal
 import time
@@ -73,7 +74,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def running(new_arm_name: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewedArm]:
-    """A mock arm with its ROS process and its page, closed before another one takes its name."""
+    """A mock arm with its ROS process and its page."""
     arm = ViewedArm(PICTURED or new_arm_name(), tmp_path_factory.mktemp("view"))
     mock_with_geometry(arm)
     arm.start_loop()
@@ -254,7 +255,7 @@ def test_the_end_of_the_control_process_is_told_and_the_next_one_followed(arm: V
 
 
 def test_a_fault_is_told_with_what_to_do(browser: Browser, new_arm_name: Callable[[], str], tmp_path: Path) -> None:
-    arm = ViewedArm(PICTURED or new_arm_name(), tmp_path)
+    arm = ViewedArm(f"{PICTURED}_2" if PICTURED else new_arm_name(), tmp_path)
     try:
         arm.start_sim()
         arm.start_loop()
