@@ -9,7 +9,12 @@ ROS_SETUP := /opt/ros/jazzy/setup.bash
 # Where a ROS installation is sourced, rclpy comes from there and the wheels are left out: the two do not mix.
 ROS := $(if $(ROS_DISTRO),$(shell $(PYTHON) -c 'import rclpy' 2>/dev/null && echo installation))
 ROS_FROM := $(or $(ROS),wheels)
-EXTRAS := bench$(COMMA)dev$(COMMA)docs$(COMMA)plot$(COMMA)teach$(COMMA)view$(if $(ROS),,$(COMMA)ros)
+EXTRAS := bench dev docs plot teach view
+# Beside an installation all but the wheels' lines are wanted, which pip cannot be told: rtarm itself requires them.
+WITHOUT_WHEELS := import tomllib; \
+  project = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
+  print(*(x for x in project["dependencies"] if not x.startswith("rtarm")), sep="\n"); \
+  print(*(x for extra in "$(EXTRAS)".split() for x in project["optional-dependencies"][extra]), sep="\n")
 INTERFACES := $(shell find rosfront/interfaces -type f -not -name '*.pyc')
 COMPILED := $(wildcard config/*.py config/drives/*.py) $(shell find motion shm rtloop -name '*.py')
 SOURCES := config motion shm rtloop rosfront sim rtarm ros handbook bench tests
@@ -24,7 +29,7 @@ TRIALS ?= 200
 CASES ?= 1000000
 SEED ?= 1
 
-.PHONY: help env demo test test-vm check docs reference bench trials bus-trials bus-trials-live soak fuzz clean
+.PHONY: help env demo test test-vm check docs reference bench trials bus-trials bus-trials-live soak fuzz dist clean
 
 help:
 	@echo 'make demo     play a recorded MoveIt goal on a simulated arm, VIEW=1 to watch and move it in a browser'
@@ -39,6 +44,7 @@ help:
 	@echo 'make bus-trials-live  the same with real processes, once in each way'
 	@echo 'make soak     random goals and faults for MINUTES=60'
 	@echo 'make fuzz     hostile inputs, CASES=1000000 of them'
+	@echo 'make dist     build the wheel and the source distribution into dist'
 	@echo 'make env      only make the environment in $(VENV)'
 	@echo 'make clean    remove the environment and all caches'
 
@@ -86,6 +92,14 @@ soak: env
 fuzz: env
 	PYTHONPATH=tests $(BIN)/python -m fuzz --cases $(CASES) --seed $(SEED)
 
+# The wheel is made from the source distribution, so neither can lack what the other has.
+dist: $(STAMPS)/packages
+	@rm -rf dist
+	@$(BIN)/python -c 'from setuptools import build_meta; build_meta.build_sdist("dist")' >/dev/null
+	@$(BIN)/pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist dist/rtarm-*.tar.gz
+	@cp constraints.txt dist/
+	@ls -l dist
+
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 	find $(wildcard $(SOURCES)) -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -104,7 +118,14 @@ $(STAMPS)/ros-from-$(ROS_FROM):
 $(STAMPS)/packages: pyproject.toml constraints.txt $(STAMPS)/ros-from-$(ROS_FROM)
 	@echo 'installing the packages into $(VENV), ROS 2 from $(ROS_FROM), about a minute the first time …'
 	@$(BIN)/pip install --quiet --constraint constraints.txt 'setuptools>=77'
-	@$(BIN)/pip install --quiet --constraint constraints.txt --use-pep517 --no-build-isolation --editable ".[$(EXTRAS)]"
+ifdef ROS
+	@$(BIN)/python -c '$(WITHOUT_WHEELS)' >$(STAMPS)/requirements.txt
+	@$(BIN)/pip install --quiet --constraint constraints.txt --requirement $(STAMPS)/requirements.txt
+	@$(BIN)/pip install --quiet --no-deps --use-pep517 --no-build-isolation --editable .
+else
+	@$(BIN)/pip install --quiet --constraint constraints.txt --use-pep517 --no-build-isolation \
+	  --editable ".[$(subst $() ,$(COMMA),$(EXTRAS))]"
+endif
 	@touch $@
 
 $(STAMPS)/interfaces: $(INTERFACES) $(STAMPS)/packages

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rtarm.errors import AlreadySaid, ExitCode, Refusal, needs
+from rtarm.interrupt import Interrupted, signals_raise
 from rtarm.processes import (
     Child,
     describe_end,
@@ -173,17 +174,38 @@ def _needs_no_bus(arm_argument: str) -> bool:
 
 
 def check_ros() -> None:
-    """Refuse, with what to install, where the ROS process could not start."""
+    """Refuse, with what to install, where the ROS process could not start; at first use, make what can be made."""
     if not has_module("rclpy"):
         raise Refusal(
             "rclpy is not installed, and the ROS process needs it: install the extra `rtarm[ros]`, or "
             "source a ROS 2 installation, then start again."
         )
-    if not has_module("control_msgs"):
+    if not generated_types() and not has_module("control_msgs"):
         raise Refusal(
             "control_msgs is not installed, and the ROS process needs it: generate it with `python -m "
             "rosfront.interfaces.build`, or install it with your ROS 2, then start again."
         )
+
+
+def generated_types() -> bool:
+    """Make sure of the message types that ROS from wheels lacks; says whether rtarm keeps a copy of its own.
+
+    Raises:
+        Refusal: they cannot be made here, or a signal came meanwhile.
+    """
+    try:
+        from rosfront.interfaces import build
+    except ImportError:  # a ROS workspace builds them itself, and its copy of rtarm is without their definitions
+        return False
+    try:
+        with signals_raise():
+            return build.ensure()
+    except build.CommandFailed as failed:
+        raise Refusal(f"{failed.log}\n{failed}") from None
+    except build.BuildError as refused:
+        raise Refusal(str(refused)) from None
+    except Interrupted as signalled:
+        raise Refusal(f"{signalled} came while message types were generated: start again for the rest.") from None
 
 
 def _simulated_adapter(arm_argument: str, overrides: Mapping[str, Any]) -> dict[str, Any]:

@@ -41,17 +41,47 @@ def ros_environment() -> dict[str, str]:
     """Environment of a child that uses ROS.
 
     Where the wheels have already given this process their library path, the child takes it over and starts
-    once; where that path is missing, the guard is removed so that the wheels' start-up file adds it.
+    once; where that path is missing, the guard is removed so that the wheels' start-up file adds it. An installation
+    that is sourced goes before wheels that are there as well: the child sees no library of theirs.
     """
     environment = _common_environment()
-    library = str(Path(sysconfig.get_path("data")) / "lib")
-    if library not in environment.get("LD_LIBRARY_PATH", "").split(os.pathsep):
+    of_wheels = _libraries_of_wheels()
+    inherited = [part for part in environment.get("LD_LIBRARY_PATH", "").split(os.pathsep) if part]
+    if _ros_is_sourced():
+        environment[WHEELS_GUARD] = "1"
+        environment["LD_LIBRARY_PATH"] = os.pathsep.join(part for part in inherited if part not in of_wheels)
+    elif of_wheels[0] not in inherited:
         environment.pop(WHEELS_GUARD, None)
-    return environment
+    return _with_generated(environment)
+
+
+def _libraries_of_wheels() -> list[str]:
+    """The folders that the ROS wheels' start-up file adds to the path of libraries."""
+    site_packages = Path(sysconfig.get_path("purelib"))
+    return [str(Path(sysconfig.get_path("data")) / "lib"), *map(str, site_packages.glob("ros_*.libs"))]
+
+
+def _ros_is_sourced() -> bool:
+    """Whether rclpy comes from somewhere else than this environment."""
+    rclpy = importlib.util.find_spec("rclpy")
+    origin = Path(rclpy.origin) if rclpy is not None and rclpy.origin is not None else None
+    return origin is not None and not origin.resolve().is_relative_to(Path(sysconfig.get_path("purelib")).resolve())
+
+
+def _with_generated(environment: dict[str, str]) -> dict[str, str]:
+    """Let a child find the message types that were generated at first use, if they were."""
+    try:
+        from rosfront.interfaces import build
+    except ImportError:  # a ROS workspace builds them itself, and its copy of rtarm is without their definitions
+        return environment
+    place = build.cache()
+    return build.search_paths(place, environment) if build.lacking() and place.prefix.is_dir() else environment
 
 
 def _common_environment() -> dict[str, str]:
-    search = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    # In site-packages ours are found anyhow, and in front they would take their neighbours before a sourced ROS.
+    ours = [] if Path(sysconfig.get_path("purelib")) == ROOT else [str(ROOT)]
+    search = [*ours, *filter(None, [os.environ.get("PYTHONPATH")])]
     return {**os.environ, "PYTHONUNBUFFERED": "1", "PYTHONPATH": os.pathsep.join(search)}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 
+from rtarm import service_manager
 from rtarm.errors import ExitCode
 from rtarm.interrupt import Interrupted, interruptible
 from rtarm.launcher import Launcher, Plan
@@ -45,7 +46,11 @@ def up(plan: Plan, reporter: Reporter) -> ExitCode:
     async def hold() -> None:
         await launcher.start()
         reporter.say("running; Ctrl-C stops the arm on its path and ends everything", style="bold")
-        await launcher.watch()
+        service_manager.tell(service_manager.READY)
+        try:
+            await launcher.watch()
+        finally:
+            service_manager.tell(service_manager.STOPPING)
 
     try:
         asyncio.run(run_launched(launcher, hold))

@@ -1,34 +1,54 @@
-"""Generate control_msgs and robot_arm_interfaces into the current Python environment.
+"""Generate control_msgs and robot_arm_interfaces, which ROS 2 from Python wheels does not have.
 
-ROS 2 from Python wheels has everything that rtarm needs except control_msgs, whose types MoveIt speaks, and
-robot_arm_interfaces, which clients of the arm's full node speak. `python -m rosfront.interfaces.build` builds them once
-from the definitions beside it, with the generators that also come as wheels. It does nothing for a package that a ROS
-installation or a sourced workspace already has, or whose definitions, Python and wheels are those of last time.
+MoveIt speaks the types of the first, clients of the arm's full node those of the second. They are built from the
+definitions beside this file, with the generators that also come as wheels, and put into one of two places:
+
+- `python -m rosfront.interfaces.build` (`make env`) puts them into the Python environment itself, where every program
+  finds them. It does nothing for a package that a ROS installation or a sourced workspace already has, or whose
+  definitions, Python and wheels are those of last time.
+- Where that was not done, such as after `pip install` of a wheel, `ensure` makes them at first use into the user's
+  cache, under a name that stands for all they were made of. What starts the ROS process adds that folder to its paths.
 """
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
+import functools
 import hashlib
 import importlib.metadata
 import importlib.util
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 DEFINITIONS: Final = Path(__file__).resolve().parent
 PREFIX: Final = Path(sys.prefix).resolve()  # an environment that is reached through a link is still the same one
 SITE_PACKAGES: Final = Path(sysconfig.get_path("purelib")).resolve()
+
+
+class Place(NamedTuple):
+    """Where generated packages are put."""
+
+    prefix: Path
+    """Folder that gets `lib`, for the path of libraries, and `share`."""
+    python: Path
+    """Folder below `prefix` for Python's search path."""
+
+
+ENVIRONMENT: Final = Place(PREFIX, SITE_PACKAGES)
 
 
 @dataclass(frozen=True)
@@ -93,6 +113,14 @@ _FOREIGN_NUMPY_INCLUDE = re.compile(r'/[^\s";:]+/numpy/_core/include')
 _FOREIGN_PYTHON_INCLUDE = re.compile(r'/[^\s";:]+/include/python3\.\d+t?(?=[";\s])')
 
 _LOG_LINES_SHOWN = 15
+
+_STEP_OF = re.compile(r"\[\s*(?:(\d+)/(\d+)|(\d+)%)\]")
+"""How far ninja ([12/345]) and make ([ 43%]) say that they are."""
+_SHARE_OF_CONFIGURATION = 0.15
+"""Of the time that a package takes."""
+
+Progress = Callable[[float], None]
+"""Called with the share of the work that is done, 0 to 1."""
 
 
 class BuildError(Exception):
@@ -184,18 +212,19 @@ def find_program(variable: str, names: tuple[str, ...], path: str) -> str | None
 
 def check_tools(package: Package, path: str) -> str:
     """Return the CMake generator to use; raise BuildError if compiler, Python headers or make are missing."""
-    c_compiler = find_program("CC", ("cc", "gcc", "clang"), path)
-    cxx_compiler = find_program("CXX", ("c++", "g++", "clang++"), path)
-    if c_compiler is None or cxx_compiler is None:
-        raise BuildError(
-            f"{package.name} cannot be generated because this machine has no C and C++ compiler; "
-            "install them with `apt-get install gcc g++` and run this again."
-        )
+    missing, packages = [], []
+    compilers = (("CC", ("cc", "gcc", "clang")), ("CXX", ("c++", "g++", "clang++")))
+    if not all(find_program(variable, names, path) for variable, names in compilers):
+        missing.append("this machine has no C and C++ compiler")
+        packages.append("gcc g++")
     headers = Path(sysconfig.get_path("include"))
     if not (headers / "Python.h").exists():
+        missing.append(f"Python's headers are missing ({headers / 'Python.h'})")
+        packages.append("python3-dev")
+    if missing:
         raise BuildError(
-            f"{package.name} cannot be generated because Python's headers are missing ({headers / 'Python.h'}); "
-            "install them with `apt-get install python3-dev` and run this again."
+            f"{package.name} cannot be generated because {' and '.join(missing)}; "
+            f"install them with `apt-get install {' '.join(packages)}` and run this again."
         )
     if find_program("", ("ninja",), path):
         return "Ninja"
@@ -250,9 +279,19 @@ def program_path() -> str:
     return os.pathsep.join([str(PREFIX / "bin"), os.environ.get("PATH", os.defpath)])
 
 
-def run(package: Package, step: str, command: list[str], environment: Mapping[str, str]) -> None:
-    """Run one command of the build quietly; raise CommandFailed with the end of its output if it fails."""
-    result = subprocess.run(
+def run(
+    package: Package,
+    step: str,
+    command: Sequence[str],
+    environment: Mapping[str, str],
+    progress: Progress = lambda _: None,
+) -> None:
+    """Run one command of the build quietly; raise CommandFailed with the end of its output if it fails.
+
+    Whatever ends this function early ends the command with all that it has started.
+    """
+    log: deque[str] = deque(maxlen=_LOG_LINES_SHOWN)
+    process = subprocess.Popen(
         command,
         env=environment,
         stdin=subprocess.DEVNULL,
@@ -260,35 +299,72 @@ def run(package: Package, step: str, command: list[str], environment: Mapping[st
         stderr=subprocess.STDOUT,
         encoding="utf-8",
         errors="replace",
-        check=False,
+        process_group=0,
     )
-    if result.returncode != 0:
-        raise CommandFailed(package, step, "\n".join(result.stdout.splitlines()[-_LOG_LINES_SHOWN:]))
+    assert process.stdout is not None
+    with process:
+        try:
+            for line in process.stdout:
+                log.append(line.rstrip("\n"))
+                if told := _STEP_OF.match(line):
+                    done, of, percent = told.groups()
+                    progress(int(percent) / 100 if percent else int(done) / max(int(of), 1))
+            code = process.wait()
+        except BaseException:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            raise
+    if code != 0:
+        raise CommandFailed(package, step, "\n".join(log))
 
 
 @contextmanager
-def environment_lock() -> Iterator[None]:
-    """Hold off other builds into the same environment; the lock falls with the process."""
-    directory = os.open(PREFIX, os.O_RDONLY | os.O_DIRECTORY)
+def folder_lock(folder: Path) -> Iterator[None]:
+    """Hold off other builds into the same folder; the lock falls with the process."""
+    directory = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        fcntl.flock(directory, fcntl.LOCK_EX)
+        try:
+            fcntl.flock(directory, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            say("another process is making the same; waiting for it …")
+            fcntl.flock(directory, fcntl.LOCK_EX)
         yield
     finally:
         os.close(directory)
 
 
-def generate(package: Package) -> None:
-    """Generate, compile, install and import the package; raise BuildError if that fails."""
-    check_wheels(package)
+def say(line: str) -> None:
+    """A line for people; it is no result of whatever command needs the packages."""
+    print(line, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def bar(text: str) -> Iterator[Progress]:
+    """A bar on a terminal, with the time that is left; nothing elsewhere."""
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as shown:
+        task = shown.add_task(text, total=1.0)
+        yield lambda share: shown.update(task, completed=share)
+
+
+def compile_into(package: Package, place: Place, mark: Callable[[], None] = lambda: None) -> None:
+    """Generate, compile and install the package, and import the result; raise BuildError if that fails.
+
+    `mark` is called before the first file is put into its place.
+    """
     generator = check_tools(package, program_path())
-    if not os.access(SITE_PACKAGES, os.W_OK):
-        raise BuildError(
-            f"{package.name} cannot be installed because {SITE_PACKAGES} is not writable; "
-            "run this in a virtual environment of your own."
-        )
-    print(f"{package.name}: generating it from its definitions, about 20 s …", flush=True)
-    start = time.monotonic()
-    with tempfile.TemporaryDirectory(prefix=f"rtarm-{package.name}-") as name:
+    with tempfile.TemporaryDirectory(prefix=f"rtarm-{package.name}-") as name, bar(package.name) as progress:
         directory = Path(name)
         environment = build_environment(corrected_prefix(directory))
         cmake = find_program("", ("cmake",), program_path()) or "cmake"
@@ -297,19 +373,49 @@ def generate(package: Package) -> None:
             *(cmake, "-G", generator, "-S", str(package.definitions), "-B", build),
             *("-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release"),
             f"-DPython3_EXECUTABLE={sys.executable}",
-            f"-DCMAKE_INSTALL_PREFIX={PREFIX}",
-            f"-DPYTHON_INSTALL_DIR={SITE_PACKAGES.relative_to(PREFIX)}",
+            f"-DCMAKE_INSTALL_PREFIX={place.prefix}",
+            f"-DPYTHON_INSTALL_DIR={place.python.relative_to(place.prefix)}",
         ]
         run(package, "CMake's configuration", configure, environment)
-        run(package, "the compilation", [cmake, "--build", build, "--parallel", str(os.cpu_count() or 1)], environment)
+        progress(_SHARE_OF_CONFIGURATION)
+        parallel = [cmake, "--build", build, "--parallel", str(os.cpu_count() or 1)]
+        rest = 1.0 - _SHARE_OF_CONFIGURATION
+        run(package, "the compilation", parallel, environment, lambda x: progress(_SHARE_OF_CONFIGURATION + rest * x))
+        mark()
+        run(package, "the installation", [cmake, "--install", build], environment)
+    probe = f"from {package.name}.msg import {package.message} as M; type(M).__import_type_support__()"
+    environment = search_paths(place, build_environment(PREFIX))
+    run(package, "importing the result", [sys.executable, "-c", probe], environment)
+
+
+def search_paths(place: Place, environment: Mapping[str, str]) -> dict[str, str]:
+    """An environment in which Python and the dynamic linker look into a place first."""
+    first = {"PYTHONPATH": place.python, "LD_LIBRARY_PATH": place.prefix / "lib"}
+    return {
+        **environment,
+        **{name: os.pathsep.join(filter(None, [str(folder), environment.get(name)])) for name, folder in first.items()},
+    }
+
+
+def generate(package: Package) -> None:
+    """Make the package a part of the Python environment; raise BuildError if that fails."""
+    check_wheels(package)
+    if not os.access(SITE_PACKAGES, os.W_OK):
+        raise BuildError(
+            f"{package.name} cannot be installed because {SITE_PACKAGES} is not writable; "
+            "run this in a virtual environment of your own."
+        )
+
+    def mark() -> None:
         # Marked as ours before the first file is there: the next call makes good an interrupted installation.
         package.stamp.parent.mkdir(parents=True, exist_ok=True)
         package.stamp.write_text("incomplete\n", encoding="ascii")
-        run(package, "the installation", [cmake, "--install", build], environment)
-    probe = f"from {package.name}.msg import {package.message} as M; type(M).__import_type_support__()"
-    run(package, "importing the result", [sys.executable, "-c", probe], build_environment(PREFIX))
+
+    say(f"{package.name}: generating it from its definitions, about 20 s …")
+    start = time.monotonic()
+    compile_into(package, ENVIRONMENT, mark)
     package.stamp.write_text(f"{fingerprint(package)}\n", encoding="ascii")
-    print(f"{package.name}: installed into {PREFIX} after {time.monotonic() - start:.0f} s")
+    say(f"{package.name}: installed into {PREFIX} after {time.monotonic() - start:.0f} s")
 
 
 def make(package: Package) -> None:
@@ -319,15 +425,80 @@ def make(package: Package) -> None:
         print(f"{package.name}: taken from {elsewhere}, nothing to generate")
         return
     if not is_current(package):
-        with environment_lock():
+        with folder_lock(PREFIX):
             if not is_current(package):
                 generate(package)
                 return
     print(f"{package.name}: up to date")
 
 
+# --- at first use, into the user's cache ----------------------------------------------------------------
+
+
+@functools.cache
+def cache() -> Place:
+    """The folder in the user's cache for these definitions, this Python and these wheels; it may not be there yet."""
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    key = hashlib.sha256("\0".join(map(fingerprint, PACKAGES)).encode()).hexdigest()[:20]
+    prefix = base / "rtarm" / f"interfaces-{key}"
+    return Place(prefix, prefix / "python")
+
+
+@functools.cache
+def from_wheels() -> bool:
+    """Whether ROS is that of this environment's wheels, rather than an installation's."""
+    rclpy = importlib.util.find_spec("rclpy")
+    return rclpy is not None and rclpy.origin is not None and Path(rclpy.origin).resolve().is_relative_to(SITE_PACKAGES)
+
+
+def lacking() -> list[Package]:
+    """What neither the environment nor a sourced workspace has; an installation's own tools bring what it lacks."""
+    return [p for p in PACKAGES if from_wheels() and installed_elsewhere(p) is None and not is_current(p)]
+
+
+def ensure() -> bool:
+    """Make what is lacking, once, in `cache`; says whether anything is lacking elsewhere. Raises BuildError.
+
+    Any number of processes may call this at the same time; one makes the packages and the others wait for it. They
+    appear whole or not at all.
+    """
+    missing = lacking()
+    if not missing or cache().prefix.is_dir():
+        return bool(missing)
+    for package in PACKAGES:
+        check_wheels(package)
+        check_tools(package, program_path())
+    folder = cache().prefix.parent
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with folder_lock(folder):
+            if not cache().prefix.is_dir():
+                names = " and ".join(package.name for package in missing)
+                say(f"ROS from Python wheels has no {names}: generating them into {folder}, once, about 40 s …")
+                start = time.monotonic()
+                _fill_cache()
+                say(f"generated after {time.monotonic() - start:.0f} s")
+        return True
+    except OSError as problem:
+        raise BuildError(
+            f"{folder} cannot be written ({problem.strerror}), and the message types that ROS from wheels lacks are "
+            "generated there: free some space, or set XDG_CACHE_HOME to a folder that may be written to."
+        ) from problem
+
+
+def _fill_cache() -> None:
+    folder = cache().prefix.parent
+    for left in folder.glob("interfaces-*.new"):  # by processes that were killed: the lock is ours
+        shutil.rmtree(left, ignore_errors=True)
+    with tempfile.TemporaryDirectory(prefix="interfaces-", suffix=".new", dir=folder) as name:
+        aside = Place(Path(name) / "made", Path(name) / "made" / "python")
+        for package in PACKAGES:
+            compile_into(package, aside)
+        aside.prefix.rename(cache().prefix)
+
+
 def main() -> int:
-    """Make all packages importable; return the exit code."""
+    """Make all packages part of the environment; return the exit code."""
     for package in PACKAGES:
         try:
             make(package)
