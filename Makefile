@@ -29,7 +29,7 @@ TRIALS ?= 200
 CASES ?= 1000000
 SEED ?= 1
 
-.PHONY: help env demo test test-vm check docs reference bench trials bus-trials bus-trials-live soak fuzz dist clean
+.PHONY: help env demo test test-vm check docs reference bench trials bus-trials bus-trials-live soak fuzz dist test-dist clean
 
 help:
 	@echo 'make demo     play a recorded MoveIt goal on a simulated arm, VIEW=1 to watch and move it in a browser'
@@ -45,6 +45,7 @@ help:
 	@echo 'make soak     random goals and faults for MINUTES=60'
 	@echo 'make fuzz     hostile inputs, CASES=1000000 of them'
 	@echo 'make dist     build the wheel and the source distribution into dist'
+	@echo 'make test-dist  install the wheel into an empty environment and play its demo (downloads 370 MB)'
 	@echo 'make env      only make the environment in $(VENV)'
 	@echo 'make clean    remove the environment and all caches'
 
@@ -99,6 +100,9 @@ dist: $(STAMPS)/packages
 	@$(BIN)/pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist dist/rtarm-*.tar.gz
 	@cp constraints.txt dist/
 	@ls -l dist
+
+test-dist: dist
+	$(BIN)/python tests/packages/from_nothing.py dist/rtarm-*.whl
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks

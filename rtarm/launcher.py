@@ -38,8 +38,8 @@ SIMULATED_CHANNEL = "simulated"
 """Stands for a pseudo-terminal that does not exist yet, so that an arm file without adapter loads."""
 
 SIM_PATIENCE_S = 30.0
-LOOP_PATIENCE_S = 300.0
-"""A first start compiles the control cycle, which takes a minute or more."""
+LOOP_PATIENCE_S = 900.0
+"""A first start compiles the control cycle, which takes a minute, and five and more on a busy or small machine."""
 FRONT_PATIENCE_S = 60.0
 
 FRONT_STOP_S = 5.0

@@ -74,8 +74,9 @@ def _with_generated(environment: dict[str, str]) -> dict[str, str]:
         from rosfront.interfaces import build
     except ImportError:  # a ROS workspace builds them itself, and its copy of rtarm is without their definitions
         return environment
-    place = build.cache()
-    return build.search_paths(place, environment) if build.lacking() and place.prefix.is_dir() else environment
+    if not build.lacking() or not build.cache().prefix.is_dir():
+        return environment
+    return build.search_paths(build.cache(), environment)
 
 
 def _common_environment() -> dict[str, str]:

@@ -437,14 +437,22 @@ def make(package: Package) -> None:
 
 @functools.cache
 def cache() -> Place:
-    """The folder in the user's cache for these definitions, this Python and these wheels; it may not be there yet."""
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    """The folder in the user's cache for these definitions, this Python and these wheels; it may not be there yet.
+
+    Raises BuildError where the user has no home.
+    """
+    try:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    except RuntimeError:
+        raise BuildError(
+            f"The user {os.getuid()} has no home folder, so there is no place for the message types that ROS from "
+            "wheels lacks: set HOME or XDG_CACHE_HOME to a folder that may be written to."
+        ) from None
     key = hashlib.sha256("\0".join(map(fingerprint, PACKAGES)).encode()).hexdigest()[:20]
     prefix = base / "rtarm" / f"interfaces-{key}"
     return Place(prefix, prefix / "python")
 
 
-@functools.cache
 def from_wheels() -> bool:
     """Whether ROS is that of this environment's wheels, rather than an installation's."""
     rclpy = importlib.util.find_spec("rclpy")
@@ -474,7 +482,7 @@ def ensure() -> bool:
         with folder_lock(folder):
             if not cache().prefix.is_dir():
                 names = " and ".join(package.name for package in missing)
-                say(f"ROS from Python wheels has no {names}: generating them into {folder}, once, about 40 s …")
+                say(f"ROS from Python wheels has no {names}: generating them into {folder}, once, about a minute …")
                 start = time.monotonic()
                 _fill_cache()
                 say(f"generated after {time.monotonic() - start:.0f} s")
