@@ -126,17 +126,19 @@ def replay(
         typer.Option(
             "--arm",
             metavar="ARM",
-            help="With --on-arm: name or file of the running arm; left out: the one that was recorded.",
+            help="With --on-arm the running arm, with --view the one to draw: name or file; left out: as recorded.",
             autocompletion=completion.running_arms,
         ),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="With --on-arm: do not ask before the arm moves.")] = False,
+    view: Annotated[bool, typer.Option("--view", help="Play it in a page in the browser.")] = False,
+    language: Annotated[str, typer.Option(metavar="en|zh", help="With --view: language of the page.")] = "en",
 ) -> None:
     """Play a recording in the terminal as `rtarm top` would have shown it, until q or Ctrl-C.
 
-    With --on-arm the running arm moves instead: slowly to where the recorded motion began, then along the path that was
-    commanded then, up to a fault at most, as a goal of its ordinary action. Nothing sees what is in the arm's way;
-    Ctrl-C stops it on its path.
+    With --view it plays in a page in the browser. With --on-arm the running arm moves instead: slowly to where the
+    recorded motion began, then along the path that was commanded then, up to a fault at most, as a goal of its ordinary
+    action. Nothing sees what is in the arm's way; Ctrl-C stops it on its path.
 
     Example: [bold]rtarm replay --speed 0.2[/bold], [bold]rtarm replay FILE --on-arm --speed 0.5[/bold]
     """
@@ -145,7 +147,7 @@ def replay(
         from rtarm.recording.folder import newest
         from rtarm.recording.mcap_reader import read
 
-        _refuse_what_does_not_fit(on_arm=on_arm, arm=arm, yes=yes)
+        _refuse_what_does_not_fit(on_arm=on_arm, view=view, arm=arm, yes=yes)
         path = file or newest()
         with shown.share("reading") as step:
             recording = read(path, step).recording
@@ -154,14 +156,21 @@ def replay(
             from rtarm.recording.on_arm import replay_on_arm
 
             replay_on_arm(recording, arm, speed=speed, yes=yes, person=Terminal())
+        elif view:
+            from rtarm.recording.on_page import show_on_page
+
+            show_on_page(recording, arm, speed, language, typer.echo)
         else:
             from rtarm.recording.replay import play
 
             play(recording, speed)
 
 
-def _refuse_what_does_not_fit(*, on_arm: bool, arm: str | None, yes: bool) -> None:
-    """Raise Refusal for options that would mean nothing."""
-    without = [name for name, given in (("--arm", arm is not None), ("--yes", yes)) if given and not on_arm]
-    if without:
-        raise Refusal(f"{' and '.join(without)} say how an arm is moved: give --on-arm too, or leave them out.")
+def _refuse_what_does_not_fit(*, on_arm: bool, view: bool, arm: str | None, yes: bool) -> None:
+    """Raise Refusal for options that would mean nothing together."""
+    if on_arm and view:
+        raise Refusal("--on-arm moves an arm and --view shows a recording: give one of them.")
+    if arm is not None and not (on_arm or view):
+        raise Refusal("--arm says which arm is moved or drawn: give --on-arm or --view too, or leave it out.")
+    if yes and not on_arm:
+        raise Refusal("--yes answers before an arm moves: give --on-arm too, or leave it out.")

@@ -13,14 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from config.errors import ConfigError
-from config.loader import known_arms, load_arm
-from config.schema import ArmConfig
 from rosfront.moves import Profile
 from rtarm.calibrate.person import Person, Quit, agrees
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, signals_raise, undisturbed
-from rtarm.launcher import SIMULATED_CHANNEL
+from rtarm.recording.arm_file import arm_file
 from rtarm.requests import STOP_PATIENCE_S, Connection, connect, stands
 from rtarm.sending import Sender, goal_document, sending
 from rtarm.status import resolve_arm
@@ -174,7 +171,7 @@ def replay_on_arm(recording: Recording, argument: str | None, *, speed: float, y
             same = int(memory.record["header"]["arm_hash"]) == recording.arm_hash
         finally:
             memory.close()
-        config = _running_config(argument, arm)
+        config = arm_file(argument, arm)
         person.tell(_announcement(recording, path, speed, same=same))
         try:
             with signals_raise():
@@ -213,22 +210,6 @@ def _announcement(recording: Recording, path: Path, speed: float, *, same: bool)
             "a joint is another now, the same angles are other places."
         )
     return "".join(said)
-
-
-def _running_config(argument: str | None, arm: str) -> ArmConfig:
-    """The file of a running arm, which tells where its action is.
-
-    Raises:
-        Refusal: nobody knows which file that is.
-        ConfigError: it cannot be read.
-    """
-    given = argument if argument is not None and ("/" in argument or argument.endswith((".yaml", ".yml"))) else arm
-    if given == arm and arm not in known_arms():
-        raise Refusal(f"{arm} is no arm that comes with rtarm: say which file it runs with, `--arm ./{arm}.yaml`.")
-    try:
-        return load_arm(given)
-    except ConfigError:  # a simulated arm's file may name no adapter
-        return load_arm(given, overrides={"bus": {"interface": "slcan", "channel": SIMULATED_CHANNEL}})
 
 
 def _stands_at(connection: Connection) -> np.ndarray:
