@@ -33,8 +33,7 @@ from rtarm.cli_frame import UsageError
 from shm.files import DIRECTORY
 
 SHOWN = shown_commands()
-PATIENCE_S = 90.0
-COMPILING_S = 400.0
+PATIENCE_S = 300.0
 RTARM = [sys.executable, "-m", "rtarm"]
 
 
@@ -245,7 +244,7 @@ class Stage:
 def beside(stage: Stage, words: list[str], ready: str) -> Iterator[None]:
     """Let a command run until the end, which is Ctrl-C."""
     with contextlib.closing(stage.start(words)) as terminal:
-        terminal.read_until(ready, COMPILING_S)
+        terminal.read_until(ready, PATIENCE_S)
         yield
         terminal.type(CTRL_C)
         terminal.code(PATIENCE_S)
