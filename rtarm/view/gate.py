@@ -97,7 +97,7 @@ class Gate:
         if any(origin not in (f"http://{hosts[0]}", f"https://{hosts[0]}") for origin in origins):
             return "Other pages may not connect here: open the address that rtarm printed."
         given = path.partition("?")[0].removeprefix("/").partition("/")[0]
-        if not compare_digest(given.encode(errors="surrogateescape"), self.token.encode()):
+        if not compare_digest(given.encode(errors="surrogatepass"), self.token.encode()):
             return "This page opens with its token only: open the address that rtarm printed, all of it."
         return None
 

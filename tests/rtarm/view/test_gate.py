@@ -102,6 +102,7 @@ def test_no_other_page_connects(origin: str) -> None:
 @example(f"/x/{TOKEN}/")
 @example(f"/{TOKEN.upper()}/")
 @example("/\udcff\udcfe")
+@example("/\ud800")
 @given(st.text(alphabet=st.characters(exclude_categories=[])))
 def test_no_other_path_opens_it(path: str) -> None:
     assert "token" in str(STRICT.refusal(path, ["127.0.0.1:8460"], []))
