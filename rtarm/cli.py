@@ -25,6 +25,7 @@ from rtarm.cli_frame import (
     overrides_given,
     sentences,
 )
+from rtarm.cli_motions import motions_app
 from rtarm.cli_orders import orders
 from rtarm.cli_recordings import recordings_app
 from rtarm.cli_view import view_app
@@ -286,5 +287,6 @@ app.add_typer(orders)
 app.add_typer(drives_app)
 app.add_typer(calibrate_app)
 app.add_typer(view_app)
+app.add_typer(motions_app)
 
 __all__ = ["app"]

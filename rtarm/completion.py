@@ -43,5 +43,16 @@ def recordings(incomplete: str) -> list[str]:
     return _starting(map(str, recordings()), incomplete)
 
 
+def motions(incomplete: str) -> list[str]:
+    """Motions that are kept under a name; other files are left to the shell."""
+    import importlib.util
+
+    if importlib.util.find_spec("scipy") is None:
+        return []
+    from rtarm.teach.file import kept
+
+    return _starting((path.stem for path in kept()), incomplete)
+
+
 def _starting(words: Iterable[str], incomplete: str) -> list[str]:
     return [word for word in words if word.startswith(incomplete)]

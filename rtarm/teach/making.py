@@ -26,7 +26,7 @@ SPACING_S = 0.04
 """Between two points, at first."""
 MOST_TRIES = 12
 DECIMALS = 6
-"""Of an angle in degrees, as it is kept."""
+"""Of a time in seconds and an angle in degrees, as they are kept."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,9 @@ def make(arm: str, limits: Limits, taught: str, readings: Sequence[Readings], to
         hand = CubicSpline(grid_s, path_at(grid_s))
         timing = timed(hand, limits, velocity_share, acceleration_share, spacing_s)
         points = timing.every(FINER)
+        times_s = np.round(points.times_s, DECIMALS)
         positions_rad = np.radians(np.round(np.degrees(hand(points.hand_s)), DECIMALS))
-        path = curve(points.times_s, positions_rad)
+        path = curve(times_s, positions_rad)
         deviation_rad = _deviation_rad(timing, path, inner)
         velocity, acceleration = peaks(path)
         too_fast = float((velocity / limits.velocity_rad_s).max())
@@ -103,7 +104,7 @@ def make(arm: str, limits: Limits, taught: str, readings: Sequence[Readings], to
             f"The motion cannot be kept within {math.degrees(tolerance_rad):g}° and inside the arm's limits: teach it "
             "again, more evenly, or allow more with --tolerance. Nothing was saved."
         )
-    motion = Motion(arm, limits, taught, tolerance_rad, deviation_rad, points.times_s, positions_rad)
+    motion = Motion(arm, limits, taught, tolerance_rad, deviation_rad, times_s, positions_rad)
     if outside := motion.outside():
         raise Refusal(f"The motion is not inside the arm's limits: {outside}. Teach it again; nothing was saved.")
     return Taught(motion, end_s - begin_s, _too_fast(hand, limits), _beyond_rad(limits, readings, begin_s, end_s))

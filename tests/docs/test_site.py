@@ -115,7 +115,11 @@ def address(site: Path) -> Iterator[str]:
 @pytest.mark.skipif(not (CHROMIUM and CHROMEDRIVER), reason="needs chromium and chromedriver (Debian's packages)")
 @pytest.mark.parametrize(
     ("page", "words", "found"),
-    [("", "bus-off", "/faults/bus_off/"), ("", "silence_brake_factor", "/reference/configuration/"), ("zh/", "停放", "/zh/homing/")],
+    [
+        ("", "bus-off", "/faults/bus_off/"),
+        ("", "silence_brake_factor", "/reference/configuration/"),
+        ("zh/", "停放", "/zh/homing/"),
+    ],
 )
 def test_search_finds_what_people_look_for(address: str, page: str, words: str, found: str) -> None:
     from selenium import webdriver

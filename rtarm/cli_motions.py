@@ -1,0 +1,105 @@
+"""Commands about motions that are taught by hand."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from rtarm import completion
+from rtarm.cli_frame import AsJson, draw, draw_json, sentences
+from rtarm.errors import exit_code_table, needs
+
+motions_app = typer.Typer()
+"""The commands, for `rtarm.cli` to add."""
+
+Name = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME", help="Name of a motion, or path of its file (./wave.yaml).", autocompletion=completion.motions
+    ),
+]
+Arm = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ARM",
+        help="Name or file of a running arm; left out: the only one that runs.",
+        autocompletion=completion.running_arms,
+    ),
+]
+
+
+@motions_app.command()
+def teach(
+    name: Name,
+    arm: Arm = None,
+    tolerance: Annotated[
+        float, typer.Option(metavar="DEG", help="How far the motion may be beside what you led.")
+    ] = 0.5,
+    seconds: Annotated[
+        float | None, typer.Option(metavar="S", help="Record for so long; left out: until Enter or Ctrl-C.")
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask: somebody holds the arm.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a motion of that name.")] = False,
+) -> None:
+    """Record a motion that you lead by hand: the drives go limp, you lead the arm, the drives hold again.
+
+    Hold the arm first: it falls where gravity pulls it. The motion is smoothed, and slower than your hand only where
+    the arm's limits ask for it.
+
+    Example: [bold]rtarm teach wave[/bold]
+    """
+    with sentences():
+        needs("scipy", "teach")
+        needs("toppra", "teach")
+
+        from rtarm.calibrate.person import Terminal
+        from rtarm.status import resolve_arm
+        from rtarm.teach.teach import Wish
+        from rtarm.teach.teach import teach as run
+
+        run(resolve_arm(arm), Wish(name, tolerance, seconds, yes, force), Terminal())
+
+
+@motions_app.command(epilog="Exit codes:\n\n" + exit_code_table())
+def play(
+    name: Name,
+    arm: Arm = None,
+    speed: Annotated[float, typer.Option(metavar="FACTOR", help="1 is as it was taught, 0.5 half as fast.")] = 1.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Again and again until Ctrl-C, which stops the arm.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the arm moves to where it begins.")] = False,
+) -> None:
+    """Play a motion that was taught: first slowly to where it begins, then as it was led.
+
+    Nothing sees what is in the arm's way. Ctrl-C stops the arm on its path.
+
+    Example: [bold]rtarm play wave --speed 0.5[/bold]
+    """
+    with sentences():
+        needs("scipy", "teach")
+
+        from rtarm.calibrate.person import Terminal
+        from rtarm.status import resolve_arm
+        from rtarm.teach.play import play as run
+
+        run(arm, resolve_arm(arm), name, speed=speed, loop=loop, yes=yes, person=Terminal())
+
+
+@motions_app.command()
+def motions(as_json: AsJson = False) -> None:
+    """List the motions that are kept; one is removed by deleting its file.
+
+    Example: [bold]rtarm motions --json[/bold]
+    """
+    with sentences({} if as_json else None):
+        needs("scipy", "teach")
+
+        from rtarm.teach.file import folder
+        from rtarm.teach.listing import motions as found
+        from rtarm.teach.listing import table
+
+        rows = found()
+        if as_json:
+            draw_json({"folder": str(folder()), "motions": rows})
+        else:
+            draw(table(rows))
