@@ -31,8 +31,8 @@ from shm.files import MemoryFile
 from shm.words import Mode, Request
 
 LOOK_S = 0.05
-LINE_EVERY_S = 1.0
-"""Between two lines of progress where there is no terminal."""
+DRAW_EVERY_S, LINE_EVERY_S = 0.2, 1.0
+"""How often progress is shown on a terminal, and where there is none."""
 LEAST_TOLERANCE_DEG, MOST_TOLERANCE_DEG = 0.05, 5.0
 
 Tell = Callable[[str], None]
@@ -177,11 +177,13 @@ class _Line:
 
     def show(self, elapsed_s: float, text: str) -> None:
         with suppress(OSError):  # of a terminal that is gone
+            if elapsed_s < self._next_s:
+                return
+            self._next_s = elapsed_s + (DRAW_EVERY_S if self._is_terminal else LINE_EVERY_S)
             if self._is_terminal:
                 width = shutil.get_terminal_size().columns - 1
                 print(f"\r{text[:width]:<{width}}", end="", flush=True)
-            elif elapsed_s >= self._next_s:
-                self._next_s += LINE_EVERY_S
+            else:
                 print(text, flush=True)
 
     def __exit__(self, *_: object) -> None:
