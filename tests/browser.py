@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 OPTIONS = (
     "--headless=new",
     "--no-sandbox",  # a container's root has no other way
@@ -40,15 +40,18 @@ class Browser:
             options.add_argument(option)
         options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
         self.driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+        self.driver.set_script_timeout(PATIENCE_S)
+        self.driver.set_page_load_timeout(PATIENCE_S)
         self._tab = self.driver.current_window_handle
 
     def close(self) -> None:
         self.driver.quit()
 
     def open(self, url: str) -> None:
-        """Open a page in the first tab and wait until it shows an arm."""
+        """Have a page in the first tab, as it was left, and wait until it shows an arm."""
         self.driver.switch_to.window(self._tab)
-        self.driver.get(url)
+        if self.driver.current_url != url:  # to load it takes a busy machine longer than all the rest
+            self.driver.get(url)
         self.until(lambda: self.text("#rt-mode"))
         self.until(self._rendered)
         for notice in self._all("#webgl-software-rendering button"):
