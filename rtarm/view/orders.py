@@ -9,7 +9,7 @@ import math
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,9 @@ from rtarm.errors import Refusal
 from rtarm.view.words import Words
 
 if TYPE_CHECKING:
-    from rtarm.sending import Sender
+    from rtarm.sending import Outcome, Sender
+
+T = TypeVar("T")
 
 GENTLY = 0.3
 """The share of a joint's velocity and acceleration limits that the page's motions use."""
@@ -27,6 +29,10 @@ SHORTEST_S = 0.5
 """So that a small step is no jerk."""
 PATIENCE_S = 3600.0
 """A goal may be held in between for as long."""
+ACCEPTANCE_PATIENCE_S = 10.0
+"""For a goal that was sent to begin."""
+SLOWEST = 0.01
+"""A speed at which a duration can still be told; at 0 there is none."""
 
 PEAK_VELOCITY = 15.0 / 8.0
 PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
@@ -49,7 +55,7 @@ class Orders:
     def __init__(self, arm: ArmConfig, words: Words) -> None:
         self._arm = arm
         self._words = words
-        self._sending = threading.Lock()
+        self._one_at_a_time = threading.Lock()
         self._open = ExitStack()
         self._sender: Sender | None = None
 
@@ -77,38 +83,56 @@ class Orders:
         """Set the speed scale, 0 to 1."""
         return requests.speed(self._arm.name, scale)
 
-    def go(self, to_rad: np.ndarray, tell: Callable[[str], None]) -> str:
-        """Send one goal to these joint angles and wait for its end; never replaces a running goal."""
-        with requests.connect(self._arm.name) as connection:
-            snapshot = connection.snapshot()
-        if running := int(snapshot["goal_id"]):
-            raise Refusal(self._words.goal_runs.format(id=running))
-        stands_rad = snapshot["joints"]["commanded_position_rad"][: len(to_rad)]
-        takes_s = duration_s(self._arm, stands_rad, to_rad)
+    def go(self, to_rad: np.ndarray, on_the_way: Callable[[str], None]) -> str:
+        """Send one goal to these joint angles and wait for its end; never replaces a running goal.
+
+        `on_the_way` is called with a sentence once the arm has begun.
+        """
+        takes_s, number, ended = self._begin(to_rad)
+        if ended is None:
+            on_the_way(self._words.on_the_way.format(duration=takes_s))
+            ended = self._heard(lambda sender: sender.wait(number, PATIENCE_S))
+        if not ended.succeeded:
+            raise Refusal(ended.sentence)
+        return ended.sentence
+
+    def _begin(self, to_rad: np.ndarray) -> tuple[float, int, Outcome | None]:
+        """Send it and wait until it runs or has ended already: how long it takes (s), its number, how it ended."""
         from rtarm.sending import goal_document
 
-        still = np.zeros((1, len(to_rad)))
-        names = [joint.name for joint in self._arm.joints]
-        document = goal_document(names, np.array([takes_s]), to_rad[None], still, still)
-        sender = self._ready()
-        number = sender.send(document)
-        tell(self._words.on_the_way.format(duration=takes_s / max(float(snapshot["speed_scale_asked"]), 0.01)))
-        outcome = sender.wait(number, PATIENCE_S)
-        if not outcome.succeeded:
-            raise Refusal(outcome.sentence)
-        return outcome.sentence
+        with self._one_at_a_time, requests.connect(self._arm.name) as connection:
+            before = connection.snapshot()
+            if running := int(before["goal_id"]):
+                raise Refusal(self._words.goal_runs.format(id=running))
+            stands_rad = before["joints"]["commanded_position_rad"][: len(to_rad)]
+            takes_s = duration_s(self._arm, stands_rad, to_rad)
+            still = np.zeros((1, len(to_rad)))
+            names = [joint.name for joint in self._arm.joints]
+            document = goal_document(names, np.array([takes_s]), to_rad[None], still, still)
+            number = self._heard(lambda sender: sender.send(document))
+            ended: list[Outcome] = []
 
-    def _ready(self) -> Sender:
-        """The process that sends goals, which starts with the first one."""
+            def begun(now: np.ndarray) -> bool:
+                ended.extend(filter(None, [self._heard(lambda sender: sender.ended(number))]))
+                return bool(ended) or int(now["goal_id"]) != 0
+
+            connection.wait(begun, ACCEPTANCE_PATIENCE_S, self._words.no_answer.format(seconds=ACCEPTANCE_PATIENCE_S))
+        asked = max(float(before["speed_scale_asked"]), SLOWEST)
+        return takes_s / asked, number, ended[0] if ended else None
+
+    def _heard(self, what: Callable[[Sender], T]) -> T:
+        """Do something with the process that sends goals, which starts with the first one, and anew if it has died."""
         from rtarm.sending import sending
 
-        with self._sending:
-            if self._sender is None:
-                self._sender = self._open.enter_context(sending(self._arm))
-            return self._sender
+        if self._sender is None:
+            self._sender = self._open.enter_context(sending(self._arm))
+        try:
+            return what(self._sender)
+        except Refusal:
+            self.close()
+            raise
 
     def close(self) -> None:
-        """End what was started."""
-        with self._sending:
-            self._open.close()
-            self._sender = None
+        """End what was started; a goal that was sent and still runs is cancelled."""
+        self._sender = None
+        self._open.close()

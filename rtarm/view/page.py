@@ -344,11 +344,13 @@ class Controls:
         if wished_rad is None:
             raise Refusal(self._words.already)
 
-        def sent(sentence: str) -> None:
+        def on_the_way(sentence: str) -> None:
             self._forget()
+            with self._lock:  # whoever presses again from here on is told that a goal runs
+                self._under_way.discard(self._words.go_nowhere)
             self._answered(sentence, True)
 
-        return self._orders.go(wished_rad.copy(), sent)
+        return self._orders.go(wished_rad.copy(), on_the_way)
 
 
 def _number(value: Any, low: float, high: float) -> float:

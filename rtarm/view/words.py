@@ -64,6 +64,7 @@ class Words:
     goal_runs: str
     under_way: str
     on_the_way: str
+    no_answer: str
     already: str
     plots: str
     which_joint: str
@@ -148,6 +149,7 @@ ENGLISH = Words(
     "stop it first.",
     under_way="{what}: under way …",
     on_the_way="The goal was sent; the arm needs about {duration:.1f} s.",
+    no_answer="The goal was sent, and {seconds:g} s later the arm has not begun: look at it, then press Stop.",
     already="The arm stands there already: move a slider first.",
     plots="Plots",
     which_joint="Joint",
@@ -246,6 +248,7 @@ CHINESE = Words(
     goal_runs="目标 {id} 正在运行，这里绝不替换正在运行的目标：请等它结束，或先停止它。",
     under_way="{what}：进行中 …",
     on_the_way="目标已发送；机械臂大约需要 {duration:.1f} s。",
+    no_answer="目标已发送，但 {seconds:g} s 之后机械臂仍未开始：请看看机械臂，然后按下停止。",
     already="机械臂已经在那里：请先拖动滑块。",
     plots="曲线",
     which_joint="关节",

@@ -144,12 +144,14 @@ def test_a_slider_moves_the_arm_when_go_is_pressed_and_not_before(arm: ViewedArm
     browser.keep("view_move")
     browser.press("Go there: the arm moves for")
     arm.until(lambda report: report["mode"] == "executing")
-    browser.until(lambda: browser.text("#rt-mode") == "executing")
+    arm.until(lambda report: report["goal"]["clock_s"] > 5.0)
+    requests.hold(arm.name)  # so that a slow browser has the time to draw it
     moving = browser.look(lambda picture: blue(picture) > 500)
     assert blue(at_rest) < 50 and green(at_rest) < 500 and blue(wished) < 50
     assert np.count_nonzero(np.abs(moving - at_rest).max(axis=-1) > 60) > 1000, "the arm itself stands elsewhere"
     browser.tab("Joints")
     browser.keep("view_goal")
+    requests.resume(arm.name)
     arm.until(lambda report: report["goal"] is None)
     assert arm.position_deg(1) == pytest.approx(to_deg, abs=0.06)
     browser.until(lambda: "Goal reached" in browser.said("answer"))
