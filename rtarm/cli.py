@@ -78,6 +78,10 @@ def up(
         int | None,
         typer.Option(metavar="0|1", help="1: take over the pose the arm stands in; 0: run homing."),
     ] = None,
+    clear_fault: Annotated[
+        bool,
+        typer.Option("--clear-fault", help="Clear what a drive has tripped at before, once its cause is removed."),
+    ] = False,
     view: Annotated[bool, typer.Option("--view", help="Serve its page too, as `rtarm view` does.")] = False,
 ) -> None:
     """Start an arm: control process and ROS process, and with --sim the simulated drives.
@@ -104,7 +108,7 @@ def up(
                 "control": {"rate_hz": rate, "init_mode": init_mode},
             }
         )
-        plan = load_plan(arm, overrides, simulated=sim, again=again(), hand=hand, view=view)
+        plan = load_plan(arm, overrides, simulated=sim, again=again(), hand=hand, view=view, clear_fault=clear_fault)
         raise typer.Exit(run(plan, _reporter()))
 
 

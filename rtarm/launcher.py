@@ -83,6 +83,8 @@ class Plan:
     """The motion along which a hand leads the simulated arm whenever it is limp, as `sim.hand` knows it."""
     view: bool = False
     """Whether its page is served beside it."""
+    clear_fault: bool = False
+    """Whether an error that a drive has at the start is cleared."""
 
 
 def parameter_arguments(parameters: Mapping[str, Any]) -> list[str]:
@@ -125,6 +127,7 @@ def load_plan(
     front_arguments: Sequence[str] = (),
     hand: str | None = None,
     view: bool = False,
+    clear_fault: bool = False,
 ) -> Plan:
     """Check the configuration, the budget and what is installed before anything is started.
 
@@ -160,6 +163,7 @@ def load_plan(
         simulated_adapter=adapter,
         hand=hand,
         view=view,
+        clear_fault=clear_fault,
     )
 
 
@@ -260,7 +264,8 @@ class Launcher:
             overrides = _with_channel(overrides, plan.simulated_adapter, await self._start_sim())
         self._arguments = [plan.arm_argument, *override_arguments(overrides)]
         started = time.monotonic()
-        self._loop = await self._spawn("loop", "rtloop", self._arguments, plain_environment())
+        loop_arguments = [*self._arguments, *(["--clear-fault"] if plan.clear_fault else [])]
+        self._loop = await self._spawn("loop", "rtloop", loop_arguments, plain_environment())
         # Both start at once: the ROS process takes its second to load while the drives are brought up.
         self._front = await self._start_front()
         await self._wait_ready(self._loop, LOOP_PATIENCE_S, "control process starting")

@@ -32,21 +32,28 @@ COMPILER_POLL_S = 0.02
 
 def main(arguments: list[str] | None = None) -> int:
     try:
-        arm = arm_of(arguments, "python -m rtloop", "The control process of an arm.")
+        parser = arm_parser("python -m rtloop", "The control process of an arm.")
+        parser.add_argument("--clear-fault", action="store_true", help="clear what a drive has tripped at before")
+        options = parser.parse_args(arguments)
+        arm = arm_of(options)
         stop_asked = StopAsked(STOP_SIGNALS)
-        cycle = compiled_cycle(stop_asked)
-        return ControlProcess(arm, cycle, tell, stop_asked).serve(lambda: print("ready", flush=True))
+        process = ControlProcess(arm, compiled_cycle(stop_asked), tell, stop_asked)
+        return process.serve(lambda: print("ready", flush=True), clears_protection=options.clear_fault)
     except (ConfigError, SharedMemoryError, CannotStart, WireRefused) as error:
         tell(str(error))
         return 2
 
 
-def arm_of(arguments: list[str] | None, program: str, description: str) -> ArmConfig:
-    """The arm that a command line names, with the settings that it changes; raises ConfigError."""
+def arm_parser(program: str, description: str) -> argparse.ArgumentParser:
+    """For a command line that names an arm, and the settings that it changes."""
     parser = argparse.ArgumentParser(prog=program, description=description)
     parser.add_argument("arm", help="name of an arm, or path of its YAML file")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change a setting")
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def arm_of(options: argparse.Namespace) -> ArmConfig:
+    """The arm that such a command line names; raises ConfigError."""
     return load_arm(options.arm, overrides=parse_overrides(options.set))
 
 

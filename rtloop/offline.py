@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from config.errors import ConfigError
 from config.schema import ArmConfig
-from rtloop.__main__ import STOP_SIGNALS, arm_of, compiled_cycle, tell
+from rtloop.__main__ import STOP_SIGNALS, arm_of, arm_parser, compiled_cycle, tell
 from rtloop.conversation import TalkFailed
 from rtloop.port import ServicePort
 from rtloop.process import CannotStart, ControlProcess, StopAsked
@@ -31,7 +31,7 @@ def run(
     `refuses` is what `serve` raises beside failed talks, with a sentence.
     """
     try:
-        arm = arm_of(arguments, program, does)
+        arm = arm_of(arm_parser(program, does).parse_args(arguments))
         stop_asked = StopAsked(STOP_SIGNALS)
         process = ControlProcess(arm, compiled_cycle(stop_asked), tell, stop_asked)
         return process.serve_offline(lambda port, pause: serve(arm, port, pause))

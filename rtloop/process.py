@@ -109,14 +109,16 @@ class ControlProcess:
             self._release()
             raise
 
-    def serve(self, ready: Callable[[], None]) -> int:
+    def serve(self, ready: Callable[[], None], *, clears_protection: bool = False) -> int:
         """Run until asked to stop.
+
+        `clears_protection`: a person has asked that an error which a drive has at the start be cleared.
 
         The exit code: 0 orderly, 2 a conversation failed at the start or amid the end, 3 the cycle ended by itself.
         """
         try:
             self._start_threads()
-            code = self._supervise(ready)
+            code = self._supervise(ready, clears_protection)
             self._say_farewell()
         except TalkFailed as failure:  # an order that the cycle does not take any more
             self._tell(str(failure))
@@ -377,10 +379,10 @@ class ControlProcess:
             return referencing_asked_for(self._arm, self._loop, self._port, now_ns, self._tell, self._keep_lost)
         return None
 
-    def _supervise(self, ready: Callable[[], None]) -> int:
+    def _supervise(self, ready: Callable[[], None], clears_protection: bool) -> int:
         # fresh rings have room for its beginning
         talk: Conversation | None = self._bring_up(
-            clears_protection=False,
+            clears_protection=clears_protection,
             counts_before=saved.counts_before(self._arm),
             lost_before=saved.lost_references(self._arm, self._tell),
         )

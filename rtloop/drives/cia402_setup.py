@@ -38,7 +38,7 @@ from rtloop.conversation import Dialogue, Part, TalkFailed
 from rtloop.drives import pdo
 from rtloop.drives.asking import AskFrames, say
 from rtloop.drives.sdo import Aborted, Node, Object, abort_words, reading, value_in
-from rtloop.drives.setup import Found, Host
+from rtloop.drives.setup import ERROR_AT_START, Found, Host
 from rtloop.port import Frame
 from rtloop.wire.frame_words import STANDARD
 from shm.words import Unreferenced
@@ -276,8 +276,8 @@ def _sound_state(host: Host, node: Node) -> Part[int]:
     if not host.clears_protection:
         raise TalkFailed(
             node.joint,
-            f"The drive of {node.config.name} has an error ({why}) and holds nothing: remove the cause, then `rtarm "
-            "clear-fault`.",
+            f"The drive of {node.config.name} has an error ({why}) and holds nothing: remove the cause, "
+            f"{ERROR_AT_START}.",
         )
     yield from node.write(CONTROLWORD, NO_VOLTAGE)
     yield from node.write(CONTROLWORD, FAULT_RESET)

@@ -32,7 +32,7 @@ from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.correction import ERROR_SPEED_SHARE
 from rtloop.drives.asking import AskFrames, say
 from rtloop.drives.fields import field, of_field
-from rtloop.drives.setup import Found, Host
+from rtloop.drives.setup import ERROR_AT_START, Found, Host
 from rtloop.port import Frame
 from rtloop.wire.frame_words import STANDARD
 from shm.words import Unreferenced
@@ -231,7 +231,7 @@ def _sound(host: Host, joint: int) -> Part[Feedback]:
         raise TalkFailed(
             joint,
             f"The drive of {config.name} has an error ({status_words(found.code)}) and holds nothing: remove the "
-            "cause, then `rtarm clear-fault`.",
+            f"cause, {ERROR_AT_START}.",
         )
     for _ in range(TRIES):
         yield say(_command(drive, CLEAR_ERROR))

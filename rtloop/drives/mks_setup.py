@@ -20,7 +20,7 @@ from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.drives.asking import AskFrames
-from rtloop.drives.setup import Found, HomingHost, Host
+from rtloop.drives.setup import ERROR_AT_START, Found, HomingHost, Host
 from rtloop.port import Frame
 from rtloop.wire.frame_words import STANDARD
 from shm.sentences import unreferenced_sentence
@@ -295,7 +295,7 @@ def _clear_protection(host: Host, joint: int) -> Part[None]:
         raise TalkFailed(
             joint,
             f"The drive of {config.name} has tripped its stall protection and holds nothing: free what blocks the "
-            "joint, then `rtarm clear-fault`.",
+            f"joint, {ERROR_AT_START}.",
         )
     yield _ask(_can_id(config), 3, CLEAR_PROTECTION)
     if (yield from _read(joint, config, READ_PROTECTED, "protection")):

@@ -22,7 +22,7 @@ from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.drives.asking import AskFrames, say
-from rtloop.drives.setup import Found, Host
+from rtloop.drives.setup import ERROR_AT_START, Found, Host
 from rtloop.port import Frame
 from rtloop.wire.frame_words import STANDARD
 from shm.words import Unreferenced
@@ -115,8 +115,8 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
     if not host.clears_protection:
         raise TalkFailed(
             joint,
-            f"The drive of {config.name} has an error ({error_words(error)}) and holds nothing: remove the cause, then "
-            "`rtarm clear-fault`.",
+            f"The drive of {config.name} has an error ({error_words(error)}) and holds nothing: remove the cause, "
+            f"{ERROR_AT_START}.",
         )
     restarts = bool(error & NEEDS_RESTART)
     if restarts:

@@ -17,7 +17,7 @@ from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, answer_patience_s, silent_amid
 from rtloop.drives.asking import AskFrames, confirmed, say
-from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host
+from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host
 from rtloop.port import Frame
 from rtloop.wire.frame_words import REMOTE, STANDARD
 from shm.words import Unreferenced
@@ -79,7 +79,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} has an error ({error_words(error)}) and holds nothing: remove the cause, "
-                "then `rtarm clear-fault`.",
+                f"{ERROR_AT_START}.",
             )
         yield say(_frame(node, CLEAR_ERRORS))
         error, state = yield from _heartbeat(host.arm, joint, lambda error, state: error == 0)

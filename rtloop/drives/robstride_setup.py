@@ -24,7 +24,7 @@ from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.correction import ERROR_SPEED_SHARE
 from rtloop.drives import fields
 from rtloop.drives.asking import AskFrames, confirmed, say
-from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host
+from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host
 from rtloop.port import Frame
 from shm.words import Unreferenced
 
@@ -141,8 +141,8 @@ def _without_faults(host: Host, joint: int, state: State) -> Part[State]:
     if not host.clears_protection:
         raise TalkFailed(
             joint,
-            f"The drive of {config.name} has a fault ({state.fault_words}) and holds nothing: remove the cause, then "
-            "`rtarm clear-fault`.",
+            f"The drive of {config.name} has a fault ({state.fault_words}) and holds nothing: remove the cause, "
+            f"{ERROR_AT_START}.",
         )
     for _ in range(TRIES):
         state = yield from _said(joint, config, _frame(_drive(config), STOP, b"\x01"))

@@ -30,6 +30,10 @@ class Found(NamedTuple):
     """Why its count is not known to mean an angle."""
 
 
+ERROR_AT_START = "then start again with `rtarm up … --clear-fault`, which clears it"
+"""What a person does about an error that a drive has already when its control process starts."""
+
+
 class Host(Protocol):
     """The bring-up that a drive's dialogue is part of."""
 

@@ -19,7 +19,7 @@ from rtloop import fast_targets, reports
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
-from rtloop.drives.setup import Found, Host
+from rtloop.drives.setup import ERROR_AT_START, Found, Host
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
 from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
@@ -74,7 +74,7 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} has tripped its stall protection and holds nothing: free what blocks "
-                "the joint, then `rtarm clear-fault`.",
+                f"the joint, {ERROR_AT_START}.",
             )
         yield Ask(registers.CLEAR_PROTECTION, (3,))
         flags = yield from zdt_talk.status_of(joint, config)

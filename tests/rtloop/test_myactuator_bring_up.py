@@ -103,7 +103,7 @@ def test_errors_end_when_a_person_wants_that(cause: str, restarted: bool) -> Non
     arm = VirtualArm(ArmConfig.model_validate(document), faults=[Protection("joint5", 0.0, 3.0, cause=cause)])
     arm.cycles(10)
     failed = arm.bring_up().failure
-    assert failed is not None and "joint5 has an error" in str(failed) and "rtarm clear-fault" in str(failed)
+    assert failed is not None and "joint5 has an error" in str(failed) and "`rtarm up … --clear-fault`" in str(failed)
     failed = arm.bring_up(clears_protection=True).failure
     assert failed is not None and "joint5 keeps its error" in str(failed)
     arm.cycles(600)

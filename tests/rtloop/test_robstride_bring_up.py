@@ -173,7 +173,7 @@ def test_a_fault_is_said_and_cleared_only_when_a_person_wants_that() -> None:
     arm = VirtualArm(CONTROL, faults=[Protection("joint5", 0.0, 0.1)])
     arm.cycles(40)
     failed = arm.bring_up().failure
-    assert failed is not None and "joint5 has a fault" in str(failed) and "rtarm clear-fault" in str(failed)
+    assert failed is not None and "joint5 has a fault" in str(failed) and "`rtarm up … --clear-fault`" in str(failed)
     assert arm.sim.drives[4].state == RESET
     assert arm.bring_up(clears_protection=True).failure is None
     assert arm.core["mode"] == Mode.HOLDING
