@@ -14,7 +14,7 @@ import numpy as np
 from rtarm.errors import Refusal, needs
 from rtarm.recording.mcap_format import Loaded, Step
 from rtarm.recording.mcap_reader import read
-from rtarm.recording.story import tell
+from rtarm.recording.story import UNLED, tell
 from shm.recording import Recording
 from shm.sentences import mode_name
 from shm.words import Event, Fault, Mode
@@ -43,6 +43,7 @@ MOST_POINTS = 4000
 """Of a line; a picture has fewer columns, and of more points the lowest and highest of each stretch are drawn."""
 LEAST_SPAN_RAD = 0.002
 """Of a joint's axis; the position of one that stands is a line then, and its error is seen to be small."""
+LEAST_SPAN_US = 10.0
 COLUMNS_FROM = 9
 """From so many joints on, they stand in two columns."""
 
@@ -105,10 +106,11 @@ def draw(loaded: Loaded) -> Figure:
     for axes in figure.axes:
         _mark_faults(axes, recording, times)
         axes.margins(x=0.01)
-    faults = [_plain(line.sentence) for line in story.lines if line.monotonic_ns == story.zero_ns and line.sign]
-    heading = [story.heading, *(_shortened(sentence) for sentence in faults[:1])]
+    heading = [_plain(story.heading)]
+    if story.fault != Fault.NONE:
+        heading.append(_plain(_shortened(story.verdict[0])))
     if loaded.damage:
-        heading.append(f"The file is damaged: {loaded.damage}")
+        heading.append(_plain(_shortened(f"The file is damaged: {loaded.damage}")))
     figure.suptitle("\n".join(heading), fontsize=10, x=0.01, ha="left")
     return figure
 
@@ -177,9 +179,10 @@ def _draw_joint(
     position: Axes, error: Axes, recording: Recording, index: int, name: str, times: Times, *, first: bool, last: bool
 ) -> None:
     rows = recording.records["joints"][:, index]
-    at, commanded = _thinned(times.seconds, rows["commanded_position_rad"])
+    led = ~np.isin(recording.records["mode"], UNLED)  # nobody commands a joint that is limp, homed or brought up
+    at, commanded = _thinned(times.seconds, np.where(led, rows["commanded_position_rad"], np.nan))
     position.plot(at, commanded, color=COMMANDED, linewidth=1.6, label="commanded")
-    read_s, measured, errors = _readings(rows, times)
+    read_s, measured, errors = _readings(rows, led, times)
     position.plot(*_thinned(read_s, measured), color=MEASURED, linewidth=0.9, label="measured")
     position.set_ylabel(f"{_plain(name)}\n(rad)", fontsize=8)
     error.plot(*_thinned(read_s, errors * 1e3), color=ERROR, linewidth=0.8)
@@ -196,15 +199,15 @@ def _draw_joint(
         error.set_title(f"measured less commanded, of the same instant; {allowed:g} mrad are allowed", fontsize=7)
 
 
-def _readings(rows: np.ndarray, times: Times) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Each reading once, where it was taken: its time, the position, and the error; broken where there is none."""
+def _readings(rows: np.ndarray, led: np.ndarray, times: Times) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Each reading once, where it was taken: its time, the position, and the error, NaN where nobody commanded it."""
     _, first = np.unique(rows["measured_ns"], return_index=True)
-    read = rows[np.sort(first)]
-    read = read[read["measured_ns"] > 0]
-    seconds = (read["measured_ns"] - times.zero_ns) * 1e-9
-    inside = seconds >= times.seconds[0]
-    read, seconds = read[inside], seconds[inside]
-    return seconds, read["measured_position_rad"], read["measured_position_rad"] - read["reference_position_rad"]
+    at = np.sort(first)
+    seconds = (rows["measured_ns"][at] - times.zero_ns) * 1e-9
+    at = at[(rows["measured_ns"][at] > 0) & (seconds >= times.seconds[0])]
+    read = rows[at]
+    errors = np.where(led[at], read["measured_position_rad"] - read["reference_position_rad"], np.nan)
+    return (read["measured_ns"] - times.zero_ns) * 1e-9, read["measured_position_rad"], errors
 
 
 def _draw_lateness(axes: Axes, recording: Recording, times: Times) -> None:
@@ -222,7 +225,7 @@ def _draw_lateness(axes: Axes, recording: Recording, times: Times) -> None:
         )
         axes.legend(fontsize=7, frameon=False, loc="upper right")
     _style(axes, last=True)
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(0.0, max(axes.get_ylim()[1], LEAST_SPAN_US))
     axes.set_ylabel("lateness\n(µs)", fontsize=8)
     axes.set_xlabel("time (s)", fontsize=8)
 

@@ -62,7 +62,7 @@ def messages(path: Path) -> Iterator[tuple[Any, str, int, dict[str, Any]]]:
     """Schema, topic, time and content of every message, as the MCAP library reads them."""
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
-            assert (channel.message_encoding, schema.encoding) == ("json", "jsonschema")
+            assert schema is not None and (channel.message_encoding, schema.encoding) == ("json", "jsonschema")
             yield schema, channel.topic, message.log_time, json.loads(message.data)
 
 
@@ -77,6 +77,8 @@ def test_every_message_keeps_its_schema_and_bears_its_time(a_file: Path) -> None
             validators[schema.id] = Draft202012Validator(strict)
         validators[schema.id].validate(content)
         counted[topic] += 1
+        if content.get("what") == "request":
+            continue  # made by this process in true time, which the virtual arm has none of
         assert EPOCH_NS <= log_time < EPOCH_NS + 3_600_000_000_000, topic
         assert log_time - content.get("monotonic_ns", log_time - EPOCH_NS) == EPOCH_NS or "joints/" in topic, topic
     assert {"/rtarm/commands", "/rtarm/statistics", "/rtarm/state", "/rtarm/events", "/rtarm/frames"} <= set(counted)
@@ -95,7 +97,8 @@ def test_commands_say_what_was_asked_and_what_became_of_it(a_file: Path) -> None
     assert {one[1:3] for one in told if one[0] == "request"} == {(1, "hold"), (2, "resume")}
     (goal,) = (one for one in found if one["what"] == "goal")
     assert goal["joints"] == [f"joint{number}" for number in range(1, 7)]
-    assert found[-1]["sentence"].startswith("The control process latched a fault")
+    (result,) = (one for one in found if one["what"] == "result")
+    assert result["sentence"].startswith("The control process latched a fault")
 
 
 def test_statistics_sum_up_each_second(paused: Recording, a_file: Path) -> None:
