@@ -113,8 +113,8 @@ def _cut(recording: Recording, first: int, last: int, why: str) -> Path:
     )
 
 
-def check(recording: Recording, path: Path, joints: Sequence[str], limits: np.ndarray) -> None:
-    """Refuse a path that is not for an arm with these joints and limits (rows of layout.LIMITS_JOINT).
+def check(recording: Recording, path: Path, joints: Sequence[str], limits: np.ndarray, speed: float) -> None:
+    """Refuse a path that is not for an arm with these joints and limits (dtype layout.LIMITS), at so much of its speed.
 
     Raises:
         Refusal: with the first thing that does not fit.
@@ -125,18 +125,21 @@ def check(recording: Recording, path: Path, joints: Sequence[str], limits: np.nd
             f"{', '.join(joints)}: replay it on the arm that it was made of."
         )
     for index, name in enumerate(joints):
-        row = limits[index]
-        for what, value, lower, upper, unit in (
-            ("goes to", path.positions_rad[:, index], row["lower_rad"], row["upper_rad"], "rad"),
-            ("moves at", path.velocities_rad_s[:, index], None, row["max_velocity_rad_s"], "rad/s"),
-            ("accelerates by", path.accelerations_rad_s2[:, index], None, row["max_acceleration_rad_s2"], "rad/s²"),
+        row = limits["joints"][index]
+        fastest = float(row["max_velocity_rad_s"] * limits["velocity_margin"])
+        hardest = float(row["max_acceleration_rad_s2"] * limits["acceleration_margin"])
+        lower = "replay it on an arm with the limits that it was recorded with"
+        slower = "give a lower --speed"
+        for does, values, (least, most), unit, remedy in (
+            ("goes to", path.positions_rad, (float(row["lower_rad"]), float(row["upper_rad"])), "rad", lower),
+            ("moves at", path.velocities_rad_s * speed, (-fastest, fastest), "rad/s", slower),
+            ("accelerates by", path.accelerations_rad_s2 * speed**2, (-hardest, hardest), "rad/s²", slower),
         ):
-            least, most = (-upper if lower is None else lower), upper
-            worst = value[np.argmax(np.maximum(value - most, least - value))]
-            if not least - BESIDE <= worst <= most * (1 + BESIDE) + BESIDE:
+            beyond = np.maximum(values[:, index] - most, least - values[:, index])
+            if beyond.max() > BESIDE:
                 raise Refusal(
-                    f"{name} {what} {worst:.4f} {unit} in the recording, and this arm allows {least:.4f} to "
-                    f"{most:.4f} {unit}: its limits are others than those it was recorded with."
+                    f"{name} {does} {values[beyond.argmax(), index]:.4f} {unit} there, and this arm allows {least:.4f} "
+                    f"to {most:.4f} {unit}: {remedy}."
                 )
 
 
@@ -167,7 +170,7 @@ def replay_on_arm(recording: Recording, argument: str | None, *, speed: float, y
         _refuse_unfit(connection)
         memory = files.open_state(arm)
         try:
-            check(recording, path, connection.joints, np.array(memory.record["limits"]["joints"]))
+            check(recording, path, connection.joints, np.array(memory.record["limits"]), speed)
             same = int(memory.record["header"]["arm_hash"]) == recording.arm_hash
         finally:
             memory.close()

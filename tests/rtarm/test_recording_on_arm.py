@@ -68,7 +68,7 @@ def test_a_goal_is_replayed_from_rest_to_rest_as_it_was_commanded(done: Recordin
     assert np.array_equal(path.positions_rad[0], joints["commanded_position_rad"][0])
     assert np.array_equal(path.positions_rad[-1], joints["commanded_position_rad"][-1])
     assert path.ends_s - path.begins_s == pytest.approx(path.times_s[-1])
-    on_arm.check(done, path, done.joints, done.limits["joints"])
+    on_arm.check(done, path, done.joints, done.limits, 1.0)
 
 
 def test_a_fault_and_what_follows_it_is_never_replayed(paused: Recording) -> None:
@@ -107,21 +107,31 @@ def test_limp_joints_were_not_led(done: Recording) -> None:
 @pytest.mark.parametrize(
     ("word", "value", "said"),
     [
-        ("upper_rad", -3.0, "goes to"),
-        ("max_velocity_rad_s", 0.001, "moves at"),
-        ("max_acceleration_rad_s2", 0.001, "accelerates by"),
+        ("upper_rad", -3.0, r"goes to .* with the limits that it was recorded with\.$"),
+        ("max_velocity_rad_s", 0.05, r"moves at .*: give a lower --speed\.$"),
+        ("max_acceleration_rad_s2", 0.05, r"accelerates by .*: give a lower --speed\.$"),
     ],
 )
 def test_other_limits_are_refused(done: Recording, word: str, value: float, said: str) -> None:
-    limits = done.limits["joints"].copy()
-    limits[word][1] = value
-    with pytest.raises(Refusal, match=rf"^joint2 {said} .* its limits are others"):
-        on_arm.check(done, on_arm.path_of(done), done.joints, limits)
+    limits = done.limits.copy()
+    limits["joints"][word][1] = value
+    with pytest.raises(Refusal, match=rf"^joint2 {said}"):
+        on_arm.check(done, on_arm.path_of(done), done.joints, limits, 1.0)
+
+
+def test_slower_it_may_fit(done: Recording) -> None:
+    limits = done.limits.copy()
+    limits["joints"]["max_velocity_rad_s"] *= 0.5
+    limits["joints"]["max_acceleration_rad_s2"] *= 0.25
+    path = on_arm.path_of(done)
+    on_arm.check(done, path, done.joints, limits, 0.5)
+    with pytest.raises(Refusal, match="give a lower --speed"):
+        on_arm.check(done, path, done.joints, limits, 0.6)
 
 
 def test_other_joints_are_refused(done: Recording) -> None:
     with pytest.raises(Refusal, match="replay it on the arm that it was made of"):
-        on_arm.check(done, on_arm.path_of(done), done.joints[:5], done.limits["joints"])
+        on_arm.check(done, on_arm.path_of(done), done.joints[:5], done.limits, 1.0)
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.25])
