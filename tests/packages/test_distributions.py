@@ -29,7 +29,10 @@ SHARED = (
     "constraints.txt",
     *(f"{kind}/{path.name}" for kind in ("systemd", "udev") for path in (ROOT / "packaging" / kind).iterdir()),
 )
-NOT_SOURCE = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "dist", "fuzz-corpus")
+NOT_SOURCE = shutil.ignore_patterns(
+    *(".git", ".venv", "build", "dist", "fuzz-corpus", "*.egg-info"),
+    *("__pycache__", ".*_cache", ".hypothesis", ".benchmarks"),
+)
 OF_SETUPTOOLS = re.compile(r"PKG-INFO|setup\.cfg|rtarm\.egg-info/.*")
 BUILD_SDIST = "import sys; from setuptools import build_meta; print(build_meta.build_sdist(sys.argv[1]))"
 DEMO_S = 600.0
@@ -56,8 +59,6 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the source tree, which setuptools may write into."""
     copy = tmp_path_factory.mktemp("source") / "tree"
     shutil.copytree(ROOT, copy, ignore=NOT_SOURCE)
-    for name in (".ci", ".gitignore", ".pre-commit-config.yaml"):
-        (shutil.copytree if (ROOT / name).is_dir() else shutil.copy)(ROOT / name, copy / name)
     return copy
 
 
@@ -135,7 +136,12 @@ def rtarm(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Rtarm:
     libraries = [Path(sys.prefix) / "lib", *Path(sysconfig.get_path("purelib")).glob("ros_*.libs")]
     inherited = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
     path = [*map(str, libraries), *filter(None, [os.environ.get("LD_LIBRARY_PATH")])]
-    lent = {WHEELS_GUARD: "1", "LD_LIBRARY_PATH": os.pathsep.join(path), "COLUMNS": "120"}
+    lent = {
+        WHEELS_GUARD: "1",
+        "LD_LIBRARY_PATH": os.pathsep.join(path),
+        "COLUMNS": "120",
+        "XDG_STATE_HOME": str(folder / "state"),
+    }
 
     def call(*arguments: str, program: str = "rtarm") -> subprocess.CompletedProcess[str]:
         done = subprocess.run(
