@@ -36,6 +36,7 @@ class Run(NamedTuple):
 
 
 RUNS = (("running; Ctrl-C", CTRL_C),)
+QUITS = (("q ends", "q\n"),)
 TURNED_ON = {"bus": {"positions": "reported", "position_command": "FC"}, "control": {"rate_hz": 250.0}}
 
 RUN: dict[str, Run] = {
@@ -50,6 +51,7 @@ RUN: dict[str, Run] = {
     "rtarm moveit-config ./my_arm.yaml -o ~/ros2_ws/src": Run(NOTHING, "_moveit_config"),
     "rtarm up ./my_arm.yaml --sim --rate 200": Run(NOTHING, "the highest rate that fits is", (REFUSED,)),
     "rtarm up ./my_arm.yaml --channel /dev/ttyUSB7": Run(NOTHING, "There is no serial port", (LOOP_REFUSED,)),
+    "rtarm motions": Run(NOTHING),
     "rtarm up mock": Run(NOTHING, "ended in order", talk=RUNS),
     "rtarm demo": Run(NOTHING, "4 of 4 goals succeeded"),
     "python -m sim --arm odrive6 --link arm.tty": Run(NOTHING, talk=(("ready /dev/pts", CTRL_C),)),
@@ -62,14 +64,15 @@ RUN: dict[str, Run] = {
     "rtarm drives ./my_arm.yaml --write --store": Run(
         ADAPTER, "written and read back", talk=(("Write flash?", "y\n"),)
     ),
-    "rtarm calibrate ./my_arm.yaml": Run(ADAPTER, "1. Direction", talk=(("q ends", "q\n"),)),
-    "rtarm calibrate ./my_arm.yaml --joint joint5": Run(ADAPTER, "1. Direction", talk=(("q ends", "q\n"),)),
+    "rtarm calibrate ./my_arm.yaml": Run(ADAPTER, "Nothing was written", (REFUSED,), QUITS),
+    "rtarm calibrate ./my_arm.yaml --joint joint5": Run(ADAPTER, "Nothing was written", (REFUSED,), QUITS),
     "rtarm up episode1 --channel /dev/ttyUSB1": Run(ADAPTER, "ended in order", talk=RUNS),
     "rtarm up ./my_arm.yaml": Run(ADAPTER, "ended in order", talk=RUNS),
     # an arm runs
     "rtarm status": Run(ARM, "lateness"),
     "rtarm top": Run(ARM, talk=(("lateness all along", "q"),)),
     "rtarm top episode1": Run(ARM, talk=(("lateness all along", "q"),)),
+    "rtarm view episode1": Run(ARM, talk=(("http://127.0.0.1", CTRL_C),)),
     "rtarm record": Run(ARM, ".mcap"),
     "rtarm record episode1 -o strange_noise.mcap": Run(ARM, "strange_noise.mcap"),
     "rtarm explain": Run(ARM, "No fault was latched"),
@@ -127,6 +130,9 @@ NOT_RUN: dict[str, str] = {
     "rtarm up my_arm.yaml --sim": "the stage with an arm is this",
     "rtarm up ./my_arm.yaml --sim": "the stage with an arm is this",
     "rtarm --install-completion": "writes into the shell's own files",
+    "rtarm up episode1 --sim --hand wave": "tests/end_to_end/test_teach.py leads an arm so",
+    "rtarm teach *": "needs a hand that leads the arm: tests/end_to_end/test_teach.py",
+    "rtarm play *": "plays what was taught: tests/end_to_end/test_teach.py",
     "rtarm scan": "would open whatever is plugged into this machine",
     "rtarm scan --port /dev/ttyACM0": "the same as with /dev/ttyUSB0",
     "rtarm drives ./my_arm.yaml*": "the same file as my_arm.yaml",
