@@ -36,6 +36,8 @@ class Run(NamedTuple):
 
 
 RUNS = (("running; Ctrl-C", CTRL_C),)
+PATIENT = {"limits": {"stale_brake_s": 1.0, "stale_fault_s": 3.0, "front_timeout_s": 10.0}}
+"""Of the arm that runs: a machine that stalls is not what is tested here."""
 QUITS = (("q ends", "q\n"),)
 TURNED_ON = {"bus": {"positions": "reported", "position_command": "FC"}, "control": {"rate_hz": 250.0}}
 
@@ -75,13 +77,13 @@ RUN: dict[str, Run] = {
     "rtarm view episode1": Run(ARM, talk=(("http://127.0.0.1", CTRL_C),)),
     "rtarm record": Run(ARM, ".mcap"),
     "rtarm record episode1 -o strange_noise.mcap": Run(ARM, "strange_noise.mcap"),
-    "rtarm explain": Run(ARM, "No fault was latched"),
-    "rtarm explain FILE.mcap": Run(ARM, "No fault was latched"),
+    "rtarm explain": Run(ARM, "at 120 Hz"),
+    "rtarm explain FILE.mcap": Run(ARM, "at 120 Hz"),
     "rtarm replay": Run(ARM, talk=(("joint6", "q"),)),
     "rtarm hold": Run(ARM, "holds already; no goal is running"),
     "rtarm resume": Run(ARM, "No such goal is running", (REFUSED,)),
     "rtarm stop": Run(ARM, "no goal was running"),
-    "rtarm clear-fault": Run(ARM, "nothing to clear"),
+    "rtarm clear-fault": Run(ARM, "fault"),
     "python goal.py": Run(ARM, "Goal reached: the largest error is"),
     "rtarm reference joint1": Run(ARM, "Taken: joint1"),
     "rtarm reference joint2": Run(ARM, "Taken: joint2"),

@@ -24,7 +24,7 @@ import typer
 import yaml
 from pages import ROOT
 from shown import Shown, named_commands, shown_commands, shown_file
-from stages import ADAPTER, ARM, FILES, NOT_RUN, RUN, Run
+from stages import ADAPTER, ARM, FILES, NOT_RUN, PATIENT, RUN, Run
 from terminal import CTRL_C, Terminal
 
 from config.loader import ARMS_FOLDER
@@ -197,7 +197,7 @@ class Stage:
         if values["bus"].pop("usb_index", None) is not None:
             values["bus"]["channel"] = str(self.tty)
         for section, more in (keys or {}).items():
-            values[section].update(more)
+            values.setdefault(section, {}).update(more)
         (self.folder / file).write_text(yaml.safe_dump(values), encoding="utf-8")
 
     def start(self, words: list[str]) -> Terminal:
@@ -213,7 +213,8 @@ class Stage:
             return words
         command, rest = command_of(words)
         with command.make_context(words[-1], list(rest), resilient_parsing=True) as context:
-            if "arm" not in context.params or context.params["arm"] is not None:
+            moves_one_at_will = "on_arm" in context.params  # `rtarm replay`, whose --arm belongs to --on-arm
+            if moves_one_at_will or "arm" not in context.params or context.params["arm"] is not None:
                 return words
         named = ["--arm", self.arm] if "--arm" in options_of(command) else [self.arm]
         return [*words, *named]
@@ -266,7 +267,13 @@ def stage(
             ends.enter_context(beside(made, [*command, "--start-deg=0,0,0,0,-20,0"], "ready"))
         elif request.param == ARM:
             made.instead |= {"episode1": made.arm, "running arm": made.arm}
+            made.write_arm("my_arm.yaml", "episode1", made.arm, PATIENT)
             ends.enter_context(beside(made, ["rtarm", "up", "./my_arm.yaml", "--sim"], "running; Ctrl-C"))
+            for recording in (
+                "rtarm record",
+                "rtarm record -o strange_noise.mcap",
+            ):  # a test that is run again has them
+                made.run(recording, Run(ARM))
         else:
             made.instead |= {"mock": "./mock.yaml"}
         yield made
