@@ -50,7 +50,7 @@ class Browser:
     def open(self, url: str) -> None:
         """Have a page in the first tab, as it was left, and wait until it shows an arm."""
         self.driver.switch_to.window(self._tab)
-        if self.driver.current_url != url:  # to load it takes a busy machine longer than all the rest
+        if not self.driver.current_url.startswith(url):  # to load it takes a busy machine longer than all the rest
             self.driver.get(url)
         self.until(lambda: self.text("#rt-mode"))
         self.until(self._rendered)
@@ -149,6 +149,8 @@ class Browser:
     def keep(self, name: str) -> None:
         """Save what is seen for the documentation, where `RTARM_PICTURES` names a folder."""
         if folder := os.environ.get("RTARM_PICTURES"):
+            # The driver scrolls to what it presses, sideways too.
+            self.driver.execute_script("for (const e of document.querySelectorAll('*')) e.scrollLeft = e.scrollTop = 0")
             self.driver.save_screenshot(str(Path(folder, f"{name}.png")))
 
     def plotted(self, title: str) -> list[list[float]]:

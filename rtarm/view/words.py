@@ -18,7 +18,6 @@ class Words:
     waiting: str
     fit: str
     unfit: str
-    limp: str
     modes: dict[str, str]
     goal: str
     no_goal: str
@@ -52,7 +51,6 @@ class Words:
     near_lower: str
     near_upper: str
     beyond: str
-    not_referenced: str
     gripper: str
     move: str
     move_help: str
@@ -101,7 +99,6 @@ ENGLISH = Words(
     waiting="waiting",
     fit="ready to move",
     unfit="not fit to move",
-    limp="limp",
     modes={},
     goal="Goal",
     no_goal="none",
@@ -135,7 +132,6 @@ ENGLISH = Words(
     near_lower="{joint} is {distance:.1f}° from its lower limit ({limit:g}°)",
     near_upper="{joint} is {distance:.1f}° from its upper limit ({limit:g}°)",
     beyond="{joint} is {distance:.1f}° beyond its limit ({limit:g}°)",
-    not_referenced="not referenced",
     gripper="gripper",
     move="Move",
     move_help="Move the sliders: the green arm shows where they would take it. Nothing moves before you press Go. "
@@ -186,7 +182,6 @@ CHINESE = Words(
     waiting="等待中",
     fit="可以运动",
     unfit="不能运动",
-    limp="已松开",
     modes={
         "offline": "离线",
         "bringing_up": "正在启动",
@@ -236,7 +231,6 @@ CHINESE = Words(
     near_lower="{joint} 距下限（{limit:g}°）{distance:.1f}°",
     near_upper="{joint} 距上限（{limit:g}°）{distance:.1f}°",
     beyond="{joint} 超出限位（{limit:g}°）{distance:.1f}°",
-    not_referenced="没有参考点",
     gripper="夹爪",
     move="运动",
     move_help="拖动滑块：绿色的机械臂显示将要到达的位置。按下“前往”之前什么都不会动。这段路没有人检查碰撞：请看着机械臂。",
