@@ -142,14 +142,18 @@ class Browser:
         """The scene as it is seen: (height, width, 3)."""
         import imageio.v3 as iio
 
-        canvas = self.driver.find_element("css selector", "canvas[data-engine]")
-        image: np.ndarray = iio.imread(io.BytesIO(canvas.screenshot_as_png))
-        return image[..., :3].astype(int)
+        left, top, right, bottom = self.driver.execute_script(
+            "const at = document.querySelector('canvas[data-engine]').getBoundingClientRect();"
+            "return [at.left, at.top, at.right, at.bottom].map(Math.round)"
+        )
+        # The driver's own picture of an element scrolls the page to it.
+        image: np.ndarray = iio.imread(io.BytesIO(self.driver.get_screenshot_as_png()))
+        return image[top:bottom, left:right, :3].astype(int)
 
     def keep(self, name: str) -> None:
         """Save what is seen for the documentation, where `RTARM_PICTURES` names a folder."""
         if folder := os.environ.get("RTARM_PICTURES"):
-            # The driver scrolls to what it presses, sideways too.
+            # The driver scrolls to what it presses.
             self.driver.execute_script("for (const e of document.querySelectorAll('*')) e.scrollLeft = e.scrollTop = 0")
             self.driver.save_screenshot(str(Path(folder, f"{name}.png")))
 

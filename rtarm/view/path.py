@@ -19,7 +19,7 @@ MOST_KNOTS = 20_000
 """Of a goal without end, such as a stream, as many of the newest."""
 
 _NS = 1e-9
-_LINEAR, _CUBIC = 1, 3
+_LINEAR, _CUBIC, _QUINTIC = 1, 3, 5
 
 
 class GoalPath:
@@ -35,15 +35,20 @@ class GoalPath:
         self._knots: dict[int, tuple[int, np.ndarray]] = {}
         self._drawn = np.zeros((0, joint_count))
 
-    def of(self, goal_id: int) -> np.ndarray:
-        """Joint angles (n, joints) along a goal, n at most `POINTS`; none for goal 0 and where none can be read."""
+    def of(self, goal_id: int, start: np.ndarray) -> np.ndarray:
+        """Joint angles (n, joints) along a goal, n at most `POINTS`; none for goal 0 and where none can be read.
+
+        Args:
+            start: position, velocity and acceleration (joints, 3) with which the goal began, from where it goes to its
+                first knot.
+        """
         if goal_id != self._goal_id:
             self.close()  # the file of a new control process is another one
             self._goal_id, self._read = goal_id, 0
             self._knots.clear()
             self._drawn = np.zeros((0, self._joint_count))
         if goal_id and self._gather():
-            self._drawn = sampled(self._knots, self._joint_count)
+            self._drawn = sampled(begun(self._knots, start), self._joint_count)
         return self._drawn
 
     def close(self) -> None:
@@ -77,12 +82,17 @@ class GoalPath:
         return (len(self._knots), self._read) != before
 
 
-def sampled(knots: dict[int, tuple[int, np.ndarray]], joint_count: int) -> np.ndarray:
-    """Joint angles (n, joints) at equal steps of time along knots.
+Knots = dict[int, tuple[int, np.ndarray]]
+"""Time (ns) → order of the segment that ends there, and position, velocity and acceleration (joints, 3)."""
 
-    Args:
-        knots: time (ns) → order of the segment that ends there, and position, velocity and acceleration (joints, 3).
-    """
+
+def begun(knots: Knots, start: np.ndarray) -> Knots:
+    """Knots with one at time 0: where the goal began, unless they say so themselves."""
+    return knots if not knots or 0 in knots else {0: (_QUINTIC, start), **knots}
+
+
+def sampled(knots: Knots, joint_count: int) -> np.ndarray:
+    """Joint angles (n, joints) at equal steps of time along knots; none where there are fewer than two."""
     if len(knots) < 2:
         return np.zeros((0, joint_count))
     times_ns = sorted(knots)

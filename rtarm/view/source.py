@@ -20,6 +20,7 @@ from shm.files import MemoryFile
 from shm.recording import Recording, is_whole, record_dtype
 
 NS = 1_000_000_000
+COMMANDED = ("commanded_position_rad", "commanded_velocity_rad_s", "commanded_acceleration_rad_s2")
 SHOWN_S = 30.0
 """As far back as the plots go."""
 
@@ -59,6 +60,7 @@ class LiveArm:
         self._recorder = FollowedRecorder(arm.name)
         self._path = GoalPath(arm.name, len(self.joints))
         self._goal_id = 0
+        self._start = np.zeros((len(self.joints), 3))
 
     def look(self) -> Look:
         """What there is to be seen now; never waits and never raises for what happens to the arm."""
@@ -73,13 +75,14 @@ class LiveArm:
         records = self._recorder.take()
         if records["joints"].shape[1] != len(self.joints):
             return np.zeros(0, record_dtype(len(self.joints)))
-        if len(records):
-            self._goal_id = int(records[-1]["goal_id"])
+        if len(records) and self._goal_id != (goal_id := int(records[-1]["goal_id"])):
+            first = records["joints"][records["goal_id"] == goal_id][0]
+            self._goal_id, self._start = goal_id, np.stack([first[word] for word in COMMANDED], axis=-1)
         return records
 
     def path(self) -> np.ndarray:
         """Joint angles along the running goal, as far as the ROS process has handed it over."""
-        return self._path.of(self._goal_id)
+        return self._path.of(self._goal_id, self._start)
 
     def close(self) -> None:
         """Let go of the memory files."""

@@ -207,20 +207,21 @@ def test_a_path_goes_through_its_knots(order: int, angles: list[float]) -> None:
 
 def test_the_path_of_a_goal_comes_from_the_ring_of_knots(arm: WrittenArm) -> None:
     path = GoalPath(arm.name, len(JOINTS))
+    start = np.full((2, 3), [0.5, 0.0, 0.0])
     writer = CommandWriter(files.open_command(arm.name))
     try:
         tolerances = np.zeros((2, 3))
         writer.begin(4, start_ns=0, joint_mask=3, goal_time_s=0.0, entry=Entry(0), tolerances=tolerances, consumed=0)
-        writer.knot(4, 0, 5, np.zeros((2, 3)), 0)
-        assert len(path.of(4)) == 0, "one knot is no path"
+        assert len(path.of(4, start)) == 0
         writer.knot(4, 2_000_000_000, 5, np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), 0)
         writer.end(4, tolerances, 0)
-        found = path.of(4)
-        assert found[0].tolist() == [0.0, 0.0] and found[-1].tolist() == pytest.approx([1.0, -1.0])
-        assert path.of(4) is found, "nothing came, so nothing is drawn anew"
-        arm.command["setpoints"][3]["time_ns"] = 1  # a record that is just being written
-        assert len(path.of(0)) == 0 and len(path.of(5)) == 0
-        assert len(path.of(4)) == 0 or np.isfinite(path.of(4)).all()
+        found = path.of(4, start)
+        assert found[0].tolist() == [0.5, 0.5], "a single point is gone to from where the arm was"
+        assert found[-1].tolist() == pytest.approx([1.0, -1.0])
+        assert path.of(4, start) is found, "nothing came, so nothing is drawn anew"
+        arm.command["setpoints"][1]["time_ns"] = 1  # a record that is just being written
+        assert len(path.of(0, start)) == 0 and len(path.of(5, start)) == 0
+        assert len(path.of(4, start)) == 0
     finally:
         writer.close()
         path.close()

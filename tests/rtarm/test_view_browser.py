@@ -116,6 +116,11 @@ def green(picture: np.ndarray) -> int:
     return int(np.count_nonzero(picture[..., 1] - np.maximum(picture[..., 0], picture[..., 2]) > 15))
 
 
+def line(picture: np.ndarray) -> int:
+    """How many pixels the goal's path covers: nothing else is of so strong a blue."""
+    return int(np.count_nonzero(picture[..., 2] - picture[..., 0] > 130))
+
+
 def test_the_page_shows_the_arm_as_it_is_and_asks_nobody_else(arm: ViewedArm, browser: Browser) -> None:
     browser.until(lambda: browser.text("#rt-mode") == "holding")
     for joint in arm.status()["joints"]:
@@ -150,7 +155,8 @@ def test_a_slider_moves_the_arm_when_go_is_pressed_and_not_before(arm: ViewedArm
     arm.until(lambda report: report["mode"] == "executing")
     arm.until(lambda report: report["goal"]["clock_s"] > 5.0)
     requests.hold(arm.name)  # so that a slow browser has the time to draw it
-    moving = browser.look(lambda picture: blue(picture) > 500)
+    moving = browser.look(lambda picture: blue(picture) > 500 and line(picture) > 50)
+    assert line(at_rest) < 10
     assert blue(at_rest) < 50 and green(at_rest) < 500 and blue(wished) < 50
     assert np.count_nonzero(np.abs(moving - at_rest).max(axis=-1) > 60) > 1000, "the arm itself stands elsewhere"
     browser.tab("Joints")
