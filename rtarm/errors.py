@@ -25,7 +25,7 @@ MEANINGS: dict[ExitCode, str] = {
     ExitCode.LOOP_REFUSED: "the control process refused to start (port, drives, already running, …); "
     "for `calibrate`: a drive did not do as it was told, and was stopped",
     ExitCode.LOOP_DIED: "the control process ended by itself; the drives have braked by their own ramp",
-    ExitCode.GOAL_FAILED: "a goal of the demo did not succeed",
+    ExitCode.GOAL_FAILED: "a goal did not succeed (`demo`, `play`)",
     ExitCode.UNHEALTHY: "`status`: running, but not fit to move; `doctor`: something to mend; `drives`: not as the "
     "file wants them; `scan`: no drive found",
 }

@@ -10,8 +10,7 @@ import numpy as np
 from rtarm.teach.making import Readings
 from rtarm.teach.motion import Limits
 from shm.files import MemoryFile, joint_names
-from shm.layout import STATE
-from shm.recording import is_whole, record_dtype
+from shm.recording import now_at, read_on
 from shm.words import Fault, Mode
 
 
@@ -38,10 +37,8 @@ class FreeMotion:
     """
 
     def __init__(self, memory: MemoryFile) -> None:
-        header = memory.record["header"]
         self._memory = memory
-        self._dtype = record_dtype(int(header["joint_count"]))
-        self._next = int(memory.record["records_written"][0])
+        self._read_to = now_at(memory)
         self._times_ns: list[np.ndarray] = []
         self._positions: list[np.ndarray] = []
         self.ended = False
@@ -52,7 +49,10 @@ class FreeMotion:
         """Read the cycles that have come since."""
         if self.ended:
             return
-        records = self._new_records()
+        recording, then = read_on(self._memory, self._read_to)
+        records = recording.records
+        self.lost += then.records - self._read_to.records - len(records)
+        self._read_to = then
         joints = records["joints"]
         led = (
             (records["mode"] == Mode.FREE)
@@ -80,20 +80,3 @@ class FreeMotion:
             for times, places in zip(times_ns.T, positions_rad.T, strict=True)
             for fresh in (np.flatnonzero(np.diff(np.maximum.accumulate(times), prepend=times[0] - 1)),)
         ]
-
-    def _new_records(self) -> np.ndarray:
-        """Whole records since the last ones, in their order."""
-        memory, size = self._memory, int(self._memory.record["recorder"]["record_bytes"])
-        slots = int(memory.record["recorder"]["record_slots"])
-        written = int(memory.record["records_written"][0])
-        oldest = max(self._next, written - slots + 1)
-        found = []
-        for number in range(oldest, written):
-            at = STATE.itemsize + number % slots * size
-            copy = memory.map[at : at + size]
-            record = np.frombuffer(copy, self._dtype)
-            if int(record["number"][0]) == number and is_whole(memoryview(copy)):
-                found.append(record)
-        self.lost += written - self._next - len(found)
-        self._next = written
-        return np.concatenate(found) if found else np.zeros(0, self._dtype)

@@ -74,6 +74,11 @@ def teach(arm: str, wish: Wish, person: Person) -> None:
     if wish.seconds is not None and not 0.0 < wish.seconds < math.inf:
         raise Refusal(f"--seconds is {wish.seconds:g}, but must be above 0: give how long you lead the arm.")
     require_free(path, force=wish.force)
+
+    def tell(text: str) -> None:
+        with suppress(OSError):  # a terminal that is gone takes no motion with it
+            person.tell(text)
+
     reader = StateReader(files.open_state(arm))
     limits = limits_of(reader.memory)
     problem = ""
@@ -84,11 +89,11 @@ def teach(arm: str, wish: Wish, person: Person) -> None:
             recorded = FreeMotion(reader.memory)
             try:
                 with suppress(Interrupted):
-                    _record(reader.memory, recorded, limits, wish.seconds, person.tell)
+                    _record(reader.memory, recorded, limits, wish.seconds, tell)
             finally:
                 with undisturbed():
-                    problem = _hold(arm, person.tell)
-            person.tell("Smoothing and timing it …")
+                    problem = _hold(arm, tell)
+            tell("Smoothing and timing it …")
             made = _made(arm, limits, taught, recorded, wish, problem)
             save(made.motion, path, force=wish.force)
     except Interrupted as signalled:
@@ -96,7 +101,7 @@ def teach(arm: str, wish: Wish, person: Person) -> None:
     finally:
         reader.close()
     for line in summary(wish.name, path, made, recorded.lost):
-        person.tell(line)
+        tell(line)
     if problem:
         raise Refusal(f"{problem} What was recorded until then is kept.")
 
