@@ -9,6 +9,7 @@ complains of it.
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
@@ -27,6 +28,8 @@ PAGES_OUTSIDE = {
     "CHANGELOG.md": "changelog.md",
 }
 """Pages of the repository that stand outside docs/, and their place in the site."""
+LANGUAGE_LINE = re.compile(r"^(English|\[English\]\(\S+\)) \| .*\n\n", re.MULTILINE)
+"""Leads to a page in the other language; the site has a switch for that."""
 LANGUAGES = {".py": "python", ".yaml": "yaml", ".json": "json", ".toml": "toml", ".sh": "bash", ".action": "text"}
 ENGLISH_BOOST = 4
 GENERATED = {"__pycache__", ".git", ".venv", "build", "dist"}
@@ -138,7 +141,7 @@ def rewritten(source: str, text: str, places: Mapping[str, str]) -> str:
         place = places.get(there) or (there.removeprefix("docs/") if there.startswith("docs/") else None)
         return target if place is None else os.path.relpath(place, here) + anchor
 
-    return with_targets(text, in_site)
+    return with_targets(LANGUAGE_LINE.sub("", text), in_site)
 
 
 def write_tree(tree: Path, files: Mapping[str, bytes]) -> None:
