@@ -73,6 +73,7 @@ RUN: dict[str, Run] = {
     # an arm runs
     "rtarm status": Run(ARM, "lateness"),
     "rtarm top": Run(ARM, talk=(("lateness all along", "q"),)),
+    "rtarm view": Run(ARM, talk=(("http://127.0.0.1", CTRL_C),)),
     "rtarm top episode1": Run(ARM, talk=(("lateness all along", "q"),)),
     "rtarm view episode1": Run(ARM, talk=(("http://127.0.0.1", CTRL_C),)),
     "rtarm record": Run(ARM, ".mcap"),
