@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from pages import ROOT
 
-from handbook.site import rewritten, source_place, sources_led_to
+from handbook.site import rewritten, source_place, sources_led_to, with_folders
 
 pytest.importorskip("mkdocs")
 
@@ -90,6 +90,16 @@ def test_files_outside_docs_are_shown_and_led_to() -> None:
     assert rewritten("docs/a.md", text, places) == (
         "[a](source/config/arms/mock_yaml.md) [b](homing.md#x) [c](https://example.org) [d](index.md) [e](../nowhere)\n"
     )
+
+
+def test_a_folder_in_the_navigation_is_its_pages_without_their_twins(tmp_path: Path) -> None:
+    (tmp_path / "faults").mkdir()
+    for name in ("bus_off.md", "bus_off.zh.md", "index.md", "index.zh.md", "wire.md"):
+        (tmp_path / "faults" / name).touch()
+    pages = ["faults/index.md", "faults/bus_off.md", "faults/wire.md"]
+    assert with_folders({"Mending": ["top.md", {"Faults": "faults/*"}]}, tmp_path) == {
+        "Mending": ["top.md", {"Faults": pages}]
+    }
 
 
 # --- in a browser ---
