@@ -261,6 +261,8 @@ def reference(arm: str, said_deg: Mapping[str, float | None]) -> str:
     with connect(arm) as connection:
         for joint, angle_deg in said_deg.items():
             _refuse_angle(connection, joint, angle_deg)
+        if sentence := connection.fault(connection.snapshot()):
+            raise Refusal(f"A fault is latched, clear it first: {sentence}")
         taken: list[str] = []
         for joint, angle_deg in said_deg.items():
             index = connection.index(joint)

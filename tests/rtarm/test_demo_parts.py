@@ -23,6 +23,7 @@ from rtarm.status import percentiles_us
 from rtarm.tracking import Tracker, Window
 from shm import files, histogram
 from shm.client import StateReader
+from shm.words import Answer, Fault, Mode, Request, Unreferenced
 
 CHECKED = (
     "control_msgs.action._follow_joint_trajectory",
@@ -78,6 +79,32 @@ def test_the_demo_disturbs_no_running_arm() -> None:
     assert len(names) == 3
     assert first.front_environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
     assert demo.make_plan("mock", tour()).simulated is False
+
+
+def test_what_a_fault_took_before_the_first_goal_is_not_given_back(arm: WrittenArm) -> None:
+    """As where the simulated drives of a starved machine were silent for too long while the ROS process loaded."""
+    arm.snapshot["mode"], arm.snapshot["fault"] = Mode.FAULT, Fault.STALE_READING
+    arm.rows["referenced"][1] = 0
+    arm.rows["unreferenced_reason"][1] = Unreferenced.SILENT
+    arm.publish()
+    config = load_arm("mock").model_copy(update={"name": arm.name})
+    assert demo.say_where_it_stands(config) == ""
+
+
+def test_joints_that_count_from_where_they_were_switched_on_are_said_to_stand_there(arm: WrittenArm) -> None:
+    arm.rows["referenced"][1] = 0
+    arm.rows["unreferenced_reason"][1] = Unreferenced.INCREMENTAL
+    arm.rows["measured_position_rad"][1] = math.radians(20.0)
+    arm.publish()
+
+    def obey(arm: WrittenArm, kind: int) -> int:
+        assert kind == Request.REFERENCE
+        arm.rows["referenced"][1] = 1
+        return Answer.DONE
+
+    config = load_arm("mock").model_copy(update={"name": arm.name})
+    with arm.answering(obey):
+        assert demo.say_where_it_stands(config) == "Taken: elbow 20.00°."
 
 
 def test_a_recorded_goal_becomes_the_message_field_for_field() -> None:

@@ -167,3 +167,15 @@ def test_a_run_that_never_began_is_told_of_joints_that_home(arm: WrittenArm, rta
     result = homed(arm, rtarm, "shoulder", "elbow")
     assert result.exit_code == 1
     assert "ended before it had come to the end with shoulder." in result.output
+
+
+def test_nothing_is_referenced_amid_a_fault_and_the_fault_is_said(arm: WrittenArm, rtarm: Rtarm) -> None:
+    faulty(arm)
+
+    def asked(_arm: WrittenArm, _kind: int) -> int:
+        raise AssertionError("a request was made")
+
+    with arm.answering(asked):
+        result = rtarm("reference", "shoulder", "--arm", arm.name)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "A fault is latched, clear it first: shoulder has given no believable answer" in result.stderr
