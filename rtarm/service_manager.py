@@ -1,4 +1,8 @@
-"""What a service manager is told: systemd's notification protocol, a datagram to the socket that it names."""
+"""What a service manager is told: systemd's notification protocol, a datagram to the socket that it names.
+
+Not by the package sdnotify (0.3.2): it swallows every exception, so a signal that asks for the end too, and
+leaves its socket open.
+"""
 
 import contextlib
 import os

@@ -364,7 +364,12 @@ def compile_into(package: Package, place: Place, mark: Callable[[], None] = lamb
     `mark` is called before the first file is put into its place.
     """
     generator = check_tools(package, program_path())
-    with tempfile.TemporaryDirectory(prefix=f"rtarm-{package.name}-") as name, bar(package.name) as progress:
+    # Beside what is made where that is a folder of its own: whoever comes after one that was killed removes both.
+    beside = None if place == ENVIRONMENT else place.prefix.parent
+    with (
+        tempfile.TemporaryDirectory(prefix=f"rtarm-{package.name}-", dir=beside) as name,
+        bar(package.name) as progress,
+    ):
         directory = Path(name)
         environment = build_environment(corrected_prefix(directory))
         cmake = find_program("", ("cmake",), program_path()) or "cmake"
@@ -489,9 +494,14 @@ def ensure() -> bool:
         return True
     except OSError as problem:
         raise BuildError(
-            f"{folder} cannot be written ({problem.strerror}), and the message types that ROS from wheels lacks are "
+            f"{folder} cannot be written ({why(problem)}), and the message types that ROS from wheels lacks are "
             "generated there: free some space, or set XDG_CACHE_HOME to a folder that may be written to."
         ) from problem
+
+
+def why(problem: OSError) -> str:
+    """Why a file could not be read or written; of several that were copied, the first."""
+    return str(problem.args[0][0][2] if isinstance(problem, shutil.Error) else problem.strerror or problem)
 
 
 def _fill_cache() -> None:
@@ -502,6 +512,7 @@ def _fill_cache() -> None:
         aside = Place(Path(name) / "made", Path(name) / "made" / "python")
         for package in PACKAGES:
             compile_into(package, aside)
+        os.sync()  # a robot that is switched off amid this keeps no empty files under a name that says they are whole
         aside.prefix.rename(cache().prefix)
 
 
@@ -519,6 +530,13 @@ def main() -> int:
                 return 1
         except BuildError as error:
             print(error, file=sys.stderr)
+            return 1
+        except OSError as problem:
+            print(
+                f"{package.name} cannot be generated because a file in {tempfile.gettempdir()} or {PREFIX} cannot be "
+                f"written ({why(problem)}): free some space there, or set TMPDIR to a folder that has 100 MB.",
+                file=sys.stderr,
+            )
             return 1
     return 0
 

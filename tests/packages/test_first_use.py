@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -123,6 +124,33 @@ def test_what_fails_leaves_nothing_behind(
     assert "the compilation failed" in str(refused.value)
     assert list(fresh_cache.iterdir()) == []
     assert "generating them into" in capsys.readouterr().err
+
+
+NO_SPACE = "[Errno 28] No space left on device: '/made'"
+
+
+def full(*_: object, **__: object) -> None:
+    """What `copytree` says where the disk is full: an OSError without a number, around those of the files."""
+    raise shutil.Error([("share/a", "/made/a", NO_SPACE), ("share/b", "/made/b", NO_SPACE)])
+
+
+def test_a_full_disk_at_first_use_is_one_sentence(monkeypatch: pytest.MonkeyPatch, fresh_cache: Path) -> None:
+    lacking_everything(monkeypatch)
+    monkeypatch.setattr(build.shutil, "copytree", full)
+    with pytest.raises(Refusal) as refused:
+        launcher.check_ros()
+    assert str(refused.value).startswith(f"{fresh_cache} cannot be written ({NO_SPACE})")
+    assert list(fresh_cache.iterdir()) == []
+
+
+def test_a_full_disk_of_the_environment_is_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(build, "make", full)
+    assert build.main() == 1
+    said = capsys.readouterr().err
+    assert said.startswith("control_msgs cannot be generated because a file in ") and said.count("\n") == 1
+    assert NO_SPACE in said and "TMPDIR" in said
 
 
 def test_everything_that_is_missing_is_one_sentence(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
