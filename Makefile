@@ -45,7 +45,7 @@ help:
 	@echo 'make soak     random goals and faults for MINUTES=60'
 	@echo 'make fuzz     hostile inputs, CASES=1000000 of them'
 	@echo 'make dist     build the wheel and the source distribution into dist'
-	@echo 'make test-dist  install the wheel into an empty environment and play its demo (downloads 370 MB)'
+	@echo 'make test-dist  install the wheel into an empty environment and play its demo (downloads some hundred MB)'
 	@echo 'make env      only make the environment in $(VENV)'
 	@echo 'make clean    remove the environment and all caches'
 
