@@ -6,6 +6,7 @@ import asyncio
 import os
 import select
 import signal
+import threading
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -33,7 +34,13 @@ def undisturbed() -> Iterator[None]:
 
 @contextmanager
 def signals_raise() -> Iterator[None]:
-    """SIGINT, SIGTERM and SIGHUP (the terminal is gone) raise Interrupted wherever the work just is."""
+    """SIGINT, SIGTERM and SIGHUP (the terminal is gone) raise Interrupted wherever the work just is.
+
+    Signals come to the main thread alone: in another one this changes nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
 
     def end(number: int, _: FrameType | None) -> None:
         raise Interrupted(signal.Signals(number).name)

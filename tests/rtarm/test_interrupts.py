@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import threading
 
 import pytest
 
-from rtarm.interrupt import STOP_SIGNALS, Interrupted
+from rtarm.interrupt import STOP_SIGNALS, Interrupted, signals_raise
 from rtarm.up import run_launched
 
 
@@ -48,3 +49,18 @@ def test_a_first_signal_amid_the_end_does_not_leave_it_half_done(fails: bool) ->
         for number, handler in handlers.items():
             signal.signal(number, handler)
     assert launcher.done == ["first step", "heard", "at once", "last step"]
+
+
+def test_work_of_another_thread_is_done_though_no_signal_reaches_it() -> None:
+    """As of the page's threads, from which goals are sent."""
+    done: list[str] = []
+
+    def work() -> None:
+        with signals_raise():
+            done.append("done")
+
+    before = signal.getsignal(signal.SIGTERM)
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert done == ["done"] and signal.getsignal(signal.SIGTERM) is before
