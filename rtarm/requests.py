@@ -101,17 +101,22 @@ class Connection:
         """
         deadline = time.monotonic() + patience_s
         while not condition(snapshot := self.snapshot()):
-            if not files.is_held(self._reader.memory.fd):
-                homes = int(snapshot["mode"]) == Mode.REFERENCING
-                fate = "a drive amid its homing run goes on" if homes else "the drives have braked by themselves"
-                raise NotRunning(
-                    f"The control process of arm '{self.arm}' ended meanwhile; {fate}: start it again with "
-                    f"`rtarm up {self.arm}`."
-                )
+            self.check_running(snapshot)
             if time.monotonic() > deadline:
                 raise Refusal(too_long)
             time.sleep(POLL_S)
         return snapshot
+
+    def check_running(self, snapshot: np.ndarray) -> None:
+        """Raise NotRunning where the control process, of which `snapshot` is the newest, has ended."""
+        if files.is_held(self._reader.memory.fd):
+            return
+        homes = int(snapshot["mode"]) == Mode.REFERENCING
+        fate = "a drive amid its homing run goes on" if homes else "the drives have braked by themselves"
+        raise NotRunning(
+            f"The control process of arm '{self.arm}' ended meanwhile; {fate}: start it again with "
+            f"`rtarm up {self.arm}`."
+        )
 
 
 @contextmanager

@@ -59,6 +59,12 @@ class Sender:
         """Process id of the one that speaks ROS."""
         return self._process.pid
 
+    @property
+    def alive(self) -> bool:
+        """Whether that process still listens."""
+        with self._state:
+            return not self._ended
+
     def wait_ready(self, patience_s: float) -> None:
         """Wait until the arm's action is found.
 
@@ -97,18 +103,24 @@ class Sender:
         Raises:
             Refusal: it has not ended in time, or the process that sends is gone.
         """
+        ended = self.ended(number, patience_s)
+        if ended is None:
+            raise Refusal(f"The goal has no result after {patience_s:.1f} s: look at `rtarm status`.")
+        return ended
+
+    def ended(self, number: int, patience_s: float = 0.0) -> Outcome | None:
+        """How a goal ended, each once; None if it has not within `patience_s`.
+
+        Raises:
+            Refusal: the process that sends is gone.
+        """
         with self._state:
             self._state.wait_for(lambda: number in self._outcomes or self._ended, patience_s)
             if number in self._outcomes:
                 return self._outcomes.pop(number)
         if self._ended:
             raise self._gone()
-        raise Refusal(f"The goal has no result after {patience_s:.1f} s: look at `rtarm status`.")
-
-    def ended(self, number: int) -> Outcome | None:
-        """How a goal ended, each once; None while it has not."""
-        with self._state:
-            return self._outcomes.pop(number, None)
+        return None
 
     def close(self) -> None:
         """End; what still runs is cancelled."""

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,16 +22,13 @@ from rtarm.view.words import Words
 if TYPE_CHECKING:
     from rtarm.sending import Outcome, Sender
 
-T = TypeVar("T")
-
 GENTLY = 0.3
 """The share of a joint's velocity and acceleration limits that the page's motions use."""
 SHORTEST_S = 0.5
 """So that a small step is no jerk."""
-PATIENCE_S = 3600.0
-"""A goal may be held in between for as long."""
-ACCEPTANCE_PATIENCE_S = 10.0
-"""For a goal that was sent to begin."""
+SILENCE_S = 10.0
+"""So long may the arm run no goal before one that was sent begins, and after it ran until there is its result."""
+LOOK_S = 0.1
 SLOWEST = 0.01
 """A speed at which a duration can still be told; at 0 there is none."""
 
@@ -68,8 +66,12 @@ class Orders:
         return requests.resume(self._arm.name)
 
     def stop(self) -> str:
-        """Stop on the path and end the goal."""
-        return requests.stop(self._arm.name)
+        """Stop on the path and end the goal, also one from here that the arm has not begun yet."""
+        try:
+            return requests.stop(self._arm.name)
+        finally:
+            if (sender := self._sender) is not None:
+                sender.cancel()
 
     def clear_fault(self) -> str:
         """Clear the latched fault and bring the drives up again."""
@@ -88,49 +90,63 @@ class Orders:
 
         `on_the_way` is called with a sentence once the arm has begun.
         """
-        takes_s, number, ended = self._begin(to_rad)
-        if ended is None:
-            on_the_way(self._words.on_the_way.format(duration=takes_s))
-            ended = self._heard(lambda sender: sender.wait(number, PATIENCE_S))
+        with requests.connect(self._arm.name) as connection:
+            with self._one_at_a_time:
+                takes_s, sender, number = self._send(connection, to_rad)
+                ended = self._follow(connection, sender, number, self._words.no_answer, begun=True)
+            if ended is None:
+                on_the_way(self._words.on_the_way.format(duration=takes_s))
+                ended = self._follow(connection, sender, number, self._words.no_result, begun=False)
+        assert ended is not None
         if not ended.succeeded:
             raise Refusal(ended.sentence)
         return ended.sentence
 
-    def _begin(self, to_rad: np.ndarray) -> tuple[float, int, Outcome | None]:
-        """Send it and wait until it runs or has ended already: how long it takes (s), its number, how it ended."""
+    def _send(self, connection: requests.Connection, to_rad: np.ndarray) -> tuple[float, Sender, int]:
+        """Send it: how long it takes (s), who sent it, its number there."""
         from rtarm.sending import goal_document
 
-        with self._one_at_a_time, requests.connect(self._arm.name) as connection:
-            before = connection.snapshot()
-            if running := int(before["goal_id"]):
-                raise Refusal(self._words.goal_runs.format(id=running))
-            stands_rad = before["joints"]["commanded_position_rad"][: len(to_rad)]
-            takes_s = duration_s(self._arm, stands_rad, to_rad)
-            still = np.zeros((1, len(to_rad)))
-            names = [joint.name for joint in self._arm.joints]
-            document = goal_document(names, np.array([takes_s]), to_rad[None], still, still)
-            number = self._heard(lambda sender: sender.send(document))
-            ended: list[Outcome] = []
+        before = connection.snapshot()
+        if running := int(before["goal_id"]):
+            raise Refusal(self._words.goal_runs.format(id=running))
+        stands_rad = before["joints"]["commanded_position_rad"][: len(to_rad)]
+        takes_s = duration_s(self._arm, stands_rad, to_rad)
+        still = np.zeros((1, len(to_rad)))
+        names = [joint.name for joint in self._arm.joints]
+        sender = self._ready_sender()
+        number = sender.send(goal_document(names, np.array([takes_s]), to_rad[None], still, still))
+        return takes_s / max(float(before["speed_scale_asked"]), SLOWEST), sender, number
 
-            def begun(now: np.ndarray) -> bool:
-                ended.extend(filter(None, [self._heard(lambda sender: sender.ended(number))]))
-                return bool(ended) or int(now["goal_id"]) != 0
+    def _follow(
+        self, connection: requests.Connection, sender: Sender, number: int, silent: str, *, begun: bool
+    ) -> Outcome | None:
+        """How a goal ended; with `begun` None as soon as the arm runs it.
 
-            connection.wait(begun, ACCEPTANCE_PATIENCE_S, self._words.no_answer.format(seconds=ACCEPTANCE_PATIENCE_S))
-        asked = max(float(before["speed_scale_asked"]), SLOWEST)
-        return takes_s / asked, number, ended[0] if ended else None
+        A ROS process that dies or hangs says nothing of its goals. When the arm has run none for `SILENCE_S`, it is
+        cancelled, so that it moves nothing should it come to run later, and refused with the sentence `silent`.
+        """
+        quiet_since_s = time.monotonic()
+        while (ended := sender.ended(number, LOOK_S)) is None:
+            now = connection.snapshot()
+            connection.check_running(now)
+            if int(now["goal_id"]):
+                if begun:
+                    return None
+                quiet_since_s = time.monotonic()
+            elif time.monotonic() - quiet_since_s > SILENCE_S:
+                sender.cancel()
+                raise Refusal(silent.format(seconds=SILENCE_S))
+        return ended
 
-    def _heard(self, what: Callable[[Sender], T]) -> T:
-        """Do something with the process that sends goals, which starts with the first one, and anew if it has died."""
+    def _ready_sender(self) -> Sender:
+        """The process that sends goals, which starts with the first one, and anew if it has died."""
         from rtarm.sending import sending
 
+        if self._sender is not None and not self._sender.alive:
+            self.close()
         if self._sender is None:
             self._sender = self._open.enter_context(sending(self._arm))
-        try:
-            return what(self._sender)
-        except Refusal:
-            self.close()
-            raise
+        return self._sender
 
     def close(self) -> None:
         """End what was started; a goal that was sent and still runs is cancelled."""

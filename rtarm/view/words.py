@@ -61,8 +61,10 @@ class Words:
     back_hint: str
     goal_runs: str
     under_way: str
+    broken: str
     on_the_way: str
     no_answer: str
+    no_result: str
     already: str
     plots: str
     which_joint: str
@@ -144,8 +146,12 @@ ENGLISH = Words(
     goal_runs="Goal {id} is running, and a goal that runs is never replaced from here: wait until it has ended, or "
     "stop it first.",
     under_way="{what}: under way …",
+    broken="{what}: a bug of the page ended it, which is told where the page was started. Look at the arm, and use "
+    "`rtarm stop` if need be.",
     on_the_way="The goal was sent; the arm needs about {duration:.1f} s.",
-    no_answer="The goal was sent, and {seconds:g} s later the arm has not begun: look at it, then press Stop.",
+    no_answer="The goal was sent, and {seconds:g} s later the arm has not begun. It is cancelled, and ends at once "
+    "should the ROS process come to it later: see Machine.",
+    no_result="The arm has ended the goal, and {seconds:g} s later the ROS process has not said how: see Machine.",
     already="The arm stands there already: move a slider first.",
     plots="Plots",
     which_joint="Joint",
@@ -241,8 +247,11 @@ CHINESE = Words(
     back_hint="放弃所选位置；什么都不会动。",
     goal_runs="目标 {id} 正在运行，这里绝不替换正在运行的目标：请等它结束，或先停止它。",
     under_way="{what}：进行中 …",
+    broken="{what}：页面的程序错误使其中断，详情见启动页面的终端。请看机械臂，必要时使用 `rtarm stop`。",
     on_the_way="目标已发送；机械臂大约需要 {duration:.1f} s。",
-    no_answer="目标已发送，但 {seconds:g} s 之后机械臂仍未开始：请看看机械臂，然后按下停止。",
+    no_answer="目标已发送，但 {seconds:g} s 之后机械臂仍未开始。"
+    "目标已取消：ROS 进程以后处理到它时，它会立即结束。请看“机器”。",
+    no_result="机械臂已结束目标，但 {seconds:g} s 之后 ROS 进程仍未说明结果：请看“机器”。",
     already="机械臂已经在那里：请先拖动滑块。",
     plots="曲线",
     which_joint="关节",
