@@ -71,6 +71,14 @@ class Connection:
         """Whether the joint's drive finds a stop when it is homed; any other passes at once."""
         return bool(self._reader.memory.record["limits"]["joints"]["homes"][self.index(joint)])
 
+    def limits(self) -> np.ndarray:
+        """What the control process allows, dtype layout.LIMITS, no dimensions."""
+        return np.array(self._reader.memory.record["limits"])
+
+    def arm_hash(self) -> int:
+        """Of the configuration that the control process runs with."""
+        return int(self._reader.memory.record["header"]["arm_hash"])
+
     def limits_deg(self, index: int) -> tuple[float, float]:
         """Lowest and highest angle of a joint (degrees)."""
         row = self._reader.memory.record["limits"]["joints"][index]

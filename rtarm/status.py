@@ -58,7 +58,7 @@ def resolve_arm(argument: str | None) -> str:
         if len(running) > 1:
             raise Refusal(f"Several arms are running ({', '.join(running)}): name the one you mean.")
         return running[0]
-    if "/" in argument or argument.endswith((".yaml", ".yml")):
+    if is_path(argument):
         from config.loader import load_arm
 
         return load_arm(argument).name
@@ -68,6 +68,11 @@ def resolve_arm(argument: str | None) -> str:
             "such a name, or the path of an arm file."
         )
     return argument
+
+
+def is_path(argument: str) -> bool:
+    """Whether a person means a file by this, rather than a name."""
+    return "/" in argument or argument.endswith((".yaml", ".yml"))
 
 
 def read_status(arm: str) -> Report:

@@ -7,37 +7,27 @@ and an arm that follows it would lag behind that once more.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from rosfront.moves import Profile
-from rtarm.calibrate.person import Person, Quit, agrees
+from rtarm import moves
+from rtarm.arm_file import arm_file
+from rtarm.calibrate.person import Person
 from rtarm.errors import ExitCode, Refusal
-from rtarm.interrupt import Interrupted, signals_raise, undisturbed
-from rtarm.recording.arm_file import arm_file
-from rtarm.requests import STOP_PATIENCE_S, Connection, connect, stands
-from rtarm.sending import Sender, goal_document, sending
+from rtarm.interrupt import Interrupted, signals_raise
+from rtarm.requests import Connection, connect
+from rtarm.sending import goal_document, sending
 from rtarm.status import resolve_arm
-from shm import files
 from shm.recording import Recording
 from shm.words import Fault, Mode, Slowed
 
 LED = (Mode.HOLDING, Mode.EXECUTING, Mode.STOPPING)
 """Modes in which the arm is where it is commanded."""
-SLOW = 0.25
-"""Share of the limits that the way to the beginning uses."""
-THERE_RAD = math.radians(0.5)
-"""No joint farther than this from the beginning: the motion can begin, since the action finds the rest of the way."""
-KNOT_SHARE = 0.02
-"""Of the way between two points of the way to the beginning."""
 SLOWEST = 0.01
 BESIDE = 1e-6
 """What a value may be beside its limit (rad and the like): rounding."""
-PATIENCE_S = 86_400.0
-"""A person may pause a goal, and slow it down, for as long as he likes."""
 
 
 class Path(NamedTuple):
@@ -167,36 +157,21 @@ def replay_on_arm(recording: Recording, argument: str | None, *, speed: float, y
     path = path_of(recording)
     arm = resolve_arm(argument or recording.arm)
     with connect(arm) as connection:
-        _refuse_unfit(connection)
-        memory = files.open_state(arm)
-        try:
-            check(recording, path, connection.joints, np.array(memory.record["limits"]), speed)
-            same = int(memory.record["header"]["arm_hash"]) == recording.arm_hash
-        finally:
-            memory.close()
+        moves.refuse_unless_holding(connection)
+        check(recording, path, connection.joints, connection.limits(), speed)
         config = arm_file(argument, arm)
+        same = connection.arm_hash() == recording.arm_hash
         person.tell(_announcement(recording, path, speed, same=same))
         try:
             with signals_raise():
                 if not yes:
-                    _ask(connection, recording, path, person)
+                    moves.require_yes(person, _question(connection, path))
                 with sending(config) as sender:
-                    _go_to_start(connection, sender, recording, path, person)
+                    moves.go_slowly(connection, sender, path.positions_rad[0], person)
                     person.tell("Replaying.")
-                    person.tell(_run(connection, sender, goal_of(recording, path, speed)))
+                    person.tell(moves.run(connection, sender, goal_of(recording, path, speed)))
         except Interrupted as signalled:
             raise Refusal(f"Ended by {signalled}; arm {arm} stands.", ExitCode.GOAL_FAILED) from None
-
-
-def _refuse_unfit(connection: Connection) -> None:
-    """Raise Refusal where a fault is latched, a joint's angle is not known, or the arm does not just hold."""
-    snapshot = connection.snapshot()
-    if sentence := connection.fault(snapshot):
-        raise Refusal(f"A fault is latched, clear it first: {sentence}")
-    if lost := connection.lost(snapshot):
-        raise Refusal(" ".join(lost.values()))
-    if int(snapshot["mode"]) != Mode.HOLDING:
-        raise Refusal(f"Arm {connection.arm} does not stand and hold just now: see `rtarm status`, then try again.")
 
 
 def _announcement(recording: Recording, path: Path, speed: float, *, same: bool) -> str:
@@ -215,73 +190,9 @@ def _announcement(recording: Recording, path: Path, speed: float, *, same: bool)
     return "".join(said)
 
 
-def _stands_at(connection: Connection) -> np.ndarray:
-    return np.array(connection.snapshot()["joints"][: len(connection.joints)]["commanded_position_rad"])
-
-
-def _way(recording: Recording, start_rad: np.ndarray, target_rad: np.ndarray) -> str:
-    """From where to where each joint goes that goes anywhere."""
-    return ", ".join(
-        f"{joint} {math.degrees(start):.1f}° → {math.degrees(target):.1f}°"
-        for joint, start, target in zip(recording.joints, start_rad, target_rad, strict=True)
-        if abs(target - start) > THERE_RAD / 10.0
-    )
-
-
-def _is_there(connection: Connection, path: Path) -> bool:
-    return bool((np.abs(_stands_at(connection) - path.positions_rad[0]) <= THERE_RAD).all())
-
-
-def _ask(connection: Connection, recording: Recording, path: Path, person: Person) -> None:
-    """Let a person agree, who sees what stands in the arm's way; nothing here does."""
-    way = _way(recording, _stands_at(connection), path.positions_rad[0])
-    first = f"first slowly to where that begins ({way}), then " if not _is_there(connection, path) else ""
-    try:
-        agreed = agrees(person, f"The arm moves, {first}along the path of then. Is the way clear?")
-    except Quit as ended:
-        raise Refusal(f"Nothing was done ({ended}): say y, or give --yes in a script.") from None
-    if not agreed:
-        raise Refusal("Nothing was done; the arm stands where it stood.")
-
-
-def _go_to_start(connection: Connection, sender: Sender, recording: Recording, path: Path, person: Person) -> None:
-    start_rad, target_rad = _stands_at(connection), path.positions_rad[0]
-    way_rad = target_rad - start_rad
-    if not np.any(np.abs(way_rad) > BESIDE):
-        return
-    rows = recording.limits["joints"][: len(recording.joints)]
-    length = np.maximum(np.abs(way_rad), BESIDE)
-    profile = Profile.fastest(
-        float((SLOW * rows["max_velocity_rad_s"] / length).min()),
-        float((SLOW * rows["max_acceleration_rad_s2"] / length).min()),
-    )
-    times_s = profile.times_s(KNOT_SHARE)
-    share, rate, bend = (values[:, np.newaxis] for values in profile.at(times_s))
-    if way := _way(recording, start_rad, target_rad):
-        person.tell(f"To where it begins, {times_s[-1]:.1f} s: {way}.")
-    positions_rad = start_rad + share * way_rad
-    _run(connection, sender, goal_document(recording.joints, times_s, positions_rad, rate * way_rad, bend * way_rad))
-
-
-def _run(connection: Connection, sender: Sender, goal: dict[str, Any]) -> str:
-    """Send a goal and wait for its end: the sentence of its success. A signal cancels it, and the arm stands then.
-
-    Raises:
-        Refusal: it did not succeed.
-        Interrupted: a signal came.
-    """
-    try:
-        outcome = sender.wait(sender.send(goal), PATIENCE_S)
-    except Interrupted:
-        with undisturbed():
-            sender.cancel()
-            connection.wait(
-                stands,
-                STOP_PATIENCE_S,
-                f"Arm {connection.arm} still moves {STOP_PATIENCE_S:g} s after its goal was cancelled: use the "
-                "emergency stop, then look at `rtarm status`.",
-            )
-        raise
-    if not outcome.succeeded:
-        raise Refusal(outcome.sentence, ExitCode.GOAL_FAILED)
-    return outcome.sentence
+def _question(connection: Connection, path: Path) -> str:
+    """What a person is asked, who sees what stands in the arm's way; nothing here does."""
+    begin_rad = path.positions_rad[0]
+    way = moves.way_words(connection, begin_rad)
+    first = "" if moves.is_near(connection, begin_rad) else f"first slowly to where that begins ({way}), then "
+    return f"The arm moves, {first}along the path of then. Is the way clear?"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from rtarm.arm_file import arm_file
 from rtarm.errors import Refusal, needs
-from rtarm.recording.arm_file import arm_file
 from shm.recording import Recording
 
 

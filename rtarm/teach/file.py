@@ -15,6 +15,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from rtarm.errors import Refusal
+from rtarm.status import is_path
 from rtarm.teach.motion import Limits, Motion
 
 FORMAT = 1
@@ -67,7 +68,7 @@ def motion_path(name_or_path: str) -> Path:
     Raises:
         Refusal: it is neither.
     """
-    if "/" in name_or_path or name_or_path.endswith((".yaml", ".yml")):
+    if is_path(name_or_path):
         return Path(name_or_path)
     if NAME.fullmatch(name_or_path) is None:
         raise Refusal(

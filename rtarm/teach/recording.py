@@ -9,17 +9,16 @@ import numpy as np
 
 from rtarm.teach.making import Readings
 from rtarm.teach.motion import Limits
-from shm.files import MemoryFile, joint_names
+from shm.files import MemoryFile
 from shm.recording import now_at, read_on
 from shm.words import Fault, Mode
 
 
-def limits_of(memory: MemoryFile) -> Limits:
-    """The limits that an arm's control process keeps, from its state file."""
-    names = joint_names(memory.record["header"])
-    rows = np.array(memory.record["limits"]["joints"][: len(names)])
+def limits_of(joints: tuple[str, ...], limits: np.ndarray) -> Limits:
+    """What an arm's control process allows its joints, from its state file's limits (dtype layout.LIMITS)."""
+    rows = limits["joints"][: len(joints)]
     return Limits(
-        names,
+        joints,
         *(
             rows[name].astype(float)
             for name in ("lower_rad", "upper_rad", "max_velocity_rad_s", "max_acceleration_rad_s2")

@@ -19,7 +19,8 @@ import numpy as np
 from rtarm.calibrate.person import Person, Quit, agrees
 from rtarm.errors import Refusal
 from rtarm.interrupt import Interrupted, signals_raise, undisturbed
-from rtarm.requests import Connection, connect, enable, let_go
+from rtarm.moves import refuse_unsound
+from rtarm.requests import connect, enable, let_go
 from rtarm.teach.file import motion_path, require_free, save
 from rtarm.teach.making import Taught, make
 from rtarm.teach.motion import Limits
@@ -80,7 +81,7 @@ def teach(arm: str, wish: Wish, person: Person) -> None:
             person.tell(text)
 
     reader = StateReader(files.open_state(arm))
-    limits = limits_of(reader.memory)
+    limits = limits_of(files.joint_names(reader.memory.record["header"]), np.array(reader.memory.record["limits"]))
     problem = ""
     try:
         with signals_raise():
@@ -106,19 +107,10 @@ def teach(arm: str, wish: Wish, person: Person) -> None:
         raise Refusal(f"{problem} What was recorded until then is kept.")
 
 
-def sound(connection: Connection) -> None:
-    """Raise Refusal where a fault is latched or a joint's angle is not known."""
-    snapshot = connection.snapshot()
-    if sentence := connection.fault(snapshot):
-        raise Refusal(f"A fault is latched, clear it first: {sentence}")
-    if lost := connection.lost(snapshot):
-        raise Refusal(" ".join(lost.values()))
-
-
 def _let_go(arm: str, wish: Wish, person: Person) -> None:
     """Let the drives go limp, once somebody holds the arm; one that is free already stays so."""
     with connect(arm) as connection:
-        sound(connection)
+        refuse_unsound(connection)
         is_free = int(connection.snapshot()["mode"]) == Mode.FREE
     if is_free:
         return

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from config.errors import ConfigError
-from config.loader import known_arms, load_arm
-from config.schema import ArmConfig
-from rtarm.errors import Refusal
+from rtarm.arm_file import arm_file
 from rtarm.status import resolve_arm
 from rtarm.view.gate import open_server
 from rtarm.view.orders import Orders
@@ -23,7 +20,7 @@ def view_arm(argument: str | None, host: str, port: int | None, language: str, t
         Refusal, ConfigError, SharedMemoryError: no such arm runs, or its page cannot be served.
     """
     words = words_of(language)
-    arm = arm_of(argument)
+    arm = arm_file(argument, resolve_arm(argument), "rtarm view")
     source = LiveArm(arm)
     page = open_server(host, port)
     if page.reachable_from_elsewhere:
@@ -33,24 +30,3 @@ def view_arm(argument: str | None, host: str, port: int | None, language: str, t
         )
     tell(f"{page.url} shows {arm.name}; Ctrl-C ends the page, and the arm goes on.")
     serve(page.server, arm, source, Orders(arm, words), words)
-
-
-def arm_of(argument: str | None) -> ArmConfig:
-    """The configuration of the arm that is meant: a name, the path of its file, or None for the only one that runs.
-
-    Raises:
-        Refusal: none or several run, or one runs whose file cannot be known from its name.
-        ConfigError: the arm file cannot be read.
-    """
-    name = resolve_arm(argument)
-    if argument is not None and argument != name:
-        return load_arm(argument)
-    if name not in known_arms():
-        raise Refusal(
-            f"Arm {name} is none of those that come with rtarm, and the page is drawn from the arm file: give its "
-            f"path, such as `rtarm view ./{name}.yaml`."
-        )
-    try:
-        return load_arm(name)
-    except ConfigError:  # such as an adapter that is only given with `rtarm up`
-        return load_arm(name, overrides={"bus": {"channel": "simulated"}})

@@ -15,7 +15,7 @@ from scipy.spatial.distance import cdist
 from rtarm.errors import Refusal
 from rtarm.teach.making import LEAD_S, Taught, make
 from rtarm.teach.motion import Limits, Motion, curve, extremes, peaks
-from rtarm.teach.play import motion_goal, slow_move
+from rtarm.teach.play import motion_goal
 
 TOLERANCE_RAD = math.radians(0.5)
 LIMITS = limits()
@@ -213,15 +213,3 @@ def test_the_largest_factor_is_the_one_at_which_a_limit_is_reached() -> None:
     assert_inside_limits(played(made.motion, fastest)[1], LIMITS)
     with pytest.raises(AssertionError):
         assert_inside_limits(played(made.motion, fastest * 1.02)[1], LIMITS)
-
-
-@settings(deadline=None)
-@given(st.lists(st.floats(0.0, 1.0), min_size=12, max_size=12))
-def test_the_move_to_the_beginning_is_slow_and_ends_there(shares: list[float]) -> None:
-    room = LIMITS.upper_rad - LIMITS.lower_rad
-    start_rad, target_rad = (LIMITS.lower_rad + room * np.array(part) for part in (shares[:6], shares[6:]))
-    times_s, positions, velocities, accelerations = slow_move(start_rad, target_rad, LIMITS)
-    assert positions[0] == pytest.approx(start_rad) and positions[-1] == pytest.approx(target_rad)
-    assert (np.diff(times_s) > 0.0).all()
-    assert (np.abs(velocities) <= 0.25 * LIMITS.velocity_rad_s * (1 + 1e-9)).all()
-    assert (np.abs(accelerations) <= 0.25 * LIMITS.acceleration_rad_s2 * (1 + 1e-9)).all()

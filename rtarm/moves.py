@@ -1,0 +1,134 @@
+"""Motions of a running arm through its ordinary action: slowly to where one begins, then along it.
+
+Nothing here sees what is in the arm's way, so a person is asked before. Ctrl-C cancels the goal, and the arm stands
+before the command ends.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from rosfront.moves import Profile
+from rtarm.calibrate.person import Person, Quit, agrees
+from rtarm.errors import ExitCode, Refusal
+from rtarm.interrupt import Interrupted, undisturbed
+from rtarm.requests import STOP_PATIENCE_S, Connection, stands
+from rtarm.sending import Sender, goal_document
+from shm.words import Mode
+
+SLOW = 0.25
+"""Share of the limits that the way to the beginning uses."""
+THERE_RAD = math.radians(0.5)
+"""No joint farther than this from the beginning: nobody needs to be asked for the way, nor told of it."""
+ROUNDING_RAD = 1e-6
+"""Not even the action sees a way as short as this."""
+KNOT_SHARE = 0.02
+"""Of the way between two points of the way to the beginning."""
+PATIENCE_S = 86_400.0
+"""A person may pause a goal, and slow it down, for as long as he likes."""
+
+
+def refuse_unsound(connection: Connection) -> None:
+    """Raise Refusal where a fault is latched or a joint's angle is not known."""
+    snapshot = connection.snapshot()
+    if sentence := connection.fault(snapshot):
+        raise Refusal(f"A fault is latched, clear it first: {sentence}")
+    if lost := connection.lost(snapshot):
+        raise Refusal(" ".join(lost.values()))
+
+
+def refuse_unless_holding(connection: Connection) -> None:
+    """The same, and where the arm does not just stand and hold."""
+    refuse_unsound(connection)
+    if int(connection.snapshot()["mode"]) != Mode.HOLDING:
+        raise Refusal(f"Arm {connection.arm} does not stand and hold just now: see `rtarm status`, then try again.")
+
+
+def is_near(connection: Connection, target_rad: np.ndarray) -> bool:
+    """Whether no joint is commanded to stand farther than `THERE_RAD` from a target (joints,)."""
+    return bool((np.abs(target_rad - _stands_at_rad(connection)) <= THERE_RAD).all())
+
+
+def way_words(connection: Connection, target_rad: np.ndarray) -> str:
+    """From where to where each joint goes that goes anywhere."""
+    return ", ".join(
+        f"{joint} {math.degrees(start):.1f}° → {math.degrees(target):.1f}°"
+        for joint, start, target in zip(connection.joints, _stands_at_rad(connection), target_rad, strict=True)
+        if abs(target - start) > THERE_RAD / 10.0
+    )
+
+
+def require_yes(person: Person, question: str) -> None:
+    """Let a person agree, who sees what stands in the arm's way; raises Refusal where nobody does."""
+    try:
+        agreed = agrees(person, question)
+    except Quit as ended:
+        raise Refusal(f"Nothing was done ({ended}): say y, or give --yes in a script.") from None
+    if not agreed:
+        raise Refusal("Nothing was done; the arm stands where it stood.")
+
+
+def go_slowly(connection: Connection, sender: Sender, target_rad: np.ndarray, person: Person) -> None:
+    """Go where a motion begins (joints,), in a straight line of the joints, and tell the person where that is.
+
+    Raises:
+        Refusal: the arm did not get there.
+        Interrupted: a signal came; the arm stands.
+    """
+    start_rad = _stands_at_rad(connection)
+    if not np.any(np.abs(target_rad - start_rad) > ROUNDING_RAD):
+        return
+    rows = connection.limits()["joints"][: len(connection.joints)]
+    times_s, *way = slow_move(start_rad, target_rad, rows["max_velocity_rad_s"], rows["max_acceleration_rad_s2"])
+    if not is_near(connection, target_rad):
+        person.tell(f"To where it begins, {times_s[-1]:.1f} s: {way_words(connection, target_rad)}.")
+    run(connection, sender, goal_document(connection.joints, times_s, *way))
+
+
+def slow_move(
+    start_rad: np.ndarray, target_rad: np.ndarray, velocity_rad_s: np.ndarray, acceleration_rad_s2: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """All joints together from rest to rest with `SLOW` of these limits, (joints,) each.
+
+    Returns times (n,), positions, velocities and accelerations (n, joints).
+    """
+    way_rad = target_rad - start_rad
+    length_rad = np.maximum(np.abs(way_rad), ROUNDING_RAD)
+    profile = Profile.fastest(
+        float((SLOW * velocity_rad_s / length_rad).min()), float((SLOW * acceleration_rad_s2 / length_rad).min())
+    )
+    times_s = profile.times_s(KNOT_SHARE)
+    share, rate, bend = (values[:, np.newaxis] for values in profile.at(times_s))
+    return times_s, start_rad + share * way_rad, rate * way_rad, bend * way_rad
+
+
+def run(connection: Connection, sender: Sender, goal: dict[str, Any]) -> str:
+    """Send a goal and wait for its end: the sentence of its success. A signal cancels it, and the arm stands then.
+
+    Raises:
+        Refusal: it did not succeed.
+        Interrupted: a signal came.
+    """
+    try:
+        outcome = sender.wait(sender.send(goal), PATIENCE_S)
+    except Interrupted:
+        with undisturbed():
+            sender.cancel()
+            connection.wait(
+                stands,
+                STOP_PATIENCE_S,
+                f"Arm {connection.arm} still moves {STOP_PATIENCE_S:g} s after its goal was cancelled: use the "
+                "emergency stop, then look at `rtarm status`.",
+            )
+        raise
+    if not outcome.succeeded:
+        raise Refusal(outcome.sentence, ExitCode.GOAL_FAILED)
+    return outcome.sentence
+
+
+def _stands_at_rad(connection: Connection) -> np.ndarray:
+    """Where the joints are commanded to stand (joints,)."""
+    return np.array(connection.snapshot()["joints"][: len(connection.joints)]["commanded_position_rad"])
