@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from terminal import CTRL_C
+from at_terminal import CTRL_C
 
 from rtarm.errors import ExitCode
 

@@ -22,10 +22,10 @@ from typing import Any
 import pytest
 import typer
 import yaml
+from at_terminal import CTRL_C, Terminal
 from pages import ROOT
 from shown import Shown, named_commands, shown_commands, shown_file
 from stages import ADAPTER, ARM, FILES, NOT_RUN, PATIENT, RUN, Run
-from terminal import CTRL_C, Terminal
 
 from config.loader import ARMS_FOLDER
 from rtarm.cli import app
@@ -226,7 +226,7 @@ class Stage:
         with contextlib.closing(self.start(self.typed(text))) as terminal:
             for awaited, keys in how.talk:
                 terminal.read_until(awaited, PATIENCE_S)
-                terminal.type(keys)
+                terminal.press(keys)
             code = terminal.code(PATIENCE_S)
         if how.arm:
             self.write_arm("my_arm.yaml", "episode1", self.arm)
@@ -247,7 +247,7 @@ def beside(stage: Stage, words: list[str], ready: str) -> Iterator[None]:
     with contextlib.closing(stage.start(words)) as terminal:
         terminal.read_until(ready, PATIENCE_S)
         yield
-        terminal.type(CTRL_C)
+        terminal.press(CTRL_C)
         terminal.code(PATIENCE_S)
 
 

@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
-from at_terminal import Terminal
+from at_terminal import rtarm_at_terminal
 from scipy.spatial.distance import cdist
 from stack import PATIENCE_S, Process, Stack
 
@@ -154,7 +154,7 @@ def test_a_loop_goes_round_until_ctrl_c_and_the_arm_stands_then(led: Stack, tmp_
 
 
 def test_a_person_is_asked_ends_with_enter_and_is_told(led: Stack, tmp_path: Path) -> None:
-    at = Terminal("teach", "wave", "--arm", led.name)
+    at = rtarm_at_terminal("teach", "wave", "--arm", led.name)
     try:
         at.read_until("hold it. Let it go? [y/N, q ends]")
         at.type("n")
@@ -163,7 +163,7 @@ def test_a_person_is_asked_ends_with_enter_and_is_told(led: Stack, tmp_path: Pat
     finally:
         at.close()
     assert mode(led) == Mode.HOLDING
-    at = Terminal("teach", "wave", "--arm", led.name)
+    at = rtarm_at_terminal("teach", "wave", "--arm", led.name)
     try:
         at.read_until("Let it go?")
         os.kill(at.process.pid, signal.SIGINT)
@@ -172,7 +172,7 @@ def test_a_person_is_asked_ends_with_enter_and_is_told(led: Stack, tmp_path: Pat
     finally:
         at.close()
     assert mode(led) == Mode.HOLDING
-    at = Terminal("teach", "wave", "--arm", led.name)
+    at = rtarm_at_terminal("teach", "wave", "--arm", led.name)
     try:
         at.read_until("Let it go?")
         at.type("y")
@@ -189,7 +189,7 @@ def test_a_person_is_asked_ends_with_enter_and_is_told(led: Stack, tmp_path: Pat
 
 
 def test_a_terminal_that_goes_away_ends_the_recording_and_the_arm_holds(led: Stack, tmp_path: Path) -> None:
-    at = Terminal("teach", "wave", "--arm", led.name, "--yes")
+    at = rtarm_at_terminal("teach", "wave", "--arm", led.name, "--yes")
     try:
         wait_until_led(led)
         at.hang_up()

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from at_terminal import PATIENCE_S, Terminal
+from at_terminal import CTRL_C, PATIENCE_S, Terminal, rtarm_at_terminal
 from stack import ROOT, Stack
 
 from config.loader import load_arm
@@ -57,7 +57,7 @@ def wait_until(condition: Callable[[], bool]) -> None:
 @pytest.mark.process
 def test_a_session_from_direction_to_file(truth: Stack, mine: Path) -> None:
     before = mine.read_text(encoding="utf-8")
-    at = Terminal("calibrate", str(mine), "--joint", "joint6")
+    at = rtarm_at_terminal("calibrate", str(mine), "--joint", "joint6")
     try:
         at.read_until("The file says: direction 1, ratio 1, zero_deg 30.")
         at.read_until("turns by +7.5° at 1 rpm")
@@ -124,7 +124,7 @@ def test_a_session_from_direction_to_file(truth: Stack, mine: Path) -> None:
 
 def interrupt(at: Terminal, how: str) -> None:
     if how == "Ctrl-C":
-        os.write(at.master, b"\x03")
+        at.press(CTRL_C)
     elif how == "terminal gone":
         at.hang_up()
     else:
@@ -135,7 +135,7 @@ def interrupt(at: Terminal, how: str) -> None:
 @pytest.mark.parametrize("how", ["Ctrl-C", "terminal gone", "kill -9"])
 def test_whatever_ends_it_in_the_middle_of_a_move_stops_the_move(truth: Stack, mine: Path, how: str) -> None:
     before = mine.read_bytes()
-    at = Terminal("calibrate", str(mine), "--joint", "joint5")
+    at = rtarm_at_terminal("calibrate", str(mine), "--joint", "joint5")
     try:
         at.read_until("Turn it?")
         at.type("")
@@ -168,7 +168,7 @@ def test_whatever_ends_it_in_the_middle_of_a_move_stops_the_move(truth: Stack, m
 @pytest.mark.process
 def test_an_adapter_that_goes_away_in_the_middle_of_a_move(truth: Stack, mine: Path) -> None:
     before = mine.read_bytes()
-    at = Terminal("calibrate", str(mine), "--joint", "joint6")
+    at = rtarm_at_terminal("calibrate", str(mine), "--joint", "joint6")
     try:
         at.read_until("Turn it?")
         at.type("y")
@@ -187,7 +187,7 @@ def test_an_adapter_that_goes_away_in_the_middle_of_a_move(truth: Stack, mine: P
 
 @pytest.mark.process
 def test_a_joint_that_is_limp_when_it_ends_is_held_again(truth: Stack, mine: Path) -> None:
-    at = Terminal("calibrate", str(mine), "--joint", "joint2")
+    at = rtarm_at_terminal("calibrate", str(mine), "--joint", "joint2")
     try:
         at.read_until("Turn it?")
         at.type("")
@@ -242,7 +242,7 @@ def test_only_a_terminal_is_asked_and_only_sound_drives_are_turned(truth: Stack,
 
 @pytest.mark.process
 def test_what_is_typed_before_a_question_is_no_answer_to_it(truth: Stack, mine: Path) -> None:
-    at = Terminal("calibrate", str(mine), "--joint", "joint6")
+    at = rtarm_at_terminal("calibrate", str(mine), "--joint", "joint6")
     try:
         at.read_until("Turn it?")
         at.type("y\nn\ny\ny")  # a person in a hurry, while the motor turns
@@ -261,7 +261,7 @@ def test_a_drive_that_stalls_ends_it_with_its_sentence(truth: Stack, mine: Path)
     before = mine.read_bytes()
     truth.sim.say("stall:joint=joint6,at_s=0")
     truth.sim.line_with("fault stall")
-    at = Terminal("calibrate", str(mine), "--joint", "joint6")
+    at = rtarm_at_terminal("calibrate", str(mine), "--joint", "joint6")
     try:
         at.read_until("Turn it?")
         at.type("y")
