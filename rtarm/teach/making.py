@@ -54,12 +54,12 @@ class Taught:
 
 
 def make(arm: str, limits: Limits, taught: str, readings: Sequence[Readings], tolerance_rad: float) -> Taught:
-    """A motion along what was read of each joint, in the order of `limits`.
+    """A motion along what was read of each joint, in the order of `limits`; of none where nothing was read at all.
 
     Raises:
         Refusal: there is too little of it, nothing moved, or it cannot be timed.
     """
-    if any(len(joint.times_s) < FEWEST_READINGS for joint in readings):
+    if not readings or any(len(joint.times_s) < FEWEST_READINGS for joint in readings):
         raise Refusal("Too little was recorded for a motion: lead the arm for longer. Nothing was saved.")
     inner = [
         Readings(joint.times_s, np.clip(joint.positions_rad, lower + tolerance_rad, upper - tolerance_rad))

@@ -84,16 +84,19 @@ def teach(arm: str, wish: Wish, person: Person) -> None:
     limits = limits_of(files.joint_names(reader.memory.record["header"]), np.array(reader.memory.record["limits"]))
     problem = ""
     try:
-        with signals_raise():
-            _let_go(arm, wish, person)
-            taught = datetime.now(UTC).isoformat(timespec="seconds")
-            recorded = FreeMotion(reader.memory)
+        with undisturbed():  # while the arm is limp, a signal ends the recording and nothing else
+            with signals_raise():
+                is_free = _is_free_or_agreed(arm, wish, person)
+            if not is_free:
+                let_go(arm, Request.FREE)
             try:
-                with suppress(Interrupted):
+                taught = datetime.now(UTC).isoformat(timespec="seconds")
+                recorded = FreeMotion(reader.memory)
+                with suppress(Interrupted), signals_raise():
                     _record(reader.memory, recorded, limits, wish.seconds, tell)
             finally:
-                with undisturbed():
-                    problem = _hold(arm, tell)
+                problem = _hold(arm, tell)
+        with signals_raise():
             tell("Smoothing and timing it …")
             made = _made(arm, limits, taught, recorded, wish, problem)
             save(made.motion, path, force=wish.force)
@@ -107,13 +110,13 @@ def teach(arm: str, wish: Wish, person: Person) -> None:
         raise Refusal(f"{problem} What was recorded until then is kept.")
 
 
-def _let_go(arm: str, wish: Wish, person: Person) -> None:
-    """Let the drives go limp, once somebody holds the arm; one that is free already stays so."""
+def _is_free_or_agreed(arm: str, wish: Wish, person: Person) -> bool:
+    """Whether the arm is limp already; if not, somebody has agreed that he holds it. Raises Refusal otherwise."""
     with connect(arm) as connection:
         refuse_unsound(connection)
         is_free = int(connection.snapshot()["mode"]) == Mode.FREE
     if is_free:
-        return
+        return True
     question = f"The drives of {arm} go limp now and the arm falls where gravity pulls it: hold it. Let it go?"
     try:
         if not wish.yes and not agrees(person, question):
@@ -122,8 +125,7 @@ def _let_go(arm: str, wish: Wish, person: Person) -> None:
         raise Refusal(f"Nothing was done ({ended}): hold the arm and say y, or give --yes in a script.") from None
     except Interrupted as signalled:
         raise Refusal(f"Nothing was done ({signalled}); the arm is as it was.") from None
-    with undisturbed():
-        let_go(arm, Request.FREE)
+    return False
 
 
 def _record(memory: MemoryFile, recorded: FreeMotion, limits: Limits, seconds: float | None, tell: Tell) -> None:
