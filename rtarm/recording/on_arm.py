@@ -60,7 +60,8 @@ def path_of(recording: Recording) -> Path:
     """
     records = recording.records
     led = np.isin(records["mode"], LED) & (records["fault"] == Fault.NONE) & (records["slowed"] & Slowed.OWN_BRAKE == 0)
-    led &= np.isfinite(records["joints"]["commanded_position_rad"]).all(axis=1)
+    for word in ("commanded_position_rad", "commanded_velocity_rad_s", "commanded_acceleration_rad_s2"):
+        led &= np.isfinite(records["joints"][word]).all(axis=1)
     moving = np.any(records["joints"]["commanded_velocity_rad_s"] != 0.0, axis=1)
     breaks = np.flatnonzero((np.diff(records["number"]) != 1) | (led[1:] != led[:-1])) + 1
     for start, end in zip((0, *breaks), (*breaks, len(records)), strict=True):

@@ -97,6 +97,17 @@ def test_a_gap_is_not_jumped_over(done: Recording) -> None:
         on_arm.path_of(Recording(**{**vars(done), "records": records}))
 
 
+@pytest.mark.parametrize(
+    "word", ["commanded_position_rad", "commanded_velocity_rad_s", "commanded_acceleration_rad_s2"]
+)
+def test_numbers_that_are_none_are_no_motion(done: Recording, word: str) -> None:
+    records = done.records.copy()
+    moving = np.flatnonzero(np.any(records["joints"]["commanded_velocity_rad_s"] != 0, axis=1))
+    records["joints"][word][moving[len(moving) // 2], 1] = np.nan
+    with pytest.raises(Refusal, match="never moves from rest to rest"):
+        on_arm.path_of(Recording(**{**vars(done), "records": records}))
+
+
 def test_limp_joints_were_not_led(done: Recording) -> None:
     records = done.records.copy()
     records["mode"] = Mode.FREE
