@@ -34,12 +34,16 @@ Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False, strict=Tru
 Positive = Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False, strict=True)]
 
 
+LEGIBLE = r"^[^\x00-\x1f\x7f-\x9f]+$"
+"""A text without what a terminal would obey."""
+
+
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
 class _Joint(_Strict):
-    name: Annotated[str, Field(min_length=1, max_length=63)]
+    name: Annotated[str, Field(max_length=63, pattern=LEGIBLE)]
     lower_deg: Number
     upper_deg: Number
     velocity_deg_s: Positive
@@ -48,8 +52,8 @@ class _Joint(_Strict):
 
 class _Document(_Strict):
     format: Annotated[int, Field(ge=FORMAT, le=FORMAT, strict=True)]
-    arm: Annotated[str, Field(min_length=1, max_length=64)]
-    taught: Annotated[str, Field(max_length=64)]
+    arm: Annotated[str, Field(max_length=64, pattern=LEGIBLE)]
+    taught: Annotated[str, Field(max_length=64, pattern=LEGIBLE)]
     tolerance_deg: Positive
     deviation_deg: Annotated[Number, Field(ge=0.0)]
     joints: Annotated[list[_Joint], Field(min_length=1, max_length=64)]
@@ -236,7 +240,7 @@ def _document(path: Path, values: Any) -> _Document:
 
 def _first(error: ValidationError) -> str:
     problem = error.errors(include_url=False, include_input=False)[0]
-    place = ".".join(str(part) for part in problem["loc"])
+    place = ".".join(part if isinstance(part, str) and part.isidentifier() else repr(part) for part in problem["loc"])
     return f"{place}: {problem['msg'][:1].lower()}{problem['msg'][1:]}"
 
 

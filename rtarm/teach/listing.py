@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rich.table import Table
+from rich.text import Text
 
 from rtarm.errors import Refusal
 from rtarm.teach.file import folder, kept, load
@@ -39,13 +40,14 @@ def table(rows: list[dict[str, Any]]) -> Table | str:
     drawn = Table("motion", "arm", "joints", "lasts", "taught", title=f"Motions in {folder()}")
     for row in rows:
         if "problem" in row:
-            drawn.add_row(row["name"], "", row["problem"], "", "")
+            cells = row["name"], "", row["problem"], "", ""
         else:
-            drawn.add_row(
+            cells = (
                 row["name"],
                 row["arm"],
                 ", ".join(row["joints"]),
                 f"{row['duration_s']:.1f} s",
                 row["taught"][:16].replace("T", " "),
             )
+        drawn.add_row(*map(Text, cells))  # what a file says is no markup
     return drawn

@@ -223,6 +223,18 @@ def test_the_kept_motions_are_listed_and_a_broken_one_says_why(rtarm: Callable[.
     assert "2026-11-22 12:00" in shown and "1.5 s" in shown
 
 
+def test_what_a_file_says_is_neither_markup_nor_obeyed_by_a_terminal(rtarm: Callable[..., Result]) -> None:
+    require_free(motion_path("wave"), force=False)
+    motion_path("markup").write_text(yaml.safe_dump(written(arm="[/x]")))
+    motion_path("word").write_text(yaml.safe_dump({"[/y]\x1b[31m": 3}))
+    for number, key in enumerate(("arm", "taught")):
+        motion_path(f"red{number}").write_text(yaml.safe_dump(written(**{key: "\x1b[31mred"})))
+    shown = rtarm("motions")
+    assert shown.exit_code == 0 and "[/x]" in shown.stdout and "\x1b" not in shown.stdout
+    rows = json.loads(rtarm("motions", "--json").stdout)["motions"]
+    assert ["problem" in row for row in rows] == [False, True, True, True]
+
+
 def test_a_motion_that_is_not_there_is_refused_with_those_that_are(rtarm: Callable[..., Result], arm: object) -> None:
     require_free(motion_path("wave"), force=False)
     save(motion(), motion_path("wave"), force=False)
