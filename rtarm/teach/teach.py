@@ -20,7 +20,7 @@ from rtarm.calibrate.person import Person, Quit, agrees
 from rtarm.errors import Refusal
 from rtarm.interrupt import Interrupted, signals_raise, undisturbed
 from rtarm.moves import refuse_unsound
-from rtarm.requests import connect, enable, let_go
+from rtarm.requests import connect, enable, let_go, stands
 from rtarm.teach.file import motion_path, require_free, save
 from rtarm.teach.making import Taught, make
 from rtarm.teach.motion import Limits
@@ -114,9 +114,11 @@ def _is_free_or_agreed(arm: str, wish: Wish, person: Person) -> bool:
     """Whether the arm is limp already; if not, somebody has agreed that he holds it. Raises Refusal otherwise."""
     with connect(arm) as connection:
         refuse_unsound(connection)
-        is_free = int(connection.snapshot()["mode"]) == Mode.FREE
-    if is_free:
+        snapshot = connection.snapshot()
+    if int(snapshot["mode"]) == Mode.FREE:
         return True
+    if not stands(snapshot):
+        raise Refusal(f"Arm {arm} moves, or its goal is paused: end that with `rtarm stop`, then try again.")
     question = f"The drives of {arm} go limp now and the arm falls where gravity pulls it: hold it. Let it go?"
     try:
         if not wish.yes and not agrees(person, question):

@@ -1,4 +1,4 @@
-"""Whatever a signal interrupts, an arm that was let go is held again."""
+"""When an arm is let go, and that it is held again whatever a signal interrupts."""
 
 from __future__ import annotations
 
@@ -49,3 +49,13 @@ def test_a_signal_before_the_first_reading_leaves_no_limp_arm(
     with arm.answering(obey), pytest.raises(Refusal, match="Too little was recorded"):
         teach(arm.name, wish, Listener())
     assert arm.snapshot["mode"] == Mode.HOLDING
+
+
+@pytest.mark.parametrize("words", [{"mode": Mode.EXECUTING, "goal_id": 4}, {"goal_id": 4}])
+def test_nobody_is_asked_to_hold_an_arm_that_moves(arm: WrittenArm, tmp_path: Path, words: dict[str, int]) -> None:
+    for word, value in words.items():
+        arm.snapshot[word] = value
+    arm.publish()
+    wish = Wish(str(tmp_path / "wave.yaml"), tolerance_deg=0.5, seconds=0.1, yes=False, force=False)
+    with pytest.raises(Refusal, match="moves, or its goal is paused"):
+        teach(arm.name, wish, Listener())
