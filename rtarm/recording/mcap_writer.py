@@ -12,7 +12,7 @@ import struct
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import IO, Any
 
@@ -57,6 +57,8 @@ ASIDE_PREFIX, ASIDE_SUFFIX = ".rtarm-", ".new"
 
 _LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
 """Levels of foxglove.Log."""
+DIFFERENT = 1024
+"""Sets of bits whose words are remembered: they hardly ever change from cycle to cycle."""
 _encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
@@ -325,16 +327,27 @@ def _batch(recording: Recording, records: np.ndarray) -> Iterator[_Message]:
     rows = [_columns(joints[:, index], JOINT_WORDS) for index in range(len(recording.joints))]
     for number, state in enumerate(_columns(records, CYCLE_WORDS)):
         at = state["monotonic_ns"], max(state["epoch_ns"], 0)
-        bits = state["slowed"]
-        state["slowed"] = [reason.name.lower() for reason in Slowed if reason.name and bits & reason]
+        state["slowed"] = _reasons(state["slowed"])
         yield *at, STATE, state
         for index, name in enumerate(recording.joints):
             joint = next(rows[index])
             joint["number"] = state["number"]
             joint["error_rad"] = _plain(errors[number][index])
             joint["age_s"] = _plain(float(ages[number, index]))
-            joint["drive_says"] = words_of(joint["drive_status"])
+            joint["drive_says"] = _said(joint["drive_status"])
             yield *at, JOINTS + name, joint
+
+
+@lru_cache(DIFFERENT)
+def _reasons(slowed: int) -> list[str]:
+    """Why the arm was slower than asked, by name."""
+    return [reason.name.lower() for reason in Slowed if reason.name and slowed & reason]
+
+
+@lru_cache(DIFFERENT)
+def _said(drive_status: int) -> list[str]:
+    """What a drive reported of itself, by name."""
+    return words_of(drive_status)
 
 
 def _to_epoch(recording: Recording, monotonic_ns: np.ndarray) -> list[int]:
