@@ -1,0 +1,67 @@
+"""A recording played back in the page, in a real browser."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, DRIVER, Browser
+from stack import Process
+from virtual import VirtualArm, recorded_goal
+
+from rtarm.recording import mcap_writer
+from rtarm.recording.mcap_format import Reason
+from rtarm.recording.mcap_reader import read
+from shm.recording import read_recording
+from shm.words import Mode, Outcome
+
+pytestmark = [
+    pytest.mark.process,
+    pytest.mark.skipif(CHROMIUM is None or DRIVER is None, reason="needs Debian's chromium and chromium-driver"),
+]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A goal of episode1 from its beginning to its end, without what was before: the page plays it very slowly."""
+    arm = VirtualArm("episode1", start_rad=recorded_goal("large")["joints"][0, :, 0])
+    assert arm.bring_up().failure is None
+    arm.play("large")
+    arm.until(lambda: arm.outcome(1) != Outcome.NONE)
+    path = tmp_path_factory.mktemp("page") / "done.mcap"
+    whole = read_recording(arm.state)
+    records = whole.records[np.argmax(whole.records["mode"] == Mode.EXECUTING) :]
+    mcap_writer.write(replace(whole, records=records), Reason("asked", "Asked for by a person."), path)
+    arm.close()
+    return path
+
+
+@pytest.fixture
+def page(recorded: Path) -> Iterator[str]:
+    """The address of the page that plays it."""
+    replay = Process("rtarm", "replay", str(recorded), "--view", "--speed", "0.02")
+    yield re.search(r"http://\S+", replay.line_with("plays the recording of episode1")).group()
+    replay.close()
+
+
+def test_a_recording_plays_in_the_browser_and_nothing_there_moves_an_arm(page: str, recorded: Path) -> None:
+    positions_deg = np.degrees(read(recorded).recording.records["joints"]["measured_position_rad"][:, 0])
+    shown_deg: set[float] = set()
+    browser = Browser()
+    try:
+        browser.open(page)
+        browser.until(lambda: browser.text("#rt-mode") == "executing")
+
+        def goes_on() -> bool:
+            shown_deg.add(float(browser.text("[data-measured=joint1]")))
+            return len(shown_deg) > 5
+
+        browser.until(goes_on)
+        assert positions_deg.min() - 0.006 <= min(shown_deg) and max(shown_deg) <= positions_deg.max() + 0.006
+        assert not {"Go there", "Hold", "Stop"} & set(browser.buttons())
+    finally:
+        browser.close()
