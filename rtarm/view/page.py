@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -171,8 +170,8 @@ class Controls:
     ) -> None:
         self._server, self._arm, self._orders, self._words, self._scene = server, arm, orders, words, scene
         self._lock = threading.RLock()
-        self._under_way: set[str] = set()
-        self._answers: deque[tuple[str, bool]] = deque(maxlen=ANSWERS)
+        self._under_way: dict[str, object] = {}
+        self._answers: dict[object, tuple[str, bool]] = {}
         self._stands_rad = np.zeros(len(arm.joints))
         self._wished_rad: np.ndarray | None = None
         self._speed_wish: float | None = None
@@ -192,7 +191,7 @@ class Controls:
 
     def _button(self, label: str, hint: str, order: Callable[[], str], colour: Any) -> viser.GuiButtonHandle:
         button = self._server.gui.add_button(label, hint=hint, color=colour)
-        button.on_click(lambda _: self._give(label, order))
+        button.on_click(lambda _: self._give(label, lambda _: order()))
         return button
 
     def add_sliders(self) -> None:
@@ -233,7 +232,6 @@ class Controls:
         with self._lock:
             _show(self._clear, report is not None and report["fault"] is not None)
             _show(self._enable, report is not None and report["fault"] is None and report["mode"] in LIMP)
-            _set(self._answer, answer_html(self._answers))
             self._offer_go()
 
     def _offer_go(self) -> None:
@@ -257,26 +255,36 @@ class Controls:
 
     # --- what people do ------------------------------------------------------------------------------------
 
-    def _give(self, what: str, order: Callable[[], str]) -> None:
-        """Give an order and show its answer."""
+    def _give(self, what: str, order: Callable[[object], str]) -> None:
+        """Give an order and show its answer, which takes the place of what is said while it is under way."""
+        given = object()
         with self._lock:
             if what in self._under_way:
                 return
-            self._under_way.add(what)
-            self._answered(self._words.under_way.format(what=what), True)
+            self._under_way[what] = given
+            self._answered(given, self._words.under_way.format(what=what), True)
+        sentence, done = self._words.broken.format(what=what), False
         try:
-            sentence, done = order(), True
+            sentence, done = order(given), True
         except (Refusal, SharedMemoryError) as refused:
             sentence, done = str(refused), False
         finally:
-            with self._lock:
-                self._under_way.discard(what)
-        self._answered(sentence, done)
+            self._over(what, given)
+            self._answered(given, sentence, done)
 
-    def _answered(self, sentence: str, done: bool) -> None:
+    def _over(self, what: str, given: object) -> None:
+        """From here on the same may be ordered again; whatever is under way then is left alone."""
         with self._lock:
-            self._answers.appendleft((sentence, done))
-            _set(self._answer, answer_html(self._answers))
+            if self._under_way.get(what) is given:
+                del self._under_way[what]
+
+    def _answered(self, given: object, sentence: str, done: bool) -> None:
+        with self._lock:
+            self._answers.pop(given, None)
+            self._answers[given] = sentence, done
+            for old in list(self._answers)[:-ANSWERS]:
+                del self._answers[old]
+            _set(self._answer, answer_html([*reversed(self._answers.values())]))
 
     def _ask_to_enable(self, event: viser.GuiEvent[Any]) -> None:
         """The one order that is asked about: a limp arm is one that somebody may have their hands on."""
@@ -290,7 +298,7 @@ class Controls:
 
         def enable(_: Any) -> None:
             question.close()
-            self._give(words.enable_yes, self._orders.enable)
+            self._give(words.enable_yes, lambda _: self._orders.enable())
 
         yes.on_click(enable)
         no.on_click(lambda _: question.close())
@@ -304,14 +312,14 @@ class Controls:
             self._speed_wish = percent
         self._give(self._words.speed, self._set_speed)
 
-    def _set_speed(self) -> str:
+    def _set_speed(self, given: object) -> str:
         """Ask for the newest speed until no newer one was chosen meanwhile."""
         sentence = ""
         while True:
             with self._lock:
                 percent, self._speed_wish = self._speed_wish, None
                 if percent is None:
-                    self._under_way.discard(self._words.speed)
+                    self._over(self._words.speed, given)  # a speed that is chosen from here on is a new order
                     return sentence
             sentence = self._orders.speed(percent / 100.0)
 
@@ -338,7 +346,7 @@ class Controls:
                 self._scene.wished.show(False)
             self._offer_go()
 
-    def _go_there(self) -> str:
+    def _go_there(self, given: object) -> str:
         with self._lock:
             wished_rad = self._wished_rad
         if wished_rad is None:
@@ -346,9 +354,8 @@ class Controls:
 
         def on_the_way(sentence: str) -> None:
             self._forget()
-            with self._lock:  # whoever presses again from here on is told that a goal runs
-                self._under_way.discard(self._words.go_nowhere)
-            self._answered(sentence, True)
+            self._over(self._words.go_nowhere, given)  # whoever presses again from here on is told that a goal runs
+            self._answered(given, sentence, True)
 
         return self._orders.go(wished_rad.copy(), on_the_way)
 

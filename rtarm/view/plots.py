@@ -19,7 +19,7 @@ IS, OUGHT = "#3e4c59", "#2878dc"
 ANGLES_DEG, ERRORS_DEG, LATENESS_US = (-1.0, 1.0), (-0.05, 0.05), (0.0, 200.0)
 """What each plot shows at the least, so that noise about nothing looks like nothing."""
 _SPAN_S = COLUMNS * COLUMN_NS * 1e-9
-_PADDING = (6, 12, 0, 0)
+_PADDING = (6, 12, 0, 8)
 
 
 class Plots:

@@ -21,12 +21,19 @@ if TYPE_CHECKING:
 MOST_NICE = 19
 
 
+def give_way() -> None:
+    """Let a control process that was given no real-time priority go before all threads there are, and those to come."""
+    for thread in os.listdir("/proc/self/task"):
+        with suppress(ProcessLookupError):  # it has ended just now
+            os.setpriority(os.PRIO_PROCESS, int(thread), MOST_NICE)
+
+
 def serve(server: viser.ViserServer, arm: ArmConfig, source: Source, orders: Orders | None, words: Words) -> None:
     """Keep the page up to the source until SIGINT, SIGTERM or SIGHUP; then close everything.
 
     A goal that was sent from the page and still runs is cancelled: the arm stops on its path.
     """
-    os.nice(MOST_NICE)  # a control process that was given no real-time priority goes first
+    give_way()
     ended = threading.Event()
     before = {number: signal.signal(number, lambda *_: ended.set()) for number in STOP_SIGNALS}
     try:

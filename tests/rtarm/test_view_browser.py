@@ -121,6 +121,11 @@ def line(picture: np.ndarray) -> int:
     return int(np.count_nonzero(picture[..., 2] - picture[..., 0] > 130))
 
 
+def test_every_thread_of_the_page_gives_way(arm: ViewedArm, browser: Browser) -> None:
+    threads = [int(thread) for thread in os.listdir(f"/proc/{arm.view.process.pid}/task")]
+    assert len(threads) > 2 and {os.getpriority(os.PRIO_PROCESS, thread) for thread in threads} == {19}
+
+
 def test_the_page_shows_the_arm_as_it_is_and_asks_nobody_else(arm: ViewedArm, browser: Browser) -> None:
     browser.until(lambda: browser.text("#rt-mode") == "holding")
     for joint in arm.status()["joints"]:
@@ -227,6 +232,8 @@ def test_a_limp_arm_refuses_goals_and_is_enabled_only_after_a_second_press(arm: 
 def test_the_speed_slider_slows_every_goal_and_follows_others(arm: ViewedArm, browser: Browser) -> None:
     browser.slide("Speed %", 40)
     browser.until(lambda: arm.speed_asked() == pytest.approx(0.4))
+    browser.until(lambda: "run at 40% of their speed" in browser.said("answer"))
+    assert "under way" not in browser.said("answer"), "the answer takes the place of what was said until it came"
     requests.speed(arm.name, 0.8)
     browser.until(lambda: browser.slider("Speed %") == 80)
 
