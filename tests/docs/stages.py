@@ -39,6 +39,8 @@ RUNS = (("running; Ctrl-C", CTRL_C),)
 PATIENT = {"limits": {"stale_brake_s": 1.0, "stale_fault_s": 3.0, "front_timeout_s": 10.0}}
 """Of the arm that runs: a machine that stalls is not what is tested here."""
 QUITS = (("q ends", "q\n"),)
+ENDS_RECORDING = (("nothing missing", ""), ("nothing missing", ""), ("nothing missing", CTRL_C))
+"""Once it has looked a few times."""
 TURNED_ON = {"bus": {"positions": "reported", "position_command": "FC"}, "control": {"rate_hz": 250.0}}
 
 RUN: dict[str, Run] = {
@@ -73,20 +75,17 @@ RUN: dict[str, Run] = {
     # an arm runs
     "rtarm status": Run(ARM, "lateness"),
     "rtarm top": Run(ARM, talk=(("lateness all along", "q"),)),
-    "rtarm view": Run(ARM, talk=(("http://127.0.0.1", CTRL_C),)),
     "rtarm top episode1": Run(ARM, talk=(("lateness all along", "q"),)),
-    "rtarm view episode1": Run(ARM, talk=(("http://127.0.0.1", CTRL_C),)),
     "rtarm record": Run(ARM, ".mcap"),
     "rtarm record episode1 -o strange_noise.mcap": Run(ARM, "strange_noise.mcap"),
-    "rtarm record -f": Run(ARM, ".mcap", talk=(("Ctrl-C", CTRL_C),)),
-    "rtarm record --for 60 -o test_run.mcap": Run(ARM, "test_run.mcap", talk=(("Ctrl-C", CTRL_C),)),
+    "rtarm record -f": Run(ARM, ".mcap", talk=ENDS_RECORDING),
+    "rtarm record --for 60 -o test_run.mcap": Run(ARM, "test_run.mcap", talk=ENDS_RECORDING),
     "rtarm plot": Run(ARM, ".png"),
     "rtarm plot test_run.mcap -o test_run.svg": Run(ARM, "test_run.svg"),
     "rtarm explain": Run(ARM, "at 120 Hz"),
     "rtarm explain FILE.mcap": Run(ARM, "at 120 Hz"),
     "rtarm replay": Run(ARM, talk=(("joint6", "q"),)),
     "rtarm replay FILE.mcap --speed 0.5": Run(ARM, talk=(("joint6", "q"),)),
-    "rtarm replay FILE.mcap --view": Run(ARM, talk=(("http://127.0.0.1", CTRL_C),)),
     "rtarm hold": Run(ARM, "holds already; no goal is running"),
     "rtarm resume": Run(ARM, "No such goal is running", (REFUSED,)),
     "rtarm stop": Run(ARM, "no goal was running"),
@@ -142,7 +141,9 @@ NOT_RUN: dict[str, str] = {
     "rtarm up episode1 --sim --hand wave": "tests/end_to_end/test_teach.py leads an arm so",
     "rtarm teach *": "needs a hand that leads the arm: tests/end_to_end/test_teach.py",
     "rtarm play *": "plays what was taught: tests/end_to_end/test_teach.py",
-    "rtarm replay * --on-arm*": "moves an arm along its own recording: tests/end_to_end",
+    "rtarm view*": "an arm of one's own needs its file there; in a browser: tests/rtarm/test_view_browser.py",
+    "rtarm replay FILE.mcap --view": "tests/rtarm/test_recording_on_page.py, in a browser",
+    "rtarm replay * --on-arm*": "tests/end_to_end/test_replay.py",
     "rtarm scan": "would open whatever is plugged into this machine",
     "rtarm scan --port /dev/ttyACM0": "the same as with /dev/ttyUSB0",
     "rtarm drives ./my_arm.yaml*": "the same file as my_arm.yaml",
