@@ -16,7 +16,7 @@ from rtarm.calibrate.person import Person, Quit, agrees
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, undisturbed
 from rtarm.requests import STOP_PATIENCE_S, Connection, stands
-from rtarm.sending import Sender, goal_document
+from rtarm.sending import Sender, follow, goal_document
 from shm.words import Mode
 
 SLOW = 0.25
@@ -27,8 +27,10 @@ ROUNDING_RAD = 1e-6
 """Not even the action sees a way as short as this."""
 KNOT_SHARE = 0.02
 """Of the way between two points of the way to the beginning."""
-PATIENCE_S = 86_400.0
-"""A person may pause a goal, and slow it down, for as long as he likes."""
+SILENT = (
+    "The arm has run no goal for {seconds:g} s, and the ROS process has not said what became of this one; it is "
+    "cancelled, and ends at once should it begin later: look at `rtarm status`."
+)
 
 
 def refuse_unsound(connection: Connection) -> None:
@@ -113,7 +115,8 @@ def run(connection: Connection, sender: Sender, goal: dict[str, Any]) -> str:
         Interrupted: a signal came.
     """
     try:
-        outcome = sender.wait(sender.send(goal), PATIENCE_S)
+        outcome = follow(connection, sender, sender.send(goal), SILENT)
+        assert outcome is not None
     except Interrupted:
         with undisturbed():
             sender.cancel()

@@ -10,10 +10,11 @@ import math
 import subprocess
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import IO, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -22,9 +23,15 @@ from rtarm.errors import Refusal
 from rtarm.launcher import action_name, check_ros
 from rtarm.processes import READY, ros_environment
 
+if TYPE_CHECKING:
+    from rtarm.requests import Connection
+
 START_PATIENCE_S = 60.0
 END_PATIENCE_S = 10.0
 LAST_LINES = 20
+SILENCE_S = 10.0
+"""So long may the arm run no goal before one that was sent begins, and after it ran until there is its result."""
+LOOK_S = 0.1
 
 
 class Outcome(NamedTuple):
@@ -97,17 +104,6 @@ class Sender:
         with suppress(Refusal), self._state:
             self._say({})
 
-    def wait(self, number: int, patience_s: float) -> Outcome:
-        """How a goal ended, each once.
-
-        Raises:
-            Refusal: it has not ended in time, or the process that sends is gone.
-        """
-        ended = self.ended(number, patience_s)
-        if ended is None:
-            raise Refusal(f"The goal has no result after {patience_s:.1f} s: look at `rtarm status`.")
-        return ended
-
     def ended(self, number: int, patience_s: float = 0.0) -> Outcome | None:
         """How a goal ended, each once; None if it has not within `patience_s`.
 
@@ -165,6 +161,30 @@ class Sender:
         if not self._ready and said:
             return Refusal(said)
         return Refusal(f"The process that sends goals has ended{f' ({said})' if said else ''}: try again.")
+
+
+def follow(connection: Connection, sender: Sender, number: int, silent: str, *, begun: bool = False) -> Outcome | None:
+    """How a goal of an arm ended; with `begun` None as soon as the arm runs it.
+
+    A ROS process that dies or hangs says nothing of its goals. When the arm has run none for `SILENCE_S`, the goal is
+    cancelled, so that it moves nothing should it come to run later.
+
+    Raises:
+        Refusal: that, with the sentence `silent`, in which {seconds} stands for `SILENCE_S`; or the sender is gone.
+        NotRunning: the control process ended meanwhile.
+    """
+    quiet_since_s = time.monotonic()
+    while (ended := sender.ended(number, LOOK_S)) is None:
+        now = connection.snapshot()
+        connection.check_running(now)
+        if int(now["goal_id"]):
+            if begun:
+                return None
+            quiet_since_s = time.monotonic()
+        elif time.monotonic() - quiet_since_s > SILENCE_S:
+            sender.cancel()
+            raise Refusal(silent.format(seconds=SILENCE_S))
+    return ended
 
 
 @contextmanager

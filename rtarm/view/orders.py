@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
@@ -20,15 +19,12 @@ from rtarm.errors import Refusal
 from rtarm.view.words import Words
 
 if TYPE_CHECKING:
-    from rtarm.sending import Outcome, Sender
+    from rtarm.sending import Sender
 
 GENTLY = 0.3
 """The share of a joint's velocity and acceleration limits that the page's motions use."""
 SHORTEST_S = 0.5
 """So that a small step is no jerk."""
-SILENCE_S = 10.0
-"""So long may the arm run no goal before one that was sent begins, and after it ran until there is its result."""
-LOOK_S = 0.1
 SLOWEST = 0.01
 """A speed at which a duration can still be told; at 0 there is none."""
 
@@ -90,13 +86,15 @@ class Orders:
 
         `on_the_way` is called with a sentence once the arm has begun.
         """
+        from rtarm.sending import follow
+
         with requests.connect(self._arm.name) as connection:
             with self._one_at_a_time:
                 takes_s, sender, number = self._send(connection, to_rad)
-                ended = self._follow(connection, sender, number, self._words.no_answer, begun=True)
+                ended = follow(connection, sender, number, self._words.no_answer, begun=True)
             if ended is None:
                 on_the_way(self._words.on_the_way.format(duration=takes_s))
-                ended = self._follow(connection, sender, number, self._words.no_result, begun=False)
+                ended = follow(connection, sender, number, self._words.no_result)
         assert ended is not None
         if not ended.succeeded:
             raise Refusal(ended.sentence)
@@ -116,27 +114,6 @@ class Orders:
         sender = self._ready_sender()
         number = sender.send(goal_document(names, np.array([takes_s]), to_rad[None], still, still))
         return takes_s / max(float(before["speed_scale_asked"]), SLOWEST), sender, number
-
-    def _follow(
-        self, connection: requests.Connection, sender: Sender, number: int, silent: str, *, begun: bool
-    ) -> Outcome | None:
-        """How a goal ended; with `begun` None as soon as the arm runs it.
-
-        A ROS process that dies or hangs says nothing of its goals. When the arm has run none for `SILENCE_S`, it is
-        cancelled, so that it moves nothing should it come to run later, and refused with the sentence `silent`.
-        """
-        quiet_since_s = time.monotonic()
-        while (ended := sender.ended(number, LOOK_S)) is None:
-            now = connection.snapshot()
-            connection.check_running(now)
-            if int(now["goal_id"]):
-                if begun:
-                    return None
-                quiet_since_s = time.monotonic()
-            elif time.monotonic() - quiet_since_s > SILENCE_S:
-                sender.cancel()
-                raise Refusal(silent.format(seconds=SILENCE_S))
-        return ended
 
     def _ready_sender(self) -> Sender:
         """The process that sends goals, which starts with the first one, and anew if it has died."""

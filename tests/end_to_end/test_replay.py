@@ -47,7 +47,8 @@ def moved_there(stack: Stack) -> None:
     way = CubicSpline(times_s, np.radians(way_deg), bc_type="clamped")
     goal = goal_document([joint.name for joint in arm.joints], times_s, way(times_s), way(times_s, 1))
     with sending(arm) as sender:
-        outcome = sender.wait(sender.send(goal), PATIENCE_S)
+        outcome = sender.ended(sender.send(goal), PATIENCE_S)
+        assert outcome is not None
     assert outcome.succeeded, outcome
 
 

@@ -16,7 +16,7 @@ from stack import Stack
 
 from config.loader import load_arm
 from rtarm.errors import Refusal
-from rtarm.sending import Sender, goal_document, sending
+from rtarm.sending import Outcome, Sender, goal_document, sending
 from rtarm.status import read_status
 
 JOINTS = [f"joint{number}" for number in range(1, 7)]
@@ -49,12 +49,18 @@ def until_executing(stack: Stack, sender: Sender, number: int) -> None:
         assert sender.ended(number) is None
 
 
+def end_of(sender: Sender, number: int) -> Outcome:
+    ended = sender.ended(number, PATIENCE_S)
+    assert ended is not None
+    return ended
+
+
 @pytest.mark.process
 def test_a_goal_moves_the_arm_and_says_how_it_ended(stack: Stack) -> None:
     with sending(arm_of(stack)) as sender:
-        outcome = sender.wait(sender.send(move("joint6", 5.0, 1.0)), PATIENCE_S)
+        outcome = end_of(sender, sender.send(move("joint6", 5.0, 1.0)))
         assert outcome.succeeded and outcome.code == 0 and "Goal reached" in outcome.sentence
-        back = sender.wait(sender.send(move("joint6", 0.0, 1.0, 5.0)), PATIENCE_S)
+        back = end_of(sender, sender.send(move("joint6", 0.0, 1.0, 5.0)))
         assert back.succeeded
 
 
@@ -73,9 +79,9 @@ def test_a_goal_that_is_refused_says_why_and_the_next_one_goes(
     stack: Stack, document: dict[str, Any], said: str
 ) -> None:
     with sending(arm_of(stack)) as sender:
-        outcome = sender.wait(sender.send(document), PATIENCE_S)
+        outcome = end_of(sender, sender.send(document))
         assert not outcome.succeeded and outcome.code != 0 and said in outcome.sentence
-        assert sender.wait(sender.send(move("joint6", 0.0, 0.5)), PATIENCE_S).succeeded
+        assert end_of(sender, sender.send(move("joint6", 0.0, 0.5))).succeeded
 
 
 @pytest.mark.process
@@ -84,10 +90,10 @@ def test_a_goal_that_is_cancelled_ends_on_its_path(stack: Stack) -> None:
         number = sender.send(move("joint6", 0.0, 20.0))
         until_executing(stack, sender, number)
         sender.cancel()
-        assert not sender.wait(number, PATIENCE_S).succeeded
+        assert not end_of(sender, number).succeeded
         hasty = sender.send(move("joint6", 0.0, 20.0))
         sender.cancel()  # before its answer can have come
-        assert not sender.wait(hasty, PATIENCE_S).succeeded
+        assert not end_of(sender, hasty).succeeded
 
 
 @pytest.mark.process
@@ -105,12 +111,12 @@ def test_a_sender_that_is_killed_is_told_and_its_arm_is_not_hurt(stack: Stack) -
         until_executing(stack, sender, number)
         os.kill(sender.pid, signal.SIGKILL)
         with pytest.raises(Refusal, match="process that sends goals has ended"):
-            sender.wait(number, PATIENCE_S)
+            end_of(sender, number)
         with pytest.raises(Refusal, match="has ended"):
             sender.send(move("joint6", 0.0, 1.0))
         sender.cancel()
     with sending(arm_of(stack)) as sender:
-        assert sender.wait(sender.send(move("joint6", 0.0, 0.5)), PATIENCE_S).succeeded
+        assert end_of(sender, sender.send(move("joint6", 0.0, 0.5))).succeeded
 
 
 @pytest.mark.process
