@@ -14,9 +14,9 @@ import yaml
 from stack import Stack
 
 from config.loader import ARMS_FOLDER, load_arm
+from rtarm import sending as sending_module
 from rtarm.errors import Refusal
 from rtarm.status import Report, read_status
-from rtarm.view import orders as orders_module
 from rtarm.view.orders import Orders
 from rtarm.view.words import ENGLISH
 
@@ -44,7 +44,7 @@ def orders(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> Iterator[Orders]:
     front = stack.start_front()
     given = Orders(load_arm(str(stack.arm_file)), ENGLISH)
     given.go(pose(0.1), nothing)  # from here on the process that sends knows the arm
-    monkeypatch.setattr(orders_module, "SILENCE_S", 5.0)
+    monkeypatch.setattr(sending_module, "SILENCE_S", 5.0)
     try:
         yield given
     finally:
@@ -99,7 +99,7 @@ def test_a_goal_that_a_hanging_ros_process_gets_too_late_moves_nothing(stack: St
 def test_stop_ends_a_goal_that_the_ros_process_has_not_begun(
     stack: Stack, orders: Orders, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(orders_module, "SILENCE_S", PATIENCE_S)
+    monkeypatch.setattr(sending_module, "SILENCE_S", PATIENCE_S)
     before = read_status(stack.name)
     stack.front.process.send_signal(signal.SIGSTOP)
     said: list[str] = []
