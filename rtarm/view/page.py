@@ -173,7 +173,7 @@ class Controls:
         self._under_way: dict[str, object] = {}
         self._answers: dict[object, tuple[str, bool]] = {}
         self._stands_rad = np.zeros(len(arm.joints))
-        self._wished_rad: np.ndarray | None = None
+        self._wished_rad: dict[int, float] = {}  # of the joints whose sliders were touched; the others follow the arm
         self._speed_wish: float | None = None
         self._speed_touched_s = -math.inf
         gui = server.gui
@@ -220,8 +220,9 @@ class Controls:
         """Sliders that nobody has touched stand where the arm is."""
         with self._lock:
             self._stands_rad = commanded_rad.copy()
-            if self._wished_rad is None:
-                self._place_sliders(commanded_rad)
+            self._place_sliders(commanded_rad)
+            if self._wished_rad and self._scene is not None:
+                self._scene.wished.move(self._target_rad())
             speed = round(100.0 * speed_asked) if math.isfinite(speed_asked) else 100
             if time.monotonic() - self._speed_touched_s > LET_GO_S and self._speed.value != speed:
                 self._speed.value = speed
@@ -235,19 +236,30 @@ class Controls:
             self._offer_go()
 
     def _offer_go(self) -> None:
-        wished_rad, words = self._wished_rad, self._words
+        words = self._words
         label = words.go_nowhere
-        if wished_rad is not None:
-            takes_s = duration_s(self._arm, self._stands_rad, wished_rad) / max(self._speed.value / 100.0, 0.01)
+        if self._wished_rad:
+            takes_s = duration_s(self._arm, self._stands_rad, self._target_rad()) / max(self._speed.value / 100.0, 0.01)
             label = words.go.format(duration=takes_s)
         if self._go.label != label:
             self._go.label = label
         for button in (self._go, self._back):
-            if button.disabled != (wished_rad is None):
-                button.disabled = wished_rad is None
+            if button.disabled == bool(self._wished_rad):
+                button.disabled = not self._wished_rad
+
+    def _target_rad(self) -> np.ndarray:
+        """Where Go would take the arm (joints,)."""
+        target_rad = self._stands_rad.copy()
+        for index, wished_rad in self._wished_rad.items():
+            target_rad[index] = wished_rad
+        return target_rad
 
     def _place_sliders(self, positions_rad: np.ndarray) -> None:
-        for slider, joint, position in zip(self._sliders, self._arm.joints, positions_rad.tolist(), strict=True):
+        """Let the sliders that are no wish stand where the arm does."""
+        placed = zip(self._sliders, self._arm.joints, positions_rad.tolist(), strict=True)
+        for index, (slider, joint, position) in enumerate(placed):
+            if index in self._wished_rad:
+                continue
             degrees = min(max(math.degrees(position), joint.lower_deg), joint.upper_deg)
             shown = min(max(round(degrees / STEP_DEG) * STEP_DEG, slider.min), slider.max)
             if abs(slider.value - shown) > 0.5 * STEP_DEG:
@@ -329,18 +341,16 @@ class Controls:
         joint = self._arm.joints[index]
         degrees = _number(event.target.value, joint.lower_deg, joint.upper_deg)
         with self._lock:
-            if self._wished_rad is None:
-                self._wished_rad = self._stands_rad.copy()
             self._wished_rad[index] = math.radians(degrees)
             if self._scene is not None:
                 with self._server.atomic():
-                    self._scene.wished.move(self._wished_rad)
+                    self._scene.wished.move(self._target_rad())
                     self._scene.wished.show(True)
             self._offer_go()
 
     def _forget(self) -> None:
         with self._lock:
-            self._wished_rad = None
+            self._wished_rad.clear()
             self._place_sliders(self._stands_rad)
             if self._scene is not None:
                 self._scene.wished.show(False)
@@ -348,16 +358,16 @@ class Controls:
 
     def _go_there(self, given: object) -> str:
         with self._lock:
-            wished_rad = self._wished_rad
-        if wished_rad is None:
-            raise Refusal(self._words.already)
+            if not self._wished_rad:
+                raise Refusal(self._words.already)
+            target_rad = self._target_rad()
 
         def on_the_way(sentence: str) -> None:
             self._forget()
             self._over(self._words.go_nowhere, given)  # whoever presses again from here on is told that a goal runs
             self._answered(given, sentence, True)
 
-        return self._orders.go(wished_rad.copy(), on_the_way)
+        return self._orders.go(target_rad, on_the_way)
 
 
 def _number(value: Any, low: float, high: float) -> float:

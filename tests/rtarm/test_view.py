@@ -7,6 +7,7 @@ import io
 import math
 import string
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,13 +22,14 @@ from config.loader import load_arm
 from config.moveit.robot import model_parts
 from config.moveit.shapes import link_shapes
 from motion.segment import evaluate, quintic
+from rtarm.errors import Refusal
 from rtarm.status import report_of
 from rtarm.top.events import Happening
 from rtarm.top.watch import Look
 from rtarm.view.history import COLUMN_NS, COLUMNS, History
 from rtarm.view.limits import Side, nearness, share
-from rtarm.view.orders import GENTLY, SHORTEST_S, duration_s
-from rtarm.view.page import _number, marks
+from rtarm.view.orders import GENTLY, SHORTEST_S, Orders, duration_s
+from rtarm.view.page import Controls, _number, marks
 from rtarm.view.panels import degrees, events_html, joints_html, machine_html, problems_html, state_html
 from rtarm.view.path import POINTS, GoalPath, sampled, thinned
 from rtarm.view.scene import BROKEN, NEAR, body, quaternion
@@ -373,3 +375,27 @@ def test_a_recording_stands_behind_the_page_like_an_arm(recording: Recording) ->
     assert look.report is not None and look.report["problems"][0].startswith("The recording ends here")
     assert state_html(look, ENGLISH) and joints_html(look, TWO_JOINTS, ENGLISH) and machine_html(look, CHINESE)
     source.close()
+
+
+def test_only_the_joints_whose_sliders_were_touched_are_a_wish(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Touched amid somebody's goal: the other joints are not taken back to where they were then."""
+    viser = pytest.importorskip("viser")
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        orders = Orders(EPISODE1, ENGLISH)
+        sent: list[np.ndarray] = []
+        monkeypatch.setattr(orders, "go", lambda target_rad, _: str(sent.append(target_rad)))
+        controls = Controls(server, EPISODE1, orders, ENGLISH, None)
+        controls.add_sliders()
+        controls.follow(np.zeros(6), 1.0)
+        touched: Any = SimpleNamespace(client_id=1, target=SimpleNamespace(value=30.0))
+        controls._slider_moved(2, touched)
+        controls.follow(np.full(6, 0.1), 1.0)
+        controls._go_there(object())
+        assert np.allclose(sent, [[0.1, 0.1, math.radians(30.0), 0.1, 0.1, 0.1]])
+        assert [round(slider.value, 1) for slider in controls._sliders[:2]] == [5.7, 5.7]
+        controls._forget()
+        with pytest.raises(Refusal):
+            controls._go_there(object())
+    finally:
+        server.stop()
