@@ -1,8 +1,8 @@
 """Where each command of the documentation is run, and why some cannot be: the two tables to which a new one is added.
 
 A command that is shown anywhere in README.md, CONTRIBUTING.md or docs/ stands either in `RUN` or, by itself or by a
-pattern, in `NOT_RUN`. Those of a stage are run in the order in which they stand here, each at a terminal, with
-names replaced as the stage says (an arm of its own instead of episode1, the simulated adapter instead of /dev/ttyUSB0).
+pattern, in `NOT_RUN`. Each is run at a terminal, with names replaced as the stage says (an arm of its own instead of
+episode1, the simulated adapter instead of /dev/ttyUSB0).
 """
 
 from __future__ import annotations

@@ -251,11 +251,11 @@ def beside(stage: Stage, words: list[str], ready: str) -> Iterator[None]:
         terminal.code(PATIENCE_S)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def stage(
     request: pytest.FixtureRequest, new_arm_name: Callable[[], str], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Stage]:
-    """The stage named by the test's parameter, for all of its commands."""
+    """The stage named by the test's parameter, made anew for each command, which nothing of before then disturbs."""
     folder = tmp_path_factory.mktemp("stage")
     made = Stage(new_arm_name(), folder)
     with contextlib.ExitStack() as ends:
@@ -269,10 +269,7 @@ def stage(
             made.instead |= {"episode1": made.arm, "running arm": made.arm}
             made.write_arm("my_arm.yaml", "episode1", made.arm, PATIENT)
             ends.enter_context(beside(made, ["rtarm", "up", "./my_arm.yaml", "--sim"], "running; Ctrl-C"))
-            for recording in (
-                "rtarm record",
-                "rtarm record -o strange_noise.mcap",
-            ):  # a test that is run again has them
+            for recording in ("rtarm record", "rtarm record -o strange_noise.mcap", "rtarm record -o test_run.mcap"):
                 made.run(recording, Run(ARM))
         else:
             made.instead |= {"mock": "./mock.yaml"}
