@@ -49,7 +49,7 @@ class Answering:
         self.goals.append(goal)
         return len(self.goals)
 
-    def wait(self, number: int, patience_s: float) -> Outcome:
+    def ended(self, number: int, patience_s: float) -> Outcome:
         assert number == len(self.goals)
         return self._outcome
 
