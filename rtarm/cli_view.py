@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from rtarm.cli_frame import sentences
+from rtarm.cli_frame import RunningArm, sentences
 
 view_app = typer.Typer()
 """The command, for `rtarm.cli` to add."""
@@ -14,10 +14,7 @@ view_app = typer.Typer()
 
 @view_app.command()
 def view(
-    arm: Annotated[
-        str | None,
-        typer.Argument(metavar="ARM", help="Name or file of a running arm; left out: the only one that runs."),
-    ] = None,
+    arm: RunningArm = None,
     host: Annotated[
         str,
         typer.Option(metavar="ADDRESS", help="Address of this machine to serve at; other machines may then connect."),
