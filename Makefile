@@ -29,7 +29,7 @@ TRIALS ?= 200
 CASES ?= 1000000
 SEED ?= 1
 
-.PHONY: help env demo test test-vm check docs reference bench trials bus-trials bus-trials-live soak fuzz dist test-dist clean
+.PHONY: help env demo test test-vm check docs reference bench trials ros-trials bus-trials bus-trials-live soak fuzz dist test-dist clean
 
 help:
 	@echo 'make demo     play a recorded MoveIt goal on a simulated arm, VIEW=1 to watch and move it in a browser'
@@ -40,6 +40,7 @@ help:
 	@echo 'make reference  make the pages of docs/reference anew from the code'
 	@echo 'make bench    run the benchmarks'
 	@echo 'make trials   hurt the processes of an arm in motion, TRIALS=200 times'
+	@echo 'make ros-trials  kill ROS processes beside an arm, TRIALS=200 times'
 	@echo 'make bus-trials  hurt the bus of an arm in virtual time, TRIALS=200 times in each way'
 	@echo 'make bus-trials-live  the same with real processes, once in each way'
 	@echo 'make soak     random goals and faults for MINUTES=60'
@@ -54,9 +55,9 @@ env: $(STAMPS)/warm
 demo: env
 	$(BIN)/rtarm demo$(if $(VIEW), --view)
 
-# What hangs in C code no signal interrupts: all stacks are printed and the run ends, instead of lasting for ever.
+# What hangs in C code no signal interrupts: all stacks are printed and the run ends, and the guardian leaves no process.
 test: env $(STAMPS)/colcon
-	$(BIN)/python -m pytest -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
+	$(BIN)/python tests/guardian.py $(BIN)/python -m pytest -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
 
 test-vm: $(STAMPS)/interfaces
 	$(BIN)/python tests/vm/boot.py
@@ -79,6 +80,9 @@ bench: env
 
 trials: env
 	PYTHONPATH=tests $(BIN)/python -m process_trials --trials $(TRIALS) --seed $(SEED)
+
+ros-trials: env
+	PYTHONPATH=tests $(BIN)/python -m ros_trials --trials $(TRIALS) --seed $(SEED)
 
 bus-trials: env
 	PYTHONPATH=tests $(BIN)/python -m bus_trials --trials $(TRIALS) --seed $(SEED)

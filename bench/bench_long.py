@@ -62,9 +62,9 @@ def test_a_thousand_goals_in_a_row(benchmark, report, tmp_path):
         )
 
 
-def long_goal(home: np.ndarray):
-    """A gentle wave of POINTS points."""
-    t = np.arange(POINTS) * SPACING_S
+def long_goal(home: np.ndarray, points: int):
+    """A gentle wave of so many points."""
+    t = np.arange(points) * SPACING_S
     omega = 2 * math.pi / (t[-1] / 10)
     shape, speed = 0.02 * (1 - np.cos(omega * t)), 0.02 * omega * np.sin(omega * t)
     speed[-1] = 0.0
@@ -88,7 +88,7 @@ def test_a_goal_of_a_hundred_thousand_points(benchmark, report, tmp_path):
                 QoSProfile(depth=2000),
                 raw=True,
             )
-            goal = long_goal(commanded_rad(stack))
+            goal = long_goal(commanded_rad(stack), POINTS)
             until(lambda: heard, "a joint state")
             before, first = Usage(stack.front), len(heard)
             answers: list[int] = []

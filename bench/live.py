@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,9 +10,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from rtarm.own_domain import own_domain
+
 # Before rclpy is imported: this run's ROS traffic stays on this machine and apart from others'.
-os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(1, 102))
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ.update(own_domain())
 
 import numpy as np
 import yaml
@@ -26,10 +26,13 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from config.budget import budget
 from config.loader import ARMS_FOLDER, load_arm
+from rosfront.transport import FAST_DDS, choose_udp
 from shm.client import StateReader
 from shm.files import DIRECTORY, open_state
 from shm.words import Mode
 from sim.truth import load_wire
+
+choose_udp(os.environ, os.environ.get("RMW_IMPLEMENTATION") or FAST_DDS)
 
 Settings = Mapping[str, Mapping[str, Any]]
 

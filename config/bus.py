@@ -205,7 +205,7 @@ class BusConfig(Section):
             raise refuse(
                 "serial_baud",
                 f"serial_baud is {self.serial_baud}, but python-can's interfaces have names of their own for it; "
-                "remove it and set python_can.tty_baudrate (slcan) or python_can.baudrate (seeedstudio).",
+                "remove it and set python_can.tty_baudrate (slcan).",
             )
         self._refuse_no_classic_bitrate()
 

@@ -176,7 +176,7 @@ def _bounds(location: Location, model: type[BaseModel]) -> str:
     for attribute, word in (("gt", "above"), ("ge", "at least"), ("lt", "below"), ("le", "at most")):
         for bound in field.metadata:
             if getattr(bound, attribute, None) is not None:
-                words.append(f"{word} {getattr(bound, attribute):,g}".replace(",", ""))
+                words.append(f"{word} {getattr(bound, attribute):.12g}")
     return " and ".join(words)
 
 

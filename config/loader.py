@@ -10,7 +10,7 @@ import difflib
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +51,8 @@ def load_arm(name_or_path: str | Path, *, overrides: Mapping[str, Any] | None = 
     """
     path = arm_path(name_or_path)
     file = _display_name(path)
-    root, values = parse(_read(path, file), file)
+    text = _read(path, file)
+    root, values = parse(text, file)
     overridden: set[str] = set()
     if overrides:
         values = _merge(values, _exclusive(overrides, values), (), overridden)
@@ -60,19 +61,52 @@ def load_arm(name_or_path: str | Path, *, overrides: Mapping[str, Any] | None = 
     except ValidationError as error:
         problems = [complaint(details, values, root, file, overridden) for details in error.errors()]
         raise ConfigError.of(problems) from None
+    built_in = path.resolve().parent == ARMS_FOLDER.resolve()
     arm._source = Source(
         file=file,
         lines=dict(lines(root, ())),
         overridden=frozenset(overridden),
-        built_in=path.resolve().parent == ARMS_FOLDER.resolve(),
+        built_in=built_in,
+        argument=path.stem if built_in else str(path.resolve()),
+        file_hash=_hash_of(text),
     )
     return arm
 
 
+def differences(one: str | Path, other: str | Path) -> list[tuple[str, Any, Any]]:
+    """What two arm files say differently: location, value of the one, value of the other (ABSENT: it says nothing).
+
+    Raises:
+        ConfigError: one of them cannot be read.
+    """
+    said = []
+    for name_or_path in (one, other):
+        path = arm_path(name_or_path)
+        file = _display_name(path)
+        said.append(dict(_leaves(parse(_read(path, file), file)[1], ())))
+    first, second = said
+    pairs = ((where, first.get(where, ABSENT), second.get(where, ABSENT)) for where in {**first, **second})
+    return [(text_of(where), ours, theirs) for where, ours, theirs in pairs if ours != theirs]
+
+
 def arm_hash(arm: ArmConfig) -> int:
     """A 63-bit number of the whole configuration, defaults included; equal arms have equal numbers."""
-    canonical = json.dumps(arm.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
-    return int.from_bytes(hashlib.sha256(canonical.encode()).digest()[:8], "big") >> 1
+    return _hash_of(json.dumps(arm.model_dump(mode="json"), sort_keys=True, separators=(",", ":")))
+
+
+def _hash_of(text: str) -> int:
+    """A 63-bit number of a text."""
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big") >> 1
+
+
+def _leaves(value: Any, above: Location) -> Iterator[tuple[Location, Any]]:
+    """Every value that is no list and no mapping, with its location."""
+    inside = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else None
+    if inside is None:
+        yield above, value
+        return
+    for key, part in inside:
+        yield from _leaves(part, (*above, key))
 
 
 # --- the file -------------------------------------------------------------------------------------------

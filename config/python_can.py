@@ -9,7 +9,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from config.section import Section, refuse
 
-SERIAL_INTERFACES = frozenset(("slcan", "seeedstudio", "robotell", "serial"))
+SERIAL_INTERFACES = frozenset(("slcan", "robotell", "serial"))
 INDEXED = {
     **dict.fromkeys(SERIAL_INTERFACES, "/dev/ttyUSB{}"),
     "pcan": "PCAN_USBBUS{}",
@@ -35,14 +35,25 @@ class PythonCan(Section):
 
     interface: str = Field(
         pattern=r"^[a-z][a-z0-9_-]*$",
-        description="One of python-can's interfaces, by python-can's own name (pcan, gs_usb, seeedstudio, slcan, "
-        "virtual …).",
+        description="One of python-can's interfaces, by python-can's own name (pcan, gs_usb, slcan, virtual …); "
+        "not seeedstudio, which is an interface of rtarm's own.",
     )
 
     @property
     def options(self) -> Mapping[str, Any]:
         """What the interface's class is told besides, by its own names."""
         return self.model_extra or {}
+
+    @model_validator(mode="after")
+    def _sends_again_what_lost_the_bus(self) -> PythonCan:
+        if self.interface == "seeedstudio":
+            raise refuse(
+                "interface",
+                "interface is seeedstudio, but python-can has that adapter send each frame only once, so a command "
+                "that loses the bus to an answer would be lost; set bus.interface to seeedstudio, which sends it "
+                "again, and remove python_can.",
+            )
+        return self
 
     @model_validator(mode="after")
     def _options_are_plain(self) -> PythonCan:

@@ -85,32 +85,48 @@ class LimitsConfig(Section):
         "limit; rounded to the nearest ramp the drive knows between 1.5 and 2.",
     )
     following_error_rad: float = Field(
-        default=0.1, gt=0, description="Largest distance between commanded and measured position (rad)."
+        default=0.1,
+        gt=0,
+        le=1.0,
+        description="Largest distance between commanded and measured position (rad); 1 rad is more than the softest "
+        "joint sags under its load, and what holds a joint pushes with it until the fault.",
     )
     start_tolerance_rad: float = Field(
         default=0.05,
         gt=0,
-        description="Largest distance between a goal's first point and the commanded position (rad).",
+        le=0.5,
+        description="Largest distance between a goal's first point and the commanded position (rad); the way onto the "
+        "path was not planned, so no obstacle is known to it, and a goal that begins more than 0.5 rad away is not "
+        "this arm's.",
     )
     stale_brake_s: float = Field(
         default=0.020,
         gt=0,
+        le=1.0,
         description="Age of a measured position above which the arm brakes on its path (s); at least three "
-        "reply periods are always allowed.",
+        "reply periods are always allowed. For so long it moves without being seen: at most 1 s.",
     )
     stale_fault_s: float = Field(
-        default=0.100, gt=0, description="Age of a measured position above which a fault is latched (s)."
+        default=0.100,
+        gt=0,
+        le=5.0,
+        description="Age of a measured position above which a fault is latched (s); at least four reply periods are "
+        "always allowed. A drive that loses its power and gets it back takes a second or more: above 5 s that would "
+        "go unnoticed.",
     )
     front_timeout_s: float = Field(
         default=0.5,
         gt=0,
+        le=10.0,
         description="Silence of the ROS process, during a goal, after which the arm stops on its path (s); it "
-        "stands still for 0.33 s at times.",
+        "stands still for 0.33 s at times, on a very busy machine for seconds. For so long no cancel reaches the arm.",
     )
     position_jump_rad: float = Field(
         default=0.05,
         gt=0,
-        description="Jump of a measured position that means the drive lost its reference (rad).",
+        le=1.0,
+        description="Jump of a measured position that means the drive lost its reference (rad); more than 1 rad "
+        "would hide even what a motor without a gear loses.",
     )
 
     @model_validator(mode="after")
@@ -143,16 +159,23 @@ class TrajectoryConfig(Section):
     )
     max_points: int = Field(default=200_000, ge=2, le=10_000_000, description="Most points a goal may have.")
     goal_tolerance_rad: float = Field(
-        default=0.01, gt=0, description="Distance from the last point at which a goal has succeeded (rad)."
+        default=0.01, gt=0, le=1.0, description="Distance from the last point at which a goal has succeeded (rad)."
     )
     path_tolerance_rad: float = Field(
-        default=0.1, gt=0, description="Distance from the path at which a goal is aborted (rad)."
+        default=0.1,
+        gt=0,
+        le=1.0,
+        description="Distance from the path at which a goal is aborted (rad); limits.following_error_rad latches a "
+        "fault besides.",
     )
     goal_time_s: float = Field(
-        default=0.4, gt=0, description="Time after the last point within which the arm must have arrived (s)."
+        default=0.4,
+        gt=0,
+        le=60.0,
+        description="Time after the last point within which the arm must have arrived (s).",
     )
     stopped_velocity_rad_s: float = Field(
-        default=0.05, gt=0, description="Velocity below which a joint counts as standing (rad/s)."
+        default=0.05, gt=0, le=1.0, description="Velocity below which a joint counts as standing (rad/s)."
     )
     allow_nonzero_end_velocity: bool = Field(
         default=False,
@@ -219,6 +242,10 @@ class Source:
     """Locations whose value came from an override."""
     built_in: bool = False
     """Whether the file is one of those that come with rtarm."""
+    argument: str = ""
+    """What a person names this file by: the name of an arm that comes with rtarm, else its absolute path."""
+    file_hash: int = 0
+    """Of the file's text."""
 
 
 class ArmConfig(Section):
@@ -258,6 +285,16 @@ class ArmConfig(Section):
     def source(self) -> Source | None:
         """Where the arm was read from; None for an arm built in memory."""
         return self._source
+
+    @property
+    def file_argument(self) -> str:
+        """What a person names the arm's file by; "" where it has none, or where an option gave the arm its name."""
+        return "" if self._source is None or "name" in self._source.overridden else self._source.argument
+
+    @property
+    def has_options(self) -> bool:
+        """Whether options changed what its file says."""
+        return self._source is not None and bool(self._source.overridden)
 
     @property
     def joint_states_every_cycles(self) -> int:

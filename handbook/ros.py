@@ -8,6 +8,7 @@ import re
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -38,7 +39,8 @@ MEANINGS = {
     "~/hold": "stops the arm on its path and keeps the goal",
     "~/home": "joints find their stops: the arm moves",
     "~/query_state": "position, velocity and acceleration of the trajectory at a moment",
-    "~/resume": "lets a held goal go on",
+    "~/resume": "lets a held goal go on, or a stopped arm take goals again",
+    "~/stop": "ends every goal; none begins before `~/resume`",
     "gripper_control": "opens or closes the gripper",
     "servo_gripper": "the gripper to an angle",
     "gripper_controller/home": "the gripper finds its stop: it moves",
@@ -118,20 +120,27 @@ def definitions() -> list[Path]:
 
 
 def offered(arm: ArmConfig) -> Offers:
-    """What the node of an arm offers; it runs for a moment, without a control process."""
+    """What the node of an arm offers."""
+    with node_of(arm) as node:
+        return offers_of(node)
+
+
+@contextmanager
+def node_of(arm: ArmConfig) -> Iterator[Any]:
+    """The node of an arm, which runs for a moment, without a control process."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
-    from rclpy.signals import SignalHandlerOptions
 
     from rosfront.node import FrontNode
+    from rosfront.program import start_ros
 
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    start_ros([])
     executor = SingleThreadedExecutor()
     front = FrontNode(arm, executor)
     serving = threading.Thread(target=front.spin)
     serving.start()
     try:
-        return offers_of(front.node)
+        yield front.node
     finally:
         front.close(1.0)
         serving.join()

@@ -27,8 +27,15 @@ from shm.drive_words import HELPLESS, TROUBLE, troubles_of, words_of
 from shm.errors import TornRead
 from shm.histogram import percentiles_ns
 from shm.layout import BUS_TROUBLE
-from shm.sentences import NOBODY_ACKNOWLEDGES, bus_state_sentence, joint_name, mode_name, unreferenced_sentence
-from shm.words import BusState, Fault, Mode, Phase, Unreferenced
+from shm.sentences import (
+    NOBODY_ACKNOWLEDGES,
+    bus_state_sentence,
+    joint_name,
+    mode_name,
+    outcome_sentence,
+    unreferenced_sentence,
+)
+from shm.words import BusState, Fault, Mode, Outcome, Phase, Unreferenced
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 PERCENTS = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
@@ -133,6 +140,8 @@ class Diagnostics:
             level, message = ERROR, fault_of(snapshot, self._serving.joints)
         elif mode in _TOLD_BY_MODE:
             level, message = WARN, _TOLD_BY_MODE[Mode(mode)]
+        elif snapshot["held"]:
+            level, message = WARN, outcome_sentence(Outcome.REFUSED_HELD)
         else:
             level, message = OK, mode_name(mode)
         values = {

@@ -240,7 +240,7 @@ class Pulse(threading.Thread):
             self._aside(link)
 
     def _lose(self, link: Link) -> None:
-        reason = gone(self._arm.name, link.loop_pid)
+        reason = gone(self._arm, link.loop_pid)
         self._link = None
         self._hung = False
         self._tell_lost(reason)

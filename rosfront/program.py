@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol
 
+from rosfront.transport import choose_udp, may_share_memory
+
 if TYPE_CHECKING:
     from rclpy.executors import SingleThreadedExecutor
 
@@ -20,8 +22,6 @@ HIGHEST_DOMAIN = 232
 """Higher ROS domains have no UDP ports."""
 LONGEST_STOP_S = 3.5
 """What the arm may take to stop on its path; with what follows it is within the launcher's 5 s."""
-FAST_DDS = "rmw_fastrtps"
-"""ROS' default middleware, in all its variants."""
 SHARED_MEMORY = "/dev/shm"
 SHARED_MEMORY_BYTES = 4 << 20
 """What Fast DDS takes of it for one participant, twice; where a page of it is not to be had, the kernel ends the
@@ -106,12 +106,16 @@ def needs_ros() -> Iterator[None]:
 
 
 def start_ros(ros_arguments: Sequence[str], context: Any = None) -> None:
-    """Initialise rclpy without its signal handlers; raises CannotServe when ROS refuses the arguments."""
+    """Initialise rclpy by UDP and without its signal handlers; raises CannotServe when ROS refuses the arguments."""
     with needs_ros():
         import rclpy
         from rclpy.signals import SignalHandlerOptions
+        from rclpy.utilities import get_rmw_implementation_identifier
     _check_domain(os.environ.get("ROS_DOMAIN_ID", ""))
-    _check_room()
+    middleware = get_rmw_implementation_identifier()
+    choose_udp(os.environ, middleware)
+    if may_share_memory(os.environ, middleware):
+        _check_room()
     try:
         rclpy.init(args=list(ros_arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as problem:  # the root of all of rclpy's own, whose classes are private
@@ -131,9 +135,7 @@ def _check_domain(domain: str) -> None:
 
 
 def _check_room() -> None:
-    """Another middleware takes none or asks for it by itself; without shared memory Fast DDS takes the network."""
-    if not (os.environ.get("RMW_IMPLEMENTATION") or FAST_DDS).startswith(FAST_DDS):
-        return
+    """Without /dev/shm Fast DDS takes the network."""
     try:
         found = os.statvfs(SHARED_MEMORY)
     except OSError:

@@ -155,8 +155,21 @@ def _homed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
     return judge
 
 
+def _stopped(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
+    def judge(now: np.ndarray) -> Reply | None:
+        if int(now["fault"]) == Fault.HOMING:  # the drive amid its run may still be moving
+            return _fault(now, joints)
+        moving = int(now["mode"]) == Mode.REFERENCING or np.any(now["joints"]["commanded_velocity_rad_s"])
+        if moving or int(now["goal_id"]) != 0:
+            return None
+        return Reply(True, "The arm stands and takes no goals before ~/resume.")
+
+    return judge
+
+
 def _resumed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
-    return lambda now: Reply(True, "The goal goes on.")
+    held = before is not None and bool(before["held"])
+    return lambda now: Reply(True, "The arm takes goals again." if held else "The goal goes on.")
 
 
 ORDERS = (
@@ -174,6 +187,7 @@ ORDERS = (
         _limp(Mode.FREE, "The drives are limp and the arm can be led by hand until ~/enable."),
     ),
     Order("home", Request.HOME, HOMING_PATIENCE_S, _homed, _not_with_a_fault),
+    Order("stop", Request.STOP, STOP_PATIENCE_S, _stopped),
     Order("resume", Request.RESUME, RESUME_PATIENCE_S, _resumed),
     Order("clear_fault", Request.CLEAR_FAULT, BRING_UP_PATIENCE_S, _cleared, _nothing_to_clear),
 )

@@ -18,12 +18,13 @@ from rosfront.goal import plan_stream
 from rosfront.link import Link
 from rosfront.path import PlannedPath
 from rosfront.plan import NS, GoalPlan, Present, Sample
-from rosfront.refusals import NotServing, Overtaken
+from rosfront.refusals import INVALID_GOAL, NotServing, Overtaken
 from rosfront.settings import Settings
 from rosfront.streamer import Streamer
 from rosfront.verdict import Status, Verdict, aborted, fault_of, final_error, judge, with_final_error
 from shm.client import GOALS_AHEAD, find
 from shm.errors import TornRead
+from shm.files import start_command
 from shm.gripper import read_gripper
 from shm.sentences import answer_sentence, outcome_sentence, unreferenced_sentence
 from shm.words import Answer, Mode, Outcome, Request
@@ -46,6 +47,8 @@ class Execution:
     on_verdict: Callable[[Verdict], None]
     action_goal: bytes = b""
     """The action's id of it; empty for a stream."""
+    turn: int = 0
+    """The place of its arrival in the order of commands."""
     never_begun: bool = False
     """Canceled before the control process heard of it."""
     fault_since_ns: int = 0
@@ -77,11 +80,14 @@ class Serving:
         self.joints = [joint.name for joint in arm.joints]
         self._lock = threading.Lock()
         self._link: Link | None = None
-        self._absence = f"The control process of arm '{arm.name}' is not running: start it with `rtarm up {arm.name}`."
+        self._absence = f"The control process of arm '{arm.name}' is not running: start it with {_start_command(arm)}."
         self._undecided: dict[int, Execution] = {}
         self._newest_goal = 0  # no number serves twice: the loop remembers a cancel that comes before its goal
         self._turns = itertools.count()
         self._newest_turn = -1
+        self._stops: int | None = None
+        self._stopped_turn = -1
+        """What arrived before it was there when a person stopped the arm: it begins no more, though resumed since."""
         self._streams: dict[int, Streamer] = {}  # by goal: what is still on its way into the ring
         self._requests: list[_Request] = []
         self.settings = Settings.of(arm)
@@ -115,6 +121,9 @@ class Serving:
 
     def look(self, snapshot: np.ndarray) -> Execution | None:
         """Feed the ring and decide what the snapshot decides; returns the execution that moves the arm."""
+        if int(snapshot["stops"]) != self._stops:
+            with self._lock:
+                self._note_stops(snapshot)
         if not self._undecided and not self._requests:
             return None  # without the lock: what comes in this moment is seen in the next snapshot
         verdicts: list[tuple[Execution, Verdict]] = []
@@ -173,6 +182,8 @@ class Serving:
         goal_id, running = execution.goal_id, int(snapshot["goal_id"])
         if execution.never_begun:
             return Verdict(Status.CANCELED, 0, NEVER_BEGUN, Outcome.CANCELED)
+        if execution.turn < self._stopped_turn and not self._is_begun(execution):
+            return Verdict(Status.ABORTED, INVALID_GOAL, outcome_sentence(Outcome.REFUSED_HELD), Outcome.REFUSED_HELD)
         results = snapshot["results"]
         result = find(results, "goal_id", goal_id)
         if result is not None and int(result["outcome"]) != Outcome.NONE:
@@ -215,6 +226,8 @@ class Serving:
             raise NotServing(fault_of(snapshot, self.joints))
         if mode not in _TAKES_GOALS:
             raise NotServing(outcome_sentence(Outcome.REFUSED_MODE, value=float(mode)))
+        if snapshot["held"]:
+            raise NotServing(outcome_sentence(Outcome.REFUSED_HELD))
         rows = snapshot["joints"][: len(self.joints)]
         for name, row in zip(self.joints, rows, strict=True):
             if not row["referenced"]:
@@ -260,6 +273,9 @@ class Serving:
         with self._lock:
             snapshot = self._snapshot()
             turn = self.turn() if turn is None else turn
+            self._note_stops(snapshot)
+            if turn < self._stopped_turn:
+                raise NotServing(outcome_sentence(Outcome.REFUSED_HELD))
             if turn < self._newest_turn:
                 raise Overtaken
             self._newest_turn = turn
@@ -268,7 +284,7 @@ class Serving:
             known = max(int(snapshot["goal_id"]), int(snapshot["results"]["goal_id"].max()), self._newest_goal)
             announced = writer.announced_goal  # in memory that others may write to
             self._newest_goal = max(known, announced if announced <= known + GOALS_AHEAD else 0) + 1
-            execution = Execution(self._newest_goal, plan, on_verdict, action_goal)
+            execution = Execution(self._newest_goal, plan, on_verdict, action_goal, turn)
             self._undecided[execution.goal_id] = execution
             self._streams[execution.goal_id] = Streamer(execution.goal_id, plan)
             writer.beat()
@@ -355,6 +371,13 @@ class Serving:
         for execution in executions:
             self.cancel(execution)
 
+    def _note_stops(self, snapshot: np.ndarray) -> None:
+        """What has arrived until now, judged or not, is ended by a person's stop that is new in this snapshot."""
+        stops = int(snapshot["stops"])
+        if self._stops is not None and stops > self._stops:
+            self._stopped_turn = self.turn()
+        self._stops = stops
+
     def _is_begun(self, execution: Execution) -> bool:
         """Whether the control process has been told of a goal."""
         stream = self._streams.get(execution.goal_id)
@@ -395,12 +418,16 @@ def starting(arm: str, pid: int) -> str:
     )
 
 
-def gone(arm: str, pid: int) -> str:
+def gone(arm: ArmConfig, pid: int) -> str:
     """The sentence about a control process that has ended."""
     return (
-        f"The control process of arm '{arm}' (pid {pid}) has ended and the drives brake by their own ramps: "
-        f"find out why, then start it again with `rtarm up {arm}`."
+        f"The control process of arm '{arm.name}' (pid {pid}) has ended and the drives brake by their own ramps: "
+        f"find out why, then start it again with {_start_command(arm)}."
     )
+
+
+def _start_command(arm: ArmConfig) -> str:
+    return start_command(arm.name, arm.file_argument, arm.has_options)
 
 
 def hung(arm: str, age_ns: int) -> str:

@@ -45,6 +45,7 @@ _TOLD = {Outcome.SUCCEEDED, Outcome.GOAL_TOLERANCE}
 """Outcomes whose sentence says how far the arm is from its target."""
 _NOT_BEGUN = {
     Outcome.REFUSED_MODE,
+    Outcome.REFUSED_HELD,
     Outcome.REFUSED_UNREFERENCED,
     Outcome.REFUSED_START,
     Outcome.REFUSED_LIMITS,

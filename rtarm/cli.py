@@ -129,8 +129,8 @@ def demo(
     """Play goals that MoveIt planned on a simulated arm, and show how well it followed them.
 
     Starts the simulated drives, the control process, the ROS process and an action client of its own, in a
-    ROS domain of their own. The exit code is 0 only if every goal succeeded. With --view the goals begin as soon as a
-    browser shows the page, or after half a minute.
+    ROS domain and namespace of their own. The exit code is 0 only if every goal succeeded. With --view the goals begin
+    as soon as a browser shows the page, or after half a minute.
 
     Example: [bold]rtarm demo --view[/bold]
     """

@@ -29,6 +29,8 @@ def _done(arm: str, sentence: str, as_json: bool) -> None:
 def stop(arm: RunningArm = None, as_json: AsJson = False) -> None:
     """Stop a running arm on its path and wait until it stands; works without the ROS process.
 
+    The arm takes no goals and no streams before [bold]rtarm resume[/bold], whoever sends them again.
+
     Example: [bold]rtarm stop[/bold]
     """
     with sentences(_not_done(arm, as_json)):
@@ -69,7 +71,7 @@ def hold(arm: RunningArm = None, as_json: AsJson = False) -> None:
 
 @orders.command()
 def resume(arm: RunningArm = None, as_json: AsJson = False) -> None:
-    """Let a paused goal go on.
+    """Let a paused goal go on, or an arm that was stopped take goals again.
 
     Example: [bold]rtarm resume[/bold]
     """

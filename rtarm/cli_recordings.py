@@ -49,8 +49,6 @@ def record(
     Example: [bold]rtarm record episode1 -o strange_noise.mcap[/bold], [bold]rtarm record --for 60[/bold]
     """
     with sentences():
-        import os
-
         from rtarm.recording import shown
         from rtarm.recording.make import left_by, record_now
 
@@ -64,15 +62,10 @@ def record(
         from shm import files
 
         memory = files.open_state(resolve_arm(arm))
-        os.nice(MOST_NICE)
         with shown.growing(seconds) as told:
             path, how = go_on(memory, output, past=follow, span_s=seconds, step=told)
         typer.echo(f"recorded: {how}", err=True)
         typer.echo(str(path))
-
-
-MOST_NICE = 19
-"""The arm comes first."""
 
 
 @recordings_app.command()

@@ -7,7 +7,6 @@ import contextlib
 import json
 import math
 import os
-import random
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,6 +27,7 @@ from rtarm.errors import ExitCode, Refusal
 from rtarm.goals import Goal, load_goal, tour
 from rtarm.interrupt import Interrupted
 from rtarm.launcher import Launcher, Plan, action_name, load_plan
+from rtarm.own_domain import own_domain
 from rtarm.processes import Child, describe_end, ros_environment
 from rtarm.reporter import Reporter
 from rtarm.requests import connect, reference
@@ -50,8 +50,6 @@ SETTLE_S = 0.3
 """Longest wait, after the last goal, for the encoders to come to rest."""
 LONGEST_NAME = 21
 """Of the arm, so that the demo's own name for it is one the schema allows."""
-DOMAINS = range(1, 102)
-"""ROS domains whose ports Linux hands out to nobody else."""
 
 
 @dataclass
@@ -104,18 +102,22 @@ def _write(report: Mapping[str, Any], json_file: Path) -> None:
 
 
 def make_plan(arm_argument: str, goals: Sequence[Goal], *, view: bool = False) -> Plan:
-    """An arm under a name of its own, which disturbs no running arm, standing where the first goal begins."""
+    """An arm under a name of its own, standing where the first goal begins, which disturbs no running arm.
+
+    All that ROS sees of it has that name in front: in the domain of a real arm of the same file too, no goal of the
+    demo's is for that arm, and nobody who asks for that arm finds the demo's or reads where it is.
+    """
     arm = load_arm(arm_argument)
-    overrides = {"name": f"{arm.name[:LONGEST_NAME]}_demo_{secrets.token_hex(2)}"}
-    domain = random.SystemRandom().choice(DOMAINS)
+    name = f"{arm.name[:LONGEST_NAME]}_demo_{secrets.token_hex(2)}"
     return load_plan(
         arm_argument,
-        overrides,
+        {"name": name},
         simulated=arm.bus.interface != "mock",
         start_deg=start_deg(arm, goals[0]),
         again="rtarm demo --view" if view else "rtarm demo",
-        front_environment={"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+        front_environment=own_domain(),
         front_arguments=("--ros-args", "--log-level", "warn"),  # the client tells how the goals end
+        namespace=f"/{name}",
         view=view,
     )
 
@@ -218,7 +220,7 @@ async def _start_client(plan: Plan, goals: Sequence[Goal], played: Played, repor
     return await Child.start(
         "client",
         "rtarm.demo_client",
-        [action_name(plan.arm), *(os.fspath(goal.path.absolute()) for goal in goals)],
+        [plan.namespace, action_name(plan.arm, plan.namespace), *(os.fspath(goal.path.absolute()) for goal in goals)],
         {**ros_environment(), **plan.front_environment},
         take,
         told=True,

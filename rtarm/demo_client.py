@@ -1,10 +1,10 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""`python -m rtarm.demo_client ACTION GOAL…`: the demo's own action client, a process like any MoveIt.
+"""`python -m rtarm.demo_client NAMESPACE ACTION GOAL…`: the demo's own action client, a process like any MoveIt.
 
 Prints `ready` when the action server is there, waits for a line on standard input, then sends the goals one
 after the other and reports in JSON, one object a line: `accepted`, `result` for each goal, and at the end
-`joint_states`, the arrival of that topic while the goals ran.
+`joint_states`, the arrival of that topic of the namespace while the goals ran.
 """
 
 from __future__ import annotations
@@ -140,22 +140,22 @@ def _failed(goal: Goal, code: int, sentence: str) -> bool:
 
 
 @contextlib.contextmanager
-def listening(name: str) -> Iterator[tuple[Node, Arrivals]]:
-    """A node of this name, served by a thread of its own, and how /joint_states arrive at it."""
+def listening(name: str, namespace: str) -> Iterator[tuple[Node, Arrivals]]:
+    """A node, served by a thread of its own, and how the joint_states of its namespace arrive at it."""
     from sensor_msgs.msg import JointState
 
     arrivals = Arrivals()
-    with served_node(name) as node:
-        node.create_subscription(JointState, "/joint_states", arrivals.take, 10, raw=True)
+    with served_node(name, namespace) as node:
+        node.create_subscription(JointState, "joint_states", arrivals.take, 10, raw=True)
         yield node, arrivals
 
 
-def run(action: str, goals: Sequence[Goal]) -> int:
+def run(namespace: str, action: str, goals: Sequence[Goal]) -> int:
     """Connect, wait for the word, play the goals until one fails; exit code 0 only if all succeeded."""
     from control_msgs.action import FollowJointTrajectory
     from rclpy.action.client import ActionClient
 
-    with listening("rtarm_demo") as (node, arrivals):
+    with listening("rtarm_demo", namespace) as (node, arrivals):
         client = ActionClient(node, FollowJointTrajectory, action)
         if not client.wait_for_server(timeout_sec=SERVER_PATIENCE_S):
             raise Refusal(f"No action server {action} appeared within {SERVER_PATIENCE_S:g} s.")
@@ -174,7 +174,8 @@ def main(arguments: Sequence[str]) -> int:
     """The process; its exit code is 0 only if every goal succeeded."""
     os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # read on import; a goal file may hold anything
     try:
-        return run(arguments[0], [load_goal(Path(path)) for path in arguments[1:]])
+        namespace, action, *paths = arguments
+        return run(namespace, action, [load_goal(Path(path)) for path in paths])
     except Refusal as refusal:
         print(refusal.sentence, file=sys.stderr)
         return 1

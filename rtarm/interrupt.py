@@ -22,19 +22,26 @@ class Interrupted(Exception):
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
-    """What has to be put in order at the end is not cut short by whoever asks for the end once more."""
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in STOP_SIGNALS}
+def signals_to(handler: Callable[[int, FrameType | None], object] | signal.Handlers) -> Iterator[None]:
+    """SIGINT, SIGTERM and SIGHUP (the terminal is gone) go to a handler meanwhile; in the main thread only."""
+    before = {number: signal.signal(number, handler) for number in STOP_SIGNALS}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, handler_before in before.items():
+            signal.signal(number, handler_before)
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """What has to be put in order at the end is not cut short by whoever asks for the end once more."""
+    with signals_to(signal.SIG_IGN):
+        yield
 
 
 @contextmanager
 def signals_raise() -> Iterator[None]:
-    """SIGINT, SIGTERM and SIGHUP (the terminal is gone) raise Interrupted wherever the work just is.
+    """A stop signal raises Interrupted wherever the work just is.
 
     Signals come to the main thread alone: in another one this changes nothing.
     """
@@ -45,17 +52,13 @@ def signals_raise() -> Iterator[None]:
     def end(number: int, _: FrameType | None) -> None:
         raise Interrupted(signal.Signals(number).name)
 
-    before = {number: signal.signal(number, end) for number in STOP_SIGNALS}
-    try:
+    with signals_to(end):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager
 def signals_noted() -> Iterator[Callable[[float], str]]:
-    """SIGINT, SIGTERM and SIGHUP are noted, and disturb nothing.
+    """A stop signal is noted, and disturbs nothing.
 
     What is yielded waits for so many seconds, or until one has come, and returns its name, else "".
     """
@@ -71,12 +74,10 @@ def signals_noted() -> Iterator[Callable[[float], str]]:
         select.select((reader,), (), (), max(seconds, 0.0))
         return noted[0] if noted else ""
 
-    before = {number: signal.signal(number, note) for number in STOP_SIGNALS}
     try:
-        yield wait
+        with signals_to(note):
+            yield wait
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
         os.close(reader)
         os.close(writer)
 

@@ -13,7 +13,6 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rtarm.errors import AlreadySaid, ExitCode, Refusal, needs
@@ -22,9 +21,7 @@ from rtarm.processes import (
     Child,
     describe_end,
     has_module,
-    middleware_segments,
     plain_environment,
-    remove_abandoned,
     ros_environment,
 )
 from rtarm.recording.after_fault import FaultRecorder
@@ -51,9 +48,6 @@ SIM_STOP_S = 5.0
 
 HINT_AFTER_S = 5.0
 
-SEGMENTS_EVERY_S = 0.05
-"""How often a ROS process that starts is asked for its segments; it holds them for some tenths before it is ready."""
-
 RESTART_FIRST_S = 0.2
 RESTART_LONGEST_S = 10.0
 STEADY_AFTER_S = 10.0
@@ -77,6 +71,8 @@ class Plan:
     front_environment: Mapping[str, str] = field(default_factory=dict)
     front_arguments: Sequence[str] = ()
     """What the ROS process is given besides, such as `--ros-args`."""
+    namespace: str = ""
+    """What stands before the name of its node and of all its topics, services and actions; "" for nothing."""
     simulated_adapter: Mapping[str, Any] = field(default_factory=dict)
     """What the simulated arm's adapter changes in section `bus`, its channel apart."""
     hand: str | None = None
@@ -95,6 +91,13 @@ def parameter_arguments(parameters: Mapping[str, Any]) -> list[str]:
         "--ros-args",
         *chain.from_iterable(("-p", f"{name}:={_as_yaml(value)}") for name, value in parameters.items()),
     ]
+
+
+def namespace_arguments(namespace: str) -> list[str]:
+    """The arguments with which a node and all that it offers is in a namespace, /diagnostics too; none without one."""
+    if not namespace:
+        return []
+    return ["--ros-args", "-r", f"__ns:={namespace}", "-r", f"/diagnostics:={namespace}/diagnostics"]
 
 
 def override_arguments(overrides: Mapping[str, Any], above: str = "") -> list[str]:
@@ -125,6 +128,7 @@ def load_plan(
     again: str = "",
     front_environment: Mapping[str, str] | None = None,
     front_arguments: Sequence[str] = (),
+    namespace: str = "",
     hand: str | None = None,
     view: bool = False,
     clear_fault: bool = False,
@@ -160,6 +164,7 @@ def load_plan(
         again=again,
         front_environment=front_environment or {},
         front_arguments=front_arguments,
+        namespace=namespace,
         simulated_adapter=adapter,
         hand=hand,
         view=view,
@@ -249,8 +254,6 @@ class Launcher:
         self._front: Child | None = None
         self._recorder = FaultRecorder(plan.arm.name, reporter.say)
         self.page = PageBeside(reporter) if plan.view else None
-        self._segments: list[Path] = []
-        self._noting: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
         """Start everything and return when it is ready.
@@ -286,7 +289,8 @@ class Launcher:
         beside = [asyncio.create_task(self._recorder.watch())]  # whatever becomes of these ends nothing
         if self.page is not None:
             environment = {**plain_environment(), **self.plan.front_environment}
-            beside.append(asyncio.create_task(self.page.watch(self._arguments, environment)))
+            arguments = [*self._arguments, *(["--namespace", self.plan.namespace] if self.plan.namespace else [])]
+            beside.append(asyncio.create_task(self.page.watch(arguments, environment)))
         try:
             done, _ = await asyncio.wait(others, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
@@ -311,10 +315,7 @@ class Launcher:
                 self._say(child, f"did not end within {patience_s:g} s and was killed", style="bold red")
         if self.page is not None:
             await self.page.stop()  # last: it shows the end, and the arm waits for no page
-        if self._noting is not None:
-            self._noting.cancel()
         await self._recorder.close(died=self._loop is not None and bool(self._loop.code))
-        remove_abandoned(self._segments)
 
     def say_stopping(self, why: str) -> None:
         """The line between a signal and the end."""
@@ -359,20 +360,10 @@ class Launcher:
             **ros_environment(),
             **self.plan.front_environment,
         }
-        arguments = [*self._arguments, *self.plan.front_arguments]
+        arguments = [*self._arguments, *namespace_arguments(self.plan.namespace), *self.plan.front_arguments]
         if self.plan.simulated:
             arguments += parameter_arguments({"sim": True})
-        front = await self._spawn("front", "rosfront", arguments, environment)
-        self._noting = asyncio.create_task(self._note_segments(front))
-        return front
-
-    async def _note_segments(self, front: Child) -> None:
-        """Know what a ROS process holds before it is killed, until it is ready: a dead one cannot be asked."""
-        complete = False
-        while not (complete or front.has_ended):
-            complete = front.was_ready
-            self._segments = middleware_segments(front.pid) or self._segments
-            await asyncio.sleep(SEGMENTS_EVERY_S)
+        return await self._spawn("front", "rosfront", arguments, environment)
 
     async def _spawn(self, name: str, module: str, arguments: Sequence[str], environment: Mapping[str, str]) -> Child:
         def show(line: str) -> None:
@@ -452,7 +443,6 @@ class Launcher:
         while True:
             assert self._front is not None
             code = await self._front.ended()
-            remove_abandoned(self._segments)
             if time.monotonic() - started > STEADY_AFTER_S:
                 pause_s = RESTART_FIRST_S
             self._say(
@@ -510,6 +500,6 @@ def describe_bus(arm: ArmConfig) -> str:
     return f"{arm.name} at {arm.control.rate_hz:g} Hz on {bus.interface}, {bus.bitrate // 1000} kbit/s"
 
 
-def action_name(arm: ArmConfig) -> str:
-    """The action that MoveIt sends its goals to."""
-    return f"/{arm.front.controller_name}/follow_joint_trajectory"
+def action_name(arm: ArmConfig, namespace: str = "") -> str:
+    """The action that MoveIt sends its goals to, of a ROS process in this namespace."""
+    return f"{namespace}/{arm.front.controller_name}/follow_joint_trajectory"

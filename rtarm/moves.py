@@ -17,6 +17,7 @@ from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, undisturbed
 from rtarm.requests import STOP_PATIENCE_S, Connection, stands
 from rtarm.sending import Sender, follow, goal_document
+from rtarm.status import STOPPED_BY_A_PERSON
 from shm.words import Mode
 
 SLOW = 0.25
@@ -45,7 +46,10 @@ def refuse_unsound(connection: Connection) -> None:
 def refuse_unless_holding(connection: Connection) -> None:
     """The same, and where the arm does not just stand and hold."""
     refuse_unsound(connection)
-    if int(connection.snapshot()["mode"]) != Mode.HOLDING:
+    snapshot = connection.snapshot()
+    if snapshot["held"]:
+        raise Refusal(STOPPED_BY_A_PERSON)
+    if int(snapshot["mode"]) != Mode.HOLDING:
         raise Refusal(f"Arm {connection.arm} does not stand and hold just now: see `rtarm status`, then try again.")
 
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import ctypes
-import fcntl
 import importlib.util
 import os
-import re
 import signal
 import sys
 import sysconfig
@@ -25,9 +22,6 @@ WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 """Set: the ROS wheels' start-up file does not start Python again with their library path."""
 
 PR_SET_PDEATHSIG = 1
-
-_SEGMENT_LOCK = re.compile(r"(/dev/shm/fastrtps_[0-9a-f]{16})_el")
-"""Half a megabyte each."""
 
 LineHandler = Callable[[str], None]
 
@@ -102,28 +96,6 @@ def shared_death() -> Callable[[], None]:
             os._exit(1)
 
     return share
-
-
-def middleware_segments(pid: int) -> list[Path]:
-    """Shared-memory segments of Fast DDS that a process keeps the locks of; a port is no such segment."""
-    found = []
-    with contextlib.suppress(OSError):
-        for descriptor in Path(f"/proc/{pid}/fd").iterdir():
-            with contextlib.suppress(OSError):
-                match = _SEGMENT_LOCK.fullmatch(os.readlink(descriptor))
-                if match:
-                    found.append(Path(match[1]))
-    return found
-
-
-def remove_abandoned(segments: Sequence[Path]) -> None:
-    """Remove segments that nobody holds any more: the middleware does not when its process was killed."""
-    for segment in segments:
-        lock = Path(f"{segment}_el")
-        with contextlib.suppress(OSError), lock.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            segment.unlink(missing_ok=True)
-            lock.unlink(missing_ok=True)
 
 
 class Child:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 
 from rtarm.errors import Refusal
-from rtarm.status import MOVING_MODES
+from rtarm.interrupt import signals_to
+from rtarm.status import MOVING_MODES, STOPPED_BY_A_PERSON
 from shm import files
 from shm.client import CommandWriter, StateReader, find
 from shm.errors import NotRunning
@@ -24,6 +24,7 @@ BRING_UP_PATIENCE_S = 30.0
 RELEASE_PATIENCE_S = 5.0
 HOMING_PATIENCE_S = 3700.0
 """Beyond the longest that an arm file may allow a joint."""
+BEGUN_PATIENCE_S = 0.1
 POLL_S = 0.005
 
 Condition = Callable[[np.ndarray], bool]
@@ -42,9 +43,13 @@ class Connection:
         """The newest snapshot."""
         return self._reader.snapshot()
 
+    def send(self, kind: Request, *, joint_mask: int = 0, value: float = 0.0) -> int:
+        """Make a request and wait for nothing; its number, by which it is answered."""
+        return self._writer.request(kind, joint_mask=joint_mask, value=value)
+
     def ask(self, kind: Request, *, joint_mask: int = 0, value: float = 0.0) -> Answer:
         """Make a request and wait for its answer."""
-        sequence = self._writer.request(kind, joint_mask=joint_mask, value=value)
+        sequence = self.send(kind, joint_mask=joint_mask, value=value)
         snapshot = self.wait(
             lambda now: find(now["answers"], "sequence", sequence) is not None,
             ANSWER_PATIENCE_S,
@@ -123,7 +128,7 @@ class Connection:
         fate = "a drive amid its homing run goes on" if homes else "the drives have braked by themselves"
         raise NotRunning(
             f"The control process of arm '{self.arm}' ended meanwhile; {fate}: start it again with "
-            f"`rtarm up {self.arm}`."
+            f"{files.start_again(self._reader.memory.record['header'])}."
         )
 
 
@@ -146,11 +151,11 @@ def connect(arm: str) -> Iterator[Connection]:
 
 
 def stop(arm: str) -> str:
-    """Stop the arm on its path, wait until it stands, and say so."""
+    """Stop the arm on its path, wait until it stands, and say so; it takes no goals before a resume."""
     with connect(arm) as connection:
-        answer = connection.ask(Request.STOP)
-        if answer not in (Answer.DONE, Answer.REFUSED_NO_GOAL):
-            raise Refusal(answer_sentence(answer))
+        before = connection.snapshot()
+        had_goal = int(before["goal_id"]) != 0 or int(before["goal_phase"]) == Phase.WAITING
+        connection.order(Request.STOP)
         after = connection.wait(
             stands,
             STOP_PATIENCE_S,
@@ -159,9 +164,18 @@ def stop(arm: str) -> str:
         )
         if int(after["fault"]) == Fault.HOMING:
             raise Refusal(connection.fault(after))
-    if answer == Answer.REFUSED_NO_GOAL:
-        return f"Arm {arm} stands; no goal was running."
-    return f"Arm {arm} stopped on its path and stands; its goal has ended."
+    how = "stopped on its path and stands; its goal has ended" if had_goal else "stands; no goal was running"
+    return f"Arm {arm} {how}. It takes no goals before `rtarm resume`."
+
+
+def stop_again(arm: str) -> None:
+    """Ask for a stop while somebody waits for an earlier one, who tells how that ends.
+
+    Raises:
+        SharedMemoryError: the arm is not running.
+    """
+    with connect(arm) as connection:
+        connection.send(Request.STOP)
 
 
 def stands(snapshot: np.ndarray) -> bool:
@@ -197,7 +211,7 @@ def clear_fault(arm: str) -> str:
         if sentence := connection.fault(after):
             raise Refusal(f"The fault was cleared and came back. {sentence}")
         lost = connection.lost(after)
-    return " ".join([f"The fault is cleared; arm {arm} holds where it stands.", *lost.values()])
+    return " ".join([f"The fault is cleared; arm {arm} holds where it stands.", *_held_words(after), *lost.values()])
 
 
 def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
@@ -205,7 +219,7 @@ def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
 
     Ctrl-C ends the run, and so does the end of the terminal: the drive under way stops.
     """
-    with connect(arm) as connection, _interrupted_by(signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+    with connect(arm) as connection, signals_to(_interrupt):
         mask = sum(1 << connection.index(joint) for joint in dict.fromkeys(joints))
         if sentence := connection.fault(connection.snapshot()):
             raise Refusal(f"A fault is latched, clear it first: {sentence}")
@@ -220,7 +234,8 @@ def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
             connection.order(Request.HOME, joint_mask=mask)
             after = _see_to_the_end(connection, on_joint)
         except KeyboardInterrupt:
-            connection.ask(Request.STOP)
+            if _homes_soon(connection):  # a hold of anything else would pause somebody's goal
+                connection.ask(Request.HOLD)
             still_homes = f"Arm {arm} still homes: use the switch in the power line."
             after = connection.wait(_is_over, STOP_PATIENCE_S, still_homes)
             ended = "Ended: the joint that was on its way stands, without a reference."
@@ -240,19 +255,9 @@ def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
     return " ".join([f"Homed; arm {arm} holds where it stands: {stands or 'nothing was homed'}.", *lost.values()])
 
 
-@contextmanager
-def _interrupted_by(*signals: signal.Signals) -> Iterator[None]:
-    """Let these signals end what runs as Ctrl-C does."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in signals}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def _interrupt(*_: object) -> None:
+    """Any stop signal ends what runs as Ctrl-C does."""
+    raise KeyboardInterrupt
 
 
 def angles_said(words: Sequence[str]) -> dict[str, float | None]:
@@ -312,6 +317,14 @@ def _refuse_angle(connection: Connection, joint: str, angle_deg: float | None) -
         )
 
 
+def _homes_soon(connection: Connection) -> bool:
+    """Whether joints are being homed, or are as soon as the control process has heard of it."""
+    with suppress(Refusal):
+        connection.wait(lambda now: int(now["mode"]) == Mode.REFERENCING, BEGUN_PATIENCE_S, "")
+        return True
+    return False
+
+
 def _is_over(snapshot: np.ndarray) -> bool:
     return int(snapshot["mode"]) != Mode.REFERENCING
 
@@ -353,7 +366,13 @@ def enable(arm: str) -> str:
         if sentence := connection.fault(after):
             raise Refusal(sentence)
         lost = connection.lost(after)
-    return " ".join([f"The drives of {arm} are enabled; the arm holds where it stands.", *lost.values()])
+    held = _held_words(after)
+    return " ".join([f"The drives of {arm} are enabled; the arm holds where it stands.", *held, *lost.values()])
+
+
+def _held_words(snapshot: np.ndarray) -> list[str]:
+    """What else keeps the arm from taking goals: that a person has stopped it."""
+    return [STOPPED_BY_A_PERSON] if snapshot["held"] else []
 
 
 def let_go(arm: str, kind: Request) -> str:
@@ -399,10 +418,11 @@ def hold(arm: str) -> str:
 
 
 def resume(arm: str) -> str:
-    """Let a paused goal go on, and say so."""
+    """Let a paused goal go on, or a stopped arm take goals again, and say so."""
     with connect(arm) as connection:
+        held = bool(connection.snapshot()["held"])
         connection.order(Request.RESUME)
-    return f"The goal of {arm} goes on."
+    return f"Arm {arm} takes goals again." if held else f"The goal of {arm} goes on."
 
 
 def speed(arm: str, scale: float) -> str:

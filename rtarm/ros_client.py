@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from rosfront.program import CannotServe, start_ros
 from rtarm.errors import Refusal
 
 if TYPE_CHECKING:
@@ -22,15 +23,21 @@ MUTUAL_S = 0.3
 
 
 @contextlib.contextmanager
-def served_node(name: str) -> Iterator[Node]:
-    """A node of this name, served by a thread of its own."""
+def served_node(name: str, namespace: str = "") -> Iterator[Node]:
+    """A node of this name, served by a thread of its own; SIGTERM simply ends the process.
+
+    Raises:
+        Refusal: ROS cannot be used as the environment has it.
+    """
     import rclpy
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-    from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import try_shutdown
 
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # SIGTERM simply ends it
-    node = rclpy.create_node(name)
+    try:
+        start_ros([])
+    except CannotServe as problem:
+        raise Refusal(str(problem)) from None
+    node = rclpy.create_node(name, namespace=namespace)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
 

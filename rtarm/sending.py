@@ -188,8 +188,8 @@ def follow(connection: Connection, sender: Sender, number: int, silent: str, *, 
 
 
 @contextmanager
-def sending(arm: ArmConfig) -> Iterator[Sender]:
-    """A sender to the arm's action, found in the ROS domain of the environment.
+def sending(arm: ArmConfig, namespace: str = "") -> Iterator[Sender]:
+    """A sender to the action of an arm whose ROS process is in this namespace, in the ROS domain of the environment.
 
     At its end, a goal that still runs is cancelled.
 
@@ -201,7 +201,7 @@ def sending(arm: ArmConfig) -> Iterator[Sender]:
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", arm.front.discovery.upper())
     process = subprocess.Popen(
         # -P: a folder called config where the user happens to stand is not our package.
-        [sys.executable, "-P", "-m", "rtarm.goal_sender", action_name(arm)],
+        [sys.executable, "-P", "-m", "rtarm.goal_sender", action_name(arm, namespace)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

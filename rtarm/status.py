@@ -40,6 +40,10 @@ CYCLE_OVERDUE_S = 0.5
 """A cycle this late is a control process that hangs, not one that was preempted."""
 FRONT_SILENT_S = 1.0
 
+STOPPED_BY_A_PERSON = (
+    "A person has stopped the arm, so it takes no goals: see that it may move, then `rtarm resume` (or ~/resume)."
+)
+
 PERCENTS = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9}
 POLICIES = {0: "other", 1: "fifo", 2: "rr"}
 
@@ -145,6 +149,7 @@ def of_cycle(cycle: Any, joints: Sequence[str], now_ns: int) -> Report:
     """What a snapshot tells, or the flight recorder's record of a cycle, whose words have the same names."""
     return {
         "mode": key(Mode, int(cycle["mode"])),
+        "held": bool(cycle["held"]),
         "fault": _fault(cycle, joints, now_ns),
         "goal": _goal(cycle),
         "speed_scale": float(cycle["speed_scale"]),
@@ -218,6 +223,8 @@ def problems(report: Mapping[str, Any]) -> list[str]:
         )
     elif report["mode"] not in {key(Mode, mode) for mode in FIT_MODES}:
         found.append(f"The control process is {report['mode'].replace('_', ' ')}: wait until it is holding.")
+    if report["held"]:
+        found.append(STOPPED_BY_A_PERSON)
     if report["cycle_age_ms"] > CYCLE_OVERDUE_S * 1e3:
         found.append(
             f"The last control cycle was {report['cycle_age_ms'] / 1e3:.1f} s ago, so the control process "

@@ -22,6 +22,7 @@ from config.errors import ConfigError
 from config.loader import load_arm, parse_overrides
 from config.schema import ArmConfig
 from rtloop import compiled
+from rtloop.another_file import refuse_another_file
 from rtloop.process import CannotStart, ControlProcess, StopAsked
 from rtloop.wire.refusal import WireRefused
 from shm.cache import ROOT
@@ -36,6 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
         parser.add_argument("--clear-fault", action="store_true", help="clear what a drive has tripped at before")
         options = parser.parse_args(arguments)
         arm = arm_of(options)
+        refuse_another_file(arm)
         stop_asked = StopAsked(STOP_SIGNALS)
         process = ControlProcess(arm, compiled_cycle(stop_asked), tell, stop_asked)
         return process.serve(lambda: print("ready", flush=True), clears_protection=options.clear_fault)

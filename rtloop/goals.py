@@ -43,7 +43,7 @@ def enter_newer_goal(loop: Loop, shared: Shared) -> None:
     entry_s = due_s(loop, core.incoming_path)
     if not has_bridge(loop, core.incoming_path, entry_s) and refused_as_too_far(loop, shared, entry_s):
         return
-    if core.mode == Mode.STOPPING and not guard.at_rest(loop):
+    if has_been_ended(core.ending) and not guard.at_rest(loop):
         return  # a stop that was asked for is finished first
     if core.mode != Mode.HOLDING and core.mode != Mode.EXECUTING and core.mode != Mode.STOPPING:
         return
@@ -102,8 +102,7 @@ def refuse_incoming(loop: Loop, shared: Shared, outcome: int, joint: int, value:
 def start_incoming(loop: Loop, shared: Shared) -> None:
     core = loop.core
     if core.goal_id != 0:
-        goes_on = core.ending == Outcome.NONE or core.ending == Outcome.RAN_DRY
-        outcome = Outcome.REPLACED if goes_on else core.ending
+        outcome = core.ending if has_been_ended(core.ending) else Outcome.REPLACED
         set_result(loop, shared, core.goal_id, outcome, core.ending_joint, core.ending_value, core.ending_limit)
     core.goal_id = core.incoming_goal
     core.incoming_goal = 0
@@ -165,7 +164,7 @@ def steer(loop: Loop, shared: Shared) -> None:
         or core.incoming_waits == 1
         or core.fault != Fault.NONE
     )
-    if core.ending != Outcome.NONE and core.ending != Outcome.RAN_DRY and core.mode == Mode.EXECUTING:
+    if has_been_ended(core.ending) and core.mode == Mode.EXECUTING:
         change_mode(loop, shared, Mode.STOPPING)
     running = loop.paths[core.active]
     must_arrive = running.ended == 1 and not goes_on_past_end(loop, core.active)
@@ -193,6 +192,12 @@ def has_run_dry(loop: Loop) -> bool:
         and loop.paths[core.active].ends_moving == 1
         and core.clock_s >= end_s(loop, core.active)
     )
+
+
+@jit
+def has_been_ended(ending: int) -> bool:
+    """Whether a goal stops for good; one that ran dry goes on with the next message of its stream."""
+    return ending != Outcome.NONE and ending != Outcome.RAN_DRY
 
 
 @jit

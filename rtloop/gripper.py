@@ -88,6 +88,8 @@ class GripperTalk(Conversation):
         self._shown["measured_effort"] = self._shown["target_rad"] = math.nan
         self._known = False
         self._taken = int(self._core["grip_sequence"])
+        self._stops = int(self._core["stops"])
+        self._obeying = False
         self._judge: GripJudge | None = None
         self._full_ma = HIGHEST_UNLIMITED_MA
         self._limit_ma = 0
@@ -106,6 +108,13 @@ class GripperTalk(Conversation):
 
     def _received(self) -> list[Frame]:
         return self.port.received(of_gripper=True)
+
+    def poll(self, now_ns: int) -> bool:
+        """A step; when a person has stopped the arm, what moves stops too, and what is gripped stays gripped."""
+        stops_before, self._stops = self._stops, int(self._core["stops"])
+        if self._stops != stops_before and (self.moves or self._waits or self._obeying):
+            self.stop()
+        return super().poll(now_ns)
 
     def _goes_on(self) -> bool:
         """Always: a turn follows a turn."""
@@ -150,9 +159,12 @@ class GripperTalk(Conversation):
                 yield from self._get_to_know()
             order = self._take()
             if order is not None:
+                self._obeying = True
                 yield from self._obey(order)
+            self._obeying = False
             yield from self._look()
         except _Trouble as trouble:
+            self._obeying = False
             self._suffer(trouble)
             if order is None and not self._known:
                 order = self._take()  # there is nobody to obey it; any other is told it in the next turn
@@ -262,6 +274,8 @@ class GripperTalk(Conversation):
         self._require_inside(position_rad)
         pulses = round((angle_rad + self._servo.zero_rad) * self._servo.pulses_per_rad)
         counts_per_pulse = ENCODER_COUNTS_PER_REVOLUTION / (self._servo.microsteps * FULL_STEPS_PER_REVOLUTION)
+        if self._waits:
+            return  # a newer order, which may be a stop, goes before what has not set off
         command = registers.go_to(pulses, rpm=self._gripper.motor_rpm, acc=self._gripper.acc_byte)
         for _ in range(TRIES):
             target = yield from self._counts(registers.ASK_TARGET, before=(command,))

@@ -298,6 +298,8 @@ def _wrong_begin(loop: Loop) -> tuple[int, int]:
         return Outcome.REFUSED_MODE, -1
     if core.closing == 1:
         return Outcome.SHUTDOWN, -1
+    if core.held == 1:
+        return Outcome.REFUSED_HELD, -1
     for joint in range(loop.params.joint_count):
         if loop.axes[joint].referenced == 0:
             return Outcome.REFUSED_UNREFERENCED, joint
@@ -401,11 +403,18 @@ def _obey(loop: Loop, shared: Shared) -> int:
         return _let_go(loop, shared, Mode.DISABLED if kind == Request.DISABLE else Mode.FREE)
     if kind == Request.HOME or kind == Request.REFERENCE:
         return begin_referencing(loop, shared, kind, request.joint_mask, request.value)
-    if core.mode == Mode.REFERENCING and (kind == Request.HOLD or kind == Request.STOP):
+    if kind == Request.STOP:
+        core.held = 1
+        core.stops += 1
+        core.referencing_ends = 1 if core.mode == Mode.REFERENCING else core.referencing_ends
+        _end_goals(loop, shared, 0, Outcome.STOPPED)
+        return Answer.DONE
+    if kind == Request.HOLD and core.mode == Mode.REFERENCING:
         core.referencing_ends = 1
         return Answer.DONE
-    if kind == Request.STOP:
-        return _end_goals(loop, shared, request.goal_id, Outcome.STOPPED)
+    if kind == Request.RESUME and core.held == 1:
+        core.held = 0
+        return Answer.DONE
     if kind == Request.HOLD or kind == Request.RESUME:
         if core.goal_id == 0:
             return Answer.REFUSED_NO_GOAL
@@ -424,6 +433,8 @@ def _pass_to_gripper(loop: Loop) -> int:
         return Answer.REFUSED_MODE
     if received.closed(loop) != 0:
         return Answer.REFUSED_WIRE
+    if core.held == 1 and request.kind != Request.GRIP_STOP:
+        return Answer.REFUSED_HELD
     if request.kind == Request.GRIP:
         inside = request.value >= params.gripper_lower_rad and request.value <= params.gripper_upper_rad
         if not (inside and request.most_effort >= 0.0 and math.isfinite(request.most_effort)):
@@ -458,6 +469,8 @@ def _let_go(loop: Loop, shared: Shared, mode: int) -> int:
 def begin_referencing(loop: Loop, shared: Shared, kind: int, joint_mask: int, angle_rad: float) -> int:
     """Let joints of a standing arm be homed, or be where a person says."""
     core, count = loop.core, loop.params.joint_count
+    if kind == Request.HOME and core.held == 1:
+        return Answer.REFUSED_HELD
     if joint_mask == 0 and kind == Request.HOME:
         joint_mask = loop.params.homing_mask
     if joint_mask <= 0 or joint_mask >> count != 0 or math.isinf(angle_rad):

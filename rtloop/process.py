@@ -84,6 +84,9 @@ class ControlProcess:
             arm_hash(arm),
             arm.control.period_ns,
             arm.bus.bitrate if arm.bus.interface != "mock" else 0,
+            arm_file=arm.file_argument,
+            arm_file_hash=arm.source.file_hash if arm.source else 0,
+            options=arm.has_options,
         )
         self._files = files.create(identity)
         self._wire: OpenWire | None = None
@@ -236,7 +239,7 @@ class ControlProcess:
             if keeps_frames(self._arm, self._wire):
                 self._tell(STILL_QUEUED.sentence.format(channel=self._arm.bus.resolved_channel))
             self._close_wire(self._wire)
-        self._files.remove()
+        self._files.remove(as_before=not self._brought_up)
 
     def _store(self, value: int, *word: str) -> None:
         """Publish a word of the loop's record to the threads."""

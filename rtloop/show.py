@@ -61,6 +61,8 @@ def show(loop: Loop, shared: Shared) -> None:
     snapshot.motion_started = core.motion_started
     snapshot.referencing_joint = core.referencing_joint
     snapshot.pose_due = 1 if core.now_ns < core.pose_due_ns else 0
+    snapshot.held = core.held
+    snapshot.stops = core.stops
     for joint in range(params.joint_count):
         axis, shown = loop.axes[joint], snapshot.joints[joint]
         shown.commanded_position_rad = axis.position_rad

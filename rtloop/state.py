@@ -275,6 +275,8 @@ CORE = np.dtype(
         ("speed_scale", "f8"),  # what people asked for
         ("entry_rate", "f8"),  # for which the running path's blend was made
         ("paused", "i8"),
+        ("held", "i8"),  # 1: a person has stopped the arm, so nothing begins before a resume
+        ("stops", "i8"),  # how often one has
         ("starving", "i8"),
         ("starving_ns", "i8"),
         ("arriving", "i8"),  # the last ramp ends where the path does

@@ -11,12 +11,15 @@ import errno
 import fcntl
 import mmap
 import os
+import pwd
+import shlex
 import stat
 import struct
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +27,13 @@ from shm import layout
 from shm.errors import AlreadyHeld, NotPermitted, NotRunning, SharedMemoryError, WrongArm, WrongLayout
 
 DIRECTORY = Path("/dev/shm")
+_KINDS = (
+    (stat.S_ISREG, "file"),
+    (stat.S_ISLNK, "link"),
+    (stat.S_ISDIR, "directory"),
+    (stat.S_ISFIFO, "pipe"),
+    (stat.S_ISSOCK, "socket"),
+)
 _FLOCK = struct.Struct("hhqqi4x")
 """struct flock of 64-bit Linux: type, whence, start, length, pid."""
 
@@ -51,6 +61,12 @@ class Identity:
     period_ns: int
     bitrate: int = 0
     """Of the bus (bit/s), 0 where there is none."""
+    arm_file: str = ""
+    """What a person starts it with: the name of an arm that comes with rtarm, or the absolute path of its file."""
+    arm_file_hash: int = 0
+    """Of what that file says."""
+    options: bool = False
+    """Whether options change what the file says."""
 
 
 @dataclass
@@ -94,18 +110,49 @@ class LoopFiles:
     state: MemoryFile
     command: MemoryFile
 
-    def remove(self) -> None:
-        """Orderly end: the names go first, then the locks."""
+    keeps_previous: bool = False
+    """Whether the state file of a control process that had died made room for this one."""
+
+    def remove(self, *, as_before: bool = False) -> None:
+        """Orderly end: the names go first, then the locks.
+
+        With `as_before` a dead control process' state file gets its name back: what was never in service leaves
+        behind what it found.
+        """
         for memory in (self.command, self.state):
             with contextlib.suppress(FileNotFoundError):
                 if os.stat(memory.path).st_ino == os.fstat(memory.fd).st_ino:
                     os.unlink(memory.path)
+                    if as_before and self.keeps_previous and memory is self.state:
+                        with contextlib.suppress(OSError):  # somebody has taken it away, or has begun meanwhile
+                            _rename_to_free(memory.path.with_name(f"{memory.path.name}.prev"), memory.path)
             memory.close()
 
 
 def name_bytes(names: Sequence[str], slots: int) -> np.ndarray:
     text = b"".join(name.encode().ljust(layout.NAME_BYTES, b"\0") for name in names)
     return np.frombuffer(text.ljust(slots * layout.NAME_BYTES, b"\0"), np.uint8)
+
+
+def _path_bytes(path: str) -> np.ndarray:
+    text = os.fsencode(path)
+    return np.frombuffer((text if len(text) <= layout.PATH_BYTES else b"").ljust(layout.PATH_BYTES, b"\0"), np.uint8)
+
+
+def arm_file(header: np.void) -> str:
+    """What the arm of a header was started with: a name, or the path of its file; "" where that is not known."""
+    return os.fsdecode(bytes(header["arm_file"]).rstrip(b"\0"))
+
+
+def start_command(arm: str, arm_file: str, options: bool) -> str:
+    """The command that starts an arm, for a sentence: by its file, which may not be that of a known arm of its name."""
+    with_options = " (with the options it had)" if options else ""
+    return f"`rtarm up {shlex.quote(arm_file or arm)}`{with_options}"
+
+
+def start_again(header: np.void) -> str:
+    """The command that starts the arm of a header again, for a sentence."""
+    return start_command(arm_name(header), arm_file(header), bool(header["options"]))
 
 
 def arm_name(header: np.void) -> str:
@@ -168,7 +215,10 @@ def _create_locked(path: Path) -> int:
     Between its creation and its lock another starting process may take it for abandoned and remove it.
     """
     while True:
-        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+        try:
+            fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+        except FileExistsError as problem:
+            raise _not_ours(path, problem) from problem
         if _try_lock(fd, 0.0) and os.fstat(fd).st_nlink > 0:
             return fd
         os.close(fd)
@@ -202,6 +252,9 @@ def _build_aside(path: Path, dtype: np.dtype, size: int, identity: Identity) -> 
     header["start_epoch_ns"] = time.time_ns()
     header["period_ns"] = identity.period_ns
     header["bitrate"] = identity.bitrate
+    header["arm_file_hash"] = identity.arm_file_hash
+    header["options"] = identity.options
+    header["arm_file"] = _path_bytes(identity.arm_file)
     header["joint_count"] = len(identity.joints)
     header["arm_name"] = name_bytes((identity.arm,), 1)
     header["joint_names"] = name_bytes(identity.joints, layout.MAX_JOINTS)
@@ -209,8 +262,12 @@ def _build_aside(path: Path, dtype: np.dtype, size: int, identity: Identity) -> 
     return memory
 
 
-def _put_in_place(memory: MemoryFile, path: Path, *, keep_previous: bool) -> None:
-    """Give a file built aside its name, unless a living owner has it; raises AlreadyHeld."""
+def _put_in_place(memory: MemoryFile, path: Path) -> bool:
+    """Give a state file built aside its name, unless a living owner has it; whether it took the place of a dead one's.
+
+    Raises AlreadyHeld.
+    """
+    kept = False
     while True:
         try:
             old = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
@@ -221,6 +278,8 @@ def _put_in_place(memory: MemoryFile, path: Path, *, keep_previous: bool) -> Non
         try:
             if old >= 0:
                 if not _try_lock(old, 0.2):
+                    if not _is_private(status := os.fstat(old)):
+                        raise _not_private(path, status)
                     pid = int(np.frombuffer(os.pread(old, 32, 0), "i8")[3])
                     raise AlreadyHeld(
                         f"A control process for this arm is already running (pid {pid}, {path}): only one may drive "
@@ -228,27 +287,73 @@ def _put_in_place(memory: MemoryFile, path: Path, *, keep_previous: bool) -> Non
                     )
                 with contextlib.suppress(FileNotFoundError):
                     if os.stat(path, follow_symlinks=False).st_ino == os.fstat(old).st_ino:
-                        if keep_previous:
-                            os.replace(path, path.with_name(f"{path.name}.prev"))
-                        else:
-                            os.unlink(path)
+                        _rename(path, path.with_name(f"{path.name}.prev"))
+                        kept = True
             try:
                 os.link(memory.path, path)
             except FileExistsError:
                 continue  # somebody was quicker: look again who it is
             os.unlink(memory.path)
             memory.path = path
-            return
+            return kept
         finally:
             if old >= 0:
                 os.close(old)
 
 
-def _not_ours(path: Path, problem: OSError) -> NotPermitted:
+def _rename_to_free(path: Path, target: Path) -> None:
+    """Give a file a name that nothing has; raises OSError."""
+    os.link(path, target, follow_symlinks=False)
+    os.unlink(path)
+
+
+def _rename(path: Path, target: Path) -> None:
+    """Give a file another name, in the place of what has it; raises NotPermitted."""
+    try:
+        os.replace(path, target)
+    except FileNotFoundError:
+        raise
+    except OSError as problem:  # what may not be removed: the old name's file, or the one that has the new name
+        raise _not_ours(target if _is_private(os.lstat(path)) else path, problem) from problem
+
+
+def _user(uid: int) -> str:
+    """What people call a user."""
+    try:
+        return f"user {pwd.getpwuid(uid).pw_name}"
+    except KeyError:
+        return f"uid {uid}"
+
+
+def _is_private(status: os.stat_result) -> bool:
+    """Whether this is what a memory file must be: a file of this user's own that no other user may open."""
+    mode = status.st_mode
+    return stat.S_ISREG(mode) and status.st_uid == os.geteuid() and not mode & (stat.S_IRWXG | stat.S_IRWXO)
+
+
+def _not_private(path: Path, status: os.stat_result) -> NotPermitted:
+    """The sentence on what stands in the place of a memory file. /dev/shm is sticky: only its owner may remove it."""
+    kind = next((word for is_one, word in _KINDS if is_one(status.st_mode)), "device")
+    owner, me = _user(status.st_uid), _user(os.geteuid())
+    remedy = f"remove it (`rm -r {path}`)."
+    if status.st_uid != os.geteuid():
+        remedy = (
+            f"if {owner} runs this arm, do this as {owner} too; otherwise ask {owner} or an administrator to remove it "
+            f"(`sudo rm -r {path}`), or give your arm another name."
+        )
     return NotPermitted(
-        f"{path} cannot be opened ({problem.strerror}): memory files are private to the user who runs the control "
-        "process and never links; run as that user, or remove what stands in their place."
+        f"{path} is a {kind} of {owner} with mode {stat.S_IMODE(status.st_mode):o}, but must be a file of {me} with "
+        f"mode 600: {remedy}"
     )
+
+
+def _not_ours(path: Path, problem: OSError) -> NotPermitted:
+    """The sentence on a path that the system would not open, or let go of."""
+    with contextlib.suppress(OSError):
+        status = os.lstat(path)
+        if not _is_private(status):
+            return _not_private(path, status)
+    return NotPermitted(f"{path} cannot be used ({problem.strerror}): see what it is (`ls -l {path}`), or remove it.")
 
 
 def create(identity: Identity) -> LoopFiles:
@@ -262,9 +367,9 @@ def create(identity: Identity) -> LoopFiles:
     try:
         state.record["recorder"] = rings.described()
         command = _build_aside(command_path(identity.arm), layout.COMMAND, layout.COMMAND.itemsize, identity)
-        _put_in_place(state, state_path(identity.arm), keep_previous=True)
+        kept = _put_in_place(state, state_path(identity.arm))
         path = command_path(identity.arm)
-        os.replace(command.path, path)  # the state file's lock already settled who owns the arm
+        _rename(command.path, path)  # the state file's lock already settled who owns the arm
         command.path = path
         fcntl.flock(command.fd, fcntl.LOCK_UN)  # held so far, or it would be removed as abandoned
     except BaseException:
@@ -274,7 +379,7 @@ def create(identity: Identity) -> LoopFiles:
                     os.unlink(memory.path)
                 memory.close()
         raise
-    return LoopFiles(state, command)
+    return LoopFiles(state, command, keeps_previous=kept)
 
 
 def _open(path: Path, dtype: np.dtype, arm: str, arm_hash: int | None, *, writable: bool) -> MemoryFile:
@@ -284,7 +389,8 @@ def _open(path: Path, dtype: np.dtype, arm: str, arm_hash: int | None, *, writab
         fd = os.open(path, flags)
     except FileNotFoundError as problem:
         raise NotRunning(
-            f"No control process is running for arm '{arm}' ({path} is not there): start it with `rtarm up {arm}`."
+            f"No control process is running for arm '{arm}' ({path} is not there): start it with `rtarm up` and the "
+            "name or the path of its arm file."
         ) from problem
     except OSError as problem:
         raise _not_ours(path, problem) from problem
@@ -295,11 +401,8 @@ def _attach(path: Path, fd: int, dtype: np.dtype, arm: str, arm_hash: int | None
     """Map an open file, once it has been found to be what it should be; what is refused is closed."""
     try:
         status = os.fstat(fd)
-        if not stat.S_ISREG(status.st_mode) or status.st_uid != os.geteuid() or status.st_mode & 0o077:
-            raise NotPermitted(
-                f"{path} is owned by uid {status.st_uid} with mode {stat.S_IMODE(status.st_mode):o}: a memory file "
-                "must be this user's own and mode 600; remove it if it is not yours."
-            )
+        if not _is_private(status):
+            raise _not_private(path, status)
         found = np.frombuffer(os.pread(fd, layout.HEADER.itemsize, 0).ljust(layout.HEADER.itemsize), layout.HEADER)
         ours = layout.layout_hash()
         size = _size_said(found[0], dtype)
@@ -335,12 +438,13 @@ def open_state(arm: str, arm_hash: int | None = None) -> MemoryFile:
     """Map the state file read-only; raises NotRunning when no control process holds it."""
     memory = _open(state_path(arm), layout.STATE, arm, None, writable=False)
     if not is_held(memory.fd):  # before its configuration: whoever starts the arm again may have changed the file
-        pid = int(memory.record["header"]["pid"])
-        memory.close()
-        raise NotRunning(
-            f"The control process of arm '{arm}' (pid {pid}) is gone without an orderly end: start it again with "
-            f"`rtarm up {arm}`."
+        header = memory.record["header"]
+        sentence = (
+            f"The control process of arm '{arm}' (pid {int(header['pid'])}) is gone without an orderly end: start it "
+            f"again with {start_again(header)}."
         )
+        memory.close()
+        raise NotRunning(sentence)
     try:
         _require_hash(arm, int(memory.record["header"]["arm_hash"]), arm_hash)
     except WrongArm:
@@ -359,6 +463,32 @@ def left_behind(arm: str) -> MemoryFile:
         return _open(path, layout.STATE, arm, None, writable=False)
     except NotRunning:
         return _open(previous_path(arm), layout.STATE, arm, None, writable=False)
+
+
+class Died(NamedTuple):
+    """What a control process ran that has died: as `arm_file` tells it, its hash, and the command that starts it."""
+
+    arm_file: str
+    arm_file_hash: int
+    start_again: str
+
+
+def died_with(arm: str) -> Died | None:
+    """What the arm's last control process ran, if it has died.
+
+    One that ended in order, or was refused before it was in service, is none.
+    """
+    try:
+        memory = _open(state_path(arm), layout.STATE, arm, None, writable=False)
+    except SharedMemoryError:
+        return None
+    try:
+        header = memory.record["header"]
+        if is_held(memory.fd):
+            return None
+        return Died(arm_file(header), int(header["arm_file_hash"]), start_again(header))
+    finally:
+        memory.close()
 
 
 def inherited_state(fd: int, arm: str) -> MemoryFile:

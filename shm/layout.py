@@ -21,6 +21,7 @@ import numpy as np
 
 MAX_JOINTS = 32
 NAME_BYTES = 64
+PATH_BYTES = 4096
 LINE_BYTES = 128
 MAGIC = int.from_bytes(b"rtarm\x00\x00\x01", "little")
 
@@ -77,7 +78,15 @@ HEADER = _record(
             "names of the joints in configuration order",
         ),
         Word("bitrate", "i8", "bit/s", "bit rate of the bus, 0 where there is none"),
-        Word("padding", ("i8", (15,)), "", ""),
+        Word("arm_file_hash", "i8", "", "hash of what the arm file says, without options"),
+        Word("options", "i8", "", "1 where options change what the arm file says"),
+        Word("padding", ("i8", (13,)), "", ""),
+        Word(
+            "arm_file",
+            ("u1", (PATH_BYTES,)),
+            "",
+            "name of an arm that comes with rtarm, or absolute path of the arm file, UTF-8; empty where it has none",
+        ),
     ],
 )
 
@@ -153,6 +162,8 @@ CHANGING = [
     Word("motion_started", "i8", "", "1 once the first motion frame was sent since bring-up"),
     Word("referencing_joint", "i8", "", "joint that is being homed or referenced, -1 for none"),
     Word("pose_due", "i8", "", "1: just homed at the start, and nobody has asked for anything since"),
+    Word("held", "i8", "", "1: a person has stopped the arm; no goal, stream or homing run begins before a resume"),
+    Word("stops", "i8", "", "how often a person has stopped the arm"),
     Word("joints", (JOINT, (MAX_JOINTS,)), "", "one record a joint"),
 ]
 """The words of a snapshot that change in every cycle."""

@@ -59,9 +59,10 @@ OUTCOMES: dict[Outcome, Meaning] = {
         "Send goals one after the other if each is to be completed.",
     ),
     Outcome.STOPPED: Meaning(
-        "The arm was stopped by a person (`rtarm stop`); it has come to rest on its path.",
-        "A stop must work when the ROS side does not.",
-        "Find out why, then plan from where the arm stands.",
+        "The arm was stopped by a person, has come to rest on its path, and takes no goals before `rtarm resume` (or "
+        "~/resume).",
+        "A stop must work when the ROS side does not, and must last when a client sends its goal again.",
+        "Find out why, resume, then plan from where the arm stands.",
     ),
     Outcome.PATH_TOLERANCE: Meaning(
         "{joint} was {value:.4f} rad from its setpoint and {limit:.4f} rad are allowed: check what hinders "
@@ -107,9 +108,10 @@ OUTCOMES: dict[Outcome, Meaning] = {
         "Wait until bring-up is over, clear the fault, or enable the drives.",
     ),
     Outcome.REFUSED_HELD: Meaning(
-        "The arm is held, so nothing of a stream is taken: resume first.",
-        "Whoever holds the arm means it, and a stream does not know of it.",
-        "Call the service ~/resume, or cancel the goal that is held.",
+        "A person has stopped or holds the arm, so this does not begin: let the arm go on with `rtarm resume` (or "
+        "~/resume), then send it again.",
+        "A person who stops the arm means it, and neither a stream nor a client that sends its goal again knows of it.",
+        "Ask who stopped the arm and why; then `rtarm resume`, the service ~/resume, or Resume on its page.",
     ),
     Outcome.REFUSED_UNREFERENCED: Meaning(
         "{joint} has no reference, so its angle is not known and no goal is taken: see `rtarm status` for "
@@ -386,6 +388,11 @@ ANSWERS: dict[Answer, Meaning] = {
         "event that says it is back, then ask again.",
         "Clearing a fault speaks to every drive.",
         "Wait until the control process says that the adapter is back.",
+    ),
+    Answer.REFUSED_HELD: Meaning(
+        "A person has stopped the arm, so nothing that moves it is begun: `rtarm resume` (or ~/resume) first.",
+        "What a person has stopped, only a person sets in motion again.",
+        "Ask who stopped the arm and why, then resume.",
     ),
     Answer.REFUSED_UNKNOWN: Meaning(
         "The control process does not know this request: start both processes from one installation.",

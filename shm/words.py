@@ -44,11 +44,11 @@ class Request(IntEnum):
     """What a request asks for."""
 
     HOLD = 1  # stop on the path, keep the goal: pause
-    RESUME = 2
+    RESUME = 2  # let a paused goal go on, or an arm that a person has stopped take goals again
     CANCEL = 3  # stop on the path, end the goal as canceled
     SPEED_SCALE = 4
     CLEAR_FAULT = 5
-    STOP = 6  # stop on the path, end the goal as stopped by a person
+    STOP = 6  # by a person: stop on the path, end every goal, begin nothing before a resume
     ENABLE = 7  # bring limp drives up again; the arm holds where it stands
     DISABLE = 8  # let the drives of a standing arm go limp
     FREE = 9  # the same, to lead it by hand
@@ -77,6 +77,7 @@ class Answer(IntEnum):
     REFUSED_UNKNOWN = 5
     REFUSED_MOVING = 6
     REFUSED_WIRE = 7  # the adapter is not there
+    REFUSED_HELD = 8  # a person has stopped the arm
 
 
 class Outcome(IntEnum):
@@ -104,7 +105,7 @@ class Outcome(IntEnum):
     PATH_ACCELERATION = 19
     GOAL_VELOCITY = 20
     GOAL_ACCELERATION = 21
-    REFUSED_HELD = 22  # a stream while a person holds the arm
+    REFUSED_HELD = 22  # a person has stopped the arm, or holds it and this is a stream
 
 
 class Fault(IntEnum):

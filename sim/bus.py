@@ -118,6 +118,21 @@ def frame_bits(frame: Frame) -> int:
     return len(content) * 8 - idle + 15 + stuffed + _TAIL_BITS
 
 
+def frame_ns(frame: Frame, bitrate: int) -> int:
+    """Time the frame occupies a bus."""
+    return frame_bits(frame) * 1_000_000_000 // bitrate
+
+
+def interframe_ns(bitrate: int) -> int:
+    """Time between the end of a frame, when it is received, and the next."""
+    return _INTERFRAME_BITS * 1_000_000_000 // bitrate
+
+
+def began_ns(frame: Frame, received_ns: int, bitrate: int) -> int:
+    """When a frame that was received at a time has begun."""
+    return received_ns + interframe_ns(bitrate) - frame_ns(frame, bitrate)
+
+
 class Bus:
     """The wire between the nodes; advanced by `run_until`.
 
@@ -135,10 +150,6 @@ class Bus:
         self._clock_ns = start_ns
         self._free_ns = start_ns
         self._flying: tuple[int, Frame, Node] | None = None
-
-    def frame_ns(self, frame: Frame) -> int:
-        """Time the frame occupies the bus."""
-        return frame_bits(frame) * 1_000_000_000 // self.bitrate
 
     def run_until(self, now_ns: int) -> None:
         """Let everything happen that is due up to and including `now_ns`."""
@@ -171,8 +182,7 @@ class Bus:
         Args:
             answer_ns: the least time any node takes to answer a frame.
         """
-        free_ns = self._free_ns
-        interframe_ns = _INTERFRAME_BITS * 1_000_000_000 // self.bitrate
+        free_ns, gap_ns = self._free_ns, interframe_ns(self.bitrate)
         answer_ns += _SHORTEST_FRAME_BITS * 1_000_000_000 // self.bitrate
         earliest = NEVER
         if self._flying is not None:
@@ -182,7 +192,7 @@ class Bus:
             due_ns = node.wake_ns
             if node.outbox and self._heard(node):
                 ready_ns, frame = node.outbox[0]
-                ends_ns = max(ready_ns, free_ns) + self.frame_ns(frame) - interframe_ns
+                ends_ns = max(ready_ns, free_ns) + frame_ns(frame, self.bitrate) - gap_ns
                 due_ns = min(due_ns, ends_ns + (answer_ns if node is listener else 0))
             earliest = min(earliest, due_ns)
         return earliest
@@ -209,12 +219,12 @@ class Bus:
 
     def _start(self, now_ns: int, winner: Node) -> None:
         frame = winner.outbox.popleft()[1]
-        duration_ns = self.frame_ns(frame)
+        duration_ns = frame_ns(frame, self.bitrate)
         self._clock_ns = now_ns
         self._free_ns = now_ns + duration_ns
         self.busy_ns += duration_ns
         self.frames += 1
-        ends_ns = self._free_ns - _INTERFRAME_BITS * 1_000_000_000 // self.bitrate
+        ends_ns = self._free_ns - interframe_ns(self.bitrate)
         self._flying = (ends_ns, frame, winner)
 
     def _deliver(self, ends_ns: int, frame: Frame, sender: Node) -> None:

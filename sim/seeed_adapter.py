@@ -1,15 +1,18 @@
 """A Seeed or Waveshare USB-CAN-A adapter in its variable-length framing (can-adapters.md section 2).
 
 It answers nothing but a question for its status, and is not on the bus before it is set up. What it is set to, standard
-or extended, is what it delivers; it sends both [inf]. What ends wrongly is dropped whole [inf, the worst case]. The
-fixed framing is not modelled: set to that it leaves the bus.
+or extended, is what it delivers; it sends both [inf]. What ends wrongly is dropped whole [inf, the worst case]. Byte 14
+of its set-up says whether a frame that loses the bus to another is sent again (00) or lost (01).
+
+Not modelled: the fixed framing (set to that it leaves the bus); that a frame sent once is lost, too, where no node
+acknowledges it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from sim.bus import Frame
+from sim.bus import Frame, began_ns
 from sim.serial_adapter import SerialAdapter
 
 START, FIXED, END = 0xAA, 0x55, 0x55
@@ -18,6 +21,7 @@ VARIABLE_SET_UP, FIXED_SET_UP, STATUS = 0x12, 0x02, 0x04
 BITRATES = (1_000_000, 800_000, 500_000, 400_000, 250_000, 200_000, 125_000, 100_000, 50_000, 20_000, 10_000, 5_000)
 """In the order of their bytes, which count from 1."""
 NORMAL = 0
+SENT_ONCE = 1
 
 
 def checked(content: bytes) -> bytes:
@@ -26,7 +30,11 @@ def checked(content: bytes) -> bytes:
 
 
 class SeeedAdapter(SerialAdapter[Frame | bytes]):
-    """A USB-CAN-A; see `SerialAdapter`. What the host asks for is a frame, or 20 bytes that manage the adapter."""
+    """A USB-CAN-A; see `SerialAdapter`. What the host asks for is a frame, or 20 bytes that manage the adapter.
+
+    Attributes:
+        lost_arbitrations: how often a frame of its lost the bus to another.
+    """
 
     def __init__(
         self, bus_bitrate: int, *, baud: int | None = None, depth: int = 64, echo: bool = False, seed: int = 0
@@ -34,6 +42,8 @@ class SeeedAdapter(SerialAdapter[Frame | bytes]):
         super().__init__(bus_bitrate, baud=baud, depth=depth, echo=echo, seed=seed)
         self._rest = b""
         self._extended = False
+        self._sends_once = False
+        self.lost_arbitrations = 0
 
     def _split(self, data: bytes) -> Iterator[tuple[int, Frame | bytes]]:
         before = len(self._rest)
@@ -61,8 +71,17 @@ class SeeedAdapter(SerialAdapter[Frame | bytes]):
             self._leave()
             self._bitrate = BITRATES[message[3] - 1]
             self._extended = message[4] == 2
+            self._sends_once = message[14] == SENT_ONCE
             if message[2] == VARIABLE_SET_UP and message[13] == NORMAL:
                 self._join()
+
+    def receive(self, now_ns: int, frame: Frame) -> None:
+        """A frame of another node; the first of its own, if that was ready when this one began, lost the bus to it."""
+        if self.outbox and self.outbox[0][0] <= began_ns(frame, now_ns, self._bus_bitrate):
+            self.lost_arbitrations += 1
+            if self._sends_once:
+                self.outbox.popleft()
+        super().receive(now_ns, frame)
 
     def _spelt(self, now_ns: int, frame: Frame) -> bytes:
         if frame.extended != self._extended:

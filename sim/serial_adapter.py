@@ -152,7 +152,15 @@ class SerialAdapter(ABC, Generic[Message]):
     # -- the bus's side ------------------------------------------------------------------------------
 
     def receive(self, now_ns: int, frame: Frame) -> None:
-        """Pass a frame on to the host."""
+        """A frame of another node, which is passed on to the host."""
+        self._report(now_ns, frame)
+
+    def sent(self, now_ns: int, frame: Frame) -> None:
+        """A frame of its own went out."""
+        if self._echo and self.is_open:
+            self._report(now_ns, frame)
+
+    def _report(self, now_ns: int, frame: Frame) -> None:
         line = self._spelt(now_ns, frame)
         if not line:
             return
@@ -168,11 +176,6 @@ class SerialAdapter(ABC, Generic[Message]):
                     self._schedule()
                 line = line[:cut]
         self._pass_on(now_ns, line)
-
-    def sent(self, now_ns: int, frame: Frame) -> None:
-        """A frame of its own went out."""
-        if self._echo and self.is_open:
-            self.receive(now_ns, frame)
 
     def wake(self, now_ns: int) -> None:
         """Do what the host has asked for with bytes that have arrived by now."""

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import os
-import random
 import secrets
 import shutil
+import socket
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+from rosfront.transport import FAST_DDS, choose_udp
+from rtarm.own_domain import own_domain, ports_of
 
 _SESSION = secrets.token_hex(4)
 _ARM_PREFIX = f"t{_SESSION}_"
@@ -21,15 +24,27 @@ _ARM_NUMBERS = itertools.count()
 _MARKER = "RTARM_TEST_SESSION"
 _LEAVE_TAKING_S = 2.0
 _STATE_HOME = Path(tempfile.gettempdir(), f"rtarm-test-{_SESSION}")
+_CLAIM = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+"""Has a port of this session's ROS domain, so that no other session chooses it before this one starts a ROS process."""
 
 
 def pytest_configure() -> None:
-    """Keep this session's ROS traffic on this machine and apart from others', before rclpy is imported."""
-    # Domains above 101 use ports that Linux may hand out to anybody.
-    os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(1, 102))
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    """Keep this session's ROS traffic on this machine and apart from others', before rclpy is imported.
+
+    And no example of a property is too slow, as in CI: hypothesis would else fail those of a busy machine after 0.2 s.
+    """
+    settings.register_profile("untimed", settings.default, deadline=None)
+    settings.load_profile("untimed")
+    os.environ.update(own_domain())
+    _CLAIM.bind(("127.0.0.1", ports_of(int(os.environ["ROS_DOMAIN_ID"]))[-1]))
+    choose_udp(os.environ, os.environ.get("RMW_IMPLEMENTATION") or FAST_DDS)
     os.environ[_MARKER] = _SESSION
     os.environ["XDG_STATE_HOME"] = str(_STATE_HOME)  # recordings of faults
+
+
+def pytest_unconfigure() -> None:
+    """Leave the domain to the next session."""
+    _CLAIM.close()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -66,43 +81,33 @@ def processes_left() -> list[str]:
     return left
 
 
-def middleware_files() -> set[Path]:
-    """Fast DDS segments: a process killed by a test leaves them, and the middleware does not sweep them up."""
-    return {path for mark in ("fastrtps_*", "sem.fastrtps_*") for path in Path("/dev/shm").glob(mark)}
-
-
-def files_in_use() -> set[str]:
-    """Shared-memory files that another process maps or holds open (Fast DDS does not map its lock files)."""
-    used: set[str] = set()
-    for process in Path("/proc").glob("[0-9]*"):
-        if process.name == str(os.getpid()):
-            continue  # what this process still uses, it does not need any more
-        with contextlib.suppress(OSError):
-            used |= {line.split()[-1] for line in (process / "maps").read_text().splitlines() if "/dev/shm/" in line}
-            used |= {os.readlink(descriptor) for descriptor in (process / "fd").iterdir()}
-    return used
-
-
-def sweep_middleware_files(before: set[Path]) -> None:
-    """Remove segments that came during this session and that no other process uses."""
-    used = files_in_use()
-    for path in middleware_files() - before:
-        if str(path) not in used:
-            path.unlink(missing_ok=True)
-
-
 @pytest.fixture(scope="session", autouse=True)
 def nothing_left_behind() -> Iterator[None]:
     """Fail the session if it leaves a memory file or a process; what is just ending gets a moment."""
-    before = middleware_files()
     yield
     deadline = time.monotonic() + _LEAVE_TAKING_S
     while processes_left() and time.monotonic() < deadline:
         time.sleep(0.01)
-    sweep_middleware_files(before)
     shutil.rmtree(_STATE_HOME, ignore_errors=True)
     assert not processes_left(), "processes left by the tests"
     assert not memory_files_left(), "memory files left by the tests"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def priority_stays(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Fail a module that changes the priority of this process, which all that the next ones start would inherit."""
+    before = _priority()
+    yield
+    assert _priority() == before, (
+        f"{request.node.name} left the process of the tests at {_priority()} instead of {before}: "
+        "what needs another priority has a process or a thread of its own."
+    )
+
+
+def _priority() -> str:
+    """Of the thread that runs the tests."""
+    policy, priority = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+    return f"nice {os.getpriority(os.PRIO_PROCESS, 0)}, scheduling policy {policy}, priority {priority}"
 
 
 @pytest.fixture(scope="session")

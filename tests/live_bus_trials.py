@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import guardian
 import numpy as np
 import yaml
 from bus_faults import FAULTS, GOES_ON, BusFault, spelled
@@ -31,7 +32,7 @@ from observer import (
     stands_since_ns,
     stopped_joints,
 )
-from process_trials import own_ros_domain, small_home, spread, with_own_mounts
+from process_trials import begin_again, own_ros_domain, small_home, spread
 
 from config.loader import load_arm
 from shm.words import Fault
@@ -181,7 +182,7 @@ def main(arguments: Sequence[str]) -> int:
         only = " or ".join(map(repr, options.only))
         print(f"No fault's name contains {only}: see FAULTS in tests/bus_faults.py.", file=sys.stderr)
         return 2
-    with_own_mounts("live_bus_trials", arguments)
+    begin_again("live_bus_trials", arguments)
     own_ros_domain()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     from fault_rig import Hang, Rig
@@ -194,9 +195,11 @@ def main(arguments: Sequence[str]) -> int:
         try:
             rig.start_arm()
             for kind in kinds * options.trials:
+                guardian.doing(f"a trial of {kind.name!r}")
                 began_s = time.monotonic()
                 found[kind.name].append(run(rig, kind))
                 print(line(kind.name, found[kind.name][-1], time.monotonic() - began_s), flush=True)
+            guardian.doing("the end of the trials")
             left = rig.stop_control()
         except (Hang, AssertionError) as problem:
             said = rig.launcher.said()[-2000:] if rig.launcher else ""

@@ -20,7 +20,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import guardian
 import numpy as np
+
+from rosfront.transport import FAST_DDS, choose_udp
+from rtarm.own_domain import own_domain
 
 OWN = "RTARM_TRIALS_OWN_MOUNTS"
 SHM_SIZE, HOME_SIZE = "256m", "8m"
@@ -29,20 +33,23 @@ SERVER_GONE_S = 40.0
 
 def own_ros_domain() -> None:
     """Before rclpy is imported: this run's ROS traffic stays on this machine and apart from others'."""
-    os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randrange(1, 102)))
+    os.environ.setdefault("ROS_DOMAIN_ID", own_domain()["ROS_DOMAIN_ID"])
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    choose_udp(os.environ, os.environ.get("RMW_IMPLEMENTATION") or FAST_DDS)
 
 
-def with_own_mounts(module: str, arguments: Sequence[str]) -> None:
-    """Begin again with /dev/shm of one's own, where root allows; returns where not, or where that is so already."""
-    if os.environ.get(OWN) or os.geteuid() != 0:
+def begin_again(module: str, arguments: Sequence[str]) -> None:
+    """Begin again below a guardian, with /dev/shm of one's own where root allows; returns where that is so already."""
+    if guardian.is_guarded():
         return
+    command = [sys.executable, "-m", module, *arguments]
     mount = f"mount -t tmpfs -o size={SHM_SIZE},mode=1777 trials /dev/shm"
-    if subprocess.run(["unshare", "--mount", "sh", "-c", mount], capture_output=True, check=False).returncode:
-        return
-    os.environ[OWN] = "1"
-    again = [sys.executable, "-m", module, *arguments]
-    os.execvp("unshare", ["unshare", "--mount", "sh", "-c", f'{mount} && exec "$@"', "sh", *again])
+    if os.geteuid() == 0:
+        tried = subprocess.run(["unshare", "--mount", "sh", "-c", mount], capture_output=True, check=False)
+        if tried.returncode == 0:
+            os.environ[OWN] = "1"
+            command = ["unshare", "--mount", "sh", "-c", f'{mount} && exec "$@"', "sh", *command]
+    sys.exit(guardian.guard(command, guardian.LIMIT_S))
 
 
 @contextmanager
@@ -69,7 +76,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--only", action="append", default=[], help="part of `up|bare target: fault` (may be repeated)")
     parser.add_argument("--report", type=Path, help="file for the table (markdown)")
     options = parser.parse_args(arguments)
-    with_own_mounts("process_trials", arguments)
+    begin_again("process_trials", arguments)
     own_ros_domain()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     from fault_rig import Hang, Rig
@@ -98,9 +105,11 @@ def main(arguments: Sequence[str]) -> int:
             rig.start_arm()
             for number, trial in enumerate(trials, 1):
                 trial.number = number
+                guardian.doing(f"trial {number} ({trial.how} {trial.target}: {trial.fault})")
                 began_s = time.monotonic()
                 run(rig, trial)
                 print(line(trial, time.monotonic() - began_s), flush=True)
+            guardian.doing("the end of the trials")
             rig.make_ready()
             left = rig.stop_control() + rig.servers_still_seen(SERVER_GONE_S)
         except (Hang, AssertionError) as problem:

@@ -159,6 +159,14 @@ class Operator(Spinner):
         return [parameter_value_to_python(value) for value in response.values]
 
 
+def names_seen(node):
+    """Full names of all nodes, topics and services in a node's domain, as far as it has found them."""
+    found = node.get_node_names_and_namespaces()
+    # One whose name has not arrived yet has a namespace that is none.
+    nodes = {f"{namespace.rstrip('/')}/{name}" for name, namespace in found if namespace.startswith("/")}
+    return nodes | {name for name, _ in (*node.get_topic_names_and_types(), *node.get_service_names_and_types())}
+
+
 def recorded(name):
     """A goal of tests/data/moveit as a message."""
     values = json.loads((GOALS / f"{name}.json").read_text())["trajectory"]

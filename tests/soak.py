@@ -23,8 +23,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import guardian
 import numpy as np
-from process_trials import own_ros_domain, small_home, with_own_mounts
+from process_trials import begin_again, own_ros_domain, small_home
 
 BETWEEN_FAULTS_S = 15.0
 BETWEEN_FRONT_KILLS_S = 400.0
@@ -103,6 +104,7 @@ class Soak:
             self._streamed,
         )
         while time.monotonic() - self._began_s < seconds:
+            guardian.doing(f"{time.monotonic() - self._began_s:.0f} s into the soak")
             self.record.ways_back.update(self.rig.make_ready())
             action: Callable[[], None] = actions[
                 self.random.choice(len(actions), p=(0.3, 0.1, 0.15, 0.15, 0.1, 0.1, 0.1))
@@ -462,7 +464,7 @@ def main(arguments: Sequence[str]) -> int:
         "--report", type=Path, help="file for the report (markdown); beside it, the true motion around each violation"
     )
     options = parser.parse_args(arguments)
-    with_own_mounts("soak", arguments)
+    begin_again("soak", arguments)
     own_ros_domain()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     from fault_rig import Hang, Rig
@@ -474,6 +476,7 @@ def main(arguments: Sequence[str]) -> int:
             rig.start_arm()
             rig.make_ready()
             Soak(rig, record, options.report.absolute().parent if options.report else None).run(60.0 * options.minutes)
+            guardian.doing("the end of the soak")
             rig.make_ready()
             record.violations += rig.stop_control()
         except (Hang, AssertionError) as problem:

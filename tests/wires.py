@@ -262,8 +262,9 @@ WIRES = [
         bus={"interface": "seeedstudio", "bitrate": 1_000_000},
         spell=spell_seeed,
         read=read_seeed,
-        opening=bytes.fromhex("AA 55 12 01 02 00000000 00000000 00 01 00000000 16"),
-        opening_standard=bytes.fromhex("AA 55 12 01 01 00000000 00000000 00 01 00000000 15"),
+        opening=bytes.fromhex("AA 55 12 01 02 00000000 00000000 00 00 00000000 15"),
+        opening_standard=bytes.fromhex("AA 55 12 01 01 00000000 00000000 00 00 00000000 14"),
+        # as python-can sets it up, which has frames sent once only
         left_open=bytes.fromhex("AA 55 12 03 01 00000000 00000000 00 01 00000000 17"),
         golden=SEEED_GOLDEN,
         noise=SEEED_NOISE,

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from config.bus import BusConfig
 from config.drives.drive import Drive
@@ -18,6 +18,9 @@ COMMAND_MASK = 0xFF
 """A motor hears its number, and 100, 200 and 300 (hexadecimal) more, one for each of its modes. It compares the lowest
 byte alone and answers the others too, as people found in its firmware (umeow0716/damiao_firmware on GitHub)."""
 POSITION_VELOCITY_OFFSET = 0x100
+HIGHEST_ID = 15
+"""A motor tells its ID and its status in one byte, `CAN_ID | status << 4`, and cuts nothing off its ID
+(umeow0716/damiao_firmware on GitHub): from 16 on the ID's upper bits would be read as a status."""
 HIGHEST_KP, HIGHEST_KD = 500.0, 5.0
 POSITION_STEPS = 0xFFFF
 """Steps of the position field between the ends of its range (16 bits)."""
@@ -53,7 +56,10 @@ class DamiaoDrive(Drive):
 
     family: Literal["damiao"] = Field(description="Drive family.")
     motor_id: int = Field(
-        ge=1, le=0xFE, description="What it hears: its CAN ID, register 8 (ESC_ID); commands use 100 (hex) more too."
+        ge=1,
+        le=HIGHEST_ID,
+        description="What it hears: its CAN ID, register 8 (ESC_ID); commands use 100 (hex) more too. Its answers have "
+        "four bits for it, beside its status.",
     )
     master_id: int = Field(
         ge=1,
@@ -91,6 +97,19 @@ class DamiaoDrive(Drive):
     )
     called: ClassVar[str] = "a Damiao drive"
     number_field: ClassVar[str] = "motor_id"
+
+    @field_validator("motor_id", mode="before")
+    @classmethod
+    def _leaves_room_for_the_status(cls, value: Any) -> Any:
+        if type(value) is int and HIGHEST_ID < value <= 0x7FF:
+            raise refuse(
+                "",
+                f"motor_id is {value} ({value:#x}), but must be at least 1 and at most {HIGHEST_ID}: a motor answers "
+                "with its ID and its status in one byte, four bits each, so the upper bits of a larger ID would be "
+                "taken for a status, and a limp motor for an enabled one; give the motor another CAN ID with the "
+                "maker's tool (ESC_ID, register 8), and motor_id the same.",
+            )
+        return value
 
     @model_validator(mode="after")
     def _gains_belong_to_the_mode(self) -> DamiaoDrive:

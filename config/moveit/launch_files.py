@@ -71,9 +71,9 @@ def _real_arm(arm: ArmConfig) -> str:
 
 spawn_controllers.launch.py must not run beside it: rtarm itself is the controller."""
     return f"""{_head(arm, starts)}from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, SetEnvironmentVariable
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
 
 ARGUMENTS = (
@@ -87,7 +87,7 @@ ARGUMENTS = (
     DeclareLaunchArgument("use_rviz", default_value="true", description="false starts no RViz"),
 )
 FOR_THE_ARM = ("arm", "sim", "usb_index", "channel", "init_mode")
-
+{_BY_UDP}
 
 {_PART}
 
@@ -96,6 +96,7 @@ def generate_launch_description():
     return LaunchDescription(
         [
             *ARGUMENTS,
+            BY_UDP,
             part("rtarm", "robot_interface", launch_arguments=given.items()),
             {_around(arm)}
         ]
@@ -106,16 +107,16 @@ def generate_launch_description():
 def _printer(arm: ArmConfig) -> str:
     starts = "MoveIt and a node that prints what MoveIt plans and then pretends that the arm is there."
     return f"""{_head(arm, starts)}from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, SetEnvironmentVariable
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
 
 ARGUMENTS = (
     DeclareLaunchArgument("language", default_value="zh", choices=["zh", "en"], description="language of the print"),
     DeclareLaunchArgument("use_rviz", default_value="true", description="false starts no RViz"),
 )
-
+{_BY_UDP}
 
 {_PART}
 
@@ -124,10 +125,19 @@ def generate_launch_description():
     return LaunchDescription(
         [
             *ARGUMENTS,
+            BY_UDP,
             part("rtarm", "trajectory_printer", launch_arguments=given.items()),
             {_around(arm)}
         ]
     )
+"""
+
+
+_BY_UDP = """\
+# A process that is killed in the shared memory of Fast DDS makes the others wait for ever; what you have set stays.
+BY_UDP = SetEnvironmentVariable(
+    "FASTDDS_BUILTIN_TRANSPORTS", EnvironmentVariable("FASTDDS_BUILTIN_TRANSPORTS", default_value="UDPv4")
+)
 """
 
 

@@ -31,6 +31,8 @@ from rosfront.gripper.worker import End, Ended, GripperWorker, Motion
 from rosfront.refusals import GoalRefused
 from rosfront.serving import Serving
 from rosfront.verdict import Status, Verdict, aborted, refused
+from shm.sentences import outcome_sentence
+from shm.words import Outcome
 
 SERVO_LOWEST_DEG, SERVO_HIGHEST_DEG = 0, 110
 """What `servo_gripper` clamps its angle to, as in the full node."""
@@ -57,6 +59,7 @@ class GripperServer:
         self._ends: dict[bytes, End | None] = {}
         self._told_of_effort = self._told_of_velocity = False
         self._waiting: set[Future] = set()
+        self._serving = serving
         self.worker = GripperWorker(arm.gripper, hook_of(arm, arm.gripper, serving), self._log.warning, self._log.info)
 
         def server(kind: type, name: str, asked: Callable[[Any], tuple[float, float]]) -> GoalServer:
@@ -189,6 +192,9 @@ class GripperServer:
         key: bytes = b"",
     ) -> End:
         """Begin a motion and wait for its end."""
+        newest = self._serving.newest()
+        if newest is not None and newest["held"]:
+            return End(Ended.TROUBLE, self.worker.shown.reading, outcome_sentence(Outcome.REFUSED_HELD))
         ended: Future = Future()
 
         def on_end(end: End) -> None:

@@ -59,6 +59,8 @@ class Bench:
     cpu: int
     environment: dict[str, str]
     """A ROS domain of this run's own."""
+    namespace: str
+    """Of all that is in it: no goal of ours is for an arm of somebody's, should one be there."""
 
     @property
     def arm_argument(self) -> str:
@@ -181,9 +183,9 @@ class Client:
     def __init__(self) -> None:
         self._partner = Partner("goal client")
 
-    async def start(self, environment: dict[str, str]) -> None:
+    async def start(self, environment: dict[str, str], namespace: str) -> None:
         """Start it, in the ROS domain of `environment`."""
-        await self._partner.start("rtarm.bench.goal_client", [], {**ros_environment(), **environment})
+        await self._partner.start("rtarm.bench.goal_client", [namespace], {**ros_environment(), **environment})
 
     async def play(self, action: str, goal: dict[str, Any]) -> int:
         """Send a goal and wait until it is accepted; when it was sent (CLOCK_MONOTONIC, ns).
@@ -242,6 +244,7 @@ class OurCycle:
             again="rtarm bench",
             front_environment=bench.environment,
             front_arguments=("--ros-args", "--log-level", "error"),
+            namespace=bench.namespace,
         )
         self._launcher = Launcher(plan, Reporter(Console(file=io.StringIO())))
         await self._launcher.start()
@@ -249,7 +252,7 @@ class OurCycle:
         self._watch = asyncio.create_task(self._launcher.watch())
         start_rad = self._reader.snapshot()["joints"]["commanded_position_rad"][: len(plan.arm.joints)].tolist()
         goal = there_and_back([joint.name for joint in plan.arm.joints], start_rad, seconds + SETTLE_S + TAIL_S)
-        self._sent_ns = await self._client.play(action_name(plan.arm), goal)
+        self._sent_ns = await self._client.play(action_name(plan.arm, plan.namespace), goal)
         await asyncio.sleep(SETTLE_S)
 
     async def measure(self, seconds: float) -> Slice:
@@ -381,15 +384,16 @@ class OneNode(Baseline):
         super().__init__("one_node_fifo" if urgent else "one_node", "rtarm.bench.one_node", bench)
         self._client = client
         self._urgent = urgent
+        self._node = f"{bench.namespace}/{self.who}"
 
     async def start(self) -> None:
         """Start what waits between slices."""
         environment = {**ros_environment(), **self._bench.environment}
-        await self._start([f"{self._bench.rate_hz:g}", f"{STATES_HZ:g}", self.who], environment)
+        await self._start([f"{self._bench.rate_hz:g}", f"{STATES_HZ:g}", self._node], environment)
 
     async def prepare(self, seconds: float) -> None:
         self._partner.say("run")
-        await self._client.play(action_of(self.who), self._goal(seconds))
+        await self._client.play(action_of(self._node), self._goal(seconds))
         if self._urgent:  # all its threads are there now
             usage.give_priority(self._partner.pid, self._bench.priority)
         await asyncio.sleep(SETTLE_S)

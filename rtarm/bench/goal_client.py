@@ -1,10 +1,10 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""`python -m rtarm.bench.goal_client`: sends goals and listens to /joint_states, like any MoveIt.
+"""`python -m rtarm.bench.goal_client NAMESPACE`: sends goals and listens to joint_states, like any MoveIt.
 
 Prints `ready`, then obeys every line on standard input: `play {"action": …, "goal": …}` sends a goal and reports
 `{"event": "accepted", "sent_ns": …}` (CLOCK_MONOTONIC) and in the end `{"event": "result", "succeeded": …,
-"sentence": …}`; `states FIRST_NS LAST_NS` reports the arrival of /joint_states between two such instants.
+"sentence": …}`; `states FIRST_NS LAST_NS` reports the arrival of joint_states between two such instants.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _failed(sentence: str) -> None:
 
 def main() -> int:
     """The process, until its standard input is closed."""
-    with listening("rtarm_bench") as (node, arrivals):
+    with listening("rtarm_bench", sys.argv[1]) as (node, arrivals):
         print(READY, flush=True)
 
         def on_play(rest: str) -> None:

@@ -4,9 +4,10 @@
 
 The way tutorials build it, with the care of a good engineer: an action server, a timer on the steady clock that
 interpolates and sends, python-can, a multi-threaded executor with threads to spare, callback groups that keep the timer
-from waiting for the action, /joint_states from the same timer, and a garbage collector with nothing old to walk.
+from waiting for the action, joint_states from the same timer, and a garbage collector with nothing old to walk.
 
-Prints `ready`; `run` starts the timer, `begin` and `end` enclose what is measured, `rest` ends the timer.
+NAME is the node's, namespace included. Prints `ready`; `run` starts the timer, `begin` and `end` enclose what is
+measured, `rest` ends the timer.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Any
 
 from config.loader import load_arm, parse_overrides
 from config.schema import ArmConfig
+from rosfront.program import start_ros
 from rtarm.bench.measured import Recording, obey
 from rtarm.bench.python_arm import Path, PythonArm
 from rtarm.processes import READY
@@ -41,7 +43,8 @@ class OneNode:
         from rclpy.clock_type import ClockType
         from sensor_msgs.msg import JointState
 
-        self.node = rclpy.create_node(name)
+        namespace, _, own_name = name.rpartition("/")
+        self.node = rclpy.create_node(own_name, namespace=namespace)
         self.recording = Recording()
         self._names = [joint.name for joint in arm.joints]
         self._drives = drives
@@ -57,7 +60,7 @@ class OneNode:
         self._arrived = threading.Event()
         self._held_rad = [0.0] * len(self._names)
         self._joint_state, self._result = JointState, FollowJointTrajectory.Result
-        self._publisher = self.node.create_publisher(JointState, "/joint_states", 10)
+        self._publisher = self.node.create_publisher(JointState, "joint_states", 10)
         self._server = ActionServer(
             self.node, FollowJointTrajectory, action_of(name), self._execute, callback_group=ReentrantCallbackGroup()
         )
@@ -122,8 +125,8 @@ class OneNode:
 
 
 def action_of(name: str) -> str:
-    """The action of a node of this name."""
-    return f"/{name}/follow_joint_trajectory"
+    """The action of a node of this full name, such as /bench/one_node."""
+    return f"{name}/follow_joint_trajectory"
 
 
 def _as_goal(trajectory: Any) -> dict[str, Any]:
@@ -141,9 +144,7 @@ def _as_goal(trajectory: Any) -> dict[str, Any]:
 
 def main() -> int:
     """The process, until its standard input is closed."""
-    import rclpy
     from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
-    from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import try_shutdown
 
     parser = argparse.ArgumentParser()
@@ -156,7 +157,7 @@ def main() -> int:
     options = parser.parse_args()
     arm = load_arm(options.arm, overrides=parse_overrides(options.set))
     drives = PythonArm(arm, options.channel)
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # SIGTERM simply ends it
+    start_ros([])  # by UDP as ours; SIGTERM simply ends it
     node = OneNode(arm, drives, options.rate_hz, options.states_hz, options.name)
     executor = MultiThreadedExecutor(num_threads=THREADS)
     executor.add_node(node.node)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-import random
+import secrets
 import shutil
 import subprocess
 import sys
@@ -25,10 +25,10 @@ from rtarm.bench.load import described, loaded
 from rtarm.bench.machine import machine, versions
 from rtarm.bench.report import render
 from rtarm.bench.results import LOADS, WHO, Measurements, Slice, document
-from rtarm.demo import DOMAINS
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, interruptible
 from rtarm.launcher import SIMULATED_CHANNEL, check_ros
+from rtarm.own_domain import own_domain
 from rtarm.processes import describe_end, has_module, plain_environment
 from rtarm.reporter import Reporter
 
@@ -149,10 +149,7 @@ async def _measure(
     extent: Extent, simulated: dict[int, bool], who: set[str], measured: Measurements, reporter: Reporter
 ) -> str:
     """Add all slices to `measured`, whole rounds only; why there are fewer than planned, "" if there are not."""
-    environment = {
-        "ROS_DOMAIN_ID": str(random.SystemRandom().choice(DOMAINS)),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
+    environment, namespace = own_domain(), f"/bench_{secrets.token_hex(4)}"
     cpu = max(os.sched_getaffinity(0))
     began_s, longest_repeat_s = time.monotonic(), 0.0
     async with AsyncExitStack() as stack:
@@ -161,7 +158,7 @@ async def _measure(
         )
         client = Client()
         stack.push_async_callback(client.close)
-        await client.start(environment)
+        await client.start(environment, namespace)
         for repeat in range(extent.repeats):
             repeat_began_s = time.monotonic()
             if repeat and repeat_began_s - began_s + longest_repeat_s > extent.longest_s:
@@ -170,7 +167,7 @@ async def _measure(
                     f"have taken longer than {extent.longest_s:g} s."
                 )
             for rate in extent.rates_hz:
-                bench = Bench(rate, simulated[rate], RealtimeConfig().priority, cpu, environment)
+                bench = Bench(rate, simulated[rate], RealtimeConfig().priority, cpu, environment, namespace)
                 reporter.say(f"repeat {repeat + 1} of {extent.repeats}, {rate} Hz, {WIRES[simulated[rate]]}")
                 competitors = [competitor for competitor in everybody(bench, client) if competitor.who in who]
                 first = repeat % len(competitors)

@@ -11,11 +11,10 @@ import signal
 import sys
 
 from rtarm.errors import Refusal
+from rtarm.niceness import MOST_NICE
 from rtarm.recording.make import patience_s, record
 from shm import files
 from shm.errors import SharedMemoryError
-
-MOST_NICE = 19
 
 
 def main(fd: str, arm: str, word: str) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import IO, NamedTuple
 
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import signals_noted
+from rtarm.niceness import nice_thread
 from rtarm.recording import folder
 from rtarm.recording.make import ASKED
 from rtarm.recording.mcap_format import BATCH, Reason
@@ -188,12 +190,15 @@ def follow(
     until_s = None if span_s is None else time.monotonic() + span_s
     left = 0
     try:
-        with signals_noted() as wait:
+        with signals_noted() as wait, nice_thread() as thread:
             follower = Follower(memory, path, past=past)
             try:
-                why = _until_the_end(memory, follower, wait, until_s, step)
+                # Signals come to this thread, which only waits.
+                why = thread.submit(_until_the_end, memory, follower, wait, until_s, step).result()
                 follower.finish()
             except BaseException:
+                signal.raise_signal(signal.SIGTERM)  # is noted, and ends the thread if it still works
+                thread.shutdown()
                 left = follower.progress.size
                 follower.cut()
                 raise

@@ -26,6 +26,7 @@ from rtarm.recording.mcap_format import (
     JOINT_WORDS,
     JOINTS,
     JSON,
+    LATER_CYCLE_WORDS,
     LATER_JOINT_WORDS,
     LIBRARY,
     LIMITS,
@@ -272,6 +273,8 @@ def _records(states: np.ndarray, rows: Sequence[np.ndarray], damage: _Damage) ->
 def _states_of(rows: list[dict[str, Any]]) -> np.ndarray:
     for row in rows:
         row["slowed"] = sum(Slowed[name.upper()] for name in row["slowed"])
+        for name in LATER_CYCLE_WORDS:
+            row.setdefault(name, 0)
     return _filled(STATE_MESSAGE, CYCLE_WORDS, rows)
 
 

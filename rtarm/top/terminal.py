@@ -10,6 +10,7 @@ import sys
 import termios
 import tty
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from enum import Enum
 from typing import Protocol
@@ -18,12 +19,12 @@ from rich.console import Console
 from rich.live import Live
 
 from rtarm.errors import Refusal
+from rtarm.niceness import nice_thread
 from rtarm.reporter import silence_stdout
 from rtarm.top.picture import Picture
 from rtarm.top.watch import Look, Watch
 
 REFRESH_S = 0.2
-MOST_NICE = 19
 ENDING_KEYS = b"qQ\x03\x04"
 """q, and Ctrl-C and Ctrl-D where the terminal passes them on as characters."""
 ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -71,14 +72,14 @@ def show(watched: Callable[[], Watched], no_terminal: str) -> None:
     if not (drawable and sys.stdin.isatty() and sys.stdout.isatty()):
         raise Refusal(no_terminal)
     watch = watched()
-    os.nice(MOST_NICE)  # a control process that was given no real-time priority goes first
     try:
-        asyncio.run(_show(watch, console))
+        with nice_thread() as painter:
+            asyncio.run(_show(watch, console, painter))
     finally:
         watch.close()
 
 
-async def _show(watch: Watched, console: Console) -> None:
+async def _show(watch: Watched, console: Console, painter: Executor) -> None:
     loop = asyncio.get_running_loop()
     wishes: asyncio.Queue[Wish] = asyncio.Queue()
     for number in ENDING_SIGNALS:
@@ -88,7 +89,7 @@ async def _show(watch: Watched, console: Console) -> None:
         while True:
             with _screen(console) as live:
                 loop.add_reader(sys.stdin.fileno(), _take_keys, wishes)
-                wish = await _draw(watch, live, wishes)
+                wish = await _draw(watch, live, wishes, painter)
                 loop.remove_reader(sys.stdin.fileno())
             if wish is Wish.END:
                 return
@@ -100,16 +101,20 @@ async def _show(watch: Watched, console: Console) -> None:
             loop.remove_signal_handler(number)
 
 
-async def _draw(watch: Watched, live: Live, wishes: asyncio.Queue[Wish]) -> Wish:
+async def _draw(watch: Watched, live: Live, wishes: asyncio.Queue[Wish], painter: Executor) -> Wish:
     while True:
-        picture = Picture(watch.look())
-        try:
-            live.update(picture, refresh=True)
-        except OSError:
-            raise TerminalGone from None
+        await asyncio.get_running_loop().run_in_executor(painter, _paint, watch, live)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(REFRESH_S):
                 return await wishes.get()
+
+
+def _paint(watch: Watched, live: Live) -> None:
+    picture = Picture(watch.look())
+    try:
+        live.update(picture, refresh=True)
+    except OSError:
+        raise TerminalGone from None
 
 
 def _take_keys(wishes: asyncio.Queue[Wish]) -> None:

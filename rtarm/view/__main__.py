@@ -1,4 +1,4 @@
-"""`python -m rtarm.view ARM [--set section.key=value]...`: the page of a running arm, beside its other processes.
+"""`python -m rtarm.view ARM [--set section.key=value]... [--namespace /NAME]`: the page beside an arm's processes.
 
 Prints `ready URL` when the page can be opened, and `opened` whenever a browser shows it. Ends with SIGTERM or SIGINT;
 exit code 1 with a sentence where there can be no page.
@@ -25,6 +25,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m rtarm.view", description="The page of a running arm.")
     parser.add_argument("arm", help="name of an arm, or path of its YAML file")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change a setting")
+    parser.add_argument("--namespace", default="", metavar="/NAME", help="where ROS has its action")
     options = parser.parse_args(arguments)
     words = words_of("en")
     try:
@@ -36,7 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     page.server.on_client_connect(lambda _: print("opened", flush=True))
     print("ready", page.url, flush=True)
-    serve(page.server, arm, source, Orders(arm, words), words)
+    serve(page.server, arm, source, Orders(arm, words, options.namespace), words)
     return 0
 
 

@@ -32,6 +32,7 @@ from http import HTTPStatus
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rtarm.errors import Refusal, needs
+from rtarm.niceness import nice_thread
 
 if TYPE_CHECKING:
     import asyncio
@@ -123,9 +124,13 @@ def open_server(host: str = LOOPBACK, port: int | None = None) -> Opened:
     listener = listen(host, port)
     address, bound_port = listener.getsockname()[:2]
     gate = Gate(secrets.token_urlsafe(TOKEN_BYTES), names_of(host, address), not _is_loopback(address))
-    with _served_by(gate, listener) as served, contextlib.redirect_stdout(io.StringIO()):
+    with (
+        _served_by(gate, listener) as served,
+        contextlib.redirect_stdout(io.StringIO()),
+        nice_thread() as thread,  # whose priority the server's own threads have
+    ):
         # Where the gate is not taken up, this is where viser listens for the moment until it is stopped.
-        server: ViserServer = server_type(host=LOOPBACK, port=0, verbose=False)
+        server: ViserServer = thread.submit(server_type, host=LOOPBACK, port=0, verbose=False).result()
     if not served:
         server.stop()
         listener.close()

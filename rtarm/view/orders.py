@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +17,9 @@ from config.schema import ArmConfig
 from rtarm import requests
 from rtarm.errors import Refusal
 from rtarm.view.words import Words
+from shm.errors import SharedMemoryError
+from shm.sentences import outcome_sentence
+from shm.words import Outcome
 
 if TYPE_CHECKING:
     from rtarm.sending import Sender
@@ -44,30 +47,43 @@ def duration_s(arm: ArmConfig, from_rad: np.ndarray, to_rad: np.ndarray) -> floa
 
 
 class Orders:
-    """What can be asked of a running arm."""
+    """What can be asked of a running arm, whose action is in a ROS namespace or in none."""
 
-    def __init__(self, arm: ArmConfig, words: Words) -> None:
+    def __init__(self, arm: ArmConfig, words: Words, namespace: str = "") -> None:
         self._arm = arm
         self._words = words
+        self._namespace = namespace
         self._one_at_a_time = threading.Lock()
         self._open = ExitStack()
         self._sender: Sender | None = None
+        self._stops = 0
 
     def hold(self) -> str:
         """Pause the running goal."""
         return requests.hold(self._arm.name)
 
     def resume(self) -> str:
-        """Let a paused goal go on."""
+        """Let a paused goal go on, or a stopped arm take goals again."""
         return requests.resume(self._arm.name)
 
     def stop(self) -> str:
-        """Stop on the path and end the goal, also one from here that the arm has not begun yet."""
+        """Stop on the path, end the goal, also one from here that has not begun yet, and take none before a resume."""
+        self._stops += 1
         try:
             return requests.stop(self._arm.name)
         finally:
-            if (sender := self._sender) is not None:
-                sender.cancel()
+            self._cancel()
+
+    def stop_again(self) -> None:
+        """Stop while an earlier stop waits for the arm to stand: that one tells how it ends, and if the arm is gone."""
+        self._stops += 1
+        with suppress(SharedMemoryError):
+            requests.stop_again(self._arm.name)
+        self._cancel()
+
+    def _cancel(self) -> None:
+        if (sender := self._sender) is not None:
+            sender.cancel()
 
     def clear_fault(self) -> str:
         """Clear the latched fault and bring the drives up again."""
@@ -104,14 +120,16 @@ class Orders:
         """Send it: how long it takes (s), who sent it, its number there."""
         from rtarm.sending import goal_document
 
-        before = connection.snapshot()
+        before, stops = connection.snapshot(), self._stops
         if running := int(before["goal_id"]):
             raise Refusal(self._words.goal_runs.format(id=running))
         stands_rad = before["joints"]["commanded_position_rad"][: len(to_rad)]
         takes_s = duration_s(self._arm, stands_rad, to_rad)
         still = np.zeros((1, len(to_rad)))
         names = [joint.name for joint in self._arm.joints]
-        sender = self._ready_sender()
+        sender = self._ready_sender()  # which may take seconds
+        if self._stops != stops:
+            raise Refusal(outcome_sentence(Outcome.REFUSED_HELD))
         number = sender.send(goal_document(names, np.array([takes_s]), to_rad[None], still, still))
         return takes_s / max(float(before["speed_scale_asked"]), SLOWEST), sender, number
 
@@ -122,7 +140,7 @@ class Orders:
         if self._sender is not None and not self._sender.alive:
             self.close()
         if self._sender is None:
-            self._sender = self._open.enter_context(sending(self._arm))
+            self._sender = self._open.enter_context(sending(self._arm, self._namespace))
         return self._sender
 
     def close(self) -> None:

@@ -162,7 +162,7 @@ class Controls:
     """Buttons and sliders, and what came of them.
 
     Callbacks come from viser's threads, from whatever a browser sent: every value is checked, and an order that is
-    under way is not given a second time.
+    under way is not given a second time, a stop excepted.
     """
 
     def __init__(
@@ -179,7 +179,8 @@ class Controls:
         gui = server.gui
         self._hold = self._button(words.hold, words.hold_hint, orders.hold, "orange")
         self._resume = self._button(words.resume, words.resume_hint, orders.resume, "blue")
-        self._stop = self._button(words.stop, words.stop_hint, orders.stop, "red")
+        self._stop = gui.add_button(words.stop, hint=words.stop_hint, color="red")
+        self._stop.on_click(lambda _: self._stop_pressed())
         self._clear = self._button(words.clear_fault, words.clear_fault_hint, orders.clear_fault, "green")
         self._clear.visible = False
         self._enable = gui.add_button(words.enable, hint=words.enable_hint, color="green", visible=False)
@@ -266,6 +267,15 @@ class Controls:
                 slider.value = round(shown, 1)
 
     # --- what people do ------------------------------------------------------------------------------------
+
+    def _stop_pressed(self) -> None:
+        """Every press reaches the arm, which may have been let go on since an earlier one that still waits."""
+        with self._lock:
+            waits = self._words.stop in self._under_way
+        if waits:
+            self._orders.stop_again()
+        else:
+            self._give(self._words.stop, lambda _: self._orders.stop())
 
     def _give(self, what: str, order: Callable[[object], str]) -> None:
         """Give an order and show its answer, which takes the place of what is said while it is under way."""

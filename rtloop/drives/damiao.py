@@ -155,7 +155,7 @@ def hear(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     row = loop.joints[joint]
-    if length != 8 or tells_a_register(row.address, data) or data & 15 != row.address & 15:
+    if length != 8 or tells_a_register(row.address, data) or data & 15 != row.address:
         return
     fields = words.swapped(data, 8)
     rad = words.of_field(fields >> 40 & 0xFFFF, row.range_rad, 16)

@@ -189,7 +189,7 @@ def _held_rad(config: JointConfig, found: Feedback, most_rad: float) -> float:
 
 
 def _asked(config: JointConfig) -> AskFrames:
-    """The question for a motor's feedback: on its master ID, with the lowest bits of its own ID."""
+    """The question for a motor's feedback: on its master ID, with its own ID in the lowest bits."""
     drive = _drive(config)
     request = Frame(REGISTERS_ID, struct.pack("<HBB4x", drive.motor_id, FEEDBACK, 0), kind=STANDARD)
     return AskFrames((request,), lambda frame: is_feedback(drive, frame.data))
@@ -197,7 +197,7 @@ def _asked(config: JointConfig) -> AskFrames:
 
 def is_feedback(drive: DamiaoDrive, data: bytes) -> bool:
     """Whether a frame on a motor's master ID is its feedback; see `rtloop.drives.damiao.tells_a_register`."""
-    return len(data) == 8 and data[0] & 15 == drive.motor_id & 15 and not _tells_register(drive, data)
+    return len(data) == 8 and data[0] & 15 == drive.motor_id and not _tells_register(drive, data)
 
 
 def _tells_register(drive: DamiaoDrive, data: bytes) -> bool:

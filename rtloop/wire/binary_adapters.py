@@ -13,8 +13,11 @@ STANDARD_ONLY, EXTENDED_ONLY = 1, 2
 """What kind of frames a USB-CAN-A is set to; one setting may not deliver both."""
 NORMAL, APART = 0, 3
 """Modes of a USB-CAN-A; apart (loop-back and silent) it neither hears the bus nor sends."""
-_SENT_ONCE = 0x01
-"""What follows the mode, as python-can and the maker's own program send it (docs/hardware-status.md)."""
+_REPEATED = 0x00
+"""What follows the mode: a frame that lost the bus to another is sent again (Waveshare's Can_config.pdf). 01 sends it
+only once (Seeed's manual), so that a command of two packets could lose one of them."""
+SET_UP_S = 0.1
+"""Other programs give a USB-CAN-A 80 to 100 ms after its set-up."""
 LONGEST_FRAME = 20
 FILLER = bytes(LONGEST_FRAME)
 
@@ -25,7 +28,7 @@ AT_CLOSING = FILLER
 
 def set_up_frame(bitrate: int, frames: int, mode: int) -> bytes:
     """The 20 bytes that set a USB-CAN-A up for its variable-length framing, without a filter."""
-    content = bytes((0x12, SEEED_BITRATES[bitrate], frames, *bytes(8), mode, _SENT_ONCE, *bytes(4)))
+    content = bytes((0x12, SEEED_BITRATES[bitrate], frames, *bytes(8), mode, _REPEATED, *bytes(4)))
     return b"\xaa\x55" + content + bytes((sum(content) & 0xFF,))
 
 
@@ -41,7 +44,7 @@ def open_seeed(channel: str, serial_baud: int | str, bitrate: int, frames: int) 
     """Open a USB-CAN-A for frames of one kind; its descriptor, non-blocking. Raises WireRefused."""
     with setting_up(channel, line_speed("seeedstudio", serial_baud)) as fd:
         os.write(fd, FILLER + set_up_frame(bitrate, frames, NORMAL))
-        drain(fd)
+        drain(fd, SET_UP_S)
     return fd
 
 

@@ -28,7 +28,6 @@ ADVICE = {
     "pcan": "PEAK's library PCANBasic, which comes with PEAK's driver for Linux; or take the kernel's own driver "
     "peak_usb, which is quicker (interface socketcan)",
     "slcan": "`pip install pyserial`",
-    "seeedstudio": "`pip install pyserial`",
     "serial": "`pip install pyserial`",
     "robotell": "`pip install pyserial`",
 }
@@ -72,9 +71,6 @@ def all_options(arm: ArmConfig) -> dict[str, Any]:
     options: dict[str, Any] = {"channel": arm.bus.resolved_channel, "bitrate": arm.bus.bitrate}
     if settings.interface == "gs_usb" and arm.bus.resolved_channel.isdecimal():
         options["index"] = int(arm.bus.resolved_channel)
-    if settings.interface == "seeedstudio":  # it hears one kind of identifier
-        extended = all(frames.extended for frames in cycle_frames(arm))
-        options["frame_type"] = "EXT" if extended else "STD"
     return {**options, **settings.options}
 
 

@@ -106,11 +106,11 @@ def close_port(fd: int, farewell: bytes) -> None:
     os.close(fd)
 
 
-def drain(fd: int) -> bytes:
-    """What an adapter says until it says no more, or for half a second where it does not cease."""
+def drain(fd: int, quiet_s: float = QUIET_S) -> bytes:
+    """What an adapter says until it says no more for so long, or for half a second where it does not cease."""
     said = b""
     deadline = time.monotonic() + DRAINED_WITHIN_S
-    while time.monotonic() < deadline and select.select([fd], [], [], QUIET_S)[0]:
+    while time.monotonic() < deadline and select.select([fd], [], [], quiet_s)[0]:
         said += os.read(fd, 4096)
     return said
 

@@ -9,9 +9,10 @@ Modelled:
   (hex) more (modes 2 to 4), and answers the others and those of another mode with feedback alone. Commands of seven FF
   count on all of them. Registers are on 7FF with its ID in front; all it says comes on its master ID. Other IDs,
   extended and remote frames, wrong lengths [inf] meet silence. Both IDs change as soon as their registers are written.
-- Every command is answered with feedback. Registers: read, write, store (a limp motor's), ask for feedback; a write is
-  answered with what then stands there. A value out of its range, or of a read-only register, changes nothing; an
-  unknown register meets silence.
+- Every command is answered with feedback. Its first byte is `ID | status << 4` with nothing cut off the ID (that
+  firmware, can_protocol.c), so an ID of 16 or more spoils the status.
+- Registers: read, write, store (a limp motor's), ask for feedback; a write is answered with what then stands there. A
+  value out of its range, or of a read-only register, changes nothing; an unknown register meets silence.
 - Modes: MIT (stiffness, damping, torque), position-velocity (a trapezoid by ACC and DEC, no faster than told and than
   MAX_SPD), velocity (by the same ramps), force-position (as position-velocity; the share of current caps the torque).
   [inf] A number that is not finite changes nothing; a speed of 0 stops by the ramp and stays.
@@ -295,7 +296,7 @@ class DamiaoDrive(ServoDrive):
 
     def _feedback(self) -> Frame:
         ranges = self.ranges
-        packed = (self.status << 4 | self._motor_id & 15) << 56
+        packed = (self.status << 4 | self._motor_id & 0xFF) << 56
         packed |= _coded(self.counted * TURN_RAD, ranges.rad, 16) << 40
         packed |= _coded(self.shaft.speed * TURN_RAD, ranges.rad_s, 12) << 28
         packed |= _coded(self.shaft.torque_nm, ranges.nm, 12) << 16

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from config import ArmConfig, ConfigError, arm_hash, known_arms, load_arm
 from config.joint import FAMILIES
-from config.loader import ARMS_FOLDER, parse_overrides
+from config.loader import ABSENT, ARMS_FOLDER, differences, parse_overrides
 
 EPISODE1 = (ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8")
 
@@ -493,3 +493,30 @@ def test_a_sentence_is_one_printable_line_whatever_the_file_says(tmp_path: Path)
         load_arm(file)
     assert any("a\\nb\\x1b[31m is not a field" in str(error) for error in refused.value.errors)
     assert all(str(error).isprintable() for error in refused.value.errors)
+
+
+def test_differences_of_two_arm_files_name_the_place_and_both_values(tmp_path: Path) -> None:
+    text = (ARMS_FOLDER / "mock.yaml").read_text(encoding="utf-8")
+    one, other = tmp_path / "one.yaml", tmp_path / "other.yaml"
+    one.write_text(text, encoding="utf-8")
+    other.write_text(f"# the same\n{text}", encoding="utf-8")
+    assert differences(one, other) == [] == differences("mock", one)
+    values = yaml.safe_load(text)
+    values["joints"][1]["upper_deg"] = 12.5
+    values["parking"] = {"target_deg": [0.0] * 6}
+    del values["front"]["controller_name"]
+    other.write_text(yaml.safe_dump(values), encoding="utf-8")
+    found = {where: (before, now) for where, before, now in differences(one, other)}
+    assert found["joints[1].upper_deg"] == (yaml.safe_load(text)["joints"][1]["upper_deg"], 12.5)
+    assert found["parking.target_deg[0]"] == (ABSENT, 0.0)
+    assert found["front.controller_name"][1] is ABSENT
+
+
+def test_an_arm_is_named_by_its_file_unless_an_option_names_it(tmp_path: Path) -> None:
+    own = tmp_path / "episode1.yaml"
+    own.write_text((ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    assert load_arm(own).file_argument == str(own)
+    assert load_arm("episode1").file_argument == "episode1"
+    assert load_arm("episode1", overrides={"name": "other"}).file_argument == ""
+    assert not load_arm(own).has_options
+    assert load_arm(own, overrides={"control": {"rate_hz": 100.0}}).has_options

@@ -33,7 +33,13 @@ def with_drives(*drives: dict, **of_joint: object) -> dict:
         ({name: value for name, value in GOOD.items() if name != "kd"}, "kd", "kd is missing, but in mode mit"),
         (PLANNING | {"kp": 50.0}, "kp", "kp is 50, but in mode position_velocity .* remove kp"),
         (GOOD | {"motor_id": 0}, "motor_id", "motor_id of joint1 is 0"),
-        (GOOD | {"motor_id": 0xFF}, "motor_id", "motor_id of joint1 is 255"),
+        (
+            GOOD | {"motor_id": 0x10},
+            "motor_id",
+            r"motor_id is 16 \(0x10\), but must be at least 1 and at most 15: .* a limp motor for an enabled one; give "
+            r"the motor another CAN ID with the maker's tool \(ESC_ID, register 8\), and motor_id the same",
+        ),
+        (GOOD | {"motor_id": 0x800}, "motor_id", "motor_id of joint1 is 2048, but must be at least 1 and at most 15"),
         (GOOD | {"master_id": 0}, "master_id", "master_id of joint1 is 0"),
         (GOOD | {"master_id": 0x7FF}, "master_id", "master_id of joint1 is 2047"),
         (GOOD | {"master_id": 1}, "master_id", "master_id is 0x1, on which the motor with motor_id 0x1 hears"),
@@ -54,7 +60,12 @@ def test_what_cannot_be_is_refused(drive: dict, place: str, sentence: str) -> No
     assert refused.match(sentence)
 
 
-@pytest.mark.parametrize("other", [{"motor_id": 1}, {"master_id": 0x11}, {"master_id": 0x101}, {"motor_id": 0x11}])
+@pytest.mark.parametrize("motor_id", [1, 15])
+def test_an_id_that_leaves_the_status_alone_is_taken(motor_id: int) -> None:
+    load_arm("damiao6", overrides=with_drives(GOOD | {"motor_id": motor_id, "master_id": 0x21}))
+
+
+@pytest.mark.parametrize("other", [{"motor_id": 1}, {"master_id": 0x11}, {"master_id": 0x101}, {"master_id": 0x301}])
 def test_two_motors_that_could_be_taken_for_each_other_are_refused(other: dict) -> None:
     second = GOOD | {"motor_id": 2, "master_id": 0x12} | other
     with pytest.raises(ConfigError, match=r"joint1.*(needs a motor_id of its own|could be told from the other)"):

@@ -167,7 +167,7 @@ def test_moveit_leaves_judging_a_goal_to_rtarm(arm: ArmConfig, files: dict[str, 
     assert 0.0 < execution["allowed_start_tolerance"] < arm.limits.start_tolerance_rad
 
 
-@given(goal_time_s=st.floats(0.01, 20.0), start_tolerance_rad=st.floats(1e-4, 1.0))
+@given(goal_time_s=st.floats(0.01, 20.0), start_tolerance_rad=st.floats(1e-4, 0.5))
 def test_the_allowances_follow_the_arm_file(goal_time_s: float, start_tolerance_rad: float) -> None:
     arm = load_arm(
         "episode1",

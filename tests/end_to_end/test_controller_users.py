@@ -2,6 +2,8 @@
 
 import math
 import os
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -63,9 +65,9 @@ class ServoSender:
         until(lambda: self.publisher.get_subscription_count() > 0, "the controller's subscription")
         self.way, self.sent = way, 0
 
-    def run(self, seconds):
+    def run(self, seconds, ended=lambda: False):
         begun, due, entries = time.time(), time.monotonic(), []
-        while (now := time.time()) - begun < seconds:
+        while (now := time.time()) - begun < seconds and not ended():
             entries.append((now + self.LATENCY_S, *self.way(now - begun)))
             entries = [entry for entry in entries if entry[0] >= now - self.LATENCY_S]
             if len(entries) > 2:
@@ -83,19 +85,20 @@ class ServoSender:
         return message
 
 
+def wave(t):
+    """A gentle one that begins at rest: positions and velocities after so many seconds."""
+    size, omega = 0.08, 2.0
+    x = min(t, 1.0)
+    fade, rise = x * x * (3 - 2 * x), 6 * x * (1 - x)
+    shape, speed = 1 - math.cos(omega * t), omega * math.sin(omega * t)
+    position = [angle - size * fade * shape for angle in START_RAD]
+    return position, [-size * (fade * speed + rise * shape)] * 6
+
+
 def test_servo_streams_and_the_arm_stops_when_it_ends(stack):
     """Two seconds of Servo at full tilt of a gentle wave, cut off in motion."""
-    size, omega = 0.08, 2.0
-
-    def way(t):
-        x = min(t, 1.0)
-        fade, rise = x * x * (3 - 2 * x), 6 * x * (1 - x)
-        shape, speed = 1 - math.cos(omega * t), omega * math.sin(omega * t)
-        position = [angle - size * fade * shape for angle in START_RAD]
-        return position, [-size * (fade * speed + rise * shape)] * 6
-
     began_ns = time.monotonic_ns()
-    sender = ServoSender(stack, way)
+    sender = ServoSender(stack, wave)
     sender.run(2.2)
     moved = stack.reader.snapshot()
     assert int(moved["mode"]) == Mode.EXECUTING
@@ -104,6 +107,42 @@ def test_servo_streams_and_the_arm_stops_when_it_ends(stack):
     assert int(end["fault"]) == Fault.NONE and sender.sent > 180
     position = end["joints"]["measured_position_rad"][:6] - START_RAD
     assert (position < -0.05).all()  # it followed, and never went back when it stopped
+    judge(motion_violations(load_arm(stack.arm_file), stack.truth(), began_ns, time.monotonic_ns()))
+
+
+def test_a_person_stops_a_streamed_arm_which_stays_while_servo_goes_on(stack):
+    """Each message used to replace what the stop had ended, until the stream itself was over."""
+
+    def asked(command):
+        done = subprocess.run(
+            [sys.executable, "-m", "rtarm", command, stack.name],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    began_ns = time.monotonic_ns()
+    sender = ServoSender(stack, wave)
+    ended = threading.Event()
+    sending = threading.Thread(target=sender.run, args=(math.inf, ended.is_set))
+    sending.start()
+    try:
+        until(lambda: np.any(stack.reader.snapshot()["joints"]["commanded_velocity_rad_s"]), "motion")
+        said = asked("stop")
+        stood = stack.reader.snapshot()
+        sent = sender.sent
+        until(lambda: sender.sent > sent + 50, "messages after the stop")
+        after = stack.reader.snapshot()
+    finally:
+        ended.set()
+        sending.join()
+    assert said.endswith("It takes no goals before `rtarm resume`.\n")
+    assert (int(stood["mode"]), int(stood["held"])) == (Mode.HOLDING, 1)
+    assert (stood["joints"]["commanded_position_rad"] == after["joints"]["commanded_position_rad"]).all()
+    assert asked("resume") == f"Arm {stack.name} takes goals again.\n"
     judge(motion_violations(load_arm(stack.arm_file), stack.truth(), began_ns, time.monotonic_ns()))
 
 

@@ -7,7 +7,7 @@ from config.loader import load_arm
 from fuzz import memory, wire
 
 OPENINGS = {
-    "seeedstudio": bytes.fromhex("AA 55 12 03 02 00000000 00000000 00 01 00000000 18"),
+    "seeedstudio": bytes.fromhex("AA 55 12 03 02 00000000 00000000 00 00 00000000 17"),
     "ch340-at": b"AT+AT\r\n",
 }
 """What puts a simulated adapter on the arm's bus (facts/can-adapters.md)."""

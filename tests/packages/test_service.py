@@ -88,13 +88,6 @@ def test_the_units_user_is_the_one_that_is_made() -> None:
     assert set(re.findall(r'GROUP="(\w+)"', RULES.read_text(encoding="utf-8"))) == {group}
 
 
-def test_nodes_of_other_users_are_heard_and_hear() -> None:
-    """Fast DDS prefers its shared memory between nodes of a machine, and another user cannot open it."""
-    setting = "FASTDDS_BUILTIN_TRANSPORTS=UDPv4"
-    assert setting in settings()["Environment"]
-    assert f"ENV {setting}" in (PACKAGING / "docker" / "Dockerfile").read_text(encoding="utf-8").splitlines()
-
-
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
 def test_systemd_understands_the_unit(tmp_path: Path) -> None:
     """With a program in the place of ours, which is not installed here."""

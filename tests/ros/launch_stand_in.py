@@ -23,6 +23,7 @@ from ament_index_python.packages import get_package_share_directory
 class LaunchContext:
     def __init__(self) -> None:
         self.launch_configurations: dict[str, str] = {}
+        self.environment = dict(os.environ)
 
     def perform(self, value: Any) -> str:
         """A text, a substitution, or a list of both."""
@@ -37,6 +38,14 @@ class LaunchConfiguration:
 
     def perform(self, context: LaunchContext) -> str:
         return context.launch_configurations[self.name]
+
+
+class EnvironmentVariable:
+    def __init__(self, name: str, *, default_value: str) -> None:
+        self.name, self.default_value = name, default_value
+
+    def perform(self, context: LaunchContext) -> str:
+        return context.environment.get(self.name, self.default_value)
 
 
 class PathJoinSubstitution:
@@ -113,6 +122,15 @@ class SetLaunchConfiguration(Action):
 
     def execute(self, context: LaunchContext) -> None:
         context.launch_configurations[self.name] = context.perform(self.value)
+
+
+class SetEnvironmentVariable(Action):
+    def __init__(self, name: str, value: Any) -> None:
+        super().__init__()
+        self.name, self.value = name, value
+
+    def execute(self, context: LaunchContext) -> None:
+        context.environment[self.name] = context.perform(self.value)
 
 
 class IncludeLaunchDescription(Action):
@@ -287,9 +305,15 @@ def generate_demo_launch(moveit_config: MoveItConfigs) -> LaunchDescription:
 
 MODULES: dict[str, list[Any]] = {
     "launch": [LaunchContext, LaunchDescription],
-    "launch.actions": [DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction, Shutdown],
+    "launch.actions": [
+        DeclareLaunchArgument,
+        IncludeLaunchDescription,
+        OpaqueFunction,
+        SetEnvironmentVariable,
+        Shutdown,
+    ],
     "launch.conditions": [IfCondition],
-    "launch.substitutions": [LaunchConfiguration, PathJoinSubstitution],
+    "launch.substitutions": [EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution],
     "launch_ros": [],
     "launch_ros.actions": [Node],
     "launch_ros.substitutions": [FindPackageShare],

@@ -23,6 +23,8 @@ class Started:
     """Those given as values; files are listed under "files"."""
     ends_all: bool
     """Whether its end is the end of everything."""
+    transports: str
+    """Of Fast DDS, as its environment names them; "" for none."""
 
 
 def everything_started(file: Path, **arguments: str) -> list[Started]:
@@ -62,7 +64,12 @@ def _started(node: Any, context: Any) -> Started:
     else:
         values, files, arguments, ends_all = _of_real(node, context)
     return Started(
-        node.node_package, node.node_executable, arguments, {**values, **({"files": files} if files else {})}, ends_all
+        node.node_package,
+        node.node_executable,
+        arguments,
+        {**values, **({"files": files} if files else {})},
+        ends_all,
+        context.environment.get("FASTDDS_BUILTIN_TRANSPORTS", ""),
     )
 
 

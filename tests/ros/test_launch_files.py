@@ -103,6 +103,18 @@ def test_the_real_arm_needs_one_launch_file(ros_packages: Path) -> None:
     assert server.ends_all
 
 
+@pytest.mark.parametrize("name", ["real_arm", "printer"])
+@pytest.mark.parametrize(("chosen", "used"), [(None, "UDPv4"), ("DEFAULT", "DEFAULT")])
+def test_what_is_started_uses_udp_unless_the_user_chose_otherwise(
+    ros_packages: Path, monkeypatch: pytest.MonkeyPatch, name: str, chosen: str | None, used: str
+) -> None:
+    if chosen is None:
+        monkeypatch.delenv("FASTDDS_BUILTIN_TRANSPORTS", raising=False)
+    else:
+        monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", chosen)
+    assert {one.transports for one in everything_started(moveit_launch(ros_packages, name))} == {used}
+
+
 def test_the_real_arm_and_its_arguments(ros_packages: Path) -> None:
     started = everything_started(
         moveit_launch(ros_packages, "real_arm"), usb_index="1", init_mode="1", use_rviz="false"

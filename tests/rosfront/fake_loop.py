@@ -117,6 +117,8 @@ class FakeLoop(threading.Thread):
                 self.newest = goal_id
                 if goal_id in self.canceled:
                     self.decide(goal_id, Outcome.CANCELED)
+                elif self.snapshot["held"]:
+                    self.decide(goal_id, Outcome.REFUSED_HELD)
                 else:
                     self.incoming = goal_id
             elif kind == Setpoint.KNOT:
@@ -158,6 +160,11 @@ class FakeLoop(threading.Thread):
             self.up_at = int(s["cycle"]) + BRING_UP_CYCLES
         elif kind == Request.ENABLE:
             return Answer.DONE if mode in (Mode.HOLDING, Mode.EXECUTING) else Answer.REFUSED_MODE
+        elif kind == Request.STOP or (kind == Request.RESUME and s["held"]):
+            s["held"] = kind == Request.STOP
+            s["stops"] += kind == Request.STOP
+            if kind == Request.STOP and any((self.active, self.incoming)):
+                self.cancel_at = int(s["cycle"]) + 5
         elif kind == Request.CANCEL and goal_id > self.newest:
             self.canceled.add(goal_id)  # it overtook its goal
         elif not any((self.active, self.incoming)) or goal_id not in (self.active, self.incoming, 0):

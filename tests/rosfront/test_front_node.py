@@ -25,6 +25,7 @@ from std_srvs.srv import Trigger
 from config.loader import load_arm
 from rosfront import action, action_goals, node
 from rosfront.serving import NEVER_BEGUN
+from shm.sentences import outcome_sentence
 from shm.words import Fault, Outcome
 
 pytestmark = pytest.mark.process  # a real client, real threads, real time
@@ -125,7 +126,7 @@ def test_a_stop_by_a_person_is_no_cancel(stage):
     until(lambda: stage.loop.active, "motion")
     stage.loop.cycle_hook = lambda loop: loop.active and loop.finish(Outcome.STOPPED)
     status, code, words = stage.client.result(handle)
-    assert (status, code) == (ABORTED, -1) and "rtarm stop" in words
+    assert (status, code) == (ABORTED, -1) and "stopped by a person" in words
 
 
 def test_a_newer_goal_replaces_the_older(stage):
@@ -292,6 +293,49 @@ def test_a_hold_ends_the_considering_of_a_goal(arm_name, monkeypatch):
         until(answer.done, "the answer to a goal")
         assert not answer.result().accepted and not judge.pass_on.is_set()
         judge.pass_on.set()
+        assert not loop.records
+
+
+def test_a_stop_ends_what_runs_and_what_comes_is_refused_before_a_resume(arm_name):
+    with serving_alone(arm_name) as (loop, _, client, _), person_at(arm_name) as alone:
+        running = client.send(goal(seconds=5))
+        until(lambda: loop.active, "motion")
+        answer = alone.call(Trigger, "~/stop")
+        assert (answer.success, answer.message) == (True, "The arm stands and takes no goals before ~/resume.")
+        assert client.result(running)[0] == ABORTED
+        begun = len(loop.records)
+        refused = outcome_sentence(Outcome.REFUSED_HELD)
+        assert client.run(goal()) == (ABORTED, -1, refused)
+        assert client.run(goal()) == (ABORTED, -1, refused)  # as a client does that tries again
+        assert len(loop.records) == begun
+        answer = alone.call(Trigger, "~/resume")
+        assert (answer.success, answer.message) == (True, "The arm takes goals again.")
+        assert client.run(goal(to_rad=0.02))[0] == SUCCEEDED
+
+
+def test_a_goal_that_was_there_when_a_person_stopped_the_arm_does_not_begin_after_the_resume(arm_name, monkeypatch):
+    with serving_alone(arm_name) as (loop, _, client, _), person_at(arm_name) as alone:
+        judge = SlowJudge(monkeypatch)
+        handles = [client.send(goal(seconds=5)), client.send(goal())]
+        until(judge.judging.is_set, "a goal being judged")
+        assert alone.call(Trigger, "~/stop").success
+        assert alone.call(Trigger, "~/resume").success
+        judge.pass_on.set()
+        for handle in handles:
+            assert client.result(handle) == (ABORTED, -1, outcome_sentence(Outcome.REFUSED_HELD))
+        assert not loop.records
+        assert client.run(goal(to_rad=0.02))[0] == SUCCEEDED
+
+
+def test_a_stop_ends_a_goal_that_the_front_still_keeps_back(arm_name):
+    """One that is to begin later than the ring is filled ahead would begin after a resume."""
+    with serving_alone(arm_name) as (loop, front, client, _), person_at(arm_name) as alone:
+        later = goal()
+        later.trajectory.header.stamp.sec = int(time.time()) + 60
+        handle = client.send(later)
+        until(lambda: not front.serving.idle, "a goal on its way")
+        assert alone.call(Trigger, "~/stop").success
+        assert client.result(handle) == (ABORTED, -1, outcome_sentence(Outcome.REFUSED_HELD))
         assert not loop.records
 
 

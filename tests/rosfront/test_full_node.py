@@ -64,9 +64,9 @@ class Client(Operator):
         return self.result(self.send(name, **fields))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def arm(tmp_path_factory, new_arm_name):
-    """Client and processes of an arm that stands at READY_DEG."""
+    """Client and processes of an arm that stands at READY_DEG, for one test: a stall's fault is nobody else's."""
     start_deg = np.array(READY_DEG) - ZERO_DEG
     stack = Stack(new_arm_name(), tmp_path_factory.mktemp("full-node"), start_deg=start_deg.tolist())
     with contextlib.ExitStack() as ends:

@@ -10,6 +10,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+import rclpy
+
 from rosfront import program
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -60,12 +62,14 @@ WITHOUT_LIMIT = os.statvfs_result((4096, 4096, 0, 0, 0, 0, 0, 0, 0, 255))
 """What tmpfs with size=0 and ramfs say."""
 
 
-@pytest.mark.parametrize("middleware", ["", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp"])
-def test_no_room_in_shared_memory_is_a_sentence_and_no_bus_error(
-    middleware: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def shares_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "DEFAULT")
+
+
+@pytest.mark.usefixtures("shares_memory")
+def test_no_room_in_shared_memory_is_a_sentence_and_no_bus_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(program.os, "statvfs", lambda path: FULL)
-    monkeypatch.setenv("RMW_IMPLEMENTATION", middleware)
     with pytest.raises(program.CannotServe, match=r"/dev/shm has 4092 KiB left, and ROS needs 4096 KiB: free"):
         program.start_ros([])
 
@@ -74,14 +78,19 @@ def missing(path: str) -> os.statvfs_result:
     raise FileNotFoundError(path)
 
 
-@pytest.mark.parametrize(
-    ("middleware", "statvfs"),
-    [("", lambda path: WITHOUT_LIMIT), ("", missing), ("rmw_cyclonedds_cpp", lambda path: FULL)],
-    ids=["no limit", "no /dev/shm", "another middleware"],
-)
+@pytest.mark.parametrize("statvfs", [lambda path: WITHOUT_LIMIT, missing], ids=["no limit", "no /dev/shm"])
+@pytest.mark.usefixtures("shares_memory")
 def test_room_in_shared_memory_is_asked_for_only_where_it_can_run_out(
-    middleware: str, statvfs: Callable[[str], os.statvfs_result], monkeypatch: pytest.MonkeyPatch
+    statvfs: Callable[[str], os.statvfs_result], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(program.os, "statvfs", statvfs)
-    monkeypatch.setenv("RMW_IMPLEMENTATION", middleware)
-    program._check_room()
+    context = rclpy.Context()
+    program.start_ros([], context)
+    context.shutdown()
+
+
+def test_by_udp_no_room_in_shared_memory_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(program.os, "statvfs", lambda path: FULL)
+    context = rclpy.Context()
+    program.start_ros([], context)
+    context.shutdown()

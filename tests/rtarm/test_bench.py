@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,7 @@ from rtarm.bench.report import render
 from rtarm.bench.results import LOADS, WHO, Measurements, Slice, document, missed_cycles
 from rtarm.bench.run import Extent, absent, run_bench
 from rtarm.errors import ExitCode, Refusal
+from rtarm.own_domain import own_domain
 from rtarm.reporter import Reporter
 from shm import files
 
@@ -413,6 +415,51 @@ def test_everything_with_tiny_slices(tmp_path: Path) -> None:
     assert found["scheduling"]["rtarm"]["policy"] in {"fifo", "other"}
     assert found["wires"]["200"].startswith("arm simulated")
     assert arms_left() == []
+
+
+OF_EVERY_NODE = {"/rosout", "/parameter_events"}
+
+
+@contextlib.contextmanager
+def overheard(domain: int) -> Iterator[set[str]]:
+    """All names that come up meanwhile in a ROS domain."""
+    import rclpy
+    from rclpy.node import Node
+    from ros_client import names_seen
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = Node("overhearing", context=context, enable_rosout=False, start_parameter_services=False)
+    seen, over = set[str](), threading.Event()
+
+    def look() -> None:
+        while not over.wait(0.02):
+            seen.update(names_seen(node))
+
+    looking = threading.Thread(target=look)
+    looking.start()
+    try:
+        yield seen
+    finally:
+        over.set()
+        looking.join()
+        node.destroy_node()
+        context.try_shutdown()
+
+
+@pytest.mark.process
+def test_nothing_of_it_has_a_name_that_an_arm_may_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither goals of ours for an arm of somebody's in the same domain, nor the other way round."""
+    pytest.importorskip("rclpy")
+    environment = own_domain()
+    monkeypatch.setattr("rtarm.bench.run.own_domain", lambda: environment)
+    extent = Extent((1000,), repeats=1, slice_s=0.3, longest_s=60.0, who=("rtarm", "one_node"))
+    silent = Reporter(Console(file=io.StringIO()))
+    with overheard(int(environment["ROS_DOMAIN_ID"])) as names, contextlib.suppress(Refusal):  # of a busy machine
+        run_bench(extent, None, None, silent)
+    actions = {name for name in names if name.endswith("/follow_joint_trajectory/_action/send_goal")}
+    assert len(actions) == 2  # of both
+    assert {name for name in names if not name.startswith(("/bench_", "/overhearing"))} <= OF_EVERY_NODE
 
 
 @pytest.mark.process

@@ -155,7 +155,7 @@ REFUSED = [
     (("demo", "--json", "nowhere/figures.json"), "nowhere/figures.json cannot be written"),
     (("status", "Big"), "'Big' is no name of an arm"),
     (("status", "t_nobody_runs_me"), "No control process is running for arm 't_nobody_runs_me'"),
-    (("stop", "t_nobody_runs_me"), "start it with `rtarm up t_nobody_runs_me`"),
+    (("stop", "t_nobody_runs_me"), "start it with `rtarm up` and the name or the path of its arm file"),
     (("clear-fault", "t_nobody_runs_me"), "No control process is running"),
 ]
 

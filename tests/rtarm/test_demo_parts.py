@@ -18,6 +18,7 @@ from rtarm import demo
 from rtarm.demo_client import Arrivals
 from rtarm.errors import Refusal
 from rtarm.goals import load_goal, tour
+from rtarm.own_domain import DOMAINS
 from rtarm.ros_client import fill, goal_message
 from rtarm.status import percentiles_us
 from rtarm.tracking import Tracker, Window
@@ -77,6 +78,8 @@ def test_the_demo_disturbs_no_running_arm() -> None:
     first, second = (demo.make_plan("episode1", tour()) for _ in range(2))
     names = {first.arm.name, second.arm.name, "episode1"}
     assert len(names) == 3
+    assert (first.namespace, second.namespace) == (f"/{first.arm.name}", f"/{second.arm.name}")
+    assert int(first.front_environment["ROS_DOMAIN_ID"]) in DOMAINS
     assert first.front_environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
     assert demo.make_plan("mock", tour()).simulated is False
 

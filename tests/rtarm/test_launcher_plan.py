@@ -63,6 +63,7 @@ def test_what_a_person_reads_about_an_arm() -> None:
     assert describe_bus(load_arm("episode1")) == "episode1 at 120 Hz on slcan, 500 kbit/s"
     assert describe_bus(load_arm("mock")) == "mock at 100 Hz without a bus (mock drives)"
     assert action_name(load_arm("mock")) == "/episode_arm_controller/follow_joint_trajectory"
+    assert action_name(load_arm("mock"), "/left") == "/left/episode_arm_controller/follow_joint_trajectory"
 
 
 @pytest.mark.parametrize(

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import mmap
 import os
 import resource
+import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,8 +24,8 @@ from typer.testing import Result
 from virtual import VirtualArm, recorded_goal
 
 from rtarm.errors import Refusal
-from rtarm.recording import folder, mcap_reader
-from rtarm.recording.follow import Follower, Progress
+from rtarm.recording import folder, mcap_reader, shown
+from rtarm.recording.follow import Follower, Progress, follow
 from rtarm.recording.mcap_writer import NotWritten
 from shm import files, layout
 from shm.recording import Position, kept_from, now_at, read_on, read_recording
@@ -155,6 +158,24 @@ def test_progress_is_told_in_words() -> None:
     assert Progress(1.0, 0, 1, 2).told() == "1.0 s, 0.0 MB, 1 cycle and 2 frames missing"
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "gbk", "latin-1"])
+@pytest.mark.parametrize("span_s", [None, 10.0])
+def test_a_terminal_shows_how_far_it_has_come(
+    monkeypatch: pytest.MonkeyPatch, span_s: float | None, encoding: str
+) -> None:
+    master, slave = os.openpty()
+    terminal = os.fdopen(slave, "w", encoding=encoding, errors="backslashreplace")  # as Python opens standard error
+    with terminal, monkeypatch.context() as patch:
+        patch.setattr(sys, "stderr", terminal)
+        patch.setenv("TERM", "xterm")
+        with shown.growing(span_s) as told:
+            told(Progress(2.0, 6_000_000))
+        seen = os.read(master, 65536)
+    os.close(master)
+    assert b"2.0 s, 6.0 MB, nothing missing" in seen
+    assert seen.split(b"the end")[0].endswith(b"\x1b[2K")  # the line is gone again
+
+
 def test_long_recordings_are_never_removed_to_make_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     monkeypatch.setattr(folder, "KEPT", 1)
@@ -215,10 +236,12 @@ def live(arm_name: str) -> Iterator[Live]:
     made.close()
 
 
-def recording(name: str, path: Path, *more: str, limit: int = resource.RLIM_INFINITY) -> subprocess.Popen[str]:
+def recording(
+    name: str, path: Path, *more: str, limit: int = resource.RLIM_INFINITY, stderr: int = subprocess.PIPE
+) -> subprocess.Popen[str]:
     """`rtarm record` of an arm; no file of it may have more than `limit` bytes."""
     command = [sys.executable, "-m", "rtarm", "record", name, "-o", str(path), *more]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
     resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (limit, limit))
     return child
 
@@ -253,6 +276,51 @@ def test_a_signal_ends_it_in_order(live: Live, arm_name: str, tmp_path: Path, nu
     loaded = mcap_reader.read(path)
     assert (loaded.damage, len(loaded.recording.records)) == ("", before + 30)
     assert np.all(np.diff(loaded.recording.records["number"]) == 1)
+
+
+def fill(master: int, slave: int) -> None:
+    """As behind a connection that is stuck: with all that a terminal takes while nobody reads it."""
+    full = os.open(os.ttyname(slave), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+    while select.select((), (full,), (), 0.2)[1]:  # the kernel moves some of it on for a moment
+        with contextlib.suppress(BlockingIOError):
+            os.write(full, b"\n")
+    os.close(full)
+
+
+def press_ctrl_s(master: int, slave: int) -> None:
+    os.write(master, b"\x13")
+    while select.select((), (slave,), (), 0)[1]:
+        time.sleep(0.01)
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("hold_up", [fill, press_ctrl_s])
+def test_a_terminal_that_takes_nothing_does_not_hold_it_up(
+    live: Live, arm_name: str, tmp_path: Path, hold_up: Callable[[int, int], None]
+) -> None:
+    path = tmp_path / "on.mcap"
+    master, slave = os.openpty()
+    hold_up(master, slave)
+    child = recording(arm_name, path, "--follow", stderr=slave)
+    try:
+        wait_for(lambda: cycles_in(path) > 0, child)
+        before = cycles_in(path)
+        live.go(30)
+        wait_for(lambda: cycles_in(path) == before + 30, child)
+        child.send_signal(signal.SIGTERM)
+        out, _ = child.communicate(timeout=PATIENCE_S)
+    finally:
+        child.kill()
+        child.communicate()
+    assert (child.returncode, out.strip()) == (0, str(path))
+    assert mcap_reader.read(path).damage == ""
+    os.write(slave, b"the end")  # what was written comes in pieces, by a worker of the kernel
+    seen = b""
+    while b"the end" not in seen:
+        seen += os.read(master, 65536)
+    assert b"recorded: " in seen and b"nothing missing" in seen
+    os.close(master)
+    os.close(slave)
 
 
 @pytest.mark.process
@@ -317,6 +385,36 @@ def test_for_a_time_it_ends_by_itself(live: Live, arm_name: str, tmp_path: Path)
     out, err = child.communicate(timeout=PATIENCE_S)
     assert (child.returncode, out.strip()) == (0, str(path)), err
     assert json.loads(json.dumps(err)).startswith("recorded: ")
+
+
+def test_whatever_ends_the_wait_the_file_is_cut_when_nobody_writes_it_any_more(
+    live: Live, arm_name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "on.mcap"
+    told: list[Progress] = []
+    working: list[str] = []
+    cut = Follower.cut
+
+    def fail(number: int, _: object) -> None:
+        raise RuntimeError("no stop signal")
+
+    def step(progress: Progress) -> None:
+        told.append(progress)
+        os.kill(os.getpid(), signal.SIGUSR1 if len(told) == 1 else signal.SIGTERM)  # the second ends what goes on
+
+    def watched(follower: Follower) -> None:
+        working.extend(thread.name for thread in threading.enumerate() if thread.name.startswith("nice"))
+        cut(follower)
+
+    monkeypatch.setattr(Follower, "cut", watched)
+    before = signal.signal(signal.SIGUSR1, fail)
+    try:
+        with pytest.raises(RuntimeError, match="no stop signal"):
+            follow(files.open_state(arm_name), path, past=True, span_s=None, step=step)
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+    assert working == []
+    assert cycles_in(path) > 0 and path.stat().st_size == told[-1].size
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf", "1e12"])

@@ -46,16 +46,33 @@ def test_stop_waits_until_the_arm_stands_and_needs_no_front(arm: WrittenArm, rta
     with arm.answering(obey):
         result = rtarm("stop", arm.name)
         assert arm.snapshot["mode"] == Mode.HOLDING  # it came back no earlier
-    assert (result.exit_code, result.stdout) == (
-        0,
-        f"Arm {arm.name} stopped on its path and stands; its goal has ended.\n",
-    )
+    said = "stopped on its path and stands; its goal has ended. It takes no goals before `rtarm resume`."
+    assert (result.exit_code, result.stdout) == (0, f"Arm {arm.name} {said}\n")
 
 
 def test_stop_of_a_standing_arm_says_so(arm: WrittenArm, rtarm: Rtarm) -> None:
-    with arm.answering(lambda _arm, _kind: Answer.REFUSED_NO_GOAL):
+    with arm.answering(lambda _arm, _kind: Answer.DONE):
         result = rtarm("stop", arm.name)
-    assert (result.exit_code, result.stdout) == (0, f"Arm {arm.name} stands; no goal was running.\n")
+    assert (result.exit_code, result.stdout) == (
+        0,
+        f"Arm {arm.name} stands; no goal was running. It takes no goals before `rtarm resume`.\n",
+    )
+
+
+def test_a_stop_while_an_earlier_one_waits_is_asked_for_as_well(arm: WrittenArm) -> None:
+    for count in (1, 2, 3):
+        requests.stop_again(arm.name)
+        assert arm.command["requests_written"][0] == count
+        assert arm.command["requests"][count - 1]["kind"] == Request.STOP
+
+
+@pytest.mark.parametrize(("held", "said"), [(0, "The goal of {} goes on."), (1, "Arm {} takes goals again.")])
+def test_resume_says_what_it_has_done(arm: WrittenArm, rtarm: Rtarm, held: int, said: str) -> None:
+    arm.snapshot["held"] = held
+    arm.publish()
+    with arm.answering(lambda _arm, _kind: Answer.DONE):
+        result = rtarm("resume", arm.name)
+    assert (result.exit_code, result.stdout) == (0, said.format(arm.name) + "\n")
 
 
 def test_stop_gives_up_on_a_control_process_that_hangs(

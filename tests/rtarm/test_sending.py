@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from stack import Stack
 
-from config.loader import load_arm
+from config.loader import ARMS_FOLDER, load_arm
 from rtarm.errors import Refusal
 from rtarm.sending import Outcome, Sender, goal_document, sending
 from rtarm.status import read_status
@@ -28,11 +29,13 @@ def move(joint: str, degrees: float, duration_s: float, start_deg: float = 0.0) 
 
 
 @pytest.fixture(scope="module")
-def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    folder = tmp_path_factory.mktemp("sending")
-    stack = Stack(f"sending_{os.getpid()}", folder, start_deg=[0.0] * 6)
+def stack(new_arm_name: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    """An arm whose drives do as they are told: no stall of the machine leaves a fault to the next test."""
+    stack = Stack(new_arm_name(), tmp_path_factory.mktemp("sending"))
+    mock = yaml.safe_load((ARMS_FOLDER / "mock.yaml").read_text(encoding="utf-8")) | {"name": stack.name}
+    mock["front"]["controller_name"] = f"controller_{stack.name}"
+    stack.arm_file.write_text(yaml.safe_dump(mock), encoding="utf-8")
     try:
-        stack.start_sim()
         stack.start_loop()
         stack.start_front()
         yield stack
@@ -121,7 +124,7 @@ def test_a_sender_that_is_killed_is_told_and_its_arm_is_not_hurt(stack: Stack) -
 
 @pytest.mark.process
 def test_an_arm_that_nobody_serves_is_one_sentence(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rtarm.sending.action_name", lambda arm: "/nobody/follow_joint_trajectory")
+    monkeypatch.setattr("rtarm.sending.action_name", lambda *_: "/nobody/follow_joint_trajectory")
     said = r"^No ROS process serves /nobody/.* in ROS domain \d+: .*rtarm status"
     with pytest.raises(Refusal, match=said), sending(arm_of(stack)):
         pass

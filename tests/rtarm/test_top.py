@@ -325,7 +325,7 @@ def test_a_front_that_comes_and_goes(arm: WrittenArm, watch: Watch) -> None:
 
 
 def test_an_arm_that_does_not_run_is_refused(arm_name: str) -> None:
-    with pytest.raises(NotRunning, match=f"start it with `rtarm up {arm_name}`"):
+    with pytest.raises(NotRunning, match="start it with `rtarm up` and the name"):
         Watch(arm_name)
 
 
@@ -575,8 +575,9 @@ class Terminal:
         while self.process.poll() is None:
             assert time.monotonic() < deadline
             self.read(0.01)
-        while self.read(0.0):
-            pass
+        os.write(self.slave, b"the end")  # what was drawn comes in pieces, by a worker of the kernel
+        while b"the end" not in self.shown:
+            assert self.read(PATIENCE_S)
         return self.process.returncode
 
     @property

@@ -6,6 +6,7 @@ import dataclasses
 import io
 import math
 import string
+import threading
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -22,6 +23,7 @@ from config.loader import load_arm
 from config.moveit.robot import model_parts
 from config.moveit.shapes import link_shapes
 from motion.segment import evaluate, quintic
+from rtarm import requests
 from rtarm.errors import Refusal
 from rtarm.status import report_of
 from rtarm.top.events import Happening
@@ -311,7 +313,7 @@ def test_a_language_that_the_page_does_not_speak_is_refused(rtarm: Callable[...,
 
 def test_an_arm_that_does_not_run_has_no_page(rtarm: Callable[..., Result]) -> None:
     result = rtarm("view", "mock")
-    assert result.exit_code == 1 and "`rtarm up mock`" in result.stderr
+    assert result.exit_code == 1 and "start it with `rtarm up` and the name" in result.stderr
 
 
 def test_an_arm_whose_file_cannot_be_known_from_its_name_needs_it(
@@ -397,5 +399,57 @@ def test_only_the_joints_whose_sliders_were_touched_are_a_wish(monkeypatch: pyte
         controls._forget()
         with pytest.raises(Refusal):
             controls._go_there(object())
+    finally:
+        server.stop()
+
+
+def test_a_goal_whose_sender_was_still_starting_when_stop_was_pressed_is_not_sent(
+    arm: WrittenArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = EPISODE1.model_copy(update={"name": arm.name, "joints": EPISODE1.joints[: len(JOINTS)]})
+    for press in ("stop", "stop_again"):
+        orders = Orders(config, ENGLISH)
+        sent: list[Any] = []
+        sender = SimpleNamespace(send=sent.append, cancel=lambda: None, alive=True)
+
+        def starts(orders: Orders = orders, press: str = press, sender: Any = sender) -> Any:
+            getattr(orders, press)()
+            return sender
+
+        monkeypatch.setattr(requests, "stop", lambda _: "The arm stands.")
+        monkeypatch.setattr(orders, "_ready_sender", starts)
+        with pytest.raises(Refusal, match="A person has stopped or holds the arm"):
+            orders.go(np.zeros(len(JOINTS)), lambda _: None)
+        assert not sent
+
+
+def test_every_press_of_stop_reaches_the_arm_also_while_an_earlier_one_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    viser = pytest.importorskip("viser")
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        orders = Orders(EPISODE1, ENGLISH)
+        waits, stands = threading.Event(), threading.Event()
+        pressed: list[str] = []
+
+        def stop() -> str:
+            pressed.append("stop")
+            waits.set()
+            assert stands.wait(30.0)
+            return "The arm stands."
+
+        monkeypatch.setattr(orders, "stop", stop)
+        monkeypatch.setattr(orders, "stop_again", lambda: pressed.append("again"))
+        controls = Controls(server, EPISODE1, orders, ENGLISH, None)
+        first = threading.Thread(target=controls._stop_pressed)
+        first.start()
+        assert waits.wait(30.0)
+        for _ in range(3):
+            controls._stop_pressed()
+        assert pressed == ["stop", "again", "again", "again"]
+        stands.set()
+        first.join()
+        assert "The arm stands." in controls._answer.content
+        controls._stop_pressed()
+        assert pressed[-1] == "stop"
     finally:
         server.stop()

@@ -467,9 +467,7 @@ def test_a_user_s_own_settings_of_python_can_change_nothing(virtual, monkeypatch
 
 
 def test_options_are_what_the_file_and_the_drives_say():
-    options = all_options(arm_on("seeedstudio", "/dev/ttyUSB3"))
-    assert options == {"channel": "/dev/ttyUSB3", "bitrate": 500_000, "frame_type": "EXT"}
-    assert all_options(arm_on("seeedstudio", frame_type="STD"))["frame_type"] == "STD"
+    assert all_options(arm_on("robotell", "/dev/ttyUSB3")) == {"channel": "/dev/ttyUSB3", "bitrate": 500_000}
     assert all_options(arm_on("gs_usb", "2"))["index"] == 2
     assert all_options(arm_on("slcan", tty_baudrate=1_000_000))["tty_baudrate"] == 1_000_000
 

@@ -11,6 +11,7 @@ import pytest
 from motion_figures import rms, sampled_truth
 from virtual import VirtualArm, recorded_goal
 
+from config.loader import load_arm
 from shm.words import DriveStatus, Fault, Mode, Outcome
 from sim.bus import Frame
 from sim.drives.damiao import CTRL_MODE, TIMEOUT, VMAX
@@ -141,6 +142,21 @@ def test_a_motor_that_is_not_what_the_file_says_is_left_alone(
     assert arm.core["fault"] == Fault.BRING_UP
     assert (drive.enabled, drive.registers[register]) == (enabled, value)
     assert stands(arm, began_ns)
+    arm.close()
+
+
+@MODES
+@pytest.mark.parametrize("motor_id", [0x10, 0x11])
+def test_an_id_that_spoils_the_status_brings_up_nothing(name: str, motor_id: int) -> None:
+    """An arm file with it is refused; below that a limp motor says 1x, which would be "enabled"."""
+    config = load_arm(name)
+    joint = config.joints[0]
+    joint = joint.model_copy(update={"drive": joint.drive.model_copy(update={"motor_id": motor_id, "master_id": 0x21})})
+    arm = VirtualArm(config.model_copy(update={"joints": [joint, *config.joints[1:]]}), start_rad=START_RAD)
+    failure = arm.bring_up().failure
+    assert failure is not None and f"joint1 (motor_id {motor_id:#x}) does not answer" in str(failure)
+    assert arm.core["fault"] == Fault.BRING_UP
+    assert not arm.sim.drives[0].enabled
     arm.close()
 
 

@@ -74,5 +74,6 @@ def test_a_joint_whose_turn_is_ended_is_led_on(overrides: dict[str, Any], after_
             arm.writer.request(Request.STOP)
 
     assert arm.reference(each_cycle=stop, at_most_s=5.0).failure is None
+    assert arm.ask(Request.RESUME) == Answer.DONE
     assert small_goal(arm) == Outcome.SUCCEEDED
     arm.close()

@@ -378,6 +378,45 @@ def test_power_lost_amid_the_homing_run_is_no_reference(stage: Stage) -> None:
     assert stage.trouble == GripTrouble.POWER_LOST
 
 
+@pytest.mark.parametrize("kind", [Request.GRIP, Request.GRIP_HOME])
+def test_a_person_who_stops_the_arm_stops_its_gripper_too(stage: Stage, kind: Request) -> None:
+    stage.ask(kind, value=0.0)
+    stage.run(0.4)
+    assert stage.arm.ask(Request.STOP) == Answer.DONE
+    stage.arm.until(lambda: stage.grip == Grip.HELD)
+    stopped = stage.true_rad
+    for refused in (Request.GRIP, Request.GRIP_HOME):
+        assert stage.arm.ask(refused, value=0.5) == Answer.REFUSED_HELD
+    stage.run(2.0)
+    assert stage.true_rad == stopped > 0.1
+    assert stage.arm.ask(Request.GRIP_STOP) == Answer.DONE
+    assert stage.arm.ask(Request.RESUME) == Answer.DONE
+    assert stage.go(1.0) == Grip.REACHED
+
+
+@pytest.mark.parametrize("cycles", range(1, 24))
+def test_a_person_stops_a_gripper_that_is_just_about_to_set_off(stage: Stage, cycles: int) -> None:
+    """Its drive is asked this and that before it moves, and meanwhile nothing is shown to move."""
+    stage.ask(Request.GRIP, value=0.0)
+    stage.arm.cycles(cycles)
+    assert stage.arm.ask(Request.STOP) == Answer.DONE
+    stage.run(1.0)
+    stopped = stage.true_rad
+    stage.run(1.0)
+    assert stage.true_rad == stopped > 0.8
+    assert stage.arm.ask(Request.RESUME) == Answer.DONE
+
+
+def test_what_is_gripped_stays_gripped_when_a_person_stops_the_arm(stage: Stage) -> None:
+    stage.inject(faults.Thing(0.0, 40.0))
+    assert stage.go(0.0) == Grip.STALLED
+    order, held_rad = int(stage.shown["order"]), stage.true_rad
+    assert stage.arm.ask(Request.STOP) == Answer.DONE
+    stage.run(2.0)
+    assert (int(stage.shown["order"]), stage.grip, stage.true_rad) == (order, Grip.STALLED, held_rad)
+    assert stage.arm.ask(Request.RESUME) == Answer.DONE
+
+
 def test_a_homing_run_ends_with_a_stop(stage: Stage) -> None:
     home = stage.ask(Request.GRIP_HOME)
     stage.run(0.4)

@@ -482,7 +482,7 @@ def answer(arm, sequence):
         (Request.SPEED_SCALE, float("inf"), Answer.REFUSED_VALUE),
         (Request.CLEAR_FAULT, 0.0, Answer.REFUSED_MODE),
         (Request.CANCEL, 0.0, Answer.REFUSED_NO_GOAL),
-        (Request.STOP, 0.0, Answer.REFUSED_NO_GOAL),
+        (Request.STOP, 0.0, Answer.DONE),
         (Request.HOLD, 0.0, Answer.REFUSED_NO_GOAL),
         (99, 0.0, Answer.REFUSED_UNKNOWN),
         (-(2**40), 0.0, Answer.REFUSED_UNKNOWN),

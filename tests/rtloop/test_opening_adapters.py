@@ -122,6 +122,14 @@ def test_a_channel_that_is_open_and_half_a_frame_are_left_behind(served: Served,
     assert served.sim.bus.frames == 2  # the question and its answer: what was half said went nowhere
 
 
+@pytest.mark.parametrize("wire", [wire for wire in SERIAL if wire.name == "seeedstudio"], ids=str)
+def test_a_usb_can_a_gets_as_long_after_its_set_up_as_others_give_it(served: Served) -> None:
+    began_s = time.monotonic()
+    opened = open_wire(served.arm)
+    assert opened is not None and time.monotonic() - began_s >= 0.1
+    close_wire(served.arm, opened)
+
+
 @pytest.mark.parametrize("wire", [wire for wire in SERIAL if wire.name == "slcan-canable"], ids=str)
 def test_a_canable_that_was_left_silent_speaks_again(served: Served, wire: Wire) -> None:
     served.left_behind(b"C\rS8\rM1\rO\r")

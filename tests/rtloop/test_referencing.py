@@ -119,6 +119,9 @@ def test_a_homing_run_is_ended_at_once_whenever_somebody_asks(request_kind, afte
     ended_ns = arm.now_ns
     arm.cycles(60)
     assert motion_after(truth_of(arm.sim), ended_ns, arm.now_ns) == []
+    if request_kind == Request.STOP:
+        assert small_goal(arm) == Outcome.REFUSED_HELD
+        assert arm.ask(Request.RESUME) == Answer.DONE
     assert small_goal(arm) == Outcome.REFUSED_UNREFERENCED
     # nobody knows whether its drive has just set its count anew
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.nan) == Answer.REFUSED_VALUE
@@ -266,7 +269,7 @@ def test_nothing_else_is_begun_while_a_joint_is_homed():
 
 def test_a_pose_is_due_after_homing_at_the_start_until_somebody_asks_for_something():
     def homed_at_the_start():
-        arm = new_arm((0.0,) * 6)
+        arm = new_arm()
         arm.port.post(HOME_ALL)
         arm.cycles(2)
         assert arm.core["mode"] == Mode.REFERENCING
@@ -284,15 +287,20 @@ def test_a_pose_is_due_after_homing_at_the_start_until_somebody_asks_for_somethi
         assert arm.reader.snapshot()["pose_due"] == 0
         arm.close()
     arm = homed_at_the_start()
-    homed_ns = arm.now_ns
-    arm.until(lambda: arm.reader.snapshot()["pose_due"] == 0, at_most_s=121.0)
-    assert arm.now_ns - homed_ns > 119e9
+    until_ns = int(arm.core["pose_due_ns"])
+    assert 119e9 < until_ns - arm.now_ns <= 120e9
+    arm.cycles(round(1e9 / arm.period_ns))
+    assert int(arm.core["pose_due_ns"]) == until_ns and arm.reader.snapshot()["pose_due"] == 1
+    arm.core["pose_due_ns"] = arm.now_ns + 1_000_000_000  # as if all but the last second had passed
+    began_ns = arm.now_ns
+    arm.until(lambda: arm.reader.snapshot()["pose_due"] == 0, at_most_s=2.0)
+    assert arm.now_ns - began_ns == pytest.approx(1e9, abs=2 * arm.period_ns)
     arm.close()
     arm = homed_at_the_start()
     assert small_goal(arm) == Outcome.SUCCEEDED
     assert arm.reader.snapshot()["pose_due"] == 0
     arm.close()
-    arm = new_arm((0.0,) * 6)
+    arm = new_arm()
     assert arm.ask(Request.HOME) == Answer.DONE  # by hand: nobody expects the arm to go anywhere afterwards
     assert arm.reference().failure is None
     assert arm.reader.snapshot()["pose_due"] == 0

@@ -6,6 +6,7 @@ A wire is an entry of `wires.WIRES`; what it says and hears is spelt there by it
 import functools
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from rtloop.measured import take_what_the_bus_brought
 from rtloop.run import take_over_wire
 from rtloop.state import RX_BYTES, TX_FRAMES
 from rtloop.wire import outgoing, received
+from rtloop.wire.binary_adapters import EXTENDED_ONLY, NORMAL, set_up_frame
 from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
 from shm import layout
 from shm.words import Answer, Fault, Mode, Outcome, Request
@@ -355,6 +357,17 @@ def test_drives_with_standard_identifiers_that_are_asked_by_remote_frames(wire: 
     remote = [frame for _, data in arm.sent for frame in wire.read(data) if frame.remote]
     assert remote and not any(frame.extended for frame in remote)
     arm.close()
+
+
+def test_an_arm_comes_up_and_moves_although_frames_lose_the_bus_to_answers() -> None:
+    """A USB-CAN-A, set up as rtarm does it, on a bus where drives answer while the next question is on its way."""
+    wire = next(wire for wire in WIRES if wire.name == "seeedstudio")
+    config = arm_on(wire)
+    rig = Rig(replace(wire, opening=set_up_frame(config.bus.bitrate, EXTENDED_ONLY, NORMAL)))
+    assert rig.run(rig.play()) == Outcome.SUCCEEDED
+    assert rig.judged() == []
+    assert rig.arm.sim.adapter.lost_arbitrations > 100
+    rig.arm.close()
 
 
 @every_wire

@@ -1,9 +1,11 @@
 """The two memory files: built, found, owned, refused, and gone with their owner."""
 
 import contextlib
+import ctypes
 import errno
 import fcntl
 import os
+import pwd
 import stat
 import subprocess
 import sys
@@ -249,7 +251,9 @@ def test_a_file_others_may_read_is_refused(created, arm_name):
 
 def test_somebody_elses_file_is_refused(created, arm_name, monkeypatch):
     monkeypatch.setattr(os, "geteuid", lambda: 4321)
-    with pytest.raises(NotPermitted, match=r"owned by uid \d+"):
+    with pytest.raises(
+        NotPermitted, match=r"file of user \w+ with mode 600, but must be a file of uid 4321 with mode 600"
+    ):
         files.open_state(arm_name)
 
 
@@ -258,7 +262,7 @@ def test_links_are_never_followed(swept, tmp_path):
     target.write_bytes(b"precious")
     files.state_path(swept).symlink_to(target)
     for attempt in (lambda: files.open_state(swept), lambda: files.create(identity(swept))):
-        with pytest.raises(NotPermitted, match="never links"):
+        with pytest.raises(NotPermitted, match=r"is a link of user .*: remove it \(`rm -r "):
             attempt()
     assert target.read_bytes() == b"precious"
     assert left_of(swept) == [files.state_path(swept)]
@@ -365,6 +369,7 @@ def test_asking_who_lives_never_makes_a_starting_loop_fail(swept, monkeypatch):
 # --- other users of the machine -----------------------------------------------------------------------------------
 
 NOBODY = 65534
+NAME_OF_NOBODY = pwd.getpwuid(NOBODY).pw_name
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can act as another user")
 
 
@@ -410,9 +415,139 @@ def test_what_another_user_has_planted_is_neither_read_nor_written(swept, name):
     path.write_bytes(content)
     os.chown(path, NOBODY, NOBODY)
     path.chmod(0o600)
-    with pytest.raises(NotPermitted, match=f"owned by uid {NOBODY}"):
+    with pytest.raises(NotPermitted, match=f"is a file of user {NAME_OF_NOBODY} with mode 600"):
         files.open_state(swept) if name == "state" else files.open_command(swept)
     assert path.read_bytes() == content
+
+
+STRANGER = 1
+"""Whose files are in the way of nobody."""
+PLANTED = {
+    "private file": lambda path: (path.touch(0o600), path.chmod(0o600)),
+    "open file": lambda path: (path.touch(), path.chmod(0o666)),
+    "link": lambda path: path.symlink_to("/etc/passwd"),
+    "directory": lambda path: path.mkdir(0o777),
+    "pipe": lambda path: (os.mkfifo(path), path.chmod(0o666)),
+    "socket": lambda path: (os.mknod(path, stat.S_IFSOCK | 0o666), path.chmod(0o666)),
+}
+
+
+@pytest.fixture
+def ordinary():
+    """An ordinary user of this machine, without root's rights, for as long as a test needs one."""
+    # Tests of the control process have locked this one's memory, more of it than such a user may.
+    ctypes.CDLL(None, use_errno=True).munlockall()
+
+    @contextlib.contextmanager
+    def acting():
+        os.seteuid(NOBODY)
+        try:
+            yield
+        finally:
+            os.seteuid(0)
+
+    return acting
+
+
+def plant(kind, path):
+    PLANTED[kind](path)
+    os.chown(path, STRANGER, STRANGER, follow_symlinks=False)
+
+
+def sentence_about(path, kind):
+    """What an ordinary user is told of it: what it is, whose, what is allowed, who can help."""
+    owner, word = f"user {pwd.getpwuid(STRANGER).pw_name}", kind.split()[-1]
+    return (
+        rf"^{path} is a {word} of {owner} with mode \d+, but must be a file of user {NAME_OF_NOBODY} with mode 600: if "
+        rf"{owner} runs this arm, do this as {owner} too; otherwise ask {owner} or an administrator to remove it "
+        rf"\(`sudo rm -r {path}`\), or give your arm another name\.$"
+    )
+
+
+@as_root
+@pytest.mark.parametrize("kind", PLANTED)
+def test_an_ordinary_user_is_told_whose_state_file_is_in_the_way(swept, ordinary, kind):
+    path = files.state_path(swept)
+    plant(kind, path)
+    with ordinary():
+        for attempt in (
+            lambda: files.open_state(swept),
+            lambda: files.left_behind(swept),
+            lambda: files.create(identity(swept)),
+        ):
+            with pytest.raises(NotPermitted, match=sentence_about(path, kind)):
+                attempt()
+        assert swept not in files.running_arms() + files.arms_left_behind()
+    assert left_of(swept) == [path]
+
+
+@as_root
+@pytest.mark.parametrize("kind", PLANTED)
+def test_an_ordinary_user_is_told_whose_command_file_is_in_the_way(swept, ordinary, kind):
+    path = files.command_path(swept)
+    plant(kind, path)
+    with ordinary():
+        for attempt in (
+            lambda: files.open_command(swept),
+            lambda: files.own_command(swept, ARM_HASH),
+            lambda: files.front_of(swept),
+            lambda: files.create(identity(swept)),
+        ):
+            with pytest.raises(NotPermitted, match=sentence_about(path, kind)):
+                attempt()
+        assert files.watch_command(swept, 1) is None
+    assert left_of(swept) == [path]
+
+
+@as_root
+@pytest.mark.parametrize("kind", PLANTED)
+def test_an_ordinary_user_is_told_whose_file_keeps_the_state_of_a_dead_loop_from_being_kept(swept, ordinary, kind):
+    path = files.previous_path(swept)
+    with ordinary():
+        dead = files.create(identity(swept))
+        dead.state.close()
+        dead.command.close()
+    plant(kind, path)
+    before = left_of(swept)
+    with ordinary(), pytest.raises(NotPermitted, match=sentence_about(path, kind)):
+        files.create(identity(swept))
+    assert left_of(swept) == before
+    files.state_path(swept).unlink()
+    with ordinary():
+        with pytest.raises(NotPermitted, match=sentence_about(path, kind)):
+            files.left_behind(swept)
+        assert swept not in files.arms_left_behind()
+
+
+@as_root
+@pytest.mark.parametrize("kind", PLANTED)
+@pytest.mark.parametrize("name", ["state", "command"])
+def test_an_ordinary_user_is_told_whose_file_stands_where_one_is_built(swept, ordinary, name, kind):
+    path = files.DIRECTORY / f"rtarm.{swept}.{name}.{os.getpid()}.new"
+    plant(kind, path)
+    with ordinary(), pytest.raises(NotPermitted, match=sentence_about(path, kind)):
+        files.create(identity(swept))
+    assert left_of(swept) == [path]
+
+
+@as_root
+def test_a_file_that_a_stranger_holds_is_no_running_loop(swept, ordinary):
+    """Open to everybody, locked and empty: there is no pid in it that could be told."""
+    path = files.state_path(swept)
+    plant("open file", path)
+    with path.open() as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with ordinary(), pytest.raises(NotPermitted, match=sentence_about(path, "open file")):
+            files.create(identity(swept))
+
+
+@as_root
+def test_a_user_without_a_name_is_told_by_number(swept):
+    path = files.state_path(swept)
+    path.touch(0o600)
+    os.chown(path, 4_000_000, 4_000_000)
+    with pytest.raises(NotPermitted, match=r"is a file of uid 4000000 with mode 600.* ask uid 4000000 or an admin"):
+        files.open_state(swept)
 
 
 @as_root

@@ -17,7 +17,7 @@ from config.loader import load_arm
 from rtloop.wire.binary_adapters import EXTENDED_ONLY, NORMAL, STANDARD_ONLY, set_up_frame
 from sim.arm import SimulatedArm
 from sim.at_adapter import AtAdapter
-from sim.bus import Frame
+from sim.bus import Bus, Frame
 from sim.drives.ramp import NEVER
 from sim.pty import PtyServer
 from sim.seeed_adapter import SeeedAdapter
@@ -25,7 +25,7 @@ from sim.seeed_adapter import SeeedAdapter
 SEEED = next(wire for wire in WIRES if wire.name == "seeedstudio")
 AT = next(wire for wire in WIRES if wire.name == "ch340-at")
 STATUS_ASKED = bytes.fromhex("AA 55 04 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 04")
-FOR_STANDARD = bytes.fromhex("AA 55 12 01 01 00000000 00000000 00 01 00000000 15")
+FOR_STANDARD = bytes.fromhex("AA 55 12 01 01 00000000 00000000 00 00 00000000 14")
 PATIENCE_S = 10.0
 
 
@@ -88,6 +88,22 @@ def test_at_another_rate_nothing_gets_through_and_the_status_says_so() -> None:
     assert at.is_open and not at.listening and not at.outbox
 
 
+@pytest.mark.parametrize(("byte_14", "sent"), [(0, [0x100, 0x200, 0x300, 0x400]), (1, [0x100, 0x300, 0x400])])
+def test_what_loses_the_bus_to_another_is_sent_again_or_lost(byte_14: int, sent: list[int]) -> None:
+    """The adapter's 200 and a drive's 100 are ready at once; 300 is ready behind 200, and 400 while the bus is busy."""
+    bus, adapter, drive, ear = Bus(1_000_000, 0), SeeedAdapter(1_000_000), opened(), opened()
+    bus.nodes += [adapter, drive, ear]
+    content = bytes((0x12, 1, 2, *bytes(9), byte_14, *bytes(4)))
+    adapter.feed(0, b"\xaa\x55" + content + bytes((sum(content),)))
+    adapter.feed(0, SEEED.spell(Frame(0x200, b"\1")) + SEEED.spell(Frame(0x300, b"\1")))
+    drive.feed(0, SEEED.spell(Frame(0x100, b"\1")))
+    bus.run_until(10_000)
+    adapter.feed(10_000, SEEED.spell(Frame(0x400, b"\1")))
+    bus.run_until(10**6)
+    assert [frame.can_id for frame in SEEED.read(ear.collect(10**6))] == sent
+    assert (adapter.lost_arbitrations, drive.lost_arbitrations) == (1, 0)
+
+
 def test_bytes_take_their_time() -> None:
     byte_ns = 5_000  # 2 Mbaud
     adapter = SeeedAdapter(1_000_000, baud=2_000_000)
@@ -105,9 +121,10 @@ def test_bytes_take_their_time() -> None:
 
 @pytest.mark.parametrize(("frame_type", "frames"), [("STD", STANDARD_ONLY), ("EXT", EXTENDED_ONLY)])
 @pytest.mark.parametrize("bitrate", [1_000_000, 500_000, 250_000, 5_000])
-def test_python_can_sets_up_with_the_same_bytes(
+def test_python_can_sets_up_with_the_same_bytes_but_has_frames_sent_once(
     frame_type: str, frames: int, bitrate: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Byte 14 is 01 there, which the last byte, the sum, counts too."""
     written: list[bytes] = []
 
     class Port:
@@ -117,7 +134,10 @@ def test_python_can_sets_up_with_the_same_bytes(
 
     monkeypatch.setattr("can.interfaces.seeedstudio.seeedstudio.serial.Serial", Port)
     SeeedBus("memory", bitrate=bitrate, frame_type=frame_type).shutdown()
-    assert written == [set_up_frame(bitrate, frames, NORMAL)]
+    ours = bytearray(set_up_frame(bitrate, frames, NORMAL))
+    ours[14] += 1
+    ours[19] += 1
+    assert written == [bytes(ours)]
 
 
 @pytest.fixture

@@ -94,6 +94,16 @@ def test_targets_of_the_facts():
     assert bench.turns_s == 0.0
 
 
+def test_an_id_of_sixteen_or_more_spoils_the_status():
+    """Why an arm file takes motor_id up to 15 alone: limp, this motor says what an enabled one with ID 1 says."""
+    bench = motor(esc=0x11)
+    assert bench.ask("7FF# 11 00 CC 00 00 00 00 00")[0][5:7] == "11"
+    assert (bench.drive.status, bench.drive.enabled) == (LIMP, False)
+    sound = motor()
+    sound.tell(ENABLE)
+    assert sound.ask(HOW)[0][5:7] == "11"
+
+
 # --- enabling, errors, alarm ----------------------------------------------------------------------------
 
 

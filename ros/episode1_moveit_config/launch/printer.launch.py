@@ -2,14 +2,18 @@
 """Starts MoveIt and a node that prints what MoveIt plans and then pretends that the arm is there."""
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, SetEnvironmentVariable
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
 
 ARGUMENTS = (
     DeclareLaunchArgument("language", default_value="zh", choices=["zh", "en"], description="language of the print"),
     DeclareLaunchArgument("use_rviz", default_value="true", description="false starts no RViz"),
+)
+# A process that is killed in the shared memory of Fast DDS makes the others wait for ever; what you have set stays.
+BY_UDP = SetEnvironmentVariable(
+    "FASTDDS_BUILTIN_TRANSPORTS", EnvironmentVariable("FASTDDS_BUILTIN_TRANSPORTS", default_value="UDPv4")
 )
 
 
@@ -24,6 +28,7 @@ def generate_launch_description():
     return LaunchDescription(
         [
             *ARGUMENTS,
+            BY_UDP,
             part("rtarm", "trajectory_printer", launch_arguments=given.items()),
             part("episode1_moveit_config", "static_virtual_joint_tfs"),
             part("episode1_moveit_config", "rsp"),

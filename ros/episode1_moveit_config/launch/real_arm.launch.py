@@ -4,9 +4,9 @@
 spawn_controllers.launch.py must not run beside it: rtarm itself is the controller."""
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, SetEnvironmentVariable
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
 
 ARGUMENTS = (
@@ -20,6 +20,10 @@ ARGUMENTS = (
     DeclareLaunchArgument("use_rviz", default_value="true", description="false starts no RViz"),
 )
 FOR_THE_ARM = ("arm", "sim", "usb_index", "channel", "init_mode")
+# A process that is killed in the shared memory of Fast DDS makes the others wait for ever; what you have set stays.
+BY_UDP = SetEnvironmentVariable(
+    "FASTDDS_BUILTIN_TRANSPORTS", EnvironmentVariable("FASTDDS_BUILTIN_TRANSPORTS", default_value="UDPv4")
+)
 
 
 def part(package, name, **options):
@@ -33,6 +37,7 @@ def generate_launch_description():
     return LaunchDescription(
         [
             *ARGUMENTS,
+            BY_UDP,
             part("rtarm", "robot_interface", launch_arguments=given.items()),
             part("episode1_moveit_config", "static_virtual_joint_tfs"),
             part("episode1_moveit_config", "rsp"),

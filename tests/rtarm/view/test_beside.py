@@ -21,6 +21,7 @@ pytest.importorskip("rclpy")
 from plain_viewer import PlainViewer
 from ros_client import until
 from stack import Process
+from working_threads import niceness_at_work
 
 from rtarm.status import read_status
 from shm import files
@@ -74,8 +75,8 @@ def test_the_page_stands_beside_the_arm_and_ends_with_it(up: Process, arm_name: 
     assert page_status(url) == 200
     with PlainViewer(url) as viewer:
         viewer.wait_for_page()
-    pid = pid_of(up)
-    assert os.getpriority(os.PRIO_PROCESS, pid) == 19
+        pid = pid_of(up)
+        assert niceness_at_work(pid) == {19}
     up.process.send_signal(signal.SIGINT)
     assert up.code() == 0
     assert up.text.endswith("rtarm  ended in order")
@@ -143,6 +144,8 @@ def test_the_demo_waits_for_a_browser_plays_and_stays(arm_file: Path, arm_name: 
             assert read_status(name)["running"]
             # Or the page's goals would go to another arm.
             assert domain_of(pid_of(demo)) == domain_of(pid_of(demo, "rosfront"))
+            page = Path(f"/proc/{pid_of(demo)}/cmdline").read_text().split("\0")
+            assert page[page.index("--namespace") + 1] == f"/{name}"
         assert page_status(url) == 200
         demo.process.send_signal(signal.SIGINT)
         assert demo.code() == 0

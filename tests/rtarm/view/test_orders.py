@@ -122,6 +122,7 @@ def test_stop_ends_a_goal_that_the_ros_process_has_not_begun(
     assert said and "Goal reached" not in said[0]
     after = read_status(stack.name)
     assert after["joints"][0]["position_rad"] == pytest.approx(before["joints"][0]["position_rad"], abs=0.02)
+    assert "takes goals again" in orders.resume()
 
 
 def test_a_sender_that_was_killed_is_told_once_and_started_anew(stack: Stack, orders: Orders) -> None:

@@ -1,0 +1,51 @@
+"""Our ROS messages go by UDP: a process that dies in the shared memory of Fast DDS makes the others wait for ever.
+
+To send into a shared-memory port, Fast DDS 2.14 waits without end for whoever began to make it, with its lock held:
+every publisher, request and heartbeat of a process then stands still behind one that was killed, or that found
+/dev/shm full.
+"""
+
+from collections.abc import Mapping, MutableMapping
+from pathlib import Path
+
+FAST_DDS = "rmw_fastrtps"
+"""ROS' default middleware, in all its variants."""
+TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
+UDP = "UDPv4"
+PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+NO_OTHER_PROFILE = "SKIP_DEFAULT_XML_FILE"
+"""Else a DEFAULT_FASTRTPS_PROFILES.xml in the folder where the process starts takes the place of the profile."""
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+STATIC_PEERS = "ROS_STATIC_PEERS"
+LOCALHOST = "LOCALHOST"
+LOCALHOST_ONLY = "ROS_LOCALHOST_ONLY"
+"""The older name for that range, which goes before it."""
+LOCALHOST_PROFILE = Path(__file__).with_name("localhost.xml")
+
+
+def choose_udp(environment: MutableMapping[str, str], middleware: str) -> None:
+    """Have Fast DDS use UDP alone, before a process' first node; what the user chose stays.
+
+    A user chooses by naming other transports, or by a profile file of Fast DDS, which may hold anything. ROS adds
+    shared memory to the range LOCALHOST whatever else is set, so that this range is our own profile's instead, but
+    where peers are named: ROS adds these to its own ranges alone.
+    """
+    if not middleware.startswith(FAST_DDS) or environment.get(PROFILES) not in (None, "", str(LOCALHOST_PROFILE)):
+        return
+    environment[TRANSPORTS] = environment.get(TRANSPORTS) or UDP
+    ours = LOCALHOST_PROFILE.is_file() and not environment.get(STATIC_PEERS)
+    if environment[TRANSPORTS] == UDP and _is_localhost(environment) and ours:
+        environment.pop(LOCALHOST_ONLY, None)
+        environment[RANGE] = "SYSTEM_DEFAULT"  # ROS leaves what the profile says
+        environment[PROFILES] = str(LOCALHOST_PROFILE)
+        environment[NO_OTHER_PROFILE] = "1"
+
+
+def may_share_memory(environment: Mapping[str, str], middleware: str) -> bool:
+    """Whether a process with this environment may use the shared memory of Fast DDS."""
+    return middleware.startswith(FAST_DDS) and (environment.get(TRANSPORTS) != UDP or _is_localhost(environment))
+
+
+def _is_localhost(environment: Mapping[str, str]) -> bool:
+    """Whether ROS would look for other processes on this machine alone."""
+    return environment.get(LOCALHOST_ONLY) == "1" or environment.get(RANGE) == LOCALHOST
