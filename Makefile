@@ -59,7 +59,7 @@ demo: env
 
 # What hangs in C code no signal interrupts: all stacks are printed, that worker ends, and the guardian leaves no process.
 PYTEST := $(BIN)/python tests/guardian.py $(BIN)/python -m pytest --numprocesses=2 --dist=loadfile \
-  -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
+  -o faulthandler_timeout=1800 -o faulthandler_exit_on_timeout=true
 
 test: env
 	$(PYTEST) -m 'not process or smoke'

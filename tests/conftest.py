@@ -7,9 +7,11 @@ import os
 import secrets
 import shutil
 import socket
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import leaks
 import pytest
@@ -23,6 +25,7 @@ _SESSION = secrets.token_hex(4)
 _ARM_PREFIX = f"t{_SESSION}_"
 _ARM_NUMBERS = itertools.count()
 _STATE_HOME = Path(tempfile.gettempdir(), f"rtarm-test-{_SESSION}")
+_FILE, _BEFORE = pytest.StashKey[Path | None](), pytest.StashKey[leaks.Surroundings]()
 _CLAIM = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 """Has a port of this session's ROS domain, so that no other session chooses it before this one starts a ROS process."""
 
@@ -78,13 +81,26 @@ def nothing_left_behind() -> Iterator[None]:
     assert not memory_files_left(), "memory files left by the tests"
 
 
-@pytest.fixture(scope="module", autouse=True)
-def surroundings_stay(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Fail a file of tests that changes what the next ones would start from."""
-    before = leaks.surroundings(processes_left)
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> Any:
+    """Look around before anything of a file of tests is set up."""
+    if item.session.stash.get(_FILE, None) != item.path:
+        item.session.stash[_FILE] = item.path
+        item.session.stash[_BEFORE] = leaks.surroundings(processes_left)
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_teardown(item: Any, nextitem: pytest.Item | None) -> Any:
+    """Fail a file of tests that changes what the next ones would start from, when all its fixtures have ended."""
     yield
-    left = leaks.left_by(before, processes_left)
-    assert not left, f"{request.node.name} leaves behind: " + "; ".join(left)
+    if nextitem is None or nextitem.path != item.path:
+        item.session.stash[_FILE] = None
+        item.funcargs.clear()  # what nobody holds any more is closed
+        for kept in ("last_exc", "last_value", "last_traceback"):  # with the frames of the test that failed last
+            vars(sys).pop(kept, None)
+        left = leaks.left_by(item.session.stash[_BEFORE], processes_left)
+        assert not left, f"{item.path.name} leaves behind: " + "; ".join(left)
 
 
 @pytest.fixture(scope="session")

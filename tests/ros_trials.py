@@ -36,8 +36,6 @@ START_TAKES_S = 1.0
 """To the first answer, when nothing else runs."""
 ANSWER_S = 20.0
 GOAL_EVERY = 10
-PATIENT = {"stale_brake_s": 1.0, "stale_fault_s": 3.0, "front_timeout_s": 10.0}
-"""A machine that stalls is not what is tried here."""
 TIMES = ("states_ms", "service_ms", "others_ms", "new_ms")
 
 
@@ -180,6 +178,7 @@ def main(arguments: Sequence[str]) -> int:
     own_ros_domain()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     from fault_rig import Hang, Rig
+    from stack import PATIENT
 
     found: list[Seen] = []
     left: list[str] = []

@@ -21,7 +21,6 @@ SAMPLE = (
 
 
 @pytest.mark.process
-@pytest.mark.timeout(300)
 def test_whatever_happens_on_the_bus_the_arm_stops_and_comes_back() -> None:
     code, said = run_trials("live_bus_trials", *(word for name in SAMPLE for word in ("--only", name)))
     print(said)

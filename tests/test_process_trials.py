@@ -26,7 +26,6 @@ SAMPLE = (
 
 
 @pytest.mark.process
-@pytest.mark.timeout(300)
 def test_whatever_happens_to_a_process_the_arm_stops_and_comes_back() -> None:
     chosen = [argument for kind in SAMPLE for argument in ("--only", kind)]
     code, said = run_trials("process_trials", "--trials", str(len(SAMPLE)), *chosen)

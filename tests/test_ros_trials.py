@@ -13,7 +13,6 @@ SEED = "378"
 
 
 @pytest.mark.process
-@pytest.mark.timeout(300)
 def test_whichever_ros_process_is_killed_the_others_go_on() -> None:
     code, said = run_trials("ros_trials", "--trials", "3", "--seed", SEED)
     print(said)

@@ -36,8 +36,6 @@ class Run(NamedTuple):
 
 
 RUNS = (("running; Ctrl-C", CTRL_C),)
-PATIENT = {"limits": {"stale_brake_s": 1.0, "stale_fault_s": 3.0, "front_timeout_s": 10.0}}
-"""Of the arm that runs: a machine that stalls is not what is tested here."""
 QUITS = (("q ends", "q\n"),)
 ENDS_RECORDING = (("nothing missing", ""), ("nothing missing", ""), ("nothing missing", CTRL_C))
 """Once it has looked a few times."""

@@ -25,7 +25,8 @@ import yaml
 from at_terminal import CTRL_C, Terminal
 from pages import ROOT
 from shown import Shown, named_commands, shown_commands, shown_file
-from stages import ADAPTER, ARM, FILES, NOT_RUN, PATIENT, RUN, Run
+from stack import PATIENT
+from stages import ADAPTER, ARM, FILES, NOT_RUN, RUN, Run
 
 from config.loader import ARMS_FOLDER
 from rtarm.cli import app
@@ -267,7 +268,7 @@ def stage(
             ends.enter_context(beside(made, [*command, "--start-deg=0,0,0,0,-20,0"], "ready"))
         elif request.param == ARM:
             made.instead |= {"episode1": made.arm, "running arm": made.arm}
-            made.write_arm("my_arm.yaml", "episode1", made.arm, PATIENT)
+            made.write_arm("my_arm.yaml", "episode1", made.arm, {"limits": PATIENT})
             ends.enter_context(beside(made, ["rtarm", "up", "./my_arm.yaml", "--sim"], "running; Ctrl-C"))
             for recording in ("rtarm record", "rtarm record -o strange_noise.mcap", "rtarm record -o test_run.mcap"):
                 made.run(recording, Run(ARM))
@@ -277,7 +278,6 @@ def stage(
 
 
 @pytest.mark.process
-@pytest.mark.timeout(600)  # the first one waits for the compiler where nothing is compiled yet
 @pytest.mark.parametrize(("stage", "text"), [(how.stage, text) for text, how in RUN.items()], indirect=["stage"])
 def test_a_command_ends_as_is_promised(stage: Stage, text: str) -> None:
     stage.run(text, RUN[text])

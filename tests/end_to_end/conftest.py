@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
-from stack import Stack
+from stack import PATIENT, Stack
 
 
 @pytest.fixture
@@ -15,6 +15,7 @@ def stack_at(arm_name: str, tmp_path: Path) -> Iterator[Callable[..., Stack]]:
 
     def make(start_deg: Sequence[float], *options: str) -> Stack:
         stack = Stack(arm_name, tmp_path, start_deg=start_deg)
+        stack.change(limits=PATIENT)
         made.append(stack)
         stack.start_sim(*options)
         return stack

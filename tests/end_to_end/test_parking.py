@@ -10,7 +10,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
 from ros_client import Client, recorded, until
-from stack import Process, Stack
+from stack import PATIENT, Process, Stack
 
 pytestmark = pytest.mark.process
 
@@ -22,7 +22,7 @@ WITHIN_DEG = 0.2
 def stack(arm_name, tmp_path):
     found = Stack(arm_name, tmp_path, start_deg=[0.0] * 6)
     found.start_sim()
-    found.change(parking={"joints_deg": PARK_DEG, "speed_ratio": 1.0})
+    found.change(parking={"joints_deg": PARK_DEG, "speed_ratio": 1.0}, limits=PATIENT)
     yield found
     found.close()
 

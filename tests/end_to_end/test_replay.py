@@ -25,8 +25,6 @@ from rtarm.status import read_status
 pytestmark = pytest.mark.process
 
 START_DEG = (10.0, -20.0, 15.0, 30.0, -25.0, 40.0)
-PATIENT = {"stale_brake_s": 1.0, "stale_fault_s": 3.0, "position_jump_rad": 1.0}
-"""A stall of a shared machine ends no motion: it is not what is looked at here."""
 BESIDE_DEG = 0.1
 """How far the encoders may be, in place, from where they were when it was recorded."""
 
@@ -67,7 +65,6 @@ def encoders_deg(path: Path) -> np.ndarray:
 
 def test_a_recording_is_replayed_and_the_encoders_say_the_same(stack_at: Callable[..., Stack], tmp_path: Path) -> None:
     stack = stack_at(START_DEG)
-    stack.change(limits=PATIENT)
     stack.start_loop()
     stack.start_front()
     moved_there(stack)

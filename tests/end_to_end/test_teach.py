@@ -34,8 +34,6 @@ AT_MOST_DEG = 0.5
 """What a motion may be beside the hand by default."""
 PLAYED_DEG = 0.25
 """How far the simulated arm is beside the motion that it plays, in place; docs/teaching.md says what is typical."""
-PATIENT = {"stale_brake_s": 1.0, "stale_fault_s": 3.0, "position_jump_rad": 1.0}
-"""A stall of a shared machine ends no motion: it is not what is looked at here."""
 
 
 def hands_way(times_s: np.ndarray) -> np.ndarray:
@@ -62,7 +60,6 @@ def led(stack_at: Callable[..., Stack], hand: Path, tmp_path: Path, monkeypatch:
     """An arm that holds, and somebody who leads it once it is limp."""
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     stack = stack_at(START_DEG, "--hand", str(hand))
-    stack.change(limits=PATIENT)
     stack.start_loop()
     return stack
 

@@ -27,8 +27,6 @@ from shm.words import Answer, Fault, Outcome
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 20_261_121
 
-pytestmark = pytest.mark.timeout(600)  # the compiled targets are compiled here
-
 sample = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 
 
@@ -200,7 +198,6 @@ for arena in (MemoryArena(), WireArena()):
 
 
 @pytest.mark.process
-@pytest.mark.timeout(600)
 @pytest.mark.skipif("RTARM_LONG" not in os.environ, reason="compiles all of it once more; RTARM_LONG=1 runs it")
 def test_no_hostile_index_ever_leaves_its_array(tmp_path: Path) -> None:
     """The compiled targets with numba's bounds checks compiled in, in a cache of their own."""

@@ -16,7 +16,7 @@ from robot_arm_interfaces.action import AngleMode, LinearMove, MoveXyzRotation
 from robot_arm_interfaces.msg import MotorAngles
 from robot_arm_interfaces.srv import ReadMotorAngles, SetFreeMode
 from ros_client import ABORTED, CANCELED, LONGEST_GOAL_S, SUCCEEDED, Operator, until
-from stack import Stack
+from stack import PATIENT, Stack
 from std_srvs.srv import Trigger
 
 from config.kinematics import flange_pose
@@ -69,6 +69,7 @@ def arm(tmp_path_factory, new_arm_name):
     """Client and processes of an arm that stands at READY_DEG, for one test: a stall's fault is nobody else's."""
     start_deg = np.array(READY_DEG) - ZERO_DEG
     stack = Stack(new_arm_name(), tmp_path_factory.mktemp("full-node"), start_deg=start_deg.tolist())
+    stack.change(limits=PATIENT)
     with contextlib.ExitStack() as ends:
         ends.callback(stack.close)
         stack.start_sim()

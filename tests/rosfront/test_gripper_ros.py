@@ -17,7 +17,7 @@ from front_stage import pile_up, served
 from rclpy.action import ActionClient
 from ros_client import ABORTED, CANCELED, LONGEST_GOAL_S, SUCCEEDED, Operator, until
 from sensor_msgs.msg import JointState
-from stack import Stack
+from stack import PATIENT, Stack
 from std_srvs.srv import Trigger
 
 from config.loader import load_arm
@@ -304,6 +304,7 @@ def stack(new_arm_name, tmp_path_factory):
     stack = Stack(name, tmp_path_factory.mktemp("arm"))
     values = yaml.safe_load(stack.arm_file.read_text(encoding="utf-8"))
     values["gripper"] = {"hook": "servo", "controller_name": f"gripper_{name}", "servo": {"address": 7}}
+    values["limits"] = PATIENT
     stack.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
     try:
         stack.start_sim()

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import yaml
+from stack import PATIENT
 from typer.testing import CliRunner, Result
 from written_arm import WrittenArm
 
@@ -37,8 +39,11 @@ def rtarm() -> Callable[..., Result]:
 
 @pytest.fixture
 def arm_file(arm_name: str, tmp_path: Path) -> Path:
-    """episode1 under a name that no other test uses."""
-    return renamed("episode1", arm_name, tmp_path)
+    """episode1 under a name that no other test uses, with limits that no stall of the machine exceeds."""
+    path = renamed("episode1", arm_name, tmp_path)
+    with path.open("a", encoding="utf-8") as file:
+        file.write(yaml.safe_dump({"limits": PATIENT}))
+    return path
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from stack import Process
 from rtarm.status import read_status
 from shm import files
 
-pytestmark = [pytest.mark.process, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.process
 
 PATIENCE_S = 90.0
 DEMO_HERE = (

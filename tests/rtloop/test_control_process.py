@@ -363,6 +363,7 @@ def deaf_arm(tmp_path):
     yield load_arm(file, overrides={"bus": {"channel": os.ttyname(slave)}})
     os.close(master)
     os.close(slave)
+    ctypes.CDLL(None).munlockall()  # a control process that was served in this one has locked its memory
 
 
 def test_memory_counts_as_locked_only_when_the_readers_stack_is(deaf_arm, monkeypatch):

@@ -238,7 +238,6 @@ arm.close()
 
 
 @pytest.mark.process
-@pytest.mark.timeout(600)
 def test_no_index_ever_leaves_its_array(request):
     """A recorded goal in virtual time with numba's bounds checks compiled in.
 

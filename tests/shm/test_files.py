@@ -1,7 +1,6 @@
 """The two memory files: built, found, owned, refused, and gone with their owner."""
 
 import contextlib
-import ctypes
 import errno
 import fcntl
 import os
@@ -435,8 +434,6 @@ PLANTED = {
 @pytest.fixture
 def ordinary():
     """An ordinary user of this machine, without root's rights, for as long as a test needs one."""
-    # Tests of the control process have locked this one's memory, more of it than such a user may.
-    ctypes.CDLL(None, use_errno=True).munlockall()
 
     @contextlib.contextmanager
     def acting():

@@ -26,7 +26,7 @@ from working_threads import niceness_at_work
 from rtarm.status import read_status
 from shm import files
 
-pytestmark = [pytest.mark.process, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.process
 
 RECORDED = Path(__file__).resolve().parents[2] / "data" / "moveit"
 ADDRESS = re.compile(r"view   ready, open (http://127\.0\.0\.1:\d+/[\w-]{43}/)")
