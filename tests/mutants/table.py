@@ -1,0 +1,50 @@
+"""Which functions are mutated, which tests judge them, and the mutants that no test could tell from the original."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Leaf:
+    file: str
+    tests: tuple[str, ...]
+    """Arguments of pytest; what goes through the whole cycle is left out by itself (`mutants.quick`)."""
+    functions: tuple[str, ...] = ()
+    """All of the file unless some are named."""
+
+
+WIRES = "tests/rtloop/test_wire_conformance.py"
+
+
+def drive(family: str, *functions: str) -> Leaf:
+    return Leaf(f"rtloop/drives/{family}.py", (f"tests/rtloop/test_{family}_codec.py",), functions)
+
+
+LEAVES = (
+    Leaf("motion/segment.py", ("tests/motion",)),
+    Leaf("motion/scaling.py", ("tests/motion",)),
+    Leaf("motion/stopping.py", ("tests/motion",)),
+    Leaf("motion/bounds.py", ("tests/motion",)),
+    Leaf("motion/slopes.py", ("tests/motion",)),
+    Leaf("shm/seqlock.py", ("tests/shm/test_seqlock.py", "tests/shm/test_memory_order.py")),
+    Leaf("shm/histogram.py", ("tests/shm/test_histogram.py",)),
+    Leaf("rtloop/path.py", ("tests/rtloop/test_path.py",)),
+    Leaf("rtloop/following.py", ("tests/rtloop/test_following.py",)),
+    Leaf("rtloop/wire/slcan.py", ("tests/rtloop/test_slcan_codec.py",)),
+    Leaf("rtloop/wire/can_frame.py", ("tests/rtloop/test_can_frames.py",)),
+    Leaf("rtloop/wire/can_errors.py", ("tests/rtloop/test_can_frames.py",)),
+    Leaf("rtloop/wire/seeed.py", (WIRES,)),
+    Leaf("rtloop/wire/at_frames.py", (WIRES,)),
+    Leaf("rtloop/wire/framed.py", (WIRES,)),
+    Leaf("rtloop/drives/fields.py", ("tests/rtloop/test_damiao_codec.py", "tests/rtloop/test_robstride_codec.py")),
+    Leaf("rtloop/drives/words.py", ("tests/rtloop/test_odrive_codec.py", "tests/rtloop/test_damiao_codec.py")),
+    drive("zdt"),
+    drive("mks"),
+    drive("odrive"),
+    drive("damiao"),
+    drive("robstride"),
+    drive("myactuator"),
+    drive("cia402"),
+)
+
+EQUIVALENT: dict[str, str] = {}
+"""Keys of mutants (`mutants.making.Mutant.key`) that behave as the original does, each with the reason."""

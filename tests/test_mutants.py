@@ -1,0 +1,119 @@
+"""The run over mutants itself, on a tree of three files: what is tested is killed, what is not survives."""
+
+from pathlib import Path
+
+import pytest
+from mutants import judging, making
+from mutants.__main__ import ROOT, candidates, run
+from mutants.table import EQUIVALENT, LEAVES, Leaf
+
+TOY = '''"""A leaf."""
+
+
+def clipped(x: float, most: float) -> float:
+    """Not more than `most`: 1 + 1 is no code."""
+    return min(x, most)
+
+
+def steps(count: int) -> int:
+    done = 0
+    while done < count:
+        done += 1
+    return done
+'''
+CALLER = """from shm.jit import jit
+
+import toy
+
+clipped = jit(toy.clipped)
+
+
+@jit
+def doubled(x: float) -> float:
+    return 2.0 * clipped(x, 5.0)
+"""
+TESTS = """import caller
+import toy
+
+
+def test_doubled() -> None:
+    assert caller.doubled(3.0) == 6.0
+
+
+def test_steps() -> None:
+    assert toy.steps(3) == 3
+"""
+
+
+@pytest.fixture
+def toy(tmp_path: Path) -> Path:
+    (tmp_path / "tests").mkdir()
+    for name, text in (("toy.py", TOY), ("caller.py", CALLER), ("test_toy.py", TESTS)):
+        (tmp_path / "tests" / name).write_text(text)
+    return tmp_path
+
+
+LEAF = Leaf("tests/toy.py", ("tests/test_toy.py",))
+
+
+def test_what_no_test_sees_survives_and_what_one_does_is_killed_also_through_a_compiled_caller(toy: Path) -> None:
+    """The caller was compiled before, with the leaf as it was: it must be compiled again for the mutant."""
+    leaf = Leaf(LEAF.file, LEAF.tests, ("clipped",))
+    verdicts = run(toy, [leaf], {}, seed=1, count=80)
+    assert {(verdict.mutant.now, verdict.word) for verdict in verdicts} == {
+        ("return max(x, most)", judging.KILLED),
+        ("return 0.0", judging.KILLED),
+    }
+    assert all("test_toy.py::test_doubled" in verdict.by for verdict in verdicts)
+
+
+def test_one_that_hangs_is_killed_and_said_to_hang(toy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(judging, "HANG_S", 0.0)
+    monkeypatch.setattr(judging, "HANG_TIMES", 1.0)
+    (verdict,) = run(toy, [LEAF], {}, seed=1, count=1, only="done += 1 → pass")
+    assert verdict.word == judging.HANGS
+
+
+def test_one_that_survives_is_told_and_a_reason_takes_it_out(toy: Path) -> None:
+    """`<=` is seen; that nothing is done where the count is 0 is not."""
+    (toy / "tests" / "toy.py").write_text(
+        TOY.replace("while done < count:", "if count < 0:\n        return 0\n    while done < count:")
+    )
+    only = "if count < 0: → if count <= 0:"
+    (verdict,) = run(toy, [LEAF], {}, seed=1, count=1, only=only)
+    assert verdict.word == judging.SURVIVED
+    assert (verdict.mutant.file, verdict.mutant.line) == ("tests/toy.py", 11)
+    assert candidates(toy, [LEAF], {verdict.mutant.key: "zero steps are none"}, only) == []
+
+
+def test_a_reason_for_a_mutant_that_is_not_there_any_more_is_told(toy: Path) -> None:
+    with pytest.raises(AssertionError, match=r"no such mutant any more: tests/toy.py clipped: a → b"):
+        candidates(toy, [LEAF], {"tests/toy.py clipped: a → b": "it was"}, "")
+
+
+def test_tests_that_fail_anyway_judge_nothing(toy: Path) -> None:
+    (toy / "tests" / "test_toy.py").write_text("def test_nothing() -> None:\n    assert False\n")
+    with pytest.raises(judging.NotGreen, match=r"fails tests/test_toy.py, so it can judge no mutant"):
+        run(toy, [LEAF], {}, seed=1, count=1)
+
+
+def test_a_seed_chooses_and_files_take_turns() -> None:
+    known = [mutant for mutant, _ in candidates(ROOT, LEAVES, EQUIVALENT, "")]
+    chosen = making.in_turn(known, 1)
+    assert chosen == making.in_turn(known, 1) != making.in_turn(known, 2)
+    assert len({mutant.key for mutant in known}) == len(known)
+    assert len({mutant.file for mutant in chosen[: len(LEAVES)]}) == len(LEAVES)
+
+
+def test_an_edit_changes_one_place_and_no_docstring() -> None:
+    source = 'def f(a: int) -> bool:\n    """1 ä"""\n    a |= 1  # ö\n    return (\n        a\n        | 2) > 3\n'
+    now = {mutant.applied(source.encode()).decode() for mutant in making.mutants("f.py", source.encode())}
+    edits = [
+        ("a |= 1", "a |= 2"),
+        ("a |= 1", "a |= (0)"),
+        ("a |= 1", "pass"),
+        ("> 3", ">= 3"),
+        ("        | 2", "        & 2"),
+    ]
+    assert all(source.replace(was, becomes) in now for was, becomes in edits)
+    assert all("1 ä" in text for text in now)
