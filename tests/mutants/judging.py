@@ -145,6 +145,8 @@ def importers(root: Path) -> dict[Path, set[Path]]:
                     named = [alias.name for alias in names]
                 case ast.ImportFrom(module=str() as module, names=names):
                     named = [module, *(f"{module}.{alias.name}" for alias in names)]
+                case ast.Call(func=ast.Attribute(attr="import_module")):  # by a name that is found out: any beside it
+                    named = [name for name, beside in modules.items() if beside.parent == path.parent]
                 case _:
                     continue
             for name in named:

@@ -1,0 +1,174 @@
+"""The last line of defence alone: a setpoint just inside each limit passes, one just outside is the fault it should be.
+
+The limits are told from the arm file and by arithmetic of their own, not by the functions that are judged.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from config.loader import load_arm
+from rtloop import guard
+from rtloop.beginning import new_loop
+from shm import layout
+from shm.words import Fault, Mode
+
+ARM = load_arm("episode1")
+PERIOD_S = ARM.control.period_ns * 1e-9
+JOINTS = (0, 3, 5)
+INSIDE, OUTSIDE = 1.0, 1.0 + 3e-6
+"""Shares of a limit; what lies between is left to the rounding of the arithmetic."""
+both_ways = pytest.mark.parametrize("sign", [1.0, -1.0])
+some_joints = pytest.mark.parametrize("joint", JOINTS)
+
+
+class Setpoint:
+    """An arm whose joints stand in the middle of their ranges, and whose next setpoints a test chooses."""
+
+    def __init__(self) -> None:
+        self.shared = np.zeros(1, layout.STATE)
+        self.loop = new_loop(ARM, self.shared.ctypes.data, 0)
+        self.core = self.loop[0]["core"]
+        self.core["mode"] = Mode.EXECUTING
+        for joint, config in enumerate(ARM.joints):
+            middle_rad = 0.5 * (config.lower_rad + config.upper_rad)
+            self.choose(joint, middle_rad, middle_rad)
+
+    def choose(self, joint: int, position_rad: float, next_rad: float, before_rad_s: float = 0.0) -> None:
+        axis = self.loop[0]["axes"][joint]
+        axis["position_rad"], axis["next_position_rad"] = position_rad, next_rad
+        axis["difference_velocity_rad_s"] = before_rad_s
+
+    def verdict(self) -> tuple[Fault, int]:
+        """The fault that is latched, and its joint (-1: none)."""
+        passed = guard.check_next_setpoint(self.loop[0], self.shared[0])
+        assert passed == (self.core["fault"] == Fault.NONE)
+        return Fault(self.core["fault"]), int(self.core["fault_joint"])
+
+    def said(self) -> tuple[float, float]:
+        return float(self.core["fault_value"]), float(self.core["fault_limit"])
+
+    def slack_rad(self, joint: int) -> float:
+        return float(self.loop[0]["joints"][joint]["slack_rad"])
+
+
+@pytest.fixture
+def arm() -> Setpoint:
+    return Setpoint()
+
+
+def expected(share: float, fault: Fault, joint: int) -> tuple[Fault, int]:
+    return (Fault.NONE, -1) if share <= INSIDE else (fault, joint)
+
+
+@some_joints
+@both_ways
+@pytest.mark.parametrize("share", [INSIDE, OUTSIDE])
+def test_velocity(arm: Setpoint, joint: int, sign: float, share: float) -> None:
+    config = ARM.joints[joint]
+    limit = ARM.limits.velocity_margin * config.max_velocity_rad_s
+    middle_rad = 0.5 * (config.lower_rad + config.upper_rad)
+    velocity = sign * share * limit
+    arm.choose(joint, middle_rad, middle_rad + velocity * PERIOD_S, velocity)
+    assert arm.verdict() == expected(share, Fault.VELOCITY_LIMIT, joint)
+    if share > INSIDE:
+        assert arm.said() == pytest.approx((velocity, limit), rel=1e-5)
+
+
+@some_joints
+@both_ways
+@pytest.mark.parametrize("before_share", [0.0, 0.5])
+@pytest.mark.parametrize("share", [INSIDE, OUTSIDE])
+def test_acceleration(arm: Setpoint, joint: int, sign: float, before_share: float, share: float) -> None:
+    """From rest, and in motion, where speeding up and slowing down are alike."""
+    config = ARM.joints[joint]
+    limit = ARM.limits.acceleration_margin * config.max_acceleration_rad_s2
+    before = before_share * config.max_velocity_rad_s
+    middle_rad = 0.5 * (config.lower_rad + config.upper_rad)
+    acceleration = sign * share * limit
+    arm.choose(joint, middle_rad, middle_rad + (before + acceleration * PERIOD_S) * PERIOD_S, before)
+    assert arm.verdict() == expected(share, Fault.ACCELERATION_LIMIT, joint)
+    if share > INSIDE:
+        assert arm.said() == pytest.approx((acceleration, limit), rel=1e-5)
+
+
+@some_joints
+@pytest.mark.parametrize("upper", [True, False])
+@pytest.mark.parametrize(
+    ("beside_rad", "next_rad", "passes"),
+    [
+        (-1e-9, 0.0, True),  # up to the limit, all but standing
+        (0.0, 0.0, True),
+        (0.0, 1e-9, False),
+        (0.1, 0.1, True),  # found outside: it may stand there, and move in, but not further out
+        (0.1, 0.1 - 1e-9, True),
+        (0.1, 0.1 + 1e-9, False),
+    ],
+)
+def test_position(arm: Setpoint, joint: int, upper: bool, beside_rad: float, next_rad: float, passes: bool) -> None:
+    config = ARM.joints[joint]
+    limit = config.upper_rad + arm.slack_rad(joint) if upper else config.lower_rad - arm.slack_rad(joint)
+    sign = 1.0 if upper else -1.0
+    arm.choose(joint, limit + sign * beside_rad, limit + sign * next_rad)
+    assert arm.verdict() == ((Fault.NONE, -1) if passes else (Fault.POSITION_LIMIT, joint))
+    if not passes:
+        assert arm.said() == pytest.approx((limit + sign * next_rad, limit), abs=1e-12)
+
+
+def way_rad(velocity_rad_s: float, braking_rad_s2: float) -> float:
+    """Of the setpoints of a joint that brakes as hard as it can, one after the other."""
+    way, step = 0.0, braking_rad_s2 * PERIOD_S
+    while velocity_rad_s > step:
+        velocity_rad_s -= step
+        way += velocity_rad_s * PERIOD_S
+    return way
+
+
+@some_joints
+@pytest.mark.parametrize("upper", [True, False])
+@pytest.mark.parametrize(("beyond_rad", "passes"), [(-1e-7, True), (1e-7, False)])
+def test_room_to_stop(arm: Setpoint, joint: int, upper: bool, beyond_rad: float, passes: bool) -> None:
+    """At an even speed towards a limit, from where all that may be commanded just stops it, and just does not."""
+    config, sign = ARM.joints[joint], 1.0 if upper else -1.0
+    limit = config.upper_rad + arm.slack_rad(joint) if upper else config.lower_rad - arm.slack_rad(joint)
+    braking = ARM.limits.acceleration_margin * config.max_acceleration_rad_s2 * guard.ROUNDING
+    velocity = 0.8 * config.max_velocity_rad_s
+    next_rad = limit - sign * (way_rad(velocity, braking) - beyond_rad)
+    arm.choose(joint, next_rad - sign * velocity * PERIOD_S, next_rad, sign * velocity)
+    assert arm.verdict() == ((Fault.NONE, -1) if passes else (Fault.POSITION_LIMIT, joint))
+    if not passes:
+        assert arm.said() == pytest.approx((limit + sign * beyond_rad, limit), abs=1e-9)
+
+
+@some_joints
+@pytest.mark.parametrize("upper", [True, False])
+def test_away_from_a_limit_needs_no_room(arm: Setpoint, joint: int, upper: bool) -> None:
+    """A joint that was found outside moves in with all its speed."""
+    config, sign = ARM.joints[joint], 1.0 if upper else -1.0
+    outside_rad = (config.upper_rad if upper else config.lower_rad) + sign * 0.5
+    velocity = -sign * config.max_velocity_rad_s
+    arm.choose(joint, outside_rad, outside_rad + velocity * PERIOD_S, velocity)
+    assert arm.verdict() == (Fault.NONE, -1)
+
+
+@some_joints
+@pytest.mark.parametrize("word", ["next_position_rad", "next_velocity_rad_s"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number(arm: Setpoint, joint: int, word: str, value: float) -> None:
+    arm.loop[0]["axes"][joint][word] = value
+    assert arm.verdict() == (Fault.NOT_FINITE, joint)
+
+
+def test_the_first_joint_that_breaks_a_limit_is_the_one_that_is_named(arm: Setpoint) -> None:
+    for joint in (2, 4):
+        arm.loop[0]["axes"][joint]["next_position_rad"] += 1.0
+    assert arm.verdict()[1] == 2
+
+
+@given(st.floats(-5.0, 5.0), st.floats(0.05, 40.0))
+def test_the_way_to_rest_is_that_of_braking_step_by_step(velocity: float, braking: float) -> None:
+    way = guard.way_to_rest(velocity, braking, PERIOD_S)
+    assert way == pytest.approx(math.copysign(way_rad(abs(velocity), braking), velocity), abs=1e-9)
