@@ -13,10 +13,11 @@ class Leaf:
 
 
 WIRES = "tests/rtloop/test_wire_conformance.py"
+LIMITS = ("highest_rad_s", "hardest_rad_s2", "check_next_setpoint", "way_to_rest")
 
 
-def drive(family: str, *functions: str) -> Leaf:
-    return Leaf(f"rtloop/drives/{family}.py", (f"tests/rtloop/test_{family}_codec.py",), functions)
+def drive(family: str) -> Leaf:
+    return Leaf(f"rtloop/drives/{family}.py", (f"tests/rtloop/test_{family}_codec.py",))
 
 
 LEAVES = (
@@ -25,9 +26,14 @@ LEAVES = (
     Leaf("motion/stopping.py", ("tests/motion",)),
     Leaf("motion/bounds.py", ("tests/motion",)),
     Leaf("motion/slopes.py", ("tests/motion",)),
+    Leaf("motion/gripping.py", ("tests/rtloop/test_gripper.py",)),
     Leaf("shm/seqlock.py", ("tests/shm/test_seqlock.py", "tests/shm/test_memory_order.py")),
     Leaf("shm/histogram.py", ("tests/shm/test_histogram.py",)),
     Leaf("rtloop/path.py", ("tests/rtloop/test_path.py",)),
+    Leaf("rtloop/clock.py", ("tests/rtloop/test_clock.py",)),
+    Leaf("rtloop/entry.py", ("tests/rtloop/test_path.py",), ("due_s", "lay_bridge", "lay_run_up", "lay_blend")),
+    Leaf("rtloop/guard.py", ("tests/rtloop/test_limits.py",), LIMITS),
+    Leaf("rtloop/leading.py", ("tests/rtloop/test_mks_codec.py", "tests/rtloop/test_robstride_codec.py")),
     Leaf("rtloop/following.py", ("tests/rtloop/test_following.py",)),
     Leaf("rtloop/wire/slcan.py", ("tests/rtloop/test_slcan_codec.py",)),
     Leaf("rtloop/wire/can_frame.py", ("tests/rtloop/test_can_frames.py",)),
@@ -37,6 +43,7 @@ LEAVES = (
     Leaf("rtloop/wire/framed.py", (WIRES,)),
     Leaf("rtloop/drives/fields.py", ("tests/rtloop/test_damiao_codec.py", "tests/rtloop/test_robstride_codec.py")),
     Leaf("rtloop/drives/words.py", ("tests/rtloop/test_odrive_codec.py", "tests/rtloop/test_damiao_codec.py")),
+    Leaf("rtloop/drives/sdo.py", ("tests/rtloop/test_cia402_codec.py",)),
     drive("zdt"),
     drive("mks"),
     drive("odrive"),

@@ -1,0 +1,242 @@
+"""The trajectory clock alone: along a ramp, and which ramp is chosen, judged by arithmetic of its own."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from config.loader import load_arm
+from motion.stopping import STOP_FRACTIONS
+from rtloop import clock
+from rtloop.beginning import new_loop
+
+ARM = load_arm("mock")
+PERIOD_S = ARM.control.period_ns * 1e-9
+BRAKING = ARM.limits.braking_factor
+HARDEST = 0.9 * ARM.limits.acceleration_margin
+"""What a ramp may bring a joint's acceleration to, as a share of its limit, however much the plan asks for."""
+
+
+class Clock:
+    """An arm amid a straight line of constant velocity (shares of each joint's highest), of so many seconds."""
+
+    def __init__(
+        self, *, speed_share: float = 0.5, path_s: float = 60.0, at_s: float = 20.0, gap_s: float = 1.0
+    ) -> None:
+        self.loop = new_loop(ARM, 0, 0)[0]
+        self.core, self.path = self.loop["core"], self.loop["paths"][0]
+        self.core["active"], self.core["clock_s"] = 0, at_s
+        self.core["looks_left"] = 10**6
+        self.longest_s = float(self.loop["params"]["longest_stop_s"])
+        count = round(path_s / gap_s) + 1
+        self.path["taken"], self.path["joint_mask"] = count, (1 << len(ARM.joints)) - 1
+        self.path["closest_ns"] = round(gap_s * 1e9)
+        self.path["ended"] = 1
+        knots = self.loop["knots"][:count]
+        knots["order"] = 3
+        knots["time_ns"] = np.round(np.arange(count) * gap_s * 1e9)
+        for index, joint in enumerate(ARM.joints):
+            velocity = speed_share * joint.max_velocity_rad_s
+            knots["joints"]["velocity_rad_s"][:, index] = velocity
+            knots["joints"]["position_rad"][:, index] = velocity * (np.arange(count) * gap_s - at_s)
+            axis = self.loop["axes"][index]
+            axis["position_rad"], axis["velocity_rad_s"] = 0.0, velocity
+            axis["difference_velocity_rad_s"] = velocity
+
+    def bend(self, joint: int, acceleration_rad_s2: float) -> None:
+        """Let a joint accelerate all along instead, with the path's other words as they are."""
+        times_s = self.loop["knots"]["time_ns"][: self.path["taken"]] * 1e-9 - self.core["clock_s"]
+        row = self.loop["knots"]["joints"][: self.path["taken"], joint]
+        row["velocity_rad_s"] = acceleration_rad_s2 * times_s
+        row["position_rad"] = 0.5 * acceleration_rad_s2 * times_s**2
+
+    def slowest_s(self) -> float:
+        """The largest ratio of velocity to acceleration limit among the joints, along the line."""
+        ratios = self.loop["axes"]["velocity_rad_s"][:6] / [joint.max_acceleration_rad_s2 for joint in ARM.joints]
+        return float(ratios.max())
+
+
+# --- along a ramp ---------------------------------------------------------------------------------------------
+
+
+@given(st.floats(0.0, 1.5), st.floats(0.0, 1.5), st.floats(0.02, 2.0), st.floats(-1.0, 1.0))
+def test_a_ramp_leads_to_its_rate_and_the_clock_goes_as_far_as_its_integral(
+    rate: float, target: float, duration: float, slope: float
+) -> None:
+    """The integral of a cubic from its ends: T (s₀ + s₁) / 2 + u T² / 12; then the clock runs at the new rate."""
+    it = Clock()
+    it.core["rate"], it.core["slope"], it.core["clock_s"] = rate, slope, 0.0
+    clock.begin_ramp(it.loop, target, duration)
+    cycles = int(np.ceil(duration / PERIOD_S)) + 3
+    for number in range(1, cycles + 1):
+        before = float(it.core["clock_s"])
+        clock.advance_clock(it.loop)
+        if number * PERIOD_S < duration:
+            mean = (float(it.core["clock_s"]) - before) / PERIOD_S
+            shares = (np.array([number - 1.0, number - 0.5, number]) * PERIOD_S / duration)[:, np.newaxis]
+            hermite = np.hstack(
+                [1 - 3 * shares**2 + 2 * shares**3, shares * (1 - shares) ** 2, 3 * shares**2 - 2 * shares**3]
+            )
+            rates = hermite @ [rate, slope * duration, target]
+            assert mean == pytest.approx(rates @ [1 / 6, 4 / 6, 1 / 6], abs=1e-9)
+            assert it.core["rate"] == pytest.approx(rates[-1], abs=1e-9)
+    way = duration * (rate + target) / 2.0 + slope * duration**2 / 12.0 + (cycles * PERIOD_S - duration) * target
+    assert it.core["clock_s"] == pytest.approx(way, abs=1e-9)
+    assert (it.core["rate"], it.core["slope"], it.core["ramp_s"]) == (target, 0.0, 0.0)
+
+
+def test_a_steady_clock_goes_on_at_its_rate() -> None:
+    it = Clock()
+    clock.set_rate(it.loop, 0.25)
+    assert (it.core["rate"], it.core["rate_target"], it.core["slope"], it.core["ramp_s"]) == (0.25, 0.25, 0.0, 0.0)
+    clock.advance_clock(it.loop)
+    assert it.core["clock_s"] - 20.0 == pytest.approx(0.25 * PERIOD_S)
+
+
+# --- which ramp -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("speed_share", [0.02, 0.1, 0.3, 0.6, 1.0])
+@pytest.mark.parametrize(("rate", "target"), [(1.0, 0.0), (0.0, 1.0), (1.0, 0.5), (0.2, 0.9)])
+def test_on_a_straight_line_the_shortest_candidate_is_taken_that_brakes_no_harder_than_it_may(
+    speed_share: float, rate: float, target: float
+) -> None:
+    """It is steepest in its middle, with 1.5 · change / T (`motion.stopping`)."""
+    it = Clock(speed_share=speed_share)
+    clock.set_rate(it.loop, rate)
+    steepest = 1.5 * abs(target - rate) * it.slowest_s() / BRAKING
+    expected = next(share * it.longest_s for share in STOP_FRACTIONS if share * it.longest_s >= steepest)
+    duration, strain = clock.ramp_duration(it.loop, target)
+    assert duration == pytest.approx(expected)
+    assert strain == pytest.approx(steepest / expected)
+
+
+@pytest.mark.parametrize(
+    ("planned_share", "allowed_share"),
+    [
+        (0.0, BRAKING),
+        (1.0, max(BRAKING, min(1.35, HARDEST))),
+        (-1.0, max(BRAKING, min(1.35, HARDEST))),
+        (9.0, max(BRAKING, HARDEST)),
+    ],
+)
+def test_where_the_plan_asks_for_much_a_ramp_may_add_to_that(planned_share: float, allowed_share: float) -> None:
+    it = Clock()
+    limit = ARM.joints[2].max_acceleration_rad_s2
+    assert clock.allowed_acceleration(it.loop, 2, planned_share * limit) == pytest.approx(allowed_share * limit)
+
+
+def test_what_the_plan_itself_asks_for_is_part_of_the_strain() -> None:
+    """At rest in the joint's turning point, where a ramp adds nothing and only the plan pushes."""
+    it = Clock(speed_share=0.0)
+    limit = ARM.joints[1].max_acceleration_rad_s2
+    it.bend(1, 0.5 * limit)
+    clock.set_rate(it.loop, 1.0)
+    assert clock.ramp_strain(it.loop, 1.0, PERIOD_S) == pytest.approx(0.5 / max(BRAKING, min(0.85, HARDEST)), rel=1e-6)
+
+
+def test_a_clock_that_would_run_backwards_or_too_fast_is_impossible() -> None:
+    it = Clock(speed_share=0.0)
+    clock.set_rate(it.loop, 0.5)
+    it.core["slope"] = -20.0
+    assert clock.ramp_strain(it.loop, 0.0, 1.0) == clock.IMPOSSIBLE
+    it.core["slope"] = 20.0
+    assert clock.ramp_strain(it.loop, 0.0, 1.0) == clock.IMPOSSIBLE
+    it.core["slope"] = 0.0
+    assert clock.ramp_strain(it.loop, 0.0, 1.0) == 0.0
+
+
+def test_a_ramp_needs_path_that_is_known() -> None:
+    """A stop of T from the full rate goes T / 2 further; a path that ends at rest may be passed."""
+    it = Clock(speed_share=0.0, path_s=20.3, gap_s=0.29)
+    clock.set_rate(it.loop, 1.0)
+    assert clock.ramp_strain(it.loop, 0.0, 0.59) == 0.0
+    it.path["ended"] = 0
+    assert clock.ramp_strain(it.loop, 0.0, 0.59) == 0.0
+    assert clock.ramp_strain(it.loop, 0.0, 0.8) == pytest.approx(clock.NO_PATH + 0.1)
+
+
+@pytest.mark.parametrize(("duration", "expected"), [(0.3, True), (0.33, True), (0.31, False), (0.1, False)])
+def test_rough(duration: float, expected: bool) -> None:
+    """Points are 10 ms apart, which is a cycle: a ramp of 32 such gaps sees each of them."""
+    it = Clock(path_s=20.0, at_s=10.0, gap_s=0.01)
+    it.path["closest_ns"] = 10_000_001 if not expected else 10_000_000
+    if duration > 0.32:
+        it.path["closest_ns"] = round(duration / 32 * 1e9)
+    assert clock.is_rough(it.loop, duration) == expected
+
+
+@pytest.mark.parametrize("target", [0.0, 0.5])
+def test_a_bump_on_the_way_or_just_behind_it_is_seen_setpoint_by_setpoint(target: float) -> None:
+    """A point 0.3 s ahead lies beside the line by more than the joint's acceleration makes good."""
+    it = Clock(path_s=20.0, at_s=10.0, gap_s=0.01)
+    clock.set_rate(it.loop, 1.0)
+    assert clock.ramp_keeps_limits(it.loop, target, 0.7)
+    it.loop["knots"]["joints"]["position_rad"][1030, 3] += 0.01
+    assert not clock.ramp_keeps_limits(it.loop, target, 0.7)
+    it.core["looks_left"] = 3
+    assert clock.ramp_keeps_limits(it.loop, target, 0.7), "a lower rate cannot wait"
+    clock.set_rate(it.loop, 0.2)
+    it.core["looks_left"] = 3
+    assert not clock.ramp_keeps_limits(it.loop, 0.5, 0.7), "a higher one can"
+
+
+# --- when one is begun ----------------------------------------------------------------------------------------
+
+
+def test_a_ramp_is_begun_when_another_rate_is_wanted_and_then_runs_on() -> None:
+    it = Clock()
+    clock.steer_rate(it.loop, 1.0)
+    assert it.core["ramp_s"] == 0.0, "it has that rate"
+    it.core["arriving"] = 1
+    clock.steer_rate(it.loop, 0.0)
+    duration = float(it.core["ramp_s"])
+    assert duration == pytest.approx(clock.ramp_duration(it.loop, 0.0)[0])
+    assert (it.core["rate_target"], it.core["rate_start"], it.core["arriving"]) == (0.0, 1.0, 0)
+    clock.advance_clock(it.loop)
+    clock.steer_rate(it.loop, 0.0)
+    assert it.core["ramp_elapsed_s"] == pytest.approx(PERIOD_S), "it is not begun anew"
+
+
+def test_a_running_ramp_that_cannot_be_turned_round_runs_on() -> None:
+    """At six times the joints' highest velocity no ramp keeps the limits; from a steady rate one is begun at once."""
+    it = Clock(speed_share=6.0)
+    clock.steer_rate(it.loop, 0.0)
+    assert it.core["ramp_s"] == pytest.approx(it.longest_s), "as gently as can be"
+    clock.begin_ramp(it.loop, 0.5, it.longest_s)
+    clock.steer_rate(it.loop, 0.0)
+    assert it.core["rate_target"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("left_s", "ended", "braking", "expected"),
+    [
+        (10.0, 0, False, False),
+        (10.0, 0, True, False),  # ample path again
+        (0.0, 1, True, False),  # its end is known: nothing lacks
+        (0.0, 0, False, True),
+    ],
+)
+def test_a_path_that_runs_out_without_an_end_is_braked_for(
+    left_s: float, ended: int, braking: bool, expected: bool
+) -> None:
+    it = Clock(path_s=60.0, at_s=60.0 - left_s)
+    it.path["ended"] = ended
+    assert clock.must_brake_for_lack_of_path(it.loop, braking) == expected
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.5])
+def test_braking_begins_when_the_stop_just_fits(rate: float) -> None:
+    """The stop of T goes rate · T / 2; three cycles are kept in reserve. Once begun, the longest stop must fit."""
+    for beside_s in (-1e-6, 1e-6):
+        it = Clock()
+        it.path["ended"] = 0
+        clock.set_rate(it.loop, rate)
+        duration, _ = clock.ramp_duration(it.loop, 0.0)
+        assert duration < it.longest_s
+        it.core["clock_s"] = 60.0 - 0.5 * rate * duration - 3.0 * PERIOD_S - beside_s
+        assert clock.must_brake_for_lack_of_path(it.loop, False) == (beside_s < 0.0)
+        assert clock.must_brake_for_lack_of_path(it.loop, True)
+        it.core["speed_scale"] = rate
+        it.core["clock_s"] = 60.0 - 0.5 * rate * it.longest_s - 3.0 * PERIOD_S - beside_s
+        assert clock.must_brake_for_lack_of_path(it.loop, True) == (beside_s < 0.0)
