@@ -5,6 +5,7 @@ PYTHONPATH=tests python -m mutants --only slcan
 """
 
 import argparse
+import signal
 import sys
 import tempfile
 import threading
@@ -79,8 +80,13 @@ def run(
     threads = [threading.Thread(target=work) for _ in range(jobs)]
     for thread in threads:
         thread.start()
-    for thread in threads:
-        thread.join()
+    try:
+        for thread in threads:
+            thread.join()
+    except BaseException as ended:  # each ends after the mutant that it is at, and removes its folder
+        failures.append(ended)
+        for thread in threads:
+            thread.join()
     if failures:
         raise failures[0]
     return verdicts
@@ -102,6 +108,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", default="", help="only mutants whose key (file, function, edit) has this in it")
     given = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     begun = time.monotonic()
     try:
         verdicts = run(

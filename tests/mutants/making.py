@@ -1,7 +1,7 @@
 """Mutants of the functions of a file: each is one small edit of its text, so that lines keep their numbers."""
 
 import ast
-import random
+import hashlib
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -143,7 +143,10 @@ def mutants(file: str, text: bytes, functions: Sequence[str] = ()) -> list[Mutan
     source = Source(text)
     found: list[Mutant] = []
     seen: Counter[str] = Counter()
-    definitions = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef)]
+    tree = ast.parse(text)
+    definitions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    inner = {id(node) for outer in definitions for node in ast.walk(outer) if node is not outer}
+    definitions = [node for node in definitions if id(node) not in inner]  # one within another is part of it
     unknown = set(functions) - {definition.name for definition in definitions}
     assert not unknown, f"{file} has no function {', '.join(sorted(unknown))}"
     for definition in definitions:
@@ -169,8 +172,11 @@ def spread(items: Sequence[Mutant], group: Callable[[Mutant], Hashable]) -> list
 
 
 def in_turn(items: Sequence[Mutant], seed: int) -> list[Mutant]:
-    """In an order that the seed chooses, in which files take turns, and within a file its functions and operators."""
-    shuffled = random.Random(seed).sample(items, len(items))
+    """In an order that the seed chooses, in which files take turns, and within a file its functions and operators.
+
+    What is added or taken out leaves the order of the others as it is.
+    """
+    shuffled = sorted(items, key=lambda mutant: hashlib.sha256(f"{seed} {mutant.key}".encode()).digest())
     of_operators = spread(shuffled, lambda mutant: (mutant.file, mutant.operator))
     of_functions = spread(of_operators, lambda mutant: (mutant.file, mutant.function))
     return spread(of_functions, lambda mutant: mutant.file)

@@ -43,7 +43,7 @@ LEAVES = (
     Leaf("rtloop/wire/framed.py", (WIRES,)),
     Leaf("rtloop/drives/fields.py", ("tests/rtloop/test_damiao_codec.py", "tests/rtloop/test_robstride_codec.py")),
     Leaf("rtloop/drives/words.py", ("tests/rtloop/test_odrive_codec.py", "tests/rtloop/test_damiao_codec.py")),
-    Leaf("rtloop/drives/sdo.py", ("tests/rtloop/test_cia402_codec.py",)),
+    Leaf("rtloop/drives/sdo.py", ("tests/rtloop/test_cia402_codec.py",), ("writing", "value_in", "_asked")),
     drive("zdt"),
     drive("mks"),
     drive("odrive"),
