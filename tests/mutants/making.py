@@ -132,9 +132,11 @@ def edits(source: Source, function: ast.FunctionDef) -> Iterator[Edit]:
                 case ast.Assign(targets=[ast.Attribute() | ast.Subscript(), *_]):
                     yield source.instead("drop", node, "pass")
                 case ast.Return(value=ast.expr() as value) if isinstance(function.returns, ast.Name):
-                    if function.returns.id == "bool" and not isinstance(value, ast.Constant):
+                    if source.of(value).rpartition(".")[2].isupper() or isinstance(value, ast.Constant):
+                        continue  # a constant, which may itself be 0
+                    if function.returns.id == "bool":
                         yield source.instead("return", value, f"not ({source.of(value)})")
-                    elif function.returns.id in NOTHING and not isinstance(value, ast.Constant):
+                    elif function.returns.id in NOTHING:
                         yield source.instead("return", value, NOTHING[function.returns.id])
 
 

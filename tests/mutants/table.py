@@ -7,7 +7,7 @@ from dataclasses import dataclass
 class Leaf:
     file: str
     tests: tuple[str, ...]
-    """Arguments of pytest; what goes through the whole cycle is left out by itself (`mutants.quick`)."""
+    """Arguments of pytest: files, and `-k` where that spares compiling; what goes through the whole cycle is left out."""
     functions: tuple[str, ...] = ()
     """All of the file unless some are named."""
 
@@ -17,7 +17,8 @@ LIMITS = ("highest_rad_s", "hardest_rad_s2", "check_next_setpoint", "way_to_rest
 
 
 def drive(family: str) -> Leaf:
-    return Leaf(f"rtloop/drives/{family}.py", (f"tests/rtloop/test_{family}_codec.py",))
+    tests = (f"tests/rtloop/test_{family}_codec.py", "tests/rtloop/test_drive_frames.py")
+    return Leaf(f"rtloop/drives/{family}.py", (*tests, "-k", family))
 
 
 LEAVES = (
@@ -38,9 +39,9 @@ LEAVES = (
     Leaf("rtloop/wire/slcan.py", ("tests/rtloop/test_slcan_codec.py",)),
     Leaf("rtloop/wire/can_frame.py", ("tests/rtloop/test_can_frames.py",)),
     Leaf("rtloop/wire/can_errors.py", ("tests/rtloop/test_can_frames.py",)),
-    Leaf("rtloop/wire/seeed.py", (WIRES,)),
-    Leaf("rtloop/wire/at_frames.py", (WIRES,)),
-    Leaf("rtloop/wire/framed.py", (WIRES,)),
+    Leaf("rtloop/wire/seeed.py", (WIRES, "-k", "seeedstudio")),
+    Leaf("rtloop/wire/at_frames.py", (WIRES, "-k", "ch340-at")),
+    Leaf("rtloop/wire/framed.py", (WIRES, "-k", "seeedstudio or ch340-at")),
     Leaf("rtloop/drives/fields.py", ("tests/rtloop/test_damiao_codec.py", "tests/rtloop/test_robstride_codec.py")),
     Leaf("rtloop/drives/words.py", ("tests/rtloop/test_odrive_codec.py", "tests/rtloop/test_damiao_codec.py")),
     Leaf("rtloop/drives/sdo.py", ("tests/rtloop/test_cia402_codec.py",), ("writing", "value_in", "_asked")),
