@@ -49,3 +49,9 @@ def test_a_stream_ends_on_the_line_on_which_its_acceleration_has_faded(position,
 @pytest.mark.parametrize(("period", "expected"), [(0.001, 0.02), (0.01, 0.03), (0.02, 0.06)])
 def test_a_fade_lasts_some_cycles(period, expected):
     assert stopping.fade_duration_s(period) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("braking_factor", "expected"), [(2.0, 3.75), (1.5, 7.5), (1.05, 37.5), (1.0, 37.5)])
+def test_the_longest_stop_is_not_longer_than_it_must_be(braking_factor: float, expected: float) -> None:
+    """1.5 · V / T of its steepest place fits beside a plan at the whole limit, and a quarter is to spare; V / A is 2 s."""
+    assert stopping.longest_s(2.0, braking_factor) == pytest.approx(expected)

@@ -101,7 +101,7 @@ def told(verdict: Verdict) -> str:
 
 
 def main() -> int:
-    """Run what the command line asks for; 1 when a mutant survived, 2 when the tests fail anyway."""
+    """Run what the command line asks for; 1 when a mutant survived, 2 when the tests fail anyway, 130 when ended."""
     parser = argparse.ArgumentParser(prog="python -m mutants", description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=80, help="how many mutants")
     parser.add_argument("--seed", type=int, default=1, help="chooses them")
@@ -124,6 +124,8 @@ def main() -> int:
     except NotGreen as failure:
         print(failure, file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        return 130
     words = Counter(verdict.word for verdict in verdicts)
     files = Counter(verdict.mutant.file for verdict in verdicts)
     lived = Counter(verdict.mutant.file for verdict in verdicts if verdict.word == SURVIVED)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 class Leaf:
     file: str
     tests: tuple[str, ...]
-    """Arguments of pytest: files, and `-k` where that spares compiling; what goes through the whole cycle is left out."""
+    """Arguments of pytest: files, and `-k` where it spares compiling; what goes through the whole cycle is left out."""
     functions: tuple[str, ...] = ()
     """All of the file unless some are named."""
 
@@ -34,7 +34,7 @@ LEAVES = (
     Leaf("rtloop/clock.py", ("tests/rtloop/test_clock.py",)),
     Leaf("rtloop/entry.py", ("tests/rtloop/test_path.py",), ("due_s", "lay_bridge", "lay_run_up", "lay_blend")),
     Leaf("rtloop/guard.py", ("tests/rtloop/test_limits.py",), LIMITS),
-    Leaf("rtloop/leading.py", ("tests/rtloop/test_mks_codec.py", "tests/rtloop/test_robstride_codec.py")),
+    Leaf("rtloop/leading.py", ("tests/rtloop/test_leading.py",)),
     Leaf("rtloop/following.py", ("tests/rtloop/test_following.py",)),
     Leaf("rtloop/wire/slcan.py", ("tests/rtloop/test_slcan_codec.py",)),
     Leaf("rtloop/wire/can_frame.py", ("tests/rtloop/test_can_frames.py",)),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from config.loader import load_arm
 from rtloop.beginning import new_loop
 from rtloop.measured import take_what_the_bus_brought
-from rtloop.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES
+from rtloop.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN
 from rtloop.wire import can_frame, can_words, received
 from shm import layout
 from shm.words import BusState, Fault, Mode
@@ -97,6 +97,22 @@ def test_a_full_transmit_buffer_takes_no_half_frames(loop):
     core["tx_length"] = TX_BYTES - CAN_FRAME_BYTES + 1
     assert not can_frame.encode_frame(loop[0], 0x100, True, 2, 0x6B36)
     assert core["tx_length"] == TX_BYTES - CAN_FRAME_BYTES + 1
+
+
+@pytest.mark.parametrize("now_ms", [0, 0x1234, 0xFEDC, 0x12345])
+def test_our_own_marks_stand_in_the_unused_bytes_of_the_last_frame(loop, now_ms):
+    """And when it was made: milliseconds, 16 bits."""
+    loop[0]["core"]["now_ns"] = now_ms * 1_000_000 + 999_999
+    for _ in range(2):
+        assert can_frame.encode_frame(loop[0], 0x100, True, 8, -1)
+    can_frame.mark(loop[0], can_words.STOP)
+    first, last = (loop[0]["tx"][at : at + CAN_FRAME_BYTES].tobytes() for at in (0, CAN_FRAME_BYTES))
+    assert first == record(0x100, b"\xff" * 8)
+    assert last == first[:5] + bytes((can_words.STOP, now_ms & 255, now_ms >> 8 & 255)) + first[8:]
+
+
+def test_the_wires_that_carry_such_records():
+    assert [wire for wire in range(8) if can_frame.is_carried_by(wire)] == sorted((WIRE_SOCKETCAN, WIRE_PYTHON_CAN))
 
 
 # --- what the bus brought -----------------------------------------------------------------------------------

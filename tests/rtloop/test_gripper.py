@@ -592,3 +592,27 @@ def test_standing_elsewhere_is_a_stall_after_the_time_and_not_before(
         now_ns += 10_000_000
         number += 1
     assert round(stall_s * 1e9) <= now_ns <= round(stall_s * 1e9) + 10_000_000
+
+
+def test_a_gripper_is_there_when_two_readings_in_a_row_lie_within_the_tolerance() -> None:
+    judge = GripJudge(1.0, 0.25, 10**9, 0.0, 0)
+    assert judge.judge(1, 0.75) == Grip.MOVING
+    assert judge.judge(2, 0.7499) == Grip.MOVING
+    assert judge.judge(3, 1.25) == Grip.MOVING
+    assert judge.judge(4, 1.25) == Grip.REACHED
+
+
+def test_moving_by_more_than_a_quarter_of_the_tolerance_is_no_standing() -> None:
+    judge = GripJudge(1.0, 0.25, 1_000, 0.0, 0)
+    assert judge.judge(999, 0.0625) == Grip.MOVING
+    assert judge.judge(1_000, 0.0625) == Grip.STALLED
+    judge = GripJudge(1.0, 0.25, 1_000, 0.0, 0)
+    assert judge.judge(999, -0.0626) == Grip.MOVING
+    assert judge.judge(1_998, -0.0626) == Grip.MOVING
+    assert judge.judge(1_999, -0.0626) == Grip.STALLED
+
+
+@pytest.mark.parametrize(("speed", "expected_s"), [(1.0, 0.5), (0.02, 0.5), (0.01, 1.0)])
+def test_at_a_crawl_it_takes_its_time_to_be_seen_moving(speed: float, expected_s: float) -> None:
+    """A quarter of the tolerance of 0.02 rad, twice."""
+    assert stall_ns(0.5, 0.02, speed) == round(expected_s * 1e9)

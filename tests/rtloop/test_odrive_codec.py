@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from config.loader import load_arm
@@ -69,6 +69,8 @@ def test_floats_come_back_as_struct_packs_them(first: float, second: float) -> N
 
 @settings(deadline=None)
 @given(number=st.integers(-(2**63), 2**63 - 1), at=st.integers(0, 7), size=st.integers(1, 4))
+@example(number=0x80, at=0, size=1)
+@example(number=0x7F_8000_0000, at=0, size=4)
 def test_whole_numbers_are_read_as_int_from_bytes_does(number: int, at: int, size: int) -> None:
     size = min(size, 8 - at)
     part = number.to_bytes(8, "little", signed=True)[at : at + size]
