@@ -53,5 +53,5 @@ def test_a_fade_lasts_some_cycles(period, expected):
 
 @pytest.mark.parametrize(("braking_factor", "expected"), [(2.0, 3.75), (1.5, 7.5), (1.05, 37.5), (1.0, 37.5)])
 def test_the_longest_stop_is_not_longer_than_it_must_be(braking_factor: float, expected: float) -> None:
-    """1.5 · V / T of its steepest place fits beside a plan at the whole limit, and a quarter is to spare; V / A is 2 s."""
+    """1.5 · V / T of its steepest place fits beside a plan at the whole limit, and a quarter; V / A is 2 s."""
     assert stopping.longest_s(2.0, braking_factor) == pytest.approx(expected)
