@@ -154,7 +154,8 @@ def importers(root: Path) -> dict[Path, set[Path]]:
                     direct[modules[name]].add(path)
     found = {}
     for path in direct:
-        known, waiting = set(), [path]
+        known: set[Path] = set()
+        waiting = [path]
         while waiting:
             fresh = direct[waiting.pop()] - known
             known |= fresh

@@ -282,6 +282,21 @@ def test_no_bytes_make_a_number_that_is_none(frame_id, data):
     assert not axis["status"] & status.ENABLED or axis["heard"] == 1
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_target_is_where_the_joint_is_due_a_period_after_the_sync_and_within_its_limits(sign):
+    """The SYNC arrives some milliseconds into the cycle: by so much later than the next setpoint it is due."""
+    made = new_loop(ARM, 0, 0)
+    axis, row = made[0]["axes"][0], made[0]["joints"][0]
+    row["command_delay_s"] = 0.002
+    axis["next_position_rad"], axis["next_velocity_rad_s"] = sign * 0.1, sign * 0.5
+    axis["next_acceleration_rad_s2"] = -sign * 3.0
+    assert cia402.setpoint_rad(made[0], 0) == pytest.approx(sign * (0.1 + 0.5 * 0.002 - 3.0 * 0.002**2 / 2))
+    end_rad = row["upper_rad"] + row["slack_rad"] if sign > 0.0 else row["lower_rad"] - row["slack_rad"]
+    axis["next_position_rad"] = end_rad
+    axis["next_acceleration_rad_s2"] = 0.0
+    assert cia402.setpoint_rad(made[0], 0) == end_rad
+
+
 # --- on the bus -----------------------------------------------------------------------------------------------
 
 

@@ -189,6 +189,7 @@ def entered(*, ahead_s: float) -> Way:
 def test_a_bridge_begins_where_the_arm_is_commanded(rate: float) -> None:
     way = entered(ahead_s=0.4)
     entry.lay_bridge(way.loop, way.index, rate, 0.2)
+    assert way.loop["knots"][path.slot(way.index, 0)]["time_ns"] == 200_000_000
     for joint in range(5):
         p, v, a = way.commanded(joint)
         assert way.plan(joint, 0.2) == pytest.approx((p, v / rate, a / rate**2))
@@ -199,6 +200,7 @@ def test_a_run_up_is_the_straight_line_through_the_first_point() -> None:
     way = entered(ahead_s=0.4)
     way.loop["knots"]["order"] = 3
     entry.lay_run_up(way.loop, way.index, 0.2)
+    assert way.loop["knots"][path.slot(way.index, 0)]["time_ns"] == 200_000_000
     for joint in range(5):
         p, v, _ = way.joints[1, joint]
         for before_s in (0.399, 0.1):

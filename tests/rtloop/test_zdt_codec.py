@@ -208,6 +208,33 @@ def test_frames_of_strangers_and_standard_frames_reach_no_axis():
     assert not loop[0]["axes"]["readings"].any()
 
 
+@pytest.mark.parametrize(
+    ("frame_id", "text", "changed"),
+    [
+        (0x300, "36 00 00 01 00 00 6B", {"heard": 1, "questions": 0}),
+        (0x300, "3A 03 6B", {"status_readings": 1, "status": status.ENABLED | status.REACHED | status.ANSWERED}),
+        (0x300, "FD E2 6B", {"refusals": 1}),
+        (0x300, "FC EE 6B", {"refusals": 1}),
+        (0x300, "36 E2 6B", {}),  # a question it does not answer is no motion refused
+        (0x300, "FD 02 6B", {}),
+        (0x301, "FD E2 6B", {}),  # of a second packet
+    ],
+)
+def test_what_a_drive_says_reaches_its_axis(frame_id, text, changed):
+    loop, shared = new_loop(ARM, 0, 0), np.zeros(1, layout.STATE)
+    axis, data = loop[0]["axes"][2], bytes.fromhex(text)
+    axis["questions"] = 1
+    expected = {"heard": 0, "questions": 1, "status_readings": 0, "status": 0, "refusals": 0} | changed
+    zdt.hear(loop[0], 2, shared[0], frame_id, 1, len(data), word(text), 5_000_000)
+    assert {name: int(axis[name]) for name in expected} == expected
+    assert shared[0]["counters"]["drive_errors"] == (data[1] in (0xE2, 0xEE) and frame_id == 0x300)
+    if "heard" in changed:
+        config = ARM.joints[2]
+        turned = config.direction * 2 * math.pi / config.ratio - config.zero_rad
+        assert axis["heard_rad"] == pytest.approx(turned)
+        assert axis["heard_ns"] == 5_000_000 - loop[0]["joints"][2]["reply_delay_ns"]
+
+
 # --- numbers --------------------------------------------------------------------------------------------
 
 
