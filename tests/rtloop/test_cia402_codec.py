@@ -124,6 +124,21 @@ def test_what_is_no_answer_is_none(frame_id, text):
     assert sdo.reading(1, cia402_setup.POSITION).hear(Frame(frame_id, bytes.fromhex(text)), True) is None
 
 
+@pytest.mark.parametrize(
+    ("text", "is_answer"),
+    [
+        ("60 40 60 00 00 00 00 00", True),
+        ("80 40 60 00 30 00 09 06", True),
+        ("43 40 60 00 00 00 00 00", False),  # the answer to a question
+        ("2B 40 60 00 06 00 00 00", False),  # an echo
+        ("60 60 60 00 00 00 00 00", False),  # of another object
+    ],
+)
+def test_a_write_is_answered_by_its_confirmation_or_an_abort(text, is_answer):
+    frame = Frame(0x581, bytes.fromhex(text))
+    assert sdo.writing(1, cia402_setup.CONTROLWORD, 6).hear(frame, False) == (frame if is_answer else None)
+
+
 @relaxed
 @given(st.binary(max_size=8), st.integers(0, 0x7FF))
 def test_no_bytes_break_a_question(data, frame_id):
