@@ -54,5 +54,15 @@ LEAVES = (
     drive("cia402"),
 )
 
-EQUIVALENT: dict[str, str] = {}
+_STOPS_INSIDE = (
+    "rtloop/guard.py check_next_setpoint: "
+    "if (velocity > 0.0 and stop > high + BESIDE_RAD) or (velocity < 0.0 and stop < low - BESIDE_RAD): → "
+    "if (velocity > 0.0 and stop {} high + BESIDE_RAD) or (velocity < 0.0 and stop {} low - BESIDE_RAD):"
+)
+_BESIDE = "BESIDE_RAD is what arithmetic may be off by: nobody can say on which side of it the last bit of a sum falls"
+
+EQUIVALENT: dict[str, str] = {
+    _STOPS_INSIDE.format(">=", "<"): _BESIDE,
+    _STOPS_INSIDE.format(">", "<="): _BESIDE,
+}
 """Keys of mutants (`mutants.making.Mutant.key`) that behave as the original does, each with the reason."""
