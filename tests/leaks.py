@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-LEAVE_TAKING_S = 2.0
-"""For what is just ending."""
+LEAVE_TAKING_S = 10.0
+"""For what is just ending, on a busy machine; nobody waits where nothing is left."""
 _LIMITS = {name: getattr(resource, name) for name in dir(resource) if name.startswith("RLIMIT_")}
 _TIMERS = {name: getattr(signal, name) for name in ("ITIMER_VIRTUAL", "ITIMER_PROF")}
 _OF_PYTEST = ("PYTEST_CURRENT_TEST",)
