@@ -178,6 +178,14 @@ def test_one_byte_is_found_in_its_frame(was: Transcript, now: Transcript) -> Non
     assert "to 0x200, was 36 6b, is a6 6b" in difference(was, now)
 
 
+@pytest.mark.parametrize("at", [0, 100, -1])
+def test_no_byte_is_overlooked(was: Transcript, now: Transcript, at: int) -> None:
+    changed = bytearray(was.sent[-1])
+    changed[at] ^= 1
+    now.sent[-1] = bytes(changed)
+    assert f"cycle {len(was.sent) - 1} " in difference(was, now)
+
+
 def test_frames_in_another_order_and_frames_that_are_gone_are_told(was: Transcript, now: Transcript) -> None:
     *lines, rest = was.sent[CYCLE].split(b"\r")
     now.sent[CYCLE] = b"\r".join([lines[1], lines[0], *lines[2:], rest])
@@ -214,6 +222,16 @@ def test_a_scenario_that_is_shorter_or_breaks_off_says_so(was: Transcript, now: 
 def test_a_word_that_is_no_more_is_told(was: Transcript, now: Transcript) -> None:
     del now.words[NAME]
     assert "there is no joint2's commanded_position_rad any more" in difference(was, now)
+
+
+def test_fast_words_are_kept_where_anything_is_told_or_another_word_changes(was: Transcript) -> None:
+    was.told.append((CYCLE, "event", {"kind": 5}))
+    thin = was.thinned(24)
+    assert CYCLE in thin.kept and CYCLE - 1 not in thin.kept
+    assert len(thin.kept) < len(was.sent) / 2
+    settles = np.flatnonzero(np.diff(was.words["goal_phase"]) != 0) + 1
+    assert {0, 24, *settles.tolist(), *(cycle for cycle, *_ in was.told)} <= set(thin.kept.tolist())
+    assert len(thin.words[NAME]) == len(thin.kept) and len(thin.words["mode"]) == len(was.sent)
 
 
 def test_a_difference_between_kept_cycles_shows_in_the_next_one(was: Transcript, now: Transcript) -> None:
