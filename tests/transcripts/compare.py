@@ -186,13 +186,12 @@ def _bytes_sentence(old: bytes, new: bytes) -> str:
     if before is None or after is None:
         at = next((i for i, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), min(len(old), len(new)))
         return f"the bytes sent from byte {at} on were {old[at : at + 24].hex(' ')}, are {new[at : at + 24].hex(' ')}"
-    if sorted(before) == sorted(after):
-        return f"the frames are sent in another order: was {_listed(before)}, is {_listed(after)}"
+    order = "the frames are sent in another order: " if sorted(before) == sorted(after) else ""
     for number, (one, other) in enumerate(zip(before, after, strict=False), 1):
         if one != other:
             same = one.can_id == other.can_id
             where = f"frame {number}, to 0x{one.can_id:x}," if same else f"frame {number}"
-            return f"{where} was {_frame(one, same)}, is {_frame(other, same)}"
+            return f"{order}{where} was {_frame(one, same)}, is {_frame(other, same)}"
     longer, word = (before, "missing") if len(before) > len(after) else (after, "new")
     return f"frame {min(len(before), len(after)) + 1}, {_frame(longer[min(len(before), len(after))])}, is {word}"
 
@@ -210,10 +209,6 @@ def _frames(data: bytes) -> list[Frame] | None:
 def _frame(frame: Frame, bare: bool = False) -> str:
     content = frame.data.hex(" ") or "empty"
     return content if bare else f"0x{frame.can_id:x}: {content}"
-
-
-def _listed(frames: list[Frame]) -> str:
-    return ", ".join(f"0x{frame.can_id:x} {frame.data[:2].hex(' ')} …" for frame in frames)
 
 
 # --- the end ---------------------------------------------------------------------------------------------------
