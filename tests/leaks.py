@@ -33,7 +33,6 @@ class Surroundings(NamedTuple):
 
 def surroundings(processes: Callable[[], list[str]]) -> Surroundings:
     """Of this process, now; `processes` lists what it has started and still runs."""
-    gc.collect()  # what nobody holds any more is closed
     return Surroundings(
         scheduling={
             "priority": os.getpriority(os.PRIO_PROCESS, 0),
@@ -58,20 +57,19 @@ def surroundings(processes: Callable[[], list[str]]) -> Surroundings:
 def left_by(before: Surroundings, processes: Callable[[], list[str]]) -> list[str]:
     """What is not as it was, a sentence each."""
     deadline = time.monotonic() + LEAVE_TAKING_S
-    while found := changes(before, surroundings(processes)):
-        if time.monotonic() > deadline:
-            break
+    while (found := changes(before, surroundings(processes))) and time.monotonic() < deadline:
+        gc.collect()  # what nobody holds any more is closed
         time.sleep(0.01)
     return found
 
 
 def changes(before: Surroundings, after: Surroundings) -> list[str]:
-    """What differs between two looks, a sentence each."""
+    """What differs between two looks, a sentence each; garbage that has been collected is no difference."""
     return [
         f"{kind}: {name} was {_told(was, name)}, is {_told(now, name)}"
         for kind, was, now in zip(Surroundings._fields, before, after, strict=True)
         for name in sorted(was.keys() | now.keys())
-        if was.get(name) != now.get(name)
+        if was.get(name) != now.get(name) and (kind != "descriptors" or name in now)
     ]
 
 
