@@ -29,12 +29,14 @@ TRIALS ?= 200
 CASES ?= 1000000
 SEED ?= 1
 
-.PHONY: help env demo test test-vm check docs reference bench trials ros-trials bus-trials bus-trials-live soak fuzz dist test-dist clean
+.PHONY: help env demo test test-live test-all test-vm check docs reference bench trials ros-trials bus-trials bus-trials-live soak fuzz dist test-dist clean
 
 help:
 	@echo 'make demo     play a recorded MoveIt goal on a simulated arm, VIEW=1 to watch and move it in a browser'
-	@echo 'make test     run the tests'
+	@echo 'make test     run the tests in virtual time, and a handful with real processes: some minutes'
+	@echo 'make test-live  run the tests with real processes, ROS, browsers and terminals'
 	@echo 'make test-vm  run tests/vm in a small virtual machine that has SocketCAN'
+	@echo 'make test-all  all of these, and test-dist: what CI runs besides check and docs'
 	@echo 'make check    ruff and mypy'
 	@echo 'make docs     build the documentation into build/site'
 	@echo 'make reference  make the pages of docs/reference anew from the code'
@@ -55,9 +57,17 @@ env: $(STAMPS)/warm
 demo: env
 	$(BIN)/rtarm demo$(if $(VIEW), --view)
 
-# What hangs in C code no signal interrupts: all stacks are printed and the run ends, and the guardian leaves no process.
-test: env $(STAMPS)/colcon
-	$(BIN)/python tests/guardian.py $(BIN)/python -m pytest -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
+# What hangs in C code no signal interrupts: all stacks are printed, that worker ends, and the guardian leaves no process.
+PYTEST := $(BIN)/python tests/guardian.py $(BIN)/python -m pytest --numprocesses=2 --dist=loadfile \
+  -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
+
+test: env
+	$(PYTEST) -m 'not process or smoke'
+
+test-live: env $(STAMPS)/colcon
+	$(PYTEST) -m 'process and not smoke'
+
+test-all: test test-live test-vm test-dist
 
 test-vm: $(STAMPS)/interfaces
 	$(BIN)/python tests/vm/boot.py

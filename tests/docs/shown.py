@@ -83,7 +83,7 @@ def named_commands() -> dict[str, Shown]:
     named: dict[str, Shown] = {}
     for page in all_pages():
         for section in sections(page.read_text(encoding="utf-8")):
-            for word in section.code_words:
+            for word in sorted(section.code_words):
                 if NAMED.match(HERE.sub("", word)):
                     named.setdefault(word, Shown(HERE.sub("", word), f"{name_of(page)}:{section.line}"))
     return named

@@ -32,6 +32,7 @@ TOURS = (
     ("cartesian", "cartesian_slow"),
 )
 """All recorded goals: in each row, each begins where the last one ended, up to 1e-4 rad."""
+SMOKE_TOUR = ("around_box",)
 
 
 @pytest.fixture
@@ -68,7 +69,11 @@ def moving(client, joint, from_rad, by_rad=0.05):
     until(lambda: abs(newest_position(client)[joint] - from_rad) > by_rad, "motion")
 
 
-@pytest.mark.parametrize("stack", TOURS, indirect=True, ids=[tour[0] for tour in TOURS])
+@pytest.mark.parametrize(
+    "stack",
+    [pytest.param(tour, id=tour[0], marks=[pytest.mark.smoke] if tour == SMOKE_TOUR else []) for tour in TOURS],
+    indirect=True,
+)
 def test_recorded_goals_arrive_to_the_pulse(stack):
     """Every joint ends within one command pulse plus one encoder count; /joint_states keeps its rate."""
     client, joints = stack.client, load_arm(stack.arm_file).joints
@@ -103,6 +108,7 @@ def test_recorded_goals_arrive_to_the_pulse(stack):
         assert abs(ends[0] - wanted) <= joint.command_pulse_rad + joint.encoder_count_rad
 
 
+@pytest.mark.smoke
 def test_kill_9_of_the_front_stops_on_the_path_and_a_new_front_serves(stack):
     client = stack.client
     began_ns = time.monotonic_ns()
@@ -146,6 +152,7 @@ def distance_from(goal, positions):
     return best
 
 
+@pytest.mark.smoke
 def test_kill_9_of_the_loop_ends_the_goal_and_the_drives_brake_by_themselves(stack):
     client = stack.client
     began_ns = time.monotonic_ns()

@@ -240,6 +240,7 @@ def children_of(command: Command) -> list[str]:
     return subprocess.run(arguments, capture_output=True, text=True, check=True).stdout.split()
 
 
+@pytest.mark.smoke
 @pytest.mark.usefixtures("clean")
 def test_kill_9_of_the_launcher_leaves_no_process(start: Callable[..., Command], arm_file: Path, arm_name: str) -> None:
     up = start("up", str(arm_file), "--sim")
@@ -292,6 +293,7 @@ def test_a_reader_that_goes_away_does_not_end_the_arm(
     assert up.process.stderr.read() == b""
 
 
+@pytest.mark.smoke
 def test_the_demo_plays_a_goal_and_writes_its_figures(
     start: Callable[..., Command], arm_file: Path, tmp_path: Path
 ) -> None:

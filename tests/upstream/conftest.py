@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import pytest
-from upstream_cases import CASES, VERDICTS, case_numbers, in_order, marks
+from upstream_cases import CASES, VERDICTS, case_numbers, in_order
 
-_MARKED = pytest.StashKey[dict[str, list[tuple[str, str]]]]()
+UPSTREAM = "upstream"
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -17,30 +17,27 @@ def pytest_configure(config: pytest.Config) -> None:
     )
 
 
-def pytest_collection_finish(session: pytest.Session) -> None:
-    marked = session.config.stash.setdefault(_MARKED, {})
-    for item in session.items:
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
         for mark in item.iter_markers("upstream"):
             cases, verdict = mark.args
-            marked.setdefault(item.nodeid, []).extend((case, verdict) for case in case_numbers(cases))
+            item.user_properties += [(UPSTREAM, (case, verdict)) for case in case_numbers(cases)]
 
 
-def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+def pytest_terminal_summary(terminalreporter: Any) -> None:
     """One line: how many cases end as upstream, better or differently, and which did not."""
-    marked = config.stash.get(_MARKED, {})
-    if not marked or config.option.collectonly:
+    verdict_of: dict[str, str] = {}
+    broken: set[str] = set()
+    for category, reports in terminalreporter.stats.items():
+        for report in reports if category in ("passed", "failed", "error", "skipped") else ():
+            played = {case: verdict for name, (case, verdict) in report.user_properties if name == UPSTREAM}
+            verdict_of |= played
+            broken |= played.keys() if category != "passed" else set()
+    if not verdict_of:
         return
-    passed = {report.nodeid for report in terminalreporter.stats.get("passed", [])}
-    verdict_of = {case: verdict for rows in marked.values() for case, verdict in rows}
-    broken = {case for nodeid, rows in marked.items() if nodeid not in passed for case, _ in rows}
     sound = [verdict for case, verdict in verdict_of.items() if case not in broken]
     parts = [f"{sound.count(verdict)} {verdict}" for verdict in VERDICTS]
-    missing = in_order(set(CASES) - set(verdict_of))
-    collected = {nodeid.partition("::")[0].rpartition("/")[2] for nodeid in marked}
-    if collected < {mark.file for mark in marks()} or "deselected" in terminalreporter.stats:
-        parts.append(f"{len(missing)} not in this run")
-    else:
-        parts.append(f"{', '.join(missing) or 'none'} missing")
+    parts.append(f"{len(set(CASES) - verdict_of.keys())} not in this run")
     if broken:
         parts.append(f"not passed: {', '.join(in_order(broken))}")
     terminalreporter.write_line(f"upstream cases: {', '.join(parts)}")

@@ -1,0 +1,105 @@
+"""What ends a test with real processes: its own fault at once, the machine's after two more tries."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from machine_witness import Stalls
+
+pytest_plugins = ["pytester"]
+
+QUIET, STALLED = Stalls(0.0, 0.0), Stalls(0.12, 0.0)
+
+
+BESIDE = """
+import verdicts
+from machine_witness import Stalls
+
+class Said:
+    def __init__(self, marker):
+        pass
+
+    def since(self, start_ns):
+        return {stalls!r}
+
+    def close(self):
+        pass
+
+verdicts.Witness = Said
+
+def pytest_configure(config):
+    config.pluginmanager.register(verdicts)
+"""
+"""A witness of whom is known what it says."""
+
+
+@pytest.fixture
+def ran(pytester: pytest.Pytester) -> Callable[[str, Stalls], pytest.RunResult]:
+    """Runs a file of tests beside such a witness."""
+
+    def run(text: str, stalls: Stalls) -> pytest.RunResult:
+        pytester.makeini(f"[pytest]\nmarkers = process\npythonpath = {Path(__file__).parent}")
+        pytester.makeconftest(BESIDE.format(stalls=stalls))
+        pytester.makepyfile(f"import pytest\n\nTRIES = []\npytestmark = pytest.mark.process\n{text}")
+        return pytester.runpytest_subprocess()
+
+    return run
+
+
+FAILS_TWICE = """
+@pytest.fixture(scope="module")
+def shared():
+    TRIES.append("made")
+    yield
+    TRIES.append("ended")
+
+def test_it(shared):
+    TRIES.append("tried")
+    assert TRIES.count("tried") == 3, "not yet"
+
+def test_next(shared):
+    assert TRIES == ["made", "tried", "ended"] * 2 + ["made", "tried"]
+"""
+NEVER = """
+def test_it():
+    TRIES.append(1)
+    assert len(TRIES) == 0
+"""
+VIOLATION = """
+class Violation(AssertionError):
+    pass
+
+def test_it():
+    TRIES.append(1)
+    if len(TRIES) == 1:
+        raise Violation("joint1 was faster than its limit")
+"""
+
+
+def test_a_failure_during_a_stall_is_tried_again_from_fresh_fixtures_and_counted(
+    ran: Callable[[str, Stalls], pytest.RunResult],
+) -> None:
+    result = ran(FAILS_TWICE, STALLED)
+    assert result.parseoutcomes() == {"passed": 2, "inconclusive": 2}
+    result.stdout.fnmatch_lines(["*2 inconclusive: the machine stood still*", "*test_it (call): woke up 120 ms late*"])
+
+
+def test_a_failure_without_a_stall_is_final_and_leaves_no_fixture_to_the_next(
+    ran: Callable[[str, Stalls], pytest.RunResult],
+) -> None:
+    result = ran(FAILS_TWICE.replace('* 2 + ["made", "tried"]', '+ ["made"]'), QUIET)
+    assert result.parseoutcomes() == {"passed": 1, "failed": 1}
+
+
+def test_what_always_fails_fails_after_the_third_time(ran: Callable[[str, Stalls], pytest.RunResult]) -> None:
+    result = ran(NEVER, STALLED)
+    assert result.parseoutcomes() == {"inconclusive": 2, "failed": 1}
+    result.stdout.fnmatch_lines(["*the machine meanwhile*", "woke up 120 ms late*"])
+
+
+def test_what_the_observer_finds_is_final(ran: Callable[[str, Stalls], pytest.RunResult]) -> None:
+    assert ran(VIOLATION, STALLED).parseoutcomes() == {"failed": 1}
+
+
+def test_virtual_time_is_never_tried_again(ran: Callable[[str, Stalls], pytest.RunResult]) -> None:
+    assert ran(NEVER.replace("def test_it", "pytestmark = []\n\ndef test_it"), STALLED).parseoutcomes() == {"failed": 1}

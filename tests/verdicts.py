@@ -1,0 +1,117 @@
+"""A verdict that does not depend on how fast the machine is (a pytest plugin, for tests marked `process`).
+
+A failure while the machine stood still (`machine_witness`) says nothing about rtarm: it is inconclusive, and the test
+is tried again, twice at most, from fresh processes. A failure without a stall is final the first time, and so is what
+the observer of true motion finds (`observer.Violation`). After a failure every fixture is made anew, so that none that
+tests share carries a fault into the next.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from _pytest.runner import call_and_report
+from machine_witness import Stalls, Witness
+
+INCONCLUSIVE = "inconclusive"
+MEANWHILE = "the machine meanwhile"
+REPEATS = 2
+MARKER = "RTARM_TEST_SESSION"
+"""Set for everything that a session of tests starts."""
+_WITNESS = pytest.StashKey[Witness]()
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Have the witness watch before the first test with processes begins."""
+    if any(_is_judged(item) for item in session.items):
+        session.config.stash[_WITNESS] = Witness(f"{MARKER}={os.environ[MARKER]}")
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    if _WITNESS in config.stash:
+        config.stash[_WITNESS].close()
+
+
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
+    """Run one test with real processes, if need be three times; every other is left to pytest."""
+    if not _is_judged(item):
+        return None
+    witness = item.config.stash[_WITNESS]
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    for repeats_left in reversed(range(REPEATS + 1)):
+        start_ns = time.monotonic_ns()
+        reports = list(_run(item, nextitem))
+        stalls = witness.since(start_ns)
+        if repeats_left == 0 or not any(is_inconclusive(report, stalls) for report in reports):
+            break
+        for report in reports:
+            if report.failed:
+                report.outcome = INCONCLUSIVE  # type: ignore[assignment]
+                report.sections.append((MEANWHILE, str(stalls)))
+                item.ihook.pytest_runtest_logreport(report=report)
+    for report in reports:
+        if report.failed:
+            report.sections.append((MEANWHILE, str(stalls)))
+        item.ihook.pytest_runtest_logreport(report=report)
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
+
+
+def is_inconclusive(report: pytest.TestReport, stalls: Stalls) -> bool:
+    """Whether a failure may be the machine's."""
+    return report.failed and bool(stalls) and "Violation" not in _kind(report)
+
+
+def _kind(report: pytest.TestReport) -> str:
+    """The name of what was raised."""
+    return str(getattr(report, "raised", ""))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
+    report = yield
+    if call.excinfo is not None:
+        report.raised = " ".join(kind.__name__ for kind in call.excinfo.type.__mro__)
+    return report
+
+
+def pytest_report_teststatus(report: pytest.TestReport) -> tuple[str, str, str] | None:
+    return (INCONCLUSIVE, "I", "INCONCLUSIVE") if report.outcome == INCONCLUSIVE else None
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """What was inconclusive, and why: counted, never hidden."""
+    found = terminalreporter.getreports(INCONCLUSIVE)
+    if found:
+        terminalreporter.section(f"{len(found)} inconclusive: the machine stood still, tried again")
+    for report in found:
+        crash = getattr(report.longrepr, "reprcrash", None)
+        why = str(crash.message if crash else report.longrepr).splitlines()
+        terminalreporter.write_line(
+            f"{report.nodeid} ({report.when}): {dict(report.sections)['the machine meanwhile']}"
+        )
+        terminalreporter.write_line(f"    {why[0] if why else ''}")
+
+
+def _is_judged(item: pytest.Item) -> bool:
+    return item.get_closest_marker("process") is not None
+
+
+def _run(item: Any, nextitem: pytest.Item | None) -> Iterator[pytest.TestReport]:
+    """Set up, call, tear down, as pytest does, but for what follows a failure: nothing is kept for the next test."""
+    if not item._request:
+        item._initrequest()
+    setup = call_and_report(item, "setup", log=False)
+    yield setup
+    failed = setup.failed
+    if setup.passed:
+        call = call_and_report(item, "call", log=False)
+        yield call
+        failed = call.failed
+    yield call_and_report(item, "teardown", log=False, nextitem=None if failed else nextitem)
+    item._request = False
+    item.funcargs = None
