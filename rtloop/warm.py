@@ -59,7 +59,7 @@ def main(tell: Callable[[str], None] = print) -> int:
     with contextlib.suppress(FileNotFoundError, compiled.NotLoadable):
         compiled.load()
         return 0
-    tell("compiling the control cycle, once for this version: about half a minute …")
+    tell("compiling the control cycle, once for this version …")
     started = time.monotonic()
     try:
         compiled.check_place()
