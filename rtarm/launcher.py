@@ -38,7 +38,7 @@ SIMULATED_CHANNEL = "simulated"
 
 SIM_PATIENCE_S = 30.0
 LOOP_PATIENCE_S = 900.0
-"""A first start compiles the control cycle, which takes a minute, and five and more on a busy or small machine."""
+"""A first start compiles the control cycle, which takes minutes on a busy or small machine."""
 FRONT_PATIENCE_S = 60.0
 
 FRONT_STOP_S = 5.0
