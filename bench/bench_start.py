@@ -21,7 +21,6 @@ import yaml
 from stack import ROOT, Stack
 
 from config.loader import ARMS_FOLDER
-from rtloop import warm
 from shm.client import StateReader
 from shm.files import DIRECTORY, open_state
 
@@ -70,7 +69,7 @@ print(json.dumps(marks))
 @pytest.fixture(scope="module")
 def arms(tmp_path_factory) -> Iterator[dict[str, Stack]]:
     """A mock arm, and episode1 with its simulated adapter running; their control processes are the tests' own."""
-    warm.main()
+    subprocess.run([sys.executable, "-m", "rtloop.warm"], check=True)
     stacks = {}
     for what in ("mock", "episode1"):
         stack = stacks[what] = Stack(f"b{secrets.token_hex(4)}", tmp_path_factory.mktemp(what))

@@ -11,11 +11,13 @@ import asyncio
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from rtarm.errors import AlreadySaid, ExitCode, Refusal, needs
+from rtarm.first_use import cycle_compiled_beside
 from rtarm.interrupt import Interrupted, signals_raise
 from rtarm.processes import (
     Child,
@@ -36,7 +38,7 @@ SIMULATED_CHANNEL = "simulated"
 
 SIM_PATIENCE_S = 30.0
 LOOP_PATIENCE_S = 900.0
-"""A first start compiles the control cycle, which takes a minute, and five and more on a busy or small machine."""
+"""A first start compiles the control cycle, which takes minutes on a busy or small machine."""
 FRONT_PATIENCE_S = 60.0
 
 FRONT_STOP_S = 5.0
@@ -207,7 +209,7 @@ def generated_types() -> bool:
     except ImportError:  # a ROS workspace builds them itself, and its copy of rtarm is without their definitions
         return False
     try:
-        with signals_raise():
+        with signals_raise(), cycle_compiled_beside() if build.to_be_made() else nullcontext():
             return build.ensure()
     except build.CommandFailed as failed:
         raise Refusal(f"{failed.log}\n{failed}") from None
@@ -483,7 +485,7 @@ PLAIN_LOG = "{severity}: {message}"
 
 HINTS = {
     "sim": "still starting: the machine is busy",
-    "loop": "still starting: compiling the control cycle, once after a change, takes about a minute",
+    "loop": "still starting: compiling the control cycle, once after a change",
     "front": "still starting: loading ROS 2",
 }
 """What a wait of more than `HINT_AFTER_S` is probably for."""

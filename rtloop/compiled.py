@@ -92,13 +92,26 @@ def load() -> CompiledCycle:
     return CompiledCycle(code)
 
 
+def check_place() -> None:
+    """Raise OSError where `store` would, before anybody spends a minute on what to store."""
+    aside = _aside()
+    try:
+        aside.write_bytes(b"\0")
+    finally:
+        aside.unlink(missing_ok=True)
+
+
 def store(code: bytes) -> None:
     """Put an object into the cache, whole or not at all."""
-    target = path()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    aside = target.with_name(f"{target.name}.{os.getpid()}.new")
+    aside = _aside()
     aside.write_bytes(hashlib.sha256(code).digest() + code)
-    aside.replace(target)
+    aside.replace(path())
+
+
+def _aside() -> Path:
+    """Where this process writes what is not whole yet, in a folder that is there."""
+    path().parent.mkdir(parents=True, exist_ok=True)
+    return path().with_name(f"{path().name}.{os.getpid()}.new")
 
 
 def undefined_symbols(code: bytes) -> set[str]:

@@ -10,7 +10,6 @@ import shutil
 import sys
 import time
 from collections.abc import Callable
-from typing import Any
 
 import llvmlite.binding as llvm
 
@@ -23,27 +22,15 @@ CODE_OPTIMISATION = 3
 
 
 def compile_object() -> bytes:
-    """Compile `rtloop.entries` and all it calls into one object file; raises NotLoadable when it wants too much."""
-    from numba import cfunc
+    """Compile `rtloop.entries` and all it calls into one object file; raises NotLoadable when it wants too much.
+
+    Only in a process that has not imported them: see `rtloop.lowered`.
+    """
     from numba.core.registry import cpu_target
 
-    from rtloop.entries import ENTRIES
-    from shm.jit import ERROR_MODEL
+    from rtloop.lowered import lower
 
-    module: Any = None
-    names = set()
-    for function, signature in ENTRIES:
-        made = cfunc(signature, error_model=ERROR_MODEL)(function.py_func)
-        part = llvm.parse_assembly(made.inspect_llvm())
-        part.get_function(made.native_name).name = function.__name__
-        names.add(function.__name__)
-        if module is None:
-            module = part
-        else:
-            module.link_in(part)
-    for value in (*module.functions, *module.global_variables):
-        if not value.is_declaration and value.name not in names:
-            value.linkage = "internal"
+    module = lower()
     triple, processor, features = cpu_target.target_context.codegen().magic_tuple()
     # As numba makes code that is loaded at once: no assumption about how far away anything else lies.
     machine = llvm.Target.from_triple(triple).create_target_machine(
@@ -54,12 +41,14 @@ def compile_object() -> bytes:
         jit=True,
         reloc="static" if triple.startswith("x86") else "default",
     )
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=CODE_OPTIMISATION))
+    passes = builder.getModulePassManager()
+    passes.add_refprune_pass()
     # Functions that cannot raise are found out here, and what would tell the interpreter of it falls away.
-    passes = llvm.create_new_module_pass_manager()
     passes.add_ipsccp_pass()
     passes.add_simplify_cfg_pass()
     passes.add_global_dead_code_eliminate_pass()
-    passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+    passes.run(module, builder)
     code: bytes = machine.emit_object(module)
     compiled.CompiledCycle(code)
     return code
@@ -70,11 +59,12 @@ def main(tell: Callable[[str], None] = print) -> int:
     with contextlib.suppress(FileNotFoundError, compiled.NotLoadable):
         compiled.load()
         return 0
-    tell("compiling the control cycle, once for this version: about a minute …")
+    tell("compiling the control cycle, once for this version …")
     started = time.monotonic()
     try:
+        compiled.check_place()
         compiled.store(compile_object())
-    except OSError as problem:  # numba's cache and ours are files
+    except OSError as problem:
         tell(
             f"{cache.folder()} cannot be written ({problem.strerror}): free some space there, or see who may write it."
         )

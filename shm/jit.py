@@ -16,6 +16,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 ERROR_MODEL: Literal["numpy"] = "numpy"
 
+OPTIONS: dict[str, Any] = {"nogil": True, "cache": True, "error_model": ERROR_MODEL}
+"""What numba is told about each function."""
+
 # numba's own cache looks only at the file of the function itself: an edit in an imported helper would leave a stale
 # caller behind.
 setattr(numba.config, "CACHE_DIR", str(cache.folder()))  # noqa: B010 - read from the environment, unknown to mypy
@@ -23,5 +26,5 @@ setattr(numba.config, "CACHE_DIR", str(cache.folder()))  # noqa: B010 - read fro
 
 def jit(function: F) -> F:
     """Compile a function for the cycle."""
-    compiled: Any = numba.njit(nogil=True, cache=True, error_model=ERROR_MODEL)(function)
+    compiled: Any = numba.njit(**OPTIONS)(function)
     return cast(F, compiled)

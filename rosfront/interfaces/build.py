@@ -416,7 +416,7 @@ def generate(package: Package) -> None:
         package.stamp.parent.mkdir(parents=True, exist_ok=True)
         package.stamp.write_text("incomplete\n", encoding="ascii")
 
-    say(f"{package.name}: generating it from its definitions, about 20 s …")
+    say(f"{package.name}: generating it from its definitions …")
     start = time.monotonic()
     compile_into(package, ENVIRONMENT, mark)
     package.stamp.write_text(f"{fingerprint(package)}\n", encoding="ascii")
@@ -469,6 +469,11 @@ def lacking() -> list[Package]:
     return [p for p in PACKAGES if from_wheels() and installed_elsewhere(p) is None and not is_current(p)]
 
 
+def to_be_made() -> bool:
+    """Whether `ensure` has something to make."""
+    return bool(lacking()) and not cache().prefix.is_dir()
+
+
 def ensure() -> bool:
     """Make what is lacking, once, in `cache`; says whether anything is lacking elsewhere. Raises BuildError.
 
@@ -476,7 +481,7 @@ def ensure() -> bool:
     appear whole or not at all.
     """
     missing = lacking()
-    if not missing or cache().prefix.is_dir():
+    if not to_be_made():
         return bool(missing)
     for package in PACKAGES:
         check_wheels(package)
@@ -487,7 +492,7 @@ def ensure() -> bool:
         with folder_lock(folder):
             if not cache().prefix.is_dir():
                 names = " and ".join(package.name for package in missing)
-                say(f"ROS from Python wheels has no {names}: generating them into {folder}, once, about a minute …")
+                say(f"ROS from Python wheels has no {names}: generating them into {folder}, once …")
                 start = time.monotonic()
                 _fill_cache()
                 say(f"generated after {time.monotonic() - start:.0f} s")

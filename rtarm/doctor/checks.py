@@ -103,5 +103,5 @@ CHECKS: tuple[Check, ...] = (
     ),
     Check("ROS network", "MoveIt finds the arm through it.", software.ros),
     Check("Python", "The cycle is compiled by numba from Python.", software.python),
-    Check("compiled cycle", "Compiling takes half a minute to a minute of the first start.", software.compiled_cycle),
+    Check("compiled cycle", "The first start waits for the compiler.", software.compiled_cycle),
 )

@@ -48,7 +48,7 @@ def compiled_cycle(machine: Machine, _arm: ArmConfig | None) -> Found:
     if (folder / "cycle.o").exists():
         return ok("in the cache")
     return note(
-        "not in the cache, so the first start of an arm takes up to a minute",
+        "not in the cache, so the first start of an arm waits for the compiler",
         f"{shlex.quote(sys.executable)} -m rtloop.warm",
     )
 

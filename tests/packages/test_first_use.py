@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from rosfront.interfaces import build
-from rtarm import launcher, processes
+from rtarm import first_use, launcher, processes
 from rtarm.errors import Refusal
 from rtarm.processes import WHEELS_GUARD, ros_environment
 
@@ -45,12 +46,13 @@ print(build.cache().prefix)
 @pytest.fixture(autouse=True)
 def fresh_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(first_use, "COMPILER", ("-c", ""))
     build.cache.cache_clear()
     yield tmp_path / "cache" / "rtarm"
     build.cache.cache_clear()
 
 
-def first_use(log: Path) -> subprocess.Popen[str]:
+def user(log: Path) -> subprocess.Popen[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), WHEELS_GUARD: "1"}
     return subprocess.Popen(
         [sys.executable, "-c", MAKER, log], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -60,9 +62,9 @@ def first_use(log: Path) -> subprocess.Popen[str]:
 def test_first_uses_at_the_same_time_make_everything_once(fresh_cache: Path, tmp_path: Path) -> None:
     left = fresh_cache / "interfaces-killed.new"
     left.mkdir(parents=True)
-    users = [first_use(tmp_path / "log") for _ in range(USERS)]
-    said = [user.communicate() for user in users]
-    assert [user.returncode for user in users] == [0] * USERS, said
+    users = [user(tmp_path / "log") for _ in range(USERS)]
+    said = [each.communicate() for each in users]
+    assert [each.returncode for each in users] == [0] * USERS, said
     assert (tmp_path / "log").read_text().split() == [package.name for package in build.PACKAGES]
     assert len({out for out, _ in said}) == 1
     assert sum("generating them into" in err for _, err in said) == 1
@@ -86,6 +88,43 @@ def lacking_everything(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(build, "lacking", lambda: list(build.PACKAGES))
     monkeypatch.setattr(build, "check_wheels", lambda _: None)
     monkeypatch.setattr(build, "check_tools", lambda *_: "Ninja")
+
+
+def test_the_cycle_is_compiled_while_messages_are_generated(
+    monkeypatch: pytest.MonkeyPatch, fresh_cache: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each of both waits for the other to have begun."""
+    lacking_everything(monkeypatch)
+    there, here = tmp_path / "there", tmp_path / "here"
+    os.mkfifo(there)
+    os.mkfifo(here)
+    monkeypatch.setattr(
+        first_use, "COMPILER", ("-c", f"open({str(there)!r}, 'w').close(); open({str(here)!r}).close()")
+    )
+
+    def meet(package: build.Package, place: build.Place) -> None:
+        if package == build.CONTROL_MSGS:
+            there.open().close()
+            here.open("w").close()
+        (place.python / package.name).mkdir(parents=True)
+
+    monkeypatch.setattr(build, "compile_into", meet)
+    launcher.check_ros()
+    said = re.sub(r"\d+ s", "N s", capsys.readouterr().err)
+    for step in ("step 1 of 2: ROS messages", "step 2 of 2: the control cycle"):
+        assert f"{step}, about N s …\n" in said and f"{step}, N s\n" in said
+
+
+def test_what_fails_ends_the_compiler_beside_it(monkeypatch: pytest.MonkeyPatch, fresh_cache: Path) -> None:
+    lacking_everything(monkeypatch)
+    monkeypatch.setattr(first_use, "COMPILER", ("-c", "import time; time.sleep(1000)"))
+
+    def fail(package: build.Package, place: build.Place) -> None:
+        raise build.BuildError("no")
+
+    monkeypatch.setattr(build, "compile_into", fail)
+    with pytest.raises(Refusal):
+        launcher.check_ros()
 
 
 def test_a_cache_that_cannot_be_written_is_one_sentence(monkeypatch: pytest.MonkeyPatch, fresh_cache: Path) -> None:

@@ -347,7 +347,14 @@ CASES: list[Case] = [
         "unset NUMBA_DISABLE",
     ),
     ("Python", {}, {"environment": {"NUMBA_BOUNDSCHECK": "1"}}, Level.WARN, "compiled code is slow", "unset NUMBA_BO"),
-    ("compiled cycle", {"/cache/rtarm/compiled-1/cycle.o": None}, {}, Level.NOTE, "up to a minute", "-m rtloop.warm"),
+    (
+        "compiled cycle",
+        {"/cache/rtarm/compiled-1/cycle.o": None},
+        {},
+        Level.NOTE,
+        "waits for the compiler",
+        "-m rtloop.warm",
+    ),
 ]
 
 

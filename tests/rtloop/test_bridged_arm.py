@@ -11,11 +11,12 @@ from types import SimpleNamespace
 import can
 import numpy as np
 import pytest
+from compiling import make_object
 from observer import judge, motion_violations, truth_of
 from stack import PATIENCE_S, Stack
 
 from config.loader import arm_hash, load_arm
-from rtloop import compiled, warm
+from rtloop import compiled
 from rtloop.process import ControlProcess, StopAsked
 from shm.client import CommandWriter, StateReader
 from shm.errors import RingFull
@@ -102,7 +103,7 @@ def inside(stack, monkeypatch, tmp_path) -> Iterator[SimpleNamespace]:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     stack.change(bus={"channel": f"bus of {stack.name}"})
     arm = load_arm(bridged(stack, "virtual"))
-    warm.main()
+    make_object()
     before = set(threading.enumerate())
     with can.Bus(arm.bus.resolved_channel, "virtual", ignore_config=True) as bus:
         sim = SimulatedArm(arm, start_ns=time.monotonic_ns(), joint_position_rad=START_RAD)

@@ -19,10 +19,11 @@ import llvmlite.binding as llvm
 import numpy as np
 import pytest
 import yaml
+from compiling import make_object
 from stack import Process
 
 from config.loader import ARMS_FOLDER, arm_hash, load_arm
-from rtloop import compiled, realtime, saved, warm
+from rtloop import compiled, realtime, saved
 from rtloop.port import ServicePort
 from rtloop.process import ControlProcess, StopAsked
 from shm import cache
@@ -52,7 +53,7 @@ def copy_of_the_sources(folder: Path) -> Path:
 
 
 def test_copies_of_the_same_sources_share_what_was_compiled(tmp_path):
-    warm.main()
+    make_object()
     program = "from rtloop import compiled; compiled.load(); print(compiled.path(), compiled.__file__)"
     first, second = (copy_of_the_sources(tmp_path / name) for name in ("first", "second"))
     for copy in (first, second):

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from compiling import compile_functions
 from many_cycles import Recording, RecordingArm, advance, replay, run_cycles, swing
 from numba.core.caching import FunctionCache
 from numba.core.registry import CPUDispatcher
@@ -26,7 +27,6 @@ from config.loader import load_arm
 from rtloop import cycle, entries, realtime
 from rtloop.run import run
 from rtloop.state import offset_of
-from rtloop.warm import compile_object
 from shm import cache
 from shm.jit import jit
 from shm.words import Mode, Outcome
@@ -84,7 +84,7 @@ def test_all_are_compiled_the_one_way():
 
 
 def test_what_the_cycle_calls_is_compiled_without_the_interpreter():
-    compile_object()
+    compile_functions()
     called = reachable(run)
     assert cycle.step in called and len(called) > 70
     assert called <= set(dispatchers())
