@@ -11,20 +11,23 @@ SOURCES := config motion shm rtloop rosfront sim rtarm ros handbook bench tests
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-# Minutes that `make soak` takes, trials that `make trials` makes, inputs that `make fuzz` tries.
+# Minutes that `make soak` takes, trials that `make trials` makes, inputs that `make fuzz` tries, mutants.
 MINUTES ?= 60
 TRIALS ?= 200
 CASES ?= 1000000
+COUNT ?= 80
 SEED ?= 1
 
-.PHONY: help env tools lock demo test test-live test-all test-vm check docs reference bench trials ros-trials bus-trials bus-trials-live soak fuzz dist test-dist clean
+.PHONY: help env tools lock demo test test-live test-all test-vm transcripts mutants check docs reference bench trials ros-trials bus-trials bus-trials-live soak fuzz dist test-dist clean
 
 help:
 	@echo 'make demo     play a recorded MoveIt goal on a simulated arm, VIEW=1 to watch and move it in a browser'
 	@echo 'make test     run the tests in virtual time, and a handful with real processes: some minutes'
 	@echo 'make test-live  run the tests with real processes, ROS, browsers and terminals'
 	@echo 'make test-vm  run tests/vm in a small virtual machine that has SocketCAN'
-	@echo 'make test-all  all of these, and test-dist: what CI runs besides check and docs'
+	@echo 'make test-all  all of these but mutants, and test-dist: what CI runs besides check and docs'
+	@echo 'make transcripts  hold what the control cycle says against recordings'
+	@echo 'make mutants  make small errors in leaf functions, COUNT=80 of them, each of which a test must notice'
 	@echo 'make check    ruff and mypy'
 	@echo 'make docs     build the documentation into build/site'
 	@echo 'make reference  make the pages of docs/reference anew from the code'
@@ -62,7 +65,14 @@ test: env
 test-live: env $(STAMPS)/colcon
 	$(PYTEST) -m 'process and not smoke'
 
-test-all: test test-live test-vm test-dist
+test-all: test transcripts test-live test-vm test-dist
+
+# `python -m transcripts --record SCENARIO …` with the same path records anew what is meant to change (docs/testing.md).
+transcripts: env
+	PYTHONPATH=tests $(BIN)/python -m transcripts --jobs 2
+
+mutants: env
+	PYTHONPATH=tests $(BIN)/python -m mutants --count $(COUNT) --seed $(SEED) --jobs 2
 
 test-vm: tools
 	$(BIN)/python tests/vm/boot.py
