@@ -275,7 +275,7 @@ class ZdtDrive(Functions):
 
     def owns(self, frame: Frame) -> bool:
         """Whether the frame is of its conversation with the host."""
-        return frame.can_id >> 8 == self.settings.address
+        return frame.extended and frame.can_id >> 8 == self.settings.address
 
     def state_frame(self, now_ns: int) -> Frame:
         """The position it would answer at `now_ns`."""

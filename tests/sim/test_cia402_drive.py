@@ -9,9 +9,9 @@ import struct
 
 import numpy as np
 import pytest
+from drive_bench import MILLISECOND, DriveBench
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from servo_bench import MILLISECOND, ServoBench
 
 from sim.bus import Frame
 from sim.drives import canopen
@@ -33,13 +33,13 @@ WORDS = {0x06: "06 00", 0x07: "07 00", 0x0F: "0F 00", 0x00: "00 00", 0x02: "02 0
 SYNC = "080# "
 
 
-def drive(turns: float = 0.0, **options) -> ServoBench:
-    bench = ServoBench(Cia402Drive(1, counts=COUNTS, turns=turns, **options))
+def drive(turns: float = 0.0, **options) -> DriveBench:
+    bench = DriveBench(Cia402Drive(1, counts=COUNTS, turns=turns, **options))
     bench.drive.reply_delay_ns = (0, 0)
     return bench
 
 
-def put(bench: ServoBench, index: int, value: int, size: int, sub: int = 0) -> None:
+def put(bench: DriveBench, index: int, value: int, size: int, sub: int = 0) -> None:
     """Write an object, which must be taken."""
     data = (value % (1 << 8 * size)).to_bytes(size, "little").ljust(4, b"\0")
     request = bytes((0x2F, 0x2B, 0x27, 0x23)[size - 1 : size]) + struct.pack("<HB", index, sub) + data
@@ -47,7 +47,7 @@ def put(bench: ServoBench, index: int, value: int, size: int, sub: int = 0) -> N
     assert answer.startswith("581# 60"), answer
 
 
-def got(bench: ServoBench, index: int, sub: int = 0) -> int:
+def got(bench: DriveBench, index: int, sub: int = 0) -> int:
     """An object's value, without its sign."""
     (answer,) = bench.ask(Frame(0x601, struct.pack("<BHBI", 0x40, index, sub, 0), False))
     data = bytes.fromhex(answer[5:])
@@ -55,7 +55,7 @@ def got(bench: ServoBench, index: int, sub: int = 0) -> int:
     return int.from_bytes(data[4 : 8 - (data[0] >> 2 & 3)], "little")
 
 
-def control(bench: ServoBench, *words: int) -> int:
+def control(bench: DriveBench, *words: int) -> int:
     """Tell controlwords; the state then."""
     for word in words:
         put(bench, 0x6040, word, 2)
@@ -63,7 +63,7 @@ def control(bench: ServoBench, *words: int) -> int:
     return bench.drive.power
 
 
-def mapped(bench: ServoBench) -> None:
+def mapped(bench: DriveBench) -> None:
     """Map RPDO1 and TPDO1 as rtarm does, and start the node."""
     for pdo, identifier, objects in (
         (0x1400, 0x201, (0x6040_0010, 0x607A_0020)),
@@ -79,7 +79,7 @@ def mapped(bench: ServoBench) -> None:
     bench.tell(START)
 
 
-def following(beat_ms: int = 4) -> ServoBench:
+def following(beat_ms: int = 4) -> DriveBench:
     """A drive that is enabled in CSP, where it stands at 0."""
     bench = drive()
     mapped(bench)
@@ -90,7 +90,7 @@ def following(beat_ms: int = 4) -> ServoBench:
     return bench
 
 
-def aim(bench: ServoBench, counts: int) -> None:
+def aim(bench: DriveBench, counts: int) -> None:
     bench.tell(Frame(0x201, struct.pack("<Hi", 0x0F, counts), False), SYNC)
 
 

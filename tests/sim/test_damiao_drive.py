@@ -9,9 +9,9 @@ import math
 import struct
 
 import pytest
+from drive_bench import DriveBench
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from servo_bench import ServoBench
 
 from sim.bus import Frame
 from sim.drives.damiao import (
@@ -43,14 +43,14 @@ HOW = "7FF# 01 00 CC 00 00 00 00 00"
 CODE_RAD = 25.0 / 65535
 
 
-def motor(rad: float = 0.0, **registers: float) -> ServoBench:
+def motor(rad: float = 0.0, **registers: float) -> DriveBench:
     """A DM4340 with motor ID 1 and master ID 11 (hex); registers by their names here."""
     numbers = {"acc": ACC, "dec": DEC, "mode": CTRL_MODE, "timeout": TIMEOUT, "esc": ESC_ID, "mst": MST_ID}
     held = {MST_ID: 0x11, VMAX: 10.0, TMAX: 28.0} | {numbers[name]: value for name, value in registers.items()}
-    return ServoBench(DamiaoDrive(held, turns=rad / TURN_RAD, load=Load(0.02, 0.02, 20.0)))
+    return DriveBench(DamiaoDrive(held, turns=rad / TURN_RAD, load=Load(0.02, 0.02, 20.0)))
 
 
-def rad(bench: ServoBench) -> float:
+def rad(bench: DriveBench) -> float:
     return bench.turns * TURN_RAD
 
 
@@ -200,7 +200,7 @@ def test_power_brings_back_what_was_stored_and_the_last_turn_alone():
 
 
 def test_without_an_encoder_at_the_shaft_it_counts_from_where_it_gets_its_power():
-    bench = ServoBench(DamiaoDrive({MST_ID: 0x11}, absolute=False, turns=0.3))
+    bench = DriveBench(DamiaoDrive({MST_ID: 0x11}, absolute=False, turns=0.3))
     assert bench.drive.counted == pytest.approx(0.3)
     bench.drive.power_off(bench.now_ns)
     bench.drive.power_on(bench.now_ns)

@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 import pytest
+from drive_bench import DriveBench
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from servo_bench import ServoBench
 
 from sim.bus import Frame
 from sim.drives.mks import STALL_NS, MksDrive, checksum
@@ -23,9 +23,9 @@ BUS_MODE = {0x82: b"\x05"}
 QUIET = BUS_MODE | {0x8C: b"\x00\x00"}
 
 
-def drive(turns: float = 0.0, enabled: bool = True, **options) -> ServoBench:
+def drive(turns: float = 0.0, enabled: bool = True, **options) -> DriveBench:
     options.setdefault("settings", BUS_MODE)
-    bench = ServoBench(MksDrive(position=round(turns * GRAINS_PER_REVOLUTION), **options))
+    bench = DriveBench(MksDrive(position=round(turns * GRAINS_PER_REVOLUTION), **options))
     if enabled:
         assert bench.ask("001# F3 01 F5") == ["001# F3 01 F5"]  # (facts)
     return bench
@@ -39,7 +39,7 @@ def said(*data: int, can_id: int = 1) -> str:
     return f"{can_id:03X}# " + bytes((*data, checksum(can_id, bytes(data)))).hex(" ").upper()
 
 
-def counts(bench: ServoBench) -> int:
+def counts(bench: DriveBench) -> int:
     (answer,) = bench.ask(READ)
     return int.from_bytes(bytes.fromhex(answer[5:])[1:7], "big", signed=True)
 

@@ -9,9 +9,9 @@ import math
 import struct
 
 import pytest
+from drive_bench import DriveBench
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from servo_bench import ServoBench
 
 from sim.bus import Frame
 from sim.drives.myactuator import OFF, POSITION, RESTART_NS, SPEED, MyactuatorDrive, Settings
@@ -27,13 +27,13 @@ STOP = "141# 81 00 00 00 00 00 00 00"
 RESTART = "141# 76 00 00 00 00 00 00 00"
 
 
-def motor(turns: float = 0.0, **changes) -> ServoBench:
-    bench = ServoBench(MyactuatorDrive(Settings(**changes), turns=turns, load=Load(1e-3, 0.02, 10.0), seed=1))
+def motor(turns: float = 0.0, **changes) -> DriveBench:
+    bench = DriveBench(MyactuatorDrive(Settings(**changes), turns=turns, load=Load(1e-3, 0.02, 10.0), seed=1))
     bench.drive.celsius, bench.drive.supply_v = 50.0, 48.5
     return bench
 
 
-def status(bench: ServoBench) -> tuple[int, int]:
+def status(bench: DriveBench) -> tuple[int, int]:
     """Brake and errors, as 9A tells them."""
     data = bytes.fromhex(bench.ask(STATUS)[0].partition("# ")[2])
     return data[3], int.from_bytes(data[6:], "little")

@@ -9,9 +9,9 @@ import struct
 
 import numpy as np
 import pytest
+from drive_bench import DriveBench
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from servo_bench import ServoBench
 
 from sim.bus import Frame
 from sim.drives.odrive import (
@@ -37,8 +37,8 @@ def quiet(node_id: int = 1, **changes) -> Settings:
     )
 
 
-def axis(turns: float = 0.0, **changes) -> ServoBench:
-    return ServoBench(OdriveDrive(quiet(**changes), turns=turns, load=Load(1e-4, 0.01, 4.0)))
+def axis(turns: float = 0.0, **changes) -> DriveBench:
+    return DriveBench(OdriveDrive(quiet(**changes), turns=turns, load=Load(1e-4, 0.01, 4.0)))
 
 
 def position(turns: float, ahead: int = 0, torque: int = 0, node: int = 1) -> Frame:
@@ -91,7 +91,7 @@ def test_a_remote_request_of_any_length_is_answered():
 
 
 def test_heartbeats_and_estimates_come_by_themselves():
-    bench = ServoBench(OdriveDrive(Settings(node_id=1)))
+    bench = DriveBench(OdriveDrive(Settings(node_id=1)))
     said = bench.wait(1000)
     assert said.count("021# 00 00 00 00 01 00 00 80") == 10  # idle, trajectory done
     assert said.count("029# 00 00 00 00 00 00 00 00") == 100

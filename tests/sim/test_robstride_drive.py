@@ -9,9 +9,9 @@ import math
 import struct
 
 import pytest
+from drive_bench import DriveBench
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from servo_bench import ServoBench
 
 from sim.bus import Frame
 from sim.drives.robstride import OVER_CURRENT, RESET, RUN, STALL, RobstrideDrive, Settings
@@ -27,8 +27,8 @@ LET_GO = "0400AA01# 00 00 00 00 00 00 00 00"
 CLEAR = "0400AA01# 01 00 00 00 00 00 00 00"
 
 
-def motor(turns: float = 0.0, **changes) -> ServoBench:
-    bench = ServoBench(
+def motor(turns: float = 0.0, **changes) -> DriveBench:
+    bench = DriveBench(
         RobstrideDrive(Settings(**{"motor_id": 1} | changes), turns=turns, load=Load(1e-3, 0.02, 10.0), seed=1)
     )
     bench.drive.celsius = 30.5
@@ -39,7 +39,7 @@ def write(index: int, value: float) -> Frame:
     return Frame(0x1200AA01, struct.pack("<Hxxf", index, value))
 
 
-def radians(bench: ServoBench) -> float:
+def radians(bench: DriveBench) -> float:
     return bench.turns * TURN_RAD
 
 

@@ -1,9 +1,11 @@
-"""Hands frames to one simulated servo drive and takes what it says, in virtual time and without a bus."""
+"""Hands frames to one simulated drive and takes what it says, in virtual time and without a bus."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from sim.bus import Frame
-from sim.drives.conversation import ServoDrive
+from sim.drives.drive import Drive
 
 MILLISECOND = 1_000_000
 
@@ -21,10 +23,10 @@ def text(said: Frame) -> str:
     return f"{ident}# " + ("remote" if said.remote else said.data.hex(" ").upper())
 
 
-class ServoBench:
+class DriveBench:
     """A drive on a table, whose frames come and go at once."""
 
-    def __init__(self, drive: ServoDrive) -> None:
+    def __init__(self, drive: Drive) -> None:
         self.drive = drive
         self.now_ns = 0
 
@@ -66,3 +68,17 @@ class ServoBench:
     def turns_s(self) -> float:
         """How fast it truly is [rev/s]."""
         return self.drive.shaft.past(self.now_ns)[1] / 60.0
+
+    def motion(self, since_ns: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """Its true positions [rev] and speeds [rev/s] since a time, every quarter of a millisecond.
+
+        Raises:
+            AssertionError: a position is no number, or not the one that the speeds lead to.
+        """
+        changes_ns = np.unique(np.append(self.drive.shaft.changes_ns(), self.now_ns))
+        positions, rpm = self.drive.shaft.history(changes_ns)
+        assert np.isfinite(positions).all()
+        way = rpm[:-1] / 60.0 * np.diff(changes_ns) * 1e-9
+        assert np.allclose(np.diff(positions), way, atol=1e-9 * max(1.0, np.abs(positions).max()))
+        turns, rpm = self.drive.shaft.history(np.arange(since_ns, self.now_ns + 1, MILLISECOND // 4))
+        return turns, rpm / 60.0
