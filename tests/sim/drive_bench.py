@@ -48,7 +48,7 @@ class DriveBench:
         return self.heard()
 
     def wait(self, milliseconds: float) -> list[str]:
-        """Let time pass, waking the drive when it wants to be; what it said of its own accord."""
+        """Let time pass, waking the drive when it wants to be; what it has said until its end."""
         end_ns = self.now_ns + round(milliseconds * MILLISECOND)
         texts = []
         while self.drive.wake_ns <= end_ns:
@@ -57,7 +57,7 @@ class DriveBench:
             texts += self.heard()
         self.now_ns = end_ns
         self.drive.advance(end_ns)
-        return texts
+        return texts + self.heard()
 
     @property
     def turns(self) -> float:

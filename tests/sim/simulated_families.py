@@ -16,7 +16,7 @@ from drive_bench import DriveBench, text
 from sim.bus import Frame
 from sim.drives import damiao, myactuator, odrive, robstride
 from sim.drives.cia402 import Cia402Drive
-from sim.drives.drive import Cause, Drive
+from sim.drives.drive import Drive
 from sim.drives.mks import MksDrive
 from sim.drives.ramp import GRAINS_PER_REVOLUTION
 from sim.drives.servo import Load
@@ -35,85 +35,53 @@ COASTS = LOAD.friction_nm / LOAD.inertia_kg_m2 / TURN_RAD
 STEPPER_COASTS = 1000 / 60
 """A stepper that is let go loses 1 rpm a millisecond [rev/s²]."""
 
+Frames = tuple[str, ...]
 Ask = tuple[str, Callable[[bytes], float]]
 """A request, and the number in the data of its answer."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """One drive of a family, by its number on the bus.
+    """One drive of a family, by its number on the bus; what a row does not say is as below."""
 
-    Attributes:
-        arm: an arm file whose first joint has such a drive with number 1.
-        make: a drive that stands at some turns and counts them; options beside that are the family's.
-        enable: lets it hold where it stands, which is told it in revolutions.
-        go: sends it to so many revolutions of its count, with `TOP`.
-        stop: brakes it, and it goes on holding.
-        let_go, clear: disables it; clears its errors.
-        where: asks for its position [rev].
-        status: asks how it is, in words of its own.
-        says: those words, see `words`; without a watchdog there are none for "silence".
-        silent: what it answers to a frame that is no request of its protocol.
-        sealed: puts a checksum where its protocol has one.
-        mailboxes: answers that wait at most; None for as many as it is asked for.
-        within: how near to its target it ends [rev].
-        brakes_s: most time that it takes from `TOP` to rest.
-        coasts: how fast it loses speed when it is let go [rev/s²].
-        overshoots: how far it may go beyond its target [rev]; its speed is then its own, too.
-        holds_at_power: whether it holds its shaft when power comes.
-        obeys_limp: whether a target enables it.
-        keeps_target: whether it goes where it was told before it was enabled.
-        knows_its_angle: options with which its encoder does, when power comes; None where there are none.
-        boots_ms: time until it hears after power has come.
-        clears_ms: time that clearing an error takes.
-        ends_by_itself: causes whose error ends with them.
-        watched, watch, feed, feeds_not: options and frames that set its watchdog, a frame that satisfies it, and one
-            for this drive that does not; no `feed`, no watchdog.
-        reals: whether its targets are floating-point numbers.
-        zero, zeroes_ms: makes it count 0 where it stands; nothing where that cannot be told it.
-        volts, celsius: asks for its supply [V] and temperature [°C], if they can be set.
-        volatile: a write, a read, and the answer to that before the write: what power makes it forget.
-        renumber: makes it number 2; nothing where that cannot be told it.
-    """
-
-    arm: str
-    make: Callable[..., Drive]
-    enable: Callable[[float], tuple[str, ...]]
-    go: Callable[[float], tuple[str, ...]]
-    stop: tuple[str, ...]
-    let_go: tuple[str, ...]
-    clear: tuple[str, ...]
-    where: Ask
-    status: Callable[[DriveBench], str]
-    says: dict[str | Cause, str]
-    silent: tuple[str, ...] = ()
-    sealed: Callable[[Frame], Frame] = lambda whole: whole
-    mailboxes: int | None = 16
-    within: float = 1e-6
-    brakes_s: float = 0.1
-    coasts: float = COASTS
-    overshoots: float = 0.0
-    holds_at_power: bool = False
-    obeys_limp: bool = False
-    keeps_target: bool = False
-    knows_its_angle: dict[str, bool] | None = field(default_factory=lambda: {"absolute": True})
-    boots_ms: float = 0.0
-    clears_ms: float = 0.0
-    ends_by_itself: tuple[Cause, ...] = ()
-    watched: dict[str, float] = field(default_factory=dict)
-    watch: tuple[str, ...] = ()
-    feed: str = ""
-    feeds_not: str = ""
-    reals: bool = False
-    zero: tuple[str, ...] = ()
-    zeroes_ms: float = 0.0
-    volts: Ask | None = None
-    celsius: Ask | None = None
-    volatile: tuple[str, str, str] | None = None
-    renumber: str = ""
+    arm: str  # an arm file whose first joint has such a drive with number 1
+    make: Callable[..., Drive]  # a drive that stands at some turns and counts them; has options beside that
+    enable: Callable[[float], Frames]  # lets it hold where it stands, which is told it [rev]
+    go: Callable[[float], Frames]  # sends it to where it counts so much [rev], with `TOP`
+    stop: Frames  # brakes it, and it goes on holding
+    let_go: Frames  # disables it
+    clear: Frames  # clears its errors
+    where: Ask  # asks for its position [rev]
+    status: Callable[[DriveBench], str]  # asks how it is, in words of its own
+    says: dict[str, str]  # those words, see `words`
+    silent: Frames = ()  # what it answers to what is no request
+    sealed: Callable[[Frame], Frame] = lambda whole: whole  # puts a checksum where its protocol has one
+    mailboxes: int | None = 16  # answers that wait at most; None for as many as it is asked for
+    within: float = 1e-6  # how near to its target it ends [rev]
+    brakes_s: float = 0.1  # most time that it takes from `TOP` to rest
+    coasts: float = COASTS  # how fast it loses speed when it is let go [rev/s²]
+    overshoots: float = 0.0  # how far it may go beyond its target [rev]; its speed is then its own, too
+    holds_at_power: bool = False  # whether it holds its shaft when power comes
+    obeys_limp: bool = False  # whether a target enables it
+    keeps_target: bool = False  # whether it goes where it was told before it was enabled
+    knows_its_angle: dict[str, bool] | None = field(default_factory=lambda: {"absolute": True})  # options, if it can
+    boots_ms: float = 0.0  # time until it hears after power has come
+    clears_ms: float = 0.0  # time that clearing an error takes
+    ends_by_itself: Frames = ()  # causes whose error ends with them
+    watched: dict[str, float] = field(default_factory=dict)  # options that set its watchdog
+    watch: Frames = ()  # frames that set it
+    feed: str = ""  # a frame that satisfies it; none where there is no watchdog
+    feeds_not: str = ""  # one for this drive that does not
+    reals: bool = False  # whether its targets are floating-point numbers
+    zero: Frames = ()  # makes it count 0 where it stands, if it can
+    zeroes_ms: float = 0.0  # time that takes
+    volts: Ask | None = None  # asks for its supply [V], if that can be set
+    celsius: Ask | None = None  # asks for its temperature [°C], if that can be set
+    volatile: Frames = ()  # a write, a read, and the answer to that before the write: what power makes it forget
+    renumber: str = ""  # makes it number 2, if it can
 
     @property
-    def commands(self) -> tuple[str, ...]:
+    def commands(self) -> Frames:
         """What a drive obeys that is sent to a turn's way off."""
         return (*self.enable(0.0), *self.go(1.0), *self.stop, *self.let_go, *self.clear)
 
@@ -169,7 +137,7 @@ def answered(*requests: str) -> Callable[[DriveBench], str]:
     return status
 
 
-def words(*said: str) -> dict[str | Cause, str]:
+def words(*said: str) -> dict[str, str]:
     """What a status is while the drive is limp, holds, had each error, got its power, and had a silent host."""
     return dict(zip(("limp", "holding", "stall", "temperature", "current", "power", "silence"), said, strict=False))
 
@@ -188,7 +156,7 @@ def zdt(node: int, firmware: str = "new") -> Family:
     """Emm_V5 (the maker's manuals V1.0.3 and V1.0.5): 3200 pulses and 65536 counts to the turn."""
     head = f"{node << 8:08X}#"
 
-    def go(turns: float) -> tuple[str, ...]:
+    def go(turns: float) -> Frames:
         # 60 rpm, 246: 1 rpm in 10 steps of 50 us; absolute, at once.
         sign, pulses = int(turns < 0), f"{abs(round(turns * 3200)):08X}"
         return f"{head} FD {sign:02X} 00 3C F6 {pulses[:6]}", f"{node << 8 | 1:08X}# FD {pulses[6:]} 01 00 6B"
@@ -218,7 +186,7 @@ def zdt(node: int, firmware: str = "new") -> Family:
         watch=(f"{head} 68 38 00 00 00 00 64 6B",) if new else (),
         feed=f"{head} 3A 6B" if new else "",
         zero=(f"{head} 0A 6D 6B",),
-        volatile=(f"{head} 68 38 00 00 00 13 88 6B", f"{head} 16 6B", f"{head} 16 00 00 00 00 6B") if new else None,
+        volatile=(f"{head} 68 38 00 00 00 13 88 6B", f"{head} 16 6B", f"{head} 16 00 00 00 00 6B") if new else (),
         renumber=f"{head} AE 4B 00 02 6B",
     )
 
@@ -301,21 +269,15 @@ def odrives(node: int) -> Family:
 def _damiao(node: int, mode: int, **row: object) -> Family:
     """What its modes share: the ends of commands (FC, FD, FE, FB), and registers on 7FF."""
 
-    def state(last: int) -> tuple[str, ...]:
+    def state(last: int) -> Frames:
         return (f"{node:03X}# FF FF FF FF FF FF FF {last:02X}",)
 
     def register(number: int) -> Ask:
         return f"7FF# {node:02X} 00 33 {number:02X} 00 00 00 00", lambda data: struct.unpack("<f", data[4:])[0]
 
     def make(turns: float, *, seed: int = 0, absolute: bool = False, timeout: int = 0) -> Drive:
-        held = {
-            damiao.CTRL_MODE: mode,
-            damiao.ESC_ID: node,
-            damiao.MST_ID: 0x10 + node,
-            damiao.VMAX: 10.0,
-            damiao.TMAX: 28.0,
-            damiao.TIMEOUT: timeout,
-        }
+        held = {damiao.CTRL_MODE: mode, damiao.ESC_ID: node, damiao.MST_ID: 0x10 + node, damiao.TIMEOUT: timeout}
+        held |= {damiao.VMAX: 10.0, damiao.TMAX: 28.0}
         return damiao.DamiaoDrive(held, absolute=absolute, turns=turns, load=LOAD, seed=seed)
 
     request, decoded = register(81)
@@ -347,26 +309,17 @@ def _damiao(node: int, mode: int, **row: object) -> Family:
 def damiao_position_velocity(node: int) -> Family:
     """A DM4340 that goes to targets by trapezoids (damiao-motor 1.0.6)."""
 
-    def told(turns: float, turns_s: float) -> tuple[str, ...]:
+    def go(turns: float, turns_s: float = TOP) -> Frames:
         return (f"{0x100 + node:03X}# {floats(turns * TURN_RAD, turns_s * TURN_RAD)}",)
 
     # Ramps of 20 rad/s².
-    return _damiao(
-        node,
-        2,
-        arm="damiao6_pv",
-        go=lambda turns: told(turns, TOP),
-        stop=told(0.0, 0.0),
-        brakes_s=0.4,
-        within=1e-5,
-        reals=True,
-    )
+    return _damiao(node, 2, arm="damiao6_pv", go=go, stop=go(0.0, 0.0), brakes_s=0.4, within=1e-5, reals=True)
 
 
 def damiao_mit(node: int) -> Family:
     """The same led by stiffness and damping: kp 10 and kd 2, and damping of 5 alone for a stop."""
 
-    def go(turns: float) -> tuple[str, ...]:
+    def go(turns: float) -> Frames:
         code = round((turns * TURN_RAD + 12.5) * 65535 / 25.0)
         return (f"{node:03X}# {code >> 8:02X} {code & 0xFF:02X} 7F F0 51 66 67 FF",)
 
@@ -387,7 +340,7 @@ def cia402(node: int) -> Family:
     def get(index: int) -> str:
         return f"{sdo} 40 {index & 0xFF:02X} {index >> 8:02X} 00 00 00 00 00"
 
-    def control(*words: int) -> tuple[str, ...]:
+    def control(*words: int) -> Frames:
         return tuple(put(0x6040, one, 2) for one in words)
 
     def make(turns: float, **options: object) -> Drive:
@@ -467,9 +420,8 @@ def _robstride(node: int, *, planner: bool) -> Family:
         return told(0x12, f"{index & 0xFF:02X} {index >> 8:02X} 00 00 {floats(value)}")
 
     def get(index: int) -> Ask:
-        return told(0x11, f"{index & 0xFF:02X} {index >> 8:02X} 00 00 00 00 00 00"), lambda data: struct.unpack(
-            "<f", data[4:]
-        )[0]
+        request = told(0x11, f"{index & 0xFF:02X} {index >> 8:02X} 00 00 00 00 00 00")
+        return request, lambda data: struct.unpack("<f", data[4:])[0]
 
     def make(turns: float, *, seed: int = 0, **options: object) -> Drive:
         settings = robstride.Settings(motor_id=node, robstride=planner, **options)
@@ -480,18 +432,16 @@ def _robstride(node: int, *, planner: bool) -> Family:
         flags = int(feedback[2:4], 16)
         return f"{flags >> 6} {flags & 0x3F:02X}"
 
+    def go(turns: float) -> Frames:
+        return put(speed, TOP * TURN_RAD), put(0x7016, turns * TURN_RAD)
+
     request, decoded = get(0x7019)
     return Family(
         arm="robstride6_position",
         make=make,
         # It goes where it was told last, so that comes first.
-        enable=lambda here: (
-            told(0x12, "05 70 00 00 01 00 00 00"),
-            put(0x7016, here * TURN_RAD),
-            put(speed, TOP * TURN_RAD),
-            told(0x03),
-        ),
-        go=lambda turns: (put(speed, TOP * TURN_RAD), put(0x7016, turns * TURN_RAD)),
+        enable=lambda here: (told(0x12, "05 70 00 00 01 00 00 00"), *go(here), told(0x03)),
+        go=go,
         stop=(put(speed, 0.0),),
         let_go=(told(0x04),),
         clear=(told(0x04, "01 00 00 00 00 00 00 00"),),

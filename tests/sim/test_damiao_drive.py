@@ -10,8 +10,6 @@ import struct
 
 import pytest
 from drive_bench import DriveBench
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from sim.bus import Frame
 from sim.drives.damiao import (
@@ -21,7 +19,6 @@ from sim.drives.damiao import (
     ENABLED,
     ESC_ID,
     LIMP,
-    LOST_COMMUNICATION,
     MIT,
     MST_ID,
     POSITION_VELOCITY,
@@ -107,32 +104,12 @@ def test_an_id_of_sixteen_or_more_spoils_the_status():
 # --- enabling, errors, alarm ----------------------------------------------------------------------------
 
 
-def test_limp_motors_obey_nothing_and_answer():
-    bench = motor()
-    (answer,) = bench.ask(TO_ONE)
-    bench.wait(500)
-    assert (rad(bench), answer[5:7]) == (0.0, "01")
-    bench.tell(ENABLE)
-    bench.wait(500)
-    assert rad(bench) == 0.0  # what was told before is forgotten
-
-
 def test_a_motor_that_keeps_its_targets_goes_there():
     bench = motor(mode=POSITION_VELOCITY)
     bench.drive.keeps_targets = True
     bench.tell(GO_TO_ONE, ENABLE)
     bench.wait(2000)
     assert rad(bench) == pytest.approx(1.0, abs=1e-6)
-
-
-def test_a_disabled_motor_coasts():
-    bench = motor(mode=POSITION_VELOCITY, acc=100.0)
-    bench.tell(ENABLE, moved(10.0, 5.0))
-    bench.wait(500)
-    bench.tell(DISABLE)
-    assert bench.ask(HOW)[0][5:7] == "01"
-    bench.wait(10)
-    assert bench.turns_s * TURN_RAD == pytest.approx(5.0, rel=0.02)
 
 
 def test_commands_of_state_count_on_all_that_it_hears():
@@ -145,33 +122,6 @@ def test_only_a_limp_motor_stores():
     bench = motor()
     bench.tell(ENABLE)
     assert bench.ask("7FF# 01 00 AA 01 00 00 00 00") == []
-
-
-@pytest.mark.parametrize(("cause", "code"), [("stall", 0xE), ("temperature", 0xC), ("current", 0xA)])
-def test_errors_let_go_and_stay_until_they_are_cleared(cause, code):
-    bench = motor()
-    bench.tell(ENABLE)
-    bench.drive.protect(bench.now_ns, cause)
-    assert bench.ask(ENABLE)[0][5] == f"{code:X}"
-    bench.drive.cause_lasts = True
-    assert bench.ask(CLEAR)[0][5] == f"{code:X}"
-    bench.drive.cause_lasts = False
-    assert bench.ask(CLEAR)[0][5] == "0"
-    assert bench.ask(ENABLE)[0][5] == "1"
-
-
-def test_the_alarm_lets_go_of_a_motor_that_hears_no_command():
-    """10,000 units of 50 µs are half a second; asking for feedback is no command."""
-    bench = motor(timeout=10_000)
-    bench.tell(ENABLE, TO_ONE)
-    for _ in range(4):
-        bench.wait(400)
-        assert bench.ask(TO_ONE)[0][5] == "1"
-    bench.wait(400)
-    assert bench.ask(HOW)[0][5] == "1"
-    bench.wait(200)
-    assert bench.ask(HOW)[0][5] == "D"
-    assert (bench.drive.status, bench.drive.enabled) == (LOST_COMMUNICATION, False)
 
 
 def test_no_alarm_rings_of_a_motor_that_is_limp_or_has_none():
@@ -197,20 +147,6 @@ def test_power_brings_back_what_was_stored_and_the_last_turn_alone():
     bench.drive.power_off(bench.now_ns)
     bench.drive.power_on(bench.now_ns)
     assert bench.drive.registers[CTRL_MODE] == POSITION_VELOCITY
-
-
-def test_without_an_encoder_at_the_shaft_it_counts_from_where_it_gets_its_power():
-    bench = DriveBench(DamiaoDrive({MST_ID: 0x11}, absolute=False, turns=0.3))
-    assert bench.drive.counted == pytest.approx(0.3)
-    bench.drive.power_off(bench.now_ns)
-    bench.drive.power_on(bench.now_ns)
-    assert bench.drive.counted == 0.0
-
-
-def test_zero_is_set_where_it_stands():
-    bench = motor(rad=1.0)
-    assert bench.ask(ZERO)[0][8:13] == "7F FF"
-    assert rad(bench) == pytest.approx(1.0)
 
 
 # --- modes ----------------------------------------------------------------------------------------------
@@ -298,9 +234,9 @@ def test_registers_take_what_they_may(register, value, held):
 
 def test_measured_registers():
     bench = motor(rad=0.5)
-    bench.drive.supply_v, bench.drive.celsius = 23.5, 41.0
-    values = [bench.ask(f"7FF# 01 00 33 {number:02X} 00 00 00 00")[0][17:] for number in (60, 61, 62, 81)]
-    assert [struct.unpack("<f", bytes.fromhex(value))[0] for value in values] == [23.5, 36.0, 41.0, 0.5]
+    bench.drive.celsius = 41.0
+    values = [bench.ask(f"7FF# 01 00 33 {number:02X} 00 00 00 00")[0][17:] for number in (61, 80)]
+    assert [struct.unpack("<f", bytes.fromhex(value))[0] for value in values] == [36.0, 0.5]
 
 
 def test_other_ids_are_its_own_from_then_on():
@@ -316,12 +252,7 @@ def test_other_ids_are_its_own_from_then_on():
 @pytest.mark.parametrize(
     "frame",
     [
-        "002# FF FF FF FF FF FF FF FC",
-        "001# FF FF FF FF FF FF FC",
-        "00000001# FF FF FF FF FF FF FF FC",
-        "001# remote",
         "081# FF FF FF FF FF FF FF FC",
-        "7FF# 02 00 CC 00 00 00 00 00",
         "7FF# 01 01 CC 00 00 00 00 00",
         "7FF# 01 00 33 29 00 00 00 00",  # no such register
         "7FF# 01 00 44 0A 00 00 00 00",  # no such operation
@@ -334,27 +265,3 @@ def test_what_is_not_for_it_meets_silence(frame):
     bench = motor()
     assert bench.ask(frame) == []
     assert (bench.drive.status, bench.drive.registers[CTRL_MODE]) == (LIMP, MIT)
-
-
-def test_what_it_owns():
-    drive = motor().drive
-    owned = [Frame(number, bytes(8), extended=False) for number in (0x001, 0x101, 0x201, 0x301, 0x011)]
-    assert all(map(drive.owns, owned))
-    assert drive.owns(Frame(0x7FF, b"\x01\x00\xcc\x00", extended=False))
-    assert not drive.owns(Frame(0x7FF, b"\x02\x00\xcc\x00", extended=False))
-    assert not drive.owns(Frame(0x001, bytes(8)))
-    assert not drive.owns(Frame(0x002, bytes(8), extended=False))
-
-
-@settings(deadline=None, max_examples=100)
-@given(
-    st.lists(st.tuples(st.sampled_from([0x001, 0x101, 0x201, 0x301, 0x7FF, 0x002]), st.binary(max_size=8)), max_size=20)
-)
-def test_no_frames_break_it(frames):
-    bench = motor(timeout=100)
-    bench.tell(ENABLE)
-    for can_id, data in frames:
-        bench.tell(Frame(can_id, (b"\x01\x00" + data)[:8] if can_id == 0x7FF else data, extended=False))
-        bench.wait(3)
-    assert math.isfinite(bench.turns) and math.isfinite(bench.turns_s)
-    assert len(bench.drive.state_frame(bench.now_ns).data) == 8

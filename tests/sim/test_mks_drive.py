@@ -5,13 +5,9 @@ Frames marked (facts) are the vectors of other-drives.md, (manual) those of the 
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from drive_bench import DriveBench
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from sim.bus import Frame
 from sim.drives.mks import STALL_NS, MksDrive, checksum
@@ -171,20 +167,6 @@ def test_older_firmware_refuses_a_target_in_mid_move():
     assert counts(bench) == COUNTS
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.lists(st.tuples(st.integers(-40_000, 40_000), st.integers(20, 3000), st.integers(200, 255)), max_size=6))
-def test_whatever_targets_come_the_last_one_is_where_it_ends(targets):
-    bench = drive(settings=QUIET)
-    last = 0
-    for target, rpm, acc in targets:
-        last = target
-        bench.tell(told(0xF5, *rpm.to_bytes(2, "big"), acc, *(target & 0xFFFFFF).to_bytes(3, "big")))
-        bench.wait(37)
-    bench.wait(60_000)
-    assert counts(bench) == last
-    assert bench.ask("001# F1 F2") == ["001# F1 01 F3"]
-
-
 # --- answers --------------------------------------------------------------------------------------------
 
 
@@ -209,32 +191,18 @@ def test_a_broadcast_is_obeyed_and_not_answered():
 @pytest.mark.parametrize(
     "frame",
     [
-        told(0x31, can_id=2),
-        Frame(1, bytes.fromhex("31 33"), extended=False),  # wrong sum
-        Frame(1, bytes.fromhex("31 32"), extended=True),
-        Frame(1, bytes(2), extended=False, remote=True),
-        Frame(1, b"", extended=False),
-        Frame(1, b"\x01", extended=False),
+        "001# 31 33",  # wrong sum
+        "001# 01",
         told(0x31, 0),
         told(0xF5, 2, 0x58, 2, 0, 0x40),
         told(0xAA),
         told(0x91, 1, 2),
     ],
 )
-def test_what_is_not_for_it_or_no_command_meets_silence(frame):
+def test_what_is_no_command_meets_silence(frame):
     bench = drive()
     assert bench.ask(frame) == [] and bench.wait(1000) == []
     assert bench.turns == 0.0
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.lists(st.binary(max_size=8), max_size=8), st.booleans())
-def test_no_bytes_break_it(frames, summed):
-    bench = drive()
-    for data in frames:
-        bench.tell(told(*data[:7]) if summed else Frame(1, data, extended=False))
-        bench.wait(1)
-    assert bench.drive.state in range(7) and math.isfinite(bench.turns)
 
 
 # --- settings -------------------------------------------------------------------------------------------
@@ -259,6 +227,9 @@ def test_settings_are_kept_or_refused(setting, result):
     before = bench.drive.settings[setting[0]]
     assert bench.ask(told(*setting)) == [said(setting[0], result)]
     assert bench.ask(told(0, setting[0])) == [said(setting[0], *(setting[1:] if result else before))]
+    bench.drive.power_off(bench.now_ns)
+    bench.drive.power_on(bench.now_ns)
+    assert bench.drive.settings[setting[0]] == (bytes(setting[1:]) if result else before), "it is in flash"
 
 
 def test_a_new_identifier_counts_from_the_next_frame():
@@ -292,31 +263,13 @@ def test_a_blocked_shaft_trips_the_protection_where_that_is_on():
     assert bench.ask("001# 3E 3F") == [said(0x3E, 1)]
     assert bench.ask("001# 3A 3B") == [said(0x3A, 0)]
     assert bench.ask("001# F3 01 F5") == [said(0xF3, 0)]
+    assert bench.ask("001# F5 02 58 02 00 40 00 92") == [said(0xF5, 0)]
+    bench.drive.cause_lasts = True
+    assert bench.ask("001# 3D 3E") == [said(0x3D, 0)]
+    bench.drive.cause_lasts = False
     assert bench.ask("001# 3D 3E") == [said(0x3D, 1)]
     assert bench.ask("001# F3 01 F5") == ["001# F3 01 F5"]
     assert bench.turns == 0.25
-
-
-def test_a_protection_whose_cause_lasts_cannot_be_cleared():
-    bench = drive()
-    bench.drive.protect(bench.now_ns, "stall")
-    bench.drive.cause_lasts = True
-    assert bench.ask("001# 3D 3E") == [said(0x3D, 0)]
-    assert bench.ask("001# F5 02 58 02 00 40 00 92") == [said(0xF5, 0)]
-    bench.drive.cause_lasts = False
-    assert bench.ask("001# 3D 3E") == [said(0x3D, 1)]
-
-
-def test_power_comes_back_with_a_loose_shaft_that_counts_from_zero():
-    bench = drive(turns=3.3)
-    assert counts(bench) == math.floor(3.3 * COUNTS)
-    bench.drive.power_off(bench.now_ns)
-    bench.wait(500)
-    assert not bench.drive.listening
-    bench.drive.power_on(bench.now_ns)
-    assert counts(bench) == 0 and bench.turns == pytest.approx(3.3)
-    assert bench.ask("001# 3A 3B") == [said(0x3A, 0)]
-    assert bench.ask("001# 00 82 83") == ["001# 82 05 88"]  # it is in flash
 
 
 def test_an_error_is_told_while_the_shaft_is_held_back():
@@ -378,15 +331,6 @@ def test_the_limit_stops_motion_towards_the_switch_alone():
     assert bench.ask(told(0xF5, 0, 60, 0, 0, 0x40, 0)) == [said(0xF5, 1)]
     bench.wait(2000)
     assert bench.turns == pytest.approx(1.0, abs=1e-6)
-
-
-def test_zero_is_set_where_it_stands():
-    bench = drive(turns=1.5)
-    assert bench.ask("001# 92 93") == [said(0x92, 1)]  # (manual)
-    assert counts(bench) == 0
-    bench.tell("001# F5 02 58 F0 00 40 00 80")
-    bench.wait(3000)
-    assert bench.turns == pytest.approx(2.5, abs=1e-6)
 
 
 def test_calibrating_takes_a_while_and_moves_nothing():

@@ -10,8 +10,6 @@ import struct
 import numpy as np
 import pytest
 from drive_bench import DriveBench
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from sim.bus import Frame
 from sim.drives.odrive import (
@@ -19,7 +17,6 @@ from sim.drives.odrive import (
     ESTOP_REQUESTED,
     IDLE,
     INVALID_STATE,
-    WATCHDOG_EXPIRED,
     OdriveDrive,
     Settings,
 )
@@ -101,26 +98,7 @@ def test_heartbeats_and_estimates_come_by_themselves():
     assert "021# 00 40 00 00 01 00 00 80" in bench.wait(100)
 
 
-def test_answers_come_after_the_reply_delay_and_keep_their_order():
-    drive = OdriveDrive(quiet())
-    for now_ns in range(0, 500_000, 50_000):
-        drive.receive(now_ns, Frame(0x029, b"", extended=False, remote=True))
-    ready = [time_ns for time_ns, _ in drive.outbox]
-    assert ready == sorted(ready)
-    least, greatest = drive.reply_delay_ns
-    assert ready[0] >= least
-    assert all(time_ns <= now_ns + greatest for now_ns, time_ns in zip(range(0, 500_000, 50_000), ready, strict=True))
-
-
 # --- states ---------------------------------------------------------------------------------------------
-
-
-def test_closing_the_loop_moves_nothing():
-    bench = axis(turns=3.3)
-    bench.tell(position(50.0, 500), CLOSE)
-    bench.wait(500)
-    assert bench.drive.state == CLOSED_LOOP
-    assert bench.turns == 3.3
 
 
 def test_an_axis_that_is_not_calibrated_must_be_first():
@@ -155,39 +133,13 @@ def test_an_error_opens_the_loop_and_clearing_does_not_close_it():
 
 
 @pytest.mark.parametrize(
-    ("cause", "heartbeat", "motor", "controller"),
-    [
-        ("stall", "021# 00 02 00 00 01 00 00 81", 0, 0x80),
-        ("temperature", "021# 00 00 04 00 01 00 00 80", 0, 0),
-        ("current", "021# 40 00 00 00 01 01 00 80", 0x1000, 0),
-    ],
+    ("cause", "motor", "controller"), [("stall", 0, 0x80), ("temperature", 0, 0), ("current", 0x1000, 0)]
 )
-def test_what_a_protection_says(cause, heartbeat, motor, controller):
-    bench = axis(heartbeat_ms=100)
-    bench.tell(CLOSE)
-    bench.drive.cause_lasts = True
+def test_which_part_failed_can_be_read(cause, motor, controller):
+    bench = axis()
     bench.drive.protect(bench.now_ns, cause)
-    assert heartbeat in bench.wait(100)
-    bench.tell("038#")
-    assert heartbeat in bench.wait(100)
     assert bench.ask("023# remote") == [f"023# {struct.pack('<Q', motor).hex(' ').upper()}"]
     assert bench.ask("03D# remote") == [f"03D# {struct.pack('<Q', controller).hex(' ').upper()}"]
-    bench.drive.cause_lasts = False
-    bench.tell("038#")
-    assert bench.drive.axis_error == 0
-
-
-def test_the_watchdog_lets_go_when_nobody_speaks_to_the_node():
-    bench = axis(watchdog_s=0.1)
-    bench.tell(CLOSE)
-    for _ in range(5):
-        bench.wait(90)
-        bench.tell(Frame(0x021, b"", extended=False))
-    assert bench.drive.state == CLOSED_LOOP
-    bench.wait(50)
-    bench.tell(Frame(0x041, b"", extended=False))
-    bench.wait(60)
-    assert (bench.drive.state, bench.drive.axis_error) == (IDLE, WATCHDOG_EXPIRED)
 
 
 # --- motion ---------------------------------------------------------------------------------------------
@@ -273,35 +225,7 @@ def test_a_count_that_is_set_under_a_closed_loop_moves_the_shaft():
     assert bench.turns == pytest.approx(3.0, abs=1e-6)
 
 
-def test_idle_is_limp():
-    bench = axis()
-    bench.tell(RAMPED, CLOSE, floats(1, 0x0D, 20.0, 0.0))
-    bench.wait(10_000)
-    bench.tell("027# 01 00 00 00")
-    fast = bench.turns_s
-    bench.wait(100)
-    slower = bench.turns_s
-    assert 0.0 < slower < fast
-    bench.tell(position(0.0))
-    bench.wait(10_000)
-    assert bench.turns_s == 0.0 and bench.turns > 5.0
-
-
 # --- power ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("absolute", [False, True])
-def test_what_it_counts_after_power_was_lost(absolute):
-    bench = axis(turns=2.5, absolute=absolute, heartbeat_ms=100)
-    bench.tell(CLOSE)
-    bench.drive.power_off(bench.now_ns)
-    assert not bench.drive.listening and bench.wait(1000) == []
-    bench.drive.power_on(bench.now_ns)
-    assert (bench.drive.state, bench.turns) == (IDLE, 2.5)
-    assert bench.drive.counted == (2.5 if absolute else 0.0)
-    bench.tell(CLOSE, position(1.0))
-    bench.wait(2000)
-    assert bench.turns == pytest.approx(1.0 if absolute else 3.5, abs=1e-6)
 
 
 def test_rebooting_is_like_power():
@@ -321,73 +245,25 @@ def test_a_new_node_is_heard_at_once_and_kept():
     assert len(bench.ask("129# remote")) == 1
 
 
-# --- hostile frames -------------------------------------------------------------------------------------
+# --- what it ignores ------------------------------------------------------------------------------------
 
-hostile = st.one_of(
-    # Other nodes, and extended identifiers that look like its own.
-    st.builds(lambda can_id, data: Frame(can_id, data, False), st.integers(0, 0x7FF), st.binary(max_size=8)).filter(
-        lambda item: item.can_id >> 5 != 1
-    ),
-    st.builds(Frame, st.integers(0x20, 0x3F), st.binary(max_size=8), st.just(True), st.just(False)),
-    # Remote frames at what only can be written, and writes that are too short.
-    st.sampled_from([0x07, 0x0B, 0x0C, 0x0D, 0x0E, 0x0F, 0x11, 0x12, 0x19, 0x1A, 0x1B]).map(
-        lambda command: Frame(0x20 | command, bytes(8), False, True)
-    ),
-    st.builds(
-        lambda command, data: Frame(0x20 | command, data, False),
-        st.sampled_from([0x06, 0x07, 0x0B, 0x0C, 0x0D, 0x0E, 0x0F, 0x11, 0x12, 0x19, 0x1A, 0x1B]),
-        st.binary(max_size=3),
-    ),
-    # What is unknown, and what only the drive says.
-    st.builds(
-        lambda command, data: Frame(0x20 | command, data, False),
-        st.sampled_from([0x00, 0x01, 0x08, 0x10, 0x13, 0x1E, 0x1F]),
-        st.binary(max_size=8),
-    ),
-    # Numbers that are none.
-    st.builds(
-        lambda command, bad, other: Frame(0x20 | command, struct.pack("<ff", bad, other), False),
-        st.sampled_from([0x0D, 0x0F, 0x12, 0x1B]),
-        st.sampled_from([float("nan"), float("inf"), float("-inf")]),
-        st.floats(width=32),
-    ),
-    st.just(Frame(0x2C, struct.pack("<fhh", float("nan"), 0, 0), False)),
+NONE = struct.pack("<f", float("nan")).hex(" ")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(f"{0x20 | command:03X}# {NONE} 00 00 80 3F" for command in (0x0C, 0x0D, 0x0E, 0x0F, 0x11, 0x12, 0x1A, 0x1B)),
+        *(f"{0x20 | command:03X}# 00 00 80 3F {NONE}" for command in (0x0D, 0x0F, 0x12, 0x1B)),
+        *(f"{0x20 | command:03X}# 00 00 00 00 00 00 00 00" for command in (0x0F, 0x11, 0x12, 0x1A, 0x1B)),
+        *(f"{0x20 | command:03X}# 05 00 00" for command in (0x06, 0x07, 0x0B, 0x0C, 0x0E, 0x0F, 0x19, 0x1A, 0x1B)),
+        *(f"{0x20 | command:03X}# 01 00 00 00 01 00 00 00" for command in (0x00, 0x01, 0x08, 0x10, 0x13, 0x1E, 0x1F)),
+    ],
 )
-
-
-@settings(deadline=None)
-@given(st.lists(hostile, min_size=1, max_size=10))
-def test_hostile_frames_change_nothing_and_meet_silence(frames):
+def test_what_is_no_command_changes_nothing_and_meets_silence(text):
     bench = axis(turns=0.5)
     bench.tell(PASSTHROUGH, CLOSE)
     before = repr((bench.drive.settings, bench.drive.state, bench.drive.axis_error, bench.drive._input))
-    bench.tell(*frames)
-    assert bench.heard() == []
-    bench.wait(100)
+    assert bench.ask(text) == [] and bench.wait(100) == []
     assert repr((bench.drive.settings, bench.drive.state, bench.drive.axis_error, bench.drive._input)) == before
     assert bench.turns == 0.5
-
-
-@settings(deadline=None)
-@given(
-    st.lists(
-        st.tuples(
-            st.integers(0, 0x1F).filter(lambda command: command != 0x06),
-            st.binary(max_size=8),
-            st.booleans(),
-            st.integers(0, 50),
-        ),
-        max_size=20,
-    )
-)
-def test_no_frame_makes_it_jump_or_break(frames):
-    bench = axis()
-    bench.tell(CLOSE)
-    for command, data, remote, pause_ms in frames:
-        bench.tell(Frame(0x20 | command, data, False, remote))
-        bench.wait(pause_ms)
-    times_ns = np.arange(0, bench.now_ns + 1, 250_000)
-    positions, rpm = bench.drive.shaft.history(times_ns)
-    assert np.isfinite(positions).all()
-    scale = max(1.0, np.abs(positions).max())
-    assert np.allclose(np.diff(positions), rpm[:-1] / 60.0 * 250e-6, atol=1e-9 * scale)

@@ -253,35 +253,6 @@ def test_a_stop_holds_a_shaft_and_is_felt(law):
     assert servo.pressed_ns > 6 * SECOND
 
 
-@pytest.mark.parametrize("law", laws, ids=lambda law: type(law).__name__)
-def test_a_blocked_shaft_stands_at_once_and_for_good(law):
-    servo = Servo(0, 0.0)
-    servo.obey(law)
-    servo.advance(200 * MILLISECOND + 1)
-    servo.block(200 * MILLISECOND + 1)
-    here = servo.position_at(200 * MILLISECOND + 1)
-    servo.advance(5 * SECOND)
-    assert servo.past(5 * SECOND) == (here, 0.0)
-
-
-@settings(deadline=None, max_examples=30)
-@given(st.lists(times, min_size=1, max_size=20))
-def test_how_often_time_is_looked_at_changes_nothing(pauses):
-    seen, unseen = Servo(0, 0.0), Servo(0, 0.0)
-    now_ns = 0
-    for target in (3.0, 2.0):
-        for servo in (seen, unseen):
-            servo.obey(Plan(target, 5.0, 50.0))
-        for pause_ns in pauses:
-            now_ns += pause_ns
-            seen.advance(now_ns)
-            assert seen.position_at(now_ns) == seen.past(now_ns)[0]
-        unseen.advance(now_ns)
-    assert seen.past(now_ns) == unseen.past(now_ns)
-    assert list(seen.changes_ns()) == list(unseen.changes_ns())
-    assert np.array_equal(seen.history(seen.changes_ns())[0], unseen.history(seen.changes_ns())[0])
-
-
 def test_the_past_can_be_forgotten_and_the_present_stays():
     servo = Servo(0, 0.0)
     servo.obey(Plan(3.0, 5.0, 50.0))

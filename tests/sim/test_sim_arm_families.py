@@ -6,6 +6,7 @@ Their frames are those of the rows in `simulated_families`.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import MISSING, fields
 
@@ -19,48 +20,29 @@ from config.drives.odrive import OdriveDrive as OdriveConfig
 from config.loader import load_arm
 from config.schema import ArmConfig
 from config.serial_adapters import SLCAN_BITRATES
+from sim import faults as wrong
 from sim.arm import SimulatedArm
 from sim.bus import Frame
 from sim.drives.odrive import OdriveDrive
 from sim.drives.zdt import ZdtDrive
-from sim.faults import (
-    FAULTS,
-    Babble,
-    CountSlip,
-    CountWrap,
-    CutLines,
-    Disabled,
-    DuplicateReplies,
-    Fault,
-    ForeignFirmware,
-    KeepsSettings,
-    LostReplies,
-    PowerLoss,
-    Protection,
-    Refusing,
-    SameAddress,
-    Silent,
-    SlowReplies,
-    Stall,
-    Thing,
-    WrongChecksums,
-    WrongValues,
-    parse_fault,
-)
 
 AT_S = 0.1
-OF_ZDT_ALONE = (Refusing, CountSlip, CountWrap, KeepsSettings, ForeignFirmware, WrongChecksums, WrongValues, Thing)
+OF_ZDT_ALONE = [
+    *(wrong.Refusing, wrong.CountSlip, wrong.CountWrap, wrong.KeepsSettings, wrong.ForeignFirmware),
+    *(wrong.WrongChecksums, wrong.WrongValues),
+]
 MAKES = (zdt, mks, odrives, damiao_mit, cia402, myactuators, cybergear)
 START_RAD = [0.1, -0.2, 0.3, 0.4, -0.5, 0.6]
 CDC = {"bus": {"serial_baud": "cdc"}}
 
 Make = Callable[[int], Family]
+Broken = Callable[..., "Talker"]
 
 
 class Talker(Host):
     """A host that speaks with drives of any family, number 1 and up."""
 
-    def __init__(self, make: Make, arm: ArmConfig, *faults: Fault, **options: object) -> None:
+    def __init__(self, make: Make, arm: ArmConfig, *faults: wrong.Fault, **options: object) -> None:
         super().__init__(SimulatedArm(arm, start_ns=START_NS, faults=faults, **options))
         self.make = make
         self.say(f"{SLCAN_BITRATES[arm.bus.bitrate]}\rO\r".encode())
@@ -76,11 +58,6 @@ class Talker(Host):
     def wait(self, milliseconds: float) -> list[str]:
         """Frames that come meanwhile, as the rows have them; halves of lines are left out."""
         return [text(whole) for whole in map(received, super().wait(milliseconds)) if whole is not None]
-
-    def ask(self, request: str, milliseconds: float = 3.0) -> list[str]:
-        """Send a frame, and what comes on the bus then."""
-        self.tell(request)
-        return self.wait(milliseconds)
 
     def answers(self, number: int, milliseconds: float = 3.0) -> list[float]:
         """What a drive's answers to the question where it is say [rev]."""
@@ -116,7 +93,8 @@ class OneDrive:
         self.host, self.owns = host, host.arm.drives[number - 1].owns
 
     def ask(self, request: str) -> list[str]:
-        return [said for said in self.host.ask(request) if self.owns(frame(said))]
+        self.host.tell(request)
+        return self.wait(3.0)
 
     def wait(self, milliseconds: float) -> list[str]:
         return [said for said in self.host.wait(milliseconds) if self.owns(frame(said))]
@@ -125,7 +103,7 @@ class OneDrive:
 def received(line: str) -> Frame | None:
     """The frame of an adapter's line; None for what is none."""
     digits = {"t": 3, "T": 8}.get(line[:1])
-    if digits is None or len(line) != 2 + digits + 2 * int(line[1 + digits]):
+    if digits is None or not re.fullmatch(f"[0-9A-F]{{{digits}}}[0-8]([0-9A-F]{{2}})*", line[1:]):
         return None
     return Frame(int(line[1 : 1 + digits], 16), bytes.fromhex(line[2 + digits :]), line[0] == "T")
 
@@ -143,10 +121,10 @@ def arm(make: Make) -> ArmConfig:
 
 
 @pytest.fixture
-def broken(make: Make, arm: ArmConfig) -> Callable[..., Talker]:
+def broken(make: Make, arm: ArmConfig) -> Broken:
     """A host of six drives that hold, with a fault that has just begun."""
 
-    def make_host(*faults: Fault) -> Talker:
+    def make_host(*faults: wrong.Fault) -> Talker:
         host = Talker(make, arm, *faults)
         host.enable(1, 2, 3)
         assert host.now_ns < START_NS + AT_S * 1e9
@@ -188,6 +166,7 @@ def test_truth_follows_a_joint_either_way_round(make: Make, arm: ArmConfig, dire
     fastest = int(np.argmax(np.abs(velocity_rad_s)))
     assert host.arm.true_velocity_rad_s(0, int(times_ns[fastest])) * direction > 0.0
     assert host.arm.true_position_rad(0, int(times_ns[fastest])) == pytest.approx(position_rad[fastest])
+    assert times_ns[-1] == host.now_ns
 
 
 def test_an_arm_that_was_just_switched_on_counts_from_where_it_stands(make: Make, arm: ArmConfig) -> None:
@@ -202,19 +181,21 @@ def test_an_arm_that_was_just_switched_on_counts_from_where_it_stands(make: Make
 
 
 def test_every_fault_is_one_that_these_drives_can_have_or_is_refused_in_a_sentence(make: Make, arm: ArmConfig) -> None:
-    for name, kind in FAULTS.items():
+    for name, kind in wrong.FAULTS.items():
         needed = [field.name for field in fields(kind) if field.default is MISSING]
-        fault = parse_fault(f"{name}:" + ",".join(f"{key}={'joint2' if key == 'joint' else '0.5'}" for key in needed))
+        fault = wrong.parse_fault(
+            f"{name}:" + ",".join(f"{key}={'joint2' if key == 'joint' else '0.5'}" for key in needed)
+        )
         simulated = SimulatedArm(arm)
-        if kind is Thing or (kind in OF_ZDT_ALONE and make is not zdt):
+        if kind is wrong.Thing or (kind in OF_ZDT_ALONE and make is not zdt):
             with pytest.raises(ValueError, match="no fault this arm can have"):
                 simulated.inject(fault)
         else:
             simulated.inject(fault)
 
 
-def test_a_silent_drive_goes_on_with_what_it_was_told(broken: Callable[..., Talker], make: Make) -> None:
-    host = broken(Silent("joint1", AT_S + 0.2, until_s=AT_S + 3.0))
+def test_a_silent_drive_goes_on_with_what_it_was_told(broken: Broken, make: Make) -> None:
+    host = broken(wrong.Silent("joint1", AT_S + 0.2, until_s=AT_S + 3.0))
     before = host.where(1)
     host.tell(*make(1).go(before + 0.1))
     host.wait(250)
@@ -224,49 +205,46 @@ def test_a_silent_drive_goes_on_with_what_it_was_told(broken: Callable[..., Talk
     assert host.status(1) == make(1).says["holding"]
 
 
-def test_a_drive_without_power_is_silent_and_limp_and_comes_back(broken: Callable[..., Talker], make: Make) -> None:
-    host = broken(PowerLoss("joint1", AT_S, off_s=0.5))
-    before = host.arm.true_position_rad(0, host.now_ns)
-    assert host.where(1) is None and host.where(2) is not None
-    assert host.arm.drives[0].limp and not host.arm.drives[1].limp
-    host.wait(500 + make(1).boots_ms)
-    assert host.where(1) is not None
-    assert host.status(1) == make(1).says["power"]
-    assert host.arm.true_position_rad(0, host.now_ns) == before
-
-
-def test_a_stalled_shaft_stands_whatever_it_is_told(broken: Callable[..., Talker], make: Make) -> None:
-    host = broken(Stall("joint1", AT_S))
-    for number in (1, 2):
-        host.tell(*make(number).go(host.where(number) + 0.5))
+@pytest.mark.parametrize(
+    ("fault", "says"),
+    [
+        (wrong.PowerLoss("joint1", AT_S, off_s=0.5), "power"),
+        (wrong.Stall("joint1", AT_S), "holding"),
+        (wrong.Disabled("joint1", AT_S), "limp"),
+        (wrong.Protection("joint1", AT_S, 9.0, "temperature"), "temperature"),
+    ],
+)
+def test_a_fault_strikes_its_joint_and_no_other(broken: Broken, make: Make, fault: wrong.Fault, says: str) -> None:
+    host = broken(fault)
     before = [host.arm.true_position_rad(joint, host.now_ns) for joint in range(2)]
+    assert (host.where(1) is None) == (says == "power") and host.where(2) is not None
+    assert host.arm.drives[0].limp == (says != "holding") and not host.arm.drives[1].limp
+    host.wait(500 + make(1).boots_ms)
+    assert (host.status(1), host.status(2)) == (make(1).says[says], make(2).says["holding"])
+    for number in (1, 2):
+        if says == "holding" or number == 2:
+            host.tell(*make(number).go(host.where(number) + 0.5))
     host.wait(100)
     assert host.arm.true_position_rad(0, host.now_ns) == pytest.approx(before[0], abs=1e-5)
     assert host.arm.true_position_rad(1, host.now_ns) != pytest.approx(before[1], abs=1e-4)
 
 
-def test_a_drive_that_is_let_go_says_so(broken: Callable[..., Talker], make: Make) -> None:
-    host = broken(Disabled("joint1", AT_S))
-    assert (host.status(1), host.status(2)) == (make(1).says["limp"], make(2).says["holding"])
-
-
-def test_a_tripped_protection_cannot_be_cleared_before_its_cause_is_gone(
-    broken: Callable[..., Talker], make: Make
-) -> None:
+def test_a_tripped_protection_cannot_be_cleared_before_its_cause_is_gone(broken: Broken, make: Make) -> None:
     family = make(1)
-    host = broken(Protection("joint1", AT_S, until_s=AT_S + 3.0, cause="temperature"))
-    for _ in range(2):
-        assert (host.status(1), host.status(2)) == (family.says["temperature"], make(2).says["holding"])
+    host = broken(wrong.Protection("joint1", AT_S, until_s=AT_S + 3.0, cause="temperature"))
+    for gone, says in ((False, "temperature"), (True, "limp")):
+        host.wait(3000 if gone else 0)
         host.tell(*family.clear)
         host.wait(10 + family.clears_ms)
-    host.wait(3000)
-    host.tell(*family.clear, *family.let_go)
-    host.wait(10 + family.clears_ms)
-    assert host.status(1) == family.says["limp"]
+        host.tell(*(family.let_go if gone else ()))
+        host.wait(10)
+        assert host.status(1) == family.says[says]
 
 
-def test_slow_and_lost_replies(broken: Callable[..., Talker], make: Make) -> None:
-    host = broken(SlowReplies(0.005, at_s=AT_S, joint="joint1"), LostReplies(0.5, at_s=AT_S, joint="joint2"))
+def test_slow_and_lost_replies(broken: Broken, make: Make) -> None:
+    host = broken(
+        wrong.SlowReplies(0.005, at_s=AT_S, joint="joint1"), wrong.LostReplies(0.5, at_s=AT_S, joint="joint2")
+    )
     assert host.where(1) is None
     assert len(host.answers(1, 6)) == 1
     answered = sum(host.where(2) is not None for _ in range(100))
@@ -274,15 +252,15 @@ def test_slow_and_lost_replies(broken: Callable[..., Talker], make: Make) -> Non
     assert all(host.where(3) is not None for _ in range(50))
 
 
-def test_two_drives_of_one_number_both_answer(broken: Callable[..., Talker], make: Make) -> None:
-    host = broken(SameAddress("joint2", AT_S))
+def test_two_drives_of_one_number_both_answer(broken: Broken, make: Make) -> None:
+    host = broken(wrong.SameAddress("joint2", AT_S))
     true, _ = host.arm.drives[1].shaft.past(host.now_ns)
     host.tell(make(2).where[0])
     assert sorted(host.answers(2)) == pytest.approx(sorted((0.0, true)), abs=2e-4)
 
 
-def test_a_babbling_drive_repeats_its_position(broken: Callable[..., Talker], make: Make) -> None:
-    host = broken(Babble(AT_S, until_s=AT_S + 0.1, joint="joint3"))
+def test_a_babbling_drive_repeats_its_position(broken: Broken, make: Make) -> None:
+    host = broken(wrong.Babble(AT_S, until_s=AT_S + 0.1, joint="joint3"))
     said = host.wait(10)
     babble = set(said) - {"00000300# 00 EE 6B"}  # a ZDT drive takes it for bad requests
     assert len(said) > 20 and len(babble) == 1
@@ -291,8 +269,10 @@ def test_a_babbling_drive_repeats_its_position(broken: Callable[..., Talker], ma
     assert host.where(1) is not None
 
 
-def test_lines_of_one_drive_are_spoilt_and_no_others(broken: Callable[..., Talker], make: Make) -> None:
-    host = broken(DuplicateReplies(1.0, at_s=AT_S, joint="joint1"), CutLines(1.0, at_s=AT_S, joint="joint2"))
+def test_lines_of_one_drive_are_spoilt_and_no_others(broken: Broken, make: Make) -> None:
+    host = broken(
+        wrong.DuplicateReplies(1.0, at_s=AT_S, joint="joint1"), wrong.CutLines(1.0, at_s=AT_S, joint="joint2")
+    )
     host.tell(make(1).where[0])
     assert len(host.answers(1)) == 2
     assert host.where(2) is None
@@ -302,7 +282,7 @@ def test_lines_of_one_drive_are_spoilt_and_no_others(broken: Callable[..., Talke
 
 def test_waking_only_when_told_misses_nothing(make: Make, arm: ArmConfig) -> None:
     """What a server in real time does: it sleeps until `next_due_ns`."""
-    slow = [SlowReplies(0.005, joint=f"joint{number}") for number in range(2, 7)]
+    slow = [wrong.SlowReplies(0.005, joint=f"joint{number}") for number in range(2, 7)]
 
     def run(lazily: bool) -> bytes:
         host = Talker(make, arm, *slow)
@@ -341,9 +321,9 @@ def mixed() -> ArmConfig:
 
 
 def test_faults_of_zdt_drives_strike_those_of_a_mixed_arm(mixed: ArmConfig) -> None:
-    SimulatedArm(mixed, faults=[WrongChecksums(0.5), CountSlip("joint1", 0.5, 3.0)])
+    SimulatedArm(mixed, faults=[wrong.WrongChecksums(0.5), wrong.CountSlip("joint1", 0.5, 3.0)])
     with pytest.raises(ValueError, match="no fault this arm can have"):
-        SimulatedArm(mixed, faults=[CountSlip("joint2", 0.5, 3.0)])
+        SimulatedArm(mixed, faults=[wrong.CountSlip("joint2", 0.5, 3.0)])
 
 
 def test_families_share_a_bus_and_do_not_hear_each_other(mixed: ArmConfig) -> None:
@@ -359,7 +339,7 @@ def test_families_share_a_bus_and_do_not_hear_each_other(mixed: ArmConfig) -> No
 
 def test_the_same_seed_gives_the_same_bytes_and_another_other_ones(mixed: ArmConfig) -> None:
     def run(seed: int) -> list[list[str]]:
-        host = Talker(odrives, mixed, LostReplies(0.2), seed=seed)
+        host = Talker(odrives, mixed, wrong.LostReplies(0.2), wrong.CorruptBytes(0.01), seed=seed)
         host.tell(*odrives(2).enable(0.0))
         texts = []
         for tick in range(50):

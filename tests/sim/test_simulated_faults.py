@@ -5,32 +5,11 @@ from __future__ import annotations
 from dataclasses import MISSING, fields
 
 import pytest
-from sim_host import MILLISECOND, START_NS, Host, connect, line, move, read
+from sim_host import MILLISECOND, START_NS, Host, connect, move, read
 
 from config.loader import load_arm
+from sim import faults as wrong
 from sim.arm import SimulatedArm
-from sim.faults import (
-    FAULTS,
-    Babble,
-    Bels,
-    CountSlip,
-    CountWrap,
-    CutLines,
-    Disabled,
-    DuplicateReplies,
-    Fault,
-    LateReplies,
-    Protection,
-    ReceiveStall,
-    Refusing,
-    SameAddress,
-    SerialBlocked,
-    Thing,
-    TransmitOverflow,
-    WrongChecksums,
-    WrongValues,
-    parse_fault,
-)
 
 AT_S = 0.1
 
@@ -44,7 +23,7 @@ def episode1():
 def broken(episode1):
     """Makes a host of an arm with a fault that begins when it is used first."""
 
-    def make(*faults: Fault) -> Host:
+    def make(*faults: wrong.Fault) -> Host:
         host = connect(SimulatedArm(episode1, start_ns=START_NS, faults=faults))
         assert host.position(1) is not None  # the fault has not begun
         host.wait(AT_S * 1e3)
@@ -55,42 +34,44 @@ def broken(episode1):
 
 def test_every_fault_can_be_written_on_the_command_line(episode1):
     with_gripper = load_arm("episode1", overrides={"gripper": {"hook": "servo", "servo": {"address": 7}}})
-    for name, kind in FAULTS.items():
+    for name, kind in wrong.FAULTS.items():
         needed = [field.name for field in fields(kind) if field.default is MISSING]
         values = {field: "joint2" if field == "joint" else "0.5" for field in needed}
-        fault = parse_fault(f"{name}:" + ",".join(f"{key}={value}" for key, value in values.items()))
+        fault = wrong.parse_fault(f"{name}:" + ",".join(f"{key}={value}" for key, value in values.items()))
         SimulatedArm(with_gripper, faults=[fault])
-        if not isinstance(fault, Thing):
+        if not isinstance(fault, wrong.Thing):
             SimulatedArm(episode1, faults=[fault])
 
 
 def test_nothing_stands_between_the_fingers_of_an_arm_without_a_gripper(episode1):
     with pytest.raises(ValueError, match="no fault this arm can have"):
-        SimulatedArm(episode1, faults=[Thing(0.5, 40.0)])
+        SimulatedArm(episode1, faults=[wrong.Thing(0.5, 40.0)])
 
 
 def test_a_cause_is_one_of_those_there_are():
-    assert parse_fault("protection:joint=joint1,at_s=1,cause=current") == Protection("joint1", 1.0, cause="current")
+    assert wrong.parse_fault("protection:joint=joint1,at_s=1,cause=current") == wrong.Protection(
+        "joint1", 1.0, cause="current"
+    )
     with pytest.raises(ValueError, match="must be one of stall, temperature, current"):
-        parse_fault("protection:joint=joint1,at_s=1,cause=bees")
+        wrong.parse_fault("protection:joint=joint1,at_s=1,cause=bees")
 
 
 def test_replies_come_twice(broken):
-    host = broken(DuplicateReplies(1.0, gap_s=0.001, at_s=AT_S))
+    host = broken(wrong.DuplicateReplies(1.0, gap_s=0.001, at_s=AT_S))
     host.say(read(1))
     first, second = host.frames(3)
     assert first == second
 
 
 def test_a_late_reply_is_overtaken(broken):
-    host = broken(LateReplies(1.0, late_s=0.005, at_s=AT_S, joint="joint1"))
+    host = broken(wrong.LateReplies(1.0, late_s=0.005, at_s=AT_S, joint="joint1"))
     host.say(read(1) + read(2))
     assert [text[:9] for text in host.frames(10)] == ["T00000200", "T00000100"]
 
 
 @pytest.mark.parametrize("rest_s", [None, 0.004])
 def test_lines_break_off(broken, rest_s):
-    host = broken(CutLines(1.0, rest_s=rest_s, at_s=AT_S))
+    host = broken(wrong.CutLines(1.0, rest_s=rest_s, at_s=AT_S))
     host.say(read(1))
     host.now_ns += 2 * MILLISECOND
     begun = host.arm.collect(host.now_ns).replace(b"Z\r", b"")
@@ -102,7 +83,9 @@ def test_lines_break_off(broken, rest_s):
 
 
 def test_checksums_and_values_are_wrong(broken):
-    host = broken(WrongChecksums(1.0, at_s=AT_S, joint="joint1"), WrongValues(1.0, 2.0, at_s=AT_S, joint="joint2"))
+    host = broken(
+        wrong.WrongChecksums(1.0, at_s=AT_S, joint="joint1"), wrong.WrongValues(1.0, 2.0, at_s=AT_S, joint="joint2")
+    )
     host.say(read(1))
     (answer,) = host.frames(2)
     assert not answer.endswith("6B")
@@ -114,7 +97,7 @@ def test_checksums_and_values_are_wrong(broken):
 
 
 def test_nobody_is_heard_beside_the_highest_priority(broken):
-    host = broken(Babble(AT_S, until_s=AT_S + 0.05))
+    host = broken(wrong.Babble(AT_S, until_s=AT_S + 0.05))
     host.say(read(1))
     heard = host.wait(20)
     assert len(heard) > 100
@@ -125,7 +108,7 @@ def test_nobody_is_heard_beside_the_highest_priority(broken):
 
 
 def test_a_babbling_drive_repeats_its_position(broken):
-    host = broken(Babble(AT_S, joint="joint3"))
+    host = broken(wrong.Babble(AT_S, joint="joint3"))
     texts = host.frames(10)
     assert len(texts) > 20
     (babble,) = set(texts) - {"T00000300300EE6B"}  # the drive takes them for bad requests
@@ -134,7 +117,7 @@ def test_a_babbling_drive_repeats_its_position(broken):
 
 
 def test_a_stalled_adapter_keeps_some_frames_and_says_them_at_once(broken):
-    host = broken(ReceiveStall(AT_S, stall_s=0.05, depth=3))
+    host = broken(wrong.ReceiveStall(AT_S, stall_s=0.05, depth=3))
     host.say(b"".join(read(1 + index % 6) for index in range(6)))
     assert host.frames(40) == []
     texts = host.frames(20)
@@ -145,7 +128,7 @@ def test_a_stalled_adapter_keeps_some_frames_and_says_them_at_once(broken):
 
 
 def test_a_small_transmit_buffer_overflows_while_it_is_small(broken):
-    host = broken(TransmitOverflow(2, AT_S, until_s=AT_S + 0.02))
+    host = broken(wrong.TransmitOverflow(2, AT_S, until_s=AT_S + 0.02))
     host.say(read(1) * 6)
     assert len(host.frames(5)) < 6
     assert host.arm.adapter.lost_frames > 0
@@ -155,7 +138,7 @@ def test_a_small_transmit_buffer_overflows_while_it_is_small(broken):
 
 
 def test_bels_are_frames_that_were_not_sent(broken):
-    host = broken(Bels(0.5, at_s=AT_S))
+    host = broken(wrong.Bels(0.5, at_s=AT_S))
     answered = []
     for _ in range(100):
         host.say(read(1))
@@ -167,41 +150,14 @@ def test_bels_are_frames_that_were_not_sent(broken):
 
 
 def test_a_blocked_adapter_takes_characters_again(broken):
-    host = broken(SerialBlocked(AT_S, until_s=AT_S + 0.02))
+    host = broken(wrong.SerialBlocked(AT_S, until_s=AT_S + 0.02))
     assert not host.arm.adapter.takes_characters
     host.wait(20)
     assert host.arm.adapter.takes_characters
 
 
-@pytest.mark.parametrize(("cause", "flags"), [("stall", 0x03), ("temperature", 0x13), ("current", 0x23)])
-def test_a_tripped_protection_lets_go_and_cannot_be_cleared_before_its_cause_is_gone(broken, cause, flags):
-    host = broken(Protection("joint2", AT_S, until_s=AT_S + 0.1, cause=cause))
-    drive = host.arm.drives[1]
-    assert drive.protected
-    assert drive.homing_byte == flags
-    host.say(line(2, bytes.fromhex("0E526B")))
-    host.wait(5)
-    assert drive.protected
-    host.wait(100)
-    host.say(line(2, bytes.fromhex("0E526B")))
-    host.wait(5)
-    assert not drive.protected
-    assert drive.homing_byte == 0x03
-
-
-def test_a_disabled_drive_coasts_and_says_so(broken):
-    host = broken(Disabled("joint2", AT_S + 0.1))
-    host.say(move(2, 6000, 100))
-    host.wait(50)
-    assert host.arm.drives[1].moving
-    host.wait(250)
-    assert not host.arm.drives[1].enabled
-    assert host.arm.true_velocity_rad_s(1, host.now_ns) == 0.0
-    assert host.arm.drives[1].status_byte & 1 == 0
-
-
 def test_a_refusing_drive_finishes_what_it_was_told(broken):
-    host = broken(Refusing("joint2", AT_S + 0.05, until_s=AT_S + 5))
+    host = broken(wrong.Refusing("joint2", AT_S + 0.05, until_s=AT_S + 5))
     host.say(move(2, 16000 + 3200, 60))
     host.wait(60)
     host.say(move(2, 0, 60))
@@ -211,7 +167,7 @@ def test_a_refusing_drive_finishes_what_it_was_told(broken):
 
 
 def test_a_count_slips_or_wraps_and_the_shaft_does_not(broken):
-    host = broken(CountSlip("joint1", AT_S, deg=36.0), CountWrap("joint2", AT_S))
+    host = broken(wrong.CountSlip("joint1", AT_S, deg=36.0), wrong.CountWrap("joint2", AT_S))
     assert host.position(1) == pytest.approx((12.5 + 2.5) * 65536, abs=2)
     assert host.position(2) == 5 * 65536 - 2**32
     for joint in range(2):
@@ -219,7 +175,7 @@ def test_a_count_slips_or_wraps_and_the_shaft_does_not(broken):
 
 
 def test_two_drives_of_one_address_take_each_others_answers_for_bad_requests(broken):
-    host = broken(SameAddress("joint2", AT_S))
+    host = broken(wrong.SameAddress("joint2", AT_S))
     host.say(read(2))
     first, second, *refusals = host.frames(20)
     assert first != second
