@@ -13,6 +13,7 @@ Modelled:
   firmware, can_protocol.c), so an ID of 16 or more spoils the status.
 - Registers: read, write, store (a limp motor's), ask for feedback; a write is answered with what then stands there. A
   value out of its range, or of a read-only register, changes nothing; an unknown register meets silence.
+- Velocities come in four bytes or eight, all else in eight.
 - Modes: MIT (stiffness, damping, torque), position-velocity (a trapezoid by ACC and DEC, no faster than told and than
   MAX_SPD), velocity (by the same ramps), force-position (as position-velocity; the share of current caps the torque).
   [inf] A number that is not finite changes nothing; a speed of 0 stops by the ramp and stays.
@@ -228,7 +229,7 @@ class DamiaoDrive(ServoDrive):
                 self._take_register(frame.data)
             return
         mode = self._mode_of(frame.can_id)
-        if mode is None or len(frame.data) != 8:
+        if mode is None or len(frame.data) not in (8, 4 if mode == VELOCITY else 8):
             return
         self._feed_alarm()
         if frame.data[:7] == _COMMAND_HEAD and frame.data[7] in (ENABLE, DISABLE, ZERO, CLEAR):
@@ -261,7 +262,7 @@ class DamiaoDrive(ServoDrive):
         if mode == FORCE_POSITION:
             rad, speed, share = struct.unpack("<fHH", data)
             return self._move(rad, speed * 0.01, share * 1e-4)
-        first, second = struct.unpack("<ff", data)
+        first, second = struct.unpack("<ff", data.ljust(8, b"\0"))
         if mode == POSITION_VELOCITY:
             return self._move(first, second, 1.0)
         if not math.isfinite(first):

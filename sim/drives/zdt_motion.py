@@ -178,8 +178,9 @@ class Motion(ABC):
 
     @property
     def status_byte(self) -> int:
-        """The flags of `3A`."""
-        flags = self.enabled | self.reached << 1 | self._stalled << 2 | self.protected << 3
+        """The flags of `3A`; a stall that has tripped the protection goes on being told until that is cleared."""
+        stalled = self._stalled or (self.protected and not self.causes)
+        flags = self.enabled | (self.reached and not stalled) << 1 | stalled << 2 | self.protected << 3
         return flags | self.power_lost << 7 if self._new else flags
 
     @property

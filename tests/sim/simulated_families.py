@@ -175,7 +175,7 @@ def zdt(node: int, firmware: str = "new") -> Family:
         clear=(f"{head} 0E 52 6B",),
         where=(f"{head} 36 6B", lambda data: (-1) ** data[1] * int.from_bytes(data[2:6], "big") / 65536),
         status=answered(f"{head} 3A 6B", f"{head} 3B 6B"),
-        says=words("02 03", "03 03", "0B 03", "0B 13", "0B 23", "83 03" if new else "03 03", "03 03"),
+        says=words("02 03", "03 03", "0D 03", "0B 13", "0B 23", "83 03" if new else "03 03", "03 03"),
         silent=(f"{head} 00 EE 6B",),
         sealed=lambda whole: whole._replace(data=whole.data[:-1] + b"\x6b"),
         brakes_s=0.0,

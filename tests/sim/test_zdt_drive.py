@@ -529,7 +529,7 @@ def test_stall_trips_the_protection_which_can_be_cleared():
     assert bench.ask("3A 6B") == ["3A 05 6B"]  # enabled, stalled
     assert bench.drive.position_counts == held
     bench.wait(1000)
-    assert bench.ask("3A 6B") == ["3A 0B 6B"]  # protection tripped
+    assert bench.ask("3A 6B") == ["3A 0D 6B"]  # protection tripped (drives-checked)
     assert bench.ask(TO_2_TURNS) == ["FD E2 6B"]
     assert bench.ask("0E 52 6B") == ["0E 02 6B"]
     assert bench.ask(TO_2_TURNS) == ["FD 02 6B"]
