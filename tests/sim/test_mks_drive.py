@@ -16,7 +16,6 @@ from sim.drives.ramp import GRAINS_PER_REVOLUTION
 COUNTS = 16_384
 READ = "001# 31 32"
 BUS_MODE = {0x82: b"\x05"}
-QUIET = BUS_MODE | {0x8C: b"\x00\x00"}
 
 
 def drive(turns: float = 0.0, enabled: bool = True, **options) -> DriveBench:
@@ -146,16 +145,6 @@ def test_the_ramp_is_the_manuals():
 
 
 # --- retargeting ----------------------------------------------------------------------------------------
-
-
-def test_a_new_target_counts_in_mid_move():
-    bench = drive(settings=QUIET)
-    bench.tell("001# F5 02 58 02 00 40 00 92")
-    bench.wait(300)
-    assert bench.ask("001# F5 02 58 02 FF C0 00 11") == []  # it does not acknowledge
-    bench.wait(10_000)
-    assert bench.turns == pytest.approx(-1.0, abs=1e-9)
-    assert counts(bench) == -COUNTS
 
 
 def test_older_firmware_refuses_a_target_in_mid_move():
