@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 
 from sim.bus import Frame
@@ -30,10 +32,11 @@ class DriveBench:
         self.drive = drive
         self.now_ns = 0
 
-    def tell(self, *texts: str | Frame) -> None:
+    def tell(self, *texts: str | Frame) -> Self:
         """Send frames."""
         for item in texts:
             self.drive.receive(self.now_ns, frame(item) if isinstance(item, str) else item)
+        return self
 
     def heard(self) -> list[str]:
         """What it has said since."""
@@ -58,6 +61,18 @@ class DriveBench:
         self.now_ns = end_ns
         self.drive.advance(end_ns)
         return texts + self.heard()
+
+    def after(self, milliseconds: float) -> Self:
+        """The same a while later."""
+        self.wait(milliseconds)
+        return self
+
+    def restart(self, off_ms: float = 0.0) -> Self:
+        """Take its power, and give it again."""
+        self.drive.power_off(self.now_ns)
+        self.wait(off_ms)
+        self.drive.power_on(self.now_ns)
+        return self
 
     @property
     def turns(self) -> float:

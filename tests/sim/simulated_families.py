@@ -58,6 +58,7 @@ class Family:
     sealed: Callable[[Frame], Frame] = lambda whole: whole  # puts a checksum where its protocol has one
     mailboxes: int | None = 16  # answers that wait at most; None for as many as it is asked for
     within: float = 1e-6  # how near to its target it ends [rev]
+    climbs: float | None = None  # its ramp [rev/s²], if it has one
     brakes_s: float = 0.1  # most time that it takes from `TOP` to rest
     coasts: float = COASTS  # how fast it loses speed when it is let go [rev/s²]
     overshoots: float = 0.0  # how far it may go beyond its target [rev]; its speed is then its own, too
@@ -120,12 +121,9 @@ class FamilyBench(DriveBench):
         self.heard()
         return self
 
-    def restart(self, off_ms: float = 500.0) -> None:
-        """Take its power, and give it again."""
-        self.drive.power_off(self.now_ns)
-        self.wait(off_ms)
-        self.drive.power_on(self.now_ns)
-        self.wait(self.family.boots_ms)
+    def restart(self, off_ms: float = 500.0) -> FamilyBench:
+        """Take its power, and give it again until it hears."""
+        return super().restart(off_ms).after(self.family.boots_ms)
 
 
 def answered(*requests: str) -> Callable[[DriveBench], str]:
@@ -178,6 +176,7 @@ def zdt(node: int, firmware: str = "new") -> Family:
         says=words("02 03", "03 03", "0D 03", "0B 13", "0B 23", "83 03" if new else "03 03", "03 03"),
         silent=(f"{head} 00 EE 6B",),
         sealed=lambda whole: whole._replace(data=whole.data[:-1] + b"\x6b"),
+        climbs=20_000 / 10 / 60,
         brakes_s=0.0,
         coasts=STEPPER_COASTS,
         mailboxes=None,
@@ -217,6 +216,7 @@ def mks(node: int) -> Family:
         status=answered(told(0x3A), told(0x3E)),
         says=words("00 00", "01 00", "00 01", "00 01", "00 01", "00 00"),
         sealed=sealed,
+        climbs=20_000 / 10 / 60,
         brakes_s=0.0,
         coasts=STEPPER_COASTS,
         knows_its_angle=None,
@@ -257,6 +257,7 @@ def odrives(node: int) -> Family:
         where=(f"{head(0x09)} remote", lambda data: struct.unpack("<ff", data)[0]),
         status=beat,
         says=words("0 1 00 80", "0 8 00 80", "200 1 00 81", "40000 1 00 80", "40 1 01 80", "0 1 00 80", "800 1 00 80"),
+        climbs=20.0,
         watched={"watchdog_s": SILENCE_MS * 1e-3},
         reals=True,
         feed=f"{head(0x01)}",
@@ -313,7 +314,8 @@ def damiao_position_velocity(node: int) -> Family:
         return (f"{0x100 + node:03X}# {floats(turns * TURN_RAD, turns_s * TURN_RAD)}",)
 
     # Ramps of 20 rad/s².
-    return _damiao(node, 2, arm="damiao6_pv", go=go, stop=go(0.0, 0.0), brakes_s=0.4, within=1e-5, reals=True)
+    row = {"climbs": 20.0 / TURN_RAD, "brakes_s": 0.4, "within": 1e-5, "reals": True}
+    return _damiao(node, 2, arm="damiao6_pv", go=go, stop=go(0.0, 0.0), **row)
 
 
 def damiao_mit(node: int) -> Family:
@@ -362,6 +364,7 @@ def cia402(node: int) -> Family:
         where=(get(0x6064), lambda data: int.from_bytes(data[4:], "little", signed=True) / counts),
         status=status,
         says=words("40 0000", "27 0000", "08 7121", "08 4310", "08 2310", "40 0000", "08 8100"),
+        climbs=20.0,
         boots_ms=200,
         # The host's heartbeat, number 7F, is awaited in operation, from its first one on.
         watch=(f"000# 01 {node:02X}", f"{sdo} 23 16 10 01 {word(SILENCE_MS, 2)} 7F 00", "77F# 05"),
@@ -397,6 +400,7 @@ def myactuators(node: int) -> Family:
         status=status,
         says=words("0 0000", "1 0000", "0 0002", "0 1000", "0 0010", "0 0000", "0 0000"),
         within=1e-5,
+        climbs=10_000 / 360,
         obeys_limp=True,
         clears_ms=2000,
         ends_by_itself=("temperature",),
@@ -450,6 +454,7 @@ def _robstride(node: int, *, planner: bool) -> Family:
         says=words("0 00", "2 00", "0 10", "0 04", "0 02", "0 00"),
         keeps_target=True,
         reals=True,
+        climbs=10.0 / TURN_RAD if planner else None,
         brakes_s=0.7 if planner else 0.2,
         zero=(told(0x06, "01 00 00 00 00 00 00 00"),),
         volts=get(0x701C),

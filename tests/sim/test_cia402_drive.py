@@ -193,13 +193,9 @@ def test_a_node_that_leaves_its_operation_does_what_6007_says(code: int, power: 
 def test_it_fails_when_the_host_it_monitors_is_silent() -> None:
     bench = following()
     put(bench, 0x1016, 0x007F_0064, 4, 1)
-    bench.wait(500)
-    assert bench.drive.power == OPERATION_ENABLED, "the first heartbeat begins that"
-    bench.tell("77F# 05")
-    bench.wait(90)
-    bench.tell("77F# 05")
-    bench.wait(90)
-    assert bench.drive.power == OPERATION_ENABLED
+    assert bench.after(500).drive.power == OPERATION_ENABLED, "the first heartbeat begins that"
+    bench.tell("77F# 05").wait(90)
+    assert bench.tell("77F# 05").after(90).drive.power == OPERATION_ENABLED
     assert next(said for said in bench.wait(20) if said.startswith("081")) == "081# 30 81 10 00 00 00 00 00"
     assert (bench.drive.power, bench.drive.state) == (FAULT, canopen.PRE_OPERATIONAL)
 
@@ -243,8 +239,7 @@ def test_a_quick_stop_ends_as_605a_says(code: int, then: int, again: int) -> Non
     put(bench, 0x6060, PROFILE_POSITION, 1)
     put(bench, 0x607A, 100 * COUNTS, 4)
     control(bench, 0x06, 0x07, 0x0F, 0x1F)
-    bench.wait(300)
-    assert bench.turns_s > 1.0
+    assert bench.after(300).turns_s > 1.0
     assert control(bench, 0x02) == QUICK_STOP
     bench.wait(200)
     assert (bench.drive.power, bench.turns_s) == (then, 0.0)
@@ -292,8 +287,7 @@ def test_nothing_of_it_before_the_node_is_operational() -> None:
 
 def test_what_happens_is_told_by_event_driven_pdos() -> None:
     """As they are after power comes: the statusword when it changes."""
-    bench = drive()
-    bench.tell(START)
+    bench = drive().tell(START)
     said = bench.ask("601# 2B 40 60 00 06 00 00 00")
     assert [one[:5] for one in said] == ["181# ", "281# ", "381# ", "581# "]
 
@@ -319,8 +313,7 @@ def test_the_line_ends_where_no_target_comes() -> None:
     for step in range(1, 51):
         aim(bench, 20 * step)
         bench.wait(4)
-    bench.wait(200)
-    assert bench.turns_s == 0.0 and bench.turns == pytest.approx(1000 / COUNTS, abs=1e-6)
+    assert bench.after(200).turns_s == 0.0 and bench.turns == pytest.approx(1000 / COUNTS, abs=1e-6)
     assert bench.drive.power == OPERATION_ENABLED
 
 
@@ -329,8 +322,7 @@ def test_a_careless_host_is_found_out() -> None:
     bench = drive(turns=0.1)
     put(bench, 0x6060, CSP, 1)
     control(bench, 0x06, 0x07, 0x0F)
-    bench.wait(200)
-    assert bench.turns == pytest.approx(0.0, abs=1e-4)
+    assert bench.after(200).turns == pytest.approx(0.0, abs=1e-4)
     bench = following()
     bench.drive.block_shaft(bench.now_ns)
     for step in range(1, 51):
@@ -350,8 +342,6 @@ def test_a_profile_move_halts_and_arrives() -> None:
     stood = bench.turns
     assert 0.0 < stood < 5.0 and bench.turns_s == 0.0 and got(bench, 0x6041) & 0x400
     control(bench, 0x0F)
-    bench.wait(500)
-    assert bench.turns == pytest.approx(stood)
+    assert bench.after(500).turns == pytest.approx(stood)
     control(bench, 0x1F)
-    bench.wait(3000)
-    assert bench.turns == pytest.approx(5.0) and got(bench, 0x6041) & 0x1400 == 0x1400
+    assert bench.after(3000).turns == pytest.approx(5.0) and got(bench, 0x6041) & 0x1400 == 0x1400

@@ -67,14 +67,10 @@ def test_feedback_of_the_facts():
 
 
 def test_set_points_of_the_facts():
-    bench = motor()
-    bench.tell(ENABLE, TO_ONE)
-    bench.wait(2000)
+    bench = motor().tell(ENABLE, TO_ONE).after(2000)
     # friction, and what the fields of torque and velocity cut off, against 10 N·m/rad
     assert rad(bench) == pytest.approx(1.0, abs=(0.02 + 28.0 / 4095 + 10.0 / 4095) / 10.0 + CODE_RAD)
-    bench.tell(NOTHING)
-    bench.wait(1000)
-    assert bench.turns_s == 0.0  # free to turn, and friction has stopped it
+    assert bench.tell(NOTHING).after(1000).turns_s == 0.0  # free to turn, and friction has stopped it
 
 
 def test_targets_of_the_facts():
@@ -82,12 +78,9 @@ def test_targets_of_the_facts():
     assert bench.ask(SET_MODE_2) == ["011# 01 00 55 0A 02 00 00 00"]
     assert bench.ask(READ_MODE) == ["011# 01 00 33 0A 02 00 00 00"]
     bench.tell(ENABLE, GO_TO_ONE)
-    bench.wait(250)
-    assert bench.turns_s * TURN_RAD == pytest.approx(4.0 * 0.25, rel=0.01)  # the ramp
-    bench.wait(250)
-    assert bench.turns_s * TURN_RAD == pytest.approx(2.0, rel=0.01)  # as fast as told
-    bench.wait(2000)
-    assert rad(bench) == pytest.approx(1.0, abs=1e-6)
+    assert bench.after(250).turns_s * TURN_RAD == pytest.approx(4.0 * 0.25, rel=0.01)  # the ramp
+    assert bench.after(250).turns_s * TURN_RAD == pytest.approx(2.0, rel=0.01)  # as fast as told
+    assert rad(bench.after(2000)) == pytest.approx(1.0, abs=1e-6)
     assert bench.turns_s == 0.0
 
 
@@ -107,9 +100,7 @@ def test_an_id_of_sixteen_or_more_spoils_the_status():
 def test_a_motor_that_keeps_its_targets_goes_there():
     bench = motor(mode=POSITION_VELOCITY)
     bench.drive.keeps_targets = True
-    bench.tell(GO_TO_ONE, ENABLE)
-    bench.wait(2000)
-    assert rad(bench) == pytest.approx(1.0, abs=1e-6)
+    assert rad(bench.tell(GO_TO_ONE, ENABLE).after(2000)) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_commands_of_state_count_on_all_that_it_hears():
@@ -119,8 +110,7 @@ def test_commands_of_state_count_on_all_that_it_hears():
 
 
 def test_only_a_limp_motor_stores():
-    bench = motor()
-    bench.tell(ENABLE)
+    bench = motor().tell(ENABLE)
     assert bench.ask("7FF# 01 00 AA 01 00 00 00 00") == []
 
 
@@ -129,23 +119,18 @@ def test_no_alarm_rings_of_a_motor_that_is_limp_or_has_none():
     limp.tell(TO_ONE)
     limp.wait(1000)
     assert limp.drive.status == LIMP
-    bench = motor(timeout=100)
-    bench.tell(ENABLE, "7FF# 01 00 55 09 00 00 00 00")
-    bench.wait(1000)
-    assert bench.drive.status == ENABLED
+    bench = motor(timeout=100).tell(ENABLE, "7FF# 01 00 55 09 00 00 00 00")
+    assert bench.after(1000).drive.status == ENABLED
 
 
 def test_power_brings_back_what_was_stored_and_the_last_turn_alone():
-    bench = motor(rad=1.5 * TURN_RAD + 0.25)
-    bench.tell(SET_MODE_2, ENABLE)
-    bench.drive.power_off(bench.now_ns)
-    bench.drive.power_on(bench.now_ns)
+    bench = motor(rad=1.5 * TURN_RAD + 0.25).tell(SET_MODE_2, ENABLE)
+    bench.restart()
     assert (bench.drive.registers[CTRL_MODE], bench.drive.status) == (MIT, LIMP)
     assert bench.drive.counted * TURN_RAD == pytest.approx(0.25 - 0.5 * TURN_RAD)
     assert bench.ask("7FF# 01 00 AA 01 00 00 00 00") == ["011# 01 00 AA 01"]
     bench.tell(SET_MODE_2, "7FF# 01 00 AA 01 00 00 00 00", "7FF# 01 00 55 0A 03 00 00 00")
-    bench.drive.power_off(bench.now_ns)
-    bench.drive.power_on(bench.now_ns)
+    bench.restart()
     assert bench.drive.registers[CTRL_MODE] == POSITION_VELOCITY
 
 
@@ -156,8 +141,7 @@ def test_damping_alone_turns_at_a_speed():
     bench = motor()
     code = int((2.0 + 10.0) * 4095 / 20.0)
     bench.tell(ENABLE, Frame(1, (0x7FFF << 48 | code << 36 | 0xFFF << 12 | 0x7FF).to_bytes(8, "big"), extended=False))
-    bench.wait(200)
-    assert bench.turns_s * TURN_RAD == pytest.approx(2.0 - 0.02 / 5.0, abs=20.0 / 4095)
+    assert bench.after(200).turns_s * TURN_RAD == pytest.approx(2.0 - 0.02 / 5.0, abs=20.0 / 4095)
 
 
 def test_a_torque_alone_accelerates():
@@ -165,54 +149,39 @@ def test_a_torque_alone_accelerates():
     code = math.ceil((1.0 + 28.0) * 4095 / 56.0)
     nm = code * 56.0 / 4095 - 28.0
     bench.tell(ENABLE, Frame(1, (0x7FFF_7FF0_0000_0000 | code).to_bytes(8, "big"), extended=False))
-    bench.wait(100)
-    assert bench.turns_s * TURN_RAD == pytest.approx((nm - 0.02) / 0.02 * 0.1, rel=0.02)
+    assert bench.after(100).turns_s * TURN_RAD == pytest.approx((nm - 0.02) / 0.02 * 0.1, rel=0.02)
 
 
 def test_commands_of_another_mode_are_answered_and_do_nothing():
-    bench = motor()
-    bench.tell(ENABLE)
+    bench = motor().tell(ENABLE)
     for frame in (moved(1.0, 2.0, offset) for offset in (0x100, 0x200, 0x300, 0x400, 0x600)):
         assert len(bench.ask(frame)) == 1
-    bench.wait(500)
-    assert rad(bench) == 0.0
+    assert rad(bench.after(500)) == 0.0
 
 
 @pytest.mark.parametrize("length", [4, 8])
 def test_a_velocity_comes_in_four_bytes_or_eight(length):
     """Four are the firmware's (drives-checked)."""
-    bench = motor(mode=3, acc=10.0)
-    bench.tell(ENABLE, Frame(0x201, struct.pack("<ff", -3.0, 0.0)[:length], extended=False))
-    bench.wait(500)
-    assert bench.turns_s * TURN_RAD == pytest.approx(-3.0)
+    bench = motor(mode=3, acc=10.0).tell(ENABLE, Frame(0x201, struct.pack("<ff", -3.0, 0.0)[:length], extended=False))
+    assert bench.after(500).turns_s * TURN_RAD == pytest.approx(-3.0)
 
 
 def test_force_position():
     bench = motor(mode=4, acc=10.0, dec=-10.0)
     bench.tell(ENABLE, Frame(0x301, struct.pack("<fHH", 1.0, 200, 10_000), extended=False))
-    bench.wait(400)
-    assert bench.turns_s * TURN_RAD == pytest.approx(2.0)
-    bench.wait(1000)
-    assert rad(bench) == pytest.approx(1.0, abs=1e-6)
+    assert bench.after(400).turns_s * TURN_RAD == pytest.approx(2.0)
+    assert rad(bench.after(1000)) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_another_mode_forgets_what_was_told():
-    bench = motor(mode=POSITION_VELOCITY, acc=10.0, dec=-10.0)
-    bench.tell(ENABLE, moved(10.0, 2.0))
-    bench.wait(500)
-    bench.tell("7FF# 01 00 55 0A 03 00 00 00")
-    bench.wait(500)
-    assert bench.turns_s == 0.0
+    bench = motor(mode=POSITION_VELOCITY, acc=10.0, dec=-10.0).tell(ENABLE, moved(10.0, 2.0)).after(500)
+    assert bench.tell("7FF# 01 00 55 0A 03 00 00 00").after(500).turns_s == 0.0
     assert rad(bench) < 2.0
 
 
 def test_a_speed_of_nothing_stops_by_the_ramp():
-    bench = motor(mode=POSITION_VELOCITY, acc=100.0, dec=-4.0)
-    bench.tell(ENABLE, moved(10.0, 2.0))
-    bench.wait(500)
-    bench.tell(moved(10.0, 0.0))
-    bench.wait(250)
-    assert bench.turns_s * TURN_RAD == pytest.approx(1.0, rel=0.02)
+    bench = motor(mode=POSITION_VELOCITY, acc=100.0, dec=-4.0).tell(ENABLE, moved(10.0, 2.0)).after(500)
+    assert bench.tell(moved(10.0, 0.0)).after(250).turns_s * TURN_RAD == pytest.approx(1.0, rel=0.02)
 
 
 # --- registers ------------------------------------------------------------------------------------------

@@ -94,20 +94,16 @@ def test_positions(command, turns, rpm):
 def test_a_speed_and_how_it_ends():
     bench = drive()
     assert bench.ask("001# F6 01 40 02 3A") == ["001# F6 01 F8"]  # CCW, 320 rpm, acc 2 (facts)
-    bench.wait(100)
-    assert bench.ask("001# F1 F2") == ["001# F1 02 F4"]
-    bench.wait(5000)
-    assert bench.turns_s == pytest.approx(320 / 60)
+    assert bench.after(100).ask("001# F1 F2") == ["001# F1 02 F4"]
+    assert bench.after(5000).turns_s == pytest.approx(320 / 60)
     assert bench.ask("001# 32 33") == ["001# 32 01 40 74"]
     assert bench.ask("001# F1 F2") == ["001# F1 04 F6"]
     assert bench.ask("001# F6 00 00 02 F9") == ["001# F6 01 F8"]  # (manual)
-    bench.wait(100)
-    assert bench.ask("001# F1 F2") == ["001# F1 03 F5"]
+    assert bench.after(100).ask("001# F1 F2") == ["001# F1 03 F5"]
     assert bench.wait(5000) == ["001# F6 02 F9"]
     assert bench.turns_s == 0.0
     bench.tell("001# F6 81 40 02 BA")  # (manual): the other way round
-    bench.wait(5000)
-    assert bench.turns_s == pytest.approx(-320 / 60)
+    assert bench.after(5000).turns_s == pytest.approx(-320 / 60)
 
 
 @pytest.mark.parametrize(
@@ -121,24 +117,19 @@ def test_a_speed_and_how_it_ends():
     ],
 )
 def test_stops_hold(stop, within_s):
-    bench = drive()
-    bench.tell(told(0xF5, 2, 0x58, 246, 0x40, 0, 0))
-    bench.wait(1000)
-    assert bench.turns_s == pytest.approx(10.0)
-    bench.tell(stop)
-    bench.wait(within_s * 1000 - 20 if within_s else 0)
+    bench = drive().tell(told(0xF5, 2, 0x58, 246, 0x40, 0, 0))
+    assert bench.after(1000).turns_s == pytest.approx(10.0)
+    bench.tell(stop).wait(within_s * 1000 - 20 if within_s else 0)
     assert (bench.turns_s > 0.0) == (within_s > 0.0)
     bench.wait(40)
     stood = bench.turns
-    bench.wait(5000)
-    assert bench.turns == stood and bench.drive.enabled
+    assert bench.after(5000).turns == stood and bench.drive.enabled
     assert bench.ask("001# 39 3A") == ["001# 39 00 00 00 00 3A"]
 
 
 def test_the_ramp_is_the_manuals():
     """acc 236: 1 rpm a millisecond (manual 6.1)."""
-    bench = drive()
-    bench.tell(told(0xF6, 0, 100, 236))
+    bench = drive().tell(told(0xF6, 0, 100, 236))
     _, speeds = zip(*((bench.wait(1), bench.drive.shaft.past(bench.now_ns)[1]) for _ in range(150)), strict=True)
     assert np.abs(np.diff(speeds)).max() == 1.0
     assert speeds[-1] == 100.0 and 98 <= np.count_nonzero(np.diff(speeds)) <= 100
@@ -148,12 +139,9 @@ def test_the_ramp_is_the_manuals():
 
 
 def test_older_firmware_refuses_a_target_in_mid_move():
-    bench = drive(retargets=False)
-    bench.tell("001# F5 02 58 02 00 40 00 92")
-    bench.wait(300)
-    assert bench.ask("001# F5 02 58 02 FF C0 00 11") == [said(0xF5, 0)]
-    bench.wait(10_000)
-    assert counts(bench) == COUNTS
+    bench = drive(retargets=False).tell("001# F5 02 58 02 00 40 00 92")
+    assert bench.after(300).ask("001# F5 02 58 02 FF C0 00 11") == [said(0xF5, 0)]
+    assert counts(bench.after(10_000)) == COUNTS
 
 
 # --- answers --------------------------------------------------------------------------------------------
@@ -216,8 +204,7 @@ def test_settings_are_kept_or_refused(setting, result):
     before = bench.drive.settings[setting[0]]
     assert bench.ask(told(*setting)) == [said(setting[0], result)]
     assert bench.ask(told(0, setting[0])) == [said(setting[0], *(setting[1:] if result else before))]
-    bench.drive.power_off(bench.now_ns)
-    bench.drive.power_on(bench.now_ns)
+    bench.restart()
     assert bench.drive.settings[setting[0]] == (bytes(setting[1:]) if result else before), "it is in flash"
 
 
@@ -234,22 +221,18 @@ def test_without_a_bus_mode_it_obeys_nobody(mode):
     assert bench.ask("001# F1 F2") == ["001# F1 00 F2"]
     assert bench.ask("001# F3 01 F5") == [said(0xF3, 0)]
     assert bench.ask("001# F5 02 58 02 00 40 00 92") == [said(0xF5, 0)]
-    bench.wait(1000)
-    assert bench.turns == 0.0
+    assert bench.after(1000).turns == 0.0
 
 
 # --- protection, power ----------------------------------------------------------------------------------
 
 
 def test_a_blocked_shaft_trips_the_protection_where_that_is_on():
-    bench = drive(turns=0.25, settings=BUS_MODE | {0x88: b"\x01"})
-    bench.wait(1)
+    bench = drive(turns=0.25, settings=BUS_MODE | {0x88: b"\x01"}).after(1)
     bench.drive.block_shaft(bench.now_ns)
     bench.tell(told(0xF5, 0, 60, 0, 0, 0x40, 0))
-    bench.wait(STALL_NS * 1e-6 - 100)
-    assert bench.ask("001# 3E 3F") == [said(0x3E, 0)]
-    bench.wait(400)
-    assert bench.ask("001# 3E 3F") == [said(0x3E, 1)]
+    assert bench.after(STALL_NS * 1e-6 - 100).ask("001# 3E 3F") == [said(0x3E, 0)]
+    assert bench.after(400).ask("001# 3E 3F") == [said(0x3E, 1)]
     assert bench.ask("001# 3A 3B") == [said(0x3A, 0)]
     assert bench.ask("001# F3 01 F5") == [said(0xF3, 0)]
     assert bench.ask("001# F5 02 58 02 00 40 00 92") == [said(0xF5, 0)]
@@ -265,8 +248,7 @@ def test_an_error_is_told_while_the_shaft_is_held_back():
     bench = drive()
     bench.drive.block_shaft(bench.now_ns)
     bench.tell(told(0xF5, 0, 60, 0, 0, 0x10, 0))  # a quarter of a turn
-    bench.wait(1000)
-    assert bench.ask("001# 39 3A") == [said(0x39, 0, 0, 0x32, 0)]  # of 51200 steps
+    assert bench.after(1000).ask("001# 39 3A") == [said(0x39, 0, 0, 0x32, 0)]  # of 51200 steps
 
 
 # --- homing ---------------------------------------------------------------------------------------------
@@ -278,8 +260,7 @@ def test_homing_to_a_mechanical_stop_and_away_from_it():
     assert bench.ask("001# 90 00 00 00 64 00 01 F6") == [said(0x90, 1)]  # CW, 100 rpm, no switch (manual)
     assert bench.ask("001# 94 00 00 20 00 02 58 0F") == [said(0x94, 1)]  # back by half a turn (manual)
     assert bench.ask("001# 91 92") == [said(0x91, 1)]  # (manual)
-    bench.wait(500)
-    assert bench.ask("001# F1 F2") == [said(0xF1, 5)] and bench.ask("001# 3B 3C") == [said(0x3B, 0)]
+    assert bench.after(500).ask("001# F1 F2") == [said(0xF1, 5)] and bench.ask("001# 3B 3C") == [said(0x3B, 0)]
     assert bench.ask("001# F5 02 58 02 00 40 00 92") == [said(0xF5, 0)]
     assert bench.wait(5000) == [said(0x91, 2)]
     assert bench.turns == pytest.approx(1.0, abs=1e-3) and counts(bench) == 0
@@ -298,16 +279,11 @@ def test_homing_to_a_switch(turns):
 
 
 def test_a_homing_run_is_ended_by_the_emergency_stop_alone():
-    bench = drive(turns=2.0)
-    bench.tell("001# 90 00 00 00 64 00 01 F6", "001# 91 92")
-    bench.wait(100)
-    bench.tell("001# F5 00 00 00 00 00 00 F6")
-    bench.wait(100)
-    assert bench.turns_s != 0.0
+    bench = drive(turns=2.0).tell("001# 90 00 00 00 64 00 01 F6", "001# 91 92").after(100)
+    assert bench.tell("001# F5 00 00 00 00 00 00 F6").after(100).turns_s != 0.0
     assert said(0x91, 0) in bench.ask("001# F7 F8")
     stood = bench.turns
-    bench.wait(1000)
-    assert bench.turns == stood and bench.ask("001# 3B 3C") == [said(0x3B, 2)]
+    assert bench.after(1000).turns == stood and bench.ask("001# 3B 3C") == [said(0x3B, 2)]
 
 
 def test_the_limit_stops_motion_towards_the_switch_alone():
@@ -318,8 +294,7 @@ def test_the_limit_stops_motion_towards_the_switch_alone():
     assert bench.turns == pytest.approx(0.5, abs=1e-6)
     assert bench.ask(told(0xF5, 0, 60, 0, 0, 0, 0)) == [said(0xF5, 3)]
     assert bench.ask(told(0xF5, 0, 60, 0, 0, 0x40, 0)) == [said(0xF5, 1)]
-    bench.wait(2000)
-    assert bench.turns == pytest.approx(1.0, abs=1e-6)
+    assert bench.after(2000).turns == pytest.approx(1.0, abs=1e-6)
 
 
 def test_calibrating_takes_a_while_and_moves_nothing():

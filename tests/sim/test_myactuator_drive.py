@@ -33,23 +33,18 @@ def motor(turns: float = 0.0, **changes) -> DriveBench:
 def test_a_target_of_the_facts():
     bench = motor()
     assert bench.ask(TARGET)[0].startswith("241# A4 32 ")
-    bench.wait(400)
-    assert bench.turns_s * 360 == pytest.approx(500)
-    bench.wait(1000)
-    assert bench.turns == pytest.approx(1.0, abs=1e-6)
+    assert bench.after(400).turns_s * 360 == pytest.approx(500)
+    assert bench.after(1000).turns == pytest.approx(1.0, abs=1e-6)
     assert bench.ask(ANGLE) == ["241# 92 00 00 00 A0 8C 00 00"]  # (V4.2)
 
 
 def test_a_speed_of_the_facts():
-    bench = motor()
-    bench.tell(SPIN)
-    bench.wait(500)
-    assert bench.turns_s * 360 == pytest.approx(100)
+    bench = motor().tell(SPIN)
+    assert bench.after(500).turns_s * 360 == pytest.approx(100)
 
 
 def test_status_of_the_facts():
-    bench = motor()
-    bench.tell(TARGET)
+    bench = motor().tell(TARGET)
     bench.drive.error = 0x0004
     bench.drive.cause_lasts = True
     assert bench.ask(STATUS) == ["241# 9A 32 00 01 E5 01 04 00"]
@@ -80,36 +75,26 @@ def test_model_and_version_of_the_maker():
 
 
 def test_its_ramps_are_those_that_were_set():
-    bench = motor(ramps_dps_s=[200, 100, 10_000, 10_000])
-    bench.tell(TARGET)
-    bench.wait(500)
-    assert bench.turns_s * 360 == pytest.approx(100, rel=0.01)
-    bench.wait(5000)
-    assert bench.turns == pytest.approx(1.0, abs=1e-6)
+    bench = motor(ramps_dps_s=[200, 100, 10_000, 10_000]).tell(TARGET)
+    assert bench.after(500).turns_s * 360 == pytest.approx(100, rel=0.01)
+    assert bench.after(5000).turns == pytest.approx(1.0, abs=1e-6)
 
 
 def test_without_ramps_it_follows_at_once():
-    bench = motor(ramps_dps_s=[0, 0, 10_000, 10_000])
-    bench.tell(TARGET)
-    bench.wait(40)
-    assert bench.turns_s * 360 == pytest.approx(500, rel=0.02)
+    bench = motor(ramps_dps_s=[0, 0, 10_000, 10_000]).tell(TARGET)
+    assert bench.after(40).turns_s * 360 == pytest.approx(500, rel=0.02)
 
 
 def test_stop_keeps_the_loop_closed():
-    bench = motor()
-    bench.tell(SPIN)
+    bench = motor().tell(SPIN)
     assert bench.ask(STOP) == ["241# 81 00 00 00 00 00 00 00"]
     assert bench.ask("141# 70 00 00 00 00 00 00 00") == ["241# 70 00 00 00 00 00 00 02"]
 
 
 def test_by_a_way_and_by_current():
-    bench = motor(0.5, absolute=True)
-    bench.tell("141# A8 00 F4 01 28 23 00 00")
-    bench.wait(2000)
-    assert bench.turns == pytest.approx(0.75, abs=1e-6)
-    bench.tell("141# A1 00 00 00 64 00 00 00")
-    bench.wait(10)
-    assert bench.turns_s > 0.1
+    bench = motor(0.5, absolute=True).tell("141# A8 00 F4 01 28 23 00 00")
+    assert bench.after(2000).turns == pytest.approx(0.75, abs=1e-6)
+    assert bench.tell("141# A1 00 00 00 64 00 00 00").after(10).turns_s > 0.1
 
 
 def test_all_motors_hear_one_identifier():
@@ -124,16 +109,13 @@ def test_a_restart_is_not_answered_and_takes_a_while():
     assert bench.ask(RESTART) == []
     bench.wait(RESTART_NS / 2e6)
     assert not bench.drive.listening
-    bench.wait(RESTART_NS / 1e6)
-    assert bench.drive.listening
+    assert bench.after(RESTART_NS / 1e6).drive.listening
 
 
 def test_a_brake_holds_what_is_shut_down():
     for brake, stays in ((True, True), (False, False)):
-        bench = motor(brake=brake)
-        bench.tell(SPIN)
-        bench.wait(100)
-        assert bench.ask(SHUT_DOWN) == ["241# 80 00 00 00 00 00 00 00"]
+        bench = motor(brake=brake).tell(SPIN)
+        assert bench.after(100).ask(SHUT_DOWN) == ["241# 80 00 00 00 00 00 00 00"]
         bench.wait(1)
         before = bench.turns
         bench.wait(10)
@@ -142,10 +124,8 @@ def test_a_brake_holds_what_is_shut_down():
 
 
 def test_the_next_command_ends_what_silence_began():
-    bench = motor()
-    bench.tell(TIMEOUT, SPIN)
-    bench.wait(1100)
-    assert bench.drive.mode == OFF and bench.drive.rom_writes == 1
+    bench = motor().tell(TIMEOUT, SPIN)
+    assert bench.after(1100).drive.mode == OFF and bench.drive.rom_writes == 1
     bench.tell(SPIN)
     assert bench.drive.mode == SPEED
 

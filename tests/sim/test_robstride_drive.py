@@ -48,8 +48,7 @@ def test_feedback_of_the_facts():
     bench = motor(1.0 / TURN_RAD, absolute=True)
     assert bench.ask(ENABLE)[0].startswith("028001AA# 8A 2F ")
     bench.ask("1200AA01# 0A 70 00 00 00 00 00 00")
-    bench.wait(10)
-    assert bench.ask(ENABLE) == [AT_ONE]
+    assert bench.after(10).ask(ENABLE) == [AT_ONE]
 
 
 def test_position_of_the_facts():
@@ -64,17 +63,13 @@ def test_a_parameter_as_in_the_makers_manual():
 
 
 def test_a_target_of_the_facts():
-    bench = motor()
-    bench.tell(POSITION_MODE, ENABLE, TARGET)
-    bench.wait(3000)
-    assert radians(bench) == pytest.approx(1.0, abs=1e-5)
+    bench = motor().tell(POSITION_MODE, ENABLE, TARGET)
+    assert radians(bench.after(3000)) == pytest.approx(1.0, abs=1e-5)
 
 
 def test_a_set_point_of_the_facts():
-    bench = motor()
-    bench.tell(ENABLE, SET_POINT)
-    bench.wait(2000)
-    assert radians(bench) == pytest.approx(
+    bench = motor().tell(ENABLE, SET_POINT)
+    assert radians(bench.after(2000)) == pytest.approx(
         1.0, abs=0.02 / 30 + 4e-4
     )  # friction over stiffness, and the position's step
 
@@ -88,35 +83,26 @@ def test_its_id_is_told_to_anybody():
 
 
 def test_its_position_loop_keeps_the_speed_limit_and_has_no_ramp():
-    bench = motor()
-    bench.tell(POSITION_MODE, write(0x7017, 0.5), ENABLE, TARGET)
-    bench.wait(100)
+    bench = motor().tell(POSITION_MODE, write(0x7017, 0.5), ENABLE, TARGET).after(100)
     assert bench.turns_s * TURN_RAD == pytest.approx(0.5, rel=1e-3)  # long since: a ramp of 10 would need 50 ms
-    bench.wait(3000)
-    assert radians(bench) == pytest.approx(1.0, abs=1e-5)
+    assert radians(bench.after(3000)) == pytest.approx(1.0, abs=1e-5)
 
 
 def test_run_mode_one_of_robstrides_has_a_ramp_and_another_limit():
-    bench = motor(robstride=True)
-    bench.tell(POSITION_MODE, write(0x7017, 0.1), ENABLE, TARGET)
-    bench.wait(100)
-    assert bench.turns_s * TURN_RAD == pytest.approx(1.0, rel=0.01)  # 10 rad/s² for 0.1 s
-    bench.wait(1000)
-    assert radians(bench) == pytest.approx(1.0, abs=1e-5)
+    bench = motor(robstride=True).tell(POSITION_MODE, write(0x7017, 0.1), ENABLE, TARGET)
+    assert bench.after(100).turns_s * TURN_RAD == pytest.approx(1.0, rel=0.01)  # 10 rad/s² for 0.1 s
+    assert radians(bench.after(1000)) == pytest.approx(1.0, abs=1e-5)
     bench.tell(LET_GO, Frame(0x1200AA01, struct.pack("<HxxBxxx", 0x7005, 5)), ENABLE, write(0x7016, 0.5))
-    bench.wait(1000)
-    assert bench.turns_s * TURN_RAD == pytest.approx(-0.1, rel=1e-3)
+    assert bench.after(1000).turns_s * TURN_RAD == pytest.approx(-0.1, rel=1e-3)
 
 
 def test_a_run_mode_that_it_has_not_is_not_taken():
-    bench = motor()
-    bench.tell(Frame(0x1200AA01, struct.pack("<HxxBxxx", 0x7005, 5)))
+    bench = motor().tell(Frame(0x1200AA01, struct.pack("<HxxBxxx", 0x7005, 5)))
     assert bench.ask("1100AA01# 05 70 00 00 00 00 00 00") == ["110001AA# 05 70 00 00 00 00 00 00"]
 
 
 def test_its_run_mode_stays_while_it_runs():
-    bench = motor()
-    bench.tell(ENABLE, POSITION_MODE)
+    bench = motor().tell(ENABLE, POSITION_MODE)
     assert bench.drive.parameters[0x7005] == 0
     bench.tell(LET_GO, POSITION_MODE)
     assert bench.drive.parameters[0x7005] == 1
@@ -128,9 +114,7 @@ def test_a_speed_of_zero_moves_nothing_in_any_mode():
         bench.tell(Frame(0x1200AA01, struct.pack("<HxxBxxx", 0x7005, mode)), write(0x7016, 0.2 * math.pi), ENABLE)
         bench.wait(300)
         before = bench.turns
-        bench.tell(write(0x700A, 0.0))
-        bench.wait(300)
-        assert bench.turns == pytest.approx(before, abs=1e-6)
+        assert bench.tell(write(0x700A, 0.0)).after(300).turns == pytest.approx(before, abs=1e-6)
 
 
 # --- faults, power and names ----------------------------------------------------------------------------
@@ -141,8 +125,7 @@ def test_a_speed_of_zero_moves_nothing_in_any_mode():
     [("stall", "00 01 00 00"), ("temperature", "01 00 00 00"), ("current", "00 00 01 00")],
 )
 def test_a_fault_is_said_once_by_itself(cause, words):
-    bench = motor()
-    bench.tell(ENABLE)
+    bench = motor().tell(ENABLE)
     bench.heard()
     bench.drive.protect(bench.now_ns, cause)
     assert bench.wait(1000) == [f"150001AA# {words} 00 00 00 00"]
@@ -166,6 +149,5 @@ def test_frames_that_are_not_for_it(text):
 
 
 def test_a_limit_that_is_no_number_changes_nothing():
-    bench = motor()
-    bench.tell(write(0x7017, math.inf))
+    bench = motor().tell(write(0x7017, math.inf))
     assert bench.drive.parameters[0x7017] == 2.0

@@ -34,6 +34,14 @@ ramps = st.floats(2.0, 500.0)
 times = st.integers(1, 400 * MILLISECOND)
 
 
+def driven(law: Law, time_ns: int, load: Load | None = None) -> Servo:
+    """A shaft that a law has led from rest for a time."""
+    servo = Servo(0, 0.0, load)
+    servo.obey(law)
+    servo.advance(time_ns)
+    return servo
+
+
 def moved(servo: Servo) -> tuple[np.ndarray, np.ndarray]:
     """Positions and speeds of every step so far [rev, rev/s]."""
     end_ns = int(servo.changes_ns()[-1]) + STEP_NS
@@ -89,9 +97,7 @@ def test_a_plan_that_is_changed_on_the_way_never_jumps(orders):
 
 
 def test_a_plan_takes_the_time_of_its_trapezoid():
-    servo = Servo(0, 0.0)
-    servo.obey(Plan(10.0, 5.0, 20.0, 10.0))
-    servo.advance(10 * SECOND)
+    servo = driven(Plan(10.0, 5.0, 20.0, 10.0), 10 * SECOND)
     # Up in 0.25 s over 0.625 rev, down in 0.5 s over 1.25 rev, the rest at 5 rev/s.
     arrived_s = servo.changes_ns()[-1] * 1e-9
     assert arrived_s == pytest.approx(0.25 + 0.5 + (10 - 0.625 - 1.25) / 5, abs=3 * STEP_S)
@@ -112,9 +118,7 @@ def test_a_speed_is_reached_by_its_ramp(target, ramp):
 @settings(deadline=None)
 @given(st.floats(-50, 50), st.floats(1e-5, 0.1), st.floats(0.0, 1.0))
 def test_the_energy_of_a_limp_shaft_never_grows(speed, inertia, friction):
-    servo = Servo(0, 0.0, Load(inertia, friction))
-    servo.obey(Spin(speed, 1e9))
-    servo.advance(2 * STEP_NS)
+    servo = driven(Spin(speed, 1e9), 2 * STEP_NS, Load(inertia, friction))
     servo.obey(Limp())
     servo.advance(SECOND)
     speeds = np.abs(moved(servo)[1][2:])
@@ -153,18 +157,14 @@ def test_no_gain_makes_a_torque_greater_than_the_motor(orders, inertia, stronges
 
 def test_a_stiff_shaft_settles_as_near_as_friction_lets_it():
     load = Load(0.001, 0.02)
-    servo = Servo(0, 0.0, load)
-    servo.obey(Torque(position_rad=1.0, kp=30.0, kd=0.5))
-    servo.advance(2 * SECOND)
+    servo = driven(Torque(position_rad=1.0, kp=30.0, kd=0.5), 2 * SECOND, load)
     assert servo.position_at(2 * SECOND) * TURN_RAD == pytest.approx(1.0, abs=0.02 / 30 + 1e-6)
     assert servo.speed == 0.0
 
 
 def test_a_torque_below_friction_moves_nothing_and_one_above_accelerates():
     load = Load(0.001, 0.02)
-    servo = Servo(0, 0.0, load)
-    servo.obey(Torque(torque_nm=0.019))
-    servo.advance(SECOND)
+    servo = driven(Torque(torque_nm=0.019), SECOND, load)
     assert len(servo.changes_ns()) == 1
     servo.obey(Torque(torque_nm=0.03))
     servo.advance(2 * SECOND)
@@ -254,9 +254,7 @@ def test_a_stop_holds_a_shaft_and_is_felt(law):
 
 
 def test_the_past_can_be_forgotten_and_the_present_stays():
-    servo = Servo(0, 0.0)
-    servo.obey(Plan(3.0, 5.0, 50.0))
-    servo.advance(SECOND)
+    servo = driven(Plan(3.0, 5.0, 50.0), SECOND)
     middle, end = servo.past(SECOND // 10), servo.past(SECOND)
     servo.forget_before(SECOND // 10)
     assert servo.changes_ns()[0] <= SECOND // 10

@@ -183,9 +183,8 @@ def test_an_arm_that_was_just_switched_on_counts_from_where_it_stands(make: Make
 def test_every_fault_is_one_that_these_drives_can_have_or_is_refused_in_a_sentence(make: Make, arm: ArmConfig) -> None:
     for name, kind in wrong.FAULTS.items():
         needed = [field.name for field in fields(kind) if field.default is MISSING]
-        fault = wrong.parse_fault(
-            f"{name}:" + ",".join(f"{key}={'joint2' if key == 'joint' else '0.5'}" for key in needed)
-        )
+        values = ",".join(f"{key}={'joint2' if key == 'joint' else '0.5'}" for key in needed)
+        fault = wrong.parse_fault(f"{name}:{values}")
         simulated = SimulatedArm(arm)
         if kind is wrong.Thing or (kind in OF_ZDT_ALONE and make is not zdt):
             with pytest.raises(ValueError, match="no fault this arm can have"):
@@ -301,14 +300,11 @@ def test_waking_only_when_told_misses_nothing(make: Make, arm: ArmConfig) -> Non
 # --- mixed buses ----------------------------------------------------------------------------------------
 
 
-def with_odrives(arm: ArmConfig, *joints: int, **options: object) -> ArmConfig:
+def with_odrives(arm: ArmConfig, *joints: int) -> ArmConfig:
     """The arm with ODrives of nodes 1 and up at some of its joints, which send nothing by themselves but heartbeats."""
+    odrive = [OdriveConfig(family="odrive", node_id=index + 1, estimates_ms=0) for index in range(len(arm.joints))]
     changed = [
-        joint.model_copy(
-            update={"drive": OdriveConfig(family="odrive", node_id=index + 1, **({"estimates_ms": 0} | options))}
-        )
-        if index in joints
-        else joint
+        joint.model_copy(update={"drive": odrive[index]}) if index in joints else joint
         for index, joint in enumerate(arm.joints)
     ]
     return arm.model_copy(update={"joints": changed})

@@ -61,14 +61,12 @@ def holding(family: Family, turns: float = 0.0, **options: object) -> FamilyBenc
     return FamilyBench(family, turns, **options).enable()
 
 
-def underway(family: Family, turns: float = 1.0) -> FamilyBench:
-    """A drive on its way at its speed, half-way."""
-    bench = holding(family)
-    bench.tell(*family.go(turns))
-    while abs(bench.turns) < 0.5 * abs(turns):
+def underway(family: Family) -> FamilyBench:
+    """A drive that has gone half of the way to 1."""
+    bench = holding(family).tell(*family.go(1.0))
+    while bench.turns < 0.5:
         bench.wait(1)
-    bench.heard()
-    assert bench.turns_s != 0.0
+    assert bench.turns_s > 0.0
     return bench
 
 
@@ -86,7 +84,7 @@ def test_power_comes_to_a_drive_that_moves_nothing_says_so_and_counts_from_there
     bench = holding(family, HERE)
     assert bench.where == pytest.approx(HERE, abs=1e-4)
     bench.drive.protect(bench.now_ns, "current")
-    bench.drive.power_off(bench.now_ns)
+    bench.tell(family.where[0]).drive.power_off(bench.now_ns)
     assert (bench.drive.powered, bench.drive.listening, bench.drive.limp) == (False, False, True)
     assert bench.wait(500) == [], "what was ready is never sent"
     bench.drive.power_on(bench.now_ns)
@@ -97,8 +95,7 @@ def test_power_comes_to_a_drive_that_moves_nothing_says_so_and_counts_from_there
     assert bench.where == pytest.approx(0.0, abs=1e-6)
     assert stands(bench) and bench.turns == HERE
     bench.enable().tell(*family.go(0.5))
-    bench.wait(2500)
-    assert bench.turns == pytest.approx(HERE + 0.5, abs=family.within)
+    assert bench.after(2500).turns == pytest.approx(HERE + 0.5, abs=family.within)
 
 
 @each(lambda family: family.knows_its_angle)
@@ -121,10 +118,8 @@ def test_what_is_not_stored_ends_with_the_power(family: Family) -> None:
 
 
 def test_enabling_moves_nothing_and_is_said(family: Family) -> None:
-    bench = FamilyBench(family, HERE)
-    bench.tell(*family.let_go)
-    bench.wait(10)
-    assert bench.status == family.says["limp"]
+    bench = FamilyBench(family, HERE).tell(*family.let_go)
+    assert bench.after(10).status == family.says["limp"]
     assert (bench.drive.enabled, bench.drive.limp) == (False, True)
     assert stands(bench.enable())
     assert bench.status == family.says["holding"]
@@ -132,8 +127,7 @@ def test_enabling_moves_nothing_and_is_said(family: Family) -> None:
 
 
 def test_a_limp_drive_goes_nowhere_before_it_is_enabled(family: Family) -> None:
-    bench = FamilyBench(family)
-    bench.tell(*family.let_go, *family.go(1.0))
+    bench = FamilyBench(family).tell(*family.let_go, *family.go(1.0))
     if not family.obeys_limp:
         assert stands(bench) and bench.status == family.says["limp"]
         if not family.keeps_target:
@@ -141,8 +135,7 @@ def test_a_limp_drive_goes_nowhere_before_it_is_enabled(family: Family) -> None:
             return
         *prepare, _, _, enable = family.enable(0.0)
         bench.tell(*prepare, *family.go(1.0), enable)
-    bench.wait(2500)
-    assert bench.drive.enabled and bench.turns == pytest.approx(1.0, abs=family.within)
+    assert bench.after(2500).drive.enabled and bench.turns == pytest.approx(1.0, abs=family.within)
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -169,9 +162,7 @@ def test_a_joints_drive_counts_what_the_arm_sees_or_from_where_it_was_switched_o
 
 @pytest.mark.parametrize("turns", [1.25, -1.25])
 def test_a_target_is_reached_and_no_limit_passed_on_the_way(family: Family, turns: float) -> None:
-    bench = holding(family)
-    bench.tell(*family.go(turns))
-    bench.wait(4000)
+    bench = holding(family).tell(*family.go(turns)).after(4000)
     positions, speeds = bench.motion()
     assert bench.turns == pytest.approx(turns, abs=family.within)
     assert bench.where == pytest.approx(bench.turns, abs=1e-4)
@@ -180,6 +171,9 @@ def test_a_target_is_reached_and_no_limit_passed_on_the_way(family: Family, turn
     if not family.overshoots:
         assert np.abs(speeds).max() == pytest.approx(TOP, rel=1e-3)
         assert (speeds * turns).min() >= -1e-3
+    if family.climbs:
+        climbed_s = np.argmax(np.abs(speeds) >= 0.999 * TOP) * 0.25e-3
+        assert climbed_s == pytest.approx(TOP / family.climbs, rel=0.03)
 
 
 @each()
@@ -189,8 +183,7 @@ def test_of_many_targets_the_last_is_where_it_ends(make: Make, targets: list[tup
     family = make(1)
     bench = holding(family)
     for turns, pause_ms in targets:
-        bench.tell(*family.go(turns))
-        bench.wait(pause_ms)
+        bench.tell(*family.go(turns)).wait(pause_ms)
     bench.wait(8000)
     # Whole pulses or counts are the finest that is told.
     assert bench.turns == pytest.approx(targets[-1][0], abs=family.within + 0.5 / 3200)
@@ -207,21 +200,15 @@ def test_a_target_that_is_no_number_changes_nothing(family: Family) -> None:
     for target in (math.nan, math.inf, -math.inf):
         bench.tell(*family.go(target))
         assert stands(bench, 50)
-    bench.tell(*family.go(0.5))
-    bench.wait(2000)
-    assert bench.turns == pytest.approx(0.5, abs=family.within)
+    assert bench.tell(*family.go(0.5)).after(2000).turns == pytest.approx(0.5, abs=family.within)
 
 
 def test_told_to_stop_it_brakes_and_goes_on_holding(family: Family) -> None:
     bench = underway(family)
-    bench.tell(*family.stop)
-    bench.wait(family.brakes_s * 1e3)
-    assert bench.rests and bench.turns < 1.0
+    assert bench.tell(*family.stop).after(family.brakes_s * 1e3).rests and bench.turns < 1.0
     assert stands(bench)
     assert bench.drive.enabled and bench.status == family.says["holding"]
-    bench.tell(*family.go(0.0))
-    bench.wait(3000)
-    assert bench.turns == pytest.approx(0.0, abs=family.within)
+    assert bench.tell(*family.go(0.0)).after(3000).turns == pytest.approx(0.0, abs=family.within)
 
 
 @pytest.mark.parametrize("how", ["told", "beside", "power"])
@@ -250,30 +237,23 @@ def test_let_go_it_coasts_and_counts_and_holds_where_it_is_when_it_is_enabled(fa
 
 
 def test_a_hand_leads_a_limp_shaft_and_the_drive_counts_it(family: Family) -> None:
-    bench = FamilyBench(family)
-    bench.tell(*family.let_go)
-    bench.wait(1)
+    bench = FamilyBench(family).tell(*family.let_go).after(1)
     bench.drive.lead(bench.now_ns, 0.5)
-    bench.wait(1000)
-    assert bench.turns == pytest.approx(0.5, abs=1e-3)
+    assert bench.after(1000).turns == pytest.approx(0.5, abs=1e-3)
     assert bench.where == pytest.approx(bench.turns, abs=1e-4)
     bench.drive.lead(bench.now_ns, 0.0)
-    bench.wait(10)
-    assert bench.status == family.says["limp"]
+    assert bench.after(10).status == family.says["limp"]
     assert stands(bench.enable())
 
 
 @each(lambda family: family.zero)
 def test_zero_is_set_where_it_stands_and_moves_nothing(family: Family) -> None:
-    bench = FamilyBench(family, HERE, **(family.knows_its_angle or {}))
-    bench.tell(*family.let_go, *family.zero)
+    bench = FamilyBench(family, HERE, **(family.knows_its_angle or {})).tell(*family.let_go, *family.zero)
     bench.wait(family.zeroes_ms)
     bench.heard()
     assert bench.where == pytest.approx(0.0, abs=2e-4)
     assert stands(bench) and stands(bench.enable())
-    bench.tell(*family.go(0.5))
-    bench.wait(2500)
-    assert bench.turns == pytest.approx(HERE + 0.5, abs=family.within)
+    assert bench.tell(*family.go(0.5)).after(2500).turns == pytest.approx(HERE + 0.5, abs=family.within)
 
 
 # --- silence, errors, and what else goes wrong --------------------------------------------------------------
@@ -281,8 +261,7 @@ def test_zero_is_set_where_it_stands_and_moves_nothing(family: Family) -> None:
 
 def watched(family: Family) -> FamilyBench:
     """A drive under way whose watchdog is on."""
-    bench = holding(family, **family.watched)
-    bench.tell(*family.watch, *family.go(1.4))
+    bench = holding(family, **family.watched).tell(*family.watch, *family.go(1.4))
     bench.heard()
     return bench
 
@@ -300,8 +279,7 @@ def test_the_watchdog_stops_a_drive_whose_host_is_silent(family: Family) -> None
     ends_limp = family.says["silence"] != family.says["holding"]
     assert bench.drive.limp == ends_limp and bench.drive.enabled != ends_limp
     assert bench.status == family.says["silence"]
-    bench.wait(REST_MS)
-    assert bench.rests and (bench.turns < 1.4 or family.overshoots)
+    assert bench.after(REST_MS).rests and (bench.turns < 1.4 or family.overshoots)
 
 
 @each(lambda family: family.feed)
@@ -319,19 +297,16 @@ def test_an_error_lets_go_is_said_and_ends_by_being_cleared_alone(family: Family
     bench.drive.protect(bench.now_ns, cause)
     bench.drive.cause_lasts = True
     assert bench.drive.limp and bench.turns_s > 0.0, "it coasts"
-    bench.wait(REST_MS)
-    assert bench.rests
+    assert bench.after(REST_MS).rests
     assert bench.status == family.says[cause]
     bench.tell(*family.clear)
-    bench.wait(family.clears_ms)
-    assert bench.status == family.says[cause], "what caused it lasts"
+    assert bench.after(family.clears_ms).status == family.says[cause], "what caused it lasts"
     bench.drive.cause_lasts = False
     if cause not in family.ends_by_itself:
-        bench.tell(*family.enable(bench.where), *family.go(0.0), *family.stop)
+        bench.tell(*family.let_go, *family.enable(bench.where), *family.go(0.0), *family.stop)
         assert stands(bench)
         assert bench.status == family.says[cause], "nothing of that clears it"
-        bench.tell(*family.clear)
-        bench.wait(family.clears_ms)
+        bench.tell(*family.clear).wait(family.clears_ms)
     bench.tell(*family.let_go)
     bench.heard()
     assert bench.status == family.says["limp"]
@@ -430,8 +405,7 @@ def test_no_frames_break_it_or_make_it_jump(make: Make, data: st.DataObject) -> 
 
 @each(lambda family: family.renumber)
 def test_a_new_number_is_its_own_from_then_on(family: Family, other: Family) -> None:
-    bench = FamilyBench(family, HERE)
-    bench.tell(family.renumber)
+    bench = FamilyBench(family, HERE).tell(family.renumber)
     bench.heard()
     assert bench.ask(family.where[0]) == []
     assert bench.number(other.where) == pytest.approx(HERE, abs=1e-4)
@@ -450,8 +424,7 @@ def test_others_may_repeat_its_position_or_have_its_number(family: Family) -> No
     bench = underway(family)
     told = bench.drive.state_frame(bench.now_ns)
     assert bench.drive.owns(told) and bench.heard() == []
-    bench.wait(3)
-    assert bench.drive.state_frame(bench.now_ns) != told, "its position is in it"
+    assert bench.after(3).drive.state_frame(bench.now_ns) != told, "its position is in it"
     twin = FamilyBench(replace(family, make=lambda _: bench.drive.twin(bench.now_ns, 7)))
     twin.now_ns = bench.now_ns
     assert twin.where == pytest.approx(0.0, abs=2e-4)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Self
 
 import pytest
 from drive_bench import DriveBench
@@ -25,7 +26,7 @@ class Bench(DriveBench):
     def __init__(self, **options: object) -> None:
         super().__init__(ZdtDrive(**options))
 
-    def tell(self, *messages: str | bytes | Frame, address: int = 1) -> None:
+    def tell(self, *messages: str | bytes | Frame, address: int = 1) -> Self:
         for message in messages:
             if isinstance(message, Frame):
                 super().tell(message)
@@ -33,6 +34,7 @@ class Bench(DriveBench):
             data = bytes.fromhex(message) if isinstance(message, str) else message
             rest = [data[:1] + data[start : start + 7] for start in range(8, len(data), 7)]
             super().tell(*(Frame(address << 8 | packet, part) for packet, part in enumerate((data[:8], *rest))))
+        return self
 
     def heard(self) -> list[str]:
         said = [text.partition("# ") for text in super().heard()]
@@ -112,8 +114,7 @@ def test_configuration_block_as_in_the_manual(bench):
 
 
 def test_everything_at_once_one_turn_back():
-    bench = Bench(position_pulses=-3200)
-    bench.tell("43 7A 6B")
+    bench = Bench(position_pulses=-3200).tell("43 7A 6B")
     assert bench.heard() == [
         "43 1F 09 2E E0 02 73 00",
         "1: 43 00 01 00 01 00 00 00",
@@ -132,14 +133,13 @@ def test_positions_one_turn_back_as_in_the_manual():
 
 
 def test_speed_reading_as_in_the_manual(bench):
-    bench.ask("F6 01 05 DC 00 00 6B")
+    bench.tell("F6 01 05 DC 00 00 6B")
     assert bench.ask("35 6B") == ["35 01 05 DC 6B"]
 
 
 def test_the_manual_position_move_ends_40_turns_and_a_half_back(bench):
-    bench.ask("FD 01 0F A0 00 00 01 FA 00 00 00 6B")
-    bench.wait(5000)
-    assert bench.ask("32 6B") == ["32 01 00 01 FA 00 6B"]
+    bench.tell("FD 01 0F A0 00 00 01 FA 00 00 00 6B")
+    assert bench.after(5000).ask("32 6B") == ["32 01 00 01 FA 00 6B"]
     assert bench.drive.position_counts == -129_536 * 65536 // 3200
 
 
@@ -180,28 +180,23 @@ def test_format_errors_change_nothing(bench, request_hex):
 
 
 def test_empty_frame_is_a_format_error(bench):
-    bench.tell(Frame(0x100, b""))
-    assert bench.heard() == [EE]
+    assert bench.ask(Frame(0x100, b"")) == [EE]
 
 
 def test_second_packet_without_the_first(bench):
-    bench.tell(Frame(0x101, bytes.fromhex("FD 00 01 00 6B")))
-    assert bench.heard() == [EE]
+    assert bench.ask(Frame(0x101, bytes.fromhex("FD 00 01 00 6B"))) == [EE]
 
 
 def test_lost_second_packet_then_a_whole_command(bench):
     bench.tell("FD 00 00 64 00 00 00 19")
-    bench.tell(TO_2_TURNS)
-    assert bench.heard() == [EE, "FD 02 6B"]
-    bench.wait(3000)
-    assert bench.drive.position_counts == 2 * 65536
+    assert bench.ask(TO_2_TURNS) == [EE, "FD 02 6B"]
+    assert bench.after(3000).drive.position_counts == 2 * 65536
 
 
 def test_another_command_between_the_packets_breaks_it(bench):
     bench.tell("FD 00 00 64 00 00 00 19")
     assert bench.ask("36 6B") == [EE, "36 00 00 00 00 00 6B"]
-    bench.tell(Frame(0x101, bytes.fromhex("FD 00 01 00 6B")))
-    assert bench.heard() == [EE]
+    assert bench.ask(Frame(0x101, bytes.fromhex("FD 00 01 00 6B"))) == [EE]
     assert not bench.drive.moving
 
 
@@ -216,8 +211,7 @@ def test_another_command_between_the_packets_breaks_it(bench):
 )
 def test_wrong_second_packets(bench, second):
     bench.tell("FD 00 00 64 00 00 00 19")
-    bench.tell(second)
-    assert bench.heard() == [EE]
+    assert bench.ask(second) == [EE]
     assert not bench.drive.moving
 
 
@@ -226,15 +220,14 @@ def test_checksum_in_every_packet_is_refused(bench):
     assert bench.heard() == [EE]
 
 
-@pytest.mark.parametrize("can_id", [0x200, 0x10000, 0x1FFFFFFF])
+@pytest.mark.parametrize("can_id", [0x200, 0x10000, 0x10100, 0x1FFFFFFF])
 def test_other_identifiers_meet_silence(bench, can_id):
     assert bench.ask(Frame(can_id, bytes.fromhex("36 6B"))) == []
 
 
 def test_broadcasts_are_obeyed_silently_but_address_1_answers_the_trigger():
     for address, answers in ((1, ["FF 02 6B"]), (2, [])):
-        bench = Bench(settings=Settings(address=address))
-        bench.tell("F6 00 00 64 00 00 6B", address=0)
+        bench = Bench(settings=Settings(address=address)).tell("F6 00 00 64 00 00 6B", address=0)
         bench.tell("36 6B", address=0)
         bench.tell("7E 6B", address=0)
         assert bench.heard() == []
@@ -244,8 +237,7 @@ def test_broadcasts_are_obeyed_silently_but_address_1_answers_the_trigger():
 
 
 def test_who_is_there():
-    bench = Bench(settings=Settings(address=9))
-    bench.tell("15 6B", address=0)
+    bench = Bench(settings=Settings(address=9)).tell("15 6B", address=0)
     ((ready_ns, frame),) = bench.drive.outbox
     assert frame == Frame(0x900, bytes.fromhex("15 09 6B"))
     assert 200_000 <= ready_ns <= 400_000
@@ -258,38 +250,30 @@ def test_who_is_there():
 def test_modes_relative_absolute_and_measured(bench, mode, pulses):
     bench.ask("FD 00 00 3C 00 00 00 06 40 01 00 6B")  # 1600 pulses at 60 rpm take 500 ms
     bench.wait(250)
-    bench.ask(f"FD 00 00 3C 00 00 00 0C 80 {mode:02X} 00 6B")
-    bench.wait(5000)
-    assert bench.drive.position_counts == pulses * 65536 // 3200
+    bench.tell(f"FD 00 00 3C 00 00 00 0C 80 {mode:02X} 00 6B")
+    assert bench.after(5000).drive.position_counts == pulses * 65536 // 3200
 
 
 def test_fast_position_moves_as_set_up(bench):
-    bench.ask("F1 03 20 64 00 00 6B")
+    bench.tell("F1 03 20 64 00 00 6B")
     for turns in (1, 2):
         assert bench.ask("FC 00 00 0C 80 6B") == ["FC 02 6B"]
-        bench.wait(10_000)
-        assert bench.drive.position_counts == turns * 65536
-    bench.ask("F1 03 20 64 01 00 6B")
-    bench.ask("FC FF FF F3 80 6B")
-    bench.wait(10_000)
-    assert bench.drive.position_counts == -65536
+        assert bench.after(10_000).drive.position_counts == turns * 65536
+    assert bench.tell("F1 03 20 64 01 00 6B", "FC FF FF F3 80 6B").after(10_000).drive.position_counts == -65536
 
 
 def test_fast_position_may_be_relative_whatever_was_set_up(bench):
     bench.drive.fast_is_relative = True
-    bench.ask("F1 03 20 64 01 00 6B")
+    bench.tell("F1 03 20 64 01 00 6B")
     for turns in (1, 2):
         assert bench.ask("FC 00 00 0C 80 6B") == ["FC 02 6B"]
-        bench.wait(10_000)
-        assert bench.drive.position_counts == turns * 65536
+        assert bench.after(10_000).drive.position_counts == turns * 65536
 
 
 def test_speed_is_clamped_by_firmware():
     for firmware, limit in (("new", 6000), ("old", 3000)):
         bench = Bench(firmware=firmware)
-        bench.ask("F6 00 FF FF 00 00 6B")
-        bench.wait(1)
-        assert bench.drive.shaft.speed_at(bench.now_ns) == limit
+        assert bench.tell("F6 00 FF FF 00 00 6B").after(1).drive.shaft.speed_at(bench.now_ns) == limit
 
 
 @pytest.mark.parametrize(
@@ -315,20 +299,16 @@ def test_bad_parameters(bench, request_hex):
 
 @pytest.mark.parametrize("request_hex", [TO_2_TURNS, "F6 00 00 64 00 00 6B", "9A 02 00 6B"])
 def test_a_disabled_drive_refuses(bench, request_hex):
-    bench.ask("F3 AB 00 00 6B")
+    bench.tell("F3 AB 00 00 6B")
     assert bench.ask(request_hex) == [request_hex[:2] + " E2 6B"]
 
 
 def test_synchronous_start_takes_the_latest(bench):
     assert bench.ask("FD 00 00 64 00 00 00 19 00 01 01 6B") == ["FD 02 6B"]
-    bench.ask("FD 00 00 64 00 00 00 0C 80 01 01 6B")
-    bench.wait(1000)
-    assert bench.drive.position_counts == 0
+    assert bench.tell("FD 00 00 64 00 00 00 0C 80 01 01 6B").after(1000).drive.position_counts == 0
     assert bench.ask("FF 66 6B") == ["FF 02 6B"]
-    bench.wait(3000)
-    assert bench.drive.position_counts == 65536
-    bench.ask("FE 98 00 6B")
-    bench.ask("FF 66 6B")
+    assert bench.after(3000).drive.position_counts == 65536
+    bench.tell("FE 98 00 6B", "FF 66 6B")
     assert not bench.drive.moving
 
 
@@ -336,8 +316,7 @@ def test_old_firmware_may_refuse_retargeting():
     bench = Bench(firmware="old", retarget="reject")
     assert bench.ask(TO_2_TURNS) == ["FD 02 6B"]
     assert bench.ask(TO_2_TURNS) == ["FD E2 6B"]
-    bench.wait(3000)
-    assert bench.ask(TO_2_TURNS) == ["FD 02 6B"]
+    assert bench.after(3000).ask(TO_2_TURNS) == ["FD 02 6B"]
 
 
 def test_old_firmware_knows_less():
@@ -360,16 +339,14 @@ def test_response_modes(response, acknowledged, completed, stop_acknowledged):
     bench = Bench(settings=Settings(response=response))
     assert bench.ask(TO_2_TURNS) == (["FD 02 6B"] if acknowledged else [])
     assert bench.wait(2000) == (["FD 9F 6B"] if completed else [])
-    bench.wait(2000)
-    assert bench.ask("FE 98 00 6B") == (["FE 02 6B"] if stop_acknowledged else [])
+    assert bench.after(2000).ask("FE 98 00 6B") == (["FE 02 6B"] if stop_acknowledged else [])
     assert bench.ask("36 6B") == ["36 00 00 02 00 00 6B"]
     assert bench.ask("36 6C") == [EE]
 
 
 def test_completion_comes_when_the_target_is_reached_and_only_once():
     bench = Bench(settings=Settings(response=3))
-    bench.ask(TO_2_TURNS)
-    bench.wait(600)
+    bench.tell(TO_2_TURNS).wait(600)
     bench.ask("FD 00 00 64 00 00 00 00 00 01 00 6B")
     assert bench.wait(599) == []
     assert bench.wait(5) == ["FD 9F 6B"]
@@ -377,10 +354,9 @@ def test_completion_comes_when_the_target_is_reached_and_only_once():
 
 def test_lagging_shaft_settles_before_it_is_reached():
     bench = Bench(settings=Settings(response=3), lag_s=0.05)
-    bench.ask(TO_2_TURNS)
-    assert bench.wait(1205) == ["FD 02 6B"] or bench.heard() == []
+    assert bench.tell(TO_2_TURNS).wait(1205) == ["FD 02 6B"]
     assert not bench.drive.reached
-    assert bench.wait(1000)[-1:] == ["FD 9F 6B"]
+    assert bench.wait(1000) == ["FD 9F 6B"]
     assert bench.drive.reached
 
 
@@ -395,8 +371,7 @@ def test_block_read_back_and_rewritten_turns_answers_off_in_volatile_memory_only
     assert bench.ask(b"\x48\xd1\x00" + bytes(block) + b"\x6b") == ["48 02 6B"]
     assert bench.ask("FE 98 00 6B") == []
     assert bench.body("42 6C 6B")[2:] == bytes(replace(Settings(), response=0).pack())
-    bench.drive.power_off(bench.now_ns)
-    bench.drive.power_on(bench.now_ns)
+    bench.restart()
     assert bench.ask("FE 98 00 6B") == ["FE 02 6B"]
 
 
@@ -404,8 +379,7 @@ def test_block_with_store_survives_power_loss(bench):
     data = bytearray(Settings(response=3, microstep=32).pack())
     data[7] = data[16] = 0
     assert bench.ask(b"\x48\xd1\x01" + bytes(data) + b"\x6b") == ["48 02 6B"]
-    bench.drive.power_off(bench.now_ns)
-    bench.drive.power_on(bench.now_ns)
+    bench.restart()
     assert bench.body("42 6C 6B")[2:] == Settings(response=3, microstep=32).pack()
 
 
@@ -415,11 +389,8 @@ def test_block_with_impossible_values_is_refused(bench):
 
 
 def test_microsteps_change_what_a_pulse_is(bench):
-    bench.ask("84 8A 00 20 6B")
-    bench.ask(TO_2_TURNS)
-    bench.wait(3000)
-    assert bench.drive.position_counts == 65536
-    bench.ask("84 8A 00 00 6B")
+    assert bench.tell("84 8A 00 20 6B", TO_2_TURNS).after(3000).drive.position_counts == 65536
+    bench.tell("84 8A 00 00 6B")
     assert bench.drive.settings.pulses_per_revolution == 51_200
 
 
@@ -434,22 +405,19 @@ def test_new_address(bench):
 
 
 def test_periodic_reports_keep_their_own_clock(bench):
-    bench.ask("11 18 3A 00 0A 6B")
-    bench.ask("11 18 36 00 14 6B")
+    bench.tell("11 18 3A 00 0A 6B", "11 18 36 00 14 6B")
     frames = bench.wait(100.5)
     assert frames.count("3A 03 6B") == 10
     assert frames.count("36 00 00 00 00 00 6B") == 5
-    bench.ask("11 18 3A 00 00 6B")
+    bench.tell("11 18 3A 00 00 6B")
     assert bench.wait(100).count("3A 03 6B") == 0
 
 
 def test_power_makes_it_forget_reports_and_what_waits_for_its_start(bench):
-    bench.ask("11 18 36 00 0A 6B")
-    bench.ask("FD 00 00 64 00 00 00 19 00 01 01 6B")
-    bench.drive.power_off(bench.now_ns)
-    bench.drive.power_on(bench.now_ns)
+    bench.tell("11 18 36 00 0A 6B", "FD 00 00 64 00 00 00 19 00 01 01 6B")
+    bench.restart()
     assert bench.wait(100) == []
-    bench.ask("FF 66 6B")
+    bench.tell("FF 66 6B")
     assert not bench.drive.moving
 
 
@@ -487,49 +455,38 @@ def test_collision_homing_ends_at_the_stop_and_counts_from_there():
 
 
 def test_homing_without_a_stop_fails_after_its_time(bench):
-    bench.ask("9A 02 00 6B")
-    bench.wait(9_999)
-    assert bench.ask("3B 6B") == ["3B 07 6B"]
-    bench.wait(2)
-    assert bench.ask("3B 6B") == ["3B 0B 6B"]
+    assert bench.tell("9A 02 00 6B").after(9_999).ask("3B 6B") == ["3B 07 6B"]
+    assert bench.after(2).ask("3B 6B") == ["3B 0B 6B"]
     assert not bench.drive.moving
-    bench.ask("9A 02 00 6B")
+    bench.tell("9A 02 00 6B")
     assert bench.ask("3B 6B") == ["3B 07 6B"]
 
 
 def test_homing_aborted():
     bench = homing_bench()
-    bench.ask("9A 02 00 6B")
-    bench.wait(300)
-    assert bench.ask("9C 48 6B") == ["9C 02 6B"]
+    assert bench.tell("9A 02 00 6B").after(300).ask("9C 48 6B") == ["9C 02 6B"]
     assert bench.ask("3B 6B") == ["3B 03 6B"]
     assert not bench.drive.moving
-    bench.ask("9A 02 00 6B")
-    bench.ask("FE 98 00 6B")
+    bench.tell("9A 02 00 6B", "FE 98 00 6B")
     assert bench.ask("3B 6B") == ["3B 0B 6B"]
 
 
 @pytest.mark.parametrize(("mode", "turns"), [(0, 1), (1, 0)])
 def test_single_turn_homing(mode, turns):
     bench = Bench(position_pulses=2400, homing=Homing(direction=1))
-    bench.ask(f"9A {mode:02X} 00 6B")
-    bench.wait(3000)
-    assert bench.drive.shaft.position_at(bench.now_ns) == turns * TURN
+    assert bench.tell(f"9A {mode:02X} 00 6B").after(3000).drive.shaft.position_at(bench.now_ns) == turns * TURN
     assert bench.drive.position_counts == 0
     assert bench.ask(f"9A {mode:02X} 00 6B") == ["9A 12 6B"]
 
 
 def test_stall_trips_the_protection_which_can_be_cleared():
     bench = Bench(settings=Settings(stall_ms=1000))
-    bench.ask("F6 00 00 64 00 00 6B")
-    bench.wait(100)
+    bench.tell("F6 00 00 64 00 00 6B").wait(100)
     bench.drive.block_shaft(bench.now_ns)
     held = bench.drive.position_counts
-    bench.wait(20)
-    assert bench.ask("3A 6B") == ["3A 05 6B"]  # enabled, stalled
+    assert bench.after(20).ask("3A 6B") == ["3A 05 6B"]  # enabled, stalled
     assert bench.drive.position_counts == held
-    bench.wait(1000)
-    assert bench.ask("3A 6B") == ["3A 0D 6B"]  # protection tripped (drives-checked)
+    assert bench.after(1000).ask("3A 6B") == ["3A 0D 6B"]  # protection tripped (drives-checked)
     assert bench.ask(TO_2_TURNS) == ["FD E2 6B"]
     assert bench.ask("0E 52 6B") == ["0E 02 6B"]
     assert bench.ask(TO_2_TURNS) == ["FD 02 6B"]
@@ -538,25 +495,19 @@ def test_stall_trips_the_protection_which_can_be_cleared():
 
 def test_without_stall_protection_the_error_grows():
     bench = Bench(settings=Settings(stall_mode=0))
-    bench.ask(TO_2_TURNS)
+    bench.tell(TO_2_TURNS)
     bench.drive.block_shaft(bench.now_ns)
-    bench.wait(60_000)
-    assert bench.ask("37 6B") == ["37 00 00 02 00 00 6B"]
+    assert bench.after(60_000).ask("37 6B") == ["37 00 00 02 00 00 6B"]
     assert bench.ask("3A 6B") == ["3A 05 6B"]
 
 
 def test_shaft_leaves_a_stop_where_the_ramp_comes_back():
     bench = Bench(settings=Settings(stall_mode=0))
     bench.drive.shaft.high = TURN
-    bench.ask(TO_2_TURNS)
-    bench.wait(3000)
-    assert bench.drive.position_counts == 65536
+    assert bench.tell(TO_2_TURNS).after(3000).drive.position_counts == 65536
     assert bench.drive.stalled
-    bench.ask("FD 00 00 64 00 00 00 00 00 01 00 6B")
-    bench.wait(600)
-    assert bench.drive.position_counts == 65536
-    bench.wait(300)
-    assert bench.drive.position_counts == 65536 // 2
+    assert bench.tell("FD 00 00 64 00 00 00 00 00 01 00 6B").after(600).drive.position_counts == 65536
+    assert bench.after(300).drive.position_counts == 65536 // 2
     assert not bench.drive.stalled
     positions, _ = bench.drive.shaft.history(bench.drive.shaft.changes_ns())
     assert positions.max() == 1.0
