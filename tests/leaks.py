@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import resource
 import signal
+import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -81,10 +83,10 @@ def _descriptors() -> dict[str, object]:
     """What each of them leads to."""
     found: dict[str, object] = {}
     for link in Path("/proc/self/fd").iterdir():
-        try:
-            found[link.name] = os.readlink(link)
-        except OSError:  # the listing's own
-            continue
+        with contextlib.suppress(OSError):  # the listing's own
+            target = os.readlink(link)
+            if not target.startswith(sys.prefix):  # libraries keep files of theirs: matplotlib its fonts
+                found[link.name] = target
     return found
 
 

@@ -44,7 +44,8 @@ def private_file(dtype: np.dtype, arm: ArmConfig) -> MemoryFile:
     size = rings.file_bytes if dtype is layout.STATE else dtype.itemsize
     os.truncate(fd, size)
     mapped = mmap.mmap(fd, size)
-    memory = MemoryFile(Path("memfd"), fd, mapped, np.frombuffer(mapped, dtype, 1))
+    os.close(fd)  # the mapping has its own, which goes with it
+    memory = MemoryFile(Path("memfd"), -1, mapped, np.frombuffer(mapped, dtype, 1))
     header = memory.record["header"]
     header["joint_count"] = len(arm.joints)
     header["period_ns"] = arm.control.period_ns

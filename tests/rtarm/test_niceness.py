@@ -19,6 +19,7 @@ from typer.testing import Result
 from written_arm import WrittenArm
 
 from config.loader import load_arm
+from rtarm.interrupt import signals_to
 from rtarm.recording.follow import Follower
 from rtarm.top.terminal import run
 from rtarm.top.watch import Watch
@@ -134,5 +135,6 @@ def test_a_page_in_the_browser(worked_at: Callable[..., list[int]]) -> None:
     threads_of_server = worked_at(WebsockServer, "_background_worker")
     levels = worked_at(Page, "__init__", lambda: os.kill(os.getpid(), signal.SIGTERM))
     source = SimpleNamespace(joints=tuple(joint.name for joint in arm.joints), close=lambda: None)
-    serve(open_server().server, arm, source, None, words_of("en"))
+    with signals_to(signal.SIG_DFL):  # a page that has been ended lets nobody end its process once more
+        serve(open_server().server, arm, source, None, words_of("en"))
     assert threads_of_server == levels == [LOWEST]

@@ -353,8 +353,9 @@ for limited in (False, True):
 
 
 @pytest.fixture
-def deaf_arm(tmp_path):
-    """An arm of a name of its own at a terminal where nobody answers."""
+def deaf_arm(tmp_path, monkeypatch):
+    """An arm of a name of its own at a terminal where nobody answers, served in this process, which stays as it is."""
+    monkeypatch.setattr(realtime, "prepare_process", lambda used: realtime.Obtained(memory_locked=True))
     master, slave = pty.openpty()
     name = f"t{secrets.token_hex(4)}"
     values = yaml.safe_load((ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8"))
@@ -364,12 +365,10 @@ def deaf_arm(tmp_path):
     yield load_arm(file, overrides={"bus": {"channel": os.ttyname(slave)}})
     os.close(master)
     os.close(slave)
-    ctypes.CDLL(None).munlockall()  # a control process that was served in this one has locked its memory
 
 
 def test_memory_counts_as_locked_only_when_the_readers_stack_is(deaf_arm, monkeypatch):
     """The reader is given its answer late, and it is a refusal."""
-    monkeypatch.setattr(realtime, "prepare_process", lambda used: realtime.Obtained(memory_locked=True))
 
     def prepare_thread(wanted, obtained, *, below=0):
         if below:
