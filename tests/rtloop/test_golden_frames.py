@@ -10,8 +10,8 @@ A file has
     `turn` of the questions, with the `frames` that makes; how many `questions` for the position are open then, and how
     many where a conversation has said the same (`noted`); whether the last frame is a stop command (`is_stop`);
   - `packs`: one of the family's functions, its arguments (`of`, after a `row` with some settings) and the `bytes`;
-  - `hears`: frames, one after the other, and all that they tell (`tells`) or some of it (`has`): position, velocity,
-    effort, temperature, voltage, status, error_code, refusals, drive_errors;
+  - `hears`: frames, one after the other (`each`: frames, each of them alone), and all that they tell (`tells`) or
+    some of it (`has`): position, velocity, effort, temperature, voltage, status, error_code, refusals, drive_errors;
 - `ignored`: frames of which none tells anything of the first joint.
 """
 
@@ -33,10 +33,16 @@ def vectors(*kinds: str) -> list[Any]:
     return [
         pytest.param(family, vector, id=f"{family} {vector.get('what') or vector.get('frames') or vector[kind]}")
         for family in families()
-        for vector in golden(family)["vectors"]
+        for vector in spread(golden(family)["vectors"])
         for kind in kinds
         if kind in vector
     ]
+
+
+def spread(vectors: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """With one vector for each frame of an `each`."""
+    alone = [[{**vector, "hears": [frame]} for frame in vector.get("each", ())] or [vector] for vector in vectors]
+    return [vector for some in alone for vector in some]
 
 
 def rig_of(family: str, vector: dict[str, Any]) -> Rig:
