@@ -7,22 +7,21 @@ import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 TURN = 2 * math.pi
 RPM = TURN / 60
 DEGREE = math.radians(1)
 
 
-@dataclass(frozen=True)
-class Command:
+class Command(NamedTuple):
     """Where to (rad) and how fast: at most, or as the motion goes on; NaN where that is not said (rad/s)."""
 
     rad: float
     rad_s: float = math.nan
 
 
-@dataclass(frozen=True)
-class Said:
+class Said(NamedTuple):
     """Frames, and what exactly they say: a field holds no more."""
 
     frames: tuple[str, ...]
@@ -40,11 +39,11 @@ class Drive:
         reads: the data of the frames that lead it.
         says: its angle, speed, torque and temperature.
         is_position: whether a frame with its identifiers (data frames; identifier, data) tells its angle.
+        gears: three ratios that suit it.
         off_rad: by how much an angle in a command may be off.
         step_rad_s: of the speed in a command.
         plans: it goes to its target by itself, at the speed that it is told at most.
         rounds: speeds are whole numbers of its step.
-        gears: three ratios that suit it.
         acc: byte of a command that holds its ramp, 0 for none.
         loop_s: its own position loop slows down so many seconds before the target.
     """
@@ -52,11 +51,11 @@ class Drive:
     reads: Callable[[list[bytes]], Command]
     says: Callable[[float, float, float, int], Said]
     is_position: Callable[[int, bytes], bool]
+    gears: tuple[float, float, float]
     off_rad: float
     step_rad_s: float = math.nan
     plans: bool = False
     rounds: bool = False
-    gears: tuple[float, float, float] = (0.5, 1.0, 2.0)
     acc: int = 0
     loop_s: float = 0.0
 
@@ -69,8 +68,10 @@ def of_field(code: int, bits: int, most: float) -> float:
     return code * 2 * most / ((1 << bits) - 1) - most
 
 
-def to_field(value: float, bits: int, most: float) -> int:
-    return round((min(max(value, -most), most) + most) / (2 * most) * ((1 << bits) - 1))
+def coded(value: float, bits: int, most: float) -> tuple[int, float]:
+    """A field, and the number that it holds."""
+    code = round((min(max(value, -most), most) + most) / (2 * most) * ((1 << bits) - 1))
+    return code, of_field(code, bits, most)
 
 
 def finite(*values: float) -> bool:
@@ -157,11 +158,9 @@ def two_floats(frames: list[bytes]) -> Command:
 
 
 def damiao_says(rad: float, rad_s: float, nm: float, celsius: int) -> Said:
-    codes = (to_field(rad, 16, 12.5), to_field(rad_s, 12, 10.0), to_field(nm, 12, 28.0))
-    packed = codes[0] << 24 | codes[1] << 12 | codes[2]
-    data = b"\x11" + packed.to_bytes(5, "big") + bytes((0, abs(celsius)))
-    exactly = (of_field(codes[0], 16, 12.5), of_field(codes[1], 12, 10.0), of_field(codes[2], 12, 28.0))
-    return Said((hexed("011", data),), *exactly, abs(celsius))
+    (place, rad), (speed, rad_s), (torque, nm) = coded(rad, 16, 12.5), coded(rad_s, 12, 10.0), coded(nm, 12, 28.0)
+    data = b"\x11" + (place << 24 | speed << 12 | torque).to_bytes(5, "big") + bytes((0, abs(celsius)))
+    return Said((hexed("011", data),), rad, rad_s, nm, abs(celsius))
 
 
 def damiao_is_position(identifier: int, data: bytes) -> bool:
@@ -186,9 +185,9 @@ def robstride_position_reads(frames: list[bytes]) -> Command:
 
 
 def robstride_says(rad: float, rad_s: float, nm: float, celsius: int) -> Said:
-    codes = (to_field(rad, 16, 2 * TURN), to_field(rad_s, 16, 30.0), to_field(nm, 16, 12.0))
-    exactly = (of_field(codes[0], 16, 2 * TURN), of_field(codes[1], 16, 30.0), of_field(codes[2], 16, 12.0))
-    return Said((hexed("028001AA", struct.pack(">HHHh", *codes, celsius * 7)),), *exactly, celsius * 0.7)
+    (place, rad), (speed, rad_s), (torque, nm) = coded(rad, 16, 2 * TURN), coded(rad_s, 16, 30.0), coded(nm, 16, 12.0)
+    data = struct.pack(">HHHh", place, speed, torque, celsius * 7)
+    return Said((hexed("028001AA", data),), rad, rad_s, nm, celsius * 0.7)
 
 
 def robstride_is_position(identifier: int, data: bytes) -> bool:
@@ -229,35 +228,31 @@ def cia402_reads(frames: list[bytes]) -> Command:
 
 
 def cia402_says(rad: float, rad_s: float, nm: float, celsius: int) -> Said:
-    counts, thousandths = round(rad / TURN * 131_072), round(nm / 0.32 * 1000)
-    data = struct.pack("<Hih", 0x1637, counts, max(min(thousandths, 32767), -32768))
-    return Said((hexed("181", data),), counts / 131_072 * TURN, nm=struct.unpack("<Hih", data)[2] / 1000 * 0.32)
+    counts, thousandths = round(rad / TURN * 131_072), max(min(round(nm / 0.32 * 1000), 32767), -32768)
+    data = struct.pack("<Hih", 0x1637, counts, thousandths)
+    return Said((hexed("181", data),), counts / 131_072 * TURN, nm=thousandths / 1000 * 0.32)
 
 
 def cia402_is_position(identifier: int, data: bytes) -> bool:
     return identifier == 0x181 and len(data) == 8
 
 
-ANY = (0.5, 2.0, 50.0)
+STEPPER, DIRECT, ANY = (1.0, 20.0, 50.0), (0.5, 1.0, 2.0), (0.5, 2.0, 50.0)
 DRIVES: dict[tuple[str, str], Drive] = {
-    ("zdt", "usual"): Drive(
-        zdt_reads, zdt_says, zdt_is_position, TURN / 3200 / 2, RPM, True, True, gears=(1.0, 20.0, 50.0), acc=4
-    ),
-    ("mks", "usual"): Drive(
-        mks_reads, mks_says, mks_is_position, TURN / 16384 / 2, RPM, True, True, gears=(1.0, 20.0, 50.0), acc=3
-    ),
-    ("odrive", "usual"): Drive(odrive_reads, odrive_says, odrive_is_position, 2e-5, TURN / 1000, gears=ANY),
-    ("damiao", "mit"): Drive(damiao_mit_reads, damiao_says, damiao_is_position, 25 / 65535, 20 / 4095),
-    ("damiao", "position_velocity"): Drive(two_floats, damiao_says, damiao_is_position, 1e-6, 1e-6, True),
+    ("zdt", "usual"): Drive(zdt_reads, zdt_says, zdt_is_position, STEPPER, TURN / 6400, RPM, True, True, acc=4),
+    ("mks", "usual"): Drive(mks_reads, mks_says, mks_is_position, STEPPER, TURN / 32768, RPM, True, True, acc=3),
+    ("odrive", "usual"): Drive(odrive_reads, odrive_says, odrive_is_position, ANY, 2e-5, TURN / 1000),
+    ("damiao", "mit"): Drive(damiao_mit_reads, damiao_says, damiao_is_position, DIRECT, 25 / 65535, 20 / 4095),
+    ("damiao", "position_velocity"): Drive(two_floats, damiao_says, damiao_is_position, DIRECT, 1e-6, 1e-6, True),
     ("robstride", "control"): Drive(
-        robstride_control_reads, robstride_says, robstride_is_position, 4 * TURN / 65535, 60 / 65535
+        robstride_control_reads, robstride_says, robstride_is_position, DIRECT, 4 * TURN / 65535, 60 / 65535
     ),
     ("robstride", "position"): Drive(
-        robstride_position_reads, robstride_says, robstride_is_position, 1e-6, 1e-6, True, loop_s=1 / 30
+        robstride_position_reads, robstride_says, robstride_is_position, DIRECT, 1e-6, 1e-6, True, loop_s=1 / 30
     ),
     ("myactuator", "usual"): Drive(
-        myactuator_reads, myactuator_says, myactuator_is_position, DEGREE / 200, DEGREE, True, True, gears=ANY
+        myactuator_reads, myactuator_says, myactuator_is_position, ANY, DEGREE / 200, DEGREE, True, True
     ),
-    ("cia402", "usual"): Drive(cia402_reads, cia402_says, cia402_is_position, TURN / 131_072 / 2, gears=ANY),
+    ("cia402", "usual"): Drive(cia402_reads, cia402_says, cia402_is_position, ANY, TURN / 262_144),
 }
 """By family and joint in its file."""
