@@ -25,6 +25,9 @@ from rtloop import status
 from rtloop.wire.frame_words import EXTENDED, REMOTE
 from shm.words import Unreferenced
 
+KINDS = {"does": {"at", "turn", "frames", "questions", "noted", "is_stop"}, "packs": {"row", "of", "bytes"}}
+KINDS |= {"hears": {"tells", "has"}, "each": {"tells", "has"}}
+"""What a vector of a kind may have, beside `from`, `what` and `joint`."""
 BAD = status.PROTECTED | status.POWER_LOST
 
 
@@ -58,6 +61,15 @@ def put(rig: Rig, at: dict[str, Any]) -> None:
     if "measured_rad" in at:
         rig.axis["measured_rad"], rig.axis["readings"] = at.pop("measured_rad"), 1
     assert not at
+
+
+@pytest.mark.parametrize("family", families())
+def test_files_have_only_what_is_tried(family: str) -> None:
+    assert set(golden(family)) <= {"sources", "joints", "within", "vectors", "ignored"}
+    for vector in golden(family)["vectors"]:
+        (kind,) = KINDS.keys() & vector
+        assert set(vector) <= {kind, "from", "what", "joint"} | KINDS[kind], vector
+        assert kind in ("does", "packs") or len({"tells", "has"} & set(vector)) == 1, vector
 
 
 @pytest.mark.parametrize(("family", "vector"), vectors("does"))
