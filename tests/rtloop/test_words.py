@@ -62,3 +62,11 @@ def test_fields_go_back_in_as_they_came_out(bits: int, most: float, share: float
 def test_a_field_cuts_off_at_its_ends_and_to_whole_steps(value: float, code: int) -> None:
     assert words.field(value, 5.0, 12) == fields.field(value, 5.0, 12) == code
     assert fields.field(5.0 * (2 * 100.9 / 4095 - 1), 5.0, 12) == 100
+
+
+@pytest.mark.parametrize(
+    ("bits", "common"), [(0, 0), (1, 0x10), (6, 0x20), (2, 0x20), (7, 0x30), (0x80, 0x10), (0x100, 0)]
+)
+def test_an_error_word_means_all_that_any_of_its_bits_means(bits: int, common: int) -> None:
+    table = ((0x81, 0x10), (0x06, 0x20))
+    assert words.meaning(bits, table) == words.meaning.py_func(bits, table) == common
