@@ -44,8 +44,7 @@ def private_file(dtype: np.dtype, arm: ArmConfig) -> MemoryFile:
     size = rings.file_bytes if dtype is layout.STATE else dtype.itemsize
     os.truncate(fd, size)
     mapped = mmap.mmap(fd, size)
-    os.close(fd)  # the mapping has its own, which goes with it
-    memory = MemoryFile(Path("memfd"), -1, mapped, np.frombuffer(mapped, dtype, 1))
+    memory = MemoryFile(Path("memfd"), fd, mapped, np.frombuffer(mapped, dtype, 1))
     header = memory.record["header"]
     header["joint_count"] = len(arm.joints)
     header["period_ns"] = arm.control.period_ns
@@ -303,6 +302,9 @@ class VirtualArm:
     def outcome(self, goal: int) -> int:
         result = self.result(goal)
         return int(result["outcome"]) if int(result["goal_id"]) == goal else 0
+
+    def __del__(self) -> None:
+        self.close()  # what a test that failed, or hypothesis, has left
 
     def close(self) -> None:
         self.reader.close()

@@ -86,7 +86,13 @@ def read_slcan(data: bytes) -> list[Frame]:
 SLCAN_GOLDEN = [
     (b"T12ABCDEF2AA55\r", Frame(0x12ABCDEF, b"\xaa\x55")),
     (b"t4563112233\r", Frame(0x456, b"\x11\x22\x33", extended=False)),
+    # as a ZDT drive and its master exchange them
+    (b"T000001002366B\r", Frame(0x100, b"\x36\x6b")),
     (b"T0000010073601000100006B\r", Frame(0x100, bytes.fromhex("36 01 00 01 00 00 6B"))),
+    (b"T000001008FD010FA0000001FA\r", Frame(0x100, bytes.fromhex("FD 01 0F A0 00 00 01 FA"))),
+    (b"T000001015FD0000006B\r", Frame(0x101, bytes.fromhex("FD 00 00 00 6B"))),
+    (b"t7FF0\r", Frame(0x7FF, b"", extended=False)),
+    (b"T1FFFFFFF8FFFFFFFFFFFFFFFF\r", Frame(0x1FFFFFFF, b"\xff" * 8)),
     (b"R000001002\r", Frame(0x100, bytes(2), remote=True)),
     (b"r7FF8\r", Frame(0x7FF, bytes(8), extended=False, remote=True)),
 ]
@@ -98,6 +104,7 @@ SLCAN_NOISE = [
     (b"T0000\r", 1),
     (b"T00000100736\x07", 1),
     (b"x" * 500 + b"\r", 1),
+    (b"T" + b"0" * 500 + b"\r", 1),
     (b"\x00\xff\r", 0),
 ]
 

@@ -16,8 +16,17 @@ WIRES = "tests/rtloop/test_wire_conformance.py"
 LIMITS = ("highest_rad_s", "hardest_rad_s2", "check_next_setpoint", "way_to_rest")
 
 
+OF_ONE_FAMILY = {"zdt": ("tests/rtloop/test_zdt_targets.py",)}
+
+
 def drive(family: str) -> Leaf:
-    tests = (f"tests/rtloop/test_{family}_codec.py", "tests/rtloop/test_drive_frames.py")
+    own = (f"tests/rtloop/test_{family}_codec.py", "tests/rtloop/test_drive_frames.py")
+    tests = (
+        *own,
+        "tests/rtloop/test_golden_frames.py",
+        "tests/rtloop/test_codec_laws.py",
+        *OF_ONE_FAMILY.get(family, ()),
+    )
     return Leaf(f"rtloop/drives/{family}.py", (*tests, "-k", family))
 
 
@@ -36,14 +45,14 @@ LEAVES = (
     Leaf("rtloop/guard.py", ("tests/rtloop/test_limits.py",), LIMITS),
     Leaf("rtloop/leading.py", ("tests/rtloop/test_leading.py",)),
     Leaf("rtloop/following.py", ("tests/rtloop/test_following.py",)),
-    Leaf("rtloop/wire/slcan.py", ("tests/rtloop/test_slcan_codec.py",)),
+    Leaf("rtloop/wire/slcan.py", ("tests/rtloop/test_slcan_codec.py", WIRES, "-k", "slcan")),
     Leaf("rtloop/wire/can_frame.py", ("tests/rtloop/test_can_frames.py",)),
     Leaf("rtloop/wire/can_errors.py", ("tests/rtloop/test_can_frames.py",)),
     Leaf("rtloop/wire/seeed.py", (WIRES, "-k", "seeedstudio")),
     Leaf("rtloop/wire/at_frames.py", (WIRES, "-k", "ch340-at")),
     Leaf("rtloop/wire/framed.py", (WIRES, "-k", "seeedstudio or ch340-at")),
-    Leaf("rtloop/drives/fields.py", ("tests/rtloop/test_damiao_codec.py", "tests/rtloop/test_robstride_codec.py")),
-    Leaf("rtloop/drives/words.py", ("tests/rtloop/test_odrive_codec.py", "tests/rtloop/test_damiao_codec.py")),
+    Leaf("rtloop/drives/fields.py", ("tests/rtloop/test_words.py", "tests/rtloop/test_golden_frames.py")),
+    Leaf("rtloop/drives/words.py", ("tests/rtloop/test_words.py", "tests/rtloop/test_golden_frames.py")),
     Leaf("rtloop/drives/sdo.py", ("tests/rtloop/test_cia402_codec.py",), ("writing", "value_in", "_asked")),
     drive("zdt"),
     drive("mks"),

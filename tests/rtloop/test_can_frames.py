@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from can_records import EXTENDED, REMOTE, error_record, record, unpacked
+from codec_rig import data_of, word
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -33,15 +34,11 @@ def loop(shared):
     return new_loop(ARM, shared.ctypes.data, 0)
 
 
-def word(data):
-    return int.from_bytes(data.ljust(8, b"\0"), "little", signed=True)
-
-
 def decoded(loop, data, at=0):
     """What the record at a byte of the ring means: kind, identifier, extended, data."""
     loop[0]["received"]["bytes"][at : at + len(data)] = np.frombuffer(data, np.uint8)
     kind, frame_id, extended, length, value = (int(part) for part in can_frame.decode_record(loop[0], at))
-    return kind, frame_id, extended, (value % 2**64).to_bytes(8, "little")[:length]
+    return kind, frame_id, extended, data_of(value, length)
 
 
 def brought(loop, shared, *records):

@@ -2,9 +2,8 @@
 
 import struct
 
-import numpy as np
 import pytest
-from motion_figures import sampled_truth
+from bring_up_rig import failure_of, farthest, tell
 from virtual import VirtualArm
 
 from config.loader import load_arm
@@ -12,7 +11,6 @@ from config.schema import ArmConfig
 from rtloop import status as status_bits
 from rtloop.drives.myactuator_setup import ramp_dps_s
 from shm.words import Mode, Unreferenced
-from sim.bus import Frame
 from sim.drives.myactuator import OFF, POSITION
 from sim.faults import Disabled, Protection
 
@@ -21,15 +19,7 @@ ARM = "myactuator6"
 
 def told(arm: VirtualArm, joint: int, data: bytes) -> None:
     """Somebody else says something to a motor."""
-    drive = arm.sim.drives[joint]
-    frame = Frame(0x140 + drive.settings.motor_id, data.ljust(8, b"\0"), extended=False)
-    drive.receive(arm.sim.now_ns, frame)
-    drive.outbox.clear()
-
-
-def way(arm: VirtualArm) -> float:
-    """The farthest that any joint has been from where it began (rad)."""
-    return max(float(np.ptp(sampled_truth(arm.sim, joint, arm.sim.start_ns, arm.sim.now_ns)[1])) for joint in range(6))
+    tell(arm, joint, 0x140 + arm.sim.drives[joint].settings.motor_id, data.ljust(8, b"\0"))
 
 
 def test_ramps_are_written_once_and_said() -> None:
@@ -50,9 +40,9 @@ def test_ramps_are_written_once_and_said() -> None:
 def test_a_ramp_that_is_not_taken_is_said() -> None:
     arm = VirtualArm(ARM)
     arm.sim.drives[3]._does[0x43] = bytes
-    failed = arm.bring_up().failure
-    assert failed is not None and "joint4 does not take 501 °/s² as the acceleration" in str(failed)
-    assert "stays at 10000" in str(failed)
+    failed = failure_of(arm)
+    assert "joint4 does not take 501 °/s² as the acceleration" in failed
+    assert "stays at 10000" in failed
     arm.close()
 
 
@@ -62,9 +52,9 @@ def test_a_motor_that_is_on_its_way_is_stopped() -> None:
     told(arm, 0, struct.pack("<BxHi", 0xA4, 20, 9000))
     arm.cycles(20)
     assert arm.bring_up().failure is None, arm.told
-    stood_rad, place_rad = way(arm), arm.sim.true_position_rad(0, arm.sim.now_ns)
+    stood_rad, place_rad = farthest(arm), arm.sim.true_position_rad(0, arm.sim.now_ns)
     arm.cycles(100)
-    assert way(arm) - stood_rad < 1e-4
+    assert farthest(arm) - stood_rad < 1e-4
     assert abs(arm.loop[0]["axes"][0]["position_rad"] - place_rad) < 3 * arm.arm.joints[0].encoder_count_rad
     arm.close()
 
@@ -76,7 +66,7 @@ def test_a_brake_is_released_and_its_locking_is_a_fault() -> None:
     arm.cycles(3)
     assert arm.bring_up().failure is None, arm.told
     assert all(drive.brake_released and drive.mode == POSITION for drive in arm.sim.drives)
-    assert way(arm) < 2e-4
+    assert farthest(arm) < 2e-4
     arm.cycles(20)
     told(arm, 2, b"\x78")
     arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=0.5)
@@ -102,24 +92,16 @@ def test_errors_end_when_a_person_wants_that(cause: str, restarted: bool) -> Non
     document["joints"][4]["drive"]["encoder"] = "incremental"
     arm = VirtualArm(ArmConfig.model_validate(document), faults=[Protection("joint5", 0.0, 3.0, cause=cause)])
     arm.cycles(10)
-    failed = arm.bring_up().failure
-    assert failed is not None and "joint5 has an error" in str(failed) and "`rtarm up … --clear-fault`" in str(failed)
-    failed = arm.bring_up(clears_protection=True).failure
-    assert failed is not None and "joint5 keeps its error" in str(failed)
+    failed = failure_of(arm)
+    assert "joint5 has an error" in failed and "`rtarm up … --clear-fault`" in failed
+    failed = failure_of(arm, clears_protection=True)
+    assert "joint5 keeps its error" in failed
     arm.cycles(600)
     assert arm.bring_up(clears_protection=True).failure is None, arm.told
     assert any("joint5: its drive is restarted" in sentence for sentence in arm.told) == restarted
     reason = arm.loop[0]["axes"][4]["unreferenced_reason"]
     assert reason == (Unreferenced.POWER_LOST if restarted else Unreferenced.INCREMENTAL)
-    assert way(arm) < 1e-3
-    arm.close()
-
-
-def test_a_motor_that_is_not_there_is_said() -> None:
-    arm = VirtualArm(ARM)
-    arm.sim.drives[2].power_off(arm.sim.now_ns)
-    failed = arm.bring_up().failure
-    assert failed is not None and "joint3 (motor_id 3) does not answer" in str(failed)
+    assert farthest(arm) < 1e-3
     arm.close()
 
 

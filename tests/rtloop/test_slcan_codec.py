@@ -6,8 +6,10 @@ import can
 import numpy as np
 import pytest
 from can.interfaces.slcan import slcanBus
+from codec_rig import data_of, word
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from wires import SLCAN_GOLDEN
 
 from config.loader import load_arm
 from rtloop.beginning import new_loop
@@ -18,18 +20,7 @@ from shm import layout
 
 relaxed = settings(deadline=None)  # the first call loads the compiled cycle
 
-# facts: the LAWICEL vectors, then frames as a ZDT drive and its master exchange them
-GOLDEN = [
-    (b"T12ABCDEF2AA55\r", (0x12ABCDEF, 1, b"\xaa\x55")),
-    (b"t4563112233\r", (0x456, 0, b"\x11\x22\x33")),
-    (b"T000001002366B\r", (0x100, 1, b"\x36\x6b")),
-    (b"T0000010073601000100006B\r", (0x100, 1, b"\x36\x01\x00\x01\x00\x00\x6b")),
-    (b"T000001008FD010FA0000001FA\r", (0x100, 1, b"\xfd\x01\x0f\xa0\x00\x00\x01\xfa")),
-    (b"T000001015FD0000006B\r", (0x101, 1, b"\xfd\x00\x00\x00\x6b")),
-    (b"t7FF0\r", (0x7FF, 0, b"")),
-    (b"T1FFFFFFF8FFFFFFFFFFFFFFFF\r", (0x1FFFFFFF, 1, b"\xff" * 8)),
-]
-
+GOLDEN = [(line, (frame.can_id, int(frame.extended), frame.data)) for line, frame in SLCAN_GOLDEN if not frame.remote]
 frames = st.one_of(
     st.tuples(st.integers(0, 0x7FF), st.just(0), st.binary(max_size=8)),
     st.tuples(st.integers(0, 0x1FFFFFFF), st.just(1), st.binary(max_size=8)),
@@ -65,10 +56,6 @@ def shared():
     return np.zeros(1, layout.STATE)
 
 
-def word(data):
-    return int.from_bytes(data.ljust(8, b"\0"), "little", signed=True)
-
-
 def encoded(loop, frame):
     """The line of a frame, by the compiled function."""
     frame_id, extended, data = frame
@@ -83,7 +70,7 @@ def decoded(loop, line, decode=slcan.decode_line):
     loop[0]["line"][: len(line)] = np.frombuffer(line, np.uint8)
     record = loop[0] if decode is slcan.decode_line else Plain(loop[0])
     kind, frame_id, extended, length, data = (int(value) for value in decode(record))
-    return kind, (frame_id, extended, (data % 2**64).to_bytes(8, "little")[:length])
+    return kind, (frame_id, extended, data_of(data, length))
 
 
 def taken(loop, shared, data):
@@ -102,13 +89,9 @@ def taken(loop, shared, data):
 
 @pytest.mark.parametrize(("line", "frame"), GOLDEN)
 def test_golden_lines_both_ways(loop, line, frame):
+    """With the compiler, and without."""
     assert encoded(loop, frame) == line
-    assert decoded(loop, line[:-1]) == (slcan.LINE_FRAME, frame)
-
-
-@pytest.mark.parametrize(("line", "frame"), GOLDEN)
-def test_golden_lines_without_the_compiler(loop, line, frame):
-    assert decoded(loop, line[:-1], slcan.decode_line.py_func) == (slcan.LINE_FRAME, frame)
+    assert decoded(loop, line[:-1]) == decoded(loop, line[:-1], slcan.decode_line.py_func) == (slcan.LINE_FRAME, frame)
     frame_id, extended, data = frame
     loop[0]["core"]["tx_length"] = 0
     slcan.encode_frame.py_func(Plain(loop[0]), frame_id, bool(extended), len(data), word(data))
@@ -229,33 +212,6 @@ def test_python_can_reads_our_lines_as_we_do(loop, other):
 POSITION = b"T00000100736000001000" + b"06B\r"
 
 
-def test_a_frame_may_arrive_in_pieces(loop, shared):
-    for at in range(len(POSITION)):
-        counts = taken(loop, shared, POSITION[at : at + 1])
-    assert counts == (1, 0)
-    assert loop[0]["axes"][0]["readings"] == 1
-
-
-@pytest.mark.parametrize(
-    ("noise", "errors"),
-    [
-        (b"\x07", 1),  # BEL: the adapter refused something
-        (b"z\rZ\r\r\r", 0),
-        (b"T0000\r", 1),
-        (b"T00000100736\x07", 1),  # BEL in the middle ends the line
-        (b"x" * 500 + b"\r", 1),  # longer than any line
-        (b"T" + b"0" * 500 + b"\r", 1),
-        (b"\x00\xff\r", 0),
-    ],
-)
-def test_the_next_frame_is_found_after_noise(loop, shared, noise, errors):
-    assert taken(loop, shared, noise + POSITION) == (1, errors)
-    assert loop[0]["axes"][0]["readings"] == 1
-    assert loop[0]["axes"][0]["measured_rad"] == pytest.approx(
-        65536 / loop[0]["joints"][0]["reading_per_rad"] - loop[0]["joints"][0]["zero_rad"]
-    )
-
-
 @relaxed
 @given(st.binary(max_size=2000))
 def test_no_bytes_whatever_hinder_the_next_frame(noise):
@@ -263,24 +219,6 @@ def test_no_bytes_whatever_hinder_the_next_frame(noise):
     taken(loop, shared, noise + b"\r")
     assert taken(loop, shared, POSITION) == (1, 0)
     assert 0 <= loop[0]["core"]["line_length"] <= LINE_BYTES
-
-
-@relaxed
-@given(st.lists(st.one_of(frames, st.just(None)), max_size=40), st.randoms())
-def test_every_frame_of_a_stream_is_counted(stream, random):
-    loop, shared = new_loop(load_arm("episode1"), 0, 0), np.zeros(1, layout.STATE)
-    answers = (b"z\r", b"Z\r", b"\r")
-    data = b"".join(random.choice(answers) if frame is None else encoded(loop, frame) for frame in stream)
-    assert taken(loop, shared, data) == (sum(frame is not None for frame in stream), 0)
-
-
-def test_an_overflowing_ring_drops_counts_and_recovers(loop, shared):
-    flood = np.frombuffer(POSITION * (RX_BYTES // len(POSITION) + 10), np.uint8)
-    received.push(loop[0], 1, flood, len(flood))
-    take_what_the_bus_brought(loop[0], shared[0])
-    assert shared[0]["counters"]["receive_overflows"] == len(flood) - RX_BYTES
-    assert shared[0]["counters"]["frames_received"] == RX_BYTES // len(POSITION)
-    assert taken(loop, shared, b"\r" + POSITION)[0] == 1
 
 
 def test_too_many_small_chunks_are_dropped_and_counted(loop, shared):

@@ -1,0 +1,74 @@
+"""Numbers in a frame's eight bytes, as drives' codecs read and write them: against struct and int.from_bytes."""
+
+import math
+import struct
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from rtloop.drives import fields, words
+
+relaxed = settings(deadline=None)
+numbers = st.floats(allow_nan=False, allow_infinity=False, width=32)
+
+
+@relaxed
+@given(numbers, numbers)
+def test_floats_come_back_as_struct_packs_them(first: float, second: float) -> None:
+    data = int.from_bytes(struct.pack("<ff", first, second), "little", signed=True)
+    for float_at, float_word in (
+        (words.float_at, words.float_word),
+        (words.float_at.py_func, words.float_word.py_func),
+    ):
+        assert (float_at(data, 0), float_at(data, 4)) == (first, second)
+        assert float_word(first) == int.from_bytes(struct.pack("<f", first), "little")
+
+
+@relaxed
+@given(st.integers(-(2**63), 2**63 - 1), st.integers(0, 7), st.integers(1, 4))
+@example(0x80, 0, 1)
+@example(0x7F_8000_0000, 0, 4)
+def test_whole_numbers_are_read_as_int_from_bytes_does(number: int, at: int, size: int) -> None:
+    size = min(size, 8 - at)
+    data = number.to_bytes(8, "little", signed=True)
+    part = data[at : at + size]
+    for function, expected in (
+        (words.unsigned, int.from_bytes(part, "little")),
+        (words.signed, int.from_bytes(part, "little", signed=True)),
+    ):
+        assert function(number, at, size) == function.py_func(number, at, size) == expected
+    swapped = int.from_bytes(data[:size], "big")
+    assert words.swapped(number, size) == words.swapped.py_func(number, size) == swapped
+
+
+@relaxed
+@given(st.floats(-1e12, 1e12), st.sampled_from([100, 32_767, 2**31 - 1]))
+def test_numbers_are_rounded_and_kept_within_bounds(value: float, most: int) -> None:
+    assert words.bounded(value, most) == words.bounded.py_func(value, most) == min(max(round(value), -most), most)
+    assert words.bounded(math.nan, most) == 0
+    assert (words.bounded(math.inf, most), words.bounded(-math.inf, most)) == (most, -most)
+
+
+@relaxed
+@given(st.sampled_from([12, 16]), st.floats(1e-3, 1e4), st.floats(0.0, 1.0))
+def test_fields_go_back_in_as_they_came_out(bits: int, most: float, share: float) -> None:
+    code = round(share * ((1 << bits) - 1))
+    value = fields.of_field(code, most, bits)
+    assert -most <= value <= most * (1.0 + 1e-12)
+    assert fields.field(value, most, bits) == code == words.field(value, most, bits)
+    assert words.of_field(code, most, bits) == value
+
+
+@pytest.mark.parametrize(("value", "code"), [(-1e9, 0), (-math.inf, 0), (0.0, 0x7FF), (1e9, 0xFFF), (math.nan, 0x7FF)])
+def test_a_field_cuts_off_at_its_ends_and_to_whole_steps(value: float, code: int) -> None:
+    assert words.field(value, 5.0, 12) == fields.field(value, 5.0, 12) == code
+    assert fields.field(5.0 * (2 * 100.9 / 4095 - 1), 5.0, 12) == 100
+
+
+@pytest.mark.parametrize(
+    ("bits", "common"), [(0, 0), (1, 0x10), (6, 0x20), (2, 0x20), (7, 0x30), (0x80, 0x10), (0x100, 0)]
+)
+def test_an_error_word_means_all_that_any_of_its_bits_means(bits: int, common: int) -> None:
+    table = ((0x81, 0x10), (0x06, 0x20))
+    assert words.meaning(bits, table) == words.meaning.py_func(bits, table) == common
