@@ -50,6 +50,18 @@ def pytest_unconfigure() -> None:
     _CLAIM.close()
 
 
+def pytest_collection_finish() -> None:
+    """Fast DDS opens three sockets at its first use in a process, which stay: let it before anybody looks."""
+    if "rclpy" in sys.modules:
+        import rclpy
+        from rclpy.signals import SignalHandlerOptions
+
+        context = rclpy.Context()
+        rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.create_node("first", context=context).destroy_node()
+        rclpy.shutdown(context=context)
+
+
 def memory_files_left() -> list[Path]:
     """Shared-memory files of this session's arms."""
     return sorted(Path("/dev/shm").glob(f"rtarm.{_ARM_PREFIX}*"))

@@ -7,7 +7,7 @@ from mutants import judging, making
 from mutants.__main__ import ROOT, candidates, run
 from mutants.table import EQUIVALENT, LEAVES, Leaf
 
-pytestmark = pytest.mark.timeout(600)  # each is several runs of pytest, on whatever machine
+pytestmark = pytest.mark.process  # each is several runs of pytest
 
 TOY = '''"""A leaf."""
 

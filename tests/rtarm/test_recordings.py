@@ -1012,4 +1012,5 @@ def test_the_process_that_writes_has_a_time_after_which_it_ends(
     monkeypatch.setattr(writer_process, "record", lambda *_: left.append(signal.alarm(0)))
     fd = os.dup(arm.files.state.fd)
     assert writer_process.main(str(fd), arm.name, "fault") == 0
+    os.close(fd)
     assert 59 < left[0] < 100

@@ -9,7 +9,7 @@ from config.loader import load_arm
 from rtloop import ahead, entry, guard, path
 from shm.words import Fault, Outcome
 
-trials = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+trials = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 ENOUGH = 10**6
 
 

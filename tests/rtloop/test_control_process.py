@@ -365,6 +365,7 @@ def deaf_arm(tmp_path, monkeypatch):
     yield load_arm(file, overrides={"bus": {"channel": os.ttyname(slave)}})
     os.close(master)
     os.close(slave)
+    ctypes.CDLL(None).munlockall()  # stacks of threads that have ended, and the recorder
 
 
 def test_memory_counts_as_locked_only_when_the_readers_stack_is(deaf_arm, monkeypatch):

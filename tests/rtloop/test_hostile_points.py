@@ -18,7 +18,7 @@ from rosfront.refusals import GoalRefused
 from rosfront.settings import Settings
 from shm.words import Fault, Mode, Outcome, Request
 
-trials = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+trials = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 REFUSALS = (Outcome.REFUSED_START, Outcome.REFUSED_LIMITS)
 
 

@@ -24,7 +24,7 @@ AFTER_CYCLES = 40
 
 moments = st.tuples(st.sampled_from(INTERRUPTED), st.floats(0.05, 0.95))
 trials = settings(
-    max_examples=12,
+    max_examples=6,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
