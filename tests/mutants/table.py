@@ -14,19 +14,12 @@ class Leaf:
 
 WIRES = "tests/rtloop/test_wire_conformance.py"
 LIMITS = ("highest_rad_s", "hardest_rad_s2", "check_next_setpoint", "way_to_rest")
-
-
+OF_ALL_FAMILIES = tuple(f"tests/rtloop/test_{name}.py" for name in ("drive_frames", "golden_frames", "codec_laws"))
 OF_ONE_FAMILY = {"zdt": ("tests/rtloop/test_zdt_targets.py",)}
 
 
 def drive(family: str) -> Leaf:
-    own = (f"tests/rtloop/test_{family}_codec.py", "tests/rtloop/test_drive_frames.py")
-    tests = (
-        *own,
-        "tests/rtloop/test_golden_frames.py",
-        "tests/rtloop/test_codec_laws.py",
-        *OF_ONE_FAMILY.get(family, ()),
-    )
+    tests = (f"tests/rtloop/test_{family}_codec.py", *OF_ALL_FAMILIES, *OF_ONE_FAMILY.get(family, ()))
     return Leaf(f"rtloop/drives/{family}.py", (*tests, "-k", family))
 
 
