@@ -8,10 +8,12 @@ one that was interrupted goes on, and what changed is made anew. Only Python's o
 from __future__ import annotations
 
 import argparse
+import fcntl
 import hashlib
 import os
 import platform
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -63,7 +65,12 @@ def steps_of(venv: Path, sourced: bool) -> list[Step]:
         return Step(name, words, about_s, commands, needs, environment)
 
     return [
-        step("python", f"a Python environment in {venv}", 3, [sys.executable, "-m", "venv", "--clear", str(venv)]),
+        step(
+            "python",
+            f"a Python environment in {venv}",
+            3,
+            [os.path.realpath(sys.executable), "-m", "venv", "--clear", str(venv)],
+        ),
         step("compiler", "packages of the compiler", 7, [*pip, *locked("cycle")], needs=["python"]),
         step(
             *("packages", f"other packages, ROS 2 from {'wheels' if ros else 'the installation'}", 15),
@@ -145,6 +152,9 @@ def main() -> int:
     if why := refusal():
         say(why)
         return 1
+    for number in (signal.SIGTERM, signal.SIGHUP):  # the commands that run then end too
+        signal.signal(number, lambda caught, _: sys.exit(128 + caught))
+    fcntl.flock(os.open(ROOT, os.O_RDONLY), fcntl.LOCK_EX)  # one at a time; it falls with this process
     sourced = ros_is_sourced()
     steps = steps_of(venv, sourced)
     stamps = stamps_of(steps, f"{sys.version} {sourced}")

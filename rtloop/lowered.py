@@ -56,6 +56,7 @@ def lower() -> Any:
     for value in (*module.functions, *module.global_variables):
         if not value.is_declaration and value.name not in entries.values():
             value.linkage = "internal"
+    module.verify()
     return module
 
 

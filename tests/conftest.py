@@ -6,6 +6,7 @@ import itertools
 import os
 import secrets
 import shutil
+import signal
 import socket
 import sys
 import tempfile
@@ -35,6 +36,11 @@ def pytest_configure(config: pytest.Config) -> None:
 
     And no example of a property is too slow, as in CI: hypothesis would else fail those of a busy machine after 0.2 s.
     """
+    for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+        if (
+            signal.getsignal(number) is signal.SIG_IGN
+        ):  # as in the background of a shell; all that is started inherits it
+            signal.signal(number, usual)
     settings.register_profile("untimed", settings.default, deadline=None)
     settings.load_profile("untimed")
     os.environ.update(own_domain())

@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import os
 import select
+import signal
 import subprocess
 import sys
 import time
@@ -59,9 +60,12 @@ class Witness:
     def since(self, start_ns: int) -> Stalls:
         """Of the time from an instant of CLOCK_MONOTONIC until now."""
         assert self._process.stdin is not None and self._process.stdout is not None
-        self._process.stdin.write(b"%d\n" % start_ns)
-        self._process.stdin.flush()
-        return Stalls(*json.loads(self._process.stdout.readline()))
+        try:
+            self._process.stdin.write(b"%d\n" % start_ns)
+            self._process.stdin.flush()
+            return Stalls(*json.loads(self._process.stdout.readline()))
+        except (OSError, ValueError):  # nobody watches any more: what fails has failed
+            return Stalls(0.0, 0.0)
 
     def close(self) -> None:
         self._process.communicate()
@@ -126,6 +130,7 @@ def _idle_ns() -> int:
 
 
 def _watch(marker: bytes) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C is for the tests
     own = OwnProcesses(marker, os.getppid())  # who runs the tests got its marker too late to show it
     late: list[tuple[int, int]] = []  # when, and how much of it was the machine's [ns]
     starved: list[tuple[int, int]] = []  # until when, and how long [ns]

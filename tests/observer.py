@@ -34,7 +34,7 @@ _FRAME = re.compile(rb"T([0-9A-F]{8})([0-8])((?:[0-9A-F]{2})*)")
 
 
 class Violation(AssertionError):
-    """Something happened that must not, whatever the machine did: such a test is never tried again (conftest.py)."""
+    """Something happened that must not, whatever the machine did: such a test is never tried again (verdicts.py)."""
 
 
 def judge(found: Collection[str]) -> None:

@@ -103,3 +103,44 @@ def test_what_the_observer_finds_is_final(ran: Callable[[str, Stalls], pytest.Ru
 
 def test_virtual_time_is_never_tried_again(ran: Callable[[str, Stalls], pytest.RunResult]) -> None:
     assert ran(NEVER.replace("def test_it", "pytestmark = []\n\ndef test_it"), STALLED).parseoutcomes() == {"failed": 1}
+
+
+VIOLATION_AND_MORE = """
+class Violation(AssertionError):
+    pass
+
+@pytest.fixture
+def ends_badly():
+    yield
+    assert TRIES == [], "left behind"
+
+def test_it(ends_badly):
+    TRIES.append(1)
+    try:
+        raise Violation("joint1 was faster than its limit")
+    finally:
+        assert len(TRIES) > 1, "and could not be closed"
+"""
+FAILS_AT_ITS_END = """
+@pytest.fixture(scope="module")
+def shared():
+    TRIES.append("made")
+
+@pytest.fixture
+def ends_badly(shared):
+    yield
+    assert TRIES.count("made") == 3, "not yet"
+
+def test_it(ends_badly):
+    pass
+"""
+
+
+def test_what_the_observer_finds_is_final_whatever_fails_beside_it(
+    ran: Callable[[str, Stalls], pytest.RunResult],
+) -> None:
+    assert ran(VIOLATION_AND_MORE, STALLED).parseoutcomes() == {"failed": 1, "errors": 1}
+
+
+def test_what_fails_at_its_end_gets_fresh_fixtures_too(ran: Callable[[str, Stalls], pytest.RunResult]) -> None:
+    assert ran(FAILS_AT_ITS_END, STALLED).parseoutcomes() == {"passed": 1, "inconclusive": 2}

@@ -46,13 +46,13 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
         start_ns = time.monotonic_ns()
         reports = list(_run(item, nextitem))
         stalls = witness.since(start_ns)
-        if repeats_left == 0 or not any(is_inconclusive(report, stalls) for report in reports):
+        failures = [report for report in reports if report.failed]
+        if repeats_left == 0 or not failures or not all(is_inconclusive(report, stalls) for report in failures):
             break
-        for report in reports:
-            if report.failed:
-                report.outcome = INCONCLUSIVE  # type: ignore[assignment]
-                report.sections.append((MEANWHILE, str(stalls)))
-                item.ihook.pytest_runtest_logreport(report=report)
+        for report in failures:
+            report.outcome = INCONCLUSIVE  # type: ignore[assignment]
+            report.sections.append((MEANWHILE, str(stalls)))
+            item.ihook.pytest_runtest_logreport(report=report)
     for report in reports:
         if report.failed:
             report.sections.append((MEANWHILE, str(stalls)))
@@ -63,19 +63,21 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 def is_inconclusive(report: pytest.TestReport, stalls: Stalls) -> bool:
     """Whether a failure may be the machine's."""
-    return report.failed and bool(stalls) and "Violation" not in _kind(report)
+    return report.failed and bool(stalls) and "Violation" not in report.raised.split()
 
 
-def _kind(report: pytest.TestReport) -> str:
-    """The name of what was raised."""
-    return str(getattr(report, "raised", ""))
+def _kinds(problem: BaseException | None) -> set[str]:
+    """Names of what was raised, and of all that it was raised together with or in the place of."""
+    if problem is None:
+        return set()
+    beside = (*getattr(problem, "exceptions", ()), problem.__cause__, problem.__context__)
+    return {kind.__name__ for kind in type(problem).__mro__}.union(*map(_kinds, beside))
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
     report = yield
-    if call.excinfo is not None:
-        report.raised = " ".join(kind.__name__ for kind in call.excinfo.type.__mro__)
+    report.raised = " ".join(sorted(_kinds(call.excinfo and call.excinfo.value)))
     return report
 
 
@@ -112,6 +114,15 @@ def _run(item: Any, nextitem: pytest.Item | None) -> Iterator[pytest.TestReport]
         call = call_and_report(item, "call", log=False)
         yield call
         failed = call.failed
-    yield call_and_report(item, "teardown", log=False, nextitem=None if failed else nextitem)
+    teardown = call_and_report(item, "teardown", log=False, nextitem=None if failed else nextitem)
+    yield teardown
+    if teardown.failed and not failed:  # what the file shares has been kept for the next test
+        rest = pytest.CallInfo.from_call(
+            lambda: item.session._setupstate.teardown_exact(None),
+            "teardown",
+            reraise=(pytest.exit.Exception, KeyboardInterrupt),
+        )
+        if rest.excinfo is not None:
+            yield item.ihook.pytest_runtest_makereport(item=item, call=rest)
     item._request = False
     item.funcargs = None

@@ -142,6 +142,7 @@ def test_an_arm_that_was_moved_while_rtarm_was_not_running_is_not_believed(held)
     assert held.loop.code() == 0
     held.sim.close()
     held._start_deg = [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]
+    held.change(limits={"position_jump_rad": 0.05})
     held.start_sim()
     held.start_loop()
     assert referenced(held) == [1, 1, 0, 1, 1, 1]

@@ -33,10 +33,13 @@ class Stage:
 
     def new_loop(self):
         position = self.loop.rows["commanded_position_rad"].copy()
-        if self.loop.is_alive():
-            self.loop.stop()
+        before = self.loop
+        if before.is_alive():
+            before.stop()
         self.loop = FakeLoop(self.arm, position)
         self.loop.start()
+        for memory in (before.files.state, before.files.command):
+            memory.close()
         until(self.serves, "serving again")
 
     def reset(self):

@@ -1,10 +1,21 @@
 """Arms in virtual time, closed after each test."""
 
+import ctypes
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 from virtual import VirtualArm, recorded_goal
+
+from rtloop import realtime
+
+
+@pytest.fixture
+def unlocked(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """For a control process that is served in this one, whose memory stays as it is and the processors' sleep too."""
+    monkeypatch.setattr(realtime, "prepare_process", lambda used: realtime.Obtained(memory_locked=True))
+    yield
+    ctypes.CDLL(None).munlockall()  # stacks of its threads, and the recorder
 
 
 @pytest.fixture

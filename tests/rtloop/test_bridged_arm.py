@@ -98,7 +98,7 @@ def stack(arm_name, tmp_path) -> Iterator[Stack]:
 
 
 @pytest.fixture
-def inside(stack, monkeypatch, tmp_path) -> Iterator[SimpleNamespace]:
+def inside(stack, unlocked, monkeypatch, tmp_path) -> Iterator[SimpleNamespace]:
     """The control process' threads and the simulated arm on one virtual bus of this very process."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     stack.change(bus={"channel": f"bus of {stack.name}"})

@@ -353,9 +353,8 @@ for limited in (False, True):
 
 
 @pytest.fixture
-def deaf_arm(tmp_path, monkeypatch):
-    """An arm of a name of its own at a terminal where nobody answers, served in this process, which stays as it is."""
-    monkeypatch.setattr(realtime, "prepare_process", lambda used: realtime.Obtained(memory_locked=True))
+def deaf_arm(tmp_path, unlocked):
+    """An arm of a name of its own at a terminal where nobody answers."""
     master, slave = pty.openpty()
     name = f"t{secrets.token_hex(4)}"
     values = yaml.safe_load((ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8"))
@@ -365,7 +364,6 @@ def deaf_arm(tmp_path, monkeypatch):
     yield load_arm(file, overrides={"bus": {"channel": os.ttyname(slave)}})
     os.close(master)
     os.close(slave)
-    ctypes.CDLL(None).munlockall()  # stacks of threads that have ended, and the recorder
 
 
 def test_memory_counts_as_locked_only_when_the_readers_stack_is(deaf_arm, monkeypatch):

@@ -100,6 +100,7 @@ def _word_differences(
 ) -> tuple[list[_Difference], _Difference | None]:
     """The first difference of each word, and the first float that only rounding tells apart."""
     found, rounded = [], []
+    found += [_Difference(0, f"{_spelled(name)} is new") for name in sorted(now.words.keys() - was.words.keys())]
     every = np.arange(len(was.sent))
     for name, values in was.words.items():
         cycles = every if len(values) == len(every) else was.kept
