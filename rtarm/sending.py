@@ -136,6 +136,8 @@ class Sender:
 
     def _say(self, what: dict[str, Any]) -> None:
         assert self._process.stdin is not None
+        if self._ended:  # its end of the pipe may be open for a moment longer than the other one was
+            raise self._gone()
         try:
             self._process.stdin.write(json.dumps(what) + "\n")
             self._process.stdin.flush()

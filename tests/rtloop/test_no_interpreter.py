@@ -179,6 +179,7 @@ def make_an_array(values):
 
 
 @pytest.mark.process
+@pytest.mark.usefixtures("unlocked")
 def test_holding_the_gil_for_two_seconds_costs_no_cycle():
     """The real loop in a thread of its own, at 200 Hz, while this one keeps the interpreter to itself.
 
