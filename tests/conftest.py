@@ -37,9 +37,7 @@ def pytest_configure(config: pytest.Config) -> None:
     And no example of a property is too slow, as in CI: hypothesis would else fail those of a busy machine after 0.2 s.
     """
     for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
-        if (
-            signal.getsignal(number) is signal.SIG_IGN
-        ):  # as in the background of a shell; all that is started inherits it
+        if signal.getsignal(number) is signal.SIG_IGN:  # in the background of a shell; what is started inherits it
             signal.signal(number, usual)
     settings.register_profile("untimed", settings.default, deadline=None)
     settings.load_profile("untimed")
@@ -112,13 +110,16 @@ def pytest_runtest_setup(item: pytest.Item) -> Any:
 def pytest_runtest_teardown(item: Any, nextitem: pytest.Item | None) -> Any:
     """Fail a file of tests that changes what the next ones would start from, when all its fixtures have ended."""
     yield
+    if item.stash.get(verdicts.FAILED, False):
+        return  # what was raised holds what it was about; the file is looked at when a test of it has ended well
     if nextitem is None or nextitem.path != item.path:
         item.session.stash[_FILE] = None
         item.funcargs.clear()  # what nobody holds any more is closed
         for kept in ("last_exc", "last_value", "last_traceback"):  # with the frames of the test that failed last
             vars(sys).pop(kept, None)
         left = leaks.left_by(item.session.stash[_BEFORE], processes_left)
-        assert not left, f"{item.path.name} leaves behind: " + "; ".join(left)
+        if left:
+            raise leaks.Left(f"{item.path.name} leaves behind: " + "; ".join(left))
 
 
 @pytest.fixture(scope="session")

@@ -21,6 +21,10 @@ _OF_PYTEST = ("PYTEST_CURRENT_TEST",)
 _OF_PYTEST_TIMEOUT = (signal.SIGALRM,)
 
 
+class Left(AssertionError):
+    """A file of tests has left something behind. Its end was waited for: the machine's speed has no part in it."""
+
+
 class Surroundings(NamedTuple):
     """Everything that a process hands on to those it starts, or that they would meet."""
 

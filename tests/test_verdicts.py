@@ -144,3 +144,26 @@ def test_what_the_observer_finds_is_final_whatever_fails_beside_it(
 
 def test_what_fails_at_its_end_gets_fresh_fixtures_too(ran: Callable[[str, Stalls], pytest.RunResult]) -> None:
     assert ran(FAILS_AT_ITS_END, STALLED).parseoutcomes() == {"passed": 1, "inconclusive": 2}
+
+
+def test_what_is_left_behind_and_what_hangs_is_final(ran: Callable[[str, Stalls], pytest.RunResult]) -> None:
+    left = """
+class Left(AssertionError):
+    pass
+
+def test_it():
+    TRIES.append(1)
+    if len(TRIES) == 1:
+        raise Left("a process")
+"""
+    assert ran(left, STALLED).parseoutcomes() == {"failed": 1}
+    hangs = """
+import time
+
+@pytest.mark.timeout(1)
+def test_it():
+    TRIES.append(1)
+    while len(TRIES) == 1:
+        time.sleep(0.01)
+"""
+    assert ran(hangs, STALLED).parseoutcomes() == {"failed": 1}

@@ -2,8 +2,9 @@
 
 A failure while the machine stood still (`machine_witness`) says nothing about rtarm: it is inconclusive, and the test
 is tried again, twice at most, from fresh processes. A failure without a stall is final the first time, and so is what
-the observer of true motion finds (`observer.Violation`). After a failure every fixture is made anew, so that none that
-tests share carries a fault into the next.
+no stall explains: what the observer of true motion finds (`observer.Violation`), what is left behind (`leaks.Left`),
+and a test that hangs. After a failure every fixture is made anew, so that none that tests share carries a fault into
+the next.
 """
 
 from __future__ import annotations
@@ -22,6 +23,10 @@ MEANWHILE = "the machine meanwhile"
 REPEATS = 2
 MARKER = "RTARM_TEST_SESSION"
 """Set for everything that a session of tests starts."""
+FINAL = {"Violation", "Left"}
+HANGS = "from pytest-timeout"
+FAILED = pytest.StashKey[bool]()
+"""Whether something of the test that is tried just now has failed."""
 _WITNESS = pytest.StashKey[Witness]()
 
 
@@ -63,7 +68,8 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 def is_inconclusive(report: pytest.TestReport, stalls: Stalls) -> bool:
     """Whether a failure may be the machine's."""
-    return report.failed and bool(stalls) and "Violation" not in report.raised.split()
+    is_final = bool(FINAL.intersection(report.raised.split())) or HANGS in str(report.longrepr)
+    return report.failed and bool(stalls) and not is_final
 
 
 def _kinds(problem: BaseException | None) -> set[str]:
@@ -78,6 +84,7 @@ def _kinds(problem: BaseException | None) -> set[str]:
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
     report = yield
     report.raised = " ".join(sorted(_kinds(call.excinfo and call.excinfo.value)))
+    item.stash[FAILED] = report.failed or (call.when != "setup" and item.stash.get(FAILED, False))
     return report
 
 
@@ -93,9 +100,7 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
     for report in found:
         crash = getattr(report.longrepr, "reprcrash", None)
         why = str(crash.message if crash else report.longrepr).splitlines()
-        terminalreporter.write_line(
-            f"{report.nodeid} ({report.when}): {dict(report.sections)['the machine meanwhile']}"
-        )
+        terminalreporter.write_line(f"{report.nodeid} ({report.when}): {dict(report.sections)[MEANWHILE]}")
         terminalreporter.write_line(f"    {why[0] if why else ''}")
 
 
