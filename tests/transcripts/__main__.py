@@ -40,7 +40,7 @@ def findings_of(work: Callable[[str], Finding], names: Sequence[str], jobs: int)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run what the command line asks for; 1 when a scenario differs, 2 when there is none of that name."""
+    """Run what the command line asks for; 1 when a scenario differs, 2 when none, or all, are named by mistake."""
     parser = argparse.ArgumentParser(prog="python -m transcripts", description=__doc__.splitlines()[0])
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="only these; * stands for anything")
     parser.add_argument("--record", action="store_true", help="record anew instead of comparing")
@@ -48,6 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=1, help="processes at once")
     parser.add_argument("--data", type=Path, default=store.FOLDER, help="folder of the recordings")
     given = parser.parse_args(arguments)
+    if given.record and not given.scenarios and given.data == store.FOLDER:
+        print("Name the scenarios that are meant to change, or '*': all recordings would be replaced.", file=sys.stderr)
+        return 2
     try:
         names = chosen(given.scenarios, given.data)
     except ValueError as problem:

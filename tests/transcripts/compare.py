@@ -76,7 +76,7 @@ def compare(scenario: str, was: Transcript, now: Transcript) -> Finding:
     sentence = f"{scenario}, {_when(first.cycle, was, now)}: {first.sentence}"
     if also:
         sentence += f" ({also} more in this cycle)"
-    if rounded is not None and rounded.cycle <= first.cycle:
+    if rounded is not None and rounded.cycle <= first.cycle and not now.broke_off:
         return Finding(
             scenario,
             Verdict.UNSURE,
