@@ -24,11 +24,12 @@ STUCK = (
 )
 
 
-def guarded(limit_s: float, program: str) -> subprocess.Popen[str]:
+def guarded(limit_s: float, program: str, stdin: int | None = None) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-c", GUARD, str(limit_s), sys.executable, "-c", program],
         cwd=ROOT,
         env={**os.environ, "PYTHONPATH": str(ROOT / "tests")},
+        stdin=stdin,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -84,15 +85,7 @@ def test_an_orphan_that_ends_earlier_is_no_zombie() -> None:
         "pid = int(subprocess.run(['sh', '-c', 'sleep 0.1 >&- & echo $!'], stdout=subprocess.PIPE).stdout);"
         "print(pid, flush=True); sys.stdin.read()"
     )
-    process = subprocess.Popen(
-        [sys.executable, "-c", GUARD, str(PATIENCE_S), sys.executable, "-c", program],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT / "tests")},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    with process:
+    with guarded(PATIENCE_S, program, stdin=subprocess.PIPE) as process:
         assert process.stdin is not None
         assert process.stdout is not None
         pid = int(process.stdout.readline())

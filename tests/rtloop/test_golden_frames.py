@@ -123,6 +123,8 @@ def test_what_is_heard(family: str, vector: dict[str, Any]) -> None:
     if "status" in expected:
         found = told["status"]
         assert bool(bad_statuses) == bool(found & BAD or not found & status.ENABLED)
+    else:
+        assert not bad_statuses
     assert set(told) == set(expected) if "tells" in vector else set(told) > set(expected)
     for name, value in expected.items():
         within = golden(family).get("within", {}).get(name, 1e-12)
