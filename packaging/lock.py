@@ -27,9 +27,7 @@ WORDS = {
     "tools": "all other extras: tests, checks, documentation, pictures",
 }
 """The sections, in their order."""
-HEAD = (
-    "# The exact versions that rtarm is tested with, the same for Python 3.11, 3.12 and 3.13: see packaging/lock.py.\n"
-)
+HEAD = "# The exact versions that rtarm is tested with, the same for Python 3.11, 3.12 and 3.13; made by `make lock`.\n"
 
 
 def sections() -> dict[str, set[str]]:

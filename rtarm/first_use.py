@@ -39,8 +39,8 @@ def cycle_compiled_beside() -> Iterator[None]:
     try:
         yield
         _say(f"step 1 of 2: ROS messages, {time.monotonic() - started:.0f} s")
-        compiler.wait()
-        _say(f"step 2 of 2: the control cycle, {time.monotonic() - started:.0f} s")
+        if compiler.wait() == 0:
+            _say(f"step 2 of 2: the control cycle, {time.monotonic() - started:.0f} s")
     finally:
         compiler.kill()
         compiler.wait()

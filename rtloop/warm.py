@@ -70,8 +70,9 @@ def main(tell: Callable[[str], None] = print) -> int:
         )
         return 1
     for old in cache.folder().parent.glob("compiled-*"):
-        if old != cache.folder() and time.time() - old.stat().st_mtime > KEPT_S:
-            shutil.rmtree(old, ignore_errors=True)
+        with contextlib.suppress(FileNotFoundError):  # another process tidies up too
+            if old != cache.folder() and time.time() - old.stat().st_mtime > KEPT_S:
+                shutil.rmtree(old, ignore_errors=True)
     tell(f"compiled in {time.monotonic() - started:.0f} s")
     return 0
 
