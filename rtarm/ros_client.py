@@ -16,6 +16,7 @@ from rtarm.errors import Refusal
 
 if TYPE_CHECKING:
     from rclpy.action.client import ActionClient
+    from rclpy.executors import Executor
     from rclpy.node import Node
 
 MUTUAL_S = 0.3
@@ -30,7 +31,7 @@ def served_node(name: str, namespace: str = "") -> Iterator[Node]:
         Refusal: ROS cannot be used as the environment has it.
     """
     import rclpy
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.executors import SingleThreadedExecutor
     from rclpy.utilities import try_shutdown
 
     try:
@@ -40,20 +41,39 @@ def served_node(name: str, namespace: str = "") -> Iterator[Node]:
     node = rclpy.create_node(name, namespace=namespace)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
+    try:
+        with spinning(executor):
+            yield node
+    finally:
+        node.destroy_node()
+        try_shutdown()
+
+
+@contextlib.contextmanager
+def spinning(executor: Executor) -> Iterator[None]:
+    """A thread that serves an executor, and has ended before the executor is shut down.
+
+    rclpy's `spin` may have work in its hands while another thread shuts its executor down, and then fails on a guard
+    condition that is destroyed.
+    """
+    from rclpy.executors import ExternalShutdownException
+
+    ends = threading.Event()
 
     def spin() -> None:
         with contextlib.suppress(ExternalShutdownException):
-            executor.spin()
+            while not ends.is_set():
+                executor.spin_once()
 
     spinner = threading.Thread(target=spin, daemon=True)
     spinner.start()
     try:
-        yield node
+        yield
     finally:
-        executor.shutdown()
+        ends.set()
+        executor.create_task(lambda: None)  # a turn of `spin_once`, which may wait for ever
         spinner.join()
-        node.destroy_node()
-        try_shutdown()
+        executor.shutdown()
 
 
 def has_server(client: ActionClient, patience_s: float) -> bool:

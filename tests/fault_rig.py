@@ -23,7 +23,6 @@ from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
 from observer import STANDS_RAD_S
 from rclpy.action import ActionClient
-from rclpy.node import Node
 from ros_client import Spinner
 from stack import Process, Stack
 from std_srvs.srv import Trigger
@@ -90,13 +89,10 @@ class User(Spinner):
     """An action client that knows which servers it sees, and a person who clears faults."""
 
     def __init__(self, controller: str) -> None:
-        super().__init__()
-        self.node = Node("user", context=self.context)
-        self.executor.add_node(self.node)
+        super().__init__("user")
         self.controller = controller
         self.action = ActionClient(self.node, FollowJointTrajectory, f"/{controller}/follow_joint_trajectory")
         self._orders: dict[str, Any] = {}
-        self.thread.start()
 
     def servers(self) -> set[bytes]:
         """One identity for each action server that is seen."""

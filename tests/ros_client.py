@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import threading
 import time
 from pathlib import Path
 
@@ -12,13 +11,15 @@ from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.action import ActionClient
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
+
+from rtarm.ros_client import spinning
 
 GOALS = Path(__file__).parent / "data" / "moveit"
 SUCCEEDED, CANCELED, ABORTED = (
@@ -38,38 +39,32 @@ def until(condition, what, patience_s=PATIENCE_S):
 
 
 class Spinner:
-    """A context with an executor in a thread of its own."""
+    """A node in a context of its own, with an executor in a thread of its own."""
 
-    def __init__(self):
+    def __init__(self, name):
         self.context = rclpy.Context()
+        self._ends = contextlib.ExitStack()
+        self._ends.callback(self.context.try_shutdown)
         rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.thread = threading.Thread(target=self._spin, daemon=True)
-
-    def _spin(self):
-        with contextlib.suppress(ExternalShutdownException):
-            self.executor.spin()
+        self.node = Node(name, context=self.context)
+        executor = SingleThreadedExecutor(context=self.context)
+        executor.add_node(self.node)
+        self._ends.enter_context(spinning(executor))
 
     def close(self):
-        self.executor.shutdown()
-        if self.thread.is_alive():
-            self.thread.join(5.0)
-        self.context.try_shutdown()
+        self._ends.close()
 
 
 class Client(Spinner):
     """What MoveIt is to the arm: an action client and a listener to /joint_states."""
 
     def __init__(self, controller="episode_arm_controller"):
-        super().__init__()
-        self.node = Node("client", context=self.context)
-        self.executor.add_node(self.node)
+        super().__init__("client")
         self.action = ActionClient(self.node, FollowJointTrajectory, f"/{controller}/follow_joint_trajectory")
         self.states, self.feedback = [], []
         for qos in (10, qos_profile_sensor_data):
             self.node.create_subscription(JointState, "joint_states", self._heard(qos), qos)
         self.sensor_data = 0
-        self.thread.start()
         assert self.action.wait_for_server(PATIENCE_S)
 
     def _heard(self, qos):
@@ -99,12 +94,9 @@ class Operator(Spinner):
     """A person at a terminal: listens, publishes, calls services, sets parameters."""
 
     def __init__(self, controller="episode_arm_controller"):
-        super().__init__()
-        self.node = Node("operator", context=self.context)
-        self.executor.add_node(self.node)
+        super().__init__("operator")
         self.controller = controller
         self._clients, self.publishers = {}, []
-        self.thread.start()
 
     def name(self, topic):
         """A name with ~ as the arm's node means it."""

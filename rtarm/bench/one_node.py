@@ -13,7 +13,6 @@ measured, `rest` ends the timer.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import gc
 import sys
 import threading
@@ -26,6 +25,7 @@ from rosfront.program import start_ros
 from rtarm.bench.measured import Recording, obey
 from rtarm.bench.python_arm import Path, PythonArm
 from rtarm.processes import READY
+from rtarm.ros_client import spinning
 
 THREADS = 4
 GOAL_MARGIN_S = 10.0
@@ -144,7 +144,7 @@ def _as_goal(trajectory: Any) -> dict[str, Any]:
 
 def main() -> int:
     """The process, until its standard input is closed."""
-    from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+    from rclpy.executors import MultiThreadedExecutor
     from rclpy.utilities import try_shutdown
 
     parser = argparse.ArgumentParser()
@@ -162,27 +162,20 @@ def main() -> int:
     executor = MultiThreadedExecutor(num_threads=THREADS)
     executor.add_node(node.node)
 
-    def spin() -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            executor.spin()
-
-    spinner = threading.Thread(target=spin, daemon=True)
-    spinner.start()
-    gc.collect()
-    gc.freeze()
-    print(READY, flush=True)
-    recording = node.recording
-    obey(
-        {
-            "run": node.run,
-            "begin": lambda _: recording.begin(),
-            "end": lambda _: recording.end(),
-            "rest": node.rest,
-        }
-    )
-    node.rest()
-    executor.shutdown()
-    spinner.join()
+    with spinning(executor):
+        gc.collect()
+        gc.freeze()
+        print(READY, flush=True)
+        recording = node.recording
+        obey(
+            {
+                "run": node.run,
+                "begin": lambda _: recording.begin(),
+                "end": lambda _: recording.end(),
+                "rest": node.rest,
+            }
+        )
+        node.rest()
     drives.close()
     node.node.destroy_node()
     try_shutdown()
