@@ -61,6 +61,7 @@ def test_a_session_from_direction_to_file(truth: Stack, mine: Path) -> None:
     try:
         at.read_until("The file says: direction 1, ratio 1, zero_deg 30.")
         at.read_until("turns by +7.5° at 1 rpm")
+        at.read_until("Turn it?")
         at.type("y")
         at.read_until("Which way did joint6 go?")
         at.type("n")
@@ -75,6 +76,7 @@ def test_a_session_from_direction_to_file(truth: Stack, mine: Path) -> None:
             at.read_until("it is on the second mark")
             at.type("15")
             at.read_until("turns by -15.0° at 1 rpm")
+            at.read_until("Turn it?")
             at.type("y")
         at.read_until("it is on the second mark")
         at.type("y")
@@ -148,6 +150,7 @@ def test_whatever_ends_it_in_the_middle_of_a_move_stops_the_move(truth: Stack, m
         at.read_until("it is on the first mark")
         at.type("7.5")
         at.read_until("turns by +30.0° at 1 rpm")
+        at.read_until("Turn it?")
         at.type("y")
         wait_until(lambda: truth.truth()["joint5"].position_rad[-1] > math.radians(0.5))
         interrupt(at, how)
@@ -173,7 +176,7 @@ def test_an_adapter_that_goes_away_in_the_middle_of_a_move(truth: Stack, mine: P
         at.read_until("Turn it?")
         at.type("y")
         wait_until(lambda: abs(np.ptp(truth.truth()["joint6"].position_rad)) > 0.005)
-        truth.sim.process.kill()
+        truth.unplug()
         at.read_until(
             "The drive of joint6 does not say that it stands: it ends its small move by itself; use the switch"
         )

@@ -87,7 +87,7 @@ def test_an_adapter_that_goes_away_between_reading_and_writing(simulated: Stack)
     process = Process("rtloop.settings", str(simulated.arm_file))
     try:
         process.line_with("ready")
-        simulated.sim.process.kill()
+        simulated.unplug()
         process.line_with(f"refused The adapter at {simulated.link} is gone")
         assert process.code() == 2
     finally:
@@ -103,7 +103,7 @@ def test_an_adapter_that_goes_away_while_a_person_thinks(simulated: Stack) -> No
         assert asked.stderr is not None
         while "Flash wears out" not in asked.stderr.readline():
             pass
-        simulated.sim.process.kill()
+        simulated.unplug()
         wait_until(lambda: not list(DIRECTORY.glob(f"rtarm.{simulated.name}.*")))
         _, said = asked.communicate("y\n", timeout=PATIENCE_S)
     assert asked.returncode == 2 and f"The adapter at {simulated.link} is gone" in said
