@@ -13,6 +13,7 @@ import hashlib
 import os
 import platform
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -121,6 +122,16 @@ def with_needs(wanted: Iterable[str], steps: Sequence[Step]) -> set[str]:
     return found
 
 
+def forget_half_installed(venv: Path) -> None:
+    """Have pip install anew what it was killed amid: it takes a package for there once its METADATA is.
+
+    INSTALLER comes after all of a package's files.
+    """
+    for found in venv.glob("lib/python*/site-packages/*.dist-info"):
+        if not (found / "INSTALLER").exists():
+            shutil.rmtree(found)
+
+
 def refusal() -> str | None:
     """Why this Python makes no environment, and what to do."""
     if not (3, 11) <= sys.version_info[:2] <= (3, 13):
@@ -178,6 +189,7 @@ def main() -> int:
         say(f"ROS 2 comes from wheels; to use the installation, source {ROS_SETUP} and run make again")
     if venv.is_symlink() and missing[0].name == "python":
         venv.unlink()  # rather than clear what somebody else has there
+    forget_half_installed(venv)
     started = time.monotonic()
     try:
         run(missing, say, mark)

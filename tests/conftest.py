@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import secrets
@@ -10,7 +11,7 @@ import signal
 import socket
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +51,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_unconfigure() -> None:
-    """Leave the domain to the next session."""
+    """Leave the domain to the next session, and no recording of a fault."""
     _CLAIM.close()
+    shutil.rmtree(_STATE_HOME, ignore_errors=True)
 
 
 def pytest_collection_finish() -> None:
@@ -89,12 +91,18 @@ def processes_left() -> list[str]:
     return left
 
 
-@pytest.fixture(scope="session", autouse=True)
-def nothing_left_behind() -> Iterator[None]:
-    """Fail the session if it leaves a memory file; recordings of its faults go with it."""
-    yield
-    shutil.rmtree(_STATE_HOME, ignore_errors=True)
-    assert not memory_files_left(), "memory files left by the tests"
+def all_left() -> list[str]:
+    """Processes and memory files."""
+    return [*processes_left(), *map(str, memory_files_left())]
+
+
+def clear_away() -> None:
+    """End what a test has left whose fixtures broke off: it is no test's that comes after it."""
+    for line in processes_left():
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(int(line.split()[0]), signal.SIGKILL)
+    for path in memory_files_left():
+        path.unlink(missing_ok=True)
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -102,23 +110,29 @@ def pytest_runtest_setup(item: pytest.Item) -> Any:
     """Look around before anything of a file of tests is set up."""
     if item.session.stash.get(_FILE, None) != item.path:
         item.session.stash[_FILE] = item.path
-        item.session.stash[_BEFORE] = leaks.surroundings(processes_left)
+        item.session.stash[_BEFORE] = leaks.surroundings(all_left)
     return (yield)
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_teardown(item: Any, nextitem: pytest.Item | None) -> Any:
     """Fail a file of tests that changes what the next ones would start from, when all its fixtures have ended."""
-    yield
-    if item.stash.get(verdicts.FAILED, False):
+    failed = item.stash.get(verdicts.FAILED, False)
+    try:
+        yield
+    finally:
+        if failed:
+            clear_away()
+    if failed:
         return  # what was raised holds what it was about; the file is looked at when a test of it has ended well
     if nextitem is None or nextitem.path != item.path:
         item.session.stash[_FILE] = None
         item.funcargs.clear()  # what nobody holds any more is closed
         for kept in ("last_exc", "last_value", "last_traceback"):  # with the frames of the test that failed last
             vars(sys).pop(kept, None)
-        left = leaks.left_by(item.session.stash[_BEFORE], processes_left)
+        left = leaks.left_by(item.session.stash[_BEFORE], all_left)
         if left:
+            clear_away()
             raise leaks.Left(f"{item.path.name} leaves behind: " + "; ".join(left))
 
 

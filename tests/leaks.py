@@ -34,11 +34,11 @@ class Surroundings(NamedTuple):
     directory: dict[str, object]
     signals: dict[str, object]
     descriptors: dict[str, object]
-    processes: dict[str, object]
+    remains: dict[str, object]
 
 
-def surroundings(processes: Callable[[], list[str]]) -> Surroundings:
-    """Of this process, now; `processes` lists what it has started and still runs."""
+def surroundings(remains: Callable[[], list[str]]) -> Surroundings:
+    """Of this process, now; `remains` lists what it has started that still runs, and files that it has made."""
     return Surroundings(
         scheduling={
             "priority": os.getpriority(os.PRIO_PROCESS, 0),
@@ -56,14 +56,14 @@ def surroundings(processes: Callable[[], list[str]]) -> Surroundings:
             "blocked": signal.pthread_sigmask(signal.SIG_BLOCK, ()),
         },
         descriptors=_descriptors(),
-        processes=dict.fromkeys(processes(), "runs"),
+        remains=dict.fromkeys(remains(), "there"),
     )
 
 
-def left_by(before: Surroundings, processes: Callable[[], list[str]]) -> list[str]:
+def left_by(before: Surroundings, remains: Callable[[], list[str]]) -> list[str]:
     """What is not as it was, a sentence each."""
     deadline = time.monotonic() + LEAVE_TAKING_S
-    while (found := changes(before, surroundings(processes))) and time.monotonic() < deadline:
+    while (found := changes(before, surroundings(remains))) and time.monotonic() < deadline:
         gc.collect()  # what nobody holds any more is closed
         time.sleep(0.01)
     return found

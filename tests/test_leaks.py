@@ -98,7 +98,7 @@ def test_a_leak_is_told_and_its_end_as_well(leak: Callable[[], Iterator[None]], 
 def test_a_process_left_is_told_and_one_that_is_just_ending_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(leaks, "LEAVE_TAKING_S", 0.0)
     before = leaks.surroundings(no_processes)
-    assert leaks.left_by(before, lambda: ["4711 sim"]) == ["processes: 4711 sim was not there, is 'runs'"]
+    assert leaks.left_by(before, lambda: ["4711 sim"]) == ["remains: 4711 sim was not there, is 'there'"]
     monkeypatch.undo()
     with subprocess.Popen(["sleep", "0.2"]) as ending:
         assert leaks.left_by(before, lambda: [] if ending.poll() is not None else ["sleep"]) == []

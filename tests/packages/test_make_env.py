@@ -115,6 +115,16 @@ def test_each_stamp_stands_for_what_its_step_is_made_of(monkeypatch: pytest.Monk
     assert changed(before) == {"tools"}
 
 
+def test_what_pip_was_killed_amid_is_not_taken_for_there(tmp_path: Path) -> None:
+    packages = tmp_path / "lib" / "python3.11" / "site-packages"
+    for name, files in (("whole", ("METADATA", "INSTALLER", "RECORD")), ("half", ("METADATA", "RECORD"))):
+        (packages / f"{name}-1.dist-info").mkdir(parents=True)
+        for file in files:
+            (packages / f"{name}-1.dist-info" / file).touch()
+    environment.forget_half_installed(tmp_path)
+    assert [found.name for found in packages.iterdir()] == ["whole-1.dist-info"]
+
+
 # --- steps ----------------------------------------------------------------------------------------------
 
 
