@@ -18,6 +18,7 @@ from typing import Any
 import leaks
 import pytest
 import verdicts
+from carriers import Hurried
 from hypothesis import settings
 
 from rosfront.transport import FAST_DDS, choose_udp
@@ -28,6 +29,7 @@ _ARM_PREFIX = f"t{_SESSION}_"
 _ARM_NUMBERS = itertools.count()
 _STATE_HOME = Path(tempfile.gettempdir(), f"rtarm-test-{_SESSION}")
 _FILE, _BEFORE = pytest.StashKey[Path | None](), pytest.StashKey[leaks.Surroundings]()
+_HURRIED = pytest.StashKey[Hurried]()
 _CLAIM = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 """Has a port of this session's ROS domain, so that no other session chooses it before this one starts a ROS process."""
 
@@ -48,10 +50,14 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ[verdicts.MARKER] = _SESSION
     os.environ["XDG_STATE_HOME"] = str(_STATE_HOME)  # recordings of faults
     config.pluginmanager.register(verdicts)
+    if not hasattr(config, "workerinput"):  # once for all workers
+        config.stash[_HURRIED] = Hurried()
 
 
-def pytest_unconfigure() -> None:
-    """Leave the domain to the next session, and no recording of a fault."""
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Leave the domain to the next session, the kernel's threads as they were, and no recording of a fault."""
+    if _HURRIED in config.stash:
+        config.stash[_HURRIED].close()
     _CLAIM.close()
     shutil.rmtree(_STATE_HOME, ignore_errors=True)
 
