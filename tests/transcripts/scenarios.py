@@ -363,6 +363,114 @@ def long_trajectory() -> None:
         finish(arm, arm.send_goal(np.arange(5000) * 1_000_000, rows, order=3))
 
 
+# --- as fast as may be -----------------------------------------------------------------------------------------
+
+SWING_S = 0.8
+HARDEST = 1.6
+"""Of the joints' acceleration limits: between that of a stop and that of the last line of defence."""
+AT_SPEED = (0.595, 0.68, 0.77)
+"""Shares of a swing after which a ramp of the clock has to fit beside what the plan asks for."""
+
+
+def swings(arm: VirtualArm, count: int) -> int:
+    """A goal to and fro whose every swing brings each joint to its highest velocity, or close to what is let pass."""
+    joints = np.zeros((count + 1, len(arm.arm.joints), 3))
+    for joint, row in enumerate(arm.arm.joints):
+        here = float(shown(arm)["joints"]["commanded_position_rad"][joint])
+        side = 1.0 if here < (row.lower_rad + row.upper_rad) / 2 else -1.0
+        room = row.upper_rad - here if side > 0.0 else here - row.lower_rad
+        # a quintic from rest to rest has 15/8 of the mean velocity at most, and 10/√3 of way / time²
+        fastest, hardest = row.max_velocity_rad_s, HARDEST * row.max_acceleration_rad_s2
+        way = min(fastest * SWING_S / 1.875, hardest * SWING_S**2 / 5.7736, 0.95 * room)
+        joints[:, joint, 0] = here
+        joints[1::2, joint, 0] += side * way
+    return arm.send_goal(np.arange(count + 1) * round(SWING_S * 1e9), joints)
+
+
+def until_swing(arm: VirtualArm, goal: int, swing: float) -> None:
+    """Cycle until so many swings of a goal have passed."""
+    until_clock(arm, goal, swing * SWING_S)
+
+
+def until_clock(arm: VirtualArm, goal: int, seconds: float) -> None:
+    """Cycle until so much of a goal's path time has passed."""
+    arm.until(lambda: shown(arm)["goal_id"] == goal and shown(arm)["trajectory_clock_ns"] >= round(seconds * 1e9))
+
+
+@scenario("pause-at-speed", every=SPARSE)
+def pause_at_speed() -> None:
+    with standing() as arm:
+        goal = swings(arm, 2 * len(AT_SPEED))
+        for number, share in enumerate(AT_SPEED):
+            until_swing(arm, goal, 2 * number + share)
+            arm.ask(Request.HOLD)
+            arm.until(lambda: shown(arm)["speed_scale"] == 0.0)
+            arm.ask(Request.RESUME)
+        finish(arm, goal)
+
+
+@scenario("speed-scale-at-speed", every=SPARSE)
+def speed_scale_at_speed() -> None:
+    with standing() as arm:
+        goal = swings(arm, 2 * len(AT_SPEED))
+        for number, share in enumerate(AT_SPEED):
+            until_swing(arm, goal, 2 * number + share)
+            arm.ask(Request.SPEED_SCALE, value=0.4)
+            until_swing(arm, goal, 2 * number + 1 + share)
+            arm.ask(Request.SPEED_SCALE, value=1.0)
+        finish(arm, goal)
+
+
+@scenario("cancel-at-speed", every=SPARSE)
+def cancel_at_speed() -> None:
+    with standing() as arm:
+        for share in AT_SPEED:
+            goal = swings(arm, 2)
+            until_swing(arm, goal, share)
+            arm.ask(Request.CANCEL, goal_id=goal)
+            finish(arm, goal)
+
+
+@scenario("replacement-at-speed", every=SPARSE)
+def replacement_at_speed() -> None:
+    with standing() as arm:
+        until_swing(arm, swings(arm, 2), 0.5)
+        until_clock(arm, towards(arm, 0.05, bridge=True), 0.4)
+        arm.ask(Request.SPEED_SCALE, value=0.1)
+        arm.until(lambda: shown(arm)["speed_scale"] == 0.1)
+        second = towards(arm, -0.05, bridge=True)
+        arm.cycles(20)
+        arm.ask(Request.SPEED_SCALE, value=1.0)
+        finish(arm, second)
+        finish(arm, towards(arm, 0.1724, bridge=True))  # joint2 at 98 % of what is let pass
+
+
+@scenario("starved-at-speed", every=SPARSE)
+def starved_at_speed() -> None:
+    with standing() as arm:
+        goal = swings(arm, 4)
+        del arm.pending[5:]
+        finish(arm, goal)
+
+
+@scenario("end-in-motion", every=SPARSE)
+def end_in_motion() -> None:
+    """At a last point that moves: at its pace, and after a pause shortly before it."""
+    with standing() as arm:
+        for stream in (False, True):
+            for paused in (False, True):
+                ends = np.zeros((2, 6, 3))
+                ends[:, :, 0] = shown(arm)["joints"]["commanded_position_rad"][:6]
+                ends[1] += (0.1, 0.2, 0.0)
+                goal = arm.send_goal(np.array([0, 10**9]), ends, stream=stream)
+                if paused:
+                    until_clock(arm, goal, 0.8)
+                    arm.ask(Request.HOLD)
+                    arm.until(lambda: shown(arm)["speed_scale"] == 0.0)
+                    arm.ask(Request.RESUME)
+                finish(arm, goal)
+
+
 # --- streams ---------------------------------------------------------------------------------------------------
 
 
