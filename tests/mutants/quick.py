@@ -29,4 +29,4 @@ def pytest_configure() -> None:
     from rtloop import cycle  # what these compile goes into the folder that has been named by now
 
     cycle.step = skip
-    virtual.VirtualArm.__init__ = skip  # type: ignore[method-assign]
+    virtual.VirtualArm.__new__ = skip  # none is made, so none is to be closed
