@@ -80,6 +80,19 @@ def motion_violations(
     return found
 
 
+def life_violations(arm: ArmConfig, truth: Mapping[str, JointTruth]) -> list[str]:
+    """Where a joint truly left its limits of position or velocity, in all the motion there is.
+
+    Accelerations are not judged: a drive that was stopped at once has none that are bounded, and which drives those
+    were and when is known to a test alone.
+    """
+    return [
+        f"{joint.name}: {sentence}"
+        for joint in arm.joints
+        for sentence in _beyond(joint, truth[joint.name].position_rad, truth[joint.name].velocity_rad_s)
+    ]
+
+
 def motion_after(truth: Mapping[str, JointTruth], since_ns: int, until_ns: int, *, except_for: str = "") -> list[str]:
     """Which joints moved although nobody asked for it between two instants."""
     found = []

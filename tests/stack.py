@@ -1,4 +1,7 @@
-"""The whole arm as real processes: simulated drives behind a pseudo-terminal, control process, ROS front."""
+"""The whole arm as real processes: simulated drives behind a pseudo-terminal, control process, ROS front.
+
+However a test ends, its arm ends with the judge's word on all of its true motion (`Stack.close`).
+"""
 
 import contextlib
 import os
@@ -12,8 +15,9 @@ from queue import Empty, Queue
 from typing import Any
 
 import yaml
+from observer import judge, life_violations
 
-from config.loader import ARMS_FOLDER
+from config.loader import ARMS_FOLDER, load_arm
 from shm.files import DIRECTORY
 from sim.truth import Heard, JointTruth, load_truth, load_wire
 
@@ -113,6 +117,7 @@ class Stack:
         self.name = name
         self.folder = folder
         self.link = folder / "tty"
+        self.place = ("--link", str(self.link))
         self.truth_file = folder / "truth.npz"
         values = yaml.safe_load((ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8"))
         values["name"] = name
@@ -123,6 +128,7 @@ class Stack:
         self.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
         self._start_deg = start_deg
         self._processes: list[Process] = []
+        self._found: list[str] = []
 
     def change(self, **sections: dict[str, Any]) -> None:
         """Set keys of the arm file, by section; what is started from now on reads them."""
@@ -132,10 +138,12 @@ class Stack:
         self.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
 
     def start_sim(self, *options: str) -> Process:
-        arguments = ["--arm", str(self.arm_file), "--link", str(self.link), "--truth", str(self.truth_file)]
+        self._look()  # at what the one before has left
+        arguments = ["--arm", str(self.arm_file), *self.place, "--truth", str(self.truth_file)]
         if self._start_deg is not None:
             arguments.append("--start-deg=" + ",".join(str(angle) for angle in self._start_deg))
         self.sim = self._keep(Process("sim", *arguments, "--faults-from-stdin", *options))
+        self.simulated = load_arm(self.arm_file)  # a test may change the file later
         self.sim.line_with("ready")
         return self.sim
 
@@ -174,10 +182,25 @@ class Stack:
         return load_wire(self.truth_file)
 
     def close(self) -> None:
+        """End and sweep everything; raises Violation where the true motion of a simulated arm left its limits.
+
+        It writes its whole motion at an orderly end. Of one that was killed, what was asked of it before is judged.
+        """
         with contextlib.ExitStack() as ends:  # all of them, whatever one of them has to say
+            ends.callback(self._judge)
             ends.callback(self._sweep)
             for process in self._processes:
                 ends.callback(process.close)
+
+    def _judge(self) -> None:
+        self._look()
+        judge(self._found)
+
+    def _look(self) -> None:
+        """Note what the observer finds in the true motion that a simulated arm has left."""
+        if self.truth_file.exists():
+            self._found += life_violations(self.simulated, load_truth(self.truth_file))
+            self.truth_file.unlink()
 
     def _sweep(self) -> None:
         for left in DIRECTORY.glob(f"rtarm.{self.name}.*"):  # of a killed control process

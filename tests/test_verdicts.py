@@ -121,6 +121,28 @@ def test_it(ends_badly):
     finally:
         assert len(TRIES) > 1, "and could not be closed"
 """
+VIOLATION_AT_ITS_END = """
+class Violation(AssertionError):
+    pass
+
+@pytest.fixture(SCOPE)
+def arm():
+    TRIES.append("made")
+    yield
+    if TRIES == ["made"]:
+        raise Violation("joint1 was outside its limits")
+
+@pytest.fixture
+def ends_badly(arm):
+    yield
+    assert TRIES != ["made"], "left behind"
+
+def test_it(arm, ends_badly):
+    assert len(TRIES) > 1, "the goal was ended by silence"
+
+def test_next():
+    pass
+"""
 FAILS_AT_ITS_END = """
 @pytest.fixture(scope="module")
 def shared():
@@ -140,6 +162,14 @@ def test_what_the_observer_finds_is_final_whatever_fails_beside_it(
     ran: Callable[[str, Stalls], pytest.RunResult],
 ) -> None:
     assert ran(VIOLATION_AND_MORE, STALLED).parseoutcomes() == {"failed": 1, "errors": 1}
+
+
+@pytest.mark.parametrize("scope", ["function", "module"])
+def test_what_the_observer_finds_as_an_arm_ends_is_final_though_a_stall_had_failed_the_test(
+    ran: Callable[[str, Stalls], pytest.RunResult], scope: str
+) -> None:
+    result = ran(VIOLATION_AT_ITS_END.replace("SCOPE", f"scope={scope!r}"), STALLED)
+    assert result.parseoutcomes() == {"failed": 1, "errors": 1, "passed": 1}
 
 
 def test_what_fails_at_its_end_gets_fresh_fixtures_too(ran: Callable[[str, Stalls], pytest.RunResult]) -> None:

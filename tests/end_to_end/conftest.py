@@ -1,5 +1,6 @@
 """Arms of real processes, closed after each test."""
 
+import contextlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -11,18 +12,17 @@ from stack import PATIENT, Stack
 @pytest.fixture
 def stack_at(arm_name: str, tmp_path: Path) -> Iterator[Callable[..., Stack]]:
     """Makes the arm of a test with simulated drives running: where they are [degrees], options of the simulation."""
-    made: list[Stack] = []
+    ends = contextlib.ExitStack()
 
     def make(start_deg: Sequence[float], *options: str) -> Stack:
         stack = Stack(arm_name, tmp_path, start_deg=start_deg)
         stack.change(limits=PATIENT)
-        made.append(stack)
+        ends.callback(stack.close)
         stack.start_sim(*options)
         return stack
 
-    yield make
-    for stack in made:
-        stack.close()
+    with ends:
+        yield make
 
 
 @pytest.fixture
@@ -30,16 +30,15 @@ def served_at(stack_at: Callable[..., Stack]) -> Iterator[Callable[[Sequence[flo
     """Makes the arm of a test with all its processes: where its joints are [rad]; `client` is a ROS client of it."""
     from ros_client import Client
 
-    served: list[Stack] = []
+    ends = contextlib.ExitStack()
 
     def make(start_rad: Sequence[float]) -> Stack:
         stack = stack_at([math.degrees(angle) for angle in start_rad])
         stack.start_loop()
         stack.start_front()
         stack.client = Client(f"controller_{stack.name}")
-        served.append(stack)
+        ends.callback(stack.client.close)
         return stack
 
-    yield make
-    for stack in served:
-        stack.client.close()
+    with ends:
+        yield make

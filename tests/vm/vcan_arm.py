@@ -1,7 +1,7 @@
 """An arm on vcan0 that an emulated processor can carry: the simulated drives are Python."""
 
 import yaml
-from stack import Process, Stack
+from stack import Stack
 
 from config.loader import load_arm
 from config.schema import ArmConfig
@@ -20,7 +20,6 @@ def start_on_vcan(stack: Stack) -> ArmConfig:
         values.pop(of_six_joints, None)
     values.setdefault("limits", {}).update(stale_brake_s=0.4, stale_fault_s=2.0, front_timeout_s=10.0)
     stack.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
-    truth = ("--truth", str(stack.truth_file))
-    stack.sim = stack._keep(Process("sim", "--arm", str(stack.arm_file), "--can", "vcan0", *truth))
-    stack.sim.line_with("ready")
+    stack.place = ("--can", "vcan0")
+    stack.start_sim()
     return load_arm(stack.arm_file)
