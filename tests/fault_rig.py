@@ -21,7 +21,7 @@ import numpy as np
 from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
-from observer import STANDS_RAD_S
+from observer import STANDS_RAD_S, Violation
 from rclpy.action import ActionClient
 from ros_client import Spinner
 from stack import Process, Stack
@@ -417,14 +417,25 @@ class Rig(Stack):
         return ["no goal succeeds after the way back"]
 
     def close(self) -> None:
-        self._watching.set()
-        self._watcher.join()
-        with contextlib.suppress(Hang):
-            self._end_control_by_force()
-        if self._reader is not None:
-            self._reader.close()
-        self.user.close()
-        super().close()
+        with contextlib.ExitStack() as ends:  # whatever one of them has to say
+            ends.callback(super().close)
+            ends.callback(self.user.close)
+            self._watching.set()
+            self._watcher.join()
+            with contextlib.suppress(Hang):
+                self._end_control_by_force()
+            if self._reader is not None:
+                self._reader.close()
+
+    def end(self) -> list[str]:
+        """Close it; what the observer found in the true motion of its simulated arms is told and returned."""
+        try:
+            self.close()
+        except Violation as violation:
+            found = str(violation).splitlines()
+            print(*(f"    VIOLATION {sentence}" for sentence in found), sep="\n", flush=True)
+            return found
+        return []
 
 
 def quintic_goal(names: list[str], here: np.ndarray, way: np.ndarray, seconds: float, knots: int = KNOTS) -> Any:

@@ -205,7 +205,7 @@ def main(arguments: Sequence[str]) -> int:
             said = rig.launcher.said()[-2000:] if rig.launcher else ""
             left = [f"hang in {kind.name!r}: {str(problem)[:500]}\n{said}"]
         finally:
-            rig.close()
+            left += rig.end()
     bad = [f"{name}: {sentence}" for name, trials in found.items() for trial in trials for sentence in trial.violations]
     print("| fault | latched | goal ended as | latched ms | client told ms | stands ms | trials | violations |")
     print("|---|---|---|---|---|---|---|---|")

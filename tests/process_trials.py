@@ -92,7 +92,7 @@ def main(arguments: Sequence[str]) -> int:
         only = " or ".join(map(repr, options.only))
         print(f"No trial is called {only} here: see tests/process_faults.py.", file=sys.stderr)
         return 2
-    trials = []
+    trials, left = [], []
     while len(trials) < options.trials:
         chosen.shuffle(kinds)
         trials += [type(kind)(kind.fault, kind.target, kind.launched) for kind in kinds]
@@ -115,7 +115,7 @@ def main(arguments: Sequence[str]) -> int:
         except (Hang, AssertionError) as problem:
             left = [f"hang: {problem}"]
         finally:
-            rig.close()
+            left += rig.end()
     report = table(trials, options.seed, list(rig.gone_ms.values()), left)
     print(report)
     if options.report is not None:

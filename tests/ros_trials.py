@@ -204,8 +204,10 @@ def main(arguments: Sequence[str]) -> int:
         except (Hang, AssertionError) as problem:
             left = [f"hang: {str(problem)[:500]}"]
         finally:
-            trials.close()
-            rig.close()
+            try:
+                trials.close()
+            finally:
+                left += rig.end()
     print(table(found, options.seed, left))
     return int(bool(left or any(seen.violations for seen in found)))
 

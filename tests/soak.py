@@ -482,7 +482,7 @@ def main(arguments: Sequence[str]) -> int:
         except (Hang, AssertionError) as problem:
             hangs.append(f"hang: {problem}")
         finally:
-            rig.close()
+            record.violations += rig.end()
     text, well = report(record, options.minutes, options.seed, hangs)
     print(text)
     if options.report is not None:
