@@ -42,7 +42,7 @@ def interface() -> str:
 
 @pytest.fixture
 def stack(tmp_path: Path, interface: str) -> Iterator[Stack]:
-    running = Stack(f"t{secrets.token_hex(4)}", tmp_path, start_deg=[0, 0, 90, 0, 0, 0])
+    running = Stack(f"t{secrets.token_hex(4)}", tmp_path, start_deg=[0, 0, 70, 0, 0, 0])
     running.change(bus=bus_of(interface))
     running.start_sim()
     yield running
