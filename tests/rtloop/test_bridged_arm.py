@@ -12,7 +12,7 @@ import can
 import numpy as np
 import pytest
 from compiling import make_object
-from observer import judge, motion_violations, truth_of
+from observer import judge, life_violations, motion_violations, truth_of
 from stack import PATIENCE_S, Stack
 
 from config.loader import arm_hash, load_arm
@@ -132,6 +132,7 @@ def inside(stack, unlocked, monkeypatch, tmp_path) -> Iterator[SimpleNamespace]:
         finally:
             end()
             server.close()
+            judge(life_violations(arm, truth_of(sim)))
     assert codes == [0], told
     assert set(threading.enumerate()) <= before
 
