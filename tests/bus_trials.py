@@ -298,7 +298,7 @@ class _Trial:
         joints[0, :, 0], joints[1, :, 0] = here, there
         goal = arm.send_goal(np.array([0, 500_000_000]), joints)
         try:
-            arm.until(lambda: arm.outcome(goal) != Outcome.NONE, at_most_s=5.0)
+            arm.end_of(goal, at_most_s=5.0)
         except AssertionError:
             self.wrong("the goal afterwards never ends")
             return

@@ -124,8 +124,7 @@ class Recording:
         arm.chunks.clear()
         self._loop, self._state = arm.loop.copy(), arm.state.array.copy()
         start_ns = arm.now_ns
-        arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-        assert arm.outcome(goal) == Outcome.SUCCEEDED
+        assert arm.end_of(goal) == Outcome.SUCCEEDED
         self._cycles_ns = np.arange(start_ns + arm.period_ns, arm.now_ns + 1, arm.period_ns)
         starts = np.cumsum([0, *(len(data) for _, _, data in arm.chunks)])
         table = [(cycle, at, start, len(data)) for (cycle, at, data), start in zip(arm.chunks, starts, strict=False)]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from observer import command_violations, frames_sent, motion_after, motion_violations, stands_since_ns, truth_of
-from virtual import VirtualArm, recorded_goal
+from virtual import VirtualArm
 
 from config.loader import load_arm
 from sim.truth import JointTruth
@@ -23,11 +23,10 @@ def straight(*corners: tuple[float, float]) -> dict[str, JointTruth]:
 
 
 def test_a_goal_that_ran_well_has_no_finding() -> None:
-    arm = VirtualArm(start_rad=recorded_goal("small")["joints"][0, :, 0])
-    arm.bring_up()
+    arm = VirtualArm.at_start_of("small")
     began_ns = arm.now_ns
     goal = arm.play("small")
-    arm.until(lambda: arm.outcome(goal) != 0)
+    arm.end_of(goal)
     arm.cycles(50)
     truth = truth_of(arm.sim)
     assert motion_violations(ARM, truth, began_ns, arm.now_ns) == []

@@ -9,7 +9,7 @@ import mmap
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -29,7 +29,8 @@ from shm import layout
 from shm.client import CommandWriter, StateReader
 from shm.errors import RingFull
 from shm.files import MemoryFile, name_bytes
-from shm.words import Answer, Entry, Mode, Request, Unreferenced
+from shm.recording import Recording, read_recording
+from shm.words import Answer, Entry, Mode, Outcome, Request, Unreferenced
 from sim.arm import SimulatedArm
 
 GOALS = Path(__file__).parent / "data" / "moveit"
@@ -96,6 +97,7 @@ class VirtualArm:
         self.told: list[str] = []
         self.lost: dict[int, Unreferenced | None] = {}
         self.front_alive = True
+        self.goal = 0
         self.pending: list[Callable[[], None]] = []
         self.sim: SimulatedArm | None = None
         if self.arm.bus.interface != "mock":
@@ -111,6 +113,27 @@ class VirtualArm:
                 opening = f"C\r{SLCAN_BITRATES[self.arm.bus.bitrate]}\rO\r".encode()
             if opening:
                 self.sim.feed(START_NS, opening)
+
+    @classmethod
+    def brought_up(cls, *arguments: Any, **options: Any) -> Self:
+        """An arm that has been brought up."""
+        made = cls(*arguments, **options)
+        assert made.bring_up().failure is None, made.told
+        return made
+
+    @classmethod
+    def at_start_of(cls, name: str, arm: ArmConfig | str = "episode1", **options: Any) -> Self:
+        """An arm that has been brought up where a recorded goal begins."""
+        return cls.brought_up(arm, start_rad=recorded_goal(name)["joints"][0, :, 0], **options)
+
+    @classmethod
+    def amid(cls, name: str, cycles: int = 120, **options: Any) -> Self:
+        """An arm that has carried out a recorded goal for so many cycles; the goal's number is `goal`."""
+        made = cls.at_start_of(name, **options)
+        made.goal = made.play(name)
+        made.cycles(cycles)
+        assert made.core["mode"] == Mode.EXECUTING
+        return made
 
     @property
     def core(self) -> np.void:
@@ -292,9 +315,22 @@ class VirtualArm:
             self.pending.append(lambda: self.writer.end(goal, arrival, consumed()))
         return goal
 
+    def send_shift(self, by_rad: float = 0.05, duration_s: float = 2.0, **options: Any) -> int:
+        """A goal that moves every joint by so much from where it is commanded to be, from rest to rest."""
+        here = self.loop[0]["axes"]["position_rad"][: len(self.arm.joints)]
+        joints = np.zeros((2, len(here), 3))
+        joints[:, :, 0] = here, here + by_rad
+        return self.send_goal(np.array([0, round(duration_s * 1e9)]), joints, **options)
+
     def play(self, name: str, **options: Any) -> int:
         goal = recorded_goal(name)
         return self.send_goal(goal["times_ns"], goal["joints"], **options)
+
+    def play_part(self, name: str, share: float, **options: Any) -> int:
+        """Send a recorded goal and let such a share of its time pass; its number."""
+        goal = self.play(name, **options)
+        self.cycles(max(2, int(share * recorded_goal(name)["times_ns"][-1] / self.period_ns)))
+        return goal
 
     def result(self, goal: int) -> np.void:
         return self.loop[0]["snapshot"]["results"][goal % layout.RESULT_SLOTS]
@@ -303,9 +339,21 @@ class VirtualArm:
         result = self.result(goal)
         return int(result["outcome"]) if int(result["goal_id"]) == goal else 0
 
+    def end_of(self, goal: int, *, at_most_s: float = 30.0) -> Outcome:
+        """Cycle until a goal has ended; how it did."""
+        self.until(lambda: self.outcome(goal) != Outcome.NONE, at_most_s=at_most_s)
+        return Outcome(self.outcome(goal))
+
     def __del__(self) -> None:
         self.close()  # what a test that failed, or hypothesis, has left
 
     def close(self) -> None:
         self.reader.close()
         self.writer.close()
+
+
+def recording_of(arm: VirtualArm) -> Recording:
+    """What an arm's flight recorder has kept; the arm ends."""
+    found = read_recording(arm.state)
+    arm.close()
+    return found

@@ -1,8 +1,10 @@
 """The hostile writer again, with the simulated drives behind the cycle: true motion and true bytes are judged."""
 
+from contextlib import closing
+
 import numpy as np
 from observer import command_violations, frames_sent, motion_violations, truth_of
-from virtual import VirtualArm, recorded_goal
+from virtual import VirtualArm
 
 from fuzz import memory
 from shm.words import Request
@@ -20,9 +22,7 @@ class Truth:
 
     def case(self, random: np.random.Generator) -> None:
         """Attack the command file of a simulated arm; raises when a drive or a byte left the limits."""
-        arm = VirtualArm(start_rad=recorded_goal("large")["joints"][0, :, 0], seed=int(random.integers(2**31)))
-        try:
-            assert arm.bring_up().failure is None
+        with closing(VirtualArm.at_start_of("large", seed=int(random.integers(2**31)))) as arm:
             begun_ns, box, goal = arm.now_ns, np.zeros(1), 1
             how = int(random.integers(3))
             memory.reseed(int(random.integers(2**31)))
@@ -40,8 +40,6 @@ class Truth:
             found += command_violations(arm.arm, frames_sent(arm.sent))
             assert not found, found
             self.executed += 1
-        finally:
-            arm.close()
 
     def close(self) -> None:
         """Nothing is open."""

@@ -101,8 +101,7 @@ def test_a_calibration_of_a_mixed_arm_is_of_its_zdt_drives() -> None:
 
 def test_why_a_drive_has_an_error_reaches_people() -> None:
     """An ODrive (joint2) that is too hot: in the fault, in the report of its joint, and in the recording's story."""
-    virtual = VirtualArm(mixed())
-    assert virtual.bring_up().failure is None
+    virtual = VirtualArm.brought_up(mixed())
     assert virtual.sim is not None
     virtual.sim.inject(Protection("joint2", 0.0, cause="temperature"), since_ns=virtual.now_ns)
     virtual.until(lambda: virtual.core["fault"] != Fault.NONE)

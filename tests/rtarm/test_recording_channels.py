@@ -20,7 +20,7 @@ from rtarm.recording.mcap_format import Reason
 from rtarm.recording.plot import plot
 from rtarm.recording.statistics import Seconds
 from shm.recording import Recording, read_recording
-from shm.words import Outcome, Request
+from shm.words import Request
 from sim.faults import PowerLoss
 
 NOW = Reason("asked", "Asked for by a person.")
@@ -44,7 +44,7 @@ def paused() -> Recording:
     arm.writer.request(Request.RESUME)
     arm.cycles(90)
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=60.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.outcome(1) != Outcome.NONE)
+    arm.end_of(1)
     arm.cycles(60)
     found = read_recording(arm.state, arm.command)
     arm.close()

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from typer.testing import Result
-from virtual import VirtualArm, recorded_goal
+from virtual import VirtualArm, recording_of
 
 from rtarm.errors import Refusal
 from rtarm.recording import mcap_writer, on_arm
 from rtarm.recording.mcap_format import Reason
-from shm.recording import Recording, read_recording
+from shm.recording import Recording
 from shm.words import Fault, Mode, Outcome, Request
 from sim.faults import PowerLoss
 
@@ -21,34 +21,19 @@ Rtarm = Callable[..., Result]
 NOW = Reason("asked", "Asked for by a person.")
 
 
-def executing() -> VirtualArm:
-    arm = VirtualArm("episode1", start_rad=recorded_goal("large")["joints"][0, :, 0])
-    assert arm.bring_up().failure is None
-    arm.play("large")
-    return arm
-
-
-def recorded(arm: VirtualArm) -> Recording:
-    found = read_recording(arm.state)
-    arm.close()
-    return found
-
-
 @pytest.fixture(scope="module")
 def done() -> Recording:
     """A goal from its beginning to its end."""
-    arm = executing()
-    arm.until(lambda: arm.outcome(1) != Outcome.NONE)
-    assert arm.outcome(1) == Outcome.SUCCEEDED
+    arm = VirtualArm.amid("large")
+    assert arm.end_of(1) == Outcome.SUCCEEDED
     arm.cycles(30)
-    return recorded(arm)
+    return recording_of(arm)
 
 
 @pytest.fixture(scope="module")
 def paused() -> Recording:
     """One that a person paused and let go on, and that a fault ended in motion."""
-    arm = executing()
-    arm.cycles(90)
+    arm = VirtualArm.amid("large", 90)
     arm.writer.request(Request.HOLD)
     arm.cycles(120)
     arm.writer.request(Request.RESUME)
@@ -56,7 +41,7 @@ def paused() -> Recording:
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=60.0), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["fault"] != Fault.NONE)
     arm.cycles(120)
-    return recorded(arm)
+    return recording_of(arm)
 
 
 def test_a_goal_is_replayed_from_rest_to_rest_as_it_was_commanded(done: Recording) -> None:

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from typer.testing import Result
-from virtual import VirtualArm, recorded_goal
+from virtual import VirtualArm, recording_of
 
 from rtarm.recording import mcap_writer, plot
 from rtarm.recording.mcap_format import Loaded, Reason
 from rtarm.recording.story import UNLED
-from shm.recording import Recording, read_recording, record_dtype
+from shm.recording import Recording, record_dtype
 from shm.words import Fault
 
 Rtarm = Callable[..., Result]
@@ -23,13 +23,7 @@ BEGINNINGS = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
 
 @pytest.fixture(scope="module")
 def moving() -> Recording:
-    arm = VirtualArm("episode1", start_rad=recorded_goal("large")["joints"][0, :, 0])
-    assert arm.bring_up().failure is None
-    arm.play("large")
-    arm.cycles(200)
-    found = read_recording(arm.state)
-    arm.close()
-    return found
+    return recording_of(VirtualArm.amid("large", 200))
 
 
 @pytest.fixture

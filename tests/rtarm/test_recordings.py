@@ -21,7 +21,7 @@ from mcap.writer import Writer
 from mixed_arm import mixed
 from rich.console import Console
 from typer.testing import Result
-from virtual import VirtualArm, recorded_goal
+from virtual import VirtualArm, recorded_goal, recording_of
 from written_arm import WrittenArm
 
 from config.loader import load_arm
@@ -40,7 +40,7 @@ from rtarm.top.picture import Picture
 from rtloop.wire import received
 from rtloop.wire.slcan import BEL
 from shm import files, layout
-from shm.recording import Recording, read_recording
+from shm.recording import Recording
 from shm.words import BusState, DriveStatus, Event, Fault, Outcome, Request
 from sim.faults import PowerLoss, Stall
 
@@ -61,12 +61,6 @@ def executing(cycles: int = 120) -> VirtualArm:
     return arm
 
 
-def recorded(arm: VirtualArm) -> Recording:
-    found = read_recording(arm.state)
-    arm.close()
-    return found
-
-
 @pytest.fixture(scope="module")
 def power_loss() -> Recording:
     """joint2's drive loses its power in motion, after a garbled line that has nothing to do with it."""
@@ -76,7 +70,7 @@ def power_loss() -> Recording:
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=60.0), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["fault"] != Fault.NONE)
     arm.cycles(240)
-    return recorded(arm)
+    return recording_of(arm)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +79,7 @@ def stalled() -> Recording:
     arm.sim.inject(Stall("joint3", at_s=0.0), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["fault"] != Fault.NONE)
     arm.cycles(120)
-    return recorded(arm)
+    return recording_of(arm)
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +166,7 @@ def test_each_frame_is_told_with_the_joint_whose_drive_it_is_of(tmp_path: Path) 
     arm = VirtualArm(mixed())
     assert arm.bring_up().failure is None
     path = tmp_path / "mixed.mcap"
-    mcap_writer.write(recorded(arm), NOW, path)
+    mcap_writer.write(recording_of(arm), NOW, path)
     frames = messages(path, mcap_format.FRAMES)
     assert {frame["joint"] for frame in frames} == {f"joint{number}" for number in range(1, 7)}
     for frame in frames:
@@ -421,9 +415,8 @@ def test_a_held_shaft_is_told_by_what_its_drive_said_and_by_the_limit(stalled: R
 
 def test_a_goal_that_succeeds_has_no_fault_and_no_signs() -> None:
     arm = executing(10)
-    arm.until(lambda: arm.outcome(1) != Outcome.NONE)
-    assert arm.outcome(1) == Outcome.SUCCEEDED
-    found = told(recorded(arm))
+    assert arm.end_of(1) == Outcome.SUCCEEDED
+    found = told(recording_of(arm))
     assert (found.fault, found.first) == (0, None)
     assert not [line for line in found.lines if line.sign]
     assert found.verdict == ["No fault was latched in this recording."]
@@ -439,7 +432,7 @@ def test_missed_cycles_a_silent_front_and_requests_are_told() -> None:
     arm.cycles(20)
     arm.front_alive = False
     arm.until(lambda: arm.outcome(1) == Outcome.FRONT_LOST)
-    sentences = [line.sentence for line in told(recorded(arm)).lines]
+    sentences = [line.sentence for line in told(recording_of(arm)).lines]
     for expected in (
         "3 control cycles were missed after this.",
         "A person paused the goal",

@@ -16,8 +16,7 @@ ENOUGH = 10**6
 def arm_with_blend(seed: int, rate_hz: float) -> tuple[VirtualArm, int, float]:
     """An arm at rest, a goal that lies in the path not running with a blend onto it, and the rate it is entered at."""
     random = np.random.default_rng(seed)
-    arm = VirtualArm(load_arm("mock", overrides={"control": {"rate_hz": rate_hz}}))
-    assert arm.bring_up().failure is None
+    arm = VirtualArm.brought_up(load_arm("mock", overrides={"control": {"rate_hz": rate_hz}}))
     arm.core["paused"] = 1  # nothing starts
     joints = arm.arm.joints
     gap_s = random.choice([0.2, 0.7, 1.0, 1.7, 10.0, 60.0]) / rate_hz
@@ -99,16 +98,14 @@ def test_a_search_over_several_cycles_says_what_one_says(seed: int, looks: int) 
 
 
 def test_a_bump_that_every_way_meets_is_found_over_several_cycles() -> None:
-    arm = VirtualArm(load_arm("mock", overrides={"control": {"rate_hz": 1000.0}}))
-    assert arm.bring_up().failure is None
+    arm = VirtualArm.brought_up(load_arm("mock", overrides={"control": {"rate_hz": 1000.0}}))
     times_s = np.arange(3000) * 0.0009
     knots = np.zeros((3000, 6, 3))
     knots[295, :, 0] = [10.0 * joint.max_acceleration_rad_s2 * 1e-6 for joint in arm.arm.joints]
     goal = arm.send_goal((times_s * 1e9).astype(int), knots, order=3)
     arm.until(lambda: arm.core["incoming_goal"] == goal)
     begun = int(arm.core["cycle"])
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.REFUSED_LIMITS
+    assert arm.end_of(goal) == Outcome.REFUSED_LIMITS
     assert arm.core["fault"] == Fault.NONE
     assert int(arm.core["cycle"]) - begun > 5  # hundreds of setpoints lie before the bump, on each of a dozen ways
     arm.close()

@@ -9,7 +9,7 @@ from bus_trials import TrialArm, run_trial
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from observer import command_violations, frames_sent, motion_frames, motion_violations, truth_of
-from virtual import START_NS, VirtualArm, recorded_goal
+from virtual import START_NS, VirtualArm
 
 from rtloop.state import RX_BYTES
 from rtloop.wire import received
@@ -27,19 +27,9 @@ def test_a_bus_fault_at_a_random_moment_of_a_random_goal(fault: BusFault) -> Non
 # --- what single readings may and may not do
 
 
-def executing(name: str, cycles: int) -> TrialArm:
-    """An arm that has run a recorded goal for so many cycles."""
-    arm = TrialArm(start_rad=recorded_goal(name)["joints"][0, :, 0])
-    assert arm.bring_up().failure is None
-    arm.goal = arm.play(name)
-    arm.cycles(cycles)
-    assert arm.core["mode"] == Mode.EXECUTING
-    return arm
-
-
 @pytest.fixture
 def moving() -> Iterator[TrialArm]:
-    arm = executing("scale_1_0", 60)
+    arm = TrialArm.amid("scale_1_0", 60)
     yield arm
     arm.close()
 
@@ -68,14 +58,13 @@ def late_in_the_cycle(arm: VirtualArm, *lines: bytes) -> None:
 
 def test_one_wrong_reading_of_any_size_is_no_fault() -> None:
     """Found by these trials: on a fast joint 0.11 to 0.22 rad were possible motion, and at once a following error."""
-    arm = executing("large", 20)
+    arm = TrialArm.amid("large", 20)
     for off_rad in (0.06, 0.11, 0.2, 0.5, 3.0):
         for joint in range(6):
             late_in_the_cycle(arm, position_line(arm, joint, off_rad))
             arm.cycles(5)
     assert arm.core["mode"] == Mode.EXECUTING
-    arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE)
-    assert arm.outcome(arm.goal) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.goal) == Outcome.SUCCEEDED
     arm.close()
 
 
@@ -85,15 +74,13 @@ WITHIN_BELIEF_RAD = 0.04
 
 def test_one_wrong_reading_breaks_no_tolerance_of_any_kind() -> None:
     """Over one period 0.04 rad are 5 rad/s, and two readings later still 40 rad/s² of the smoothed acceleration."""
-    arm = TrialArm(start_rad=recorded_goal("large")["joints"][0, :, 0])
-    assert arm.bring_up().failure is None
+    arm = TrialArm.at_start_of("large")
     arm.goal = arm.play("large", tolerances=(0.03, 0.5, 5.0))
     arm.cycles(20)
     for joint in range(6):
         late_in_the_cycle(arm, position_line(arm, joint, WITHIN_BELIEF_RAD))
         arm.cycles(5)
-    arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE)
-    assert arm.outcome(arm.goal) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.goal) == Outcome.SUCCEEDED
     arm.close()
 
 
@@ -101,7 +88,7 @@ def test_one_wrong_reading_does_not_lead_a_drive_astray() -> None:
     """The share of the error in a drive's speed waits for two readings: this one alone would be 20 rpm of joint2."""
     found = []
     for off_rad in (0.0, WITHIN_BELIEF_RAD):
-        arm = executing("scale_1_0", 60)
+        arm = TrialArm.amid("scale_1_0", 60)
         since = len(arm.sent)
         late_in_the_cycle(arm, position_line(arm, 1, off_rad))
         told = [frame.data for frame in frames_sent(arm.sent[since:]) if frame.drive == 2 and frame.data[0] == 0xFD]
@@ -164,8 +151,7 @@ def test_a_drive_that_is_heard_again_gets_its_stop_command(moving: TrialArm) -> 
 def test_a_burst_of_old_answers_is_no_jump_and_no_following_error(moving: TrialArm) -> None:
     """An adapter that stalls says everything it kept at once: seven positions of a joint within a millisecond."""
     moving.sim.inject(ReceiveStall(0.0, stall_s=0.06, depth=200), since_ns=moving.now_ns)
-    moving.until(lambda: moving.outcome(moving.goal) != Outcome.NONE)
-    assert moving.outcome(moving.goal) == Outcome.SUCCEEDED
+    assert moving.end_of(moving.goal) == Outcome.SUCCEEDED
 
 
 def test_the_same_answer_again_changes_nothing(moving: TrialArm) -> None:
@@ -173,7 +159,7 @@ def test_the_same_answer_again_changes_nothing(moving: TrialArm) -> None:
 
     But for one word, which counts the answers that nobody asked for: those said again.
     """
-    twin = executing("scale_1_0", 60)
+    twin = TrialArm.amid("scale_1_0", 60)
     for cycle in range(20):
         again = [position_line(moving, joint) for joint in range(6) for _ in range(5)]
         say(moving, *again)  # at the beginning of the cycle, before the drives answer
@@ -199,8 +185,7 @@ def test_babble_fills_the_ring_and_the_cycle_goes_on(moving: TrialArm) -> None:
     received.push(moving.loop[0], moving.now_ns, np.frombuffer(noise, np.uint8), len(noise))
     moving.cycles(2)
     assert moving.state.record["counters"]["receive_overflows"] > 0
-    moving.until(lambda: moving.outcome(moving.goal) != Outcome.NONE)
-    assert moving.outcome(moving.goal) == Outcome.SUCCEEDED
+    assert moving.end_of(moving.goal) == Outcome.SUCCEEDED
 
 
 def test_an_answer_of_another_function_is_no_position(moving: TrialArm) -> None:
@@ -232,7 +217,7 @@ _EVENTS = st.one_of(
 @given(events=st.lists(_EVENTS, min_size=3, max_size=40), start=st.integers(5, 120))
 def test_no_sequence_of_answers_moves_an_arm_beyond_its_limits(events: list, start: int) -> None:
     """True motion and command bytes stay inside the limits, time runs forwards, and every goal ends."""
-    arm = executing("scale_1_0", start)
+    arm = TrialArm.amid("scale_1_0", start)
     spoken: list[bytes] = [position_line(arm, joint) for joint in range(6)]
     measured_ns = arm.loop[0]["axes"]["measured_ns"][:6].copy()
     for kind, *values in events:

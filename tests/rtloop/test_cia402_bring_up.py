@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bring_up_rig import way
 from motion_figures import sampled_truth
-from virtual import VirtualArm, recorded_goal
+from virtual import VirtualArm
 
 from config.loader import load_arm
 from rtloop.correction import ERROR_SPEED_SHARE
@@ -289,11 +289,7 @@ def test_no_target_enables_a_drive_that_was_let_go() -> None:
 
 def test_in_silence_drives_hold_where_they_were_told_last() -> None:
     """The control process dies amid a goal: a period of motion further each joint stands, and none is let go."""
-    start_rad = recorded_goal("large")["joints"][0, :, 0]
-    arm = an_arm(start_rad=start_rad)
-    assert arm.bring_up().failure is None
-    arm.play("large")
-    arm.cycles(400)
+    arm = VirtualArm.amid("large", 400, arm="cia402_6")
     last = {frame_id & 0x7F: data for frame_id, data in told(arm) if frame_id & 0x780 == 0x200}
     died_ns = arm.sim.now_ns
     arm.sim.run_until(died_ns + 2_000_000_000)
@@ -311,11 +307,7 @@ def test_in_silence_drives_hold_where_they_were_told_last() -> None:
 
 def test_a_drive_that_comes_back_is_stopped_where_it_is() -> None:
     """Away for half a second amid a goal it held its last target; what it hears first is not what was due since."""
-    start_rad = recorded_goal("large")["joints"][0, :, 0]
-    arm = an_arm(start_rad=start_rad)
-    assert arm.bring_up().failure is None
-    arm.play("large")
-    arm.cycles(400)
+    arm = VirtualArm.amid("large", 400, arm="cia402_6")
     arm.sim.inject(Silent("joint2", 0.0, 0.5), since_ns=arm.sim.now_ns)
     arm.cycles(100)
     stood_ns = arm.sim.now_ns
@@ -326,24 +318,15 @@ def test_a_drive_that_comes_back_is_stopped_where_it_is() -> None:
 
 def test_the_example_arm_can_be_slower_and_faster() -> None:
     for rate_hz in (100, 500):
-        arm = VirtualArm(load_arm("cia402_6", overrides={"control": {"rate_hz": rate_hz}}))
-        assert arm.bring_up().failure is None, arm.told
+        arm = VirtualArm.brought_up(load_arm("cia402_6", overrides={"control": {"rate_hz": rate_hz}}))
         drive = drive_of(arm, 0)
         assert drive._beat_ns() == arm.period_ns
         arm.close()
 
 
-def amid_a_goal() -> VirtualArm:
-    arm = an_arm(start_rad=recorded_goal("large")["joints"][0, :, 0])
-    assert arm.bring_up().failure is None
-    arm.play("large")
-    arm.cycles(400)
-    return arm
-
-
 def test_a_drive_that_was_not_led_for_a_while_is_not_rushed_to_the_setpoint() -> None:
     """Away for less than what is a fault: the setpoint has gone on, and the drive would be there within a period."""
-    arm = amid_a_goal()
+    arm = VirtualArm.amid("large", 400, arm="cia402_6")
     joint, drive = 3, drive_of(arm, 3)
     since_ns, goes_rad_s = arm.sim.now_ns, abs(arm.loop[0]["axes"][joint]["velocity_rad_s"])
     drive.unplug(since_ns)
@@ -359,7 +342,7 @@ def test_a_drive_that_was_not_led_for_a_while_is_not_rushed_to_the_setpoint() ->
 
 def test_a_drive_whose_answers_are_lost_stands_at_its_last_target() -> None:
     """It hears, and would jump back to where it was heard of last if that were its stop."""
-    arm = amid_a_goal()
+    arm = VirtualArm.amid("large", 400, arm="cia402_6")
     drive = drive_of(arm, 3)
     drive.reply_loss = 1.0
     arm.sent.clear()

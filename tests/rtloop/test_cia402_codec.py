@@ -214,8 +214,7 @@ def frames_of(data):
 
 
 def test_a_cycle_is_a_target_each_and_one_sync():
-    arm = VirtualArm("cia402_6")
-    assert arm.bring_up().failure is None
+    arm = VirtualArm.brought_up("cia402_6")
     at_rest = frames_of(arm.sent[-1][1])
     assert at_rest == [(0x080, b"")], "before the first goal nothing is led"
     arm.send_goal(np.array([0, 500_000_000]), np.zeros((2, 6, 3)), order=3)
@@ -281,8 +280,7 @@ hostile = st.lists(
 @given(hostile, st.booleans())
 def test_frames_of_others_move_nothing(frames, twice):
     """Whatever comes on a standing drive's identifiers, its shaft stays where it is and targets stay inside limits."""
-    arm = VirtualArm("cia402_6")
-    assert arm.bring_up().failure is None
+    arm = VirtualArm.brought_up("cia402_6")
     hold = np.zeros((2, 6, 3))
     arm.send_goal(np.array([0, 100_000_000]), hold, order=3)
     arm.cycles(40)
@@ -301,8 +299,7 @@ def test_frames_of_others_move_nothing(frames, twice):
 
 def test_a_reading_that_jumps_twice_does_not_pull_the_joint_there():
     """Readings in doubt are no place to stop at: the drive stands at its last target."""
-    arm = VirtualArm("cia402_6")
-    assert arm.bring_up().failure is None
+    arm = VirtualArm.brought_up("cia402_6")
     arm.send_goal(np.array([0, 100_000_000]), np.zeros((2, 6, 3)), order=3)
     arm.cycles(40)
     at_rest_rad = arm.sim.true_position_rad(0, arm.sim.now_ns)

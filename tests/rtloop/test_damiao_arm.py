@@ -175,8 +175,7 @@ def test_a_motor_that_somebody_lets_go_is_a_fault(name: str) -> None:
 def test_silence_of_the_host_ends_a_little_behind_the_last_set_point() -> None:
     """Mode mit: the velocity that was told last stays in force, against the stiffness: kd / kp of it further on."""
     arm = holding(MIT)
-    arm.play("large")
-    arm.cycles(int(0.4 * recorded_goal("large")["times_ns"][-1] / arm.period_ns))
+    arm.play_part("large", 0.4)
     died_ns = arm.sim.now_ns
     speeds = np.abs(arm.loop[0]["axes"]["velocity_rad_s"][:6])
     assert speeds.max() > 0.4
@@ -203,8 +202,7 @@ def test_slow_motion_is_even_although_positions_are_coarse(name: str, ripple: fl
     joints[1:3, joint, 1] = sign * speed
     began_ns = arm.now_ns
     goal = arm.send_goal((times_s * 1e9).astype(np.int64), joints, order=3)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
     steady_ns = began_ns + 700_000_000
     _, _, velocity_rad_s = sampled_truth(arm.sim, joint, steady_ns, steady_ns + 1_400_000_000)
     assert rms(velocity_rad_s - sign * speed) / speed <= ripple
@@ -215,8 +213,7 @@ def test_slow_motion_is_even_although_positions_are_coarse(name: str, ripple: fl
 def test_what_is_measured_is_the_joints(name: str) -> None:
     """Velocity and torque of joints in motion, as published, beside those of the simulated shafts."""
     arm = holding(name)
-    arm.play("large")
-    arm.cycles(int(0.4 * recorded_goal("large")["times_ns"][-1] / arm.period_ns))
+    arm.play_part("large", 0.4)
     joints = arm.reader.snapshot()["joints"][:6]
     for joint, drive in enumerate(arm.sim.drives):
         _, _, true_rad_s = sampled_truth(arm.sim, joint, arm.sim.now_ns - 3 * arm.period_ns, arm.sim.now_ns)

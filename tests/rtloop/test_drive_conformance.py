@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from motion_figures import accelerations, rms, sampled_truth
+from motion_figures import accelerations, sampled_truth
+from true_motion import commanded_until_end, path_error_deg, velocity_ripple
 from virtual import VirtualArm, recorded_goal
 
 from config.budget import budget
@@ -87,8 +88,7 @@ def stands_since(arm: VirtualArm, start_ns: int) -> bool:
 
 def brought_up(family: Family, *, name: str = "large", **options: object) -> VirtualArm:
     """An arm that holds at the beginning of a recorded goal, all its joints referenced."""
-    arm = VirtualArm(family.arm, start_rad=recorded_goal(name)["joints"][0, :, 0], **options)
-    assert arm.bring_up().failure is None, arm.told
+    arm = VirtualArm.at_start_of(name, family.arm, **options)
     reference_what_is_not(arm)
     return arm
 
@@ -106,16 +106,14 @@ def reference_what_is_not(arm: VirtualArm) -> None:
 def amid_goal(family: Family, share: float = 0.4, **options: object) -> VirtualArm:
     """An arm somewhere in a recorded goal."""
     arm = brought_up(family, **options)
-    arm.play("large")
-    arm.cycles(int(share * recorded_goal("large")["times_ns"][-1] / arm.period_ns))
+    arm.play_part("large", share)
     assert np.abs(arm.loop[0]["axes"]["velocity_rad_s"][:6]).max() > 0.0
     return arm
 
 
 def test_bring_up_moves_nothing_and_tells_the_angles(family: Family) -> None:
     start_rad = recorded_goal("large")["joints"][0, :, 0]
-    arm = VirtualArm(family.arm, start_rad=start_rad)
-    assert arm.bring_up().failure is None, arm.told
+    arm = VirtualArm.brought_up(family.arm, start_rad=start_rad)
     assert arm.core["mode"] == Mode.HOLDING
     arm.cycles(20)
     assert stands_since(arm, arm.sim.start_ns)
@@ -144,20 +142,15 @@ def test_a_recorded_goal_runs_true(family: Family, name: str) -> None:
     arm = brought_up(family, name=name)
     started_ns = arm.now_ns
     goal = arm.play(name)
-    times, commanded = [], []
-    while arm.outcome(goal) == Outcome.NONE:
-        arm.cycle()
-        times.append(arm.now_ns)
-        commanded.append(arm.loop[0]["axes"]["position_rad"][:6].copy())
+    commanded = commanded_until_end(arm, goal)
     assert arm.outcome(goal) == Outcome.SUCCEEDED
     arm.cycles(40)
     for joint, config in enumerate(arm.arm.joints):
-        times_ns, position_rad, velocity_rad_s = sampled_truth(arm.sim, joint, started_ns, times[-1])
+        _, position_rad, velocity_rad_s = sampled_truth(arm.sim, joint, started_ns, commanded[0][-1])
         assert np.abs(accelerations(position_rad)).max() <= 1.6 * config.max_acceleration_rad_s2
         assert np.abs(velocity_rad_s).max() <= 1.15 * config.max_velocity_rad_s + 2 * math.pi / 60 / config.ratio
-        plan_rad = np.interp(times_ns, times, np.array(commanded)[:, joint])
         if joint < 3:
-            assert math.degrees(rms(position_rad - plan_rad)) <= family.path_error_deg
+            assert path_error_deg(arm, joint, *commanded) <= family.path_error_deg
         end_rad = arm.sim.true_position_rad(joint, arm.sim.now_ns - 1)
         goal_rad = recorded_goal(name)["joints"][-1, joint, 0]
         assert abs(end_rad - goal_rad) <= 2 * (config.command_pulse_rad + config.encoder_count_rad)
@@ -172,24 +165,10 @@ def test_constant_speed_is_even(family: Family, joint: int) -> None:
     """
     arm = brought_up(family)
     config = arm.arm.joints[joint]
-    speed = config.max_velocity_rad_s
-    speed_up_s = speed / config.max_acceleration_rad_s2
-    times_s = np.array([0.0, speed_up_s, speed_up_s + 1.0, 2 * speed_up_s + 1.0])
-    start_rad = arm.loop[0]["axes"]["position_rad"][:6].copy()
-    joints = np.zeros((4, 6, 3))
-    joints[:, :, 0] = start_rad
-    sign = -1.0 if start_rad[joint] > (config.lower_rad + config.upper_rad) / 2 else 1.0
-    way = speed * speed_up_s / 2
-    joints[:, joint, 0] += sign * np.array([0.0, way, way + speed, 2 * way + speed])
-    joints[:, joint, 1] = sign * np.array([0.0, speed, speed, 0.0])
-    started_ns = arm.now_ns
-    goal = arm.send_goal((times_s * 1e9).astype(np.int64), joints, order=3)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
-    steady_ns = started_ns + int((speed_up_s + 0.4) * 1e9)
-    _, _, velocity_rad_s = sampled_truth(arm.sim, joint, steady_ns, steady_ns + 500_000_000)
+    above_middle = arm.loop[0]["axes"]["position_rad"][joint] > (config.lower_rad + config.upper_rad) / 2
+    speed_rad_s = math.copysign(config.max_velocity_rad_s, -1.0 if above_middle else 1.0)
     whole_rpm = 0.5 / config.motor_rpm if config.drive.stepper_ramp else 0.0
-    assert rms(velocity_rad_s - sign * speed) / speed <= whole_rpm + family.ripple
+    assert velocity_ripple(arm, joint, speed_rad_s, 1.0, 0.4) <= whole_rpm + family.ripple
     arm.close()
 
 

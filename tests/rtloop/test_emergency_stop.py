@@ -4,6 +4,8 @@ Drives boot enabled and count from zero. What an adapter or the system has kept 
 acknowledged it reaches them then, and must not make them go anywhere.
 """
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 from bus_trials import sweep
@@ -99,11 +101,8 @@ def test_no_joint_goes_anywhere_when_the_power_of_all_drives_returns(
     interface: str, motion: str, meanwhile: str
 ) -> None:
     seed = MEANWHILE.index(meanwhile)
-    arm = powered_arm(interface, motion, seed)
-    try:
+    with closing(powered_arm(interface, motion, seed)) as arm:
         moved_rad, at_last_rad_s = cut_and_return(arm, meanwhile, seed)
-    finally:
-        arm.close()
     print(f"{meanwhile}, {motion}, {interface}: {moved_rad.max():.4f} rad")
     assert moved_rad.max() <= TWITCH_RAD, f"moved by {np.round(moved_rad, 3)} rad"
     assert not np.any(at_last_rad_s), f"goes on at {at_last_rad_s} rad/s"

@@ -29,12 +29,8 @@ def lead_by_hand(arm, joint, angle_rad):
 @pytest.mark.parametrize("kind", [Request.FREE, Request.DISABLE])
 def test_an_arm_that_was_led_by_hand_is_held_where_it_is(enabling, kind, acknowledge):
     overrides = {"bus": {"acknowledge": acknowledge}, "control": {"rate_hz": 100.0}}
-    arm = VirtualArm(load_arm("episode1", overrides=overrides), enabling=enabling)
-    assert arm.bring_up().failure is None
-    joints = np.zeros((2, 6, 3))
-    joints[1, :, 0] = 0.1
-    goal = arm.send_goal(np.array([0, 2_000_000_000]), joints)
-    arm.until(lambda: arm.outcome(goal) == Outcome.SUCCEEDED)
+    arm = VirtualArm.brought_up(load_arm("episode1", overrides=overrides), enabling=enabling)
+    assert arm.end_of(arm.send_shift(0.1)) == Outcome.SUCCEEDED
     assert arm.ask(kind) == Answer.DONE
     assert arm.release().failure is None
     for _ in range(60):
@@ -54,13 +50,10 @@ def test_an_arm_that_was_led_by_hand_is_held_where_it_is(enabling, kind, acknowl
         times_ns = np.arange(began_ns, arm.now_ns, 100_000)
         assert np.ptp(truth.position_at(times_ns)) * config.ratio / (2 * math.pi) < STIRS_TURNS
     assert arm.loop[0]["axes"]["referenced"][:6].all()
-    joints[:, :, 0] = arm.loop[0]["axes"]["position_rad"][:6]
-    joints[1, :, 0] += 0.02
-    goal = arm.send_goal(np.array([0, 1_000_000_000]), joints)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    wanted_rad = arm.loop[0]["axes"]["position_rad"][:6] + 0.02
+    assert arm.end_of(arm.send_shift(0.02, 1.0)) == Outcome.SUCCEEDED
     there_rad = [arm.sim.true_position_rad(joint, arm.sim.now_ns) for joint in range(6)]
-    assert np.allclose(there_rad, joints[1, :, 0], atol=math.radians(0.2))
+    assert np.allclose(there_rad, wanted_rad, atol=math.radians(0.2))
     arm.close()
 
 

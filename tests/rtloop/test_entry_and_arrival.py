@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from commanded import CommandedArm
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm, recorded_goal
@@ -13,36 +14,6 @@ from shm.words import Answer, Fault, Mode, Outcome, Phase, Request
 from sim.faults import CountSlip, PowerLoss, Stall
 
 trials = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-
-
-class Watched(VirtualArm):
-    """A mock arm whose commanded accelerations are kept as multiples of their limits."""
-
-    def __init__(self, start_rad=None) -> None:
-        super().__init__("mock")
-        assert self.bring_up().failure is None
-        if start_rad is not None:
-            for word in ("position_rad", "next_position_rad", "measured_rad", "reference_rad"):
-                self.loop[0]["axes"][word][: len(start_rad)] = start_rad
-        self.positions = [self.commanded()]
-
-    def commanded(self) -> np.ndarray:
-        return self.loop[0]["axes"]["position_rad"][: len(self.arm.joints)].copy()
-
-    def cycle(self, periods: int = 1) -> None:
-        super().cycle(periods)
-        if hasattr(self, "positions"):
-            self.positions.append(self.commanded())
-
-    @property
-    def acceleration_ratio(self) -> float:
-        limits = np.array([joint.max_acceleration_rad_s2 for joint in self.arm.joints])
-        second = np.diff(np.array(self.positions), 2, axis=0) / (self.period_ns * 1e-9) ** 2
-        return float((np.abs(second) / limits).max())
-
-    def finish(self, goal: int) -> Outcome:
-        self.until(lambda: self.outcome(goal) != Outcome.NONE)
-        return Outcome(self.outcome(goal))
 
 
 def recorded_at(arm: VirtualArm, name: str, elapsed_s: float, **options) -> int:
@@ -57,16 +28,16 @@ def recorded_at(arm: VirtualArm, name: str, elapsed_s: float, **options) -> int:
 @given(st.floats(0.0, 0.35))
 def test_a_start_in_the_past_is_entered_where_it_is_due_without_a_jump(late_s: float) -> None:
     goal = recorded_goal("scale_1_0")
-    arm = Watched(goal["joints"][0, :, 0])
+    arm = CommandedArm(goal["joints"][0, :, 0])
     begun_ns = arm.now_ns - round(late_s * 1e9)
     number = recorded_at(arm, "scale_1_0", late_s)
     arm.cycles(2)
     if arm.outcome(number) == Outcome.REFUSED_START:
         assert arm.result(number)["value"] > 0.05 and late_s > 0.1
-        assert arm.acceleration_ratio == 0.0
+        assert arm.acceleration_ratio() == 0.0
         return
-    assert arm.finish(number) == Outcome.SUCCEEDED
-    assert arm.acceleration_ratio <= 1.9
+    assert arm.end_of(number) == Outcome.SUCCEEDED
+    assert arm.acceleration_ratio() <= 1.9
     # it ends when it was to end, unless the way onto it had to be slower than the wanted rate
     end_ns = begun_ns + goal["times_ns"][-1]
     assert arm.now_ns - end_ns <= 0.6e9
@@ -76,34 +47,34 @@ def test_a_start_in_the_past_is_entered_where_it_is_due_without_a_jump(late_s: f
 def test_a_start_in_the_past_of_a_moving_arm_is_blended_too() -> None:
     """The same trajectory twice, the second time as it is by now: nothing happens to the motion."""
     goal = recorded_goal("large")
-    arm = Watched(goal["joints"][0, :, 0])
+    arm = CommandedArm(goal["joints"][0, :, 0])
     begun_ns = arm.now_ns
     first = arm.play("large", start_ns=begun_ns)
     arm.cycles(100)
     second = arm.play("large", start_ns=begun_ns)
-    assert arm.finish(second) == Outcome.SUCCEEDED and arm.outcome(first) == Outcome.REPLACED
-    assert arm.acceleration_ratio <= 1.3
+    assert arm.end_of(second) == Outcome.SUCCEEDED and arm.outcome(first) == Outcome.REPLACED
+    assert arm.acceleration_ratio() <= 1.3
     arm.close()
 
 
 def test_a_start_ahead_leaves_the_arm_standing_until_then() -> None:
     goal = recorded_goal("small")
-    arm = Watched(goal["joints"][0, :, 0])
+    arm = CommandedArm(goal["joints"][0, :, 0])
     number = recorded_at(arm, "small", -0.5)
     arm.cycles(48)
     assert np.ptp(np.array(arm.positions), axis=0).max() == 0.0
     assert arm.reader.snapshot()["goal_phase"] == Phase.WAITING
-    assert arm.finish(number) == Outcome.SUCCEEDED
+    assert arm.end_of(number) == Outcome.SUCCEEDED
     arm.close()
 
 
 def test_the_way_to_a_first_point_gets_the_time_that_is_left() -> None:
-    arm = Watched()
+    arm = CommandedArm()
     joints = np.zeros((1, 6, 3))
     joints[:, :, 0] = 0.1
     begun_ns = arm.now_ns - 10**9
     goal = arm.send_goal(np.array([2 * 10**9]), joints, bridge=True, start_ns=begun_ns)
-    assert arm.finish(goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.now_ns - begun_ns == pytest.approx(2e9, abs=4 * arm.period_ns)
     arm.close()
 
@@ -128,13 +99,13 @@ def accelerating(arm: VirtualArm, seconds: float, speed: float) -> tuple[np.ndar
 @trials
 @given(st.floats(0.5, 2.0), st.floats(0.05, 1.0), st.floats(0.1, 1.0))
 def test_an_end_in_motion_is_reached_at_rest_exactly_there(seconds: float, speed: float, scale: float) -> None:
-    arm = Watched()
+    arm = CommandedArm()
     times, joints = accelerating(arm, seconds, speed)
     arm.writer.request(Request.SPEED_SCALE, value=scale)
     goal = arm.send_goal(times, joints)
-    assert arm.finish(goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.commanded() == pytest.approx(joints[-1, :, 0], abs=1e-9)
-    assert arm.acceleration_ratio <= 1.9 and arm.core["fault"] == Fault.NONE
+    assert arm.acceleration_ratio() <= 1.9 and arm.core["fault"] == Fault.NONE
     # on the path, never beyond the point and back
     assert (np.array(arm.positions) <= joints[-1, :, 0] + 1e-9).all()
     arm.close()
@@ -144,16 +115,16 @@ def test_an_end_in_motion_is_reached_at_rest_exactly_there(seconds: float, speed
 @given(st.floats(0.0, 1.0), st.integers(0, 60))
 @example(0.6875, 5)  # turned round in mid-stop, with too little path left for the full rate
 def test_a_pause_on_the_way_to_such_an_end_does_not_miss_it(moment: float, cycles: int) -> None:
-    arm = Watched()
+    arm = CommandedArm()
     times, joints = accelerating(arm, 1.2, 0.8)
     goal = arm.send_goal(times, joints)
     arm.cycles(2 + round(moment * 125))
     arm.writer.request(Request.HOLD)
     arm.cycles(1 + cycles)
     arm.writer.request(Request.RESUME)
-    assert arm.finish(goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.commanded() == pytest.approx(joints[-1, :, 0], abs=1e-9)
-    assert arm.acceleration_ratio <= 1.99 and arm.core["fault"] == Fault.NONE
+    assert arm.acceleration_ratio() <= 1.99 and arm.core["fault"] == Fault.NONE
     arm.close()
 
 
@@ -170,7 +141,7 @@ def stalled(virtual_arm, **options):
     arm = virtual_arm(goal="scale_1_0")
     goal = arm.play("scale_1_0", **options)
     arm.sim.inject(Stall(joint="joint2", at_s=0.3), since_ns=arm.now_ns)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    arm.end_of(goal)
     return arm, goal
 
 
@@ -191,8 +162,7 @@ def test_a_sound_arm_keeps_tight_tolerances_of_every_kind(virtual_arm) -> None:
     arm = virtual_arm(goal="scale_1_0")
     slower = 0.5 * np.array([joint.max_velocity_rad_s for joint in arm.arm.joints]).min()
     goal = arm.play("scale_1_0", tolerances=(0.05, slower, 5.0), goal_tolerances=(0.005, 0.02, 0.5))
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
 
 
 def test_the_path_tolerance_ends_where_the_path_does(virtual_arm) -> None:
@@ -202,8 +172,7 @@ def test_the_path_tolerance_ends_where_the_path_does(virtual_arm) -> None:
     arm.until(lambda: arm.core["settle_ns"] != 0)
     arm.sim.inject(Stall(joint="joint1", at_s=0.0), since_ns=arm.now_ns)
     arm.loop[0]["axes"][0]["measured_rad"] += 0.02  # as if something had pushed it
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.GOAL_TOLERANCE
+    assert arm.end_of(goal) == Outcome.GOAL_TOLERANCE
 
 
 def test_a_joint_that_still_moves_has_not_arrived(virtual_arm) -> None:
@@ -261,8 +230,7 @@ def test_a_moving_arm_is_never_let_go(virtual_arm) -> None:
     arm.cycles(60)
     for kind in (Request.DISABLE, Request.FREE):
         assert ask(arm, kind) == Answer.REFUSED_MOVING
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED and all(drive.enabled for drive in arm.sim.drives)
+    assert arm.end_of(goal) == Outcome.SUCCEEDED and all(drive.enabled for drive in arm.sim.drives)
 
 
 def test_a_drive_that_does_not_let_go_is_a_fault_with_its_name(virtual_arm) -> None:
@@ -320,7 +288,7 @@ def test_enabling_at_once_takes_a_release_back(virtual_arm) -> None:
 
 @pytest.mark.parametrize("comes_back", [True, False])
 def test_a_goal_that_waits_does_not_outlive_its_front(comes_back: bool) -> None:
-    arm = Watched()
+    arm = CommandedArm()
     joints = np.full((1, 6, 3), 0.0)
     joints[:, :, 0] = 0.2
     goal = arm.send_goal(np.array([10**9]), joints, bridge=True, start_ns=arm.now_ns + 2 * 10**9)
@@ -335,7 +303,7 @@ def test_a_goal_that_waits_does_not_outlive_its_front(comes_back: bool) -> None:
 
 
 def test_held_means_held_for_a_newer_goal_too() -> None:
-    arm = Watched()
+    arm = CommandedArm()
     joints = np.zeros((1, 6, 3))
     joints[:, :, 0] = 0.2
     first = arm.send_goal(np.array([2 * 10**9]), joints, bridge=True)
@@ -347,6 +315,6 @@ def test_held_means_held_for_a_newer_goal_too() -> None:
     arm.cycles(200)
     assert (arm.commanded() == stood).all()
     arm.writer.request(Request.RESUME)
-    assert arm.finish(newer) == Outcome.SUCCEEDED and arm.outcome(first) == Outcome.REPLACED
-    assert arm.acceleration_ratio <= 1.9
+    assert arm.end_of(newer) == Outcome.SUCCEEDED and arm.outcome(first) == Outcome.REPLACED
+    assert arm.acceleration_ratio() <= 1.9
     arm.close()

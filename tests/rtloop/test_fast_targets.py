@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from motion_figures import accelerations, rms, sampled_truth
+from motion_figures import rms, sampled_truth
+from true_motion import commanded_until_end, largest_acceleration_ratio, moving, path_error_deg, velocity_ripple
 from virtual import VirtualArm, recorded_goal
 
 from config.loader import load_arm
@@ -18,6 +19,7 @@ from sim.bus import Frame
 from sim.faults import PowerLoss
 
 FC = {"bus": {"position_command": "FC"}}
+FAST = load_arm("episode1", overrides=FC)
 BOTH = {"bus": {"position_command": "FC", "positions": "reported"}, "control": {"rate_hz": 200.0}}
 INTERRUPTED = ("large", "scale_1_0", "near_limits_high", "around_box", "small")
 
@@ -30,23 +32,6 @@ def fast_arm(overrides: dict[str, Any] = FC, *, up: bool = True, **options: Any)
     if up:
         assert arm.bring_up().failure is None
     return arm
-
-
-def moving(name: str, share: float) -> tuple[VirtualArm, int, int]:
-    goal = recorded_goal(name)
-    arm = fast_arm(start_rad=goal["joints"][0, :, 0])
-    started_ns = arm.now_ns
-    goal_id = arm.play(name)
-    arm.cycles(max(2, int(share * goal["times_ns"][-1] / arm.period_ns)))
-    return arm, goal_id, started_ns
-
-
-def largest_acceleration_ratio(arm: VirtualArm, start_ns: int) -> float:
-    worst = 0.0
-    for joint, config in enumerate(arm.arm.joints):
-        _, position_rad, _ = sampled_truth(arm.sim, joint, start_ns, arm.sim.now_ns)
-        worst = max(worst, float(np.abs(accelerations(position_rad)).max()) / config.max_acceleration_rad_s2)
-    return worst
 
 
 def said(arm: VirtualArm) -> set[bytes]:
@@ -155,10 +140,9 @@ def test_one_drive_that_does_not_know_fc_is_named() -> None:
 
 
 def test_nobody_who_did_not_ask_for_it_gets_fc() -> None:
-    arm = VirtualArm()
-    arm.bring_up()
+    arm = VirtualArm.brought_up()
     goal = arm.play("small")
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    arm.end_of(goal)
     assert said(arm) & {b"6FC", b"7F1"} == set()
     assert b"8FD" in said(arm)
     arm.close()
@@ -175,11 +159,7 @@ def test_recorded_goals_run_true(name: str, overrides: dict[str, Any]) -> None:
     started_ns = arm.now_ns
     since = len(arm.sent)
     goal_id = arm.play(name)
-    times, commanded = [], []
-    while arm.outcome(goal_id) == Outcome.NONE:
-        arm.cycle()
-        times.append(arm.now_ns)
-        commanded.append(arm.loop[0]["axes"]["position_rad"][:6].copy())
+    commanded = commanded_until_end(arm, goal_id)
     assert arm.outcome(goal_id) == Outcome.SUCCEEDED
     assert (arm.now_ns - started_ns) * 1e-9 < goal["times_ns"][-1] * 1e-9 + 0.1
     arm.cycles(40)
@@ -187,12 +167,11 @@ def test_recorded_goals_run_true(name: str, overrides: dict[str, Any]) -> None:
     assert b"8FD" not in said(arm)
     assert largest_acceleration_ratio(arm, started_ns) <= 1.8
     for joint, config in enumerate(arm.arm.joints):
-        times_ns, position_rad, velocity_rad_s = sampled_truth(arm.sim, joint, started_ns, times[-1])
+        _, _, velocity_rad_s = sampled_truth(arm.sim, joint, started_ns, commanded[0][-1])
         one_rpm = 2 * math.pi / 60 / config.ratio
         assert np.abs(velocity_rad_s).max() <= 1.06 * config.max_velocity_rad_s + one_rpm
-        plan_rad = np.interp(times_ns, times, np.array(commanded)[:, joint])
         if joint < 3:
-            assert math.degrees(rms(position_rad - plan_rad)) <= 0.02
+            assert path_error_deg(arm, joint, *commanded) <= 0.02
         end_rad = arm.sim.true_position_rad(joint, arm.sim.now_ns - 1)
         assert abs(end_rad - goal["joints"][-1, joint, 0]) <= config.command_pulse_rad + config.encoder_count_rad
     arm.close()
@@ -204,21 +183,8 @@ def test_recorded_goals_run_true(name: str, overrides: dict[str, Any]) -> None:
 def test_velocity_ripple_at_constant_speed(joint: int, motor_rpm: float, bound: float) -> None:
     """The drive speeds up and brakes in every cycle, by its ramp: ±1.7 rpm about the planned speed of joint1."""
     arm = fast_arm()
-    config = arm.arm.joints[joint]
-    speed = motor_rpm * 2 * math.pi / 60 / config.ratio
-    speed_up_s = speed / config.max_acceleration_rad_s2
-    times_s = np.array([0.0, speed_up_s, speed_up_s + 2.0, 2 * speed_up_s + 2.0])
-    joints = np.zeros((4, 6, 3))
-    way = speed * speed_up_s / 2
-    joints[:, joint, 0] = [0.0, -way, -way - 2.0 * speed, -2 * way - 2.0 * speed]
-    joints[:, joint, 1] = [0.0, -speed, -speed, 0.0]
-    started_ns = arm.now_ns
-    goal = arm.send_goal((times_s * 1e9).astype(np.int64), joints, order=3)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
-    steady_ns = started_ns + int((speed_up_s + 0.6) * 1e9)
-    _, _, velocity_rad_s = sampled_truth(arm.sim, joint, steady_ns, steady_ns + 1_300_000_000)
-    assert rms(velocity_rad_s + speed) <= bound * speed
+    speed_rad_s = motor_rpm * 2 * math.pi / 60 / arm.arm.joints[joint].ratio
+    assert velocity_ripple(arm, joint, -speed_rad_s, 2.0, 0.6) <= bound
     arm.close()
 
 
@@ -239,7 +205,7 @@ def test_a_shaft_behind_its_ramp_is_led_further_ahead() -> None:
 @trials
 @given(moments)
 def test_silence_is_a_controlled_stop(moment: tuple[str, float]) -> None:
-    arm, _, started_ns = moving(*moment)
+    arm, _, started_ns = moving(*moment, FAST)
     arm.sim.run_until(arm.now_ns + 2_000_000_000)
     assert largest_acceleration_ratio(arm, started_ns) <= 2.2
     for joint in range(6):
@@ -250,13 +216,13 @@ def test_silence_is_a_controlled_stop(moment: tuple[str, float]) -> None:
 @trials
 @given(moments, st.integers(3, 120))
 def test_pause_resume_and_cancel_never_step(moment: tuple[str, float], pause: int) -> None:
-    arm, goal_id, started_ns = moving(*moment)
+    arm, goal_id, started_ns = moving(*moment, FAST)
     arm.writer.request(Request.HOLD)
     arm.cycles(pause)
     arm.writer.request(Request.RESUME)
     arm.cycles(pause)
     arm.writer.request(Request.CANCEL, goal_id=goal_id)
-    arm.until(lambda: arm.outcome(goal_id) != Outcome.NONE)
+    arm.end_of(goal_id)
     arm.cycles(40)
     assert arm.core["fault"] == Fault.NONE
     assert largest_acceleration_ratio(arm, started_ns) <= 2.0
@@ -266,7 +232,7 @@ def test_pause_resume_and_cancel_never_step(moment: tuple[str, float], pause: in
 @trials
 @given(moments, st.integers(13, 400))
 def test_a_long_gap_ends_the_goal_where_the_drives_stopped(moment: tuple[str, float], periods: int) -> None:
-    arm, _, started_ns = moving(*moment)
+    arm, _, started_ns = moving(*moment, FAST)
     arm.cycle(periods)
     arm.cycles(123)
     assert arm.core["fault"] == Fault.NONE
@@ -303,9 +269,5 @@ def test_a_drive_that_is_on_its_way_is_stopped_before_it_is_asked() -> None:
         for message in (zdt_registers.fast_setup(30, 200), zdt_registers.fast_target(drive._pulses() + 3000)):
             drive.receive(arm.sim.now_ns, Frame((number + 1) << 8, message))
     assert arm.bring_up().failure is None
-    goal = arm.send_goal(
-        np.array([0, 10**9]), np.repeat(arm.loop[0]["axes"]["position_rad"][None, :6, None], 2, 0) * [1, 0, 0]
-    )
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.send_shift(0.0, 1.0)) == Outcome.SUCCEEDED
     arm.close()

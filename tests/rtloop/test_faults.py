@@ -17,16 +17,6 @@ from sim.faults import CorruptBytes, CountSlip, LostReplies, PowerLoss, Silent, 
 FD = "FD"
 
 
-def executing(name: str = "large", at_s: float = 1.0) -> VirtualArm:
-    goal = recorded_goal(name)
-    arm = VirtualArm(start_rad=goal["joints"][0, :, 0])
-    assert arm.bring_up().failure is None
-    arm.goal = arm.play(name)
-    arm.cycles(round(at_s * 1e9 / arm.period_ns))
-    assert arm.core["mode"] == Mode.EXECUTING
-    return arm
-
-
 def motion_frames(arm: VirtualArm, address: int, since: int) -> int:
     """FD first packets sent to a drive since a position in the list of writes."""
     mark = f"T{address << 8:08X}8{FD}".encode()
@@ -35,7 +25,7 @@ def motion_frames(arm: VirtualArm, address: int, since: int) -> int:
 
 def test_a_silent_drive_is_braked_then_latched() -> None:
     """The age ladder: brake on the path, then a fault that names the joint; the others come to rest."""
-    arm = executing()
+    arm = VirtualArm.amid("large")
     arm.sim.inject(Silent("joint2", at_s=0.0), since_ns=arm.now_ns)
     began_ns = arm.now_ns
     arm.until(lambda: arm.core["stale"] == 1)
@@ -54,25 +44,23 @@ def test_a_silent_drive_is_braked_then_latched() -> None:
 
 
 def test_a_short_silence_only_slows_the_arm() -> None:
-    arm = executing()
+    arm = VirtualArm.amid("large")
     arm.sim.inject(Silent("joint2", at_s=0.0, until_s=0.05), since_ns=arm.now_ns)
-    arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE)
-    assert arm.outcome(arm.goal) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.goal) == Outcome.SUCCEEDED
     assert arm.state.record["counters"]["stale_reads"] > 0
     arm.close()
 
 
 def test_lost_replies_do_not_stop_the_arm() -> None:
-    arm = executing()
+    arm = VirtualArm.amid("large")
     arm.sim.inject(LostReplies(0.1), since_ns=arm.now_ns)
-    arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE)
-    assert arm.outcome(arm.goal) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.goal) == Outcome.SUCCEEDED
     arm.close()
 
 
 def test_a_drive_that_lost_power_gets_its_stop_and_no_motion_frame() -> None:
     """It boots enabled and counts from zero: the next absolute target would be many turns away."""
-    arm = executing()
+    arm = VirtualArm.amid("large")
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=0.03), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["mode"] == Mode.FAULT)
     since = len(arm.sent)
@@ -90,8 +78,7 @@ def test_a_drive_that_lost_power_gets_its_stop_and_no_motion_frame() -> None:
     assert any("joint2 is not referenced" in sentence for sentence in arm.told)
     assert arm.core["mode"] == Mode.HOLDING
     goal = arm.play("large")
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.REFUSED_UNREFERENCED
+    assert arm.end_of(goal) == Outcome.REFUSED_UNREFERENCED
     assert arm.result(goal)["joint"] == 1
     arm.close()
 
@@ -99,7 +86,7 @@ def test_a_drive_that_lost_power_gets_its_stop_and_no_motion_frame() -> None:
 @pytest.mark.parametrize("flags", [0x09, 0x00], ids=["protection tripped", "disabled"])
 def test_a_drive_that_reports_a_fault_of_its_own_is_named_and_not_led(flags: int) -> None:
     """Twice in a row, since one garbled digit is no report."""
-    arm = executing()
+    arm = VirtualArm.amid("large")
     while arm.core["status_turn"] != 5:  # joint3's own answer is not due then
         arm.cycle()
     since = len(arm.sent)
@@ -113,7 +100,7 @@ def test_a_drive_that_reports_a_fault_of_its_own_is_named_and_not_led(flags: int
 
 
 def test_a_held_shaft_is_a_following_error() -> None:
-    arm = executing()
+    arm = VirtualArm.amid("large")
     arm.sim.inject(Stall("joint1", at_s=0.0), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["mode"] == Mode.FAULT)
     assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.FOLLOWING_ERROR, 0)
@@ -122,7 +109,7 @@ def test_a_held_shaft_is_a_following_error() -> None:
 
 
 def test_a_vanished_wire_is_a_fault() -> None:
-    arm = executing()
+    arm = VirtualArm.amid("large")
     received.close(arm.loop[0], 5)
     arm.cycle()
     assert (arm.core["fault"], arm.core["fault_value"]) == (Fault.WIRE, 5.0)
@@ -131,12 +118,10 @@ def test_a_vanished_wire_is_a_fault() -> None:
 
 
 def test_an_arm_that_lost_power_before_the_start_is_unreferenced() -> None:
-    arm = VirtualArm(homed=False)
-    assert arm.bring_up().failure is None
+    arm = VirtualArm.brought_up(homed=False)
     assert len([told for told in arm.told if "not referenced" in told]) == 6
     goal = arm.play("small")
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.REFUSED_UNREFERENCED
+    assert arm.end_of(goal) == Outcome.REFUSED_UNREFERENCED
     arm.cycles(50)
     assert not any(FD.encode() in data for _, data in arm.sent)
     arm.close()
@@ -161,18 +146,13 @@ def carries_out_a_goal(arm: VirtualArm) -> None:
     assert arm.bring_up().failure is None
     assert arm.core["mode"] == Mode.HOLDING
     goal = arm.play("small")
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
     arm.close()
 
 
 def test_old_firmware_that_lost_power_stays_unreferenced_when_the_fault_is_cleared() -> None:
     """It has no flag for lost power: what the loop noticed itself must not be forgotten by a clear."""
-    goal = recorded_goal("large")
-    arm = VirtualArm(start_rad=goal["joints"][0, :, 0], firmware="old")
-    arm.bring_up()
-    arm.play("large")
-    arm.cycles(120)
+    arm = VirtualArm.amid("large", firmware="old")
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=0.03), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["mode"] == Mode.FAULT)
     arm.until(lambda: arm.core["goal_id"] == 0)
@@ -181,14 +161,13 @@ def test_old_firmware_that_lost_power_stays_unreferenced_when_the_fault_is_clear
     assert arm.core["mode"] == Mode.HOLDING
     assert arm.loop[0]["axes"][1]["referenced"] == 0
     newer = arm.play("large")
-    arm.until(lambda: arm.outcome(newer) != Outcome.NONE)
-    assert arm.outcome(newer) == Outcome.REFUSED_UNREFERENCED
+    assert arm.end_of(newer) == Outcome.REFUSED_UNREFERENCED
     arm.close()
 
 
 @pytest.mark.parametrize("after", [1, 8, 20])
 def test_a_fault_is_not_cleared_while_the_arm_still_moves(after: int) -> None:
-    arm = executing()
+    arm = VirtualArm.amid("large")
     arm.writer.announce(2**60)  # a corrupt word: latched, the arm stops on its path
     arm.cycles(after)
     assert arm.core["fault"] == Fault.COMMAND_RING
@@ -207,7 +186,7 @@ def test_a_fault_is_not_cleared_while_the_arm_still_moves(after: int) -> None:
 
 def test_a_held_joint_is_not_rushed_at_when_it_comes_free() -> None:
     """The error's part of the speed is limited, and a faulted arm at rest is not led at all."""
-    arm = executing()
+    arm = VirtualArm.amid("large")
     arm.sim.inject(Stall("joint1", at_s=0.0), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["mode"] == Mode.FAULT)
     arm.until(lambda: not np.any(arm.loop[0]["axes"]["velocity_rad_s"]))
@@ -227,7 +206,7 @@ def test_a_held_joint_is_not_rushed_at_when_it_comes_free() -> None:
 
 
 def test_one_garbled_digit_neither_faults_nor_is_published() -> None:
-    arm = executing()
+    arm = VirtualArm.amid("large")
     for line in (b"T00000100736002FFFFFFF6B\r", b"T000001003" + b"3A" + b"08" + b"6B\r"):
         before = arm.loop[0]["axes"][0]["measured_rad"]
         data = np.frombuffer(line, np.uint8)
@@ -235,22 +214,20 @@ def test_one_garbled_digit_neither_faults_nor_is_published() -> None:
         arm.cycle()
         assert arm.core["fault"] == Fault.NONE
         assert abs(arm.loop[0]["axes"][0]["measured_rad"] - before) < 0.05
-    arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE)
-    assert arm.outcome(arm.goal) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.goal) == Outcome.SUCCEEDED
     arm.close()
 
 
 def test_corrupted_bytes_do_not_stop_the_arm() -> None:
-    arm = executing()
+    arm = VirtualArm.amid("large")
     arm.sim.inject(CorruptBytes(0.001), since_ns=arm.now_ns)
-    arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE)
-    assert arm.outcome(arm.goal) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.goal) == Outcome.SUCCEEDED
     assert arm.state.record["counters"]["wire_errors"] > 0
     arm.close()
 
 
 def test_a_count_that_truly_jumps_loses_the_reference() -> None:
-    arm = executing()
+    arm = VirtualArm.amid("large")
     arm.sim.inject(CountSlip("joint1", 0.0, deg=40.0), since_ns=arm.now_ns)
     arm.cycles(3)
     assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.REFERENCE_LOST, 0)
@@ -260,7 +237,7 @@ def test_a_count_that_truly_jumps_loses_the_reference() -> None:
 
 def test_frames_the_wire_did_not_take_are_not_sent_late() -> None:
     """What is left over is at most the command that is half sent; newer frames say it better."""
-    arm = executing()
+    arm = VirtualArm.amid("large")
     arm.now_ns += arm.period_ns
     arm.listen(arm.now_ns)
     arm.writer.beat(arm.now_ns)
@@ -294,10 +271,7 @@ class Deaf(VirtualArm):
 
 @pytest.mark.parametrize("cycles", [0, 1, 3, 8])
 def test_a_stop_command_the_wire_does_not_take_is_given_again(cycles: int) -> None:
-    arm = Deaf("episode1", start_rad=recorded_goal("large")["joints"][0, :, 0])
-    assert arm.bring_up().failure is None
-    arm.play("large")
-    arm.cycles(60)
+    arm = Deaf.amid("large", 60)
     arm.sim.inject(CountSlip("joint3", 0.0, deg=20.0), since_ns=arm.now_ns)
     arm.until(lambda: bool(arm.loop[0]["axes"][2]["doubted"]), at_most_s=0.1)
     since = len(arm.sent)
@@ -310,8 +284,7 @@ def test_a_stop_command_the_wire_does_not_take_is_given_again(cycles: int) -> No
 
 
 def test_only_what_the_wire_took_is_recorded_as_sent() -> None:
-    arm = Deaf("episode1")
-    assert arm.bring_up().failure is None
+    arm = Deaf.brought_up("episode1")
     counters = arm.state.record["counters"]
 
     def recorded() -> int:
@@ -331,7 +304,7 @@ def test_only_what_the_wire_took_is_recorded_as_sent() -> None:
 
 
 def test_the_slip_allowance_after_a_long_gap_is_bounded_and_forgotten() -> None:
-    arm = executing()
+    arm = VirtualArm.amid("large")
     arm.cycle(1200)
     assert arm.loop[0]["axes"]["slip_rad"][:6].max() <= 0.1 * 10.5
     arm.until(lambda: arm.core["rebase_ns"] == 0)
@@ -340,8 +313,7 @@ def test_the_slip_allowance_after_a_long_gap_is_bounded_and_forgotten() -> None:
 
 
 def test_acknowledgements_are_turned_off_in_volatile_memory_only() -> None:
-    arm = VirtualArm()
-    arm.bring_up()
+    arm = VirtualArm.brought_up()
     writes = [data for _, data in arm.sent if b"848D1" in data]
     assert writes
     assert all(b"848D100" in data for data in writes)
@@ -376,7 +348,7 @@ def test_there_is_nothing_to_clear_without_a_fault(virtual_arm, request_kind: Re
 
 def test_the_drives_wait_for_a_coasting_arm_to_stand() -> None:
     """A loop killed in mid-motion and started at once adopts the drives' own targets, without a jump."""
-    arm = executing()
+    arm = VirtualArm.amid("large")
     arm.sim.run_until(arm.now_ns + 30_000_000)  # the drives brake by their own ramp
     again = VirtualArm.__new__(VirtualArm)
     again.__dict__.update(arm.__dict__)

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import pytest
-from test_referencing import JOINT2, after_power_loss, new_arm, small_goal, true_rad
+from test_referencing import JOINT2, after_power_loss, new_arm, true_rad
 from virtual import VirtualArm
 
 from shm.words import Answer, Mode, Outcome, Request
@@ -37,7 +37,7 @@ def test_a_drive_is_set_up_anew_before_it_is_led(overrides: dict[str, Any], way:
     if overrides is not REPORTED:
         assert arm.sim.drives[1]._fast is not None
         assert arm.sim.drives[1]._fast[2] == 1
-    assert small_goal(arm) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     arm.close()
 
 
@@ -64,7 +64,7 @@ def test_a_drive_that_has_become_another_is_not_led() -> None:
 @pytest.mark.parametrize("after_cycles", [2, 8, 20, 40, 60])
 def test_a_joint_whose_turn_is_ended_is_led_on(overrides: dict[str, Any], after_cycles: int) -> None:
     arm = new_arm(overrides=overrides)
-    assert small_goal(arm) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.nan) == Answer.DONE
     cycles = []
 
@@ -75,5 +75,5 @@ def test_a_joint_whose_turn_is_ended_is_led_on(overrides: dict[str, Any], after_
 
     assert arm.reference(each_cycle=stop, at_most_s=5.0).failure is None
     assert arm.ask(Request.RESUME) == Answer.DONE
-    assert small_goal(arm) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     arm.close()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from virtual import START_NS, VirtualArm, recorded_goal
+from virtual import START_NS, VirtualArm
 
 from config.loader import load_arm
 from shm.words import Answer, Fault, Mode, Outcome, Phase, Request
@@ -15,17 +15,12 @@ def straight(arm: VirtualArm, target_rad: list[float], seconds: float, **options
     return arm.send_goal(np.array([int(seconds * 1e9)]), joints, bridge=True, **options)
 
 
-def finish(arm: VirtualArm, goal: int) -> int:
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    return arm.outcome(goal)
-
-
 @pytest.mark.parametrize("arm_name", ["episode1", "mock"])
 def test_one_point_is_reached_from_where_the_arm_stands(virtual_arm, arm_name: str) -> None:
     arm = virtual_arm(arm_name)
     target = [0.1, -0.05, 0.1, 0.2, -0.2, 0.3]
     goal = straight(arm, target, 2.0)
-    assert finish(arm, goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.loop[0]["axes"]["position_rad"][:6] == pytest.approx(target)
 
 
@@ -55,7 +50,7 @@ def test_a_start_in_the_future_waits_at_rest(virtual_arm) -> None:
         arm.cycle()
         assert not np.any(arm.loop[0]["axes"]["next_position_rad"])
     assert arm.reader.snapshot()["goal_phase"] == Phase.WAITING
-    assert finish(arm, goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.now_ns >= due_ns + 1_000_000_000
 
 
@@ -64,7 +59,7 @@ def test_joints_outside_the_goal_hold(virtual_arm) -> None:
     joints = np.full((1, 6, 3), np.nan)
     joints[0, 2] = [0.2, 0.0, 0.0]
     goal = arm.send_goal(np.array([1_000_000_000]), joints, bridge=True, joint_mask=0b100)
-    assert finish(arm, goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.loop[0]["axes"]["position_rad"][:6] == pytest.approx([0, 0, 0.2, 0, 0, 0])
 
 
@@ -75,7 +70,7 @@ def test_joints_left_out_of_a_replacement_come_to_rest(virtual_arm) -> None:
     joints = np.zeros((1, 6, 3))
     joints[0, 0, 0] = 0.1
     second = arm.send_goal(np.array([2_000_000_000]), joints, bridge=True, joint_mask=1)
-    assert finish(arm, second) == Outcome.SUCCEEDED
+    assert arm.end_of(second) == Outcome.SUCCEEDED
     assert arm.outcome(first) == Outcome.REPLACED
     axes = arm.loop[0]["axes"][:6]
     assert axes["position_rad"][0] == pytest.approx(0.1)
@@ -89,7 +84,7 @@ def test_a_first_point_too_far_away_is_refused_by_name(virtual_arm) -> None:
     joints = np.zeros((2, 6, 3))
     joints[:, 3, 0] = 0.2
     goal = arm.send_goal(np.array([0, 10**9]), joints)
-    assert finish(arm, goal) == Outcome.REFUSED_START
+    assert arm.end_of(goal) == Outcome.REFUSED_START
     result = arm.result(goal)
     assert (result["joint"], result["value"], result["limit"]) == (3, pytest.approx(0.2), pytest.approx(0.05))
     assert arm.core["mode"] == Mode.HOLDING
@@ -102,8 +97,8 @@ def test_a_bad_newer_goal_leaves_the_running_one_alone(virtual_arm) -> None:
     joints = np.zeros((2, 6, 3))
     joints[:, 3, 0] = 1.0
     second = arm.send_goal(np.array([0, 10**9]), joints)
-    assert finish(arm, second) == Outcome.REFUSED_START
-    assert finish(arm, first) == Outcome.SUCCEEDED
+    assert arm.end_of(second) == Outcome.REFUSED_START
+    assert arm.end_of(first) == Outcome.SUCCEEDED
 
 
 def test_a_refused_newer_goal_leaves_a_running_stream_alone(virtual_arm) -> None:
@@ -122,8 +117,8 @@ def test_a_refused_newer_goal_leaves_a_running_stream_alone(virtual_arm) -> None
     second = arm.send_goal(np.array([0, 10**9]), far)
     arm.cycles(3)
     arm.pending += late
-    assert finish(arm, second) == Outcome.REFUSED_START
-    assert finish(arm, first) == Outcome.SUCCEEDED
+    assert arm.end_of(second) == Outcome.REFUSED_START
+    assert arm.end_of(first) == Outcome.SUCCEEDED
 
 
 def test_path_tolerance_is_judged_on_measured_positions(virtual_arm) -> None:
@@ -133,7 +128,7 @@ def test_path_tolerance_is_judged_on_measured_positions(virtual_arm) -> None:
     arm = virtual_arm(goal="scale_1_0")
     goal = arm.play("scale_1_0", tolerances=(0.02, 0.0, 0.0))
     arm.sim.inject(Stall(joint="joint2", at_s=0.3), since_ns=arm.now_ns)
-    assert finish(arm, goal) == Outcome.PATH_TOLERANCE
+    assert arm.end_of(goal) == Outcome.PATH_TOLERANCE
     result = arm.result(goal)
     assert result["joint"] == 1
     assert abs(result["value"]) > 0.02
@@ -146,7 +141,7 @@ def test_goal_tolerance_not_reached_in_time(virtual_arm) -> None:
     arm = virtual_arm()
     goal = straight(arm, [0.0, 0.0, 0.03, 0.0, 0.0, 0.0], 1.0, goal_time_s=0.3)
     arm.sim.inject(Stall(joint="joint3", at_s=0.0), since_ns=arm.now_ns)
-    assert finish(arm, goal) == Outcome.GOAL_TOLERANCE
+    assert arm.end_of(goal) == Outcome.GOAL_TOLERANCE
     assert arm.result(goal)["joint"] == 2
 
 
@@ -173,7 +168,7 @@ def test_a_canceled_waiting_goal_never_moves(virtual_arm) -> None:
     goal = straight(arm, [0.1] * 6, 1.0, start_ns=arm.now_ns + 10**9)
     arm.cycles(10)
     arm.writer.request(Request.CANCEL, goal_id=goal)
-    assert finish(arm, goal) == Outcome.CANCELED
+    assert arm.end_of(goal) == Outcome.CANCELED
     arm.cycles(150)
     assert not np.any(arm.loop[0]["axes"]["position_rad"])
 
@@ -183,7 +178,7 @@ def test_a_stop_by_a_person_ends_the_goal(virtual_arm) -> None:
     goal = straight(arm, [0.4] * 6, 2.0)
     arm.cycles(60)
     arm.writer.request(Request.STOP)
-    assert finish(arm, goal) == Outcome.STOPPED
+    assert arm.end_of(goal) == Outcome.STOPPED
     assert arm.core["mode"] == Mode.HOLDING
 
 
@@ -192,7 +187,7 @@ def test_a_shutdown_stops_the_arm_first(virtual_arm) -> None:
     goal = straight(arm, [0.4] * 6, 2.0)
     arm.cycles(60)
     arm.core["closing"] = 1
-    assert finish(arm, goal) == Outcome.SHUTDOWN
+    assert arm.end_of(goal) == Outcome.SHUTDOWN
     arm.until(lambda: arm.core["goal_id"] == 0)
     assert not np.any(arm.loop[0]["axes"]["velocity_rad_s"])
 
@@ -207,7 +202,7 @@ def test_a_goal_of_more_knots_than_the_window_runs_to_its_end(virtual_arm) -> No
     joints[:, :, 0] = (0.1 * (1 - np.cos(phase)))[:, None]
     joints[:, :, 1] = (0.1 * np.sin(phase) * np.pi / (times[-1] * 1e-9))[:, None]
     goal = arm.send_goal(times, joints, order=3)
-    assert finish(arm, goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.loop[0]["axes"]["position_rad"][:6] == pytest.approx([0.2] * 6, abs=1e-6)
     assert arm.core["fault"] == Fault.NONE
 
@@ -240,9 +235,9 @@ def test_a_joint_found_just_outside_its_limit_may_move_in(virtual_arm) -> None:
     arm = virtual_arm(start_rad=[0.0, 0.0, outside, 0.0, 0.0, 0.0])
     assert arm.loop[0]["axes"][2]["referenced"] == 1
     goal = straight(arm, [0.0, 0.0, outside + 0.2, 0.0, 0.0, 0.0], 2.0)
-    assert finish(arm, goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
     goal = straight(arm, [0.1, 0.0, outside + 0.2, 0.0, 0.0, 0.0], 2.0)
-    assert finish(arm, goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
 
 
 def test_nothing_moves_at_speed_scale_zero(virtual_arm) -> None:
@@ -253,7 +248,7 @@ def test_nothing_moves_at_speed_scale_zero(virtual_arm) -> None:
     arm.cycles(200)
     assert not np.any(arm.loop[0]["axes"]["next_position_rad"])
     arm.writer.request(Request.SPEED_SCALE, value=1.0)
-    assert finish(arm, goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
 
 
 def test_a_raised_speed_scale_speeds_up_a_goal_of_one_point(virtual_arm) -> None:
@@ -263,14 +258,13 @@ def test_a_raised_speed_scale_speeds_up_a_goal_of_one_point(virtual_arm) -> None
     goal = straight(arm, [0.1] * 6, 1.0)
     arm.cycles(50)
     arm.writer.request(Request.SPEED_SCALE, value=1.0)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE, at_most_s=3.0)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal, at_most_s=3.0) == Outcome.SUCCEEDED
 
 
 def test_goal_ids_are_never_taken_twice(virtual_arm) -> None:
     arm = virtual_arm("mock")
     first = straight(arm, [0.1] * 6, 0.8)
-    assert finish(arm, first) == Outcome.SUCCEEDED
+    assert arm.end_of(first) == Outcome.SUCCEEDED
     taken = int(arm.state.record["counters"]["knots_taken"])
     straight(arm, [0.3] * 6, 0.8, goal_id=first)
     arm.cycles(60)
@@ -280,13 +274,10 @@ def test_goal_ids_are_never_taken_twice(virtual_arm) -> None:
 
 def test_the_same_inputs_give_the_same_bytes() -> None:
     """The cycle is a function of its inputs."""
-    goal = recorded_goal("small")
     streams = []
     for _ in range(2):
-        arm = VirtualArm(start_rad=goal["joints"][0, :, 0], seed=5)
-        arm.bring_up()
-        goal_id = arm.play("small")
-        finish(arm, goal_id)
+        arm = VirtualArm.at_start_of("small", seed=5)
+        arm.end_of(arm.play("small"))
         streams.append(arm.sent)
         arm.close()
     assert streams[0] == streams[1]
@@ -297,10 +288,10 @@ def test_a_cancel_that_overtakes_its_goal_keeps_it_from_starting(virtual_arm) ->
     arm = virtual_arm("mock")
     arm.writer.request(Request.CANCEL, goal_id=1)
     goal = straight(arm, [0.1] * 6, 1.0)
-    assert finish(arm, goal) == Outcome.CANCELED
+    assert arm.end_of(goal) == Outcome.CANCELED
     arm.cycles(20)
     assert not np.any(arm.loop[0]["axes"]["position_rad"][:6])
-    assert finish(arm, straight(arm, [0.1] * 6, 1.0)) == Outcome.SUCCEEDED
+    assert arm.end_of(straight(arm, [0.1] * 6, 1.0)) == Outcome.SUCCEEDED
 
 
 @pytest.mark.parametrize("seen", [0, 5])
@@ -308,7 +299,7 @@ def test_cancels_that_overtake_their_goals_keep_all_of_them_from_starting(virtua
     """Several at once, as when a front closes: not one starts, whichever is taken first."""
     arm = virtual_arm("mock")
     for _ in range(seen):
-        finish(arm, straight(arm, [0.0] * 6, 0.1))
+        arm.end_of(straight(arm, [0.0] * 6, 0.1))
     goals = range(seen + 1, seen + 5)
     for goal in goals:
         arm.writer.request(Request.CANCEL, goal_id=goal)
@@ -319,4 +310,4 @@ def test_cancels_that_overtake_their_goals_keep_all_of_them_from_starting(virtua
         assert arm.outcome(goal) == Outcome.CANCELED
     arm.cycles(20)
     assert not np.any(arm.loop[0]["axes"]["position_rad"][:6])
-    assert finish(arm, straight(arm, [0.1] * 6, 1.0)) == Outcome.SUCCEEDED
+    assert arm.end_of(straight(arm, [0.1] * 6, 1.0)) == Outcome.SUCCEEDED

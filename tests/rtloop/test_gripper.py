@@ -235,8 +235,7 @@ def test_it_refuses_an_effort_that_is_none(stage: Stage, effort: float) -> None:
 
 
 def test_an_arm_without_a_gripper_knows_no_such_request() -> None:
-    arm = VirtualArm("mock")
-    arm.bring_up()
+    arm = VirtualArm.brought_up("mock")
     assert arm.ask(Request.GRIP, value=0.5) == Answer.REFUSED_UNKNOWN
     assert read_gripper(arm.state) is None
     arm.close()
@@ -502,8 +501,7 @@ def test_it_moves_while_the_arm_does(stage: Stage) -> None:
     goal = stage.arm.play("scale_1_0")
     sequence = stage.ask(Request.GRIP, value=0.0)
     assert stage.over(sequence) == Grip.REACHED
-    stage.arm.until(lambda: stage.arm.outcome(goal) != 0)
-    assert stage.arm.outcome(goal) == Outcome.SUCCEEDED
+    assert stage.arm.end_of(goal) == Outcome.SUCCEEDED
 
 
 def test_it_goes_on_during_a_bring_up_and_in_a_fault(stage: Stage) -> None:

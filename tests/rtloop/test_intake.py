@@ -161,16 +161,14 @@ def test_a_goal_of_many_joints_does_not_starve_beside_a_full_ring_in_slow_cycles
     """32 joints at 20 Hz with a point a millisecond: 50 records a cycle are used up."""
     mock = load_arm("mock", overrides={"control": {"rate_hz": 20}}).model_dump()
     mock["joints"] = [{**mock["joints"][0], "name": f"joint{number}"} for number in range(32)]
-    arm = VirtualArm(ArmConfig.model_validate(mock))
-    assert arm.bring_up().failure is None
+    arm = VirtualArm.brought_up(ArmConfig.model_validate(mock))
     times = np.arange(6001) * 1e-3
     w = 2 * np.pi / 6.0
     shape = np.stack([1 - np.cos(w * times), w * np.sin(w * times), w * w * np.cos(w * times)], axis=-1)
     joints = 0.05 * np.repeat(shape[:, None, :], 32, axis=1)
     joints[:, :, 0] += arm.loop[0]["axes"]["next_position_rad"][:32]
     goal = arm.send_goal(np.arange(6001) * 1_000_000, joints)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
     arm.close()
 
 
@@ -247,7 +245,7 @@ def test_clearing_the_fault_of_a_mended_ring_brings_the_arm_back(arm):
     arm.until(lambda: arm.fault != Fault.NONE)
     assert arm.clear_fault().failure is None
     goal = arm.wave()
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    arm.end_of(goal)
     assert (arm.outcome(goal), arm.fault) == (Outcome.SUCCEEDED, Fault.NONE)
 
 
@@ -279,9 +277,8 @@ def test_a_wrong_knot_of_a_new_goal_refuses_it_and_disturbs_nothing(arm, wrong):
     arm.knot(goal, 0, here)
     arm.knot(goal, **{"time_ns": 500_000_000, "position": here, **wrong})
     arm.end(goal)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.REFUSED_CORRUPT
-    arm.until(lambda: arm.outcome(running) != Outcome.NONE)
+    assert arm.end_of(goal) == Outcome.REFUSED_CORRUPT
+    arm.end_of(running)
     assert (arm.outcome(running), arm.fault) == (Outcome.SUCCEEDED, Fault.NONE)
 
 
@@ -291,7 +288,7 @@ def test_a_wrong_knot_of_the_running_goal_ends_it_on_its_path(arm, wrong):
     arm.until(lambda: arm.mode == Mode.EXECUTING)
     arm.cycles(60)
     arm.knot(goal, **{"time_ns": int(5e9), "position": arm.commanded(), **wrong})
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    arm.end_of(goal)
     assert (arm.outcome(goal), arm.fault) == (Outcome.REFUSED_CORRUPT, Fault.NONE)
     comes_to_rest(arm)
 
@@ -311,7 +308,7 @@ def test_knots_of_no_goal_are_not_taken_for_the_running_ones(arm):
     goal = arm.executing()
     for number in range(3):
         arm.knot(0, int(20e9) + number, arm.commanded() + 0.1)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    arm.end_of(goal)
     assert (arm.outcome(goal), arm.fault) == (Outcome.SUCCEEDED, Fault.NONE)
     assert arm.loop[0]["paths"]["taken"].max() == 81
 
@@ -320,7 +317,7 @@ def test_a_knot_behind_the_end_ends_its_goal(arm):
     """What was found out about the end, that it is at rest and how to arrive there, must stay true."""
     goal = arm.executing()
     arm.knot(goal, int(GOAL_S * 1e9) + 10_000_000, arm.commanded(), velocity=0.4)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    arm.end_of(goal)
     assert (arm.outcome(goal), arm.fault) == (Outcome.REFUSED_CORRUPT, Fault.NONE)
     comes_to_rest(arm)
 
@@ -347,7 +344,7 @@ def test_a_way_that_leads_through_a_limit_is_left_while_there_is_room_to_stop(ar
     arm.knot(1, round(rise_s * 1e9), at_limit, velocity=velocity)
     arm.knot(1, round(3e9 * rise_s), here)
     arm.end(1)
-    arm.until(lambda: arm.outcome(1) != Outcome.NONE)
+    arm.end_of(1)
     assert (arm.outcome(1), arm.fault) == (Outcome.FAULT, Fault.POSITION_LIMIT)
     comes_to_rest(arm)
     assert side * (limit - arm.commanded()[joint]) < 0.1 * abs(speed) * rise_s  # not much earlier than needed
@@ -395,8 +392,7 @@ def test_joints_outside_the_goal_may_hold_anything(arm):
     arm.knot(1, 0, np.where(np.isnan(there), there, here))
     arm.knot(1, 2_000_000_000, there)
     arm.end(1)
-    arm.until(lambda: arm.outcome(1) != Outcome.NONE)
-    assert arm.outcome(1) == Outcome.SUCCEEDED
+    assert arm.end_of(1) == Outcome.SUCCEEDED
     assert arm.commanded() == pytest.approx([here[0] + 0.1, *here[1:]], abs=1e-12)
 
 
@@ -406,13 +402,12 @@ def test_a_goal_without_joints_or_for_joints_that_do_not_exist_is_refused(arm, m
     arm.knot(1, 0, arm.commanded())
     arm.knot(1, 1_000_000_000, arm.commanded())
     arm.end(1)
-    arm.until(lambda: arm.outcome(1) != Outcome.NONE)
-    assert arm.outcome(1) == Outcome.REFUSED_CORRUPT
+    assert arm.end_of(1) == Outcome.REFUSED_CORRUPT
 
 
 def test_records_of_goals_that_are_over_are_passed_over(arm):
     goal = arm.wave(points=3)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    arm.end_of(goal)
     arm.knot(goal, int(9e9), arm.commanded() + 0.1)
     arm.end(goal)
     arm.knot(77, int(9e9), arm.commanded() + 0.1)
@@ -434,15 +429,14 @@ def test_a_goal_without_a_proper_number_never_begins(arm, goal_id):
 def test_a_newer_goal_drops_the_older_ones_records(arm):
     first = arm.executing()
     second = arm.wave(points=3)
-    arm.until(lambda: arm.outcome(second) != Outcome.NONE)
+    arm.end_of(second)
     assert (arm.outcome(first), arm.outcome(second)) == (Outcome.REPLACED, Outcome.SUCCEEDED)
 
 
 def test_a_goal_whose_records_stop_coming_starves(arm):
     arm.begin(1)
     arm.knot(1, 0, arm.commanded())
-    arm.until(lambda: arm.outcome(1) != Outcome.NONE)
-    assert arm.outcome(1) == Outcome.STARVED
+    assert arm.end_of(1) == Outcome.STARVED
 
 
 @pytest.mark.parametrize("heartbeat", [0, -(2**63), -1], ids=str)
@@ -450,8 +444,7 @@ def test_a_heartbeat_that_never_was_stops_the_goal(arm, heartbeat):
     goal = arm.executing()
     arm.front_alive = False
     arm.set_word("heartbeat_ns", heartbeat)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.FRONT_LOST
+    assert arm.end_of(goal) == Outcome.FRONT_LOST
     comes_to_rest(arm)
 
 
@@ -459,8 +452,7 @@ def test_a_heartbeat_from_the_future_is_no_sign_of_life(arm):
     goal = arm.executing()
     arm.front_alive = False
     arm.set_word("heartbeat_ns", 2**62)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.FRONT_LOST
+    assert arm.end_of(goal) == Outcome.FRONT_LOST
 
 
 # --- requests -------------------------------------------------------------------------------------------
@@ -595,7 +587,7 @@ def test_an_opening_out_of_all_measure_does_not_make_the_loop_deaf(arm, goal_id)
     assert arm.fault == Fault.COMMAND_RING
     assert arm.clear_fault().failure is None
     goal = arm.wave()
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    arm.end_of(goal)
     assert (arm.outcome(goal), arm.fault) == (Outcome.SUCCEEDED, Fault.NONE)
 
 
@@ -619,6 +611,5 @@ def test_a_start_far_ahead_leaves_the_running_goal_alone(arm):
         bridge=True,
         start_ns=arm.now_ns + 3600 * 10**9,
     )
-    arm.until(lambda: arm.outcome(running) != Outcome.NONE)
-    assert arm.outcome(running) == Outcome.SUCCEEDED
+    assert arm.end_of(running) == Outcome.SUCCEEDED
     assert arm.outcome(later) == Outcome.NONE

@@ -24,8 +24,7 @@ def wave(first: int, count: int) -> np.ndarray:
 
 def test_a_million_knots_in_flat_memory() -> None:
     """Seventeen minutes of motion in virtual time, through the real ring and the real cycle."""
-    arm = VirtualArm("mock")
-    assert arm.bring_up().failure is None
+    arm = VirtualArm.brought_up("mock")
     none = np.zeros((6, 3))
     arm.writer.announce(1)
     arm.writer.begin(1, start_ns=0, joint_mask=0b111111, goal_time_s=0.4, entry=Entry(0), tolerances=none, consumed=0)
@@ -50,8 +49,7 @@ def test_a_million_knots_in_flat_memory() -> None:
             break
         except RingFull:
             arm.cycle()
-    arm.until(lambda: arm.outcome(1) != Outcome.NONE)
-    assert arm.outcome(1) == Outcome.SUCCEEDED and arm.core["fault"] == Fault.NONE
+    assert arm.end_of(1) == Outcome.SUCCEEDED and arm.core["fault"] == Fault.NONE
     assert (arm.now_ns - begun_ns) * 1e-9 < KNOTS * SPACING_NS * 1e-9 + 1.0  # it never waited for knots
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak_kb < GROWTH_KB
     arm.close()

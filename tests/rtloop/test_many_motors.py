@@ -25,8 +25,7 @@ def goes_there(arm: ArmConfig, by_rad: float = 0.1) -> None:
     joints[:, :, 0] = virtual.loop[0]["axes"]["position_rad"][:count]
     joints[1, :, 0] += by_rad
     goal = virtual.send_goal(np.array([0, 1_000_000_000]), joints, order=3)
-    virtual.until(lambda: virtual.outcome(goal) != Outcome.NONE)
-    assert virtual.outcome(goal) == Outcome.SUCCEEDED
+    assert virtual.end_of(goal) == Outcome.SUCCEEDED
     virtual.cycles(int(0.5e9 / virtual.period_ns))
     for joint in range(count):
         assert virtual.sim.true_position_rad(joint, virtual.sim.now_ns - 1) == pytest.approx(by_rad, abs=2e-3)

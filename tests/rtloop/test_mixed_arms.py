@@ -25,14 +25,12 @@ def there_and_back(arm: VirtualArm, by_rad: float = 0.1) -> int:
 
 
 def test_families_move_together_on_one_bus() -> None:
-    arm = VirtualArm(mixed())
-    assert arm.bring_up().failure is None, arm.told
+    arm = VirtualArm.brought_up(mixed())
     goal = there_and_back(arm)
     arm.cycles(int(1e9 / arm.period_ns))
     for joint in range(6):
         assert abs(arm.sim.true_position_rad(joint, arm.sim.now_ns) - 0.1) < 0.01
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
     arm.close()
 
 
@@ -45,8 +43,7 @@ def test_families_move_together_on_one_bus() -> None:
     ],
 )
 def test_trouble_of_one_family_stops_all_of_them(trouble: Any, joint: int, fault: Fault) -> None:
-    arm = VirtualArm(mixed())
-    arm.bring_up()
+    arm = VirtualArm.brought_up(mixed())
     there_and_back(arm)
     arm.cycles(60)
     arm.sim.inject(trouble, since_ns=arm.sim.now_ns)
@@ -67,21 +64,18 @@ def test_arms_have_one_to_32_joints(drive: dict[str, Any], number: str, rate_hz:
     assert arm.bring_up(at_most_s=60.0).failure is None, arm.told
     arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=5.0)  # the ring still holds what was said last
     goal = there_and_back(arm)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
     arm.close()
 
 
 def test_a_gripper_has_a_drive_of_another_family_than_the_arm() -> None:
     """A ZDT gripper on an arm of ODrives goes where it is told while the arm moves."""
-    arm = VirtualArm(load_arm("odrive6", overrides={"gripper": {"hook": "servo", "servo": {"address": 7}}}))
-    assert arm.bring_up().failure is None, arm.told
+    arm = VirtualArm.brought_up(load_arm("odrive6", overrides={"gripper": {"hook": "servo", "servo": {"address": 7}}}))
     arm.begin_with_gripper()
     arm.until(lambda: bool(np.isfinite(arm.state.record["gripper"]["position_rad"])))
     goal = there_and_back(arm)
     assert arm.ask(Request.GRIP, value=0.5) == Answer.DONE
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.sim.gripper_rad(arm.sim.now_ns) == pytest.approx(0.5, abs=0.01)
     arm.close()
 

@@ -226,15 +226,6 @@ def test_a_drive_that_was_away_is_halted_along_its_ramp_and_holds():
 # --- homing ---------------------------------------------------------------------------------------------
 
 
-def small_goal(arm: VirtualArm, towards_rad: float = 0.05) -> Outcome:
-    here = arm.loop[0]["axes"]["position_rad"][:6].copy()
-    joints = np.zeros((2, 6, 3))
-    joints[0, :, 0], joints[1, :, 0] = here, here + towards_rad
-    goal = arm.send_goal(np.array([0, 2_000_000_000]), joints)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE, at_most_s=8.0)
-    return Outcome(arm.outcome(goal))
-
-
 @pytest.mark.parametrize("counted", [True, False], ids=["counts on", "was just switched on"])
 def test_a_whole_arm_is_homed(counted):
     arm = brought_up(arm_of(homed=counted))
@@ -248,7 +239,7 @@ def test_a_whole_arm_is_homed(counted):
         assert abs(arm.loop[0]["axes"][joint]["measured_rad"] - true_rad) < WITHIN_RAD
         assert f"{config.name}: homed." in arm.told
     assert arm.lost == dict.fromkeys(range(6))
-    assert small_goal(arm) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     arm.close()
 
 

@@ -6,9 +6,10 @@ drives would allow (they have their own in test_true_motion.py).
 
 import numpy as np
 import pytest
+from commanded import CommandedArm, acceleration_ratios
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from virtual import VirtualArm, recorded_goal
+from virtual import recorded_goal
 
 from shm.words import Fault, Outcome, Request
 
@@ -31,23 +32,13 @@ actions = st.lists(
 )
 
 
-class Asked(VirtualArm):
+class Asked(CommandedArm):
     """A mock arm somewhere in a recorded goal, to be asked for things."""
 
     def __init__(self, name: str) -> None:
-        super().__init__("mock")
-        self.name, self.goal = name, recorded_goal(name)
-        start = self.goal["joints"][0, :, 0]
-        assert self.bring_up().failure is None
-        for word in ("position_rad", "next_position_rad", "measured_rad", "reference_rad"):
-            self.loop[0]["axes"][word][: len(start)] = start
-        self.positions = [start.copy()]
+        self.name, self.recorded = name, recorded_goal(name)
+        super().__init__("mock", self.recorded["joints"][0, :, 0])
         self.newest = self.play(name)
-
-    def cycle(self, periods: int = 1) -> None:
-        super().cycle(periods)
-        if hasattr(self, "positions"):
-            self.positions.append(self.loop[0]["axes"]["position_rad"][: len(self.arm.joints)].copy())
 
     def ask(self, action: str | float) -> None:
         """Do what an action of the strategy says."""
@@ -70,26 +61,25 @@ class Asked(VirtualArm):
             self.newest = self.play(self.name, start_ns=self.now_ns - clock_ns)
 
     def start_again(self) -> np.ndarray:
-        joints = self.goal["joints"][:1].copy()
+        joints = self.recorded["joints"][:1].copy()
         joints[:, :, 1:] = 0.0
         return joints
 
     def time_back_ns(self) -> int:
         here = self.positions[-1]
         speeds = np.array([joint.max_velocity_rad_s for joint in self.arm.joints])
-        return int(1e9 * max(0.8, float((2.5 * np.abs(self.goal["joints"][0, :, 0] - here) / speeds).max())))
+        return int(1e9 * max(0.8, float((2.5 * np.abs(self.recorded["joints"][0, :, 0] - here) / speeds).max())))
 
     def ratios(self) -> tuple[float, float]:
         """Largest acceleration, and largest change of it in a cycle, as multiples of the limits."""
-        limits = np.array([joint.max_acceleration_rad_s2 for joint in self.arm.joints])
-        acceleration = np.diff(np.array(self.positions), 2, axis=0) / (self.period_ns * 1e-9) ** 2 / limits
+        acceleration = acceleration_ratios(np.array(self.positions), self)
         return float(np.abs(acceleration).max()), float(np.abs(np.diff(acceleration, axis=0)).max())
 
 
 @pytest.mark.parametrize("name", MOVING)
 def test_an_undisturbed_goal_for_comparison(name: str) -> None:
     arm = Asked(name)
-    arm.until(lambda: arm.outcome(arm.newest) != Outcome.NONE)
+    arm.end_of(arm.newest)
     acceleration, change = arm.ratios()
     assert acceleration <= 1.5 and change <= 1.1
     arm.close()
@@ -109,7 +99,7 @@ def test_whatever_is_asked_in_motion(name: str, begin: int, asked: list[tuple[in
         arm.cycles(wait)
     arm.writer.request(Request.SPEED_SCALE, value=1.0)
     arm.writer.request(Request.RESUME)
-    arm.until(lambda: arm.outcome(arm.newest) != Outcome.NONE, at_most_s=100)
+    arm.end_of(arm.newest, at_most_s=100)
     arm.cycles(5)
     assert arm.core["fault"] == Fault.NONE
     # a goal whose time went by while the arm was held may be too far away, or too fast, by now

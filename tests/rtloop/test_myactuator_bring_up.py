@@ -23,8 +23,7 @@ def told(arm: VirtualArm, joint: int, data: bytes) -> None:
 
 
 def test_ramps_are_written_once_and_said() -> None:
-    arm = VirtualArm(ARM)
-    assert arm.bring_up().failure is None, arm.told
+    arm = VirtualArm.brought_up(ARM)
     for joint, drive in enumerate(arm.sim.drives):
         wanted = ramp_dps_s(arm.arm.joints[joint], arm.arm)
         assert drive.settings.ramps_dps_s[:2] == [wanted, wanted] and drive.rom_writes == 2
@@ -106,8 +105,7 @@ def test_errors_end_when_a_person_wants_that(cause: str, restarted: bool) -> Non
 
 
 def test_a_motor_that_is_let_go_says_so() -> None:
-    arm = VirtualArm(ARM)
-    arm.bring_up()
+    arm = VirtualArm.brought_up(ARM)
     told(arm, 1, b"\x80")
     assert arm.sim.drives[1].mode == OFF
     arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=0.5)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from virtual import VirtualArm, recorded_goal
+from virtual import VirtualArm
 
 from rtloop.wire import received
 from rtloop.wire.slcan import BEL
@@ -16,8 +16,7 @@ GOAL = "small"
 
 @pytest.fixture
 def arm():
-    made = VirtualArm("episode1", start_rad=recorded_goal(GOAL)["joints"][0, :, 0])
-    assert made.bring_up().failure is None
+    made = VirtualArm.at_start_of(GOAL)
     yield made
     made.close()
 
@@ -47,7 +46,7 @@ def test_every_cycle_of_a_goal_is_kept_as_its_snapshot_said(arm):
 
 def test_every_frame_is_kept_in_both_directions(arm):
     goal = arm.play(GOAL)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    arm.end_of(goal)
     frames = read_recording(arm.state).frames
     sent = frames[frames["head"] & SENT != 0]
     lines = [line for _, data in arm.sent for line in data.split(b"\r") if line]

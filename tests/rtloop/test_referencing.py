@@ -22,8 +22,9 @@ WITHIN_RAD = 0.002
 
 
 def new_arm(start_deg=NEAR_STOPS_DEG, *, overrides=None, **options):
-    arm = VirtualArm(load_arm("episode1", overrides=overrides or {}), start_rad=np.radians(start_deg), **options)
-    assert arm.bring_up().failure is None
+    arm = VirtualArm.brought_up(
+        load_arm("episode1", overrides=overrides or {}), start_rad=np.radians(start_deg), **options
+    )
     return arm
 
 
@@ -47,15 +48,6 @@ def true_rad(arm, joint):
     return arm.sim.true_position_rad(joint, arm.sim.now_ns - 1)
 
 
-def small_goal(arm, towards_rad=0.05):
-    here = arm.loop[0]["axes"]["position_rad"][:6].copy()
-    joints = np.zeros((2, 6, 3))
-    joints[0, :, 0], joints[1, :, 0] = here, here + towards_rad
-    goal = arm.send_goal(np.array([0, 2_000_000_000]), joints)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE, at_most_s=8.0)
-    return arm.outcome(goal)
-
-
 def test_a_drive_that_lost_power_is_homed_and_obeys_again(arm):
     after_power_loss(arm)
     assert arm.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.POWER_LOST
@@ -75,7 +67,7 @@ def test_a_drive_that_lost_power_is_homed_and_obeys_again(arm):
     assert motion_frames(frames_sent(arm.sent[since:]), 2, 0) == 0
     others = {name: truth for name, truth in truth_of(arm.sim).items() if name in others}
     assert motion_after(others, began_ns, arm.now_ns) == []
-    assert small_goal(arm) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     assert command_violations(arm.arm, frames_sent(arm.sent)) == []
     assert abs(axis["measured_rad"] - true_rad(arm, 1)) < WITHIN_RAD
 
@@ -96,7 +88,7 @@ def test_a_whole_arm_is_homed_in_its_order():
     for joint, config in enumerate(arm.arm.joints):
         assert abs(true_rad(arm, joint) - config.lower_rad) < WITHIN_RAD
         assert arm.loop[0]["axes"][joint]["referenced"] == 1
-    assert small_goal(arm) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     arm.close()
 
 
@@ -120,15 +112,15 @@ def test_a_homing_run_is_ended_at_once_whenever_somebody_asks(request_kind, afte
     arm.cycles(60)
     assert motion_after(truth_of(arm.sim), ended_ns, arm.now_ns) == []
     if request_kind == Request.STOP:
-        assert small_goal(arm) == Outcome.REFUSED_HELD
+        assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.REFUSED_HELD
         assert arm.ask(Request.RESUME) == Answer.DONE
-    assert small_goal(arm) == Outcome.REFUSED_UNREFERENCED
+    assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.REFUSED_UNREFERENCED
     # nobody knows whether its drive has just set its count anew
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.nan) == Answer.REFUSED_VALUE
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=true_rad(arm, 1)) == Answer.DONE
     assert arm.reference().failure is None
     assert abs(arm.loop[0]["axes"][1]["measured_rad"] - true_rad(arm, 1)) < WITHIN_RAD
-    assert small_goal(arm) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     arm.close()
 
 
@@ -152,7 +144,7 @@ def test_a_ros_process_that_begins_amid_a_homing_run_leaves_it_alone(arm):
 def test_a_fault_of_another_drive_ends_a_homing_run(mask):
     """Whether or not its own turn is still to come."""
     arm = new_arm((0.0,) * 6, overrides={"homing": {"order": ["joint2", *(f"joint{n}" for n in (1, 3, 4, 5, 6))]}})
-    assert small_goal(arm) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     assert arm.ask(Request.HOME, joint_mask=mask) == Answer.DONE
     arm.sim.inject(Silent("joint5", 0.5), since_ns=arm.now_ns)
     arm.reference(at_most_s=3.0)
@@ -206,7 +198,7 @@ def test_a_joint_is_where_a_person_says(arm, said_deg):
     assert (arm.core["mode"], axis["referenced"]) == (Mode.HOLDING, 1)
     assert abs(axis["measured_rad"] - math.radians(said_deg)) < WITHIN_RAD
     assert true_rad(arm, 1) == stands_rad
-    assert small_goal(arm) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     moved_rad = true_rad(arm, 1) - stands_rad
     assert abs(moved_rad - 0.05) < WITHIN_RAD
 
@@ -252,8 +244,7 @@ def test_a_moving_arm_is_not_homed(arm):
     goal = arm.send_goal(np.array([0, 2_000_000_000]), joints)
     arm.until(lambda: arm.core["mode"] == Mode.EXECUTING)
     assert arm.ask(Request.HOME, joint_mask=ALL) == Answer.REFUSED_MOVING
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
 
 
 def test_nothing_else_is_begun_while_a_joint_is_homed():
@@ -263,7 +254,7 @@ def test_nothing_else_is_begun_while_a_joint_is_homed():
         assert arm.ask(kind, joint_mask=1) == Answer.REFUSED_MODE
     for kind in (Request.FREE, Request.DISABLE, Request.ENABLE, Request.CLEAR_FAULT):
         assert arm.ask(kind) == Answer.REFUSED_MODE
-    assert small_goal(arm) == Outcome.REFUSED_MODE
+    assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.REFUSED_MODE
     arm.close()
 
 
@@ -297,7 +288,7 @@ def test_a_pose_is_due_after_homing_at_the_start_until_somebody_asks_for_somethi
     assert arm.now_ns - began_ns == pytest.approx(1e9, abs=2 * arm.period_ns)
     arm.close()
     arm = homed_at_the_start()
-    assert small_goal(arm) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     assert arm.reader.snapshot()["pose_due"] == 0
     arm.close()
     arm = new_arm()
@@ -308,14 +299,13 @@ def test_a_pose_is_due_after_homing_at_the_start_until_somebody_asks_for_somethi
 
 
 def test_joints_without_drives_are_where_they_are_commanded():
-    arm = VirtualArm(load_arm("mock"))
-    arm.bring_up()
+    arm = VirtualArm.brought_up(load_arm("mock"))
     here = arm.loop[0]["axes"]["position_rad"][:6].copy()
     assert arm.ask(Request.HOME, joint_mask=ALL) == Answer.DONE
     assert arm.reference().failure is None
     assert np.array_equal(arm.loop[0]["axes"]["position_rad"][:6], here)
     assert arm.loop[0]["axes"]["referenced"][:6].all()
-    assert small_goal(arm) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     arm.close()
 
 
@@ -492,7 +482,7 @@ def test_power_lost_amid_a_bring_up_is_noticed_although_the_flag_says_nothing_ne
     after_power_loss(arm)
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.radians(20.0)) == Answer.DONE
     assert arm.reference().failure is None
-    assert small_goal(arm, 0.3) == Outcome.SUCCEEDED  # away from where the drive counts from
+    assert arm.end_of(arm.send_shift(0.3), at_most_s=8.0) == Outcome.SUCCEEDED  # away from where the drive counts from
     arm.sim.inject(Protection("joint4", 0.0), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["mode"] == Mode.FAULT)
     arm.cycles(60)

@@ -44,11 +44,6 @@ def moving() -> Iterator[VirtualArm]:
     arm.close()
 
 
-def finish(arm: VirtualArm, goal: int) -> int:
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    return arm.outcome(goal)
-
-
 def reports(arm: VirtualArm, cycles: int = 60) -> list[int]:
     """Positions that each drive sends unasked meanwhile."""
     before = [arm.port.unasked(joint) for joint in range(6)]
@@ -74,7 +69,7 @@ def test_goals_run_on_reports_alone(name: str, clock: float) -> None:
     arm.cycles(5)
     since = len(arm.sent)
     busy_ns, began_ns = arm.sim.bus.busy_ns, arm.sim.now_ns
-    assert finish(arm, arm.play(name)) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.play(name)) == Outcome.SUCCEEDED
     assert not any(ASKS_POSITION in data for _, data in arm.sent[since:])
     assert arm.core["fault"] == Fault.NONE
     assert arm.state.record["counters"]["stale_reads"] == 0
@@ -129,7 +124,7 @@ def test_positions_are_told_while_the_arm_is_led_by_hand() -> None:
     assert arm.ask(Request.ENABLE) == Answer.DONE
     arm.core["bring_up_asked"] = 0
     assert arm.bring_up(clears_protection=True).failure is None
-    assert finish(arm, arm.play("large")) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.play("large")) == Outcome.SUCCEEDED
     arm.close()
 
 
@@ -208,7 +203,7 @@ def test_drives_that_a_killed_predecessor_left_reporting(positions: str, period_
     assert reports(arm, 120) == [0] * 6 if positions == "polled" else min(reports(arm, 120)) > 100
     said = sum("sent its position by itself, which was ended" in sentence for sentence in arm.told)
     assert said == (6 if positions == "polled" else 0)
-    assert finish(arm, arm.play("small")) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.play("small")) == Outcome.SUCCEEDED
     arm.close()
 
 
@@ -258,7 +253,7 @@ def test_an_orderly_end_leaves_the_bus_quiet() -> None:
 
 def test_lost_reports_do_not_stop_the_arm(moving: VirtualArm) -> None:
     moving.sim.inject(LostReplies(0.1), since_ns=moving.now_ns)
-    assert finish(moving, moving.goal) == Outcome.SUCCEEDED
+    assert moving.end_of(moving.goal) == Outcome.SUCCEEDED
 
 
 def test_a_drive_that_ceases_to_report_is_a_silent_one(moving: VirtualArm) -> None:

@@ -80,8 +80,7 @@ def test_a_motor_that_forgets_its_target_when_it_is_enabled_creeps() -> None:
 
 @both
 def test_a_motor_that_runs_already_is_neither_stopped_nor_enabled_again(name: str) -> None:
-    arm = VirtualArm(name)
-    arm.bring_up()
+    arm = VirtualArm.brought_up(name)
     arm.cycles(10)
     said_before, way_before = len(arm.sent), farthest(arm)
     assert arm.bring_up().failure is None

@@ -14,19 +14,7 @@ from shm.words import Answer, BusState, Event, Fault, Mode, Outcome, Request, Un
 from sim.faults import LostReplies, PowerLoss, Silent
 
 ENETDOWN = 100
-
-
-def on_socketcan(**options):
-    return VirtualArm(load_arm("episode1", overrides={"bus": {"interface": "socketcan"}}), **options)
-
-
-def executing(at_s=1.0, name="large"):
-    arm = on_socketcan(start_rad=recorded_goal(name)["joints"][0, :, 0])
-    assert arm.bring_up().failure is None
-    arm.goal = arm.play(name)
-    arm.cycles(round(at_s * 1e9 / arm.period_ns))
-    assert arm.core["mode"] == Mode.EXECUTING
-    return arm
+ON_SOCKETCAN = load_arm("episode1", overrides={"bus": {"interface": "socketcan"}})
 
 
 def judged(arm, *, thrown=()):
@@ -56,13 +44,9 @@ def events(arm, kind):
 def test_goals_succeed_as_they_do_behind_a_serial_adapter(name):
     """Same drives, same instants: what the drives are told does not depend on the wire, frame for frame."""
     told = []
-    start_rad = recorded_goal(name)["joints"][0, :, 0]
-    serial = load_arm("episode1", overrides={"bus": {"serial_baud": "cdc"}})
-    for arm in (on_socketcan(start_rad=start_rad), VirtualArm(serial, start_rad=start_rad)):
-        assert arm.bring_up().failure is None
-        goal = arm.play(name)
-        arm.until(lambda arm=arm, goal=goal: arm.outcome(goal) != Outcome.NONE)
-        assert arm.outcome(goal) == Outcome.SUCCEEDED
+    for config in (ON_SOCKETCAN, load_arm("episode1", overrides={"bus": {"serial_baud": "cdc"}})):
+        arm = VirtualArm.at_start_of(name, config)
+        assert arm.end_of(arm.play(name)) == Outcome.SUCCEEDED
         if arm.arm.bus.interface == "socketcan":
             assert judged(arm) == []
             told.append([(frame.can_id, frame.data) for frame in frames_in(arm.sent)])
@@ -73,16 +57,15 @@ def test_goals_succeed_as_they_do_behind_a_serial_adapter(name):
 
 
 def test_lost_replies_do_not_stop_the_arm():
-    arm = executing()
+    arm = VirtualArm.amid("large", arm=ON_SOCKETCAN)
     arm.sim.inject(LostReplies(0.1), since_ns=arm.now_ns)
-    arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE)
-    assert arm.outcome(arm.goal) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.goal) == Outcome.SUCCEEDED
     assert judged(arm) == []
     arm.close()
 
 
 def test_a_silent_drive_is_latched():
-    arm = executing()
+    arm = VirtualArm.amid("large", arm=ON_SOCKETCAN)
     arm.sim.inject(Silent("joint2", at_s=0.0), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["mode"] == Mode.FAULT)
     assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.STALE_READING, 1)
@@ -92,7 +75,7 @@ def test_a_silent_drive_is_latched():
 
 
 def test_a_drive_that_lost_power_gets_its_stop_and_no_motion_frame():
-    arm = executing()
+    arm = VirtualArm.amid("large", arm=ON_SOCKETCAN)
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=0.03), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["mode"] == Mode.FAULT)
     since_ns = arm.now_ns
@@ -114,7 +97,7 @@ def hear(arm, error_class, detail=b""):
 
 def test_a_bus_that_goes_off_again_after_a_clear_is_latched_again():
     """The controller need not have said that it was back in between."""
-    arm = executing()
+    arm = VirtualArm.amid("large", arm=ON_SOCKETCAN)
     hear(arm, can_words.BUS_OFF)
     arm.until(lambda: arm.core["goal_id"] == 0)
     assert request(arm, Request.CLEAR_FAULT) == Answer.DONE
@@ -128,7 +111,7 @@ def test_a_bus_that_goes_off_again_after_a_clear_is_latched_again():
 
 def test_bus_off_stops_the_arm_and_nothing_of_before_moves_it_afterwards():
     """The controller restarts and the drives hear again: not one motion frame until a person clears the fault."""
-    arm = executing()
+    arm = VirtualArm.amid("large", arm=ON_SOCKETCAN)
     hear(arm, can_words.BUS_OFF)
     assert (arm.core["fault"], arm.core["fault_value"]) == (Fault.BUS_OFF, float(can_words.BUS_OFF))
     assert arm.outcome(arm.goal) == Outcome.FAULT
@@ -154,7 +137,7 @@ def test_bus_off_stops_the_arm_and_nothing_of_before_moves_it_afterwards():
 
 def test_an_error_passive_controller_is_told_of_and_the_age_ladder_brakes():
     """No motor powered: the controller counts, nobody answers, and after 0.1 s that is the fault."""
-    arm = executing()
+    arm = VirtualArm.amid("large", arm=ON_SOCKETCAN)
     for joint in range(1, 7):
         arm.sim.inject(Silent(f"joint{joint}", at_s=0.0), since_ns=arm.now_ns)
     hear(arm, can_words.CONTROLLER | can_words.NO_ACKNOWLEDGE, b"\0\x20")
@@ -225,7 +208,7 @@ def test_a_wire_that_is_back_moves_nothing_until_the_fault_is_cleared(interface,
     assert arm.core["mode"] == Mode.HOLDING
     axes = arm.loop[0]["axes"][:6]
     again = arm.play("large")
-    arm.until(lambda: arm.outcome(again) != Outcome.NONE)
+    arm.end_of(again)
     if cycles_away > 12:  # longer than limits.stale_fault_s: clearing a fault never references
         assert list(axes["unreferenced_reason"]) == [Unreferenced.SILENT] * 6
         assert arm.outcome(again) == Outcome.REFUSED_UNREFERENCED
@@ -239,7 +222,7 @@ def test_a_wire_that_is_back_moves_nothing_until_the_fault_is_cleared(interface,
 
 def test_what_a_conversation_wanted_to_say_is_not_said_when_the_wire_is_back():
     """Bring-up is cut off in the midst of a command; its other packets must not lead the next conversation's."""
-    arm = on_socketcan()
+    arm = VirtualArm(ON_SOCKETCAN)
     arm.core["mode"] = Mode.HOLDING
     for number in range(5):
         arm.port.post(SEND, frame=Frame(0x100 | number, b"\x48" + bytes(7)), joined=number < 4)

@@ -16,26 +16,12 @@ JOINT1 = 1
 
 
 def new_arm(name: str = "mock") -> VirtualArm:
-    arm = VirtualArm(name)
-    assert arm.bring_up().failure is None
+    arm = VirtualArm.brought_up(name)
     return arm
 
 
 def moves(arm: VirtualArm) -> bool:
     return bool(np.any(arm.loop[0]["axes"]["velocity_rad_s"]))
-
-
-def small_goal(arm: VirtualArm, by_rad: float = 0.05, start_ns: int = 0) -> int:
-    """A motion of every joint in 2 s from where the arm is commanded; its number."""
-    here = arm.loop[0]["axes"]["position_rad"][: len(arm.arm.joints)]
-    rows = np.zeros((2, len(here), 3))
-    rows[:, :, 0] = here, here + by_rad
-    return arm.send_goal(np.array([0, 2_000_000_000]), rows, order=5, start_ns=start_ns)
-
-
-def outcome_of(arm: VirtualArm, goal: int) -> Outcome:
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    return Outcome(arm.outcome(goal))
 
 
 @trials
@@ -69,30 +55,30 @@ def test_a_streamed_arm_stops_and_stays_while_its_sender_goes_on(
 
 def test_a_client_that_sends_its_goal_again_moves_nothing_before_a_resume() -> None:
     arm = new_arm()
-    goal = small_goal(arm, 0.2)
+    goal = arm.send_shift(0.2)
     arm.cycles(40)
     assert arm.ask(Request.STOP) == Answer.DONE
-    assert outcome_of(arm, goal) == Outcome.STOPPED
+    assert arm.end_of(goal) == Outcome.STOPPED
     arm.until(lambda: arm.core["goal_id"] == 0)
     stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
     for _ in range(5):
-        assert outcome_of(arm, small_goal(arm)) == Outcome.REFUSED_HELD
+        assert arm.end_of(arm.send_shift()) == Outcome.REFUSED_HELD
     assert (arm.loop[0]["axes"]["position_rad"] == stood_rad).all()
     assert arm.ask(Request.RESUME) == Answer.DONE
     assert arm.reader.snapshot()["held"] == 0
-    assert outcome_of(arm, small_goal(arm)) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.send_shift()) == Outcome.SUCCEEDED
     assert arm.ask(Request.RESUME) == Answer.REFUSED_NO_GOAL
     arm.close()
 
 
 def test_a_stop_reaches_the_goals_that_have_not_begun() -> None:
     arm = new_arm()
-    waiting = small_goal(arm, start_ns=arm.now_ns + 10**9)
+    waiting = arm.send_shift(start_ns=arm.now_ns + 10**9)
     arm.cycles(10)
     assert arm.ask(Request.STOP) == Answer.DONE
     assert arm.outcome(waiting) == Outcome.STOPPED
-    later = small_goal(arm, start_ns=arm.now_ns + 10**9)
-    assert outcome_of(arm, later) == Outcome.REFUSED_HELD
+    later = arm.send_shift(start_ns=arm.now_ns + 10**9)
+    assert arm.end_of(later) == Outcome.REFUSED_HELD
     arm.cycles(300)
     assert not np.any(arm.loop[0]["axes"]["position_rad"])
     arm.close()
@@ -100,13 +86,13 @@ def test_a_stop_reaches_the_goals_that_have_not_begun() -> None:
 
 def test_a_stop_ends_a_paused_goal_and_the_resume_after_it_revives_nothing() -> None:
     arm = new_arm()
-    goal = small_goal(arm, 0.2)
+    goal = arm.send_shift(0.2)
     arm.cycles(40)
     assert arm.ask(Request.HOLD) == Answer.DONE
     arm.until(lambda: not moves(arm))
     assert arm.ask(Request.STOP) == Answer.DONE
     assert arm.ask(Request.RESUME) == Answer.DONE
-    assert outcome_of(arm, goal) == Outcome.STOPPED
+    assert arm.end_of(goal) == Outcome.STOPPED
     stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
     arm.cycles(100)
     assert (arm.loop[0]["axes"]["position_rad"] == stood_rad).all()
@@ -132,13 +118,13 @@ def test_a_stop_outlasts_limp_drives_and_a_cleared_fault() -> None:
     assert arm.ask(Request.STOP) == Answer.DONE
     assert arm.ask(Request.ENABLE) == Answer.DONE
     assert arm.bring_up().failure is None
-    assert outcome_of(arm, small_goal(arm)) == Outcome.REFUSED_HELD
+    assert arm.end_of(arm.send_shift()) == Outcome.REFUSED_HELD
     arm.command.record["setpoints_written"][0] += 1 << 40
     arm.until(lambda: arm.core["mode"] == Mode.FAULT)
     arm.command.record["setpoints_written"][0] -= 1 << 40
     assert arm.clear_fault().failure is None
     assert arm.core["mode"] == Mode.HOLDING
-    assert outcome_of(arm, small_goal(arm)) == Outcome.REFUSED_HELD
+    assert arm.end_of(arm.send_shift()) == Outcome.REFUSED_HELD
     arm.close()
 
 
@@ -146,12 +132,12 @@ def test_a_stop_outlasts_limp_drives_and_a_cleared_fault() -> None:
 def test_what_follows_a_cancel_begins_only_at_rest(cycles_between: int) -> None:
     """A goal that lay in the ring when the cancel came used to replace what the cancel had ended, at full speed."""
     arm = new_arm()
-    first = small_goal(arm, 0.3)
+    first = arm.send_shift(0.3)
     arm.cycles(100)
     speed_rad_s = abs(arm.loop[0]["axes"]["velocity_rad_s"]).max()
     arm.writer.request(Request.CANCEL, goal_id=first)
     arm.cycles(cycles_between)
-    second = small_goal(arm)
+    second = arm.send_shift()
     arm.until(lambda: arm.core["goal_id"] == second or arm.outcome(second) != Outcome.NONE)
     assert arm.outcome(first) == Outcome.CANCELED
     assert abs(arm.loop[0]["axes"]["velocity_rad_s"]).max() < 0.01 * speed_rad_s

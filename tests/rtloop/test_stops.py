@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from motion_figures import sampled_truth
-from virtual import VirtualArm, recorded_goal
+from virtual import VirtualArm
 
 from config.loader import load_arm
 from rtloop.beginning import new_loop
@@ -25,8 +25,7 @@ TOLD_A_PLACE = pytest.mark.parametrize(
 
 def referenced(name: str) -> VirtualArm:
     """An arm that holds at the beginning of a recorded goal; a person has said of joints that they stand there."""
-    arm = VirtualArm(name, start_rad=recorded_goal("large")["joints"][0, :, 0])
-    assert arm.bring_up().failure is None, arm.told
+    arm = VirtualArm.at_start_of("large", name)
     if not np.all(arm.loop[0]["axes"]["referenced"][:6]):
         assert arm.ask(Request.REFERENCE, joint_mask=0b111111, value=math.nan) == Answer.DONE
         assert arm.reference().failure is None
@@ -36,10 +35,8 @@ def referenced(name: str) -> VirtualArm:
 @TOLD_A_PLACE
 def test_a_drive_that_is_not_heard_any_more_is_not_taken_back(name: str) -> None:
     """It hears and obeys, but its answers are lost: where it was heard last lies behind where it has been led since."""
-    goal = recorded_goal("large")
     arm = referenced(name)
-    arm.play("large")
-    arm.cycles(int(0.4 * goal["times_ns"][-1] / arm.period_ns))
+    arm.play_part("large", 0.4)
     speeds = arm.loop[0]["axes"]["velocity_rad_s"][:6].copy()
     joint = int(np.argmax(np.abs(speeds)))
     assert abs(speeds[joint]) > 0.5

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from motion_figures import accelerations, rms, sampled_truth
+from motion_figures import sampled_truth
+from true_motion import commanded_until_end, largest_acceleration_ratio, moving, path_error_deg, velocity_ripple
 from virtual import GOALS, VirtualArm, recorded_goal
 
 from config.derived import derived_table
@@ -30,15 +31,6 @@ trials = settings(
 )
 
 
-def largest_acceleration_ratio(arm: VirtualArm, start_ns: int) -> float:
-    """Largest true acceleration since start_ns as a multiple of its joint's limit."""
-    worst = 0.0
-    for joint, config in enumerate(arm.arm.joints):
-        _, position_rad, _ = sampled_truth(arm.sim, joint, start_ns, arm.sim.now_ns)
-        worst = max(worst, float(np.abs(accelerations(position_rad)).max()) / config.max_acceleration_rad_s2)
-    return worst
-
-
 def stays_inside_limits(arm: VirtualArm, start_ns: int) -> None:
     for joint, config in enumerate(arm.arm.joints):
         _, position_rad, velocity_rad_s = sampled_truth(arm.sim, joint, start_ns, arm.sim.now_ns)
@@ -50,41 +42,22 @@ def stays_inside_limits(arm: VirtualArm, start_ns: int) -> None:
         assert np.abs(velocity_rad_s).max() <= 1.10 * config.max_velocity_rad_s + one_rpm
 
 
-def moving_arm(name: str, share: float, **send: object) -> tuple[VirtualArm, int, int]:
-    """An arm somewhere in a recorded goal: arm, goal, time at which the goal was sent."""
-    goal = recorded_goal(name)
-    arm = VirtualArm(start_rad=goal["joints"][0, :, 0])
-    assert arm.bring_up().failure is None
-    started_ns = arm.now_ns
-    goal_id = arm.play(name, **send)
-    arm.cycles(max(2, int(share * goal["times_ns"][-1] / arm.period_ns)))
-    return arm, goal_id, started_ns
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_recorded_goals_run_true(name: str) -> None:
     """Path error, acceleration and final error of every recorded goal."""
     goal = recorded_goal(name)
-    arm = VirtualArm(start_rad=goal["joints"][0, :, 0])
-    arm.bring_up()
+    arm = VirtualArm.at_start_of(name)
     started_ns = arm.now_ns
     goal_id = arm.play(name)
-    times, commanded = [], []
-    while arm.outcome(goal_id) == Outcome.NONE:
-        arm.cycle()
-        times.append(arm.now_ns)
-        commanded.append(arm.loop[0]["axes"]["position_rad"][:6].copy())
-        assert arm.now_ns - started_ns < 30e9
+    commanded = commanded_until_end(arm, goal_id)
     assert arm.outcome(goal_id) == Outcome.SUCCEEDED
     assert (arm.now_ns - started_ns) * 1e-9 < goal["times_ns"][-1] * 1e-9 + 0.1
     arm.cycles(AFTER_CYCLES)
     assert largest_acceleration_ratio(arm, started_ns) <= 1.6
     stays_inside_limits(arm, started_ns)
     for joint, config in enumerate(arm.arm.joints):
-        times_ns, position_rad, _ = sampled_truth(arm.sim, joint, started_ns, times[-1])
-        plan_rad = np.interp(times_ns, times, np.array(commanded)[:, joint])
         if joint < 3:
-            assert math.degrees(rms(position_rad - plan_rad)) <= 0.02
+            assert path_error_deg(arm, joint, *commanded) <= 0.02
         end_rad = arm.sim.true_position_rad(joint, arm.sim.now_ns - 1)
         assert abs(end_rad - goal["joints"][-1, joint, 0]) <= config.command_pulse_rad + config.encoder_count_rad
     arm.close()
@@ -96,40 +69,22 @@ def test_velocity_ripple_at_constant_speed(joint: int, motor_rpm: float) -> None
 
     The beginning in each of six cycles, since a status is read of another drive in each, which shifts the readings.
     """
-    ripples = [velocity_ripple(joint, motor_rpm, wait) for wait in range(6)]
+    ripples = []
+    for wait_cycles in range(6):
+        arm = VirtualArm.brought_up()
+        arm.cycles(wait_cycles)
+        speed_rad_s = motor_rpm * 2 * math.pi / 60 / arm.arm.joints[joint].ratio
+        # away from joint limits on every joint, and through negative counts
+        ripples.append(velocity_ripple(arm, joint, -speed_rad_s, 2.0, 0.6))
+        arm.close()
     assert max(ripples) <= 0.5 / motor_rpm, ripples
-
-
-def velocity_ripple(joint: int, motor_rpm: float, wait_cycles: int) -> float:
-    """Rms of the true velocity minus the planned one over the planned one, at steady speed."""
-    arm = VirtualArm()
-    arm.bring_up()
-    arm.cycles(wait_cycles)
-    config = arm.arm.joints[joint]
-    speed = motor_rpm * 2 * math.pi / 60 / config.ratio
-    speed_up_s = speed / config.max_acceleration_rad_s2
-    times_s = np.array([0.0, speed_up_s, speed_up_s + 2.0, 2 * speed_up_s + 2.0])
-    joints = np.zeros((4, 6, 3))
-    way = speed * speed_up_s / 2
-    joints[:, joint, 0] = [0.0, way, way + 2.0 * speed, 2 * way + 2.0 * speed]
-    joints[:, joint, 1] = [0.0, speed, speed, 0.0]
-    joints[:, :, 0] *= -1  # away from joint limits on every joint, and through negative counts
-    joints[:, :, 1] *= -1
-    started_ns = arm.now_ns
-    goal = arm.send_goal((times_s * 1e9).astype(np.int64), joints, order=3)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
-    steady_ns = started_ns + int((speed_up_s + 0.6) * 1e9)
-    _, _, velocity_rad_s = sampled_truth(arm.sim, joint, steady_ns, steady_ns + 1_300_000_000)
-    arm.close()
-    return rms(velocity_rad_s + speed) / speed
 
 
 @trials
 @given(moments)
 def test_silence_is_a_controlled_stop(moment: tuple[str, float]) -> None:
     """The stream is cut: every joint brakes by itself within 2.2 times its limit and stands soon."""
-    arm, _, started_ns = moving_arm(*moment)
+    arm, _, started_ns = moving(*moment)
     arm.sim.run_until(arm.now_ns + 2_000_000_000)
     assert largest_acceleration_ratio(arm, started_ns) <= 2.2
     for joint in range(6):
@@ -143,8 +98,7 @@ def test_coast_in_silence_is_what_the_configuration_says(joint: int) -> None:
     config = load_arm("episode1").joints[joint]
     start_rad = [0.0] * 6
     start_rad[joint] = config.lower_rad + 0.02
-    arm = VirtualArm(start_rad=start_rad)
-    arm.bring_up()
+    arm = VirtualArm.brought_up(start_rad=start_rad)
     speed = config.max_velocity_rad_s
     speed_up_s = speed / config.max_acceleration_rad_s2
     way = speed * speed_up_s / 2
@@ -170,11 +124,10 @@ def test_coast_in_silence_is_what_the_configuration_says(joint: int) -> None:
 @trials
 @given(moments)
 def test_cancel_stops_on_the_path(moment: tuple[str, float]) -> None:
-    arm, goal_id, started_ns = moving_arm(*moment)
+    arm, goal_id, started_ns = moving(*moment)
     asked_ns = arm.now_ns
     arm.writer.request(Request.CANCEL, goal_id=goal_id)
-    arm.until(lambda: arm.outcome(goal_id) != Outcome.NONE)
-    assert arm.outcome(goal_id) in (Outcome.CANCELED, Outcome.SUCCEEDED)
+    assert arm.end_of(goal_id) in (Outcome.CANCELED, Outcome.SUCCEEDED)
     assert (arm.now_ns - asked_ns) * 1e-9 <= arm.loop[0]["params"]["longest_stop_s"] + 0.1
     arm.cycles(AFTER_CYCLES)
     assert arm.core["fault"] == Fault.NONE
@@ -205,13 +158,12 @@ def distance_from_path(arm: VirtualArm, name: str) -> float:
 @given(moments, st.integers(3, 120), st.integers(1, 60))
 def test_pause_and_resume_keep_the_goal(moment: tuple[str, float], pause: int, again: int) -> None:
     """A pause of any length, resumed, paused and resumed again: the goal ends where it should."""
-    arm, goal_id, started_ns = moving_arm(*moment)
+    arm, goal_id, started_ns = moving(*moment)
     for wait, request in ((pause, Request.HOLD), (again, Request.RESUME), (again, Request.HOLD)):
         arm.writer.request(request)
         arm.cycles(wait)
     arm.writer.request(Request.RESUME)
-    arm.until(lambda: arm.outcome(goal_id) != Outcome.NONE)
-    assert arm.outcome(goal_id) == Outcome.SUCCEEDED
+    assert arm.end_of(goal_id) == Outcome.SUCCEEDED
     arm.cycles(AFTER_CYCLES)
     assert largest_acceleration_ratio(arm, started_ns) <= 2.0
     stays_inside_limits(arm, started_ns)
@@ -221,14 +173,13 @@ def test_pause_and_resume_keep_the_goal(moment: tuple[str, float], pause: int, a
 @trials
 @given(moments, st.floats(0.0, 1.0), st.integers(1, 40), st.floats(0.0, 1.0))
 def test_speed_override_live(moment: tuple[str, float], first: float, wait: int, second: float) -> None:
-    arm, goal_id, started_ns = moving_arm(*moment)
+    arm, goal_id, started_ns = moving(*moment)
     arm.writer.request(Request.SPEED_SCALE, value=first)
     arm.cycles(wait)
     arm.writer.request(Request.SPEED_SCALE, value=second)
     arm.cycles(120)
     arm.writer.request(Request.SPEED_SCALE, value=1.0)
-    arm.until(lambda: arm.outcome(goal_id) != Outcome.NONE)
-    assert arm.outcome(goal_id) == Outcome.SUCCEEDED
+    assert arm.end_of(goal_id) == Outcome.SUCCEEDED
     assert largest_acceleration_ratio(arm, started_ns) <= 2.0
     stays_inside_limits(arm, started_ns)
     arm.close()
@@ -239,7 +190,7 @@ def test_speed_override_live(moment: tuple[str, float], first: float, wait: int,
 def test_replacement_in_motion(moment: tuple[str, float], slowness: float) -> None:
     """A newer goal, back to where the arm came from, takes over without a jump."""
     name, _ = moment
-    arm, goal_id, started_ns = moving_arm(*moment)
+    arm, goal_id, started_ns = moving(*moment)
     goal = recorded_goal(name)
     here = arm.loop[0]["axes"]["position_rad"][:6]
     speeds = np.array([joint.max_velocity_rad_s for joint in arm.arm.joints])
@@ -247,7 +198,7 @@ def test_replacement_in_motion(moment: tuple[str, float], slowness: float) -> No
     back[:, :, 1:] = 0.0
     duration_s = max(0.6, float((2.0 * np.abs(back[0, :, 0] - here) / speeds).max()) / slowness)
     newer = arm.send_goal(np.array([int(duration_s * 1e9)]), back, bridge=True)
-    arm.until(lambda: arm.outcome(newer) != Outcome.NONE, at_most_s=200)
+    arm.end_of(newer, at_most_s=200)
     assert arm.outcome(goal_id) in (Outcome.REPLACED, Outcome.SUCCEEDED)
     assert arm.outcome(newer) == Outcome.SUCCEEDED
     arm.cycles(AFTER_CYCLES)
@@ -262,14 +213,12 @@ def test_replacement_in_motion(moment: tuple[str, float], slowness: float) -> No
 def test_starvation_brakes_while_there_is_path(name: str, share: float) -> None:
     """The front dries up after some knots and never says END."""
     goal = recorded_goal(name)
-    arm = VirtualArm(start_rad=goal["joints"][0, :, 0])
-    arm.bring_up()
+    arm = VirtualArm.at_start_of(name)
     started_ns = arm.now_ns
     goal_id = arm.play(name, end=False)
     knots = max(1, int(share * len(goal["times_ns"])))
     del arm.pending[2 + knots :]
-    arm.until(lambda: arm.outcome(goal_id) != Outcome.NONE)
-    assert arm.outcome(goal_id) == Outcome.STARVED
+    assert arm.end_of(goal_id) == Outcome.STARVED
     arm.cycles(AFTER_CYCLES)
     assert arm.core["fault"] == Fault.NONE
     assert arm.core["mode"] == Mode.HOLDING
@@ -281,7 +230,7 @@ def test_starvation_brakes_while_there_is_path(name: str, share: float) -> None:
 @trials
 @given(moments)
 def test_front_lost_stops_on_the_path(moment: tuple[str, float]) -> None:
-    arm, goal_id, started_ns = moving_arm(*moment)
+    arm, goal_id, started_ns = moving(*moment)
     arm.front_alive = False
     arm.until(lambda: arm.outcome(goal_id) != Outcome.NONE and arm.core["mode"] == Mode.HOLDING)
     assert arm.outcome(goal_id) in (Outcome.FRONT_LOST, Outcome.SUCCEEDED)
@@ -296,7 +245,7 @@ def test_front_lost_stops_on_the_path(moment: tuple[str, float]) -> None:
 @given(moments, st.integers(13, 400))
 def test_a_long_gap_ends_the_goal_where_the_drives_stopped(moment: tuple[str, float], periods: int) -> None:
     """The loop is away for longer than the drives' look-ahead: they braked by themselves, nothing jumps back."""
-    arm, goal_id, started_ns = moving_arm(*moment)
+    arm, goal_id, started_ns = moving(*moment)
     running = arm.core["goal_id"] == goal_id
     arm.cycle(periods)
     arm.cycles(3)
@@ -319,7 +268,7 @@ def test_a_suspended_machine_ends_the_goal_where_the_drives_stopped(
     moment: tuple[str, float], duration_s: float
 ) -> None:
     """CLOCK_MONOTONIC stands still meanwhile, so that to the loop no time has passed; the drives braked long ago."""
-    arm, goal_id, started_ns = moving_arm(*moment)
+    arm, goal_id, started_ns = moving(*moment)
     assert arm.core["goal_id"] == goal_id
     arm.cycles(1)
     arm.suspend(duration_s)
@@ -340,9 +289,9 @@ def test_a_suspended_machine_ends_the_goal_where_the_drives_stopped(
 @given(moments, st.integers(2, 11))
 def test_a_short_gap_neither_faults_nor_ends_the_goal(moment: tuple[str, float], periods: int) -> None:
     """The machine stalls for less than the look-ahead: the drives ran on meanwhile, which is nobody's error."""
-    arm, goal_id, started_ns = moving_arm(*moment)
+    arm, goal_id, started_ns = moving(*moment)
     arm.cycle(periods)
-    arm.until(lambda: arm.outcome(goal_id) != Outcome.NONE)
+    arm.end_of(goal_id)
     assert arm.core["fault"] == Fault.NONE
     assert arm.outcome(goal_id) == Outcome.SUCCEEDED
     arm.cycles(AFTER_CYCLES)

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from observer import WireFrame, command_violations, motion_after, motion_frames, motion_violations, truth_of
-from virtual import START_NS, VirtualArm, recorded_goal
+from virtual import START_NS, VirtualArm
 from wires import ANSWER_OF_DRIVE_1, WIRES, Wire
 
 from config.budget import budget
@@ -282,21 +282,11 @@ class Rig:
 
     def __init__(self, wire: Wire, goal: str = "large", **bus: Any) -> None:
         self.wire = wire
-        self.arm = VirtualArm(
-            arm_on(wire, **bus),
-            start_rad=recorded_goal(goal)["joints"][0, :, 0],
-            opening=wire.opening,
-            **wire.options,
-        )
-        assert self.arm.bring_up().failure is None
+        self.arm = VirtualArm.at_start_of(goal, arm_on(wire, **bus), opening=wire.opening, **wire.options)
         self._goal = goal
 
     def play(self) -> int:
         return self.arm.play(self._goal)
-
-    def run(self, goal: int) -> Outcome:
-        self.arm.until(lambda: self.arm.outcome(goal) != Outcome.NONE)
-        return Outcome(self.arm.outcome(goal))
 
     @property
     def told(self) -> list[WireFrame]:
@@ -329,7 +319,7 @@ def test_a_goal_moves_the_drives_alike_on_every_wire(wire: Wire, by_others: dict
     rig = Rig(wire, serial_baud="cdc")  # whose line takes no time, as a socket takes none
     counters = rig.arm.state.record["counters"]
     at_first = int(counters["wire_errors"])  # what an adapter says while it is opened, which is read here too
-    assert rig.run(rig.play()) == Outcome.SUCCEEDED
+    assert rig.arm.end_of(rig.play()) == Outcome.SUCCEEDED
     assert rig.judged() == []
     assert (counters["wire_errors"], counters["receive_overflows"], counters["bytes_unsent"]) == (at_first, 0, 0)
     found = {"told": rig.told, "truth": truth_of(rig.arm.sim)}
@@ -344,16 +334,13 @@ def test_a_goal_moves_the_drives_alike_on_every_wire(wire: Wire, by_others: dict
 @pytest.mark.parametrize("wire", [wire for wire in WIRES if (False, True) in wire.kinds], ids=str)
 def test_drives_with_standard_identifiers_that_are_asked_by_remote_frames(wire: Wire) -> None:
     """ODrives on every wire that carries both."""
-    arm = VirtualArm(
+    arm = VirtualArm.at_start_of(
+        "small",
         load_arm("odrive6", overrides={"bus": {**wire.bus, "bitrate": 1_000_000}}),
-        start_rad=recorded_goal("small")["joints"][0, :, 0],
         opening=wire.opening if wire.opening_standard is None else wire.opening_standard,
         **wire.options,
     )
-    assert arm.bring_up().failure is None
-    goal = arm.play("small")
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
-    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    assert arm.end_of(arm.play("small")) == Outcome.SUCCEEDED
     remote = [frame for _, data in arm.sent for frame in wire.read(data) if frame.remote]
     assert remote and not any(frame.extended for frame in remote)
     arm.close()
@@ -364,7 +351,7 @@ def test_an_arm_comes_up_and_moves_although_frames_lose_the_bus_to_answers() -> 
     wire = next(wire for wire in WIRES if wire.name == "seeedstudio")
     config = arm_on(wire)
     rig = Rig(replace(wire, opening=set_up_frame(config.bus.bitrate, EXTENDED_ONLY, NORMAL)))
-    assert rig.run(rig.play()) == Outcome.SUCCEEDED
+    assert rig.arm.end_of(rig.play()) == Outcome.SUCCEEDED
     assert rig.judged() == []
     assert rig.arm.sim.adapter.lost_arbitrations > 100
     rig.arm.close()
@@ -406,7 +393,7 @@ def test_lost_answers_do_not_stop_the_arm(rig: Rig) -> None:
     goal = rig.play()
     rig.arm.cycles(30)
     rig.arm.sim.inject(LostReplies(0.1), since_ns=rig.arm.now_ns)
-    assert rig.run(goal) == Outcome.SUCCEEDED
+    assert rig.arm.end_of(goal) == Outcome.SUCCEEDED
     assert rig.judged() == []
 
 
