@@ -65,6 +65,11 @@ class Terminal:
         """Type a line and end it."""
         self.press(f"{line}\n")
 
+    def reply(self, question: str, line: str) -> None:
+        """Read on until a question comes, and type a line."""
+        self.read_until(question)
+        self.type(line)
+
     def code(self, patience_s: float = PATIENCE_S) -> int:
         """Read to the end; the exit code."""
         deadline = time.monotonic() + patience_s

@@ -3,6 +3,7 @@
 They are kept in numba's cache. The control process has no use for that: it loads one object of them all.
 """
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -24,6 +25,33 @@ def compile_functions() -> None:
 def make_object() -> None:
     """Make the object that the control process loads, unless it is there; in a process of its own (rtloop.lowered)."""
     subprocess.run([sys.executable, "-m", "rtloop.warm"], cwd=ROOT, check=True)
+
+
+PROVES_CHECKS = """
+import numba
+import numpy as np
+
+@numba.njit
+def beyond(values, index):
+    return values[index]
+
+try:
+    beyond(np.zeros(3), 3)
+except IndexError:
+    print("checks bounds")
+"""
+
+
+def bounds_checked(program: str, caches: Path) -> subprocess.CompletedProcess[str]:
+    """Run a program with numba's bounds checks compiled in; it says so first. What is compiled is kept in `caches`."""
+    environment = {
+        **os.environ,
+        "NUMBA_BOUNDSCHECK": "1",
+        "XDG_CACHE_HOME": str(caches),
+        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
+    }
+    command = [sys.executable, "-c", PROVES_CHECKS + program]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from rclpy.qos import qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
+from waiting import PATIENCE_S, until
 
 from rtarm.ros_client import spinning
 
@@ -27,15 +28,7 @@ SUCCEEDED, CANCELED, ABORTED = (
     GoalStatus.STATUS_CANCELED,
     GoalStatus.STATUS_ABORTED,
 )
-PATIENCE_S = 10.0
 LONGEST_GOAL_S = 30.0
-
-
-def until(condition, what, patience_s=PATIENCE_S):
-    deadline = time.monotonic() + patience_s
-    while not condition():
-        assert time.monotonic() < deadline, f"{what} did not happen within {patience_s} s"
-        time.sleep(0.002)
 
 
 class Spinner:
@@ -47,9 +40,22 @@ class Spinner:
         self._ends.callback(self.context.try_shutdown)
         rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node(name, context=self.context)
+        self.feedback = []
         executor = SingleThreadedExecutor(context=self.context)
         executor.add_node(self.node)
         self._ends.enter_context(spinning(executor))
+
+    def sent(self, action, goal):
+        """The handle of a goal that has been answered; its feedback is kept."""
+        future = action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(m.feedback))
+        until(future.done, "the answer to a goal")
+        return future.result()
+
+    def ended(self, handle):
+        """Status and result of a goal that has ended."""
+        future = handle.get_result_async()
+        until(future.done, "a result", LONGEST_GOAL_S)
+        return future.result().status, future.result().result
 
     def close(self):
         self._ends.close()
@@ -61,7 +67,7 @@ class Client(Spinner):
     def __init__(self, controller="episode_arm_controller"):
         super().__init__("client")
         self.action = ActionClient(self.node, FollowJointTrajectory, f"/{controller}/follow_joint_trajectory")
-        self.states, self.feedback = [], []
+        self.states = []
         for qos in (10, qos_profile_sensor_data):
             self.node.create_subscription(JointState, "joint_states", self._heard(qos), qos)
         self.sensor_data = 0
@@ -77,14 +83,11 @@ class Client(Spinner):
         return heard
 
     def send(self, goal):
-        future = self.action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(m.feedback))
-        until(future.done, "the answer to a goal")
-        return future.result()
+        return self.sent(self.action, goal)
 
     def result(self, handle):
-        future = handle.get_result_async()
-        until(future.done, "a result", LONGEST_GOAL_S)
-        return future.result().status, future.result().result.error_code, future.result().result.error_string
+        status, result = self.ended(handle)
+        return status, result.error_code, result.error_string
 
     def run(self, goal):
         return self.result(self.send(goal))

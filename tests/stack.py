@@ -9,15 +9,17 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from queue import Empty, Queue
 from typing import Any
 
-import yaml
+from arm_files import edited, write_arm
 from observer import judge, life_violations
 
-from config.loader import ARMS_FOLDER, load_arm
+from config.loader import load_arm
+from rtarm.status import Report, read_status
 from shm.files import DIRECTORY
 from sim.truth import Heard, JointTruth, load_truth, load_wire
 
@@ -110,32 +112,46 @@ class Process:
         self.process.stdout.close()
 
 
+def run_rtarm(*arguments: str, typed: str = "") -> subprocess.CompletedProcess[str]:
+    """`rtarm` without a terminal, to its end."""
+    environment = {**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "COLUMNS": "200"}
+    command = [sys.executable, "-m", "rtarm", *arguments]
+    return subprocess.run(
+        command,
+        cwd=ROOT,
+        env=environment,
+        input=typed,
+        capture_output=True,
+        text=True,
+        timeout=COMPILING_S,
+        check=False,
+    )
+
+
 class Stack:
     """Simulated arm, control process and front of one arm; each may be started, killed, started again."""
 
-    def __init__(self, name: str, folder: Path, *, start_deg: Sequence[float] | None = None) -> None:
+    def __init__(
+        self, name: str, folder: Path, arm: str = "episode1", *, start_deg: Sequence[float] | None = None
+    ) -> None:
         self.name = name
         self.folder = folder
         self.link = folder / "tty"
         self.place = ("--link", str(self.link))
         self.truth_file = folder / "truth.npz"
-        values = yaml.safe_load((ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8"))
-        values["name"] = name
-        values["bus"].pop("usb_index", None)
-        values["bus"]["channel"] = str(self.link)
-        values.setdefault("front", {})["controller_name"] = f"controller_{name}"
-        self.arm_file = folder / f"{name}.yaml"
-        self.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
+        self.arm_file = write_arm(arm, name, folder)
+        with edited(self.arm_file) as values:
+            if values["bus"].pop("usb_index", None) is not None:
+                values["bus"]["channel"] = str(self.link)
         self._start_deg = start_deg
         self._processes: list[Process] = []
         self._found: list[str] = []
 
     def change(self, **sections: dict[str, Any]) -> None:
         """Set keys of the arm file, by section; what is started from now on reads them."""
-        values = yaml.safe_load(self.arm_file.read_text(encoding="utf-8"))
-        for section, keys in sections.items():
-            values.setdefault(section, {}).update(keys)
-        self.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
+        with edited(self.arm_file) as values:
+            for section, keys in sections.items():
+                values.setdefault(section, {}).update(keys)
 
     def start_sim(self, *options: str) -> Process:
         self._look()  # at what the one before has left
@@ -170,6 +186,14 @@ class Stack:
     def _keep(self, process: Process) -> Process:
         self._processes.append(process)
         return process
+
+    def until(self, condition: Callable[[Report], Any]) -> Report:
+        """The first report of `rtarm status` that fulfils a condition."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition(report := read_status(self.name)):
+            assert time.monotonic() < deadline, report
+            time.sleep(0.02)
+        return report
 
     def truth(self) -> dict[str, JointTruth]:
         """The drives' true motion so far, written by the simulated arm when asked."""

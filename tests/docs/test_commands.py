@@ -22,13 +22,13 @@ from typing import Any
 import pytest
 import typer
 import yaml
+from arm_files import known_arm
 from at_terminal import CTRL_C, Terminal
 from pages import ROOT
 from shown import Shown, named_commands, shown_commands, shown_file
 from stack import PATIENT
 from stages import ADAPTER, ARM, FILES, NOT_RUN, RUN, Run
 
-from config.loader import ARMS_FOLDER
 from rtarm.cli import app
 from rtarm.cli_frame import UsageError
 from shm.files import DIRECTORY
@@ -193,8 +193,7 @@ class Stage:
 
     def write_arm(self, file: str, arm: str, name: str, keys: dict[str, dict[str, Any]] | None = None) -> None:
         """A known arm under a name that nobody else uses, at the simulated adapter."""
-        values = yaml.safe_load((ARMS_FOLDER / f"{arm}.yaml").read_text(encoding="utf-8"))
-        values["name"] = name
+        values = known_arm(arm) | {"name": name}
         if values["bus"].pop("usb_index", None) is not None:
             values["bus"]["channel"] = str(self.tty)
         for section, more in (keys or {}).items():

@@ -4,14 +4,15 @@ import os
 import shlex
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from stack import Process
+from arm_files import edited, write_arm
+from stack import Process, run_rtarm
 
 from config.loader import ARMS_FOLDER
 from shm.files import DIRECTORY, died_with, previous_path, state_path
@@ -24,11 +25,11 @@ def file_in(arm_name: str, tmp_path: Path) -> Callable[..., Path]:
     """Writes a mock arm of the test's name into a folder of its own."""
 
     def write(folder: str, **joint1: Any) -> Path:
-        values = yaml.safe_load((ARMS_FOLDER / "mock.yaml").read_text(encoding="utf-8")) | {"name": arm_name}
-        values["joints"][0].update(joint1)
-        path = tmp_path / folder / f"{arm_name}.yaml"
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(yaml.safe_dump(values), encoding="utf-8")
+        own = tmp_path / folder
+        own.mkdir(exist_ok=True)
+        path = write_arm("mock", arm_name, own)
+        with edited(path) as values:
+            values["joints"][0].update(joint1)
         return path
 
     return write
@@ -63,9 +64,7 @@ def ended(process: Process) -> None:
 
 
 def status(arm: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-m", "rtarm", "status", arm], capture_output=True, text=True, check=False, timeout=60
-    )
+    done = run_rtarm("status", arm)
     assert done.returncode != 0
     return done.stderr
 
@@ -152,8 +151,5 @@ def test_a_start_that_fails_forgets_no_death(arm_name, file_in, started) -> None
 
 def test_an_arm_of_another_name_is_not_asked(file_in, started, arm_name) -> None:
     killed(started(file_in("mine")))
-    other = Process("rtloop", "mock", "--set", f"name={arm_name}")
-    try:
+    with closing(Process("rtloop", "mock", "--set", f"name={arm_name}")) as other:
         ended(other)
-    finally:
-        other.close()

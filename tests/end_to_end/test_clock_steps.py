@@ -17,7 +17,8 @@ pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
 from observer import judge, motion_after, motion_violations
-from ros_client import ABORTED, SUCCEEDED, recorded, until
+from ros_client import ABORTED, SUCCEEDED, recorded
+from waiting import until
 
 from config.loader import load_arm
 

@@ -2,14 +2,13 @@
 
 import math
 import os
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from stack import run_rtarm
 
 pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
@@ -17,9 +16,10 @@ pytest.importorskip("control_msgs")
 from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory
 from observer import judge, motion_violations
-from ros_client import ABORTED, SUCCEEDED, Client, until
+from ros_client import ABORTED, SUCCEEDED, Client
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from waiting import until
 
 from config.loader import load_arm
 from shm.client import StateReader
@@ -114,13 +114,7 @@ def test_a_person_stops_a_streamed_arm_which_stays_while_servo_goes_on(stack):
     """Each message used to replace what the stop had ended, until the stream itself was over."""
 
     def asked(command):
-        done = subprocess.run(
-            [sys.executable, "-m", "rtarm", command, stack.name],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=60,
-        )
+        done = run_rtarm(command, stack.name)
         assert done.returncode == 0, done.stderr
         return done.stdout
 

@@ -2,6 +2,7 @@
 
 import math
 import signal
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -50,11 +51,8 @@ def true_deg(stack):
 
 
 def referenced(stack):
-    reader = StateReader(open_state(stack.name))
-    try:
+    with closing(StateReader(open_state(stack.name))) as reader:
         return reader.snapshot()["joints"]["referenced"][:6].tolist()
-    finally:
-        reader.close()
 
 
 def test_a_person_homes_some_joints_and_says_where_the_others_stand(stack):
@@ -115,13 +113,10 @@ def test_init_mode_0_homes_the_arm_at_the_start_and_a_service_whenever_it_is_ask
     stack.front.process.kill()  # a new one moves nothing: it was moved already
     stack.front.code()
     stack.start_front()
-    operator = Operator(f"controller_{stack.name}")
-    try:
+    with closing(Operator(f"controller_{stack.name}")) as operator:
         response = operator.call(Trigger, "~/home")
         assert (response.success, response.message) == (True, "Homed; the arm holds where it stands.")
         assert referenced(stack) == [1] * 6
-    finally:
-        operator.close()
     reader = StateReader(open_state(stack.name))
     assert int(reader.snapshot()["mode"]) == Mode.HOLDING
     reader.close()

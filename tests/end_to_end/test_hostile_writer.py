@@ -14,8 +14,9 @@ pytest.importorskip("control_msgs")
 
 import vandal
 from observer import judge, motion_violations, stands_since_ns
-from ros_client import ABORTED, recorded, until
+from ros_client import ABORTED, recorded
 from stack import ROOT
+from waiting import until
 
 from config.loader import load_arm
 from shm import files

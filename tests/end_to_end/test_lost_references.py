@@ -1,5 +1,7 @@
 """A reference that is lost stays lost whatever becomes of the control process, until it is given back on purpose."""
 
+from contextlib import closing
+
 import pytest
 from fault_rig import wait
 from stack import PATIENCE_S, Process, Stack
@@ -23,20 +25,14 @@ def stack(arm_name, tmp_path):
 
 def reasons(stack):
     """Why each joint has no reference, by the joints' numbers."""
-    reader = StateReader(open_state(stack.name))
-    try:
+    with closing(StateReader(open_state(stack.name))) as reader:
         joints = reader.snapshot()["joints"][:6]
         return {n: Unreferenced(j["unreferenced_reason"]) for n, j in enumerate(joints) if not j["referenced"]}
-    finally:
-        reader.close()
 
 
 def fault_of(stack):
-    reader = StateReader(open_state(stack.name))
-    try:
+    with closing(StateReader(open_state(stack.name))) as reader:
         return Fault(reader.snapshot()["fault"])
-    finally:
-        reader.close()
 
 
 def start_and_lose_joint3(stack):

@@ -4,12 +4,11 @@ import json
 import math
 import os
 import signal
-import subprocess
-import sys
 import time
 
 import numpy as np
 import pytest
+from stack import run_rtarm
 
 pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
@@ -17,7 +16,8 @@ pytest.importorskip("control_msgs")
 import itertools
 
 from observer import judge, motion_violations
-from ros_client import ABORTED, SUCCEEDED, Client, recorded, until
+from ros_client import ABORTED, SUCCEEDED, Client, recorded
+from waiting import until
 
 from config.loader import load_arm
 
@@ -44,13 +44,7 @@ def stack(served_at, request):
 
 
 def status(stack):
-    result = subprocess.run(
-        [sys.executable, "-m", "rtarm", "status", stack.name, "--json"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return json.loads(result.stdout)
+    return json.loads(run_rtarm("status", stack.name, "--json").stdout)
 
 
 def play(client, *names):

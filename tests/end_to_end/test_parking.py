@@ -2,6 +2,7 @@
 
 import math
 import signal
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -9,8 +10,9 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
-from ros_client import Client, recorded, until
+from ros_client import Client, recorded
 from stack import PATIENT, Process, Stack
+from waiting import until
 
 pytestmark = pytest.mark.process
 
@@ -63,14 +65,11 @@ def test_a_second_signal_stops_the_arm_instead(stack):
 def test_who_ends_a_motion_gets_a_stop_and_no_parking(stack):
     stack.start_loop()
     stack.start_front()
-    client = Client(f"controller_{stack.name}")
-    try:
+    with closing(Client(f"controller_{stack.name}")) as client:
         client.send(recorded("near_limits_high"))
         until(lambda: moved(stack), "the first degree of the goal")
         stack.front.process.terminate()
         assert stack.front.code() == 0
-    finally:
-        client.close()
     assert "Not parked: The arm is executing another goal" in stack.front.text
     assert off_deg(stack).max() > 5.0
 

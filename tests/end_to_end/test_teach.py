@@ -7,6 +7,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -69,11 +70,8 @@ def rtarm(stack: Stack, *words: str) -> Process:
 
 
 def mode(stack: Stack) -> int:
-    reader = StateReader(open_state(stack.name))
-    try:
+    with closing(StateReader(open_state(stack.name))) as reader:
         return int(reader.snapshot()["mode"])
-    finally:
-        reader.close()
 
 
 def wait_until_led(stack: Stack) -> None:
@@ -136,11 +134,8 @@ def test_a_loop_goes_round_until_ctrl_c_and_the_arm_stands_then(led: Stack, tmp_
     play.process.send_signal(signal.SIGINT)
     assert play.code() == 0, play.text
     assert "Ended by SIGINT after 1 round; arm" in play.text
-    reader = StateReader(open_state(led.name))
-    try:
+    with closing(StateReader(open_state(led.name))) as reader:
         assert not reader.snapshot()["joints"]["commanded_velocity_rad_s"].any()
-    finally:
-        reader.close()
     alone = rtarm(led, "play", "wave", "--arm", str(led.arm_file), "--yes")
     alone.line_with("Playing wave")
     alone.process.send_signal(signal.SIGTERM)
@@ -151,48 +146,34 @@ def test_a_loop_goes_round_until_ctrl_c_and_the_arm_stands_then(led: Stack, tmp_
 
 
 def test_a_person_is_asked_ends_with_enter_and_is_told(led: Stack, tmp_path: Path) -> None:
-    at = rtarm_at_terminal("teach", "wave", "--arm", led.name)
-    try:
-        at.read_until("hold it. Let it go? [y/N, q ends]")
-        at.type("n")
+    with closing(rtarm_at_terminal("teach", "wave", "--arm", led.name)) as at:
+        at.reply("hold it. Let it go? [y/N, q ends]", "n")
         assert at.code() == 1
         assert "Nothing was done" in at.said
-    finally:
-        at.close()
     assert mode(led) == Mode.HOLDING
-    at = rtarm_at_terminal("teach", "wave", "--arm", led.name)
-    try:
+    with closing(rtarm_at_terminal("teach", "wave", "--arm", led.name)) as at:
         at.read_until("Let it go?")
         os.kill(at.process.pid, signal.SIGINT)
         assert at.code() == 1
         assert "Nothing was done (SIGINT)" in at.said
-    finally:
-        at.close()
     assert mode(led) == Mode.HOLDING
-    at = rtarm_at_terminal("teach", "wave", "--arm", led.name)
-    try:
-        at.read_until("Let it go?")
-        at.type("y")
+    with closing(rtarm_at_terminal("teach", "wave", "--arm", led.name)) as at:
+        at.reply("Let it go?", "y")
         at.read_until("Enter ends it")
         wait_until_led(led)
         at.type("")
         at.read_until("holds where it stands")
         assert at.code() == 0, at.said
         at.read_until("Play it with `rtarm play wave`")
-    finally:
-        at.close()
     assert mode(led) == Mode.HOLDING
     assert kept(tmp_path).duration_s > 1.0
 
 
 def test_a_terminal_that_goes_away_ends_the_recording_and_the_arm_holds(led: Stack, tmp_path: Path) -> None:
-    at = rtarm_at_terminal("teach", "wave", "--arm", led.name, "--yes")
-    try:
+    with closing(rtarm_at_terminal("teach", "wave", "--arm", led.name, "--yes")) as at:
         wait_until_led(led)
         at.hang_up()
         at.process.wait(60.0)
-    finally:
-        at.close()
     assert mode(led) == Mode.HOLDING
     assert kept(tmp_path).duration_s > 0.5
 

@@ -10,17 +10,17 @@ import sys
 import tomllib
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import pytest
-import yaml
+from arm_files import write_arm
 
 pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
-from ros_client import SUCCEEDED, Client, recorded, until
-
-from config.loader import ARMS_FOLDER
+from ros_client import SUCCEEDED, Client, recorded
+from waiting import until
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILT_FOLDERS = ("config", "motion", "rosfront", "rtarm", "rtloop", "shm", "sim")
@@ -147,19 +147,12 @@ def test_a_sourced_workspace_offers_no_short_names_to_other_nodes(workspace: Pat
 
 
 def test_robot_interface_takes_a_goal(workspace: Path, run, arm_name: str, tmp_path: Path) -> None:
-    values = yaml.safe_load((ARMS_FOLDER / "mock.yaml").read_text(encoding="utf-8"))
-    values["name"] = arm_name
-    values["front"]["controller_name"] = f"controller_{arm_name}"
-    file = tmp_path / "mine.yaml"
-    file.write_text(yaml.safe_dump(values), encoding="utf-8")
+    file = write_arm("mock", arm_name, tmp_path)
     program = run("robot_interface", "--ros-args", "-p", f"arm:={file}", "-p", "init_mode:=1")
     until(lambda: program.says("rtarm  running"), "the arm running", LONG_S)
-    client = Client(f"controller_{arm_name}")
-    try:
+    with closing(Client(f"controller_{arm_name}")) as client:
         state, _, sentence = client.run(recorded("small"))
         assert state == SUCCEEDED, sentence
-    finally:
-        client.close()
     assert program.end() == 0, program.output.read_text()
 
 

@@ -9,8 +9,9 @@ from control_msgs.action import FollowJointTrajectory
 from fake_loop import LIMP, FakeLoop
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
-from ros_client import Client, until
+from ros_client import Client
 from trajectory_msgs.msg import JointTrajectoryPoint
+from waiting import until
 
 from config.loader import load_arm
 from rosfront import node

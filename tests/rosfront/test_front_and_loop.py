@@ -14,8 +14,9 @@ pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
 from builtin_interfaces.msg import Duration
-from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, recorded, until
+from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, recorded
 from trajectory_msgs.msg import JointTrajectoryPoint
+from waiting import until
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.process

@@ -19,8 +19,9 @@ pytest.importorskip("control_msgs")
 
 from action_msgs.srv import CancelGoal
 from front_stage import SlowJudge, Stage, goal, pile_up, serving_alone
-from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, Operator, until
+from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, Operator
 from std_srvs.srv import Trigger
+from waiting import until
 
 from config.loader import load_arm
 from rosfront import action, action_goals, node

@@ -15,9 +15,10 @@ from rclpy.action import ActionClient
 from robot_arm_interfaces.action import AngleMode, LinearMove, MoveXyzRotation
 from robot_arm_interfaces.msg import MotorAngles
 from robot_arm_interfaces.srv import ReadMotorAngles, SetFreeMode
-from ros_client import ABORTED, CANCELED, LONGEST_GOAL_S, SUCCEEDED, Operator, until
+from ros_client import ABORTED, CANCELED, SUCCEEDED, Operator
 from stack import PATIENT, Stack
 from std_srvs.srv import Trigger
+from waiting import until
 
 from config.kinematics import flange_pose
 from config.loader import load_arm
@@ -45,23 +46,14 @@ class Client(Operator):
         }
         for action in self.actions.values():
             assert action.wait_for_server(10.0)
-        self.feedback = []
 
     def send(self, name, **fields):
         self.feedback.clear()
         action = self.actions[name]
-        goal = action._action_type.Goal(**fields)
-        future = action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(m.feedback))
-        until(future.done, "the answer to a goal")
-        return future.result()
-
-    def result(self, handle):
-        future = handle.get_result_async()
-        until(future.done, "a result", LONGEST_GOAL_S)
-        return future.result().status, future.result().result
+        return self.sent(action, action._action_type.Goal(**fields))
 
     def run(self, name, **fields):
-        return self.result(self.send(name, **fields))
+        return self.ended(self.send(name, **fields))
 
 
 @pytest.fixture
@@ -164,7 +156,7 @@ def test_a_canceled_linear_move_stops_on_its_line(arm):
     handle = arm.client.send("linear_move", position=end, rotation=rotation, rotation_mode="zyx", step_size=2.0)
     until(lambda: arm.client.feedback and arm.client.feedback[-1].current_step > 15, "a part of the way")
     handle.cancel_goal_async()
-    status, result = arm.client.result(handle)
+    status, result = arm.client.ended(handle)
     assert status == CANCELED and not result.success
     assert result.message.startswith("Canceled: the arm is at rest"), result.message
     aside, along = true_distance_mm(arm, begin, end, since_ns)
@@ -227,12 +219,12 @@ def test_a_move_waits_for_nobody_and_a_hold_keeps_it(arm):
     )
     sent = other.send_goal_async(goal)
     until(sent.done, "the answer to a goal")
-    status, result = arm.client.result(sent.result())
+    status, result = arm.client.ended(sent.result())
     assert status == ABORTED and result.message.startswith("The arm is executing another goal")
     assert arm.client.call(Trigger, "~/hold").success
     until(lambda: told[-1].status_message.startswith("held"), "a held goal")
     assert arm.client.call(Trigger, "~/resume").success
-    status, result = arm.client.result(running)
+    status, result = arm.client.ended(running)
     assert status == SUCCEEDED and result.final_angles[0] == pytest.approx(150.0, abs=0.2), result.message
 
 
@@ -243,7 +235,7 @@ def test_of_two_moves_at_once_the_first_is_carried_out(arm):
     sent = [action.send_goal_async(AngleMode.Goal(angles=angles, speed_ratio=1.0)) for angles in turned]
     for future in sent:
         until(future.done, "the answer to a goal")
-    (first, result), (second, other) = (arm.client.result(future.result()) for future in sent)
+    (first, result), (second, other) = (arm.client.ended(future.result()) for future in sent)
     assert first == SUCCEEDED, result.message
     assert second == ABORTED and other.message.startswith("The arm is executing another goal"), other.message
     assert list(result.final_angles) == pytest.approx(turned[0], abs=0.2)
@@ -260,10 +252,10 @@ def test_a_held_move_is_not_replaced_by_another_one(arm):
         LinearMove.Goal(position=LINE_END_MM, rotation=READY_ROTATION_DEG)
     )
     until(sent.done, "the answer to a goal")
-    status, result = arm.client.result(sent.result())
+    status, result = arm.client.ended(sent.result())
     assert status == ABORTED and "one is held" in result.message, result.message
     running.cancel_goal_async()
-    assert arm.client.result(running)[0] == CANCELED
+    assert arm.client.ended(running)[0] == CANCELED
 
 
 def test_without_a_control_process_the_last_angles_stay_and_are_no_success(arm):
@@ -274,7 +266,7 @@ def test_without_a_control_process_the_last_angles_stay_and_are_no_success(arm):
     until(lambda: arm.client.feedback, "motion")
     arm.stack.loop.process.kill()
     try:
-        status, result = arm.client.result(running)
+        status, result = arm.client.ended(running)
         assert status == ABORTED and "has ended and the drives brake by their own ramps" in result.message
         until(lambda: not heard[-1].success, "a message that says so")
         assert "has ended and the drives brake" in heard[-1].message

@@ -9,16 +9,16 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-import yaml
 from action_msgs.srv import CancelGoal
 from control_msgs.action import GripperCommand, ParallelGripperCommand
 from diagnostic_msgs.msg import DiagnosticArray
 from front_stage import pile_up, served
 from rclpy.action import ActionClient
-from ros_client import ABORTED, CANCELED, LONGEST_GOAL_S, SUCCEEDED, Operator, until
+from ros_client import ABORTED, CANCELED, SUCCEEDED, Operator
 from sensor_msgs.msg import JointState
 from stack import PATIENT, Stack
 from std_srvs.srv import Trigger
+from waiting import until
 
 from config.loader import load_arm
 from rosfront.gripper import server as gripper_server
@@ -39,22 +39,14 @@ class Client(Operator):
         }
         for action in self.actions.values():
             assert action.wait_for_server(20.0)
-        self.feedback = []
 
     def send(self, goal):
         self.feedback.clear()
         kind = GripperCommand if isinstance(goal, GripperCommand.Goal) else ParallelGripperCommand
-        future = self.actions[kind].send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(m.feedback))
-        until(future.done, "the answer to a goal")
-        return future.result()
-
-    def result(self, handle):
-        future = handle.get_result_async()
-        until(future.done, "a result", LONGEST_GOAL_S)
-        return future.result().status, future.result().result
+        return self.sent(self.actions[kind], goal)
 
     def go(self, position, max_effort=0.0):
-        return self.result(self.send(command(position, max_effort)))
+        return self.ended(self.send(command(position, max_effort)))
 
     def cancel(self, handle):
         future = handle.cancel_goal_async()
@@ -137,7 +129,7 @@ def test_a_cancel_truly_stops_it(client):
     handle = client.send(command(0.6))
     until(lambda: client.feedback, "a motion")
     client.cancel(handle)
-    status, result = client.result(handle)
+    status, result = client.ended(handle)
     assert (status, result.reached_goal, result.stalled) == (CANCELED, False, False)
     assert 0.6 < result.position < 1.9
     time.sleep(0.3)
@@ -155,7 +147,7 @@ def test_a_cancel_that_is_taken_with_its_goal_counts(client, monkeypatch):
     until(canceling.done, "the answer to a cancel")
     assert {"goal", "cancel"} in taken and len(canceling.result().goals_canceling) == 1
     until(answer.done, "the answer to a goal")
-    status, result = client.result(answer.result())
+    status, result = client.ended(answer.result())
     assert (status, result.reached_goal, result.stalled) == (CANCELED, False, False)
     time.sleep(0.3)
     assert client.front._gripper.worker.shown.reading.position_rad == pytest.approx(1.9, abs=0.02)
@@ -166,8 +158,8 @@ def test_a_newer_goal_of_either_action_takes_over(client):
     first = client.send(command(0.6))
     until(lambda: client.feedback, "a motion")
     second = client.send(parallel(name=["gripper_joint"], position=[1.9]))
-    assert client.result(first)[0] == ABORTED
-    status, result = client.result(second)
+    assert client.ended(first)[0] == ABORTED
+    status, result = client.ended(second)
     assert (status, result.reached_goal) == (SUCCEEDED, True)
     assert (result.state.name, result.state.position[0]) == (["gripper_joint"], pytest.approx(1.9, abs=0.02))
 
@@ -185,11 +177,11 @@ def test_a_newer_goal_of_either_action_takes_over(client):
     ],
 )
 def test_a_parallel_command_is_for_one_joint(client, fields):
-    assert client.result(client.send(parallel(**fields)))[0] == ABORTED
+    assert client.ended(client.send(parallel(**fields)))[0] == ABORTED
 
 
 def test_a_parallel_command_needs_no_name_and_may_name_maxima(client):
-    status, result = client.result(client.send(parallel(position=[1.5], velocity=[0.1], effort=[3.0])))
+    status, result = client.ended(client.send(parallel(position=[1.5], velocity=[0.1], effort=[3.0])))
     assert (status, result.reached_goal) == (SUCCEEDED, True)
 
 
@@ -227,7 +219,7 @@ def test_a_hook_that_hangs_ends_its_goals_and_a_cancel(client, monkeypatch):
     monkeypatch.setattr(client.front._gripper.worker._hook, "read", returns.wait)
     client.cancel(handle)
     late = client.send(command(1.0))
-    assert client.result(handle)[0] == client.result(late)[0] == ABORTED
+    assert client.ended(handle)[0] == client.ended(late)[0] == ABORTED
     monkeypatch.undo()
     returns.set()
     assert client.go(1.5)[0] == SUCCEEDED
@@ -302,10 +294,8 @@ def test_without_robot_arm_interfaces_there_is_everything_else(arm_name, monkeyp
 def stack(new_arm_name, tmp_path_factory):
     name = new_arm_name()
     stack = Stack(name, tmp_path_factory.mktemp("arm"))
-    values = yaml.safe_load(stack.arm_file.read_text(encoding="utf-8"))
-    values["gripper"] = {"hook": "servo", "controller_name": f"gripper_{name}", "servo": {"address": 7}}
-    values["limits"] = PATIENT
-    stack.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
+    gripper = {"hook": "servo", "controller_name": f"gripper_{name}", "servo": {"address": 7}}
+    stack.change(gripper=gripper, limits=PATIENT)
     try:
         stack.start_sim()
         stack.start_loop()
@@ -336,7 +326,7 @@ def test_a_servo_on_the_bus_grips_a_thing_and_lets_it_go(stack, user):
     handle = user.send(command(1.8))
     until(lambda: user.feedback, "a motion")
     user.cancel(handle)
-    status, result = user.result(handle)
+    status, result = user.ended(handle)
     assert status == CANCELED and result.position < 1.75
     user.forget()
 

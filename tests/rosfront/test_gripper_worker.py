@@ -8,7 +8,7 @@ import textwrap
 import threading
 import time
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import until
 
 from config import ConfigError, load_arm
 from config.gripper import GripperConfig
@@ -95,13 +96,6 @@ class Stage:
 
     def go(self, target_rad: float | None) -> Any:
         return one(self.begin(target_rad)[1])
-
-
-def until(condition: Callable[[], Any], what: str) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline, f"{what} did not happen"
-        time.sleep(0.002)
 
 
 def one(ends: list[Any]) -> Any:

@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 from fake_loop import FakeLoop
+from waiting import until
 
 from config.loader import load_arm
 from rosfront import joint_states
@@ -137,13 +138,6 @@ def loop(arm):
     loop = FakeLoop(arm)
     yield loop
     loop.stop()
-
-
-def until(condition):
-    deadline = time.monotonic() + 10.0
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.001)
 
 
 def followed(thread, slow):

@@ -16,9 +16,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from front_stage import SlowJudge, Stage, goal, serving_alone
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rclpy.serialization import serialize_message
-from ros_client import ABORTED, CANCELED, SUCCEEDED, Operator, until
+from ros_client import ABORTED, CANCELED, SUCCEEDED, Operator
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from waiting import until
 
 from rosfront import serving
 from rosfront.settings import Settings

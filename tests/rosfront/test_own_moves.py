@@ -8,7 +8,8 @@ pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
 from front_stage import SlowJudge, goal, serving_alone
-from ros_client import SUCCEEDED, until
+from ros_client import SUCCEEDED
+from waiting import until
 
 from config.homing import HomingConfig, ParkingConfig, PoseMove
 from rosfront import own_moves

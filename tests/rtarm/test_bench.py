@@ -350,19 +350,19 @@ def test_goal_goes_there_and_comes_back(duration_s: float, start_rad: list[float
 
 def test_baselines_send_what_our_cycle_sends() -> None:
     """Joint 1 at 0 stands 180° · 25 / 360° = 12.5 motor turns from its stop."""
-    arm = PythonArm(load_arm("episode1", overrides={"bus": {"channel": "none"}}), None)
-    try:
-        with can.Bus(interface="virtual", channel="rtarm_bench") as drives:
-            arm.cycle([0.0] * 6)
-            frames = [drives.recv(1.0) for _ in range(19)]
-            assert drives.recv(0) is None
-            reply = can.Message(arbitration_id=0x100, data=b"\x36\x00\x00\x0c\x80\x00\x6b", is_extended_id=True)
-            arm.listen()
-            drives.send(reply)  # 12.5 turns of 65536
-            while math.isnan(arm.measured_rad[0]):
-                time.sleep(0.001)
-    finally:
-        arm.close()
+    config = load_arm("episode1", overrides={"bus": {"channel": "none"}})
+    with (
+        contextlib.closing(PythonArm(config, None)) as arm,
+        can.Bus(interface="virtual", channel="rtarm_bench") as drives,
+    ):
+        arm.cycle([0.0] * 6)
+        frames = [drives.recv(1.0) for _ in range(19)]
+        assert drives.recv(0) is None
+        reply = can.Message(arbitration_id=0x100, data=b"\x36\x00\x00\x0c\x80\x00\x6b", is_extended_id=True)
+        arm.listen()
+        drives.send(reply)  # 12.5 turns of 65536
+        while math.isnan(arm.measured_rad[0]):
+            time.sleep(0.001)
     sent = [(frame.arbitration_id, bytes(frame.data)) for frame in frames if frame is not None]
     assert sent[:2] == [(0x100, b"\xfd\x00\x00\x64\xc8\x00\x00\x9c"), (0x101, b"\xfd\x40\x01\x00\x6b")]  # 40,000 pulses
     assert sent[12:18] == [(joint << 8, b"\x36\x6b") for joint in range(1, 7)]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import until
 
 pytest.importorskip("rclpy")
 
@@ -59,14 +59,6 @@ def demo(moveit: Client, mock_file: Path) -> Iterator[subprocess.Popen[str]]:
     process.stdout.close()
 
 
-def until(condition: Callable[[], object], demo: subprocess.Popen[str]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert demo.poll() is None, demo.communicate()[0]
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
 def test_the_demo_moves_its_own_arm_and_a_goal_for_the_other_that_one(
     demo: subprocess.Popen[str], moveit: Client, arm_name: str
 ) -> None:
@@ -74,11 +66,13 @@ def test_the_demo_moves_its_own_arm_and_a_goal_for_the_other_that_one(
         arms = [arm for arm in files.running_arms() if arm.startswith(f"{arm_name}_demo_")]
         return any(read_status(arm)["mode"] == "executing" for arm in arms)
 
-    until(playing, demo)
+    until(playing, "a goal of the demo", PATIENCE_S, of=demo)
     before = read_status(arm_name)
     assert (before["mode"], before["last_result"]) == ("holding", None)
     node = moveit.node
-    until(lambda: any(name.startswith(f"/{arm_name}_demo_") for name in names_seen(node)), demo)
+    until(
+        lambda: any(name.startswith(f"/{arm_name}_demo_") for name in names_seen(node)), "its node", PATIENCE_S, of=demo
+    )
     assert node.get_node_names_and_namespaces().count(("episode_arm_controller", "/")) == 1
     for topic in ("joint_states", "dynamic_joint_states", "diagnostics"):
         assert node.count_publishers(f"/{topic}") == 1, topic

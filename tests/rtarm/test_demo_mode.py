@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import signal
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -12,19 +13,18 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
-from ros_client import SUCCEEDED, Client, recorded, until
+from ros_client import SUCCEEDED, Client, recorded
 from stack import Process
+from waiting import until
 
 pytestmark = pytest.mark.process
 
 
 def test_the_demo_publishes_at_100_hz_and_plays_a_goal(mock_file: Path) -> None:
-    up = Process("rtarm", "up", str(mock_file), needs_ros=True)
-    try:
+    with closing(Process("rtarm", "up", str(mock_file), needs_ros=True)) as up:
         up.line_with("rtarm  running")
         assert "at 100 Hz without a bus (mock drives)" in up.text
-        client = Client()
-        try:
+        with closing(Client()) as client:
             until(lambda: len(client.states) > 200, "two seconds of joint states")
             states = [state for _, state in client.states]
             stamps = [state.header.stamp.sec + state.header.stamp.nanosec * 1e-9 for state in states]
@@ -45,9 +45,5 @@ def test_the_demo_publishes_at_100_hz_and_plays_a_goal(mock_file: Path) -> None:
             until(lambda: client.states and not any(client.states[-1][1].velocity), "rest")
             last = list(goal.trajectory.points[-1].positions)
             assert list(client.states[-1][1].position) == pytest.approx(last, abs=1e-3)
-        finally:
-            client.close()
         up.process.send_signal(signal.SIGINT)
         assert up.code() == 0
-    finally:
-        up.close()

@@ -7,15 +7,16 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
-from stack import ROOT, Process, Stack
+from arm_files import edited
+from stack import ROOT, Process, Stack, run_rtarm
 from typer.testing import Result
+from waiting import until
 from written_arm import WrittenArm
 
 from rtarm.drives import plan, question, summary
@@ -28,23 +29,18 @@ PATIENCE_S = 120.0
 def simulated(arm_name: str, tmp_path: Path) -> Iterator[Stack]:
     """Drives that are switched on; no control process runs."""
     stack = Stack(arm_name, tmp_path)
-    values = yaml.safe_load(stack.arm_file.read_text(encoding="utf-8"))
-    for joint in values["joints"][:2]:
-        joint["drive"]["current_ma"] = 2500
-    values["bus"]["acknowledge"] = True
-    values["control"]["rate_hz"] = 100
-    stack.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
+    with edited(stack.arm_file) as values:
+        for joint in values["joints"][:2]:
+            joint["drive"]["current_ma"] = 2500
+        values["bus"]["acknowledge"] = True
+        values["control"]["rate_hz"] = 100
     stack.start_sim()
     yield stack
     stack.close()
 
 
 def drives(stack: Stack, *options: str, typed: str = "") -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "rtarm", "drives", str(stack.arm_file), *options]
-    environment = {**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "COLUMNS": "120"}
-    return subprocess.run(
-        command, cwd=ROOT, env=environment, input=typed, capture_output=True, text=True, timeout=PATIENCE_S, check=False
-    )
+    return run_rtarm("drives", str(stack.arm_file), *options, typed=typed)
 
 
 def currents(result: subprocess.CompletedProcess[str]) -> list[int]:
@@ -84,14 +80,11 @@ def test_a_session_from_reading_to_flash(simulated: Stack) -> None:
 
 @pytest.mark.process
 def test_an_adapter_that_goes_away_between_reading_and_writing(simulated: Stack) -> None:
-    process = Process("rtloop.settings", str(simulated.arm_file))
-    try:
+    with closing(Process("rtloop.settings", str(simulated.arm_file))) as process:
         process.line_with("ready")
         simulated.unplug()
         process.line_with(f"refused The adapter at {simulated.link} is gone")
         assert process.code() == 2
-    finally:
-        process.close()
 
 
 @pytest.mark.process
@@ -104,16 +97,14 @@ def test_an_adapter_that_goes_away_while_a_person_thinks(simulated: Stack) -> No
         while "Flash wears out" not in asked.stderr.readline():
             pass
         simulated.unplug()
-        wait_until(lambda: not list(DIRECTORY.glob(f"rtarm.{simulated.name}.*")))
+        until(lambda: not list(DIRECTORY.glob(f"rtarm.{simulated.name}.*")), patience_s=PATIENCE_S)
         _, said = asked.communicate("y\n", timeout=PATIENCE_S)
     assert asked.returncode == 2 and f"The adapter at {simulated.link} is gone" in said
 
 
 @pytest.mark.process
 def test_the_wrong_bit_rate_is_a_bus_without_drives(simulated: Stack) -> None:
-    text = simulated.arm_file.read_text(encoding="utf-8")
-    slower = text.replace("bitrate: 500000", "bitrate: 250000").replace("rate_hz: 100", "rate_hz: 40")
-    simulated.arm_file.write_text(slower, encoding="utf-8")
+    simulated.change(bus={"bitrate": 250_000}, control={"rate_hz": 40})
     read = drives(simulated, "--json")
     report = json.loads(read.stdout)
     assert (read.returncode, report["agrees"]) == (5, False)
@@ -121,31 +112,20 @@ def test_the_wrong_bit_rate_is_a_bus_without_drives(simulated: Stack) -> None:
         assert "does not answer" in drive["left_alone"][0] and "250000 bit/s" in drive["left_alone"][0]
 
 
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
 @pytest.mark.process
 def test_a_signal_ends_it_in_order(simulated: Stack) -> None:
-    process = Process("rtloop.settings", str(simulated.arm_file))
-    try:
+    with closing(Process("rtloop.settings", str(simulated.arm_file))) as process:
         process.line_with("ready")
         process.process.terminate()
         assert process.code() == 0
         assert not list(DIRECTORY.glob(f"rtarm.{simulated.name}.*"))
-    finally:
-        process.close()
 
 
 @pytest.mark.process
 def test_ctrl_c_amid_a_write_says_which_drives_were_not_written(simulated: Stack) -> None:
-    values = yaml.safe_load(simulated.arm_file.read_text(encoding="utf-8"))
-    for joint in values["joints"]:
-        joint["drive"].update(current_ma=2500, watchdog_ms=5000)
-    simulated.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
+    with edited(simulated.arm_file) as values:
+        for joint in values["joints"]:
+            joint["drive"].update(current_ma=2500, watchdog_ms=5000)
     command = [sys.executable, "-m", "rtarm", "drives", str(simulated.arm_file), "--write", "--store", "--json"]
     environment = {**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
     pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}

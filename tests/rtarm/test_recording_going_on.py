@@ -21,7 +21,8 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from typer.testing import Result
-from virtual import VirtualArm, recorded_goal
+from virtual import VirtualArm
+from waiting import until
 
 from rtarm.errors import Refusal
 from rtarm.recording import folder, mcap_reader, shown
@@ -37,8 +38,7 @@ PATIENCE_S = 120.0
 @pytest.fixture
 def arm() -> Iterator[VirtualArm]:
     """An arm amid a goal."""
-    made = VirtualArm("episode1", start_rad=recorded_goal("large")["joints"][0, :, 0])
-    assert made.bring_up().failure is None
+    made = VirtualArm.at_start_of("large")
     made.play("large")
     yield made
     made.close()
@@ -249,14 +249,6 @@ def recording(
     return child
 
 
-def wait_for(condition: Callable[[], bool], child: subprocess.Popen[str]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert child.poll() is None, child.communicate()
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
 def cycles_in(path: Path) -> int:
     try:
         return len(mcap_reader.read(path).recording.records)
@@ -269,7 +261,7 @@ def cycles_in(path: Path) -> int:
 def test_a_signal_ends_it_in_order(live: Live, arm_name: str, tmp_path: Path, number: signal.Signals) -> None:
     path = tmp_path / "on.mcap"
     child = recording(arm_name, path, "--follow")
-    wait_for(lambda: cycles_in(path) > 0, child)
+    until(lambda: cycles_in(path) > 0, patience_s=PATIENCE_S, of=child)
     before = cycles_in(path)
     live.go(30)
     child.send_signal(number)
@@ -306,10 +298,10 @@ def test_a_terminal_that_takes_nothing_does_not_hold_it_up(
     hold_up(master, slave)
     child = recording(arm_name, path, "--follow", stderr=slave)
     try:
-        wait_for(lambda: cycles_in(path) > 0, child)
+        until(lambda: cycles_in(path) > 0, patience_s=PATIENCE_S, of=child)
         before = cycles_in(path)
         live.go(30)
-        wait_for(lambda: cycles_in(path) == before + 30, child)
+        until(lambda: cycles_in(path) == before + 30, patience_s=PATIENCE_S, of=child)
         child.send_signal(signal.SIGTERM)
         out, _ = child.communicate(timeout=PATIENCE_S)
     finally:
@@ -330,10 +322,10 @@ def test_a_terminal_that_takes_nothing_does_not_hold_it_up(
 def test_a_killed_recording_has_what_was_written(live: Live, arm_name: str, tmp_path: Path) -> None:
     path = tmp_path / "on.mcap"
     child = recording(arm_name, path, "-f")
-    wait_for(lambda: cycles_in(path) > 0, child)
+    until(lambda: cycles_in(path) > 0, patience_s=PATIENCE_S, of=child)
     before = cycles_in(path)
     live.go(30)
-    wait_for(lambda: cycles_in(path) == before + 30, child)
+    until(lambda: cycles_in(path) == before + 30, patience_s=PATIENCE_S, of=child)
     child.kill()
     child.communicate(timeout=PATIENCE_S)
     loaded = mcap_reader.read(path)
@@ -354,7 +346,7 @@ def test_it_ends_with_the_control_process(
         live.go(1)
         return cycles_in(path) > 0
 
-    wait_for(goes, child)
+    until(goes, patience_s=PATIENCE_S, of=child)
     live.end()
     _, err = child.communicate(timeout=PATIENCE_S)
     assert child.returncode == code

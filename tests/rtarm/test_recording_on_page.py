@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,13 +12,13 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, DRIVER, Browser
 from stack import Process
-from virtual import VirtualArm, recorded_goal
+from virtual import VirtualArm
 
 from rtarm.recording import mcap_writer
 from rtarm.recording.mcap_format import Reason
 from rtarm.recording.mcap_reader import read
 from shm.recording import read_recording
-from shm.words import Mode, Outcome
+from shm.words import Mode
 
 pytestmark = [
     pytest.mark.process,
@@ -28,10 +29,9 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A goal of episode1 from its beginning to its end, without what was before: the page plays it very slowly."""
-    arm = VirtualArm("episode1", start_rad=recorded_goal("large")["joints"][0, :, 0])
-    assert arm.bring_up().failure is None
+    arm = VirtualArm.at_start_of("large")
     arm.play("large")
-    arm.until(lambda: arm.outcome(1) != Outcome.NONE)
+    arm.end_of(1)
     path = tmp_path_factory.mktemp("page") / "done.mcap"
     whole = read_recording(arm.state)
     records = whole.records[np.argmax(whole.records["mode"] == Mode.EXECUTING) :]
@@ -51,8 +51,7 @@ def page(recorded: Path) -> Iterator[str]:
 def test_a_recording_plays_in_the_browser_and_nothing_there_moves_an_arm(page: str, recorded: Path) -> None:
     positions_deg = np.degrees(read(recorded).recording.records["joints"]["measured_position_rad"][:, 0])
     shown_deg: set[float] = set()
-    browser = Browser()
-    try:
+    with closing(Browser()) as browser:
         browser.open(page)
         browser.until(lambda: browser.text("#rt-mode") == "executing")
 
@@ -63,5 +62,3 @@ def test_a_recording_plays_in_the_browser_and_nothing_there_moves_an_arm(page: s
         browser.until(goes_on)
         assert positions_deg.min() - 0.006 <= min(shown_deg) and max(shown_deg) <= positions_deg.max() + 0.006
         assert not {"Go there", "Hold", "Stop"} & set(browser.buttons())
-    finally:
-        browser.close()

@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,10 @@ from hypothesis import strategies as st
 pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
-from ros_client import SUCCEEDED, Client, Operator, recorded, until
+from ros_client import SUCCEEDED, Client, Operator, recorded
 from sensor_msgs.msg import JointState
 from stack import Process
+from waiting import until
 
 from config.loader import load_arm
 from rosfront.start_parameters import START, BadParameter, read_given
@@ -184,13 +186,10 @@ def test_a_namespace_and_remaps_reach_the_node_and_a_name_does_not(
     robot.line_with("rtarm  running")
     assert "The node is called episode_arm_controller instead of robot" in robot.text
     assert "front  ready, action /left/episode_arm_controller/follow_joint_trajectory" in robot.text
-    operator = Operator("left/episode_arm_controller")
-    try:
+    with closing(Operator("left/episode_arm_controller")) as operator:
         operator.listen(JointState, "/left/states")
         name = ("episode_arm_controller", "/left")
         until(lambda: name in operator.node.get_node_names_and_namespaces(), "the node's name")
-    finally:
-        operator.close()
     robot.process.terminate()
     assert robot.code() == 0
 
@@ -199,13 +198,10 @@ def test_a_namespace_and_remaps_reach_the_node_and_a_name_does_not(
 def test_a_simulated_arm_says_so(start: Callable[..., Process], arm_file: Path) -> None:
     robot = start("--ros-args", "-p", f"arm:={arm_file}", "-p", "sim:=true")
     robot.line_with("rtarm  running")
-    operator = Operator()
-    try:
+    with closing(Operator()) as operator:
         simulated, usb_index, channel = operator.get_parameters("sim", "usb_index", "channel")
         assert (simulated, usb_index) == (True, -1)
         assert channel.startswith("/dev/pts/")
-    finally:
-        operator.close()
     robot.process.send_signal(signal.SIGINT)
     assert robot.code() == 0
 

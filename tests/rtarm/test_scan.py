@@ -6,8 +6,6 @@ import io
 import json
 import os
 import socket
-import subprocess
-import sys
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -20,7 +18,7 @@ from fake_machine import Content, can_link, place
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
-from stack import ROOT, Stack
+from stack import Stack, run_rtarm
 from typer.testing import Result
 
 from config.errors import ConfigError
@@ -553,15 +551,9 @@ def simulated(arm_name: str, tmp_path: Path) -> Iterator[Stack]:
     stack.close()
 
 
-def command(*options: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
-    words = [sys.executable, "-m", "rtarm", "scan", *options]
-    return subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=False)
-
-
 @pytest.mark.process
 def test_a_pseudo_terminal_is_scanned_and_a_file_proposed(simulated: Stack, tmp_path: Path) -> None:
-    found = command("--port", str(simulated.link), "--json")
+    found = run_rtarm("scan", "--port", str(simulated.link), "--json")
     report = json.loads(found.stdout)
     assert (found.returncode, report["found"]) == (0, True)
     [entry] = report["adapters"]
@@ -580,13 +572,13 @@ def test_a_pseudo_terminal_is_scanned_and_a_file_proposed(simulated: Stack, tmp_
     proposed.write_text(yaml.safe_dump(values), encoding="utf-8")
     assert load_arm(proposed).bus.resolved_channel == str(simulated.link)
 
-    shown = command("--port", str(simulated.link))
+    shown = run_rtarm("scan", "--port", str(simulated.link))
     assert "6 drives answer at 500000 bit/s" in shown.stdout
     assert report["proposal"] in shown.stdout
 
     fd = open_port(str(simulated.link), "cdc")  # as a control process holds it
     try:
-        held = command("--port", str(simulated.link))
+        held = run_rtarm("scan", "--port", str(simulated.link))
     finally:
         os.close(fd)
     said = " ".join(held.stdout.split())  # however long the path is at which lines are folded

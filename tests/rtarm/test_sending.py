@@ -6,16 +6,16 @@ import math
 import os
 import signal
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from stack import Stack
 
-from config.loader import ARMS_FOLDER, load_arm
+from config.loader import load_arm
 from rtarm.errors import Refusal
 from rtarm.sending import Outcome, Sender, goal_document, sending
 from rtarm.status import read_status
@@ -31,16 +31,10 @@ def move(joint: str, degrees: float, duration_s: float, start_deg: float = 0.0) 
 @pytest.fixture(scope="module")
 def stack(new_arm_name: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     """An arm whose drives do as they are told: no stall of the machine leaves a fault to the next test."""
-    stack = Stack(new_arm_name(), tmp_path_factory.mktemp("sending"))
-    mock = yaml.safe_load((ARMS_FOLDER / "mock.yaml").read_text(encoding="utf-8")) | {"name": stack.name}
-    mock["front"]["controller_name"] = f"controller_{stack.name}"
-    stack.arm_file.write_text(yaml.safe_dump(mock), encoding="utf-8")
-    try:
+    with closing(Stack(new_arm_name(), tmp_path_factory.mktemp("sending"), "mock")) as stack:
         stack.start_loop()
         stack.start_front()
         yield stack
-    finally:
-        stack.close()
 
 
 def arm_of(stack: Stack) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import socket
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -31,15 +32,12 @@ def test_a_service_manager_is_told(manager: socket.socket) -> None:
 
 @pytest.mark.process
 def test_an_arm_tells_when_it_is_ready_and_when_it_ends(manager: socket.socket, mock_file: Path) -> None:
-    up = Process("rtarm", "up", str(mock_file), needs_ros=True)
-    try:
+    with closing(Process("rtarm", "up", str(mock_file), needs_ros=True)) as up:
         up.line_with("rtarm  running")
         assert manager.recv(100).startswith(b"READY=1")
         up.process.send_signal(signal.SIGTERM)
         assert up.code() == 0
         assert manager.recv(100).startswith(b"STOPPING=1")
-    finally:
-        up.close()
 
 
 def test_nobody_listening_is_no_failure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

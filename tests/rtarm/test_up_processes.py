@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from stack import run_rtarm
+from waiting import until
 
 from config.loader import known_arms
 from rtarm.recording import folder, mcap_reader, story
@@ -104,21 +106,10 @@ def clean(arm_name: str) -> Iterator[None]:
 
 
 def status(arm: str) -> dict[str, Any]:
-    result = subprocess.run(
-        [sys.executable, "-m", "rtarm", "status", arm, "--json"], capture_output=True, text=True, check=False
-    )
+    result = run_rtarm("status", arm, "--json")
     report: dict[str, Any] = json.loads(result.stdout)
     assert (result.returncode == 0) == report["healthy"]
     return report
-
-
-def eventually(condition: Callable[[], bool]) -> bool:
-    deadline = time.monotonic() + LONG_S
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.02)
-    return True
 
 
 def ended(pids: list[int]) -> bool:
@@ -155,7 +146,7 @@ def test_up_serves_restarts_the_front_and_ends_in_order(
     os.kill(report["front"]["pid"], signal.SIGKILL)
     up.until("the ROS process ended by SIGKILL; starting it again")
     up.until("ready again")
-    assert eventually(lambda: bool(status(arm_name)["healthy"]))
+    until(lambda: bool(status(arm_name)["healthy"]), patience_s=LONG_S)
     again = status(arm_name)
     assert again["front"]["pid"] != report["front"]["pid"]
     assert again["loop"]["pid"] == report["loop"]["pid"]
@@ -226,11 +217,8 @@ def test_each_latched_fault_is_recorded_once_with_what_followed(
 
 def written(arm: str) -> Path:
     """The recording of an arm, whose writing may outlive `rtarm up` on a busy machine."""
-    deadline = time.monotonic() + 60.0
-    while not (found := folder.recordings(arm)):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    (recording,) = found
+    until(lambda: folder.recordings(arm), "a recording", LONG_S)
+    (recording,) = folder.recordings(arm)
     return recording
 
 
@@ -250,7 +238,7 @@ def test_kill_9_of_the_launcher_leaves_no_process(start: Callable[..., Command],
     assert {str(report["loop"]["pid"]), str(report["front"]["pid"])} < set(children)
     assert len(children) == 3
     up.process.kill()
-    assert eventually(lambda: ended([int(pid) for pid in children]))
+    until(lambda: ended([int(pid) for pid in children]), patience_s=LONG_S)
 
 
 @pytest.mark.parametrize(
@@ -283,10 +271,10 @@ def test_a_reader_that_goes_away_does_not_end_the_arm(
     up.until("control process starting")
     assert up.process.stdout is not None
     up.process.stdout.close()
-    assert eventually(lambda: bool(status(arm_name)["healthy"]))
+    until(lambda: bool(status(arm_name)["healthy"]), patience_s=LONG_S)
     front = status(arm_name)["front"]["pid"]
     os.kill(front, signal.SIGKILL)  # which the launcher has to say, to nobody
-    assert eventually(lambda: status(arm_name)["front"]["pid"] not in (None, front))
+    until(lambda: status(arm_name)["front"]["pid"] not in (None, front), patience_s=LONG_S)
     up.process.send_signal(signal.SIGTERM)
     assert up.process.wait(LONG_S) == 0
     assert up.process.stderr is not None

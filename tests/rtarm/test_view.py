@@ -8,6 +8,7 @@ import math
 import string
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from types import SimpleNamespace
 from typing import Any
 
@@ -243,11 +244,8 @@ def test_thinning_keeps_both_ends(count: int) -> None:
 
 
 def look_of(arm: WrittenArm, **changes: Any) -> Look:
-    reader = StateReader(files.open_state(arm.name))
-    try:
+    with closing(StateReader(files.open_state(arm.name))) as reader:
         report = report_of(arm.name, reader)
-    finally:
-        reader.close()
     return Look(arm.name, report=report | changes, recent=report, recent_s=1.0)
 
 
@@ -324,14 +322,11 @@ def test_an_arm_whose_file_cannot_be_known_from_its_name_needs_it(
 
 
 def test_another_arm_of_the_same_name_is_not_drawn(arm: WrittenArm) -> None:
-    source = LiveArm(EPISODE1.model_copy(update={"name": arm.name}))
-    try:
+    with closing(LiveArm(EPISODE1.model_copy(update={"name": arm.name}))) as source:
         look = source.look()
         assert look.report is None and look.trouble is not None
         assert "shoulder, elbow" in look.trouble and "start `rtarm view` again" in look.trouble
         assert len(source.cycles()) == 0 and len(source.path()) == 0
-    finally:
-        source.close()
 
 
 @pytest.fixture

@@ -6,19 +6,17 @@ import math
 import os
 import re
 import signal
-import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import yaml
+from arm_files import edited, known_arm
 from browser import CHROMIUM, DRIVER, Browser, host_of
 from stack import Process, Stack
 from working_threads import niceness_at_work
 
-from config.loader import ARMS_FOLDER
 from rtarm import requests
 from rtarm.status import Report, read_status
 from shm.words import Request
@@ -46,14 +44,6 @@ class ViewedArm(Stack):
     def status(self) -> Report:
         return read_status(self.name)
 
-    def until(self, condition: Callable[[Report], Any], patience_s: float = 60.0) -> Report:
-        """The first report that fulfils a condition."""
-        deadline = time.monotonic() + patience_s
-        while not condition(report := self.status()):
-            assert time.monotonic() < deadline, report
-            time.sleep(0.02)
-        return report
-
     def speed_asked(self) -> float:
         with requests.connect(self.name) as connection:
             return float(connection.snapshot()["speed_scale_asked"])
@@ -62,12 +52,12 @@ class ViewedArm(Stack):
         return math.degrees(self.status()["joints"][joint - 1]["position_rad"])
 
 
-def mock_with_geometry(arm: Stack) -> None:
-    """Make it an arm whose drives do as they are told, however busy the machine is."""
-    mock, episode1 = (yaml.safe_load((ARMS_FOLDER / f"{name}.yaml").read_text()) for name in ("mock", "episode1"))
-    mock |= {"name": arm.name, "kinematics": episode1["kinematics"]}
-    mock["front"]["controller_name"] = f"controller_{arm.name}"
-    arm.arm_file.write_text(yaml.safe_dump(mock), encoding="utf-8")
+def mock_with_geometry(name: str, folder: Path) -> ViewedArm:
+    """An arm whose drives do as they are told, however busy the machine is."""
+    arm = ViewedArm(name, folder, "mock")
+    with edited(arm.arm_file) as values:
+        values["kinematics"] = known_arm("episode1")["kinematics"]
+    return arm
 
 
 @pytest.fixture(scope="module")
@@ -80,8 +70,7 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture(scope="module")
 def running(new_arm_name: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewedArm]:
     """A mock arm with its ROS process and its page."""
-    arm = ViewedArm(PICTURED or new_arm_name(), tmp_path_factory.mktemp("view"))
-    mock_with_geometry(arm)
+    arm = mock_with_geometry(PICTURED or new_arm_name(), tmp_path_factory.mktemp("view"))
     arm.start_loop()
     arm.start_front()
     arm.start_view()
@@ -279,8 +268,7 @@ def test_the_end_of_the_control_process_is_told_and_the_next_one_followed(arm: V
 
 
 def test_a_fault_is_told_with_what_to_do(browser: Browser, new_arm_name: Callable[[], str], tmp_path: Path) -> None:
-    arm = ViewedArm(f"{PICTURED}_2" if PICTURED else new_arm_name(), tmp_path)
-    try:
+    with closing(ViewedArm(f"{PICTURED}_2" if PICTURED else new_arm_name(), tmp_path)) as arm:
         arm.start_sim()
         arm.start_loop()
         arm.start_view()
@@ -294,5 +282,3 @@ def test_a_fault_is_told_with_what_to_do(browser: Browser, new_arm_name: Callabl
         browser.press("Clear fault")
         browser.until(lambda: "is cleared" in browser.said("answer"))
         arm.until(lambda report: report["fault"] is None)
-    finally:
-        arm.close()

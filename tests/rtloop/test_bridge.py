@@ -17,6 +17,7 @@ import can.interfaces.slcan
 import numpy as np
 import pytest
 from can_records import EXTENDED, REMOTE, error_record, record, unpacked
+from waiting import until
 
 from config.loader import load_arm
 from rtloop.beginning import new_loop
@@ -99,14 +100,6 @@ def virtual():
     yield ends
     for end in ends:
         end.shutdown()
-
-
-def until(wanted):
-    """Wait for something that other threads do."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not wanted():
-        assert time.monotonic() < deadline, "it never came"
-        time.sleep(0.001)
 
 
 def fresh(can_id, data, *, flags=EXTENDED, marks=0, age_s=0.0):

@@ -5,31 +5,32 @@ import os
 import platform
 import pty
 import resource
-import secrets
 import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
-import yaml
+from arm_files import write_arm
 from compiling import make_object
+from memory_front import MemoryFront
 from stack import Process
 
-from config.loader import ARMS_FOLDER, arm_hash, load_arm
+from config.loader import load_arm
 from rtloop import compiled, realtime, saved
 from rtloop.port import ServicePort
 from rtloop.process import ControlProcess, StopAsked
 from shm import cache
-from shm.client import CommandWriter, StateReader
+from shm.client import StateReader
 from shm.errors import NotRunning
-from shm.files import DIRECTORY, open_state, own_command
+from shm.files import DIRECTORY, open_state
 from shm.words import Fault, Mode, Outcome, Request
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -161,14 +162,10 @@ def test_what_is_locked_of_the_code_is_where_it_runs():
 
 
 @pytest.fixture
-def mock_arm(tmp_path) -> Iterator[SimpleNamespace]:
+def mock_arm(arm_name, tmp_path) -> Iterator[SimpleNamespace]:
     """A mock arm of this test's own: `name`, `file`."""
-    values = yaml.safe_load((ARMS_FOLDER / "mock.yaml").read_text(encoding="utf-8"))
-    values["name"] = name = f"t{secrets.token_hex(4)}"
-    file = tmp_path / f"{name}.yaml"
-    file.write_text(yaml.safe_dump(values), encoding="utf-8")
-    yield SimpleNamespace(name=name, file=file)
-    assert not list(DIRECTORY.glob(f"rtarm.{name}.*"))
+    yield SimpleNamespace(name=arm_name, file=write_arm("mock", arm_name, tmp_path))
+    assert not list(DIRECTORY.glob(f"rtarm.{arm_name}.*"))
 
 
 def faults(pid: int) -> dict[int, tuple[int, int]]:
@@ -181,58 +178,29 @@ def faults(pid: int) -> dict[int, tuple[int, int]]:
     return found
 
 
-def until(reader: StateReader, writer: CommandWriter, wanted) -> None:
-    """Wait for a snapshot, being a living front meanwhile."""
-    for _ in range(3000):
-        writer.beat()
-        if wanted(reader.snapshot()):
-            return
-        signal.sigtimedwait([], 0.01)
-    raise AssertionError(f"it never came: {reader.snapshot()}")
-
-
-def swing(reader: StateReader, writer: CommandWriter, goal: int) -> None:
-    """Send a goal of 4 s."""
-    home, off = reader.snapshot()["joints"]["commanded_position_rad"][:6].copy(), np.zeros((6, 3))
-    consumed = reader.setpoints_consumed()
-    writer.announce(goal)
-    writer.begin(goal, start_ns=0, joint_mask=63, goal_time_s=0.0, entry=0, tolerances=off, consumed=consumed)
-    for number, time_s in enumerate(np.linspace(0.0, 4.0, 41)):
-        joints = np.zeros((6, 3))
-        joints[:, 0] = home + 0.05 * (1 - np.cos(np.pi / 2 * time_s))
-        joints[:, 1] = 0.05 * np.pi / 2 * np.sin(np.pi / 2 * time_s) if 0 < number < 40 else 0.0
-        writer.knot(goal, round(time_s * 1e9), 3, joints, consumed)
-    writer.end(goal, off, consumed)
-
-
 @pytest.mark.process
 def test_whatever_happens_no_cycle_waits_for_a_page(mock_arm):
     """From the first moment that the arm holds: motion, pause, cancel, a latched fault, its end, and the last stop."""
-    process = Process("rtloop", str(mock_arm.file))
-    try:
+    with closing(Process("rtloop", str(mock_arm.file))) as process:
         process.line_with("ready")
         at_first = faults(process.process.pid)
-        reader = StateReader(open_state(mock_arm.name))
-        writer = CommandWriter(own_command(mock_arm.name, arm_hash(load_arm(mock_arm.file))))
-        swing(reader, writer, 1)
-        until(reader, writer, lambda now: now["trajectory_clock_ns"] > 1e9)
-        writer.request(Request.HOLD)
-        until(reader, writer, lambda now: now["speed_scale"] == 0 or now["mode"] != Mode.EXECUTING)
-        writer.request(Request.RESUME)
-        until(reader, writer, lambda now: now["mode"] == Mode.EXECUTING)
-        writer.request(Request.CANCEL, goal_id=1)
-        until(reader, writer, lambda now: now["results"][1]["outcome"] == Outcome.CANCELED)
-        swing(reader, writer, 2)
-        until(reader, writer, lambda now: now["mode"] == Mode.EXECUTING)
-        writer.memory.record["setpoints_written"] += 1  # a record that was never written
-        until(reader, writer, lambda now: now["mode"] == Mode.FAULT)
-        assert reader.snapshot()["fault"] == Fault.COMMAND_RING
+        front = MemoryFront(mock_arm.file)
+        assert front.swing() == 1
+        front.until(lambda now: now["trajectory_clock_ns"] > 1e9)
+        front.writer.request(Request.HOLD)
+        front.until(lambda now: now["speed_scale"] == 0 or now["mode"] != Mode.EXECUTING)
+        front.writer.request(Request.RESUME)
+        front.until(lambda now: now["mode"] == Mode.EXECUTING)
+        front.writer.request(Request.CANCEL, goal_id=1)
+        front.until(lambda now: now["results"][1]["outcome"] == Outcome.CANCELED)
+        assert front.swing() == 2
+        front.until(lambda now: now["mode"] == Mode.EXECUTING)
+        front.writer.memory.record["setpoints_written"] += 1  # a record that was never written
+        front.until(lambda now: now["mode"] == Mode.FAULT)
+        assert front.now()["fault"] == Fault.COMMAND_RING
         assert len(at_first) == 1
         assert faults(process.process.pid) == at_first
-        reader.close()
-        writer.close()
-    finally:
-        process.close()
+        front.close()
     assert process.code() == 0
 
 
@@ -353,15 +321,10 @@ for limited in (False, True):
 
 
 @pytest.fixture
-def deaf_arm(tmp_path, unlocked):
+def deaf_arm(arm_name, tmp_path, unlocked):
     """An arm of a name of its own at a terminal where nobody answers."""
     master, slave = pty.openpty()
-    name = f"t{secrets.token_hex(4)}"
-    values = yaml.safe_load((ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8"))
-    values["name"] = name
-    file = tmp_path / f"{name}.yaml"
-    file.write_text(yaml.safe_dump(values), encoding="utf-8")
-    yield load_arm(file, overrides={"bus": {"channel": os.ttyname(slave)}})
+    yield load_arm(write_arm("episode1", arm_name, tmp_path), overrides={"bus": {"channel": os.ttyname(slave)}})
     os.close(master)
     os.close(slave)
 
@@ -378,12 +341,9 @@ def test_memory_counts_as_locked_only_when_the_readers_stack_is(deaf_arm, monkey
     stop_asked = StopAsked([])
     stop_asked.yes = True
     process = ControlProcess(deaf_arm, compiled.load(), lambda sentence: None, stop_asked)
-    reader = StateReader(open_state(deaf_arm.name))
-    try:
+    with closing(StateReader(open_state(deaf_arm.name))) as reader:
         assert process.serve(lambda: None) == 0
         assert reader.memory.record["scheduling"]["memory_locked"] == 0
-    finally:
-        reader.close()
 
 
 def test_a_cycle_that_takes_no_orders_ends_the_process_with_a_sentence(deaf_arm, monkeypatch):
@@ -425,8 +385,7 @@ sys.exit(process.wait())
 @pytest.mark.process
 def test_a_signal_while_the_cycle_is_compiled_ends_the_compiler_too(mock_arm, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    process = Process("rtloop", str(mock_arm.file))
-    try:
+    with closing(Process("rtloop", str(mock_arm.file))) as process:
         process.line_with("compiling")
         pid = process.process.pid
         (compiler,) = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
@@ -434,8 +393,6 @@ def test_a_signal_while_the_cycle_is_compiled_ends_the_compiler_too(mock_arm, tm
         assert process.code() == 0
         assert len(process.lines) == 1
         assert not Path(f"/proc/{compiler}").exists()
-    finally:
-        process.close()
 
 
 def test_a_cache_that_cannot_grow_is_one_sentence(tmp_path):

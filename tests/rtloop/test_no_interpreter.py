@@ -2,11 +2,9 @@
 
 import ctypes
 import importlib
-import os
 import pkgutil
 import resource
 import shutil
-import subprocess
 import sys
 import threading
 import time
@@ -14,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compiling import compile_functions
+from compiling import bounds_checked, compile_functions
 from many_cycles import Recording, RecordingArm, advance, replay, run_cycles, swing
 from numba.core.caching import FunctionCache
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime import _nrt_python, rtsys
-from virtual import VirtualArm, recorded_goal
+from virtual import VirtualArm
 
 import rtloop
 import shm
@@ -145,8 +143,7 @@ def test_ten_thousand_cycles_allocate_nothing_and_fault_no_page(swinging):
 
 def test_a_recorded_goal_on_six_drives_allocates_nothing_and_faults_no_page():
     """The codecs of wire and drives, the way onto the path and the arrival included, which the mock arm lacks."""
-    arm = RecordingArm(start_rad=recorded_goal("large")["joints"][0, :, 0])
-    assert arm.bring_up().failure is None
+    arm = RecordingArm.at_start_of("large")
     recording = Recording(arm, arm.play("large"))
     signatures = {function: len(function.signatures) for function in reachable(replay)}
     _nrt_python.memsys_enable_stats()
@@ -230,24 +227,10 @@ def test_holding_the_gil_for_two_seconds_costs_no_cycle():
 # --- with bounds checking -------------------------------------------------------------------------------
 
 CHECKED = """
-import numba
-import numpy as np
-from shm.words import Outcome
-from virtual import VirtualArm, recorded_goal
+from virtual import VirtualArm
 
-@numba.njit
-def beyond(values, index):
-    return values[index]
-
-try:
-    beyond(np.zeros(3), 3)
-except IndexError:
-    print("checks bounds")
-arm = VirtualArm(start_rad=recorded_goal("small")["joints"][0, :, 0])
-assert arm.bring_up().failure is None
-goal = arm.play("small")
-arm.until(lambda: arm.outcome(goal) != 0)
-print(Outcome(arm.outcome(goal)).name, int(arm.core["fault"]))
+arm = VirtualArm.at_start_of("small")
+print(arm.end_of(arm.play("small")).name, int(arm.core["fault"]))
 arm.close()
 """
 
@@ -263,13 +246,5 @@ def test_no_index_ever_leaves_its_array(request):
     for old in kept.glob("rtarm/compiled-*"):
         if old != directory:
             shutil.rmtree(old)
-    environment = {
-        **os.environ,
-        "NUMBA_BOUNDSCHECK": "1",
-        "XDG_CACHE_HOME": str(kept),
-        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
-    }
-    result = subprocess.run(
-        [sys.executable, "-c", CHECKED], env=environment, capture_output=True, text=True, check=False
-    )
+    result = bounds_checked(CHECKED, kept)
     assert (result.stdout.split("\n"), result.returncode) == (["checks bounds", "SUCCEEDED 0", ""], 0), result.stderr

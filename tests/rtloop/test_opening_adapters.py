@@ -3,6 +3,7 @@
 The adapters are simulated at byte level (`sim`); the bus behind them has real drives' answers and 1 Mbit/s.
 """
 
+import contextlib
 import os
 import select
 import termios
@@ -12,6 +13,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from served_arm import serving
+from waiting import until
 from wires import WIRES, Wire
 
 from config.loader import load_arm
@@ -37,10 +40,8 @@ class Served:
             "episode1", overrides={"bus": {**wire.bus, "bitrate": 1_000_000, "channel": "simulated", **bus}}
         )
         self.sim = SimulatedArm(self.arm, start_ns=time.monotonic_ns(), **wire.options)
-        self._server = PtyServer(self.sim)
-        self._going = True
-        self._thread = threading.Thread(target=self._server.serve, args=(lambda: self._going,))
-        self._thread.start()
+        self._ends = contextlib.ExitStack()
+        self._server = self._ends.enter_context(serving(PtyServer(self.sim)))
         bus_of_its_own = self.arm.bus.model_copy(update={"channel": self._server.tty_path})
         self.arm = self.arm.model_copy(update={"bus": bus_of_its_own})
 
@@ -48,20 +49,11 @@ class Served:
         """A predecessor writes and is killed."""
         fd = os.open(self._server.tty_path, os.O_RDWR | os.O_NOCTTY)
         os.write(fd, data)
-        self.until(lambda: self.sim.adapter._received_ns > 0)
+        until(lambda: self.sim.adapter._received_ns > 0)
         os.close(fd)
 
-    def until(self, wanted: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + PATIENCE_S
-        while not wanted():
-            assert time.monotonic() < deadline
-            time.sleep(0.002)
-
     def close(self) -> None:
-        self._going = False
-        os.write(self._server.wake_descriptor, b"\0")
-        self._thread.join()
-        self._server.close()
+        self._ends.close()
 
 
 @pytest.fixture
@@ -98,20 +90,17 @@ def test_an_adapter_is_opened_closed_and_opened_again(served: Served, wire: Wire
     for _ in range(2):
         opens_and_works(served, wire)
         if wire.name != "ch340-at":  # nothing is known that would close it
-            served.until(lambda: not served.sim.adapter.is_open)
+            until(lambda: not served.sim.adapter.is_open)
 
 
 @pytest.mark.parametrize(("name", "speed"), [("seeedstudio", termios.B2000000), ("ch340-at", termios.B921600)])
 def test_a_binary_adapter_that_is_taken_for_a_usb_device_gets_its_speed(name: str, speed: int) -> None:
     wire = next(wire for wire in SERIAL if wire.name == name)
-    served = Served(wire, serial_baud="cdc")
-    try:
+    with contextlib.closing(Served(wire, serial_baud="cdc")) as served:
         opened = open_wire(served.arm)
         assert opened is not None
         assert termios.tcgetattr(opened.fd)[4:6] == [speed, speed]
         close_wire(served.arm, opened)
-    finally:
-        served.close()
 
 
 @pytest.mark.parametrize("wire", SERIAL, ids=str)

@@ -6,19 +6,18 @@ virtual machine (`tests/vm`).
 
 import secrets
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from memory_front import MemoryFront
 from observer import judge
-from stack import PATIENCE_S, Stack
+from stack import Stack
 
-from config.loader import arm_hash, load_arm
 from config.serial_adapters import SERIAL_ADAPTERS
-from shm.client import CommandWriter, StateReader
-from shm.files import open_state, own_command
 from shm.words import Answer, Event, Fault, Mode, Request
 
 
@@ -49,42 +48,17 @@ def stack(tmp_path: Path, interface: str) -> Iterator[Stack]:
     running.close()
 
 
-class Watched:
-    """The arm's memory, seen from outside."""
-
-    def __init__(self, stack: Stack) -> None:
-        self.reader = StateReader(open_state(stack.name))
-        self.writer = CommandWriter(own_command(stack.name, arm_hash(load_arm(stack.arm_file))))
-
-    def until(self, wanted: Callable[[np.ndarray], bool]) -> np.ndarray:
-        deadline = time.monotonic() + PATIENCE_S
-        while time.monotonic() < deadline:
-            self.writer.beat()
-            if wanted(now := self.reader.snapshot()):
-                return now
-            time.sleep(0.005)
-        raise AssertionError(f"it never came: {self.reader.snapshot()}")
-
-    def answer(self, kind: Request) -> Answer:
-        sequence = self.writer.request(kind)
-        answers = self.until(lambda now: sequence in now["answers"]["sequence"])["answers"]
-        return Answer(int(answers["answer"][answers["sequence"] == sequence][0]))
-
-    def events(self) -> list[int]:
-        record = self.reader.memory.record
-        return [int(kind) for kind in record["events"]["kind"][: int(record["events_written"][0])]]
-
-    def close(self) -> None:
-        self.reader.close()
-        self.writer.close()
+def events(arm: MemoryFront) -> list[int]:
+    """Kinds of all events that have been told."""
+    record = arm.reader.memory.record
+    return [int(kind) for kind in record["events"]["kind"][: int(record["events_written"][0])]]
 
 
 @pytest.mark.process
 @pytest.mark.parametrize("interface", [*SERIAL_ADAPTERS, "python-can"])
 def test_an_adapter_that_is_plugged_in_again_is_noticed_and_waits_for_a_clear(stack: Stack) -> None:
     loop = stack.start_loop()
-    arm = Watched(stack)
-    try:
+    with closing(MemoryFront(stack.arm_file)) as arm:
         for round_number in (1, 2):
             stack.unplug()
             now = arm.until(lambda now: now["mode"] == Mode.FAULT)
@@ -93,7 +67,7 @@ def test_an_adapter_that_is_plugged_in_again_is_noticed_and_waits_for_a_clear(st
             loop.line_with(f"{stack.link}")  # which sentence says so depends on what is left of the terminal
             stack.start_sim()
             loop.line_with("The adapter is back")
-            arm.until(lambda now, wanted=round_number: arm.events().count(Event.WIRE) == wanted)
+            arm.until(lambda now, wanted=round_number: events(arm).count(Event.WIRE) == wanted)
             back_ns = time.monotonic_ns()
             now = arm.until(lambda now, since_ns=back_ns: bool(np.all(now["joints"]["measured_ns"][:6] > since_ns)))
             assert now["mode"] == Mode.FAULT
@@ -102,8 +76,6 @@ def test_an_adapter_that_is_plugged_in_again_is_noticed_and_waits_for_a_clear(st
             assert now["motion_started"] == 0
             assert not np.any(now["joints"]["referenced"][:6])  # a clear references nobody: they were away too long
             judge([f"{name} moved" for name, joint in stack.truth().items() if np.ptp(joint.position_rad) > 0.0])
-    finally:
-        arm.close()
     loop.process.terminate()
     assert loop.code() == 0
     assert not any("Traceback" in line for line in loop.lines)
@@ -112,11 +84,8 @@ def test_an_adapter_that_is_plugged_in_again_is_noticed_and_waits_for_a_clear(st
 @pytest.mark.process
 def test_an_orderly_end_without_an_adapter(stack: Stack) -> None:
     loop = stack.start_loop()
-    arm = Watched(stack)
-    try:
+    with closing(MemoryFront(stack.arm_file)) as arm:
         stack.unplug()
         arm.until(lambda now: now["mode"] == Mode.FAULT)
-    finally:
-        arm.close()
     loop.process.terminate()
     assert loop.code() == 0

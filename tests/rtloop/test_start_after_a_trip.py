@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,7 @@ pytestmark = pytest.mark.process
 
 
 def test_a_start_says_how_a_tripped_drive_is_cleared_and_that_clears_it(tmp_path: Path) -> None:
-    stack = Stack(f"tripped_{os.getpid()}", tmp_path)
-    try:
+    with closing(Stack(f"tripped_{os.getpid()}", tmp_path)) as stack:
         sim = stack.start_sim()
         sim.say("protection:joint=joint3,at_s=0")
         sim.line_with("protection")
@@ -29,5 +29,3 @@ def test_a_start_says_how_a_tripped_drive_is_cleared_and_that_clears_it(tmp_path
         status = read_status(stack.name)
         assert (status["mode"], status["fault"]) == ("holding", None)
         assert all(joint["referenced"] for joint in status["joints"])
-    finally:
-        stack.close()

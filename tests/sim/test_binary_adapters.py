@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import threading
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -11,6 +9,7 @@ from typing import Any
 import can
 import pytest
 from can.interfaces.seeedstudio.seeedstudio import SeeedBus
+from served_arm import serving
 from wires import WIRES
 
 from config.loader import load_arm
@@ -143,15 +142,9 @@ def test_python_can_sets_up_with_the_same_bytes_but_has_frames_sent_once(
 @pytest.fixture
 def terminal() -> Iterator[str]:
     bus = {"interface": "seeedstudio", "channel": "simulated", "bitrate": 1_000_000}
-    server = PtyServer(SimulatedArm(load_arm("episode1", overrides={"bus": bus}), start_ns=time.monotonic_ns()))
-    going = [True]
-    thread = threading.Thread(target=server.serve, args=(lambda: going[0],))
-    thread.start()
-    yield server.tty_path
-    going[0] = False
-    os.write(server.wake_descriptor, b"\0")
-    thread.join()
-    server.close()
+    arm = SimulatedArm(load_arm("episode1", overrides={"bus": bus}), start_ns=time.monotonic_ns())
+    with serving(PtyServer(arm)) as server:
+        yield server.tty_path
 
 
 def test_python_can_reads_a_position(terminal: str) -> None:

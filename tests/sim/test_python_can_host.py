@@ -1,6 +1,5 @@
 """The simulated arm on a bus of python-can: which bus, what passes in either direction, and the end."""
 
-import os
 import subprocess
 import sys
 import threading
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import can
 import pytest
+from served_arm import serving
 
 from config.loader import load_arm
 from sim.arm import SimulatedArm
@@ -33,17 +33,11 @@ def host() -> Iterator[can.BusABC]:
     with (
         can.Bus(channel, "virtual", ignore_config=True) as ours,
         opened(f"interface=virtual,channel={channel}", 500_000) as theirs,
-        PythonCanServer(SimulatedArm(arm_on(), start_ns=time.monotonic_ns()), theirs) as server,
+        serving(PythonCanServer(SimulatedArm(arm_on(), start_ns=time.monotonic_ns()), theirs)) as server,
     ):
         server.heard = []
         ours.server = server
-        ends = threading.Event()
-        serving = threading.Thread(target=server.serve, args=(lambda: not ends.is_set(),))
-        serving.start()
         yield ours
-        ends.set()
-        os.write(server.wake_descriptor, b"\0")
-        serving.join()
     assert set(threading.enumerate()) <= before
 
 

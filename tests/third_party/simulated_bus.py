@@ -6,13 +6,12 @@ waits by other means (a thread that listens, `time.sleep`) needs `live_bus`: rea
 """
 
 import contextlib
-import os
-import threading
 import time
 from collections.abc import Iterator
 from itertools import count
 
 import can
+from served_arm import serving
 
 from config.schema import ArmConfig
 from sim.arm import SimulatedArm
@@ -98,14 +97,6 @@ def live_bus(config: ArmConfig, **options: object) -> Iterator[can.BusABC]:
     with (
         can.Bus(channel, "virtual", ignore_config=True) as ours,
         can.Bus(channel, "virtual", ignore_config=True) as theirs,
-        PythonCanServer(SimulatedArm(config, start_ns=time.monotonic_ns(), **options), theirs) as server,
+        serving(PythonCanServer(SimulatedArm(config, start_ns=time.monotonic_ns(), **options), theirs)),
     ):
-        ending = threading.Event()
-        serving = threading.Thread(target=server.serve, args=(lambda: not ending.is_set(),))
-        serving.start()
-        try:
-            yield ours
-        finally:
-            ending.set()
-            os.write(server.wake_descriptor, b"\0")
-            serving.join()
+        yield ours

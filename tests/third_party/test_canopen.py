@@ -15,6 +15,7 @@ import pytest
 from canopen.objectdictionary import ODRecord, ODVariable, datatypes
 from canopen.profiles.p402 import BaseNode402
 from third_party.conftest import on_python_can
+from waiting import until
 
 from rtloop.drives import cia402_setup, pdo, sdo
 from rtloop.port import Frame
@@ -100,13 +101,6 @@ def connect(live: Callable[..., can.BusABC]) -> Iterator[Callable[..., BaseNode4
 @pytest.fixture
 def node(connect: Callable[..., BaseNode402]) -> BaseNode402:
     return connect()
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
 
 
 def position(node: BaseNode402) -> int:

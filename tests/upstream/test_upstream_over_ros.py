@@ -1,5 +1,6 @@
 """The cases that only a client can see, with real messages, the real front and the real control process."""
 
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +13,10 @@ from trajectory_messages import NS, goal, point, trajectory
 pytest.importorskip("rclpy")
 
 from control_msgs.msg import JointTrajectoryControllerState, SpeedScalingFactor
-from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, Operator, until
+from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, Operator
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
+from waiting import until
 
 from shm.files import command_path, state_path
 
@@ -168,8 +170,7 @@ def test_feedback_on_the_way(ros):
 
 @pytest.mark.upstream(10, "same")
 def test_two_clients(ros):
-    other = Client(ros.controller)
-    try:
+    with closing(Client(ros.controller)) as other:
         older = ros.client.send(goal(point(2.0, ros.moved(0.6))))
         until(lambda: ros.client.feedback, "motion")
         newer = other.send(goal(point(2.0, ros.position())))
@@ -178,8 +179,6 @@ def test_two_clients(ros):
         assert (status, code) == (ABORTED, -1) and "replaced by a newer goal" in words
         assert not still_running.done()
         assert other.result(newer)[:2] == (SUCCEEDED, 0)
-    finally:
-        other.close()
 
 
 @pytest.mark.upstream(14, "better")

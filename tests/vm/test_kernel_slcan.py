@@ -6,12 +6,12 @@ import select
 import struct
 import subprocess
 import termios
-import threading
 import time
 import tty as std_tty
 
 import pytest
 from can_records import record
+from served_arm import serving
 
 from config.drives.zdt import zdt_identifiers
 from config.loader import load_arm
@@ -39,15 +39,8 @@ def terminal(request):
     arm = SimulatedArm(
         load_arm("episode1", overrides={"bus": bus}), start_ns=time.monotonic_ns(), dialect=request.param
     )
-    server = PtyServer(arm)
-    going = [True]
-    thread = threading.Thread(target=server.serve, args=(lambda: going[0],))
-    thread.start()
-    yield server.tty_path
-    going[0] = False
-    os.write(server.wake_descriptor, b"\0")
-    thread.join()
-    server.close()
+    with serving(PtyServer(arm)) as server:
+        yield server.tty_path
 
 
 @pytest.fixture

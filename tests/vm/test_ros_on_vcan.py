@@ -1,6 +1,7 @@
 """A MoveIt client, the ROS process, the control process and drives on real SocketCAN; and a clock that is set."""
 
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -12,10 +13,11 @@ import ros_client
 from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
 from observer import motion_violations
-from ros_client import SUCCEEDED, Client, until
+from ros_client import SUCCEEDED, Client
 from stack import Stack
 from trajectory_msgs.msg import JointTrajectoryPoint
 from vcan_arm import JOINTS, RATE_HZ, start_on_vcan
+from waiting import until
 
 NAME = "rosonvcan"
 SWING_S = 4.0
@@ -27,14 +29,11 @@ LATE_S = 1.0
 
 @pytest.fixture(scope="module")
 def stack(tmp_path_factory):
-    found = Stack(NAME, tmp_path_factory.mktemp("ros"))
-    try:
+    with closing(Stack(NAME, tmp_path_factory.mktemp("ros"))) as found:
         found.config = start_on_vcan(found)
         found.start_loop()
         found.start_front()
         yield found
-    finally:
-        found.close()
 
 
 @pytest.fixture(scope="module")

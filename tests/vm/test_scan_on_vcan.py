@@ -1,11 +1,10 @@
 """Scanning and settings on a real CAN interface: raw frames, who listens, and a control process that only asks."""
 
 import json
-import subprocess
-import sys
+from contextlib import closing
 
 import pytest
-from stack import ROOT, Stack
+from stack import Stack, run_rtarm
 from vcan_arm import JOINTS, start_on_vcan
 
 from rtarm.doctor.machine import Machine
@@ -23,11 +22,8 @@ def drives_on_vcan(arm_name, tmp_path):
 
 
 def test_drives_on_an_interface_are_found(drives_on_vcan):
-    wire = CanWire("vcan0")
-    try:
+    with closing(CanWire("vcan0")) as wire:
         outcome = search_link(wire, None)
-    finally:
-        wire.close()
     assert [drive.address for drive in outcome.drives] == list(range(1, JOINTS + 1))
     assert {drive.firmware for drive in outcome.drives} == {"2.0.0"}
 
@@ -40,7 +36,6 @@ def test_an_interface_on_which_a_program_listens_is_left_alone(drives_on_vcan):
 
 
 def test_settings_are_read_over_an_interface(drives_on_vcan):
-    command = [sys.executable, "-m", "rtarm", "drives", str(drives_on_vcan.arm_file), "--json"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=240, check=False)
+    done = run_rtarm("drives", str(drives_on_vcan.arm_file), "--json")
     report = json.loads(done.stdout)
     assert [drive["firmware"] for drive in report["drives"]] == ["2.0.0"] * JOINTS, done.stdout

@@ -1,6 +1,5 @@
 """The whole arm on real SocketCAN: drives simulated on vcan0, the control process, goals, errors, a link gone down."""
 
-import contextlib
 import json
 import socket
 import subprocess
@@ -11,15 +10,12 @@ import can
 import numpy as np
 import pytest
 from can_records import error_record, record
+from memory_front import MemoryFront
 from observer import WireFrame, command_violations, motion_after, motion_frames, motion_violations
-from stack import Stack
+from stack import Stack, run_rtarm
 from vcan_arm import JOINTS, RATE_HZ, start_on_vcan
 
-from config.loader import arm_hash
 from rtloop.wire import can_words
-from shm.client import CommandWriter, StateReader
-from shm.errors import RingFull
-from shm.files import open_state, own_command
 from shm.words import Answer, BusState, Fault, Mode, Outcome, Request
 
 NAME = "onvcan"
@@ -29,85 +25,26 @@ HOUR_NS = 3600 * 10**9
 GOALS = Path(__file__).parents[1] / "data" / "moveit"
 
 
-class Arm:
-    """A running arm and what is known of it; its front is this process."""
+class Arm(MemoryFront):
+    """A running arm whose front is this process."""
 
     def __init__(self, folder):
         self.stack = Stack(NAME, folder)
         try:
-            self.config = start_on_vcan(self.stack)
+            start_on_vcan(self.stack)
             self.loop = self.stack.start_loop()
         except BaseException:
             self.stack.close()
             raise
-        self.reader = StateReader(open_state(NAME))
-        self.writer = CommandWriter(own_command(NAME, arm_hash(self.config)))
+        super().__init__(self.stack.arm_file, PATIENCE_S)
 
     def close(self):
-        self.reader.close()
-        self.writer.close()
+        super().close()
         self.stack.close()
-
-    def now(self):
-        self.writer.beat()
-        return self.reader.snapshot()
-
-    def until(self, wanted):
-        deadline = time.monotonic() + PATIENCE_S
-        while time.monotonic() < deadline:
-            now = self.now()
-            if wanted(now):
-                return now
-            time.sleep(0.002)
-        raise AssertionError(f"it never came: {self.reader.snapshot()}, {self.loop.lines}")
-
-    def counter(self, name):
-        return int(self.reader.memory.record["counters"][name])
-
-    def swing(self, duration_s=4.0, angle_rad=0.1):
-        """Send a goal that swings all joints out and back; its number."""
-        home = self.now()["joints"]["commanded_position_rad"][:JOINTS].copy()
-        goal, off = self.writer.announced_goal + 1, np.zeros((JOINTS, 3))
-        consumed = self.reader.setpoints_consumed
-        self.writer.announce(goal)
-        self.writer.begin(
-            goal,
-            start_ns=0,
-            joint_mask=(1 << JOINTS) - 1,
-            goal_time_s=0.0,
-            entry=0,
-            tolerances=off,
-            consumed=consumed(),
-        )
-        w = 2 * np.pi / duration_s
-        for time_s in np.linspace(0.0, duration_s, round(duration_s * 10) + 1):
-            joints = np.zeros((JOINTS, 3))
-            joints[:, 0] = home + angle_rad * (1 - np.cos(w * time_s)) / 2
-            joints[:, 1] = angle_rad * w * np.sin(w * time_s) / 2 if 0 < time_s < duration_s else 0.0
-            joints[:, 2] = angle_rad * w * w * np.cos(w * time_s) / 2
-            self.knot(goal, round(time_s * 1e9), joints)
-        self.writer.end(goal, off, consumed())
-        return goal
-
-    def knot(self, goal, at_ns, joints):
-        while True:
-            with contextlib.suppress(RingFull):
-                self.writer.knot(goal, at_ns, 5, joints, self.reader.setpoints_consumed())
-                return
-            self.writer.beat()
 
     def under_way(self, goal):
         """Wait until a goal has run for a second."""
         self.until(lambda now: now["goal_id"] == goal and now["trajectory_clock_ns"] > 1e9)
-
-    def outcome(self, goal):
-        now = self.until(lambda now: now["results"][goal % len(now["results"])]["goal_id"] == goal)
-        return Outcome(int(now["results"][goal % len(now["results"])]["outcome"]))
-
-    def answer(self, kind):
-        sequence = self.writer.request(kind)
-        now = self.until(lambda now: sequence in now["answers"]["sequence"])
-        return Answer(int(now["answers"]["answer"][now["answers"]["sequence"] == sequence][0]))
 
     def clear(self):
         assert self.answer(Request.CLEAR_FAULT) == Answer.DONE
@@ -177,10 +114,7 @@ def test_an_error_passive_bus_is_counted_and_shown(arm, controller):
     controller.send(error_record(can_words.CONTROLLER | can_words.NO_ACKNOWLEDGE, b"\0\x20"))
     arm.until(lambda now: arm.counter("bus_state") == BusState.PASSIVE)
     assert (arm.counter("unacknowledged"), arm.counter("error_frames")) == (1, 1)
-    report = subprocess.run(
-        [".venv/bin/python", "-m", "rtarm", "status", NAME, "--json"], capture_output=True, text=True, check=False
-    )
-    assert json.loads(report.stdout)["bus"]["state"] == "passive"
+    assert json.loads(run_rtarm("status", NAME, "--json").stdout)["bus"]["state"] == "passive"
     assert arm.now()["mode"] == Mode.HOLDING
     controller.send(error_record(can_words.CONTROLLER, b"\0\x40"))
     arm.until(lambda now: arm.counter("bus_state") == BusState.ACTIVE)

@@ -1,6 +1,6 @@
 """An arm on vcan0 that an emulated processor can carry: the simulated drives are Python."""
 
-import yaml
+from arm_files import edited
 from stack import Stack
 
 from config.loader import load_arm
@@ -12,14 +12,13 @@ JOINTS = 3
 
 def start_on_vcan(stack: Stack) -> ArmConfig:
     """Rewrite a stack's arm file for vcan0 and start its simulated drives there; the arm's configuration."""
-    values = yaml.safe_load(stack.arm_file.read_text(encoding="utf-8"))
-    values["bus"] = {"interface": "socketcan", "channel": "vcan0", "bitrate": 500_000}
-    values["control"]["rate_hz"] = RATE_HZ
-    values["joints"] = values["joints"][:JOINTS]
-    for of_six_joints in ("kinematics", "homing"):
-        values.pop(of_six_joints, None)
-    values.setdefault("limits", {}).update(stale_brake_s=0.4, stale_fault_s=2.0, front_timeout_s=10.0)
-    stack.arm_file.write_text(yaml.safe_dump(values), encoding="utf-8")
+    with edited(stack.arm_file) as values:
+        values["bus"] = {"interface": "socketcan", "channel": "vcan0", "bitrate": 500_000}
+        values["control"]["rate_hz"] = RATE_HZ
+        values["joints"] = values["joints"][:JOINTS]
+        for of_six_joints in ("kinematics", "homing"):
+            values.pop(of_six_joints, None)
+        values.setdefault("limits", {}).update(stale_brake_s=0.4, stale_fault_s=2.0, front_timeout_s=10.0)
     stack.place = ("--can", "vcan0")
     stack.start_sim()
     return load_arm(stack.arm_file)

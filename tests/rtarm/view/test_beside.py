@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -19,8 +20,8 @@ pytest.importorskip("viser")
 pytest.importorskip("rclpy")
 
 from plain_viewer import PlainViewer
-from ros_client import until
 from stack import Process
+from waiting import until
 from working_threads import niceness_at_work
 
 from rtarm.status import read_status
@@ -48,12 +49,9 @@ def address(process: Process) -> str:
 def page_status(url: str) -> int:
     parts = urlsplit(url)
     assert parts.hostname is not None
-    connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=60.0)
-    try:
+    with closing(http.client.HTTPConnection(parts.hostname, parts.port, timeout=60.0)) as connection:
         connection.request("GET", parts.path)
         return connection.getresponse().status
-    finally:
-        connection.close()
 
 
 def pid_of(process: Process, module: str = "rtarm.view") -> int:

@@ -159,8 +159,7 @@ def place(page: Opened) -> tuple[str, int, str]:
 
 def get(page: Opened, path: str, headers: dict[str, str]) -> http.client.HTTPResponse:
     host, port, _ = place(page)
-    connection = http.client.HTTPConnection(host, port, timeout=PATIENCE_S)
-    try:
+    with contextlib.closing(http.client.HTTPConnection(host, port, timeout=PATIENCE_S)) as connection:
         connection.putrequest("GET", path, skip_host="Host" in headers, skip_accept_encoding=True)
         for name, value in headers.items():
             connection.putheader(name, value)
@@ -168,8 +167,6 @@ def get(page: Opened, path: str, headers: dict[str, str]) -> http.client.HTTPRes
         response = connection.getresponse()
         response.body = response.read()  # type: ignore[attr-defined]
         return response
-    finally:
-        connection.close()
 
 
 def socket_of(page: Opened, path: str = "", origin: str | None = None, host: str = "") -> ClientConnection:

@@ -6,17 +6,16 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from contextlib import closing
 
 import numpy as np
 import pytest
-import yaml
 from stack import Stack
 
-from config.loader import ARMS_FOLDER, load_arm
+from config.loader import load_arm
 from rtarm import sending as sending_module
 from rtarm.errors import Refusal
-from rtarm.status import Report, read_status
+from rtarm.status import read_status
 from rtarm.view.orders import Orders
 from rtarm.view.words import ENGLISH
 
@@ -28,15 +27,9 @@ PATIENCE_S = 60.0
 @pytest.fixture(scope="module")
 def stack(new_arm_name: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     """An arm whose drives do as they are told, with its control process; each test has a ROS process of its own."""
-    stack = Stack(new_arm_name(), tmp_path_factory.mktemp("orders"))
-    mock = yaml.safe_load((ARMS_FOLDER / "mock.yaml").read_text(encoding="utf-8")) | {"name": stack.name}
-    mock["front"]["controller_name"] = f"controller_{stack.name}"
-    stack.arm_file.write_text(yaml.safe_dump(mock), encoding="utf-8")
-    try:
+    with closing(Stack(new_arm_name(), tmp_path_factory.mktemp("orders"), "mock")) as stack:
         stack.start_loop()
         yield stack
-    finally:
-        stack.close()
 
 
 @pytest.fixture
@@ -60,14 +53,6 @@ def nothing(_: str) -> None:
     pass
 
 
-def until(stack: Stack, condition: Callable[[Report], Any]) -> Report:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition(report := read_status(stack.name)):
-        assert time.monotonic() < deadline, report
-        time.sleep(0.02)
-    return report
-
-
 def test_a_ros_process_that_dies_amid_a_goal_is_told_and_the_next_goal_goes(stack: Stack, orders: Orders) -> None:
     begun = threading.Event()
 
@@ -78,11 +63,8 @@ def test_a_ros_process_that_dies_amid_a_goal_is_told_and_the_next_goal_goes(stac
     with pytest.raises(Refusal, match="has not said how: see Machine"):
         orders.go(pose(1.0), kill)
     assert begun.is_set() and read_status(stack.name)["goal"] is None
-    front = stack.start_front()
-    try:
+    with closing(stack.start_front()):
         assert "Goal reached" in orders.go(pose(0.2), nothing)
-    finally:
-        front.close()
 
 
 def test_a_goal_that_a_hanging_ros_process_gets_too_late_moves_nothing(stack: Stack, orders: Orders) -> None:
@@ -91,7 +73,7 @@ def test_a_goal_that_a_hanging_ros_process_gets_too_late_moves_nothing(stack: St
     with pytest.raises(Refusal, match="It is cancelled"):
         orders.go(pose(1.2), nothing)
     stack.front.process.send_signal(signal.SIGCONT)
-    after = until(stack, lambda now: now["goal"] is None and now["last_result"] != before["last_result"])
+    after = stack.until(lambda now: now["goal"] is None and now["last_result"] != before["last_result"])
     assert after["last_result"]["outcome"] == "canceled"
     assert after["joints"][0]["position_rad"] == pytest.approx(before["joints"][0]["position_rad"], abs=0.02)
 
@@ -132,5 +114,5 @@ def test_a_sender_that_was_killed_is_told_once_and_started_anew(stack: Stack, or
 
     with pytest.raises(Refusal, match="process that sends goals has ended"):
         orders.go(pose(1.0), kill)
-    until(stack, lambda now: now["goal"] is None)
+    stack.until(lambda now: now["goal"] is None)
     assert "Goal reached" in orders.go(pose(0.1), nothing)
