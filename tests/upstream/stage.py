@@ -5,6 +5,7 @@ middleware; only time is ours.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -48,6 +49,11 @@ def upstream_arm(drives: str = "zdt", *, gentle: bool = False, **sections: dict[
         limits["drive"] = MockDrive(family="mock")
         arm = arm.model_copy(update={"bus": BusConfig(interface="mock")})
     return arm.model_copy(update={"joints": [joint.model_copy(update=limits) for joint in arm.joints]})
+
+
+def away(distance: float, *shares: float) -> tuple[float, ...]:
+    """START moved by a distance, or by a share of it each joint."""
+    return tuple(p + distance * share for p, share in zip(START, shares or (1.0, 1.0, 1.0), strict=True))
 
 
 class Sent:
@@ -135,6 +141,10 @@ class Stage:
                 return
             self.cycle()
         raise AssertionError(f"not within {at_most_s} virtual seconds")
+
+    def configure(self, **settings: Any) -> None:
+        """Change what the controller's parameters say."""
+        self.serving.settings = replace(self.serving.settings, **settings)
 
     # --- goals, messages, requests
 

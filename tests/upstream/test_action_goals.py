@@ -1,10 +1,8 @@
 """Cases 1 to 21: goals of the action from their acceptance to their end."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from stage import ABORTED, CANCELED, START, SUCCEEDED
+from stage import ABORTED, CANCELED, START, SUCCEEDED, away
 from trajectory_messages import goal, point, tolerance, tolerances
 
 from rosfront.path import PlannedPath
@@ -13,11 +11,6 @@ from shm.words import Mode, Request
 TARGET = (1.0, 2.0, 3.0)
 HALF_WAY, FAR = (4.0, 5.0, 6.0), (7.0, 8.0, 9.0)
 BOTH_DRIVES = pytest.mark.parametrize("drives", ["mock", "zdt"])
-
-
-def away(distance, *shares):
-    """START moved by a distance, or by a share of it each joint."""
-    return tuple(p + distance * share for p, share in zip(START, shares or (1.0, 1.0, 1.0), strict=True))
 
 
 def at(expected, within=1e-3):
@@ -36,7 +29,7 @@ def test_one_point_is_reached_and_held(stage_for, drives):
 @pytest.mark.upstream(2, "better", why="The arm comes to rest at the last point; no velocity goes on being commanded.")
 def test_one_point_with_a_velocity_ends_at_rest(stage_for):
     stage = stage_for()
-    stage.serving.settings = replace(stage.serving.settings, allow_nonzero_end_velocity=True)
+    stage.configure(allow_nonzero_end_velocity=True)
     assert stage.finish(goal(point(0.5, TARGET, [1, 1, 1]))).outcome == (SUCCEEDED, 0)
     assert stage.commanded == at(TARGET, 1e-9)
     stage.assert_stands()
@@ -57,7 +50,7 @@ def test_two_points_with_feedback_on_the_way(stage_for):
 @pytest.mark.upstream(4, "better", why="The arm comes to rest at the last point; no velocity goes on being commanded.")
 def test_two_points_with_velocities_end_at_rest(stage_for):
     stage = stage_for()
-    stage.serving.settings = replace(stage.serving.settings, allow_nonzero_end_velocity=True)
+    stage.configure(allow_nonzero_end_velocity=True)
     sent = stage.finish(goal(point(0.2, HALF_WAY, [1, 1, 1]), point(0.3, FAR, [2, 2, 2])))
     assert sent.outcome == (SUCCEEDED, 0)
     assert stage.commanded == at(FAR, 1e-9)
@@ -124,10 +117,6 @@ def test_a_newer_goal_aborts_the_older_one_at_once(stage_for):
     stage.assert_never_stepped()
 
 
-def with_path_tolerance(stage, limit):
-    stage.serving.settings = replace(stage.serving.settings, path_tolerance_rad=(limit,) * 3)
-
-
 @pytest.mark.upstream(
     11,
     "better",
@@ -135,7 +124,7 @@ def with_path_tolerance(stage, limit):
 )
 def test_stuck_joints_break_the_path_tolerance(stage_for):
     stage = stage_for("zdt")
-    with_path_tolerance(stage, 1e-4)
+    stage.configure(path_tolerance_rad=(1e-4,) * 3)
     stage.hold_shafts()
     sent = stage.finish(goal(point(0.0, START), point(0.1, away(0.05))))
     assert sent.outcome == (ABORTED, -4)
@@ -154,9 +143,7 @@ def test_stuck_joints_break_the_path_tolerance(stage_for):
 )
 def test_the_time_to_arrive_is_exceeded(stage_for):
     stage = stage_for("zdt")
-    stage.serving.settings = replace(
-        stage.serving.settings, goal_tolerance_rad=(0.1,) * 3, goal_time_s=1e-6, path_tolerance_rad=(0.0,) * 3
-    )
+    stage.configure(goal_tolerance_rad=(0.1,) * 3, goal_time_s=1e-6, path_tolerance_rad=(0.0,) * 3)
     refused = stage.finish(goal(point(0.0, HALF_WAY), time_s=1.0))
     assert refused.outcome == (ABORTED, -1) and "The first point has b at 5.0000 rad" in refused.sentence
     stage.assert_stands()
@@ -177,7 +164,7 @@ def test_the_time_to_arrive_is_exceeded(stage_for):
 )
 def test_a_single_point_elsewhere_at_time_zero(stage_for):
     stage = stage_for("zdt")
-    with_path_tolerance(stage, 1e-4)
+    stage.configure(path_tolerance_rad=(1e-4,) * 3)
     stage.hold_shafts()
     sent = stage.finish(goal(point(0.0, HALF_WAY)))
     assert sent.outcome == (ABORTED, -1) and "plan from the present state" in sent.sentence
@@ -233,7 +220,7 @@ MOVING_END = goal(point(0.2, HALF_WAY, [1, 1, 1]), point(0.3, FAR, [0.1, 0.0, 0.
 @pytest.mark.upstream(17, "same")
 def test_a_moving_end_is_accepted_where_that_is_allowed(stage_for):
     stage = stage_for()
-    stage.serving.settings = replace(stage.serving.settings, allow_nonzero_end_velocity=True)
+    stage.configure(allow_nonzero_end_velocity=True)
     assert stage.finish(MOVING_END).outcome == (SUCCEEDED, 0)
 
 

@@ -5,7 +5,7 @@ from math import inf, nan
 import numpy as np
 import pytest
 from control_msgs.msg import JointComponentTolerance
-from stage import ABORTED, CANCELED, START, SUCCEEDED
+from stage import ABORTED, CANCELED, START, SUCCEEDED, away
 from trajectory_messages import NS, goal, point, tolerance, tolerances, trajectory
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectoryPoint
 
@@ -14,10 +14,6 @@ from shm.words import Mode, Request
 
 STILL = (0.0, 0.0, 0.0)
 OFF = tolerance("b", -1.0, -1.0, -1.0)
-
-
-def away(distance):
-    return tuple(p + distance for p in START)
 
 
 def smooth(distance, seconds, count=31, *, names="abc"):

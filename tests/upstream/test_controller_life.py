@@ -1,12 +1,11 @@
 """Cases 73 to 95: configuration, activation, holding, replacement, and what drives and people do meanwhile."""
 
-from dataclasses import replace
 from math import pi
 
 import numpy as np
 import pytest
 import yaml
-from stage import ABORTED, ARM_FILE, CANCELED, START, SUCCEEDED, upstream_arm
+from stage import ABORTED, ARM_FILE, CANCELED, START, SUCCEEDED, away, upstream_arm
 from trajectory_messages import goal, point, tolerance, trajectory
 
 from config.errors import ConfigError
@@ -14,10 +13,6 @@ from config.loader import load_arm
 from shm.words import Mode, Request
 
 ZERO = (0.0, 0.0, 0.0)
-
-
-def shifted(distance):
-    return tuple(p + distance for p in START)
 
 
 @pytest.fixture
@@ -96,7 +91,7 @@ def test_an_arm_that_is_brought_up_holds_where_it_stands(stage_for, drives):
 @pytest.mark.parametrize("kind", [Request.DISABLE, Request.FREE])
 def test_drives_that_were_let_go_hold_where_they_are_enabled_again(stage_for, kind):
     stage = stage_for("zdt")
-    assert stage.finish(goal(point(0.5, shifted(0.2)))).outcome == (SUCCEEDED, 0)
+    assert stage.finish(goal(point(0.5, away(0.2)))).outcome == (SUCCEEDED, 0)
     stage.run(0.2)
     done, sentence = stage.ask(kind)
     assert done, sentence
@@ -110,19 +105,17 @@ def test_drives_that_were_let_go_hold_where_they_are_enabled_again(stage_for, ki
     stage.bring_up()
     stage.assert_stands()
     assert stage.commanded == pytest.approx(stood, abs=1e-3)
-    assert stage.commanded == pytest.approx(shifted(0.2), abs=1e-3)
+    assert stage.commanded == pytest.approx(away(0.2), abs=1e-3)
     assert stage.finish(goal(point(1.0, START))).outcome == (SUCCEEDED, 0)
 
 
 @pytest.mark.upstream(80, "same")
 def test_changed_constraints_count_from_the_next_goal(stage_for):
     stage = stage_for()
-    first = stage.send(goal(point(0.5, shifted(0.1))))
+    first = stage.send(goal(point(0.5, away(0.1))))
     stage.run(0.1)
     before = stage.path_tolerances.tolist()
-    stage.serving.settings = replace(
-        stage.serving.settings, path_tolerance_rad=(0.2, 0.3, 0.4), goal_tolerance_rad=(0.5, 0.6, 0.7), goal_time_s=1.5
-    )
+    stage.configure(path_tolerance_rad=(0.2, 0.3, 0.4), goal_tolerance_rad=(0.5, 0.6, 0.7), goal_time_s=1.5)
     stage.run(0.1)
     assert stage.path_tolerances.tolist() == before
     stage.until(lambda: first.ended)
@@ -147,11 +140,11 @@ def test_there_is_no_command_timeout():
 @pytest.mark.upstream(82, "same")
 def test_the_last_point_is_held_for_ever(stage_for):
     stage = stage_for()
-    stage.finish(goal(point(0.5, shifted(0.2))))
+    stage.finish(goal(point(0.5, away(0.2))))
     stage.assert_stands(10.0)
     stage.arm.front_alive = False
     stage.assert_stands(10.0)
-    assert stage.commanded == pytest.approx(shifted(0.2), abs=1e-9)
+    assert stage.commanded == pytest.approx(away(0.2), abs=1e-9)
 
 
 @pytest.mark.upstream(
@@ -161,7 +154,7 @@ def test_the_last_point_is_held_for_ever(stage_for):
 )
 def test_what_ends_in_motion_comes_to_rest(stage_for):
     stage = stage_for(gentle=True)
-    sent = stage.publish(trajectory(point(0.5, shifted(0.1), [0.5, 0.5, 0.5])))
+    sent = stage.publish(trajectory(point(0.5, away(0.1), [0.5, 0.5, 0.5])))
     stage.until(lambda: sent.ended, 3.0)
     assert sent.outcome == (ABORTED, -1) and "The stream of points ended while the arm moved" in sent.sentence
     moved = stage.commanded - START
@@ -186,7 +179,7 @@ def test_errors_are_not_wrapped(stage_for):
 @pytest.mark.upstream(85, "same")
 def test_a_partial_goal_after_a_reached_one_moves_only_its_joint(stage_for):
     stage = stage_for()
-    stage.finish(goal(point(0.5, shifted(0.2))))
+    stage.finish(goal(point(0.5, away(0.2))))
     begun = len(stage.setpoints)
     assert stage.finish(goal(point(0.5, [2.0]), names="b")).outcome == (SUCCEEDED, 0)
     assert stage.commanded == pytest.approx([START[0] + 0.2, 2.0, START[2] + 0.2], abs=1e-9)
@@ -196,14 +189,14 @@ def test_a_partial_goal_after_a_reached_one_moves_only_its_joint(stage_for):
 @pytest.mark.upstream(86, "same")
 def test_a_trajectory_wholly_in_the_past_leaves_the_running_one_alone(stage_for):
     stage = stage_for()
-    running = stage.send(goal(point(1.0, shifted(0.2))))
+    running = stage.send(goal(point(1.0, away(0.2))))
     stage.run(0.5)
     late = trajectory(point(0.25, ZERO), stamp_ns=stage.epoch_ns - 1_000_000_000)
     assert stage.publish(late).outcome == (ABORTED, -3)
     assert stage.finish(goal(*late.points, stamp_ns=stage.epoch_ns - 1_000_000_000)).outcome == (ABORTED, -3)
     stage.until(lambda: running.ended)
     assert running.outcome == (SUCCEEDED, 0)
-    assert stage.commanded == pytest.approx(shifted(0.2), abs=1e-9)
+    assert stage.commanded == pytest.approx(away(0.2), abs=1e-9)
 
 
 @pytest.mark.upstream(
@@ -214,11 +207,11 @@ def test_a_new_trajectory_begins_at_the_command_and_not_at_the_measured_state(st
     stage = stage_for("zdt", gentle=True)
     stage.hold_shafts("a")
     off = [tolerance("a", -1.0)]
-    ahead = stage.finish(goal(point(1.0, shifted(0.3)), path=off, time_s=0.05))
+    ahead = stage.finish(goal(point(1.0, away(0.3)), path=off, time_s=0.05))
     assert ahead.outcome == (ABORTED, -5)
     assert stage.commanded[0] - stage.measured[0] == pytest.approx(0.3, abs=1e-3)
     begun = len(stage.setpoints)
-    sent = stage.send(goal(point(1.0, shifted(0.4)), path=off, time_s=0.05))
+    sent = stage.send(goal(point(1.0, away(0.4)), path=off, time_s=0.05))
     stage.run(0.5)
     command = stage.command_since(begun)[:, 0]
     assert command[0] >= START[0] + 0.3 - 1e-9
@@ -244,7 +237,7 @@ def test_the_command_begins_at_the_drives_own_target(stage_for):
 )
 def test_measured_positions_are_not_taken_for_commands(stage_for):
     stage = stage_for("zdt")
-    assert stage.finish(goal(point(0.5, shifted(0.1)))).outcome == (SUCCEEDED, 0)
+    assert stage.finish(goal(point(0.5, away(0.1)))).outcome == (SUCCEEDED, 0)
     stage.run(0.2)
     before = stage.commanded
     assert stage.ask(Request.DISABLE)[0]
@@ -262,9 +255,9 @@ def test_measured_positions_are_not_taken_for_commands(stage_for):
 )
 def test_a_stuck_arm_ends_a_topic_trajectory(stage_for):
     stage = stage_for("zdt")
-    stage.serving.settings = replace(stage.serving.settings, path_tolerance_rad=(1e-4,) * 3)
+    stage.configure(path_tolerance_rad=(1e-4,) * 3)
     stage.hold_shafts()
-    sent = stage.publish(trajectory(point(0.0, START), point(0.25, shifted(0.1))))
+    sent = stage.publish(trajectory(point(0.0, START), point(0.25, away(0.1))))
     stage.until(lambda: sent.ended)
     assert sent.outcome == (ABORTED, -4) and "0.0001 rad are allowed" in sent.sentence
     stage.until(lambda: stage.mode is Mode.HOLDING)
@@ -280,16 +273,14 @@ def test_a_stuck_arm_ends_a_topic_trajectory(stage_for):
 )
 def test_a_topic_trajectory_that_does_not_arrive(stage_for):
     stage = stage_for("zdt", lag_s=0.5)
-    stage.serving.settings = replace(
-        stage.serving.settings, path_tolerance_rad=(0.0,) * 3, goal_tolerance_rad=(0.1,) * 3, goal_time_s=0.1
-    )
-    sent = stage.publish(trajectory(point(0.3, shifted(0.4))))
+    stage.configure(path_tolerance_rad=(0.0,) * 3, goal_tolerance_rad=(0.1,) * 3, goal_time_s=0.1)
+    sent = stage.publish(trajectory(point(0.3, away(0.4))))
     stage.until(lambda: sent.ended)
     assert sent.outcome == (ABORTED, -5) and "rad are allowed" in sent.sentence
     behind = stage.measured
     assert (behind < np.array(START) + 0.3).all()
     stage.assert_stands(3.0)
-    assert stage.commanded == pytest.approx(shifted(0.4), abs=1e-6)
+    assert stage.commanded == pytest.approx(away(0.4), abs=1e-6)
     assert (stage.measured > behind + 0.09).all(), "the state has moved on, the command has not"
     stage.assert_never_stepped()
 
@@ -309,7 +300,7 @@ def test_speed_scaling(stage_for):
         done, sentence = stage.ask(Request.SPEED_SCALE, factor)
         assert not done and "between 0 and 1" in sentence
         assert stage.snapshot["speed_scale_asked"] == 0.0
-    sent = stage.send(goal(point(1.0, shifted(0.2))))
+    sent = stage.send(goal(point(1.0, away(0.2))))
     stage.assert_stands(1.0)
     assert not sent.ended
     stage.ask(Request.SPEED_SCALE, 1.0)

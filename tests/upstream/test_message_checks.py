@@ -1,7 +1,5 @@
 """Cases 22 to 45: which messages are taken, by the action and by the topic alike, and what becomes of their columns."""
 
-from dataclasses import replace
-
 import pytest
 from stage import ABORTED, START, SUCCEEDED
 from trajectory_messages import goal, point, trajectory
@@ -133,14 +131,14 @@ def test_wrong_numbers_where_upstream_would_integrate(stage_for, fields, what):
 @pytest.mark.upstream(43, "same")
 def test_some_of_the_joints_where_that_is_off(stage_for):
     stage = stage_for()
-    stage.serving.settings = replace(stage.serving.settings, allow_partial_joints_goal=False)
+    stage.configure(allow_partial_joints_goal=False)
     assert refused(stage, point(AT, TARGET[:2]), names="ab", code=-2).startswith("The goal leaves out c;")
 
 
 @pytest.mark.upstream(44, "same")
 def test_some_of_the_joints_in_another_order(stage_for):
     stage = stage_for()
-    stage.serving.settings = replace(stage.serving.settings, allow_partial_joints_goal=True)
+    stage.configure(allow_partial_joints_goal=True)
     begun = len(stage.setpoints)
     assert stage.finish(goal(point(AT, [2.0, 1.0], [0, 0]), names="ba")).outcome == (SUCCEEDED, 0)
     stage.assert_stands()

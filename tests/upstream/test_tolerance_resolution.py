@@ -1,7 +1,5 @@
 """Cases 46 to 56: what a goal's tolerances become; defaults are 0.1 for path, goal, velocity at the goal and time."""
 
-from dataclasses import replace
-
 import pytest
 from stage import ABORTED, START, SUCCEEDED
 from trajectory_messages import goal, point, tolerance
@@ -12,8 +10,7 @@ TARGET = (1.0, 2.0, 3.0)
 @pytest.fixture
 def stage(stage_for):
     stage = stage_for()
-    stage.serving.settings = replace(
-        stage.serving.settings,
+    stage.configure(
         path_tolerance_rad=(0.1,) * 3,
         goal_tolerance_rad=(0.1,) * 3,
         stopped_velocity_rad_s=0.1,

@@ -1,7 +1,6 @@
 """Cases 57 to 72: what a trajectory asks for between, before and after its points."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import pi, sqrt
 
 import numpy as np
@@ -235,7 +234,7 @@ def test_a_cubic_that_leaves_the_limits_between_legal_points(stage_for):
     stage = stage_for(start=ZERO)
     near = stage.arm.arm.joints[0].upper_rad - 0.1
     assert stage.finish(goal(point(1, [near, 0, 0]))).outcome == (SUCCEEDED, 0)
-    stage.serving.settings = replace(stage.serving.settings, allow_partial_joints_goal=True)
+    stage.configure(allow_partial_joints_goal=True)
     beyond = goal(point(0, [near], [4.0]), point(1, [near], [-4.0]), point(2, [0.0], [0.0]), names="a")
     sent = stage.finish(beyond)
     assert sent.outcome == (ABORTED, -1)
