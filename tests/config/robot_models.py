@@ -9,19 +9,31 @@ from typing import Any
 import numpy as np
 import pinocchio
 import xacro
+import yaml
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from config import ArmConfig
+from config.geometry import KinematicsConfig
 from config.moveit import package_files
 
 Positions = NDArray[np.float64]
 
 
+def geometry(arm: ArmConfig) -> KinematicsConfig:
+    """Of an arm that has one."""
+    assert arm.kinematics is not None
+    return arm.kinematics
+
+
 def files_of(arm: ArmConfig) -> dict[str, str]:
     """Every file of the arm's package."""
-    assert arm.kinematics is not None
-    return package_files(arm, arm.kinematics)
+    return package_files(arm, geometry(arm))
+
+
+def content(files: dict[str, str], name: str) -> Any:
+    """A parameter file of the package as MoveIt's builder loads it."""
+    return yaml.load(files[f"config/{name}.yaml"], Loader=yaml.FullLoader)
 
 
 def robot_model(arm: ArmConfig, arguments: dict[str, str] | None = None) -> str:

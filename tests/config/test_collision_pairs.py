@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robot_models import Pinocchio, Positions, arm_of, arms, files_of
+from robot_models import Pinocchio, Positions, arm_of, arms, files_of, geometry
 
 from config import ArmConfig, load_arm
-from config.geometry import KinematicsConfig
 from config.kinematics import link_poses
 from config.moveit.collisions import home_rad, unchecked_pairs
 from config.moveit.shapes import distances_m, link_shapes, segment_distances_m
@@ -22,11 +21,6 @@ Pairs = set[frozenset[str]]
 
 coordinates = st.floats(-1.0, 1.0).map(lambda place: round(place, 3))
 points = st.tuples(coordinates, coordinates, coordinates).map(np.array)
-
-
-def geometry(arm: ArmConfig) -> KinematicsConfig:
-    assert arm.kinematics is not None
-    return arm.kinematics
 
 
 def unchecked_in_srdf(arm: ArmConfig) -> dict[frozenset[str], str]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robot_models import Pinocchio, Positions, arm_of, arms
+from robot_models import Pinocchio, Positions, arm_of, arms, geometry
 
 from config import ArmConfig, load_arm
 from config.geometry import KinematicsConfig
@@ -24,11 +24,6 @@ FLANGE = [
     ((0, 0, 0, 0, 90, 0), (247, 0, 367)),
     ((10, 20, 30, 40, 50, 60), (278.644, 76.633, 195.026)),
 ]
-
-
-def geometry(arm: ArmConfig) -> KinematicsConfig:
-    assert arm.kinematics is not None
-    return arm.kinematics
 
 
 def denavit_hartenberg(kinematics: KinematicsConfig, positions_rad: Positions) -> Positions:

@@ -12,10 +12,9 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robot_models import arm_of, arms, files_of, robot_model
+from robot_models import arm_of, arms, content, files_of, geometry, robot_model
 
 from config import ArmConfig, load_arm
-from config.geometry import KinematicsConfig
 from config.kinematics import tip_link
 from config.moveit.parameters import moveit_controllers
 from config.moveit.text import floored, number
@@ -48,16 +47,6 @@ def arm() -> ArmConfig:
 @pytest.fixture(scope="module")
 def files(arm: ArmConfig) -> dict[str, str]:
     return files_of(arm)
-
-
-def geometry(arm: ArmConfig) -> KinematicsConfig:
-    assert arm.kinematics is not None
-    return arm.kinematics
-
-
-def content(files: dict[str, str], name: str) -> Any:
-    """A parameter file as MoveIt's builder loads it."""
-    return yaml.load(files[f"config/{name}.yaml"], Loader=yaml.FullLoader)
 
 
 def leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:

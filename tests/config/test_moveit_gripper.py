@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robot_models import Pinocchio, arm_of, arms, files_of, robot_model
+from robot_models import Pinocchio, arm_of, arms, content, files_of, robot_model
 
 from config import ArmConfig, ConfigError, load_arm
 from config.kinematics import flange_pose, tip_link
@@ -35,10 +34,6 @@ def arm() -> ArmConfig:
 @pytest.fixture(scope="module")
 def files(arm: ArmConfig) -> dict[str, str]:
     return files_of(arm)
-
-
-def content(files: dict[str, str], name: str) -> Any:
-    return yaml.load(files[f"config/{name}.yaml"], Loader=yaml.FullLoader)
 
 
 def test_moveit_finds_its_action(files: dict[str, str]) -> None:
