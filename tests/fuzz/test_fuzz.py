@@ -1,16 +1,15 @@
 """A sample of what `python -m fuzz` runs by the million, and proof that its judges can find somebody guilty."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from compiling import bounds_checked
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from plain_messages import point, present, trajectory
 
 from fuzz import memory
 from fuzz.arena import MemoryArena, WireArena
@@ -19,7 +18,6 @@ from fuzz.stress import SCENARIOS
 from fuzz.texts import Texts
 from fuzz.truth import Truth
 from rosfront.goal import plan_stream
-from rosfront.plan import Present
 from rtloop.wire import received
 from shm import cache
 from shm.words import Answer, Fault, Outcome
@@ -108,21 +106,10 @@ def test_hostile_messages_are_refused_in_a_sentence_or_executed_within_limits(ki
 def test_a_lone_point_of_a_stream_that_is_far_ahead_and_accelerated_swings_nobody_out() -> None:
     """Found by the long run: the way to it was a quintic that ended with its acceleration, metres off on the way."""
     target = Messages("streams")
-    point = SimpleNamespace(
-        time_from_start=SimpleNamespace(sec=11, nanosec=0),
-        positions=[0.0] * 6,
-        velocities=[0.0] * 6,
-        accelerations=[-0.2, -0.1, -0.2, 0.5, -1.0, 2.0],
-        effort=[],
-    )
-    message = SimpleNamespace(
-        header=SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0)),
-        joint_names=[joint.name for joint in target.arm.joints],
-        points=[point],
-    )
-    here = np.zeros(6)
-    present = Present(np.zeros((6, 3)), True, target.arena.arm.now_ns, 0)
-    target.execute(plan_stream(message, target.arm, present, target.settings), here)
+    far = point(11.0, [0.0] * 6, [0.0] * 6, [-0.2, -0.1, -0.2, 0.5, -1.0, 2.0])
+    message = trajectory([far], [joint.name for joint in target.arm.joints])
+    there = present(monotonic_ns=target.arena.arm.now_ns, epoch_ns=0)
+    target.execute(plan_stream(message, target.arm, there, target.settings), np.zeros(6))
     target.close()
 
 
@@ -179,18 +166,8 @@ def test_the_stress_of_the_receive_ring_finds_a_byte_that_is_wrong(hostile_wire:
 
 
 CHECKED = """
-import numba
-import numpy as np
 from fuzz.arena import MemoryArena, WireArena
 
-@numba.njit
-def beyond(values, index):
-    return values[index]
-
-try:
-    beyond(np.zeros(3), 3)
-except IndexError:
-    print("checks bounds")
 for arena in (MemoryArena(), WireArena()):
     print(arena.run(1, 0, 3000))
     arena.close()
@@ -201,14 +178,6 @@ for arena in (MemoryArena(), WireArena()):
 @pytest.mark.skipif("RTARM_LONG" not in os.environ, reason="compiles all of it once more; RTARM_LONG=1 runs it")
 def test_no_hostile_index_ever_leaves_its_array(tmp_path: Path) -> None:
     """The compiled targets with numba's bounds checks compiled in, in a cache of their own."""
-    environment = {
-        **os.environ,
-        "NUMBA_BOUNDSCHECK": "1",
-        "XDG_CACHE_HOME": str(tmp_path),
-        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
-    }
-    result = subprocess.run(
-        [sys.executable, "-c", CHECKED], env=environment, capture_output=True, text=True, check=False
-    )
+    result = bounds_checked(CHECKED, tmp_path)
     assert result.stdout.split("\n") == ["checks bounds", "(3000, '')", "(3000, '')", ""], result.stderr
     assert (tmp_path / "rtarm" / cache.folder().name).is_dir()

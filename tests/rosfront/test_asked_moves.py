@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import plain_messages
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,7 +12,6 @@ from hypothesis import strategies as st
 from config.kinematics import flange_pose
 from config.loader import load_arm
 from rosfront.asked_moves import SLOWEST_RATIO, Moves, position_and_rotation, step_of
-from rosfront.plan import Present
 from rosfront.refusals import GoalRefused
 from rosfront.settings import Settings
 
@@ -23,9 +23,7 @@ DEMO = ([260.0, 0.0, 200.0], [180.0, 0.0, 90.0])
 
 
 def present(angles_deg=(0.0,) * 6, standing=True):
-    commanded = np.zeros((6, 3))
-    commanded[:, 0] = np.radians(angles_deg)
-    return Present(commanded, standing, 10**9, 10**18)
+    return plain_messages.present(np.radians(angles_deg), standing=standing)
 
 
 def refused(ask, *arguments, at=None):

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_messages import duration, goal_of, point, present, trajectory
 from scipy.interpolate import BPoly, CubicHermiteSpline, PchipInterpolator
 
 from config.loader import load_arm
 from rosfront import refusals
 from rosfront.goal import densify, plan_goal, plan_stream
 from rosfront.path import PlannedPath
-from rosfront.plan import Present
 from rosfront.settings import Settings
 
 GOALS = Path(__file__).parents[1] / "data" / "moveit"
@@ -36,45 +36,12 @@ def recorded(name: str):
     return as_message(json.loads((GOALS / f"{name}.json").read_text()))
 
 
-def duration(seconds: float):
-    whole = math.floor(seconds)
-    return SimpleNamespace(sec=whole, nanosec=round((seconds - whole) * 1e9))
-
-
-def point(time_s, positions, velocities=(), accelerations=(), effort=()):
-    return SimpleNamespace(
-        time_from_start=duration(time_s),
-        positions=list(positions),
-        velocities=list(velocities),
-        accelerations=list(accelerations),
-        effort=list(effort),
-    )
-
-
 def goal(points, names=None, stamp_s=0.0):
-    return SimpleNamespace(
-        trajectory=SimpleNamespace(
-            header=SimpleNamespace(stamp=duration(stamp_s), frame_id=""),
-            joint_names=list(NAMES if names is None else names),
-            points=list(points),
-        ),
-        multi_dof_trajectory=SimpleNamespace(joint_names=[], points=[]),
-        path_tolerance=[],
-        component_path_tolerance=[],
-        goal_tolerance=[],
-        component_goal_tolerance=[],
-        goal_time_tolerance=duration(0.0),
-    )
+    return goal_of(trajectory(points, NAMES if names is None else names, stamp_s))
 
 
 def tolerance(name, position=0.0, velocity=0.0, acceleration=0.0):
     return SimpleNamespace(name=name, position=position, velocity=velocity, acceleration=acceleration)
-
-
-def present(positions=(0.0,) * 6, *, standing=True, monotonic_ns=5_000_000_000, epoch_ns=1_800_000_000 * 10**9):
-    commanded = np.zeros((6, 3))
-    commanded[:, 0] = positions
-    return Present(commanded, standing, monotonic_ns, epoch_ns)
 
 
 def one_joint(*points, name="joint1"):
@@ -752,6 +719,6 @@ def test_a_name_from_outside_is_shown_on_one_printable_line_of_bounded_length():
     message = recorded("small")
     message.trajectory.joint_names[0] = "x\x1b[31m\n" + "y" * 10_000
     with pytest.raises(refusals.UnknownJoint) as refused:
-        plan_goal(message, ARM, Present(np.zeros((6, 3)), True, 0, 0), Settings.of(ARM))
+        plan_goal(message, ARM, present(), Settings.of(ARM))
     assert refused.value.sentence.startswith("'x\\x1b[31m\\nyyy")
     assert refused.value.sentence.isprintable() and len(refused.value.sentence) < 250

@@ -1,9 +1,12 @@
 """Motions of our own making: never faster than the limits, never off the line, refused where a line cannot be led."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from plain_messages import present
 from virtual import VirtualArm
 
 from config.inverse import Inverse
@@ -14,7 +17,6 @@ from rosfront import refusals
 from rosfront.goal import plan_move
 from rosfront.moves import Line, Profile, joint_move
 from rosfront.path import PlannedPath
-from rosfront.plan import Present
 from rosfront.settings import Settings
 from shm.words import Outcome
 
@@ -31,14 +33,8 @@ ways_mm = st.lists(st.floats(-80, 80), min_size=3, max_size=3).map(np.array)
 turns_deg = st.lists(st.floats(-40, 40), min_size=3, max_size=3).map(np.array)
 
 
-def present_at(position):
-    commanded = np.zeros((6, 3))
-    commanded[:, 0] = position
-    return Present(commanded, standing=True, monotonic_ns=10**9, epoch_ns=10**18)
-
-
 def planned(trajectory, start, arm=ARM):
-    return plan_move(trajectory, arm, present_at(start), Settings.of(arm))
+    return plan_move(trajectory, arm, present(start), Settings.of(arm))
 
 
 def moved(start, way_mm, turn_deg=(0, 0, 0)):
@@ -207,8 +203,7 @@ def test_a_line_that_leads_a_joint_out_of_its_limits_is_refused():
 def test_the_simulated_arm_moves_its_flange_straight(way_mm, turn_deg):
     """True joint angles of the simulated drives, in virtual time; the figures of docs/full-node.md."""
     pose = moved(OVER_THE_TABLE, way_mm, turn_deg)
-    arm = VirtualArm(start_rad=OVER_THE_TABLE)
-    try:
+    with closing(VirtualArm(start_rad=OVER_THE_TABLE)) as arm:
         assert arm.bring_up().failure is None
         commanded_rad = arm.loop[0]["axes"]["position_rad"][:6].copy()
         plan = planned(Line(ARM, INVERSE, commanded_rad, pose).trajectory(8e-3), commanded_rad)
@@ -221,8 +216,6 @@ def test_the_simulated_arm_moves_its_flange_straight(way_mm, turn_deg):
         assert arm.outcome(goal) == Outcome.SUCCEEDED
         times_ns = np.arange(begun_ns, arm.now_ns, 2_000_000)
         true = np.stack([arm.sim.truth(joint, times_ns)[0] for joint in range(6)], axis=1)
-    finally:
-        arm.close()
     aside, _ = off_the_line(np.array(commanded), commanded_rad, pose)
     true_aside, _ = off_the_line(true, commanded_rad, pose)
     print(

@@ -5,9 +5,10 @@ import math
 import re
 import signal
 import time
-from types import SimpleNamespace
+from contextlib import closing
 
 import numpy as np
+import plain_messages
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,10 +18,11 @@ pytest.importorskip("control_msgs")
 
 from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
-from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, Operator, recorded, until
+from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, Operator, recorded
 from sensor_msgs.msg import JointState
 from stack import Process
 from trajectory_msgs.msg import JointTrajectoryPoint
+from waiting import until
 
 from rosfront.points import Columns, read_points
 from rosfront.trajectory_printer import LANGUAGES, ending, greeting, report
@@ -33,17 +35,9 @@ LOG_LINE = re.compile(r"\[(INFO|WARN)\] \[[\d.]+\] \[(.*?)\]: ")
 
 def message(times_s, positions, velocities=None):
     """A trajectory as it comes in a goal."""
-    points = [
-        SimpleNamespace(
-            positions=list(position),
-            velocities=[] if velocities is None else list(velocities[index]),
-            accelerations=[],
-            effort=[],
-            time_from_start=SimpleNamespace(sec=int(time_s), nanosec=round((time_s - int(time_s)) * 1e9)),
-        )
-        for index, (time_s, position) in enumerate(zip(times_s, positions, strict=True))
-    ]
-    return SimpleNamespace(joint_names=JOINTS, points=points)
+    velocities = [()] * len(times_s) if velocities is None else velocities
+    points = [plain_messages.point(*row) for row in zip(times_s, positions, velocities, strict=True)]
+    return plain_messages.trajectory(points, JOINTS)
 
 
 def printed(trajectory, words=ZH):
@@ -275,14 +269,11 @@ def test_names_are_relative_and_arms_of_ones_own_are_shown(start, client, mock_c
     start("--arm", str(path), "--ros-args", "-r", "__ns:=/left")
     moveit = client(f"left/{controller}")
     assert moveit.run(recorded("small"))[0] == SUCCEEDED
-    operator = Operator()
-    try:
+    with closing(Operator()) as operator:
         heard = operator.listen(JointState, "/left/joint_states")
         until(lambda: heard, "a joint state in the namespace")
         name = ("trajectory_printer", "/left")
         until(lambda: name in operator.node.get_node_names_and_namespaces(), "the node's name")
-    finally:
-        operator.close()
 
 
 @pytest.fixture

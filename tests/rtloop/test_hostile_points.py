@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from plain_messages import goal_of, point, trajectory
 from virtual import VirtualArm
 
 from config.loader import load_arm
@@ -27,8 +28,7 @@ class Hostile:
 
     def __init__(self, seed: int, rate_hz: float) -> None:
         self.random = np.random.default_rng(seed)
-        self.arm = VirtualArm(load_arm("mock", overrides={"control": {"rate_hz": rate_hz}}))
-        assert self.arm.bring_up().failure is None
+        self.arm = VirtualArm.brought_up(load_arm("mock", overrides={"control": {"rate_hz": rate_hz}}))
         self.settings = Settings.of(self.arm.arm)
 
     def present(self) -> Present:
@@ -53,21 +53,10 @@ class Hostile:
         position, velocity, acceleration = (np.array(rows).T.tolist() for rows in zip(*ways, strict=True))
         bent = random.random() < 0.3
         points = [
-            SimpleNamespace(
-                time_from_start=SimpleNamespace(sec=0, nanosec=int(times_ns[i])),
-                positions=position[i],
-                velocities=velocity[i],
-                accelerations=acceleration[i] if bent else [],
-                effort=[],
-            )
-            for i in range(count)
+            point(times_ns[i] * 1e-9, position[i], velocity[i], acceleration[i] if bent else ()) for i in range(count)
         ]
         stamp_ns = 0 if random.random() < 0.3 else self.arm.now_ns + int(random.integers(-2 * period_ns, 2 * period_ns))
-        return SimpleNamespace(
-            header=SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=stamp_ns)),
-            joint_names=[self.arm.arm.joints[joint].name for joint in joints],
-            points=points,
-        )
+        return trajectory(points, [self.arm.arm.joints[joint].name for joint in joints], stamp_ns * 1e-9)
 
     def way(self, joint: int, times_s: np.ndarray, *, ends_at_rest: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A smooth way from where the joint is, with a ripple that changes the velocity by what a cycle allows."""
@@ -131,7 +120,7 @@ class Edge:
     def accepted(self, strength: float) -> GoalPlan | None:
         hostile = self.hostile
         try:
-            return plan_goal(as_goal(self.message(strength)), hostile.arm.arm, hostile.present(), hostile.settings)
+            return plan_goal(goal_of(self.message(strength)), hostile.arm.arm, hostile.present(), hostile.settings)
         except GoalRefused:
             return None
 
@@ -169,40 +158,17 @@ class Edge:
             velocities.append(velocity)
         late_s = random.choice([0.0, 0.0, 0.001, 0.05])
         points = [
-            SimpleNamespace(
-                time_from_start=SimpleNamespace(sec=0, nanosec=round((times_s[i] + late_s) * 1e9)),
-                positions=[way[i] for way in positions],
-                velocities=[way[i] for way in velocities],
-                accelerations=[],
-                effort=[],
-            )
+            point(times_s[i] + late_s, [way[i] for way in positions], [way[i] for way in velocities])
             for i in range(count)
         ]
-        return SimpleNamespace(
-            header=SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0)),
-            joint_names=[arm.joints[joint].name for joint in joints],
-            points=points,
-        )
-
-
-def as_goal(trajectory: SimpleNamespace) -> SimpleNamespace:
-    """A goal message around a trajectory, with the default tolerances."""
-    return SimpleNamespace(
-        trajectory=trajectory,
-        multi_dof_trajectory=SimpleNamespace(joint_names=[], points=[]),
-        path_tolerance=[],
-        component_path_tolerance=[],
-        goal_tolerance=[],
-        component_goal_tolerance=[],
-        goal_time_tolerance=SimpleNamespace(sec=0, nanosec=0),
-    )
+        return trajectory(points, [arm.joints[joint].name for joint in joints])
 
 
 @trials
 @given(st.integers(0, 10**9), st.sampled_from([100.0, 120.0, 200.0]))
 def test_a_hostile_goal_is_refused_or_succeeds(seed: int, rate_hz: float) -> None:
     hostile = Hostile(seed, rate_hz)
-    message = as_goal(hostile.message(ends_at_rest=True))
+    message = goal_of(hostile.message(ends_at_rest=True))
     try:
         plan = plan_goal(message, hostile.arm.arm, hostile.present(), hostile.settings)
     except GoalRefused as refusal:
@@ -210,7 +176,7 @@ def test_a_hostile_goal_is_refused_or_succeeds(seed: int, rate_hz: float) -> Non
         return
     arm = hostile.arm
     goal = hostile.send(plan)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE)
+    arm.end_of(goal)
     assert arm.core["fault"] == Fault.NONE
     assert arm.outcome(goal) in (Outcome.SUCCEEDED, *REFUSALS)
     arm.close()
@@ -267,7 +233,7 @@ def test_what_the_front_just_accepts_is_followed_whatever_the_clock_does(seed: i
         arm.writer.request(Request.SPEED_SCALE, value=float(random.uniform(0.1, 0.9)))
         arm.cycles(round(0.05 * rate_hz))
         arm.writer.request(Request.SPEED_SCALE, value=1.0)
-    arm.until(lambda: arm.outcome(goal) != Outcome.NONE, at_most_s=60.0)
+    arm.end_of(goal, at_most_s=60.0)
     assert arm.core["fault"] == Fault.NONE
     assert arm.outcome(goal) in (Outcome.CANCELED if who == "cancel" else Outcome.SUCCEEDED, *REFUSALS)
     arm.close()
