@@ -41,21 +41,30 @@ class Spinner:
         rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node(name, context=self.context)
         self.feedback = []
-        executor = SingleThreadedExecutor(context=self.context)
-        executor.add_node(self.node)
-        self._ends.enter_context(spinning(executor))
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        self._ends.enter_context(spinning(self._executor))
+
+    def asked(self, ask, what, patience_s=PATIENCE_S):
+        """What is answered to `ask()`, which gives a future.
+
+        It is called in the thread that takes the answers: rclpy drops one that comes before it knows the future.
+        """
+        task = self._executor.create_task(ask)
+        until(lambda: task.done() and task.result().done(), what, patience_s)
+        return task.result().result()
 
     def sent(self, action, goal):
         """The handle of a goal that has been answered; its feedback is kept."""
-        future = action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(m.feedback))
-        until(future.done, "the answer to a goal")
-        return future.result()
+        return self.asked(
+            lambda: action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(m.feedback)),
+            "the answer to a goal",
+        )
 
     def ended(self, handle):
         """Status and result of a goal that has ended."""
-        future = handle.get_result_async()
-        until(future.done, "a result", LONGEST_GOAL_S)
-        return future.result().status, future.result().result
+        answer = self.asked(handle.get_result_async, "a result", LONGEST_GOAL_S)
+        return answer.status, answer.result
 
     def close(self):
         self._ends.close()

@@ -28,7 +28,7 @@ def recorded_at(arm: VirtualArm, name: str, elapsed_s: float, **options) -> int:
 @given(st.floats(0.0, 0.35))
 def test_a_start_in_the_past_is_entered_where_it_is_due_without_a_jump(late_s: float) -> None:
     goal = recorded_goal("scale_1_0")
-    arm = CommandedArm(goal["joints"][0, :, 0])
+    arm = CommandedArm(start_rad=goal["joints"][0, :, 0])
     begun_ns = arm.now_ns - round(late_s * 1e9)
     number = recorded_at(arm, "scale_1_0", late_s)
     arm.cycles(2)
@@ -47,7 +47,7 @@ def test_a_start_in_the_past_is_entered_where_it_is_due_without_a_jump(late_s: f
 def test_a_start_in_the_past_of_a_moving_arm_is_blended_too() -> None:
     """The same trajectory twice, the second time as it is by now: nothing happens to the motion."""
     goal = recorded_goal("large")
-    arm = CommandedArm(goal["joints"][0, :, 0])
+    arm = CommandedArm(start_rad=goal["joints"][0, :, 0])
     begun_ns = arm.now_ns
     first = arm.play("large", start_ns=begun_ns)
     arm.cycles(100)
@@ -59,7 +59,7 @@ def test_a_start_in_the_past_of_a_moving_arm_is_blended_too() -> None:
 
 def test_a_start_ahead_leaves_the_arm_standing_until_then() -> None:
     goal = recorded_goal("small")
-    arm = CommandedArm(goal["joints"][0, :, 0])
+    arm = CommandedArm(start_rad=goal["joints"][0, :, 0])
     number = recorded_at(arm, "small", -0.5)
     arm.cycles(48)
     assert np.ptp(np.array(arm.positions), axis=0).max() == 0.0
