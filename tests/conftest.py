@@ -129,8 +129,10 @@ def pytest_runtest_teardown(item: Any, nextitem: pytest.Item | None) -> Any:
     finally:
         if failed:
             clear_away()
-    if failed:
-        return  # what was raised holds what it was about; the file is looked at when a test of it has ended well
+    if failed:  # what was raised holds what it was about; the file is looked at when a test of it has ended well
+        now = leaks.surroundings(all_left)
+        item.session.stash[_BEFORE] = item.session.stash[_BEFORE]._replace(descriptors=now.descriptors)
+        return
     if nextitem is None or nextitem.path != item.path:
         item.session.stash[_FILE] = None
         item.funcargs.clear()  # what nobody holds any more is closed
