@@ -37,7 +37,11 @@ def served_at(stack_at: Callable[..., Stack]) -> Iterator[Callable[[Sequence[flo
         stack.start_loop()
         stack.start_front()
         stack.client = Client(f"controller_{stack.name}")
-        ends.callback(lambda: stack.client.close())  # noqa: PLW0108 - a test may have put another in its place
+
+        def end_client() -> None:
+            stack.client.close()  # a test may have put another in its place
+
+        ends.callback(end_client)
         return stack
 
     with ends:
