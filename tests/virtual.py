@@ -98,7 +98,6 @@ class VirtualArm:
         self.state = private_file(layout.STATE, self.arm)
         self.command = private_file(layout.COMMAND, self.arm)
         self.loop = new_loop(self.arm, self.state.address, self.command.address)
-        self.loop_address = self.loop.ctypes.data
         show_limits(self.state.record["limits"], self.loop)
         show_drives(self.state.record, self.arm)
         self.reader = StateReader(self.state)
@@ -173,7 +172,7 @@ class VirtualArm:
 
     def _hear(self, sim_ns: int, data: bytes) -> None:
         if data:
-            push(self.loop_address, sim_ns - self.suspended_ns, np.frombuffer(data, np.uint8), len(data))
+            push(self.loop.ctypes.data, sim_ns - self.suspended_ns, np.frombuffer(data, np.uint8), len(data))
 
     def suspend(self, duration_s: float) -> None:
         """The machine sleeps between two cycles: the drives live on, the loop's clock stands still."""
@@ -204,7 +203,7 @@ class VirtualArm:
 
     def taken(self, count: int) -> None:
         """The wire has taken so many bytes of the cycle's."""
-        took(self.loop_address, self.state.address, count)
+        took(self.loop.ctypes.data, self.state.address, count)
 
     def cycles(self, count: int) -> None:
         for _ in range(count):

@@ -16,7 +16,7 @@ from typing import IO, NamedTuple
 
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import signals_noted
-from rtarm.niceness import nice_thread
+from rtarm.niceness import done_by, nice_thread
 from rtarm.recording import folder
 from rtarm.recording.make import ASKED
 from rtarm.recording.mcap_format import BATCH, Reason
@@ -194,7 +194,7 @@ def follow(
             follower = Follower(memory, path, past=past)
             try:
                 # Signals come to this thread, which only waits.
-                why = thread.submit(_until_the_end, memory, follower, wait, until_s, step).result()
+                why = done_by(thread, lambda: _until_the_end(memory, follower, wait, until_s, step))
                 follower.finish()
             except BaseException:
                 signal.raise_signal(signal.SIGTERM)  # is noted, and ends the thread if it still works

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from config.schema import ArmConfig
 from rtarm.interrupt import signals_to
-from rtarm.niceness import nice_thread
+from rtarm.niceness import done_by, nice_thread
 from rtarm.view.orders import Orders
 from rtarm.view.page import Page
 from rtarm.view.source import Source
@@ -27,7 +27,7 @@ def serve(server: viser.ViserServer, arm: ArmConfig, source: Source, orders: Ord
     with signals_to(lambda *_: ended.set()):
         try:
             with nice_thread() as thread:  # signals come to this one, which only waits
-                thread.submit(lambda: Page(server, arm, source, orders, words).serve(ended)).result()
+                done_by(thread, lambda: Page(server, arm, source, orders, words).serve(ended))
         finally:
             if orders is not None:
                 orders.close()

@@ -78,6 +78,11 @@ def worked_at(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[int]]:
     return watch
 
 
+def to_this_thread(number: int) -> None:
+    """A signal to the process, which the kernel gives to whom it wants: it does not wake the main thread."""
+    signal.pthread_kill(threading.get_ident(), number)
+
+
 @pytest.mark.parametrize("options", [["-f"], ["--for", "0.1"]], ids=["until Ctrl-C", "for a time"])
 def test_a_recording_that_goes_on(
     arm: WrittenArm,
@@ -86,7 +91,7 @@ def test_a_recording_that_goes_on(
     tmp_path: Path,
     options: list[str],
 ) -> None:
-    levels = worked_at(Follower, "take", lambda: os.kill(os.getpid(), signal.SIGINT))
+    levels = worked_at(Follower, "take", lambda: to_this_thread(signal.SIGINT))
     result = rtarm("record", arm.name, *options, "-o", str(tmp_path / "on.mcap"))
     assert "has not run a cycle meanwhile" in result.stderr  # nobody runs this arm
     assert levels and set(levels) == {LOWEST}
@@ -133,7 +138,7 @@ def test_a_page_in_the_browser(worked_at: Callable[..., list[int]]) -> None:
 
     arm = load_arm("mock")
     threads_of_server = worked_at(WebsockServer, "_background_worker")
-    levels = worked_at(Page, "__init__", lambda: os.kill(os.getpid(), signal.SIGTERM))
+    levels = worked_at(Page, "__init__", lambda: to_this_thread(signal.SIGTERM))
     source = SimpleNamespace(joints=tuple(joint.name for joint in arm.joints), close=lambda: None)
     with signals_to(signal.SIG_DFL):  # a page that has been ended lets nobody end its process once more
         serve(open_server().server, arm, source, None, words_of("en"))
