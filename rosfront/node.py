@@ -8,6 +8,7 @@ executing arm costs the executor nothing, because nothing wakes it (a timer at t
 several per cent of a processor, facts: ros-from-wheels).
 """
 
+import threading
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -138,9 +139,13 @@ class FrontNode:
         self._goals.spin()
 
     def announce(self) -> None:
-        """Print `ready` once: the server is up and the control process is there."""
-        self.serving.ever_attached.wait()
-        print(f"ready {self.node.get_fully_qualified_name()}/follow_joint_trajectory", flush=True)
+        """Print `ready` once the control process is there too."""
+
+        def say() -> None:
+            self.serving.ever_attached.wait()
+            print(f"ready {self.node.get_fully_qualified_name()}/follow_joint_trajectory", flush=True)
+
+        threading.Thread(target=say, name="announcer", daemon=True).start()
 
     def _plan(self, goal: Any) -> GoalPlan:
         """Judge a goal; raises GoalRefused."""

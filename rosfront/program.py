@@ -43,7 +43,7 @@ class Served(Protocol):
         """Serve in a thread of its own, until `close`."""
 
     def announce(self) -> None:
-        """Say, in a thread that may wait, that goals can be sent."""
+        """Say that goals can be sent, before `spin` serves any; what has to be waited for needs a thread."""
 
     def finish(self, end: "EndSignal") -> None:
         """What is still to be done before the end; another end signal ends that."""
@@ -176,10 +176,9 @@ def serve(
         end.give()
 
     threading.excepthook = carry_out  # a thread's exception is nobody's otherwise
+    served.announce()
     spinner = threading.Thread(target=served.spin, name="executor", daemon=True)
     spinner.start()
-    announcer = threading.Thread(target=served.announce, name="announcer", daemon=True)
-    announcer.start()
     gc.collect()
     gc.freeze()  # what is alive now stays: later collections need not walk through it
     end.wait()

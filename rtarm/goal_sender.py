@@ -22,8 +22,10 @@ from rtarm.processes import READY
 from rtarm.ros_client import goal_message, has_server, served_node
 
 if TYPE_CHECKING:
-    from rclpy.action.client import ActionClient, ClientGoalHandle
+    from rclpy.action.client import ClientGoalHandle
     from rclpy.task import Future
+
+    from rtarm.action_client import ActionClient
 
 SERVER_PATIENCE_S = 10.0
 LAST_CANCEL_S = 5.0
@@ -95,7 +97,8 @@ def run(action: str) -> None:
         Refusal: the action has no server.
     """
     from control_msgs.action import FollowJointTrajectory
-    from rclpy.action.client import ActionClient
+
+    from rtarm.action_client import ActionClient
 
     with served_node("rtarm_sender") as node:
         client = ActionClient(node, FollowJointTrajectory, action)

@@ -7,14 +7,16 @@ command, which may be somebody's own program.
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
+import socket
 import threading
 from collections.abc import Callable
-from concurrent.futures import Executor, ThreadPoolExecutor, wait
+from concurrent.futures import Executor, ThreadPoolExecutor
 from typing import TypeVar
 
 MOST_NICE = 19
-AWAKE_S = 0.1
 
 T = TypeVar("T")
 
@@ -25,15 +27,28 @@ def nice_thread() -> ThreadPoolExecutor:
 
 
 def done_by(thread: Executor, work: Callable[[], T]) -> T:
-    """What the work of a thread gives; meanwhile this one, the main thread, wakes up again and again for signals.
+    """What the work of a thread gives; meanwhile this one, the main thread, wakes up for signals alone.
 
-    Python's handlers run in the main thread alone, and a signal wakes it from a wait without an end only where the
-    kernel gives it to that thread, and not in the moment before it waits.
+    Python's handlers run in the main thread, and a signal wakes it from waiting for another one only where the kernel
+    gives it to that thread, and not in the moment before it waits. The byte that the interpreter writes comes always.
     """
-    done = thread.submit(work)
-    while not wait((done,), AWAKE_S).done:
-        pass
-    return done.result()
+    awake, wake = socket.socketpair()
+    with awake, wake:
+        wake.setblocking(False)
+
+        def end(_: object) -> None:
+            with contextlib.suppress(OSError):  # full, so there is a byte to be read; or closed: nobody waits any more
+                wake.send(b"\0")
+
+        others = signal.set_wakeup_fd(wake.fileno(), warn_on_full_buffer=False)
+        try:
+            done = thread.submit(work)
+            done.add_done_callback(end)
+            while not done.done():
+                awake.recv(4096)
+            return done.result()
+        finally:
+            signal.set_wakeup_fd(others)
 
 
 def _give_way() -> None:

@@ -15,9 +15,10 @@ from rosfront.program import CannotServe, start_ros
 from rtarm.errors import Refusal
 
 if TYPE_CHECKING:
-    from rclpy.action.client import ActionClient
     from rclpy.executors import Executor
     from rclpy.node import Node
+
+    from rtarm.action_client import ActionClient
 
 MUTUAL_S = 0.3
 """For the server to find the client too, without which its answer is lost: only the other direction can be seen."""

@@ -118,6 +118,10 @@ class Sender:
             raise self._gone()
         return None
 
+    def abandon(self) -> None:
+        """Who was sent to is gone: `close` waits for no end of a goal."""
+        self._process.kill()
+
     def close(self) -> None:
         """End; what still runs is cancelled."""
         assert self._process.stdin is not None

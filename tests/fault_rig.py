@@ -22,13 +22,13 @@ from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
 from observer import STANDS_RAD_S, Violation
-from rclpy.action import ActionClient
 from ros_client import Spinner
 from stack import Process, Stack
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from config.loader import load_arm
+from rtarm.action_client import ActionClient
 from shm import files
 from shm.client import StateReader
 from shm.errors import SharedMemoryError, TornRead

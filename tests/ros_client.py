@@ -10,7 +10,6 @@ from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
 from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -20,6 +19,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 from waiting import PATIENCE_S, until
 
+from rtarm.action_client import ActionClient
 from rtarm.ros_client import spinning
 
 GOALS = Path(__file__).parent / "data" / "moveit"
@@ -46,13 +46,10 @@ class Spinner:
         self._ends.enter_context(spinning(self._executor))
 
     def asked(self, ask, what, patience_s=PATIENCE_S):
-        """What is answered to `ask()`, which gives a future.
-
-        It is called in the thread that takes the answers: rclpy drops one that comes before it knows the future.
-        """
-        task = self._executor.create_task(ask)
-        until(lambda: task.done() and task.result().done(), what, patience_s)
-        return task.result().result()
+        """What is answered to `ask()`, which gives a future."""
+        future = ask()
+        until(future.done, what, patience_s)
+        return future.result()
 
     def sent(self, action, goal):
         """The handle of a goal that has been answered; its feedback is kept."""

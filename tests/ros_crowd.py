@@ -14,11 +14,12 @@ from collections.abc import Callable
 import rclpy
 from control_msgs.action import FollowJointTrajectory
 from control_msgs.srv import QueryTrajectoryState
-from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
+
+from rtarm.action_client import ActionClient
 
 PAUSE_S = 0.02
 PATIENCE_S = 1.0

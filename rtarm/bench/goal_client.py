@@ -28,7 +28,8 @@ RESULT_PATIENCE_S = 30.0
 def play(node: Any, action: str, goal: dict[str, Any]) -> None:
     """Send one goal to an action server that may just have come up, and report what becomes of it."""
     from control_msgs.action import FollowJointTrajectory
-    from rclpy.action.client import ActionClient
+
+    from rtarm.action_client import ActionClient
 
     gc.collect()
     gc.freeze()  # before a slice rather than in it

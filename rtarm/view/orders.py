@@ -17,6 +17,7 @@ from config.schema import ArmConfig
 from rtarm import requests
 from rtarm.errors import Refusal
 from rtarm.view.words import Words
+from shm import files
 from shm.errors import SharedMemoryError
 from shm.sentences import outcome_sentence
 from shm.words import Outcome
@@ -56,6 +57,7 @@ class Orders:
         self._one_at_a_time = threading.Lock()
         self._open = ExitStack()
         self._sender: Sender | None = None
+        self._sends_to = 0
         self._stops = 0
 
     def hold(self) -> str:
@@ -134,13 +136,20 @@ class Orders:
         return takes_s / max(float(before["speed_scale_asked"]), SLOWEST), sender, number
 
     def _ready_sender(self) -> Sender:
-        """The process that sends goals, which starts with the first one, and anew if it has died."""
+        """The process that sends goals, which starts with the first one, and anew if it or the arm's front has died.
+
+        ROS takes a server that was killed for alive for seconds, in which a goal to the next one is lost.
+        """
         from rtarm.sending import sending
 
-        if self._sender is not None and not self._sender.alive:
+        front = files.front_of(self._arm.name)
+        restarted = front is not None and front[0] != self._sends_to
+        if self._sender is not None and (restarted or not self._sender.alive):
+            self._sender.abandon()
             self.close()
         if self._sender is None:
             self._sender = self._open.enter_context(sending(self._arm, self._namespace))
+            self._sends_to = front[0] if front is not None else 0
         return self._sender
 
     def close(self) -> None:

@@ -11,7 +11,6 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("robot_arm_interfaces")
 
-from rclpy.action import ActionClient
 from robot_arm_interfaces.action import AngleMode, LinearMove, MoveXyzRotation
 from robot_arm_interfaces.msg import MotorAngles
 from robot_arm_interfaces.srv import ReadMotorAngles, SetFreeMode
@@ -23,6 +22,7 @@ from waiting import until
 from config.kinematics import flange_pose
 from config.loader import load_arm
 from rosfront.asked_moves import position_and_rotation
+from rtarm.action_client import ActionClient
 
 pytestmark = pytest.mark.process
 ARM = load_arm("episode1")

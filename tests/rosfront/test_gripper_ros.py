@@ -13,7 +13,6 @@ from action_msgs.srv import CancelGoal
 from control_msgs.action import GripperCommand, ParallelGripperCommand
 from diagnostic_msgs.msg import DiagnosticArray
 from front_stage import pile_up, served
-from rclpy.action import ActionClient
 from ros_client import ABORTED, CANCELED, SUCCEEDED, Operator
 from sensor_msgs.msg import JointState
 from stack import PATIENT, Stack
@@ -23,6 +22,7 @@ from waiting import until
 from config.loader import load_arm
 from rosfront.gripper import server as gripper_server
 from rosfront.gripper import worker as gripper_worker
+from rtarm.action_client import ActionClient
 
 JOINTS = [f"joint{number}" for number in range(1, 7)]
 NAN = math.nan
@@ -76,6 +76,7 @@ def serving(name, gripper, **trajectory):
     arm = load_arm("mock", overrides=overrides)
     with served(arm) as (_, front, _), contextlib.closing(Client(f"gripper_{name}", f"arm_{name}")) as client:
         client.front = front
+        until(lambda: front._gripper.worker.shown.reading is not None, "where the gripper is")
         yield client
 
 
