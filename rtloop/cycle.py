@@ -8,7 +8,7 @@ virtual time.
 
 from typing import Any
 
-from rtloop import frames, goals, guard, intake, measured, orders, setpoints
+from rtloop import commands, frames, goals, guard, intake, measured, orders, setpoints
 from rtloop.correction import ERROR_SHARE_1_S
 from rtloop.events import record_event, set_result
 from rtloop.show import show
@@ -31,6 +31,7 @@ def step(loop: Loop, shared: Shared, now_ns: int) -> int:
     measured.take_what_the_bus_brought(loop, shared)
     orders.take_service_orders(loop, shared)
     intake.hear_the_front(loop)
+    commands.obey_commands(loop, shared)
     intake.take_requests(loop, shared)
     intake.take_setpoints(loop, shared)
     guard.check_measured(loop, shared)

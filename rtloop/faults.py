@@ -39,6 +39,7 @@ def latch_fault(loop: Loop, shared: Shared, fault: int, joint: int, value: float
     change_mode(loop, shared, Mode.FAULT)
     if not path_is_trusted(fault):
         core.own_brake = 1
+    core.epoch += 1
     set_result(loop, shared, core.incoming_goal, Outcome.FAULT, joint, value, limit)
     core.incoming_goal = 0
     core.incoming_waits = 0

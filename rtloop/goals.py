@@ -47,8 +47,8 @@ def enter_newer_goal(loop: Loop, shared: Shared) -> None:
         return  # a stop that was asked for is finished first
     if core.mode != Mode.HOLDING and core.mode != Mode.EXECUTING and core.mode != Mode.STOPPING:
         return
-    if core.speed_scale <= 0.0 or core.paused == 1:
-        core.incoming_waits = 1  # held: nothing starts
+    if core.speed_scale <= 0.0:
+        core.incoming_waits = 1  # time stands still: nothing starts
         return
     found = enter(loop, core.incoming_path, entry_s)
     if found == ON_ITS_WAY:
@@ -72,8 +72,6 @@ def why_not_to_wait(loop: Loop) -> tuple[int, float, float]:
         return Outcome.SHUTDOWN, 0.0, 0.0
     if front_is_lost(loop):  # a goal that waits for its start must not outlive who sent it
         return Outcome.FRONT_LOST, loop.core.front_age_ns * 1e-9, loop.params.front_timeout_ns * 1e-9
-    if core.paused == 1 and loop.paths[core.incoming_path].stream == 1:
-        return Outcome.REFUSED_HELD, 0.0, 0.0
     if not intake.incoming_is_ready(loop) and core.now_ns - core.incoming_ns > STARVED_FOR_NS:
         return Outcome.STARVED, 0.0, 0.0
     return Outcome.NONE, 0.0, 0.0
@@ -109,7 +107,7 @@ def start_incoming(loop: Loop, shared: Shared) -> None:
     core.incoming_waits = 0
     core.ending = Outcome.NONE
     core.ending_joint = -1
-    core.paused = core.starving = core.arriving = 0
+    core.starving = core.arriving = 0
     core.settle_ns = 0
     core.motion_started = 1
     change_mode(loop, shared, Mode.EXECUTING)
@@ -123,7 +121,7 @@ def finish_goal(loop: Loop, shared: Shared) -> None:
     core.ending = Outcome.NONE
     core.ending_joint = -1
     core.ending_value = core.ending_limit = 0.0
-    core.paused = core.starving = core.arriving = 0
+    core.starving = core.arriving = 0
     core.settle_ns = 0
     set_rate(loop, 1.0)
     if core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING:
@@ -158,7 +156,7 @@ def steer(loop: Loop, shared: Shared) -> None:
         return
     stop = (
         core.ending != Outcome.NONE
-        or core.paused == 1
+        or core.held == 1
         or core.stale == 1
         or core.starving == 1
         or core.incoming_waits == 1
@@ -188,7 +186,7 @@ def has_run_dry(loop: Loop) -> bool:
     core = loop.core
     return (
         loop.paths[core.active].stream == 1
-        and core.paused == 0
+        and core.held == 0
         and loop.paths[core.active].ends_moving == 1
         and core.clock_s >= end_s(loop, core.active)
     )
@@ -264,7 +262,7 @@ def judge_goal(loop: Loop, shared: Shared) -> None:
 def judge_arrival(loop: Loop, shared: Shared) -> None:
     """Success once every joint was measured, at rest on the last point, inside its tolerances; patience ends."""
     core = loop.core
-    if core.paused == 1:
+    if core.held == 1:
         core.settle_ns += loop.params.period_ns  # the time to arrive does not run
         return
     running = loop.paths[core.active]

@@ -10,13 +10,14 @@ before it counts as corrupt.
 import math
 from typing import Any
 
+from rtloop.commands import is_canceled, raise_epoch
 from rtloop.entry import due_s
 from rtloop.events import answer_request, record_event, set_result
 from rtloop.faults import latch_fault
 from rtloop.guard import at_rest
 from rtloop.modes import change_mode, is_limp
 from rtloop.path import end_s, leaves_a_joint_moving, slot
-from rtloop.state import CANCELED_SLOTS, LOOP, WINDOW_KNOTS, offset_of
+from rtloop.state import LOOP, WINDOW_KNOTS, offset_of
 from rtloop.wire import received
 from shm import layout
 from shm.atomics import load_acquire, store_release
@@ -35,7 +36,6 @@ MOST_RECORDS_A_CYCLE = 256
 PAYING_NS = 8_000_000
 """A longer period pays for more: for as many such batches as it is times this long."""
 REQUESTS_A_CYCLE = 4
-REQUESTS_AHEAD = 1_000_000
 CYCLES_TO_BECOME_VISIBLE = 5
 GOALS_AHEAD = 1_000_000
 """Goal ids rise by one; a word that is this far ahead was not written by a front."""
@@ -258,7 +258,7 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
         core.incoming_goal = 0
     core.incoming_waits = core.ways_tried = core.judged_ahead = 0
     record_event(loop, shared, Event.GOAL, -1, goal_id, 0.0, 0.0)
-    if goal_id == core.canceled_goals[goal_id & (CANCELED_SLOTS - 1)]:
+    if is_canceled(loop, goal_id):
         set_result(loop, shared, goal_id, Outcome.CANCELED, -1, 0.0, 0.0)
         return
     outcome, joint = _wrong_begin(loop)
@@ -300,6 +300,8 @@ def _wrong_begin(loop: Loop) -> tuple[int, int]:
         return Outcome.SHUTDOWN, -1
     if core.held == 1:
         return Outcome.REFUSED_HELD, -1
+    if begin.epoch != core.epoch:
+        return Outcome.REFUSED_OUTDATED, -1
     for joint in range(loop.params.joint_count):
         if loop.axes[joint].referenced == 0:
             return Outcome.REFUSED_UNREFERENCED, joint
@@ -343,13 +345,10 @@ def take_requests(loop: Loop, shared: Shared) -> None:
         return
     written = load_acquire(command + _REQUESTS_WRITTEN)
     waiting = written - core.requests_taken
-    if waiting < 0 or waiting > REQUESTS_AHEAD:
-        latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(waiting), float(REQUESTS_AHEAD))
+    if waiting < 0 or waiting > layout.REQUEST_SLOTS:
+        latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(waiting), float(layout.REQUEST_SLOTS))
         core.requests_taken = written
         waiting = 0
-    if waiting > layout.REQUEST_SLOTS:  # the loop was away for long and the oldest are overwritten
-        waiting = layout.REQUEST_SLOTS // 2
-        core.requests_taken = written - waiting
     scratch = loop.params.address + _SCRATCH_REQUEST
     for _ in range(min(waiting, REQUESTS_A_CYCLE)):
         source = command + _REQUESTS + (core.requests_taken & (layout.REQUEST_SLOTS - 1)) * _REQUEST_BYTES
@@ -374,13 +373,6 @@ def take_requests(loop: Loop, shared: Shared) -> None:
 def _obey(loop: Loop, shared: Shared) -> int:
     core, request = loop.core, loop.scratch_request
     kind = request.kind
-    if kind == Request.SPEED_SCALE:
-        if not (request.value >= 0.0 and request.value <= 1.0):
-            return Answer.REFUSED_VALUE
-        core.speed_scale = request.value
-        return Answer.DONE
-    if kind == Request.CANCEL:  # of goals alone: a ROS process that begins cancels what its predecessor has left
-        return _end_goals(loop, shared, request.goal_id, Outcome.CANCELED)
     if kind == Request.GRIP or kind == Request.GRIP_STOP or kind == Request.GRIP_HOME:
         return _pass_to_gripper(loop)
     core.pose_due_ns = 0
@@ -403,23 +395,6 @@ def _obey(loop: Loop, shared: Shared) -> int:
         return _let_go(loop, shared, Mode.DISABLED if kind == Request.DISABLE else Mode.FREE)
     if kind == Request.HOME or kind == Request.REFERENCE:
         return begin_referencing(loop, shared, kind, request.joint_mask, request.value)
-    if kind == Request.STOP:
-        core.held = 1
-        core.stops += 1
-        core.referencing_ends = 1 if core.mode == Mode.REFERENCING else core.referencing_ends
-        _end_goals(loop, shared, 0, Outcome.STOPPED)
-        return Answer.DONE
-    if kind == Request.HOLD and core.mode == Mode.REFERENCING:
-        core.referencing_ends = 1
-        return Answer.DONE
-    if kind == Request.RESUME and core.held == 1:
-        core.held = 0
-        return Answer.DONE
-    if kind == Request.HOLD or kind == Request.RESUME:
-        if core.goal_id == 0:
-            return Answer.REFUSED_NO_GOAL
-        core.paused = 1 if kind == Request.HOLD else 0
-        return Answer.DONE
     return Answer.REFUSED_UNKNOWN
 
 
@@ -459,6 +434,7 @@ def _let_go(loop: Loop, shared: Shared, mode: int) -> int:
     limp_already = is_limp(core.mode)
     if not change_mode(loop, shared, mode):
         return Answer.REFUSED_MODE
+    raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)
     core.motion_started = 0
     if not limp_already:
         core.release_asked = 1
@@ -482,6 +458,7 @@ def begin_referencing(loop: Loop, shared: Shared, kind: int, joint_mask: int, an
         return Answer.REFUSED_MOVING
     if core.bring_up_asked == 1 or not change_mode(loop, shared, Mode.REFERENCING):
         return Answer.REFUSED_MODE
+    raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)
     core.referencing_ends = 0
     for joint in range(count):
         if (joint_mask >> joint) & 1:
@@ -500,24 +477,3 @@ def _may_stand_at(loop: Loop, joint: int, angle_rad: float) -> bool:
     row = loop.joints[joint]
     return bool(row.lower_rad <= angle_rad <= row.upper_rad)
 
-
-@jit
-def _end_goals(loop: Loop, shared: Shared, goal_id: int, outcome: int) -> int:
-    """End the goal meant (0: every goal), the running one by a stop on its path."""
-    core = loop.core
-    found = False
-    if goal_id > core.newest_goal:  # a cancel that overtook its goal: requests are taken before setpoints
-        core.canceled_goals[goal_id & (CANCELED_SLOTS - 1)] = goal_id
-        return Answer.DONE
-    if core.incoming_goal != 0 and (goal_id == 0 or goal_id == core.incoming_goal):
-        set_result(loop, shared, core.incoming_goal, outcome, -1, 0.0, 0.0)
-        core.incoming_goal = 0
-        core.incoming_waits = 0
-        found = True
-    if core.goal_id != 0 and (goal_id == 0 or goal_id == core.goal_id):
-        if core.ending == Outcome.NONE or core.ending == Outcome.RAN_DRY:
-            core.ending = outcome
-            core.ending_joint = -1
-            core.ending_value = core.ending_limit = 0.0
-        found = True
-    return Answer.DONE if found else Answer.REFUSED_NO_GOAL

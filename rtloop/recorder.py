@@ -47,7 +47,7 @@ def slowed(loop: Loop) -> int:
     """Why the arm is slowed down or stopped, as bits of shm.words.Slowed."""
     core = loop.core
     why = 0
-    if core.paused == 1:
+    if core.held == 1:
         why |= _HELD
     if core.stale == 1:
         why |= _LATE_DRIVE

@@ -31,7 +31,7 @@ def phase_of(loop: Loop) -> int:
         return Phase.STOPPING
     if core.settle_ns != 0:
         return Phase.SETTLING
-    if core.paused == 1:
+    if core.held == 1:
         return Phase.PAUSED
     return Phase.RUNNING
 
@@ -63,6 +63,7 @@ def show(loop: Loop, shared: Shared) -> None:
     snapshot.pose_due = 1 if core.now_ns < core.pose_due_ns else 0
     snapshot.held = core.held
     snapshot.stops = core.stops
+    snapshot.epoch = core.epoch
     for joint in range(params.joint_count):
         axis, shown = loop.axes[joint], snapshot.joints[joint]
         shown.commanded_position_rad = axis.position_rad

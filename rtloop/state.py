@@ -30,7 +30,6 @@ NOT_LED = -1
 """A drive that was adopted where it stands, and has been told nothing since."""
 NOBODY, GRIPPER = -1, -2
 """Whose frame it is, where it is no joint's; those of a gripper's drive belong to its conversation."""
-CANCELED_SLOTS = 16
 """Goals in a row that can be canceled before the loop has seen any of them; a power of two."""
 BLEND_SAMPLES = 32
 
@@ -274,9 +273,11 @@ CORE = np.dtype(
         ("ramp_elapsed_s", "f8"),
         ("speed_scale", "f8"),  # what people asked for
         ("entry_rate", "f8"),  # for which the running path's blend was made
-        ("paused", "i8"),
-        ("held", "i8"),  # 1: a person has stopped the arm, so nothing begins before a resume
-        ("stops", "i8"),  # how often one has
+        ("held", "i8"),  # 1: a person has stopped or holds the arm, so nothing begins before a resume
+        ("stop_ns", "i8"),  # the newest stop that was obeyed, as the command file has it
+        ("hold", "i8"),  # the newest hold or resume
+        ("stops", "i8"),  # how often a person has stopped the arm
+        ("epoch", "i8"),  # goals that arrived in an earlier one never begin
         ("starving", "i8"),
         ("starving_ns", "i8"),
         ("arriving", "i8"),  # the last ramp ends where the path does
@@ -292,7 +293,6 @@ CORE = np.dtype(
         ("span_ahead_s", "f8"),  # path time at which they went on
         ("rate_ahead", "f8"),  # rate at which they would be entered
         ("newest_goal", "i8"),  # highest id ever begun
-        ("canceled_goals", "i8", (CANCELED_SLOTS,)),  # goals that were canceled before they came, each in its own slot
         ("announced_goal", "i8"),
         ("front_age_ns", "i8"),  # time between now and its last sign of life
         ("setpoints_taken", "i8"),
@@ -430,6 +430,7 @@ LOOP = np.dtype(
         ("scratch", layout.SETPOINT),
         ("scratch_begin", layout.BEGIN),
         ("scratch_request", layout.REQUEST),
+        ("scratch_scale", "f8"),
         ("wake_up", "i8", (2,)),  # timespecs
         ("clock", "i8", (2,)),
         ("line", "u1", (LINE_BYTES,)),

@@ -4,6 +4,7 @@ CPython has no memory fences, so nothing here rests on order: what is read is ch
 what is written carries a CRC that the loop checks before it believes a word.
 """
 
+import os
 import struct
 import threading
 import time
@@ -24,15 +25,19 @@ GOALS_AHEAD = 1_000_000
 _SNAPSHOT_AT = layout.STATE.fields["snapshot"][1]  # type: ignore[index]
 _SEQUENCE_AT = layout.STATE.fields["snapshot_sequence"][1] // 8  # type: ignore[index]
 _CONSUMED_AT = layout.STATE.fields["consumed"][1] // 8  # type: ignore[index]
+_REQUESTS_CONSUMED_AT = _CONSUMED_AT + layout.CONSUMED.fields["requests"][1] // 8  # type: ignore[index]
 _COMMAND_WORD = {
     name: layout.COMMAND.fields[name][1] // 8  # type: ignore[index]
-    for name in ("heartbeat_ns", "announced_goal", "setpoints_written", "requests_written")
+    for name in (
+        *("heartbeat_ns", "announced_goal", "setpoints_written", "requests_written"),
+        *("stop", "hold", "speed_scale", "canceled_through", "canceled_goals"),
+    )
 }
 _REQUESTS_AT = layout.COMMAND.fields["requests"][1]  # type: ignore[index]
 _SETPOINTS_AT = layout.COMMAND.fields["setpoints"][1]  # type: ignore[index]
-_BEGIN_HEAD = struct.Struct("<qqqqqqdq")
-_KNOT_HEAD = struct.Struct("<qqqqqqqq")
-_REQUEST = struct.Struct("<qqqqdqqd")
+_BEGIN_HEAD = struct.Struct("<qqqqqqdqq")
+_KNOT_HEAD = struct.Struct("<qqqqqqqqq")
+_REQUEST = struct.Struct("<qqqdqqd")
 
 
 class StateReader:
@@ -71,6 +76,9 @@ class StateReader:
     def setpoints_consumed(self) -> int:
         return self._words[_CONSUMED_AT]
 
+    def requests_consumed(self) -> int:
+        return self._words[_REQUESTS_CONSUMED_AT]
+
     def close(self) -> None:
         self._words.release()
         self._bytes.release()
@@ -78,13 +86,18 @@ class StateReader:
 
 
 class CommandWriter:
-    """Writes requests and, for the front that owns the file, goals and the heartbeat."""
+    """Writes what is asked of an arm and, for the front that owns the file, goals and the heartbeat.
+
+    Stop, hold, resume, speed scale and cancels are one store each, of which the newest counts: nothing stands before
+    them, none is lost, and no process that holds a lock keeps them.
+    """
 
     def __init__(self, memory: MemoryFile) -> None:
         self.memory = memory
         self.joint_count = int(memory.record["header"]["joint_count"])
         self._bytes = memoryview(memory.map)
         self._words = self._bytes.cast("q")
+        self._reals = self._bytes.cast("d")
         self._threads = threading.Lock()
 
     def beat(self, now_ns: int | None = None) -> None:
@@ -111,12 +124,16 @@ class CommandWriter:
         joint_mask: int,
         goal_time_s: float,
         entry: int,
+        epoch: int,
         tolerances: np.ndarray,
         consumed: int,
     ) -> None:
-        """Open a goal; `entry` is a shm.words.Entry, `tolerances` (joint_count, 3) those on the way, in SI."""
+        """Open a goal; `entry` is a shm.words.Entry, `tolerances` (joint_count, 3) those on the way, in SI.
+
+        `epoch` is the snapshot's when the goal arrived.
+        """
         head = _BEGIN_HEAD.pack(
-            0, self.setpoints_written, goal_id, Setpoint.BEGIN, start_ns, joint_mask, goal_time_s, entry
+            0, self.setpoints_written, goal_id, Setpoint.BEGIN, start_ns, joint_mask, goal_time_s, entry, epoch
         )
         self._append(head, np.ascontiguousarray(tolerances, "f8").tobytes(), consumed)
 
@@ -125,12 +142,12 @@ class CommandWriter:
 
         Raises RingFull when the loop has not taken earlier records yet.
         """
-        head = _KNOT_HEAD.pack(0, self.setpoints_written, goal_id, Setpoint.KNOT, time_ns, order, 0, 0)
+        head = _KNOT_HEAD.pack(0, self.setpoints_written, goal_id, Setpoint.KNOT, time_ns, order, 0, 0, 0)
         self._append(head, np.ascontiguousarray(joints, "f8").tobytes(), consumed)
 
     def end(self, goal_id: int, tolerances: np.ndarray, consumed: int) -> None:
         """Close a goal: no knot follows; `tolerances` (joint_count, 3) are those at its end, in SI."""
-        head = _KNOT_HEAD.pack(0, self.setpoints_written, goal_id, Setpoint.END, 0, 0, 0, 0)
+        head = _KNOT_HEAD.pack(0, self.setpoints_written, goal_id, Setpoint.END, 0, 0, 0, 0, 0)
         self._append(head, np.ascontiguousarray(tolerances, "f8").tobytes(), consumed)
 
     def _append(self, head: bytes, joints: bytes, consumed: int) -> None:
@@ -142,15 +159,60 @@ class CommandWriter:
         self._bytes[at : at + 8 + len(body)] = zlib.crc32(body).to_bytes(8, "little") + body
         self._words[_COMMAND_WORD["setpoints_written"]] = written + 1
 
+    def stop(self) -> None:
+        """A person's stop: on the path, every goal ends, and nothing begins before a resume."""
+        newest_ns = max(time.monotonic_ns(), self._words[_COMMAND_WORD["hold"]] >> 1)
+        self._store("stop", newest_ns)
+
+    def hold(self) -> None:
+        """Pause what runs; nothing begins before a resume."""
+        self._store("hold", self._next_ns() << 1 | 1)
+
+    def resume(self) -> None:
+        """Let a held goal go on, and a stopped arm take goals again."""
+        self._store("hold", self._next_ns() << 1)
+
+    def cancel(self, goal_id: int) -> None:
+        """End a goal by a stop on its path, whether it has begun, waits or is still to come."""
+        self._words[_COMMAND_WORD["canceled_goals"] + goal_id % layout.CANCELED_SLOTS] = goal_id
+
+    def cancel_all(self) -> None:
+        """The same with every goal that was ever announced."""
+        self._words[_COMMAND_WORD["canceled_through"]] = self.announced_goal
+
+    def scale(self, speed_scale: float) -> None:
+        """Let every goal run at 0…1 of its own speed."""
+        at = _COMMAND_WORD["speed_scale"]
+        self._reals[at] = speed_scale
+        self._reals[at + 2] = os.getpid()
+        self._reals[at + 1] = time.monotonic_ns()  # the last: from here on it counts
+
+    def _next_ns(self) -> int:
+        """Now, or later than what was asked last: two callers in one nanosecond, or a file that somebody has spoilt."""
+        last_ns = max(self._words[_COMMAND_WORD["stop"]], self._words[_COMMAND_WORD["hold"]] >> 1)
+        return min(max(time.monotonic_ns(), last_ns + 1), MOST_WRITTEN)
+
+    def _store(self, name: str, word: int) -> None:
+        """Who asks first: what counts is one word."""
+        at = _COMMAND_WORD[name]
+        self._words[at + 1] = os.getpid()
+        self._words[at] = word
+
     def request(
-        self, kind: Request, *, goal_id: int = 0, value: float = 0.0, joint_mask: int = 0, effort: float = 0.0
+        self, kind: Request, *, consumed: int, value: float = 0.0, joint_mask: int = 0, effort: float = 0.0
     ) -> int:
-        """Append a request and return its sequence number, under which the snapshot will answer."""
+        """Append a request and return its sequence number, under which the snapshot will answer.
+
+        `consumed` is the number of requests that the control process has taken. Raises RingFull when it has not taken
+        earlier ones yet.
+        """
         with self._threads, producers_lock(self.memory.fd):
             written = self._words[_COMMAND_WORD["requests_written"]]
             if not 0 <= written <= MOST_WRITTEN:
                 written = 0  # nobody asks so much: the loop says that the ring is corrupt, and then goes on from here
-            packed = _REQUEST.pack(0, written + 1, kind, goal_id, value, time.monotonic_ns(), joint_mask, effort)
+            if written - consumed >= layout.REQUEST_SLOTS - 1:
+                raise RingFull(f"{written - consumed} requests wait for the control process: try again in a moment.")
+            packed = _REQUEST.pack(0, written + 1, kind, value, time.monotonic_ns(), joint_mask, effort)
             at = _REQUESTS_AT + (written % layout.REQUEST_SLOTS) * layout.REQUEST.itemsize
             crc = zlib.crc32(packed[8:]).to_bytes(8, "little")
             self._bytes[at : at + len(packed)] = crc + packed[8:]
@@ -159,6 +221,7 @@ class CommandWriter:
 
     def close(self) -> None:
         self._words.release()
+        self._reals.release()
         self._bytes.release()
         self.memory.close()
 

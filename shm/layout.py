@@ -27,6 +27,7 @@ MAGIC = int.from_bytes(b"rtarm\x00\x00\x01", "little")
 
 SETPOINT_SLOTS = 4096
 REQUEST_SLOTS = 64
+CANCELED_SLOTS = 64
 EVENT_SLOTS = 1024
 RESULT_SLOTS = 16
 ANSWER_SLOTS = 16
@@ -162,8 +163,14 @@ CHANGING = [
     Word("motion_started", "i8", "", "1 once the first motion frame was sent since bring-up"),
     Word("referencing_joint", "i8", "", "joint that is being homed or referenced, -1 for none"),
     Word("pose_due", "i8", "", "1: just homed at the start, and nobody has asked for anything since"),
-    Word("held", "i8", "", "1: a person has stopped the arm; no goal, stream or homing run begins before a resume"),
+    Word("held", "i8", "", "1: a person has stopped or holds the arm; nothing that moves it begins before a resume"),
     Word("stops", "i8", "", "how often a person has stopped the arm"),
+    Word(
+        "epoch",
+        "i8",
+        "",
+        "rises with every stop, hold, letting go, homing run and fault: goals that arrived in an earlier one never begin",
+    ),
     Word("joints", (JOINT, (MAX_JOINTS,)), "", "one record a joint"),
 ]
 """The words of a snapshot that change in every cycle."""
@@ -410,7 +417,7 @@ SETPOINT = _record(
         Word("kind", "i8", "", "shm.words.Setpoint: BEGIN, KNOT or END"),
         Word("time_ns", "i8", "ns", "KNOT: time from the start of the trajectory, strictly rising"),
         Word("order", "i8", "", "KNOT: order of the segment that ends here: 1 linear, 3 cubic, 5 quintic"),
-        Word("reserved", ("i8", (2,)), "", ""),
+        Word("reserved", ("i8", (3,)), "", ""),
         Word(
             "joints",
             (SETPOINT_JOINT, (MAX_JOINTS,)),
@@ -442,6 +449,7 @@ BEGIN = _record(
             "",
             "shm.words.Entry: how it begins and ends",
         ),
+        Word("epoch", "i8", "", "the snapshot's `epoch` when the goal arrived; in a later one it is refused"),
         Word(
             "joints",
             (SETPOINT_JOINT, (MAX_JOINTS,)),
@@ -457,13 +465,7 @@ REQUEST = _record(
         Word("crc", "i8", "", "CRC-32 of the bytes that follow"),
         Word("sequence", "i8", "", "number of this request, from 1"),
         Word("kind", "i8", "", "shm.words.Request"),
-        Word("goal_id", "i8", "", "CANCEL: the goal meant, 0 = whichever runs"),
-        Word(
-            "value",
-            "f8",
-            "",
-            "SPEED_SCALE: the factor 0…1; REFERENCE: the joint's angle (rad), NaN = as it counts; GRIP: angle (rad)",
-        ),
+        Word("value", "f8", "", "REFERENCE: the joint's angle (rad), NaN = as it counts; GRIP: angle (rad)"),
         Word("monotonic_ns", "i8", "ns", "when it was made"),
         Word("joint_mask", "i8", "", "HOME, REFERENCE: bit n = joint n; HOME: 0 = the arm file's homing.order"),
         Word("most_effort", "f8", "", "GRIP: most torque at its joint (Nm), 0 = as much as it has"),
@@ -488,6 +490,26 @@ COMMAND = _record(
             "newest goal whose records are (being) written, in its first word",
         ),
         Word("setpoints_written", LINE_WORD, "", "records ever written to the ring, in its first word"),
+        Word(
+            "stop",
+            LINE_WORD,
+            "ns",
+            "CLOCK_MONOTONIC at which a person asked for the newest stop, in its first word; who asked (pid) in its second",
+        ),
+        Word(
+            "hold",
+            LINE_WORD,
+            "",
+            "newest hold (1) or resume (0), beside twice the CLOCK_MONOTONIC of its asking (ns); who asked (pid)",
+        ),
+        Word(
+            "speed_scale",
+            ("f8", (LINE_BYTES // 8,)),
+            "",
+            "newest speed scale 0…1, CLOCK_MONOTONIC of its asking (ns, 0 = nobody has), who asked (pid)",
+        ),
+        Word("canceled_through", LINE_WORD, "", "all goals up to this one are canceled, in its first word"),
+        Word("canceled_goals", ("i8", (CANCELED_SLOTS,)), "", "canceled goals, slot = goal_id % CANCELED_SLOTS"),
         Word("requests_written", LINE_WORD, "", "requests ever written, in its first word"),
         Word("requests", (REQUEST, (REQUEST_SLOTS,)), "", "slot = (sequence - 1) % REQUEST_SLOTS"),
         Word("setpoints", (SETPOINT, (SETPOINT_SLOTS,)), "", "slot = sequence % SETPOINT_SLOTS"),

@@ -107,6 +107,12 @@ OUTCOMES: dict[Outcome, Meaning] = {
         "A goal is begun only from a state in which the drives are known to follow.",
         "Wait until bring-up is over, clear the fault, or enable the drives.",
     ),
+    Outcome.REFUSED_OUTDATED: Meaning(
+        "It arrived before the arm was stopped, held, let go, homed or in a fault, so it does not begin: look where the "
+        "arm stands, then send it again.",
+        "Whoever sent it did not know of that, and it would move an arm that nobody expects to move.",
+        "Plan from where the arm stands now and send that.",
+    ),
     Outcome.REFUSED_HELD: Meaning(
         "A person has stopped or holds the arm, so this does not begin: let the arm go on with `rtarm resume` (or "
         "~/resume), then send it again.",
@@ -390,7 +396,7 @@ ANSWERS: dict[Answer, Meaning] = {
         "Wait until the control process says that the adapter is back.",
     ),
     Answer.REFUSED_HELD: Meaning(
-        "A person has stopped the arm, so nothing that moves it is begun: `rtarm resume` (or ~/resume) first.",
+        "A person has stopped or holds the arm, so nothing that moves it is begun: `rtarm resume` (or ~/resume) first.",
         "What a person has stopped, only a person sets in motion again.",
         "Ask who stopped the arm and why, then resume.",
     ),

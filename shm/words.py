@@ -41,10 +41,10 @@ class Setpoint(IntEnum):
 
 
 class Request(IntEnum):
-    """What a request asks for."""
+    """What is asked for: HOLD to SPEED_SCALE and STOP by a store of their own, the others in the request ring."""
 
-    HOLD = 1  # stop on the path, keep the goal: pause
-    RESUME = 2  # let a paused goal go on, or an arm that a person has stopped take goals again
+    HOLD = 1  # stop on the path, keep the goal: pause; begin nothing before a resume
+    RESUME = 2  # let a paused goal go on, and an arm that a person has stopped or holds take goals again
     CANCEL = 3  # stop on the path, end the goal as canceled
     SPEED_SCALE = 4
     CLEAR_FAULT = 5
@@ -105,7 +105,8 @@ class Outcome(IntEnum):
     PATH_ACCELERATION = 19
     GOAL_VELOCITY = 20
     GOAL_ACCELERATION = 21
-    REFUSED_HELD = 22  # a person has stopped the arm, or holds it and this is a stream
+    REFUSED_HELD = 22  # a person has stopped or holds the arm
+    REFUSED_OUTDATED = 23  # it arrived before a stop, a hold, a homing run, a fault, or the drives were let go
 
 
 class Fault(IntEnum):
@@ -173,6 +174,7 @@ class Event(IntEnum):
     OVERRUN = 6
     REFERENCE = 7
     WIRE = 8  # the adapter is back
+    COMMAND = 9  # stop, hold, resume or speed scale, newer than the last
 
 
 class Slowed(IntFlag):

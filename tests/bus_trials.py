@@ -274,7 +274,7 @@ class _Trial:
     def clear(self) -> str:
         """Ask for a clear; the sentence with which it failed, if it did."""
         arm = self.arm
-        sequence = arm.writer.request(Request.CLEAR_FAULT)
+        sequence = arm.request(Request.CLEAR_FAULT)
         arm.cycle()
         answer = arm.reader.snapshot()["answers"][sequence % 16]["answer"]
         if answer != Answer.DONE:

@@ -252,9 +252,38 @@ class VirtualArm:
         self.until(lambda: talk.poll(self.now_ns), at_most_s=at_most_s)
         return talk
 
+    def stop(self) -> None:
+        """A person's stop, which the next cycle obeys."""
+        self.writer.stop()
+        self.cycle()
+
+    def hold(self) -> None:
+        self.writer.hold()
+        self.cycle()
+
+    def resume(self) -> None:
+        self.writer.resume()
+        self.cycle()
+
+    def scale(self, speed_scale: float) -> None:
+        self.writer.scale(speed_scale)
+        self.cycle()
+
+    def cancel(self, goal: int) -> None:
+        self.writer.cancel(goal)
+        self.cycle()
+
+    def cancel_all(self) -> None:
+        self.writer.cancel_all()
+        self.cycle()
+
+    def request(self, kind: Request, **options: Any) -> int:
+        """Make a request; its number."""
+        return self.writer.request(kind, consumed=self.reader.requests_consumed(), **options)
+
     def ask(self, kind: Request, **options: Any) -> Answer:
         """Make a request and run the cycles until it is answered."""
-        sequence = self.writer.request(kind, **options)
+        sequence = self.request(kind, **options)
         self.cycle()
         answer = self.reader.snapshot()["answers"][sequence % layout.ANSWER_SLOTS]
         assert answer["sequence"] == sequence
@@ -301,6 +330,7 @@ class VirtualArm:
         tolerances: np.ndarray | Sequence[float] = (0.1, 0.0, 0.0),
         goal_tolerances: np.ndarray | Sequence[float] = (0.01, 0.05, 0.0),
         goal_time_s: float = 0.4,
+        epoch: int | None = None,
     ) -> int:
         """Announce a goal and queue its records; they enter the ring as room allows."""
         count = len(self.arm.joints)
@@ -308,6 +338,8 @@ class VirtualArm:
         way, arrival = np.broadcast_to(tolerances, (count, 3)), np.broadcast_to(goal_tolerances, (count, 3))
         entry = (Entry.BRIDGE if bridge else 0) | (Entry.STREAM if stream else 0)
         mask = (1 << count) - 1 if joint_mask is None else joint_mask
+
+        arrived = int(self.core["epoch"])
 
         def consumed() -> int:
             return self.reader.setpoints_consumed()
@@ -320,6 +352,7 @@ class VirtualArm:
                 joint_mask=mask,
                 goal_time_s=goal_time_s,
                 entry=entry,
+                epoch=arrived if epoch is None else epoch,
                 tolerances=way,
                 consumed=consumed(),
             )

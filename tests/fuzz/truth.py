@@ -34,7 +34,7 @@ class Truth:
                 if arm.core["bring_up_asked"]:
                     arm.core["bring_up_asked"] = 0
                     arm.bring_up(clears_protection=True)
-            arm.writer.request(Request.STOP)
+            arm.writer.stop()
             arm.cycles(AFTERWARDS)
             found = motion_violations(arm.arm, truth_of(arm.sim), begun_ns, arm.now_ns)
             found += command_violations(arm.arm, frames_sent(arm.sent))

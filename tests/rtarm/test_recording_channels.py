@@ -39,9 +39,9 @@ def paused() -> Recording:
     assert arm.bring_up().failure is None
     arm.play(GOAL)
     arm.cycles(60)
-    arm.writer.request(Request.HOLD)
+    arm.writer.hold()
     arm.cycles(60)
-    arm.writer.request(Request.RESUME)
+    arm.writer.resume()
     arm.cycles(90)
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=60.0), since_ns=arm.now_ns)
     arm.end_of(1)

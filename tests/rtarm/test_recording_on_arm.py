@@ -34,9 +34,9 @@ def done() -> Recording:
 def paused() -> Recording:
     """One that a person paused and let go on, and that a fault ended in motion."""
     arm = VirtualArm.amid("large", 90)
-    arm.writer.request(Request.HOLD)
+    arm.writer.hold()
     arm.cycles(120)
-    arm.writer.request(Request.RESUME)
+    arm.writer.resume()
     arm.cycles(90)
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=60.0), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["fault"] != Fault.NONE)

@@ -426,9 +426,9 @@ def test_missed_cycles_a_silent_front_and_requests_are_told() -> None:
     arm = executing()
     arm.cycle(4)
     arm.cycles(30)
-    arm.writer.request(Request.HOLD)
+    arm.writer.hold()
     arm.cycles(100)
-    arm.writer.request(Request.RESUME)
+    arm.writer.resume()
     arm.cycles(20)
     arm.front_alive = False
     arm.until(lambda: arm.outcome(1) == Outcome.FRONT_LOST)

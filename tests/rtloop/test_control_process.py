@@ -187,11 +187,11 @@ def test_whatever_happens_no_cycle_waits_for_a_page(mock_arm):
         front = MemoryFront(mock_arm.file)
         assert front.swing() == 1
         front.until(lambda now: now["trajectory_clock_ns"] > 1e9)
-        front.writer.request(Request.HOLD)
+        front.writer.hold()
         front.until(lambda now: now["speed_scale"] == 0 or now["mode"] != Mode.EXECUTING)
-        front.writer.request(Request.RESUME)
+        front.writer.resume()
         front.until(lambda now: now["mode"] == Mode.EXECUTING)
-        front.writer.request(Request.CANCEL, goal_id=1)
+        front.writer.cancel(1)
         front.until(lambda now: now["results"][1]["outcome"] == Outcome.CANCELED)
         assert front.swing() == 2
         front.until(lambda now: now["mode"] == Mode.EXECUTING)

@@ -101,7 +101,7 @@ def accelerating(arm: VirtualArm, seconds: float, speed: float) -> tuple[np.ndar
 def test_an_end_in_motion_is_reached_at_rest_exactly_there(seconds: float, speed: float, scale: float) -> None:
     arm = CommandedArm()
     times, joints = accelerating(arm, seconds, speed)
-    arm.writer.request(Request.SPEED_SCALE, value=scale)
+    arm.writer.scale(scale)
     goal = arm.send_goal(times, joints)
     assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.commanded() == pytest.approx(joints[-1, :, 0], abs=1e-9)
@@ -119,9 +119,9 @@ def test_a_pause_on_the_way_to_such_an_end_does_not_miss_it(moment: float, cycle
     times, joints = accelerating(arm, 1.2, 0.8)
     goal = arm.send_goal(times, joints)
     arm.cycles(2 + round(moment * 125))
-    arm.writer.request(Request.HOLD)
+    arm.writer.hold()
     arm.cycles(1 + cycles)
-    arm.writer.request(Request.RESUME)
+    arm.writer.resume()
     assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.commanded() == pytest.approx(joints[-1, :, 0], abs=1e-9)
     assert arm.acceleration_ratio() <= 1.99 and arm.core["fault"] == Fault.NONE
@@ -194,7 +194,7 @@ def test_a_joint_that_still_moves_has_not_arrived(virtual_arm) -> None:
 
 
 def ask(arm: VirtualArm, kind: Request) -> Answer:
-    sequence = arm.writer.request(kind)
+    sequence = arm.request(kind)
     arm.cycles(2)
     answer = arm.reader.snapshot()["answers"][sequence % 16]
     assert int(answer["sequence"]) == sequence
@@ -308,13 +308,13 @@ def test_held_means_held_for_a_newer_goal_too() -> None:
     joints[:, :, 0] = 0.2
     first = arm.send_goal(np.array([2 * 10**9]), joints, bridge=True)
     arm.cycles(60)
-    arm.writer.request(Request.HOLD)
+    arm.writer.hold()
     arm.cycles(100)
     stood = arm.commanded()
     newer = arm.send_goal(np.array([2 * 10**9]), joints * 0.5, bridge=True)
     arm.cycles(200)
     assert (arm.commanded() == stood).all()
-    arm.writer.request(Request.RESUME)
+    arm.writer.resume()
     assert arm.end_of(newer) == Outcome.SUCCEEDED and arm.outcome(first) == Outcome.REPLACED
     assert arm.acceleration_ratio() <= 1.9
     arm.close()

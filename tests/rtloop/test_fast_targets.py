@@ -217,11 +217,11 @@ def test_silence_is_a_controlled_stop(moment: tuple[str, float]) -> None:
 @given(moments, st.integers(3, 120))
 def test_pause_resume_and_cancel_never_step(moment: tuple[str, float], pause: int) -> None:
     arm, goal_id, started_ns = moving(*moment, FAST)
-    arm.writer.request(Request.HOLD)
+    arm.writer.hold()
     arm.cycles(pause)
-    arm.writer.request(Request.RESUME)
+    arm.writer.resume()
     arm.cycles(pause)
-    arm.writer.request(Request.CANCEL, goal_id=goal_id)
+    arm.writer.cancel(goal_id)
     arm.end_of(goal_id)
     arm.cycles(40)
     assert arm.core["fault"] == Fault.NONE

@@ -172,7 +172,7 @@ def test_a_fault_is_not_cleared_while_the_arm_still_moves(after: int) -> None:
     arm.cycles(after)
     assert arm.core["fault"] == Fault.COMMAND_RING
     arm.writer.announce(arm.goal)
-    sequence = arm.writer.request(Request.CLEAR_FAULT)
+    sequence = arm.request(Request.CLEAR_FAULT)
     arm.cycle()
     moving = bool(np.any(arm.loop[0]["axes"]["velocity_rad_s"]))
     answer = arm.reader.snapshot()["answers"][sequence % 16]["answer"]
@@ -341,7 +341,7 @@ def test_a_silent_adapter_is_enough() -> None:
 @pytest.mark.parametrize("request_kind", [Request.CLEAR_FAULT])
 def test_there_is_nothing_to_clear_without_a_fault(virtual_arm, request_kind: Request) -> None:
     arm = virtual_arm("mock")
-    sequence = arm.writer.request(request_kind)
+    sequence = arm.request(request_kind)
     arm.cycle()
     assert arm.reader.snapshot()["answers"][sequence % 16]["answer"] == Answer.REFUSED_MODE
 

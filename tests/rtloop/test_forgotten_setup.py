@@ -71,9 +71,9 @@ def test_a_joint_whose_turn_is_ended_is_led_on(overrides: dict[str, Any], after_
     def stop() -> None:
         cycles.append(arm.now_ns)
         if len(cycles) == after_cycles:
-            arm.writer.request(Request.STOP)
+            arm.writer.stop()
 
     assert arm.reference(each_cycle=stop, at_most_s=5.0).failure is None
-    assert arm.ask(Request.RESUME) == Answer.DONE
+    arm.resume()
     assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     arm.close()

@@ -148,7 +148,7 @@ def test_goal_tolerance_not_reached_in_time(virtual_arm) -> None:
 def test_canceling_nothing_is_answered(virtual_arm) -> None:
     arm = virtual_arm("mock")
     for request in (Request.CANCEL, Request.HOLD, Request.RESUME):
-        sequence = arm.writer.request(request)
+        sequence = arm.request(request)
         arm.cycle()
         answer = arm.reader.snapshot()["answers"][sequence % 16]
         assert (answer["sequence"], answer["answer"]) == (sequence, Answer.REFUSED_NO_GOAL)
@@ -157,7 +157,7 @@ def test_canceling_nothing_is_answered(virtual_arm) -> None:
 @pytest.mark.parametrize("value", [-0.1, 1.1, float("nan"), float("inf")])
 def test_a_speed_scale_out_of_range_is_refused(virtual_arm, value: float) -> None:
     arm = virtual_arm("mock")
-    sequence = arm.writer.request(Request.SPEED_SCALE, value=value)
+    sequence = arm.writer.scale(value)
     arm.cycle()
     assert arm.reader.snapshot()["answers"][sequence % 16]["answer"] == Answer.REFUSED_VALUE
     assert arm.core["speed_scale"] == 1.0
@@ -167,7 +167,7 @@ def test_a_canceled_waiting_goal_never_moves(virtual_arm) -> None:
     arm = virtual_arm("mock")
     goal = straight(arm, [0.1] * 6, 1.0, start_ns=arm.now_ns + 10**9)
     arm.cycles(10)
-    arm.writer.request(Request.CANCEL, goal_id=goal)
+    arm.writer.cancel(goal)
     assert arm.end_of(goal) == Outcome.CANCELED
     arm.cycles(150)
     assert not np.any(arm.loop[0]["axes"]["position_rad"])
@@ -177,7 +177,7 @@ def test_a_stop_by_a_person_ends_the_goal(virtual_arm) -> None:
     arm = virtual_arm("mock")
     goal = straight(arm, [0.4] * 6, 2.0)
     arm.cycles(60)
-    arm.writer.request(Request.STOP)
+    arm.writer.stop()
     assert arm.end_of(goal) == Outcome.STOPPED
     assert arm.core["mode"] == Mode.HOLDING
 
@@ -242,22 +242,22 @@ def test_a_joint_found_just_outside_its_limit_may_move_in(virtual_arm) -> None:
 
 def test_nothing_moves_at_speed_scale_zero(virtual_arm) -> None:
     arm = virtual_arm("mock")
-    arm.writer.request(Request.SPEED_SCALE, value=0.0)
+    arm.writer.scale(0.0)
     arm.cycle()
     goal = straight(arm, [0.1] * 6, 1.0)
     arm.cycles(200)
     assert not np.any(arm.loop[0]["axes"]["next_position_rad"])
-    arm.writer.request(Request.SPEED_SCALE, value=1.0)
+    arm.writer.scale(1.0)
     assert arm.end_of(goal) == Outcome.SUCCEEDED
 
 
 def test_a_raised_speed_scale_speeds_up_a_goal_of_one_point(virtual_arm) -> None:
     arm = virtual_arm("mock")
-    arm.writer.request(Request.SPEED_SCALE, value=0.1)
+    arm.writer.scale(0.1)
     arm.cycle()
     goal = straight(arm, [0.1] * 6, 1.0)
     arm.cycles(50)
-    arm.writer.request(Request.SPEED_SCALE, value=1.0)
+    arm.writer.scale(1.0)
     assert arm.end_of(goal, at_most_s=3.0) == Outcome.SUCCEEDED
 
 
@@ -286,7 +286,7 @@ def test_the_same_inputs_give_the_same_bytes() -> None:
 def test_a_cancel_that_overtakes_its_goal_keeps_it_from_starting(virtual_arm) -> None:
     """Requests are taken before setpoints, so both may come in one cycle, the cancel first."""
     arm = virtual_arm("mock")
-    arm.writer.request(Request.CANCEL, goal_id=1)
+    arm.writer.cancel(1)
     goal = straight(arm, [0.1] * 6, 1.0)
     assert arm.end_of(goal) == Outcome.CANCELED
     arm.cycles(20)
@@ -302,7 +302,7 @@ def test_cancels_that_overtake_their_goals_keep_all_of_them_from_starting(virtua
         arm.end_of(straight(arm, [0.0] * 6, 0.1))
     goals = range(seen + 1, seen + 5)
     for goal in goals:
-        arm.writer.request(Request.CANCEL, goal_id=goal)
+        arm.writer.cancel(goal)
     arm.cycle()
     for goal in goals:
         assert straight(arm, [0.1] * 6, 1.0) == goal

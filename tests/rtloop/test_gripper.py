@@ -381,7 +381,7 @@ def test_power_lost_amid_the_homing_run_is_no_reference(stage: Stage) -> None:
 def test_a_person_who_stops_the_arm_stops_its_gripper_too(stage: Stage, kind: Request) -> None:
     stage.ask(kind, value=0.0)
     stage.run(0.4)
-    assert stage.arm.ask(Request.STOP) == Answer.DONE
+    stage.arm.stop()
     stage.arm.until(lambda: stage.grip == Grip.HELD)
     stopped = stage.true_rad
     for refused in (Request.GRIP, Request.GRIP_HOME):
@@ -389,7 +389,7 @@ def test_a_person_who_stops_the_arm_stops_its_gripper_too(stage: Stage, kind: Re
     stage.run(2.0)
     assert stage.true_rad == stopped > 0.1
     assert stage.arm.ask(Request.GRIP_STOP) == Answer.DONE
-    assert stage.arm.ask(Request.RESUME) == Answer.DONE
+    stage.arm.resume()
     assert stage.go(1.0) == Grip.REACHED
 
 
@@ -398,22 +398,22 @@ def test_a_person_stops_a_gripper_that_is_just_about_to_set_off(stage: Stage, cy
     """Its drive is asked this and that before it moves, and meanwhile nothing is shown to move."""
     stage.ask(Request.GRIP, value=0.0)
     stage.arm.cycles(cycles)
-    assert stage.arm.ask(Request.STOP) == Answer.DONE
+    stage.arm.stop()
     stage.run(1.0)
     stopped = stage.true_rad
     stage.run(1.0)
     assert stage.true_rad == stopped > 0.8
-    assert stage.arm.ask(Request.RESUME) == Answer.DONE
+    stage.arm.resume()
 
 
 def test_what_is_gripped_stays_gripped_when_a_person_stops_the_arm(stage: Stage) -> None:
     stage.inject(faults.Thing(0.0, 40.0))
     assert stage.go(0.0) == Grip.STALLED
     order, held_rad = int(stage.shown["order"]), stage.true_rad
-    assert stage.arm.ask(Request.STOP) == Answer.DONE
+    stage.arm.stop()
     stage.run(2.0)
     assert (int(stage.shown["order"]), stage.grip, stage.true_rad) == (order, Grip.STALLED, held_rad)
-    assert stage.arm.ask(Request.RESUME) == Answer.DONE
+    stage.arm.resume()
 
 
 def test_a_homing_run_ends_with_a_stop(stage: Stage) -> None:

@@ -219,20 +219,20 @@ def test_what_the_front_just_accepts_is_followed_whatever_the_clock_does(seed: i
         return
     random = np.random.default_rng(seed)
     if who == "slow":
-        arm.writer.request(Request.SPEED_SCALE, value=float(random.uniform(0.2, 0.95)))
+        arm.writer.scale(float(random.uniform(0.2, 0.95)))
         arm.cycles(2)
     goal = edge.hostile.send(plan)
     arm.cycles(int(random.integers(1, max(2, round(plan.duration_s * rate_hz)))))
     if who == "cancel":
-        arm.writer.request(Request.CANCEL, goal_id=goal)
+        arm.writer.cancel(goal)
     elif who == "hold":
-        arm.writer.request(Request.HOLD)
+        arm.writer.hold()
         arm.cycles(round(0.3 * rate_hz))
-        arm.writer.request(Request.RESUME)
+        arm.writer.resume()
     elif who == "speed":
-        arm.writer.request(Request.SPEED_SCALE, value=float(random.uniform(0.1, 0.9)))
+        arm.writer.scale(float(random.uniform(0.1, 0.9)))
         arm.cycles(round(0.05 * rate_hz))
-        arm.writer.request(Request.SPEED_SCALE, value=1.0)
+        arm.writer.scale(1.0)
     arm.end_of(goal, at_most_s=60.0)
     assert arm.core["fault"] == Fault.NONE
     assert arm.outcome(goal) in (Outcome.CANCELED if who == "cancel" else Outcome.SUCCEEDED, *REFUSALS)

@@ -481,17 +481,17 @@ def answer(arm, sequence):
     ],
 )
 def test_every_request_is_answered(arm, kind, value, expected):
-    sequence = arm.writer.request(kind, value=value)
+    sequence = arm.request(kind, value=value)
     arm.cycle()
     assert answer(arm, sequence) == expected
     assert 0.0 <= arm.core["speed_scale"] <= 1.0
 
 
 def test_after_a_corrupt_request_later_ones_are_obeyed(arm):
-    arm.writer.request(Request.SPEED_SCALE, value=0.5)
+    arm.writer.scale(0.5)
     arm.command.record["requests"][0]["value"] = 0.7
     arm.until(lambda: arm.fault == Fault.COMMAND_RING)
-    sequence = arm.writer.request(Request.CLEAR_FAULT)
+    sequence = arm.request(Request.CLEAR_FAULT)
     arm.until(lambda: answer(arm, sequence) != Answer.NONE)
     assert answer(arm, sequence) == Answer.DONE
 
@@ -594,7 +594,7 @@ def test_an_opening_out_of_all_measure_does_not_make_the_loop_deaf(arm, goal_id)
 def test_more_requests_than_the_ring_holds_are_no_corruption(arm):
     """A loop that was frozen finds the front's repeated requests, the oldest overwritten."""
     for _ in range(200):
-        arm.writer.request(Request.SPEED_SCALE, value=0.5)
+        arm.writer.scale(0.5)
     arm.cycles(20)
     assert arm.fault == Fault.NONE
     assert arm.core["speed_scale"] == 0.5

@@ -253,7 +253,7 @@ def test_a_homing_run_is_ended_at_once_when_somebody_asks(request_kind):
         cycles.append(arm.now_ns)
         if len(cycles) == 60:
             assert drives(arm)[1].stepper.moving
-            arm.writer.request(request_kind)
+            arm.request(request_kind)
 
     assert arm.reference(each_cycle=stop, at_most_s=3.0).failure is None
     axis = arm.loop[0]["axes"][1]

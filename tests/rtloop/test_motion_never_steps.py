@@ -43,13 +43,13 @@ class Asked(CommandedArm):
     def ask(self, action: str | float) -> None:
         """Do what an action of the strategy says."""
         if isinstance(action, float):
-            self.writer.request(Request.SPEED_SCALE, value=action)
+            self.writer.scale(action)
         elif action == "hold":
-            self.writer.request(Request.HOLD)
+            self.writer.hold()
         elif action == "resume":
-            self.writer.request(Request.RESUME)
+            self.writer.resume()
         elif action == "cancel":
-            self.writer.request(Request.CANCEL)
+            self.writer.cancel_all()
         elif action == "back":
             self.newest = self.send_goal(np.array([self.time_back_ns()]), self.start_again(), bridge=True)
         elif action == "stamped":
@@ -97,8 +97,8 @@ def test_whatever_is_asked_in_motion(name: str, begin: int, asked: list[tuple[in
     for wait, action in asked:
         arm.ask(action)
         arm.cycles(wait)
-    arm.writer.request(Request.SPEED_SCALE, value=1.0)
-    arm.writer.request(Request.RESUME)
+    arm.writer.scale(1.0)
+    arm.writer.resume()
     arm.end_of(arm.newest, at_most_s=100)
     arm.cycles(5)
     assert arm.core["fault"] == Fault.NONE

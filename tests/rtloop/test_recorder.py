@@ -86,7 +86,7 @@ def test_why_the_arm_slows_down_is_kept(arm, request_, slowed):
     goal = arm.play(GOAL)
     arm.until(lambda: arm.core["goal_id"] == goal)
     arm.cycles(5)
-    arm.writer.request(request_)
+    arm.request(request_)
     arm.cycles(3)
     last = read_recording(arm.state).records[-1]
     assert last["slowed"] == slowed

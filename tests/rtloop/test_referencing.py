@@ -102,7 +102,7 @@ def test_a_homing_run_is_ended_at_once_whenever_somebody_asks(request_kind, afte
     def stop():
         cycles.append(arm.now_ns)
         if len(cycles) == after_cycles:
-            arm.writer.request(request_kind)
+            arm.request(request_kind)
 
     assert arm.reference(each_cycle=stop, at_most_s=3.0).failure is None
     assert arm.core["mode"] == Mode.HOLDING
@@ -113,7 +113,7 @@ def test_a_homing_run_is_ended_at_once_whenever_somebody_asks(request_kind, afte
     assert motion_after(truth_of(arm.sim), ended_ns, arm.now_ns) == []
     if request_kind == Request.STOP:
         assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.REFUSED_HELD
-        assert arm.ask(Request.RESUME) == Answer.DONE
+        arm.resume()
     assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.REFUSED_UNREFERENCED
     # nobody knows whether its drive has just set its count anew
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.nan) == Answer.REFUSED_VALUE
@@ -132,7 +132,7 @@ def test_a_ros_process_that_begins_amid_a_homing_run_leaves_it_alone(arm):
     def begin():
         cycles.append(arm.now_ns)
         if len(cycles) == 20:
-            arm.writer.request(Request.CANCEL)
+            arm.writer.cancel_all()
 
     assert arm.reference(each_cycle=begin).failure is None
     assert len(cycles) > 30
@@ -270,8 +270,8 @@ def test_a_pose_is_due_after_homing_at_the_start_until_somebody_asks_for_somethi
 
     for kind in (Request.HOLD, Request.STOP, Request.HOME, Request.FREE, Request.REFERENCE):
         arm = homed_at_the_start()
-        arm.ask(Request.SPEED_SCALE, value=0.5)
-        arm.ask(Request.CANCEL)  # as a ROS process does when it begins
+        arm.scale(0.5)
+        arm.cancel_all()  # as a ROS process does when it begins
         assert arm.reader.snapshot()["pose_due"] == 1
         arm.ask(kind)
         arm.cycles(1)
@@ -452,7 +452,7 @@ def test_a_homing_run_takes_no_reference_before_its_turn():
     def stop():
         cycles.append(arm.now_ns)
         if len(cycles) == 60:
-            arm.writer.request(Request.STOP)
+            arm.writer.stop()
 
     arm.reference(each_cycle=stop)
     assert arm.loop[0]["axes"]["referenced"][:6].tolist() == [0, 1, 1, 1, 1, 1]

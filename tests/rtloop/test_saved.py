@@ -195,7 +195,7 @@ def test_a_joint_that_does_not_stand_where_it_stood_is_not_believed():
     assert axes["referenced"][:6].tolist() == [1, 0, 1, 1, 1, 1]
     assert axes["unreferenced_reason"][1] == Unreferenced.MOVED
     assert any("joint2 is not referenced: it stands -4.00° from where it stood" in sentence for sentence in arm.told)
-    arm.writer.request(Request.CLEAR_FAULT)
+    arm.request(Request.CLEAR_FAULT)
     assert arm.bring_up().failure is None  # as after a fault: it says nothing new of the joint
     assert axes["unreferenced_reason"][1] == Unreferenced.MOVED
     assert arm.ask(Request.REFERENCE, joint_mask=0b10, value=math.nan) == Answer.DONE

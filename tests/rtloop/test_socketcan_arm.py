@@ -28,7 +28,7 @@ def judged(arm, *, thrown=()):
 
 def request(arm, kind):
     """Make a request and return its answer."""
-    sequence = arm.writer.request(kind)
+    sequence = arm.request(kind)
     arm.cycles(3)
     answers = arm.loop[0]["snapshot"]["answers"]
     (answer,) = answers["answer"][answers["sequence"] == sequence]

@@ -40,7 +40,7 @@ def test_a_streamed_arm_stops_and_stays_while_its_sender_goes_on(
     way = waves(arm, 0.5, seed)
     sender = SinglePoints(arm, way, rate_hz, velocities=True) if single else Servo(arm, way, rate_hz)
     sender.run((stopped_after_cycles * arm.period_ns + offset * sender.period_ns / 10) * 1e-9)
-    arm.writer.request(Request.STOP)
+    arm.writer.stop()
     sender.run(float(arm.loop[0]["params"]["longest_stop_s"]))
     assert not moves(arm) and arm.core["goal_id"] == 0 and arm.core["mode"] == Mode.HOLDING
     stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
@@ -57,14 +57,14 @@ def test_a_client_that_sends_its_goal_again_moves_nothing_before_a_resume() -> N
     arm = new_arm()
     goal = arm.send_shift(0.2)
     arm.cycles(40)
-    assert arm.ask(Request.STOP) == Answer.DONE
+    arm.stop()
     assert arm.end_of(goal) == Outcome.STOPPED
     arm.until(lambda: arm.core["goal_id"] == 0)
     stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
     for _ in range(5):
         assert arm.end_of(arm.send_shift()) == Outcome.REFUSED_HELD
     assert (arm.loop[0]["axes"]["position_rad"] == stood_rad).all()
-    assert arm.ask(Request.RESUME) == Answer.DONE
+    arm.resume()
     assert arm.reader.snapshot()["held"] == 0
     assert arm.end_of(arm.send_shift()) == Outcome.SUCCEEDED
     assert arm.ask(Request.RESUME) == Answer.REFUSED_NO_GOAL
@@ -75,7 +75,7 @@ def test_a_stop_reaches_the_goals_that_have_not_begun() -> None:
     arm = new_arm()
     waiting = arm.send_shift(start_ns=arm.now_ns + 10**9)
     arm.cycles(10)
-    assert arm.ask(Request.STOP) == Answer.DONE
+    arm.stop()
     assert arm.outcome(waiting) == Outcome.STOPPED
     later = arm.send_shift(start_ns=arm.now_ns + 10**9)
     assert arm.end_of(later) == Outcome.REFUSED_HELD
@@ -88,10 +88,10 @@ def test_a_stop_ends_a_paused_goal_and_the_resume_after_it_revives_nothing() -> 
     arm = new_arm()
     goal = arm.send_shift(0.2)
     arm.cycles(40)
-    assert arm.ask(Request.HOLD) == Answer.DONE
+    arm.hold()
     arm.until(lambda: not moves(arm))
-    assert arm.ask(Request.STOP) == Answer.DONE
-    assert arm.ask(Request.RESUME) == Answer.DONE
+    arm.stop()
+    arm.resume()
     assert arm.end_of(goal) == Outcome.STOPPED
     stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
     arm.cycles(100)
@@ -101,12 +101,12 @@ def test_a_stop_ends_a_paused_goal_and_the_resume_after_it_revives_nothing() -> 
 
 def test_a_stopped_arm_is_not_homed_and_may_be_told_where_it_stands() -> None:
     arm = new_arm("episode1")
-    assert arm.ask(Request.STOP) == Answer.DONE
+    arm.stop()
     assert arm.ask(Request.HOME, joint_mask=JOINT1) == Answer.REFUSED_HELD
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT1, value=math.nan) == Answer.DONE
     assert arm.reference().failure is None
     assert arm.loop[0]["axes"][0]["unreferenced_reason"] == Unreferenced.REFERENCED
-    assert arm.ask(Request.RESUME) == Answer.DONE
+    arm.resume()
     assert arm.ask(Request.HOME, joint_mask=JOINT1) == Answer.DONE
     arm.close()
 
@@ -115,7 +115,7 @@ def test_a_stop_outlasts_limp_drives_and_a_cleared_fault() -> None:
     arm = new_arm("episode1")
     assert arm.ask(Request.DISABLE) == Answer.DONE
     arm.release()
-    assert arm.ask(Request.STOP) == Answer.DONE
+    arm.stop()
     assert arm.ask(Request.ENABLE) == Answer.DONE
     assert arm.bring_up().failure is None
     assert arm.end_of(arm.send_shift()) == Outcome.REFUSED_HELD
@@ -135,7 +135,7 @@ def test_what_follows_a_cancel_begins_only_at_rest(cycles_between: int) -> None:
     first = arm.send_shift(0.3)
     arm.cycles(100)
     speed_rad_s = abs(arm.loop[0]["axes"]["velocity_rad_s"]).max()
-    arm.writer.request(Request.CANCEL, goal_id=first)
+    arm.writer.cancel(first)
     arm.cycles(cycles_between)
     second = arm.send_shift()
     arm.until(lambda: arm.core["goal_id"] == second or arm.outcome(second) != Outcome.NONE)

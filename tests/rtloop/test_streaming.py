@@ -146,7 +146,7 @@ def test_a_hold_stops_a_stream_and_what_comes_meanwhile_is_refused() -> None:
     arm = CommandedArm()
     servo = Servo(arm, waves(arm, 0.5, 7), 100.0)
     servo.run(1.0)
-    arm.writer.request(Request.HOLD)
+    arm.writer.hold()
     servo.run(1.0)
     assert arm.core["paused"] == 1 and not arm.loop[0]["axes"]["velocity_rad_s"].any()
     stood = arm.positions[-1]
@@ -164,7 +164,7 @@ def test_a_stop_ends_a_stream_even_while_it_runs_dry(dry_cycles: int) -> None:
     servo.run(1.2)
     arm.cycles(dry_cycles)
     running = int(arm.core["goal_id"])
-    arm.writer.request(Request.STOP)
+    arm.writer.stop()
     arm.cycle()
     servo.due_ns = arm.now_ns
     servo.run(0.1)  # its messages wait until the arm stands
@@ -178,12 +178,12 @@ def test_a_stop_ends_a_stream_even_while_it_runs_dry(dry_cycles: int) -> None:
 def test_a_speed_scale_leaves_a_stream_its_own_time(scale: float) -> None:
     """A stream says where to be when; only a factor of 0 stops it."""
     arm = CommandedArm()
-    arm.writer.request(Request.SPEED_SCALE, value=scale)
+    arm.writer.scale(scale)
     way = waves(arm, 0.5, 9)
     servo = Servo(arm, way, 100.0)
     servo.run(3.0)
     assert error_to(arm, way, servo.begun_ns, 0.1, first=100) < 0.003
-    arm.writer.request(Request.SPEED_SCALE, value=0.0)
+    arm.writer.scale(0.0)
     servo.run(1.0)
     assert not arm.loop[0]["axes"]["velocity_rad_s"].any() and arm.core["fault"] == Fault.NONE
     arm.close()

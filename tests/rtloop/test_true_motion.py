@@ -126,7 +126,7 @@ def test_coast_in_silence_is_what_the_configuration_says(joint: int) -> None:
 def test_cancel_stops_on_the_path(moment: tuple[str, float]) -> None:
     arm, goal_id, started_ns = moving(*moment)
     asked_ns = arm.now_ns
-    arm.writer.request(Request.CANCEL, goal_id=goal_id)
+    arm.writer.cancel(goal_id)
     assert arm.end_of(goal_id) in (Outcome.CANCELED, Outcome.SUCCEEDED)
     assert (arm.now_ns - asked_ns) * 1e-9 <= arm.loop[0]["params"]["longest_stop_s"] + 0.1
     arm.cycles(AFTER_CYCLES)
@@ -160,9 +160,9 @@ def test_pause_and_resume_keep_the_goal(moment: tuple[str, float], pause: int, a
     """A pause of any length, resumed, paused and resumed again: the goal ends where it should."""
     arm, goal_id, started_ns = moving(*moment)
     for wait, request in ((pause, Request.HOLD), (again, Request.RESUME), (again, Request.HOLD)):
-        arm.writer.request(request)
+        arm.request(request)
         arm.cycles(wait)
-    arm.writer.request(Request.RESUME)
+    arm.writer.resume()
     assert arm.end_of(goal_id) == Outcome.SUCCEEDED
     arm.cycles(AFTER_CYCLES)
     assert largest_acceleration_ratio(arm, started_ns) <= 2.0
@@ -174,11 +174,11 @@ def test_pause_and_resume_keep_the_goal(moment: tuple[str, float], pause: int, a
 @given(moments, st.floats(0.0, 1.0), st.integers(1, 40), st.floats(0.0, 1.0))
 def test_speed_override_live(moment: tuple[str, float], first: float, wait: int, second: float) -> None:
     arm, goal_id, started_ns = moving(*moment)
-    arm.writer.request(Request.SPEED_SCALE, value=first)
+    arm.writer.scale(first)
     arm.cycles(wait)
-    arm.writer.request(Request.SPEED_SCALE, value=second)
+    arm.writer.scale(second)
     arm.cycles(120)
-    arm.writer.request(Request.SPEED_SCALE, value=1.0)
+    arm.writer.scale(1.0)
     assert arm.end_of(goal_id) == Outcome.SUCCEEDED
     assert largest_acceleration_ratio(arm, started_ns) <= 2.0
     stays_inside_limits(arm, started_ns)

@@ -122,7 +122,7 @@ def family(arm: str) -> None:
         here.cycles(20)
         second = towards(here, 0.05, bridge=True)
         here.cycles(20)
-        here.ask(Request.CANCEL, goal_id=second)
+        here.cancel(second)
         finish(here, second)
         here.ask(Request.DISABLE)
         here.release()
@@ -169,12 +169,12 @@ def pause() -> None:
     with standing() as arm:
         goal = towards(arm)
         arm.cycles(40)
-        arm.ask(Request.HOLD)
+        arm.hold()
         arm.cycles(90)
-        arm.ask(Request.RESUME)
+        arm.resume()
         finish(arm, goal)
-        arm.ask(Request.RESUME)
-        arm.ask(Request.HOLD)
+        arm.resume()
+        arm.hold()
 
 
 @scenario("speed-scale")
@@ -183,22 +183,22 @@ def speed_scale() -> None:
         goal = towards(arm)
         for factor in (0.3, -0.1, math.nan, 0.0, 1.0):
             arm.cycles(25)
-            arm.ask(Request.SPEED_SCALE, value=factor)
+            arm.scale(factor)
         finish(arm, goal)
 
 
 @scenario("cancel")
 def cancel() -> None:
     with standing() as arm:
-        arm.ask(Request.CANCEL)
+        arm.cancel_all()
         goal = towards(arm)
         arm.cycles(50)
-        arm.ask(Request.CANCEL, goal_id=goal)
+        arm.cancel(goal)
         finish(arm, goal)
         waiting = towards(arm, start_ns=arm.now_ns + 10**9)
         arm.cycles(10)
-        arm.ask(Request.CANCEL, goal_id=waiting)
-        arm.writer.request(Request.CANCEL, goal_id=waiting + 1)
+        arm.cancel(waiting)
+        arm.writer.cancel(waiting + 1)
         finish(arm, towards(arm))
 
 
@@ -228,16 +228,16 @@ def stopped_by_a_person() -> None:
     with standing() as arm:
         goal = towards(arm)
         arm.cycles(50)
-        arm.ask(Request.STOP)
+        arm.stop()
         finish(arm, goal)
         finish(arm, towards(arm))
         arm.ask(Request.HOME, joint_mask=JOINT2)
-        arm.ask(Request.RESUME)
+        arm.resume()
         goal = towards(arm)
         arm.cycles(30)
-        arm.ask(Request.HOLD)
+        arm.hold()
         arm.cycles(60)
-        arm.ask(Request.STOP)
+        arm.stop()
         finish(arm, goal)
 
 
@@ -403,9 +403,9 @@ def pause_at_speed() -> None:
         goal = swings(arm, 2 * len(AT_SPEED))
         for number, share in enumerate(AT_SPEED):
             until_swing(arm, goal, 2 * number + share)
-            arm.ask(Request.HOLD)
+            arm.hold()
             arm.until(lambda: shown(arm)["speed_scale"] == 0.0)
-            arm.ask(Request.RESUME)
+            arm.resume()
         finish(arm, goal)
 
 
@@ -415,9 +415,9 @@ def speed_scale_at_speed() -> None:
         goal = swings(arm, 2 * len(AT_SPEED))
         for number, share in enumerate(AT_SPEED):
             until_swing(arm, goal, 2 * number + share)
-            arm.ask(Request.SPEED_SCALE, value=0.4)
+            arm.scale(0.4)
             until_swing(arm, goal, 2 * number + 1 + share)
-            arm.ask(Request.SPEED_SCALE, value=1.0)
+            arm.scale(1.0)
         finish(arm, goal)
 
 
@@ -427,7 +427,7 @@ def cancel_at_speed() -> None:
         for share in AT_SPEED:
             goal = swings(arm, 2)
             until_swing(arm, goal, share)
-            arm.ask(Request.CANCEL, goal_id=goal)
+            arm.cancel(goal)
             finish(arm, goal)
 
 
@@ -436,11 +436,11 @@ def replacement_at_speed() -> None:
     with standing() as arm:
         until_swing(arm, swings(arm, 2), 0.5)
         until_clock(arm, towards(arm, 0.05, bridge=True), 0.4)
-        arm.ask(Request.SPEED_SCALE, value=0.1)
+        arm.scale(0.1)
         arm.until(lambda: shown(arm)["speed_scale"] == 0.1)
         second = towards(arm, -0.05, bridge=True)
         arm.cycles(20)
-        arm.ask(Request.SPEED_SCALE, value=1.0)
+        arm.scale(1.0)
         finish(arm, second)
         finish(arm, towards(arm, 0.1724, bridge=True))  # joint2 at 98 % of what is let pass
 
@@ -465,9 +465,9 @@ def end_in_motion() -> None:
                 goal = arm.send_goal(np.array([0, 10**9]), ends, stream=stream)
                 if paused:
                     until_clock(arm, goal, 0.8)
-                    arm.ask(Request.HOLD)
+                    arm.hold()
                     arm.until(lambda: shown(arm)["speed_scale"] == 0.0)
-                    arm.ask(Request.RESUME)
+                    arm.resume()
                 finish(arm, goal)
 
 
@@ -496,10 +496,10 @@ def stream_of_points() -> None:
     with standing() as arm:
         sender = SinglePoints(arm, rounded(waves(arm, 0.4, 2)), 100.0, velocities=True)
         sender.run(1.0)
-        arm.ask(Request.STOP)
+        arm.stop()
         sender.run(0.3)
         arm.until(lambda: shown(arm)["mode"] == Mode.HOLDING)
-        arm.ask(Request.RESUME)
+        arm.resume()
         SinglePoints(arm, rounded(waves(arm, 0.05, 3)), 50.0, velocities=False).run(0.6)
         arm.until(lambda: shown(arm)["mode"] == Mode.HOLDING)
 
@@ -524,14 +524,14 @@ def homing_ended() -> None:
     def stop() -> None:
         for_ns.append(arm.now_ns)
         if len(for_ns) == 40:
-            arm.writer.request(Request.STOP)
+            arm.writer.stop()
 
     with standing() as arm:
         arm.ask(Request.HOME, joint_mask=JOINT2)
         arm.ask(Request.FREE)
         arm.reference(each_cycle=stop)
         arm.cycles(60)
-        arm.ask(Request.RESUME)
+        arm.resume()
         finish(arm, towards(arm))
         arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.nan)
         arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=40.0)

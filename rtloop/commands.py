@@ -1,0 +1,121 @@
+"""What people ask at any moment: stop, hold and resume, the speed scale, cancels.
+
+Each is one store in the command file of which the newest counts, so none can be lost, and none waits behind another.
+"""
+
+from typing import Any
+
+from rtloop.events import record_event, set_result
+from rtloop.state import LOOP, offset_of
+from shm import layout
+from shm.atomics import load_acquire
+from shm.jit import jit
+from shm.seqlock import copy_words
+from shm.words import Event, Mode, Outcome, Request
+
+Loop = Any  # record of dtype rtloop.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+_STOP = offset_of(layout.COMMAND, "stop")
+_HOLD = offset_of(layout.COMMAND, "hold")
+_SPEED_SCALE = offset_of(layout.COMMAND, "speed_scale")
+_CANCELED_THROUGH = offset_of(layout.COMMAND, "canceled_through")
+_CANCELED_GOALS = offset_of(layout.COMMAND, "canceled_goals")
+_SCRATCH_SCALE = offset_of(LOOP, "scratch_scale")
+_WORD = 8
+
+
+@jit
+def obey_commands(loop: Loop, shared: Shared) -> None:
+    """Obey the newest of each."""
+    command = loop.params.command_address
+    if command == 0:
+        return
+    obey_stop_and_hold(loop, shared, load_acquire(command + _STOP), load_acquire(command + _HOLD))
+    take_speed_scale(loop, shared, command)
+    core = loop.core
+    if core.incoming_goal != 0 and is_canceled(loop, core.incoming_goal):
+        end_incoming(loop, shared, Outcome.CANCELED)
+    if core.goal_id != 0 and is_canceled(loop, core.goal_id):
+        end_running(loop, shared, Outcome.CANCELED)
+
+
+@jit
+def obey_stop_and_hold(loop: Loop, shared: Shared, stop_ns: int, hold: int) -> None:
+    """Whichever was asked last says whether the arm is held; a stop also ends what moves it."""
+    core = loop.core
+    held = stop_ns != 0
+    if hold >> 1 > stop_ns:
+        held = hold & 1 == 1
+    core.held = 1 if held else 0
+    stopped, asked = stop_ns != core.stop_ns, hold != core.hold
+    core.stop_ns, core.hold = stop_ns, hold
+    if stopped:
+        core.stops += 1
+        note(loop, shared, Request.STOP, _STOP)
+    if asked:
+        note(loop, shared, Request.HOLD if hold & 1 else Request.RESUME, _HOLD)
+    if stopped or (asked and hold & 1 == 1):
+        raise_epoch(loop, shared, Outcome.REFUSED_HELD)
+        core.pose_due_ns = 0
+        if core.mode == Mode.REFERENCING:
+            core.referencing_ends = 1
+        # A stream keeps its own time, which a pause would take from it.
+        if stopped or loop.paths[core.active].stream == 1:
+            end_running(loop, shared, Outcome.STOPPED)
+
+
+@jit
+def note(loop: Loop, shared: Shared, kind: int, offset: int) -> None:
+    """An event that says what was asked, and by which process."""
+    who = load_acquire(loop.params.command_address + offset + _WORD)
+    record_event(loop, shared, Event.COMMAND, -1, kind, float(who), 0.0)
+
+
+@jit
+def raise_epoch(loop: Loop, shared: Shared, outcome: int) -> None:
+    """What arrived before this never begins; the goal that waits ends with the outcome."""
+    loop.core.epoch += 1
+    end_incoming(loop, shared, outcome)
+
+
+@jit
+def take_speed_scale(loop: Loop, shared: Shared, command: int) -> None:
+    """A number that is no share of a speed is passed over."""
+    core = loop.core
+    if load_acquire(command + _SPEED_SCALE + _WORD) == 0:
+        return
+    copy_words(loop.params.address + _SCRATCH_SCALE, command + _SPEED_SCALE, 1)
+    scale = loop.scratch_scale
+    if scale >= 0.0 and scale <= 1.0 and scale != core.speed_scale:
+        core.speed_scale = scale
+        record_event(loop, shared, Event.COMMAND, -1, Request.SPEED_SCALE, 0.0, scale)
+
+
+@jit
+def is_canceled(loop: Loop, goal_id: int) -> bool:
+    """Whether its client no longer wants it."""
+    command = loop.params.command_address
+    if command == 0:
+        return False
+    slot = command + _CANCELED_GOALS + _WORD * (goal_id & (layout.CANCELED_SLOTS - 1))
+    return goal_id <= load_acquire(command + _CANCELED_THROUGH) or goal_id == load_acquire(slot)
+
+
+@jit
+def end_incoming(loop: Loop, shared: Shared, outcome: int) -> None:
+    """The goal that waits is not begun."""
+    core = loop.core
+    if core.incoming_goal != 0:
+        set_result(loop, shared, core.incoming_goal, outcome, -1, 0.0, 0.0)
+        core.incoming_goal = core.incoming_waits = 0
+
+
+@jit
+def end_running(loop: Loop, shared: Shared, outcome: int) -> None:
+    """The goal that runs ends by a stop on its path, unless it ends already."""
+    core = loop.core
+    if core.goal_id != 0 and (core.ending == Outcome.NONE or core.ending == Outcome.RAN_DRY):
+        core.ending = outcome
+        core.ending_joint = -1
+        core.ending_value = core.ending_limit = 0.0
