@@ -11,7 +11,6 @@ from typing import Any
 
 from rclpy.action.server import GoalResponse, ServerGoalHandle
 from rclpy.executors import Executor
-from rclpy.task import Future
 
 from rosfront import verdict as verdicts
 from rosfront.intake import ConsideredGoal, Intake, PendingGoal
@@ -20,7 +19,6 @@ from rosfront.refusals import GoalRefused, NotServing
 from rosfront.serving import CLOSING, NEVER_BEGUN, Serving
 from rosfront.verdict import Status, Verdict
 
-HELD = "Ended by ~/hold before it could begin; it did not move the arm: send it again when the arm may move."
 _NOT_SERVING = verdicts.refused(NotServing(CLOSING))
 
 Planner = Callable[[], GoalPlan]
@@ -86,7 +84,7 @@ class ActionGoals:
     def accepted(self, handle: ServerGoalHandle, plan: Planner) -> None:
         """Take a goal in; `run` awaits its end."""
         key = bytes(handle.goal_id.uuid)
-        goal = self._pending[key] = PendingGoal(self._executor.wake, self._serving.turn())
+        goal = self._pending[key] = PendingGoal(self._executor.wake, self._serving.arrival())
         self._intake.put(lambda: self._begin(goal, plan, key))
         if self._closing:
             goal.execution_or_end(_NOT_SERVING)
@@ -102,8 +100,6 @@ class ActionGoals:
         if verdict.status is not Status.CANCELED or handle.is_cancel_requested:
             return verdict
         rest = verdict.sentence.removeprefix("Canceled: ")
-        if goal.held:
-            return verdicts.aborted(HELD if verdict.sentence == NEVER_BEGUN else f"Ended by ~/hold: {rest}")
         if self._closing:
             return verdicts.aborted(f"The ROS process was stopped: {rest}")
         return verdict
@@ -114,7 +110,7 @@ class ActionGoals:
             return
         try:
             planned = plan()
-            goal.begin(lambda: self._serving.start(planned, goal.end, key, goal.turn))
+            goal.begin(lambda: self._serving.start(planned, goal.end, key, goal.arrival))
         except GoalRefused as reason:
             goal.end(verdicts.refused(reason))
         except Exception as problem:
@@ -123,23 +119,11 @@ class ActionGoals:
     def cancel(self, handle: ServerGoalHandle) -> None:
         """The arm then stops on its path."""
         goal = self._pending.get(bytes(handle.goal_id.uuid))
-        if goal is not None:
-            self._stop(goal)
-
-    def _stop(self, goal: PendingGoal) -> None:
+        if goal is None:
+            return
         execution = goal.execution_or_end(Verdict(Status.CANCELED, 0, NEVER_BEGUN))
         if execution is not None:
             self._serving.cancel(execution)
-
-    def end_unbegun(self) -> list[Future]:
-        """End what would move an arm that holds, for a hold; returns futures that are done when it is so."""
-        for considered in self._considered:
-            considered.end(NotServing(HELD))
-        goals = [goal for goal in self._pending.values() if not goal.ended.done()]
-        for goal in goals:
-            goal.held = True
-            self._stop(goal)
-        return [goal.ended for goal in goals]
 
     def close(self) -> None:
         """Reject or end what has not begun; from any thread."""

@@ -18,7 +18,7 @@ from rosfront.refusals import GoalRefused, Unreadable
 from rosfront.serving import Serving
 from rosfront.trajectory_bytes import Trajectory, parse
 from rosfront.verdict import Verdict
-from shm.words import Outcome, Request
+from shm.words import Outcome
 
 WARN_EVERY_S = 1.0
 DEPTH = 10
@@ -116,7 +116,7 @@ class Inputs:
 
     def ask_factor(self) -> None:
         """Ask the control process for the factor; may be called from any thread."""
-        self._serving.request(Request.SPEED_SCALE, self._on_reply, value=self.factor)
+        self._serving.command(lambda writer: writer.scale(self.factor), self._on_reply)
 
     def _on_reply(self, done: bool, sentence: str) -> None:
         if not done:

@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 from rclpy.task import Future
 
 from rosfront.refusals import GoalRefused
-from rosfront.serving import Execution
+from rosfront.serving import Arrival, Execution
 from rosfront.verdict import Verdict
 
 End = TypeVar("End")
@@ -71,12 +71,9 @@ class ConsideredGoal(Pending[GoalRefused | None]):
 class PendingGoal(Pending[Verdict]):
     """An action goal from its acceptance to its end."""
 
-    def __init__(self, wake: Callable[[], None], turn: int) -> None:
-        """`turn` is that of its arrival."""
+    def __init__(self, wake: Callable[[], None], arrival: Arrival) -> None:
         super().__init__(wake)
-        self.turn = turn
-        self.held = False
-        """Whether a hold is to end it."""
+        self.arrival = arrival
         self._execution: Execution | None = None
 
     def begin(self, start: Callable[[], Execution]) -> None:

@@ -8,7 +8,6 @@ from config.schema import ArmConfig
 from shm.client import CommandWriter, StateReader
 from shm.errors import NotRunning, WrongLayout
 from shm.files import MemoryFile, is_held, open_command, open_state, own_command
-from shm.words import Request
 
 
 @dataclass
@@ -57,7 +56,7 @@ def attach(arm: ArmConfig) -> Link:
         if not _of_one_loop(state, command):  # replaced since the look at it
             raise _just_starting(arm.name)
         link = Link(arm.name, StateReader(state), CommandWriter(command))
-        link.writer.request(Request.CANCEL)  # what a dead front left, perhaps waiting for its start, is nobody's
+        link.writer.cancel_all()  # what a dead front left, perhaps waiting for its start, is nobody's
         return link
     except BaseException:
         for close in undo:

@@ -62,7 +62,7 @@ class FrontNode:
         self._last_cycle = 0
         self._progress = Progress()
         goals = self._action_goals = ActionGoals(executor, self.serving, self.node.get_logger().warning)
-        self._services = Services(self.node, executor, self.serving, goals.end_unbegun)
+        self._services = Services(self.node, executor, self.serving)
         self._goals = GoalServer(
             self.node,
             executor,

@@ -39,13 +39,13 @@ class OwnMoves:
             self._taken_up = False
 
     def _go_to(self, pose: PoseMove) -> None:
-        turn = self._serving.turn()  # whoever begins something while this is planned wants that instead
+        arrival = self._serving.arrival()  # whoever begins something while this is planned wants that instead
         try:
             plan = self._plan(pose)
             newest = self._serving.newest()
             if newest is not None and not newest["pose_due"]:
                 return  # and so does whoever has asked for something that is no goal
-            self._serving.start(plan, self._tell_end_of_pose, turn=turn)
+            self._serving.start(plan, self._tell_end_of_pose, arrival=arrival)
         except GoalRefused as reason:
             self._tell(f"The arm does not go to its pose after homing: {reason.sentence}")
         else:
@@ -66,7 +66,7 @@ class OwnMoves:
             self._tell("Parked." if verdict.status is Status.SUCCEEDED else f"Not parked: {verdict.sentence}")
             on_end()
 
-        turn = self._serving.turn()
+        arrival = self._serving.arrival()
         try:
             plan = self._plan(parking)
             newest = self._serving.newest()
@@ -74,7 +74,7 @@ class OwnMoves:
             takes_s = plan.times_ns[-1] * 1e-9 / speed_scale if speed_scale > 0.0 else math.inf
             if takes_s > parking.timeout_s:
                 raise ParkingTooLong(takes_s, parking.timeout_s, speed_scale)
-            self._serving.start(plan, ended, turn=turn)
+            self._serving.start(plan, ended, arrival=arrival)
         except GoalRefused as reason:
             self._tell(f"Not parked: {reason.sentence}")
             return False

@@ -23,6 +23,7 @@ from rosfront.plan import NS
 from rosfront.refusals import GoalRefused
 from rosfront.serving import Serving
 from rosfront.verdict import fault_of
+from shm.client import CommandWriter
 from shm.sentences import unreferenced_sentence
 from shm.words import DriveStatus, Fault, Mode, Phase, Request
 
@@ -47,10 +48,10 @@ Judge = Callable[[np.ndarray], Reply | None]
 
 @dataclass(frozen=True)
 class Order:
-    """A service and the request behind it."""
+    """A service and what it asks for: a request, or a store of the writer's."""
 
     name: str
-    request: Request
+    ask: Request | Callable[[CommandWriter], None]
     patience_s: float
     judge: Callable[[np.ndarray | None, Sequence[str]], Judge]
     """Makes the judge from the last snapshot before the request and the joints' names."""
@@ -126,10 +127,10 @@ def _held(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
         fault = _fault(now, joints)
         if fault is not None:
             return fault
-        if int(now["mode"]) == Mode.REFERENCING or np.any(now["joints"]["commanded_velocity_rad_s"]):
+        if not now["held"] or _moves(now):
             return None
         if int(now["goal_id"]) == 0:
-            return Reply(True, "The arm stands; what moved it has ended.")
+            return Reply(True, "The arm stands and takes no goals before ~/resume.")
         if int(now["goal_phase"]) != Phase.PAUSED:
             return None
         return Reply(True, "The arm stands on its path; its goal goes on with ~/resume or ends with a cancel.")
@@ -137,11 +138,9 @@ def _held(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
     return judge
 
 
-def _no_goal_runs(snapshot: np.ndarray | None) -> bool:
-    """Whether the arm holds without a goal that could be paused."""
-    if snapshot is None or int(snapshot["mode"]) != Mode.HOLDING:
-        return False
-    return int(snapshot["goal_phase"]) in (Phase.NONE, Phase.WAITING)
+def _moves(snapshot: np.ndarray) -> bool:
+    referencing = int(snapshot["mode"]) == Mode.REFERENCING
+    return referencing or bool(np.any(snapshot["joints"]["commanded_velocity_rad_s"]))
 
 
 def _homed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
@@ -156,11 +155,12 @@ def _homed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
 
 
 def _stopped(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
+    stops = 0 if before is None else int(before["stops"])
+
     def judge(now: np.ndarray) -> Reply | None:
         if int(now["fault"]) == Fault.HOMING:  # the drive amid its run may still be moving
             return _fault(now, joints)
-        moving = int(now["mode"]) == Mode.REFERENCING or np.any(now["joints"]["commanded_velocity_rad_s"])
-        if moving or int(now["goal_id"]) != 0:
+        if int(now["stops"]) == stops or _moves(now) or int(now["goal_id"]) != 0:
             return None
         return Reply(True, "The arm stands and takes no goals before ~/resume.")
 
@@ -168,8 +168,16 @@ def _stopped(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
 
 
 def _resumed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
-    held = before is not None and bool(before["held"])
-    return lambda now: Reply(True, "The arm takes goals again." if held else "The goal goes on.")
+    goal = 0 if before is None else int(before["goal_id"])
+
+    def judge(now: np.ndarray) -> Reply | None:
+        if now["held"]:
+            return None
+        return Reply(
+            True, "The goal goes on." if goal != 0 and goal == int(now["goal_id"]) else "The arm takes goals again."
+        )
+
+    return judge
 
 
 ORDERS = (
@@ -187,37 +195,30 @@ ORDERS = (
         _limp(Mode.FREE, "The drives are limp and the arm can be led by hand until ~/enable."),
     ),
     Order("home", Request.HOME, HOMING_PATIENCE_S, _homed, _not_with_a_fault),
-    Order("stop", Request.STOP, STOP_PATIENCE_S, _stopped),
-    Order("resume", Request.RESUME, RESUME_PATIENCE_S, _resumed),
+    Order("stop", CommandWriter.stop, STOP_PATIENCE_S, _stopped),
+    Order("hold", CommandWriter.hold, STOP_PATIENCE_S, _held),
+    Order("resume", CommandWriter.resume, RESUME_PATIENCE_S, _resumed),
     Order("clear_fault", Request.CLEAR_FAULT, BRING_UP_PATIENCE_S, _cleared, _nothing_to_clear),
 )
-
-_HOLD = Order("hold", Request.HOLD, STOP_PATIENCE_S, _held)
 
 
 class Services:
     """The services of one node."""
 
-    def __init__(
-        self, node: Node, executor: Executor, serving: Serving, end_unbegun: Callable[[], Sequence[Future]]
-    ) -> None:
-        """`end_unbegun` ends every action goal that does not move the arm yet; its futures are done when it is so."""
+    def __init__(self, node: Node, executor: Executor, serving: Serving) -> None:
         self._executor = executor
         self._serving = serving
-        self._end_unbegun = end_unbegun
         self._waiting: set[Future] = set()
-        self._holds = 0
         self._closing = False
         group = ReentrantCallbackGroup()
         for order in ORDERS:
             node.create_service(Trigger, f"~/{order.name}", self._handler(self._ask, order), callback_group=group)
-        node.create_service(Trigger, "~/hold", self._handler(self._hold), callback_group=group)
         node.create_service(QueryTrajectoryState, "~/query_state", self._query, callback_group=group)
 
     @property
     def idle(self) -> bool:
         """Whether nobody waits for an answer."""
-        return not self._waiting and not self._holds
+        return not self._waiting
 
     async def ask(self, name: str) -> Reply:
         """What the service ~/`name`, one of ORDERS, says."""
@@ -235,23 +236,6 @@ class Services:
             return response
 
         return handle
-
-    async def _hold(self) -> Reply:
-        """Pause the goal that runs, for which newer ones then wait; where none does, none that came before begins."""
-        self._holds += 1
-        try:
-            if not _no_goal_runs(self._serving.newest()):
-                reply = await self._ask(_HOLD)
-                if reply.success or not _no_goal_runs(self._serving.newest()):
-                    return reply  # else it has ended before the control process heard of the hold
-            unbegun = self._end_unbegun()
-            for ended in unbegun:
-                await ended
-        finally:
-            self._holds -= 1
-        if unbegun:
-            return Reply(True, "The arm holds; the goals that had not begun were ended by that.")
-        return Reply(True, "The arm holds already; no goal is running.")
 
     async def _ask(self, order: Order) -> Reply:
         before, joints = self._serving.newest(), self._serving.joints
@@ -273,7 +257,10 @@ class Services:
         answered: Future = Future()
         self._waiting.add(answered)
         try:
-            self._serving.request(order.request, on_reply, until=until, patience_s=order.patience_s)
+            if isinstance(order.ask, Request):
+                self._serving.request(order.ask, on_reply, until=until, patience_s=order.patience_s)
+            else:
+                self._serving.command(order.ask, on_reply, until=until, patience_s=order.patience_s)
             if self._closing:  # since before this one was waiting
                 self._fulfil(answered, Reply(False, CLOSING))
             reply: Reply = await answered

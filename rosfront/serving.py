@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +23,8 @@ from rosfront.refusals import INVALID_GOAL, NotServing, Overtaken
 from rosfront.settings import Settings
 from rosfront.streamer import Streamer
 from rosfront.verdict import Status, Verdict, aborted, fault_of, final_error, judge, with_final_error
-from shm.client import GOALS_AHEAD, find
-from shm.errors import TornRead
+from shm.client import GOALS_AHEAD, CommandWriter, find
+from shm.errors import RingFull, TornRead
 from shm.files import start_command
 from shm.gripper import read_gripper
 from shm.sentences import answer_sentence, outcome_sentence, unreferenced_sentence
@@ -38,6 +39,15 @@ CLOSING = "The ROS process is shutting down and takes no goals: start it again."
 _TAKES_GOALS = (Mode.HOLDING, Mode.EXECUTING, Mode.STOPPING)
 
 
+class Arrival(NamedTuple):
+    """When a goal or a stream came."""
+
+    turn: int
+    """Its place in the order of all that came."""
+    epoch: int
+    """The control process's then: where that has risen since, what came is not begun."""
+
+
 @dataclass
 class Execution:
     """A goal that was handed to the control process and is not decided yet."""
@@ -47,8 +57,8 @@ class Execution:
     on_verdict: Callable[[Verdict], None]
     action_goal: bytes = b""
     """The action's id of it; empty for a stream."""
-    turn: int = 0
-    """The place of its arrival in the order of commands."""
+    epoch: int = 0
+    """The control process's when it arrived."""
     never_begun: bool = False
     """Canceled before the control process heard of it."""
     fault_since_ns: int = 0
@@ -65,6 +75,7 @@ class _Request:
     """A request whose answer, or whose effect, has not been seen yet."""
 
     sequence: int
+    """0: a store, which needs no answer."""
     on_reply: Callable[[bool, str], None]
     until: Callable[[np.ndarray], bool] | None
     too_late_ns: int
@@ -85,9 +96,8 @@ class Serving:
         self._newest_goal = 0  # no number serves twice: the loop remembers a cancel that comes before its goal
         self._turns = itertools.count()
         self._newest_turn = -1
-        self._stops: int | None = None
-        self._stopped_turn = -1
-        """What arrived before it was there when a person stopped the arm: it begins no more, though resumed since."""
+        self._epoch = 0
+        """As the publisher's thread has seen it last."""
         self._streams: dict[int, Streamer] = {}  # by goal: what is still on its way into the ring
         self._requests: list[_Request] = []
         self.settings = Settings.of(arm)
@@ -100,6 +110,7 @@ class Serving:
         """Goals can be handed on from now."""
         with self._lock:
             self._link = link
+            self._epoch = int(link.reader.snapshot()["epoch"])
         self.ever_attached.set()
 
     def lost(self, reason: str) -> None:
@@ -109,7 +120,7 @@ class Serving:
             if self._link is not None:
                 for execution in ended:  # should it only hang, it must not go on with them later
                     if self._is_begun(execution):
-                        _send_cancel(self._link, execution)
+                        self._link.writer.cancel(execution.goal_id)
             self._link, self._absence = None, reason
             self._streams.clear()
             self._undecided.clear()
@@ -121,9 +132,7 @@ class Serving:
 
     def look(self, snapshot: np.ndarray) -> Execution | None:
         """Feed the ring and decide what the snapshot decides; returns the execution that moves the arm."""
-        if int(snapshot["stops"]) != self._stops:
-            with self._lock:
-                self._note_stops(snapshot)
+        self._epoch = int(snapshot["epoch"])
         if not self._undecided and not self._requests:
             return None  # without the lock: what comes in this moment is seen in the next snapshot
         verdicts: list[tuple[Execution, Verdict]] = []
@@ -151,7 +160,7 @@ class Serving:
         """Take the requests out of the list that are answered, and done or too late."""
         replies: list[tuple[_Request, bool, str]] = []
         for request in list(self._requests):
-            answer = find(snapshot["answers"], "sequence", request.sequence)
+            answer = find(snapshot["answers"], "sequence", request.sequence) if request.sequence else None
             if answer is not None and int(answer["answer"]) != Answer.DONE:
                 replies.append((request, False, answer_sentence(int(answer["answer"]))))
             elif (answer is not None or request.answered) and (request.until is None or request.until(snapshot)):
@@ -182,8 +191,8 @@ class Serving:
         goal_id, running = execution.goal_id, int(snapshot["goal_id"])
         if execution.never_begun:
             return Verdict(Status.CANCELED, 0, NEVER_BEGUN, Outcome.CANCELED)
-        if execution.turn < self._stopped_turn and not self._is_begun(execution):
-            return Verdict(Status.ABORTED, INVALID_GOAL, outcome_sentence(Outcome.REFUSED_HELD), Outcome.REFUSED_HELD)
+        if execution.epoch != int(snapshot["epoch"]) and not self._is_begun(execution):
+            return Verdict(Status.ABORTED, INVALID_GOAL, outcome_sentence(why := _why_outdated(snapshot)), why)
         results = snapshot["results"]
         result = find(results, "goal_id", goal_id)
         if result is not None and int(result["outcome"]) != Outcome.NONE:
@@ -254,28 +263,27 @@ class Serving:
         """Why there is no control process to speak of, in a sentence; what it was last time where there is one."""
         return self._absence
 
-    def turn(self) -> int:
-        """A command's place in the order of arrival: that of whoever asks now."""
-        return next(self._turns)
+    def arrival(self) -> Arrival:
+        """Of what comes now."""
+        return Arrival(next(self._turns), self._epoch)
 
     def start(
         self,
         plan: GoalPlan,
         on_verdict: Callable[[Verdict], None],
         action_goal: bytes = b"",
-        turn: int | None = None,
+        arrival: Arrival | None = None,
     ) -> Execution:
         """Hand a checked goal to the control process; an older one is replaced. `action_goal` is its id as an action's.
 
-        `turn` is that of its arrival, None for now: judging takes its time, and what came later may have begun already.
+        `arrival` None is now: judging takes its time, and what came later may have begun already.
         `on_verdict` is called once, later, from the publisher's thread. Raises NotServing, Overtaken.
         """
         with self._lock:
             snapshot = self._snapshot()
-            turn = self.turn() if turn is None else turn
-            self._note_stops(snapshot)
-            if turn < self._stopped_turn:
-                raise NotServing(outcome_sentence(Outcome.REFUSED_HELD))
+            turn, epoch = self.arrival() if arrival is None else arrival
+            if epoch != int(snapshot["epoch"]):
+                raise NotServing(outcome_sentence(_why_outdated(snapshot)))
             if turn < self._newest_turn:
                 raise Overtaken
             self._newest_turn = turn
@@ -284,9 +292,9 @@ class Serving:
             known = max(int(snapshot["goal_id"]), int(snapshot["results"]["goal_id"].max()), self._newest_goal)
             announced = writer.announced_goal  # in memory that others may write to
             self._newest_goal = max(known, announced if announced <= known + GOALS_AHEAD else 0) + 1
-            execution = Execution(self._newest_goal, plan, on_verdict, action_goal, turn)
+            execution = Execution(self._newest_goal, plan, on_verdict, action_goal, epoch)
             self._undecided[execution.goal_id] = execution
-            self._streams[execution.goal_id] = Streamer(execution.goal_id, plan)
+            self._streams[execution.goal_id] = Streamer(execution.goal_id, plan, epoch)
             writer.beat()
             self._pump(self._link, int(snapshot["goal_id"]), float(snapshot["trajectory_clock_ns"]))
             return execution
@@ -296,8 +304,8 @@ class Serving:
 
         `on_verdict` is called once, later, from the publisher's thread. Raises GoalRefused.
         """
-        turn = self.turn()
-        self.start(plan_stream(trajectory, self.arm, self.present(), self.settings), on_verdict, turn=turn)
+        arrival = self.arrival()
+        self.start(plan_stream(trajectory, self.arm, self.present(), self.settings), on_verdict, arrival=arrival)
 
     def request(
         self,
@@ -317,12 +325,44 @@ class Serving:
         with self._lock:
             link, absence = self._link, CLOSING if self._closing else self._absence
             if link is not None and not self._closing:
-                sequence = link.writer.request(kind, value=value, effort=effort)
-                too_late_ns = time.monotonic_ns() + round(patience_s * NS)
-                self._requests.append(_Request(sequence, on_reply, until, too_late_ns, patience_s))
-                return sequence
+                taken = link.reader.requests_consumed()
+                try:
+                    sequence = link.writer.request(kind, consumed=taken, value=value, effort=effort)
+                except RingFull as full:
+                    absence = str(full)
+                else:
+                    self._await(sequence, on_reply, until, patience_s)
+                    return sequence
         on_reply(False, absence)
         return 0
+
+    def command(
+        self,
+        store: Callable[[CommandWriter], None],
+        on_reply: Callable[[bool, str], None] = lambda done, sentence: None,
+        *,
+        until: Callable[[np.ndarray], bool] = lambda snapshot: True,
+        patience_s: float = 2.0,
+    ) -> None:
+        """Stop, hold, resume or scale the arm by a store of the writer's; replies as `request` does."""
+        with self._lock:
+            link, absence = self._link, CLOSING if self._closing else self._absence
+            if link is not None and not self._closing:
+                store(link.writer)
+                self._await(0, on_reply, until, patience_s)
+                return
+        on_reply(False, absence)
+
+    def _await(
+        self,
+        sequence: int,
+        on_reply: Callable[[bool, str], None],
+        until: Callable[[np.ndarray], bool] | None,
+        patience_s: float,
+    ) -> None:
+        """Reply when a request is answered, which a store is not, and what was asked is so; call with the lock."""
+        too_late_ns = time.monotonic_ns() + round(patience_s * NS)
+        self._requests.append(_Request(sequence, on_reply, until, too_late_ns, patience_s, answered=sequence == 0))
 
     def gripper(self) -> np.ndarray | None:
         """The gripper on the arm's bus as it was shown last, None before it ever was; raises NotServing."""
@@ -358,7 +398,7 @@ class Serving:
         with self._lock:
             if self._link is not None and execution.goal_id in self._undecided:
                 if self._is_begun(execution):
-                    _send_cancel(self._link, execution)
+                    self._link.writer.cancel(execution.goal_id)
                 else:
                     execution.never_begun = True
                     self._streams.pop(execution.goal_id, None)
@@ -370,13 +410,6 @@ class Serving:
             executions = list(self._undecided.values())
         for execution in executions:
             self.cancel(execution)
-
-    def _note_stops(self, snapshot: np.ndarray) -> None:
-        """What has arrived until now, judged or not, is ended by a person's stop that is new in this snapshot."""
-        stops = int(snapshot["stops"])
-        if self._stops is not None and stops > self._stops:
-            self._stopped_turn = self.turn()
-        self._stops = stops
 
     def _is_begun(self, execution: Execution) -> bool:
         """Whether the control process has been told of a goal."""
@@ -400,9 +433,9 @@ class Serving:
             return not self._undecided
 
 
-def _send_cancel(link: Link, execution: Execution) -> None:
-    """Ask once: the loop remembers a cancel that reaches it before its goal does."""
-    link.writer.request(Request.CANCEL, goal_id=execution.goal_id)
+def _why_outdated(snapshot: np.ndarray) -> Outcome:
+    """Why what arrived in an earlier epoch does not begin."""
+    return Outcome.REFUSED_HELD if snapshot["held"] else Outcome.REFUSED_OUTDATED
 
 
 def _newest_decided(results: np.ndarray) -> int:

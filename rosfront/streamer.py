@@ -20,8 +20,10 @@ KNOTS_A_CALL = 256  # bounds the time a call holds up its thread, about 2 ms
 class Streamer:
     """One goal on its way into the ring: BEGIN, its knots, END."""
 
-    def __init__(self, goal_id: int, plan: GoalPlan) -> None:
+    def __init__(self, goal_id: int, plan: GoalPlan, epoch: int) -> None:
+        """`epoch` is the control process's when the goal arrived."""
         self.goal_id = goal_id
+        self._epoch = epoch
         self._plan = plan
         self.begun = False
         self._next = 0
@@ -51,6 +53,7 @@ class Streamer:
                     joint_mask=plan.joint_mask,
                     goal_time_s=plan.terms.goal_time_s,
                     entry=plan.entry,
+                    epoch=self._epoch,
                     tolerances=plan.terms.path_tolerances,
                     consumed=consumed,
                 )

@@ -43,22 +43,32 @@ class Connection:
         """The newest snapshot."""
         return self._reader.snapshot()
 
-    def send(self, kind: Request, *, joint_mask: int = 0, value: float = 0.0) -> int:
-        """Make a request and wait for nothing; its number, by which it is answered."""
-        return self._writer.request(kind, joint_mask=joint_mask, value=value)
+    @property
+    def writer(self) -> CommandWriter:
+        """For what needs no answer: stop, hold, resume, the speed scale."""
+        return self._writer
 
     def ask(self, kind: Request, *, joint_mask: int = 0, value: float = 0.0) -> Answer:
-        """Make a request and wait for its answer."""
-        sequence = self.send(kind, joint_mask=joint_mask, value=value)
-        snapshot = self.wait(
-            lambda now: find(now["answers"], "sequence", sequence) is not None,
+        """Make a request and wait for its answer.
+
+        Raises:
+            RingFull: too many requests wait already.
+        """
+        taken = self._reader.requests_consumed()
+        sequence = self._writer.request(kind, consumed=taken, joint_mask=joint_mask, value=value)
+        snapshot = self.wait_heard(lambda now: find(now["answers"], "sequence", sequence) is not None)
+        answer = find(snapshot["answers"], "sequence", sequence)
+        assert answer is not None
+        return Answer(int(answer["answer"]))
+
+    def wait_heard(self, condition: Condition) -> np.ndarray:
+        """The first snapshot that shows that the control process has heard of something."""
+        return self.wait(
+            condition,
             ANSWER_PATIENCE_S,
             f"The control process of {self.arm} has not answered for {ANSWER_PATIENCE_S:g} s, so it hangs: "
             "end it, then start it again; the drives brake by themselves when it is gone.",
         )
-        answer = find(snapshot["answers"], "sequence", sequence)
-        assert answer is not None
-        return Answer(int(answer["answer"]))
 
     def order(self, kind: Request, *, joint_mask: int = 0, value: float = 0.0) -> None:
         """Make a request; raises Refusal with the sentence where it is refused."""
@@ -155,7 +165,8 @@ def stop(arm: str) -> str:
     with connect(arm) as connection:
         before = connection.snapshot()
         had_goal = int(before["goal_id"]) != 0 or int(before["goal_phase"]) == Phase.WAITING
-        connection.order(Request.STOP)
+        connection.writer.stop()
+        connection.wait_heard(lambda now: int(now["stops"]) > int(before["stops"]))
         after = connection.wait(
             stands,
             STOP_PATIENCE_S,
@@ -175,7 +186,7 @@ def stop_again(arm: str) -> None:
         SharedMemoryError: the arm is not running.
     """
     with connect(arm) as connection:
-        connection.send(Request.STOP)
+        connection.writer.stop()
 
 
 def stands(snapshot: np.ndarray) -> bool:
@@ -234,8 +245,8 @@ def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
             connection.order(Request.HOME, joint_mask=mask)
             after = _see_to_the_end(connection, on_joint)
         except KeyboardInterrupt:
-            if _homes_soon(connection):  # a hold of anything else would pause somebody's goal
-                connection.ask(Request.HOLD)
+            if _homes_soon(connection):
+                connection.ask(Request.HOME_STOP)
             still_homes = f"Arm {arm} still homes: use the switch in the power line."
             after = connection.wait(_is_over, STOP_PATIENCE_S, still_homes)
             ended = "Ended: the joint that was on its way stands, without a reference."
@@ -397,13 +408,10 @@ def _is_limp(snapshot: np.ndarray) -> bool:
 
 
 def hold(arm: str) -> str:
-    """Pause the running goal: stop on its path, wait until the arm stands, and say so."""
+    """Stop on the path, wait until the arm stands, and say so; the goal is kept, and none begins before a resume."""
     with connect(arm) as connection:
-        answer = connection.ask(Request.HOLD)
-        if answer == Answer.REFUSED_NO_GOAL:
-            return f"Arm {arm} holds already; no goal is running."
-        if answer != Answer.DONE:
-            raise Refusal(answer_sentence(answer))
+        connection.writer.hold()
+        connection.wait_heard(lambda now: bool(now["held"]))
         after = connection.wait(
             lambda now: _is_over(now) and not np.any(now["joints"]["commanded_velocity_rad_s"]),
             STOP_PATIENCE_S,
@@ -413,16 +421,20 @@ def hold(arm: str) -> str:
         if int(after["fault"]) == Fault.HOMING:
             raise Refusal(connection.fault(after))
     if int(after["goal_phase"]) != Phase.PAUSED:
-        return f"Arm {arm} stands; what moved it has ended."
+        return f"Arm {arm} stands and takes no goals before `rtarm resume`."
     return f"Arm {arm} stands on its path; its goal goes on with `rtarm resume` or ends with `rtarm stop`."
 
 
 def resume(arm: str) -> str:
-    """Let a paused goal go on, or a stopped arm take goals again, and say so."""
+    """Let a paused goal go on, and a held or stopped arm take goals again; say so."""
     with connect(arm) as connection:
-        held = bool(connection.snapshot()["held"])
-        connection.order(Request.RESUME)
-    return f"Arm {arm} takes goals again." if held else f"The goal of {arm} goes on."
+        before = connection.snapshot()
+        connection.writer.resume()
+        after = connection.wait_heard(lambda now: not now["held"])
+    if not before["held"]:
+        return f"Arm {arm} was not held."
+    goes_on = int(before["goal_phase"]) == Phase.PAUSED and int(after["goal_id"]) == int(before["goal_id"])
+    return f"The goal of {arm} goes on." if goes_on else f"Arm {arm} takes goals again."
 
 
 def speed(arm: str, scale: float) -> str:
@@ -430,5 +442,6 @@ def speed(arm: str, scale: float) -> str:
     if not 0.0 <= scale <= 1.0:
         raise Refusal(f"The speed scale is {scale:g}, but goals run at 0 to 1 of their own speed: choose one of these.")
     with connect(arm) as connection:
-        connection.order(Request.SPEED_SCALE, value=scale)
+        connection.writer.scale(scale)
+        connection.wait_heard(lambda now: float(now["speed_scale_asked"]) == scale)
     return f"Goals of {arm} run at {scale:.0%} of their speed."

@@ -89,7 +89,7 @@ def take_speed_scale(loop: Loop, shared: Shared, command: int) -> None:
     scale = loop.scratch_scale
     if scale >= 0.0 and scale <= 1.0 and scale != core.speed_scale:
         core.speed_scale = scale
-        record_event(loop, shared, Event.COMMAND, -1, Request.SPEED_SCALE, 0.0, scale)
+        record_event(loop, shared, Event.COMMAND, -1, Request.SPEED_SCALE, scale, 0.0)
 
 
 @jit

@@ -393,6 +393,11 @@ def _obey(loop: Loop, shared: Shared) -> int:
         return Answer.DONE
     if kind == Request.DISABLE or kind == Request.FREE:
         return _let_go(loop, shared, Mode.DISABLED if kind == Request.DISABLE else Mode.FREE)
+    if kind == Request.HOME_STOP:
+        if core.mode != Mode.REFERENCING:
+            return Answer.REFUSED_MODE
+        core.referencing_ends = 1
+        return Answer.DONE
     if kind == Request.HOME or kind == Request.REFERENCE:
         return begin_referencing(loop, shared, kind, request.joint_mask, request.value)
     return Answer.REFUSED_UNKNOWN
@@ -476,4 +481,3 @@ def _may_stand_at(loop: Loop, joint: int, angle_rad: float) -> bool:
         return bool(reason != Unreferenced.POWER_LOST and reason != Unreferenced.NOT_HOMED)
     row = loop.joints[joint]
     return bool(row.lower_rad <= angle_rad <= row.upper_rad)
-

@@ -169,7 +169,7 @@ CHANGING = [
         "epoch",
         "i8",
         "",
-        "rises with every stop, hold, letting go, homing run and fault: goals that arrived in an earlier one never begin",
+        "rises with every stop, hold, letting go, homing run and fault: what arrived in an earlier one never begins",
     ),
     Word("joints", (JOINT, (MAX_JOINTS,)), "", "one record a joint"),
 ]
@@ -494,7 +494,7 @@ COMMAND = _record(
             "stop",
             LINE_WORD,
             "ns",
-            "CLOCK_MONOTONIC at which a person asked for the newest stop, in its first word; who asked (pid) in its second",
+            "CLOCK_MONOTONIC of a person's newest stop, in its first word; who asked (pid) in its second",
         ),
         Word(
             "hold",

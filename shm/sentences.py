@@ -11,7 +11,7 @@ from enum import IntEnum
 from typing import NamedTuple, TypeVar
 
 from shm import drive_words
-from shm.words import Answer, BusState, Fault, GripTrouble, Mode, Outcome, Unreferenced
+from shm.words import Answer, BusState, Fault, GripTrouble, Mode, Outcome, Request, Unreferenced
 
 Key = TypeVar("Key", bound=IntEnum)
 
@@ -108,8 +108,8 @@ OUTCOMES: dict[Outcome, Meaning] = {
         "Wait until bring-up is over, clear the fault, or enable the drives.",
     ),
     Outcome.REFUSED_OUTDATED: Meaning(
-        "It arrived before the arm was stopped, held, let go, homed or in a fault, so it does not begin: look where the "
-        "arm stands, then send it again.",
+        "It arrived before the arm was stopped, held, let go, homed or in a fault, so it does not begin: look where "
+        "the arm stands, then send it again.",
         "Whoever sent it did not know of that, and it would move an arm that nobody expects to move.",
         "Plan from where the arm stands now and send that.",
     ),
@@ -537,6 +537,14 @@ def unreferenced_sentence(reason: int, joint: str) -> str:
 def grip_trouble_sentence(trouble: int, value: float) -> str:
     """Why the gripper on the bus cannot do what it is told."""
     return _say(GRIP_TROUBLES, GripTrouble, trouble, "", value, 0.0)
+
+
+def command_sentence(kind: int, value: float) -> str:
+    """What was asked by a store: of a speed scale the scale, of all others by which process."""
+    if kind == Request.SPEED_SCALE:
+        return f"Speed scale {value:.0%} was asked for."
+    asked = {Request.STOP: "Stop", Request.HOLD: "Hold", Request.RESUME: "Resume"}
+    return f"{asked[Request(kind)]} was asked for by process {value:.0f}."
 
 
 def answer_sentence(answer: int) -> str:

@@ -57,6 +57,7 @@ class Request(IntEnum):
     GRIP = 12  # let the gripper on the bus go to an angle
     GRIP_STOP = 13  # let it stop and hold where it is
     GRIP_HOME = 14  # let it find its stop
+    HOME_STOP = 15  # let the homing run under way end
 
 
 class Entry(IntFlag):

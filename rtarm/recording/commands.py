@@ -10,7 +10,7 @@ import numpy as np
 
 from rtarm.status import key
 from shm.recording import Recording
-from shm.sentences import answer_sentence, joint_name, outcome_sentence
+from shm.sentences import answer_sentence, command_sentence, joint_name, outcome_sentence
 from shm.words import Answer, Entry, Event, Outcome, Request
 
 MOST_OPEN = 256
@@ -69,6 +69,9 @@ class Commands:
                     answer=key(Answer, code),
                     sentence=answer_sentence(code),
                 )
+            elif kind == Event.COMMAND:
+                name = key(Request, code)
+                yield _command(at, "request", None, name, sentence=command_sentence(code, value), value=value)
             elif kind == Event.GOAL:
                 yield self._goal(at, code, recording)
             elif kind == Event.RESULT:

@@ -47,7 +47,7 @@ NAMED: dict[str, type[IntEnum]] = {
 _SUMS = ("crc", "decisions_crc")
 CYCLE_WORDS = [name for name in layout.RECORD.names or () if name not in (*_SUMS, "joints")]
 JOINT_WORDS = list(layout.JOINT.names or ())
-LATER_CYCLE_WORDS = ("held", "stops")
+LATER_CYCLE_WORDS = ("held", "stops", "epoch")
 """What files of before do not have; they are 0 then."""
 LATER_JOINT_WORDS = ("drive_temperature_c", "drive_voltage_v")
 """What files of before do not have; they are NaN then."""

@@ -10,6 +10,7 @@ import numpy as np
 from shm.sentences import (
     WIRE_IS_BACK,
     answer_sentence,
+    command_sentence,
     fault_sentence,
     joint_name,
     mode_name,
@@ -50,6 +51,8 @@ def _told(kind: int, code: int, joint: str, value: float, limit: float) -> tuple
         return outcome_sentence(code, joint, value, limit), GOOD if code == Outcome.SUCCEEDED else ODD
     if kind == Event.REQUEST:
         return f"Request {value:.0f}: {answer_sentence(code)}", PLAIN
+    if kind == Event.COMMAND:
+        return command_sentence(code, value), PLAIN
     if kind == Event.OVERRUN:
         return outcome_sentence(Outcome.CLOCK_GAP, joint, value, limit), BAD
     if kind == Event.REFERENCE:
