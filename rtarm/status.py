@@ -41,7 +41,8 @@ CYCLE_OVERDUE_S = 0.5
 FRONT_SILENT_S = 1.0
 
 STOPPED_BY_A_PERSON = (
-    "A person has stopped or holds the arm, so it takes no goals: see that it may move, then `rtarm resume` (or ~/resume)."
+    "A person has stopped or holds the arm, so it takes no goals: see that it may move, then `rtarm resume` "
+    "(or ~/resume)."
 )
 
 PERCENTS = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9}

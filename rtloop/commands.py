@@ -16,7 +16,7 @@ from shm.words import Event, Mode, Outcome, Request
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
-_STOP = offset_of(layout.COMMAND, "stop")
+_STOP = offset_of(layout.COMMAND, "stop_ns")
 _HOLD = offset_of(layout.COMMAND, "hold")
 _SPEED_SCALE = offset_of(layout.COMMAND, "speed_scale")
 _CANCELED_THROUGH = offset_of(layout.COMMAND, "canceled_through")

@@ -30,7 +30,7 @@ _COMMAND_WORD = {
     name: layout.COMMAND.fields[name][1] // 8  # type: ignore[index]
     for name in (
         *("heartbeat_ns", "announced_goal", "setpoints_written", "requests_written"),
-        *("stop", "hold", "speed_scale", "canceled_through", "canceled_goals"),
+        *("stop_ns", "hold", "speed_scale", "canceled_through", "canceled_goals"),
     )
 }
 _REQUESTS_AT = layout.COMMAND.fields["requests"][1]  # type: ignore[index]
@@ -162,7 +162,7 @@ class CommandWriter:
     def stop(self) -> None:
         """A person's stop: on the path, every goal ends, and nothing begins before a resume."""
         newest_ns = max(time.monotonic_ns(), self._words[_COMMAND_WORD["hold"]] >> 1)
-        self._store("stop", newest_ns)
+        self._store("stop_ns", newest_ns)
 
     def hold(self) -> None:
         """Pause what runs; nothing begins before a resume."""
@@ -189,7 +189,7 @@ class CommandWriter:
 
     def _next_ns(self) -> int:
         """Now, or later than what was asked last: two callers in one nanosecond, or a file that somebody has spoilt."""
-        last_ns = max(self._words[_COMMAND_WORD["stop"]], self._words[_COMMAND_WORD["hold"]] >> 1)
+        last_ns = max(self._words[_COMMAND_WORD["stop_ns"]], self._words[_COMMAND_WORD["hold"]] >> 1)
         return min(max(time.monotonic_ns(), last_ns + 1), MOST_WRITTEN)
 
     def _store(self, name: str, word: int) -> None:

@@ -491,7 +491,7 @@ COMMAND = _record(
         ),
         Word("setpoints_written", LINE_WORD, "", "records ever written to the ring, in its first word"),
         Word(
-            "stop",
+            "stop_ns",
             LINE_WORD,
             "ns",
             "CLOCK_MONOTONIC of a person's newest stop, in its first word; who asked (pid) in its second",

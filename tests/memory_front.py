@@ -42,7 +42,7 @@ class MemoryFront:
 
     def answer(self, kind: Request) -> Answer:
         """Make a request; its answer."""
-        sequence = self.writer.request(kind)
+        sequence = self.writer.request(kind, consumed=self.reader.requests_consumed())
         answers = self.until(lambda now: sequence in now["answers"]["sequence"])["answers"]
         return Answer(int(answers["answer"][answers["sequence"] == sequence][0]))
 
@@ -58,6 +58,7 @@ class MemoryFront:
             start_ns=0,
             joint_mask=(1 << self.joints) - 1,
             goal_time_s=float(judged),
+            epoch=int(holding["epoch"]),
             entry=0,
             tolerances=np.tile([0.1 * judged, 0.0, 0.0], rows),
             consumed=consumed(),

@@ -41,7 +41,13 @@ _COMMAND = layout.COMMAND
 HEARTBEAT = offset_of(_COMMAND, "heartbeat_ns")
 _ANNOUNCED = offset_of(_COMMAND, "announced_goal")
 _WRITTEN = offset_of(_COMMAND, "setpoints_written")
+_STOP = offset_of(_COMMAND, "stop_ns")
+_HOLD = offset_of(_COMMAND, "hold")
+_SPEED_SCALE = offset_of(_COMMAND, "speed_scale")
+_CANCELED_GOALS = offset_of(_COMMAND, "canceled_goals")
+_CANCELED_THROUGH = offset_of(_COMMAND, "canceled_through")
 _REQUESTS_WRITTEN = offset_of(_COMMAND, "requests_written")
+_ROWS_AT = offset_of(layout.SETPOINT, "joints")
 _KINDS = max(Request) + 1
 _REQUESTS = offset_of(_COMMAND, "requests")
 _SETPOINTS = offset_of(_COMMAND, "setpoints")
@@ -112,7 +118,7 @@ def slot_of(command: int, sequence: int) -> int:
 
 
 @jit
-def put_head(command: int, kind: int, goal: int, first: int, second: int, third: int, fourth: int) -> int:
+def put_head(command: int, kind: int, goal: int, first: int, second: int, third: int, fourth: int, fifth: int) -> int:
     """Begin the next record of the ring; its address."""
     sequence = load_relaxed(command + _WRITTEN)
     record = slot_of(command, sequence)
@@ -123,6 +129,7 @@ def put_head(command: int, kind: int, goal: int, first: int, second: int, third:
     store_relaxed(record + 40, second)
     store_relaxed(record + 48, third)
     store_relaxed(record + 56, fourth)
+    store_relaxed(record + 64, fifth)
     return record
 
 
@@ -152,14 +159,14 @@ def put_goal(loop: Loop, command: int, goal: int, wild: float, box: np.ndarray) 
         patience = hostile_number()
     if np.random.random() < wild:
         entry = hostile_word()
-    record = put_head(command, Setpoint.BEGIN, goal, start_ns, mask, 0, entry)
+    record = put_head(command, Setpoint.BEGIN, goal, start_ns, mask, 0, entry, loop.core.epoch)
     store_number(record + 48, patience, box)
     for joint in range(count):
         for column in range(3):
             value = 0.1 if column == 0 else 0.0
             if np.random.random() < wild:
                 value = hostile_number()
-            store_number(record + 64 + 24 * joint + 8 * column, value, box)
+            store_number(record + _ROWS_AT + 24 * joint + 8 * column, value, box)
     publish_record(command, record, count)
     put_knots(loop, command, goal, wild, box)
     if np.random.random() < 0.7:
@@ -170,11 +177,11 @@ def put_goal(loop: Loop, command: int, goal: int, wild: float, box: np.ndarray) 
 
 @jit
 def put_end(loop: Loop, command: int, goal: int, wild: float, box: np.ndarray) -> None:
-    record = put_head(command, Setpoint.END, goal, 0, 0, 0, 0)
+    record = put_head(command, Setpoint.END, goal, 0, 0, 0, 0, 0)
     for joint in range(loop.params.joint_count):
         for column in range(3):
             value = (0.01, 0.05, 0.0)[column] if np.random.random() >= wild else hostile_number()
-            store_number(record + 64 + 24 * joint + 8 * column, value, box)
+            store_number(record + _ROWS_AT + 24 * joint + 8 * column, value, box)
     publish_record(command, record, loop.params.joint_count)
 
 
@@ -217,7 +224,7 @@ def put_knots(loop: Loop, command: int, goal: int, wild: float, box: np.ndarray)
                 v = hostile_number()
             if np.random.random() < wild:
                 a = hostile_number()
-            store_number(record + 64 + 24 * joint, p, box)
+            store_number(record + _ROWS_AT + 24 * joint, p, box)
             store_number(record + 72 + 24 * joint, v, box)
             store_number(record + 80 + 24 * joint, a, box)
         publish_record(command, record, count)
@@ -225,18 +232,37 @@ def put_knots(loop: Loop, command: int, goal: int, wild: float, box: np.ndarray)
 
 
 @jit
-def put_request(command: int, goal: int, wild: float, box: np.ndarray) -> None:
+def put_command(command: int, goal: int, wild: float, box: np.ndarray) -> None:
+    """A stop, hold, resume, speed scale or cancel."""
+    which = int(np.random.randint(0, 5))
+    now_ns = load_relaxed(command + HEARTBEAT)
+    word = hostile_word() if np.random.random() < wild else now_ns + int(np.random.randint(0, 1000))
+    meant = (goal, goal + 1)[int(np.random.randint(0, 2))] if np.random.random() >= wild else hostile_word()
+    if which == 0:
+        store_relaxed(command + _STOP, word)
+    elif which == 1:
+        store_relaxed(command + _HOLD, 2 * word + int(np.random.randint(0, 2)))
+    elif which == 2:
+        scale = np.random.random() if np.random.random() >= wild else hostile_number()
+        store_number(command + _SPEED_SCALE, scale, box)
+        store_number(command + _SPEED_SCALE + 8, 1.0, box)
+    elif which == 3:
+        store_relaxed(command + _CANCELED_GOALS + 8 * (meant & (layout.CANCELED_SLOTS - 1)), meant)
+    else:
+        store_relaxed(command + _CANCELED_THROUGH, meant)
+
+
+@jit
+def put_request(command: int, wild: float, box: np.ndarray) -> None:
     """A request of any kind, sealed."""
     written = load_relaxed(command + _REQUESTS_WRITTEN)
     record = command + _REQUESTS + (written & (layout.REQUEST_SLOTS - 1)) * _REQUEST_BYTES
     kind = int(np.random.randint(0, _KINDS)) if np.random.random() >= wild else hostile_word()
-    meant = (0, goal, goal + 1)[int(np.random.randint(0, 3))] if np.random.random() >= wild else hostile_word()
     value = np.random.random() if np.random.random() >= wild else hostile_number()
     store_relaxed(record + 8, written + 1)
     store_relaxed(record + 16, kind)
-    store_relaxed(record + 24, meant)
-    store_number(record + 32, value, box)
-    for word in range(5, _REQUEST_BYTES // 8):
+    store_number(record + 24, value, box)
+    for word in range(4, _REQUEST_BYTES // 8):
         store_relaxed(record + 8 * word, hostile_word())
     store_relaxed(record, crc32_at(record + 8, _REQUEST_BYTES // 8 - 1))
     store_relaxed(command + _REQUESTS_WRITTEN, written + 1)
@@ -281,7 +307,9 @@ def write_hostile(loop: Loop, command: int, how: int, goal: int, box: np.ndarray
         put_end(loop, command, goal, wild, box)
     elif dice < 0.30:
         for _ in range(1 + (70 if np.random.random() < 0.02 else 0)):  # now and then a flood
-            put_request(command, goal, wild, box)
+            put_request(command, wild, box)
+        if np.random.random() < 0.05:
+            put_command(command, goal, wild, box)
     elif dice < 0.34 and how != WELL_MADE:
         put_garbage(loop, command)
     elif (dice < 0.50 and how == WHOLE_FILE) or (dice < 0.36 and how == MOSTLY_SOUND):
@@ -414,7 +442,7 @@ def run_case(
             for joint in range(loop.params.joint_count):
                 before[joint, 0], before[joint, 1] = loop.axes[joint].position_rad, 0.0
         if loop.core.fault != Fault.NONE and np.random.random() < 0.2:
-            put_request(command, 0, 0.0, box)
+            put_request(command, 0.0, box)
             if np.random.random() < 0.5:
                 clear_fault(command)
     return SOUND

@@ -7,7 +7,6 @@ from observer import command_violations, frames_sent, motion_violations, truth_o
 from virtual import VirtualArm
 
 from fuzz import memory
-from shm.words import Request
 
 CYCLES = 150
 AFTERWARDS = 60

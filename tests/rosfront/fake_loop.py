@@ -44,7 +44,7 @@ class FakeLoop(threading.Thread):
         self.taken = self.requests = 0
         self.active = self.incoming = 0
         self.cancel_at = self.up_at = self.newest = 0
-        self.canceled = set()
+        self.stop_ns = self.hold = 0
         self.paused = False
         self.bring_up_fails = False
         self.asked = []
@@ -87,7 +87,8 @@ class FakeLoop(threading.Thread):
         s["epoch_ns"] = time.time_ns() - (time.monotonic_ns() - now_ns)
         self.state["counters"]["cycles"] += 1
         if self.taking:
-            self.take_requests()  # in the order of the real cycle
+            self.take_commands()  # in the order of the real cycle
+            self.take_requests()
             self.take_setpoints()
         if self.up_at:
             self.bring_up()
@@ -115,10 +116,12 @@ class FakeLoop(threading.Thread):
                 begin = slot.copy().view(layout.BEGIN)
                 self.goals[goal_id] = {"begin": begin, "times": [], "points": [], "ended": False}
                 self.newest = goal_id
-                if goal_id in self.canceled:
+                if self.is_canceled(goal_id):
                     self.decide(goal_id, Outcome.CANCELED)
                 elif self.snapshot["held"]:
                     self.decide(goal_id, Outcome.REFUSED_HELD)
+                elif begin["epoch"] != self.snapshot["epoch"]:
+                    self.decide(goal_id, Outcome.REFUSED_OUTDATED)
                 else:
                     self.incoming = goal_id
             elif kind == Setpoint.KNOT:
@@ -129,30 +132,61 @@ class FakeLoop(threading.Thread):
                 self.goals[goal_id]["goal_tolerances"] = slot["joints"][: self.joints].copy()
         self.state["consumed"]["setpoints"] = self.taken
 
+    def take_commands(self):
+        """What is asked by stores: stop, hold and resume, the speed scale, cancels."""
+        s, command = self.snapshot, self.command
+        stop_ns, hold = int(command["stop_ns"][0]), int(command["hold"][0])
+        s["held"] = hold & 1 if hold >> 1 > stop_ns else stop_ns != 0
+        stopped, asked = stop_ns != self.stop_ns, hold != self.hold
+        self.stop_ns, self.hold = stop_ns, hold
+        if stopped:
+            s["stops"] += 1
+            self.asked.append((Request.STOP, 0.0))
+            if self.active:
+                self.cancel_at = int(s["cycle"]) + 5
+        if asked:
+            self.asked.append((Request.HOLD if hold & 1 else Request.RESUME, 0.0))
+        if stopped or (asked and hold & 1):
+            s["epoch"] += 1
+            if self.incoming:
+                self.decide(self.incoming, Outcome.REFUSED_HELD)
+                self.incoming = 0
+        self.paused = bool(s["held"] and self.active)
+        scale = float(command["speed_scale"][0])
+        if command["speed_scale"][1] and 0.0 <= scale <= 1.0 and scale != s["speed_scale_asked"]:
+            s["speed_scale_asked"] = scale
+            self.asked.append((Request.SPEED_SCALE, scale))
+        if self.incoming and self.is_canceled(self.incoming):
+            self.decide(self.incoming, Outcome.CANCELED)
+            self.incoming = 0
+        if self.active and self.is_canceled(self.active):
+            self.cancel_at = self.cancel_at or int(s["cycle"]) + 5
+
+    def is_canceled(self, goal_id):
+        canceled = self.command["canceled_goals"][goal_id % layout.CANCELED_SLOTS] == goal_id
+        return canceled or goal_id <= self.command["canceled_through"][0]
+
     def take_requests(self):
         while self.requests < self.command["requests_written"][0]:
             request = self.command["requests"][self.requests % layout.REQUEST_SLOTS]
             self.requests += 1
             kind, value = Request(int(request["kind"])), float(request["value"])
-            if kind != Request.CANCEL:  # a new front cancels whatever an old one left
-                self.asked.append((kind, value))
+            self.asked.append((kind, value))
             answer = self.snapshot["answers"][self.requests % layout.ANSWER_SLOTS]
             answer["sequence"] = self.requests
-            answer["answer"] = self.obey(kind, value, int(request["goal_id"]))
+            answer["answer"] = self.obey(kind)
+        self.state["consumed"]["requests"] = self.requests
 
-    def obey(self, kind, value, goal_id):
+    def obey(self, kind):
         s, mode = self.snapshot, self.snapshot["mode"]
         limp = {Request.DISABLE: Mode.DISABLED, Request.FREE: Mode.FREE}
-        if kind == Request.SPEED_SCALE:
-            if not 0.0 <= value <= 1.0:
-                return Answer.REFUSED_VALUE
-            s["speed_scale_asked"] = value
-        elif kind in limp:
+        if kind in limp:
             if self.active:
                 return Answer.REFUSED_MOVING
             if mode not in (Mode.HOLDING, *LIMP):
                 return Answer.REFUSED_MODE
             s["mode"] = limp[kind]
+            s["epoch"] += 1
             self.rows["drive_status"] &= ~int(DriveStatus.ENABLED)
         elif kind == Request.CLEAR_FAULT or (kind == Request.ENABLE and mode in LIMP):
             if kind == Request.CLEAR_FAULT and mode != Mode.FAULT:
@@ -160,19 +194,8 @@ class FakeLoop(threading.Thread):
             self.up_at = int(s["cycle"]) + BRING_UP_CYCLES
         elif kind == Request.ENABLE:
             return Answer.DONE if mode in (Mode.HOLDING, Mode.EXECUTING) else Answer.REFUSED_MODE
-        elif kind == Request.STOP or (kind == Request.RESUME and s["held"]):
-            s["held"] = kind == Request.STOP
-            s["stops"] += kind == Request.STOP
-            if kind == Request.STOP and any((self.active, self.incoming)):
-                self.cancel_at = int(s["cycle"]) + 5
-        elif kind == Request.CANCEL and goal_id > self.newest:
-            self.canceled.add(goal_id)  # it overtook its goal
-        elif not any((self.active, self.incoming)) or goal_id not in (self.active, self.incoming, 0):
-            return Answer.REFUSED_NO_GOAL
-        elif kind in (Request.HOLD, Request.RESUME):
-            self.paused = kind == Request.HOLD
         else:
-            self.cancel_at = int(s["cycle"]) + 5
+            return Answer.REFUSED_UNKNOWN
         return Answer.DONE
 
     def bring_up(self):
@@ -194,7 +217,6 @@ class FakeLoop(threading.Thread):
             self.active, self.incoming = self.incoming, 0
             self.origin = self.rows["commanded_position_rad"].copy()
             self.start_ns = int(goal["begin"]["start_ns"]) or now_ns
-            self.paused = False
             s["mode"], s["goal_phase"] = Mode.EXECUTING, Phase.RUNNING
         s["goal_id"] = self.active
         s["speed_scale"] = 0.0 if self.paused else s["speed_scale_asked"]
@@ -223,7 +245,6 @@ class FakeLoop(threading.Thread):
     def finish(self, outcome, **details):
         self.decide(self.active, outcome, **details)
         self.active = self.cancel_at = 0
-        self.paused = False
         self.snapshot["goal_id"] = 0
         self.snapshot["mode"], self.snapshot["goal_phase"] = Mode.HOLDING, Phase.NONE
 
@@ -243,6 +264,7 @@ class FakeLoop(threading.Thread):
         s = self.snapshot
         s["fault"], s["fault_joint"], s["fault_value"], s["fault_limit"] = fault, joint, value, limit
         s["fault_ns"] = s["monotonic_ns"]
+        s["epoch"] += 1
         if self.active:
             self.finish(Outcome.FAULT, joint=joint, value=value, limit=limit)
         s["mode"] = Mode.FAULT

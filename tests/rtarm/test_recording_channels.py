@@ -20,7 +20,6 @@ from rtarm.recording.mcap_format import Reason
 from rtarm.recording.plot import plot
 from rtarm.recording.statistics import Seconds
 from shm.recording import Recording, read_recording
-from shm.words import Request
 from sim.faults import PowerLoss
 
 NOW = Reason("asked", "Asked for by a person.")

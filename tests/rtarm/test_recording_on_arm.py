@@ -14,7 +14,7 @@ from rtarm.errors import Refusal
 from rtarm.recording import mcap_writer, on_arm
 from rtarm.recording.mcap_format import Reason
 from shm.recording import Recording
-from shm.words import Fault, Mode, Outcome, Request
+from shm.words import Fault, Mode, Outcome
 from sim.faults import PowerLoss
 
 Rtarm = Callable[..., Result]

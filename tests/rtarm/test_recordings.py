@@ -41,7 +41,7 @@ from rtloop.wire import received
 from rtloop.wire.slcan import BEL
 from shm import files, layout
 from shm.recording import Recording
-from shm.words import BusState, DriveStatus, Event, Fault, Outcome, Request
+from shm.words import BusState, DriveStatus, Event, Fault, Outcome
 from sim.faults import PowerLoss, Stall
 
 Rtarm = Callable[..., Result]

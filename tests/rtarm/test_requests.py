@@ -10,7 +10,7 @@ from typer.testing import Result
 from written_arm import WrittenArm
 
 from rtarm import requests
-from shm.words import Answer, Fault, Mode, Request, Unreferenced
+from shm.words import Answer, Fault, Mode, Phase, Request, Unreferenced
 
 Rtarm = Callable[..., Result]
 
@@ -60,15 +60,24 @@ def test_stop_of_a_standing_arm_says_so(arm: WrittenArm, rtarm: Rtarm) -> None:
 
 
 def test_a_stop_while_an_earlier_one_waits_is_asked_for_as_well(arm: WrittenArm) -> None:
-    for count in (1, 2, 3):
+    before_ns = 0
+    for _ in range(3):
         requests.stop_again(arm.name)
-        assert arm.command["requests_written"][0] == count
-        assert arm.command["requests"][count - 1]["kind"] == Request.STOP
+        asked_ns = int(arm.command["stop_ns"][0])
+        assert asked_ns > before_ns
+        before_ns = asked_ns
 
 
-@pytest.mark.parametrize(("held", "said"), [(0, "The goal of {} goes on."), (1, "Arm {} takes goals again.")])
-def test_resume_says_what_it_has_done(arm: WrittenArm, rtarm: Rtarm, held: int, said: str) -> None:
-    arm.snapshot["held"] = held
+@pytest.mark.parametrize(
+    ("held", "phase", "said"),
+    [
+        (0, Phase.RUNNING, "Arm {} was not held."),
+        (1, Phase.PAUSED, "The goal of {} goes on."),
+        (1, Phase.NONE, "Arm {} takes goals again."),
+    ],
+)
+def test_resume_says_what_it_has_done(arm: WrittenArm, rtarm: Rtarm, held: int, phase: Phase, said: str) -> None:
+    arm.snapshot["held"], arm.snapshot["goal_phase"] = held, phase
     arm.publish()
     with arm.answering(lambda _arm, _kind: Answer.DONE):
         result = rtarm("resume", arm.name)

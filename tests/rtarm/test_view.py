@@ -216,7 +216,9 @@ def test_the_path_of_a_goal_comes_from_the_ring_of_knots(arm: WrittenArm) -> Non
     writer = CommandWriter(files.open_command(arm.name))
     try:
         tolerances = np.zeros((2, 3))
-        writer.begin(4, start_ns=0, joint_mask=3, goal_time_s=0.0, entry=Entry(0), tolerances=tolerances, consumed=0)
+        writer.begin(
+            4, start_ns=0, joint_mask=3, goal_time_s=0.0, entry=Entry(0), epoch=0, tolerances=tolerances, consumed=0
+        )
         assert len(path.of(4, start)) == 0
         writer.knot(4, 2_000_000_000, 5, np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), 0)
         writer.end(4, tolerances, 0)

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from shm import files, layout
-from shm.words import Mode
+from shm.words import Mode, Request
 
 JOINTS = ("shoulder", "elbow")
 PERIOD_NS = 10_000_000
@@ -63,18 +63,29 @@ class WrittenArm:
 
     @contextmanager
     def answering(self, obey: Callable[[WrittenArm, int], int]) -> Iterator[None]:
-        """With a thread that answers requests with what `obey(arm, kind)` returns, and publishes."""
+        """With a thread that answers requests with what `obey(arm, kind)` returns, and publishes.
+
+        It hears of stops, holds and resumes too, which are answered by what the snapshot shows.
+        """
         ended = threading.Event()
 
         def live() -> None:
-            taken = 0
+            taken = stop_ns = hold = 0
             while not ended.wait(0.001):
+                if stop_ns != (stop_ns := int(self.command["stop_ns"][0])):
+                    self.snapshot["stops"] += 1
+                    self.snapshot["held"] = 1
+                    obey(self, Request.STOP)
+                if hold != (hold := int(self.command["hold"][0])):
+                    self.snapshot["held"] = hold & 1
+                    obey(self, Request.HOLD if hold & 1 else Request.RESUME)
                 while taken < int(self.command["requests_written"][0]):
                     request = self.command["requests"][taken % layout.REQUEST_SLOTS]
                     taken += 1
                     answer = obey(self, int(request["kind"]))
                     slot = self.snapshot["answers"][taken % layout.ANSWER_SLOTS]
                     slot["sequence"], slot["answer"] = taken, answer
+                self.state["consumed"]["requests"] = taken
                 self.publish()
 
         thread = threading.Thread(target=live)

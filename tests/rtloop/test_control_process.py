@@ -31,7 +31,7 @@ from shm import cache
 from shm.client import StateReader
 from shm.errors import NotRunning
 from shm.files import DIRECTORY, open_state
-from shm.words import Fault, Mode, Outcome, Request
+from shm.words import Fault, Mode, Outcome
 
 ROOT = Path(__file__).resolve().parents[2]
 MIB = 1 << 20

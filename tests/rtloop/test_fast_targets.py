@@ -14,7 +14,7 @@ from virtual import VirtualArm, recorded_goal
 from config.loader import load_arm
 from rtloop import fast_targets
 from rtloop.drives import zdt_registers
-from shm.words import Fault, Mode, Outcome, Request
+from shm.words import Fault, Mode, Outcome
 from sim.bus import Frame
 from sim.faults import PowerLoss
 

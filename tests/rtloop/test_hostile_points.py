@@ -17,7 +17,7 @@ from rosfront.goal import plan_goal, plan_stream
 from rosfront.plan import GoalPlan, Present
 from rosfront.refusals import GoalRefused
 from rosfront.settings import Settings
-from shm.words import Fault, Mode, Outcome, Request
+from shm.words import Fault, Mode, Outcome
 
 trials = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 REFUSALS = (Outcome.REFUSED_START, Outcome.REFUSED_LIMITS)

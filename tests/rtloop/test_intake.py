@@ -17,6 +17,7 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from rtloop.intake import CYCLES_TO_BECOME_VISIBLE, records_a_cycle
 from shm import layout
+from shm.errors import RingFull
 from shm.words import Answer, Fault, Mode, Outcome, Request, Setpoint
 
 BODY_AT = layout.COMMAND.fields["front_pid"][1]
@@ -93,7 +94,7 @@ class Judged(VirtualArm):
         assert np.abs(self.positions[-1] - self.positions[-2]).max() > 0
         return goal
 
-    def put(self, kind, *, goal_id, words=(0, 0, 0, 0), numbers=None, sequence=None, crc=None):
+    def put(self, kind, *, goal_id, words=(0, 0, 0, 0, 0), numbers=None, sequence=None, crc=None):
         """A record at the head of the setpoint ring, right in all that is not named."""
         count = len(self.limits)
         written = self.writer.setpoints_written
@@ -114,11 +115,16 @@ class Judged(VirtualArm):
     def begin(self, goal_id, *, start_ns=0, mask=0b111111, goal_time_s=0.4, entry=0, tolerances=None):
         self.set_word("announced_goal", goal_id)
         rows = np.tile((0.1, 0.0, 0.0), len(self.limits)) if tolerances is None else tolerances
-        self.put(Setpoint.BEGIN, goal_id=goal_id, words=(start_ns, mask, float(goal_time_s), entry), numbers=rows)
+        self.put(
+            Setpoint.BEGIN,
+            goal_id=goal_id,
+            words=(start_ns, mask, float(goal_time_s), entry, int(self.core["epoch"])),
+            numbers=rows,
+        )
 
     def knot(self, goal_id, time_ns, position, order=5, velocity=0.0, acceleration=0.0):
         rows = np.stack(np.broadcast_arrays(position, velocity, acceleration, np.zeros(len(self.limits)))[:3], -1)
-        self.put(Setpoint.KNOT, goal_id=goal_id, words=(time_ns, order, 0, 0), numbers=rows.ravel())
+        self.put(Setpoint.KNOT, goal_id=goal_id, words=(time_ns, order, 0, 0, 0), numbers=rows.ravel())
 
     def end(self, goal_id):
         self.put(Setpoint.END, goal_id=goal_id)
@@ -226,6 +232,7 @@ def test_a_record_that_becomes_visible_late_is_taken(arm, late):
         joint_mask=1,
         goal_time_s=0.4,
         entry=0,
+        epoch=0,
         tolerances=np.zeros((6, 3)),
         consumed=arm.reader.setpoints_consumed(),
     )
@@ -466,16 +473,7 @@ def answer(arm, sequence):
 @pytest.mark.parametrize(
     ("kind", "value", "expected"),
     [
-        (Request.SPEED_SCALE, 0.5, Answer.DONE),
-        (Request.SPEED_SCALE, 0.0, Answer.DONE),
-        (Request.SPEED_SCALE, 1.0001, Answer.REFUSED_VALUE),
-        (Request.SPEED_SCALE, -0.1, Answer.REFUSED_VALUE),
-        (Request.SPEED_SCALE, float("nan"), Answer.REFUSED_VALUE),
-        (Request.SPEED_SCALE, float("inf"), Answer.REFUSED_VALUE),
         (Request.CLEAR_FAULT, 0.0, Answer.REFUSED_MODE),
-        (Request.CANCEL, 0.0, Answer.REFUSED_NO_GOAL),
-        (Request.STOP, 0.0, Answer.DONE),
-        (Request.HOLD, 0.0, Answer.REFUSED_NO_GOAL),
         (99, 0.0, Answer.REFUSED_UNKNOWN),
         (-(2**40), 0.0, Answer.REFUSED_UNKNOWN),
     ],
@@ -484,11 +482,10 @@ def test_every_request_is_answered(arm, kind, value, expected):
     sequence = arm.request(kind, value=value)
     arm.cycle()
     assert answer(arm, sequence) == expected
-    assert 0.0 <= arm.core["speed_scale"] <= 1.0
 
 
 def test_after_a_corrupt_request_later_ones_are_obeyed(arm):
-    arm.writer.scale(0.5)
+    arm.request(Request.ENABLE)
     arm.command.record["requests"][0]["value"] = 0.7
     arm.until(lambda: arm.fault == Fault.COMMAND_RING)
     sequence = arm.request(Request.CLEAR_FAULT)
@@ -560,13 +557,11 @@ def test_whole_records_that_say_anything(moving, stream, announced):
 def test_requests_that_say_anything(stream):
     arm = Judged()
     arm.executing()
-    for kind, goal_id, value in stream:
-        packed = struct.pack(
-            "<qqqdqqq", int(arm.command.record["requests_written"][0]) + 1, kind, goal_id, value, 0, 0, 0
-        )
+    for kind, mask, value in stream:
+        packed = struct.pack("<qqdqqq", int(arm.command.record["requests_written"][0]) + 1, kind, value, 0, mask, 0)
         slot = int(arm.command.record["requests_written"][0]) % layout.REQUEST_SLOTS
         at = layout.COMMAND.fields["requests"][1] + slot * layout.REQUEST.itemsize
-        arm.command.map[at : at + 64] = struct.pack("<q", zlib.crc32(packed)) + packed
+        arm.command.map[at : at + layout.REQUEST.itemsize] = struct.pack("<q", zlib.crc32(packed)) + packed
         arm.set_word("requests_written", arm.command.record["requests_written"][0] + 1)
         arm.cycle()
     arm.cycles(50)
@@ -582,7 +577,7 @@ def test_an_announcement_out_of_all_measure_is_a_fault_and_not_a_deaf_loop(arm):
 
 @pytest.mark.parametrize("goal_id", [2**62, 2**63 - 1])
 def test_an_opening_out_of_all_measure_does_not_make_the_loop_deaf(arm, goal_id):
-    arm.put(Setpoint.BEGIN, goal_id=goal_id, words=(0, 1, 0.4, 0))
+    arm.put(Setpoint.BEGIN, goal_id=goal_id, words=(0, 1, 0.4, 0, 0))
     arm.cycle()
     assert arm.fault == Fault.COMMAND_RING
     assert arm.clear_fault().failure is None
@@ -591,14 +586,13 @@ def test_an_opening_out_of_all_measure_does_not_make_the_loop_deaf(arm, goal_id)
     assert (arm.outcome(goal), arm.fault) == (Outcome.SUCCEEDED, Fault.NONE)
 
 
-def test_more_requests_than_the_ring_holds_are_no_corruption(arm):
-    """A loop that was frozen finds the front's repeated requests, the oldest overwritten."""
-    for _ in range(200):
-        arm.writer.scale(0.5)
+def test_a_loop_that_was_frozen_takes_the_requests_that_found_room(arm):
+    with pytest.raises(RingFull):
+        for _ in range(200):
+            arm.request(Request.CLEAR_FAULT)
     arm.cycles(20)
     assert arm.fault == Fault.NONE
-    assert arm.core["speed_scale"] == 0.5
-    assert arm.core["requests_taken"] == 200
+    assert arm.core["requests_taken"] == layout.REQUEST_SLOTS - 1
 
 
 def test_a_start_far_ahead_leaves_the_running_goal_alone(arm):

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from virtual import recorded_goal
 
-from shm.words import Fault, Outcome, Request
+from shm.words import Fault, Outcome
 
 MOVING = ("large", "scale_1_0", "near_limits_high", "around_box", "cartesian", "large_back")
 ACCELERATION_RATIO = 1.9

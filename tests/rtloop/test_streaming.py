@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from servo import Servo, SinglePoints, Way, waves
 from true_motion import largest_acceleration_ratio
 
-from shm.words import Fault, Mode, Outcome, Phase, Request
+from shm.words import Fault, Mode, Outcome, Phase
 
 trials = settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 

@@ -67,15 +67,15 @@ def test_a_goal_record_by_record(writer):
     tolerances = np.arange(9.0).reshape(JOINTS, 3)
     knot = np.arange(9.0).reshape(JOINTS, 3) / 8
     writer.announce(12)
-    terms = {"goal_time_s": 0.4, "entry": Entry.BRIDGE, "tolerances": tolerances}
+    terms = {"goal_time_s": 0.4, "entry": Entry.BRIDGE, "epoch": 7, "tolerances": tolerances}
     writer.begin(12, start_ns=99, joint_mask=0b101, consumed=0, **terms)
     writer.knot(12, 5_000_000, 3, knot, 0)
     writer.end(12, 2 * tolerances, 0)
     assert writer.announced_goal == 12 and writer.setpoints_written == 3
 
     begin = slot(writer, 0, layout.BEGIN)
-    names = ("sequence", "goal_id", "kind", "start_ns", "joint_mask", "entry")
-    assert [int(begin[name]) for name in names] == [0, 12, Setpoint.BEGIN, 99, 0b101, 1]
+    names = ("sequence", "goal_id", "kind", "start_ns", "joint_mask", "entry", "epoch")
+    assert [int(begin[name]) for name in names] == [0, 12, Setpoint.BEGIN, 99, 0b101, 1, 7]
     assert begin["goal_time_s"] == 0.4
     assert begin["joints"]["velocity_rad_s"][:JOINTS].tolist() == [1.0, 4.0, 7.0]
 
@@ -135,13 +135,50 @@ def test_the_ring_goes_round(writer):
 
 
 def test_requests_are_numbered_from_one(writer):
-    assert writer.request(Request.SPEED_SCALE, value=0.25) == 1
-    assert writer.request(Request.CANCEL, goal_id=9) == 2
+    assert writer.request(Request.REFERENCE, consumed=0, value=0.25) == 1
+    assert writer.request(Request.HOME, consumed=0, joint_mask=9) == 2
     first, second = writer.memory.record["requests"][:2]
-    assert (first["sequence"], first["kind"], first["value"]) == (1, Request.SPEED_SCALE, 0.25)
-    assert (second["sequence"], second["kind"], second["goal_id"]) == (2, Request.CANCEL, 9)
+    assert (first["sequence"], first["kind"], first["value"]) == (1, Request.REFERENCE, 0.25)
+    assert (second["sequence"], second["kind"], second["joint_mask"]) == (2, Request.HOME, 9)
     assert is_whole(first, layout.REQUEST.itemsize) and is_whole(second, layout.REQUEST.itemsize)
     assert second["monotonic_ns"] >= first["monotonic_ns"] > 0
+
+
+def test_a_full_request_ring_refuses_the_asker_and_overwrites_nothing(writer):
+    for _ in range(layout.REQUEST_SLOTS - 1):
+        writer.request(Request.ENABLE, consumed=0)
+    before = writer.memory.array.tobytes()
+    with pytest.raises(RingFull, match="63 requests wait for the control process"):
+        writer.request(Request.DISABLE, consumed=0)
+    assert writer.memory.array.tobytes() == before
+    assert writer.request(Request.DISABLE, consumed=1) == layout.REQUEST_SLOTS
+
+
+def newest(writer):
+    """Whether the newest of stop, hold and resume leaves the arm held, as the control process judges it."""
+    stop_ns, hold = int(writer.memory.record["stop_ns"][0]), int(writer.memory.record["hold"][0])
+    return bool(hold & 1) if hold >> 1 > stop_ns else stop_ns != 0
+
+
+@given(st.lists(st.sampled_from(["stop", "hold", "resume"]), min_size=1, max_size=8), st.integers(0, 2**62 - 1))
+def test_the_newest_of_stop_hold_and_resume_counts(asked, spoilt_ns):
+    """Also where the file holds a time that has not come yet."""
+    writer = CommandWriter(private_file(layout.COMMAND))
+    writer.memory.record["hold"][0] = spoilt_ns << 1
+    for name in asked:
+        getattr(writer, name)()
+        assert newest(writer) == (name != "resume")
+    assert writer.memory.record["stop_ns"][1] == (os.getpid() if "stop" in asked else 0)
+    writer.close()
+
+
+def test_cancels_have_a_place_each(writer):
+    for goal in (3, 5, 3 + layout.CANCELED_SLOTS):
+        writer.cancel(goal)
+    assert sorted(set(writer.memory.record["canceled_goals"].tolist())) == [0, 5, 3 + layout.CANCELED_SLOTS]
+    writer.announce(9)
+    writer.cancel_all()
+    assert writer.memory.record["canceled_through"][0] == 9
 
 
 PRODUCER = """
@@ -152,7 +189,7 @@ from shm.words import Request
 writer = CommandWriter(files.open_command(sys.argv[1]))
 print("ready", flush=True)
 sys.stdin.readline()
-print(*(writer.request(Request.HOLD, goal_id=int(sys.argv[2])) for _ in range(int(sys.argv[3]))))
+print(*(writer.request(Request.HOME, consumed=1 << 40, joint_mask=int(sys.argv[2])) for _ in range(int(sys.argv[3]))))
 """
 
 
@@ -182,7 +219,7 @@ def test_producers_in_several_processes_never_take_the_same_number(arm_name):
     owner = {number: index for index, numbers in enumerate(taken) for number in numbers}
     for request in record["requests"]:
         assert is_whole(request, layout.REQUEST.itemsize)
-        assert request["goal_id"] == owner[int(request["sequence"])]
+        assert request["joint_mask"] == owner[int(request["sequence"])]
     pair.remove()
 
 

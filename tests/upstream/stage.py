@@ -25,6 +25,7 @@ from rosfront.plan import GoalPlan
 from rosfront.refusals import GoalRefused
 from rosfront.serving import Execution, Serving
 from rosfront.verdict import Status, Verdict, refused
+from shm.client import CommandWriter
 from shm.words import Mode, Request
 from sim.faults import Silent, Stall
 
@@ -180,7 +181,21 @@ class Stage:
     def ask(self, kind: Request, value: float = 0.0) -> tuple[bool, str]:
         """Make a request and wait for its reply."""
         replies: list[tuple[bool, str]] = []
-        self.serving.request(kind, lambda done, sentence: replies.append((done, sentence)), value=value)
+        stores = {
+            Request.STOP: CommandWriter.stop,
+            Request.HOLD: CommandWriter.hold,
+            Request.RESUME: CommandWriter.resume,
+        }
+
+        def on_reply(done: bool, sentence: str) -> None:
+            replies.append((done, sentence))
+
+        if kind == Request.SPEED_SCALE:
+            self.serving.command(lambda writer: writer.scale(value), on_reply)
+        elif kind in stores:
+            self.serving.command(stores[kind], on_reply)
+        else:
+            self.serving.request(kind, on_reply, value=value)
         self.until(lambda: bool(replies), 1.0)
         (reply,) = replies
         return reply

@@ -1,0 +1,230 @@
+"""Stop, hold, resume, speed scale and cancels: each is the newest of its kind, and none is lost or comes too late."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from virtual import VirtualArm
+
+from shm import layout
+from shm.errors import RingFull
+from shm.words import Answer, Mode, Outcome, Phase, Request
+
+NS = 1_000_000_000
+
+
+@pytest.fixture
+def arm() -> VirtualArm:
+    return new_arm()
+
+
+def new_arm(name: str = "mock") -> VirtualArm:
+    return VirtualArm.brought_up(name)
+
+
+def moves(arm: VirtualArm) -> bool:
+    return bool(np.any(arm.loop[0]["axes"]["velocity_rad_s"]))
+
+
+def stands_for(arm: VirtualArm, seconds: float) -> None:
+    stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
+    for _ in range(round(seconds * NS / arm.period_ns)):
+        arm.cycle()
+        assert (arm.loop[0]["axes"]["position_rad"] == stood_rad).all()
+
+
+def let_go(request: Request) -> Callable[[VirtualArm], None]:
+    def let_go_and_enable(arm: VirtualArm) -> None:
+        assert arm.ask(request) == Answer.DONE
+        arm.release()
+        assert arm.ask(Request.ENABLE) == Answer.DONE
+        assert arm.bring_up().failure is None
+
+    return let_go_and_enable
+
+
+def home(arm: VirtualArm) -> None:
+    assert arm.ask(Request.HOME, joint_mask=1) == Answer.DONE
+    arm.reference()
+
+
+def stop_and_resume(arm: VirtualArm) -> None:
+    arm.stop()
+    arm.resume()
+
+
+def hold_and_resume(arm: VirtualArm) -> None:
+    arm.hold()
+    arm.resume()
+
+
+@pytest.mark.parametrize(
+    "what",
+    [stop_and_resume, hold_and_resume, let_go(Request.DISABLE), let_go(Request.FREE), home],
+    ids=["stop", "hold", "disable", "free", "home"],
+)
+def test_a_goal_that_arrived_before_it_never_begins(what: Callable[[VirtualArm], None]) -> None:
+    """Its client's process had kept it back, because it was to begin later or the ring was full."""
+    arm = new_arm("episode1")
+    arrived = int(arm.core["epoch"])
+    what(arm)
+    assert arm.core["mode"] == Mode.HOLDING
+    goal = arm.send_shift(epoch=arrived)
+    assert arm.end_of(goal) == Outcome.REFUSED_OUTDATED
+    stands_for(arm, 0.5)
+    assert arm.end_of(arm.send_shift()) == Outcome.SUCCEEDED
+    arm.close()
+
+
+@pytest.mark.parametrize("what", ["stop", "hold"])
+def test_a_goal_that_waits_for_its_start_ends_with_a_stop_and_a_hold(arm: VirtualArm, what: str) -> None:
+    waiting = arm.send_shift(start_ns=arm.now_ns + NS)
+    arm.cycles(10)
+    assert arm.reader.snapshot()["goal_phase"] == Phase.WAITING
+    getattr(arm, what)()
+    assert arm.outcome(waiting) == Outcome.REFUSED_HELD
+    arm.resume()
+    stands_for(arm, 2.0)
+
+
+def test_a_goal_behind_a_full_ring_does_not_begin_after_the_stop(arm: VirtualArm) -> None:
+    arm.send_shift(0.2, duration_s=30.0)
+    arm.cycles(60)
+    arm.pending.clear()
+    late = arm.send_shift(-0.2)
+    arm.stop()
+    assert arm.end_of(late) in (Outcome.REFUSED_HELD, Outcome.REFUSED_OUTDATED)
+    arm.until(lambda: not moves(arm))
+    arm.resume()
+    stands_for(arm, 1.0)
+
+
+def test_nothing_moves_a_held_arm_but_a_resume(arm: VirtualArm) -> None:
+    """Hold A, send B, cancel A: B used to begin."""
+    first = arm.send_shift(0.2)
+    arm.cycles(60)
+    arm.hold()
+    arm.until(lambda: not moves(arm))
+    second = arm.send_shift(-0.1)
+    assert arm.end_of(second) == Outcome.REFUSED_HELD
+    arm.cancel(first)
+    assert arm.end_of(first) == Outcome.CANCELED
+    stands_for(arm, 1.0)
+    arm.resume()
+    stands_for(arm, 1.0)
+    assert arm.end_of(arm.send_shift(0.05)) == Outcome.SUCCEEDED
+
+
+def test_a_held_goal_goes_on_from_where_it_was(arm: VirtualArm) -> None:
+    goal = arm.send_shift(0.2)
+    arm.cycles(60)
+    arm.hold()
+    arm.until(lambda: not moves(arm))
+    assert arm.reader.snapshot()["goal_phase"] == Phase.PAUSED
+    stands_for(arm, 1.0)
+    arm.resume()
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
+
+
+def test_a_hold_ends_a_stream_which_keeps_its_own_time(arm: VirtualArm) -> None:
+    here = arm.loop[0]["axes"]["position_rad"][:6]
+    joints = np.zeros((2, 6, 3))
+    joints[:, :, 0] = here, here + 0.2
+    joints[1, :, 1] = 0.1
+    stream = arm.send_goal(np.array([0, 2 * NS]), joints, stream=True)
+    arm.cycles(60)
+    assert moves(arm)
+    arm.hold()
+    assert arm.end_of(stream) == Outcome.STOPPED
+    arm.until(lambda: not moves(arm))
+    stands_for(arm, 1.0)
+    arm.resume()
+    stands_for(arm, 1.0)
+
+
+def test_cancels_get_through_beside_a_flood_and_beside_a_full_ring(arm: VirtualArm) -> None:
+    """At 1.9 kHz of speed scales every accepted cancel used to be lost."""
+    with pytest.raises(RingFull):
+        while True:
+            arm.request(Request.REFERENCE)
+    for _ in range(12):
+        goal = arm.send_shift(0.01)
+        arm.cycles(20)
+        for number in range(200):
+            arm.writer.scale(0.5 + number / 1000)
+        arm.writer.cancel(goal)
+        assert arm.end_of(goal) == Outcome.CANCELED
+
+
+def test_a_cancel_that_overtakes_its_goal_is_kept_for_it(arm: VirtualArm) -> None:
+    arm.writer.cancel(1)
+    arm.cycles(100)
+    assert arm.end_of(arm.send_shift(goal_id=1)) == Outcome.CANCELED
+    stands_for(arm, 0.5)
+
+
+def test_a_new_ros_process_ends_what_the_old_one_left(arm: VirtualArm) -> None:
+    waiting = arm.send_shift(start_ns=arm.now_ns + NS)
+    arm.cycles(10)
+    arm.cancel_all()
+    assert arm.outcome(waiting) == Outcome.CANCELED
+    assert arm.end_of(arm.send_shift()) == Outcome.SUCCEEDED
+
+
+def test_a_stop_is_obeyed_in_the_next_cycle_while_somebody_holds_the_lock(arm: VirtualArm) -> None:
+    arm.send_shift(0.2)
+    arm.cycles(60)
+    with arm.writer._threads:
+        arm.stop()
+    assert arm.core["stops"] == 1 and arm.core["ending"] == Outcome.STOPPED
+
+
+def send(arm: VirtualArm, **options: object) -> None:
+    arm.pending.clear()
+    arm.send_shift(0.1, **options)
+
+
+COMMANDS: dict[str, Callable[[VirtualArm], object]] = {
+    "stop": lambda arm: arm.writer.stop(),
+    "hold": lambda arm: arm.writer.hold(),
+    "resume": lambda arm: arm.writer.resume(),
+    "cancel": lambda arm: arm.writer.cancel(arm.writer.announced_goal),
+    "slower": lambda arm: arm.writer.scale(0.3),
+    "full speed": lambda arm: arm.writer.scale(1.0),
+    "goal": send,
+    "later goal": lambda arm: send(arm, start_ns=arm.now_ns + NS // 4),
+    "old goal": lambda arm: send(arm, epoch=int(arm.core["epoch"]) - 1),
+    "stream": functools.partial(send, stream=True),
+    "disable": lambda arm: arm.request(Request.DISABLE),
+}
+
+
+@settings(max_examples=40)
+@given(st.lists(st.tuples(st.sampled_from(sorted(COMMANDS)), st.integers(0, 60)), min_size=1, max_size=12))
+def test_after_a_stop_the_arm_rests_in_time_and_stays_whatever_else_comes(asked: list[tuple[str, int]]) -> None:
+    """From any state; while it is held nothing moves it, and every goal that was taken has one end."""
+    arm = new_arm()
+    for name, cycles in asked:
+        COMMANDS[name](arm)
+        arm.cycles(cycles)
+    arm.stop()
+    longest = round(2.0 * NS / arm.period_ns)
+    for _ in range(longest):
+        arm.cycle()
+    assert not moves(arm)
+    stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
+    for name, cycles in asked:
+        if name != "resume":
+            COMMANDS[name](arm)
+            arm.cycles(cycles)
+    assert (arm.loop[0]["axes"]["position_rad"] == stood_rad).all()
+    assert arm.core["goal_id"] == 0 and arm.core["incoming_goal"] == 0
+    newest = int(arm.core["newest_goal"])
+    for goal in range(max(1, newest - layout.RESULT_SLOTS + 1), newest + 1):
+        assert arm.outcome(goal) != Outcome.NONE
+    arm.close()
