@@ -54,13 +54,14 @@ class ActionGoals:
         """Accept every goal, so that a bad one can be told why; `strict_reject` rejects bad ones instead."""
         if not self._serving.arm.trajectory.strict_reject:
             return GoalResponse.ACCEPT
-        considered = ConsideredGoal(self._executor.wake)
+        considered, arrival = ConsideredGoal(self._executor.wake), self._serving.arrival()
 
         def judge() -> None:
             if considered.ended.done():
                 return
             try:
                 plan()
+                self._serving.refuse_outdated(arrival)
             except GoalRefused as reason:
                 considered.end(reason)
             except Exception as problem:

@@ -173,6 +173,8 @@ def _resumed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
     def judge(now: np.ndarray) -> Reply | None:
         if now["held"]:
             return None
+        if before is not None and not before["held"]:
+            return Reply(True, "The arm is not held.")
         return Reply(
             True, "The goal goes on." if goal != 0 and goal == int(now["goal_id"]) else "The arm takes goals again."
         )

@@ -267,6 +267,11 @@ class Serving:
         """Of what comes now."""
         return Arrival(next(self._turns), self._epoch)
 
+    def refuse_outdated(self, arrival: Arrival) -> None:
+        """Raise NotServing where what arrived then is not to be begun any more."""
+        with self._lock:
+            _refuse_outdated(arrival.epoch, self._snapshot())
+
     def start(
         self,
         plan: GoalPlan,
@@ -282,8 +287,7 @@ class Serving:
         with self._lock:
             snapshot = self._snapshot()
             turn, epoch = self.arrival() if arrival is None else arrival
-            if epoch != int(snapshot["epoch"]):
-                raise NotServing(outcome_sentence(_why_outdated(snapshot)))
+            _refuse_outdated(epoch, snapshot)
             if turn < self._newest_turn:
                 raise Overtaken
             self._newest_turn = turn
@@ -436,6 +440,11 @@ class Serving:
 def _why_outdated(snapshot: np.ndarray) -> Outcome:
     """Why what arrived in an earlier epoch does not begin."""
     return Outcome.REFUSED_HELD if snapshot["held"] else Outcome.REFUSED_OUTDATED
+
+
+def _refuse_outdated(epoch: int, snapshot: np.ndarray) -> None:
+    if epoch != int(snapshot["epoch"]):
+        raise NotServing(outcome_sentence(_why_outdated(snapshot)))
 
 
 def _newest_decided(results: np.ndarray) -> int:

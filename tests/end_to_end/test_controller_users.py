@@ -242,8 +242,8 @@ def test_limp_drives_over_ros_and_back(stack):
     assert np.abs(after - before).max() < 1e-3
     status, code, words = stack.client.run(goal_to([angle - 0.05 for angle in START_RAD], 1.0))
     assert (status, code) == (SUCCEEDED, 0), words
-    assert not call(stack, "resume").success
     assert call(stack, "hold").success
+    assert call(stack, "resume").success
     assert call(stack, "clear_fault").success
 
 

@@ -253,9 +253,10 @@ def test_a_held_move_is_not_replaced_by_another_one(arm):
     )
     until(sent.done, "the answer to a goal")
     status, result = arm.client.ended(sent.result())
-    assert status == ABORTED and "one is held" in result.message, result.message
+    assert status == ABORTED and "holds the arm" in result.message, result.message
     running.cancel_goal_async()
     assert arm.client.ended(running)[0] == CANCELED
+    assert arm.client.call(Trigger, "~/resume").success
 
 
 def test_without_a_control_process_the_last_angles_stay_and_are_no_success(arm):

@@ -285,12 +285,15 @@ def test_a_hold_that_waits_holds_up_nobody(stage, operator, moving):
     stage.loop.cycle_hook = lambda loop: None
     stage.loop.rows["commanded_velocity_rad_s"] = 0.0
     until(holding.done, "the answer")
-    assert holding.result().message == "The arm stands; what moved it has ended."
+    assert holding.result().message == "The arm stands and takes no goals before ~/resume."
+    assert trigger(operator, "resume") == (True, "The arm takes goals again.")
 
 
-def test_without_a_goal_the_arm_holds_already(stage, operator):
-    assert trigger(operator, "hold") == (True, "The arm holds already; no goal is running.")
-    assert trigger(operator, "resume") == (False, "No such goal is running, so there is nothing to do.")
+def test_without_a_goal_the_arm_is_held_too(stage, operator):
+    assert trigger(operator, "hold") == (True, "The arm stands and takes no goals before ~/resume.")
+    assert stage.client.run(goal())[0] == ABORTED
+    assert trigger(operator, "resume") == (True, "The arm takes goals again.")
+    assert trigger(operator, "resume") == (True, "The arm is not held.")
 
 
 @pytest.mark.parametrize(("name", "mode"), [("disable", Mode.DISABLED), ("free", Mode.FREE)])
