@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rclpy.executors import Executor
     from rclpy.node import Node
 
-    from rtarm.action_client import ActionClient
+    from rosfront.action_client import ActionClient
 
 MUTUAL_S = 0.3
 """For the server to find the client too, without which its answer is lost: only the other direction can be seen."""

@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 from waiting import PATIENCE_S, until
 
-from rtarm.action_client import ActionClient
+from rosfront.action_client import ActionClient
 from rtarm.ros_client import spinning
 
 GOALS = Path(__file__).parent / "data" / "moveit"

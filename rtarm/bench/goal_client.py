@@ -29,7 +29,7 @@ def play(node: Any, action: str, goal: dict[str, Any]) -> None:
     """Send one goal to an action server that may just have come up, and report what becomes of it."""
     from control_msgs.action import FollowJointTrajectory
 
-    from rtarm.action_client import ActionClient
+    from rosfront.action_client import ActionClient
 
     gc.collect()
     gc.freeze()  # before a slice rather than in it

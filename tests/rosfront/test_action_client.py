@@ -14,7 +14,7 @@ from control_msgs.action import FollowJointTrajectory
 from rclpy.action import ActionServer
 from rclpy.node import Node
 
-from rtarm.action_client import ActionClient
+from rosfront.action_client import ActionClient
 from rtarm.ros_client import served_node, wait
 
 pytestmark = pytest.mark.process
