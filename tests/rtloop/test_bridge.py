@@ -170,8 +170,13 @@ def test_a_cycle_is_sent_frame_for_frame_in_its_order(make_bridge, virtual):
 
 def test_what_the_bus_does_not_take_in_time_is_refused_to_the_cycle_and_what_waited_too_long_is_dropped(make_bridge):
     """But for a stop command: a drive that must stop is told late rather than never."""
-    goes_on = threading.Event()
-    bus = StrangeBus(on_send=lambda message: goes_on.wait(PATIENCE_S))
+    sends, goes_on = threading.Event(), threading.Event()
+
+    def on_send(message):
+        sends.set()
+        goes_on.wait(PATIENCE_S)
+
+    bus = StrangeBus(on_send)
     bridge = make_bridge(bus)
     taken = 0
     cycle = b"".join(fresh(n << 8, ANSWER) for n in range(1, 20))
@@ -182,6 +187,7 @@ def test_what_the_bus_does_not_take_in_time_is_refused_to_the_cycle_and_what_wai
             )
             taken += 1
     assert 3 <= taken <= 8  # of which one is being sent, and 25 ms at 120 Hz are three
+    assert sends.wait(PATIENCE_S)
     CLOCK.pass_s(2 * HELD_BACK_S)
     goes_on.set()
     until(lambda: bridge.unsent_bytes // CAN_FRAME_BYTES + len(bus.sent) == 19 * taken)
