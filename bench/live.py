@@ -86,8 +86,7 @@ class Quiet(Client):
 
     def __init__(self, controller: str) -> None:
         super().__init__(controller)
-        for subscription in list(self.node.subscriptions):
-            self.node.destroy_subscription(subscription)
+        self.stop_listening()
 
 
 @contextmanager

@@ -33,14 +33,14 @@ def measure(folder: Path) -> dict[str, float]:
             late_ms.append((time.time_ns() - sec * 1_000_000_000 - nanosec) / 1e6)
 
         # raw: building the message would cost this process more than everything else
-        heard = client.node.create_subscription(JointState, "joint_states", hear, QoSProfile(depth=2000), raw=True)
+        client.node.create_subscription(JointState, "joint_states", hear, QoSProfile(depth=2000), raw=True)
         until(lambda: late_ms, "a joint state")
         handle = client.send(goal_to(commanded_rad(stack) + 0.3, WINDOW_S + 4.0))
         until(lambda: stack.reader.snapshot()["mode"] == Mode.EXECUTING, "motion")
         first = len(late_ms)
         (share,) = shares([stack.front], WINDOW_S)
         figures = percentiles(late_ms[first:], 50, 99)
-        client.node.destroy_subscription(heard)
+        client.stop_listening()
         cancel(client, handle)
         goal = long_goal(commanded_rad(stack), POINTS)
         sent_s, answered_s = time.monotonic(), []

@@ -154,7 +154,7 @@ def run(namespace: str, action: str, goals: Sequence[Goal]) -> int:
     """Connect, wait for the word, play the goals until one fails; exit code 0 only if all succeeded."""
     from control_msgs.action import FollowJointTrajectory
 
-    from rtarm.action_client import ActionClient
+    from rosfront.action_client import ActionClient
 
     with listening("rtarm_demo", namespace) as (node, arrivals):
         client = ActionClient(node, FollowJointTrajectory, action)

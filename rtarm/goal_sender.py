@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rclpy.action.client import ClientGoalHandle
     from rclpy.task import Future
 
-    from rtarm.action_client import ActionClient
+    from rosfront.action_client import ActionClient
 
 SERVER_PATIENCE_S = 10.0
 LAST_CANCEL_S = 5.0
@@ -98,7 +98,7 @@ def run(action: str) -> None:
     """
     from control_msgs.action import FollowJointTrajectory
 
-    from rtarm.action_client import ActionClient
+    from rosfront.action_client import ActionClient
 
     with served_node("rtarm_sender") as node:
         client = ActionClient(node, FollowJointTrajectory, action)

@@ -8,7 +8,7 @@ import contextlib
 import importlib
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from rosfront.program import CannotServe, start_ros
@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from rclpy.executors import Executor
     from rclpy.node import Node
 
-    from rtarm.action_client import ActionClient
+    from rosfront.action_client import ActionClient
 
+PATIENCE_S = 10.0
 MUTUAL_S = 0.3
 """For the server to find the client too, without which its answer is lost: only the other direction can be seen."""
 
@@ -75,6 +76,15 @@ def spinning(executor: Executor) -> Iterator[None]:
         executor.create_task(lambda: None)  # a turn of `spin_once`, which may wait for ever
         spinner.join()
         executor.shutdown()
+
+
+def in_executor(node: Node, work: Callable[[], object]) -> None:
+    """Do something in the thread that serves a node.
+
+    What another thread destroys while rclpy's executor prepares to wait for it ends that one's thread.
+    """
+    assert node.executor is not None
+    wait(node.executor.create_task(work), PATIENCE_S)
 
 
 def has_server(client: ActionClient, patience_s: float) -> bool:

@@ -28,7 +28,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from config.loader import load_arm
-from rtarm.action_client import ActionClient
+from rosfront.action_client import ActionClient
 from shm import files
 from shm.client import StateReader
 from shm.errors import SharedMemoryError, TornRead

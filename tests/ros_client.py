@@ -19,8 +19,8 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 from waiting import PATIENCE_S, until
 
-from rtarm.action_client import ActionClient
-from rtarm.ros_client import spinning
+from rosfront.action_client import ActionClient
+from rtarm.ros_client import in_executor, spinning
 
 GOALS = Path(__file__).parent / "data" / "moveit"
 SUCCEEDED, CANCELED, ABORTED = (
@@ -62,6 +62,11 @@ class Spinner:
         """Status and result of a goal that has ended."""
         answer = self.asked(handle.get_result_async, "a result", LONGEST_GOAL_S)
         return answer.status, answer.result
+
+    def stop_listening(self):
+        """To any topic."""
+        for subscription in list(self.node.subscriptions):
+            in_executor(self.node, lambda subscription=subscription: self.node.destroy_subscription(subscription))
 
     def close(self):
         self._ends.close()
@@ -128,10 +133,9 @@ class Operator(Spinner):
 
     def forget(self):
         """Listen to nothing and publish nothing any more."""
-        for subscription in list(self.node.subscriptions):
-            self.node.destroy_subscription(subscription)
+        self.stop_listening()
         for publisher in self.publishers:
-            self.node.destroy_publisher(publisher)
+            in_executor(self.node, lambda publisher=publisher: self.node.destroy_publisher(publisher))
         self.publishers.clear()
 
     def ask(self, kind, service, request=None):

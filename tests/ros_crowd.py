@@ -19,7 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
-from rtarm.action_client import ActionClient
+from rosfront.action_client import ActionClient
 
 PAUSE_S = 0.02
 PATIENCE_S = 1.0

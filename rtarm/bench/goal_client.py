@@ -18,7 +18,7 @@ from typing import Any
 from rtarm.bench.measured import obey
 from rtarm.demo_client import listening, report
 from rtarm.processes import READY
-from rtarm.ros_client import goal_message, has_server, wait
+from rtarm.ros_client import goal_message, has_server, in_executor, wait
 
 SERVER_PATIENCE_S = 20.0
 ANSWER_PATIENCE_S = 5.0
@@ -29,7 +29,7 @@ def play(node: Any, action: str, goal: dict[str, Any]) -> None:
     """Send one goal to an action server that may just have come up, and report what becomes of it."""
     from control_msgs.action import FollowJointTrajectory
 
-    from rtarm.action_client import ActionClient
+    from rosfront.action_client import ActionClient
 
     gc.collect()
     gc.freeze()  # before a slice rather than in it
@@ -49,7 +49,7 @@ def play(node: Any, action: str, goal: dict[str, Any]) -> None:
         result = ended.result().result
         report("result", succeeded=result.error_code == 0, sentence=result.error_string)
     finally:
-        client.destroy()
+        in_executor(node, client.destroy)
 
 
 def _failed(sentence: str) -> None:

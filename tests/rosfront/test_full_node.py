@@ -21,8 +21,8 @@ from waiting import until
 
 from config.kinematics import flange_pose
 from config.loader import load_arm
+from rosfront.action_client import ActionClient
 from rosfront.asked_moves import position_and_rotation
-from rtarm.action_client import ActionClient
 
 pytestmark = pytest.mark.process
 ARM = load_arm("episode1")

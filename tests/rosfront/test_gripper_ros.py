@@ -20,9 +20,9 @@ from std_srvs.srv import Trigger
 from waiting import until
 
 from config.loader import load_arm
+from rosfront.action_client import ActionClient
 from rosfront.gripper import server as gripper_server
 from rosfront.gripper import worker as gripper_worker
-from rtarm.action_client import ActionClient
 
 JOINTS = [f"joint{number}" for number in range(1, 7)]
 NAN = math.nan

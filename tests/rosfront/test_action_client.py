@@ -14,8 +14,8 @@ from control_msgs.action import FollowJointTrajectory
 from rclpy.action import ActionServer
 from rclpy.node import Node
 
-from rtarm.action_client import ActionClient
-from rtarm.ros_client import served_node, wait
+from rosfront.action_client import ActionClient
+from rtarm.ros_client import in_executor, served_node, wait
 
 pytestmark = pytest.mark.process
 
@@ -76,5 +76,5 @@ def test_an_answer_that_overtakes_the_note_of_its_request_is_not_lost(node: Node
         assert wait(ended, PATIENCE_S)
         assert ended.result().result.error_code == 0
     finally:
-        client.destroy()
-        server.destroy()
+        in_executor(node, client.destroy)
+        in_executor(node, server.destroy)
