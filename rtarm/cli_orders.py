@@ -57,7 +57,7 @@ def clear_fault(arm: RunningArm = None, as_json: AsJson = False) -> None:
 
 @orders.command()
 def hold(arm: RunningArm = None, as_json: AsJson = False) -> None:
-    """Pause the running goal: the arm stops on its path and holds; `rtarm resume` lets it go on.
+    """Stop on the path and keep the goal; none begins before `rtarm resume`, which lets the kept one go on.
 
     Example: [bold]rtarm hold[/bold]
     """
@@ -71,7 +71,7 @@ def hold(arm: RunningArm = None, as_json: AsJson = False) -> None:
 
 @orders.command()
 def resume(arm: RunningArm = None, as_json: AsJson = False) -> None:
-    """Let a paused goal go on, or an arm that was stopped take goals again.
+    """Let a held goal go on, and an arm that was held or stopped take goals again.
 
     Example: [bold]rtarm resume[/bold]
     """

@@ -17,7 +17,8 @@ Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 _STOP = offset_of(layout.COMMAND, "stop_ns")
-_HOLD = offset_of(layout.COMMAND, "hold")
+_HOLD = offset_of(layout.COMMAND, "hold_ns")
+_RESUME = offset_of(layout.COMMAND, "resume_ns")
 _SPEED_SCALE = offset_of(layout.COMMAND, "speed_scale")
 _CANCELED_THROUGH = offset_of(layout.COMMAND, "canceled_through")
 _CANCELED_GOALS = offset_of(layout.COMMAND, "canceled_goals")
@@ -31,7 +32,7 @@ def obey_commands(loop: Loop, shared: Shared) -> None:
     command = loop.params.command_address
     if command == 0:
         return
-    obey_stop_and_hold(loop, shared, load_acquire(command + _STOP), load_acquire(command + _HOLD))
+    obey_stop_and_hold(loop, shared, command)
     take_speed_scale(loop, shared, command)
     core = loop.core
     if core.incoming_goal != 0 and is_canceled(loop, core.incoming_goal):
@@ -41,28 +42,30 @@ def obey_commands(loop: Loop, shared: Shared) -> None:
 
 
 @jit
-def obey_stop_and_hold(loop: Loop, shared: Shared, stop_ns: int, hold: int) -> None:
-    """Whichever was asked last says whether the arm is held; a stop also ends what moves it."""
+def obey_stop_and_hold(loop: Loop, shared: Shared, command: int) -> None:
+    """A stop or a hold leaves the arm held until a resume that was asked for later; a stop also ends what moves it."""
     core = loop.core
-    held = stop_ns != 0
-    if hold >> 1 > stop_ns:
-        held = hold & 1 == 1
-    core.held = 1 if held else 0
-    stopped, asked = stop_ns != core.stop_ns, hold != core.hold
-    core.stop_ns, core.hold = stop_ns, hold
+    stop_ns, hold_ns = load_acquire(command + _STOP), load_acquire(command + _HOLD)
+    resume_ns = load_acquire(command + _RESUME)
+    stopped, held, resumed = stop_ns != core.stop_ns, hold_ns != core.hold_ns, resume_ns != core.resume_ns
+    core.stop_ns, core.hold_ns, core.resume_ns = stop_ns, hold_ns, resume_ns
     if stopped:
         core.stops += 1
         note(loop, shared, Request.STOP, _STOP)
-    if asked:
-        note(loop, shared, Request.HOLD if hold & 1 else Request.RESUME, _HOLD)
-    if stopped or (asked and hold & 1 == 1):
-        raise_epoch(loop, shared, Outcome.REFUSED_HELD)
+    if held:
+        note(loop, shared, Request.HOLD, _HOLD)
+    if stopped or held:
+        core.held = 1
         core.pose_due_ns = 0
+        raise_epoch(loop, shared, Outcome.REFUSED_HELD)
         if core.mode == Mode.REFERENCING:
             core.referencing_ends = 1
         # A stream keeps its own time, which a pause would take from it.
         if stopped or loop.paths[core.active].stream == 1:
             end_running(loop, shared, Outcome.STOPPED)
+    if resumed and resume_ns > max(stop_ns, hold_ns):
+        core.held = 0
+        note(loop, shared, Request.RESUME, _RESUME)
 
 
 @jit
@@ -83,12 +86,12 @@ def raise_epoch(loop: Loop, shared: Shared, outcome: int) -> None:
 def take_speed_scale(loop: Loop, shared: Shared, command: int) -> None:
     """A number that is no share of a speed is passed over."""
     core = loop.core
-    if load_acquire(command + _SPEED_SCALE + _WORD) == 0:
+    if load_acquire(command + _SPEED_SCALE) == 0:
         return
     copy_words(loop.params.address + _SCRATCH_SCALE, command + _SPEED_SCALE, 1)
     scale = loop.scratch_scale
     if scale >= 0.0 and scale <= 1.0 and scale != core.speed_scale:
-        core.speed_scale = scale
+        core.speed_scale = abs(scale)
         record_event(loop, shared, Event.COMMAND, -1, Request.SPEED_SCALE, scale, 0.0)
 
 

@@ -14,7 +14,7 @@ from shm import layout, recording
 from shm.atomics import load_relaxed, store_relaxed, store_release
 from shm.jit import jit
 from shm.seqlock import copy_words, crc32_at
-from shm.words import Slowed
+from shm.words import Outcome, Slowed
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
@@ -47,7 +47,7 @@ def slowed(loop: Loop) -> int:
     """Why the arm is slowed down or stopped, as bits of shm.words.Slowed."""
     core = loop.core
     why = 0
-    if core.held == 1:
+    if core.held == 1 and core.goal_id != 0 and core.ending == Outcome.NONE:
         why |= _HELD
     if core.stale == 1:
         why |= _LATE_DRIVE

@@ -30,7 +30,6 @@ NOT_LED = -1
 """A drive that was adopted where it stands, and has been told nothing since."""
 NOBODY, GRIPPER = -1, -2
 """Whose frame it is, where it is no joint's; those of a gripper's drive belong to its conversation."""
-"""Goals in a row that can be canceled before the loop has seen any of them; a power of two."""
 BLEND_SAMPLES = 32
 
 WIRE_MOCK = 0
@@ -275,7 +274,8 @@ CORE = np.dtype(
         ("entry_rate", "f8"),  # for which the running path's blend was made
         ("held", "i8"),  # 1: a person has stopped or holds the arm, so nothing begins before a resume
         ("stop_ns", "i8"),  # the newest stop that was obeyed, as the command file has it
-        ("hold", "i8"),  # the newest hold or resume
+        ("hold_ns", "i8"),
+        ("resume_ns", "i8"),
         ("stops", "i8"),  # how often a person has stopped the arm
         ("epoch", "i8"),  # goals that arrived in an earlier one never begin
         ("starving", "i8"),

@@ -30,7 +30,7 @@ _COMMAND_WORD = {
     name: layout.COMMAND.fields[name][1] // 8  # type: ignore[index]
     for name in (
         *("heartbeat_ns", "announced_goal", "setpoints_written", "requests_written"),
-        *("stop_ns", "hold", "speed_scale", "canceled_through", "canceled_goals"),
+        *("stop_ns", "hold_ns", "resume_ns", "speed_scale", "canceled_through", "canceled_goals"),
     )
 }
 _REQUESTS_AT = layout.COMMAND.fields["requests"][1]  # type: ignore[index]
@@ -161,16 +161,17 @@ class CommandWriter:
 
     def stop(self) -> None:
         """A person's stop: on the path, every goal ends, and nothing begins before a resume."""
-        newest_ns = max(time.monotonic_ns(), self._words[_COMMAND_WORD["hold"]] >> 1)
-        self._store("stop_ns", newest_ns)
+        self._store("stop_ns", time.monotonic_ns())
 
     def hold(self) -> None:
         """Pause what runs; nothing begins before a resume."""
-        self._store("hold", self._next_ns() << 1 | 1)
+        self._store("hold_ns", time.monotonic_ns())
 
     def resume(self) -> None:
         """Let a held goal go on, and a stopped arm take goals again."""
-        self._store("hold", self._next_ns() << 1)
+        last_ns = max(self._words[_COMMAND_WORD[name]] for name in ("stop_ns", "hold_ns"))
+        # Later than both, also in a file that somebody has spoilt.
+        self._store("resume_ns", max(time.monotonic_ns(), min(last_ns, MOST_WRITTEN) + 1))
 
     def cancel(self, goal_id: int) -> None:
         """End a goal by a stop on its path, whether it has begun, waits or is still to come."""
@@ -183,14 +184,8 @@ class CommandWriter:
     def scale(self, speed_scale: float) -> None:
         """Let every goal run at 0…1 of its own speed."""
         at = _COMMAND_WORD["speed_scale"]
-        self._reals[at] = speed_scale
-        self._reals[at + 2] = os.getpid()
-        self._reals[at + 1] = time.monotonic_ns()  # the last: from here on it counts
-
-    def _next_ns(self) -> int:
-        """Now, or later than what was asked last: two callers in one nanosecond, or a file that somebody has spoilt."""
-        last_ns = max(self._words[_COMMAND_WORD["stop_ns"]], self._words[_COMMAND_WORD["hold"]] >> 1)
-        return min(max(time.monotonic_ns(), last_ns + 1), MOST_WRITTEN)
+        self._reals[at + 1] = os.getpid()
+        self._reals[at] = speed_scale or -0.0  # whose bits are not those of a file in which nobody has asked
 
     def _store(self, name: str, word: int) -> None:
         """Who asks first: what counts is one word."""

@@ -73,12 +73,12 @@ class Answer(IntEnum):
     NONE = 0
     DONE = 1
     REFUSED_MODE = 2
-    REFUSED_NO_GOAL = 3
+    REFUSED_NO_GOAL = 3  # in recordings of before
     REFUSED_VALUE = 4
     REFUSED_UNKNOWN = 5
     REFUSED_MOVING = 6
     REFUSED_WIRE = 7  # the adapter is not there
-    REFUSED_HELD = 8  # a person has stopped the arm
+    REFUSED_HELD = 8  # a person has stopped or holds the arm
 
 
 class Outcome(IntEnum):

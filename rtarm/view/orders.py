@@ -65,7 +65,7 @@ class Orders:
         return requests.hold(self._arm.name)
 
     def resume(self) -> str:
-        """Let a paused goal go on, or a stopped arm take goals again."""
+        """Let a held goal go on, and a held or stopped arm take goals again."""
         return requests.resume(self._arm.name)
 
     def stop(self) -> str:

@@ -42,7 +42,8 @@ HEARTBEAT = offset_of(_COMMAND, "heartbeat_ns")
 _ANNOUNCED = offset_of(_COMMAND, "announced_goal")
 _WRITTEN = offset_of(_COMMAND, "setpoints_written")
 _STOP = offset_of(_COMMAND, "stop_ns")
-_HOLD = offset_of(_COMMAND, "hold")
+_HOLD = offset_of(_COMMAND, "hold_ns")
+_RESUME = offset_of(_COMMAND, "resume_ns")
 _SPEED_SCALE = offset_of(_COMMAND, "speed_scale")
 _CANCELED_GOALS = offset_of(_COMMAND, "canceled_goals")
 _CANCELED_THROUGH = offset_of(_COMMAND, "canceled_through")
@@ -241,11 +242,10 @@ def put_command(command: int, goal: int, wild: float, box: np.ndarray) -> None:
     if which == 0:
         store_relaxed(command + _STOP, word)
     elif which == 1:
-        store_relaxed(command + _HOLD, 2 * word + int(np.random.randint(0, 2)))
+        store_relaxed(command + (_HOLD if np.random.random() < 0.3 else _RESUME), word)
     elif which == 2:
         scale = np.random.random() if np.random.random() >= wild else hostile_number()
         store_number(command + _SPEED_SCALE, scale, box)
-        store_number(command + _SPEED_SCALE + 8, 1.0, box)
     elif which == 3:
         store_relaxed(command + _CANCELED_GOALS + 8 * (meant & (layout.CANCELED_SLOTS - 1)), meant)
     else:

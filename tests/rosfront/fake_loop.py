@@ -44,7 +44,7 @@ class FakeLoop(threading.Thread):
         self.taken = self.requests = 0
         self.active = self.incoming = 0
         self.cancel_at = self.up_at = self.newest = 0
-        self.stop_ns = self.hold = 0
+        self.stop_ns = self.hold_ns = self.resume_ns = 0
         self.paused = False
         self.bring_up_fails = False
         self.asked = []
@@ -135,27 +135,30 @@ class FakeLoop(threading.Thread):
     def take_commands(self):
         """What is asked by stores: stop, hold and resume, the speed scale, cancels."""
         s, command = self.snapshot, self.command
-        stop_ns, hold = int(command["stop_ns"][0]), int(command["hold"][0])
-        s["held"] = hold & 1 if hold >> 1 > stop_ns else stop_ns != 0
-        stopped, asked = stop_ns != self.stop_ns, hold != self.hold
-        self.stop_ns, self.hold = stop_ns, hold
+        stop_ns, hold_ns, resume_ns = (int(command[name][0]) for name in ("stop_ns", "hold_ns", "resume_ns"))
+        stopped, held, resumed = stop_ns != self.stop_ns, hold_ns != self.hold_ns, resume_ns != self.resume_ns
+        self.stop_ns, self.hold_ns, self.resume_ns = stop_ns, hold_ns, resume_ns
         if stopped:
             s["stops"] += 1
             self.asked.append((Request.STOP, 0.0))
             if self.active:
                 self.cancel_at = int(s["cycle"]) + 5
-        if asked:
-            self.asked.append((Request.HOLD if hold & 1 else Request.RESUME, 0.0))
-        if stopped or (asked and hold & 1):
+        if held:
+            self.asked.append((Request.HOLD, 0.0))
+        if stopped or held:
+            s["held"] = 1
             s["epoch"] += 1
             if self.incoming:
                 self.decide(self.incoming, Outcome.REFUSED_HELD)
                 self.incoming = 0
+        if resumed and resume_ns > max(stop_ns, hold_ns):
+            s["held"] = 0
+            self.asked.append((Request.RESUME, 0.0))
         self.paused = bool(s["held"] and self.active)
-        scale = float(command["speed_scale"][0])
-        if command["speed_scale"][1] and 0.0 <= scale <= 1.0 and scale != s["speed_scale_asked"]:
-            s["speed_scale_asked"] = scale
-            self.asked.append((Request.SPEED_SCALE, scale))
+        scale = command["speed_scale"][:1]
+        if scale.view("i8")[0] and 0.0 <= scale[0] <= 1.0 and scale[0] != s["speed_scale_asked"]:
+            s["speed_scale_asked"] = abs(scale[0])
+            self.asked.append((Request.SPEED_SCALE, float(s["speed_scale_asked"])))
         if self.incoming and self.is_canceled(self.incoming):
             self.decide(self.incoming, Outcome.CANCELED)
             self.incoming = 0

@@ -270,7 +270,7 @@ def test_a_hold_ends_a_goal_of_which_the_control_process_has_not_heard(arm_name)
         handle = client.send(goal(seconds=5))
         until(lambda: not front.serving.idle, "a goal on its way")
         holding = alone.ask(Trigger, "~/hold")
-        until(lambda: loop.command["hold"][0], "a hold")
+        until(lambda: loop.command["hold_ns"][0], "a hold")
         loop.taking = True
         assert client.result(handle) == HELD
         until(holding.done, "the answer")

@@ -70,15 +70,15 @@ class WrittenArm:
         ended = threading.Event()
 
         def live() -> None:
-            taken = stop_ns = hold = 0
+            taken = 0
+            heard = dict.fromkeys(("stop_ns", "hold_ns", "resume_ns"), 0)
             while not ended.wait(0.001):
-                if stop_ns != (stop_ns := int(self.command["stop_ns"][0])):
-                    self.snapshot["stops"] += 1
-                    self.snapshot["held"] = 1
-                    obey(self, Request.STOP)
-                if hold != (hold := int(self.command["hold"][0])):
-                    self.snapshot["held"] = hold & 1
-                    obey(self, Request.HOLD if hold & 1 else Request.RESUME)
+                for name, kind in zip(heard, (Request.STOP, Request.HOLD, Request.RESUME), strict=True):
+                    before, heard[name] = heard[name], int(self.command[name][0])
+                    if heard[name] != before:
+                        self.snapshot["stops"] += kind == Request.STOP
+                        self.snapshot["held"] = kind != Request.RESUME
+                        obey(self, kind)
                 while taken < int(self.command["requests_written"][0]):
                     request = self.command["requests"][taken % layout.REQUEST_SLOTS]
                     taken += 1
