@@ -171,7 +171,9 @@ def stream_knots(stack: LiveStack, writer: CommandWriter) -> float:
     consumed = stack.reader.setpoints_consumed
     writer.beat()
     writer.announce(goal)
-    writer.begin(goal, start_ns=0, joint_mask=63, goal_time_s=0.0, entry=Entry(0), tolerances=off, consumed=consumed())
+    writer.begin(
+        goal, start_ns=0, joint_mask=63, goal_time_s=0.0, entry=Entry(0), epoch=0, tolerances=off, consumed=consumed()
+    )
 
     def patiently(write) -> None:
         while True:

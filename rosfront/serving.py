@@ -9,6 +9,7 @@ import itertools
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -110,7 +111,8 @@ class Serving:
         """Goals can be handed on from now."""
         with self._lock:
             self._link = link
-            self._epoch = int(link.reader.snapshot()["epoch"])
+            with suppress(TornRead):  # the next look tells
+                self._epoch = int(link.reader.snapshot()["epoch"])
         self.ever_attached.set()
 
     def lost(self, reason: str) -> None:

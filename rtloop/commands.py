@@ -25,6 +25,9 @@ _CANCELED_GOALS = offset_of(layout.COMMAND, "canceled_goals")
 _SCRATCH_SCALE = offset_of(LOOP, "scratch_scale")
 _WORD = 8
 
+GOALS_AHEAD = 1_000_000
+"""Goal ids rise by one; a word that is this far ahead was not written by a front."""
+
 
 @jit
 def obey_commands(loop: Loop, shared: Shared) -> None:
@@ -102,7 +105,8 @@ def is_canceled(loop: Loop, goal_id: int) -> bool:
     if command == 0:
         return False
     slot = command + _CANCELED_GOALS + _WORD * (goal_id & (layout.CANCELED_SLOTS - 1))
-    return goal_id <= load_acquire(command + _CANCELED_THROUGH) or goal_id == load_acquire(slot)
+    through = load_acquire(command + _CANCELED_THROUGH)
+    return goal_id == load_acquire(slot) or goal_id <= through <= loop.core.newest_goal + GOALS_AHEAD
 
 
 @jit

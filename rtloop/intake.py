@@ -10,7 +10,7 @@ before it counts as corrupt.
 import math
 from typing import Any
 
-from rtloop.commands import is_canceled, raise_epoch
+from rtloop.commands import GOALS_AHEAD, is_canceled, raise_epoch
 from rtloop.entry import due_s
 from rtloop.events import answer_request, record_event, set_result
 from rtloop.faults import latch_fault
@@ -37,8 +37,6 @@ PAYING_NS = 8_000_000
 """A longer period pays for more: for as many such batches as it is times this long."""
 REQUESTS_A_CYCLE = 4
 CYCLES_TO_BECOME_VISIBLE = 5
-GOALS_AHEAD = 1_000_000
-"""Goal ids rise by one; a word that is this far ahead was not written by a front."""
 NEVER_CLOSE_NS = 1 << 62
 FARTHEST_NS = 1 << 62
 """146 years: times farther away than any message of ROS can say, so that no difference of two of them overflows."""

@@ -111,8 +111,8 @@ ENGLISH = Words(
     speed_now="speed {scale:.0%}",
     no_geometry="The arm file has no section kinematics, so there is no picture of the arm; everything else works.",
     hold="Hold",
-    hold_hint="Stops the arm on its path; its goal waits, and none begins before Resume. No emergency stop: that is the "
-    "switch in the power line.",
+    hold_hint="Stops the arm on its path; its goal waits, and none begins before Resume. No emergency stop: that is "
+    "the switch in the power line.",
     resume="Resume",
     resume_hint="A held goal goes on: the arm moves. An arm that was held or stopped takes goals again.",
     stop="Stop and end the goal",

@@ -58,6 +58,7 @@ CODES: dict[int, type[IntEnum]] = {
     numbers.Event.FAULT: numbers.Fault,
     numbers.Event.RESULT: numbers.Outcome,
     numbers.Event.REQUEST: numbers.Answer,
+    numbers.Event.COMMAND: numbers.Request,
 }
 """What an event's code means, by its kind."""
 
@@ -99,7 +100,11 @@ class Published:
         written, ring = int(shared["events_written"][0]), shared["events"]
         numbers_told = range(max(self._events, written - len(ring)), written)
         self._events = written
-        return [("event", _row(ring[number % len(ring)], EVENT)) for number in numbers_told]
+        events = [_row(ring[number % len(ring)], EVENT) for number in numbers_told]
+        for event in events:
+            if event["kind"] == numbers.Event.COMMAND and event["code"] != numbers.Request.SPEED_SCALE:
+                event["value"] = 0.0  # which process asked
+        return [("event", event) for event in events]
 
     def _changed(self, snapshot: Any) -> list[tuple[str, Row]]:
         """Results and answers that are new in this cycle."""
