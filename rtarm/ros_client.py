@@ -84,7 +84,10 @@ def in_executor(node: Node, work: Callable[[], object]) -> None:
     What another thread destroys while rclpy's executor prepares to wait for it ends that one's thread.
     """
     assert node.executor is not None
-    wait(node.executor.create_task(work), PATIENCE_S)
+    task = node.executor.create_task(work)
+    if not wait(task, PATIENCE_S):
+        raise TimeoutError(f"the thread that serves {node.get_name()} does nothing")
+    task.result()
 
 
 def has_server(client: ActionClient, patience_s: float) -> bool:

@@ -53,6 +53,7 @@ class Sender:
         self._last = 0
         self._ready = False
         self._ended = False
+        self._abandoned = False
         assert process.stdout is not None and process.stderr is not None
         self._listeners = (
             threading.Thread(target=self._hear, args=(process.stdout,), name="goal results", daemon=True),
@@ -120,6 +121,7 @@ class Sender:
 
     def abandon(self) -> None:
         """Who was sent to is gone: `close` waits for no end of a goal."""
+        self._abandoned = True
         self._process.kill()
 
     def close(self) -> None:
@@ -162,6 +164,8 @@ class Sender:
             self._state.notify_all()
 
     def _gone(self) -> Refusal:
+        if self._abandoned:
+            return Refusal("The ROS process has ended and has not said how this goal did: see `rtarm status`.")
         self._listeners[1].join(1.0)  # its last words
         said = self._errors[-1].strip() if self._errors else ""
         if not self._ready and said:

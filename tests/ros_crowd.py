@@ -27,7 +27,7 @@ PATIENCE_S = 1.0
 
 
 class Asking:
-    """Asks by a function that returns a future, again and again, in the node's thread: rclpy's clients have no lock."""
+    """Asks by a function that returns a future, again and again, in the node's thread."""
 
     def __init__(self, node: Node, ask: Callable[[], Future], answered: threading.Semaphore) -> None:
         self._ask, self._answered = ask, answered

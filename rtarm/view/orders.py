@@ -122,16 +122,17 @@ class Orders:
         """Send it: how long it takes (s), who sent it, its number there."""
         from rtarm.sending import goal_document
 
-        before, stops = connection.snapshot(), self._stops
+        stops = self._stops
+        sender = self._ready_sender()  # which may take seconds
+        before = connection.snapshot()
+        if self._stops != stops:
+            raise Refusal(outcome_sentence(Outcome.REFUSED_HELD))
         if running := int(before["goal_id"]):
             raise Refusal(self._words.goal_runs.format(id=running))
         stands_rad = before["joints"]["commanded_position_rad"][: len(to_rad)]
         takes_s = duration_s(self._arm, stands_rad, to_rad)
         still = np.zeros((1, len(to_rad)))
         names = [joint.name for joint in self._arm.joints]
-        sender = self._ready_sender()  # which may take seconds
-        if self._stops != stops:
-            raise Refusal(outcome_sentence(Outcome.REFUSED_HELD))
         number = sender.send(goal_document(names, np.array([takes_s]), to_rad[None], still, still))
         return takes_s / max(float(before["speed_scale_asked"]), SLOWEST), sender, number
 
@@ -143,7 +144,7 @@ class Orders:
         from rtarm.sending import sending
 
         front = files.front_of(self._arm.name)
-        restarted = front is not None and front[0] != self._sends_to
+        restarted = front is None or front[0] != self._sends_to
         if self._sender is not None and (restarted or not self._sender.alive):
             self._sender.abandon()
             self.close()

@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from action_msgs.msg import GoalStatus
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action import ActionServer
 from rclpy.node import Node
@@ -48,6 +49,7 @@ class Overtaken(ActionClient):
 
     def take_data(self) -> dict[str, Any]:
         taken: dict[str, Any] = super().take_data()
+        taken.pop("status", None)  # which comes in no order with the answers
         for kind in taken:
             if kind in self.taken:
                 self.taken[kind].set()
@@ -74,7 +76,7 @@ def test_an_answer_that_overtakes_the_note_of_its_request_is_not_lost(node: Node
         assert wait(sent.result().cancel_goal_async(), PATIENCE_S)
         ended = sent.result().get_result_async()
         assert wait(ended, PATIENCE_S)
-        assert ended.result().result.error_code == 0
+        assert ended.result().status == GoalStatus.STATUS_ABORTED
     finally:
         in_executor(node, client.destroy)
         in_executor(node, server.destroy)

@@ -209,6 +209,7 @@ def test_missing_ros_is_said_before_anything_starts(
     missing: str, remedy: str, rtarm: Rtarm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(launcher, "has_module", lambda name: name != missing)
+    monkeypatch.setattr(launcher, "generated_types", lambda: False)
     result = rtarm("up", "mock")
     assert (result.exit_code, result.stdout) == (1, "")
     assert result.stderr.startswith(f"{missing} is not installed")

@@ -9,6 +9,7 @@ import string
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -311,7 +312,10 @@ def test_a_language_that_the_page_does_not_speak_is_refused(rtarm: Callable[...,
 # --- sources --------------------------------------------------------------------------------------------
 
 
-def test_an_arm_that_does_not_run_has_no_page(rtarm: Callable[..., Result]) -> None:
+def test_an_arm_that_does_not_run_has_no_page(
+    rtarm: Callable[..., Result], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(files, "DIRECTORY", tmp_path)  # on this machine somebody's may run
     result = rtarm("view", "mock")
     assert result.exit_code == 1 and "start it with `rtarm up` and the name" in result.stderr
 

@@ -63,8 +63,11 @@ def test_a_ros_process_that_dies_amid_a_goal_is_told_and_the_next_goal_goes(stac
     with pytest.raises(Refusal, match="has not said how: see Machine"):
         orders.go(pose(1.0), kill)
     assert begun.is_set() and read_status(stack.name)["goal"] is None
+    assert orders._sender is not None
+    sent_to_the_dead_one = orders._sender.pid
     with closing(stack.start_front()):
         assert "Goal reached" in orders.go(pose(0.2), nothing)
+        assert orders._sender.pid != sent_to_the_dead_one
 
 
 def test_a_goal_that_a_hanging_ros_process_gets_too_late_moves_nothing(stack: Stack, orders: Orders) -> None:
