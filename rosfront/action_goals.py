@@ -61,7 +61,6 @@ class ActionGoals:
                 return
             try:
                 plan()
-                self._serving.refuse_outdated(arrival)
             except GoalRefused as reason:
                 considered.end(reason)
             except Exception as problem:
@@ -75,6 +74,10 @@ class ActionGoals:
             considered.end(NotServing(CLOSING))
         try:
             reason: GoalRefused | None = await considered.ended
+            if reason is None:
+                self._serving.refuse_outdated(arrival)
+        except NotServing as outdated:
+            reason = outdated
         finally:
             self._considered.discard(considered)
         if reason is None:

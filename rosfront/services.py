@@ -168,7 +168,8 @@ def _stopped(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
 
 
 def _resumed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
-    goal = 0 if before is None else int(before["goal_id"])
+    paused = before is not None and int(before["goal_phase"]) == Phase.PAUSED
+    goal = int(before["goal_id"]) if before is not None and paused else 0
 
     def judge(now: np.ndarray) -> Reply | None:
         if now["held"]:

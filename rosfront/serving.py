@@ -33,6 +33,8 @@ from shm.words import Answer, Mode, Outcome, Request
 
 STALLED_NS = 400_000_000
 """A loop whose snapshots are older counts as hung: goals are refused and running ones aborted."""
+PAUSE_NS = 100_000_000
+"""When the publisher's thread has not looked for so long, this process stood still."""
 FAULT_PATIENCE_NS = 500_000_000
 """A goal that a faulted loop has not decided by then never will be."""
 NEVER_BEGUN = "Canceled before it was begun; the arm was not moved."
@@ -98,7 +100,8 @@ class Serving:
         self._turns = itertools.count()
         self._newest_turn = -1
         self._epoch = 0
-        """As the publisher's thread has seen it last."""
+        """As the publisher's thread has seen it last, at `_looked_ns`."""
+        self._looked_ns = 0
         self._streams: dict[int, Streamer] = {}  # by goal: what is still on its way into the ring
         self._requests: list[_Request] = []
         self.settings = Settings.of(arm)
@@ -134,7 +137,7 @@ class Serving:
 
     def look(self, snapshot: np.ndarray) -> Execution | None:
         """Feed the ring and decide what the snapshot decides; returns the execution that moves the arm."""
-        self._epoch = int(snapshot["epoch"])
+        self._epoch, self._looked_ns = int(snapshot["epoch"]), time.monotonic_ns()
         if not self._undecided and not self._requests:
             return None  # without the lock: what comes in this moment is seen in the next snapshot
         verdicts: list[tuple[Execution, Verdict]] = []
@@ -266,8 +269,12 @@ class Serving:
         return self._absence
 
     def arrival(self) -> Arrival:
-        """Of what comes now."""
-        return Arrival(next(self._turns), self._epoch)
+        """Of what comes now; after a pause of this process of what came in it, as nobody knows when."""
+        epoch = self._epoch
+        if time.monotonic_ns() - self._looked_ns < PAUSE_NS:
+            with suppress(NotServing), self._lock:
+                epoch = int(self._snapshot()["epoch"])
+        return Arrival(next(self._turns), epoch)
 
     def refuse_outdated(self, arrival: Arrival) -> None:
         """Raise NotServing where what arrived then is not to be begun any more."""
@@ -288,7 +295,7 @@ class Serving:
         """
         with self._lock:
             snapshot = self._snapshot()
-            turn, epoch = self.arrival() if arrival is None else arrival
+            turn, epoch = (next(self._turns), int(snapshot["epoch"])) if arrival is None else arrival
             _refuse_outdated(epoch, snapshot)
             if turn < self._newest_turn:
                 raise Overtaken
@@ -333,9 +340,10 @@ class Serving:
             if link is not None and not self._closing:
                 taken = link.reader.requests_consumed()
                 try:
-                    sequence = link.writer.request(kind, consumed=taken, value=value, effort=effort)
-                except RingFull as full:
-                    absence = str(full)
+                    epoch = int(self._snapshot()["epoch"])
+                    sequence = link.writer.request(kind, consumed=taken, epoch=epoch, value=value, effort=effort)
+                except (RingFull, NotServing) as problem:
+                    absence = str(problem)
                 else:
                     self._await(sequence, on_reply, until, patience_s)
                     return sequence

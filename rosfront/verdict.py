@@ -46,6 +46,7 @@ _TOLD = {Outcome.SUCCEEDED, Outcome.GOAL_TOLERANCE}
 _NOT_BEGUN = {
     Outcome.REFUSED_MODE,
     Outcome.REFUSED_HELD,
+    Outcome.REFUSED_OUTDATED,
     Outcome.REFUSED_UNREFERENCED,
     Outcome.REFUSED_START,
     Outcome.REFUSED_LIMITS,

@@ -26,6 +26,8 @@ HOMING_PATIENCE_S = 3700.0
 """Beyond the longest that an arm file may allow a joint."""
 BEGUN_PATIENCE_S = 0.1
 POLL_S = 0.005
+HEARD_CYCLES = 100
+"""Within so many, every request of a full ring is answered."""
 
 Condition = Callable[[np.ndarray], bool]
 
@@ -55,20 +57,29 @@ class Connection:
             RingFull: too many requests wait already.
         """
         taken = self._reader.requests_consumed()
-        sequence = self._writer.request(kind, consumed=taken, joint_mask=joint_mask, value=value)
+        epoch = int(self.snapshot()["epoch"])
+        sequence = self._writer.request(kind, consumed=taken, epoch=epoch, joint_mask=joint_mask, value=value)
         snapshot = self.wait_heard(lambda now: find(now["answers"], "sequence", sequence) is not None)
         answer = find(snapshot["answers"], "sequence", sequence)
         assert answer is not None
         return Answer(int(answer["answer"]))
 
     def wait_heard(self, condition: Condition) -> np.ndarray:
-        """The first snapshot that shows that the control process has heard of something."""
-        return self.wait(
-            condition,
+        """The first snapshot that shows that the control process has heard of something.
+
+        Raises:
+            Refusal: it runs no cycle, or does so without that: somebody else has asked for something else.
+        """
+        asked = int(self.snapshot()["cycle"])
+        now = self.wait(
+            lambda now: condition(now) or int(now["cycle"]) > asked + HEARD_CYCLES,
             ANSWER_PATIENCE_S,
             f"The control process of {self.arm} has not answered for {ANSWER_PATIENCE_S:g} s, so it hangs: "
             "end it, then start it again; the drives brake by themselves when it is gone.",
         )
+        if not condition(now):
+            raise Refusal(f"Somebody has asked something else of arm {self.arm} meanwhile: see `rtarm status`.")
+        return now
 
     def order(self, kind: Request, *, joint_mask: int = 0, value: float = 0.0) -> None:
         """Make a request; raises Refusal with the sentence where it is refused."""

@@ -1,6 +1,7 @@
 """The state of a control process that has not run a cycle yet, made from the arm's configuration."""
 
 import math
+import time
 
 import numpy as np
 
@@ -59,6 +60,7 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
         for measured in ("told_velocity_rad_s", "effort_nm", "temperature_c", "voltage_v"):
             axis[measured] = math.nan
     core["mode"] = Mode.OFFLINE
+    core["epoch"] = time.monotonic_ns()  # no other control process begins with the same
     core["fault_joint"] = core["referencing_joint"] = -1
     core["ending_joint"] = -1
     core["rate"] = core["rate_target"] = core["speed_scale"] = core["entry_rate"] = 1.0

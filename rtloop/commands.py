@@ -68,6 +68,7 @@ def obey_stop_and_hold(loop: Loop, shared: Shared, command: int) -> None:
             end_running(loop, shared, Outcome.STOPPED)
     if resumed and resume_ns > max(stop_ns, hold_ns):
         core.held = 0
+        raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)  # what was sent meanwhile is not begun by this
         note(loop, shared, Request.RESUME, _RESUME)
 
 
@@ -95,7 +96,7 @@ def take_speed_scale(loop: Loop, shared: Shared, command: int) -> None:
     scale = loop.scratch_scale
     if scale >= 0.0 and scale <= 1.0 and scale != core.speed_scale:
         core.speed_scale = abs(scale)
-        record_event(loop, shared, Event.COMMAND, -1, Request.SPEED_SCALE, scale, 0.0)
+        record_event(loop, shared, Event.COMMAND, -1, Request.SPEED_SCALE, core.speed_scale, 0.0)
 
 
 @jit
@@ -106,7 +107,7 @@ def is_canceled(loop: Loop, goal_id: int) -> bool:
         return False
     slot = command + _CANCELED_GOALS + _WORD * (goal_id & (layout.CANCELED_SLOTS - 1))
     through = load_acquire(command + _CANCELED_THROUGH)
-    return goal_id == load_acquire(slot) or goal_id <= through <= loop.core.newest_goal + GOALS_AHEAD
+    return goal_id == load_acquire(slot) or goal_id <= through <= loop.core.announced_goal
 
 
 @jit

@@ -88,7 +88,7 @@ class GripperTalk(Conversation):
         self._shown["measured_effort"] = self._shown["target_rad"] = math.nan
         self._known = False
         self._taken = int(self._core["grip_sequence"])
-        self._stops = int(self._core["stops"])
+        self._halts = self._counted_halts()
         self._obeying = False
         self._judge: GripJudge | None = None
         self._full_ma = HIGHEST_UNLIMITED_MA
@@ -110,9 +110,9 @@ class GripperTalk(Conversation):
         return self.port.received(of_gripper=True)
 
     def poll(self, now_ns: int) -> bool:
-        """A step; when a person has stopped the arm, what moves stops too, and what is gripped stays gripped."""
-        stops_before, self._stops = self._stops, int(self._core["stops"])
-        if self._stops != stops_before and (self.moves or self._waits or self._obeying):
+        """A step; when a person stops or holds the arm, what moves stops too, and what is gripped stays gripped."""
+        halts_before, self._halts = self._halts, self._counted_halts()
+        if self._halts != halts_before and (self.moves or self._waits or self._obeying):
             self.stop()
         return super().poll(now_ns)
 
@@ -121,6 +121,10 @@ class GripperTalk(Conversation):
         if self.now_ns >= self._next_ns or self._waits:
             self.begin({ONLY: addressed(self._servo.address, self._turn())})
         return True
+
+    def _counted_halts(self) -> tuple[int, int]:
+        """Changes with every stop and hold."""
+        return int(self._core["stop_ns"]), int(self._core["hold_ns"])
 
     # --- orders
 

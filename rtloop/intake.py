@@ -371,6 +371,8 @@ def take_requests(loop: Loop, shared: Shared) -> None:
 def _obey(loop: Loop, shared: Shared) -> int:
     core, request = loop.core, loop.scratch_request
     kind = request.kind
+    if request.epoch != core.epoch and (kind == Request.HOME or kind == Request.GRIP or kind == Request.GRIP_HOME):
+        return Answer.REFUSED_OUTDATED
     if kind == Request.GRIP or kind == Request.GRIP_STOP or kind == Request.GRIP_HOME:
         return _pass_to_gripper(loop)
     core.pose_due_ns = 0

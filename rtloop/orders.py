@@ -4,13 +4,14 @@ import math
 from typing import Any
 
 from rtloop import intake, port, service
+from rtloop.commands import raise_epoch
 from rtloop.faults import latch_fault
 from rtloop.guard import outlives_a_clear
 from rtloop.modes import change_mode
 from rtloop.state import HISTORY_SLOTS, NOT_LED
 from shm.jit import jit
 from shm.layout import MAX_JOINTS
-from shm.words import Answer, BusState, Fault, Mode, Request, Unreferenced
+from shm.words import Answer, BusState, Fault, Mode, Outcome, Request, Unreferenced
 
 POSE_DUE_NS = 120_000_000_000
 """A ROS process that begins later than that after homing at the start finds an arm that nobody expects to move."""
@@ -36,6 +37,7 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
             loop.axes[order.joint].fast_ready = 1
         elif order.kind == port.BRING_UP_DONE:
             if core.mode == Mode.BRINGING_UP:
+                raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)
                 change_mode(loop, shared, Mode.HOLDING)
         elif order.kind == port.COUNT_FROM:
             if core.mode == Mode.REFERENCING:
@@ -51,6 +53,7 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
         elif order.kind == port.REFERENCING_DONE:
             core.referencing_joint = -1
             if core.mode == Mode.REFERENCING:
+                raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)
                 change_mode(loop, shared, Mode.HOLDING)
             if core.pose_due_ns != 0:
                 core.pose_due_ns = core.now_ns + POSE_DUE_NS

@@ -29,10 +29,10 @@ def phase_of(loop: Loop) -> int:
         return Phase.WAITING if core.incoming_goal != 0 else Phase.NONE
     if core.ending != Outcome.NONE or core.fault != Fault.NONE:
         return Phase.STOPPING
-    if core.settle_ns != 0:
-        return Phase.SETTLING
     if core.held == 1:
         return Phase.PAUSED
+    if core.settle_ns != 0:
+        return Phase.SETTLING
     return Phase.RUNNING
 
 

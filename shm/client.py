@@ -37,7 +37,7 @@ _REQUESTS_AT = layout.COMMAND.fields["requests"][1]  # type: ignore[index]
 _SETPOINTS_AT = layout.COMMAND.fields["setpoints"][1]  # type: ignore[index]
 _BEGIN_HEAD = struct.Struct("<qqqqqqdqq")
 _KNOT_HEAD = struct.Struct("<qqqqqqqqq")
-_REQUEST = struct.Struct("<qqqdqqd")
+_REQUEST = struct.Struct("<qqqdqqqd")
 
 
 class StateReader:
@@ -194,12 +194,19 @@ class CommandWriter:
         self._words[at] = word
 
     def request(
-        self, kind: Request, *, consumed: int, value: float = 0.0, joint_mask: int = 0, effort: float = 0.0
+        self,
+        kind: Request,
+        *,
+        consumed: int,
+        epoch: int,
+        value: float = 0.0,
+        joint_mask: int = 0,
+        effort: float = 0.0,
     ) -> int:
         """Append a request and return its sequence number, under which the snapshot will answer.
 
-        `consumed` is the number of requests that the control process has taken. Raises RingFull when it has not taken
-        earlier ones yet.
+        `consumed` is the number of requests that the control process has taken, `epoch` the snapshot's. Raises RingFull
+        when it has not taken earlier ones yet, or another process that asks stands still in the middle of it.
         """
         with self._threads, producers_lock(self.memory.fd):
             written = self._words[_COMMAND_WORD["requests_written"]]
@@ -207,7 +214,7 @@ class CommandWriter:
                 written = 0  # nobody asks so much: the loop says that the ring is corrupt, and then goes on from here
             if written - consumed >= layout.REQUEST_SLOTS - 1:
                 raise RingFull(f"{written - consumed} requests wait for the control process: try again in a moment.")
-            packed = _REQUEST.pack(0, written + 1, kind, value, time.monotonic_ns(), joint_mask, effort)
+            packed = _REQUEST.pack(0, written + 1, kind, value, time.monotonic_ns(), joint_mask, epoch, effort)
             at = _REQUESTS_AT + (written % layout.REQUEST_SLOTS) * layout.REQUEST.itemsize
             crc = zlib.crc32(packed[8:]).to_bytes(8, "little")
             self._bytes[at : at + len(packed)] = crc + packed[8:]

@@ -24,9 +24,10 @@ from typing import NamedTuple
 import numpy as np
 
 from shm import layout
-from shm.errors import AlreadyHeld, NotPermitted, NotRunning, SharedMemoryError, WrongArm, WrongLayout
+from shm.errors import AlreadyHeld, NotPermitted, NotRunning, RingFull, SharedMemoryError, WrongArm, WrongLayout
 
 DIRECTORY = Path("/dev/shm")
+PRODUCERS_PATIENCE_S = 0.05
 _KINDS = (
     (stat.S_ISREG, "file"),
     (stat.S_ISLNK, "link"),
@@ -566,9 +567,19 @@ def producers_lock(fd: int) -> Iterator[None]:
     """The lock that processes producing requests take among themselves; the loop never does.
 
     An open-file-description lock, independent of the owner's flock; it falls with its holder, and with no other
-    descriptor of the same file.
+    descriptor of the same file. Raises RingFull where a holder keeps it: it was suspended, and nobody waits for that.
     """
-    fcntl.fcntl(fd, fcntl.F_OFD_SETLKW, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 1, 0))
+    deadline_s = time.monotonic() + PRODUCERS_PATIENCE_S
+    while True:
+        try:
+            fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 1, 0))
+            break
+        except (BlockingIOError, PermissionError):
+            if time.monotonic() > deadline_s:
+                raise RingFull(
+                    "Another process that asks something of this arm stands still in the middle of it: end that one."
+                ) from None
+        time.sleep(0.0005)
     try:
         yield
     finally:

@@ -169,7 +169,8 @@ CHANGING = [
         "epoch",
         "i8",
         "",
-        "rises with every stop, hold, letting go, homing run and fault: what arrived in an earlier one never begins",
+        "from the loop's start (ns), rises with every stop, hold, resume, fault, letting go, bring-up, begin and end of "
+        "a homing run: what arrived in an earlier one never begins",
     ),
     Word("joints", (JOINT, (MAX_JOINTS,)), "", "one record a joint"),
 ]
@@ -468,6 +469,7 @@ REQUEST = _record(
         Word("value", "f8", "", "REFERENCE: the joint's angle (rad), NaN = as it counts; GRIP: angle (rad)"),
         Word("monotonic_ns", "i8", "ns", "when it was made"),
         Word("joint_mask", "i8", "", "HOME, REFERENCE: bit n = joint n; HOME: 0 = the arm file's homing.order"),
+        Word("epoch", "i8", "", "the snapshot's when it was made: in a later one nothing that moves is begun for it"),
         Word("most_effort", "f8", "", "GRIP: most torque at its joint (Nm), 0 = as much as it has"),
     ],
 )

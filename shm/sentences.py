@@ -395,6 +395,12 @@ ANSWERS: dict[Answer, Meaning] = {
         "Clearing a fault speaks to every drive.",
         "Wait until the control process says that the adapter is back.",
     ),
+    Answer.REFUSED_OUTDATED: Meaning(
+        "It was asked for before the arm was stopped, held, let go, homed or in a fault, so it does not begin: ask "
+        "again.",
+        "Whoever asked did not know of that, and it would move an arm that nobody expects to move.",
+        "Look where the arm stands, then ask again.",
+    ),
     Answer.REFUSED_HELD: Meaning(
         "A person has stopped or holds the arm, so nothing that moves it is begun: `rtarm resume` (or ~/resume) first.",
         "What a person has stopped, only a person sets in motion again.",

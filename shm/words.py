@@ -79,6 +79,7 @@ class Answer(IntEnum):
     REFUSED_MOVING = 6
     REFUSED_WIRE = 7  # the adapter is not there
     REFUSED_HELD = 8  # a person has stopped or holds the arm
+    REFUSED_OUTDATED = 9  # it was made before a stop, a hold, a resume, a fault …
 
 
 class Outcome(IntEnum):

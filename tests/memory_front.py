@@ -42,7 +42,7 @@ class MemoryFront:
 
     def answer(self, kind: Request) -> Answer:
         """Make a request; its answer."""
-        sequence = self.writer.request(kind, consumed=self.reader.requests_consumed())
+        sequence = self.writer.request(kind, consumed=self.reader.requests_consumed(), epoch=int(self.now()["epoch"]))
         answers = self.until(lambda now: sequence in now["answers"]["sequence"])["answers"]
         return Answer(int(answers["answer"][answers["sequence"] == sequence][0]))
 

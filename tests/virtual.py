@@ -38,6 +38,7 @@ from sim.arm import SimulatedArm
 
 GOALS = Path(__file__).parent / "data" / "moveit"
 START_NS = 1_000_000_000
+STORES = (Request.STOP, Request.HOLD, Request.RESUME, Request.CANCEL, Request.SPEED_SCALE)
 
 
 @jit
@@ -279,7 +280,9 @@ class VirtualArm:
 
     def request(self, kind: Request, **options: Any) -> int:
         """Make a request; its number."""
-        return self.writer.request(kind, consumed=self.reader.requests_consumed(), **options)
+        assert kind not in STORES, "which are the writer's methods"
+        options = {"consumed": self.reader.requests_consumed(), "epoch": int(self.core["epoch"]), **options}
+        return self.writer.request(kind, **options)
 
     def ask(self, kind: Request, **options: Any) -> Answer:
         """Make a request and run the cycles until it is answered."""

@@ -226,8 +226,8 @@ def put_knots(loop: Loop, command: int, goal: int, wild: float, box: np.ndarray)
             if np.random.random() < wild:
                 a = hostile_number()
             store_number(record + _ROWS_AT + 24 * joint, p, box)
-            store_number(record + 72 + 24 * joint, v, box)
-            store_number(record + 80 + 24 * joint, a, box)
+            store_number(record + _ROWS_AT + 8 + 24 * joint, v, box)
+            store_number(record + _ROWS_AT + 16 + 24 * joint, a, box)
         publish_record(command, record, count)
         time_ns += gap_ns if np.random.random() < 0.5 else int(np.random.randint(1, 2 * gap_ns + 1))
 

@@ -120,6 +120,32 @@ def test_nothing_moves_a_held_arm_but_a_resume(arm: VirtualArm) -> None:
     assert arm.end_of(arm.send_shift(0.05)) == Outcome.SUCCEEDED
 
 
+def test_a_goal_that_arrived_while_the_arm_was_held_does_not_begin_by_the_resume(arm: VirtualArm) -> None:
+    """Its client's process was still judging an older one."""
+    arm.stop()
+    arrived = int(arm.core["epoch"])
+    arm.resume()
+    assert arm.end_of(arm.send_shift(epoch=arrived)) == Outcome.REFUSED_OUTDATED
+    stands_for(arm, 0.5)
+
+
+def test_a_homing_run_that_was_asked_for_before_a_stop_does_not_begin_after_the_resume() -> None:
+    arm = new_arm("episode1")
+    asked = arm.request(Request.HOME, joint_mask=1)
+    arm.writer.stop()
+    arm.writer.resume()
+    arm.cycle()
+    assert arm.core["mode"] == Mode.HOLDING
+    answer = arm.reader.snapshot()["answers"][asked % layout.ANSWER_SLOTS]
+    assert answer["answer"] == Answer.REFUSED_OUTDATED
+    arm.close()
+
+
+def test_a_spoilt_word_of_cancels_cancels_nothing(arm: VirtualArm) -> None:
+    arm.command.record["canceled_through"][0] = 2**40
+    assert arm.end_of(arm.send_shift()) == Outcome.SUCCEEDED
+
+
 def test_a_held_goal_goes_on_from_where_it_was(arm: VirtualArm) -> None:
     goal = arm.send_shift(0.2)
     arm.cycles(60)

@@ -243,8 +243,8 @@ def test_a_whole_arm_is_homed(counted):
     arm.close()
 
 
-@pytest.mark.parametrize("request_kind", [Request.STOP, Request.HOLD])
-def test_a_homing_run_is_ended_at_once_when_somebody_asks(request_kind):
+@pytest.mark.parametrize("ask", ["stop", "hold"])
+def test_a_homing_run_is_ended_at_once_when_somebody_asks(ask):
     arm = referenced((0.0,) * 6)
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
     cycles = []
@@ -253,7 +253,7 @@ def test_a_homing_run_is_ended_at_once_when_somebody_asks(request_kind):
         cycles.append(arm.now_ns)
         if len(cycles) == 60:
             assert drives(arm)[1].stepper.moving
-            arm.request(request_kind)
+            getattr(arm.writer, ask)()
 
     assert arm.reference(each_cycle=stop, at_most_s=3.0).failure is None
     axis = arm.loop[0]["axes"][1]

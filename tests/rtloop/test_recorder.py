@@ -8,7 +8,7 @@ from rtloop.wire import received
 from rtloop.wire.slcan import BEL
 from shm import layout
 from shm.recording import EXTENDED, IDENTIFIER_MASK, LENGTH_MASK, LENGTH_SHIFT, SENT, read_recording
-from shm.words import Fault, Mode, Outcome, Request, Slowed
+from shm.words import Fault, Mode, Outcome, Slowed
 from sim.faults import PowerLoss, Silent
 
 GOAL = "small"
@@ -79,18 +79,17 @@ def test_what_led_to_a_fault_is_kept_with_what_the_arm_did_then(arm):
     assert not records["joints"]["commanded_velocity_rad_s"][-1].any()
 
 
-@pytest.mark.parametrize(
-    ("request_", "slowed"), [(Request.HOLD, Slowed.HELD), (Request.CANCEL, Slowed(0))], ids=["hold", "cancel"]
-)
-def test_why_the_arm_slows_down_is_kept(arm, request_, slowed):
+@pytest.mark.parametrize(("ask", "slowed"), [("hold", Slowed.HELD), ("cancel_all", Slowed(0)), ("stop", Slowed(0))])
+def test_why_the_arm_slows_down_is_kept(arm, ask, slowed):
     goal = arm.play(GOAL)
     arm.until(lambda: arm.core["goal_id"] == goal)
     arm.cycles(5)
-    arm.request(request_)
+    getattr(arm.writer, ask)()
     arm.cycles(3)
     last = read_recording(arm.state).records[-1]
     assert last["slowed"] == slowed
-    assert last["ending"] == (Outcome.CANCELED if request_ == Request.CANCEL else Outcome.NONE)
+    endings = {"hold": Outcome.NONE, "cancel_all": Outcome.CANCELED, "stop": Outcome.STOPPED}
+    assert last["ending"] == endings[ask]
 
 
 def test_signs_before_a_fault_are_kept(arm):

@@ -148,7 +148,7 @@ def test_a_hold_stops_a_stream_and_what_comes_meanwhile_is_refused() -> None:
     servo.run(1.0)
     arm.writer.hold()
     servo.run(1.0)
-    assert arm.core["paused"] == 1 and not arm.loop[0]["axes"]["velocity_rad_s"].any()
+    assert arm.core["held"] == 1 and not arm.loop[0]["axes"]["velocity_rad_s"].any()
     stood = arm.positions[-1]
     servo.run(0.5)
     assert (arm.positions[-1] == stood).all()

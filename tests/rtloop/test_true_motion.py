@@ -17,7 +17,7 @@ from virtual import GOALS, VirtualArm, recorded_goal
 
 from config.derived import derived_table
 from config.loader import load_arm
-from shm.words import Fault, Mode, Outcome, Request
+from shm.words import Fault, Mode, Outcome
 
 NAMES = sorted(path.stem for path in GOALS.glob("*.json"))
 INTERRUPTED = ("large", "scale_1_0", "near_limits_high", "around_box", "small", "single_joint", "cartesian")
@@ -159,8 +159,8 @@ def distance_from_path(arm: VirtualArm, name: str) -> float:
 def test_pause_and_resume_keep_the_goal(moment: tuple[str, float], pause: int, again: int) -> None:
     """A pause of any length, resumed, paused and resumed again: the goal ends where it should."""
     arm, goal_id, started_ns = moving(*moment)
-    for wait, request in ((pause, Request.HOLD), (again, Request.RESUME), (again, Request.HOLD)):
-        arm.request(request)
+    for wait, ask in ((pause, arm.writer.hold), (again, arm.writer.resume), (again, arm.writer.hold)):
+        ask()
         arm.cycles(wait)
     arm.writer.resume()
     assert arm.end_of(goal_id) == Outcome.SUCCEEDED

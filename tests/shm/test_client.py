@@ -135,8 +135,8 @@ def test_the_ring_goes_round(writer):
 
 
 def test_requests_are_numbered_from_one(writer):
-    assert writer.request(Request.REFERENCE, consumed=0, value=0.25) == 1
-    assert writer.request(Request.HOME, consumed=0, joint_mask=9) == 2
+    assert writer.request(Request.REFERENCE, consumed=0, epoch=0, value=0.25) == 1
+    assert writer.request(Request.HOME, consumed=0, epoch=0, joint_mask=9) == 2
     first, second = writer.memory.record["requests"][:2]
     assert (first["sequence"], first["kind"], first["value"]) == (1, Request.REFERENCE, 0.25)
     assert (second["sequence"], second["kind"], second["joint_mask"]) == (2, Request.HOME, 9)
@@ -146,12 +146,12 @@ def test_requests_are_numbered_from_one(writer):
 
 def test_a_full_request_ring_refuses_the_asker_and_overwrites_nothing(writer):
     for _ in range(layout.REQUEST_SLOTS - 1):
-        writer.request(Request.ENABLE, consumed=0)
+        writer.request(Request.ENABLE, consumed=0, epoch=0)
     before = writer.memory.array.tobytes()
     with pytest.raises(RingFull, match="63 requests wait for the control process"):
-        writer.request(Request.DISABLE, consumed=0)
+        writer.request(Request.DISABLE, consumed=0, epoch=0)
     assert writer.memory.array.tobytes() == before
-    assert writer.request(Request.DISABLE, consumed=1) == layout.REQUEST_SLOTS
+    assert writer.request(Request.DISABLE, consumed=1, epoch=0) == layout.REQUEST_SLOTS
 
 
 @given(st.lists(st.sampled_from(["stop", "hold", "resume"]), min_size=1, max_size=8), st.integers(0, 2**63 - 1))
@@ -166,6 +166,19 @@ def test_a_resume_is_later_than_every_stop_and_hold_before_it(asked, spoilt_ns):
         if name == "resume" and spoilt_ns <= 2**62:
             assert record["resume_ns"][0] > max(record["stop_ns"][0], record["hold_ns"][0])
     writer.close()
+
+
+def test_nobody_waits_for_a_process_that_stands_still_with_the_producers_lock(writer, monkeypatch):
+    other = os.open(f"/proc/self/fd/{writer.memory.fd}", os.O_RDWR)  # a description of its own, as another process has
+    try:
+        with files.producers_lock(other):
+            with pytest.raises(RingFull, match="stands still in the middle of it"):
+                writer.request(Request.HOME, consumed=0, epoch=0)
+            writer.stop()
+            assert writer.memory.record["stop_ns"][0] > 0
+    finally:
+        os.close(other)
+    assert writer.request(Request.HOME, consumed=0, epoch=0) == 1
 
 
 def test_cancels_have_a_place_each(writer):
@@ -185,7 +198,8 @@ from shm.words import Request
 writer = CommandWriter(files.open_command(sys.argv[1]))
 print("ready", flush=True)
 sys.stdin.readline()
-print(*(writer.request(Request.HOME, consumed=1 << 40, joint_mask=int(sys.argv[2])) for _ in range(int(sys.argv[3]))))
+options = {"consumed": 1 << 40, "epoch": 0, "joint_mask": int(sys.argv[2])}
+print(*(writer.request(Request.HOME, **options) for _ in range(int(sys.argv[3]))))
 """
 
 
