@@ -196,7 +196,7 @@ class Serving:
         goal_id, running = execution.goal_id, int(snapshot["goal_id"])
         if execution.never_begun:
             return Verdict(Status.CANCELED, 0, NEVER_BEGUN, Outcome.CANCELED)
-        if execution.epoch != int(snapshot["epoch"]) and not self._is_begun(execution):
+        if execution.epoch < int(snapshot["epoch"]) and not self._is_begun(execution):
             return Verdict(Status.ABORTED, INVALID_GOAL, outcome_sentence(why := _why_outdated(snapshot)), why)
         results = snapshot["results"]
         result = find(results, "goal_id", goal_id)
@@ -453,7 +453,7 @@ def _why_outdated(snapshot: np.ndarray) -> Outcome:
 
 
 def _refuse_outdated(epoch: int, snapshot: np.ndarray) -> None:
-    if epoch != int(snapshot["epoch"]):
+    if epoch < int(snapshot["epoch"]):
         raise NotServing(outcome_sentence(_why_outdated(snapshot)))
 
 
