@@ -169,8 +169,8 @@ CHANGING = [
         "epoch",
         "i8",
         "",
-        "from the loop's start (ns), rises with every stop, hold, resume, fault, letting go, bring-up and with begin and "
-        "end of a homing run: what arrived in an earlier one never begins",
+        "from the loop's start (ns), rises with every stop, hold, resume, fault, letting go, bring-up and homing run "
+        "(begin and end): what arrived in an earlier one never begins",
     ),
     Word("joints", (JOINT, (MAX_JOINTS,)), "", "one record a joint"),
 ]
