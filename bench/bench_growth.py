@@ -159,7 +159,14 @@ def play_knots(arm: VirtualArm, count: int, kept: np.ndarray) -> int:
     goal, none, consumed = arm.writer.announced_goal + 1, np.zeros((6, 3)), arm.reader.setpoints_consumed
     arm.writer.announce(goal)
     arm.writer.begin(
-        goal, start_ns=0, joint_mask=63, goal_time_s=0.4, entry=Entry(0), epoch=0, tolerances=none, consumed=consumed()
+        goal,
+        start_ns=0,
+        joint_mask=63,
+        goal_time_s=0.4,
+        entry=Entry(0),
+        epoch=int(arm.core["epoch"]),
+        tolerances=none,
+        consumed=consumed(),
     )
 
     def cycles() -> None:

@@ -172,7 +172,14 @@ def stream_knots(stack: LiveStack, writer: CommandWriter) -> float:
     writer.beat()
     writer.announce(goal)
     writer.begin(
-        goal, start_ns=0, joint_mask=63, goal_time_s=0.0, entry=Entry(0), epoch=0, tolerances=off, consumed=consumed()
+        goal,
+        start_ns=0,
+        joint_mask=63,
+        goal_time_s=0.0,
+        entry=Entry(0),
+        epoch=int(stack.reader.snapshot()["epoch"]),
+        tolerances=off,
+        consumed=consumed(),
     )
 
     def patiently(write) -> None:

@@ -66,7 +66,7 @@ def obey_stop_and_hold(loop: Loop, shared: Shared, command: int) -> None:
         # A stream keeps its own time, which a pause would take from it.
         if stopped or loop.paths[core.active].stream == 1:
             end_running(loop, shared, Outcome.STOPPED)
-    if resumed and resume_ns > max(stop_ns, hold_ns):
+    if core.held == 1 and resumed and resume_ns > max(stop_ns, hold_ns):
         core.held = 0
         raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)  # what was sent meanwhile is not begun by this
         note(loop, shared, Request.RESUME, _RESUME)

@@ -17,7 +17,7 @@ def arm_with_blend(seed: int, rate_hz: float) -> tuple[VirtualArm, int, float]:
     """An arm at rest, a goal that lies in the path not running with a blend onto it, and the rate it is entered at."""
     random = np.random.default_rng(seed)
     arm = VirtualArm.brought_up(load_arm("mock", overrides={"control": {"rate_hz": rate_hz}}))
-    arm.core["paused"] = 1  # nothing starts
+    arm.core["speed_scale"] = 0.0  # nothing starts
     joints = arm.arm.joints
     gap_s = random.choice([0.2, 0.7, 1.0, 1.7, 10.0, 60.0]) / rate_hz
     count = int(random.uniform(0.5, 1.2) / gap_s) + 2

@@ -558,7 +558,7 @@ def test_requests_that_say_anything(stream):
     arm = Judged()
     arm.executing()
     for kind, mask, value in stream:
-        packed = struct.pack("<qqdqqq", int(arm.command.record["requests_written"][0]) + 1, kind, value, 0, mask, 0)
+        packed = struct.pack("<qqdqqqq", int(arm.command.record["requests_written"][0]) + 1, kind, value, 0, mask, 0, 0)
         slot = int(arm.command.record["requests_written"][0]) % layout.REQUEST_SLOTS
         at = layout.COMMAND.fields["requests"][1] + slot * layout.REQUEST.itemsize
         arm.command.map[at : at + layout.REQUEST.itemsize] = struct.pack("<q", zlib.crc32(packed)) + packed

@@ -27,7 +27,10 @@ def test_a_million_knots_in_flat_memory() -> None:
     arm = VirtualArm.brought_up("mock")
     none = np.zeros((6, 3))
     arm.writer.announce(1)
-    arm.writer.begin(1, start_ns=0, joint_mask=0b111111, goal_time_s=0.4, entry=Entry(0), tolerances=none, consumed=0)
+    epoch = int(arm.core["epoch"])
+    arm.writer.begin(
+        1, start_ns=0, joint_mask=63, goal_time_s=0.4, entry=Entry(0), epoch=epoch, tolerances=none, consumed=0
+    )
     begun_ns = arm.now_ns
     written, peak_kb = 0, 0
     rows = wave(0, CHUNK)
