@@ -201,7 +201,7 @@ def put_knots(loop: Loop, command: int, goal: int, wild: float, box: np.ndarray)
         here_order = order if np.random.random() >= wild else hostile_word()
         kind = _KNOT if np.random.random() >= 0.1 * wild else int(np.random.randint(-1, 9))
         owner = goal if np.random.random() >= 0.1 * wild else int(np.random.randint(-1, 3))
-        record = put_head(command, kind, owner, here_ns, here_order, hostile_word(), hostile_word())
+        record = put_head(command, kind, owner, here_ns, here_order, hostile_word(), hostile_word(), hostile_word())
         for joint in range(count):
             row, axis = loop.joints[joint], loop.axes[joint]
             v = np.random.uniform(-share, share) * row.max_velocity_rad_s

@@ -204,6 +204,7 @@ class Stage:
         """What the control process does at its start and when it is asked to enable the drives."""
         assert self.arm.bring_up(mock_positions_rad=mock_positions_rad).failure is None
         assert self.mode is Mode.HOLDING
+        self.look()
 
     # --- the arm
 
