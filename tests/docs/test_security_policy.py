@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 from pages import DOCS, sections
+from waiting import until
 
 pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
@@ -71,16 +71,15 @@ def offered(new_arm_name: Any) -> dict[str, set[str]]:
     """All that a front can offer: six joints, hence the full node's interfaces, and a gripper."""
     arm = load_arm("mock", overrides={"name": new_arm_name(), "gripper": {"hook": "simulated"}})
     with node_of(arm) as node:
-        deadline = time.monotonic() + PATIENCE_S
-        while True:
+
+        def missing() -> list[str]:
             found = in_the_graph(node)
-            missing = [
+            return [
                 name for kind, names in made_by(node).items() for name in names - found[kind] if "/_action/" not in name
             ]
-            if not missing:
-                return found
-            assert time.monotonic() < deadline, missing
-            time.sleep(0.02)
+
+        until(lambda: not missing(), "all that the front makes in the graph", PATIENCE_S)
+        return in_the_graph(node)
 
 
 @PAGES

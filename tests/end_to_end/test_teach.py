@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import signal
-import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -19,6 +18,7 @@ pytest.importorskip("control_msgs")
 from at_terminal import rtarm_at_terminal
 from scipy.spatial.distance import cdist
 from stack import PATIENCE_S, Process, Stack
+from waiting import until
 
 from rtarm.teach.file import load
 from rtarm.teach.motion import Motion
@@ -77,13 +77,9 @@ def mode(stack: Stack) -> int:
 def wait_until_led(stack: Stack) -> None:
     """Until the hand has led joint 1 for a part of its way."""
     reader = StateReader(open_state(stack.name))
-    deadline = time.monotonic() + PATIENCE_S
-    try:
-        while reader.snapshot()["joints"]["measured_position_rad"][0] < math.radians(START_DEG[0] + 10.0):
-            assert time.monotonic() < deadline, "nobody leads the arm"
-            time.sleep(0.05)
-    finally:
-        reader.close()
+    led_rad = math.radians(START_DEG[0] + 10.0)
+    with closing(reader):
+        until(lambda: reader.snapshot()["joints"]["measured_position_rad"][0] >= led_rad, "a led arm", PATIENCE_S)
 
 
 def kept(tmp_path: Path, name: str = "wave") -> Motion:

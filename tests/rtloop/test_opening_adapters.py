@@ -25,6 +25,8 @@ from sim.arm import SimulatedArm
 from sim.bus import Frame
 from sim.pty import PtyServer
 
+pytestmark = pytest.mark.process  # adapters behind pseudo-terminals answer in real time
+
 PATIENCE_S = 10.0
 SERIAL = [wire for wire in WIRES if wire.unit == 1]
 QUESTION = Frame(0x100, b"\x36\x6b")

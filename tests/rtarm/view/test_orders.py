@@ -11,6 +11,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 from stack import Stack
+from waiting import until
 
 from config.loader import load_arm
 from rtarm import sending as sending_module
@@ -68,6 +69,19 @@ def test_a_ros_process_that_dies_amid_a_goal_is_told_and_the_next_goal_goes(stac
     with closing(stack.start_front()):
         assert "Goal reached" in orders.go(pose(0.2), nothing)
         assert orders._sender.pid != sent_to_the_dead_one
+
+
+def test_a_goal_while_the_ros_process_is_away_goes_to_the_next_one(stack: Stack, orders: Orders) -> None:
+    stack.front.process.kill()
+    stack.front.process.wait()
+    said: list[str] = []
+    going = threading.Thread(target=lambda: said.append(orders.go(pose(0.3), nothing)))
+    before = orders._sender
+    going.start()
+    until(lambda: orders._sender is not before, "a new sender on its way", PATIENCE_S)
+    with closing(stack.start_front()):
+        going.join(PATIENCE_S)
+        assert said and "Goal reached" in said[0]
 
 
 def test_a_goal_that_a_hanging_ros_process_gets_too_late_moves_nothing(stack: Stack, orders: Orders) -> None:
