@@ -271,7 +271,7 @@ def put_request(command: int, wild: float, box: np.ndarray) -> None:
 @jit
 def put_garbage(loop: Loop, command: int) -> None:
     """A record every word of which is hostile, believed by its CRC and its number."""
-    record = put_head(command, hostile_word(), hostile_word(), hostile_word(), hostile_word(), hostile_word(), 0)
+    record = put_head(command, hostile_word(), hostile_word(), hostile_word(), hostile_word(), hostile_word(), 0, 0)
     for word in range(7, _HEAD_WORDS + 3 * loop.params.joint_count):
         store_relaxed(record + 8 * word, hostile_word())
     publish_record(command, record, loop.params.joint_count)
