@@ -54,6 +54,7 @@ _REQUESTS = offset_of(_COMMAND, "requests")
 _SETPOINTS = offset_of(_COMMAND, "setpoints")
 _RECORD_BYTES = layout.SETPOINT.itemsize
 _REQUEST_BYTES = layout.REQUEST.itemsize
+_REQUEST_EPOCH = offset_of(layout.REQUEST, "epoch")
 _HEAD_WORDS = offset_of(layout.SETPOINT, "joints") // 8
 _COMMAND_WORDS = _COMMAND.itemsize // 8
 _KNOTS, _HISTORY = offset_of(LOOP, "knots"), offset_of(LOOP, "history_ns")
@@ -253,7 +254,7 @@ def put_command(command: int, goal: int, wild: float, box: np.ndarray) -> None:
 
 
 @jit
-def put_request(command: int, wild: float, box: np.ndarray) -> None:
+def put_request(loop: Loop, command: int, wild: float, box: np.ndarray) -> None:
     """A request of any kind, sealed."""
     written = load_relaxed(command + _REQUESTS_WRITTEN)
     record = command + _REQUESTS + (written & (layout.REQUEST_SLOTS - 1)) * _REQUEST_BYTES
@@ -264,6 +265,8 @@ def put_request(command: int, wild: float, box: np.ndarray) -> None:
     store_number(record + 24, value, box)
     for word in range(4, _REQUEST_BYTES // 8):
         store_relaxed(record + 8 * word, hostile_word())
+    if np.random.random() >= wild:
+        store_relaxed(record + _REQUEST_EPOCH, loop.core.epoch)
     store_relaxed(record, crc32_at(record + 8, _REQUEST_BYTES // 8 - 1))
     store_relaxed(command + _REQUESTS_WRITTEN, written + 1)
 
@@ -307,7 +310,7 @@ def write_hostile(loop: Loop, command: int, how: int, goal: int, box: np.ndarray
         put_end(loop, command, goal, wild, box)
     elif dice < 0.30:
         for _ in range(1 + (70 if np.random.random() < 0.02 else 0)):  # now and then a flood
-            put_request(command, wild, box)
+            put_request(loop, command, wild, box)
         if np.random.random() < 0.05:
             put_command(command, goal, wild, box)
     elif dice < 0.34 and how != WELL_MADE:
@@ -442,7 +445,7 @@ def run_case(
             for joint in range(loop.params.joint_count):
                 before[joint, 0], before[joint, 1] = loop.axes[joint].position_rad, 0.0
         if loop.core.fault != Fault.NONE and np.random.random() < 0.2:
-            put_request(command, 0.0, box)
+            put_request(loop, command, 0.0, box)
             if np.random.random() < 0.5:
                 clear_fault(command)
     return SOUND

@@ -721,7 +721,7 @@ def hostile_memory(seed: int) -> None:
             if core["bring_up_asked"] == 1:
                 memory.bring_up(loop, shared)
             if core["fault"] != 0 and cycle % 5 == 0:
-                memory.put_request(command, 0, 0.0, box)
+                memory.put_request(loop, command, 0.0, box)
                 memory.clear_fault(command)
     arena.close()
 
