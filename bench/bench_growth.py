@@ -24,6 +24,7 @@ from config.budget import check_budget
 from config.loader import ARMS_FOLDER, load_arm
 from config.schema import ArmConfig
 from rtloop.cycle import step
+from rtloop.phases import running_goal
 from rtloop.run import monotonic_ns, record
 from shm.atomics import store_relaxed
 from shm.errors import RingFull
@@ -129,7 +130,7 @@ def timed_cycles(
         store_relaxed(heartbeat, now_ns)
         before_ns = monotonic_ns(clock)
         step(loop, shared, now_ns)
-        durations_ns[i] = monotonic_ns(clock) - before_ns if loop.core.goal_id == goal else -1
+        durations_ns[i] = monotonic_ns(clock) - before_ns if running_goal(loop) == goal else -1
         loop.core.tx_length = 0
     return now_ns
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from handbook import commands, configuration, faults, memory, ros
+from handbook import commands, configuration, faults, memory, ros, states
 
 PAGES: dict[str, Callable[[], str]] = {
     "commands.md": commands.build,
@@ -10,4 +10,5 @@ PAGES: dict[str, Callable[[], str]] = {
     "faults.md": faults.build,
     "memory.md": memory.build,
     "ros.md": ros.build,
+    "states.md": states.build,
 }

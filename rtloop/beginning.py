@@ -62,7 +62,6 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
     core["mode"] = Mode.OFFLINE
     core["epoch"] = time.monotonic_ns()  # no other control process begins with the same
     core["fault_joint"] = core["referencing_joint"] = -1
-    core["ending_joint"] = -1
     core["rate"] = core["rate_target"] = core["speed_scale"] = core["entry_rate"] = 1.0
     return loop
 

@@ -5,7 +5,17 @@ Each is one store in the command file of which the newest counts, so none can be
 
 from typing import Any
 
-from rtloop.events import record_event, set_result
+from rtloop.events import record_event
+from rtloop.phases import (
+    end_waiting,
+    incoming,
+    pause_running,
+    resume_paused,
+    running_goal,
+    runs,
+    stop_running,
+    waits,
+)
 from rtloop.state import LOOP, offset_of
 from shm import layout
 from shm.atomics import load_acquire
@@ -37,11 +47,10 @@ def obey_commands(loop: Loop, shared: Shared) -> None:
         return
     obey_stop_and_hold(loop, shared, command)
     take_speed_scale(loop, shared, command)
-    core = loop.core
-    if core.incoming_goal != 0 and is_canceled(loop, core.incoming_goal):
-        end_incoming(loop, shared, Outcome.CANCELED)
-    if core.goal_id != 0 and is_canceled(loop, core.goal_id):
-        end_running(loop, shared, Outcome.CANCELED)
+    if waits(loop) and is_canceled(loop, loop.paths[incoming(loop)].goal_id):
+        end_waiting(loop, shared, Outcome.CANCELED, -1, 0.0, 0.0)
+    if runs(loop) and is_canceled(loop, running_goal(loop)):
+        stop_running(loop, Outcome.CANCELED, -1, 0.0, 0.0)
 
 
 @jit
@@ -65,9 +74,11 @@ def obey_stop_and_hold(loop: Loop, shared: Shared, command: int) -> None:
             core.referencing_ends = 1
         # A stream keeps its own time, which a pause would take from it.
         if stopped or loop.paths[core.active].stream == 1:
-            end_running(loop, shared, Outcome.STOPPED)
+            stop_running(loop, Outcome.STOPPED, -1, 0.0, 0.0)
+        pause_running(loop)
     if core.held == 1 and resumed and resume_ns > max(stop_ns, hold_ns):
         core.held = 0
+        resume_paused(loop)
         raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)  # what was sent meanwhile is not begun by this
         note(loop, shared, Request.RESUME, _RESUME)
 
@@ -83,7 +94,7 @@ def note(loop: Loop, shared: Shared, kind: int, offset: int) -> None:
 def raise_epoch(loop: Loop, shared: Shared, outcome: int) -> None:
     """What arrived before this never begins; the goal that waits ends with the outcome."""
     loop.core.epoch += 1
-    end_incoming(loop, shared, outcome)
+    end_waiting(loop, shared, outcome, -1, 0.0, 0.0)
 
 
 @jit
@@ -108,22 +119,3 @@ def is_canceled(loop: Loop, goal_id: int) -> bool:
     slot = command + _CANCELED_GOALS + _WORD * (goal_id & (layout.CANCELED_SLOTS - 1))
     through = load_acquire(command + _CANCELED_THROUGH)
     return goal_id == load_acquire(slot) or goal_id <= through <= loop.core.announced_goal
-
-
-@jit
-def end_incoming(loop: Loop, shared: Shared, outcome: int) -> None:
-    """The goal that waits is not begun."""
-    core = loop.core
-    if core.incoming_goal != 0:
-        set_result(loop, shared, core.incoming_goal, outcome, -1, 0.0, 0.0)
-        core.incoming_goal = core.incoming_waits = 0
-
-
-@jit
-def end_running(loop: Loop, shared: Shared, outcome: int) -> None:
-    """The goal that runs ends by a stop on its path, unless it ends already."""
-    core = loop.core
-    if core.goal_id != 0 and (core.ending == Outcome.NONE or core.ending == Outcome.RAN_DRY):
-        core.ending = outcome
-        core.ending_joint = -1
-        core.ending_value = core.ending_limit = 0.0

@@ -10,7 +10,8 @@ from typing import Any
 
 from rtloop import commands, frames, goals, guard, intake, measured, orders, setpoints
 from rtloop.correction import ERROR_SHARE_1_S
-from rtloop.events import record_event, set_result
+from rtloop.events import record_event
+from rtloop.phases import runs
 from rtloop.show import show
 from rtloop.state import HISTORY_SLOTS
 from shm.jit import jit
@@ -81,9 +82,7 @@ def stand_where_the_drives_stopped(loop: Loop, shared: Shared, gap_ns: int) -> N
     """After a gap longer than the drives' look-ahead: the goal is over, the arm is where it came to rest."""
     core = loop.core
     record_event(loop, shared, Event.OVERRUN, -1, gap_ns, gap_ns * 1e-9, GAP_NS * 1e-9)
-    if core.goal_id == 0 and core.own_brake == 0:
+    if not runs(loop) and core.own_brake == 0:
         return
-    if core.goal_id != 0:
-        set_result(loop, shared, core.goal_id, Outcome.CLOCK_GAP, -1, gap_ns * 1e-9, GAP_NS * 1e-9)
-        goals.finish_goal(loop, shared)
+    goals.finish_running(loop, shared, Outcome.CLOCK_GAP, -1, gap_ns * 1e-9, GAP_NS * 1e-9)
     core.rebase_ns = core.now_ns

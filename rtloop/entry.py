@@ -25,6 +25,7 @@ from rtloop.path import (
     sample,
     slot,
 )
+from rtloop.phases import runs
 from rtloop.state import BLEND_SAMPLES
 from shm.jit import jit
 
@@ -102,7 +103,7 @@ def enter(loop: Loop, path_index: int, entry_s: float) -> int:
     """
     core = loop.core
     wanted = max(asked_rate(loop, path_index), SLOWEST_ENTRY)
-    if core.goal_id != 0:
+    if runs(loop):
         wanted = max(wanted, core.rate, SLOWEST_ENTRY_IN_MOTION)
     stays = at_rest(loop)
     core.looks_left = LOOKS_A_CYCLE

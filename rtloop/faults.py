@@ -4,6 +4,7 @@ from typing import Any
 
 from rtloop.events import record_event, set_result
 from rtloop.modes import change_mode
+from rtloop.phases import end_waiting, running_goal, stop_running
 from shm.jit import jit
 from shm.words import Event, Fault, Mode, Outcome
 
@@ -40,9 +41,6 @@ def latch_fault(loop: Loop, shared: Shared, fault: int, joint: int, value: float
     if not path_is_trusted(fault):
         core.own_brake = 1
     core.epoch += 1
-    set_result(loop, shared, core.incoming_goal, Outcome.FAULT, joint, value, limit)
-    core.incoming_goal = 0
-    core.incoming_waits = 0
-    if core.goal_id != 0:
-        set_result(loop, shared, core.goal_id, Outcome.FAULT, joint, value, limit)
-        core.ending = Outcome.FAULT
+    end_waiting(loop, shared, Outcome.FAULT, joint, value, limit)
+    stop_running(loop, Outcome.FAULT, joint, value, limit)
+    set_result(loop, shared, running_goal(loop), Outcome.FAULT, joint, value, limit)

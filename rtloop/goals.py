@@ -19,11 +19,23 @@ from rtloop.entry import (
 from rtloop.events import set_result
 from rtloop.modes import change_mode
 from rtloop.path import end_s, goes_on_past_end, in_goal
+from rtloop.phases import (
+    change_phase,
+    end_goal,
+    end_waiting,
+    incoming,
+    runs,
+    stop_running,
+    stops_for_good,
+    waits,
+)
 from shm.jit import jit
-from shm.words import Fault, Mode, Outcome
+from shm.words import Mode, Outcome, Phase, Slowed
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
+
+_STARVING, _MAKING_WAY = int(Slowed.STARVING), int(Slowed.MAKING_WAY)
 
 STARVED_FOR_NS = 500_000_000
 
@@ -31,37 +43,37 @@ STARVED_FOR_NS = 500_000_000
 @jit
 def enter_newer_goal(loop: Loop, shared: Shared) -> None:
     """Let a newer goal take over once enough of it is here, it is due, and a bounded way onto it exists."""
-    core = loop.core
-    if core.incoming_goal == 0 or core.rebase_ns != 0:
+    core, newer = loop.core, incoming(loop)
+    if not waits(loop) or core.rebase_ns != 0:
         return
     outcome, value, limit = why_not_to_wait(loop)
     if outcome != Outcome.NONE:
-        refuse_incoming(loop, shared, outcome, -1, value, limit)
+        end_waiting(loop, shared, outcome, -1, value, limit)
         return
-    if not intake.incoming_is_ready(loop) or loop.paths[core.incoming_path].start_ns > core.now_ns:
+    if not intake.incoming_is_ready(loop) or loop.paths[newer].start_ns > core.now_ns:
         return  # what runs may run until then
-    entry_s = due_s(loop, core.incoming_path)
-    if not has_bridge(loop, core.incoming_path, entry_s) and refused_as_too_far(loop, shared, entry_s):
+    entry_s = due_s(loop, newer)
+    if not has_bridge(loop, newer, entry_s) and refused_as_too_far(loop, shared, entry_s):
         return
-    if has_been_ended(core.ending) and not guard.at_rest(loop):
+    if stops_for_good(loop) and not guard.at_rest(loop):
         return  # a stop that was asked for is finished first
     if core.mode != Mode.HOLDING and core.mode != Mode.EXECUTING and core.mode != Mode.STOPPING:
         return
     if core.speed_scale <= 0.0:
-        core.incoming_waits = 1  # time stands still: nothing starts
+        core.slowed |= _MAKING_WAY  # time stands still: nothing starts
         return
-    found = enter(loop, core.incoming_path, entry_s)
+    found = enter(loop, newer, entry_s)
     if found == ON_ITS_WAY:
         start_incoming(loop, shared)
     if found != NO_WAY:
         return
     # the run-up of a stream lies where the arm should be
-    if loop.paths[core.incoming_path].stream == 1 and refused_as_too_far(loop, shared, entry_s):
+    if loop.paths[newer].stream == 1 and refused_as_too_far(loop, shared, entry_s):
         return
     if guard.at_rest(loop):
-        refuse_incoming(loop, shared, Outcome.REFUSED_LIMITS, -1, 0.0, 0.0)
+        end_waiting(loop, shared, Outcome.REFUSED_LIMITS, -1, 0.0, 0.0)
     else:
-        core.incoming_waits = 1
+        core.slowed |= _MAKING_WAY
 
 
 @jit
@@ -80,52 +92,47 @@ def why_not_to_wait(loop: Loop) -> tuple[int, float, float]:
 @jit
 def refused_as_too_far(loop: Loop, shared: Shared, entry_s: float) -> bool:
     """Refuse the newer goal if the place where it would be entered is not where the arm is."""
-    joint, distance = entry_distance(loop, loop.core.incoming_path, entry_s)
+    joint, distance = entry_distance(loop, incoming(loop), entry_s)
     tolerance = loop.params.start_tolerance_rad
     if distance <= tolerance:
         return False
-    refuse_incoming(loop, shared, Outcome.REFUSED_START, joint, distance, tolerance)
+    end_waiting(loop, shared, Outcome.REFUSED_START, joint, distance, tolerance)
     return True
 
 
 @jit
-def refuse_incoming(loop: Loop, shared: Shared, outcome: int, joint: int, value: float, limit: float) -> None:
-    core = loop.core
-    set_result(loop, shared, core.incoming_goal, outcome, joint, value, limit)
-    core.incoming_goal = 0
-    core.incoming_waits = 0
-
-
-@jit
 def start_incoming(loop: Loop, shared: Shared) -> None:
+    """Let the path that has just become the active one run; the goal of the other is over."""
     core = loop.core
-    if core.goal_id != 0:
-        outcome = core.ending if has_been_ended(core.ending) else Outcome.REPLACED
-        set_result(loop, shared, core.goal_id, outcome, core.ending_joint, core.ending_value, core.ending_limit)
-    core.goal_id = core.incoming_goal
-    core.incoming_goal = 0
-    core.incoming_waits = 0
-    core.ending = Outcome.NONE
-    core.ending_joint = -1
-    core.starving = core.arriving = 0
-    core.settle_ns = 0
+    older, newer = loop.paths[incoming(loop)], core.active
+    stopped = older.phase == Phase.STOPPING and older.reason != Outcome.RAN_DRY
+    outcome = older.reason if stopped else Outcome.REPLACED
+    end_waiting(loop, shared, outcome, older.reason_joint, older.reason_value, older.reason_limit)
+    change_phase(loop, newer, Phase.RUNNING)
+    core.slowed &= ~_STARVING
+    core.arriving = 0
     core.motion_started = 1
     change_mode(loop, shared, Mode.EXECUTING)
 
 
 @jit
-def finish_goal(loop: Loop, shared: Shared) -> None:
-    """No goal runs any more."""
+def finish_running(loop: Loop, shared: Shared, outcome: int, joint: int, value: float, limit: float) -> None:
+    """No goal runs any more; the one that did has this outcome, if it was not told another before."""
     core = loop.core
-    core.goal_id = 0
-    core.ending = Outcome.NONE
-    core.ending_joint = -1
-    core.ending_value = core.ending_limit = 0.0
-    core.starving = core.arriving = 0
-    core.settle_ns = 0
+    end_goal(loop, shared, core.active, outcome, joint, value, limit)
+    core.slowed &= ~_STARVING
+    core.arriving = 0
     set_rate(loop, 1.0)
     if core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING:
         change_mode(loop, shared, Mode.HOLDING)
+
+
+@jit
+def finish_stopped(loop: Loop, shared: Shared) -> None:
+    """The arm stands; the goal has the outcome for which it was stopped."""
+    running = loop.paths[loop.core.active]
+    joint, value, limit = running.reason_joint, running.reason_value, running.reason_limit
+    finish_running(loop, shared, running.reason, joint, value, limit)
 
 
 @jit
@@ -138,36 +145,20 @@ def steer(loop: Loop, shared: Shared) -> None:
     """Decide how fast the trajectory clock should run, and begin stops that nobody asked for."""
     core = loop.core
     core.looks_left = LOOKS_A_CYCLE
-    if core.goal_id == 0:
+    if not runs(loop):
         return
-    if core.ending == Outcome.NONE:
-        if front_is_lost(loop):
-            core.ending = Outcome.FRONT_LOST
-            core.ending_value = loop.core.front_age_ns * 1e-9
-            core.ending_limit = loop.params.front_timeout_ns * 1e-9
-        elif core.closing == 1:
-            core.ending = Outcome.SHUTDOWN
-    judge_supply(loop)
-    if core.ending == Outcome.NONE and has_run_dry(loop):
-        core.ending = Outcome.RAN_DRY
-    if is_told_at_once(core.ending):
-        set_result(loop, shared, core.goal_id, core.ending, core.ending_joint, core.ending_value, core.ending_limit)
+    stop_what_cannot_go_on(loop)
+    running = loop.paths[core.active]
+    if running.phase == Phase.STOPPING and is_told_at_once(running.reason):
+        joint, value, limit = running.reason_joint, running.reason_value, running.reason_limit
+        set_result(loop, shared, running.goal_id, running.reason, joint, value, limit)
     if core.own_brake == 1:
         return
-    stop = (
-        core.ending != Outcome.NONE
-        or core.held == 1
-        or core.stale == 1
-        or core.starving == 1
-        or core.incoming_waits == 1
-        or core.fault != Fault.NONE
-    )
-    if has_been_ended(core.ending) and core.mode == Mode.EXECUTING:
+    if stops_for_good(loop) and core.mode == Mode.EXECUTING:
         change_mode(loop, shared, Mode.STOPPING)
-    running = loop.paths[core.active]
     must_arrive = running.ended == 1 and not goes_on_past_end(loop, core.active)
     runs_on = running.stream == 1 and (running.ended == 0 or running.ends_moving == 1)
-    if stop:
+    if running.phase == Phase.STOPPING or running.phase == Phase.PAUSED or core.slowed != 0:
         steer_rate(loop, 0.0)
     elif core.arriving == 0:
         wanted = rate_while_blending(loop, asked_rate(loop, core.active))
@@ -181,79 +172,69 @@ def steer(loop: Loop, shared: Shared) -> None:
 
 
 @jit
-def has_run_dry(loop: Loop) -> bool:
-    """Whether a stream's last point is passed in motion and nothing newer has taken over."""
+def stop_what_cannot_go_on(loop: Loop) -> None:
+    """Stop a goal whose front is gone, whose points do not come, or that the program does not outlive."""
     core = loop.core
-    return (
-        loop.paths[core.active].stream == 1
-        and core.held == 0
-        and loop.paths[core.active].ends_moving == 1
-        and core.clock_s >= end_s(loop, core.active)
-    )
+    if loop.paths[core.active].phase != Phase.STOPPING:
+        if front_is_lost(loop):
+            stop_running(loop, Outcome.FRONT_LOST, -1, core.front_age_ns * 1e-9, loop.params.front_timeout_ns * 1e-9)
+        elif core.closing == 1:
+            stop_running(loop, Outcome.SHUTDOWN, -1, 0.0, 0.0)
+    judge_supply(loop)
+    if loop.paths[core.active].phase != Phase.STOPPING and has_run_dry(loop):
+        stop_running(loop, Outcome.RAN_DRY, -1, 0.0, 0.0)
 
 
 @jit
-def has_been_ended(ending: int) -> bool:
-    """Whether a goal stops for good; one that ran dry goes on with the next message of its stream."""
-    return ending != Outcome.NONE and ending != Outcome.RAN_DRY
+def has_run_dry(loop: Loop) -> bool:
+    """Whether a stream's last point is passed in motion and nothing newer has taken over."""
+    core = loop.core
+    running = loop.paths[core.active]
+    passed = running.ends_moving == 1 and core.clock_s >= end_s(loop, core.active)
+    return bool(running.stream == 1 and running.phase != Phase.PAUSED and passed)
 
 
 @jit
 def is_told_at_once(outcome: int) -> bool:
     """Whether the goal's client hears of its end while the arm still stops; a cancel ends when the arm stands."""
-    return not (
-        outcome == Outcome.NONE
-        or outcome == Outcome.CANCELED
-        or outcome == Outcome.STOPPED
-        or outcome == Outcome.RAN_DRY
-    )
+    return not (outcome == Outcome.CANCELED or outcome == Outcome.STOPPED or outcome == Outcome.RAN_DRY)
 
 
 @jit
 def judge_supply(loop: Loop) -> None:
     """Whether the front keeps up: brake while there is path to brake on, end the goal if nothing comes."""
     core = loop.core
-    starves = core.own_brake == 0 and must_brake_for_lack_of_path(loop, core.starving == 1)
-    if not starves:
-        core.starving = 0
-    elif core.starving == 0:
-        core.starving = 1
+    starved_before = core.slowed & _STARVING != 0
+    if core.own_brake == 1 or not must_brake_for_lack_of_path(loop, starved_before):
+        core.slowed &= ~_STARVING
+    elif not starved_before:
+        core.slowed |= _STARVING
         core.starving_ns = core.now_ns
-    elif core.now_ns - core.starving_ns > STARVED_FOR_NS and core.ending == Outcome.NONE:
-        core.ending = Outcome.STARVED
+    elif core.now_ns - core.starving_ns > STARVED_FOR_NS and loop.paths[core.active].phase != Phase.STOPPING:
+        stop_running(loop, Outcome.STARVED, -1, 0.0, 0.0)
 
 
 @jit
 def judge_goal(loop: Loop, shared: Shared) -> None:
     """Decide a goal whose motion is over: arrived and inside its tolerances, or stopped as asked."""
     core = loop.core
-    if core.goal_id == 0:
-        return
-    if core.own_brake == 1:
-        if guard.at_rest(loop):
-            finish_goal(loop, shared)
-        return
-    if core.ending != Outcome.NONE or core.fault != Fault.NONE:
-        if core.rate == 0.0 and core.ramp_s == 0.0 and guard.at_rest(loop):
-            set_result(
-                loop,
-                shared,
-                core.goal_id,
-                core.ending,
-                core.ending_joint,
-                core.ending_value,
-                core.ending_limit,
-            )
-            finish_goal(loop, shared)
+    if not runs(loop):
         return
     running = loop.paths[core.active]
+    if core.own_brake == 1 or running.phase == Phase.STOPPING:
+        along_path = core.rate == 0.0 and core.ramp_s == 0.0
+        if (core.own_brake == 1 or along_path) and guard.at_rest(loop):
+            finish_stopped(loop, shared)
+        return
     if goes_on_past_end(loop, core.active):
         if core.clock_s < max(end_s(loop, core.active), running.entry_s + running.blend_s):
             return
     elif not has_arrived(loop):
         return
-    if core.settle_ns == 0:
-        core.settle_ns = core.now_ns + loop.params.period_ns  # when the last point is the commanded one
+    if running.settle_ns == 0:
+        running.settle_ns = core.now_ns + loop.params.period_ns  # when the last point is the commanded one
+        if running.phase != Phase.PAUSED:
+            change_phase(loop, core.active, Phase.SETTLING)
         return
     judge_arrival(loop, shared)
 
@@ -262,19 +243,18 @@ def judge_goal(loop: Loop, shared: Shared) -> None:
 def judge_arrival(loop: Loop, shared: Shared) -> None:
     """Success once every joint was measured, at rest on the last point, inside its tolerances; patience ends."""
     core = loop.core
-    if core.held == 1:
-        core.settle_ns += loop.params.period_ns  # the time to arrive does not run
-        return
     running = loop.paths[core.active]
+    if running.phase == Phase.PAUSED:
+        running.settle_ns += loop.params.period_ns  # the time to arrive does not run
+        return
     joint, ratio = worst_of_goal(loop, POSITION)
     fast_joint, fast_ratio = worst_of_goal(loop, VELOCITY)
     rough_joint, rough_ratio = worst_of_goal(loop, ACCELERATION)
     within = max(ratio, fast_ratio, rough_ratio) <= 1.0
     value, limit = goal_error(loop, joint, POSITION)
     if within and everything_is_measured(loop):
-        set_result(loop, shared, core.goal_id, Outcome.SUCCEEDED, joint, value, limit)
-        finish_goal(loop, shared)
-    elif running.goal_time_s > 0.0 and (core.now_ns - core.settle_ns) * 1e-9 > running.goal_time_s:
+        finish_running(loop, shared, Outcome.SUCCEEDED, joint, value, limit)
+    elif running.goal_time_s > 0.0 and (core.now_ns - running.settle_ns) * 1e-9 > running.goal_time_s:
         outcome = Outcome.GOAL_TOLERANCE
         if ratio <= 1.0 and fast_ratio > 1.0:
             outcome, joint = Outcome.GOAL_VELOCITY, fast_joint
@@ -282,8 +262,7 @@ def judge_arrival(loop: Loop, shared: Shared) -> None:
         elif ratio <= 1.0 and rough_ratio > 1.0:
             outcome, joint = Outcome.GOAL_ACCELERATION, rough_joint
             value, limit = goal_error(loop, joint, ACCELERATION)
-        set_result(loop, shared, core.goal_id, outcome, joint, value, limit)
-        finish_goal(loop, shared)
+        finish_running(loop, shared, outcome, joint, value, limit)
 
 
 POSITION = 0
@@ -318,8 +297,8 @@ def worst_of_goal(loop: Loop, quantity: int) -> tuple[int, float]:
 @jit
 def everything_is_measured(loop: Loop) -> bool:
     """Whether every joint of the goal was measured since its last point is the commanded one."""
-    core = loop.core
+    active = loop.core.active
     for joint in range(loop.params.joint_count):
-        if in_goal(loop, core.active, joint) and loop.axes[joint].measured_ns < core.settle_ns:
+        if in_goal(loop, active, joint) and loop.axes[joint].measured_ns < loop.paths[active].settle_ns:
             return False
     return True

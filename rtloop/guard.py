@@ -15,11 +15,14 @@ from rtloop.events import record_event
 from rtloop.faults import latch_fault
 from rtloop.modes import is_limp
 from rtloop.path import in_goal
+from rtloop.phases import stop_running
 from shm.jit import jit
-from shm.words import Event, Fault, Mode, Outcome, Unreferenced
+from shm.words import Event, Fault, Mode, Outcome, Phase, Slowed, Unreferenced
 
 Loop = Any
 Shared = Any
+
+_LATE_DRIVE = int(Slowed.LATE_DRIVE)
 
 ROUNDING = 1.0 + 1e-6
 STATUSES_TO_BELIEVE = 2
@@ -106,14 +109,14 @@ def check_measured(loop: Loop, shared: Shared) -> None:
     in the speed field takes it back at the rate at which that allowance decays.
     """
     core, params = loop.core, loop.params
-    core.stale = 0
+    core.slowed &= ~_LATE_DRIVE
     for joint in range(params.joint_count):
         axis = loop.axes[joint]
         if axis.referenced == 0:
             continue
         age_ns = silent_ns(loop, joint)
         if age_ns > params.stale_brake_ns:
-            core.stale = 1
+            core.slowed |= _LATE_DRIVE
             shared.counters.stale_reads += 1
         if age_ns > params.stale_fault_ns:
             lose_reference(loop, shared, joint, Unreferenced.SILENT)
@@ -150,26 +153,19 @@ def let_go_on_purpose(loop: Loop, status: int) -> bool:
 @jit
 def judge_way(loop: Loop, joint: int) -> None:
     """End a goal whose joint is too far from its setpoint; once the last point is commanded its end is judged."""
-    core, axis = loop.core, loop.axes[joint]
-    if core.goal_id == 0 or core.ending != Outcome.NONE or core.settle_ns != 0 or not in_goal(loop, core.active, joint):
+    axis, running = loop.axes[joint], loop.paths[loop.core.active]
+    on_its_way = running.phase == Phase.RUNNING or (running.phase == Phase.PAUSED and running.settle_ns == 0)
+    if not on_its_way or not in_goal(loop, loop.core.active, joint):
         return
-    allowed = loop.paths[core.active].tolerances[joint]
+    allowed = running.tolerances[joint]
     error = agreed_error_rad(axis)
     velocity_error, acceleration_error = agreed_error_rad_s(axis), agreed_error_rad_s2(axis)
     if allowed.position_rad > 0.0 and abs(error) > allowed.position_rad + axis.slip_rad + axis.lag_rad:
-        end_for(loop, Outcome.PATH_TOLERANCE, joint, error, allowed.position_rad)
+        stop_running(loop, Outcome.PATH_TOLERANCE, joint, error, allowed.position_rad)
     elif allowed.velocity_rad_s > 0.0 and abs(velocity_error) > allowed.velocity_rad_s:
-        end_for(loop, Outcome.PATH_VELOCITY, joint, velocity_error, allowed.velocity_rad_s)
+        stop_running(loop, Outcome.PATH_VELOCITY, joint, velocity_error, allowed.velocity_rad_s)
     elif allowed.acceleration_rad_s2 > 0.0 and abs(acceleration_error) > allowed.acceleration_rad_s2:
-        end_for(loop, Outcome.PATH_ACCELERATION, joint, acceleration_error, allowed.acceleration_rad_s2)
-
-
-@jit
-def end_for(loop: Loop, outcome: int, joint: int, value: float, limit: float) -> None:
-    """Let the running goal end with this outcome once the arm has stopped."""
-    core = loop.core
-    core.ending = outcome
-    core.ending_joint, core.ending_value, core.ending_limit = joint, value, limit
+        stop_running(loop, Outcome.PATH_ACCELERATION, joint, acceleration_error, allowed.acceleration_rad_s2)
 
 
 @jit

@@ -17,13 +17,22 @@ from rtloop.faults import latch_fault
 from rtloop.guard import at_rest
 from rtloop.modes import change_mode, is_limp
 from rtloop.path import end_s, leaves_a_joint_moving, slot
+from rtloop.phases import (
+    change_phase,
+    end_waiting,
+    incoming,
+    running_goal,
+    runs,
+    stop_running,
+    waits,
+)
 from rtloop.state import LOOP, WINDOW_KNOTS, offset_of
 from rtloop.wire import received
 from shm import layout
 from shm.atomics import load_acquire, store_release
 from shm.jit import jit
 from shm.seqlock import copy_words, crc32_at
-from shm.words import Answer, Entry, Event, Fault, Mode, Outcome, Request, Setpoint, Unreferenced
+from shm.words import Answer, Entry, Event, Fault, Mode, Outcome, Phase, Request, Setpoint, Unreferenced
 
 Loop = Any
 Shared = Any
@@ -134,9 +143,9 @@ def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
         _begin_goal(loop, shared)
         return True
     # Knots of the running goal are taken until a newer one has really entered: it may yet be refused.
-    if record.goal_id == core.incoming_goal and core.incoming_goal != 0:
-        path_index = core.incoming_path
-    elif record.goal_id == core.goal_id and core.goal_id != 0:
+    if waits(loop) and record.goal_id == loop.paths[incoming(loop)].goal_id:
+        path_index = incoming(loop)
+    elif runs(loop) and record.goal_id == running_goal(loop):
         path_index = core.active
     else:
         return True  # of a goal that has ended
@@ -164,7 +173,7 @@ def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
             gap_ns = record.time_ns - loop.knots[slot(path_index, path.taken - 1)].time_ns
             path.closest_ns = min(path.closest_ns, gap_ns)
         path.taken += 1
-        if path_index == core.incoming_path:
+        if path_index != core.active:
             core.incoming_ns = core.now_ns
         shared.counters.knots_taken += 1
         return True
@@ -230,13 +239,10 @@ def _wrong_knot(loop: Loop, path_index: int) -> tuple[int, float, float]:
 @jit
 def _refuse_knot(loop: Loop, shared: Shared, joint: int, value: float, limit: float) -> None:
     """A knot that cannot be used ends its goal; what came before it is still a path to stop on."""
-    core = loop.core
-    if loop.scratch.goal_id == core.incoming_goal:
-        set_result(loop, shared, core.incoming_goal, Outcome.REFUSED_CORRUPT, joint, value, limit)
-        core.incoming_goal = core.incoming_waits = 0
-    elif core.ending == Outcome.NONE:
-        core.ending = Outcome.REFUSED_CORRUPT
-        core.ending_joint, core.ending_value, core.ending_limit = joint, value, limit
+    if waits(loop) and loop.scratch.goal_id == loop.paths[incoming(loop)].goal_id:
+        end_waiting(loop, shared, Outcome.REFUSED_CORRUPT, joint, value, limit)
+    elif loop.paths[loop.core.active].phase != Phase.STOPPING:
+        stop_running(loop, Outcome.REFUSED_CORRUPT, joint, value, limit)
 
 
 @jit
@@ -251,10 +257,8 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
         latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(goal_id), float(farthest))
         return
     core.newest_goal = goal_id
-    if core.incoming_goal != 0:
-        set_result(loop, shared, core.incoming_goal, Outcome.REPLACED, -1, 0.0, 0.0)
-        core.incoming_goal = 0
-    core.incoming_waits = core.ways_tried = core.judged_ahead = 0
+    end_waiting(loop, shared, Outcome.REPLACED, -1, 0.0, 0.0)
+    core.ways_tried = core.judged_ahead = 0
     record_event(loop, shared, Event.GOAL, -1, goal_id, 0.0, 0.0)
     if is_canceled(loop, goal_id):
         set_result(loop, shared, goal_id, Outcome.CANCELED, -1, 0.0, 0.0)
@@ -263,11 +267,13 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
     if outcome != Outcome.NONE:
         set_result(loop, shared, goal_id, outcome, joint, float(core.mode), 0.0)
         return
-    core.incoming_goal = goal_id
-    core.incoming_path = 1 - core.active
     core.incoming_ns = core.now_ns
-    path = loop.paths[core.incoming_path]
+    path = loop.paths[incoming(loop)]
+    change_phase(loop, incoming(loop), Phase.WAITING)
     path.goal_id = goal_id
+    path.settle_ns = 0
+    path.reason, path.reason_joint = Outcome.NONE, -1
+    path.reason_value = path.reason_limit = 0.0
     path.segment = 0
     path.ended = path.ends_moving = 0
     path.start_ns = begin.start_ns
@@ -282,7 +288,7 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
     for joint in range(loop.params.joint_count):
         path.tolerances[joint] = begin.joints[joint]
     if path.bridge == 1:
-        first = loop.knots[slot(core.incoming_path, 0)]  # filled in where the arm is when it enters
+        first = loop.knots[slot(incoming(loop), 0)]  # filled in where the arm is when it enters
         first.time_ns = 0
         first.order = 5
         path.taken = 1
@@ -318,14 +324,14 @@ def _wrong_begin(loop: Loop) -> tuple[int, int]:
 @jit
 def known_s(loop: Loop) -> float:
     """Path time of the newer goal that is known beyond the place at which it would be entered now."""
-    path_index = loop.core.incoming_path
+    path_index = incoming(loop)
     return end_s(loop, path_index) - due_s(loop, path_index)
 
 
 @jit
 def incoming_is_ready(loop: Loop) -> bool:
     """Whether enough of the newer goal is here to enter it where it is due."""
-    path = loop.paths[loop.core.incoming_path]
+    path = loop.paths[incoming(loop)]
     if path.taken <= path.bridge:
         return False  # not one knot of its own
     return path.ended == 1 or path.taken >= WINDOW_KNOTS - 1 or known_s(loop) >= COVER_S
@@ -381,7 +387,7 @@ def _obey(loop: Loop, shared: Shared) -> int:
             return Answer.REFUSED_MODE
         if received.closed(loop) != 0:
             return Answer.REFUSED_WIRE
-        if core.goal_id != 0 or not at_rest(loop):
+        if runs(loop) or not at_rest(loop):
             return Answer.REFUSED_MOVING
         core.bring_up_asked = 1
         return Answer.DONE
@@ -432,7 +438,7 @@ def _let_go(loop: Loop, shared: Shared, mode: int) -> int:
     core = loop.core
     if core.mode == mode:
         return Answer.DONE
-    if core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING or core.incoming_goal != 0 or core.rebase_ns != 0:
+    if core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING or waits(loop) or core.rebase_ns != 0:
         return Answer.REFUSED_MOVING
     if core.bring_up_asked == 1:
         return Answer.REFUSED_MODE
@@ -459,7 +465,7 @@ def begin_referencing(loop: Loop, shared: Shared, kind: int, joint_mask: int, an
     for joint in range(count):
         if (joint_mask >> joint) & 1 and kind == Request.REFERENCE and not _may_stand_at(loop, joint, angle_rad):
             return Answer.REFUSED_VALUE
-    if core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING or core.incoming_goal != 0 or core.rebase_ns != 0:
+    if core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING or waits(loop) or core.rebase_ns != 0:
         return Answer.REFUSED_MOVING
     if core.bring_up_asked == 1 or not change_mode(loop, shared, Mode.REFERENCING):
         return Answer.REFUSED_MODE

@@ -26,7 +26,7 @@ from rtloop.wire.opening import OpenWire, close_wire, keeps_frames, lost_bytes, 
 from rtloop.wire.refusal import WireRefused
 from shm import files
 from shm.sentences import STILL_QUEUED, WIRE_IS_BACK
-from shm.words import Mode, Unreferenced
+from shm.words import Mode, Phase, Unreferenced
 
 BUSY_POLL_S = 0.004
 IDLE_POLL_S = 0.05
@@ -461,4 +461,4 @@ class ControlProcess:
         """Whether nothing is commanded to move any more."""
         axes = self._loop[0]["axes"][: len(self._arm.joints)]
         moving = bool(np.any(axes["velocity_rad_s"] != 0.0))
-        return not moving and int(self._core["goal_id"]) == 0
+        return not moving and int(self._loop[0]["paths"][int(self._core["active"])]["phase"]) == Phase.NONE

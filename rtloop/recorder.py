@@ -14,7 +14,7 @@ from shm import layout, recording
 from shm.atomics import load_relaxed, store_relaxed, store_release
 from shm.jit import jit
 from shm.seqlock import copy_words, crc32_at
-from shm.words import Outcome, Slowed
+from shm.words import Outcome, Phase, Slowed
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
@@ -37,7 +37,7 @@ _OWN_WORDS = (_OWN_BYTES - _NUMBER) // 8
 _CHANGING = offset_of(LOOP, "snapshot") + offset_of(layout.SNAPSHOT, "cycle")
 
 # numba adds up no members of an enumeration, so they are plain integers here.
-_HELD, _LATE_DRIVE, _STARVING, _MAKING_WAY, _CLOSING, _OWN_BRAKE = (int(reason) for reason in Slowed)
+_HELD, _CLOSING, _OWN_BRAKE = int(Slowed.HELD), int(Slowed.CLOSING), int(Slowed.OWN_BRAKE)
 
 frame_check = jit(recording.frame_check)
 
@@ -46,15 +46,9 @@ frame_check = jit(recording.frame_check)
 def slowed(loop: Loop) -> int:
     """Why the arm is slowed down or stopped, as bits of shm.words.Slowed."""
     core = loop.core
-    why = 0
-    if core.held == 1 and core.goal_id != 0 and core.ending == Outcome.NONE:
+    why = core.slowed
+    if loop.paths[core.active].phase == Phase.PAUSED:
         why |= _HELD
-    if core.stale == 1:
-        why |= _LATE_DRIVE
-    if core.starving == 1:
-        why |= _STARVING
-    if core.incoming_waits == 1:
-        why |= _MAKING_WAY
     if core.closing == 1:
         why |= _CLOSING
     if core.own_brake == 1:
@@ -76,7 +70,8 @@ def record_cycle(loop: Loop, shared: Shared) -> None:
     record.cycle_time_ns = core.cycle_time_ns
     record.heartbeat_ns = load_relaxed(params.command_address + _HEARTBEAT)
     record.slowed = slowed(loop)
-    record.ending = core.ending
+    running = loop.paths[core.active]
+    record.ending = running.reason if running.phase == Phase.STOPPING else Outcome.NONE
     record.decisions_crc = core.decisions_crc
     own = params.address + _RECORD
     copy_words(own + _OWN_COUNTED, params.state_address + _COUNTED, _COUNTED_WORDS)

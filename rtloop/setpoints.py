@@ -9,6 +9,7 @@ from rtloop.faults import path_is_trusted
 from rtloop.modes import is_limp
 from rtloop.orders import adopt
 from rtloop.path import find_knot, sample
+from rtloop.phases import runs
 from rtloop.state import FAMILY_MOCK
 from shm.jit import jit
 from shm.words import Unreferenced
@@ -34,7 +35,7 @@ def move(loop: Loop, shared: Shared) -> None:
         follow_by_hand(loop)
         return
     if core.own_brake == 0:
-        if core.goal_id != 0:
+        if runs(loop):
             follow_path(loop)
         else:
             hold(loop)

@@ -4,12 +4,12 @@ import math
 from typing import Any
 
 from rtloop.path import end_s
+from rtloop.phases import incoming, running_goal, runs
 from rtloop.recorder import record_cycle
 from rtloop.state import LOOP, offset_of
 from shm import layout
 from shm.jit import jit
 from shm.seqlock import crc32_at, publish
-from shm.words import Fault, Outcome, Phase
 
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
@@ -24,16 +24,8 @@ _SHARED_SNAPSHOT = offset_of(layout.STATE, "snapshot")
 
 @jit
 def phase_of(loop: Loop) -> int:
-    core = loop.core
-    if core.goal_id == 0:
-        return Phase.WAITING if core.incoming_goal != 0 else Phase.NONE
-    if core.ending != Outcome.NONE or core.fault != Fault.NONE:
-        return Phase.STOPPING
-    if core.held == 1:
-        return Phase.PAUSED
-    if core.settle_ns != 0:
-        return Phase.SETTLING
-    return Phase.RUNNING
+    """That of the goal that runs, else of the one that waits."""
+    return int(loop.paths[loop.core.active if runs(loop) else incoming(loop)].phase)
 
 
 @jit
@@ -50,7 +42,7 @@ def show(loop: Loop, shared: Shared) -> None:
     snapshot.fault_value = core.fault_value
     snapshot.fault_limit = core.fault_limit
     snapshot.fault_ns = core.fault_ns
-    snapshot.goal_id = core.goal_id
+    snapshot.goal_id = running_goal(loop)
     snapshot.goal_phase = phase_of(loop)
     snapshot.trajectory_clock_ns = core.clock_s * 1e9
     running = loop.paths[core.active]

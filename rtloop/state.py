@@ -200,6 +200,12 @@ BLEND = np.dtype(
 PATH = np.dtype(
     [
         ("goal_id", "i8"),
+        ("phase", "i8"),  # shm.words.Phase of its goal, changed by rtloop.phases alone
+        ("reason", "i8"),  # while it stops: the outcome its goal gets when the arm stands
+        ("reason_joint", "i8"),
+        ("reason_value", "f8"),
+        ("reason_limit", "f8"),
+        ("settle_ns", "i8"),  # when its last point is the commanded one, 0 = not yet
         ("taken", "i8"),  # knots taken; the newest is at (taken - 1) % WINDOW_KNOTS
         ("segment", "i8"),  # knot at the start of the running segment
         ("closest_ns", "i8"),  # least time between two of its knots, other than the beginning of a bridge
@@ -255,13 +261,7 @@ CORE = np.dtype(
         ("closing", "i8"),  # a shutdown is stopping the arm
         # the goal
         ("active", "i8"),  # which of the two paths runs
-        ("goal_id", "i8"),
         ("clock_s", "f8"),
-        ("settle_ns", "i8"),
-        ("ending", "i8"),  # outcome the goal gets when the arm has stopped; 0 = it goes on
-        ("ending_joint", "i8"),
-        ("ending_value", "f8"),
-        ("ending_limit", "f8"),
         # the clock's rate
         ("rate", "f8"),
         ("slope", "f8"),
@@ -278,15 +278,14 @@ CORE = np.dtype(
         ("resume_ns", "i8"),
         ("stops", "i8"),  # how often a person has stopped the arm
         ("epoch", "i8"),  # goals that arrived in an earlier one never begin
-        ("starving", "i8"),
+        (
+            "slowed",
+            "i8",
+        ),  # why the clock is slowed down beside what people ask for: LATE_DRIVE, STARVING, MAKING_WAY of Slowed
         ("starving_ns", "i8"),
         ("arriving", "i8"),  # the last ramp ends where the path does
-        ("stale", "i8"),
         # the newer goal
-        ("incoming_goal", "i8"),  # goal whose records are being taken, 0 none
-        ("incoming_path", "i8"),
         ("incoming_ns", "i8"),  # when its last record came
-        ("incoming_waits", "i8"),  # 1 while the arm stops on the old path to make way
         ("ways_tried", "i8"),  # onto it, of those that are tried from this state of the arm
         ("looks_left", "i8"),  # spans and setpoints that may still be looked at ahead in this cycle, -1: too few
         ("judged_ahead", "i8"),  # setpoints of the next way that cycles before have judged

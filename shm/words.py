@@ -22,14 +22,14 @@ class Mode(IntEnum):
 
 
 class Phase(IntEnum):
-    """Where the goal `snapshot.goal_id` stands."""
+    """Where a goal stands; allowed changes stand in `rtloop.phases`."""
 
     NONE = 0
-    WAITING = 1  # start time lies ahead
-    RUNNING = 2
+    WAITING = 1  # its points come, its start lies ahead, or the arm stops to make way for it
+    RUNNING = 2  # it moves the arm
     SETTLING = 3  # the last point is commanded, the measured joints are on their way
-    STOPPING = 4  # slowing down on its path
-    PAUSED = 5
+    STOPPING = 4  # it has been ended, and the arm comes to rest on its path
+    PAUSED = 5  # a person holds the arm
 
 
 class Setpoint(IntEnum):

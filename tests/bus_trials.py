@@ -35,7 +35,7 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from rtloop.wire import received
 from shm.sentences import fault_sentence, outcome_sentence, unreferenced_sentence
-from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
+from shm.words import Answer, Fault, Mode, Outcome, Request, Slowed, Unreferenced
 from sim.pty import PACKET_NS
 
 GOALS = ("large", "scale_1_0", "scale_0_5", "cartesian", "single_joint", "sweep", "sweep", "sweep")
@@ -189,11 +189,12 @@ class _Trial:
         while arm.now_ns < until_ns:
             arm.cycle()
             since_ms = (arm.now_ns - self.fault_ns) * 1e-6
-            if math.isnan(found.reaction_ms) and (core["stale"] or core["fault"]) and since_ms >= 0.0:
+            reacts = arm.is_slowed(Slowed.LATE_DRIVE) or core["fault"]
+            if math.isnan(found.reaction_ms) and reacts and since_ms >= 0.0:
                 found.reaction_ms = since_ms
             if core["fault"] and not found.latched:
                 found.latched, found.latched_ms = Fault(int(core["fault"])).name, since_ms
-            if arm.outcome(goal) != Outcome.NONE and core["goal_id"] == 0 and not np.any(axes["velocity_rad_s"]):
+            if arm.outcome(goal) != Outcome.NONE and arm.running_goal == 0 and not np.any(axes["velocity_rad_s"]):
                 break
         else:
             self.wrong(f"the goal has no end after {PATIENCE_S:g} s")

@@ -48,7 +48,7 @@ def swing(arm: VirtualArm, duration_s: float, spacing_s: float = 0.1) -> int:
     joints = 0.05 * shape[:, None, :] * np.ones((1, len(arm.arm.joints), 1))
     joints[:, :, 0] += arm.loop[0]["axes"]["next_position_rad"][: len(arm.arm.joints)]
     goal = arm.send_goal((times * 1e9).astype(int), joints, tolerances=(0.0, 0.0, 0.0))
-    arm.until(lambda: not arm.pending and arm.core["goal_id"] == goal)
+    arm.until(lambda: not arm.pending and arm.running_goal == goal)
     arm.until(lambda: arm.loop[0]["paths"][int(arm.core["active"])]["taken"] == len(times))
     return goal
 

@@ -33,7 +33,7 @@ from shm.errors import RingFull
 from shm.files import MemoryFile, name_bytes
 from shm.jit import jit
 from shm.recording import Recording, read_recording
-from shm.words import Answer, Entry, Mode, Outcome, Request, Unreferenced
+from shm.words import Answer, Entry, Mode, Outcome, Phase, Request, Slowed, Unreferenced
 from sim.arm import SimulatedArm
 
 GOALS = Path(__file__).parent / "data" / "moveit"
@@ -205,6 +205,27 @@ class VirtualArm:
     def taken(self, count: int) -> None:
         """The wire has taken so many bytes of the cycle's."""
         took(self.loop.ctypes.data, self.state.address, count)
+
+    @property
+    def running(self) -> np.void:
+        """The path that is active, with its goal's phase."""
+        found: np.void = self.loop[0]["paths"][int(self.core["active"])]
+        return found
+
+    @property
+    def running_goal(self) -> int:
+        """Id of the goal that runs, 0 none."""
+        return int(self.running["goal_id"]) if self.running["phase"] != Phase.NONE else 0
+
+    @property
+    def waiting_goal(self) -> int:
+        """Id of the goal that waits to take over, 0 none."""
+        newer = self.loop[0]["paths"][1 - int(self.core["active"])]
+        return int(newer["goal_id"]) if newer["phase"] == Phase.WAITING else 0
+
+    def is_slowed(self, why: Slowed) -> bool:
+        """Whether this is among the reasons for which the clock is slowed down."""
+        return bool(int(self.core["slowed"]) & why)
 
     def cycles(self, count: int) -> None:
         for _ in range(count):

@@ -14,6 +14,7 @@ import numpy as np
 from rtloop import orders
 from rtloop.cycle import step
 from rtloop.modes import change_mode
+from rtloop.phases import runs, waits
 from rtloop.state import LOOP, offset_of
 from shm import layout
 from shm.atomics import load_relaxed, store_relaxed
@@ -493,6 +494,6 @@ def follow(loop: Loop, shared: Shared, start_ns: int, most_cycles: int, verdict:
         if guilt != SOUND:
             verdict[4] = cycle
             return guilt
-        if cycle > 2 and loop.core.goal_id == 0 and loop.core.incoming_goal == 0 and loop.core.own_brake == 0:
+        if cycle > 2 and not runs(loop) and not waits(loop) and loop.core.own_brake == 0:
             return SOUND
     return LEFT_EARLY

@@ -35,9 +35,9 @@ def arm_with_blend(seed: int, rate_hz: float) -> tuple[VirtualArm, int, float]:
     arm.send_goal((times_s * 1e9).astype(int), knots, order=int(random.choice([1, 3, 3, 3])))
     arm.until(lambda: not arm.pending)
     arm.cycles(25)  # until all of it is taken
-    assume(arm.core["incoming_goal"] != 0)  # it was not refused for a knot beyond its limits
+    assume(arm.waiting_goal != 0)  # it was not refused for a knot beyond its limits
     rate = float(random.choice([1.0, 0.5, 0.3]))
-    index = int(arm.core["incoming_path"])
+    index = 1 - int(arm.core["active"])
     entry.lay_blend(arm.loop[0], index, rate, 0.0, float(random.choice([0.1, 0.3, 0.45])))
     return arm, index, rate
 
@@ -103,7 +103,7 @@ def test_a_bump_that_every_way_meets_is_found_over_several_cycles() -> None:
     knots = np.zeros((3000, 6, 3))
     knots[295, :, 0] = [10.0 * joint.max_acceleration_rad_s2 * 1e-6 for joint in arm.arm.joints]
     goal = arm.send_goal((times_s * 1e9).astype(int), knots, order=3)
-    arm.until(lambda: arm.core["incoming_goal"] == goal)
+    arm.until(lambda: arm.waiting_goal == goal)
     begun = int(arm.core["cycle"])
     assert arm.end_of(goal) == Outcome.REFUSED_LIMITS
     assert arm.core["fault"] == Fault.NONE

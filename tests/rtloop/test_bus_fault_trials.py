@@ -13,7 +13,7 @@ from virtual import START_NS, VirtualArm
 
 from rtloop.state import RX_BYTES
 from rtloop.wire import received
-from shm.words import Fault, Mode, Outcome, Unreferenced
+from shm.words import Fault, Mode, Outcome, Slowed, Unreferenced
 from sim.faults import CountSlip, ReceiveStall, Silent, Stall, WrongValues
 
 
@@ -129,7 +129,7 @@ def test_a_drive_in_doubt_is_not_led(moving: TrialArm) -> None:
 def test_a_silent_drive_is_led_no_longer_than_the_arm_runs_on(moving: TrialArm) -> None:
     """What is sent into the void arrives when the way is free again, and then nobody wants it any more."""
     moving.sim.inject(Silent("joint2", 0.0), since_ns=moving.now_ns)
-    moving.until(lambda: moving.core["stale"] == 1)
+    moving.until(lambda: moving.is_slowed(Slowed.LATE_DRIVE))
     since = len(moving.sent)
     moving.cycles(60)
     frames = frames_sent(moving.sent[since - 1 :])
@@ -239,7 +239,7 @@ def test_no_sequence_of_answers_moves_an_arm_beyond_its_limits(events: list, sta
         now_ns = arm.loop[0]["axes"]["measured_ns"][:6]
         assert np.all(now_ns >= measured_ns)
         measured_ns = now_ns.copy()
-    arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE and arm.core["goal_id"] == 0)
+    arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE and arm.running_goal == 0)
     arm.cycles(40)
     frames = frames_sent(arm.sent)
     stopped = {frame.drive for frame in frames if frame.data[:2] == b"\xfe\x98"}

@@ -169,7 +169,7 @@ def test_the_path_tolerance_ends_where_the_path_does(virtual_arm) -> None:
     """Once the last point is commanded only the goal's own tolerances count."""
     arm = virtual_arm(goal="small")
     goal = arm.play("small", tolerances=(0.004, 0.0, 0.0), goal_tolerances=(1e-6, 0.0, 0.0), goal_time_s=0.5)
-    arm.until(lambda: arm.core["settle_ns"] != 0)
+    arm.until(lambda: arm.running["settle_ns"] != 0)
     arm.sim.inject(Stall(joint="joint1", at_s=0.0), since_ns=arm.now_ns)
     arm.loop[0]["axes"][0]["measured_rad"] += 0.02  # as if something had pushed it
     assert arm.end_of(goal) == Outcome.GOAL_TOLERANCE
@@ -180,7 +180,7 @@ def test_a_joint_that_still_moves_has_not_arrived(virtual_arm) -> None:
     joints = np.zeros((1, 6, 3))
     joints[:, 0, 0] = 0.05
     goal = arm.send_goal(np.array([10**9]), joints, bridge=True, goal_tolerances=(0.0, 0.01, 0.0), goal_time_s=0.3)
-    arm.until(lambda: arm.core["settle_ns"] != 0)
+    arm.until(lambda: arm.running["settle_ns"] != 0)
     for _ in range(200):
         arm.loop[0]["axes"][2]["measured_velocity_rad_s"] = 0.5
         arm.cycle()

@@ -11,7 +11,7 @@ from rtloop.drives.zdt_ask import split_packets
 from rtloop.port import SEND
 from rtloop.wire import outgoing, received
 from shm.recording import SENT, read_recording
-from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
+from shm.words import Answer, Fault, Mode, Outcome, Request, Slowed, Unreferenced
 from sim.faults import CorruptBytes, CountSlip, LostReplies, PowerLoss, Silent, Stall
 
 FD = "FD"
@@ -28,7 +28,7 @@ def test_a_silent_drive_is_braked_then_latched() -> None:
     arm = VirtualArm.amid("large")
     arm.sim.inject(Silent("joint2", at_s=0.0), since_ns=arm.now_ns)
     began_ns = arm.now_ns
-    arm.until(lambda: arm.core["stale"] == 1)
+    arm.until(lambda: arm.is_slowed(Slowed.LATE_DRIVE))
     assert arm.now_ns - began_ns <= 6 * arm.period_ns
     assert arm.core["mode"] == Mode.EXECUTING
     arm.until(lambda: arm.core["mode"] == Mode.FAULT)
@@ -155,7 +155,7 @@ def test_old_firmware_that_lost_power_stays_unreferenced_when_the_fault_is_clear
     arm = VirtualArm.amid("large", firmware="old")
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=0.03), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["mode"] == Mode.FAULT)
-    arm.until(lambda: arm.core["goal_id"] == 0)
+    arm.until(lambda: arm.running_goal == 0)
     arm.cycles(60)
     assert arm.clear_fault().failure is None
     assert arm.core["mode"] == Mode.HOLDING
@@ -177,7 +177,7 @@ def test_a_fault_is_not_cleared_while_the_arm_still_moves(after: int) -> None:
     moving = bool(np.any(arm.loop[0]["axes"]["velocity_rad_s"]))
     answer = arm.reader.snapshot()["answers"][sequence % 16]["answer"]
     assert answer == (Answer.REFUSED_MOVING if moving else Answer.DONE)
-    arm.until(lambda: not np.any(arm.loop[0]["axes"]["velocity_rad_s"]) and arm.core["goal_id"] == 0)
+    arm.until(lambda: not np.any(arm.loop[0]["axes"]["velocity_rad_s"]) and arm.running_goal == 0)
     assert arm.clear_fault().failure is None
     assert arm.core["mode"] == Mode.HOLDING
     assert arm.core["fault"] == Fault.NONE

@@ -178,7 +178,7 @@ def test_a_shutdown_stops_the_arm_first(virtual_arm) -> None:
     arm.cycles(60)
     arm.core["closing"] = 1
     assert arm.end_of(goal) == Outcome.SHUTDOWN
-    arm.until(lambda: arm.core["goal_id"] == 0)
+    arm.until(lambda: arm.running_goal == 0)
     assert not np.any(arm.loop[0]["axes"]["velocity_rad_s"])
 
 

@@ -138,7 +138,7 @@ def arm():
 
 
 def comes_to_rest(arm):
-    arm.until(lambda: arm.mode not in (Mode.EXECUTING, Mode.STOPPING) and not arm.core["goal_id"], at_most_s=20)
+    arm.until(lambda: arm.mode not in (Mode.EXECUTING, Mode.STOPPING) and not arm.running_goal, at_most_s=20)
     arm.cycles(3)
     assert np.ptp(arm.positions, axis=0).max() == 0
 
@@ -151,7 +151,7 @@ def test_a_cycle_takes_a_bounded_batch(arm):
     arm.cycle()
     most = records_a_cycle(6, arm.period_ns)
     assert arm.reader.setpoints_consumed() == most
-    arm.until(lambda: arm.core["goal_id"] == goal)
+    arm.until(lambda: arm.running_goal == goal)
     arm.cycles(1002 // most + 1)
     assert arm.reader.setpoints_consumed() == 1002
 
@@ -419,7 +419,7 @@ def test_records_of_goals_that_are_over_are_passed_over(arm):
     arm.end(goal)
     arm.knot(77, int(9e9), arm.commanded() + 0.1)
     arm.cycles(3)
-    assert (arm.mode, arm.core["goal_id"], arm.fault) == (Mode.HOLDING, 0, Fault.NONE)
+    assert (arm.mode, arm.running_goal, arm.fault) == (Mode.HOLDING, 0, Fault.NONE)
     assert arm.reader.setpoints_consumed() == arm.writer.setpoints_written
 
 
@@ -511,7 +511,7 @@ def test_arbitrary_bytes_in_the_whole_file(moving, seed, heads):
     arm.front_alive = False
     arm.cycles(60)
     if moving:
-        arm.until(lambda: arm.core["goal_id"] == 0, at_most_s=20)
+        arm.until(lambda: arm.running_goal == 0, at_most_s=20)
     arm.cycles(3)
     assert np.ptp(arm.positions, axis=0).max() == 0
     body = None
@@ -548,7 +548,7 @@ def test_whole_records_that_say_anything(moving, stream, announced):
         arm.put(record["kind"], **{name: record[name] for name in ("goal_id", "words", "numbers")})
     arm.cycles(100)
     arm.front_alive = False
-    arm.until(lambda: arm.core["goal_id"] == 0, at_most_s=30)
+    arm.until(lambda: arm.running_goal == 0, at_most_s=30)
     arm.close()
 
 

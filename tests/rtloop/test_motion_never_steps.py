@@ -56,7 +56,7 @@ class Asked(CommandedArm):
             joints = self.start_again()
             start_ns = self.now_ns + 200_000_000
             self.newest = self.send_goal(np.array([self.time_back_ns()]), joints, bridge=True, start_ns=start_ns)
-        elif action == "again" and int(self.core["goal_id"]) != 0:
+        elif action == "again" and self.running_goal != 0:
             clock_ns = round(float(self.core["clock_s"]) * 1e9)
             self.newest = self.play(self.name, start_ns=self.now_ns - clock_ns)
 

@@ -106,7 +106,7 @@ def swinging():
     goal = swing(arm, duration_s=(TRIES * CYCLES + 1000) / 100)
     advance(arm, 200)
     yield arm
-    assert (arm.core["goal_id"], arm.core["mode"]) == (goal, Mode.EXECUTING)
+    assert (arm.running_goal, arm.core["mode"]) == (goal, Mode.EXECUTING)
     assert arm.outcome(goal) == Outcome.NONE
     arm.close()
 

@@ -64,7 +64,7 @@ def test_every_frame_is_kept_in_both_directions(arm):
 
 def test_what_led_to_a_fault_is_kept_with_what_the_arm_did_then(arm):
     goal = arm.play(GOAL)
-    arm.until(lambda: arm.core["goal_id"] == goal)
+    arm.until(lambda: arm.running_goal == goal)
     arm.cycles(20)
     arm.sim.inject(PowerLoss("joint2", at_s=0.0), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["fault"] != Fault.NONE)
@@ -82,7 +82,7 @@ def test_what_led_to_a_fault_is_kept_with_what_the_arm_did_then(arm):
 @pytest.mark.parametrize(("ask", "slowed"), [("hold", Slowed.HELD), ("cancel_all", Slowed(0)), ("stop", Slowed(0))])
 def test_why_the_arm_slows_down_is_kept(arm, ask, slowed):
     goal = arm.play(GOAL)
-    arm.until(lambda: arm.core["goal_id"] == goal)
+    arm.until(lambda: arm.running_goal == goal)
     arm.cycles(5)
     getattr(arm.writer, ask)()
     arm.cycles(3)
@@ -95,12 +95,12 @@ def test_why_the_arm_slows_down_is_kept(arm, ask, slowed):
 def test_signs_before_a_fault_are_kept(arm):
     """A garbled line, then a drive that is late: no fault yet, and both can be seen."""
     goal = arm.play(GOAL)
-    arm.until(lambda: arm.core["goal_id"] == goal)
+    arm.until(lambda: arm.running_goal == goal)
     arm.cycles(10)
     received.push(arm.loop[0], arm.now_ns, np.array([BEL], np.uint8), 1)
     arm.cycle()
     arm.sim.inject(Silent("joint2", at_s=0.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["stale"] == 1)
+    arm.until(lambda: arm.is_slowed(Slowed.LATE_DRIVE))
     records = read_recording(arm.state).records
     assert records["fault"][-1] == Fault.NONE
     garbled, late = (int(np.flatnonzero(np.diff(records[name]))[-1]) for name in ("wire_errors", "stale_reads"))

@@ -15,7 +15,7 @@ from rtloop.calibration.talk import OneDrive
 from rtloop.drives import zdt_registers
 from rtloop.farewell import Farewell
 from rtloop.settings.session import Session
-from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
+from shm.words import Answer, Fault, Mode, Outcome, Request, Slowed, Unreferenced
 from sim.bus import Frame
 from sim.faults import DuplicateReplies, LateReplies, LostReplies, PowerLoss, SerialBlocked, Silent
 
@@ -260,7 +260,7 @@ def test_a_drive_that_ceases_to_report_is_a_silent_one(moving: VirtualArm) -> No
     """Although it still answers; clearing the fault brings its reports back."""
     end_reports(moving, 1)
     began_ns = moving.now_ns
-    moving.until(lambda: moving.core["stale"] == 1)
+    moving.until(lambda: moving.is_slowed(Slowed.LATE_DRIVE))
     assert moving.now_ns - began_ns <= 6 * moving.period_ns
     moving.until(lambda: moving.core["mode"] == Mode.FAULT)
     assert moving.now_ns - began_ns <= 150_000_000
@@ -321,7 +321,7 @@ def test_reports_do_not_hide_that_nothing_is_heard_of_us(moving: VirtualArm) -> 
         moving.taken(len(data))
 
     moving.write = blocked_write
-    moving.until(lambda: moving.core["stale"] == 1)
+    moving.until(lambda: moving.is_slowed(Slowed.LATE_DRIVE))
     assert moving.now_ns - began_ns <= 6 * moving.period_ns
     since = len(moving.sent)
     moving.until(lambda: moving.core["mode"] == Mode.FAULT)

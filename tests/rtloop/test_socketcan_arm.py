@@ -99,7 +99,7 @@ def test_a_bus_that_goes_off_again_after_a_clear_is_latched_again():
     """The controller need not have said that it was back in between."""
     arm = VirtualArm.amid("large", arm=ON_SOCKETCAN)
     hear(arm, can_words.BUS_OFF)
-    arm.until(lambda: arm.core["goal_id"] == 0)
+    arm.until(lambda: arm.running_goal == 0)
     assert request(arm, Request.CLEAR_FAULT) == Answer.DONE
     arm.core["bring_up_asked"] = 0
     assert arm.bring_up(clears_protection=True).failure is None
@@ -119,7 +119,7 @@ def test_bus_off_stops_the_arm_and_nothing_of_before_moves_it_afterwards():
     arm.cycles(12)
     hear(arm, can_words.RESTARTED)
     assert arm.state.record["counters"]["bus_state"] == BusState.ACTIVE
-    arm.until(lambda: arm.core["goal_id"] == 0)
+    arm.until(lambda: arm.running_goal == 0)
     arm.cycles(200)
     sent = frames_in(arm.sent)
     assert not any(motion_frames(sent, drive, since_ns) for drive in range(1, 7))

@@ -207,7 +207,7 @@ def test_a_stop_is_obeyed_in_the_next_cycle_while_somebody_holds_the_lock(arm: V
     arm.cycles(60)
     with arm.writer._threads:
         arm.stop()
-    assert arm.core["stops"] == 1 and arm.core["ending"] == Outcome.STOPPED
+    assert arm.core["stops"] == 1 and arm.running["reason"] == Outcome.STOPPED
 
 
 def send(arm: VirtualArm, **options: object) -> None:
@@ -249,7 +249,7 @@ def test_after_a_stop_the_arm_rests_in_time_and_stays_whatever_else_comes(asked:
             COMMANDS[name](arm)
             arm.cycles(cycles)
     assert (arm.loop[0]["axes"]["position_rad"] == stood_rad).all()
-    assert arm.core["goal_id"] == 0 and arm.core["incoming_goal"] == 0
+    assert arm.running_goal == 0 and arm.waiting_goal == 0
     newest = int(arm.core["newest_goal"])
     for goal in range(max(1, newest - layout.RESULT_SLOTS + 1), newest + 1):
         assert arm.outcome(goal) != Outcome.NONE

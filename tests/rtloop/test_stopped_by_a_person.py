@@ -42,7 +42,7 @@ def test_a_streamed_arm_stops_and_stays_while_its_sender_goes_on(
     sender.run((stopped_after_cycles * arm.period_ns + offset * sender.period_ns / 10) * 1e-9)
     arm.writer.stop()
     sender.run(float(arm.loop[0]["params"]["longest_stop_s"]))
-    assert not moves(arm) and arm.core["goal_id"] == 0 and arm.core["mode"] == Mode.HOLDING
+    assert not moves(arm) and arm.running_goal == 0 and arm.core["mode"] == Mode.HOLDING
     stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
     sender.run(1.0)
     assert (arm.loop[0]["axes"]["position_rad"] == stood_rad).all()
@@ -59,7 +59,7 @@ def test_a_client_that_sends_its_goal_again_moves_nothing_before_a_resume() -> N
     arm.cycles(40)
     arm.stop()
     assert arm.end_of(goal) == Outcome.STOPPED
-    arm.until(lambda: arm.core["goal_id"] == 0)
+    arm.until(lambda: arm.running_goal == 0)
     stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
     for _ in range(5):
         assert arm.end_of(arm.send_shift()) == Outcome.REFUSED_HELD
@@ -137,7 +137,7 @@ def test_what_follows_a_cancel_begins_only_at_rest(cycles_between: int) -> None:
     arm.writer.cancel(first)
     arm.cycles(cycles_between)
     second = arm.send_shift()
-    arm.until(lambda: arm.core["goal_id"] == second or arm.outcome(second) != Outcome.NONE)
+    arm.until(lambda: arm.running_goal == second or arm.outcome(second) != Outcome.NONE)
     assert arm.outcome(first) == Outcome.CANCELED
     assert abs(arm.loop[0]["axes"]["velocity_rad_s"]).max() < 0.01 * speed_rad_s
     arm.close()

@@ -59,7 +59,7 @@ def test_a_dried_up_stream_stops_in_a_straight_line(seed: int, rate_hz: float, s
     servo = Servo(arm, waves(arm, 0.7, seed), rate_hz)
     servo.run(seconds)
     arm.cycle()  # the last message is in
-    running = int(arm.core["goal_id"])
+    running = arm.running_goal
     last = len(arm.positions)
     arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=3.0)
     assert arm.outcome(running) == Outcome.RAN_DRY and arm.core["fault"] == Fault.NONE
@@ -108,7 +108,7 @@ def test_a_point_too_far_away_is_refused_and_the_stream_before_it_goes_on() -> N
     arm = CommandedArm()
     servo = Servo(arm, waves(arm, 0.4, 6), 100.0)
     servo.run(1.0)
-    running = int(arm.core["goal_id"])
+    running = arm.running_goal
     rows = np.zeros((1, 6, 3))
     rows[0, :, 0] = arm.positions[-1] + 0.3
     far = arm.send_goal(np.array([10_000_000]), rows, order=3, stream=True, bridge=True)
@@ -163,12 +163,12 @@ def test_a_stop_ends_a_stream_even_while_it_runs_dry(dry_cycles: int) -> None:
     servo = Servo(arm, waves(arm, 0.6, 8), 100.0)
     servo.run(1.2)
     arm.cycles(dry_cycles)
-    running = int(arm.core["goal_id"])
+    running = arm.running_goal
     arm.writer.stop()
     arm.cycle()
     servo.due_ns = arm.now_ns
     servo.run(0.1)  # its messages wait until the arm stands
-    assert arm.core["mode"] in (Mode.STOPPING, Mode.HOLDING) and arm.core["goal_id"] in (running, 0)
+    assert arm.core["mode"] in (Mode.STOPPING, Mode.HOLDING) and arm.running_goal in (running, 0)
     assert arm.end_of(running) == Outcome.STOPPED
     assert arm.acceleration_ratio() <= 1.9
     arm.close()

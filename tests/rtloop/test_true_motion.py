@@ -246,7 +246,7 @@ def test_front_lost_stops_on_the_path(moment: tuple[str, float]) -> None:
 def test_a_long_gap_ends_the_goal_where_the_drives_stopped(moment: tuple[str, float], periods: int) -> None:
     """The loop is away for longer than the drives' look-ahead: they braked by themselves, nothing jumps back."""
     arm, goal_id, started_ns = moving(*moment)
-    running = arm.core["goal_id"] == goal_id
+    running = arm.running_goal == goal_id
     arm.cycle(periods)
     arm.cycles(3)
     stood = [arm.sim.true_position_rad(joint, arm.sim.now_ns - 1) for joint in range(6)]
@@ -269,7 +269,7 @@ def test_a_suspended_machine_ends_the_goal_where_the_drives_stopped(
 ) -> None:
     """CLOCK_MONOTONIC stands still meanwhile, so that to the loop no time has passed; the drives braked long ago."""
     arm, goal_id, started_ns = moving(*moment)
-    assert arm.core["goal_id"] == goal_id
+    assert arm.running_goal == goal_id
     arm.cycles(1)
     arm.suspend(duration_s)
     arm.cycles(3)
