@@ -71,7 +71,8 @@ class Commands:
                 )
             elif kind == Event.COMMAND:
                 name = key(Request, code)
-                yield _command(at, "request", None, name, sentence=command_sentence(code, value), value=value)
+                scale = value if code == Request.SPEED_SCALE else math.nan
+                yield _command(at, "request", None, name, sentence=command_sentence(code, value), value=scale)
             elif kind == Event.GOAL:
                 yield self._goal(at, code, recording)
             elif kind == Event.RESULT:
