@@ -15,6 +15,7 @@ from dataclasses import replace
 from types import coroutine
 from typing import Any
 
+from action_msgs.msg import GoalStatus
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -52,11 +53,15 @@ def _goes_on(begun: Coroutine[Any, Any, None]) -> bool:
 
 
 class _TellingServer(ActionServer):
-    """An action server that also says whose result has been sent, and in which nothing waits for a considered goal."""
+    """An action server that also says whose result has been sent, and in which nothing waits for a considered goal.
 
-    def __init__(self, on_sent: Callable[[bytes], None], *arguments: Any, **options: Any) -> None:
+    Who asks for the result of a goal that it does not have gets `of_unknown` with the status UNKNOWN.
+    """
+
+    def __init__(self, on_sent: Callable[[bytes], None], of_unknown: Any, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._on_sent = on_sent
+        self._of_unknown = of_unknown
 
     async def execute(self, taken_data: dict[str, Any]) -> None:
         """rclpy's own awaits a goal's consideration before the cancel that was taken with it.
@@ -69,6 +74,15 @@ class _TellingServer(ActionServer):
         await super().execute(others)
         if waits:
             await _rest_of(goal)
+
+    async def _execute_get_result_request(self, request_header_and_message: tuple[Any, Any]) -> None:
+        header, request = request_header_and_message
+        if bytes(request.goal_id.uuid) in self._goal_handles:
+            await super()._execute_get_result_request(request_header_and_message)
+        else:
+            unknown = self._action_type.Impl.GetResultService.Response(status=GoalStatus.STATUS_UNKNOWN)
+            unknown.result = self._of_unknown
+            self._handle.send_result_response(header, unknown)
 
     def _send_result_response(self, request_header: Any, future: Future) -> None:
         super()._send_result_response(request_header, future)
@@ -106,13 +120,14 @@ class GoalServer:
         kind: type = FollowJointTrajectory,
         result: Callable[[ServerGoalHandle, Verdict], Any] = trajectory_result,
         counts: Counts | None = None,
+        of_unknown: Any = None,
     ) -> None:
         """`run` carries a goal out and returns how it ended; `cancel` hears that a client no longer wants one.
 
         `accepted` hears of a goal at once, before it is run and before anything else is served. `consider` may reject a
         goal before it is one, without a reason. `idle` says whether nothing else of the node keeps the executor's
         thread. `kind` is the action's type, and `result` makes its result; `counts` are those of another server that
-        counts these goals too.
+        counts these goals too. `of_unknown` is the result of goals that this server does not have, None an empty one.
         """
         self.closing = False
         self.counts = Counts() if counts is None else counts
@@ -129,6 +144,7 @@ class GoalServer:
         self._has_spun = threading.Event()
         self._server = _TellingServer(
             self._told,
+            kind.Result() if of_unknown is None else of_unknown,  # type: ignore[attr-defined]  # every action has one
             node,
             kind,
             name,

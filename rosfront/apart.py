@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 
-class _Apart(CallbackGroup):
+class Apart(CallbackGroup):
     """What is in it is none of the executor's, which would be woken by every message if only its events were."""
 
     def can_execute(self, entity: Any) -> bool:
@@ -40,7 +40,7 @@ class SubscriptionApart(threading.Thread):
         self._executor = executor
         self._take = take
         self._leaving = False
-        group = _Apart()
+        group = Apart()
         self._subscription = node.create_subscription(kind, topic, take, qos, callback_group=group, raw=True)
         self._leave = node.create_guard_condition(lambda: None, callback_group=group)
         assert node.context.handle is not None

@@ -138,6 +138,8 @@ class Diagnostics:
             level, message = ERROR, hung(self._arm.name, age_ns)
         elif int(snapshot["fault"]) != Fault.NONE:
             level, message = ERROR, fault_of(snapshot, self._serving.joints)
+        elif self._serving.other_server:
+            level, message = ERROR, self._serving.other_server
         elif mode in _TOLD_BY_MODE:
             level, message = WARN, _TOLD_BY_MODE[Mode(mode)]
         elif snapshot["held"]:

@@ -12,6 +12,7 @@ import threading
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from control_msgs.action import FollowJointTrajectory
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import JointState
@@ -25,10 +26,12 @@ from rosfront.gripper.server import GripperServer
 from rosfront.inputs import Inputs
 from rosfront.joint_states import Beside, Pulse
 from rosfront.link import Link
+from rosfront.other_servers import OtherServers, Server
 from rosfront.own_moves import OwnMoves
 from rosfront.parameters import INITIAL_SCALE, CheckedNode
 from rosfront.plan import NS, GoalPlan
 from rosfront.program import EndSignal
+from rosfront.refusals import INVALID_GOAL
 from rosfront.services import Services
 from rosfront.serving import Serving
 from rosfront.state_topics import STATE_QOS, Feedback, Progress, StateTopics, joint_state_bytes
@@ -61,6 +64,8 @@ class FrontNode:
         self._feedback_ns = 0
         self._last_cycle = 0
         self._progress = Progress()
+        me = Server.this(arm.name, self.node.get_fully_qualified_name())
+        self._other_servers = OtherServers(self.node, ACTION, me, self._tell_of_other_servers)
         goals = self._action_goals = ActionGoals(executor, self.serving, self.node.get_logger().warning)
         self._services = Services(self.node, executor, self.serving)
         self._goals = GoalServer(
@@ -72,6 +77,7 @@ class FrontNode:
             cancel=goals.cancel,
             consider=lambda goal: goals.consider(lambda: self._plan(goal)),
             idle=self._idle,
+            of_unknown=FollowJointTrajectory.Result(error_code=INVALID_GOAL, error_string=me.written()),
         )
         self._own_moves = OwnMoves(arm, self.serving, goals.put, self.node.get_logger().info)
         self._full_node = self._make_full_node(executor)
@@ -105,6 +111,7 @@ class FrontNode:
         executor.add_node(self.node)
         self._action_goals.start()
         self._inputs.start()
+        self._other_servers.start()
         self.pulse.start()
 
     def _make_full_node(self, executor: SingleThreadedExecutor) -> "FullNode | None":
@@ -149,7 +156,15 @@ class FrontNode:
 
     def _plan(self, goal: Any) -> GoalPlan:
         """Judge a goal; raises GoalRefused."""
+        self._other_servers.look()
         return plan_goal(goal, self.arm, self.serving.present(), self.serving.settings)
+
+    def _tell_of_other_servers(self, sentence: str) -> None:
+        self.serving.other_server = sentence
+        if sentence:
+            self.node.get_logger().error(sentence)
+        else:
+            self.node.get_logger().info("The action has no other server any more: goals are taken again.")
 
     # --- every snapshot, in the publisher's thread ---
 
@@ -201,6 +216,7 @@ class FrontNode:
         """
         self._goals.closing = True
         self._action_goals.close()
+        self._other_servers.stop()
         self.serving.close()
         self._services.close()
         if self._gripper is not None:

@@ -83,7 +83,7 @@ class OwnMoves:
 
     def _plan(self, pose: PoseMove) -> GoalPlan:
         """From rest alone: who is asked for something else meanwhile does that. Raises GoalRefused."""
-        present = self._serving.present()
+        present = self._serving.present(for_own_move=True)
         if not present.standing or not self._serving.idle:
             raise InMotion
         trajectory = joint_move(self._arm, present.commanded[:, 0], np.array(pose.target_rad), pose.speed_ratio)

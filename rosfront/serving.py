@@ -105,6 +105,8 @@ class Serving:
         self._streams: dict[int, Streamer] = {}  # by goal: what is still on its way into the ring
         self._requests: list[_Request] = []
         self.settings = Settings.of(arm)
+        self.other_server = ""
+        """Who else serves the arm's action, in a sentence that says what to do; empty for nobody."""
         self._closing = False
         self.ever_attached = threading.Event()
 
@@ -228,8 +230,13 @@ class Serving:
 
     # --- from any other thread ---
 
-    def present(self) -> Present:
-        """Where the arm is commanded; raises NotServing with the reason when no goal can be taken now."""
+    def present(self, *, for_own_move: bool = False) -> Present:
+        """Where the arm is commanded; raises NotServing with the reason when no goal can be taken now.
+
+        What comes by ROS is heard by other servers of the action too; a move that nobody has sent is not.
+        """
+        if self.other_server and not for_own_move:
+            raise NotServing(self.other_server)
         with self._lock:
             snapshot, awaited = self._snapshot(), bool(self._undecided)
         age_ns = time.monotonic_ns() - int(snapshot["monotonic_ns"])

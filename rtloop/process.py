@@ -22,6 +22,7 @@ from rtloop.port import HOME_ALL, ServicePort
 from rtloop.referencing import Referencing, referencing_asked_for
 from rtloop.release import Release
 from rtloop.state import offset_of
+from rtloop.wire.claim import Claim, claim_for_arm
 from rtloop.wire.opening import OpenWire, close_wire, keeps_frames, lost_bytes, open_wire, unsent_bytes
 from rtloop.wire.refusal import WireRefused
 from shm import files
@@ -90,12 +91,14 @@ class ControlProcess:
         )
         self._files = files.create(identity)
         self._wire: OpenWire | None = None
+        self._claim = Claim()
         self._lost_references: dict[int, Unreferenced] = {}
         self._dropped_before = self._unsent_before = 0
         self._brought_up = False
         self._next_try_s = self._next_lost_s = self._next_keep_s = 0.0
         self._told_of_wire = self._told_of_lost = ""
         try:
+            self._claim = claim_for_arm(arm)
             self._loop = new_loop(arm, self._files.state.address, self._files.command.address)
             self._open_wire()
             self._port = ServicePort(self._loop, compiled)
@@ -239,6 +242,7 @@ class ControlProcess:
             if keeps_frames(self._arm, self._wire):
                 self._tell(STILL_QUEUED.sentence.format(channel=self._arm.bus.resolved_channel))
             self._close_wire(self._wire)
+        self._claim.close()  # the last frames have left
         self._files.remove(as_before=not self._brought_up)
 
     def _store(self, value: int, *word: str) -> None:

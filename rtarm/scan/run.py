@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import asdict
 from typing import Any
 
@@ -15,6 +16,7 @@ from rtarm.scan.adapters import Adapter
 from rtarm.scan.proposal import proposal
 from rtarm.scan.search import Outcome, search_link, search_slcan
 from rtarm.scan.wires import CanWire, SlcanWire, TtyPort
+from rtloop.wire.claim import claim_for_scan
 from rtloop.wire.refusal import WireRefused
 from rtloop.wire.tty import close_slcan, open_port
 
@@ -112,11 +114,8 @@ def _try(adapter: Adapter, entry: Report) -> None:
 
 
 def _try_link(adapter: Adapter) -> Outcome:
-    wire = CanWire(adapter.channel)
-    try:
+    with closing(claim_for_scan(adapter.channel)), closing(CanWire(adapter.channel)) as wire:
         return search_link(wire, adapter.bitrate)
-    finally:
-        wire.close()
 
 
 def _try_serial(adapter: Adapter) -> tuple[Outcome, int | str]:

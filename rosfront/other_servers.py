@@ -1,0 +1,233 @@
+# mypy: allow-untyped-calls
+# (rclpy annotates some of its functions and leaves the others untyped)
+"""Whether somebody else serves the arm's action too: every server of an action's name takes every goal.
+
+ROS' discovery shows a server that was killed for another 20 s, and says neither whose a server is nor whether it lives.
+So where it shows more than one, all of them are asked for the result of a goal that none has. A live server answers
+that at once, whoever wrote it, and does nothing; a front of ours answers with who it is. All this has a thread of its
+own: the executor need not wake for it, and a goal can wait for it.
+"""
+
+import json
+import os
+import socket
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Collection
+from dataclasses import asdict, dataclass
+from typing import Any
+from uuid import uuid4
+
+from control_msgs.action import FollowJointTrajectory
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+
+from config.errors import legible
+from rosfront.apart import Apart
+
+EVERY_NS = 1_000_000_000
+"""How often is looked, and asked where there is somebody to ask."""
+PATIENCE_NS = 500_000_000
+"""What has not answered by then counts as dead, until it answers."""
+LIVE_NS = 2_500_000_000
+"""So long an answer counts: two questions in a row may be lost on a busy machine."""
+LONGEST_LOOK_S = 2.0
+_LONGEST_ANSWER = 1000
+_LONGEST_WORD = 60
+_FAST_DDS = b"\x01\x0f"
+_MACHINE = slice(2, 4)
+"""Where Fast DDS' identifiers name the machine, the same for all of its processes."""
+
+
+@dataclass(frozen=True)
+class Server:
+    """Who serves an action, as a front of ours says it."""
+
+    instance: str
+    """A name of its own for each start."""
+    arm: str
+    pid: int
+    host: str
+    node: str
+
+    @classmethod
+    def this(cls, arm: str, node: str) -> "Server":
+        return cls(uuid4().hex, arm, os.getpid(), socket.gethostname(), node)
+
+    def written(self) -> str:
+        return json.dumps({"rtarm": asdict(self)})
+
+    @classmethod
+    def read(cls, text: str) -> "Server | None":
+        """What somebody answers; None where that is no front of ours."""
+        try:
+            said = json.loads(text[:_LONGEST_ANSWER])["rtarm"]
+            arm, host, node = (legible(str(said[name]), _LONGEST_WORD) for name in ("arm", "host", "node"))
+            return cls(str(said["instance"]), arm, int(said["pid"]), host, node)
+        except (ValueError, TypeError, KeyError):
+            return None
+
+
+class Watch:
+    """Which servers live, by what discovery shows beside them and what they answer; times of CLOCK_MONOTONIC (ns)."""
+
+    def __init__(self) -> None:
+        self._asked: frozenset[bytes] = frozenset()
+        self._asked_ns = -EVERY_NS
+        self._settled: frozenset[bytes] = frozenset()
+        self._settled_ns = 0
+        self._heard_ns: dict[str, int] = {}
+
+    def should_ask(self, shown: Collection[bytes], now_ns: int) -> bool:
+        """Whether it is time to ask those that discovery shows; none are shown where this server is alone."""
+        return bool(shown) and (not self._asked.issuperset(shown) or now_ns - self._asked_ns >= EVERY_NS)
+
+    def asked(self, shown: Collection[bytes], now_ns: int) -> None:
+        self._asked, self._asked_ns = frozenset(shown), now_ns
+
+    def answered(self, text: str, now_ns: int) -> None:
+        self._heard_ns[text] = now_ns
+
+    def live(self, shown: Collection[bytes], now_ns: int) -> list[str]:
+        """The answers of those that live."""
+        self._heard_ns = {text: at_ns for text, at_ns in self._heard_ns.items() if shown and now_ns - at_ns < LIVE_NS}
+        return sorted(self._heard_ns)
+
+    def is_known(self, shown: Collection[bytes], now_ns: int) -> bool:
+        """Whether somebody lives, or everybody shown has had time to answer and has not."""
+        if self._asked and now_ns - self._asked_ns >= PATIENCE_NS:
+            self._settled, self._settled_ns = self._asked, self._asked_ns
+        silent = self._settled.issuperset(shown) and now_ns - self._settled_ns < LIVE_NS
+        return not shown or silent or bool(self.live(shown, now_ns))
+
+    def next_ns(self, now_ns: int) -> int:
+        """When to look again, if nothing happens before."""
+        due = (self._asked_ns + PATIENCE_NS, self._asked_ns + EVERY_NS)
+        return min((at_ns for at_ns in due if at_ns > now_ns), default=now_ns + EVERY_NS)
+
+
+class OtherServers(threading.Thread):
+    """Looks for other servers once a second, and for each goal that comes."""
+
+    def __init__(self, node: Node, action: str, me: Server, changed: Callable[[str], None]) -> None:
+        """`changed` is told, in this thread, who else serves and what to do, in a sentence; empty for nobody."""
+        super().__init__(name="other-servers", daemon=True)
+        self._node, self._me, self._changed = node, me, changed
+        self._controller = node.get_name()
+        self._action = node.resolve_service_name(action)
+        self._service, self._status = f"{self._action}/_action/get_result", f"{self._action}/_action/status"
+        group = Apart()
+        self._type = FollowJointTrajectory.Impl.GetResultService
+        self._client = node.create_client(self._type, self._service, callback_group=group)
+        self._wake = node.create_guard_condition(lambda: None, callback_group=group)
+        assert node.context.handle is not None
+        self._context = node.context.handle
+        self._watch = Watch()
+        self._concluded = threading.Condition()
+        self._looks_asked = self._looks_done = 0
+        self._said = ""
+        self._leaving = False
+
+    def stop(self) -> None:
+        """End the thread, and whatever waits for it."""
+        with self._concluded:
+            self._leaving = True
+            self._concluded.notify_all()
+        self._wake.trigger()
+        if self.is_alive():
+            self.join()
+
+    def look(self) -> None:
+        """Return when it is known who else lives now, after `LONGEST_LOOK_S` at the latest; from any other thread."""
+        with self._concluded:
+            self._looks_asked += 1
+            mine = self._looks_asked
+            self._wake.trigger()
+            self._concluded.wait_for(lambda: self._looks_done >= mine or self._leaving, LONGEST_LOOK_S)
+
+    def run(self) -> None:
+        client, wake = self._client.handle, self._wake.handle
+        with client, wake, self._context:
+            wait_set = rclpy_implementation.WaitSet(0, 1, 0, 1, 0, 0, self._context)
+            while not self._leaving:
+                next_ns = self._look_once()
+                wait_set.clear_entities()
+                wait_set.add_client(client)
+                wait_set.add_guard_condition(wake)
+                wait_set.wait(max(next_ns - time.monotonic_ns(), 0))
+
+    def _look_once(self) -> int:
+        """Look, take what was answered and ask if it is time; when to look again (CLOCK_MONOTONIC, ns)."""
+        with self._concluded:
+            looks = self._looks_asked
+        watch, now_ns = self._watch, time.monotonic_ns()
+        endpoints = self._endpoints()
+        shown = [bytes(endpoint.endpoint_gid) for endpoint in endpoints]
+        for text in self._answers():
+            server = Server.read(text)
+            if server is None or server.instance != self._me.instance:
+                watch.answered(text[:_LONGEST_ANSWER], now_ns)
+        if watch.should_ask(shown, now_ns):
+            self._client.handle.send_request(self._type.Request())
+            watch.asked(shown, now_ns)
+        is_known = watch.is_known(shown, now_ns)
+        self._say([Server.read(text) for text in watch.live(shown, now_ns)], endpoints)
+        if is_known:
+            with self._concluded:
+                self._looks_done = looks
+                self._concluded.notify_all()
+        return watch.next_ns(now_ns)
+
+    def _endpoints(self) -> list[Any]:
+        """What discovery shows of all servers; empty where there is none but this one, which costs least."""
+        if self._node.count_services(self._service) <= 1:
+            return []
+        return self._node.get_publishers_info_by_topic(self._status)
+
+    def _answers(self) -> list[str]:
+        """What has come since the last look. Each server answers, so rclpy's one future a request will not do."""
+        answers: list[str] = []
+        while True:
+            header, response = self._client.handle.take_response(self._type.Response)
+            if header is None:
+                return answers
+            answers.append(response.result.error_string)
+
+    def _say(self, live: list[Server | None], endpoints: list[Any]) -> None:
+        sentence = self._sentence(live, endpoints) if live else ""
+        if sentence != self._said:
+            self._said = sentence
+            self._changed(sentence)
+
+    def _sentence(self, live: list[Server | None], endpoints: list[Any]) -> str:
+        ours = [server for server in live if server is not None]
+        words = [f"arm '{server.arm}' (pid {server.pid} on host {server.host}, node {server.node})" for server in ours]
+        ends = [f"Ctrl-C in the `rtarm up` of arm '{server.arm}'" for server in ours]
+        if None in live:
+            nodes = nodes_beside([self._me.node, *(server.node for server in ours)], endpoints)
+            where = machine_of([bytes(endpoint.endpoint_gid) for endpoint in endpoints])
+            node = " or ".join(nodes) or "without a name"
+            words.append(f"a program that does not say which arm it has ({where}, node {node})")
+            ends.append(
+                "end that program, or where ros2_control runs it, `ros2 control unload_controller "
+                f"{self._controller}` once that is inactive"
+            )
+        others = " and ".join(words)
+        return (
+            f"{others[0].upper()}{others[1:]} serve{'s' if len(words) == 1 else ''} {self._action} too, and each of "
+            f"its servers carries out every goal, so none is taken here: to take over, end the other "
+            f"({'; '.join(ends)}), or start one of them with another controller_name or ROS_DOMAIN_ID."
+        )
+
+
+def nodes_beside(known: Collection[str], endpoints: Collection[Any]) -> list[str]:
+    """Names of the nodes that discovery shows, less those that are known; two nodes may have one name."""
+    shown = Counter(f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}" for endpoint in endpoints)
+    return sorted(legible(name, _LONGEST_WORD) for name in shown - Counter(known))
+
+
+def machine_of(gids: Collection[bytes]) -> str:
+    """Where the servers with these identifiers are, one of which is in this process."""
+    told = {gid[_MACHINE] for gid in gids if gid.startswith(_FAST_DDS)}
+    return "on this machine" if len(told) == 1 else "perhaps on another machine"

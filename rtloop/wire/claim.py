@@ -1,0 +1,176 @@
+"""Which process leads which drives on a bus that several can open: a claim on CAN identifiers, which one of them holds.
+
+The system gives a CAN interface to everybody, and so does python-can some of its own; drives with two masters follow
+both. A serial adapter needs no claim: its port is opened for one process alone.
+
+A claim is one abstract Unix socket for each set of identifiers. It has no file, belongs to the same network namespace
+as the CAN interfaces, is seen by every user and falls with its process. Its name says everything: bus, owner, pid,
+identifiers. Nothing connects to it. While a process compares and claims, a socket more keeps others from doing so.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import os
+import re
+import socket
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from config.frames import Identifiers, extended, standard
+from config.schema import ArmConfig
+from rtloop.wire.refusal import WireRefused
+
+EVERYTHING = (standard(0, mask=0, from_drive=True), extended(0, mask=0, from_drive=True))
+"""Every identifier of a bus."""
+PATIENCE_S = 2.0
+"""For another process that is comparing and claiming, which takes it a millisecond."""
+_POLL_S = 0.002
+_PREFIX = "rtarm.bus"
+_SOCKETS = Path("/proc/net/unix")
+_PATH_COLUMN = 7
+_PLAIN = re.compile(r"[\w.:+-]{1,40}")
+
+
+@dataclass(frozen=True)
+class Owner:
+    """Who holds a claim."""
+
+    arm: str
+    """Its name; empty for `rtarm scan`."""
+    pid: int
+
+    def __str__(self) -> str:
+        return f"arm '{self.arm}' (pid {self.pid})" if self.arm else f"`rtarm scan` (pid {self.pid})"
+
+
+class Claim:
+    """What a process has claimed, until `close` or its end."""
+
+    def __init__(self) -> None:
+        self._sockets: list[socket.socket] = []
+
+    def add(self, name: str) -> None:
+        """Bind one more name; raises OSError where another process has it."""
+        bound = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            bound.bind(f"\0{name}")
+        except OSError:
+            bound.close()
+            raise
+        self._sockets.append(bound)
+
+    def close(self) -> None:
+        for bound in self._sockets:
+            bound.close()
+        self._sockets.clear()
+
+
+def claim_for_arm(arm: ArmConfig) -> Claim:
+    """Claim what the drives of an arm hear and say; nothing where its wire is nobody else's. Raises WireRefused."""
+    bus = _bus_of(arm)
+    if bus is None:
+        return Claim()
+    users = {used: joint.name for joint in arm.joints for used in joint.drive.identifiers}
+    if arm.gripper is not None and arm.gripper.servo is not None:
+        users |= dict.fromkeys(arm.gripper.servo.identifiers, "the gripper")
+    return claim(bus, arm.name, {used: f"{whose} of arm '{arm.name}'" for used, whose in users.items()})
+
+
+def claim_for_scan(channel: str) -> Claim:
+    """Claim all of a CAN interface, on which every address is asked. Raises WireRefused."""
+    return claim(channel, "", dict.fromkeys(EVERYTHING, "a scan, which asks every address,"))
+
+
+def claim(bus: str, arm: str, users: Mapping[Identifiers, str]) -> Claim:
+    """Claim identifiers on a bus for an arm (empty: for a scan); `users` says which drive's each is.
+
+    Raises WireRefused where another process has claimed one of them.
+    """
+    claimed = Claim()
+    with _no_other_claims(bus):
+        held = list(_claims(bus))
+        for mine, user in users.items():
+            for theirs, owner in held:
+                if mine.meets(theirs):
+                    common = mine.match & mine.mask | theirs.match & theirs.mask
+                    raise WireRefused(
+                        f"{bus} is in use by {owner}, and {user} would use the same CAN identifiers, {common:#x} among "
+                        "them, so drives would have two masters: end that program first (Ctrl-C in its terminal), or "
+                        "give the drives addresses of their own."
+                    )
+        try:
+            for used in users:
+                claimed.add(f"{_prefix(bus)}{arm}/{os.getpid()}/{_written(used)}")
+        except BaseException:
+            claimed.close()
+            raise
+    return claimed
+
+
+def _bus_of(arm: ArmConfig) -> str | None:
+    """What several processes can open, by a name that is the same for all of them."""
+    bus, by_python_can = arm.bus, arm.bus.python_can
+    if bus.interface == "socketcan" or (by_python_can is not None and by_python_can.interface == "socketcan"):
+        return bus.resolved_channel
+    if by_python_can is None or by_python_can.interface == "virtual":  # the latter is a bus inside one process
+        return None
+    channel = bus.resolved_channel
+    return f"{by_python_can.interface}:{os.path.realpath(channel) if channel.startswith('/') else channel}"
+
+
+def _prefix(bus: str) -> str:
+    """How the names of a bus's sockets begin, which have 107 bytes in all."""
+    plain = bus if _PLAIN.fullmatch(bus) else hashlib.blake2b(bus.encode(), digest_size=16).hexdigest()
+    return f"{_PREFIX}/{plain}/"
+
+
+def _written(used: Identifiers) -> str:
+    return f"{'x' if used.extended else 's'}{used.match:x}.{used.mask:x}"
+
+
+def _read(name: str) -> tuple[Identifiers, Owner]:
+    """What a name behind its prefix says; raises ValueError where it is none of a claim."""
+    arm, pid, text = name.split("/")
+    match, mask = (int(number, 16) for number in text[1:].split("."))
+    make = {"x": extended, "s": standard}.get(text[:1])
+    if make is None:
+        raise ValueError(name)
+    return make(match, mask=mask, from_drive=True), Owner(arm, int(pid))
+
+
+def _claims(bus: str) -> Iterator[tuple[Identifiers, Owner]]:
+    """What is claimed on a bus now."""
+    prefix = f"@{_prefix(bus)}"
+    for line in _SOCKETS.read_text(errors="replace").splitlines():
+        columns = line.split(maxsplit=_PATH_COLUMN)
+        if len(columns) > _PATH_COLUMN and columns[_PATH_COLUMN].startswith(prefix):
+            with contextlib.suppress(ValueError):
+                yield _read(columns[_PATH_COLUMN].removeprefix(prefix))
+
+
+@contextlib.contextmanager
+def _no_other_claims(bus: str) -> Iterator[None]:
+    """Around comparing and claiming; raises WireRefused where another process stands still amid that."""
+    comparing = Claim()
+    until_s = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            comparing.add(f"{_prefix(bus)}comparing")
+            break
+        except OSError as problem:
+            if problem.errno != errno.EADDRINUSE:
+                raise
+            if time.monotonic() > until_s:
+                raise WireRefused(
+                    f"Another program of rtarm that starts to use {bus} stands still: end it, then start again."
+                ) from None
+        time.sleep(_POLL_S)
+    try:
+        yield
+    finally:
+        comparing.close()
