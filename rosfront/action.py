@@ -26,8 +26,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from rosfront.diagnostics import Counts
-from rosfront.goal_bytes import Response
-from rosfront.goal_requests import GoalFunctions, GoalRequest, GoalRequests, Unavailable
+from rosfront.goal_requests import GoalFunctions, GoalRequest, GoalRequests, Response, Unavailable
 from rosfront.refusals import INVALID_GOAL
 from rosfront.serving import Arrival
 from rosfront.verdict import Status, Verdict

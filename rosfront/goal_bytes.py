@@ -1,40 +1,64 @@
-"""A serialised request for follow_joint_trajectory as what its checks look at; its points never become messages.
+"""A serialised request for follow_joint_trajectory as what its checks look at; nothing of it becomes a message.
 
-What stands beside the points is small or refused, and is left to rclpy: the request without its trajectory.
+What no arm here has, multi-dof joints and components, is only counted, and nothing behind it is read: a goal that has
+any of it is refused.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import struct
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from control_msgs.action import FollowJointTrajectory
-from rclpy.serialization import deserialize_message
 
 from rosfront.refusals import TooMuchBeside, Unreadable
-from rosfront.trajectory_bytes import ENCAPSULATION, LITTLE_ENDIAN_CDR, MOST_BESIDE, Trajectory, trajectory_at
+from rosfront.trajectory_bytes import (
+    ENCAPSULATION,
+    LITTLE_ENDIAN_CDR,
+    MOST_BESIDE,
+    Trajectory,
+    aligned,
+    count_at,
+    string_at,
+    trajectory_at,
+)
 
-Request: Any = FollowJointTrajectory.Impl.SendGoalService.Request
-"""rclpy's class of a goal request: the goal's id, then the goal, which begins with the trajectory."""
-Response: Any = FollowJointTrajectory.Impl.SendGoalService.Response
 _ID_SIZE = 16
-_NO_TRAJECTORY = {
-    end: bytes(_ID_SIZE + 8) + len(frame).to_bytes(4, "little") + frame + bytes(-len(frame) % 4 + 8)
-    for end, frame in ((0, b"\0"), (4, b"\0\0\0\0\0"))
-}
-"""A goal's id and a trajectory without joints and points; the name of its frame makes it end there, modulo 8."""
+_STAMP_SIZE = 8
+_DURATION = struct.Struct("<iI")
+_TOLERANCE = struct.Struct("<3d")
+
+
+class MultiDof(NamedTuple):
+    """How much of a multi_dof_trajectory there is."""
+
+    joint_names: Sequence[object] = ()
+    points: Sequence[object] = ()
+
+
+class Tolerance(NamedTuple):
+    name: str
+    position: float
+    velocity: float
+    acceleration: float
+
+
+class Duration(NamedTuple):
+    sec: int = 0
+    nanosec: int = 0
 
 
 class Goal(NamedTuple):
     """What of a FollowJointTrajectory goal its checks look at."""
 
     trajectory: Trajectory
-    multi_dof_trajectory: Any
-    path_tolerance: Any
-    component_path_tolerance: Any
-    goal_tolerance: Any
-    component_goal_tolerance: Any
-    goal_time_tolerance: Any
+    multi_dof_trajectory: MultiDof = MultiDof()
+    path_tolerance: Sequence[Tolerance] = ()
+    component_path_tolerance: Sequence[object] = ()
+    goal_tolerance: Sequence[Tolerance] = ()
+    component_goal_tolerance: Sequence[object] = ()
+    goal_time_tolerance: Duration = Duration()
 
 
 def goal_id(data: np.ndarray) -> bytes:
@@ -44,22 +68,49 @@ def goal_id(data: np.ndarray) -> bytes:
 
 def read_goal(data: np.ndarray, most_points: int) -> Goal:
     """The goal in a serialised request, (n,) bytes; raises TooManyPoints, TooMuchBeside, Unreadable."""
-    found = None
     body = memoryview(data)[ENCAPSULATION:]  # type: ignore[arg-type]  # an array is a buffer
+    found = None
     if data[:2].tobytes() == LITTLE_ENDIAN_CDR:
         found = trajectory_at(body, _ID_SIZE, most_points)
-    if found is None:
-        raise _unreadable(data)
-    trajectory, end = found
-    if len(body) - end > MOST_BESIDE:
-        raise TooMuchBeside(MOST_BESIDE)
-    rest = b"".join((LITTLE_ENDIAN_CDR, bytes(2), _NO_TRAJECTORY[end % 8], body[end:]))
     try:
-        goal = deserialize_message(rest, Request).goal
-    except RuntimeError as problem:  # the root of all of rclpy's own, whose classes are private
-        raise _unreadable(data) from problem
-    return Goal(trajectory, *(getattr(goal, field) for field in Goal._fields[1:]))
+        if found is not None:
+            return _with_rest(body, *found)
+    except (struct.error, UnicodeDecodeError):
+        pass
+    raise Unreadable(len(data), "request for control_msgs/action/FollowJointTrajectory")
 
 
-def _unreadable(data: np.ndarray) -> Unreadable:
-    return Unreadable(len(data), "request for control_msgs/action/FollowJointTrajectory")
+def _with_rest(body: memoryview, trajectory: Trajectory, at: int) -> Goal:
+    """The goal whose trajectory ends there; raises TooMuchBeside, struct.error, UnicodeDecodeError."""
+    _, at = string_at(body, at + _STAMP_SIZE)
+    names, at = count_at(body, at)
+    if names:
+        return Goal(trajectory, MultiDof(joint_names=range(names)))
+    points, at = count_at(body, at)
+    if points:
+        return Goal(trajectory, MultiDof(points=range(points)))
+    path, at = _tolerances(body, at)
+    components, at = count_at(body, at)
+    if components:
+        return Goal(trajectory, component_path_tolerance=range(components))
+    end, at = _tolerances(body, at)
+    components, at = count_at(body, at)
+    if components:
+        return Goal(trajectory, component_goal_tolerance=range(components))
+    time = Duration(*_DURATION.unpack_from(body, at))
+    return Goal(trajectory, path_tolerance=path, goal_tolerance=end, goal_time_tolerance=time)
+
+
+def _tolerances(body: memoryview, at: int) -> tuple[list[Tolerance], int]:
+    """Tolerances of joints, and where they end."""
+    found: list[Tolerance] = []
+    count, at = count_at(body, at)
+    begun = at
+    while len(found) < count:
+        name, at = string_at(body, at)
+        if at - begun > MOST_BESIDE:
+            raise TooMuchBeside(MOST_BESIDE)
+        at = aligned(at, 8)
+        found.append(Tolerance(str(name, "utf-8"), *_TOLERANCE.unpack_from(body, at)))
+        at += _TOLERANCE.size
+    return found, at

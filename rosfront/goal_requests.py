@@ -18,13 +18,16 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
+from control_msgs.action import FollowJointTrajectory
 from rclpy.executors import Executor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import serialize_message
 
-from rosfront.goal_bytes import Request, Response, goal_id
+from rosfront.goal_bytes import goal_id
 from rosfront.serving import Arrival
 
+Request: Any = FollowJointTrajectory.Impl.SendGoalService.Request
+Response: Any = FollowJointTrajectory.Impl.SendGoalService.Response
 SOON_S = 0.002
 """The executor waits so long for a request to be taken, which is ten times what a usual one needs."""
 LONGEST_STOP_S = 0.2

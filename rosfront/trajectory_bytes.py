@@ -62,15 +62,15 @@ def trajectory_at(body: memoryview, at: int, most_points: int) -> tuple[Trajecto
     """
     try:
         stamp = Stamp(*_STAMP.unpack_from(body, at))
-        _, behind = _string(body, at + _STAMP.size)
-        joints, behind = _count(body, behind)
+        _, behind = string_at(body, at + _STAMP.size)
+        joints, behind = count_at(body, behind)
         names: list[str] = []
-        while len(names) < joints and behind - at <= MOST_BESIDE:
-            name, behind = _string(body, behind)
+        while len(names) < joints:
+            name, behind = string_at(body, behind)
+            if behind - at > MOST_BESIDE:
+                raise TooMuchBeside(MOST_BESIDE)
             names.append(str(name, "utf-8"))
-        if behind - at > MOST_BESIDE:
-            raise TooMuchBeside(MOST_BESIDE)
-        points, behind = _count(body, behind)
+        points, behind = count_at(body, behind)
         if points > most_points:
             raise TooManyPoints(points, most_points)
         if points * _SHORTEST_POINT > len(body) - behind:
@@ -81,26 +81,27 @@ def trajectory_at(body: memoryview, at: int, most_points: int) -> tuple[Trajecto
     return Trajectory(Header(stamp), names, columns), behind
 
 
-def _aligned(at: int, to: int) -> int:
+def aligned(at: int, to: int) -> int:
+    """The first multiple of `to` from there on."""
     return at + -at % to
 
 
-def _count(body: memoryview, at: int) -> tuple[int, int]:
-    """A number of elements, and where they begin if they need no more than its alignment."""
-    at = _aligned(at, _COUNT.size)
+def count_at(body: memoryview, at: int) -> tuple[int, int]:
+    """A number of elements, and where it ends; raises struct.error when it does not."""
+    at = aligned(at, _COUNT.size)
     return _COUNT.unpack_from(body, at)[0], at + _COUNT.size
 
 
-def _string(body: memoryview, at: int) -> tuple[memoryview, int]:
-    """A string, without the zero at its end, and where it ends."""
-    length, at = _count(body, at)
+def string_at(body: memoryview, at: int) -> tuple[memoryview, int]:
+    """A string, without the zero at its end, and where it ends; raises struct.error."""
+    length, at = count_at(body, at)
     return body[at : at + max(length - 1, 0)], at + length
 
 
 def _row(body: memoryview, at: int) -> tuple[int, int, int]:
     """How many doubles a row has, where they begin and where they end."""
-    length, at = _count(body, at)
-    first = _aligned(at, 8) if length else at
+    length, at = count_at(body, at)
+    first = aligned(at, 8) if length else at
     return length, first, first + 8 * length
 
 
@@ -118,7 +119,7 @@ def _even_points(body: memoryview, at: int, points: int) -> tuple[Columns, int] 
     if last + record.itemsize > len(body):
         return None
     found = np.ndarray(points, record, body, first, (stride,))
-    next_widths = np.ndarray(points - 1, "<u4", body, first + stride - _COUNT.size, (stride,))
+    next_widths = np.ndarray(points - 1, "<u4", body, first + record.itemsize, (stride,))
     if (
         (next_widths != width).any()
         or (found["velocity_count"] != velocities).any()
@@ -151,7 +152,7 @@ def _record(width: int, has_velocities: bool, has_accelerations: bool) -> tuple[
         offsets.append(at)
         at += 4
         if given:
-            at = _aligned(at, 8)
+            at = aligned(at, 8)
             names.append("velocities" if name == "velocity" else "accelerations")
             formats.append(f"({width},)<f8")
             offsets.append(at)
@@ -162,7 +163,7 @@ def _record(width: int, has_velocities: bool, has_accelerations: bool) -> tuple[
         offsets.append(at)
         at += 4
     record = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": at})
-    return record, _aligned(at + _COUNT.size, 8)
+    return record, aligned(at + _COUNT.size, 8)
 
 
 def _any_points(body: memoryview, at: int, points: int) -> tuple[Columns, int]:
@@ -173,7 +174,7 @@ def _any_points(body: memoryview, at: int, points: int) -> tuple[Columns, int]:
             length, first, at = _row(body, at)
             rows.append(length)
             rows.append(first)
-        durations.extend(_DURATION.unpack_from(body, at := _aligned(at, 4)))
+        durations.extend(_DURATION.unpack_from(body, at := aligned(at, 4)))
         at += _DURATION.size
     lengths, firsts = np.array(rows).reshape(points, len(_FIELDS), 2).transpose(2, 1, 0)
     seconds, nanoseconds = np.array(durations).reshape(points, 2).T
