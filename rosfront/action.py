@@ -12,26 +12,35 @@ import threading
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Generator
 from dataclasses import replace
+from functools import partial
 from types import coroutine
 from typing import Any
 
-from action_msgs.msg import GoalStatus
+import numpy as np
+from action_msgs.msg import GoalInfo, GoalStatus
 from control_msgs.action import FollowJointTrajectory
-from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
+from rclpy.action.server import ActionServer, CancelResponse, GoalEvent, GoalResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
 from rosfront.diagnostics import Counts
+from rosfront.goal_requests import GoalFunctions, GoalRequest, GoalRequests, Response, Unavailable
 from rosfront.refusals import INVALID_GOAL
+from rosfront.serving import Arrival
 from rosfront.verdict import Status, Verdict
 
 RESULT_KEPT_S = 60
-"""How long a result can be asked for; clients ask at once, and a kept result keeps its whole goal."""
+"""How long a result can be asked for; clients ask at once, and rclpy keeps a goal as long as its result."""
 RESULT_GRACE_S = 1.0
 """At the end of this process a result that nobody has asked for yet is kept for so long."""
 LEAVE_EVERY_S = 0.02
+LOCKED = (
+    "This ROS installation does not let goals be taken as bytes ({}): while a goal of many points is received, nothing "
+    "else of this process moves, and one of some 100,000 points may end the goal that runs. Send goals of fewer "
+    "points, or use a ROS installation that rtarm is tested with."
+)
 
 
 @coroutine
@@ -63,6 +72,14 @@ class _TellingServer(ActionServer):
         self._on_sent = on_sent
         self._of_unknown = of_unknown
 
+    @property
+    def idle(self) -> bool:
+        """Whether no goal is on its way here from the middleware."""
+        return True
+
+    def stop(self) -> None:
+        """Take no goal any more."""
+
     async def execute(self, taken_data: dict[str, Any]) -> None:
         """rclpy's own awaits a goal's consideration before the cancel that was taken with it.
 
@@ -89,6 +106,97 @@ class _TellingServer(ActionServer):
         for goal, result in self._result_futures.items():
             if result is future:
                 self._on_sent(goal)
+
+
+class _UnlockedServer(_TellingServer):
+    """A server of follow_joint_trajectory whose goals are taken as bytes, beside the executor's thread.
+
+    A goal's request is then a GoalRequest.
+    """
+
+    def __init__(
+        self,
+        functions: GoalFunctions,
+        executor: Executor,
+        arrival: Callable[[], Arrival],
+        *arguments: Any,
+        **options: Any,
+    ) -> None:
+        """`arrival` is that of what comes now."""
+        super().__init__(*arguments, **options)
+        self._arrival = arrival
+        self._all_canceled = -1
+        """The turn of the last cancel of all goals."""
+        self._requests = GoalRequests(functions, self._handle, executor, arrival, self._logger.error)
+        self._requests.start()
+
+    @property
+    def idle(self) -> bool:
+        return self._requests.idle
+
+    def stop(self) -> None:
+        self._requests.stop()
+
+    def is_ready(self, wait_set: Any) -> bool:
+        super().is_ready(wait_set)
+        if self._is_goal_request_ready:
+            self._requests.find()
+        self._is_goal_request_ready = self._requests.taken
+        return any(
+            (
+                self._is_goal_request_ready,
+                self._is_cancel_request_ready,
+                self._is_result_request_ready,
+                self._is_goal_expired,
+            )
+        )
+
+    def take_data(self) -> dict[str, Any]:
+        goal = {"goal": self._requests.pop()} if self._is_goal_request_ready else {}
+        self._is_goal_request_ready = False  # rclpy is not to take it
+        others: dict[str, Any] = super().take_data()
+        return goal | others
+
+    async def _execute_goal_request(self, request: GoalRequest) -> None:
+        """What rclpy's own does, for a request that it has not taken."""
+        info = GoalInfo()
+        info.goal_id.uuid = np.frombuffer(request.goal_id, np.uint8)
+        with self._lock:
+            known = self._handle.goal_exists(info)
+        handle = None
+        if not known and await self._goal_callback(request) is GoalResponse.ACCEPT:
+            info.stamp = self._node.get_clock().now().to_msg()
+            with self._lock:
+                handle = ServerGoalHandle(self, info, request)
+            self._goal_handles[request.goal_id] = handle
+            result = self._result_futures[request.goal_id] = Future()
+            self.add_future(result)
+        accepted = handle is not None
+        try:
+            self._requests.answer(request, Response(accepted=accepted, stamp=info.stamp))
+        except RuntimeError as problem:
+            self._logger.warning(f"The answer to a goal was not sent, so the goal is not begun: {problem}.")
+            return
+        if handle is None:
+            return
+        if request.arrival.turn < self._all_canceled:
+            handle._update_state(GoalEvent.CANCEL_GOAL)
+        self._handle.publish_status()
+        self._handle_accepted_callback(handle)
+
+    async def _execute_cancel_request(self, taken: tuple[Any, Any]) -> None:
+        if _is_of_all(taken[1].goal_info):
+            self._all_canceled = self._arrival().turn  # goals that are still being taken or considered, too
+        await super()._execute_cancel_request(taken)
+
+    async def _execute_goal(self, execute_callback: Any, goal_handle: ServerGoalHandle) -> None:
+        await super()._execute_goal(execute_callback, goal_handle)
+        goal_handle._goal_request = None  # many bytes, which would be kept as long as the result
+
+
+def _is_of_all(canceled: GoalInfo) -> bool:
+    """Whether a cancel means every goal."""
+    return not (any(canceled.goal_id.uuid) or canceled.stamp.sec or canceled.stamp.nanosec)
 
 
 def trajectory_result(_: ServerGoalHandle, verdict: Verdict) -> Any:
@@ -121,6 +229,7 @@ class GoalServer:
         result: Callable[[ServerGoalHandle, Verdict], Any] = trajectory_result,
         counts: Counts | None = None,
         of_unknown: Any = None,
+        arrival: Callable[[], Arrival] | None = None,
     ) -> None:
         """`run` carries a goal out and returns how it ended; `cancel` hears that a client no longer wants one.
 
@@ -128,6 +237,8 @@ class GoalServer:
         goal before it is one, without a reason. `idle` says whether nothing else of the node keeps the executor's
         thread. `kind` is the action's type, and `result` makes its result; `counts` are those of another server that
         counts these goals too. `of_unknown` is the result of goals that this server does not have, None an empty one.
+        With `arrival`, which says when something has arrived that arrives now, goals are taken as bytes (GoalRequest);
+        the action must then be follow_joint_trajectory.
         """
         self.closing = False
         self.counts = Counts() if counts is None else counts
@@ -142,7 +253,13 @@ class GoalServer:
         self._result = result
         self._untold: dict[bytes, float] = {}  # goals whose client has no result yet, and until when that counts
         self._has_spun = threading.Event()
-        self._server = _TellingServer(
+        make: Callable[..., _TellingServer] = _TellingServer
+        if arrival is not None:
+            try:
+                make = partial(_UnlockedServer, GoalFunctions(), executor, arrival)
+            except Unavailable as problem:
+                self._log.warning(LOCKED.format(problem))
+        self._server = make(
             self._told,
             kind.Result() if of_unknown is None else of_unknown,  # type: ignore[attr-defined]  # every action has one
             node,
@@ -171,12 +288,14 @@ class GoalServer:
         if not self._has_spun.wait(patience_s):
             give_up()
             self._has_spun.wait()  # every goal is decided, so nothing keeps it
+        self._server.stop()
 
     @property
     def quiet(self) -> bool:
-        """Whether no goal is being considered and every client has its result."""
+        """Whether no goal is being taken or considered and every client has its result."""
         now_s = time.monotonic()
-        return not self._considering and all(until_s < now_s for until_s in self._untold.values())
+        told = all(until_s < now_s for until_s in self._untold.values())
+        return told and not self._considering and self._server.idle
 
     async def _considered(self, goal: Any) -> GoalResponse:
         self._considering += 1

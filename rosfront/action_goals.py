@@ -13,13 +13,15 @@ from rclpy.action.server import GoalResponse, ServerGoalHandle
 from rclpy.executors import Executor
 
 from rosfront import verdict as verdicts
+from rosfront.goal_requests import GoalRequest
 from rosfront.intake import ConsideredGoal, Intake, PendingGoal
 from rosfront.plan import GoalPlan
 from rosfront.refusals import GoalRefused, NotServing
-from rosfront.serving import CLOSING, NEVER_BEGUN, Serving
+from rosfront.serving import CLOSING, NEVER_BEGUN, Arrival, Serving
 from rosfront.verdict import Status, Verdict
 
 _NOT_SERVING = verdicts.refused(NotServing(CLOSING))
+_CANCELED = Verdict(Status.CANCELED, 0, NEVER_BEGUN)
 
 Planner = Callable[[], GoalPlan]
 """Judges a goal and translates it into knots; raises GoalRefused."""
@@ -50,11 +52,11 @@ class ActionGoals:
         """Do something in the thread in which goals are judged, behind those that came before."""
         self._intake.put(work)
 
-    async def consider(self, plan: Planner) -> GoalResponse:
+    async def consider(self, goal: Any, plan: Planner) -> GoalResponse:
         """Accept every goal, so that a bad one can be told why; `strict_reject` rejects bad ones instead."""
         if not self._serving.arm.trajectory.strict_reject:
             return GoalResponse.ACCEPT
-        considered, arrival = ConsideredGoal(self._executor.wake), self._serving.arrival()
+        considered, arrival = ConsideredGoal(self._executor.wake), self._arrival(goal)
 
         def judge() -> None:
             if considered.ended.done():
@@ -88,10 +90,16 @@ class ActionGoals:
     def accepted(self, handle: ServerGoalHandle, plan: Planner) -> None:
         """Take a goal in; `run` awaits its end."""
         key = bytes(handle.goal_id.uuid)
-        goal = self._pending[key] = PendingGoal(self._executor.wake, self._serving.arrival())
+        goal = self._pending[key] = PendingGoal(self._executor.wake, self._arrival(handle.request))
+        if handle.is_cancel_requested:
+            goal.execution_or_end(_CANCELED)
         self._intake.put(lambda: self._begin(goal, plan, key))
         if self._closing:
             goal.execution_or_end(_NOT_SERVING)
+
+    def _arrival(self, goal: Any) -> Arrival:
+        """When a goal has come; where that was not noted, now."""
+        return goal.arrival if isinstance(goal, GoalRequest) else self._serving.arrival()
 
     async def run(self, handle: ServerGoalHandle) -> Verdict:
         """How a goal that was accepted ends."""
@@ -125,7 +133,7 @@ class ActionGoals:
         goal = self._pending.get(bytes(handle.goal_id.uuid))
         if goal is None:
             return
-        execution = goal.execution_or_end(Verdict(Status.CANCELED, 0, NEVER_BEGUN))
+        execution = goal.execution_or_end(_CANCELED)
         if execution is not None:
             self._serving.cancel(execution)
 

@@ -117,7 +117,7 @@ class FullNode:
                 run=goals.run,
                 accepted=accepted,
                 cancel=goals.cancel,
-                consider=lambda goal: goals.consider(lambda: plan_of(goal)),
+                consider=lambda goal: goals.consider(goal, lambda: plan_of(goal)),
                 result=lambda handle, verdict: result(self._asked.pop(bytes(handle.goal_id.uuid)), verdict),
                 counts=counts,
             )

@@ -120,13 +120,18 @@ def _plan(
     return plan
 
 
+def most_points(arm: ArmConfig) -> int:
+    """How many points a trajectory may have."""
+    trajectory = arm.trajectory
+    if trajectory.interpolation == "linear":
+        return 1 + (trajectory.max_points - 1) // (trajectory.interpolation_factor + 1)
+    return trajectory.max_points
+
+
 def _read(trajectory: Any, arm: ArmConfig) -> Points:
     """The points of a trajectory that this arm can take in."""
     count = len(trajectory.points)
-    allowed = arm.trajectory.max_points
-    if arm.trajectory.interpolation == "linear":
-        allowed = 1 + (allowed - 1) // (arm.trajectory.interpolation_factor + 1)
-    if count > allowed:
+    if count > (allowed := most_points(arm)):
         raise TooManyPoints(count, allowed)
     given = trajectory.points if isinstance(trajectory.points, Columns) else Columns.of(trajectory.points)
     pushed = np.flatnonzero(given.effort[0])

@@ -14,6 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from rosfront.apart import SubscriptionApart
 from rosfront.diagnostics import Counts
+from rosfront.goal import most_points
 from rosfront.refusals import GoalRefused, Unreadable
 from rosfront.serving import Serving
 from rosfront.trajectory_bytes import Trajectory, parse
@@ -35,11 +36,11 @@ def _qos(durability: DurabilityPolicy, depth: int) -> QoSProfile:
     )
 
 
-def read(data: bytes) -> Trajectory | JointTrajectory:
-    """A serialised message; raises Unreadable."""
-    plain = parse(data)
-    if plain is not None:
-        return plain
+def read(data: bytes, most_points: int) -> Trajectory | JointTrajectory:
+    """A serialised message; raises TooManyPoints, TooMuchBeside, Unreadable."""
+    found = parse(data, most_points)
+    if found is not None:
+        return found
     try:
         message: JointTrajectory = deserialize_message(data, JointTrajectory)
     except RuntimeError as problem:  # the root of all of rclpy's own, whose classes are private
@@ -86,7 +87,7 @@ class Inputs:
 
     def _stream(self, data: bytes) -> None:
         try:
-            self._serving.stream(read(data), self._on_verdict)
+            self._serving.stream(read(data, most_points(self._serving.arm)), self._on_verdict)
         except GoalRefused as reason:
             self._counts.messages_refused += 1
             self._log.warning(f"Trajectory message dropped: {reason.sentence}", throttle_duration_sec=WARN_EVERY_S)

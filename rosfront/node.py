@@ -9,6 +9,7 @@ several per cent of a processor, facts: ros-from-wheels).
 """
 
 import threading
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +22,9 @@ from config.schema import ArmConfig
 from rosfront.action import GoalServer
 from rosfront.action_goals import ActionGoals
 from rosfront.diagnostics import Diagnostics
-from rosfront.goal import plan_goal
+from rosfront.goal import most_points, plan_goal
+from rosfront.goal_bytes import read_goal
+from rosfront.goal_requests import GoalRequest
 from rosfront.gripper.server import GripperServer
 from rosfront.inputs import Inputs
 from rosfront.joint_states import Beside, Pulse
@@ -73,11 +76,12 @@ class FrontNode:
             executor,
             ACTION,
             run=goals.run,
-            accepted=lambda handle: goals.accepted(handle, lambda: self._plan(handle.request)),
+            accepted=lambda handle: goals.accepted(handle, partial(self._plan, handle.request)),
             cancel=goals.cancel,
-            consider=lambda goal: goals.consider(lambda: self._plan(goal)),
+            consider=lambda goal: goals.consider(goal, lambda: self._plan(goal)),
             idle=self._idle,
             of_unknown=FollowJointTrajectory.Result(error_code=INVALID_GOAL, error_string=me.written()),
+            arrival=self.serving.arrival,
         )
         self._own_moves = OwnMoves(arm, self.serving, goals.put, self.node.get_logger().info)
         self._full_node = self._make_full_node(executor)
@@ -156,6 +160,8 @@ class FrontNode:
 
     def _plan(self, goal: Any) -> GoalPlan:
         """Judge a goal; raises GoalRefused."""
+        if isinstance(goal, GoalRequest):
+            goal = read_goal(goal.data, most_points(self.arm))
         self._other_servers.look()
         return plan_goal(goal, self.arm, self.serving.present(), self.serving.settings)
 

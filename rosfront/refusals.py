@@ -66,11 +66,9 @@ class Overtaken(GoalRefused):
 class Unreadable(GoalRefused):
     """Bytes that are no message of the type they came as."""
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, kind: str = "trajectory_msgs/msg/JointTrajectory") -> None:
         super().__init__(
-            f"Its {size} bytes are no trajectory_msgs/msg/JointTrajectory; look for a sender of another version or a "
-            "faulty one.",
-            value=size,
+            f"Its {size} bytes are no {kind}; look for a sender of another version or a faulty one.", value=size
         )
 
 
@@ -123,6 +121,15 @@ class TooManyPoints(BadShape):
             f"The trajectory has {count} points and at most {allowed} are allowed; send it in parts, or "
             "raise trajectory.max_points in the arm file.",
             value=count,
+            limit=allowed,
+        )
+
+
+class TooMuchBeside(BadShape):
+    def __init__(self, allowed: int) -> None:
+        super().__init__(
+            f"Beside its points the message has more than the {allowed} bytes that are allowed for names and "
+            "tolerances; name only this arm's joints.",
             limit=allowed,
         )
 

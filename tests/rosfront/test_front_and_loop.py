@@ -18,6 +18,7 @@ from ros_client import ABORTED, CANCELED, SUCCEEDED, Client, recorded
 from trajectory_msgs.msg import JointTrajectoryPoint
 from waiting import until
 
+BIG_GOAL_S = 120.0
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.process
 
@@ -110,3 +111,36 @@ def test_a_refused_newer_goal_does_not_end_a_long_running_one(processes):
     status, _, words = client.result(running)
     assert status == SUCCEEDED, words
     assert positions(client) == pytest.approx(list(long_goal.trajectory.points[-1].positions), abs=0.001)
+
+
+@pytest.mark.parametrize("even", [True, False], ids=["alike", "different fields"])
+def test_goals_of_very_many_points_leave_the_running_one_alone(processes, even):
+    """One as long as is allowed, and a longer one, which used to end the running one."""
+    client, _, _ = processes
+    resting = positions(client)
+    slow = recorded("small")
+    slow.trajectory.points = [
+        JointTrajectoryPoint(
+            positions=[resting[0] + turned, *resting[1:]],
+            velocities=[speed, *[0.0] * (len(resting) - 1)],
+            time_from_start=Duration(sec=second),
+        )
+        for second, turned, speed in ((2, 0.005, 0.005), (198, 0.985, 0.005), (200, 0.99, 0.0))
+    ]
+    running = client.send(slow)
+    until(lambda: abs(positions(client)[0] - resting[0]) > 0.001, "motion")
+    row = [0.0] * len(resting)
+    point = JointTrajectoryPoint(positions=row, velocities=row)
+    other = point if even else JointTrajectoryPoint(positions=row)
+    for count, words in ((200_000, "has time_from_start"), (500_000, "has 500000 points and at most 200000 are")):
+        big = recorded("small")
+        big.trajectory.points = [point, other] * (count // 2 - 1) + [point, JointTrajectoryPoint(positions=row)]
+        big.trajectory.points[-1].time_from_start.sec = 1
+        answer = client.action.send_goal_async(big)
+        until(answer.done, "the answer to a big goal", BIG_GOAL_S)
+        status, code, sentence = client.result(answer.result())
+        assert (status, code) == (ABORTED, -1) and words in sentence, sentence
+    still = positions(client)[0]
+    until(lambda: positions(client)[0] > still + 0.001, "motion of the running goal")
+    until(running.cancel_goal_async().done, "the answer to a cancel")
+    assert client.result(running)[0] == CANCELED
