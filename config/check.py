@@ -38,6 +38,7 @@ def render_check(arm: ArmConfig) -> RenderableType:
         )
     if any(drive_settings(joint) for joint in arm.joints):
         parts.append(settings_table(arm.joints))
+    parts.append(Text(f"Every stop on the path ends within {arm.longest_stop_s:.1f} s.\n"))
     parts.append(budget_table(arm, budget(arm)))
     return Group(*parts)
 
@@ -55,6 +56,7 @@ def figures(arm: ArmConfig) -> dict[str, Any]:
         "bus_load": found.bus_load,
         "serial_load": found.serial_load,
         "frames_per_cycle": found.frames_per_cycle,
+        "longest_stop_s": arm.longest_stop_s,
         "joints": [asdict(joint) for joint in derived_table(arm)],
     }
 

@@ -50,7 +50,12 @@ class JointConfig(Section):
         description="Highest motor speed (rpm), at most 3000 with a stepper; with the ratio it gives the joint's "
         "highest velocity.",
     )
-    max_acceleration_rad_s2: float = Field(ge=1e-4, le=1e5, description="Acceleration limit of the joint (rad/s²).")
+    max_acceleration_rad_s2: float = Field(
+        ge=1e-4,
+        le=1e5,
+        description="Acceleration limit of the joint (rad/s²); with motor_rpm and limits.braking_factor it must let "
+        "the arm stop within 60 s.",
+    )
 
     @model_validator(mode="after")
     def _name_is_a_name(self) -> JointConfig:
@@ -77,6 +82,11 @@ class JointConfig(Section):
     def max_velocity_rad_s(self) -> float:
         """Highest joint velocity, from the motor's rpm and the ratio (rad/s)."""
         return self.motor_rpm / self.ratio * 2.0 * math.pi / 60.0
+
+    @property
+    def slowness_s(self) -> float:
+        """Time from rest to the highest velocity with the limit of acceleration (s)."""
+        return self.max_velocity_rad_s / self.max_acceleration_rad_s2
 
     @property
     def lower_rad(self) -> float:

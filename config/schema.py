@@ -25,6 +25,7 @@ from config.gripper import GROUP, LINK, GripperConfig
 from config.homing import HomingConfig, ParkingConfig
 from config.joint import JointConfig
 from config.section import KEYS_BESIDE_CONTROLLERS, NoBool, Section, refuse, refuse_name
+from config.stopping import LONGEST_ALLOWED_S, Patience, longest_stop_s
 
 FIXED_JOINTS = ("virtual_joint", "flange_joint")
 """Joints that the generated robot model has besides the arm's own."""
@@ -302,6 +303,17 @@ class ArmConfig(Section):
         wanted_hz = self.front.joint_states_hz
         return 1 if wanted_hz is None else max(1, round(self.control.rate_hz / wanted_hz))
 
+    @property
+    def longest_stop_s(self) -> float:
+        """Duration within which every stop ends, whatever the arm is doing (s)."""
+        slowest_s = max(joint.slowness_s for joint in self.joints)
+        return longest_stop_s(slowest_s, self.limits.braking_factor)
+
+    @property
+    def patience(self) -> Patience:
+        """How long to wait for the arm to stop."""
+        return Patience(self.longest_stop_s)
+
     @model_validator(mode="after")
     def _joints_are_distinct(self) -> ArmConfig:
         first_with_name: dict[str, int] = {}
@@ -448,4 +460,19 @@ class ArmConfig(Section):
                 f"{' or '.join(f'{choice:.9g}' for choice in choices)}: choose one, or "
                 "remove joint_states_hz.",
             )
+        return self
+
+    @model_validator(mode="after")
+    def _stops_soon_enough(self) -> ArmConfig:
+        for index, joint in enumerate(self.joints):
+            takes_s = longest_stop_s(joint.slowness_s, self.limits.braking_factor)
+            if takes_s > LONGEST_ALLOWED_S:
+                least = joint.max_acceleration_rad_s2 * takes_s / LONGEST_ALLOWED_S
+                raise refuse(
+                    f"joints[{index}].max_acceleration_rad_s2",
+                    f"max_acceleration_rad_s2 of {joint.name} is {joint.max_acceleration_rad_s2:g}, so that a stop "
+                    f"from its {joint.max_velocity_rad_s:.4g} rad/s on a bent path may take {takes_s:.1f} s, and at "
+                    f"most {LONGEST_ALLOWED_S:g} s are allowed; raise it above {least:.4g} if the joint can brake so "
+                    "hard, or lower its motor_rpm, or raise limits.braking_factor.",
+                )
         return self

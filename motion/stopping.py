@@ -25,14 +25,9 @@ FADE_PERIODS = 3.0
 """A difference in acceleration fades within this time, at least so many control periods."""
 
 
-def longest_s(slowest_s: float, braking_factor: float) -> float:
-    """Duration (s) within which every stop on the path ends, whatever the arm is doing.
-
-    `slowest_s` is the largest ratio of velocity limit to acceleration limit of the joints. The plan may use the whole
-    acceleration limit A at velocity V, so (braking_factor - 1) A is left for V · 1.5 / T; a quarter more covers plans
-    that exceed their limits between two points, as real ones do.
-    """
-    return 1.25 * 1.5 * slowest_s / max(braking_factor - 1.0, 0.1)
+def way_s(longest_stop_s: float) -> float:
+    """Path time (s) that the longest stop takes from the full rate, and that must therefore be known ahead."""
+    return 0.5 * longest_stop_s
 
 
 def fade_duration_s(period_s: float) -> float:

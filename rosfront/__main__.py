@@ -51,7 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
                 from rosfront.node import FrontNode
             return FrontNode(arm, executor, link)
 
-        serve(front, ros_arguments, arm.front.discovery, end)
+        serve(front, ros_arguments, arm, end)
     except (ConfigError, SharedMemoryError, CannotServe) as problem:
         print(problem, file=sys.stderr)
         return 1

@@ -53,8 +53,8 @@ ENTER_WITHIN = 0.8
 LOOK_BACK_S = 60.0
 """A goal that is later than this is not looked at for an earlier entry: nobody waits for it any more."""
 ENTRIES_A_CHUNK = 4096
-DENSE_POINTS, DENSE_S = 4000, 0.4
-"""The control process sees 4096 points ahead; they must last longer than most stops on the path."""
+KNOTS_AHEAD = 4000
+"""The control process sees 4096 knots ahead; so many must last as long as the way of the longest stop."""
 
 
 def plan_goal(goal: Any, arm: ArmConfig, present: Present, settings: Settings) -> GoalPlan:
@@ -114,6 +114,7 @@ def _plan(
         entry |= Entry.BRIDGE
     mask = sum(1 << int(column) for column in columns)
     times_ns, orders, joints = _complete(given, columns, arm, present, entry, smooth=smooth)
+    _check_density(given, times_ns, arm)
     whole = GoalPlan(times_ns, orders, joints, mask, terms, start_ns, elapsed_ns, entry, present.commanded)
     plan = _from_its_entry(whole, arm, present)
     check_limits(plan, arm)
@@ -140,12 +141,18 @@ def _read(trajectory: Any, arm: ArmConfig) -> Points:
         raise NotSupported(
             f"Point {index} has effort, and this arm's drives are told positions; leave effort empty.", point=index
         )
-    points = read_points(given, trajectory.joint_names)
-    spans_ns = points.times_ns[DENSE_POINTS:] - points.times_ns[:-DENSE_POINTS]
-    dense = np.flatnonzero(spans_ns < DENSE_S * NS)
+    return read_points(given, trajectory.joint_names)
+
+
+def _check_density(given: Points, times_ns: np.ndarray, arm: ArmConfig) -> None:
+    """So many of the knots at these times as the control process sees ahead suffice for the longest stop."""
+    allowed_s = stopping.way_s(arm.longest_stop_s)
+    spans_ns = times_ns[KNOTS_AHEAD:] - times_ns[:-KNOTS_AHEAD]
+    dense = np.flatnonzero(spans_ns < allowed_s * NS)
     if len(dense):
-        raise TooDense(int(dense[0]), DENSE_POINTS, float(spans_ns[dense[0]]) / NS, DENSE_S)
-    return points
+        ends_ns = times_ns[dense[0]], times_ns[dense[0] + KNOTS_AHEAD]
+        first, last = np.searchsorted(given.times_ns, ends_ns)
+        raise TooDense(int(first), int(last - first), float(spans_ns[dense[0]]) / NS, allowed_s)
 
 
 def _check_end(given: Points, joint_names: Sequence[str]) -> None:
@@ -256,11 +263,9 @@ def _check_room_to_stop(plan: GoalPlan, arm: ArmConfig) -> None:
     position, velocity, acceleration = plan.joints[-1].T
     fade_s = stopping.fade_duration_s(period_s)
     position, velocity = stopping.line_beyond(position, velocity, acceleration, fade_s)
-    fastest = np.array([joint.max_velocity_rad_s for joint in arm.joints])
     hardest = np.array([joint.max_acceleration_rad_s2 for joint in arm.joints])
     to_brake_s = float((np.abs(velocity) / (arm.limits.braking_factor * hardest)).max())
-    longest_s = stopping.longest_s(float((fastest / hardest).max()), arm.limits.braking_factor)
-    stop = position + velocity * stopping.reach_s(to_brake_s, longest_s, period_s)
+    stop = position + velocity * stopping.reach_s(to_brake_s, arm.longest_stop_s, period_s)
     for joint, limits in enumerate(arm.joints):
         slack = limits.command_pulse_rad + limits.encoder_count_rad
         if velocity[joint] > 0.0 and stop[joint] > limits.upper_rad + slack:

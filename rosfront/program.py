@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol
 
+from config.schema import ArmConfig
 from rosfront.transport import choose_udp, may_share_memory
 
 if TYPE_CHECKING:
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 ROS_ARGS, END_OF_ROS_ARGS = "--ros-args", "--"
 HIGHEST_DOMAIN = 232
 """Higher ROS domains have no UDP ports."""
-LONGEST_STOP_S = 3.5
-"""What the arm may take to stop on its path; with what follows it is within the launcher's 5 s."""
 SHARED_MEMORY = "/dev/shm"
 SHARED_MEMORY_BYTES = 4 << 20
 """What Fast DDS takes of it for one participant, twice; where a page of it is not to be had, the kernel ends the
@@ -149,15 +148,15 @@ def _check_room() -> None:
 
 
 def serve(
-    make: Callable[["SingleThreadedExecutor"], Served], ros_arguments: Sequence[str], discovery: str, end: EndSignal
+    make: Callable[["SingleThreadedExecutor"], Served], ros_arguments: Sequence[str], arm: ArmConfig, end: EndSignal
 ) -> None:
     """Make a node and let it work until the end signal.
 
-    `discovery` is that of the arm file (`localhost` or `subnet`), which the environment may overrule. Raises
+    The arm file says how far discovery reaches (`front.discovery`), which the environment may overrule. Raises
     CannotServe, and whatever ended one of the threads: without the others it would look alive and serve nobody.
     """
     # Before rclpy is imported: an arm is a thing of its own machine until its file says otherwise.
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", {"localhost": "LOCALHOST", "subnet": "SUBNET"}[discovery])
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", arm.front.discovery.upper())
     start_ros(ros_arguments)
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.utilities import try_shutdown
@@ -185,7 +184,7 @@ def serve(
     if not failures:
         served.finish(end)
     end.ignore()
-    served.close(LONGEST_STOP_S)
+    served.close(arm.patience.goals_s)
     spinner.join()
     executor.shutdown()
     served.node.destroy_node()

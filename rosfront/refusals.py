@@ -198,7 +198,7 @@ class TooDense(BadTimes):
     def __init__(self, point: int, count: int, span_s: float, allowed_s: float) -> None:
         super().__init__(
             f"The {count} points from point {point} on last only {span_s:.4f} s, and the control process must know at "
-            f"least {allowed_s:g} s ahead to be able to stop on the path: thin the trajectory out.",
+            f"least {allowed_s:.4g} s ahead to be able to stop on the path: thin the trajectory out.",
             point=point,
             value=span_s,
             limit=allowed_s,

@@ -19,6 +19,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from config.stopping import Patience
 from rosfront.plan import NS
 from rosfront.refusals import GoalRefused
 from rosfront.serving import Serving
@@ -27,8 +28,6 @@ from shm.client import CommandWriter
 from shm.sentences import unreferenced_sentence
 from shm.words import DriveStatus, Fault, Mode, Phase, Request
 
-BRING_UP_PATIENCE_S = 30.0
-STOP_PATIENCE_S = 10.0
 RELEASE_PATIENCE_S = 5.0
 RESUME_PATIENCE_S = 2.0
 HOMING_PATIENCE_S = 3600.0
@@ -183,26 +182,28 @@ def _resumed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
     return judge
 
 
-ORDERS = (
-    Order("enable", Request.ENABLE, BRING_UP_PATIENCE_S, _enabled, _not_with_a_fault),
-    Order(
-        "disable",
-        Request.DISABLE,
-        RELEASE_PATIENCE_S,
-        _limp(Mode.DISABLED, "The drives are limp and the arm is out of service until ~/enable."),
-    ),
-    Order(
-        "free",
-        Request.FREE,
-        RELEASE_PATIENCE_S,
-        _limp(Mode.FREE, "The drives are limp and the arm can be led by hand until ~/enable."),
-    ),
-    Order("home", Request.HOME, HOMING_PATIENCE_S, _homed, _not_with_a_fault),
-    Order("stop", CommandWriter.stop, STOP_PATIENCE_S, _stopped),
-    Order("hold", CommandWriter.hold, STOP_PATIENCE_S, _held),
-    Order("resume", CommandWriter.resume, RESUME_PATIENCE_S, _resumed),
-    Order("clear_fault", Request.CLEAR_FAULT, BRING_UP_PATIENCE_S, _cleared, _nothing_to_clear),
-)
+def orders(patience: Patience) -> tuple[Order, ...]:
+    """The services of an arm that are asked without arguments."""
+    return (
+        Order("enable", Request.ENABLE, patience.bring_up_s, _enabled, _not_with_a_fault),
+        Order(
+            "disable",
+            Request.DISABLE,
+            RELEASE_PATIENCE_S,
+            _limp(Mode.DISABLED, "The drives are limp and the arm is out of service until ~/enable."),
+        ),
+        Order(
+            "free",
+            Request.FREE,
+            RELEASE_PATIENCE_S,
+            _limp(Mode.FREE, "The drives are limp and the arm can be led by hand until ~/enable."),
+        ),
+        Order("home", Request.HOME, HOMING_PATIENCE_S, _homed, _not_with_a_fault),
+        Order("stop", CommandWriter.stop, patience.person_s, _stopped),
+        Order("hold", CommandWriter.hold, patience.person_s, _held),
+        Order("resume", CommandWriter.resume, RESUME_PATIENCE_S, _resumed),
+        Order("clear_fault", Request.CLEAR_FAULT, patience.bring_up_s, _cleared, _nothing_to_clear),
+    )
 
 
 class Services:
@@ -214,7 +215,8 @@ class Services:
         self._waiting: set[Future] = set()
         self._closing = False
         group = ReentrantCallbackGroup()
-        for order in ORDERS:
+        self._orders = {order.name: order for order in orders(serving.arm.patience)}
+        for order in self._orders.values():
             node.create_service(Trigger, f"~/{order.name}", self._handler(self._ask, order), callback_group=group)
         node.create_service(QueryTrajectoryState, "~/query_state", self._query, callback_group=group)
 
@@ -224,8 +226,8 @@ class Services:
         return not self._waiting
 
     async def ask(self, name: str) -> Reply:
-        """What the service ~/`name`, one of ORDERS, says."""
-        return await self._ask(next(order for order in ORDERS if order.name == name))
+        """What the service ~/`name` says."""
+        return await self._ask(self._orders[name])
 
     def close(self) -> None:
         """Answer whoever waits, and from now on everybody at once."""

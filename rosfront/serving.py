@@ -22,7 +22,7 @@ from rosfront.path import PlannedPath
 from rosfront.plan import NS, GoalPlan, Present, Sample
 from rosfront.refusals import INVALID_GOAL, NotServing, Overtaken
 from rosfront.settings import Settings
-from rosfront.streamer import Streamer
+from rosfront.streamer import Streamer, horizon_s
 from rosfront.verdict import Status, Verdict, aborted, fault_of, final_error, judge, with_final_error
 from shm.client import GOALS_AHEAD, CommandWriter, find
 from shm.errors import RingFull, TornRead
@@ -314,7 +314,7 @@ class Serving:
             self._newest_goal = max(known, announced if announced <= known + GOALS_AHEAD else 0) + 1
             execution = Execution(self._newest_goal, plan, on_verdict, action_goal, epoch)
             self._undecided[execution.goal_id] = execution
-            self._streams[execution.goal_id] = Streamer(execution.goal_id, plan, epoch)
+            self._streams[execution.goal_id] = Streamer(execution.goal_id, plan, epoch, horizon_s(self.arm))
             writer.beat()
             self._pump(self._link, int(snapshot["goal_id"]), float(snapshot["trajectory_clock_ns"]))
             return execution

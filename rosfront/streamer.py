@@ -1,29 +1,42 @@
 """Writing a goal into the setpoint ring, a little at a time.
 
-The control process enters a trajectory when a second of it is known; what lies further ahead than
-`HORIZON_S` stays here, so that a newer goal never waits behind thousands of old knots and a trajectory of any
+The control process enters a trajectory when enough of it is known to stop on; what lies further ahead than the horizon
+stays here, so that a newer goal never waits behind thousands of old knots and a trajectory of any
 length needs the same memory. When the ring is full the rest waits for the next call.
 """
 
 import numpy as np
 
+from config.schema import ArmConfig
+from motion.stopping import way_s
 from rosfront.plan import NS, GoalPlan
 from shm.client import CommandWriter
 from shm.errors import RingFull
 
-HORIZON_S = 2.5
+SPARE_S = 1.0
+"""What is known beyond all that may be needed."""
 HELD_BACK_NS = 3_000_000_000
 """A goal that starts later than this stays here until then, so that its knots do not stand before those of others."""
 KNOTS_A_CALL = 256  # bounds the time a call holds up its thread, about 2 ms
 
 
+def horizon_s(arm: ArmConfig) -> float:
+    """How far ahead of the trajectory clock knots are written (s).
+
+    When this process falls silent the arm goes on for `front_timeout_s`, and the longest stop must then be known to its
+    end: a stop on less path is harder than the limits allow.
+    """
+    return way_s(arm.longest_stop_s) + arm.limits.front_timeout_s + SPARE_S
+
+
 class Streamer:
     """One goal on its way into the ring: BEGIN, its knots, END."""
 
-    def __init__(self, goal_id: int, plan: GoalPlan, epoch: int) -> None:
+    def __init__(self, goal_id: int, plan: GoalPlan, epoch: int, horizon_s: float) -> None:
         """`epoch` is the control process's when the goal arrived."""
         self.goal_id = goal_id
         self._epoch = epoch
+        self._horizon_ns = horizon_s * NS
         self._plan = plan
         self.begun = False
         self._next = 0
@@ -38,7 +51,7 @@ class Streamer:
         return max(now_ns - self._plan.start_ns, 0) if self._plan.start_ns else 0
 
     def pump(self, writer: CommandWriter, consumed: int, clock_ns: float) -> None:
-        """Write what is due: up to `HORIZON_S` ahead of the trajectory clock (ns), as far as there is room.
+        """Write what is due: up to the horizon ahead of the trajectory clock (ns), as far as there is room.
 
         `consumed` is the number of records the control process has taken.
         """
@@ -58,7 +71,7 @@ class Streamer:
                     consumed=consumed,
                 )
                 self.begun = True
-            due = int(np.searchsorted(plan.times_ns, clock_ns + HORIZON_S * NS, side="right")) + 1
+            due = int(np.searchsorted(plan.times_ns, clock_ns + self._horizon_ns, side="right")) + 1
             last = min(due, len(plan.times_ns), self._next + KNOTS_A_CALL)
             while self._next < last:
                 at = self._next

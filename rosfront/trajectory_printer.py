@@ -266,7 +266,7 @@ def main(arguments: list[str] | None = None) -> int:
         serve(
             lambda executor: PrinterNode(arm, executor, LANGUAGES[options.language]),
             ros_arguments,
-            arm.front.discovery,
+            arm,
             end,
         )
     except (ConfigError, CannotServe) as problem:

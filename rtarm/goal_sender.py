@@ -1,10 +1,11 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""`python -m rtarm.goal_sender ACTION`: sends goals for a process that speaks no ROS (`rtarm.sending`).
+"""`python -m rtarm.goal_sender ACTION SECONDS`: sends goals for a process that speaks no ROS (`rtarm.sending`).
 
 Prints `ready` once the action has a server, then obeys every line on standard input: `{"number": …, "goal": …}` sends
 a goal, `{}` cancels the one that runs. Reports what becomes of each: `{"event": "result", "number": …, "succeeded": …,
-"code": …, "sentence": …}`. When its standard input ends, so that nobody waits any more, it cancels what still runs.
+"code": …, "sentence": …}`. When its standard input ends, so that nobody waits any more, it cancels what still runs
+and waits so many seconds for its end.
 """
 
 from __future__ import annotations
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from rosfront.action_client import ActionClient
 
 SERVER_PATIENCE_S = 10.0
-LAST_CANCEL_S = 5.0
-"""So long the last goal may take to come to its end once nobody waits for it."""
 
 
 class GoalSender:
@@ -90,8 +89,8 @@ class GoalSender:
             self._state.notify_all()
 
 
-def run(action: str) -> None:
-    """Send goals until standard input ends.
+def run(action: str, canceled_s: float) -> None:
+    """Send goals until standard input ends; what still runs then has so long to come to its end.
 
     Raises:
         Refusal: the action has no server.
@@ -116,14 +115,15 @@ def run(action: str) -> None:
             else:
                 sender.cancel()
         sender.cancel()
-        sender.wait_idle(LAST_CANCEL_S)
+        sender.wait_idle(canceled_s)
 
 
 def main(arguments: Sequence[str]) -> int:
     """The process; its exit code is 0 unless there is no server."""
     os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # read on import; a goal may come from any file
     try:
-        run(arguments[0])
+        action, canceled_s = arguments
+        run(action, float(canceled_s))
     except Refusal as refusal:
         print(refusal.sentence, file=sys.stderr)
         return 1

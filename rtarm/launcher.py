@@ -41,9 +41,6 @@ LOOP_PATIENCE_S = 900.0
 """A first start compiles the control cycle, which takes minutes on a busy or small machine."""
 FRONT_PATIENCE_S = 60.0
 
-FRONT_STOP_S = 5.0
-LOOP_STOP_S = 10.0
-"""The control process stops the arm on its path before it ends."""
 LOOP_STOP_EARLY_S = 3.0
 """Before it was ready nothing moves, and it may be compiling, which does not listen."""
 SIM_STOP_S = 5.0
@@ -305,10 +302,10 @@ class Launcher:
     async def stop(self) -> None:
         """End what runs, in order, each within its patience."""
         loop_moves = self._loop is not None and self._loop.was_ready
-        parking = self.plan.arm.parking
+        patience, parking = self.plan.arm.patience, self.plan.arm.parking
         for child, patience_s in (
-            (self._front, FRONT_STOP_S + (parking.timeout_s if parking else 0.0)),
-            (self._loop, LOOP_STOP_S if loop_moves else LOOP_STOP_EARLY_S),
+            (self._front, patience.ros_process_s + (parking.timeout_s if parking else 0.0)),
+            (self._loop, patience.control_process_s if loop_moves else LOOP_STOP_EARLY_S),
             (self._sim, SIM_STOP_S),
         ):
             if child is None or child.has_ended:

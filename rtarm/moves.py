@@ -15,7 +15,7 @@ from rosfront.moves import Profile
 from rtarm.calibrate.person import Person, Quit, agrees
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, undisturbed
-from rtarm.requests import STOP_PATIENCE_S, Connection, stands
+from rtarm.requests import Connection, stands
 from rtarm.sending import Sender, follow, goal_document
 from rtarm.status import STOPPED_BY_A_PERSON
 from shm.words import Mode
@@ -126,9 +126,9 @@ def run(connection: Connection, sender: Sender, goal: dict[str, Any]) -> str:
             sender.cancel()
             connection.wait(
                 stands,
-                STOP_PATIENCE_S,
-                f"Arm {connection.arm} still moves {STOP_PATIENCE_S:g} s after its goal was cancelled: use the "
-                "emergency stop, then look at `rtarm status`.",
+                connection.patience.person_s,
+                f"Arm {connection.arm} still moves {connection.patience.person_s:.1f} s after its goal was "
+                "cancelled: use the emergency stop, then look at `rtarm status`.",
             )
         raise
     if not outcome.succeeded:

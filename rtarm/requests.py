@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
+from config.stopping import Patience
 from rtarm.errors import Refusal
 from rtarm.interrupt import signals_to
 from rtarm.status import MOVING_MODES, STOPPED_BY_A_PERSON
@@ -19,8 +20,6 @@ from shm.sentences import answer_sentence, fault_sentence, joint_name, unreferen
 from shm.words import Answer, DriveStatus, Fault, Mode, Phase, Request, Unreferenced
 
 ANSWER_PATIENCE_S = 2.0
-STOP_PATIENCE_S = 10.0
-BRING_UP_PATIENCE_S = 30.0
 RELEASE_PATIENCE_S = 5.0
 HOMING_PATIENCE_S = 3700.0
 """Beyond the longest that an arm file may allow a joint."""
@@ -86,6 +85,11 @@ class Connection:
         answer = self.ask(kind, joint_mask=joint_mask, value=value)
         if answer != Answer.DONE:
             raise Refusal(answer_sentence(answer))
+
+    @property
+    def patience(self) -> Patience:
+        """How long to wait for the arm to stop."""
+        return Patience(float(self._reader.memory.record["limits"]["longest_stop_s"]))
 
     def index(self, joint: str) -> int:
         """Number of a joint; raises Refusal where the arm has none of that name."""
@@ -180,9 +184,9 @@ def stop(arm: str) -> str:
         connection.wait_heard(lambda now: int(now["stops"]) > int(before["stops"]))
         after = connection.wait(
             stands,
-            STOP_PATIENCE_S,
-            f"Arm {arm} still moves {STOP_PATIENCE_S:g} s after the stop was accepted: use the emergency "
-            "stop, then look at `rtarm status`.",
+            connection.patience.person_s,
+            f"Arm {arm} still moves {connection.patience.person_s:.1f} s after the stop was accepted: use the "
+            "emergency stop, then look at `rtarm status`.",
         )
         if int(after["fault"]) == Fault.HOMING:
             raise Refusal(connection.fault(after))
@@ -226,9 +230,9 @@ def clear_fault(arm: str) -> str:
 
         after = connection.wait(
             decided,
-            BRING_UP_PATIENCE_S,
-            f"The drives of {arm} are not brought up {BRING_UP_PATIENCE_S:g} s after the fault was cleared: "
-            "look at the lines of the control process and at `rtarm status`.",
+            connection.patience.bring_up_s,
+            f"The drives of {arm} are not brought up {connection.patience.bring_up_s:.1f} s after the fault was "
+            "cleared: look at the lines of the control process and at `rtarm status`.",
         )
         if sentence := connection.fault(after):
             raise Refusal(f"The fault was cleared and came back. {sentence}")
@@ -259,7 +263,7 @@ def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
             if _homes_soon(connection):
                 connection.ask(Request.HOME_STOP)
             still_homes = f"Arm {arm} still homes: use the switch in the power line."
-            after = connection.wait(_is_over, STOP_PATIENCE_S, still_homes)
+            after = connection.wait(_is_over, connection.patience.person_s, still_homes)
             ended = "Ended: the joint that was on its way stands, without a reference."
             raise Refusal(connection.fault(after) or ended) from None
         lost = connection.lost(after)
@@ -382,8 +386,8 @@ def enable(arm: str) -> str:
         connection.order(Request.ENABLE)
         after = connection.wait(
             lambda now: int(now["mode"]) in (Mode.HOLDING, Mode.EXECUTING, Mode.FAULT),
-            BRING_UP_PATIENCE_S,
-            f"The drives of {arm} are not enabled after {BRING_UP_PATIENCE_S:g} s: see `rtarm status`.",
+            connection.patience.bring_up_s,
+            f"The drives of {arm} are not enabled after {connection.patience.bring_up_s:.1f} s: see `rtarm status`.",
         )
         if sentence := connection.fault(after):
             raise Refusal(sentence)
@@ -425,9 +429,9 @@ def hold(arm: str) -> str:
         connection.wait_heard(lambda now: bool(now["held"]))
         after = connection.wait(
             lambda now: _is_over(now) and not np.any(now["joints"]["commanded_velocity_rad_s"]),
-            STOP_PATIENCE_S,
-            f"Arm {arm} still moves {STOP_PATIENCE_S:g} s after the hold was accepted: use the emergency stop, then "
-            "look at `rtarm status`.",
+            connection.patience.person_s,
+            f"Arm {arm} still moves {connection.patience.person_s:.1f} s after the hold was accepted: use the "
+            "emergency stop, then look at `rtarm status`.",
         )
         if int(after["fault"]) == Fault.HOMING:
             raise Refusal(connection.fault(after))

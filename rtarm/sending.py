@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from rtarm.requests import Connection
 
 START_PATIENCE_S = 60.0
-END_PATIENCE_S = 10.0
+END_S = 5.0
+"""For the process that speaks ROS to end, once its last goal has."""
 LAST_LINES = 20
 SILENCE_S = 10.0
 """So long may the arm run no goal before one that was sent begins, and after it ran until there is its result."""
@@ -45,8 +46,10 @@ class Outcome(NamedTuple):
 class Sender:
     """Sends goals and hears how they end; all methods may be called from any thread."""
 
-    def __init__(self, process: subprocess.Popen[str]) -> None:
+    def __init__(self, process: subprocess.Popen[str], canceled_s: float) -> None:
+        """`canceled_s`: how long that process waits for the end of what it has canceled."""
         self._process = process
+        self._end_patience_s = canceled_s + END_S
         self._state = threading.Condition()
         self._outcomes: dict[int, Outcome] = {}
         self._errors: deque[str] = deque(maxlen=LAST_LINES)
@@ -130,7 +133,7 @@ class Sender:
         with suppress(OSError), self._state:
             self._process.stdin.close()
         try:
-            self._process.wait(END_PATIENCE_S)
+            self._process.wait(self._end_patience_s)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -207,11 +210,12 @@ def sending(arm: ArmConfig, namespace: str = "") -> Iterator[Sender]:
         Refusal: there is no ROS here, or no ROS process serves the arm.
     """
     check_ros()
+    canceled_s = arm.patience.canceled_s
     environment = ros_environment()
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", arm.front.discovery.upper())
     process = subprocess.Popen(
         # -P: a folder called config where the user happens to stand is not our package.
-        [sys.executable, "-P", "-m", "rtarm.goal_sender", action_name(arm, namespace)],
+        [sys.executable, "-P", "-m", "rtarm.goal_sender", action_name(arm, namespace), f"{canceled_s}"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -219,7 +223,7 @@ def sending(arm: ArmConfig, namespace: str = "") -> Iterator[Sender]:
         env=environment,
         process_group=0,  # a terminal's Ctrl-C is for who sends, who then cancels
     )
-    sender = Sender(process)
+    sender = Sender(process, canceled_s)
     try:
         sender.wait_ready(START_PATIENCE_S)
         yield sender

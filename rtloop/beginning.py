@@ -11,7 +11,6 @@ from config.frames import Identifiers
 from config.joint import FAMILIES, JointConfig
 from config.schema import ArmConfig
 from config.serial_adapters import SERIAL_ADAPTERS
-from motion import stopping
 from rtloop.drives.setup import homes_by_a_run, setup_of
 from rtloop.state import (
     CAN_FRAME_BYTES,
@@ -94,12 +93,6 @@ def lay_out_messages(messages: np.ndarray, parts: np.ndarray, data: np.ndarray) 
     messages["part_count"] = 1
 
 
-def longest_stop_s(arm: ArmConfig) -> float:
-    """Duration within which every stop on the path ends, whatever the arm is doing."""
-    slowest_s = max(joint.max_velocity_rad_s / joint.max_acceleration_rad_s2 for joint in arm.joints)
-    return stopping.longest_s(slowest_s, arm.limits.braking_factor)
-
-
 def _fill_params(params: np.void, arm: ArmConfig) -> None:
     limits = arm.limits
     period_ns = arm.control.period_ns
@@ -120,7 +113,8 @@ def _fill_params(params: np.void, arm: ArmConfig) -> None:
     params["reading_ns"] = reading_ns
     params["report_overdue_ns"] = max(2 * period_ns, reading_ns + period_ns // 2)
     params["front_timeout_ns"] = round(limits.front_timeout_s * 1e9)
-    params["longest_stop_s"] = longest_stop_s(arm)
+    params["longest_stop_s"] = arm.longest_stop_s
+    params["drives_patience_ns"] = round(arm.patience.drives_s * 1e9)
     params["service_bits"] = round(arm.bus.bitrate * period_ns * 1e-9 * 0.95)
 
 

@@ -8,7 +8,7 @@ at a fixed number of instants, and the first that keeps the limits is taken.
 import math
 from typing import Any
 
-from motion import scaling
+from motion import scaling, stopping
 from motion.stopping import STOP_FRACTIONS
 from rtloop.ahead import look_from_here, may_look, next_keeps_limits
 from rtloop.path import end_s, find_knot, goes_on_past_end, sample
@@ -19,6 +19,7 @@ Loop = Any  # record of dtype rtloop.state.LOOP
 
 ramp = jit(scaling.ramp)
 along = jit(scaling.along)
+way_s = jit(stopping.way_s)
 
 IMPOSSIBLE = 1e9
 NO_PATH = 100.0
@@ -187,7 +188,7 @@ def must_brake_for_lack_of_path(loop: Loop, braking_already: bool) -> bool:
     active = core.active
     if loop.paths[active].ended == 1:
         return False
-    longest_s = 0.5 * loop.params.longest_stop_s * max(core.rate, core.speed_scale)
+    longest_s = way_s(loop.params.longest_stop_s) * max(core.rate, core.speed_scale)
     left_s = end_s(loop, active) - core.clock_s - RESERVE_PERIODS * loop.params.period_ns * 1e-9
     if left_s > longest_s:
         return False

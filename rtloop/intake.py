@@ -10,6 +10,7 @@ before it counts as corrupt.
 import math
 from typing import Any
 
+from motion import stopping
 from rtloop.commands import GOALS_AHEAD, is_canceled, raise_epoch
 from rtloop.entry import due_s
 from rtloop.events import answer_request, record_event, set_result
@@ -50,7 +51,9 @@ NEVER_CLOSE_NS = 1 << 62
 FARTHEST_NS = 1 << 62
 """146 years: times farther away than any message of ROS can say, so that no difference of two of them overflows."""
 COVER_S = 1.0
-"""A new path may be entered when this much of it is known, or all of it."""
+"""A new path may be entered when this much of it is known, and the way of the longest stop, or all of it."""
+
+way_s = jit(stopping.way_s)
 
 _BRIDGE, _STREAM = int(Entry.BRIDGE), int(Entry.STREAM)
 _ANNOUNCED = offset_of(layout.COMMAND, "announced_goal")
@@ -334,7 +337,8 @@ def incoming_is_ready(loop: Loop) -> bool:
     path = loop.paths[incoming(loop)]
     if path.taken <= path.bridge:
         return False  # not one knot of its own
-    return path.ended == 1 or path.taken >= WINDOW_KNOTS - 1 or known_s(loop) >= COVER_S
+    cover_s = max(COVER_S, way_s(loop.params.longest_stop_s))
+    return path.ended == 1 or path.taken >= WINDOW_KNOTS - 1 or known_s(loop) >= cover_s
 
 
 # --- requests -----------------------------------------------------------------------------------------

@@ -429,7 +429,7 @@ class ControlProcess:
                     self._core["closing"] = 1
                     if self._gripper is not None and self._gripper.moves:
                         self._gripper.stop()
-                    closing_until_s = now_s + float(self._loop[0]["params"]["longest_stop_s"]) + 1.0
+                    closing_until_s = now_s + self._arm.patience.shutdown_s
                     if isinstance(talk, Referencing):
                         closing_until_s += STAND_PATIENCE_S
                 stands = self._stands() and not isinstance(talk, Referencing) and not self._gripper_is_busy()

@@ -20,8 +20,6 @@ Shared = Any  # record of dtype shm.layout.STATE
 STILL_SHARE = 0.002
 STILL_COUNTS = 3.0
 """Below this share of its highest velocity, or this many encoder counts a cycle, a joint stands after a gap."""
-REBASE_PATIENCE_NS = 3_000_000_000
-"""Drives without a motion frame stand after this time, whatever their readings look like."""
 
 
 @jit
@@ -70,7 +68,8 @@ def follow_by_hand(loop: Loop) -> None:
 def hold_measured(loop: Loop) -> None:
     """Command where the drives really are, once they stand: they braked by themselves while the loop was away.
 
-    Until then no motion frame leaves, since the last commanded positions lie behind them.
+    Until then no motion frame leaves, since the last commanded positions lie behind them. After `drives_patience_ns`
+    they stand, whatever their readings look like.
     """
     core = loop.core
     hold(loop)
@@ -80,7 +79,7 @@ def hold_measured(loop: Loop) -> None:
             dither = STILL_COUNTS * row.reading_step_rad / (loop.params.period_ns * 1e-9)
             still = abs(axis.measured_velocity_rad_s) < max(STILL_SHARE * row.max_velocity_rad_s, dither)
             seen = axis.measured_ns >= core.rebase_ns + 2 * loop.params.period_ns
-            if not (seen and still) and core.now_ns - core.rebase_ns < REBASE_PATIENCE_NS:
+            if not (seen and still) and core.now_ns - core.rebase_ns < loop.params.drives_patience_ns:
                 return
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]

@@ -74,6 +74,7 @@ PARAMS = np.dtype(
         ("stale_fault_ns", "i8"),
         ("front_timeout_ns", "i8"),
         ("longest_stop_s", "f8"),
+        ("drives_patience_ns", "i8"),  # for drives that brake by themselves
         ("has_gripper", "i8"),  # 1: a drive on the bus moves a gripper
         ("gripper_lower_rad", "f8"),
         ("gripper_upper_rad", "f8"),

@@ -291,15 +291,15 @@ def _sound_state(host: Host, node: Node) -> Part[int]:
     return state
 
 
-def _looks(arm: ArmConfig) -> int:
-    """Questions that take `BUSY_S` or longer: each waits for a cycle at least."""
-    return math.ceil(BUSY_S * 1e9 / arm.control.period_ns)
+def _looks(arm: ArmConfig, duration_s: float) -> int:
+    """Questions that take so long (s) or longer: each waits for a cycle at least."""
+    return math.ceil(duration_s * 1e9 / arm.control.period_ns)
 
 
 def _until(arm: ArmConfig, node: Node, wanted: Callable[[int], bool]) -> Part[int]:
     """The drive's state once it is as wanted, or the last within a while."""
     state = state_of((yield from node.read(STATUSWORD)))
-    for _ in range(_looks(arm)):
+    for _ in range(_looks(arm, BUSY_S)):
         if wanted(state):
             break
         state = state_of((yield from node.read(STATUSWORD)))
@@ -310,7 +310,7 @@ def _halt(arm: ArmConfig, node: Node) -> Part[None]:
     """Let a drive that is led in another mode come to rest and hold."""
     yield from node.write(CONTROLWORD, HALT)
     before = yield from node.read(POSITION)
-    for _ in range(_looks(arm)):
+    for _ in range(_looks(arm, arm.patience.drives_s)):
         here = yield from node.read(POSITION)
         if abs(here - before) <= STANDING_COUNTS:
             return
@@ -411,7 +411,7 @@ def _target_here(node: Node) -> Part[None]:
 
 def _until_csp(arm: ArmConfig, node: Node) -> Part[None]:
     shown = CSP
-    for _ in range(_looks(arm)):
+    for _ in range(_looks(arm, arm.patience.drives_s)):
         shown = yield from node.read(MODE_SHOWN)
         if shown == CSP:
             return

@@ -51,8 +51,8 @@ AGREEING = 2
 """Answers in a row that say the same: one alone may be a moment's."""
 ADOPT_WITHIN_RAD = 0.02
 """A drive whose target lies this near to its position is taken at its word."""
-HALT_PATIENCE_NS = 4_000_000_000
-"""From 3000 rpm to rest with a ramp of 750 rpm/s; then it is stopped at once."""
+HALT_PATIENCE_S = 4.0
+"""At least, from 3000 rpm to rest with a ramp of 750 rpm/s; then it is stopped at once."""
 SETTLE_PATIENCE_NS = 3_000_000_000
 BEGIN_NS = 1_000_000_000
 """Within which a homing run has begun."""
@@ -213,6 +213,7 @@ def _stand(host: Host, joint: int) -> Part[bool]:
     config = host.arm.joints[joint]
     can_id, began_ns = _can_id(config), host.now_ns
     halt = bytes((MOVE, 0, 0, silence_acc_byte(config, host.arm.limits), 0, 0, 0))
+    halt_patience_ns = round(1e9 * max(HALT_PATIENCE_S, host.arm.patience.drives_s))
     before: tuple[bytes, ...] = ()
     standing, was_homing = 0, False
     while standing < AGREEING:
@@ -228,7 +229,7 @@ def _stand(host: Host, joint: int) -> Part[bool]:
         waited_ns = host.now_ns - began_ns
         if state in (STANDS, 0):  # 0: in a work mode in which it tells no state, and obeys nobody here
             standing, before = standing + 1, ()
-        elif waited_ns > HALT_PATIENCE_NS + SETTLE_PATIENCE_NS:
+        elif waited_ns > halt_patience_ns + SETTLE_PATIENCE_NS:
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} moves and does not stop when it is told to: use the switch in the power "
@@ -236,7 +237,7 @@ def _stand(host: Host, joint: int) -> Part[bool]:
             )
         else:
             standing = 0
-            before = (bytes((EMERGENCY_STOP,)) if state == HOMING or waited_ns > HALT_PATIENCE_NS else halt,)
+            before = (bytes((EMERGENCY_STOP,)) if state == HOMING or waited_ns > halt_patience_ns else halt,)
     return was_homing
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -134,13 +135,15 @@ def arms(draw: st.DrawFn, most_joints: int = 7) -> ArmConfig:
     joints = []
     for _ in range(count):
         lower = draw(st.floats(-200.0, 150.0))
+        ratio, motor_rpm = draw(st.floats(0.5, 200.0)), draw(st.floats(1.0, 3000.0))
+        velocity_rad_s = motor_rpm / ratio * math.pi / 30.0
         joints.append(
             {
                 "lower_deg": lower,
                 "upper_deg": lower + draw(st.floats(1.0, 300.0)),
-                "ratio": draw(st.floats(0.5, 200.0)),
-                "motor_rpm": draw(st.floats(1.0, 3000.0)),
-                "max_acceleration_rad_s2": draw(st.floats(1e-3, 1e3)),
+                "ratio": ratio,
+                "motor_rpm": motor_rpm,
+                "max_acceleration_rad_s2": velocity_rad_s / draw(st.floats(0.01, 15.0)),
             }
         )
     return arm_of(rows, joints)

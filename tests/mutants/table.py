@@ -24,6 +24,7 @@ def drive(family: str) -> Leaf:
 
 
 LEAVES = (
+    Leaf("config/stopping.py", ("tests/config/test_patience.py",)),
     Leaf("motion/segment.py", ("tests/motion",)),
     Leaf("motion/scaling.py", ("tests/motion",)),
     Leaf("motion/stopping.py", ("tests/motion",)),

@@ -12,10 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 from config.homing import ParkingConfig
+from config.stopping import LONGEST_ALLOWED_S, Patience
 from rtarm.cli import app
 from rtarm.doctor.adapters import QUEUE
 from rtarm.doctor.processors import LATENCY_RULE
-from rtarm.launcher import FRONT_PATIENCE_S, FRONT_STOP_S, LOOP_PATIENCE_S, LOOP_STOP_S, SIM_PATIENCE_S, SIM_STOP_S
+from rtarm.launcher import FRONT_PATIENCE_S, LOOP_PATIENCE_S, SIM_PATIENCE_S, SIM_STOP_S
 from rtarm.scan.adapters import KERNEL_ADAPTERS, SLCAN_ADAPTERS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -53,8 +54,8 @@ def test_the_unit_starts_what_the_wheel_installs() -> None:
 
 
 def test_the_units_patience_is_that_of_the_launcher() -> None:
-    unit = settings()
-    ending_s = LONGEST_PARKING_S + FRONT_STOP_S + LOOP_STOP_S + SIM_STOP_S
+    unit, slowest = settings(), Patience(LONGEST_ALLOWED_S)
+    ending_s = LONGEST_PARKING_S + slowest.ros_process_s + slowest.control_process_s + SIM_STOP_S
     assert seconds(unit["TimeoutStopSec"][0]) > ending_s
     assert seconds(unit["TimeoutStartSec"][0]) > SIM_PATIENCE_S + LOOP_PATIENCE_S + FRONT_PATIENCE_S
     assert (unit["Restart"], unit["KillMode"], unit["Type"]) == (["no"], ["mixed"], ["notify"])

@@ -10,7 +10,8 @@ import pytest
 from launched import Started, everything_started
 
 from config.homing import ParkingConfig
-from rtarm.launcher import FRONT_STOP_S, LOOP_STOP_S, SIM_STOP_S
+from config.stopping import LONGEST_ALLOWED_S, Patience
+from rtarm.launcher import SIM_STOP_S
 
 pytest.importorskip("xacro")
 
@@ -157,7 +158,8 @@ def test_nobody_is_asked_to_end_a_second_time_before_the_longest_parking_is_over
     limits = ParkingConfig.model_fields["timeout_s"].metadata
     (longest_s,) = (limit.le for limit in limits if hasattr(limit, "le"))
     assert isinstance(patience, ast.Constant)
-    assert float(patience.value) > longest_s + FRONT_STOP_S + LOOP_STOP_S + SIM_STOP_S
+    slowest = Patience(LONGEST_ALLOWED_S)
+    assert float(patience.value) > longest_s + slowest.ros_process_s + slowest.control_process_s + SIM_STOP_S
 
 
 @pytest.mark.parametrize(

@@ -640,10 +640,22 @@ def test_a_very_long_trajectory_costs_no_more_than_its_points():
 
 def test_points_that_last_for_too_short_a_time_to_stop_in():
     points = [point(0.00005 * i, [0.0]) for i in range(8000)]
-    with pytest.raises(refusals.TooDense, match=r"The 4000 points from point 0 on last only 0\.2000 s"):
+    sentence = r"The 4000 points from point 0 on last only 0\.2000 s, .* at least 0\.9817 s ahead to be able to stop"
+    with pytest.raises(refusals.TooDense, match=sentence):
         planned(one_joint(*points))
     planned(one_joint(*points[:4000]))
-    planned(one_joint(*[point(0.0001 * i, [0.0]) for i in range(8000)]))
+    longest_s = ARM.longest_stop_s
+    planned(one_joint(*[point(0.501 * longest_s / 4000 * i, [0.0]) for i in range(8000)]))
+    with pytest.raises(refusals.TooDense):
+        planned(one_joint(*[point(0.499 * longest_s / 4000 * i, [0.0]) for i in range(8000)]))
+
+
+def test_the_points_that_are_put_between_count_too():
+    """In the tutorial's way of interpolating, 15 between each two."""
+    dense = [point(0.002 * i, [0.0]) for i in range(400)]
+    planned(one_joint(*dense))
+    with pytest.raises(refusals.TooDense, match=r"The 250 points from point 0 on last only 0\.5000 s"):
+        planned(one_joint(*dense), arm=LINEAR)
 
 
 LINEAR = load_arm("episode1", overrides={"trajectory": {"interpolation": "linear"}})

@@ -18,6 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 PROGRAM = """
 import sys, threading
+from config.loader import load_arm
 from rosfront.program import EndSignal, serve
 
 class Node:
@@ -40,10 +41,12 @@ class Served:
         assert False, "what must move nothing any more is asked to"
 
     def close(self, patience_s):
+        assert patience_s == ARM.patience.goals_s
         ended.set()
 
 ended = threading.Event()
-serve(lambda executor: Served(), [], "localhost", EndSignal())
+ARM = load_arm("mock", overrides={"limits": {"braking_factor": 1.0}})
+serve(lambda executor: Served(), [], ARM, EndSignal())
 """
 
 

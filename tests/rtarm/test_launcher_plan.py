@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import io
 import os
 from pathlib import Path
 from typing import Any
@@ -9,11 +11,13 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 
 from config.loader import load_arm, parse_overrides
 from rtarm import processes
-from rtarm.launcher import action_name, describe_bus, load_plan, override_arguments
+from rtarm.launcher import Launcher, action_name, describe_bus, load_plan, override_arguments
 from rtarm.processes import WHEELS_GUARD, describe_end, plain_environment, ros_environment
+from rtarm.reporter import Reporter
 
 keys = st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True)
 scalars = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text()
@@ -88,3 +92,26 @@ def test_a_ros_child_gets_the_wheels_library_path(prepared: bool, monkeypatch: p
     monkeypatch.setenv("LD_LIBRARY_PATH", f"elsewhere{os.pathsep}{library}" if prepared else "elsewhere")
     monkeypatch.setenv(WHEELS_GUARD, "1")
     assert (WHEELS_GUARD in ros_environment()) == prepared
+
+
+class Braking:
+    """In place of a process that ends when its arm stands, if it may."""
+
+    name, was_ready, has_ended, code = "braking", True, False, 0
+
+    async def stop(self, patience_s: float) -> bool:
+        self.patience_s = patience_s
+        return True
+
+
+@pytest.mark.parametrize("braking_factor", [1.0, 1.2, 1.5])
+def test_no_process_is_killed_while_its_arm_brakes_as_it_should(braking_factor: float) -> None:
+    """The control process had 10 s, whatever the arm."""
+    plan = load_plan("mock", {"limits": {"braking_factor": braking_factor}}, simulated=False)
+    launcher = Launcher(plan, Reporter(Console(file=io.StringIO())))
+    front, loop = Braking(), Braking()
+    launcher._front, launcher._loop = front, loop  # type: ignore[assignment]
+    asyncio.run(launcher.stop())
+    arm = plan.arm.patience
+    assert front.patience_s > arm.goals_s > arm.longest_stop_s
+    assert loop.patience_s > arm.shutdown_s > arm.longest_stop_s

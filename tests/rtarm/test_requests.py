@@ -9,6 +9,7 @@ import pytest
 from typer.testing import Result
 from written_arm import WrittenArm
 
+from config.stopping import Patience
 from rtarm import requests
 from shm.words import Answer, Fault, Mode, Phase, Request, Unreferenced
 
@@ -96,12 +97,13 @@ def test_stop_gives_up_on_a_control_process_that_hangs(
 def test_stop_gives_up_on_an_arm_that_goes_on_moving(
     arm: WrittenArm, rtarm: Rtarm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(requests, "STOP_PATIENCE_S", 0.05)
+    monkeypatch.setattr(Patience, "person_s", property(lambda its: its.longest_stop_s + 0.05))
+    arm.state["limits"]["longest_stop_s"] = 0.15
     moving(arm)
     with arm.answering(lambda _arm, _kind: Answer.DONE):
         result = rtarm("stop", arm.name)
     assert result.exit_code == 1
-    assert "still moves 0.05 s after the stop was accepted: use the emergency stop" in result.stderr
+    assert "still moves 0.2 s after the stop was accepted: use the emergency stop" in result.stderr
 
 
 def test_stop_notices_the_end_of_the_control_process(arm: WrittenArm, rtarm: Rtarm) -> None:

@@ -44,9 +44,9 @@ def robot_interface(context):
             executable="robot_interface",
             output="screen",
             parameters=[parameters],
-            # An arm is stopped on its path, or parked (parking.timeout_s: 300 s at most), before its processes end;
-            # what comes earlier is a second signal, which ends the parking.
-            sigterm_timeout="330",
+            # An arm is stopped on its path (within 60 s), or parked (parking.timeout_s: 300 s at most), before its
+            # processes end; what comes earlier is a second signal, which ends the parking.
+            sigterm_timeout="450",
             sigkill_timeout="20",
             on_exit=Shutdown(reason="rtarm has ended, and with it what the others work with"),
         )
