@@ -75,7 +75,8 @@ class LimitsConfig(Section):
         default=1.5,
         ge=1,
         le=5,
-        description="Acceleration a stop on the path may use, as a multiple of the joint's limit.",
+        description="Acceleration that a person's stop, a fault or a lost process may use on the path, as a multiple "
+        "of the joint's limit; cancels, holds and newer goals stay within the limit.",
     )
     silence_brake_factor: float = Field(
         default=1.75,

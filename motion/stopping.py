@@ -7,7 +7,10 @@ acceleration b for each joint all of them can stop together within T₀ = 1.5 ma
 
 The control process does not solve for T, since on a bent path it cannot: it tries STOP_FRACTIONS of the arm's longest
 stop from short to long and takes the first that keeps the limits. On a straight line that is the shortest candidate
-or one at most LENGTHENING times T₀. Leaf functions; units: rad, rad/s, rad/s², s.
+or one at most LENGTHENING times T₀.
+
+What a stop adds stays within the acceleration limit (`ORDERLY`) unless safety wants the arm at rest: a person's stop, a
+fault or a lost process uses `limits.braking_factor`. Leaf functions; units: rad, rad/s, rad/s², s.
 """
 
 from itertools import pairwise
@@ -15,7 +18,11 @@ from typing import Any
 
 Number = Any
 
-STOP_FRACTIONS = (0.04, 0.06, 0.08, 0.12, 0.16, 0.25, 0.33, 0.5, 0.7, 1.0)
+ORDERLY = 1.0
+"""Share of the acceleration limit within which rates change and paths are entered in normal operation."""
+PLAN_SHARE = 0.05
+"""What a stop or a blend may add, as a share of the limit, where the plan alone uses all of it."""
+STOP_FRACTIONS = (0.025, 0.035, 0.05, 0.07, 0.095, 0.13, 0.18, 0.25, 0.35, 0.5, 0.7, 1.0)
 """Durations of the stops that are tried, as shares of the longest one."""
 LENGTHENING = max(longer / shorter for shorter, longer in pairwise(STOP_FRACTIONS))
 CYCLES_TO_BEGIN = 2.0
@@ -25,14 +32,19 @@ FADE_PERIODS = 3.0
 """A difference in acceleration fades within this time, at least so many control periods."""
 
 
-def longest_s(slowest_s: float, braking_factor: float) -> float:
+STEEPEST = 5.3
+"""Duration of the stop that fits beside the hardest plan, in V / A; largest 6 x (1 - x) / (1 - (1 - PLAN_SHARE) s²)."""
+
+
+def longest_s(slowest_s: float) -> float:
     """Duration (s) within which every stop on the path ends, whatever the arm is doing.
 
-    `slowest_s` is the largest ratio of velocity limit to acceleration limit of the joints. The plan may use the whole
-    acceleration limit A at velocity V, so (braking_factor - 1) A is left for V · 1.5 / T; a quarter more covers plans
-    that exceed their limits between two points, as real ones do.
+    `slowest_s` is the largest ratio of velocity limit V to acceleration limit A of the joints. A plan at V that uses
+    all but PLAN_SHARE of A leaves the stop nothing else at first; at the rate s = 1 - 3x² + 2x³ it needs s² of its own
+    share only, so A (1 - (1 - PLAN_SHARE) s²) is left for V · 6 x (1 - x) / T. A tenth more covers velocities within
+    the velocity margin. Stops that may brake harder than ORDERLY are shorter.
     """
-    return 1.25 * 1.5 * slowest_s / max(braking_factor - 1.0, 0.1)
+    return 1.1 * STEEPEST * slowest_s
 
 
 def fade_duration_s(period_s: float) -> float:

@@ -98,7 +98,7 @@ def lay_out_messages(messages: np.ndarray, parts: np.ndarray, data: np.ndarray) 
 def longest_stop_s(arm: ArmConfig) -> float:
     """Duration within which every stop on the path ends, whatever the arm is doing."""
     slowest_s = max(joint.max_velocity_rad_s / joint.max_acceleration_rad_s2 for joint in arm.joints)
-    return stopping.longest_s(slowest_s, arm.limits.braking_factor)
+    return stopping.longest_s(slowest_s)
 
 
 def _fill_params(params: np.void, arm: ArmConfig) -> None:

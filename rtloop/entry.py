@@ -242,7 +242,7 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
             if not bridged:
                 fastest = max(fastest, abs(planned_speed))  # what the goal's own points ask for was checked exactly
             speed = rate * abs(v) / fastest
-            push = rate * rate * abs(a) / allowed_acceleration(loop, joint, rate * rate * planned)
+            push = rate * rate * abs(a) / allowed_acceleration(loop, joint, rate * rate * planned, stopping.ORDERLY)
             if not (speed <= IMPOSSIBLE and push <= IMPOSSIBLE):
                 return IMPOSSIBLE  # not a number
             worst = max(worst, speed, push)
@@ -263,7 +263,7 @@ def stop_reach_s(loop: Loop, path_index: int) -> float:
     to_brake_s = 0.0
     for joint in range(loop.params.joint_count):
         if in_goal(loop, path_index, joint):
-            braking = loop.params.braking_factor * loop.joints[joint].max_acceleration_rad_s2
+            braking = stopping.ORDERLY * loop.joints[joint].max_acceleration_rad_s2
             row = last.joints[joint]
             _, velocity = line_beyond(row.position_rad, row.velocity_rad_s, row.acceleration_rad_s2, fade_s)
             to_brake_s = max(to_brake_s, abs(velocity) / braking)

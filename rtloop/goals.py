@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from motion.stopping import ORDERLY
 from rtloop import guard, intake
 from rtloop.ahead import LOOKS_A_CYCLE
 from rtloop.arrival import has_arrived, rate_that_settles, rate_with_room_to_arrive, slow_down_to_arrive
@@ -168,16 +169,29 @@ def steer(loop: Loop, shared: Shared) -> None:
     must_arrive = running.ended == 1 and not goes_on_past_end(loop, core.active)
     runs_on = running.stream == 1 and (running.ended == 0 or running.ends_moving == 1)
     if stop:
-        steer_rate(loop, 0.0)
+        steer_rate(loop, 0.0, loop.params.braking_factor if is_urgent(loop) else ORDERLY)
     elif core.arriving == 0:
         wanted = rate_while_blending(loop, asked_rate(loop, core.active))
         if must_arrive:
             wanted = rate_with_room_to_arrive(loop, wanted)
         elif runs_on:
             wanted = rate_that_settles(loop, wanted)
-        steer_rate(loop, wanted)
+        steer_rate(loop, wanted, ORDERLY)
     if must_arrive:
         slow_down_to_arrive(loop)
+
+
+@jit
+def is_urgent(loop: Loop) -> bool:
+    """Whether a stop may use the braking factor: a person's, that of a fault, and when a process or a drive fails.
+
+    What belongs to ordinary operation (cancel, hold, a newer goal, the end of a stream) keeps the limits.
+    """
+    core = loop.core
+    stopped = core.held == 1 and core.stop_ns > core.resume_ns  # also a goal that its client has canceled before
+    if stopped or core.fault != Fault.NONE or core.stale == 1 or core.starving == 1:
+        return True
+    return not (core.ending == Outcome.NONE or core.ending == Outcome.CANCELED or core.ending == Outcome.RAN_DRY)
 
 
 @jit

@@ -270,6 +270,7 @@ CORE = np.dtype(
         ("slope_start", "f8"),
         ("ramp_s", "f8"),  # duration of the running ramp, 0 = steady
         ("ramp_elapsed_s", "f8"),
+        ("ramp_factor", "f8"),  # share of the acceleration limits that it may use
         ("speed_scale", "f8"),  # what people asked for
         ("entry_rate", "f8"),  # for which the running path's blend was made
         ("held", "i8"),  # 1: a person has stopped or holds the arm, so nothing begins before a resume

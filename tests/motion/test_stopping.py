@@ -27,10 +27,17 @@ def test_the_candidate_that_is_taken_stops_within_the_reach(to_brake, longest, p
     assert reach <= 0.5 * max(1.6 * shortest, candidates[0]) + 2.0 * period
 
 
-@given(st.floats(0.1, 2.0), st.floats(1.0, 3.0))
-def test_the_longest_stop_is_long_enough_for_any_velocity(slowest, braking_factor):
-    shortest = 1.5 * 1.05 * slowest / braking_factor
-    assert stopping.longest_s(slowest, braking_factor) >= shortest
+def hardest_share(plan_share, duration, slowest):
+    """Largest acceleration along a stop, as a share of what is allowed, amid a plan of that share at full velocity."""
+    rate, slope, _ = scaling.ramp(1.0, 0.0, 0.0, duration, np.linspace(0.0, duration, 1001))
+    pushed = np.abs(scaling.along(rate, slope, slowest, -plan_share)[1])
+    return pushed.max() / max(stopping.ORDERLY, plan_share + stopping.PLAN_SHARE)
+
+
+@given(st.floats(0.1, 10.0), st.floats(0.0, 1.7))
+def test_the_longest_stop_fits_beside_any_plan(slowest, plan_share):
+    """In the direction in which both brake, at the velocity margin of 1.05."""
+    assert hardest_share(plan_share, stopping.longest_s(slowest), 1.05 * slowest) <= 1.0
 
 
 @given(st.floats(-1.0, 1.0), st.floats(-5.0, 5.0), st.floats(-40.0, 40.0), st.floats(0.0, 2.0))
@@ -51,7 +58,9 @@ def test_a_fade_lasts_some_cycles(period, expected):
     assert stopping.fade_duration_s(period) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize(("braking_factor", "expected"), [(2.0, 3.75), (1.5, 7.5), (1.05, 37.5), (1.0, 37.5)])
-def test_the_longest_stop_is_not_longer_than_it_must_be(braking_factor: float, expected: float) -> None:
-    """1.5 · V / T of its steepest place fits beside a plan at the whole limit, and a quarter; V / A is 2 s."""
-    assert stopping.longest_s(2.0, braking_factor) == pytest.approx(expected)
+@pytest.mark.parametrize("slowest", [0.5, 10.0])
+def test_the_longest_stop_is_not_longer_than_it_must_be(slowest):
+    """A sixth less breaks the limit amid the hardest plan that leaves PLAN_SHARE of it."""
+    assert stopping.longest_s(slowest) == pytest.approx(5.83 * slowest)
+    shorter = stopping.longest_s(slowest) * 5.0 / 6.0
+    assert hardest_share(1.0 - stopping.PLAN_SHARE, shorter, 1.05 * slowest) > 1.0
