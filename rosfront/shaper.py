@@ -1,8 +1,8 @@
 """Streams that ask for more than the limits allow: made into motion that follows them as closely as those permit.
 
-A message within the limits is handed on as it came. Where it is not, or where the arm lags so far behind it that no
-blend of the control process leads onto it within the limits, the arm follows a path made here (`motion.shaping`): it
-begins on the path that the arm runs along, so entering it is no motion of its own, and ends where the message ends.
+A message within the limits that goes on as the arm moves is handed on as it came. Otherwise the arm follows a path made
+here (`motion.shaping`): it begins on the path that the arm runs along, so entering it is no motion of its own, and ends
+where the message ends.
 """
 
 from dataclasses import dataclass, replace
@@ -26,11 +26,8 @@ AHEAD_S, AHEAD_PERIODS = 0.01, 3.0
 STEP_S = 0.01
 TAIL_STEP_S = 0.05
 BLEND_S = 0.4
-BLEND_SHARE, CAUGHT_UP_SHARE = 0.5, 0.01
-"""What is left to a blend of the control process adds at most so much of the acceleration limit within BLEND_S.
-
-An arm that follows a stream with a lag does so until it has caught up, since its targets are as good as known.
-"""
+BLEND_SHARE = 0.01
+"""What is left to a blend of the control process adds at most so much of the acceleration limit within BLEND_S."""
 ARRIVED_RAD = 1e-9
 
 
@@ -148,11 +145,10 @@ class _Maker:
         """
         if self._present.standing and self._earlier is None:
             return True  # how it begins was judged, and how the arm gets there is judged where it is
-        lags = self._earlier is not None and self._earlier.wanted is not None
         target = self._targets(np.array([self._from_ns]))
         push = 5.8 * np.abs(target.position - self._from.position) / BLEND_S**2
         push += 3.9 * np.abs(target.velocity - self._from.velocity) / BLEND_S
-        return bool((push <= (CAUGHT_UP_SHARE if lags else BLEND_SHARE) * self._limits.acceleration).all())
+        return bool((push <= BLEND_SHARE * self._limits.acceleration).all())
 
     def refuse_jump(self) -> None:
         """Refuse a target that is nowhere near what was asked for before; raises TooFar."""

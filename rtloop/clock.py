@@ -51,13 +51,13 @@ def advance_clock(loop: Loop) -> None:
 
 
 @jit
-def allowed_acceleration(loop: Loop, joint: int, planned_rad_s2: float, factor: float) -> float:
+def allowed_acceleration(loop: Loop, joint: int, planned_rad_s2: float, factor: float, share: float) -> float:
     """What a change of rate or a blend may bring the joint's acceleration to (rad/s²).
 
-    `factor` times its limit, a little more than the plan where that asks for as much, and what it has already.
+    `factor` times its limit, `share` of it more than the plan where that asks for as much, and what it has already.
     """
     limit = loop.joints[joint].max_acceleration_rad_s2
-    beside_plan = min(abs(planned_rad_s2) + PLAN_SHARE * limit, HEADROOM * loop.params.acceleration_margin * limit)
+    beside_plan = min(abs(planned_rad_s2) + share * limit, HEADROOM * loop.params.acceleration_margin * limit)
     return max(factor * limit, beside_plan, ROUNDING * abs(loop.axes[joint].acceleration_rad_s2))
 
 
@@ -89,7 +89,8 @@ def ramp_strain(loop: Loop, target: float, duration_s: float, factor: float) -> 
         for joint in range(loop.params.joint_count):
             _, v, a = sample(loop, active, joint, clock_s, knot)
             _, acceleration = along(rate, slope, v, a)
-            worst = max(worst, abs(acceleration) / allowed_acceleration(loop, joint, full * full * a, factor))
+            allowed = allowed_acceleration(loop, joint, full * full * a, factor, PLAN_SHARE)
+            worst = max(worst, abs(acceleration) / allowed)
     return worst
 
 

@@ -215,6 +215,7 @@ PATH = np.dtype(
         ("goal_tolerances", layout.SETPOINT_JOINT, (MAX_JOINTS,)),  # at the end
         ("entry_s", "f8"),  # path time at which it was entered, where the blend begins
         ("blend_s", "f8"),  # path time the blend lasts
+        ("from_rest", "i8"),  # 1: it was entered by an arm at rest
         ("fade_s", "f8"),  # path time in which its difference in acceleration fades
         ("blends", BLEND, (MAX_JOINTS,)),
     ]

@@ -134,7 +134,7 @@ def test_where_the_plan_asks_for_much_a_ramp_may_add_to_that(
     it = Clock()
     limit = ARM.joints[2].max_acceleration_rad_s2
     it.loop["axes"][2]["acceleration_rad_s2"] = present_share * limit
-    allowed = clock.allowed_acceleration(it.loop, 2, planned_share * limit, factor)
+    allowed = clock.allowed_acceleration(it.loop, 2, planned_share * limit, factor, 0.05)
     assert allowed == pytest.approx(allowed_share * limit)
 
 
