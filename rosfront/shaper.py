@@ -24,7 +24,7 @@ FAR_S = 0.1
 AHEAD_S, AHEAD_PERIODS = 0.01, 3.0
 """Until then the arm goes on as it does: judging takes a while, and the control process looks once a cycle."""
 STEP_S = 0.01
-TAIL_STEP_S = 0.05
+TAIL_STEP_S, MOST_TAIL_STEPS = 0.05, 1000
 BLEND_S = 0.4
 BLEND_SHARE = 0.01
 """What is left to a blend of the control process adds at most so much of the acceleration limit within BLEND_S."""
@@ -185,10 +185,13 @@ class _Maker:
             for to_ns, position, velocity in zip(steps, targets.position, targets.velocity, strict=True):
                 step(int(to_ns), _State(position, velocity))
         if self._ends_at_rest:
-            goal = _State(self._path.knots[-1, :, 0], np.zeros(len(self._path.knots[-1])))
-            while not state.is_at(goal.position):
+            end = np.clip(self._path.knots[-1, :, 0], self._limits.lower, self._limits.upper)  # rounding may be beyond
+            goal = _State(end, np.zeros_like(end))
+            for _ in range(MOST_TAIL_STEPS):
+                if state.is_at(end):
+                    knots[-1][:, :2] = np.stack([end, goal.velocity], axis=1)
+                    break
                 step(at_ns + round(TAIL_STEP_S * NS), goal)
-            knots[-1][:, :2] = np.stack([goal.position, goal.velocity], axis=1)
         made = self._made(times_ns, orders, knots)
         try:
             check_room_to_stop(made, self._arm)

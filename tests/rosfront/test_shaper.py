@@ -165,6 +165,17 @@ def test_a_stream_that_leaves_no_room_to_stop_is_stopped_inside_its_limits() -> 
     assert plan.joints[-1, 0, 1] == 0.0 and upper - 0.03 < plan.joints[-1, 0, 0] <= upper
 
 
+def test_an_end_just_beyond_a_limit_as_rounding_makes_it_is_the_limit() -> None:
+    joint = ARM.joints[0]
+    here = np.zeros((6, 2))
+    here[0] = UPPER[0] - 0.04, 0.1
+    point = np.zeros((1, 6))
+    point[0, 0] = UPPER[0] + 0.5 * (joint.command_pulse_rad + joint.encoder_count_rad)
+    plan = followed(message([0.01], point, None), here)
+    assert_keeps_limits(plan)
+    assert plan.joints[-1, 0, 0] == pytest.approx(UPPER[0], abs=1e-9) and plan.joints[-1, 0, 1] == 0.0
+
+
 def test_what_is_absurd_is_refused() -> None:
     """Beyond position limits, not a number, or farther than a joint goes in a tenth of a second from where it was."""
     here = np.zeros((6, 2))
