@@ -76,7 +76,8 @@ class LimitsConfig(Section):
         default=1.5,
         ge=1,
         le=5,
-        description="Acceleration a stop on the path may use, as a multiple of the joint's limit.",
+        description="Acceleration that a person's stop, a fault or a lost process may use on the path, as a multiple "
+        "of the joint's limit; cancels, holds and newer goals stay within the limit.",
     )
     silence_brake_factor: float = Field(
         default=1.75,
@@ -307,7 +308,7 @@ class ArmConfig(Section):
     def longest_stop_s(self) -> float:
         """Duration within which every stop ends, whatever the arm is doing (s)."""
         slowest_s = max(joint.slowness_s for joint in self.joints)
-        return longest_stop_s(slowest_s, self.limits.braking_factor)
+        return longest_stop_s(slowest_s)
 
     @property
     def patience(self) -> Patience:
@@ -465,7 +466,7 @@ class ArmConfig(Section):
     @model_validator(mode="after")
     def _stops_soon_enough(self) -> ArmConfig:
         for index, joint in enumerate(self.joints):
-            takes_s = longest_stop_s(joint.slowness_s, self.limits.braking_factor)
+            takes_s = longest_stop_s(joint.slowness_s)
             if takes_s > LONGEST_ALLOWED_S:
                 least = joint.max_acceleration_rad_s2 * takes_s / LONGEST_ALLOWED_S
                 raise refuse(
@@ -473,6 +474,6 @@ class ArmConfig(Section):
                     f"max_acceleration_rad_s2 of {joint.name} is {joint.max_acceleration_rad_s2:g}, so that a stop "
                     f"from its {joint.max_velocity_rad_s:.4g} rad/s on a bent path may take {takes_s:.1f} s, and at "
                     f"most {LONGEST_ALLOWED_S:g} s are allowed; raise it above {least:.4g} if the joint can brake so "
-                    "hard, or lower its motor_rpm, or raise limits.braking_factor.",
+                    "hard, or lower its motor_rpm.",
                 )
         return self

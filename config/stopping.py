@@ -8,20 +8,20 @@ from dataclasses import dataclass
 
 LONGEST_ALLOWED_S = 60.0
 """No arm may take longer: the way of that stop must be known ahead, and what ends programs waits no longer."""
-STEEPEST = 1.5
-"""The rate of the trajectory clock falls with this over the stop's duration at most (`motion.stopping`)."""
-GENTLEST_RAMP = 1.5
-"""Braking of a drive that hears nothing more, as a multiple of its joint's limit, at least (`silence_brake_factor`)."""
+STEEPEST = 5.3
+"""Duration of the stop that fits beside the hardest plan, in V / A; largest 6 x (1 - x) / (1 - (1 - PLAN_SHARE) s²)."""
 
 
-def longest_stop_s(slowest_s: float, braking_factor: float) -> float:
-    """Duration (s) within which every stop ends, whatever the arm is doing: on its path, or by its drives' own ramps.
+def longest_stop_s(slowest_s: float) -> float:
+    """Duration (s) within which every stop ends, whatever the arm is doing.
 
-    `slowest_s` is the largest ratio of velocity limit to acceleration limit of the joints. The plan may use the whole
-    acceleration limit A at velocity V, so (braking_factor - 1) A is left for V · 1.5 / T; a quarter more covers plans
-    that exceed their limits between two points, as real ones do.
+    `slowest_s` is the largest ratio of velocity limit V to acceleration limit A of the joints. A plan at V that uses
+    all but PLAN_SHARE of A (`motion.stopping`) leaves the stop nothing else at first; at the rate s = 1 - 3x² + 2x³ it
+    needs s² of its own share only, so A (1 - (1 - PLAN_SHARE) s²) is left for V · 6 x (1 - x) / T. A tenth more covers
+    velocities within the velocity margin. Stops that may brake harder are shorter, and so are those that drives make
+    by themselves when they hear nothing more (`silence_brake_factor`).
     """
-    return slowest_s * max(1.25 * STEEPEST / max(braking_factor - 1.0, 0.1), 1.0 / GENTLEST_RAMP)
+    return 1.1 * STEEPEST * slowest_s
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,10 @@ acceleration b for each joint all of them can stop together within T₀ = 1.5 ma
 
 The control process does not solve for T, since on a bent path it cannot: it tries STOP_FRACTIONS of the arm's longest
 stop from short to long and takes the first that keeps the limits. On a straight line that is the shortest candidate
-or one at most LENGTHENING times T₀. Leaf functions; units: rad, rad/s, rad/s², s.
+or one at most LENGTHENING times T₀.
+
+What a stop adds stays within the acceleration limit (`ORDERLY`) unless safety wants the arm at rest: a person's stop, a
+fault or a lost process uses `limits.braking_factor`. Leaf functions; units: rad, rad/s, rad/s², s.
 """
 
 from itertools import pairwise
@@ -15,7 +18,11 @@ from typing import Any
 
 Number = Any
 
-STOP_FRACTIONS = (0.04, 0.06, 0.08, 0.12, 0.16, 0.25, 0.33, 0.5, 0.7, 1.0)
+ORDERLY = 1.0
+"""Share of the acceleration limit within which rates change and paths are entered in normal operation."""
+PLAN_SHARE = 0.05
+"""What a stop or a blend may add, as a share of the limit, where the plan alone uses all of it."""
+STOP_FRACTIONS = (0.025, 0.035, 0.05, 0.07, 0.095, 0.13, 0.18, 0.25, 0.35, 0.5, 0.7, 1.0)
 """Durations of the stops that are tried, as shares of the longest one."""
 LENGTHENING = max(longer / shorter for shorter, longer in pairwise(STOP_FRACTIONS))
 CYCLES_TO_BEGIN = 2.0

@@ -66,6 +66,10 @@ class Counts:
     goals_canceled: int = 0
     goals_aborted: int = 0
     messages_taken: int = 0
+    messages_shaped: int = 0
+    """Of those taken: what asked for more than the limits allow, and was followed as closely as they do."""
+    largest_lag_rad: float = 0.0
+    """By which a joint has followed one of them."""
     messages_refused: int = 0
 
 

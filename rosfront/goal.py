@@ -27,7 +27,7 @@ import numpy as np
 
 from config.schema import ArmConfig
 from motion import slopes, stopping
-from rosfront.limits import check_limits
+from rosfront.limits import check_limits, check_positions
 from rosfront.path import PlannedPath
 from rosfront.plan import NS, REST_RAD_S, GoalPlan, Present, Terms
 from rosfront.points import Columns, Points, columns_of, read_points, refuse_unsupported
@@ -36,7 +36,6 @@ from rosfront.refusals import (
     DuplicateJoint,
     EndsInThePast,
     EndsMoving,
-    NoRoomToStop,
     NotSupported,
     TooDense,
     TooFar,
@@ -44,6 +43,7 @@ from rosfront.refusals import (
     UnknownJoint,
 )
 from rosfront.settings import Settings
+from rosfront.shaper import shaped
 from shm.words import Entry
 
 OFF = -1.0
@@ -70,20 +70,21 @@ def plan_goal(goal: Any, arm: ArmConfig, present: Present, settings: Settings) -
         return _plan(goal.trajectory, given, columns, arm, present, terms, Entry(0))
 
 
-def plan_stream(trajectory: Any, arm: ArmConfig, present: Present, settings: Settings) -> GoalPlan:
+def plan_stream(
+    trajectory: Any, arm: ArmConfig, present: Present, settings: Settings, earlier: GoalPlan | None = None
+) -> GoalPlan:
     """Check a message of `~/joint_trajectory` and translate it into knots; raises GoalRefused.
 
-    Like a goal, but newer points are expected: the last one may be in motion if there is room to stop behind it,
-    and the way to the first one is made gently, however near its time is.
+    Like a goal, but newer points are expected: the last one may be in motion, the way to the first one is made gently,
+    however near its time is, and what asks for more than the limits allow is followed as closely as they do
+    (`rosfront.shaper`). `earlier` is the stream that the arm follows, or is about to.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         names = [joint.name for joint in arm.joints]
         columns = columns_of(trajectory.joint_names, names, allow_partial=settings.allow_partial_joints_goal)
         given = _read(trajectory, arm)
         terms = default_terms(settings)
-        plan = _plan(trajectory, given, columns, arm, present, terms, Entry.STREAM)
-        _check_room_to_stop(plan, arm)
-        return plan
+        return _plan(trajectory, given, columns, arm, present, terms, Entry.STREAM, earlier=earlier)
 
 
 def plan_move(trajectory: Any, arm: ArmConfig, present: Present, settings: Settings) -> GoalPlan:
@@ -108,6 +109,7 @@ def _plan(
     entry: Entry,
     *,
     smooth: bool = False,
+    earlier: GoalPlan | None = None,
 ) -> GoalPlan:
     start_ns, elapsed_ns = _start(trajectory.header.stamp, int(given.times_ns[-1]), present)
     if elapsed_ns < given.times_ns[0]:
@@ -117,6 +119,9 @@ def _plan(
     _check_density(given, times_ns, arm)
     whole = GoalPlan(times_ns, orders, joints, mask, terms, start_ns, elapsed_ns, entry, present.commanded)
     plan = _from_its_entry(whole, arm, present)
+    if plan.stream:
+        check_positions(plan, arm)
+        return shaped(plan, arm, present, earlier)
     check_limits(plan, arm)
     return plan
 
@@ -255,23 +260,6 @@ def _entered_near(plan: GoalPlan, arm: ArmConfig, present: Present) -> GoalPlan:
         place = f"The trajectory, by now {plan.entry_ns / NS:.3f} s after its start and nowhere nearer before,"
     planned = float(path.at(np.array([plan.entry_ns]))[0][0, worst])
     raise TooFar(place, arm.joints[joint].name, float(due[worst]), limit, planned)
-
-
-def _check_room_to_stop(plan: GoalPlan, arm: ArmConfig) -> None:
-    """A stream that ends in motion can stop behind its last point, in a straight line and inside the limits."""
-    period_s = arm.control.period_ns / NS
-    position, velocity, acceleration = plan.joints[-1].T
-    fade_s = stopping.fade_duration_s(period_s)
-    position, velocity = stopping.line_beyond(position, velocity, acceleration, fade_s)
-    hardest = np.array([joint.max_acceleration_rad_s2 for joint in arm.joints])
-    to_brake_s = float((np.abs(velocity) / (arm.limits.braking_factor * hardest)).max())
-    stop = position + velocity * stopping.reach_s(to_brake_s, arm.longest_stop_s, period_s)
-    for joint, limits in enumerate(arm.joints):
-        slack = limits.command_pulse_rad + limits.encoder_count_rad
-        if velocity[joint] > 0.0 and stop[joint] > limits.upper_rad + slack:
-            raise NoRoomToStop(limits.name, float(velocity[joint]), float(stop[joint]), limits.upper_rad)
-        if velocity[joint] < 0.0 and stop[joint] < limits.lower_rad - slack:
-            raise NoRoomToStop(limits.name, float(velocity[joint]), float(stop[joint]), limits.lower_rad)
 
 
 def _complete(

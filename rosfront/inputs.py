@@ -15,8 +15,10 @@ from trajectory_msgs.msg import JointTrajectory
 from rosfront.apart import SubscriptionApart
 from rosfront.diagnostics import Counts
 from rosfront.goal import most_points
-from rosfront.refusals import GoalRefused, Unreadable
+from rosfront.plan import GoalPlan
+from rosfront.refusals import GoalRefused, Unreadable, angle
 from rosfront.serving import Serving
+from rosfront.shaper import largest_lag
 from rosfront.trajectory_bytes import Trajectory, parse
 from rosfront.verdict import Verdict
 from shm.words import Outcome
@@ -87,12 +89,25 @@ class Inputs:
 
     def _stream(self, data: bytes) -> None:
         try:
-            self._serving.stream(read(data, most_points(self._serving.arm)), self._on_verdict)
+            plan = self._serving.stream(read(data, most_points(self._serving.arm)), self._on_verdict)
         except GoalRefused as reason:
             self._counts.messages_refused += 1
             self._log.warning(f"Trajectory message dropped: {reason.sentence}", throttle_duration_sec=WARN_EVERY_S)
         else:
             self._counts.messages_taken += 1
+            if plan.reason is not None:
+                self._tell_lag(plan, plan.reason)
+
+    def _tell_lag(self, plan: GoalPlan, reason: GoalRefused) -> None:
+        """A message that asks for more than the limits allow is followed as closely as they do."""
+        joint, lag_rad = largest_lag(plan)
+        self._counts.messages_shaped += 1
+        self._counts.largest_lag_rad = max(self._counts.largest_lag_rad, round(lag_rad, 6))
+        self._log.warning(
+            f"Trajectory message followed with a lag, as closely as the limits allow: {self._serving.joints[joint]} is "
+            f"{angle(lag_rad)} behind at the most. {reason.sentence}",
+            throttle_duration_sec=WARN_EVERY_S,
+        )
 
     def _on_verdict(self, verdict: Verdict) -> None:
         """Streamed motion usually ends by being replaced or running dry; only what went wrong is worth a line."""

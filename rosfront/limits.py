@@ -35,22 +35,36 @@ class _Limits:
     period_ns: int
 
 
-def check_limits(plan: GoalPlan, arm: ArmConfig) -> None:
-    """Position, velocity and acceleration of every joint of the goal, at the points and between them.
-
-    Raises PositionBeyondLimit, VelocityBeyondLimit or AccelerationBeyondLimit for the first violation found.
-    """
-    path = PlannedPath(plan)
-    joints = [joint for joint, chosen in zip(arm.joints, path.mask, strict=True) if chosen]
-    limits = _Limits(
+def _limits_of(arm: ArmConfig, mask: np.ndarray, *, margins: bool) -> _Limits:
+    """`margins`: with those of velocity and acceleration, or without them."""
+    joints = [joint for joint, chosen in zip(arm.joints, mask, strict=True) if chosen]
+    velocity_margin, acceleration_margin = arm.limits.velocity_margin, arm.limits.acceleration_margin
+    return _Limits(
         names=[joint.name for joint in joints],
         lower=np.array([joint.lower_rad for joint in joints]),
         upper=np.array([joint.upper_rad for joint in joints]),
         slack=np.array([joint.command_pulse_rad + joint.encoder_count_rad for joint in joints]),
-        velocity=np.array([joint.max_velocity_rad_s for joint in joints]) * arm.limits.velocity_margin,
-        acceleration=np.array([joint.max_acceleration_rad_s2 for joint in joints]) * arm.limits.acceleration_margin,
+        velocity=np.array([joint.max_velocity_rad_s for joint in joints]) * (velocity_margin if margins else 1.0),
+        acceleration=np.array([joint.max_acceleration_rad_s2 for joint in joints])
+        * (acceleration_margin if margins else 1.0),
         period_ns=arm.control.period_ns,
     )
+
+
+def check_positions(plan: GoalPlan, arm: ArmConfig) -> None:
+    """Positions of the points alone; raises PositionBeyondLimit for the first that is outside."""
+    path = PlannedPath(plan)
+    _check_point_positions(path, _limits_of(arm, path.mask, margins=True))
+
+
+def check_limits(plan: GoalPlan, arm: ArmConfig, *, margins: bool = True) -> None:
+    """Position, velocity and acceleration of every joint of the goal, at the points and between them.
+
+    `margins`: with those of the arm file, or by the joints' limits themselves. Raises PositionBeyondLimit,
+    VelocityBeyondLimit or AccelerationBeyondLimit for the first violation found.
+    """
+    path = PlannedPath(plan)
+    limits = _limits_of(arm, path.mask, margins=margins)
     _check_points(path, limits)
     if plan.stream:
         _check_line_beyond(path, limits)
@@ -68,13 +82,17 @@ def check_limits(plan: GoalPlan, arm: ArmConfig) -> None:
         _check_accelerations(path, limits, _Cycles(path, limits.period_ns, bent, stream=plan.stream))
 
 
-def _check_points(path: PlannedPath, limits: _Limits) -> None:
-    points = path.knots[path.shift :]
-    times_ns = path.times_ns[path.shift :]
-    position, velocity, acceleration = points.transpose(2, 0, 1)
+def _check_point_positions(path: PlannedPath, limits: _Limits) -> None:
+    position = path.knots[path.shift :, :, 0]
     if broken := _first(np.maximum(limits.lower - position, position - limits.upper) / limits.slack, 1.0):
         point, joint = broken
-        raise _position(path, limits, times_ns[point], joint, position[point, joint])
+        raise _position(path, limits, path.times_ns[path.shift + point], joint, position[point, joint])
+
+
+def _check_points(path: PlannedPath, limits: _Limits) -> None:
+    _check_point_positions(path, limits)
+    times_ns = path.times_ns[path.shift :]
+    velocity, acceleration = path.knots[path.shift :, :, 1:].transpose(2, 0, 1)
     if broken := _first(np.abs(velocity) / limits.velocity, 1.0):
         point, joint = broken
         raise _velocity(path, limits, times_ns[point], joint, velocity[point, joint])

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rosfront.refusals import GoalRefused
 from shm.words import Entry
 
 NS = 1_000_000_000
@@ -51,6 +52,10 @@ class GoalPlan:
     entry: Entry
     origin: np.ndarray
     """(joints, 3): where the arm was commanded when it was planned, from where a bridge begins."""
+    wanted: "GoalPlan | None" = None
+    """What a stream's message asked for, where the plan only follows that; its start is known."""
+    reason: GoalRefused | None = None
+    """Which limit that would break; None where it is only that the arm lags behind."""
 
     @property
     def bridge(self) -> bool:

@@ -319,13 +319,17 @@ class Serving:
             self._pump(self._link, int(snapshot["goal_id"]), float(snapshot["trajectory_clock_ns"]))
             return execution
 
-    def stream(self, trajectory: object, on_verdict: Callable[[Verdict], None]) -> None:
+    def stream(self, trajectory: object, on_verdict: Callable[[Verdict], None]) -> GoalPlan:
         """Hand a message of `~/joint_trajectory` to the control process; it replaces what runs.
 
-        `on_verdict` is called once, later, from the publisher's thread. Raises GoalRefused.
+        Returns how it is followed. `on_verdict` is called once, later, from the publisher's thread. Raises GoalRefused.
         """
         arrival = self.arrival()
-        self.start(plan_stream(trajectory, self.arm, self.present(), self.settings), on_verdict, arrival=arrival)
+        with self._lock:
+            newest = self._undecided[max(self._undecided)].plan if self._undecided else None
+        earlier = newest if newest is not None and newest.stream else None
+        plan = plan_stream(trajectory, self.arm, self.present(), self.settings, earlier)
+        return self.start(plan, on_verdict, arrival=arrival).plan
 
     def request(
         self,

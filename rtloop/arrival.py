@@ -6,6 +6,7 @@ Such an end is not passed: the rate is lowered in time, by the ramp that uses up
 import math
 from typing import Any
 
+from motion.stopping import ORDERLY
 from rtloop.clock import begin_ramp, ramp_duration
 from rtloop.path import end_s
 from shm.jit import jit
@@ -37,11 +38,11 @@ def slow_down_to_arrive(loop: Loop) -> None:
     discriminant = 0.25 * core.rate * core.rate + core.slope * left_s / 3.0
     if discriminant < 0.0:
         return  # a rate that falls so steeply stops before the end; it is about to turn
-    shortest_s, _ = ramp_duration(loop, 0.0)
+    shortest_s, _ = ramp_duration(loop, 0.0, ORDERLY)
     duration_s = 2.0 * left_s / (0.5 * core.rate + math.sqrt(discriminant))
     if duration_s <= shortest_s + 4.0 * loop.params.period_ns * 1e-9:
         core.arriving = 1
-        begin_ramp(loop, 0.0, duration_s)
+        begin_ramp(loop, 0.0, duration_s, ORDERLY)
 
 
 @jit
@@ -62,7 +63,7 @@ def rate_that_settles(loop: Loop, wanted: float) -> float:
     core = loop.core
     if wanted <= core.rate_target:
         return wanted
-    duration_s, _ = ramp_duration(loop, wanted)
+    duration_s, _ = ramp_duration(loop, wanted, ORDERLY)
     advance_s = duration_s * (0.5 * (core.rate + wanted) + core.slope * duration_s / 12.0)
     if core.clock_s + advance_s <= end_s(loop, core.active):
         return wanted

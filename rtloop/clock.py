@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 from motion import scaling, stopping
-from motion.stopping import STOP_FRACTIONS
+from motion.stopping import PLAN_SHARE, STOP_FRACTIONS
 from rtloop.ahead import look_from_here, may_look, next_keeps_limits
 from rtloop.path import end_s, find_knot, goes_on_past_end, sample
 from rtloop.state import BLEND_SAMPLES
@@ -26,8 +26,7 @@ NO_PATH = 100.0
 BREAKS_A_LIMIT = 10.0
 """Added to the strain of a ramp that the last line of defence would not let pass."""
 RESERVE_PERIODS = 3.0
-PLAN_SHARE = 0.35
-"""What a blend or a ramp may add, as a share of the limit, where the plan alone already asks for much."""
+ROUNDING = 1.0 + 1e-9
 HEADROOM = 0.9
 """Candidates are sampled, so they stay this far below the bound at which the last defence would stop the arm."""
 
@@ -53,18 +52,21 @@ def advance_clock(loop: Loop) -> None:
 
 
 @jit
-def allowed_acceleration(loop: Loop, joint: int, planned_rad_s2: float) -> float:
-    """What a change of rate or a blend may bring the joint's acceleration to (rad/s²)."""
+def allowed_acceleration(loop: Loop, joint: int, planned_rad_s2: float, factor: float, share: float) -> float:
+    """What a change of rate or a blend may bring the joint's acceleration to (rad/s²).
+
+    `factor` times its limit, `share` of it more than the plan where that asks for as much, and what it has already.
+    """
     limit = loop.joints[joint].max_acceleration_rad_s2
-    return max(
-        loop.params.braking_factor * limit,
-        min(abs(planned_rad_s2) + PLAN_SHARE * limit, HEADROOM * loop.params.acceleration_margin * limit),
-    )
+    beside_plan = min(abs(planned_rad_s2) + share * limit, HEADROOM * loop.params.acceleration_margin * limit)
+    return max(factor * limit, beside_plan, ROUNDING * abs(loop.axes[joint].acceleration_rad_s2))
 
 
 @jit
-def ramp_strain(loop: Loop, target: float, duration_s: float) -> float:
+def ramp_strain(loop: Loop, target: float, duration_s: float, factor: float) -> float:
     """Largest ratio of acceleration to what is allowed along a candidate ramp; ≤ 1 keeps the limits.
+
+    What the plan asks for is taken at the higher of both rates: a stop may push as hard as the plan did without it.
 
     IMPOSSIBLE for a ramp on which the clock would run backwards or faster than it ever should; NO_PATH and
     more for one that needs path which is not known yet.
@@ -76,6 +78,7 @@ def ramp_strain(loop: Loop, target: float, duration_s: float) -> float:
     known_s = end_s(loop, active)
     goes_on = goes_on_past_end(loop, active)
     highest_rate = max(core.rate, target, core.rate_target) + 1e-6
+    full = max(core.rate, target)
     for i in range(1, BLEND_SAMPLES + 1):
         rate, slope, advance = ramp(core.rate, core.slope, target, duration_s, duration_s * i / BLEND_SAMPLES)
         clock_s = core.clock_s + advance
@@ -87,7 +90,8 @@ def ramp_strain(loop: Loop, target: float, duration_s: float) -> float:
         for joint in range(loop.params.joint_count):
             _, v, a = sample(loop, active, joint, clock_s, knot)
             _, acceleration = along(rate, slope, v, a)
-            worst = max(worst, abs(acceleration) / allowed_acceleration(loop, joint, rate * rate * a))
+            allowed = allowed_acceleration(loop, joint, full * full * a, factor, PLAN_SHARE)
+            worst = max(worst, abs(acceleration) / allowed)
     return worst
 
 
@@ -123,8 +127,10 @@ def ramp_keeps_limits(loop: Loop, target: float, duration_s: float) -> bool:
 
 
 @jit
-def ramp_duration(loop: Loop, target: float) -> tuple[float, float]:
+def ramp_duration(loop: Loop, target: float, factor: float) -> tuple[float, float]:
     """The shortest candidate in which the rate reaches `target` inside the limits, else the gentlest.
+
+    `factor` is the share of the acceleration limits that the ramp may use: ORDERLY, or that of an urgent stop.
 
     Where points are closer than the instants at which a candidate is sampled, its setpoints are looked at too.
 
@@ -133,7 +139,7 @@ def ramp_duration(loop: Loop, target: float) -> tuple[float, float]:
     best_s, best_strain = 0.0, IMPOSSIBLE
     for fraction in STOP_FRACTIONS:
         duration_s = fraction * loop.params.longest_stop_s
-        strain = ramp_strain(loop, target, duration_s)
+        strain = ramp_strain(loop, target, duration_s, factor)
         if strain < NO_PATH and is_rough(loop, duration_s) and not ramp_keeps_limits(loop, target, duration_s):
             strain += BREAKS_A_LIMIT
         if strain <= 1.0:
@@ -144,27 +150,31 @@ def ramp_duration(loop: Loop, target: float) -> tuple[float, float]:
 
 
 @jit
-def steer_rate(loop: Loop, target: float) -> None:
-    """Let the rate go to `target`; a ramp that already goes there runs on.
+def steer_rate(loop: Loop, target: float, factor: float) -> None:
+    """Let the rate go to `target`; a ramp that already goes there runs on, unless a harder one is there sooner.
 
     Turning a ramp round in its steepest part can be impossible, without the clock running backwards or the
     joints being pushed too hard. The running ramp then goes on and the question is asked again in the next
     cycle. From a steady rate a stop is begun at once, as gently as can be; a higher rate can wait on a rough path.
     """
     core = loop.core
-    if target == core.rate_target:
+    on_its_way = target == core.rate_target
+    if on_its_way and (core.ramp_s <= 0.0 or factor <= core.ramp_factor):
         return
-    duration_s, strain = ramp_duration(loop, target)
+    duration_s, strain = ramp_duration(loop, target, factor)
     can_wait = target > core.rate > 0.0 and is_rough(loop, loop.params.longest_stop_s)
     if duration_s <= 0.0 or (strain > 1.0 and (core.ramp_s > 0.0 or can_wait)):
         return
+    if on_its_way and duration_s >= core.ramp_s - core.ramp_elapsed_s:
+        return
     core.arriving = 0
-    begin_ramp(loop, target, duration_s)
+    begin_ramp(loop, target, duration_s, factor)
 
 
 @jit
-def begin_ramp(loop: Loop, target: float, duration_s: float) -> None:
+def begin_ramp(loop: Loop, target: float, duration_s: float, factor: float) -> None:
     core = loop.core
+    core.ramp_factor = factor
     core.rate_target = target
     core.rate_start, core.slope_start = core.rate, core.slope
     core.ramp_s, core.ramp_elapsed_s = duration_s, 0.0
@@ -194,5 +204,5 @@ def must_brake_for_lack_of_path(loop: Loop, braking_already: bool) -> bool:
         return False
     if braking_already or core.rate_target == 0.0:
         return True
-    duration_s, _ = ramp_duration(loop, 0.0)
+    duration_s, _ = ramp_duration(loop, 0.0, loop.params.braking_factor)
     return left_s <= 0.5 * core.rate * duration_s

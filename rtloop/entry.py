@@ -45,6 +45,7 @@ BESIDE_RAD = 1e-9
 SLOWEST_ENTRY_IN_MOTION = 0.2
 SLOWEST_ENTRY = 0.02
 """A path is laid for at least such a rate, since a blend for next to none would last for ever."""
+START_SHARE = 0.35
 SPEED_HEADROOM = 0.99
 """Candidates are sampled, so they stay below the speed at which the last defence would stop the arm."""
 
@@ -194,6 +195,7 @@ def lay_blend(loop: Loop, path_index: int, rate: float, entry_s: float, duration
     path = loop.paths[path_index]
     path.entry_s = entry_s
     path.blend_s = duration_s
+    path.from_rest = 1 if at_rest(loop) else 0
     path.fade_s = rate * fade_duration_s(loop.params.period_ns * 1e-9)
     knot = find_knot(loop, path_index, entry_s, 0)
     for joint in range(loop.params.joint_count):
@@ -210,12 +212,25 @@ def lay_blend(loop: Loop, path_index: int, rate: float, entry_s: float, duration
 
 
 @jit
+def latitude(loop: Loop, path_index: int) -> tuple[float, float]:
+    """How much of the acceleration limit a blend may use, and add to a plan that uses all of it.
+
+    A plan that begins with its whole acceleration needs some more from rest, since one cycle is lost. What a stream
+    asks for was brought within the limits before; the blend only makes good what came late.
+    """
+    if loop.paths[path_index].stream == 1:
+        return float(loop.params.braking_factor), START_SHARE
+    return stopping.ORDERLY, START_SHARE if loop.paths[path_index].from_rest == 1 else stopping.PLAN_SHARE
+
+
+@jit
 def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> float:
     """Largest ratio of velocity or acceleration to its limit from a path time to the blend's end; ≤ 1 keeps them.
 
     The first ratio above 1 ends the search.
     """
     entering = loop.paths[path_index]
+    factor, share = latitude(loop, path_index)
     until_s = entering.entry_s + entering.blend_s
     worst = 0.0
     knot = entering.segment  # the ones before may be overwritten
@@ -243,7 +258,7 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
             if not bridged:
                 fastest = max(fastest, abs(planned_speed))  # what the goal's own points ask for was checked exactly
             speed = rate * abs(v) / fastest
-            push = rate * rate * abs(a) / allowed_acceleration(loop, joint, rate * rate * planned)
+            push = rate * rate * abs(a) / allowed_acceleration(loop, joint, rate * rate * planned, factor, share)
             if not (speed <= IMPOSSIBLE and push <= IMPOSSIBLE):
                 return IMPOSSIBLE  # not a number
             worst = max(worst, speed, push)
@@ -264,7 +279,7 @@ def stop_reach_s(loop: Loop, path_index: int) -> float:
     to_brake_s = 0.0
     for joint in range(loop.params.joint_count):
         if in_goal(loop, path_index, joint):
-            braking = loop.params.braking_factor * loop.joints[joint].max_acceleration_rad_s2
+            braking = stopping.ORDERLY * loop.joints[joint].max_acceleration_rad_s2
             row = last.joints[joint]
             _, velocity = line_beyond(row.position_rad, row.velocity_rad_s, row.acceleration_rad_s2, fade_s)
             to_brake_s = max(to_brake_s, abs(velocity) / braking)

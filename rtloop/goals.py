@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from motion.stopping import ORDERLY
 from rtloop import guard, intake
 from rtloop.ahead import LOOKS_A_CYCLE
 from rtloop.arrival import has_arrived, rate_that_settles, rate_with_room_to_arrive, slow_down_to_arrive
@@ -35,7 +36,7 @@ from shm.words import Mode, Outcome, Phase, Slowed
 Loop = Any  # record of dtype rtloop.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
-_STARVING, _MAKING_WAY = int(Slowed.STARVING), int(Slowed.MAKING_WAY)
+_LATE_DRIVE, _STARVING, _MAKING_WAY = int(Slowed.LATE_DRIVE), int(Slowed.STARVING), int(Slowed.MAKING_WAY)
 
 STARVED_FOR_NS = 500_000_000
 
@@ -159,16 +160,31 @@ def steer(loop: Loop, shared: Shared) -> None:
     must_arrive = running.ended == 1 and not goes_on_past_end(loop, core.active)
     runs_on = running.stream == 1 and (running.ended == 0 or running.ends_moving == 1)
     if running.phase == Phase.STOPPING or running.phase == Phase.PAUSED or core.slowed != 0:
-        steer_rate(loop, 0.0)
+        steer_rate(loop, 0.0, loop.params.braking_factor if is_urgent(loop) else ORDERLY)
     elif core.arriving == 0:
         wanted = rate_while_blending(loop, asked_rate(loop, core.active))
         if must_arrive:
             wanted = rate_with_room_to_arrive(loop, wanted)
         elif runs_on:
             wanted = rate_that_settles(loop, wanted)
-        steer_rate(loop, wanted)
+        steer_rate(loop, wanted, ORDERLY)
     if must_arrive:
         slow_down_to_arrive(loop)
+
+
+@jit
+def is_urgent(loop: Loop) -> bool:
+    """Whether a stop may use the braking factor: a person's, that of a fault, and when a process or a drive fails.
+
+    What belongs to ordinary operation (cancel, hold, a newer goal, the end of a stream) keeps the limits.
+    """
+    core = loop.core
+    stopped = core.held == 1 and core.stop_ns > core.resume_ns  # also a goal that its client has canceled before
+    if stopped or core.slowed & (_LATE_DRIVE | _STARVING) != 0:
+        return True
+    running = loop.paths[core.active]
+    orderly = running.reason == Outcome.CANCELED or running.reason == Outcome.RAN_DRY
+    return bool(running.phase == Phase.STOPPING and not orderly)
 
 
 @jit

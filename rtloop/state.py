@@ -222,6 +222,7 @@ PATH = np.dtype(
         ("goal_tolerances", layout.SETPOINT_JOINT, (MAX_JOINTS,)),  # at the end
         ("entry_s", "f8"),  # path time at which it was entered, where the blend begins
         ("blend_s", "f8"),  # path time the blend lasts
+        ("from_rest", "i8"),  # 1: it was entered by an arm at rest
         ("fade_s", "f8"),  # path time in which its difference in acceleration fades
         ("blends", BLEND, (MAX_JOINTS,)),
     ]
@@ -271,6 +272,7 @@ CORE = np.dtype(
         ("slope_start", "f8"),
         ("ramp_s", "f8"),  # duration of the running ramp, 0 = steady
         ("ramp_elapsed_s", "f8"),
+        ("ramp_factor", "f8"),  # share of the acceleration limits that it may use
         ("speed_scale", "f8"),  # what people asked for
         ("entry_rate", "f8"),  # for which the running path's blend was made
         ("held", "i8"),  # 1: a person has stopped or holds the arm, so nothing begins before a resume

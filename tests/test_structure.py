@@ -22,7 +22,7 @@ ALLOWED_IMPORTS = {
     "rosfront": {"config", "motion", "shm"},
     "sim": {"config"},
     "rtarm": {"config", "motion", "shm", "rtloop", "rosfront", "sim"},
-    "handbook": {"config", "shm", "rosfront", "rtarm"},
+    "handbook": {"config", "shm", "rtloop", "rosfront", "rtarm"},
 }
 FORBIDDEN_IMPORTS = {
     "rtloop": {"rclpy", "control_msgs", "sensor_msgs", "trajectory_msgs", "std_msgs", "std_srvs"},

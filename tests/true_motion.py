@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from motion_figures import accelerations, rms, sampled_truth
+from motion_figures import WINDOW_S, accelerations, rms, sampled_truth
 from virtual import VirtualArm
 
 from config.schema import ArmConfig
@@ -17,12 +17,12 @@ def moving(name: str, share: float, arm: ArmConfig | str = "episode1") -> tuple[
     return made, made.play_part(name, share), started_ns
 
 
-def largest_acceleration_ratio(arm: VirtualArm, start_ns: int) -> float:
-    """Largest true acceleration since start_ns as a multiple of its joint's limit."""
+def largest_acceleration_ratio(arm: VirtualArm, start_ns: int, window_s: float = WINDOW_S) -> float:
+    """Largest true acceleration since start_ns as a multiple of its joint's limit, over windows of so many seconds."""
     worst = 0.0
     for joint, config in enumerate(arm.arm.joints):
         _, position_rad, _ = sampled_truth(arm.sim, joint, start_ns, arm.sim.now_ns)
-        worst = max(worst, float(np.abs(accelerations(position_rad)).max()) / config.max_acceleration_rad_s2)
+        worst = max(worst, float(np.abs(accelerations(position_rad, window_s)).max()) / config.max_acceleration_rad_s2)
     return worst
 
 

@@ -344,7 +344,7 @@ class VirtualArm:
         times_ns: np.ndarray,
         joints: np.ndarray,
         *,
-        order: int = 5,
+        order: int | np.ndarray = 5,
         end: bool = True,
         bridge: bool = False,
         start_ns: int = 0,
@@ -381,8 +381,11 @@ class VirtualArm:
                 consumed=consumed(),
             )
         )
-        for at, knot in zip(times_ns, joints, strict=True):
-            self.pending.append(lambda at=at, knot=knot: self.writer.knot(goal, int(at), order, knot, consumed()))
+        orders = np.broadcast_to(order, len(times_ns))
+        for at, kind, knot in zip(times_ns, orders, joints, strict=True):
+            self.pending.append(
+                lambda at=at, kind=kind, knot=knot: self.writer.knot(goal, int(at), int(kind), knot, consumed())
+            )
         if end:
             self.pending.append(lambda: self.writer.end(goal, arrival, consumed()))
         return goal

@@ -26,26 +26,10 @@ def slow_values(slowness_s: float, **limits: float) -> dict[str, Any]:
     return values
 
 
-@given(st.floats(0.1, 20.0), st.floats(1.0, 5.0))
-def test_the_longest_stop_is_long_enough_for_any_velocity(slowest_s: float, braking_factor: float) -> None:
-    """On a straight line, at the excess that is let pass; and by a drive's own ramp, of 1.5 times the limit."""
-    longest_s = longest_stop_s(slowest_s, braking_factor)
-    assert longest_s >= 1.5 * 1.05 * slowest_s / braking_factor
-    assert longest_s >= slowest_s / (1.5 + 1e-9)
-
-
-@pytest.mark.parametrize(
-    ("braking_factor", "expected_s"), [(5.0, 4 / 3), (2.0, 3.75), (1.5, 7.5), (1.05, 37.5), (1.0, 37.5)]
-)
-def test_the_longest_stop_is_not_longer_than_it_must_be(braking_factor: float, expected_s: float) -> None:
-    """1.5 · V / T of its steepest place fits beside a plan at the whole limit, and a quarter; V / A is 2 s."""
-    assert longest_stop_s(2.0, braking_factor) == pytest.approx(expected_s)
-
-
-@given(st.floats(0.1, 15.9))
+@given(st.floats(0.1, 10.2))
 def test_an_arm_stops_no_sooner_than_its_slowest_joint(slowness_s: float) -> None:
     arm = ArmConfig.model_validate(slow_values(slowness_s))
-    assert arm.longest_stop_s == pytest.approx(longest_stop_s(slowness_s, arm.limits.braking_factor))
+    assert arm.longest_stop_s == pytest.approx(longest_stop_s(slowness_s))
     assert arm.patience == Patience(arm.longest_stop_s)
 
 
@@ -54,11 +38,10 @@ def test_no_drive_brakes_by_itself_for_longer() -> None:
     assert max(joint.silence.stop_time_s for joint in derived_table(arm) if joint.silence) < arm.patience.drives_s
 
 
-@pytest.mark.parametrize("braking_factor", [1.0, 1.5, 2.0])
-def test_an_arm_that_would_take_longer_than_a_minute_is_refused_with_what_would_do(braking_factor: float) -> None:
-    longest_s = LONGEST_ALLOWED_S / longest_stop_s(1.0, braking_factor)
-    ArmConfig.model_validate(slow_values(0.999 * longest_s, braking_factor=braking_factor))
-    values = slow_values(1.5 * longest_s, braking_factor=braking_factor)
+def test_an_arm_that_would_take_longer_than_a_minute_is_refused_with_what_would_do() -> None:
+    longest_s = LONGEST_ALLOWED_S / longest_stop_s(1.0)
+    ArmConfig.model_validate(slow_values(0.999 * longest_s))
+    values = slow_values(1.5 * longest_s)
     with pytest.raises(ValidationError, match=r"of joint3 is .* may take 90\.0 s, and at most 60 s") as refused:
         ArmConfig.model_validate(values)
     least = float(str(refused.value).partition("raise it above ")[2].split()[0])

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from config.stopping import longest_stop_s
 from motion import scaling, segment, stopping
 
 
@@ -28,6 +29,19 @@ def test_the_candidate_that_is_taken_stops_within_the_reach(to_brake, longest, p
     assert reach <= 0.5 * max(1.6 * shortest, candidates[0]) + 2.0 * period
 
 
+def hardest_share(plan_share, duration, slowest):
+    """Largest acceleration along a stop, as a share of what is allowed, amid a plan of that share at full velocity."""
+    rate, slope, _ = scaling.ramp(1.0, 0.0, 0.0, duration, np.linspace(0.0, duration, 1001))
+    pushed = np.abs(scaling.along(rate, slope, slowest, -plan_share)[1])
+    return pushed.max() / max(stopping.ORDERLY, plan_share + stopping.PLAN_SHARE)
+
+
+@given(st.floats(0.1, 10.0), st.floats(0.0, 1.7))
+def test_the_longest_stop_fits_beside_any_plan(slowest, plan_share):
+    """In the direction in which both brake, at the velocity margin of 1.05."""
+    assert hardest_share(plan_share, longest_stop_s(slowest), 1.05 * slowest) <= 1.0
+
+
 @given(st.floats(-1.0, 1.0), st.floats(-5.0, 5.0), st.floats(-40.0, 40.0), st.floats(0.0, 2.0))
 def test_a_stream_ends_on_the_line_on_which_its_acceleration_has_faded(position, velocity, acceleration, after):
     fade = stopping.fade_duration_s(0.01)
@@ -44,3 +58,11 @@ def test_a_stream_ends_on_the_line_on_which_its_acceleration_has_faded(position,
 @pytest.mark.parametrize(("period", "expected"), [(0.001, 0.02), (0.01, 0.03), (0.02, 0.06)])
 def test_a_fade_lasts_some_cycles(period, expected):
     assert stopping.fade_duration_s(period) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("slowest", [0.5, 10.0])
+def test_the_longest_stop_is_not_longer_than_it_must_be(slowest):
+    """A sixth less breaks the limit amid the hardest plan that leaves PLAN_SHARE of it."""
+    assert longest_stop_s(slowest) == pytest.approx(5.83 * slowest)
+    shorter = longest_stop_s(slowest) * 5.0 / 6.0
+    assert hardest_share(1.0 - stopping.PLAN_SHARE, shorter, 1.05 * slowest) > 1.0

@@ -408,34 +408,35 @@ def test_a_stream_may_end_in_motion_and_its_first_point_may_be_near():
 def test_a_stream_needs_room_to_stop():
     upper = ARM.joints[0].upper_rad
     at = present([upper - 0.02, 0, 0, 0, 0, 0])
-    with pytest.raises(refusals.NoRoomToStop, match=r"joint1 moving at 0\.4000 rad/s, and stopping from there ends at"):
-        streamed(one_joint(point(0.01, [upper - 0.02], [0.4])), at)
-    streamed(one_joint(point(0.01, [upper - 0.02], [0.0])), at)
-    streamed(one_joint(point(0.01, [upper - 0.02], [-0.4])), at)
+    plan = streamed(one_joint(point(0.01, [upper - 0.02], [0.4])), at)
+    assert isinstance(plan.reason, refusals.NoRoomToStop)
+    assert "joint1 moving at 0.4000 rad/s, and stopping from there ends at" in plan.reason.sentence
+    assert plan.joints[:, 0, 0].max() <= upper
+    assert streamed(one_joint(point(0.01, [upper - 0.02], [0.0])), at).reason is None
+    assert streamed(one_joint(point(0.01, [upper - 0.02], [-0.4])), at).reason is None
 
 
 def test_even_the_shortest_stop_takes_its_time():
-    """joint5 could brake within 15 ms, but the control process tries no stop below 78 ms, 4 % of the longest."""
+    """joint5 could brake within 15 ms, but the control process tries no stop below 76 ms, a fortieth of the longest."""
     upper = ARM.joints[4].upper_rad
     message = one_joint(point(0.01, [upper - 0.005], [0.15]), name="joint5")
-    with pytest.raises(refusals.NoRoomToStop):
-        streamed(message, present([0, 0, 0, 0, upper - 0.005, 0]))
+    assert isinstance(streamed(message, present([0, 0, 0, 0, upper - 0.005, 0])).reason, refusals.NoRoomToStop)
 
 
 def test_a_stream_must_not_speed_up_beyond_the_limit_behind_its_last_point():
     """The acceleration there fades within 25 ms and adds a third of what it would have added in that time."""
     at = present([0.0] * 6)
-    streamed(one_joint(point(0.01, [0.0], [0.43], [0.5])), at)
-    with pytest.raises(refusals.VelocityBeyondLimit, match=r"joint1 would move at 0\.4550 rad/s at 0\.0100 s"):
-        streamed(one_joint(point(0.01, [0.0], [0.43], [3.0])), at)
-    streamed(one_joint(point(0.01, [0.0], [0.43], [-3.0])), at)
+    assert streamed(one_joint(point(0.01, [0.0], [0.41], [0.5])), at).reason is None
+    reason = streamed(one_joint(point(0.01, [0.0], [0.41], [1.8])), at).reason
+    assert isinstance(reason, refusals.VelocityBeyondLimit)
+    assert "joint1 would move at 0.4250 rad/s at 0.0100 s" in reason.sentence
+    assert streamed(one_joint(point(0.01, [0.0], [0.41], [-1.8])), at).reason is None
 
 
 def test_a_stream_is_judged_as_the_arm_will_run_on_past_it():
     """A change of velocity between the last two points, a millisecond apart, is no standstill behind them."""
     message = goal([point(0.0102, [0.0], [0.0]), point(0.0112, [-0.00013], [-0.27])], ["joint3"])
-    with pytest.raises(refusals.AccelerationBeyondLimit):
-        streamed(message)
+    assert isinstance(streamed(message).reason, refusals.AccelerationBeyondLimit)
 
 
 def test_a_stamp_long_past_is_refused_without_a_long_search():
@@ -450,7 +451,6 @@ def test_a_stamp_long_past_is_refused_without_a_long_search():
     "message",
     [
         one_joint(point(0.01, [NAN], [0.0])),
-        one_joint(point(0.01, [0.0], [9.0])),
         one_joint(point(0.01, [9.0], [0.0])),
         goal([]),
         goal([point(0, [0.0])], ["elbow"]),

@@ -18,7 +18,7 @@ from rosfront.streamer import Streamer, horizon_s
 from shm.words import Entry, Fault, Mode, Outcome
 
 NS = 1_000_000_000
-SLOWEST_S = 0.999 * LONGEST_ALLOWED_S / longest_stop_s(1.0, 1.5)
+SLOWEST_S = 0.999 * LONGEST_ALLOWED_S / longest_stop_s(1.0)
 POINT_S = 0.1
 CRUISE_S = 20.0
 WAYS = ("cancel", "stop", "hold", "scale", "silence")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from config.loader import load_arm
-from motion.stopping import STOP_FRACTIONS
+from motion.stopping import ORDERLY, STOP_FRACTIONS
 from rtloop import clock
 from rtloop.beginning import new_loop
 
@@ -66,7 +66,7 @@ def test_a_ramp_leads_to_its_rate_and_the_clock_goes_as_far_as_its_integral(
     """The integral of a cubic from its ends: T (s₀ + s₁) / 2 + u T² / 12; then the clock runs at the new rate."""
     it = Clock()
     it.core["rate"], it.core["slope"], it.core["clock_s"] = rate, slope, 0.0
-    clock.begin_ramp(it.loop, target, duration)
+    clock.begin_ramp(it.loop, target, duration, ORDERLY)
     cycles = int(np.ceil(duration / PERIOD_S)) + 3
     for number in range(1, cycles + 1):
         before = float(it.core["clock_s"])
@@ -96,29 +96,55 @@ def test_a_steady_clock_goes_on_at_its_rate() -> None:
 # --- which ramp -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("factor", [ORDERLY, BRAKING])
 @pytest.mark.parametrize("speed_share", [0.02, 0.1, 0.3, 0.6, 1.0])
 @pytest.mark.parametrize(("rate", "target"), [(1.0, 0.0), (0.0, 1.0), (1.0, 0.5), (0.2, 0.9)])
 def test_on_a_straight_line_the_shortest_candidate_is_taken_that_brakes_no_harder_than_it_may(
-    speed_share: float, rate: float, target: float
+    speed_share: float, rate: float, target: float, factor: float
 ) -> None:
     """It is steepest in its middle, with 1.5 · change / T (`motion.stopping`)."""
     it = Clock(speed_share=speed_share)
     clock.set_rate(it.loop, rate)
-    steepest = 1.5 * abs(target - rate) * it.slowest_s() / BRAKING
+    steepest = 1.5 * abs(target - rate) * it.slowest_s() / factor
     expected = next(share * it.longest_s for share in STOP_FRACTIONS if share * it.longest_s >= steepest)
-    duration, strain = clock.ramp_duration(it.loop, target)
+    duration, strain = clock.ramp_duration(it.loop, target, factor)
     assert duration == pytest.approx(expected)
     assert strain == pytest.approx(steepest / expected)
 
 
 @pytest.mark.parametrize(
-    ("planned_share", "allowed_share"), [(0.0, BRAKING), (1.3, 1.65), (-1.3, 1.65), (9.0, HARDEST), (-9.0, HARDEST)]
+    ("planned_share", "present_share", "factor", "allowed_share"),
+    [
+        (0.0, 0.0, ORDERLY, ORDERLY),
+        (0.0, 0.0, BRAKING, BRAKING),
+        (0.98, 0.0, ORDERLY, 1.03),
+        (-0.98, 0.0, ORDERLY, 1.03),
+        (1.3, 0.0, ORDERLY, 1.35),
+        (1.3, 0.0, BRAKING, BRAKING),
+        (9.0, 0.0, ORDERLY, HARDEST),
+        (-9.0, 0.0, BRAKING, HARDEST),
+        (0.0, 0.9, ORDERLY, ORDERLY),
+        (0.0, -1.2, ORDERLY, 1.2),
+    ],
 )
-def test_where_the_plan_asks_for_much_a_ramp_may_add_to_that(planned_share: float, allowed_share: float) -> None:
-    """A braking factor of 1.5, 0.35 more than the plan, and nine tenths of a margin of 2."""
+def test_where_the_plan_asks_for_much_a_ramp_may_add_to_that(
+    planned_share: float, present_share: float, factor: float, allowed_share: float
+) -> None:
+    """0.05 more than the plan, nine tenths of a margin of 2 at the most, and what the joint has already."""
     it = Clock()
     limit = ARM.joints[2].max_acceleration_rad_s2
-    assert clock.allowed_acceleration(it.loop, 2, planned_share * limit) == pytest.approx(allowed_share * limit)
+    it.loop["axes"][2]["acceleration_rad_s2"] = present_share * limit
+    allowed = clock.allowed_acceleration(it.loop, 2, planned_share * limit, factor, 0.05)
+    assert allowed == pytest.approx(allowed_share * limit)
+
+
+def test_a_stop_may_push_as_hard_as_the_plan_did_without_it() -> None:
+    """A plan at 1.2 times the limit: what the falling rate takes from its own share is the stop's."""
+    it = Clock(speed_share=0.0)
+    limit = ARM.joints[1].max_acceleration_rad_s2
+    it.bend(1, 1.2 * limit)
+    clock.set_rate(it.loop, 1.0)
+    assert clock.ramp_strain(it.loop, 0.0, PERIOD_S, ORDERLY) <= 1.0
 
 
 def test_what_the_plan_itself_asks_for_is_part_of_the_strain() -> None:
@@ -127,28 +153,29 @@ def test_what_the_plan_itself_asks_for_is_part_of_the_strain() -> None:
     limit = ARM.joints[1].max_acceleration_rad_s2
     it.bend(1, 0.5 * limit)
     clock.set_rate(it.loop, 1.0)
-    assert clock.ramp_strain(it.loop, 1.0, PERIOD_S) == pytest.approx(0.5 / BRAKING, rel=1e-6)
+    assert clock.ramp_strain(it.loop, 1.0, PERIOD_S, ORDERLY) == pytest.approx(0.5 / ORDERLY, rel=1e-6)
+    assert clock.ramp_strain(it.loop, 1.0, PERIOD_S, BRAKING) == pytest.approx(0.5 / BRAKING, rel=1e-6)
 
 
 def test_a_clock_that_would_run_backwards_or_too_fast_is_impossible() -> None:
     it = Clock(speed_share=0.0)
     clock.set_rate(it.loop, 0.5)
     it.core["slope"] = -20.0
-    assert clock.ramp_strain(it.loop, 0.0, 1.0) == clock.IMPOSSIBLE
+    assert clock.ramp_strain(it.loop, 0.0, 1.0, ORDERLY) == clock.IMPOSSIBLE
     it.core["slope"] = 20.0
-    assert clock.ramp_strain(it.loop, 0.0, 1.0) == clock.IMPOSSIBLE
+    assert clock.ramp_strain(it.loop, 0.0, 1.0, ORDERLY) == clock.IMPOSSIBLE
     it.core["slope"] = 0.0
-    assert clock.ramp_strain(it.loop, 0.0, 1.0) == 0.0
+    assert clock.ramp_strain(it.loop, 0.0, 1.0, ORDERLY) == 0.0
 
 
 def test_a_ramp_needs_path_that_is_known() -> None:
     """A stop of T from the full rate goes T / 2 further; a path that ends at rest may be passed."""
     it = Clock(speed_share=0.0, path_s=20.3, gap_s=0.29)
     clock.set_rate(it.loop, 1.0)
-    assert clock.ramp_strain(it.loop, 0.0, 0.59) == 0.0
+    assert clock.ramp_strain(it.loop, 0.0, 0.59, ORDERLY) == 0.0
     it.path["ended"] = 0
-    assert clock.ramp_strain(it.loop, 0.0, 0.59) == 0.0
-    assert clock.ramp_strain(it.loop, 0.0, 0.8) == pytest.approx(clock.NO_PATH + 0.1)
+    assert clock.ramp_strain(it.loop, 0.0, 0.59, ORDERLY) == 0.0
+    assert clock.ramp_strain(it.loop, 0.0, 0.8, ORDERLY) == pytest.approx(clock.NO_PATH + 0.1)
 
 
 @pytest.mark.parametrize(("duration", "expected"), [(0.3, True), (0.33, True), (0.31, False), (0.1, False)])
@@ -181,25 +208,42 @@ def test_a_bump_on_the_way_or_just_behind_it_is_seen_setpoint_by_setpoint(target
 
 def test_a_ramp_is_begun_when_another_rate_is_wanted_and_then_runs_on() -> None:
     it = Clock()
-    clock.steer_rate(it.loop, 1.0)
+    clock.steer_rate(it.loop, 1.0, ORDERLY)
     assert it.core["ramp_s"] == 0.0, "it has that rate"
     it.core["arriving"] = 1
-    clock.steer_rate(it.loop, 0.0)
+    clock.steer_rate(it.loop, 0.0, ORDERLY)
     duration = float(it.core["ramp_s"])
-    assert duration == pytest.approx(clock.ramp_duration(it.loop, 0.0)[0])
+    assert duration == pytest.approx(clock.ramp_duration(it.loop, 0.0, ORDERLY)[0])
     assert (it.core["rate_target"], it.core["rate_start"], it.core["arriving"]) == (0.0, 1.0, 0)
     clock.advance_clock(it.loop)
-    clock.steer_rate(it.loop, 0.0)
+    clock.steer_rate(it.loop, 0.0, ORDERLY)
     assert it.core["ramp_elapsed_s"] == pytest.approx(PERIOD_S), "it is not begun anew"
+
+
+def test_an_urgent_stop_cuts_an_orderly_one_short_and_none_is_made_longer() -> None:
+    it = Clock(speed_share=1.0)
+    clock.steer_rate(it.loop, 0.0, ORDERLY)
+    clock.advance_clock(it.loop)
+    left_s = float(it.core["ramp_s"]) - PERIOD_S
+    clock.steer_rate(it.loop, 0.0, BRAKING)
+    assert it.core["ramp_s"] < left_s and it.core["ramp_elapsed_s"] == 0.0
+    clock.advance_clock(it.loop)
+    urgent_s = float(it.core["ramp_s"])
+    clock.steer_rate(it.loop, 0.0, ORDERLY)
+    assert (it.core["ramp_s"], it.core["ramp_elapsed_s"]) == (urgent_s, pytest.approx(PERIOD_S))
+    while it.core["ramp_s"] > 0.0:
+        clock.steer_rate(it.loop, 0.0, BRAKING)
+        clock.advance_clock(it.loop)
+        assert it.core["ramp_s"] in (urgent_s, 0.0), "a stop that is nearly over is not begun anew"
 
 
 def test_a_running_ramp_that_cannot_be_turned_round_runs_on() -> None:
     """At six times the joints' highest velocity no ramp keeps the limits; from a steady rate one is begun at once."""
     it = Clock(speed_share=6.0)
-    clock.steer_rate(it.loop, 0.0)
+    clock.steer_rate(it.loop, 0.0, ORDERLY)
     assert it.core["ramp_s"] == pytest.approx(it.longest_s), "as gently as can be"
-    clock.begin_ramp(it.loop, 0.5, it.longest_s)
-    clock.steer_rate(it.loop, 0.0)
+    clock.begin_ramp(it.loop, 0.5, it.longest_s, ORDERLY)
+    clock.steer_rate(it.loop, 0.0, ORDERLY)
     assert it.core["rate_target"] == 0.5
 
 
@@ -227,7 +271,7 @@ def test_braking_begins_when_the_stop_just_fits(rate: float) -> None:
         it = Clock()
         it.path["ended"] = 0
         clock.set_rate(it.loop, rate)
-        duration, _ = clock.ramp_duration(it.loop, 0.0)
+        duration, _ = clock.ramp_duration(it.loop, 0.0, BRAKING)
         assert duration < it.longest_s
         it.core["clock_s"] = 60.0 - 0.5 * rate * duration - 3.0 * PERIOD_S - beside_s
         assert clock.must_brake_for_lack_of_path(it.loop, False) == (beside_s < 0.0)

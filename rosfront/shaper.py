@@ -1,0 +1,273 @@
+"""Streams that ask for more than the limits allow: made into motion that follows them as closely as those permit.
+
+A message within the limits that goes on as the arm moves is handed on as it came. Otherwise the arm follows a path made
+here (`motion.shaping`): it begins on the path that the arm runs along, so entering it is no motion of its own, and ends
+where the message ends.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from config.schema import ArmConfig
+from motion import shaping, stopping
+from rosfront.limits import check_limits
+from rosfront.path import PlannedPath
+from rosfront.plan import NS, REST_RAD_S, GoalPlan, Present
+from rosfront.refusals import BeyondLimits, GoalRefused, NoRoomToStop, TooFar
+from shm.words import Entry
+
+STREAM_S = 5.0
+"""A message that lasts longer is a whole trajectory, which could have been planned within the limits: it is judged."""
+FAR_S = 0.1
+"""A stream's target may jump by the start tolerance and by what the joint can do in that time: points come at 10 Hz."""
+AHEAD_S, AHEAD_PERIODS = 0.01, 3.0
+"""Until then the arm goes on as it does: judging takes a while, and the control process looks once a cycle."""
+STEP_S = 0.01
+TAIL_STEP_S, MOST_TAIL_STEPS = 0.05, 1000
+BLEND_S = 0.4
+BLEND_SHARE = 0.01
+"""What is left to a blend of the control process adds at most so much of the acceleration limit within BLEND_S."""
+ARRIVED_RAD = 1e-9
+
+
+@dataclass(frozen=True)
+class _State:
+    """Where the joints of a message are at a moment, and how fast."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+
+    def is_at(self, position: np.ndarray) -> bool:
+        """Whether all joints stand there."""
+        away, speed = np.abs(self.position - position), np.abs(self.velocity)
+        return bool((away < ARRIVED_RAD).all() and (speed < ARRIVED_RAD).all())
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """What the joints of a message may do, without margins; arrays (joints,)."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+
+    @classmethod
+    def of(cls, arm: ArmConfig, mask: np.ndarray) -> "_Limits":
+        joints = [joint for joint, chosen in zip(arm.joints, mask, strict=True) if chosen]
+        return cls(
+            np.array([joint.lower_rad for joint in joints]),
+            np.array([joint.upper_rad for joint in joints]),
+            np.array([joint.max_velocity_rad_s for joint in joints]),
+            np.array([joint.max_acceleration_rad_s2 for joint in joints]),
+        )
+
+    def after(self, state: _State, target: np.ndarray, target_velocity: np.ndarray, step_s: float) -> _State:
+        """The state a step later."""
+        limits = (self.lower, self.upper, self.velocity, self.acceleration)
+        velocity = shaping.next_velocity(state.position, state.velocity, target, target_velocity, limits, step_s)
+        return _State(state.position + 0.5 * step_s * (state.velocity + velocity), velocity)
+
+
+def shaped(asked: GoalPlan, arm: ArmConfig, present: Present, earlier: GoalPlan | None) -> GoalPlan:
+    """The plan of a message as it can be followed: the same, or one that follows it; raises GoalRefused.
+
+    `earlier` is the stream that the arm follows or is about to, None where there is none. `asked` keeps the limits of
+    position at its points.
+    """
+    if asked.duration_s - asked.entry_ns / NS > STREAM_S:
+        check_limits(asked, arm)
+        check_room_to_stop(asked, arm)
+        return asked
+    reason: GoalRefused | None = None
+    try:
+        check_limits(asked, arm, margins=False)
+        check_room_to_stop(asked, arm)
+    except (BeyondLimits, NoRoomToStop) as problem:
+        reason = problem
+    if earlier is not None and earlier.start_ns == 0:
+        earlier = None
+    wanted = replace(asked, start_ns=asked.start_ns or present.monotonic_ns)
+    maker = _Maker(wanted, arm, present, earlier)
+    if reason is None and maker.a_blend_does():
+        return asked
+    maker.refuse_jump()
+    return replace(maker.plan(), wanted=wanted, reason=reason)
+
+
+class _Maker:
+    """Makes the path that follows a message; all times are CLOCK_MONOTONIC in ns."""
+
+    def __init__(self, wanted: GoalPlan, arm: ArmConfig, present: Present, earlier: GoalPlan | None) -> None:
+        self._wanted, self._arm, self._present, self._earlier = wanted, arm, present, earlier
+        self._path = PlannedPath(wanted)
+        self._mask = self._path.mask
+        self._limits = _Limits.of(arm, self._mask)
+        self._from_ns = present.monotonic_ns + round((AHEAD_S * NS) + AHEAD_PERIODS * arm.control.period_ns)
+        self._from = self._going_on()
+
+    def _targets(self, times_ns: np.ndarray) -> _State:
+        """What the message asks for at some times, (n, joints); a last point that is meant to be at rest is."""
+        times_ns = times_ns - self._wanted.start_ns
+        position, velocity, _ = self._path.at(times_ns)
+        if self._ends_at_rest:
+            over = times_ns >= self._path.times_ns[-1]
+            position[over], velocity[over] = self._path.knots[-1, :, 0], 0.0
+        return _State(position, velocity)
+
+    @property
+    def _ends_at_rest(self) -> bool:
+        return bool((np.abs(self._path.knots[-1, :, 1]) <= REST_RAD_S).all())
+
+    def _going_on(self) -> _State:
+        """Where the arm will be when it begins to follow the message: by the stream before, else as it moves now."""
+        now = self._present.commanded[self._mask]
+        ahead_s = (self._from_ns - self._present.monotonic_ns) / NS
+        position, velocity = now[:, 0] + now[:, 1] * ahead_s, now[:, 1].copy()
+        if self._earlier is not None:
+            mine, theirs = self._shared_joints(self._earlier)
+            before, after = (_at(self._earlier, ns) for ns in (self._present.monotonic_ns, self._from_ns))
+            position[mine] += (after.position - before.position)[theirs] - before.velocity[theirs] * ahead_s
+            velocity[mine] += (after.velocity - before.velocity)[theirs]
+        return _State(position, velocity)
+
+    def _shared_joints(self, earlier: GoalPlan) -> tuple[np.ndarray, np.ndarray]:
+        """Which of this message's joints, and of an earlier one's, are the other's too."""
+        theirs = np.array([bool(earlier.joint_mask >> joint & 1) for joint in range(len(self._mask))])
+        both = theirs & self._mask
+        return both[self._mask], both[theirs]
+
+    def a_blend_does(self) -> bool:
+        """Whether the control process can lead the arm onto the message's own path within the limits.
+
+        A quintic that takes back d rad and w rad/s within T pushes with 5.8 d / T² and 3.9 w / T at the most.
+        """
+        if self._present.standing and self._earlier is None:
+            return True  # how it begins was judged, and how the arm gets there is judged where it is
+        target = self._targets(np.array([self._from_ns]))
+        push = 5.8 * np.abs(target.position - self._from.position) / BLEND_S**2
+        push += 3.9 * np.abs(target.velocity - self._from.velocity) / BLEND_S
+        return bool((push <= BLEND_SHARE * self._limits.acceleration).all())
+
+    def refuse_jump(self) -> None:
+        """Refuse a target that is nowhere near what was asked for before; raises TooFar."""
+        target, before = self._targets(np.array([self._from_ns])).position[0], self._from.position.copy()
+        allowed = np.full_like(target, self._arm.limits.start_tolerance_rad)
+        if not self._present.standing:
+            allowed += FAR_S * self._limits.velocity
+        if self._earlier is not None:
+            mine, theirs = self._shared_joints(self._earlier)
+            before[mine] = _at(self._earlier.wanted or self._earlier, self._from_ns).position[theirs]
+        away = np.abs(target - before)
+        if not (away <= allowed).all():
+            worst = int((away - allowed).argmax())
+            joint = self._arm.joints[int(np.flatnonzero(self._mask)[worst])].name
+            raise TooFar("The message", joint, float(away[worst]), float(allowed[worst]), float(target[worst]))
+
+    def plan(self) -> GoalPlan:
+        """The path that follows the message, from what is commanded now on."""
+        times_ns, orders, knots = self._run_up()
+        state, at_ns = self._from, self._from_ns
+        end_ns = int(self._path.times_ns[-1]) + self._wanted.start_ns
+
+        def step(to_ns: int, target: _State) -> None:
+            nonlocal state, at_ns
+            state = self._limits.after(state, target.position, target.velocity, (to_ns - at_ns) / NS)
+            at_ns = to_ns
+            times_ns.append(to_ns)
+            orders.append(3)
+            knots.append(np.stack([state.position, state.velocity, np.zeros_like(state.velocity)], axis=1))
+
+        steps = np.append(np.arange(at_ns + round(STEP_S * NS), end_ns, round(STEP_S * NS)), max(end_ns, at_ns))
+        if steps[-1] > at_ns:
+            targets = self._targets(steps)
+            for to_ns, position, velocity in zip(steps, targets.position, targets.velocity, strict=True):
+                step(int(to_ns), _State(position, velocity))
+        if self._ends_at_rest:
+            end = np.clip(self._path.knots[-1, :, 0], self._limits.lower, self._limits.upper)  # rounding may be beyond
+            goal = _State(end, np.zeros_like(end))
+            for _ in range(MOST_TAIL_STEPS):
+                if state.is_at(end):
+                    knots[-1][:, :2] = np.stack([end, goal.velocity], axis=1)
+                    break
+                step(at_ns + round(TAIL_STEP_S * NS), goal)
+        made = self._made(times_ns, orders, knots)
+        try:
+            check_room_to_stop(made, self._arm)
+        except NoRoomToStop:
+            while (np.abs(state.velocity) > 0.0).any():
+                to_ns = at_ns + round(STEP_S * NS)
+                step(to_ns, _State(state.position + 0.5 * STEP_S * state.velocity, np.zeros_like(state.velocity)))
+            made = self._made(times_ns, orders, knots)
+        return made
+
+    def _run_up(self) -> tuple[list[int], list[int], list[np.ndarray]]:
+        """What the arm does meanwhile, as times, orders and knots: entered anywhere in it, the path is no change."""
+        now_ns, now = self._present.monotonic_ns, self._present.commanded[self._mask]
+        times_ns, orders, knots = [now_ns], [3], [now.copy()]
+        if self._earlier is not None and self._earlier.joint_mask == self._wanted.joint_mask:
+            earlier = PlannedPath(self._earlier)
+            own_ns = earlier.times_ns + self._earlier.start_ns
+            between = np.flatnonzero((own_ns > now_ns) & (own_ns < self._from_ns))
+            before, ahead_s = _at(self._earlier, now_ns), (own_ns[between] - now_ns) / NS
+            for index, later_s in zip(between, ahead_s, strict=True):
+                knot = earlier.knots[index].copy()
+                knot[:, 0] += now[:, 0] - before.position + (now[:, 1] - before.velocity) * later_s
+                knot[:, 1] += now[:, 1] - before.velocity
+                times_ns.append(int(own_ns[index]))
+                orders.append(int(earlier.orders[index - 1]) if index else 3)
+                knots.append(knot)
+        times_ns.append(self._from_ns)
+        orders.append(3)
+        knots.append(np.stack([self._from.position, self._from.velocity, np.zeros_like(self._from.velocity)], axis=1))
+        return times_ns, orders, knots
+
+    def _made(self, times_ns: list[int], orders: list[int], knots: list[np.ndarray]) -> GoalPlan:
+        joints = np.zeros((len(knots), len(self._mask), 3))
+        joints[:, :, 0] = self._present.commanded[:, 0]
+        joints[:, self._mask] = np.stack(knots)
+        start_ns = times_ns[0]
+        return replace(
+            self._wanted,
+            times_ns=np.array(times_ns) - start_ns,
+            orders=np.array(orders),
+            joints=joints,
+            start_ns=start_ns,
+            entry_ns=0,
+            entry=Entry.STREAM,
+        )
+
+
+def _at(plan: GoalPlan, time_ns: int) -> _State:
+    """What a stream that has a start asks for at a time of CLOCK_MONOTONIC."""
+    position, velocity, _ = PlannedPath(plan).at(np.array([time_ns - plan.start_ns]))
+    return _State(position[0], velocity[0])
+
+
+def largest_lag(plan: GoalPlan) -> tuple[int, float]:
+    """The joint of the arm that is farthest from what its message asks for while that lasts, and how far (rad)."""
+    if plan.wanted is None:
+        return -1, 0.0
+    wanted, path = PlannedPath(plan.wanted), PlannedPath(plan)
+    times_ns = path.times_ns[path.times_ns + plan.start_ns <= plan.wanted.start_ns + plan.wanted.times_ns[-1]]
+    lag = np.abs(wanted.at(times_ns + plan.start_ns - plan.wanted.start_ns)[0] - path.at(times_ns)[0])
+    joint = int(lag.max(axis=0, initial=0.0).argmax())
+    return int(np.flatnonzero(path.mask)[joint]), float(lag.max(initial=0.0))
+
+
+def check_room_to_stop(plan: GoalPlan, arm: ArmConfig) -> None:
+    """A stream that ends in motion can stop behind its last point, in a straight line and inside the limits."""
+    period_s = arm.control.period_ns / NS
+    position, velocity, acceleration = plan.joints[-1].T
+    fade_s = stopping.fade_duration_s(period_s)
+    position, velocity = stopping.line_beyond(position, velocity, acceleration, fade_s)
+    hardest = np.array([joint.max_acceleration_rad_s2 for joint in arm.joints])
+    to_brake_s = float((np.abs(velocity) / (stopping.ORDERLY * hardest)).max())
+    stop = position + velocity * stopping.reach_s(to_brake_s, arm.longest_stop_s, period_s)
+    for joint, limits in enumerate(arm.joints):
+        slack = limits.command_pulse_rad + limits.encoder_count_rad
+        if velocity[joint] > 0.0 and stop[joint] > limits.upper_rad + slack:
+            raise NoRoomToStop(limits.name, float(velocity[joint]), float(stop[joint]), limits.upper_rad)
+        if velocity[joint] < 0.0 and stop[joint] < limits.lower_rad - slack:
+            raise NoRoomToStop(limits.name, float(velocity[joint]), float(stop[joint]), limits.lower_rad)
