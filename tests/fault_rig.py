@@ -470,6 +470,12 @@ def age_s(pid: int) -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME) - started_ticks / os.sysconf("SC_CLK_TCK")
 
 
+def processor_s(pid: int) -> float:
+    """Processor time that a process has used so far."""
+    spent = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return sum(map(int, spent)) / os.sysconf("SC_CLK_TCK")
+
+
 def _ended(process: Process, what: str, codes: set[int]) -> list[str]:
     if process.process.poll() is None:
         process.process.terminate()

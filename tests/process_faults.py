@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fault_rig import END_S, KNOTS, READY_S, Hang, Rig, Sent, age_s, alive, full, wait
+from fault_rig import END_S, KNOTS, READY_S, Hang, Rig, Sent, age_s, alive, full, processor_s, wait
 from machine_witness import Stalls
 from observer import (
     command_violations,
@@ -217,6 +217,7 @@ def _ask_again(rig: Rig, trial: Trial) -> None:
     wait(lambda: not alive(front), "the end of the front", END_S)
     sent = rig.accepted_again()
     trial.what, trial.accepted_ms = "SIGKILL", (time.monotonic_ns() - hurt_ns) / 1e6
+    trial.notes.append(f"the new front had used {processor_s(rig.pid('front')):.2f} s of a processor by then")
     if not sent.ended.wait(sent.duration_s + MARGIN_S):
         raise Hang("the goal that was accepted after the kill has no result")
     trial.outcome = "succeeded" if sent.succeeded else kind_of(sent.words)

@@ -15,6 +15,12 @@ def test_a_stop_at_a_random_moment_is_the_end_of_all_motion_until_the_resume(sen
     assert run_trial(sender, seed).violations == []
 
 
+@pytest.mark.parametrize("seed", range(3, 13))
+@pytest.mark.parametrize("sender", SENDERS)
+def test_the_same_of_commanded_motion_alone(sender: str, seed: int) -> None:
+    assert run_trial(sender, seed, "mock").violations == []
+
+
 class Resuming(Retrying):
     """A client's process that resumes what a person has stopped."""
 
@@ -26,7 +32,7 @@ class Resuming(Retrying):
 def sabotaged(monkeypatch: pytest.MonkeyPatch, sender: type[Retrying], stop: Callable[[CommandWriter], None]) -> Found:
     monkeypatch.setitem(stop_trials.SENDERS, "sabotage", sender)
     monkeypatch.setattr(CommandWriter, "stop", stop)
-    return run_trial("sabotage", 2)
+    return run_trial("sabotage", 2, "mock")
 
 
 def test_a_trial_notices_a_stop_that_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
