@@ -18,7 +18,7 @@ CASES ?= 1000000
 COUNT ?= 80
 SEED ?= 1
 
-.PHONY: help env tools lock demo test test-live test-all test-vm transcripts mutants check docs reference bench trials ros-trials bus-trials bus-trials-live soak fuzz dist test-dist clean
+.PHONY: help env tools lock demo test test-live test-all test-vm transcripts mutants check docs reference bench trials ros-trials bus-trials bus-trials-live stop-trials soak fuzz dist test-dist clean
 
 help:
 	@echo 'make demo     play a recorded MoveIt goal on a simulated arm, VIEW=1 to watch and move it in a browser'
@@ -36,6 +36,7 @@ help:
 	@echo 'make ros-trials  kill ROS processes beside an arm, TRIALS=200 times'
 	@echo 'make bus-trials  hurt the bus of an arm in virtual time, TRIALS=200 times in each way'
 	@echo 'make bus-trials-live  the same with real processes, once in each way'
+	@echo 'make stop-trials  stop an arm in virtual time beside those who go on sending, TRIALS=200 times beside each'
 	@echo 'make soak     random goals and faults for MINUTES=60'
 	@echo 'make fuzz     hostile inputs, CASES=1000000 of them'
 	@echo 'make dist     build the wheel and the source distribution into dist'
@@ -104,6 +105,9 @@ bus-trials: env
 
 bus-trials-live: env
 	PYTHONPATH=tests $(BIN)/python -m live_bus_trials --seed $(SEED)
+
+stop-trials: env
+	PYTHONPATH=tests $(BIN)/python -m stop_trials --trials $(TRIALS) --seed $(SEED)
 
 soak: env
 	PYTHONPATH=tests $(BIN)/python -m soak --minutes $(MINUTES) --seed $(SEED)

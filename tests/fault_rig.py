@@ -22,12 +22,14 @@ from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
 from observer import STANDS_RAD_S, Violation
+from random_ways import random_way
 from ros_client import Spinner
 from stack import Process, Stack
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from config.loader import load_arm
+from config.schema import ArmConfig
 from rosfront.action_client import ActionClient
 from shm import files
 from shm.client import StateReader
@@ -44,18 +46,14 @@ BACK_S = 120.0
 END_S = 20.0
 ANSWER_S = 10.0
 POLL_S = 0.002
-BOX_SHARE = 0.7
-"""Share of each joint's range, around its middle, that random goals stay in."""
-LIMIT_SHARE = 0.85
-"""Of the velocity and acceleration limits that random goals use at most."""
-QUINTIC_VELOCITY, QUINTIC_ACCELERATION = 1.875, 5.774
-"""Peaks of a rest-to-rest quintic over the unit of way and time."""
 KNOTS = 20
 SHORTEST_S = 1.2
 MOTION_S = 5.0
 RESULT_WITHIN_S = 6.0
 """After the planned end of a goal its result is there."""
 ATTEMPTS = 4
+ASK_AGAIN_S = 0.25
+"""A request that a server just discovered does not hear is sent again after this time."""
 
 
 class Hang(Exception):
@@ -172,6 +170,10 @@ class Rig(Stack):
         else:
             self.start_loop()
             self.start_front()
+
+    def start(self, module: str, *arguments: str, needs_ros: bool = False) -> Process:
+        """Start a process of the arm's user, which ends with the rig at the latest."""
+        return self._keep(Process(module, *arguments, needs_ros=needs_ros))
 
     def stop_control(self) -> list[str]:
         """End control process and front in order; what was wrong with that."""
@@ -301,7 +303,7 @@ class Rig(Stack):
         truth = self.standing(READY_S)
         lost = [j.name for j, word in zip(self.arm.joints, snapshot["joints"], strict=False) if not word["referenced"]]
         angles = [f"{name}={math.degrees(truth[name].position_rad[-1]):.4f}" for name in lost]
-        process = self._keep(Process("rtarm", "reference", *angles, "--arm", self.name))
+        process = self.start("rtarm", "reference", *angles, "--arm", self.name)
         return "taken" if process.code() == 0 else process.text
 
     def _end_control_by_force(self) -> None:
@@ -341,19 +343,9 @@ class Rig(Stack):
 
     def goal(self, *, shortest_s: float = SHORTEST_S, longest_s: float = 3.0, knots: int = KNOTS) -> Any:
         """A random goal from where the arm is commanded to be, inside its limits: a quintic through knots."""
-        here = self.commanded_rad()
-        seconds = self.random.uniform(shortest_s, longest_s)
-        way = np.zeros(len(here))
-        for i, joint in enumerate(self.arm.joints):
-            middle = (joint.lower_rad + joint.upper_rad) / 2
-            half = BOX_SHARE * (joint.upper_rad - joint.lower_rad) / 2
-            most = LIMIT_SHARE * min(
-                joint.max_velocity_rad_s * seconds / QUINTIC_VELOCITY,
-                joint.max_acceleration_rad_s2 * seconds**2 / QUINTIC_ACCELERATION,
-            )
-            wanted = np.clip(here[i] + self.random.uniform(-most, most), middle - half, middle + half)
-            way[i] = np.clip(wanted - here[i], -most, most)
-        return quintic_goal([joint.name for joint in self.arm.joints], here, way, seconds, knots)
+        return random_goal(
+            self.arm, self.commanded_rad(), self.random.uniform(shortest_s, longest_s), self.random, knots
+        )
 
     def commanded_rad(self) -> np.ndarray:
         """Where the arm is commanded to be, (joints,); raises Hang where nobody commands it."""
@@ -363,19 +355,6 @@ class Rig(Stack):
         commanded: np.ndarray = snapshot["joints"]["commanded_position_rad"][: len(self.arm.joints)].copy()
         return commanded
 
-    def shortest_s(self, way: np.ndarray) -> float:
-        """How long a rest-to-rest quintic along a way takes at least, with room to the limits."""
-        return max(
-            1.0,
-            *(
-                max(
-                    abs(w) * QUINTIC_VELOCITY / (LIMIT_SHARE * joint.max_velocity_rad_s),
-                    math.sqrt(abs(w) * QUINTIC_ACCELERATION / (LIMIT_SHARE * joint.max_acceleration_rad_s2)),
-                )
-                for w, joint in zip(way, self.arm.joints, strict=True)
-            ),
-        )
-
     def send(self, goal: Any) -> Sent:
         """Send a goal to the server that lives, and wait until it is accepted; raises Hang."""
         for _ in range(3):  # a request that a server just discovered does not hear is a matter of the middleware
@@ -383,6 +362,17 @@ class Rig(Stack):
             if sent.accepted.wait(ANSWER_S / 2):
                 return sent
         raise Hang("a goal was not answered")
+
+    def accepted_again(self) -> Sent:
+        """A short goal that a client which asks again and again has had accepted; raises Hang."""
+        deadline_s = time.monotonic() + READY_S
+        while time.monotonic() < deadline_s:
+            if self._is_served() and self.pid("front"):
+                sent = self.user.send(self.goal(shortest_s=0.6, longest_s=0.9))
+                if sent.accepted.wait(ASK_AGAIN_S) and sent.handle.accepted:
+                    return sent
+            time.sleep(POLL_S)
+        raise Hang("no goal was accepted")
 
     def moving_goal(
         self, latest_share: float, notes: list[str], steps: list[str], *, shortest_s: float = SHORTEST_S
@@ -438,6 +428,14 @@ class Rig(Stack):
         return []
 
 
+def random_goal(
+    arm: ArmConfig, here: np.ndarray, seconds: float, random: np.random.Generator, knots: int = KNOTS
+) -> Any:
+    """A goal from rest at `here` to rest at a random place that can be reached within the limits."""
+    way = random_way(arm.joints, here, seconds, random)
+    return quintic_goal([joint.name for joint in arm.joints], here, way, seconds, knots)
+
+
 def quintic_goal(names: list[str], here: np.ndarray, way: np.ndarray, seconds: float, knots: int = KNOTS) -> Any:
     """A goal of knots with velocities and accelerations along a rest-to-rest quintic."""
     goal = FollowJointTrajectory.Goal()
@@ -461,6 +459,21 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
     except OSError:
         return False
+
+
+def age_s(pid: int) -> float:
+    """For how long a process has lived, 0 where there is none."""
+    try:
+        started_ticks = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19])
+    except OSError:
+        return 0.0
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - started_ticks / os.sysconf("SC_CLK_TCK")
+
+
+def processor_s(pid: int) -> float:
+    """Processor time that a process has used so far."""
+    spent = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return sum(map(int, spent)) / os.sysconf("SC_CLK_TCK")
 
 
 def _ended(process: Process, what: str, codes: set[int]) -> list[str]:

@@ -16,7 +16,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fault_rig import END_S, KNOTS, Hang, Rig, Sent, alive, full, wait
+from fault_rig import END_S, KNOTS, READY_S, Hang, Rig, Sent, age_s, alive, full, processor_s, wait
+from machine_witness import Stalls
 from observer import (
     command_violations,
     frames_sent,
@@ -26,6 +27,7 @@ from observer import (
     stopped_joints,
 )
 
+from rtarm.launcher import STEADY_AFTER_S
 from shm.files import DIRECTORY
 from shm.words import Mode
 from sim.truth import load_truth
@@ -130,7 +132,7 @@ LASTS = {name for name in FAULTS if name.startswith("no ")} | set(SHARED)
 
 @dataclass
 class Trial:
-    """What is done to whom, and what was seen."""
+    """What is done to whom, and what was seen; times from the fault, or from the moment at which a stop was pressed."""
 
     fault: str
     target: str
@@ -140,11 +142,16 @@ class Trial:
     outcome: str = ""
     stands_ms: float | None = None
     told_ms: float | None = None
+    accepted_ms: float | None = None
     back_ms: float | None = None
+    shortest_ms: float | None = None
+    stalls: Stalls | None = None
     steps: list[str] = field(default_factory=list)
     violations: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     server_died: bool = False
+    act: Callable[[Rig, Trial], None] | None = None
+    """What is done where it is no fault of this table."""
 
     @property
     def how(self) -> str:
@@ -156,6 +163,7 @@ def all_kinds(*, shared: bool) -> list[Trial]:
     """One trial of each kind."""
     kinds = [Trial(fault, target, True) for target in TARGETS for fault in FAULTS]
     kinds += [Trial(fault, target, False) for target in ("loop", "front") for fault in FAULTS]
+    kinds += [Trial("kill -9, a client asks again", "front", True, act=_ask_again)]
     return kinds + [Trial(fault, "all", True) for fault in SHARED if shared]
 
 
@@ -167,7 +175,7 @@ def run(rig: Rig, trial: Trial) -> Trial:
         rig.note_dead_servers()
     try:
         rig.make_ready()
-        _act(rig, trial)
+        (trial.act or _act)(rig, trial)
     except (Hang, AssertionError) as problem:
         words = str(problem)
         said = rig.launcher.said() if rig.launcher else "".join(p.said() for p in (rig.loop, rig.front))
@@ -193,6 +201,32 @@ def _act(rig: Rig, trial: Trial) -> None:
     _judge_motion(rig, trial, sent, began_ns, hurt_ns, over_ns)
     _judge_processes(rig, trial, pids)
     _way_back(rig, trial, over_ns)
+
+
+def _ask_again(rig: Rig, trial: Trial) -> None:
+    """The front is killed amid a goal, and a client sends the next one until it is accepted.
+
+    The front has lived for so long that the launcher starts it again at once.
+    """
+    wait(lambda: age_s(rig.pid("front")) > STEADY_AFTER_S + 1.0, "a front that has lived for a while", READY_S)
+    _, began_ns = rig.moving_goal(0.8, trial.notes, trial.steps)
+    front = rig.pid("front")
+    rig.note_dead_servers()
+    hurt_ns = time.monotonic_ns()
+    os.kill(front, signal.SIGKILL)
+    wait(lambda: not alive(front), "the end of the front", END_S)
+    sent = rig.accepted_again()
+    trial.what, trial.accepted_ms = "SIGKILL", (time.monotonic_ns() - hurt_ns) / 1e6
+    trial.notes.append(f"the new front had used {processor_s(rig.pid('front')):.2f} s of a processor by then")
+    if not sent.ended.wait(sent.duration_s + MARGIN_S):
+        raise Hang("the goal that was accepted after the kill has no result")
+    trial.outcome = "succeeded" if sent.succeeded else kind_of(sent.words)
+    truth = rig.standing(STANDS_WITHIN_S)
+    now_ns = time.monotonic_ns()
+    frames = frames_sent([piece for piece in rig.wire() if piece[0] >= began_ns])
+    trial.violations += motion_violations(rig.arm, truth, began_ns, now_ns, thrown=stopped_joints(rig.arm, frames))
+    trial.violations += command_violations(rig.arm, frames)
+    _way_back(rig, trial, hurt_ns)
 
 
 def _await_end(rig: Rig, trial: Trial, sent: Sent, pids: dict[str, int]) -> None:

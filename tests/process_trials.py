@@ -1,5 +1,6 @@
 """`PYTHONPATH=tests python -m process_trials --trials 200 --seed 1`: process faults at random moments of running goals.
 
+Besides, a person stops the arm at a random moment, whatever others go on sending (`--only person`).
 Prints a line for each trial and a table at the end; exits with 1 when anything happened that must not. As root it has
 /dev/shm and a home of its own, both small, so that they can be full; otherwise those trials are left out.
 """
@@ -7,6 +8,7 @@ Prints a line for each trial and a table at the end; exits with 1 when anything 
 from __future__ import annotations
 
 import argparse
+import copy
 import os
 import random
 import secrets
@@ -22,6 +24,8 @@ from pathlib import Path
 
 import guardian
 import numpy as np
+from machine_witness import Witness
+from verdicts import MARKER
 
 from rosfront.transport import FAST_DDS, choose_udp
 from rtarm.own_domain import own_domain
@@ -78,14 +82,16 @@ def main(arguments: Sequence[str]) -> int:
     options = parser.parse_args(arguments)
     begin_again("process_trials", arguments)
     own_ros_domain()
+    os.environ.setdefault(MARKER, secrets.token_hex(8))
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     from fault_rig import Hang, Rig
     from process_faults import all_kinds, run
+    from process_stops import stop_kinds
 
     chosen = random.Random(options.seed)
     kinds = [
         kind
-        for kind in all_kinds(shared=bool(os.environ.get(OWN)))
+        for kind in (*all_kinds(shared=bool(os.environ.get(OWN))), *stop_kinds())
         if not options.only or any(part in f"{kind.how} {kind.target}: {kind.fault}" for part in options.only)
     ]
     if not kinds:
@@ -95,26 +101,29 @@ def main(arguments: Sequence[str]) -> int:
     trials, left = [], []
     while len(trials) < options.trials:
         chosen.shuffle(kinds)
-        trials += [type(kind)(kind.fault, kind.target, kind.launched) for kind in kinds]
+        trials += copy.deepcopy(kinds)
     trials = sorted(trials[: options.trials], key=lambda trial: trial.launched)
     prefix = "rtarm-trials-"
     with tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True) as name, small_home(Path(name)):
         folder = Path(name)
+        witness = Witness(f"{MARKER}={os.environ[MARKER]}")
         rig = Rig(f"t{secrets.token_hex(4)}", folder, np.random.default_rng(options.seed))
         try:
             rig.start_arm()
             for number, trial in enumerate(trials, 1):
                 trial.number = number
                 guardian.doing(f"trial {number} ({trial.how} {trial.target}: {trial.fault})")
-                began_s = time.monotonic()
+                began_ns = time.monotonic_ns()
                 run(rig, trial)
-                print(line(trial, time.monotonic() - began_s), flush=True)
+                trial.stalls = witness.since(began_ns)
+                print(line(trial, (time.monotonic_ns() - began_ns) / 1e9), flush=True)
             guardian.doing("the end of the trials")
             rig.make_ready()
             left = rig.stop_control() + rig.servers_still_seen(SERVER_GONE_S)
         except (Hang, AssertionError) as problem:
             left = [f"hang: {problem}"]
         finally:
+            witness.close()
             left += rig.end()
     report = table(trials, options.seed, list(rig.gone_ms.values()), left)
     print(report)
@@ -126,11 +135,13 @@ def main(arguments: Sequence[str]) -> int:
 def line(trial: object, seconds: float) -> str:
     figures = [
         f"{name} {value:.0f}"
-        for name, value in (("stands", trial.stands_ms), ("told", trial.told_ms), ("back", trial.back_ms))
-        if value is not None
+        for name in ("stands", "shortest", "told", "accepted", "back")
+        if (value := getattr(trial, f"{name}_ms")) is not None
     ]
     parts = [f"{trial.number:3d} {trial.how:4s} {trial.target}: {trial.fault} ({trial.what})", trial.outcome, *figures]
-    parts += [*trial.steps, *trial.notes, f"{seconds:.1f} s"]
+    parts += [*trial.steps, *trial.notes]
+    parts += [f"the machine {trial.stalls}"] if trial.stalls else []
+    parts.append(f"{seconds:.1f} s")
     return " | ".join(parts) + "".join(f"\n    VIOLATION {sentence}" for sentence in trial.violations)
 
 
@@ -140,6 +151,25 @@ def spread(values: Sequence[float]) -> str:
     return " / ".join(f"{value:.0f}" for value in (*np.percentile(values, (50, 99)), max(values)))
 
 
+def spread_of(trials: Sequence[object], figure: str) -> str:
+    return spread([value for trial in trials if (value := getattr(trial, f"{figure}_ms")) is not None])
+
+
+def waits(trials: Sequence[object]) -> list[str]:
+    """How long people wait for rest and clients for a server, with and without stalls of the machine."""
+    calm = [trial for trial in trials if not trial.stalls]
+    return [
+        f"{what}: {spread_of(trials, figure)} ms; where the machine never stood still ({len(calm)} of {len(trials)} "
+        f"trials) {spread_of(calm, figure)} ms."
+        for what, figure in (
+            ("From the press to commanded rest", "stands"),
+            ("v / a, the slowest joint alone at its limit from what was commanded at the press", "shortest"),
+            ("From the kill of the front to the next accepted goal", "accepted"),
+        )
+        if any(getattr(trial, f"{figure}_ms") is not None for trial in trials)
+    ]
+
+
 def table(trials: Sequence[object], seed: int, gone_ms: Sequence[float], left: Sequence[str]) -> str:
     groups = defaultdict(list)
     for trial in trials:
@@ -147,21 +177,20 @@ def table(trials: Sequence[object], seed: int, gone_ms: Sequence[float], left: S
     rows = [
         f"{len(trials)} trials, seed {seed}. Milliseconds from the fault: p50 / p99 / max.",
         "",
-        "| target | fault | goal ended as | arm stands | client told | back in service | trials | violations |",
-        "|---|---|---|---|---|---|---|---|",
+        "| target | fault | goal ended as | arm stands | v / a | client told | goal accepted | back | trials | bad |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for (target, fault), group in sorted(groups.items()):
         outcomes = defaultdict(int)
         for trial in group:
             outcomes[trial.outcome or "?"] += 1
         ends = "; ".join(f"{outcome} ({count})" for outcome, count in sorted(outcomes.items(), key=lambda o: -o[1]))
-        times = [
-            spread([value for trial in group if (value := getattr(trial, name)) is not None])
-            for name in ("stands_ms", "told_ms", "back_ms")
-        ]
+        times = [spread_of(group, name) for name in ("stands", "shortest", "told", "accepted", "back")]
         bad = sum(bool(trial.violations) for trial in group)
         rows.append(f"| {target} | {fault} | {ends} | {' | '.join(times)} | {len(group)} | {bad} |")
     bad = [f"- {trial.target}: {trial.fault} ({trial.what}): {v}" for trial in trials for v in trial.violations]
+    people = [trial for trial in trials if trial.target == "person" or trial.accepted_ms is not None]
+    rows += ["", *waits(people)]
     rows += ["", f"A client saw the server of a dead front gone after {spread(gone_ms)} ms ({len(gone_ms)} deaths)."]
     rows += ["", f"Violations: {len(bad) + len(left)}", *bad, *(f"- at the end: {sentence}" for sentence in left)]
     return "\n".join(rows) + "\n"

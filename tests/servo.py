@@ -1,36 +1,17 @@
 """What senders of a stream do: MoveIt Servo's sliding window, and points sent one by one."""
 
-from collections.abc import Callable
-
 import numpy as np
+from random_ways import Way, waves_from
 from virtual import VirtualArm
 
 LATENCY_NS = 100_000_000
 """Servo's `max_expected_latency`: every entry is for this much later than it was made; older ones are dropped."""
 
-Way = Callable[[float], tuple[np.ndarray, np.ndarray]]
-"""Positions and velocities (joints,) at a time in s."""
-
 
 def waves(arm: VirtualArm, share: float, seed: int) -> Way:
-    """A smooth way through random directions that begins at rest, with `share` of the limits at its hardest."""
-    random = np.random.default_rng(seed)
+    """`waves_from` where an arm is commanded to be."""
     here = arm.loop[0]["axes"]["position_rad"][: len(arm.arm.joints)].copy()
-    velocity = np.array([joint.max_velocity_rad_s for joint in arm.arm.joints])
-    acceleration = np.array([joint.max_acceleration_rad_s2 for joint in arm.arm.joints])
-    omega = random.uniform(1.0, 3.0, len(here))
-    sign = random.choice([-1.0, 1.0], len(here))
-    room = np.array([min(j.upper_rad - p, p - j.lower_rad) for j, p in zip(arm.arm.joints, here, strict=True)])
-    size = sign * np.minimum(share * np.minimum(velocity / omega, acceleration / omega**2), 0.2 * room)
-
-    def at(t: float) -> tuple[np.ndarray, np.ndarray]:
-        # 1 - cos begins at rest; fading it in takes away the first step of its acceleration
-        fade = min(t / 0.5, 1.0) ** 2 * (3 - 2 * min(t / 0.5, 1.0))
-        slope = 6 * (t / 0.5) * (1 - t / 0.5) / 0.5 if t < 0.5 else 0.0
-        shape, speed = 1 - np.cos(omega * t), omega * np.sin(omega * t)
-        return here + size * fade * shape, size * (fade * speed + slope * shape)
-
-    return at
+    return waves_from(arm.arm.joints, here, share, seed)
 
 
 class Servo:
@@ -47,10 +28,14 @@ class Servo:
         """Send at the rate while the arm runs its cycles."""
         until_ns = self.arm.now_ns + round(seconds * 1e9)
         while self.arm.now_ns < until_ns:
-            while self.due_ns <= self.arm.now_ns:
-                self.make(self.due_ns)
-                self.due_ns += self.period_ns
+            self.turn()
             self.arm.cycle()
+
+    def turn(self) -> None:
+        """Send what is due before the arm's next cycle."""
+        while self.due_ns <= self.arm.now_ns:
+            self.make(self.due_ns)
+            self.due_ns += self.period_ns
 
     def make(self, now_ns: int) -> None:
         """One turn of Servo's loop."""

@@ -26,6 +26,7 @@ from typing import Any
 import guardian
 import numpy as np
 from process_trials import begin_again, own_ros_domain, small_home
+from random_ways import shortest_quintic_s
 
 BETWEEN_FAULTS_S = 15.0
 BETWEEN_FRONT_KILLS_S = 400.0
@@ -150,8 +151,9 @@ class Soak:
         goal = recorded(names[self.random.integers(len(names))])
         here = self.rig.commanded_rad()
         way = np.array(goal.trajectory.points[0].positions) - here
+        seconds = shortest_quintic_s(self.rig.arm.joints, way)
         self._follow(
-            self.rig.send(quintic_goal(list(goal.trajectory.joint_names), here, way, self.rig.shortest_s(way))),
+            self.rig.send(quintic_goal(list(goal.trajectory.joint_names), here, way, seconds)),
             "to a recorded goal's beginning",
         )
         if np.abs(self.rig.commanded_rad() - goal.trajectory.points[0].positions).max() < 1e-3 and not self._faulted():

@@ -22,6 +22,10 @@ SAMPLE = (
     "up launcher: kill -9",
     "up sim: kill -9",
     "up all: full /dev/shm",
+    "up front: kill -9, a client asks again",
+    "up person: rtarm stop, beside replacing",
+    "up person: ~/stop, beside flood",
+    "up person: rtarm stop while a process that asks is suspended, beside stream",
 )
 
 
