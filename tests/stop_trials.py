@@ -284,8 +284,8 @@ class _Trial:
                 f"after the stop it is {Mode(int(core['mode'])).name}, {Fault(int(core['fault'])).name}, "
                 f"held {int(core['held'])}"
             )
-        if core["goal_id"] or core["incoming_goal"]:
-            self.wrong(f"goal {int(core['goal_id'] or core['incoming_goal'])} outlived the stop")
+        if outlived := arm.running_goal or arm.waiting_goal:
+            self.wrong(f"goal {outlived} outlived the stop")
         without = set(range(1, arm.writer.announced_goal + 1)) - set(self.ends)
         found.results_lost = len(without)
         if without and max(without) > max(self.ends, default=0):
