@@ -611,7 +611,8 @@ def test_an_initial_speed_scale_is_for_a_control_process_that_has_none(arm_file,
     until(lambda: loop.snapshot["speed_scale_asked"] == 0.5, "the initial factor")
     front.terminate()
     assert ended(front)[0] == 0
-    loop.snapshot["speed_scale_asked"] = 0.25
+    loop.command["speed_scale"][0] = 0.25
+    until(lambda: loop.snapshot["speed_scale_asked"] == 0.25, "the slower one")
     loop.asked.clear()
     front = start_front(arm_file, "--ros-args", "-p", "speed_scaling.initial_scaling_factor:=0.5")
     assert front.stdout.readline().startswith("ready ")
