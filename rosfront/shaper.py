@@ -26,7 +26,7 @@ AHEAD_S, AHEAD_PERIODS = 0.01, 3.0
 STEP_S = 0.01
 TAIL_STEP_S, MOST_TAIL_STEPS = 0.05, 1000
 BLEND_S = 0.4
-BLEND_SHARE = 0.01
+BLEND_SHARE = 0.1
 """What is left to a blend of the control process adds at most so much of the acceleration limit within BLEND_S."""
 ARRIVED_RAD = 1e-9
 

@@ -105,7 +105,8 @@ def test_a_goal_that_begins_at_rest_where_the_arm_is_measured_keeps_the_limits(
         here = arm.loop[0]["axes"]["measured_rad"][:6].copy()
         duration_s = 1.5 * slowness
         rows = np.zeros((2, 6, 3))
-        rows[:, :, 0] = here, here + back * 0.17 * HARDEST * duration_s**2 * np.where(here > 0, -1, 1)
+        way = np.minimum(0.17 * HARDEST * duration_s**2, 0.5 * FASTEST * duration_s)  # of a quintic within its limits
+        rows[:, :, 0] = here, here + back * way * np.where(here > 0, -1, 1)
         rows[1, :, 0] = np.clip(rows[1, :, 0], *np.array([(j.lower_rad, j.upper_rad) for j in ARM.joints]).T)
         newer = arm.send_goal(np.array([0, round(duration_s * NS)]), rows)
         arm.cycles(15)
@@ -159,7 +160,7 @@ def test_the_recorded_servo_is_followed_within_the_limits(late_ns: int) -> None:
     seen |= ended(arm)
     assert seen <= {Outcome.NONE, Outcome.REPLACED, Outcome.SUCCEEDED}
     assert arm.core["fault"] == Fault.NONE
-    assert 0 < arm.front.shaped < 100 and max(lags) < 0.006
+    assert 0 < arm.front.shaped < 250 and max(lags) < 0.006
     assert arm.acceleration_ratio() <= 1.05
     assert arm.positions[-1] == pytest.approx(messages[-1].positions[-1], abs=1e-6)
     assert truly(arm, begun_ns + 100_000_000) <= ALLOWED
