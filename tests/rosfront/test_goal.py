@@ -640,7 +640,7 @@ def test_a_very_long_trajectory_costs_no_more_than_its_points():
 
 def test_points_that_last_for_too_short_a_time_to_stop_in():
     points = [point(0.00005 * i, [0.0]) for i in range(8000)]
-    sentence = r"The 4000 points from point 0 on last only 0\.2000 s, .* at least 0\.9817 s ahead to be able to stop"
+    sentence = r"The 4000 points from point 0 on last only 0\.2000 s, .* at least 1\.52\d+ s ahead to be able to stop"
     with pytest.raises(refusals.TooDense, match=sentence):
         planned(one_joint(*points))
     planned(one_joint(*points[:4000]))
