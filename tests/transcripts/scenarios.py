@@ -226,6 +226,7 @@ def replacement_refused() -> None:
 @scenario("stopped-by-a-person")
 def stopped_by_a_person() -> None:
     with standing() as arm:
+        arrived = int(shown(arm)["epoch"])
         goal = towards(arm)
         arm.cycles(50)
         arm.stop()
@@ -233,6 +234,8 @@ def stopped_by_a_person() -> None:
         finish(arm, towards(arm))
         arm.ask(Request.HOME, joint_mask=JOINT2)
         arm.resume()
+        finish(arm, towards(arm, epoch=arrived))
+        arm.ask(Request.HOME, joint_mask=JOINT2, epoch=arrived)
         goal = towards(arm)
         arm.cycles(30)
         arm.hold()

@@ -30,7 +30,7 @@ SAMPLE = (
 MOST_BYTES = 2_000_000
 NEVER_SEEN = {
     *("Fault.NOT_FINITE", "Fault.POSITION_LIMIT", "Fault.ACCELERATION_LIMIT", "Fault.RELEASE"),
-    *("Outcome.GOAL_VELOCITY", "Outcome.GOAL_ACCELERATION"),
+    *("Outcome.GOAL_VELOCITY", "Outcome.GOAL_ACCELERATION", "Answer.REFUSED_NO_GOAL"),
     "Mode.OFFLINE",
 }
 """What no scenario comes to; tests of tests/rtloop do."""

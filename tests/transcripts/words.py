@@ -17,7 +17,7 @@ from shm import words as numbers
 CYCLE = (
     *("cycle", "monotonic_ns", "epoch_ns", "mode", "fault", "fault_joint", "fault_value", "fault_limit", "fault_ns"),
     *("goal_id", "goal_phase", "trajectory_clock_ns", "trajectory_end_ns", "speed_scale", "speed_scale_target"),
-    *("speed_scale_asked", "motion_started", "referencing_joint", "pose_due", "held", "stops"),
+    *("speed_scale_asked", "motion_started", "referencing_joint", "pose_due", "held", "stops", "epoch"),
 )
 JOINT = (
     *("commanded_position_rad", "commanded_velocity_rad_s", "commanded_acceleration_rad_s2", "measured_position_rad"),
