@@ -76,7 +76,8 @@ def shaped(asked: GoalPlan, arm: ArmConfig, present: Present, earlier: GoalPlan 
     `earlier` is the stream that the arm follows or is about to, None where there is none. `asked` keeps the limits of
     position at its points.
     """
-    if asked.duration_s - asked.entry_ns / NS > STREAM_S:
+    ends_ns = int(asked.times_ns[-1]) + (asked.start_ns or present.monotonic_ns)
+    if ends_ns - present.monotonic_ns > STREAM_S * NS:
         check_limits(asked, arm)
         check_room_to_stop(asked, arm)
         return asked

@@ -8,7 +8,7 @@ import numpy as np
 
 from fuzz import memory
 from fuzz.arena import MemoryArena
-from rosfront.goal import plan_goal, plan_stream
+from rosfront.goal import most_points, plan_goal, plan_stream
 from rosfront.plan import GoalPlan, Present
 from rosfront.refusals import GoalRefused
 from rosfront.settings import Settings
@@ -200,7 +200,7 @@ class Messages:
         if self.kind == "streams":
             return plan_stream(message, self.arm, present, self.settings)
         data = damaged(random, serialised(message))
-        parsed = parse(data)
+        parsed = parse(data, most_points(self.arm))
         return None if parsed is None else plan_stream(parsed, self.arm, present, self.settings)
 
     def _check(self, plan: GoalPlan) -> None:
@@ -249,6 +249,7 @@ class Messages:
             entry=int(plan.entry),
             tolerances=plan.terms.path_tolerances,
             consumed=0,
+            epoch=int(self.arena.arm.core["epoch"]),
         )
         for time_ns, order, joints in zip(plan.times_ns, plan.orders, plan.joints, strict=True):
             writer.knot(1, int(time_ns), int(order), joints, 0)
