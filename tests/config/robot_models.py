@@ -143,7 +143,7 @@ def arms(draw: st.DrawFn, most_joints: int = 7) -> ArmConfig:
                 "upper_deg": lower + draw(st.floats(1.0, 300.0)),
                 "ratio": ratio,
                 "motor_rpm": motor_rpm,
-                "max_acceleration_rad_s2": velocity_rad_s / draw(st.floats(0.01, 15.0)),
+                "max_acceleration_rad_s2": max(velocity_rad_s / draw(st.floats(0.01, 10.0)), 1e-4),
             }
         )
     return arm_of(rows, joints)

@@ -110,7 +110,8 @@ def stops_well(slowness_s: float, way: str, share: float, ripple: float = 0.0) -
     assert arm.core["fault"] == Fault.NONE
     assert not np.any(arm.loop[0]["axes"]["velocity_rad_s"])
     ended = {"cancel": Outcome.CANCELED, "stop": Outcome.STOPPED, "silence": Outcome.FRONT_LOST}
-    assert arm.outcome(goal) == ended.get(way, Outcome.NONE)
+    kept = (Outcome.NONE, Outcome.SUCCEEDED)  # an end that is nearer than the stop is arrived at
+    assert arm.outcome(goal) == ended[way] if way in ended else arm.outcome(goal) in kept
     period_s = arm.period_ns * 1e-9
     hardest = float(np.abs(np.diff(positions, 2)).max()) / period_s**2
     arm.close()
