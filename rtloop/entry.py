@@ -215,11 +215,8 @@ def lay_blend(loop: Loop, path_index: int, rate: float, entry_s: float, duration
 def latitude(loop: Loop, path_index: int) -> tuple[float, float]:
     """How much of the acceleration limit a blend may use, and add to a plan that uses all of it.
 
-    A plan that begins with its whole acceleration needs some more from rest, since one cycle is lost. What a stream
-    asks for was brought within the limits before; the blend only makes good what came late.
+    A plan that begins with its whole acceleration needs some more from rest, since one cycle is lost.
     """
-    if loop.paths[path_index].stream == 1:
-        return float(loop.params.braking_factor), START_SHARE
     return stopping.ORDERLY, START_SHARE if loop.paths[path_index].from_rest == 1 else stopping.PLAN_SHARE
 
 
