@@ -1,8 +1,8 @@
 """Streams that ask for more than the limits allow: made into motion that follows them as closely as those permit.
 
-A message within the limits that goes on as the arm moves is handed on as it came. Otherwise the arm follows a path made
-here (`motion.shaping`): it begins on the path that the arm runs along, so entering it is no motion of its own, and ends
-where the message ends.
+A message within the limits that goes on as the arm moves, or from rest leaves time for its first point, is handed on as
+it came. Otherwise the arm follows a path made here (`motion.shaping`): it begins on the path that the arm runs along,
+so entering it is no motion of its own, and ends where the message ends.
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +22,11 @@ STREAM_S = 5.0
 FAR_S = 0.1
 """A stream's target may jump by the start tolerance and by what the joint can do in that time: points come at 10 Hz."""
 AHEAD_S, AHEAD_PERIODS = 0.01, 3.5
-"""Until then the arm goes on as it does: judging takes a while, and the control process looks once a cycle."""
+"""Until then the arm goes on as it does: judging takes a while, and the control process looks once a cycle.
+
+Half a period, because a path made here changes its acceleration in steps: in a cycle's own moment rounding would say on
+which side of a step the arm is, and the entry of the next path would take it for a difference that is to fade.
+"""
 STEP_S = 0.01
 TAIL_STEP_S, MOST_TAIL_STEPS = 0.05, 1000
 BLEND_S = 0.4
