@@ -161,7 +161,7 @@ class StreamedArm(CommandedArm):
 
 
 class _ByTheFront(Servo):
-    """A sender whose messages are judged by the front."""
+    """A sender whose messages the front judges."""
 
     arm: StreamedArm
 
