@@ -1,8 +1,8 @@
 """Streams that ask for more than the limits allow: made into motion that follows them as closely as those permit.
 
-A message within the limits that goes on as the arm moves is handed on as it came. Otherwise the arm follows a path made
-here (`motion.shaping`): it begins on the path that the arm runs along, so entering it is no motion of its own, and ends
-where the message ends.
+A message within the limits that goes on as the arm moves, or from rest leaves time for its first point, is handed on as
+it came. Otherwise the arm follows a path made here (`motion.shaping`): it begins on the path that the arm runs along,
+so entering it is no motion of its own, and ends where the message ends.
 """
 
 from dataclasses import dataclass, replace
@@ -21,8 +21,12 @@ STREAM_S = 5.0
 """A message that lasts longer is a whole trajectory, which could have been planned within the limits: it is judged."""
 FAR_S = 0.1
 """A stream's target may jump by the start tolerance and by what the joint can do in that time: points come at 10 Hz."""
-AHEAD_S, AHEAD_PERIODS = 0.01, 3.0
-"""Until then the arm goes on as it does: judging takes a while, and the control process looks once a cycle."""
+AHEAD_S, AHEAD_PERIODS = 0.01, 3.5
+"""Until then the arm goes on as it does: judging takes a while, and the control process looks once a cycle.
+
+Half a period, because a path made here changes its acceleration in steps: in a cycle's own moment rounding would say on
+which side of a step the arm is, and the entry of the next path would take it for a difference that is to fade.
+"""
 STEP_S = 0.01
 TAIL_STEP_S, MOST_TAIL_STEPS = 0.05, 1000
 BLEND_S = 0.4
@@ -81,27 +85,53 @@ def shaped(asked: GoalPlan, arm: ArmConfig, present: Present, earlier: GoalPlan 
         check_limits(asked, arm)
         check_room_to_stop(asked, arm)
         return asked
-    reason: GoalRefused | None = None
-    try:
-        check_limits(asked, arm, margins=False)
-        check_room_to_stop(asked, arm)
-    except (BeyondLimits, NoRoomToStop) as problem:
-        reason = problem
     if earlier is not None and earlier.start_ns == 0:
         earlier = None
-    wanted = replace(asked, start_ns=asked.start_ns or present.monotonic_ns)
-    maker = _Maker(wanted, arm, present, earlier)
-    if reason is None and maker.a_blend_does():
+    reason = _why_not(asked, arm)
+    whole = _with_its_way(asked) if _has_a_way(asked, present, earlier) else asked
+    fits = reason is None and (whole is asked or _why_not(whole, arm) is None)
+    maker = _Maker(replace(whole, start_ns=asked.start_ns or present.monotonic_ns), arm, present, earlier)
+    if fits and maker.a_blend_does():
         return asked
     maker.refuse_jump()
-    return replace(maker.plan(), wanted=wanted, reason=reason)
+    return replace(maker.plan(), wanted=maker.wanted, reason=reason)
+
+
+def _why_not(plan: GoalPlan, arm: ArmConfig) -> GoalRefused | None:
+    """Which limit of its joints, without margins, a message would break; None for one that can be followed as it is."""
+    try:
+        check_limits(plan, arm, margins=False)
+        check_room_to_stop(plan, arm)
+    except (BeyondLimits, NoRoomToStop) as problem:
+        return problem
+    return None
+
+
+def _has_a_way(asked: GoalPlan, present: Present, earlier: GoalPlan | None) -> bool:
+    """Whether the way to the first point is part of the motion: from rest, or where it lies far ahead.
+
+    Otherwise the points before were those of the messages before, and the way is the line through the first one.
+    """
+    begins = present.standing and earlier is None
+    return asked.bridge and (begins or asked.times_ns[0] - asked.entry_ns > FAR_S * NS)
+
+
+def _with_its_way(asked: GoalPlan) -> GoalPlan:
+    """The same with the way from where the arm is commanded to its first point."""
+    return replace(
+        asked,
+        times_ns=np.insert(asked.times_ns, 0, asked.entry_ns),
+        orders=np.insert(asked.orders, 0, asked.orders[0]),
+        joints=np.concatenate([asked.origin[np.newaxis], asked.joints]),
+        entry=Entry.STREAM,
+    )
 
 
 class _Maker:
     """Makes the path that follows a message; all times are CLOCK_MONOTONIC in ns."""
 
     def __init__(self, wanted: GoalPlan, arm: ArmConfig, present: Present, earlier: GoalPlan | None) -> None:
-        self._wanted, self._arm, self._present, self._earlier = wanted, arm, present, earlier
+        self.wanted, self._arm, self._present, self._earlier = wanted, arm, present, earlier
         self._path = PlannedPath(wanted)
         self._mask = self._path.mask
         self._limits = _Limits.of(arm, self._mask)
@@ -110,7 +140,7 @@ class _Maker:
 
     def _targets(self, times_ns: np.ndarray) -> _State:
         """What the message asks for at some times, (n, joints); a last point that is meant to be at rest is."""
-        times_ns = times_ns - self._wanted.start_ns
+        times_ns = times_ns - self.wanted.start_ns
         position, velocity, _ = self._path.at(times_ns)
         if self._ends_at_rest:
             over = times_ns >= self._path.times_ns[-1]
@@ -144,22 +174,23 @@ class _Maker:
 
         A quintic that takes back d rad and w rad/s within T pushes with 5.8 d / T² and 3.9 w / T at the most.
         """
-        if self._present.standing and self._earlier is None:
-            return True  # how it begins was judged, and how the arm gets there is judged where it is
+        if self._present.standing and self._earlier is None and self.wanted.start_ns >= self._present.monotonic_ns:
+            return True  # it waits for the arm or the arm for it, and how it begins was judged
         target = self._targets(np.array([self._from_ns]))
         push = 5.8 * np.abs(target.position - self._from.position) / BLEND_S**2
         push += 3.9 * np.abs(target.velocity - self._from.velocity) / BLEND_S
         return bool((push <= BLEND_SHARE * self._limits.acceleration).all())
 
     def refuse_jump(self) -> None:
-        """Refuse a target that is nowhere near what was asked for before; raises TooFar."""
-        target, before = self._targets(np.array([self._from_ns])).position[0], self._from.position.copy()
-        allowed = np.full_like(target, self._arm.limits.start_tolerance_rad)
-        if not self._present.standing:
-            allowed += FAR_S * self._limits.velocity
+        """Refuse a target that is nowhere near what was asked for before; raises TooFar.
+
+        A message of a few ms is over by then: what counts is its last point, not the line on which it runs on.
+        """
+        target, before = _asked_at(self.wanted, self._from_ns), self._from.position.copy()
+        allowed = self._arm.limits.start_tolerance_rad + FAR_S * self._limits.velocity
         if self._earlier is not None:
             mine, theirs = self._shared_joints(self._earlier)
-            before[mine] = _at(self._earlier.wanted or self._earlier, self._from_ns).position[theirs]
+            before[mine] = _asked_at(self._earlier.wanted or self._earlier, self._from_ns)[theirs]
         away = np.abs(target - before)
         if not (away <= allowed).all():
             worst = int((away - allowed).argmax())
@@ -170,7 +201,8 @@ class _Maker:
         """The path that follows the message, from what is commanded now on."""
         times_ns, orders, knots = self._run_up()
         state, at_ns = self._from, self._from_ns
-        end_ns = int(self._path.times_ns[-1]) + self._wanted.start_ns
+        # a message of a few ms is over before the arm can follow it: streams of such would never begin
+        end_ns = max(int(self._path.times_ns[-1]) + self.wanted.start_ns, 2 * at_ns - self._present.monotonic_ns)
 
         def step(to_ns: int, target: _State) -> None:
             nonlocal state, at_ns
@@ -180,11 +212,10 @@ class _Maker:
             orders.append(3)
             knots.append(np.stack([state.position, state.velocity, np.zeros_like(state.velocity)], axis=1))
 
-        steps = np.append(np.arange(at_ns + round(STEP_S * NS), end_ns, round(STEP_S * NS)), max(end_ns, at_ns))
-        if steps[-1] > at_ns:
-            targets = self._targets(steps)
-            for to_ns, position, velocity in zip(steps, targets.position, targets.velocity, strict=True):
-                step(int(to_ns), _State(position, velocity))
+        steps = np.append(np.arange(at_ns + round(STEP_S * NS), end_ns, round(STEP_S * NS)), end_ns)
+        targets = self._targets(steps)
+        for to_ns, position, velocity in zip(steps, targets.position, targets.velocity, strict=True):
+            step(int(to_ns), _State(position, velocity))
         if self._ends_at_rest:
             end = np.clip(self._path.knots[-1, :, 0], self._limits.lower, self._limits.upper)  # rounding may be beyond
             goal = _State(end, np.zeros_like(end))
@@ -207,7 +238,7 @@ class _Maker:
         """What the arm does meanwhile, as times, orders and knots: entered anywhere in it, the path is no change."""
         now_ns, now = self._present.monotonic_ns, self._present.commanded[self._mask]
         times_ns, orders, knots = [now_ns], [3], [now.copy()]
-        if self._earlier is not None and self._earlier.joint_mask == self._wanted.joint_mask:
+        if self._earlier is not None and self._earlier.joint_mask == self.wanted.joint_mask:
             earlier = PlannedPath(self._earlier)
             own_ns = earlier.times_ns + self._earlier.start_ns
             between = np.flatnonzero((own_ns > now_ns) & (own_ns < self._from_ns))
@@ -230,7 +261,7 @@ class _Maker:
         joints[:, self._mask] = np.stack(knots)
         start_ns = times_ns[0]
         return replace(
-            self._wanted,
+            self.wanted,
             times_ns=np.array(times_ns) - start_ns,
             orders=np.array(orders),
             joints=joints,
@@ -244,6 +275,11 @@ def _at(plan: GoalPlan, time_ns: int) -> _State:
     """What a stream that has a start asks for at a time of CLOCK_MONOTONIC."""
     position, velocity, _ = PlannedPath(plan).at(np.array([time_ns - plan.start_ns]))
     return _State(position[0], velocity[0])
+
+
+def _asked_at(plan: GoalPlan, time_ns: int) -> np.ndarray:
+    """Where a stream wants its joints at a time of CLOCK_MONOTONIC, or at its end if that comes before."""
+    return _at(plan, min(time_ns, plan.start_ns + int(plan.times_ns[-1]))).position
 
 
 def largest_lag(plan: GoalPlan) -> tuple[int, float]:

@@ -212,15 +212,12 @@ def lay_blend(loop: Loop, path_index: int, rate: float, entry_s: float, duration
 
 
 @jit
-def latitude(loop: Loop, path_index: int) -> tuple[float, float]:
-    """How much of the acceleration limit a blend may use, and add to a plan that uses all of it.
+def share_beside_plan(loop: Loop, path_index: int) -> float:
+    """Share of the acceleration limit that a blend may add to a plan that uses all of it.
 
-    A plan that begins with its whole acceleration needs some more from rest, since one cycle is lost. What a stream
-    asks for was brought within the limits before; the blend only makes good what came late.
+    A plan that begins with its whole acceleration needs some more from rest, since one cycle is lost.
     """
-    if loop.paths[path_index].stream == 1:
-        return float(loop.params.braking_factor), START_SHARE
-    return stopping.ORDERLY, START_SHARE if loop.paths[path_index].from_rest == 1 else stopping.PLAN_SHARE
+    return START_SHARE if loop.paths[path_index].from_rest == 1 else stopping.PLAN_SHARE
 
 
 @jit
@@ -230,7 +227,7 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
     The first ratio above 1 ends the search.
     """
     entering = loop.paths[path_index]
-    factor, share = latitude(loop, path_index)
+    share = share_beside_plan(loop, path_index)
     until_s = entering.entry_s + entering.blend_s
     worst = 0.0
     knot = entering.segment  # the ones before may be overwritten
@@ -258,7 +255,8 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
             if not bridged:
                 fastest = max(fastest, abs(planned_speed))  # what the goal's own points ask for was checked exactly
             speed = rate * abs(v) / fastest
-            push = rate * rate * abs(a) / allowed_acceleration(loop, joint, rate * rate * planned, factor, share)
+            allowed = allowed_acceleration(loop, joint, rate * rate * planned, stopping.ORDERLY, share)
+            push = rate * rate * abs(a) / allowed
             if not (speed <= IMPOSSIBLE and push <= IMPOSSIBLE):
                 return IMPOSSIBLE  # not a number
             worst = max(worst, speed, push)

@@ -50,13 +50,11 @@ class Servo:
         stamps = np.array(stamps_ns)
         first = max(int(np.searchsorted(stamps, self.arm.now_ns, side="right")) - 1, 0)  # the front leaves out the past
         self.sent += 1
-        self.arm.send_goal(
-            stamps[first:] - stamps[0],
-            np.array(rows[first:]),
-            order=3,
-            stream=True,
-            start_ns=int(stamps[0]),
-        )
+        self.hand_on(stamps[first:] - stamps[0], np.array(rows[first:]), int(stamps[0]))
+
+    def hand_on(self, times_ns: np.ndarray, rows: np.ndarray, start_ns: int) -> None:
+        """Give the control process a message as it is; `start_ns` is 0 where it has no stamp."""
+        self.arm.send_goal(times_ns, rows, order=3, stream=True, bridge=start_ns == 0, start_ns=start_ns)
 
 
 class SinglePoints(Servo):
@@ -71,4 +69,4 @@ class SinglePoints(Servo):
         position, velocity = self.way((now_ns - self.begun_ns + self.period_ns) * 1e-9)
         rows = np.stack([position, velocity * self.velocities, np.zeros_like(position)], axis=1)
         self.sent += 1
-        self.arm.send_goal(np.array([self.period_ns]), rows[None], order=3, stream=True, bridge=True)
+        self.hand_on(np.array([self.period_ns]), rows[None], 0)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from commanded import CommandedArm
+from servo import Servo, SinglePoints
 
 from config.schema import ArmConfig
 from rosfront.goal import plan_stream
@@ -157,3 +158,23 @@ class StreamedArm(CommandedArm):
             while self.now_ns < self.front.begun_ns + message.came_ns + late_ns:
                 self.cycle()
             self.take(message)
+
+
+class _ByTheFront(Servo):
+    """A sender whose messages the front judges."""
+
+    arm: StreamedArm
+
+    def hand_on(self, times_ns: np.ndarray, rows: np.ndarray, start_ns: int) -> None:
+        """Have the front judge a message, and the control process given what comes of it."""
+        names = [joint.name for joint in self.arm.arm.joints]
+        stamp_ns = start_ns and start_ns - self.arm.front.begun_ns
+        self.arm.take(Message(0, stamp_ns, names, times_ns, rows[:, :, 0], rows[:, :, 1]))
+
+
+class JudgedServo(_ByTheFront):
+    """MoveIt Servo as the control process hears of it."""
+
+
+class JudgedPoints(_ByTheFront, SinglePoints):
+    """Points one by one, as the control process hears of them."""

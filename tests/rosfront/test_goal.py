@@ -399,8 +399,11 @@ def test_partial_goals_can_be_forbidden():
 
 
 def test_a_stream_may_end_in_motion_and_its_first_point_may_be_near():
+    """From rest it is too near: the arm follows, with a lag that is no limit the message would break."""
     plan = streamed(one_joint(point(0.01, [0.004], [0.4])))
-    assert plan.stream and plan.bridge
+    assert plan.stream and plan.wanted is not None and plan.reason is None
+    plan = streamed(one_joint(point(1.0, [0.1], [0.1])))
+    assert plan.stream and plan.bridge and plan.wanted is None, "what can be done in time is handed on as it came"
     with pytest.raises(refusals.GoalRefused):
         planned(one_joint(point(0.01, [0.004], [0.4])))
 

@@ -443,7 +443,7 @@ def streamed(*points, names=NAMES):
 
 def test_a_trajectory_on_the_topic_moves_the_arm(stage, operator):
     publisher = operator.publisher(JointTrajectory, "~/joint_trajectory")
-    publisher.publish(streamed((0.2, 0.02, 0.05)))
+    publisher.publish(streamed((0.4, 0.02, 0.05)))
     until(lambda: stage.loop.rows["commanded_position_rad"][0] == pytest.approx(0.02), "the motion")
     begins = [goal["begin"] for goal in stage.loop.goals.values()]
     assert int(begins[-1]["entry"]) & Entry.STREAM

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from streamed import NS, SERVO_POSE_RAD, Message, StreamedArm, recorded_servo
 from true_motion import largest_acceleration_ratio
@@ -160,15 +160,27 @@ def test_the_recorded_servo_is_followed_within_the_limits(late_ns: int) -> None:
     seen |= ended(arm)
     assert seen <= {Outcome.NONE, Outcome.REPLACED, Outcome.SUCCEEDED}
     assert arm.core["fault"] == Fault.NONE
-    assert 0 < arm.front.shaped < 250 and max(lags) < 0.006
+    assert 0 < arm.front.shaped <= 80 and max(lags) < 0.005  # 76 of the 639, half as many if they come late
     assert arm.acceleration_ratio() <= 1.05
     assert arm.positions[-1] == pytest.approx(messages[-1].positions[-1], abs=1e-6)
     assert truly(arm, begun_ns + 100_000_000) <= ALLOWED
     arm.close()
 
 
-@trials
+@settings(trials, max_examples=15)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([20, 50, 100]), st.floats(0.5, 6.0), st.booleans())
+@example(seed=0, rate_hz=20, speed=1.0, velocities=False).via(
+    "the way from rest was left to a blend that took 1.38 x the limit"
+)
+@example(seed=0, rate_hz=50, speed=1.0, velocities=False).via(
+    "it never began: each message was refused by the control process"
+)
+@example(seed=1, rate_hz=20, speed=1.0 / 3.0, velocities=True).via(
+    "beyond a limit of position by less than the arm's slack"
+)
+@example(seed=3475229416, rate_hz=100, speed=4.8, velocities=True).via(
+    "it never began: messages were over before the arm followed"
+)
 def test_a_wild_stream_is_followed_within_the_limits_and_to_its_end(
     seed: int, rate_hz: int, speed: float, velocities: bool
 ) -> None:
@@ -200,7 +212,7 @@ def test_a_wild_stream_is_followed_within_the_limits_and_to_its_end(
     period_s = arm.period_ns / NS
     assert (np.abs(np.diff(positions, axis=0)) / period_s <= fastest * 1.05).all()
     assert arm.acceleration_ratio() <= 1.06
-    assert (positions >= np.minimum(low, positions[0]) - 1e-6).all()
-    assert (positions <= np.maximum(high, positions[0]) + 1e-6).all()
+    slack = np.array([joint.command_pulse_rad + joint.encoder_count_rad for joint in arm.arm.joints])
+    assert (positions >= low - slack).all() and (positions <= high + slack).all(), "as any path: to a pulse and a count"
     assert positions[-1] == pytest.approx(target, abs=1e-6), dropped
     arm.close()
