@@ -53,8 +53,7 @@ class JointConfig(Section):
     max_acceleration_rad_s2: float = Field(
         ge=1e-4,
         le=1e5,
-        description="Acceleration limit of the joint (rad/s²); with motor_rpm and limits.braking_factor it must let "
-        "the arm stop within 60 s.",
+        description="Acceleration limit of the joint (rad/s²); with motor_rpm it must let the arm stop within 60 s.",
     )
 
     @model_validator(mode="after")

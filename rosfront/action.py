@@ -99,7 +99,10 @@ class _TellingServer(ActionServer):
         else:
             unknown = self._action_type.Impl.GetResultService.Response(status=GoalStatus.STATUS_UNKNOWN)
             unknown.result = self._of_unknown
-            self._handle.send_result_response(header, unknown)
+            try:
+                self._handle.send_result_response(header, unknown)
+            except RuntimeError as problem:  # who asked is not known to the middleware yet, or no more
+                self._logger.warning(f"Who asked for the result of an unknown goal was not answered: {problem}.")
 
     def _send_result_response(self, request_header: Any, future: Future) -> None:
         super()._send_result_response(request_header, future)
@@ -166,16 +169,22 @@ class _UnlockedServer(_TellingServer):
         handle = None
         if not known and await self._goal_callback(request) is GoalResponse.ACCEPT:
             info.stamp = self._node.get_clock().now().to_msg()
-            with self._lock:
-                handle = ServerGoalHandle(self, info, request)
-            self._goal_handles[request.goal_id] = handle
-            result = self._result_futures[request.goal_id] = Future()
-            self.add_future(result)
+            try:
+                with self._lock:
+                    handle = ServerGoalHandle(self, info, request)
+            except RuntimeError as problem:
+                self._logger.error(f"A goal is not taken, since another with its id was accepted meanwhile: {problem}.")
+            else:
+                self._goal_handles[request.goal_id] = handle
+                result = self._result_futures[request.goal_id] = Future()
+                self.add_future(result)
         accepted = handle is not None
         try:
             self._requests.answer(request, Response(accepted=accepted, stamp=info.stamp))
         except RuntimeError as problem:
             self._logger.warning(f"The answer to a goal was not sent, so the goal is not begun: {problem}.")
+            if handle is not None:
+                handle._goal_request = None
             return
         if handle is None:
             return

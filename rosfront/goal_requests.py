@@ -21,7 +21,7 @@ import numpy as np
 from control_msgs.action import FollowJointTrajectory
 from rclpy.executors import Executor
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message
 
 from rosfront.goal_bytes import goal_id
 from rosfront.serving import Arrival
@@ -148,7 +148,7 @@ class GoalFunctions:
         request.goal.trajectory.joint_names = ["joint"]
         with self._requests.of(request) as made:
             data = self._serialised(made)
-        if data.tobytes() != serialize_message(request) or goal_id(data) != bytes(range(1, 17)):
+        if deserialize_message(data.tobytes(), Request) != request or goal_id(data) != bytes(range(1, 17)):
             raise ValueError("a serialised goal request has another form")
 
     def take(self, server: int) -> tuple[np.ndarray, Any] | None:

@@ -35,6 +35,9 @@ LIVE_NS = 2_500_000_000
 LONGEST_LOOK_S = 2.0
 _LONGEST_ANSWER = 1000
 _LONGEST_WORD = 60
+_PIDS = 1 << 32
+_MOST_ANSWERS = 50
+"""Taken in one look."""
 _FAST_DDS = b"\x01\x0f"
 _MACHINE = slice(2, 4)
 """Where Fast DDS' identifiers name the machine, the same for all of its processes."""
@@ -64,8 +67,8 @@ class Server:
         try:
             said = json.loads(text[:_LONGEST_ANSWER])["rtarm"]
             arm, host, node = (legible(str(said[name]), _LONGEST_WORD) for name in ("arm", "host", "node"))
-            return cls(str(said["instance"]), arm, int(said["pid"]), host, node)
-        except (ValueError, TypeError, KeyError):
+            return cls(str(said["instance"]), arm, int(said["pid"]) % _PIDS, host, node)
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
             return None
 
 
@@ -188,11 +191,12 @@ class OtherServers(threading.Thread):
     def _answers(self) -> list[str]:
         """What has come since the last look. Each server answers, so rclpy's one future a request will not do."""
         answers: list[str] = []
-        while True:
+        for _ in range(_MOST_ANSWERS):
             header, response = self._client.handle.take_response(self._type.Response)
             if header is None:
-                return answers
+                break
             answers.append(response.result.error_string)
+        return answers
 
     def _say(self, live: list[Server | None], endpoints: list[Any]) -> None:
         sentence = self._sentence(live, endpoints) if live else ""

@@ -68,6 +68,7 @@ def obey_stop_and_hold(loop: Loop, shared: Shared, command: int) -> None:
         note(loop, shared, Request.HOLD, _HOLD)
     if stopped or held:
         core.held = 1
+        core.grip_halted = core.grip_sequence
         core.pose_due_ns = 0
         raise_epoch(loop, shared, Outcome.REFUSED_HELD)
         if core.mode == Mode.REFERENCING:

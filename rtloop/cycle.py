@@ -82,6 +82,7 @@ def stand_where_the_drives_stopped(loop: Loop, shared: Shared, gap_ns: int) -> N
     """After a gap longer than the drives' look-ahead: the goal is over, the arm is where it came to rest."""
     core = loop.core
     record_event(loop, shared, Event.OVERRUN, -1, gap_ns, gap_ns * 1e-9, GAP_NS * 1e-9)
+    commands.raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)  # what waited meanwhile moves nothing
     if not runs(loop) and core.own_brake == 0:
         return
     goals.finish_running(loop, shared, Outcome.CLOCK_GAP, -1, gap_ns * 1e-9, GAP_NS * 1e-9)

@@ -31,9 +31,9 @@ def record_event(loop: Loop, shared: Shared, kind: int, joint: int, code: int, v
 
 @jit
 def set_result(loop: Loop, shared: Shared, goal_id: int, outcome: int, joint: int, value: float, limit: float) -> None:
-    """Decide a goal; the first decision stands, and none gives way to that of an older goal in its slot."""
+    """Decide a goal; the first decision stands."""
     result = loop.snapshot.results[goal_id & (layout.RESULT_SLOTS - 1)]
-    if goal_id <= 0 or goal_id < result.goal_id or (result.goal_id == goal_id and result.outcome != 0):
+    if goal_id <= 0 or (result.goal_id == goal_id and result.outcome != 0):
         return
     result.goal_id = goal_id
     result.outcome = outcome

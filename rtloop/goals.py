@@ -174,7 +174,7 @@ def steer(loop: Loop, shared: Shared) -> None:
 
 @jit
 def is_urgent(loop: Loop) -> bool:
-    """Whether a stop may use the braking factor: a person's, that of a fault, and when a process or a drive fails.
+    """Whether a stop may use the braking factor: a person's, that of a fault, and whatever else ends a goal.
 
     What belongs to ordinary operation (cancel, hold, a newer goal, the end of a stream) keeps the limits.
     """

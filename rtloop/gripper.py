@@ -89,7 +89,7 @@ class GripperTalk(Conversation):
         self._known = False
         self._taken = int(self._core["grip_sequence"])
         self._halts = self._counted_halts()
-        self._obeying = False
+        self._obeying = self._halting = False
         self._judge: GripJudge | None = None
         self._full_ma = HIGHEST_UNLIMITED_MA
         self._limit_ma = 0
@@ -130,12 +130,11 @@ class GripperTalk(Conversation):
 
     @property
     def _waits(self) -> bool:
-        return int(self._core["grip_sequence"]) != self._taken
+        return self._halting or int(self._core["grip_sequence"]) != self._taken
 
     def stop(self) -> None:
-        """Let it stop, as by an order: the control process is about to end."""
-        self._core["grip_kind"] = Request.GRIP_STOP
-        self._core["grip_sequence"] += 1
+        """Let it stop, as by an order: a person has stopped the arm, or the control process is about to end."""
+        self._halting = True
 
     def _take(self) -> Order | None:
         """The newest order that has not been taken yet.
@@ -146,6 +145,10 @@ class GripperTalk(Conversation):
         if not self._waits:
             return None
         core = self._core
+        if self._halting:  # in the place of what was asked for before, and before what was asked for since
+            self._halting = False
+            self._taken = max(self._taken, int(core["grip_halted"]))
+            return Order(self._taken, Request.GRIP_STOP, 0.0, 0.0)
         order = Order(
             int(core["grip_sequence"]), int(core["grip_kind"]), float(core["grip_rad"]), float(core["grip_effort"])
         )

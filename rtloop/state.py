@@ -260,6 +260,7 @@ CORE = np.dtype(
         ("grip_rad", "f8"),
         ("grip_effort", "f8"),
         ("grip_sequence", "i8"),  # of the request, written last
+        ("grip_halted", "i8"),  # of the newest one that a person's stop or hold has ended
         ("closing", "i8"),  # a shutdown is stopping the arm
         # the goal
         ("active", "i8"),  # which of the two paths runs

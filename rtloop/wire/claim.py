@@ -91,6 +91,16 @@ def claim(bus: str, arm: str, users: Mapping[Identifiers, str]) -> Claim:
 
     Raises WireRefused where another process has claimed one of them.
     """
+    try:
+        return _claimed(bus, arm, users)
+    except OSError as problem:
+        raise WireRefused(
+            f"Whether another program leads drives on {bus} cannot be found out ({problem}): let this one read "
+            f"{_SOCKETS} and open Unix sockets."
+        ) from problem
+
+
+def _claimed(bus: str, arm: str, users: Mapping[Identifiers, str]) -> Claim:
     claimed = Claim()
     with _no_other_claims(bus):
         held = list(_claims(bus))

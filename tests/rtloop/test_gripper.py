@@ -406,6 +406,22 @@ def test_a_person_stops_a_gripper_that_is_just_about_to_set_off(stage: Stage, cy
     stage.arm.resume()
 
 
+@pytest.mark.parametrize("stops", [1, 3])
+def test_the_first_command_after_a_stop_and_a_resume_is_obeyed(stage: Stage, stops: int) -> None:
+    """Its number used to be that of the stop, so it was told as obeyed and forgotten."""
+    gripper = stage.arm.arm.gripper
+    stage.ask(Request.GRIP, value=gripper.upper_rad)
+    stage.run(0.15)
+    for _ in range(stops):
+        stage.arm.stop()
+        stage.run(0.05)
+    stage.arm.resume()
+    target_rad = gripper.lower_rad + 0.1 * (gripper.upper_rad - gripper.lower_rad)
+    stage.ask(Request.GRIP, value=target_rad)
+    stage.run(5.0)
+    assert stage.true_rad == pytest.approx(target_rad, abs=0.05)
+
+
 def test_what_is_gripped_stays_gripped_when_a_person_stops_the_arm(stage: Stage) -> None:
     stage.inject(faults.Thing(0.0, 40.0))
     assert stage.go(0.0) == Grip.STALLED

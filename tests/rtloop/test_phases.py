@@ -10,7 +10,6 @@ from virtual import VirtualArm
 
 from rtloop.faults import latch_fault
 from rtloop.phases import ALLOWED, change_phase
-from shm import layout
 from shm.words import Fault, Outcome, Phase
 
 
@@ -115,20 +114,4 @@ def test_the_first_reason_to_stop_stands_but_a_fault_comes_before_it() -> None:
     latch_fault(arm.loop[0], arm.state.array[0], Fault.FOLLOWING_ERROR, 0, 1.0, 0.1)
     assert arm.running["reason"] == Outcome.FAULT
     assert arm.end_of(goal) == Outcome.FAULT
-    arm.close()
-
-
-def test_the_end_of_a_goal_leaves_the_newer_result_in_its_slot() -> None:
-    """Goal 17 is refused while goal 1 stops, and both have the same slot."""
-    arm = new_arm()
-    first = arm.send_shift(0.3)
-    arm.cycles(100)
-    arm.cancel(first)
-    arm.hold()
-    for _ in range(layout.RESULT_SLOTS):
-        newest = arm.send_shift(0.1)
-        arm.cycle()
-    assert arm.running["phase"] == Phase.STOPPING and newest == first + layout.RESULT_SLOTS
-    comes_to(arm, Phase.NONE)
-    assert arm.outcome(newest) == Outcome.REFUSED_HELD
     arm.close()

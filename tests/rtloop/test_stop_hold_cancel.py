@@ -94,6 +94,21 @@ def test_a_goal_that_waits_for_its_start_ends_with_a_stop_and_a_hold(arm: Virtua
     stands_for(arm, 2.0)
 
 
+@pytest.mark.parametrize("beside", [False, True], ids=["alone", "beside a goal that runs"])
+def test_a_goal_that_waits_for_its_start_ends_when_the_loop_was_away(arm: VirtualArm, beside: bool) -> None:
+    """The machine was suspended: what was meant for an hour ago moves nothing."""
+    if beside:
+        arm.send_shift(0.2)
+        arm.cycles(60)
+    waiting = arm.send_shift(start_ns=arm.now_ns + 2 * NS)
+    arm.cycles(10)
+    arm.suspend(3600.0)
+    arm.cycle()
+    assert arm.outcome(waiting) == Outcome.REFUSED_OUTDATED
+    arm.until(lambda: not moves(arm))
+    stands_for(arm, 3.0)
+
+
 def test_a_goal_behind_a_full_ring_does_not_begin_after_the_stop(arm: VirtualArm) -> None:
     arm.send_shift(0.2, duration_s=30.0)
     arm.cycles(60)
