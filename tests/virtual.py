@@ -106,6 +106,7 @@ class VirtualArm:
         self.port = ServicePort(self.loop, entries)
         self.gripper: GripperTalk | None = None
         self.now_ns = START_NS
+        self.core["epoch"] = START_NS  # which is the real time of its start otherwise
         self.suspended_ns = 0
         self.random = np.random.default_rng(seed)
         self.jitter_ns = jitter_ns

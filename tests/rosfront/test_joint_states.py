@@ -147,6 +147,7 @@ def followed(thread, slow):
     return sum(steps.get(cycle) == 1 for cycle in slow)
 
 
+@pytest.mark.process
 def test_after_a_slow_publication_the_next_cycle_is_published_at_once(arm, loop, thread):
     slow = []
 
@@ -162,6 +163,7 @@ def test_after_a_slow_publication_the_next_cycle_is_published_at_once(arm, loop,
     assert followed(thread, slow[:20]) >= 15  # a busy machine may take the rest
 
 
+@pytest.mark.process
 def test_a_late_cycle_is_waited_for(arm, loop, thread):
     late = []
 
