@@ -18,7 +18,7 @@ from rosfront.refusals import BeyondLimits, GoalRefused, NoRoomToStop, TooFar
 from shm.words import Entry
 
 STREAM_S = 5.0
-"""A message that lasts longer is a whole trajectory, which could have been planned within the limits: it is judged."""
+"""A message that ends later is a whole trajectory, which could have been planned within the limits: it is judged."""
 FAR_S = 0.1
 """A stream's target may jump by the start tolerance and by what the joint can do in that time: points come at 10 Hz."""
 AHEAD_S, AHEAD_PERIODS = 0.01, 3.5
@@ -80,8 +80,9 @@ def shaped(asked: GoalPlan, arm: ArmConfig, present: Present, earlier: GoalPlan 
     `earlier` is the stream that the arm follows or is about to, None where there is none. `asked` keeps the limits of
     position at its points.
     """
-    ends_ns = int(asked.times_ns[-1]) + (asked.start_ns or present.monotonic_ns)
-    if ends_ns - present.monotonic_ns > STREAM_S * NS:
+    begins_ns, follows_ns = asked.start_ns or present.monotonic_ns, _follows_ns(arm, present)
+    # what runs may run until it begins, so one that lies ahead is not followed from now on
+    if begins_ns > follows_ns or begins_ns + int(asked.times_ns[-1]) - present.monotonic_ns > STREAM_S * NS:
         check_limits(asked, arm)
         check_room_to_stop(asked, arm)
         return asked
@@ -90,15 +91,16 @@ def shaped(asked: GoalPlan, arm: ArmConfig, present: Present, earlier: GoalPlan 
     reason = _why_not(asked, arm)
     whole = _with_its_way(asked) if _has_a_way(asked, present, earlier) else asked
     fits = reason is None and (whole is asked or _why_not(whole, arm) is None)
-    maker = _Maker(replace(whole, start_ns=asked.start_ns or present.monotonic_ns), arm, present, earlier)
-    if asked.start_ns > maker.from_ns:  # what runs may run until then, so it is planned and not followed from now on
-        check_limits(asked, arm)
-        check_room_to_stop(asked, arm)
-        return asked
+    maker = _Maker(replace(whole, start_ns=begins_ns), arm, present, earlier)
     if fits and maker.a_blend_does():
         return asked
     maker.refuse_jump()
     return replace(maker.plan(), wanted=maker.wanted, reason=reason)
+
+
+def _follows_ns(arm: ArmConfig, present: Present) -> int:
+    """When the arm can begin to follow a message, CLOCK_MONOTONIC."""
+    return present.monotonic_ns + round((AHEAD_S * NS) + AHEAD_PERIODS * arm.control.period_ns)
 
 
 def _why_not(plan: GoalPlan, arm: ArmConfig) -> GoalRefused | None:
@@ -139,7 +141,7 @@ class _Maker:
         self._path = PlannedPath(wanted)
         self._mask = self._path.mask
         self._limits = _Limits.of(arm, self._mask)
-        self.from_ns = present.monotonic_ns + round((AHEAD_S * NS) + AHEAD_PERIODS * arm.control.period_ns)
+        self._from_ns = _follows_ns(arm, present)
         self._from = self._going_on()
 
     def _targets(self, times_ns: np.ndarray) -> _State:
@@ -158,11 +160,11 @@ class _Maker:
     def _going_on(self) -> _State:
         """Where the arm will be when it begins to follow the message: by the stream before, else as it moves now."""
         now = self._present.commanded[self._mask]
-        ahead_s = (self.from_ns - self._present.monotonic_ns) / NS
+        ahead_s = (self._from_ns - self._present.monotonic_ns) / NS
         position, velocity = now[:, 0] + now[:, 1] * ahead_s, now[:, 1].copy()
         if self._earlier is not None:
             mine, theirs = self._shared_joints(self._earlier)
-            before, after = (_at(self._earlier, ns) for ns in (self._present.monotonic_ns, self.from_ns))
+            before, after = (_at(self._earlier, ns) for ns in (self._present.monotonic_ns, self._from_ns))
             position[mine] += (after.position - before.position)[theirs] - before.velocity[theirs] * ahead_s
             velocity[mine] += (after.velocity - before.velocity)[theirs]
         return _State(position, velocity)
@@ -180,7 +182,7 @@ class _Maker:
         """
         if self._present.standing and self._earlier is None and self.wanted.start_ns >= self._present.monotonic_ns:
             return True  # it waits for the arm or the arm for it, and how it begins was judged
-        target = self._targets(np.array([self.from_ns]))
+        target = self._targets(np.array([self._from_ns]))
         push = 5.8 * np.abs(target.position - self._from.position) / BLEND_S**2
         push += 3.9 * np.abs(target.velocity - self._from.velocity) / BLEND_S
         return bool((push <= BLEND_SHARE * self._limits.acceleration).all())
@@ -190,11 +192,11 @@ class _Maker:
 
         A message of a few ms is over by then: what counts is its last point, not the line on which it runs on.
         """
-        target, before = _asked_at(self.wanted, self.from_ns), self._from.position.copy()
+        target, before = _asked_at(self.wanted, self._from_ns), self._from.position.copy()
         allowed = self._arm.limits.start_tolerance_rad + FAR_S * self._limits.velocity
         if self._earlier is not None:
             mine, theirs = self._shared_joints(self._earlier)
-            before[mine] = _asked_at(self._earlier.wanted or self._earlier, self.from_ns)[theirs]
+            before[mine] = _asked_at(self._earlier.wanted or self._earlier, self._from_ns)[theirs]
         away = np.abs(target - before)
         if not (away <= allowed).all():
             worst = int((away - allowed).argmax())
@@ -204,7 +206,7 @@ class _Maker:
     def plan(self) -> GoalPlan:
         """The path that follows the message, from what is commanded now on."""
         times_ns, orders, knots = self._run_up()
-        state, at_ns = self._from, self.from_ns
+        state, at_ns = self._from, self._from_ns
         # a message of a few ms is over before the arm can follow it: streams of such would never begin
         end_ns = max(int(self._path.times_ns[-1]) + self.wanted.start_ns, 2 * at_ns - self._present.monotonic_ns)
 
@@ -245,7 +247,7 @@ class _Maker:
         if self._earlier is not None and self._earlier.joint_mask == self.wanted.joint_mask:
             earlier = PlannedPath(self._earlier)
             own_ns = earlier.times_ns + self._earlier.start_ns
-            between = np.flatnonzero((own_ns > now_ns) & (own_ns < self.from_ns))
+            between = np.flatnonzero((own_ns > now_ns) & (own_ns < self._from_ns))
             before, ahead_s = _at(self._earlier, now_ns), (own_ns[between] - now_ns) / NS
             for index, later_s in zip(between, ahead_s, strict=True):
                 knot = earlier.knots[index].copy()
@@ -254,7 +256,7 @@ class _Maker:
                 times_ns.append(int(own_ns[index]))
                 orders.append(int(earlier.orders[index - 1]) if index else 3)
                 knots.append(knot)
-        times_ns.append(self.from_ns)
+        times_ns.append(self._from_ns)
         orders.append(3)
         knots.append(np.stack([self._from.position, self._from.velocity, np.zeros_like(self._from.velocity)], axis=1))
         return times_ns, orders, knots

@@ -1,5 +1,7 @@
 """Streams that ask for more than the limits allow: plans that follow them, judged by differences of positions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +13,14 @@ from motion import shaping
 from rosfront.goal import plan_stream
 from rosfront.path import PlannedPath
 from rosfront.plan import GoalPlan, Present
-from rosfront.refusals import AccelerationBeyondLimit, GoalRefused, NotFinite, PositionBeyondLimit, TooFar
+from rosfront.refusals import (
+    AccelerationBeyondLimit,
+    BeyondLimits,
+    GoalRefused,
+    NotFinite,
+    PositionBeyondLimit,
+    TooFar,
+)
 from rosfront.settings import Settings
 from rosfront.shaper import FAR_S, STREAM_S, check_room_to_stop, largest_lag
 
@@ -201,3 +210,22 @@ def test_a_whole_trajectory_on_the_topic_is_judged_like_a_goal() -> None:
     with pytest.raises(GoalRefused):
         followed(message(times_s, points, None), np.zeros((6, 2)), standing=True)
     assert followed(message([0.0, 0.2, STREAM_S - 0.1], points, None), np.zeros((6, 2)), standing=True).wanted
+
+
+def test_a_message_that_lies_ahead_is_begun_when_it_is_due() -> None:
+    """It used to be followed from now on, or refused as a jump where it begins at the end of the stream before."""
+    began = np.zeros((6, 2))
+    times_s = np.array([0.0, 1.0])
+    first = followed(message(times_s, np.array([np.zeros(6), np.full(6, 0.1)]), np.zeros((2, 6))), began)
+    for start in (0.05, 0.1):
+        ahead = message(times_s, np.array([np.full(6, start), np.full(6, start + 0.1)]), np.zeros((2, 6)))
+        ahead = replace(ahead, stamp_ns=NOW_NS + NS)
+        plan = followed(ahead, began, earlier=first)
+        assert plan.wanted is None and plan.start_ns == NOW_NS + NS
+
+
+def test_a_message_that_lies_ahead_and_asks_for_too_much_is_refused() -> None:
+    times_s = np.array([0.0, 0.1])
+    wild = message(times_s, np.array([np.zeros(6), np.full(6, 0.5)]), None)
+    with pytest.raises(BeyondLimits):
+        followed(replace(wild, stamp_ns=NOW_NS + 2 * NS), np.zeros((6, 2)), standing=True)
