@@ -16,7 +16,7 @@ from ros_client import CANCELED, SUCCEEDED, until
 from sensor_msgs.msg import JointState
 
 from config.loader import arm_hash, load_arm
-from shm.client import CommandWriter
+from shm.client import CommandWriter, find
 from shm.errors import RingFull
 from shm.files import own_command
 from shm.words import Entry, Mode, Outcome
@@ -198,8 +198,8 @@ def stream_knots(stack: LiveStack, writer: CommandWriter) -> float:
     patiently(lambda: writer.end(goal, off, consumed()))
     while True:
         writer.beat()
-        result = stack.reader.snapshot()["results"][goal]
-        if result["goal_id"] == goal and result["outcome"] != Outcome.NONE:
+        result = find(stack.reader.snapshot()["results"], "goal_id", goal)
+        if result is not None:
             assert result["outcome"] == Outcome.SUCCEEDED, result
             return time.monotonic() - begun
         time.sleep(0.02)

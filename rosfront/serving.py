@@ -202,7 +202,7 @@ class Serving:
             return Verdict(Status.ABORTED, INVALID_GOAL, outcome_sentence(why := _why_outdated(snapshot)), why)
         results = snapshot["results"]
         result = find(results, "goal_id", goal_id)
-        if result is not None and int(result["outcome"]) != Outcome.NONE:
+        if result is not None:
             return judge(
                 int(result["outcome"]),
                 int(result["joint"]),

@@ -31,10 +31,9 @@ def record_event(loop: Loop, shared: Shared, kind: int, joint: int, code: int, v
 
 @jit
 def set_result(loop: Loop, shared: Shared, goal_id: int, outcome: int, joint: int, value: float, limit: float) -> None:
-    """Decide a goal; the first decision stands."""
-    result = loop.snapshot.results[goal_id & (layout.RESULT_SLOTS - 1)]
-    if goal_id <= 0 or (result.goal_id == goal_id and result.outcome != 0):
-        return
+    """Append to the table of results; the oldest decision is overwritten, whichever goal's it is."""
+    result = loop.snapshot.results[loop.core.results_decided & (layout.RESULT_SLOTS - 1)]
+    loop.core.results_decided += 1
     result.goal_id = goal_id
     result.outcome = outcome
     result.joint = joint

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from rtloop.events import record_event, set_result
+from rtloop.events import record_event
 from rtloop.modes import change_mode
-from rtloop.phases import end_waiting, running_goal, stop_running
+from rtloop.phases import end_waiting, runs, stop_running, tell_why_it_stops
 from shm.jit import jit
 from shm.words import Event, Fault, Mode, Outcome
 
@@ -43,4 +43,5 @@ def latch_fault(loop: Loop, shared: Shared, fault: int, joint: int, value: float
     core.epoch += 1
     end_waiting(loop, shared, Outcome.FAULT, joint, value, limit)
     stop_running(loop, Outcome.FAULT, joint, value, limit)
-    set_result(loop, shared, running_goal(loop), Outcome.FAULT, joint, value, limit)
+    if runs(loop):
+        tell_why_it_stops(loop, shared)

@@ -17,7 +17,6 @@ from rtloop.entry import (
     has_bridge,
     rate_while_blending,
 )
-from rtloop.events import set_result
 from rtloop.modes import change_mode
 from rtloop.path import end_s, goes_on_past_end, in_goal
 from rtloop.phases import (
@@ -28,6 +27,7 @@ from rtloop.phases import (
     runs,
     stop_running,
     stops_for_good,
+    tell_why_it_stops,
     waits,
 )
 from shm.jit import jit
@@ -56,7 +56,7 @@ def enter_newer_goal(loop: Loop, shared: Shared) -> None:
     entry_s = due_s(loop, newer)
     if not has_bridge(loop, newer, entry_s) and refused_as_too_far(loop, shared, entry_s):
         return
-    if stops_for_good(loop) and not guard.at_rest(loop):
+    if stops_for_good(loop, core.active) and not guard.at_rest(loop):
         return  # a stop that was asked for is finished first
     if core.mode != Mode.HOLDING and core.mode != Mode.EXECUTING and core.mode != Mode.STOPPING:
         return
@@ -105,11 +105,10 @@ def refused_as_too_far(loop: Loop, shared: Shared, entry_s: float) -> bool:
 def start_incoming(loop: Loop, shared: Shared) -> None:
     """Let the path that has just become the active one run; the goal of the other is over."""
     core = loop.core
-    older, newer = loop.paths[incoming(loop)], core.active
-    stopped = older.phase == Phase.STOPPING and older.reason != Outcome.RAN_DRY
-    outcome = older.reason if stopped else Outcome.REPLACED
+    older = loop.paths[incoming(loop)]
+    outcome = older.reason if stops_for_good(loop, incoming(loop)) else Outcome.REPLACED
     end_waiting(loop, shared, outcome, older.reason_joint, older.reason_value, older.reason_limit)
-    change_phase(loop, newer, Phase.RUNNING)
+    change_phase(loop, core.active, Phase.RUNNING)
     core.slowed &= ~_STARVING
     core.arriving = 0
     core.motion_started = 1
@@ -151,11 +150,10 @@ def steer(loop: Loop, shared: Shared) -> None:
     stop_what_cannot_go_on(loop)
     running = loop.paths[core.active]
     if running.phase == Phase.STOPPING and is_told_at_once(running.reason):
-        joint, value, limit = running.reason_joint, running.reason_value, running.reason_limit
-        set_result(loop, shared, running.goal_id, running.reason, joint, value, limit)
+        tell_why_it_stops(loop, shared)
     if core.own_brake == 1:
         return
-    if stops_for_good(loop) and core.mode == Mode.EXECUTING:
+    if stops_for_good(loop, core.active) and core.mode == Mode.EXECUTING:
         change_mode(loop, shared, Mode.STOPPING)
     must_arrive = running.ended == 1 and not goes_on_past_end(loop, core.active)
     runs_on = running.stream == 1 and (running.ended == 0 or running.ends_moving == 1)

@@ -274,6 +274,7 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
     path = loop.paths[incoming(loop)]
     change_phase(loop, incoming(loop), Phase.WAITING)
     path.goal_id = goal_id
+    path.told = 0
     path.settle_ns = 0
     path.reason, path.reason_joint = Outcome.NONE, -1
     path.reason_value = path.reason_limit = 0.0

@@ -65,10 +65,10 @@ def running_goal(loop: Loop) -> int:
 
 
 @jit
-def stops_for_good(loop: Loop) -> bool:
-    """Whether the goal that runs has been ended; one that ran dry goes on with the next message of its stream."""
-    running = loop.paths[loop.core.active]
-    return bool(running.phase == Phase.STOPPING and running.reason != Outcome.RAN_DRY)
+def stops_for_good(loop: Loop, path_index: int) -> bool:
+    """Whether the goal of a path has been ended; one that ran dry goes on with the next message of its stream."""
+    path = loop.paths[path_index]
+    return bool(path.phase == Phase.STOPPING and path.reason != Outcome.RAN_DRY)
 
 
 @jit
@@ -78,7 +78,7 @@ def stop_running(loop: Loop, outcome: int, joint: int, value: float, limit: floa
     The first reason stands, but a fault comes before all, and everything before lack of a stream's next message.
     """
     running = loop.paths[loop.core.active]
-    if running.phase == Phase.NONE or (stops_for_good(loop) and outcome != Outcome.FAULT):
+    if running.phase == Phase.NONE or (stops_for_good(loop, loop.core.active) and outcome != Outcome.FAULT):
         return
     change_phase(loop, loop.core.active, Phase.STOPPING)
     running.reason, running.reason_joint = outcome, joint
@@ -86,10 +86,29 @@ def stop_running(loop: Loop, outcome: int, joint: int, value: float, limit: floa
 
 
 @jit
+def tell_result(
+    loop: Loop, shared: Shared, path_index: int, outcome: int, joint: int, value: float, limit: float
+) -> None:
+    """Decide the goal of a path; the first decision stands."""
+    path = loop.paths[path_index]
+    if path.told == 0:
+        path.told = 1
+        set_result(loop, shared, path.goal_id, outcome, joint, value, limit)
+
+
+@jit
+def tell_why_it_stops(loop: Loop, shared: Shared) -> None:
+    """Decide the goal that stops with the reason for which it does, before the arm stands."""
+    running = loop.paths[loop.core.active]
+    joint, value, limit = running.reason_joint, running.reason_value, running.reason_limit
+    tell_result(loop, shared, loop.core.active, running.reason, joint, value, limit)
+
+
+@jit
 def end_goal(loop: Loop, shared: Shared, path_index: int, outcome: int, joint: int, value: float, limit: float) -> None:
     """Let the goal of a path, if there is one, be over."""
     if change_phase(loop, path_index, Phase.NONE):
-        set_result(loop, shared, loop.paths[path_index].goal_id, outcome, joint, value, limit)
+        tell_result(loop, shared, path_index, outcome, joint, value, limit)
 
 
 @jit

@@ -206,6 +206,7 @@ PATH = np.dtype(
         ("reason_joint", "i8"),
         ("reason_value", "f8"),
         ("reason_limit", "f8"),
+        ("told", "i8"),  # 1: its goal is decided, also where the arm still stops
         ("settle_ns", "i8"),  # when its last point is the commanded one, 0 = not yet
         ("taken", "i8"),  # knots taken; the newest is at (taken - 1) % WINDOW_KNOTS
         ("segment", "i8"),  # knot at the start of the running segment
@@ -246,6 +247,7 @@ CORE = np.dtype(
         ("motion_started", "i8"),
         ("rebase_ns", "i8"),  # since when the measured positions wait to be commanded, 0 = they do not
         ("shown_cycle", "i8"),
+        ("results_decided", "i8"),
         ("decisions_shown", "i8"),  # 1: results and answers stand in the state file as they are
         ("decisions_crc", "i8"),  # of them
         ("bring_up_asked", "i8"),
@@ -282,10 +284,7 @@ CORE = np.dtype(
         ("resume_ns", "i8"),
         ("stops", "i8"),  # how often a person has stopped the arm
         ("epoch", "i8"),  # goals that arrived in an earlier one never begin
-        (
-            "slowed",
-            "i8",
-        ),  # why the clock is slowed down beside what people ask for: LATE_DRIVE, STARVING, MAKING_WAY of Slowed
+        ("slowed", "i8"),  # bits of shm.words.Slowed: what slows the clock down beside what people ask for
         ("starving_ns", "i8"),
         ("arriving", "i8"),  # the last ramp ends where the path does
         # the newer goal

@@ -230,5 +230,5 @@ class CommandWriter:
 
 def find(records: np.ndarray, key: str, value: int) -> np.void | None:
     """The record of a small table (results, answers) whose `key` is `value`, or None."""
-    record: np.void = records[value % len(records)]
-    return record if int(record[key]) == value else None
+    rows = np.flatnonzero(records[key] == value)
+    return records[rows[0]] if len(rows) else None

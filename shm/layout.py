@@ -126,7 +126,7 @@ JOINT = _record(
 RESULT = _record(
     "result",
     [
-        Word("goal_id", "i8", "", "goal this result belongs to; slot = goal_id % RESULT_SLOTS"),
+        Word("goal_id", "i8", "", "goal this result belongs to; each decision takes the next row"),
         Word("outcome", "i8", "", "shm.words.Outcome; 0 while undecided"),
         Word("joint", "i8", "", "joint it is about, -1 for none"),
         Word("value", "f8", "", "the value that decided"),
@@ -180,7 +180,7 @@ SNAPSHOT = _record(
     "snapshot",
     [
         Word("crc", "i8", "", "CRC-32 of the bytes that follow, joints in use included"),
-        Word("results", (RESULT, (RESULT_SLOTS,)), "", "results of the newest goals"),
+        Word("results", (RESULT, (RESULT_SLOTS,)), "", "the newest results"),
         Word("answers", (ANSWER, (ANSWER_SLOTS,)), "", "answers to the newest requests"),
         *CHANGING,
     ],

@@ -9,7 +9,7 @@ import numpy as np
 from stack import PATIENCE_S
 
 from config.loader import arm_hash, load_arm
-from shm.client import CommandWriter, StateReader
+from shm.client import CommandWriter, StateReader, find
 from shm.errors import RingFull
 from shm.files import open_state, own_command
 from shm.words import Answer, Mode, Outcome, Request
@@ -82,8 +82,8 @@ class MemoryFront:
 
     def outcome(self, goal: int) -> Outcome:
         """Wait for a goal's result."""
-        slot = goal % len(self.now()["results"])
-        return Outcome(int(self.until(lambda now: now["results"][slot]["goal_id"] == goal)["results"][slot]["outcome"]))
+        told = self.until(lambda now: find(now["results"], "goal_id", goal) is not None)
+        return Outcome(int(find(told["results"], "goal_id", goal)["outcome"]))
 
     def close(self) -> None:
         self.reader.close()

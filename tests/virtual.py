@@ -28,7 +28,7 @@ from rtloop.release import Release
 from rtloop.state import LOOP
 from rtloop.wire import outgoing, received
 from shm import layout
-from shm.client import CommandWriter, StateReader
+from shm.client import CommandWriter, StateReader, find
 from shm.errors import RingFull
 from shm.files import MemoryFile, name_bytes
 from shm.jit import jit
@@ -409,11 +409,14 @@ class VirtualArm:
         return goal
 
     def result(self, goal: int) -> np.void:
-        return self.loop[0]["snapshot"]["results"][goal % layout.RESULT_SLOTS]
+        """What a goal that has ended was told."""
+        found = find(self.loop[0]["snapshot"]["results"], "goal_id", goal)
+        assert found is not None, f"goal {goal} is undecided, or so many later decisions cover it"
+        return found
 
     def outcome(self, goal: int) -> int:
-        result = self.result(goal)
-        return int(result["outcome"]) if int(result["goal_id"]) == goal else 0
+        found = find(self.loop[0]["snapshot"]["results"], "goal_id", goal)
+        return Outcome.NONE if found is None else int(found["outcome"])
 
     def end_of(self, goal: int, *, at_most_s: float = 30.0) -> Outcome:
         """Cycle until a goal has ended; how it did."""

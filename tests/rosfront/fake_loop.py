@@ -41,7 +41,7 @@ class FakeLoop(threading.Thread):
             self.snapshot[word] = 1.0
         self.goals = {}
         self.records = []
-        self.taken = self.requests = 0
+        self.taken = self.requests = self.results_decided = 0
         self.active = self.incoming = 0
         self.cancel_at = self.up_at = self.newest = 0
         self.stop_ns = self.hold_ns = self.resume_ns = 0
@@ -240,7 +240,8 @@ class FakeLoop(threading.Thread):
             self.finish(Outcome.SUCCEEDED, joint=0, limit=0.01)
 
     def decide(self, goal_id, outcome, joint=-1, value=0.0, limit=0.0):
-        row = self.snapshot["results"][goal_id % layout.RESULT_SLOTS]
+        row = self.snapshot["results"][self.results_decided % layout.RESULT_SLOTS]
+        self.results_decided += 1
         for name, what in (("goal_id", goal_id), ("joint", joint), ("value", value), ("limit", limit)):
             row[name] = what
         row["outcome"] = outcome

@@ -5,7 +5,9 @@ import pytest
 from virtual import START_NS, VirtualArm
 
 from config.loader import load_arm
-from shm.words import Fault, Mode, Outcome, Phase
+from shm import layout
+from shm.recording import newest_events
+from shm.words import Event, Fault, Mode, Outcome, Phase
 
 
 def straight(arm: VirtualArm, target_rad: list[float], seconds: float, **options: object) -> int:
@@ -301,3 +303,36 @@ def test_cancels_that_overtake_their_goals_keep_all_of_them_from_starting(virtua
     arm.cycles(20)
     assert not np.any(arm.loop[0]["axes"]["position_rad"][:6])
     assert arm.end_of(straight(arm, [0.1] * 6, 1.0)) == Outcome.SUCCEEDED
+
+
+def test_a_result_stands_until_as_many_newer_ones_as_there_are_rows(virtual_arm) -> None:
+    """Also that of a goal that ends after many newer ones, which were refused while it stopped."""
+    arm = virtual_arm("mock")
+    first = newest = arm.send_shift(0.3)
+    arm.cycles(100)
+    arm.writer.stop()
+    while arm.outcome(first) == Outcome.NONE:
+        newest = arm.send_shift(0.1)
+        arm.cycle()
+        assert arm.outcome(newest) == Outcome.REFUSED_HELD
+    assert newest > first + layout.RESULT_SLOTS
+    for _ in range(layout.RESULT_SLOTS - 2):
+        newest = arm.send_shift(0.1)
+        arm.cycle()
+        assert arm.outcome(first) == Outcome.STOPPED and arm.outcome(newest) == Outcome.REFUSED_HELD
+
+
+def test_what_a_goal_was_told_before_it_stands_is_not_told_again(virtual_arm) -> None:
+    """Also where so many newer ones were refused meanwhile that its row is taken."""
+    arm = virtual_arm("mock")
+    first = arm.send_shift(0.3)
+    arm.cycles(100)
+    arm.core["closing"] = 1
+    arm.cycles(2)
+    assert arm.outcome(first) == Outcome.SHUTDOWN and arm.running_goal == first
+    while arm.running_goal == first:
+        arm.send_shift(0.1)
+        arm.cycle()
+    assert arm.outcome(first) == Outcome.NONE
+    told = list(newest_events(arm.state.array[0], layout.EVENT_SLOTS)["kind"])
+    assert told.count(Event.RESULT) == told.count(Event.GOAL) > layout.RESULT_SLOTS

@@ -1,10 +1,9 @@
 """Plain Python's side of the border: goals, requests, heartbeats and snapshots, byte by byte."""
 
+import contextlib
 import itertools
 import mmap
 import os
-import subprocess
-import sys
 import zlib
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import ready_process
 
 from shm import client, files, layout
 from shm.client import CommandWriter, StateReader
@@ -19,7 +19,6 @@ from shm.errors import RingFull, TornRead
 from shm.files import MemoryFile
 from shm.words import Entry, Request, Setpoint
 
-ROOT = Path(__file__).resolve().parents[2]
 JOINTS = 3
 USED = layout.used_bytes(layout.SETPOINT, JOINTS)
 
@@ -207,22 +206,15 @@ print(*(writer.request(Request.HOME, **options) for _ in range(int(sys.argv[3]))
 def test_producers_in_several_processes_never_take_the_same_number(arm_name):
     producers, requests = 3, 400
     pair = files.create(files.Identity(arm_name, tuple("abc"), 1, 10_000_000))
-    children = [
-        subprocess.Popen(
-            [sys.executable, "-c", PRODUCER, arm_name, str(number), str(requests)],
-            cwd=ROOT,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        for number in range(producers)
-    ]
-    for child in children:
-        assert child.stdout.readline() == "ready\n"
-    for child in children:
-        child.stdin.write("go\n")
-        child.stdin.flush()
-    taken = [[int(number) for number in child.communicate()[0].split()] for child in children]
+    with contextlib.ExitStack() as stack:
+        children = [
+            stack.enter_context(ready_process("-c", PRODUCER, arm_name, str(number), str(requests)))
+            for number in range(producers)
+        ]
+        for child in children:
+            child.stdin.write("go\n")
+            child.stdin.flush()
+        taken = [[int(number) for number in child.stdout.read().split()] for child in children]
     assert sorted(itertools.chain(*taken)) == list(range(1, producers * requests + 1))
     record = pair.command.record
     assert record["requests_written"][0] == producers * requests
@@ -282,8 +274,8 @@ def test_a_snapshot_that_never_becomes_whole_is_an_error(reader, damage, monkeyp
 
 def test_results_are_found_by_their_goal(reader):
     results = reader.memory.record["snapshot"]["results"]
-    results[3]["goal_id"] = 3 + layout.RESULT_SLOTS
-    assert client.find(results, "goal_id", 3 + layout.RESULT_SLOTS) is not None
+    results["goal_id"][[3, 4]] = 19, 7
+    assert client.find(results, "goal_id", 7) == results[4]
     assert client.find(results, "goal_id", 3) is None
 
 
