@@ -185,6 +185,8 @@ class _UnlockedServer(_TellingServer):
             self._logger.warning(f"The answer to a goal was not sent, so the goal is not begun: {problem}.")
             if handle is not None:
                 handle._goal_request = None
+                for event in (GoalEvent.EXECUTE, GoalEvent.ABORT):  # what is over is forgotten after a while
+                    handle._update_state(event)
             return
         if handle is None:
             return
@@ -262,6 +264,7 @@ class GoalServer:
         self._result = result
         self._untold: dict[bytes, float] = {}  # goals whose client has no result yet, and until when that counts
         self._has_spun = threading.Event()
+        self._spins_until_s = math.inf
         make: Callable[..., _TellingServer] = _TellingServer
         if arrival is not None:
             try:
@@ -283,20 +286,27 @@ class GoalServer:
         )
 
     def spin(self) -> None:
-        """Serve; returns once it is `closing`, when every client has its result or its answer."""
+        """Serve; returns once it is `closing`, when every client has its result or its answer.
+
+        Clients that go on sending goals do not keep it for ever (`leave`).
+        """
         try:
-            while not (self.closing and self._idle() and self.quiet):
+            while not (self.closing and self._idle() and self.quiet) and time.monotonic() < self._spins_until_s:
                 self._executor.spin_once(LEAVE_EVERY_S if self.closing else None)
         finally:
             self._has_spun.set()
 
     def leave(self, patience_s: float, give_up: Callable[[], None]) -> None:
-        """Wait, in another thread, until `spin` has been left; after `patience_s`, `give_up` is to end every goal."""
+        """Wait, in another thread, until `spin` has been left; after `patience_s`, `give_up` is to end every goal.
+
+        Whoever has no result `RESULT_GRACE_S` later gets none.
+        """
         self.closing = True
         self._executor.create_task(lambda: None)  # a turn of `spin`, which may wait for ever
         if not self._has_spun.wait(patience_s):
             give_up()
-            self._has_spun.wait()  # every goal is decided, so nothing keeps it
+            self._spins_until_s = time.monotonic() + RESULT_GRACE_S
+            self._has_spun.wait()
         self._server.stop()
 
     @property

@@ -2,6 +2,7 @@
 
 import contextlib
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,13 +11,14 @@ pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
 from action_msgs.srv import CancelGoal
-from front_stage import goal, serving_alone
+from control_msgs.action import FollowJointTrajectory
+from front_stage import SlowJudge, goal, serving_alone
 from ros_client import ABORTED, CANCELED, SUCCEEDED, Operator
 from std_srvs.srv import Trigger
 from waiting import until
 
 from rosfront import action, goal_requests
-from rosfront.goal_requests import GoalFunctions, Unavailable
+from rosfront.goal_requests import GoalFunctions, Request, Unavailable
 from rosfront.serving import NEVER_BEGUN
 from shm.sentences import outcome_sentence
 from shm.words import Outcome
@@ -147,6 +149,73 @@ def test_a_request_that_cannot_be_taken_is_told_and_the_next_one_is_served(arm_n
 
 def _no_memory(*_):
     raise MemoryError
+
+
+def test_a_goal_whose_client_cannot_be_told_is_over_and_the_next_one_is_served(arm_name, monkeypatch):
+    with serving_alone(arm_name) as (loop, front, client, _):
+        with monkeypatch.context() as patched:
+            patched.setattr(GoalFunctions, "answer", _unreachable)
+            sent(client, goal(seconds=5))
+            until(lambda: front._goals._server._goal_handles, "a goal that was accepted")
+            (kept,) = front._goals._server._goal_handles.values()
+            until(lambda: not kept.is_active, "its end")
+        assert not loop.records
+        assert client.run(goal())[0] == SUCCEEDED
+
+
+def test_a_question_for_an_unknown_goal_that_cannot_be_answered_ends_nothing(arm_name, monkeypatch, capfd):
+    with serving_alone(arm_name) as (_, front, client, thread):
+        handle = SimpleNamespace(send_result_response=_unreachable)
+        with monkeypatch.context() as patched:
+            patched.setattr(front._goals._server, "_handle", handle)
+            request = FollowJointTrajectory.Impl.GetResultService.Request()
+            asked = front._goals._server._execute_get_result_request((None, request))
+            with pytest.raises(StopIteration):
+                asked.send(None)
+        assert "was not answered: nobody there" in capfd.readouterr().err
+        assert thread.is_alive() and client.run(goal())[0] == SUCCEEDED
+
+
+def _unreachable(*_):
+    raise RuntimeError("nobody there")
+
+
+def test_of_two_goals_with_one_id_that_are_considered_at_once_one_is_taken(arm_name, monkeypatch, capfd):
+    with serving_alone(arm_name, strict_reject=True) as (loop, front, client, thread):
+        judge = SlowJudge(monkeypatch)
+        twin = Request(goal=goal())
+        twin.goal_id.uuid = np.full(16, 7, np.uint8)
+        for _ in range(2):
+            client.action._client_handle.send_goal_request(twin)
+        until(lambda: len(front._action_goals._considered) == 2, "two goals being considered")
+        judge.pass_on.set()
+        until(lambda: front._goals.counts.goals_succeeded == 1, "the end of one")
+        assert "another with its id was accepted meanwhile" in capfd.readouterr().err
+        assert thread.is_alive() and len({number for number, _ in loop.records}) == 1
+        assert client.run(goal(to_rad=0.02))[0] == SUCCEEDED
+
+
+def test_a_flood_of_goals_does_not_keep_the_front_from_ending(arm_name):
+    with serving_alone(arm_name) as (loop, front, client, thread):
+        flooded = threading.Event()
+
+        def flood():
+            message = Request(goal=goal(seconds=5))
+            while not flooded.is_set():
+                message.goal_id.uuid = np.random.default_rng().integers(256, size=16, dtype=np.uint8)
+                client.action._client_handle.send_goal_request(message)
+
+        sender = threading.Thread(target=flood)
+        sender.start()
+        until(lambda: loop.active, "motion")
+        closer = threading.Thread(target=front.close, args=(1.0,))
+        closer.start()
+        closer.join(10.0)
+        still_there = closer.is_alive() or thread.is_alive()
+        flooded.set()
+        for each in (sender, closer):
+            each.join(10.0)
+        assert not still_there
 
 
 def test_a_goal_that_has_ended_keeps_no_bytes(arm_name):
