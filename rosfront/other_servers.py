@@ -35,7 +35,8 @@ LIVE_NS = 2_500_000_000
 LONGEST_LOOK_S = 2.0
 _LONGEST_ANSWER = 1000
 _LONGEST_WORD = 60
-_PIDS = 1 << 32
+_PID_MAX = 1 << 22
+"""Of Linux."""
 _MOST_ANSWERS = 50
 """Taken in one look."""
 _FAST_DDS = b"\x01\x0f"
@@ -67,7 +68,8 @@ class Server:
         try:
             said = json.loads(text[:_LONGEST_ANSWER])["rtarm"]
             arm, host, node = (legible(str(said[name]), _LONGEST_WORD) for name in ("arm", "host", "node"))
-            return cls(str(said["instance"]), arm, int(said["pid"]) % _PIDS, host, node)
+            pid = int(said["pid"])
+            return cls(str(said["instance"]), arm, pid, host, node) if 0 < pid <= _PID_MAX else None
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
             return None
 

@@ -549,8 +549,8 @@ def command_sentence(kind: int, value: float) -> str:
     """What was asked by a store: of a speed scale the scale, of all others by which process."""
     if kind == Request.SPEED_SCALE:
         return f"Speed scale {value:.0%} was asked for."
-    names = {Request.STOP: "Stop", Request.HOLD: "Hold", Request.RESUME: "Resume"}
-    asked = next((name for request, name in names.items() if request == kind), f"Unknown command {kind}")
+    names: dict[int, str] = {Request.STOP: "Stop", Request.HOLD: "Hold", Request.RESUME: "Resume"}
+    asked = names.get(kind, f"Unknown command {kind}")
     return f"{asked} was asked for by process {value:.0f}."
 
 

@@ -4,16 +4,13 @@ import contextlib
 import os
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 from itertools import pairwise
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 pytest.importorskip("rclpy")
@@ -23,12 +20,11 @@ from control_msgs.action import FollowJointTrajectory
 from front_stage import goal, served
 from rclpy.action import ActionServer
 from ros_client import ABORTED, SUCCEEDED, Client, Spinner
-from waiting import until
+from waiting import ready_process, until
 
 from config.loader import load_arm
 from rosfront.other_servers import EVERY_NS, LIVE_NS, PATIENCE_NS, Server, Watch, machine_of, nodes_beside
 
-ROOT = Path(__file__).parents[2]
 OURS, THEIRS, OTHERS = b"ours", b"theirs", b"others"
 MS = 1_000_000
 
@@ -138,9 +134,21 @@ def test_a_front_says_who_it_is():
     assert Server.this("mock", "/arm_controller").instance != me.instance
 
 
+NO_PIDS = ("1e999", "NaN", "0", "-1", "4194305", "1" + "0" * 400, "null", '"x"', "[]")
+
+
 @given(st.text() | st.from_regex(r'\{"rtarm": (\{"instance": 1\}|\[\]|null|3)\}', fullmatch=True))
+@example("[" * 1000)
+@example('{"rtarm": ' * 100)
 def test_what_others_answer_is_no_front(text):
     assert Server.read(text) is None
+
+
+@pytest.mark.parametrize("pid", NO_PIDS)
+def test_who_says_a_process_id_that_there_cannot_be_is_no_front(pid):
+    said = Server.this("mock", "/arm_controller").written()
+    assert Server.read(said) is not None
+    assert Server.read(said.replace(f'"pid": {os.getpid()}', f'"pid": {pid}')) is None
 
 
 def test_what_a_front_says_cannot_speak_to_the_terminal():
@@ -188,7 +196,6 @@ class Stranger(Spinner):
 
 STRANGER = """
 import sys
-sys.path.insert(0, "tests")
 from test_other_servers import Stranger
 stranger = Stranger(sys.argv[1])
 print("ready", flush=True)
@@ -197,32 +204,27 @@ stranger.close()
 """
 
 
-@contextlib.contextmanager
 def stranger_process(controller):
     """A stranger in a process of its own, which can be killed."""
-    search = os.pathsep.join(map(str, (ROOT, ROOT / "tests", ROOT / "tests" / "rosfront")))
-    process = subprocess.Popen(
-        [sys.executable, "-c", STRANGER, controller],
-        env={**os.environ, "PYTHONPATH": search},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout.readline() == "ready\n"
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
+    return ready_process("-c", STRANGER, controller)
+
+
+def mock_arm(name, controller):
+    return load_arm("mock", overrides={"name": name, "front": {"controller_name": controller}})
+
+
+@contextlib.contextmanager
+def serving(arm):
+    """A front that serves, and a client of it."""
+    with served(arm) as (loop, front, _), contextlib.closing(Client(arm.front.controller_name)) as client:
+        until(front.serving.ever_attached.is_set, "a front that serves")
+        yield SimpleNamespace(loop=loop, front=front, client=client, arm=arm, controller=arm.front.controller_name)
 
 
 @pytest.fixture
 def front(arm_name):
-    """A front, and a client of it."""
-    arm = load_arm("mock", overrides={"name": arm_name, "front": {"controller_name": f"of_{arm_name}"}})
-    with served(arm) as (loop, front, _), contextlib.closing(Client(arm.front.controller_name)) as client:
-        until(front.serving.ever_attached.is_set, "a front that serves")
-        yield SimpleNamespace(loop=loop, front=front, client=client, arm=arm, controller=arm.front.controller_name)
+    with serving(mock_arm(arm_name, f"of_{arm_name}")) as stage:
+        yield stage
 
 
 def refusal(stage):
@@ -283,7 +285,7 @@ def test_a_killed_server_refuses_no_goal_though_discovery_shows_it(front):
 @pytest.mark.process
 def test_a_front_that_starts_again_knows_nothing_of_the_one_that_was_killed(arm_name):
     """Who was there before shows the dead one for 20 s; a newcomer has never heard of it, so no goal waits."""
-    arm = load_arm("mock", overrides={"name": arm_name, "front": {"controller_name": f"of_{arm_name}"}})
+    arm = mock_arm(arm_name, f"of_{arm_name}")
     servers = f"/{arm.front.controller_name}/follow_joint_trajectory/_action/get_result"
     with contextlib.closing(Spinner("witness")) as witness:
         with stranger_process(arm.front.controller_name) as killed:
@@ -291,12 +293,10 @@ def test_a_front_that_starts_again_knows_nothing_of_the_one_that_was_killed(arm_
             killed.kill()
             killed.wait()
         assert witness.node.count_services(servers) == 1, "who was there before still sees the dead one"
-        with served(arm) as (_, front, _), contextlib.closing(Client(arm.front.controller_name)) as client:
-            until(front.serving.ever_attached.is_set, "a front that serves")
-            status, _, words = client.run(goal())
+        with serving(arm) as stage:
+            status, _, words = stage.client.run(goal())
             assert status == SUCCEEDED, words
-
-            assert front._other_servers._endpoints() == []
+            assert stage.front._other_servers._endpoints() == []
 
 
 @pytest.mark.process
@@ -311,7 +311,7 @@ def test_a_server_that_was_suspended_is_found_again(front):
 
 @pytest.mark.process
 def test_two_fronts_of_one_action_refuse_both_and_say_whose_the_other_is(front, new_arm_name):
-    other = load_arm("mock", overrides={"name": new_arm_name(), "front": {"controller_name": front.controller}})
+    other = mock_arm(new_arm_name(), front.controller)
     with served(other) as (_, second, _):
         until(lambda: refusal(front) and second.serving.other_server, "two that have found each other")
         who = f"(pid {os.getpid()} on host {socket.gethostname()}, node /{front.controller})"

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import ready_process
 
 from shm import files, layout
 from shm.errors import AlreadyHeld, NotPermitted, NotRunning, WrongArm, WrongLayout
@@ -86,11 +87,8 @@ sys.stdin.readline()
 @pytest.fixture
 def loop_process(swept):
     """A process that holds the arm's files as a control process does."""
-    child = run_python(HOLD, swept, str(ARM_HASH))
-    assert child.stdout.readline() == "ready\n"
-    yield child
-    child.kill()
-    reap(child)
+    with ready_process("-c", HOLD, swept, str(ARM_HASH)) as child:
+        yield child
 
 
 # --- what is created ----------------------------------------------------------------------------------
@@ -326,11 +324,8 @@ def test_one_front_at_a_time(created, arm_name):
 
 
 def test_a_killed_front_lets_go(created, arm_name):
-    child = run_python(HOLD_AS_FRONT, arm_name, str(ARM_HASH))
-    assert child.stdout.readline() == "ready\n"
-    assert files.front_of(arm_name) == (child.pid, 0)
-    child.kill()
-    reap(child)
+    with ready_process("-c", HOLD_AS_FRONT, arm_name, str(ARM_HASH)) as child:
+        assert files.front_of(arm_name) == (child.pid, 0)
     assert files.front_of(arm_name) is None
     files.own_command(arm_name, ARM_HASH).close()
 

@@ -1,10 +1,6 @@
 """The flight recorder's rings as a reader sees them: whole records in order, whatever the writer does meanwhile."""
 
 import contextlib
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +8,7 @@ import record_writer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from virtual import private_file
+from waiting import ready_process
 
 from config.loader import load_arm
 from rtloop import recorder
@@ -20,7 +17,6 @@ from rtloop.wire import frame_words
 from shm import files, layout, recording
 from shm.recording import frame_check, read_recording
 
-ROOT = Path(__file__).resolve().parents[2]
 SLOTS = 5
 WORDS = st.integers(-(2**63), 2**63 - 1)
 
@@ -171,16 +167,9 @@ def judge(found, newest):
 
 @pytest.mark.process
 def test_reading_while_it_is_written_and_after_a_kill(arm_name):
-    child = subprocess.Popen(
-        [sys.executable, record_writer.__file__, arm_name],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
     try:
-        assert child.stdout.readline() == "ready\n"
-        with contextlib.closing(files.open_state(arm_name)) as memory:
+        writer = ready_process(record_writer.__file__, arm_name)
+        with writer as child, contextlib.closing(files.open_state(arm_name)) as memory:
             newest = kept = 0
             while newest < 20_000 or kept < 200:
                 found = read_recording(memory)
@@ -192,9 +181,5 @@ def test_reading_while_it_is_written_and_after_a_kill(arm_name):
             assert len(found.records) == memory.record["recorder"]["record_slots"] - 1
             assert found.lost == 0  # what it was writing takes the place of the oldest, which is not asked for
     finally:
-        child.kill()
-        child.stdin.close()
-        child.stdout.close()
-        child.wait()
         for path in files.DIRECTORY.glob(f"rtarm.{arm_name}.*"):
             path.unlink()

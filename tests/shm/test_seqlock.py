@@ -1,10 +1,7 @@
 """The snapshot's CRC and seqlock: equal to zlib, never torn, and never waiting for a dead writer."""
 
-import os
-import subprocess
-import sys
+import contextlib
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +9,7 @@ import snapshot_writer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from snapshot_writer import JOINTS, SEQUENCE, SNAPSHOT, WORDS
+from waiting import ready_process
 
 from shm import files, layout
 from shm.atomics import load_relaxed
@@ -19,8 +17,6 @@ from shm.client import StateReader
 from shm.errors import TornRead
 from shm.jit import jit
 from shm.seqlock import copy_words, crc32_at, publish, read
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @settings(deadline=None)  # the first call compiles
@@ -102,26 +98,13 @@ def judge_reads(state: int, target: int, words: int, reads: int, sequence_at: in
 @pytest.fixture
 def writer(arm_name):
     """Starts the writing process; removes what it leaves behind."""
-    children = []
+    with contextlib.ExitStack() as children:
 
-    def start(behaviour):
-        child = subprocess.Popen(
-            [sys.executable, snapshot_writer.__file__, arm_name, behaviour],
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        children.append(child)
-        assert child.stdout.readline() == "ready\n"
-        return child, files.open_state(arm_name)
+        def start(behaviour):
+            child = children.enter_context(ready_process(snapshot_writer.__file__, arm_name, behaviour))
+            return child, files.open_state(arm_name)
 
-    yield start
-    for child in children:
-        child.kill()
-        child.stdin.close()
-        child.stdout.close()
-        child.wait()
+        yield start
     for path in files.DIRECTORY.glob(f"rtarm.{arm_name}.*"):
         path.unlink()
 
