@@ -138,7 +138,8 @@ def test_the_page_shows_the_arm_as_it_is_and_asks_nobody_else(arm: ViewedArm, br
 
 
 def test_a_slider_moves_the_arm_when_go_is_pressed_and_not_before(arm: ViewedArm, browser: Browser) -> None:
-    at_rest = browser.picture()
+    # A page that has just been loaded may still lay itself out over the scene.
+    at_rest = browser.look(lambda picture: blue(picture) < 50 and green(picture) < 500 and line(picture) < 10)
     began_deg = arm.position_deg(1)
     to_deg = began_deg + SLOW_DEG if began_deg < 0.0 else began_deg - SLOW_DEG
     browser.tab("Move")
@@ -151,8 +152,7 @@ def test_a_slider_moves_the_arm_when_go_is_pressed_and_not_before(arm: ViewedArm
     arm.until(lambda report: report["goal"]["clock_s"] > 5.0)
     requests.hold(arm.name)  # so that a slow browser has the time to draw it
     moving = browser.look(lambda picture: blue(picture) > 500 and line(picture) > 50)
-    assert line(at_rest) < 10
-    assert blue(at_rest) < 50 and green(at_rest) < 500 and blue(wished) < 50
+    assert blue(wished) < 50
     assert np.count_nonzero(np.abs(moving - at_rest).max(axis=-1) > 60) > 1000, "the arm itself stands elsewhere"
     browser.tab("Joints")
     browser.keep("view_goal")
