@@ -43,6 +43,9 @@ LOCKED = (
 )
 
 
+NOT_TOLD = "This goal was not begun, since its client could not be told that it was accepted ({}): send it again."
+
+
 @coroutine
 def _rest_of(begun: Coroutine[Any, Any, None]) -> Generator[Any, Any, None]:
     """What is left of a coroutine that waits for something; `await` takes none that somebody else has begun."""
@@ -71,6 +74,7 @@ class _TellingServer(ActionServer):
         super().__init__(*arguments, **options)
         self._on_sent = on_sent
         self._of_unknown = of_unknown
+        self._leaving = False
 
     @property
     def idle(self) -> bool:
@@ -79,6 +83,24 @@ class _TellingServer(ActionServer):
 
     def stop(self) -> None:
         """Take no goal any more."""
+        self._leaving = True
+
+    def is_ready(self, wait_set: Any) -> bool:
+        super().is_ready(wait_set)
+        self._is_goal_request_ready = self._is_goal_request_ready and not self._leaving
+        return self._has_something
+
+    @property
+    def _has_something(self) -> bool:
+        """Whether something is ready to be taken."""
+        return any(
+            (
+                self._is_goal_request_ready,
+                self._is_cancel_request_ready,
+                self._is_result_request_ready,
+                self._is_goal_expired,
+            )
+        )
 
     async def execute(self, taken_data: dict[str, Any]) -> None:
         """rclpy's own awaits a goal's consideration before the cancel that was taken with it.
@@ -135,24 +157,18 @@ class _UnlockedServer(_TellingServer):
 
     @property
     def idle(self) -> bool:
-        return self._requests.idle
+        return self._leaving or self._requests.idle
 
     def stop(self) -> None:
+        super().stop()
         self._requests.stop()
 
     def is_ready(self, wait_set: Any) -> bool:
         super().is_ready(wait_set)
         if self._is_goal_request_ready:
             self._requests.find()
-        self._is_goal_request_ready = self._requests.taken
-        return any(
-            (
-                self._is_goal_request_ready,
-                self._is_cancel_request_ready,
-                self._is_result_request_ready,
-                self._is_goal_expired,
-            )
-        )
+        self._is_goal_request_ready = self._requests.taken and not self._leaving
+        return self._has_something
 
     def take_data(self) -> dict[str, Any]:
         goal = {"goal": self._requests.pop()} if self._is_goal_request_ready else {}
@@ -185,8 +201,9 @@ class _UnlockedServer(_TellingServer):
             self._logger.warning(f"The answer to a goal was not sent, so the goal is not begun: {problem}.")
             if handle is not None:
                 handle._goal_request = None
-                for event in (GoalEvent.EXECUTE, GoalEvent.ABORT):  # what is over is forgotten after a while
+                for event in (GoalEvent.EXECUTE, GoalEvent.ABORT):  # rcl aborts only what executes
                     handle._update_state(event)
+                result.set_result(self._never_begun(str(problem)))
             return
         if handle is None:
             return
@@ -194,6 +211,11 @@ class _UnlockedServer(_TellingServer):
             handle._update_state(GoalEvent.CANCEL_GOAL)
         self._handle.publish_status()
         self._handle_accepted_callback(handle)
+
+    def _never_begun(self, why: str) -> Any:
+        """The answer to who asks for the result of a goal whose acceptance could not be sent."""
+        result = FollowJointTrajectory.Result(error_code=INVALID_GOAL, error_string=NOT_TOLD.format(why))
+        return self._action_type.Impl.GetResultService.Response(status=GoalStatus.STATUS_ABORTED, result=result)
 
     async def _execute_cancel_request(self, taken: tuple[Any, Any]) -> None:
         if _is_of_all(taken[1].goal_info):
@@ -299,12 +321,13 @@ class GoalServer:
     def leave(self, patience_s: float, give_up: Callable[[], None]) -> None:
         """Wait, in another thread, until `spin` has been left; after `patience_s`, `give_up` is to end every goal.
 
-        Whoever has no result `RESULT_GRACE_S` later gets none.
+        No goal is taken from then on, and whoever has no result `RESULT_GRACE_S` later gets none.
         """
         self.closing = True
         self._executor.create_task(lambda: None)  # a turn of `spin`, which may wait for ever
         if not self._has_spun.wait(patience_s):
             give_up()
+            self._server.stop()
             self._spins_until_s = time.monotonic() + RESULT_GRACE_S
             self._has_spun.wait()
         self._server.stop()

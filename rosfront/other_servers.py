@@ -30,13 +30,15 @@ EVERY_NS = 1_000_000_000
 """How often is looked, and asked where there is somebody to ask."""
 PATIENCE_NS = 500_000_000
 """What has not answered by then counts as dead, until it answers."""
+AGAIN_NS = 100_000_000
+"""A newcomer is asked so often until somebody answers: one that discovery has just shown may not hear yet."""
 LIVE_NS = 2_500_000_000
 """So long an answer counts: two questions in a row may be lost on a busy machine."""
 LONGEST_LOOK_S = 2.0
 _LONGEST_ANSWER = 1000
 _LONGEST_WORD = 60
-_PID_MAX = 1 << 22
-"""Of Linux."""
+_PIDS = 1 << 22
+"""Linux gives lower ones."""
 _MOST_ANSWERS = 50
 """Taken in one look."""
 _FAST_DDS = b"\x01\x0f"
@@ -69,7 +71,7 @@ class Server:
             said = json.loads(text[:_LONGEST_ANSWER])["rtarm"]
             arm, host, node = (legible(str(said[name]), _LONGEST_WORD) for name in ("arm", "host", "node"))
             pid = int(said["pid"])
-            return cls(str(said["instance"]), arm, pid, host, node) if 0 < pid <= _PID_MAX else None
+            return cls(str(said["instance"]), arm, pid, host, node) if 0 < pid < _PIDS else None
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
             return None
 
@@ -79,16 +81,20 @@ class Watch:
 
     def __init__(self) -> None:
         self._asked: frozenset[bytes] = frozenset()
-        self._asked_ns = -EVERY_NS
+        self._asked_ns = self._since_ns = -EVERY_NS
+        self._has_newcomers = False
         self._settled: frozenset[bytes] = frozenset()
         self._settled_ns = 0
         self._heard_ns: dict[str, int] = {}
 
     def should_ask(self, shown: Collection[bytes], now_ns: int) -> bool:
         """Whether it is time to ask those that discovery shows; none are shown where this server is alone."""
-        return bool(shown) and (not self._asked.issuperset(shown) or now_ns - self._asked_ns >= EVERY_NS)
+        return bool(shown) and (not self._asked.issuperset(shown) or now_ns >= self._next_question_ns)
 
     def asked(self, shown: Collection[bytes], now_ns: int) -> None:
+        newcomers = not self._asked.issuperset(shown)
+        if newcomers or now_ns - self._since_ns >= EVERY_NS:
+            self._since_ns, self._has_newcomers = now_ns, newcomers
         self._asked, self._asked_ns = frozenset(shown), now_ns
 
     def answered(self, text: str, now_ns: int) -> None:
@@ -101,15 +107,24 @@ class Watch:
 
     def is_known(self, shown: Collection[bytes], now_ns: int) -> bool:
         """Whether somebody lives, or everybody shown has had time to answer and has not."""
-        if self._asked and now_ns - self._asked_ns >= PATIENCE_NS:
-            self._settled, self._settled_ns = self._asked, self._asked_ns
+        if self._asked and now_ns - self._since_ns >= PATIENCE_NS:
+            self._settled, self._settled_ns = self._asked, self._since_ns
         silent = self._settled.issuperset(shown) and now_ns - self._settled_ns < LIVE_NS
         return not shown or silent or bool(self.live(shown, now_ns))
 
     def next_ns(self, now_ns: int) -> int:
         """When to look again, if nothing happens before."""
-        due = (self._asked_ns + PATIENCE_NS, self._asked_ns + EVERY_NS)
+        due = (self._since_ns + PATIENCE_NS, self._next_question_ns)
         return min((at_ns for at_ns in due if at_ns > now_ns), default=now_ns + EVERY_NS)
+
+    @property
+    def _next_question_ns(self) -> int:
+        """When to ask again, if nobody comes before."""
+        again_ns = self._asked_ns + AGAIN_NS
+        unanswered = max(self._heard_ns.values(), default=0) < self._since_ns
+        if self._has_newcomers and unanswered and again_ns < self._since_ns + PATIENCE_NS:
+            return again_ns
+        return self._since_ns + EVERY_NS
 
 
 class OtherServers(threading.Thread):

@@ -18,7 +18,7 @@ from shm.client import StateReader
 from shm.drive_words import WORDS, troubles_of, words_of
 from shm.files import MemoryFile
 from shm.gripper import read_gripper
-from shm.layout import BUS_TROUBLE, RESULT_SLOTS
+from shm.layout import BUS_TROUBLE
 from shm.sentences import (
     bus_state_sentence,
     fault_sentence,
@@ -286,11 +286,12 @@ def _goal(snapshot: np.ndarray) -> Report | None:
 
 
 def _last_result(snapshot: np.ndarray, joints: Sequence[str]) -> Report | None:
-    decided = [result for result in snapshot["results"][:RESULT_SLOTS] if int(result["outcome"]) != Outcome.NONE]
-    if not decided:
-        return None
-    last = max(decided, key=lambda result: int(result["monotonic_ns"]))
+    results = snapshot["results"]
+    newest = results["monotonic_ns"] == results["monotonic_ns"].max()  # one, or neighbours that go round
+    last = results[np.argmax(newest & ~np.roll(newest, -1))]
     outcome = int(last["outcome"])
+    if outcome == Outcome.NONE:
+        return None
     return {
         "goal_id": int(last["goal_id"]),
         "outcome": key(Outcome, outcome),

@@ -23,7 +23,8 @@ MAX_JOINTS = 32
 NAME_BYTES = 64
 PATH_BYTES = 4096
 LINE_BYTES = 128
-MAGIC = int.from_bytes(b"rtarm\x00\x00\x01", "little")
+# Counted up where words keep their names and mean something else.
+MAGIC = int.from_bytes(b"rtarm\x00\x00\x02", "little")
 
 SETPOINT_SLOTS = 4096
 REQUEST_SLOTS = 64
@@ -126,8 +127,8 @@ JOINT = _record(
 RESULT = _record(
     "result",
     [
-        Word("goal_id", "i8", "", "goal this result belongs to; each decision takes the next row"),
-        Word("outcome", "i8", "", "shm.words.Outcome; 0 while undecided"),
+        Word("goal_id", "i8", "", "goal this result belongs to; each decision takes the next row, round and round"),
+        Word("outcome", "i8", "", "shm.words.Outcome; 0: nothing was decided here yet"),
         Word("joint", "i8", "", "joint it is about, -1 for none"),
         Word("value", "f8", "", "the value that decided"),
         Word("limit", "f8", "", "what was allowed"),

@@ -13,6 +13,7 @@ pytest.importorskip("control_msgs")
 from action_msgs.srv import CancelGoal
 from control_msgs.action import FollowJointTrajectory
 from front_stage import SlowJudge, goal, serving_alone
+from rclpy.action.client import ClientGoalHandle
 from ros_client import ABORTED, CANCELED, SUCCEEDED, Operator
 from std_srvs.srv import Trigger
 from waiting import until
@@ -159,6 +160,9 @@ def test_a_goal_whose_client_cannot_be_told_is_over_and_the_next_one_is_served(a
             until(lambda: front._goals._server._goal_handles, "a goal that was accepted")
             (kept,) = front._goals._server._goal_handles.values()
             until(lambda: not kept.is_active, "its end")
+        accepted = FollowJointTrajectory.Impl.SendGoalService.Response(accepted=True)
+        status, _, words = client.result(ClientGoalHandle(client.action, kept.goal_id, accepted))
+        assert status == ABORTED and "could not be told that it was accepted (nobody there)" in words
         assert not loop.records
         assert client.run(goal())[0] == SUCCEEDED
 

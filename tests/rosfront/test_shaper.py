@@ -213,7 +213,7 @@ def test_a_whole_trajectory_on_the_topic_is_judged_like_a_goal() -> None:
 
 
 def test_a_message_that_lies_ahead_is_begun_when_it_is_due() -> None:
-    """It used to be followed from now on, or refused as a jump where it begins at the end of the stream before."""
+    """Also where it begins at the end of the stream before, which is a jump only for a message that is due now."""
     began = np.zeros((6, 2))
     times_s = np.array([0.0, 1.0])
     first = followed(message(times_s, np.array([np.zeros(6), np.full(6, 0.1)]), np.zeros((2, 6))), began)

@@ -2,11 +2,15 @@
 
 import os
 import re
+import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from waiting import ready_process
 
 from rosfront.transport import LOCALHOST_PROFILE, choose_udp, may_share_memory
 
@@ -121,6 +125,31 @@ def opened(discovery: str, folder: Path = ROOT, **chosen: str) -> tuple[set[str]
     rows = [line.split() for line in table.splitlines()[1:] if line]
     ports = {int(row[1].partition(":")[2], 16) for row in rows if row[9] in sockets}
     return {link for link in links.split() if link.startswith("/dev/shm/fastrtps")}, ports
+
+
+ANNOUNCING = """
+import sys
+from rosfront.program import start_ros
+start_ros([])
+import rclpy
+node = rclpy.create_node("announced")
+print("ready", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.process
+def test_a_node_of_ours_announces_itself_more_often_than_by_default() -> None:
+    """To the port of a participant that might come: five times in its first half second, then every 0.2 s, not 3 s."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as last:
+        last.bind(("127.0.0.1", 7400 + 250 * int(os.environ["ROS_DOMAIN_ID"]) + 10 + 2 * 31))
+        last.settimeout(10.0)
+        with ready_process("-c", ANNOUNCING):
+            at_s = []
+            while len(at_s) < 20:
+                last.recv(65536)
+                at_s.append(time.monotonic())
+    assert np.median(np.diff(at_s[6:])) == pytest.approx(0.2, abs=0.1)
 
 
 @pytest.mark.process

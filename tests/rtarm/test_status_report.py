@@ -197,6 +197,16 @@ def test_the_running_goal_and_the_last_result(arm: WrittenArm, rtarm: Rtarm) -> 
     assert "9 running, 1.50 of 4.00 s" in shown
 
 
+@pytest.mark.parametrize("first_row", [0, 3, 15])
+def test_of_several_results_of_one_cycle_the_last_row_is_the_last(arm: WrittenArm, first_row: int) -> None:
+    for number in range(16):
+        row = arm.snapshot["results"][(first_row + number) % 16]
+        row["goal_id"], row["outcome"], row["monotonic_ns"] = 100 - number, Outcome.REPLACED, min(number, 14)
+    arm.publish()
+    with arm.served():
+        assert status.read_status(arm.name)["last_result"]["goal_id"] == 85
+
+
 def test_percentiles_counters_and_scheduling(arm: WrittenArm) -> None:
     record = arm.state["lateness"]
     for value_ns in range(1000, 101_000, 1000):

@@ -320,6 +320,10 @@ def test_a_result_stands_until_as_many_newer_ones_as_there_are_rows(virtual_arm)
         newest = arm.send_shift(0.1)
         arm.cycle()
         assert arm.outcome(first) == Outcome.STOPPED and arm.outcome(newest) == Outcome.REFUSED_HELD
+    for _ in range(2):
+        arm.send_shift(0.1)
+        arm.cycle()
+    assert arm.outcome(first) == Outcome.NONE
 
 
 def test_what_a_goal_was_told_before_it_stands_is_not_told_again(virtual_arm) -> None:
