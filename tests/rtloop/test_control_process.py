@@ -192,7 +192,7 @@ def test_whatever_happens_no_cycle_waits_for_a_page(mock_arm):
         front.writer.resume()
         front.until(lambda now: now["mode"] == Mode.EXECUTING)
         front.writer.cancel(1)
-        front.until(lambda now: now["results"][1]["outcome"] == Outcome.CANCELED)
+        assert front.outcome(1) == Outcome.CANCELED
         assert front.swing() == 2
         front.until(lambda now: now["mode"] == Mode.EXECUTING)
         front.writer.memory.record["setpoints_written"] += 1  # a record that was never written
