@@ -237,7 +237,8 @@ def enable(arm: VirtualArm) -> None:
     arm.cycle()
     if arm.core["bring_up_asked"] == 1:
         arm.core["bring_up_asked"] = 0
-        arm.bring_up()
+        stood_rad = arm.loop[0]["axes"]["measured_rad"][: len(arm.arm.joints)]
+        arm.bring_up(mock_positions_rad=stood_rad.tolist())  # as the control process does
 
 
 def fault(arm: VirtualArm) -> None:
@@ -265,7 +266,7 @@ COMMANDS: dict[str, Callable[[VirtualArm], object]] = {
 def watched(arm: VirtualArm, cycles: int) -> None:
     """Run cycles: no arm that stands begins to move while it is held or its drives are limp."""
     for _ in range(cycles):
-        moved = moves(arm)
+        moved = moves(arm) or np.any(arm.loop[0]["axes"]["next_velocity_rad_s"])  # the next setpoint is decided
         arm.cycle()
         if arm.core["held"] == 1 or arm.core["mode"] in (Mode.DISABLED, Mode.FREE, Mode.FAULT):
             assert moved or not moves(arm)
