@@ -27,6 +27,7 @@ END_S = 40.0
 HUNG = 3
 """Exit code of what was ended by its guardian."""
 POLL_S = 0.5
+EXEC_S = 1.0
 WORDS = "RTARM_GUARDIAN"
 """Process id of the guardian, and the descriptor on which it is told what begins."""
 PR_SET_CHILD_SUBREAPER = 36
@@ -99,13 +100,23 @@ def _reap(but: int) -> None:
                 os.waitpid(pid, os.WNOHANG)
 
 
+def _command_of(pid: int) -> str:
+    """Command line of a child of this process, "" once it has ended; amid its `exec` it has none for a moment."""
+    process, deadline_s = Path(f"/proc/{pid}"), time.monotonic() + EXEC_S
+    while True:
+        command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+        has_ended = (process / "stat").read_text().rpartition(")")[2].split()[0] == "Z"
+        if command or has_ended or time.monotonic() > deadline_s:
+            return command
+        time.sleep(0.001)
+
+
 def end_descendants() -> dict[int, str]:
     """Kill every process that this one, a subreaper, has below it; their commands by process id."""
     found: dict[int, str] = {}
     while True:
         for pid in _children():
-            command = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
-            if command:  # what has ended and is not waited for has none
+            if command := _command_of(pid):  # what has ended and is not waited for has none
                 found.setdefault(pid, command)
             os.kill(pid, signal.SIGKILL)
         try:
