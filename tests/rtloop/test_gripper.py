@@ -406,6 +406,20 @@ def test_a_person_stops_a_gripper_that_is_just_about_to_set_off(stage: Stage, cy
     stage.arm.resume()
 
 
+@pytest.mark.parametrize("cycles", range(1, 24))
+def test_a_stop_also_ends_an_order_that_came_just_before_it_and_is_not_taken_yet(stage: Stage, cycles: int) -> None:
+    """While the drive is still asked about the one before."""
+    stage.ask(Request.GRIP, value=0.8)
+    stage.arm.cycles(cycles)
+    stage.ask(Request.GRIP, value=0.0)
+    stage.arm.stop()
+    stage.run(1.0)
+    stopped = stage.true_rad
+    stage.arm.resume()
+    stage.run(1.0)
+    assert stage.true_rad == stopped > 0.7
+
+
 @pytest.mark.parametrize("stops", [1, 3])
 def test_the_first_command_after_a_stop_and_a_resume_is_obeyed(stage: Stage, stops: int) -> None:
     """Its number used to be that of the stop, so it was told as obeyed and forgotten."""
