@@ -27,7 +27,6 @@ END_S = 40.0
 HUNG = 3
 """Exit code of what was ended by its guardian."""
 POLL_S = 0.5
-EXEC_S = 1.0
 WORDS = "RTARM_GUARDIAN"
 """Process id of the guardian, and the descriptor on which it is told what begins."""
 PR_SET_CHILD_SUBREAPER = 36
@@ -101,14 +100,11 @@ def _reap(but: int) -> None:
 
 
 def _command_of(pid: int) -> str:
-    """Command line of a child of this process, "" once it has ended; amid its `exec` it has none for a moment."""
-    process, deadline_s = Path(f"/proc/{pid}"), time.monotonic() + EXEC_S
-    while True:
-        command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
-        has_ended = (process / "stat").read_text().rpartition(")")[2].split()[0] == "Z"
-        if command or has_ended or time.monotonic() > deadline_s:
-            return command
-        time.sleep(0.001)
+    """Command line of a child of this process, as `ps` shows it, "" once it has ended."""
+    process = Path(f"/proc/{pid}")
+    line = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+    has_ended = (process / "stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    return line or ("" if has_ended else f"[{(process / 'comm').read_text().strip()}]")  # none yet, amid its `exec`
 
 
 def end_descendants() -> dict[int, str]:

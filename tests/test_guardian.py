@@ -15,7 +15,10 @@ PATIENCE_S = 30.0
 GUARD = "import sys, guardian; sys.exit(guardian.guard(sys.argv[2:], float(sys.argv[1])))"
 """The command follows the limit in seconds."""
 
-ORPHAN = "import subprocess, sys; print(subprocess.Popen(['sleep', '1000'], start_new_session=True).pid, flush=True);"
+ORPHAN = (
+    "import subprocess, sys, waiting; orphan = subprocess.Popen(['sleep', '1000'], start_new_session=True).pid;"
+    "waiting.until(lambda: open(f'/proc/{orphan}/cmdline').read(), 'a command line'); print(orphan, flush=True);"
+)
 """Begins a program that leaves a process in a session of its own, and prints its process id."""
 
 STUCK = (
