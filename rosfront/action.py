@@ -41,8 +41,6 @@ LOCKED = (
     "else of this process moves, and one of some 100,000 points may end the goal that runs. Send goals of fewer "
     "points, or use a ROS installation that rtarm is tested with."
 )
-
-
 NOT_TOLD = "This goal was not begun, since its client could not be told that it was accepted ({}): send it again."
 
 

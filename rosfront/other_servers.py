@@ -82,7 +82,6 @@ class Watch:
     def __init__(self) -> None:
         self._asked: frozenset[bytes] = frozenset()
         self._asked_ns = self._since_ns = -EVERY_NS
-        self._has_newcomers = False
         self._settled: frozenset[bytes] = frozenset()
         self._settled_ns = 0
         self._heard_ns: dict[str, int] = {}
@@ -92,9 +91,8 @@ class Watch:
         return bool(shown) and (not self._asked.issuperset(shown) or now_ns >= self._next_question_ns)
 
     def asked(self, shown: Collection[bytes], now_ns: int) -> None:
-        newcomers = not self._asked.issuperset(shown)
-        if newcomers or now_ns - self._since_ns >= EVERY_NS:
-            self._since_ns, self._has_newcomers = now_ns, newcomers
+        if not self._asked.issuperset(shown) or now_ns - self._since_ns >= EVERY_NS:
+            self._since_ns = now_ns
         self._asked, self._asked_ns = frozenset(shown), now_ns
 
     def answered(self, text: str, now_ns: int) -> None:
@@ -121,8 +119,9 @@ class Watch:
     def _next_question_ns(self) -> int:
         """When to ask again, if nobody comes before."""
         again_ns = self._asked_ns + AGAIN_NS
+        has_newcomers = not self._settled.issuperset(self._asked)
         unanswered = max(self._heard_ns.values(), default=0) < self._since_ns
-        if self._has_newcomers and unanswered and again_ns < self._since_ns + PATIENCE_NS:
+        if has_newcomers and unanswered and again_ns < self._since_ns + PATIENCE_NS:
             return again_ns
         return self._since_ns + EVERY_NS
 
