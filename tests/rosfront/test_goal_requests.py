@@ -139,12 +139,15 @@ def test_the_end_answers_a_goal_that_is_being_taken(arm_name, monkeypatch):
         assert not closer.is_alive() and not thread.is_alive() and not loop.records
 
 
-def test_a_request_that_cannot_be_taken_is_told_and_the_next_one_is_served(arm_name, monkeypatch, capfd):
-    with serving_alone(arm_name) as (_, _, client, _):
+def test_a_request_that_cannot_be_taken_is_told_and_the_next_one_is_served(arm_name, monkeypatch):
+    with serving_alone(arm_name) as (_, front, client, _):
+        said = []
         with monkeypatch.context() as patched:
             patched.setattr(GoalFunctions, "_serialised", _no_memory)
+            patched.setattr(front._goals._server._requests, "_say", said.append)  # capfd loses what is said as it reads
             sent(client, goal())
-            until(lambda: "there is no memory for it" in capfd.readouterr().err, "a sentence")
+            until(lambda: said, "a sentence")
+        assert "there is no memory for it" in said[0]
         assert client.run(goal())[0] == SUCCEEDED
 
 
