@@ -83,6 +83,35 @@ def test_a_goal_that_arrived_before_it_never_begins(what: Callable[[VirtualArm],
     arm.close()
 
 
+def test_what_waits_in_another_process_is_outdated_as_soon_as_the_arm_is_stopped_let_go_homed_or_at_fault() -> None:
+    """That process ends it by the snapshot's epoch, whatever the arm does next."""
+    arm = new_arm("episode1")
+    shown = [int(arm.reader.snapshot()["epoch"])]
+
+    def rises(what: str) -> None:
+        arm.cycle()
+        shown.append(int(arm.reader.snapshot()["epoch"]))
+        assert shown[-1] > shown[-2], what
+
+    for command in (arm.stop, arm.resume, arm.hold, arm.resume):
+        command()
+        rises(command.__name__)
+    for request in (Request.DISABLE, Request.FREE):
+        assert arm.ask(request) == Answer.DONE
+        rises(request.name)
+        arm.release()
+        assert arm.ask(Request.ENABLE) == Answer.DONE
+        assert arm.bring_up().failure is None
+        rises("bring-up")
+    assert arm.ask(Request.HOME, joint_mask=1) == Answer.DONE
+    rises("homing")
+    assert arm.reference().failure is None
+    rises("the end of homing")
+    latch_fault(arm.loop[0], arm.state.array[0], Fault.WIRE, -1, 0.0, 0.0)
+    rises("a fault")
+    arm.close()
+
+
 @pytest.mark.parametrize("what", ["stop", "hold"])
 def test_a_goal_that_waits_for_its_start_ends_with_a_stop_and_a_hold(arm: VirtualArm, what: str) -> None:
     waiting = arm.send_shift(start_ns=arm.now_ns + NS)
