@@ -150,6 +150,19 @@ def test_a_goal_behind_a_full_ring_does_not_begin_after_the_stop(arm: VirtualArm
     stands_for(arm, 1.0)
 
 
+@pytest.mark.parametrize("what", ["stop", "hold"])
+def test_a_resume_lifts_what_was_asked_for_before_it_and_nothing_later_though_one_cycle_sees_both(
+    arm: VirtualArm, what: str
+) -> None:
+    arm.writer.resume()
+    getattr(arm.writer, what)()
+    arm.cycle()
+    assert arm.end_of(arm.send_shift()) == Outcome.REFUSED_HELD
+    getattr(arm.writer, what)()
+    arm.resume()
+    assert arm.end_of(arm.send_shift()) == Outcome.SUCCEEDED
+
+
 def test_nothing_moves_a_held_arm_but_a_resume(arm: VirtualArm) -> None:
     """Hold A, send B, cancel A: B used to begin."""
     first = arm.send_shift(0.2)
