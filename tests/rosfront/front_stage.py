@@ -45,7 +45,6 @@ class Stage:
 
     def reset(self):
         """A sound loop, and the arm at zero."""
-        self.front._inputs.factor = 1.0
         loop = self.loop
         loop.cycle_hook = lambda loop: None
         limp = loop.snapshot["mode"] in LIMP
@@ -53,7 +52,9 @@ class Stage:
             self.new_loop()
         loop = self.loop
         loop.paused = False
-        loop.snapshot["speed_scale_asked"] = 1.0
+        self.front._inputs.factor = 1.0
+        self.front._inputs.ask_factor()  # what the last test asked for would else come back
+        until(lambda: loop.snapshot["speed_scale_asked"] == 1.0, "full speed")
         until(lambda: loop.active == 0 and loop.incoming == 0, "an idle arm")
         loop.asked.clear()
         loop.rows["commanded_position_rad"] = 0.0

@@ -101,7 +101,7 @@ def test_controller_state(stage, operator, moving):
 
 def test_a_scaled_goal_has_two_clocks(stage, operator, moving):
     heard = operator.listen(JointTrajectoryControllerState, "~/controller_state")
-    stage.loop.snapshot["speed_scale_asked"] = 0.25
+    stage.loop.command["speed_scale"] = 0.25
     until(lambda: heard and heard[-1].speed_scaling_factor == 0.25, "the factor")
     begin = len(heard)
     until(lambda: len(heard) > begin + 40, "40 controller states")
