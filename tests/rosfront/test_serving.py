@@ -17,6 +17,7 @@ from rosfront.streamer import horizon_s
 from rosfront.verdict import Status
 from shm import layout
 from shm.errors import AlreadyHeld, NotRunning, WrongArm
+from shm.sentences import outcome_sentence
 from shm.words import Entry, Fault, Mode, Outcome, Setpoint
 
 MS = 1_000_000
@@ -375,6 +376,24 @@ def test_a_goal_kept_back_is_replaced_by_a_newer_one(stage):
     stage.step(80)
     assert stage.verdict("now").status is Status.SUCCEEDED
     assert (stage.verdict("later").status, stage.verdict("later").code) == (Status.ABORTED, -1)
+
+
+@pytest.mark.parametrize("pauses", [True, False])
+def test_what_came_while_the_process_stood_still_counts_as_come_before_the_stop_it_missed(stage, monkeypatch, pauses):
+    stage.step()
+    stage.loop.command["stop_ns"], stage.loop.command["resume_ns"] = 1, 2
+    stage.step(look=False)
+    if pauses:
+        now_ns = time.monotonic_ns() + serving.PAUSE_NS
+        monkeypatch.setattr(serving.time, "monotonic_ns", lambda: now_ns)
+    came = stage.serving.arrival()
+    monkeypatch.undo()
+    stage.look()
+    if pauses:
+        with pytest.raises(NotServing, match=outcome_sentence(Outcome.REFUSED_OUTDATED)):
+            stage.serving.start(plan(), lambda verdict: None, arrival=came)
+    else:
+        assert stage.serving.start(plan(), lambda verdict: None, arrival=came)
 
 
 def test_what_came_earlier_does_not_replace_what_has_begun(stage):
