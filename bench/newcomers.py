@@ -9,6 +9,7 @@ import sys
 import time
 
 import rclpy
+from rclpy.node import Node
 from waiting import ready_process
 
 ENDPOINTS = 8
@@ -25,7 +26,7 @@ sys.stdin.read()
 """
 
 
-def unknown_ms(older: rclpy.node.Node, turn: int) -> float:
+def unknown_ms(older: Node, turn: int) -> float:
     """How long one newcomer's last service was not known to the older node."""
     names = [f"/newcomer_{turn}/service_{n}" for n in range(ENDPOINTS)]
     with ready_process("-c", NEWCOMER, *names) as newcomer:
