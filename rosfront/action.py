@@ -284,6 +284,7 @@ class GoalServer:
         self._result = result
         self._untold: dict[bytes, float] = {}  # goals whose client has no result yet, and until when that counts
         self._has_spun = threading.Event()
+        self._spins_until_s = math.inf
         make: Callable[..., _TellingServer] = _TellingServer
         if arrival is not None:
             try:
@@ -310,7 +311,7 @@ class GoalServer:
         Clients that go on sending goals do not keep it for ever (`leave`).
         """
         try:
-            while not (self.closing and self._idle() and self.quiet):
+            while not (self.closing and self._idle() and self.quiet) and time.monotonic() < self._spins_until_s:
                 self._executor.spin_once(LEAVE_EVERY_S if self.closing else None)
         finally:
             self._has_spun.set()
@@ -325,6 +326,7 @@ class GoalServer:
         if not self._has_spun.wait(patience_s):
             give_up()
             self._server.stop()
+            self._spins_until_s = time.monotonic() + RESULT_GRACE_S
             self._has_spun.wait()
         self._server.stop()
 
