@@ -383,9 +383,8 @@ def test_what_came_while_the_process_stood_still_counts_as_come_before_the_stop_
     stage.step()
     stage.loop.command["stop_ns"], stage.loop.command["resume_ns"] = 1, 2
     stage.step(look=False)
-    if pauses:
-        now_ns = time.monotonic_ns() + serving.PAUSE_NS
-        monkeypatch.setattr(serving.time, "monotonic_ns", lambda: now_ns)
+    now_ns = stage.serving._looked_ns + (serving.PAUSE_NS if pauses else 0)
+    monkeypatch.setattr(serving.time, "monotonic_ns", lambda: now_ns)
     came = stage.serving.arrival()
     monkeypatch.undo()
     stage.look()
