@@ -105,15 +105,20 @@ class Watch:
 
     def is_known(self, shown: Collection[bytes], now_ns: int) -> bool:
         """Whether somebody lives, or everybody shown has had time to answer and has not."""
-        if self._asked and now_ns - self._since_ns >= PATIENCE_NS:
+        if self._asked and now_ns >= self._settles_ns:
             self._settled, self._settled_ns = self._asked, self._since_ns
         silent = self._settled.issuperset(shown) and now_ns - self._settled_ns < LIVE_NS
         return not shown or silent or bool(self.live(shown, now_ns))
 
     def next_ns(self, now_ns: int) -> int:
         """When to look again, if nothing happens before."""
-        due = (self._since_ns + PATIENCE_NS, self._next_question_ns)
+        due = (self._settles_ns, self._next_question_ns)
         return min((at_ns for at_ns in due if at_ns > now_ns), default=now_ns + EVERY_NS)
+
+    @property
+    def _settles_ns(self) -> int:
+        """When who has not answered is silent: the last question is often put late, and is to be answered as well."""
+        return max(self._since_ns + PATIENCE_NS, self._asked_ns + AGAIN_NS)
 
     @property
     def _next_question_ns(self) -> int:

@@ -85,6 +85,17 @@ def test_a_server_that_does_not_hear_the_first_question_is_asked_again():
     assert len(world.questions) == asked + 10, "once a second from then on"
 
 
+def test_a_server_is_not_silent_that_this_process_stood_too_still_to_ask_again():
+    world = Discovery()
+    world.shown, world.living, world.deaf = {OURS, THEIRS}, {THEIRS}, {THEIRS}
+    assert not world.look()
+    world.now_ns += PATIENCE_NS + 50 * MS
+    assert not world.look(), "it has just been asked for the second time"
+    world.deaf.clear()
+    world.pass_to(world.now_ns + EVERY_NS)
+    assert world.look() and world.lives() == ["theirs"]
+
+
 def test_a_dead_server_is_waited_for_once_and_not_again():
     world = Discovery()
     world.shown = {OURS, THEIRS}
