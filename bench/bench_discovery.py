@@ -27,7 +27,7 @@ def surroundings(settings: str) -> dict[str, str]:
     """The environment of older node and newcomers."""
     unset = (transport.PROFILES, transport.NO_OTHER_PROFILE, transport.TRANSPORTS)
     environment = {name: value for name, value in os.environ.items() if name not in unset} | own_domain()
-    environment["PYTHONPATH"] = os.pathsep.join(map(str, (ROOT, ROOT / "bench", ROOT / "tests")))
+    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), *sys.path])
     if settings == "rtarm's":
         transport.choose_udp(environment, transport.FAST_DDS)
     else:

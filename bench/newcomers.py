@@ -10,10 +10,10 @@ import time
 
 import rclpy
 from rclpy.node import Node
-from waiting import ready_process
+from waiting import ready_process, until
 
 ENDPOINTS = 8
-"""Services of a newcomer, some as many as a front's."""
+"""Services of a newcomer."""
 NEWCOMER = """
 import sys, time, rclpy
 from std_srvs.srv import Trigger
@@ -31,8 +31,7 @@ def unknown_ms(older: Node, turn: int) -> float:
     names = [f"/newcomer_{turn}/service_{n}" for n in range(ENDPOINTS)]
     with ready_process("-c", NEWCOMER, *names) as newcomer:
         made_s = float(newcomer.stdout.readline())
-        while not older.count_services(names[-1]):
-            time.sleep(0.001)
+        until(lambda: older.count_services(names[-1]), "a newcomer that is known")
         return 1e3 * (time.monotonic() - made_s)
 
 
