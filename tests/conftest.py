@@ -43,8 +43,7 @@ def pytest_configure(config: pytest.Config) -> None:
     for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
         if signal.getsignal(number) is signal.SIG_IGN:  # in the background of a shell; what is started inherits it
             signal.signal(number, usual)
-    too_slow = [HealthCheck.too_slow]
-    settings.register_profile("untimed", settings.default, deadline=None, suppress_health_check=too_slow)
+    settings.register_profile("untimed", settings.default, deadline=None, suppress_health_check=[HealthCheck.too_slow])
     settings.load_profile("untimed")
     os.environ.update(own_domain())
     _CLAIM.bind(("127.0.0.1", ports_of(int(os.environ["ROS_DOMAIN_ID"]))[-1]))

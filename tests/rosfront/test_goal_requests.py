@@ -226,7 +226,7 @@ def test_a_flood_of_goals_does_not_keep_the_front_from_ending(arm_name):
 
 
 def test_goals_of_other_actions_do_not_keep_the_front_from_ending(arm_name):
-    """Their servers are not stopped: a client that sends without a pause and asks for no result keeps one busy."""
+    """Their servers are not stopped, and a client that sends without a pause keeps one busy; here one always is."""
     with serving_alone(arm_name) as (_, front, _, thread):
         idle, front._goals._idle = front._goals._idle, lambda: False
         closer = threading.Thread(target=front.close, args=(0.5,))

@@ -145,13 +145,14 @@ def test_a_node_of_ours_announces_itself_more_often_than_by_default() -> None:
         last.bind(("127.0.0.1", 7400 + 250 * int(os.environ["ROS_DOMAIN_ID"]) + 10 + 2 * 31))
         last.settimeout(10.0)
         with ready_process("-c", ANNOUNCING):
-            at_s, first = [], None
-            while len(at_s) < 20:
+            at_s: dict[tuple[str, int], list[float]] = {}  # others of the domain announce themselves too
+            deadline_s = time.monotonic() + 30.0
+            while max(map(len, at_s.values()), default=0) < 20:
+                assert time.monotonic() < deadline_s, "nobody announces itself so often"
                 _, sender = last.recvfrom(65536)
-                first = first or sender
-                if sender == first:  # others of the domain announce themselves too
-                    at_s.append(time.monotonic())
-    assert np.median(np.diff(at_s[6:])) == pytest.approx(0.2, abs=0.1)
+                at_s.setdefault(sender, []).append(time.monotonic())
+    most_often = max(at_s.values(), key=len)
+    assert np.median(np.diff(most_often[6:])) == pytest.approx(0.2, abs=0.1)
 
 
 @pytest.mark.process

@@ -86,29 +86,23 @@ def test_a_goal_that_arrived_before_it_never_begins(what: Callable[[VirtualArm],
 def test_what_waits_in_another_process_is_outdated_as_soon_as_the_arm_is_stopped_let_go_homed_or_at_fault() -> None:
     """That process ends it by the snapshot's epoch, whatever the arm does next."""
     arm = new_arm("episode1")
-    shown = [int(arm.reader.snapshot()["epoch"])]
 
-    def rises(what: str) -> None:
+    def rises_by(happens: Callable[[], object]) -> None:
+        before = arm.reader.snapshot()["epoch"]
+        happens()
         arm.cycle()
-        shown.append(int(arm.reader.snapshot()["epoch"]))
-        assert shown[-1] > shown[-2], what
+        assert arm.reader.snapshot()["epoch"] > before
 
     for command in (arm.stop, arm.resume, arm.hold, arm.resume):
-        command()
-        rises(command.__name__)
+        rises_by(command)
     for request in (Request.DISABLE, Request.FREE):
-        assert arm.ask(request) == Answer.DONE
-        rises(request.name)
+        rises_by(functools.partial(arm.ask, request))
         arm.release()
         assert arm.ask(Request.ENABLE) == Answer.DONE
-        assert arm.bring_up().failure is None
-        rises("bring-up")
-    assert arm.ask(Request.HOME, joint_mask=1) == Answer.DONE
-    rises("homing")
-    assert arm.reference().failure is None
-    rises("the end of homing")
-    latch_fault(arm.loop[0], arm.state.array[0], Fault.WIRE, -1, 0.0, 0.0)
-    rises("a fault")
+        rises_by(arm.bring_up)
+    rises_by(lambda: arm.ask(Request.HOME, joint_mask=1))
+    rises_by(arm.reference)
+    rises_by(lambda: fault(arm))
     arm.close()
 
 
