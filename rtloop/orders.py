@@ -33,6 +33,8 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
         elif order.kind == port.ADOPT:
             if core.mode == Mode.BRINGING_UP or core.mode == Mode.REFERENCING:
                 adopt(loop, order.joint, order.value, order.code)
+        elif order.kind == port.POWER_KEPT:
+            forgive_silence(loop, order.joint)
         elif order.kind == port.FAST_READY:
             loop.axes[order.joint].fast_ready = 1
         elif order.kind == port.BRING_UP_DONE:
@@ -90,6 +92,14 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
         axis.unanswered_since_ns = 0
         axis.status_ns = core.now_ns
         axis.told_velocity_rad_s = axis.effort_nm = axis.temperature_c = axis.voltage_v = math.nan
+
+
+@jit
+def forgive_silence(loop: Loop, joint: int) -> None:
+    """A drive that had power all along went on counting: that nobody heard it says nothing against its angle."""
+    axis = loop.axes[joint]
+    if axis.unreferenced_reason == Unreferenced.SILENT:
+        axis.unreferenced_reason = Unreferenced.NOT_BROUGHT_UP
 
 
 @jit

@@ -1,9 +1,10 @@
 """What is known of the drives' counts beyond the life of a control process.
 
-Two small files an arm, in `rtarm/positions` under $XDG_STATE_HOME (~/.local/state). `<arm>.json`: where the drives
+Three small files an arm, in `rtarm/positions` under $XDG_STATE_HOME (~/.local/state). `<arm>.json`: where the drives
 counted when rtarm was last ended in order, to notice what happened to the arm since. It is there until a start has
 compared all of them: after a crash nothing is compared, since nothing is known. `<arm>.unreferenced`: which joints have
-lost their reference and why, until they are given one. Simulated arms at a pseudo-terminal begin wherever they are told
+lost their reference and why, until they are given one. `<arm>.power`: by what their drives prove that they have kept
+their power (`rtloop.power`). Simulated arms at a pseudo-terminal begin wherever they are told
 to, so nothing is kept of them.
 """
 
@@ -149,6 +150,52 @@ def keep_lost_reference(arm: ArmConfig, joint: int, reason: Unreferenced | None)
             f"What is known of {arm.joints[joint].name}'s reference could not be kept in {path} ({problem.strerror}), "
             "so the next start would believe what is not true: see that the file can be written."
         ) from problem
+
+
+def forgive_silence(arm: ArmConfig, joint: int) -> None:
+    """The joint's drive had power while it was silent; what else is known against its angle stays.
+
+    Raises:
+        NotSaved: with the sentence for people.
+    """
+    if lost_references(arm).get(joint) == Unreferenced.SILENT:
+        keep_lost_reference(arm, joint, None)
+
+
+def power_marks(arm: ArmConfig) -> dict[int, str]:
+    """Joint number → its drive's mark (`rtloop.power`) at this channel; what cannot be read proves nothing."""
+    if _is_simulated(arm):
+        return {}
+    try:
+        kept = json.loads(_power_path(arm).read_text(encoding="utf-8"))
+        marks = dict(kept["marks"]) if kept["channel"] == _channel(arm) else {}
+    except (OSError, ValueError, TypeError, KeyError, NotSaved):
+        return {}
+    found = {joint: marks.get(config.name) for joint, config in enumerate(arm.joints)}
+    return {joint: mark for joint, mark in found.items() if isinstance(mark, str)}
+
+
+def keep_power_marks(arm: ArmConfig, marks: Mapping[int, str]) -> None:
+    """Keep all of them for the next process.
+
+    Raises:
+        NotSaved: with the sentence for people.
+    """
+    if _is_simulated(arm):
+        return
+    path = _power_path(arm)
+    named = {arm.joints[joint].name: mark for joint, mark in sorted(marks.items())}
+    try:
+        _replace(path, json.dumps({"channel": _channel(arm), "marks": named}))
+    except OSError as problem:
+        raise NotSaved(
+            f"By what the drives prove that they keep their power could not be kept in {path} ({problem.strerror}), so "
+            "a drive that falls silent while rtarm dies must be referenced again: see that the file can be written."
+        ) from problem
+
+
+def _power_path(arm: ArmConfig) -> Path:
+    return path_of(arm.name).with_suffix(".power")
 
 
 def _read_lost(arm: ArmConfig) -> dict[int, Unreferenced]:

@@ -13,6 +13,7 @@ from rtloop.conversation import Conversation, TalkFailed
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_talk import Answered
 from rtloop.port import ServicePort
+from rtloop.power import Marks
 from rtloop.referencing import KeepLost, Referencing
 from rtloop.settings.compare import DriveReport, report_of
 from rtloop.settings.talk import ReadSettings
@@ -169,6 +170,7 @@ class Session:
             placed={},
             tell=self._tell,
             keep_lost=self._remember,
+            marks=Marks(),
             again="run this again",
         )
         try:

@@ -115,7 +115,21 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
     if host.arm.bus.fast_targets:
         yield from fast_targets.prepare(host.arm, joint, drive, version)
         host.post(FAST_READY, joint=joint)
-    return (yield from _standing(host, joint, config, reason))
+    found = yield from _standing(host, joint, config, reason)
+    # last, so that it speaks for all that was read before
+    return found._replace(kept_power=(yield from _kept_power(host, joint, flags)))
+
+
+def _kept_power(host: Host, joint: int, flags: int) -> Answered[bool]:
+    """Whether the drive still has its mark in volatile memory; one that has not is given one for the next time.
+
+    But not one whose angle was given up: its mark would speak for the time since, not for that in which it was lost.
+    """
+    lost = flags & registers.POWER_LOST and not host.port.power_loss_known(joint)
+    if not lost and (yield from zdt_talk.has_mark(host.marks[joint])):
+        return True
+    host.marks[joint] = None if host.was_silent[joint] else (yield from zdt_talk.mark(host.now_ns))
+    return False
 
 
 def _end_homing(host: Host, joint: int, config: JointConfig) -> Answered[bool]:
@@ -162,7 +176,7 @@ def _settle_configuration(
         )
     if block.response == wanted:
         return
-    block = yield from zdt_talk.read_block_surely()
+    block = yield from zdt_talk.surely(zdt_talk.read_block)
     if block is None:
         raise TalkFailed(
             joint,

@@ -84,6 +84,8 @@ class ZdtDrive(Functions):
         refuses: whether it refuses every motion command.
         keeps_settings: whether it says that it took new settings, and keeps its own.
         foreign: whether its configuration block is longer, as that of another firmware [inf].
+        power_flag: what the flag for lost power does; "absent" is 0 and "stuck" 1 whatever happens, and one that is
+            "zero at boot" is not raised by a loss of power.
         causes: why its protection tripped, as bits of `3B` (4 over-temperature, 5 over-current; a stall has none).
         cause_lasts: whether that cause is still there, so that the protection cannot be cleared.
         count_shift: what its count reads beside what it is [counts].
@@ -229,7 +231,7 @@ class ZdtDrive(Functions):
         self._single_turn_zero = self._single_turn_zero_flash
         self._hold()
         self._origin = self._ramp.position
-        self.enabled, self.protected, self.power_lost = True, False, True
+        self.enabled, self.protected, self.power_lost = True, False, self.power_flag != "zero at boot"
         self.causes = self.count_shift = 0
         self._homing_failed = False
         self._watchdog_ns = self._watchdog_flash_ns

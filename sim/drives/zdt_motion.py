@@ -15,6 +15,8 @@ from sim.drives.ramp import GRAINS_PER_REVOLUTION, NEVER, Ramp
 from sim.drives.shaft import Shaft
 from sim.drives.zdt_settings import Homing, Settings
 
+PowerFlag = Literal["right", "absent", "zero at boot", "stuck"]
+
 COUNTS_PER_REVOLUTION = 65536
 DONE, NOTHING_TO_DO, REFUSED, COMPLETE = 0x02, 0x12, 0xE2, 0x9F
 """Codes of answers: taken, already there, refused, and arrived."""
@@ -58,6 +60,7 @@ class Motion(ABC):
         self.enabled = True
         self.protected = False
         self.power_lost = not homed
+        self.power_flag: PowerFlag = "right"
         self._new = firmware == "new"
         self._max_rpm = 6000 if self._new else 3000
         self._retarget = retarget
@@ -181,7 +184,8 @@ class Motion(ABC):
         """The flags of `3A`; a stall that has tripped the protection goes on being told until that is cleared."""
         stalled = self._stalled or (self.protected and not self.causes)
         flags = self.enabled | (self.reached and not stalled) << 1 | stalled << 2 | self.protected << 3
-        return flags | self.power_lost << 7 if self._new else flags
+        raised = self.power_flag == "stuck" or (self.power_lost and self.power_flag != "absent")
+        return flags | raised << 7 if self._new else flags
 
     @property
     def homing_byte(self) -> int:
