@@ -540,6 +540,11 @@ def unreferenced_sentence(reason: int, joint: str) -> str:
     return _say(UNREFERENCED, Unreferenced, reason, joint, 0.0, 0.0)
 
 
+def unreferenced_cause(reason: int, joint: str) -> str:
+    """What has happened to a joint's count: the same without what follows from it, and without a full stop."""
+    return unreferenced_sentence(reason, joint).partition(", so ")[0]
+
+
 def grip_trouble_sentence(trouble: int, value: float) -> str:
     """Why the gripper on the bus cannot do what it is told."""
     return _say(GRIP_TROUBLES, GripTrouble, trouble, "", value, 0.0)

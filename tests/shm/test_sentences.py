@@ -28,6 +28,15 @@ def test_each_sentence_is_one_and_fills_in(member):
         assert row.reason.endswith(".") and row.remedy.endswith(".")
 
 
+@pytest.mark.parametrize(
+    "reason", [one for one in Unreferenced if one != Unreferenced.REFERENCED], ids=lambda r: r.name
+)
+def test_a_cause_is_the_sentence_without_what_follows_from_it(reason):
+    cause = sentences.unreferenced_cause(reason, "joint2")
+    assert sentences.unreferenced_sentence(reason, "joint2").startswith(f"{cause}, so ")
+    assert "joint2" in cause and ":" not in cause and len(cause) < 62  # beside joint and angle in 80 columns
+
+
 def test_the_values_are_in_the_sentence():
     text = sentences.outcome_sentence(Outcome.PATH_TOLERANCE, "joint2", 0.1312, 0.1)
     assert "joint2 was 0.1312 rad from its setpoint and 0.1000 rad are allowed" in text
