@@ -92,6 +92,7 @@ RUN: dict[str, Run] = {
     "rtarm reference joint1": Run(ARM, "Taken: joint1"),
     "rtarm reference joint2": Run(ARM, "Taken: joint2"),
     "rtarm reference joint2=-12.5": Run(ARM, "Taken: joint2 -12.50°"),
+    "rtarm reference --all": Run(ARM, "are referenced"),
     "rtarm reference joint6=-24": Run(ARM, "Taken: joint6 -24.00°"),
     "rtarm free": Run(ARM, "are limp: lead it by hand"),
     "rtarm enable": Run(ARM, "are enabled; the arm holds where it stands"),

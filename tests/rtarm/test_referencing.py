@@ -233,17 +233,25 @@ def test_nobody_is_asked_for_what_cannot_be_taken_now(
     assert said in result.stderr
 
 
-def test_a_script_gets_json_and_says_that_somebody_has_looked(control: ControlProcess, rtarm: Rtarm) -> None:
+def test_a_script_says_that_somebody_has_looked(control: ControlProcess, rtarm: Rtarm) -> None:
+    control.lose(Unreferenced.SILENT, Unreferenced.REFERENCED)
+    with control.arm.answering(control):
+        result = rtarm("reference", "--arm", control.arm.name, "--all")
+    assert (result.exit_code, control.asked) == (1, [])
+    assert "give --yes in a script" in result.stderr
+
+
+def test_who_wants_json_is_asked_nothing_in_between(
+    control: ControlProcess, rtarm: Rtarm, questions: list[str]
+) -> None:
     control.lose(Unreferenced.SILENT, Unreferenced.REFERENCED)
     with control.arm.answering(control):
         unseen = rtarm("reference", "--arm", control.arm.name, "--all", "--json")
-        assert (unseen.exit_code, control.asked) == (1, [])
+        assert (unseen.exit_code, control.asked, questions) == (1, [], [])
         assert "give --yes" in json.loads(unseen.stdout)["problems"][0]
-        piped = rtarm("reference", "--arm", control.arm.name, "--all")
-        assert (piped.exit_code, control.asked) == (1, [])
-        assert "give --yes in a script" in piped.stderr
         result = rtarm("reference", "--arm", control.arm.name, "--all", "--yes", "--json")
     assert json.loads(result.stdout) == {"arm": control.arm.name, "done": True, "said": "Taken: shoulder 20.00°."}
+    assert questions == []
 
 
 @pytest.mark.parametrize(
