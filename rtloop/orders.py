@@ -88,7 +88,7 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
             axis.unreferenced_reason = Unreferenced.NOT_BROUGHT_UP
         axis.readings = axis.status_readings = axis.bad_statuses = axis.doubted = axis.refusals = 0
         axis.lag_ns = axis.fast_ready = 0
-        axis.status = 0
+        axis.status = axis.firmware = 0
         axis.unanswered_since_ns = 0
         axis.status_ns = core.now_ns
         axis.told_velocity_rad_s = axis.effort_nm = axis.temperature_c = axis.voltage_v = math.nan

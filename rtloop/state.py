@@ -170,6 +170,7 @@ AXIS = np.dtype(
         ("status", "i8"),
         ("status_ns", "i8"),  # when a drive that says its status by itself has done so last
         ("error_code", "i8"),  # that its drive told last, 0 none
+        ("firmware", "i8"),  # of its drive, major version << 8 | minor version, 0 where it has not told
         ("status_readings", "i8"),
         ("referenced", "i8"),
         ("unreferenced_reason", "i8"),

@@ -55,6 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
             faults=[parse_fault(text) for text in options.fault],
             dialect=options.dialect,
             firmware=options.firmware,
+            odrive_firmware=options.odrive_firmware,
             homed=not options.unhomed,
             hand=None if options.hand is None else load_guided(options.hand, [joint.name for joint in config.joints]),
         )
@@ -198,7 +199,8 @@ def _parser() -> argparse.ArgumentParser:
         help="motion (CSV, or `wave`) along which a hand leads the joints whenever all are limp",
     )
     parser.add_argument("--dialect", choices=DIALECTS, default="lawicel", help="of an SLCAN adapter")
-    parser.add_argument("--firmware", choices=("new", "old"), default="new", help="of the drives")
+    parser.add_argument("--firmware", choices=("new", "old"), default="new", help="of ZDT drives")
+    parser.add_argument("--odrive-firmware", choices=("0.5.6", "0.6"), default="0.5.6", help="of ODrives")
     parser.add_argument("--unhomed", action="store_true", help="drives that have just been switched on")
     parser.add_argument("--seed", type=int, default=0, help="of random delays and faults")
     parser.add_argument("--truth", type=Path, help="file for the true motion (NumPy archive)")
