@@ -7,6 +7,7 @@ is its family's (`rtloop.drives.setup`); what its answer means for the joint is 
 import math
 from collections.abc import Callable, Mapping
 
+from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import Conversation, Dialogue
 from rtloop.drives.setup import Found, setup_of
@@ -109,10 +110,20 @@ class BringUp(Conversation):
             reason = Unreferenced.OUTSIDE_LIMITS
             self.tell(
                 f"{config.name} is not referenced: it reads {measured_rad:+.3f} rad, outside its limits "
-                f"{config.lower_rad:+.3f} to {config.upper_rad:+.3f} rad; home it, or mend zero_deg or direction."
+                f"{config.lower_rad:+.3f} to {config.upper_rad:+.3f} rad; {_remedy(config, measured_rad)}."
             )
         if kept and reason == Unreferenced.REFERENCED:
             self.post(POWER_KEPT, joint=joint)
             self._forgive_silence(joint)
             self.tell(f"{config.name}: its drive had power all the time that it was silent, so its angle is known.")
         self._adopt(joint, target_rad, reason)
+
+
+def _remedy(config: JointConfig, measured_rad: float) -> str:
+    """What to do about a joint that reads outside its limits."""
+    turn_rad = 2.0 * math.pi / config.ratio
+    a_turn_off = any(config.lower_rad <= measured_rad + way <= config.upper_rad for way in (turn_rad, -turn_rad))
+    within = config.drive.within_a_turn
+    if within is not None and a_turn_off:
+        return f"it may be a motor turn off: {within}"
+    return "home it, or mend zero_deg or direction"

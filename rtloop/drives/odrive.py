@@ -5,7 +5,8 @@ can_simple_messages.hpp and odrive_enums.h in odriverobotics/ros_odrive): standa
 little-endian. 0C is an input position (float turns, velocity and torque ahead as int16 of 0.001); 09 are the encoder's
 estimates (float turns, turns/s), 17 bus voltage and current, 14 motor current, each told when a remote frame asks for
 it; 01 is the heartbeat, which comes by itself: error word and axis state in its first five bytes, whatever the
-firmware. What the error's bits mean depends on the firmware: 0.6 tells its version when asked (00), 0.5 does not answer.
+firmware. What the error's bits mean is another thing with 0.6, which tells its version when asked (00); 0.5 is silent
+then.
 
 Firmware 0.5.6 answers 09 with 0.0 and 0.0 until its loop has been closed once since power came (can_simple.cpp of
 odriverobotics/ODrive reads what start_closed_loop_control in axis.cpp connects).

@@ -1,8 +1,8 @@
 """An axis of an ODrive with firmware 0.5.6 or 0.6 on CAN (CANSimple), from its frames to its shaft.
 
-Written from other-drives.md and from reading firmware 0.5.6 (odriverobotics/ODrive on GitHub: can_simple.cpp, axis.cpp);
-of 0.6, whose source is not public, from can_simple_messages.hpp and odrive_enums.h in odriverobotics/ros_odrive. [inf]
-marks what none of them says and is assumed here: a host should not depend on it.
+Written from other-drives.md and from reading firmware 0.5.6 (can_simple.cpp and axis.cpp in odriverobotics/ODrive); of
+0.6, whose source was not to be found, from can_simple_messages.hpp and odrive_enums.h in odriverobotics/ros_odrive.
+[inf] marks what none of them says and is assumed here: a host should not depend on it.
 
 Modelled:
 - Identifiers: standard, node << 5 | command. Other nodes and extended frames meet silence. Reads are asked by a remote

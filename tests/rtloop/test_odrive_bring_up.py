@@ -75,7 +75,10 @@ def test_an_axis_that_does_not_know_yet_where_it_stands_is_told_no_place(version
     sent, found = said(
         {ESTIMATES: [NOWHERE, NOWHERE, NOWHERE, HERE], HEARTBEAT: [heartbeat(0, 1), heartbeat(0, 8)], **version}
     )
-    assert [text for text in sent if "R" not in text] == ["02B# 03 00 00 00 01 00 00 00", "027# 08 00 00 00 00 00 00 00"]
+    assert [text for text in sent if "R" not in text] == [
+        "02B# 03 00 00 00 01 00 00 00",
+        "027# 08 00 00 00 00 00 00 00",
+    ]
     assert (found.reading, found.target) == (2.5, 2.5)
 
 

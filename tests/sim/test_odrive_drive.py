@@ -120,9 +120,7 @@ def test_a_heartbeat_of_0_6_has_the_procedures_result_and_whether_the_trajectory
     assert bench.tell("038#", CLOSE).wait(100) == ["021# 00 00 00 00 08 01 01 00"]
 
 
-@pytest.mark.parametrize(
-    ("cause", "error"), [("stall", 0x0400_0000), ("temperature", 0x2000), ("current", 0x1000)]
-)
+@pytest.mark.parametrize(("cause", "error"), [("stall", 0x0400_0000), ("temperature", 0x2000), ("current", 0x1000)])
 def test_errors_of_0_6_are_one_word(cause, error):
     bench = newer().tell(CLOSE)
     bench.drive.protect(bench.now_ns, cause)
