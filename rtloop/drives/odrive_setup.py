@@ -2,9 +2,10 @@
 
 What it is asked (nothing moves): its position, its firmware's version, then its heartbeat, which says whether it has
 an error and whether it is in closed loop. An axis that is idle gets its input position put to where it stands before
-its loop is closed. One that tells no position yet, as 0.5.6 before its first closed loop, gets none: firmware 0.5 begins
-a closed loop where it stands. One whose loop is closed gets an input position too, because nothing tells what its old
-one is, and the modes are set behind that: where it stood still it keeps standing, by as much as it was off its old one.
+its loop is closed. One that tells no position yet, as 0.5.6 before its first closed loop, gets none: firmware 0.5
+begins a closed loop where it stands. One whose loop is closed gets an input position too, because nothing tells what
+its old one is, and the modes are set behind that: where it stood still it keeps standing, by as much as it was off its
+old one.
 """
 
 import math
