@@ -39,8 +39,8 @@ def refuse_unsound(connection: Connection) -> None:
     snapshot = connection.snapshot()
     if sentence := connection.fault(snapshot):
         raise Refusal(f"A fault is latched, clear it first: {sentence}")
-    if lost := connection.lost(snapshot):
-        raise Refusal(" ".join(lost.values()))
+    if why_lost := connection.why_lost(snapshot):
+        raise Refusal(" ".join(why_lost))
 
 
 def refuse_unless_holding(connection: Connection) -> None:

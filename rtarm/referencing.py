@@ -10,7 +10,7 @@ from typing import NamedTuple
 from rtarm.errors import Refusal
 from rtarm.requests import Connection, connect, see_to_the_end, stands_at
 from shm.errors import SharedMemoryError
-from shm.sentences import answer_sentence, unreferenced_cause
+from shm.sentences import answer_sentence, unreferenced_cause, unreferenced_sentence
 from shm.words import Answer, Mode, Request, Unreferenced
 
 MAY_STAND_WHERE_READ = frozenset(
@@ -60,8 +60,8 @@ def reference(arm: str, said_deg: Mapping[str, float | None]) -> str:
             except Refusal as refused:
                 said = f" Before that was taken: {', '.join(taken)}." if taken else ""
                 raise Refusal(f"{refused}{said}") from None
-        lost = connection.lost(connection.snapshot())
-    return " ".join([f"Taken: {', '.join(taken)}.", *lost.values()])
+        why_lost = connection.why_lost(connection.snapshot())
+    return " ".join([f"Taken: {', '.join(taken)}.", *why_lost])
 
 
 def readings(arm: str) -> list[Reading]:
@@ -182,8 +182,10 @@ def _take(connection: Connection, joint: str, angle_deg: float | None) -> str:
     value = math.nan if angle_deg is None else math.radians(angle_deg)
     connection.order(Request.REFERENCE, joint_mask=1 << index, value=value)
     after = see_to_the_end(connection, lambda _: None)
-    if sentence := connection.fault(after) or connection.lost(after).get(joint, ""):
+    if sentence := connection.fault(after):
         raise Refusal(sentence)
+    if joint in (lost := connection.lost(after)):
+        raise Refusal(unreferenced_sentence(lost[joint], joint))
     return stands_at(after, index, joint)
 
 

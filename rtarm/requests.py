@@ -16,7 +16,12 @@ from rtarm.status import MOVING_MODES, STOPPED_BY_A_PERSON
 from shm import files
 from shm.client import CommandWriter, StateReader, find
 from shm.errors import NotRunning
-from shm.sentences import answer_sentence, fault_sentence, joint_name, unreferenced_sentence
+from shm.sentences import (
+    answer_sentence,
+    latched_sentence,
+    reasons_unreferenced,
+    unreferenced_sentences,
+)
 from shm.words import Answer, DriveStatus, Fault, Mode, Phase, Request
 
 ANSWER_PATIENCE_S = 2.0
@@ -118,17 +123,15 @@ class Connection:
         """The latched fault in a sentence, "" where there is none."""
         if int(snapshot["fault"]) == Fault.NONE:
             return ""
-        joint = joint_name(int(snapshot["fault_joint"]), self.joints)
-        value, limit = float(snapshot["fault_value"]), float(snapshot["fault_limit"])
-        return fault_sentence(int(snapshot["fault"]), joint, value, limit)
+        return latched_sentence(snapshot, self.joints)
 
-    def lost(self, snapshot: np.ndarray) -> dict[str, str]:
-        """A sentence for each joint that has no reference."""
-        return {
-            name: unreferenced_sentence(int(snapshot["joints"][index]["unreferenced_reason"]), name)
-            for index, name in enumerate(self.joints)
-            if not snapshot["joints"][index]["referenced"]
-        }
+    def lost(self, snapshot: np.ndarray) -> dict[str, int]:
+        """The joints that have no reference, and why (shm.words.Unreferenced)."""
+        return reasons_unreferenced(snapshot, self.joints)
+
+    def why_lost(self, snapshot: np.ndarray) -> list[str]:
+        """The same in sentences, one for each reason."""
+        return unreferenced_sentences(self.lost(snapshot))
 
     def wait(self, condition: Condition, patience_s: float, too_long: str) -> np.ndarray:
         """The first snapshot that fulfils a condition.
@@ -236,8 +239,8 @@ def clear_fault(arm: str) -> str:
         )
         if sentence := connection.fault(after):
             raise Refusal(f"The fault was cleared and came back. {sentence}")
-        lost = connection.lost(after)
-    return " ".join([f"The fault is cleared; arm {arm} holds where it stands.", *_held_words(after), *lost.values()])
+        why_lost = connection.why_lost(after)
+    return " ".join([f"The fault is cleared; arm {arm} holds where it stands.", *_held_words(after), *why_lost])
 
 
 def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
@@ -266,19 +269,19 @@ def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
             after = connection.wait(_is_over, connection.patience.person_s, still_homes)
             ended = "Ended: the joint that was on its way stands, without a reference."
             raise Refusal(connection.fault(after) or ended) from None
-        lost = connection.lost(after)
+        lost, why_lost = connection.lost(after), connection.why_lost(after)
         if sentence := connection.fault(after):
             raise Refusal(sentence)
         if not_homed := [
             joint for joint in joints or begun if joint in lost or (joint not in begun and connection.homes(joint))
         ]:
             ended = f"The homing run was ended before it had come to the end with {', '.join(not_homed)}."
-            raise Refusal(" ".join([ended, *lost.values()]))
+            raise Refusal(" ".join([ended, *why_lost]))
         stands = ", ".join(stands_at(after, connection.index(joint), joint) for joint in begun)
         runs = any(map(connection.homes, joints or connection.joints))
     if not runs:
-        return " ".join([f"Arm {arm} holds where it stands; no drive of these joints finds a stop.", *lost.values()])
-    return " ".join([f"Homed; arm {arm} holds where it stands: {stands or 'nothing was homed'}.", *lost.values()])
+        return " ".join([f"Arm {arm} holds where it stands; no drive of these joints finds a stop.", *why_lost])
+    return " ".join([f"Homed; arm {arm} holds where it stands: {stands or 'nothing was homed'}.", *why_lost])
 
 
 def _interrupt(*_: object) -> None:
@@ -335,9 +338,9 @@ def enable(arm: str) -> str:
         )
         if sentence := connection.fault(after):
             raise Refusal(sentence)
-        lost = connection.lost(after)
+        why_lost = connection.why_lost(after)
     held = _held_words(after)
-    return " ".join([f"The drives of {arm} are enabled; the arm holds where it stands.", *held, *lost.values()])
+    return " ".join([f"The drives of {arm} are enabled; the arm holds where it stands.", *held, *why_lost])
 
 
 def _held_words(snapshot: np.ndarray) -> list[str]:

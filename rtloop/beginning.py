@@ -12,6 +12,7 @@ from config.joint import FAMILIES, JointConfig
 from config.schema import ArmConfig
 from config.serial_adapters import SERIAL_ADAPTERS
 from rtloop.drives.setup import homes_by_a_run, setup_of
+from rtloop.saved import PSEUDO_TERMINALS
 from rtloop.state import (
     CAN_FRAME_BYTES,
     GRIPPER,
@@ -100,6 +101,7 @@ def _fill_params(params: np.void, arm: ArmConfig) -> None:
     params["period_ns"] = period_ns
     params["homing_mask"] = sum(1 << joint for joint in arm.homing_order)
     params["wire"] = WIRES[arm.bus.interface]
+    params["simulated"] = str(arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)
     for name in ("start_tolerance_rad", "velocity_margin", "acceleration_margin", "braking_factor"):
         params[name] = getattr(limits, name)
     params["following_error_rad"] = limits.following_error_rad

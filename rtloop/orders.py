@@ -75,6 +75,7 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
     core.fault = Fault.NONE
     core.fault_joint = -1
     core.fault_value = core.fault_limit = 0.0
+    core.fault_silent = core.fault_evidence = 0
     core.own_brake = core.slowed = core.rebase_ns = 0
     core.motion_started = core.silenced = core.rested = 0
     core.bring_up_asked = core.release_asked = core.home_asked = core.reference_asked = 0

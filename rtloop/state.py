@@ -83,6 +83,7 @@ PARAMS = np.dtype(
         ("reading_ns", "i8"),  # between two positions of a drive
         ("fast_targets", "i8"),  # 1: targets are sent with FC, to drives that are known to take it as absolute
         ("report_overdue_ns", "i8"),  # age above which a report that is missing is asked for
+        ("simulated", "i8"),  # 1: the wire is a pseudo-terminal, behind which a program is the drives
     ]
 )
 
@@ -244,6 +245,8 @@ CORE = np.dtype(
         ("fault_value", "f8"),
         ("fault_limit", "f8"),
         ("fault_ns", "i8"),
+        ("fault_silent", "i8"),  # joint mask; as the next, only for the sentence of STALE_READING
+        ("fault_evidence", "i8"),  # bits of shm.words.Evidence
         ("own_brake", "i8"),  # each joint brakes by itself: the path cannot be trusted
         ("motion_started", "i8"),
         ("rebase_ns", "i8"),  # since when the measured positions wait to be commanded, 0 = they do not
@@ -326,6 +329,24 @@ CORE = np.dtype(
     ]
 )
 
+QUIET = np.dtype(
+    [
+        # what happens while no drive is heard, for `rtloop.silence` alone
+        ("heard_ns", "i8"),  # arrival of the last frame of any drive
+        ("heard_before_ns", "i8"),  # the same in the cycle before
+        ("adapter_words", "i8"),  # answers of the adapter itself, where its wire tells them apart
+        ("adapter_words_before", "i8"),  # in the cycle before
+        ("adapter_ns", "i8"),  # cycle in which the last of them was taken
+        ("spoke_ns", "i8"),  # cycle that last had anything to send
+        # since a drive was heard
+        ("away_ns", "i8"),  # for how long the cycle was away
+        ("bytes_unsent", "i8"),  # these are the counters of then
+        ("unacknowledged", "i8"),
+        ("error_frames", "i8"),
+        ("frames_received", "i8"),
+    ]
+)
+
 FRAME = np.dtype(
     [
         ("kind", "i8"),
@@ -353,7 +374,8 @@ ARRIVED = np.dtype(
         ("dropped", "i8"),  # bytes that the system had no room for, as ordinary Python found out
         ("unsent", "i8"),  # bytes that the wire had taken and did not send after all, as ordinary Python found out
         ("clock", "i8", (2,)),
-        ("padding", "i8", (8,)),
+        ("woke_ns", "i8"),  # when the reader last went to look for bytes, 0 = never
+        ("padding", "i8", (7,)),
     ]
 )
 
@@ -423,6 +445,7 @@ LOOP = np.dtype(
         ("joints", JOINT_PARAMS, (MAX_JOINTS,)),
         ("listeners", LISTENER, (LISTENERS,)),  # who hears which frames
         ("core", CORE),
+        ("quiet", QUIET),
         ("axes", AXIS, (MAX_JOINTS,)),
         ("paths", PATH, (2,)),
         ("knots", layout.SETPOINT, (2 * WINDOW_KNOTS,)),

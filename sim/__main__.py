@@ -134,10 +134,21 @@ def _serve(server: Server, truth: Path | None, window_s: float | None, faults_fr
 
     if truth is not None:
         server.heard = []
+    if isinstance(server, PtyServer):
+        server.on_held_up = _say_held_up
     print(f"ready {server.place}", flush=True)
     server.serve(attend, watched)
     signal.set_wakeup_fd(-1)
     write_truth()
+
+
+def _say_held_up(late_ns: int) -> None:
+    print(
+        f"sim: This machine held the simulated arm up for {late_ns * 1e-9:.3f} s, in which all its drives were silent: "
+        "relieve it, or see `rtarm doctor`.",
+        file=sys.stderr,
+        flush=True,
+    )
 
 
 def _forget_before(server: Server, time_ns: int) -> None:

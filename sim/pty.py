@@ -24,6 +24,8 @@ from sim.waking import READ_SIZE, Waking
 
 PACKET_NS = 1_000_000
 """Time between two packets of a full-speed USB adapter."""
+HELD_UP_NS = 25_000_000
+"""A simulated arm that runs later than this makes its drives silent for as long as a control process brakes for."""
 
 
 class PtyServer(Waking):
@@ -37,6 +39,7 @@ class PtyServer(Waking):
         tty_path: the terminal a host opens.
         dropped_bytes: bytes to the host that found the terminal full.
         heard: what the host wrote, kept for `sim.truth` where this is a list.
+        on_held_up: told for how long (ns) this machine did not run the arm although it had something to do.
 
     Raises:
         ValueError: the arm has no serial adapter.
@@ -49,6 +52,7 @@ class PtyServer(Waking):
         self._adapter = arm.serial_adapter()
         self.dropped_bytes = 0
         self.heard: Heard | None = None
+        self.on_held_up: Callable[[int], None] = lambda late_ns: None
         self._link = link
         self._master, self._slave = os.openpty()
         os.set_blocking(self._master, False)
@@ -82,10 +86,13 @@ class PtyServer(Waking):
             due_ns = arm.next_due_ns()
             wait_s = None
             if due_ns is not None:
-                wait_s = max(0, max(due_ns, packet_ns) - time.monotonic_ns()) * 1e-9
+                due_ns = max(due_ns, packet_ns)
+                wait_s = max(0, due_ns - time.monotonic_ns()) * 1e-9
             listens = (self._master,) if self._adapter.takes_characters else ()
             readable, _, _ = select.select((*listens, self._wake_read, *watched), (), (), wait_s)
             now_ns = time.monotonic_ns()
+            if due_ns is not None and now_ns - due_ns > HELD_UP_NS:
+                self.on_held_up(now_ns - due_ns)
             if self._master in readable:
                 data = os.read(self._master, READ_SIZE)
                 if self.heard is not None:
