@@ -8,6 +8,7 @@ from shm.words import Answer, Fault, Mode, Outcome, Unreferenced
 TABLES = {
     Outcome: sentences.OUTCOMES,
     Fault: sentences.FAULTS,
+    sentences.Silence: sentences.SILENCES,
     Unreferenced: sentences.UNREFERENCED,
     Answer: sentences.ANSWERS,
 }
