@@ -100,14 +100,11 @@ def _word_differences(
 ) -> tuple[list[_Difference], _Difference | None]:
     """The first difference of each word, and the first float that only rounding tells apart."""
     found, rounded = [], []
-    new_words = [name for name in sorted(now.words.keys() - was.words.keys()) if name not in LATER]
-    found += [_Difference(0, f"{_spelled(name)} is new") for name in new_words]
-    for name in LATER & (now.words.keys() - was.words.keys()):
-        found += [
-            _Difference(int(i), _changed(name, 0, now.words[name][i])) for i in np.flatnonzero(now.words[name])[:1]
-        ]
+    lacking = {name: np.zeros(len(was.sent), np.int64) for name in LATER & now.words.keys()}
+    recorded = lacking | was.words
+    found += [_Difference(0, f"{_spelled(name)} is new") for name in sorted(now.words.keys() - recorded.keys())]
     every = np.arange(len(was.sent))
-    for name, values in was.words.items():
+    for name, values in recorded.items():
         cycles = every if len(values) == len(every) else was.kept
         cycles = cycles[cycles < len(now.sent)]
         if name not in now.words:
