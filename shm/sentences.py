@@ -337,7 +337,7 @@ SILENCES: dict[Silence, Meaning] = {
     ),
     Silence.MACHINE: Meaning(
         _NO_DRIVE + ", and this machine did not run the control process in time: find what overloads or suspends it "
-        "(`rtarm doctor`)" + _THEN,
+        "(`rtarm doctor`), and see that the drives have power" + _THEN,
         "What came meanwhile may not have been read in time.",
         "Relieve the machine, set it up for real time (`rtarm doctor --fix`); clear the fault.",
     ),
@@ -355,7 +355,8 @@ SILENCES: dict[Silence, Meaning] = {
     ),
     Silence.ADAPTER: Meaning(
         _NO_DRIVE + ", and the adapter has fallen silent with them: look at the adapter, its USB cable and hub, and "
-        "whether this machine was too busy to pass its bytes on (`rtarm doctor`)" + _THEN,
+        "whether this machine was too busy to pass its bytes on (`rtarm doctor`), and see that the drives have power"
+        + _THEN,
         "An adapter that answers each frame says by its silence that it, or the way to it, stands still.",
         "Plug the adapter into another port, without a hub; relieve the machine; clear the fault.",
     ),
