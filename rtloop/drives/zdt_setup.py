@@ -115,20 +115,24 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
     if host.arm.bus.fast_targets:
         yield from fast_targets.prepare(host.arm, joint, drive, version)
         host.post(FAST_READY, joint=joint)
+    if not host.was_silent[joint] and not (yield from zdt_talk.has_mark(host.marks[joint])):
+        host.marks[joint] = yield from zdt_talk.mark(host.now_ns)
     found = yield from _standing(host, joint, config, reason)
-    # last, so that it speaks for all that was read before
+    # The last question, so that it speaks for all that was read before.
     return found._replace(kept_power=(yield from _kept_power(host, joint, flags)))
 
 
 def _kept_power(host: Host, joint: int, flags: int) -> Answered[bool]:
-    """Whether the drive still has its mark in volatile memory; one that has not is given one for the next time.
+    """Whether a drive that was silent still has its mark in volatile memory.
 
-    But not one whose angle was given up: its mark would speak for the time since, not for that in which it was lost.
+    One that has not gets none anew: it would speak for the time since, not for that in which the angle was lost.
     """
+    if not host.was_silent[joint]:
+        return False
     lost = flags & registers.POWER_LOST and not host.port.power_loss_known(joint)
     if not lost and (yield from zdt_talk.has_mark(host.marks[joint])):
         return True
-    host.marks[joint] = None if host.was_silent[joint] else (yield from zdt_talk.mark(host.now_ns))
+    host.marks[joint] = None
     return False
 
 
