@@ -1,6 +1,7 @@
 """The state of a control process that has not run a cycle yet, made from the arm's configuration."""
 
 import math
+import os
 import time
 
 import numpy as np
@@ -101,7 +102,7 @@ def _fill_params(params: np.void, arm: ArmConfig) -> None:
     params["period_ns"] = period_ns
     params["homing_mask"] = sum(1 << joint for joint in arm.homing_order)
     params["wire"] = WIRES[arm.bus.interface]
-    params["simulated"] = str(arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)
+    params["simulated"] = os.path.realpath(arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)
     for name in ("start_tolerance_rad", "velocity_margin", "acceleration_margin", "braking_factor"):
         params[name] = getattr(limits, name)
     params["following_error_rad"] = limits.following_error_rad

@@ -43,7 +43,7 @@ def _runs(lines: Sequence[Line], apart: Sequence[int]) -> list[list[Line]]:
         kind = (_VALUE.sub("#", line.sentence), line.style, line.sign, line.joint, side)
         run = newest.get(kind)
         alone = line.monotonic_ns in apart
-        if run is None or alone or line.monotonic_ns - run[-1].monotonic_ns > WITHIN_S * 1e9:
+        if run is None or line.monotonic_ns - run[-1].monotonic_ns > WITHIN_S * 1e9:
             run = []
         if not alone:
             newest[kind] = run

@@ -276,7 +276,7 @@ def test_a_fault_is_told_with_what_to_do(browser: Browser, new_arm_name: Callabl
         arm.sim.process.send_signal(signal.SIGSTOP)  # silent drives
         browser.until(lambda: browser.text("#rt-mode") == "fault")
         arm.sim.process.send_signal(signal.SIGCONT)
-        assert "has given no believable answer" in browser.said("problem")
+        assert "No drive of the simulated arm has answered" in browser.said("problem")
         assert "`rtarm clear-fault`" in browser.said("problem")
         browser.keep("view_fault")
         browser.press("Clear fault")
