@@ -220,5 +220,6 @@ def test_a_limp_motor_that_is_led_beyond_its_field_is_measured_there() -> None:
     while drive.counted < 2.1:
         arm.cycle()
         assert axis["measured_rad"] == pytest.approx(drive.counted * 2 * math.pi, abs=0.01)
+        assert not axis["doubted"], "and no reading contradicts the one before"
     assert arm.core["mode"] == Mode.DISABLED
     arm.close()
