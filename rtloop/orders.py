@@ -37,6 +37,8 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
             forgive_silence(loop, order.joint)
         elif order.kind == port.FAST_READY:
             loop.axes[order.joint].fast_ready = 1
+        elif order.kind == port.HOLDS_STALLED:
+            loop.axes[order.joint].holds_stalled = 1
         elif order.kind == port.BRING_UP_DONE:
             if core.mode == Mode.BRINGING_UP:
                 raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)
@@ -88,7 +90,7 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
         if not outlives_a_clear(loop, joint):
             axis.unreferenced_reason = Unreferenced.NOT_BROUGHT_UP
         axis.readings = axis.status_readings = axis.bad_statuses = axis.doubted = axis.refusals = 0
-        axis.lag_ns = axis.fast_ready = 0
+        axis.lag_ns = axis.fast_ready = axis.holds_stalled = 0
         axis.status = axis.firmware = 0
         axis.unanswered_since_ns = 0
         axis.status_ns = core.now_ns

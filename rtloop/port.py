@@ -25,6 +25,7 @@ REFERENCING_DONE = 8
 HOME_ALL = 9  # begin the arm's homing run
 POWER_KEPT = 11  # joint's drive proves that it had power while it was silent
 FAST_READY = 10  # joint's drive takes FC as absolute, and its speed and ramp for that are set
+HOLDS_STALLED = 11  # joint's drive goes on holding where it stalls: what lets go of a stalled shaft is off
 
 IN = offset_of(LOOP, "service_in")
 OUT = offset_of(LOOP, "service_out")

@@ -152,6 +152,7 @@ AXIS = np.dtype(
         ("led_cycle", "i8"),  # the last one in which it was led, where that is told apart; NOT_LED since it was adopted
         ("let_go", "i8"),  # 1: it was told to let go, and has said so
         ("brake_released", "i8"),  # 1: it has said that its brake is released
+        ("holds_stalled", "i8"),  # 1: it goes on holding where it stalls, and says no more than that it does
         ("questions", "i8"),  # for its position that may still be answered, QUESTIONS at most
         ("unasked", "i8"),  # positions that came although no question was left: reports
         ("heard", "i8"),  # 1: a position came since the last cycle

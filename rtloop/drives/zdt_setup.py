@@ -70,21 +70,7 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
     reason = Unreferenced.REFERENCED
     flags = yield from zdt_talk.status_of(joint, config)
     if flags & registers.PROTECTED:
-        if not host.clears_protection:
-            raise TalkFailed(
-                joint,
-                f"The drive of {config.name} has tripped its stall protection and holds nothing: free what blocks "
-                f"the joint, {ERROR_AT_START}.",
-            )
-        yield Ask(registers.CLEAR_PROTECTION, (3,))
-        flags = yield from zdt_talk.status_of(joint, config)
-        if flags & registers.PROTECTED:
-            raise TalkFailed(
-                joint,
-                f"The drive of {config.name} stays in protection after it was cleared, so what tripped it (a "
-                "blocked joint, heat, current) is still there: find it on the drive's display, let the drive cool, "
-                "then `rtarm clear-fault`.",
-            )
+        flags = yield from _clear_protection(host, joint, config)
     if flags & registers.POWER_LOST and not host.port.power_loss_known(joint):
         yield _stop(host)  # since it has power it may have heard targets of before
         reason = Unreferenced.POWER_LOST
@@ -134,6 +120,26 @@ def _kept_power(host: Host, joint: int, flags: int) -> Answered[bool]:
         return True
     host.marks[joint] = None
     return False
+
+
+def _clear_protection(host: Host, joint: int, config: JointConfig) -> Answered[int]:
+    """End a protection that has tripped, where a person wants that; the flags of ASK_STATUS after it."""
+    cause, remedy = registers.trip_cause((yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS)) or 0)
+    if not host.clears_protection:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} has tripped its protection ({cause}) and holds nothing: {remedy}, "
+            f"{ERROR_AT_START}.",
+        )
+    yield Ask(registers.CLEAR_PROTECTION, (3,))
+    flags = yield from zdt_talk.status_of(joint, config)
+    if flags & registers.PROTECTED:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} stays in protection after it was cleared, because what tripped it "
+            f"({cause}) is still there: {remedy}, then `rtarm clear-fault`.",
+        )
+    return flags
 
 
 def _end_homing(host: Host, joint: int, config: JointConfig) -> Answered[bool]:
