@@ -1,10 +1,10 @@
 """Bring-up, homing and release of an MKS SERVO42D/57D; what its frames are is said in `rtloop.drives.mks`.
 
-What it is asked (nothing moves): its position, whether it moves, its work mode, microsteps and acknowledgements, whether
-it has stalled and whether that lets go of its shaft, whether it is enabled, and how far it stands from its own target. A drive that is on its way somewhere is
-stopped first. What must be different is told to it: the work mode SR_vFOC (`82`), without which it heeds no motion
-commands, and whether it acknowledges (`8C`); a drive keeps both. Firmware before V1.0.6 cannot be asked for settings
-(`00`), so they are told to it each time.
+What it is asked (nothing moves): its position, whether it moves, its work mode, microsteps and acknowledgements,
+whether it has stalled and whether that lets go of its shaft, whether it is enabled, and how far it stands from its own
+target. A drive that is on its way somewhere is stopped first. What must be different is told to it: the work mode
+SR_vFOC (`82`), without which it heeds no motion commands, and whether it acknowledges (`8C`); a drive keeps both.
+Firmware before V1.0.6 cannot be asked for settings (`00`), so they are told to it each time.
 
 Its count begins where it was switched on, and nothing tells that it was.
 """

@@ -2,9 +2,10 @@
 
 Protocol facts (Motor Motion Protocol V4.2 and V4.3 for V3 drivers; 2b-t/myactuator_rmd and its tests): standard
 identifiers, 140 + ID out and 240 + ID back, always 8 bytes, lowest byte first; an answer begins with the command's
-byte. A4 is an absolute target (0.01° of the output shaft) with the highest speed of its trapezoid (whole degrees a second), answered
-with temperature, current (0.01 A), speed (whole °/s) and an angle of whole degrees; 92 is answered with the angle in
-0.01°; 9A with temperature, brake, voltage (0.1 V) and error word; 9C as A4 is; 81 stops, with the loop closed.
+byte. A4 is an absolute target (0.01° of the output shaft) with the highest speed of its trapezoid (whole degrees a
+second), answered with temperature, current (0.01 A), speed (whole °/s) and an angle of whole degrees; 92 is answered
+with the angle in 0.01°; 9A with temperature, brake, voltage (0.1 V) and error word; 9C as A4 is; 81 stops, with the
+loop closed.
 
 A speed of 0 would be no limit at all, so 1 is the least that is sent.
 

@@ -139,8 +139,8 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
             return restarts
     raise TalkFailed(
         joint,
-        f"The drive of {config.name} keeps its error ({error_words(error)}){' after a restart' if restarts else ''}, so "
-        "what caused it is still there: remove it, then `rtarm clear-fault`.",
+        f"The drive of {config.name} keeps its error ({error_words(error)}){' after a restart' if restarts else ''}, "
+        "so what caused it is still there: remove it, then `rtarm clear-fault`.",
     )
 
 

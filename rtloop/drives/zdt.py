@@ -189,7 +189,7 @@ def common_status(flags: int) -> int:
 
 @jit
 def trip_cause(flags: int) -> int:
-    """Why a protection has tripped by 3B's flags (4 over-temperature, 5 over-current) in common bits; a stall has none."""
+    """Why a protection has tripped by 3B's flags (4 heat, 5 current; a stall has none), in common bits."""
     cause = 0
     if flags & 0x10:
         cause |= status_bits.OVER_TEMPERATURE
