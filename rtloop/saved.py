@@ -41,15 +41,15 @@ class NotSaved(Exception):
     """What should be kept could not be written; the text is the sentence people read."""
 
 
-def path_of(arm: str) -> Path:
-    """The file with the counts of an arm.
+def path_of(arm: str, kind: str = "positions") -> Path:
+    """The file with the counts of an arm, or with what else is kept of it.
 
     Raises:
         NotSaved: for a user without a home.
     """
     base = os.environ.get("XDG_STATE_HOME")
     try:
-        return (Path(base) if base else Path.home() / ".local" / "state") / "rtarm" / "positions" / f"{arm}.json"
+        return (Path(base) if base else Path.home() / ".local" / "state") / "rtarm" / kind / f"{arm}.json"
     except RuntimeError:
         raise NotSaved(
             "This user has no home, so where the arm stands and what is not known of it cannot be kept for the next "
@@ -63,12 +63,14 @@ def save(arm: ArmConfig, counts: Mapping[int, int]) -> None:
     Raises:
         NotSaved: with the sentence for people.
     """
-    if _is_simulated(arm):
+    if is_simulated(arm):
         return
     path = path_of(arm.name)
-    text = json.dumps({"channel": _channel(arm), "counts": {arm.joints[joint].name: n for joint, n in counts.items()}})
+    text = json.dumps(
+        {"channel": channel_of(arm), "counts": {arm.joints[joint].name: n for joint, n in counts.items()}}
+    )
     try:
-        _replace(path, text)
+        replace_file(path, text)
     except OSError as problem:
         raise NotSaved(
             f"Where the arm stands could not be kept in {path} ({problem.strerror}), so the next start cannot tell "
@@ -81,7 +83,7 @@ def counts_before(arm: ArmConfig) -> dict[int, int]:
 
     Empty where nothing is known. What cannot be read says nothing, since anybody may have written it.
     """
-    if _is_simulated(arm):
+    if is_simulated(arm):
         return {}
     try:
         path = path_of(arm.name)
@@ -89,7 +91,7 @@ def counts_before(arm: ArmConfig) -> dict[int, int]:
         return {}
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
-        known = dict(kept["counts"]) if kept["channel"] == _channel(arm) else {}
+        known = dict(kept["counts"]) if kept["channel"] == channel_of(arm) else {}
     except (OSError, ValueError, TypeError, KeyError):
         return {}
     counts = {joint: known.get(config.name) for joint, config in enumerate(arm.joints)}
@@ -98,7 +100,7 @@ def counts_before(arm: ArmConfig) -> dict[int, int]:
 
 def forget_counts(arm: ArmConfig) -> None:
     """The joints were compared with their counts of before, and may move from here on."""
-    if not _is_simulated(arm):
+    if not is_simulated(arm):
         with contextlib.suppress(OSError, NotSaved):
             path_of(arm.name).unlink(missing_ok=True)
 
@@ -108,7 +110,7 @@ def lost_references(arm: ArmConfig, tell: Callable[[str], object] = lambda _: No
 
     A file that is there and cannot be read may say so of every joint, and is taken to; `tell` gets the sentence.
     """
-    if _is_simulated(arm):
+    if is_simulated(arm):
         return {}
     try:
         return _read_lost(arm)
@@ -132,7 +134,7 @@ def keep_lost_reference(arm: ArmConfig, joint: int, reason: Unreferenced | None)
     Raises:
         NotSaved: with the sentence for people.
     """
-    if _is_simulated(arm):
+    if is_simulated(arm):
         return
     path = _lost_path(arm)
     lost = lost_references(arm)
@@ -142,7 +144,7 @@ def keep_lost_reference(arm: ArmConfig, joint: int, reason: Unreferenced | None)
         lost[joint] = reason
     try:
         if lost:
-            _replace(path, json.dumps({arm.joints[n].name: why.name for n, why in sorted(lost.items())}))
+            replace_file(path, json.dumps({arm.joints[n].name: why.name for n, why in sorted(lost.items())}))
         else:
             path.unlink(missing_ok=True)
     except OSError as problem:
@@ -215,7 +217,7 @@ def _lost_path(arm: ArmConfig) -> Path:
     return path_of(arm.name).with_suffix(".unreferenced")
 
 
-def _replace(path: Path, text: str) -> None:
+def replace_file(path: Path, text: str) -> None:
     """Write a file whole or not at all, so that it is there even when the power goes."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=".")
@@ -236,9 +238,11 @@ def _replace(path: Path, text: str) -> None:
         os.close(folder)
 
 
-def _channel(arm: ArmConfig) -> str:
+def channel_of(arm: ArmConfig) -> str:
+    """How the arm's drives are reached: what is kept of them is of these drives alone."""
     return f"{arm.bus.interface}:{arm.bus.resolved_channel}"
 
 
-def _is_simulated(arm: ArmConfig) -> bool:
+def is_simulated(arm: ArmConfig) -> bool:
+    """Whether nothing is kept of the arm: its drives begin wherever they are told to."""
     return arm.bus.interface == "mock" or str(arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)

@@ -66,7 +66,7 @@ def referenced(arm: VirtualArm) -> list[bool]:
 
 
 @pytest.mark.parametrize("process_dies", [False, True])
-@pytest.mark.parametrize("flag", ["right", "absent", "zero at boot"])
+@pytest.mark.parametrize("flag", ["right", "absent", "unset"])
 def test_a_silent_drive_keeps_its_angle_where_it_had_power_and_loses_it_where_it_had_not(
     flag: PowerFlag, process_dies: bool
 ) -> None:
