@@ -26,7 +26,7 @@ from rtarm.niceness import nice_thread
 from rtarm.recording.follow import LOOK_S, Follower
 from rtloop import commissioned
 from rtloop.commissioned import Commissioned, NotReadable, PowerProof
-from rtloop.saved import NotSaved, is_simulated
+from rtloop.saved import PSEUDO_TERMINALS, NotSaved, is_simulated
 from shm import files
 
 INTRODUCTION = (
@@ -108,6 +108,11 @@ class Report:
         """Whether nothing that was tried differs from the manual."""
         return all(finding["verdict"] != "differs" for finding in self.findings)
 
+    @property
+    def _simulated(self) -> bool:
+        """Whether this is no report of hardware; a link may lead to a pseudo-terminal."""
+        return is_simulated(self.arm) or os.path.realpath(self.arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)
+
     def keep(self, before: Commissioned | None) -> None:
         """Put what was found into the arm's local state; raises Refusal."""
         assert self._record is not None
@@ -139,7 +144,7 @@ class Report:
             "arm": self.arm.name,
             "joint": self.arm.joints[self.joint].name,
             "ended": self.ended,
-            "simulated": is_simulated(self.arm),
+            "simulated": self._simulated,
             "record": vars(record),
             "unlocked": self.unlocked(),
             "findings": self.findings,
@@ -168,8 +173,8 @@ class Report:
             ]
         words = {True: "unlocked", False: "withheld", None: "not tried, as before"}
         lines += ["", *(f"{what} ({RELIES[what]}): {words[yes]}" for what, yes in self.unlocked().items())]
-        if is_simulated(self.arm):
-            lines.append("A simulated drive: nothing of this is kept.")
+        if self._simulated:
+            lines.append("This was a simulated drive: it says nothing of real ones.")
         lines += [*([self.ended] if self.ended else []), "", f"To send back: the folder {self.folder}, or this line:"]
         differs = [finding["check"] for finding in self.findings if finding["verdict"] == "differs"]
         tried = sum(finding["verdict"] != "not tried" for finding in self.findings)

@@ -1,8 +1,8 @@
 """What bench tests (`rtarm commission`) have found of an arm's drives: kept, and refused where it is not what was kept.
 
-One small file an arm, `rtarm/commissioned/<arm>.json` under $XDG_STATE_HOME (~/.local/state). What it says of a drive
-holds for that drive alone: same joint, same channel, same family and number. Whoever relies on it compares the firmware
-too, once the drive has told it. Simulated arms at a pseudo-terminal are not kept.
+One small file an arm, `rtarm/commissioned/<arm>.json` under $XDG_STATE_HOME (~/.local/state): a record for each channel
+and joint. What it says of a drive holds for that drive alone: same joint, same channel, same family and number. Whoever
+relies on it compares the firmware too, once the drive has told it. Simulated arms at a pseudo-terminal are not kept.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import json
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
 
+from config.drives.drive import Drive
 from config.schema import ArmConfig
 from rtloop.saved import NotSaved, channel_of, is_simulated, path_of, replace_file
 
@@ -75,27 +76,12 @@ def load(arm: ArmConfig) -> dict[int, Commissioned]:
     Raises:
         NotReadable: the file cannot be read, or says something else.
     """
-    if is_simulated(arm):
-        return {}
-    try:
-        path = path_of(arm.name, "commissioned")
-    except NotSaved:
-        return {}
-    try:
-        kept = json.loads(path.read_text(encoding="utf-8"))
-        known = {name: _typed(values) for name, values in dict(kept).items()}
-    except (FileNotFoundError, NotADirectoryError):
-        return {}
-    except (OSError, ValueError, TypeError) as problem:
-        why = problem.strerror if isinstance(problem, OSError) else "it says something else"
-        raise NotReadable(
-            f"What was found of the drives of {arm.name} at the bench cannot be read in {path} ({why}), so none of it "
-            "is believed: remove that file, then run `rtarm commission` for each of them again."
-        ) from None
+    known = _read(arm).get(channel_of(arm), {})
+    numbers = {joint.name: number for number, joint in enumerate(arm.joints)}
     return {
-        number: known[joint.name]
-        for number, joint in enumerate(arm.joints)
-        if joint.name in known and _is_of(known[joint.name], arm, number)
+        numbers[name]: found
+        for name, found in known.items()
+        if name in numbers and _is_of(found, arm.joints[numbers[name]].drive)
     }
 
 
@@ -108,11 +94,12 @@ def save(arm: ArmConfig, joint: int, found: Commissioned) -> None:
     """
     if is_simulated(arm):
         return
-    known = {arm.joints[number].name: asdict(record) for number, record in load(arm).items()}
-    known[arm.joints[joint].name] = asdict(found)
+    known = _read(arm)
+    known.setdefault(channel_of(arm), {})[arm.joints[joint].name] = found
+    plain = {channel: {name: asdict(one) for name, one in joints.items()} for channel, joints in known.items()}
     path = path_of(arm.name, "commissioned")
     try:
-        replace_file(path, json.dumps(known, indent=1))
+        replace_file(path, json.dumps(plain, indent=1))
     except OSError as problem:
         raise NotSaved(
             f"What was found of {arm.joints[joint].name} could not be kept in {path} ({problem.strerror}), so nothing "
@@ -120,9 +107,29 @@ def save(arm: ArmConfig, joint: int, found: Commissioned) -> None:
         ) from problem
 
 
-def _is_of(found: Commissioned, arm: ArmConfig, joint: int) -> bool:
-    drive = arm.joints[joint].drive
-    return (found.channel, found.family, found.number) == (channel_of(arm), drive.family, drive.number)
+def _read(arm: ArmConfig) -> dict[str, dict[str, Commissioned]]:
+    """Channel → name of a joint → what was found there; raises NotReadable."""
+    if is_simulated(arm):
+        return {}
+    try:
+        path = path_of(arm.name, "commissioned")
+    except NotSaved:
+        return {}
+    try:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        return {channel: {name: _typed(one) for name, one in joints.items()} for channel, joints in kept.items()}
+    except (FileNotFoundError, NotADirectoryError):
+        return {}
+    except (OSError, ValueError, TypeError, AttributeError) as problem:
+        why = problem.strerror if isinstance(problem, OSError) else "it says something else"
+        raise NotReadable(
+            f"What was found of the drives of {arm.name} at the bench cannot be read in {path} ({why}), so none of it "
+            "is believed: remove that file, then run `rtarm commission` for each of them again."
+        ) from None
+
+
+def _is_of(found: Commissioned, drive: Drive) -> bool:
+    return (found.family, found.number) == (drive.family, drive.number)
 
 
 def _typed(values: object) -> Commissioned:

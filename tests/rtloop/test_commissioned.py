@@ -54,7 +54,10 @@ def test_what_is_kept_is_read_again(
 
 def test_it_is_of_these_drives_alone(arm: ArmConfig) -> None:
     commissioned.save(arm, 0, found_of(arm, 0))
-    assert commissioned.load(load_arm("episode1", overrides={"bus": {"channel": "/dev/ttyACM1"}})) == {}
+    elsewhere = load_arm("episode1", overrides={"bus": {"channel": "/dev/ttyACM1"}})
+    assert commissioned.load(elsewhere) == {}
+    commissioned.save(elsewhere, 0, found_of(elsewhere, 0, reports=True))
+    assert commissioned.load(arm) == {0: found_of(arm, 0)}
     drive = arm.joints[0].drive.model_copy(update={"address": 9})
     joints = [arm.joints[0].model_copy(update={"drive": drive}), *arm.joints[1:]]
     other = arm.model_copy(update={"joints": joints})
@@ -63,7 +66,17 @@ def test_it_is_of_these_drives_alone(arm: ArmConfig) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "[]x", "null", "[1]", '{"joint1": {}}', '{"joint1": 1}', "\xff\xfe", "{" * 3],
+    [
+        "",
+        "[]x",
+        "null",
+        "[1]",
+        '{"joint1": 1}',
+        "\xff\xfe",
+        "{" * 3,
+        '{"slcan:x": 1}',
+        '{"slcan:x": {"joint1": 1}}',
+    ],
 )
 def test_a_file_that_says_something_else_is_refused_in_a_sentence(arm: ArmConfig, text: str) -> None:
     commissioned.save(arm, 0, found_of(arm, 0))
@@ -84,7 +97,7 @@ def test_a_value_of_another_kind_is_refused(arm: ArmConfig, field: str, value: A
     commissioned.save(arm, 0, found_of(arm, 0))
     path = path_of(arm.name, "commissioned")
     kept = json.loads(path.read_text())
-    kept["joint1"][field] = value
+    kept[channel_of(arm)]["joint1"][field] = value
     path.write_text(json.dumps(kept))
     with pytest.raises(NotReadable):
         commissioned.load(arm)

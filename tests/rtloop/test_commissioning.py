@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mixed_arm import mixed
 from virtual import VirtualArm
 
 from config.loader import load_arm
 from config.ramp import nearest_usable_acceleration_rad_s2
+from rtloop.calibration.session import NotDone
 from rtloop.commissioned import PowerProof
 from rtloop.commissioning.finding import Finding, Verdict, braking_rev_s2
 from rtloop.commissioning.session import Bench, checks_of
@@ -287,3 +289,9 @@ def test_how_hard_a_motor_brakes_is_measured_from_its_own_positions(
         assert harder > 1.0 and 0.7 * speed / true < 4 * each_s  # it brakes within less than four readings
     else:
         assert measured / told == pytest.approx(harder, rel=0.2)
+
+
+def test_a_family_without_checks_says_so() -> None:
+    with pytest.raises(NotDone, match="joint2 has an ODrive axis, and there are no checks for its family yet"):
+        checks_of(mixed(), 1)
+    assert len(checks_of(mixed(), 0)) == len(NAMES)
