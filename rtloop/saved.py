@@ -166,11 +166,11 @@ def forgive_silence(arm: ArmConfig, joint: int) -> None:
 
 def power_marks(arm: ArmConfig) -> dict[int, str]:
     """Joint number → its drive's mark (`rtloop.power`) at this channel; what cannot be read proves nothing."""
-    if _is_simulated(arm):
+    if is_simulated(arm):
         return {}
     try:
         kept = json.loads(_power_path(arm).read_text(encoding="utf-8"))
-        marks = dict(kept["marks"]) if kept["channel"] == _channel(arm) else {}
+        marks = dict(kept["marks"]) if kept["channel"] == channel_of(arm) else {}
     except (OSError, ValueError, TypeError, KeyError, NotSaved):
         return {}
     found = {joint: marks.get(config.name) for joint, config in enumerate(arm.joints)}
@@ -183,12 +183,12 @@ def keep_power_marks(arm: ArmConfig, marks: Mapping[int, str]) -> None:
     Raises:
         NotSaved: with the sentence for people.
     """
-    if _is_simulated(arm):
+    if is_simulated(arm):
         return
     path = _power_path(arm)
     named = {arm.joints[joint].name: mark for joint, mark in sorted(marks.items())}
     try:
-        _replace(path, json.dumps({"channel": _channel(arm), "marks": named}))
+        replace_file(path, json.dumps({"channel": channel_of(arm), "marks": named}))
     except OSError as problem:
         raise NotSaved(
             f"By what the drives prove that they keep their power could not be kept in {path} ({problem.strerror}), so "

@@ -164,7 +164,7 @@ def _retarget(bench: Bench, joint: int, sign: int) -> list[Finding]:
 
 
 def _stall(bench: Bench, joint: int, sign: int) -> list[Finding]:
-    block = bench.have(joint, lambda drive: zdt_talk.read_block_surely())
+    block = bench.have(joint, lambda drive: zdt_talk.surely(zdt_talk.read_block))
     if block is None:
         raise TalkFailed(joint, f"The drive of {bench.arm.joints[joint].name} does not tell its stall protection.")
     protects = block.stall_mode != 0

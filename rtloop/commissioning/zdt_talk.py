@@ -223,11 +223,11 @@ def power_cycle(drive: Drive, tell: Callable[[str], None], lost: Callable[[], No
     homing = yield from zdt_talk.read_homing()
     mark_ms = 0 if homing is None else zdt_talk.homing_mark_ms(homing.timeout_ms, drive.now_ns())
     marked = homing is not None and (yield from zdt_talk.set_homing_timeout(mark_ms))
-    block = (yield from zdt_talk.read_block_surely()) if version.known else None
+    block = (yield from zdt_talk.surely(zdt_talk.read_block)) if version.known else None
     changed = None if block is None else replace(block, stall_time_ms=block.stall_time_ms ^ 1)
     if changed is not None:
         yield Ask(registers.write_block(changed, store=False), (3,), answered=False)
-        changed = changed if (yield from zdt_talk.read_block_surely()) == changed else None
+        changed = changed if (yield from zdt_talk.surely(zdt_talk.read_block)) == changed else None
     tell(f"Switch the power of {drive.config.name}'s drive off now; it is watched until it falls silent.")
     silent_ns = answers_ns = yield from _wait_for(drive, answers=False)
     if silent_ns is not None:
@@ -241,7 +241,7 @@ def power_cycle(drive: Drive, tell: Callable[[str], None], lost: Callable[[], No
         lost()  # whether or not it was seen silent
     after = yield from drive.counts()
     homing_after = yield from zdt_talk.read_homing()
-    block_after = (yield from zdt_talk.read_block_surely()) if changed is not None else None
+    block_after = (yield from zdt_talk.surely(zdt_talk.read_block)) if changed is not None else None
     flag_cleared = yield from _clear_power_lost()
     if marked and homing is not None and homing_after != homing:
         yield from zdt_talk.set_homing_timeout(homing.timeout_ms)

@@ -68,6 +68,7 @@ RUN: dict[str, Run] = {
     ),
     "rtarm calibrate ./my_arm.yaml": Run(ADAPTER, "Nothing was written", (REFUSED,), QUITS),
     "rtarm calibrate ./my_arm.yaml --joint joint5": Run(ADAPTER, "Nothing was written", (REFUSED,), QUITS),
+    "rtarm commission ./my_arm.yaml joint6": Run(ADAPTER, "Nothing was checked", (REFUSED,), QUITS),
     "rtarm up episode1 --channel /dev/ttyUSB1": Run(ADAPTER, "ended in order", talk=RUNS),
     "rtarm up ./my_arm.yaml": Run(ADAPTER, "ended in order", talk=RUNS),
     # an arm runs
