@@ -51,6 +51,8 @@ class Found:
 
     joint: str
     address: int
+    firmware: str
+    """As it tells it, such as 2.0.0; empty where it does not."""
     enabled: bool
     homing_rpm: int | None
     problems: list[str]
@@ -100,6 +102,7 @@ class Session:
             self.found[joint] = Found(
                 joint=report.joint,
                 address=report.address,
+                firmware="" if reading.version is None else str(reading.version),
                 enabled=bool((reading.flags or 0) & registers.ENABLED),
                 homing_rpm=None if reading.homing is None else reading.homing.rpm,
                 problems=report.left_alone or self._not_countable(report, reading.block),

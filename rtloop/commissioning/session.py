@@ -64,7 +64,6 @@ class Bench(Session):
         super().__init__(*arguments, **options)
         self._recorded = recorded
         self._findings: dict[str, Finding] = {}
-        self.firmware = ""
         self.power_proof: PowerProof | None = None
 
     def check(self, name: str, joint: int, sign: int) -> list[Finding]:
@@ -93,7 +92,7 @@ class Bench(Session):
             channel=channel_of(self.arm),
             family=drive.family,
             number=drive.number,
-            firmware=self.firmware,
+            firmware=self.found[joint].firmware,
             when=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             power_proof=self.power_proof,
             power=self._findings["power flag"].came if self.power_proof is not None else "",

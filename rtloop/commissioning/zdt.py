@@ -79,8 +79,6 @@ def _of_joint(bench: Bench, joint: int) -> list[Said]:
 
 def _answers(bench: Bench, joint: int, _: int) -> list[Finding]:
     answers = bench.have(joint, lambda drive: talk.ask_all(checks.QUESTIONS))
-    version = registers.version_of(answers["firmware (1F)"])
-    bench.firmware = "" if version is None else str(version)
     return [checks.judge_answers(answers, bench.arm.joints[joint].drive.number)]
 
 

@@ -114,6 +114,17 @@ def tells_a_shorter_stall_time(drive: Any) -> None:
     drive._read_settings = lambda: b"\x42\x21\x15" + replace(drive.settings, stall_ms=1000).pack()
 
 
+def restarts_its_ramp(drive: Any) -> None:
+    """It takes each new target from standstill."""
+    move = drive._move
+
+    def from_rest(*arguments: int) -> int:
+        drive._ramp.place(drive._ramp.position)
+        return int(move(*arguments))
+
+    drive._move = from_rest
+
+
 FLAG, VOLATILE = "power flag", "volatile settings"
 PLANTED = {
     "flag absent": (plant(power_flag="absent"), {FLAG}, "seen 0 after the power cycle", PowerProof.CANARY),
@@ -136,6 +147,7 @@ PLANTED = {
     "FC is relative": (plant(fast_is_relative=True), {"fast targets"}, "for amounts to go", PowerProof.FLAG),
     "reports at half the rate": (plant(report_clock=2.0), {"reports"}, "although it was told", PowerProof.FLAG),
     "another block": (plant(foreign=True), {"answers"}, "configuration (42)", PowerProof.FLAG),
+    "ramp from rest": (restarts_its_ramp, {"retarget"}, "never slower than", PowerProof.FLAG),
     "stalls too long": (tells_a_shorter_stall_time, {"stall"}, "after 3.5 s", PowerProof.FLAG),
 }
 
