@@ -18,6 +18,11 @@ What `rtarm status`, the results of goals and `/diagnostics` say, and what to do
 `JOINT` for a joint's name."""
 TABLES: tuple[tuple[str, str, Mapping[Any, Meaning]], ...] = (
     (
+        "Whose silence",
+        "[STALE_READING](../faults/stale_reading.md), where not one drive alone is silent.",
+        sentences.SILENCES,
+    ),
+    (
         "Outcomes of goals",
         "[How a goal ended](../faults/goals.md), the word `outcome` of a result.",
         sentences.OUTCOMES,

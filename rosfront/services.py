@@ -25,7 +25,7 @@ from rosfront.refusals import GoalRefused
 from rosfront.serving import Serving
 from rosfront.verdict import fault_of
 from shm.client import CommandWriter
-from shm.sentences import unreferenced_sentence
+from shm.sentences import reasons_unreferenced, unreferenced_sentences
 from shm.words import DriveStatus, Fault, Mode, Phase, Request
 
 RELEASE_PATIENCE_S = 5.0
@@ -63,12 +63,7 @@ def _fault(snapshot: np.ndarray, joints: Sequence[str]) -> Reply | None:
 
 
 def _unreferenced(snapshot: np.ndarray, joints: Sequence[str]) -> list[str]:
-    rows = snapshot["joints"]
-    return [
-        unreferenced_sentence(int(rows[index]["unreferenced_reason"]), name)
-        for index, name in enumerate(joints)
-        if not rows[index]["referenced"]
-    ]
+    return unreferenced_sentences(reasons_unreferenced(snapshot, joints))
 
 
 def _holds(snapshot: np.ndarray, joints: Sequence[str], begin: str) -> Reply | None:

@@ -28,7 +28,7 @@ from shm.client import GOALS_AHEAD, CommandWriter, find
 from shm.errors import RingFull, TornRead
 from shm.files import start_command
 from shm.gripper import read_gripper
-from shm.sentences import answer_sentence, outcome_sentence, unreferenced_sentence
+from shm.sentences import answer_sentence, outcome_sentence, reasons_unreferenced, unreferenced_sentences
 from shm.words import Answer, Mode, Outcome, Request
 
 STALLED_NS = 400_000_000
@@ -250,9 +250,8 @@ class Serving:
         if snapshot["held"]:
             raise NotServing(outcome_sentence(Outcome.REFUSED_HELD))
         rows = snapshot["joints"][: len(self.joints)]
-        for name, row in zip(self.joints, rows, strict=True):
-            if not row["referenced"]:
-                raise NotServing(unreferenced_sentence(int(row["unreferenced_reason"]), name), joint=name)
+        if lost := reasons_unreferenced(snapshot, self.joints):
+            raise NotServing(unreferenced_sentences(lost)[0], joint=next(iter(lost)))
         words = ("commanded_position_rad", "commanded_velocity_rad_s", "commanded_acceleration_rad_s2")
         return Present(
             np.stack([rows[word] for word in words], axis=1),

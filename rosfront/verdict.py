@@ -7,7 +7,7 @@ from enum import Enum
 import numpy as np
 
 from rosfront import refusals
-from shm.sentences import fault_sentence, joint_name, outcome_sentence
+from shm.sentences import joint_name, latched_sentence, outcome_sentence
 from shm.words import Fault, Outcome
 
 
@@ -79,12 +79,7 @@ def final_error(snapshot: np.ndarray, target_rad: np.ndarray, joint_mask: int, j
 
 def fault_of(snapshot: np.ndarray, joints: Sequence[str]) -> str:
     """The sentence of the latched fault."""
-    return fault_sentence(
-        int(snapshot["fault"]),
-        joint_name(int(snapshot["fault_joint"]), joints),
-        float(snapshot["fault_value"]),
-        float(snapshot["fault_limit"]),
-    )
+    return latched_sentence(snapshot, joints)
 
 
 def judge(

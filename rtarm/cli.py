@@ -1,7 +1,8 @@
 """The command line. Everything heavy is imported inside the command that needs it, so that help is quick.
 
 Recordings have their commands in `cli_recordings`, a running arm is told what to do by those of `cli_orders`; adapters
-and drives have theirs in `cli_drives`, the guide through an arm's joints its own in `cli_calibrate`.
+and drives have theirs in `cli_drives`, the guide through an arm's joints its own in `cli_calibrate`, the bench test of
+a drive in `cli_commission`.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rtarm.cli_calibrate import calibrate_app
+from rtarm.cli_commission import commission_app
 from rtarm.cli_drives import drives_app
 from rtarm.cli_frame import (
     ArmArgument,
@@ -290,6 +292,7 @@ app.add_typer(recordings_app)
 app.add_typer(orders)
 app.add_typer(drives_app)
 app.add_typer(calibrate_app)
+app.add_typer(commission_app)
 app.add_typer(view_app)
 app.add_typer(motions_app)
 

@@ -7,7 +7,8 @@ from typing import Annotated, Any
 import typer
 
 from rtarm import completion
-from rtarm.cli_frame import AsJson, RunningArm, draw_json, sentences
+from rtarm.cli_frame import AsJson, RunningArm, draw, draw_json, sentences
+from rtarm.errors import Refusal
 
 orders = typer.Typer()
 """The commands, for `rtarm.cli` to add."""
@@ -169,23 +170,57 @@ def home(
 @orders.command()
 def reference(
     joints: Annotated[
-        list[str],
+        list[str] | None,
         typer.Argument(
-            metavar="JOINT[=DEGREES]…",
+            metavar="[JOINT[=DEGREES]]…",
             help="With an angle: it stands there; without: where it reads.",
             autocompletion=completion.joints,
         ),
-    ],
+    ] = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="All joints without a reference, where they read: shown, then asked once.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="With --all: do not ask, somebody has looked.")] = False,
     arm: NamedArm = None,
     as_json: AsJson = False,
 ) -> None:
     """Say where joints without a reference stand, if you know better; nothing moves. Look twice: goals believe it.
 
-    Example: [bold]rtarm reference joint2 joint3=-12.5[/bold]
+    Example: [bold]rtarm reference joint2 joint3=-12.5[/bold], [bold]rtarm reference --all[/bold]
     """
     with sentences(_not_done(arm, as_json)):
-        from rtarm import requests
+        from rtarm import referencing
         from rtarm.status import resolve_arm
 
+        _refuse_what_does_not_fit(joints or [], everything=everything, yes=yes, as_json=as_json)
         name = resolve_arm(arm)
-        _done(name, requests.reference(name, requests.angles_said(joints)), as_json)
+        if joints:
+            said = referencing.reference(name, referencing.angles_said(joints))
+        else:
+            said = _take_all(name, yes=yes, as_json=as_json)
+        _done(name, said, as_json)
+
+
+def _refuse_what_does_not_fit(joints: list[str], *, everything: bool, yes: bool, as_json: bool) -> None:
+    """Raise Refusal for what means nothing together."""
+    if everything == bool(joints):
+        raise Refusal("Name the joints (`rtarm reference joint2`), or give --all instead: one of the two.")
+    if yes and not everything:
+        raise Refusal("--yes answers what --all asks: give --all too, or leave it out.")
+    if everything and as_json and not yes:
+        raise Refusal("--json asks nobody: look where the arm stands, then give --yes too.")
+
+
+def _take_all(arm: str, *, yes: bool, as_json: bool) -> str:
+    """Show what all joints without a reference read, ask, and take it."""
+    from rtarm import referencing
+    from rtarm.calibrate.person import Terminal, require_yes
+    from rtarm.status_tables import readings_table
+
+    shown = referencing.readings(arm)
+    if shown and not as_json:
+        draw(readings_table(shown))
+    question = referencing.question(shown)
+    if question and not yes:
+        require_yes(Terminal(), question)
+    return referencing.take(arm, shown)

@@ -29,8 +29,9 @@ from rtarm.interrupt import Interrupted
 from rtarm.launcher import Launcher, Plan, action_name, load_plan
 from rtarm.own_domain import own_domain
 from rtarm.processes import Child, describe_end, ros_environment
+from rtarm.referencing import reference
 from rtarm.reporter import Reporter
-from rtarm.requests import connect, reference
+from rtarm.requests import connect
 from rtarm.status import counters, describe_scheduling, percentiles_us, scheduling
 from rtarm.status_tables import timing_table
 from rtarm.tracking import Tracker, Window, errors_rad, plain

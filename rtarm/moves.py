@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rosfront.moves import Profile
-from rtarm.calibrate.person import Person, Quit, agrees
+from rtarm.calibrate.person import Person
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, undisturbed
 from rtarm.requests import Connection, stands
@@ -39,8 +39,8 @@ def refuse_unsound(connection: Connection) -> None:
     snapshot = connection.snapshot()
     if sentence := connection.fault(snapshot):
         raise Refusal(f"A fault is latched, clear it first: {sentence}")
-    if lost := connection.lost(snapshot):
-        raise Refusal(" ".join(lost.values()))
+    if why_lost := connection.why_lost(snapshot):
+        raise Refusal(" ".join(why_lost))
 
 
 def refuse_unless_holding(connection: Connection) -> None:
@@ -65,16 +65,6 @@ def way_words(connection: Connection, target_rad: np.ndarray) -> str:
         for joint, start, target in zip(connection.joints, _stands_at_rad(connection), target_rad, strict=True)
         if abs(target - start) > THERE_RAD / 10.0
     )
-
-
-def require_yes(person: Person, question: str) -> None:
-    """Let a person agree, who sees what stands in the arm's way; raises Refusal where nobody does."""
-    try:
-        agreed = agrees(person, question)
-    except Quit as ended:
-        raise Refusal(f"Nothing was done ({ended}): say y, or give --yes in a script.") from None
-    if not agreed:
-        raise Refusal("Nothing was done; the arm stands where it stood.")
 
 
 def go_slowly(connection: Connection, sender: Sender, target_rad: np.ndarray, person: Person) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 
 import numpy as np
@@ -16,8 +16,13 @@ from rtarm.status import MOVING_MODES, STOPPED_BY_A_PERSON
 from shm import files
 from shm.client import CommandWriter, StateReader, find
 from shm.errors import NotRunning
-from shm.sentences import answer_sentence, fault_sentence, joint_name, unreferenced_sentence
-from shm.words import Answer, DriveStatus, Fault, Mode, Phase, Request, Unreferenced
+from shm.sentences import (
+    answer_sentence,
+    latched_sentence,
+    reasons_unreferenced,
+    unreferenced_sentences,
+)
+from shm.words import Answer, DriveStatus, Fault, Mode, Phase, Request
 
 ANSWER_PATIENCE_S = 2.0
 RELEASE_PATIENCE_S = 5.0
@@ -118,17 +123,15 @@ class Connection:
         """The latched fault in a sentence, "" where there is none."""
         if int(snapshot["fault"]) == Fault.NONE:
             return ""
-        joint = joint_name(int(snapshot["fault_joint"]), self.joints)
-        value, limit = float(snapshot["fault_value"]), float(snapshot["fault_limit"])
-        return fault_sentence(int(snapshot["fault"]), joint, value, limit)
+        return latched_sentence(snapshot, self.joints)
 
-    def lost(self, snapshot: np.ndarray) -> dict[str, str]:
-        """A sentence for each joint that has no reference."""
-        return {
-            name: unreferenced_sentence(int(snapshot["joints"][index]["unreferenced_reason"]), name)
-            for index, name in enumerate(self.joints)
-            if not snapshot["joints"][index]["referenced"]
-        }
+    def lost(self, snapshot: np.ndarray) -> dict[str, int]:
+        """The joints that have no reference, and why (shm.words.Unreferenced)."""
+        return reasons_unreferenced(snapshot, self.joints)
+
+    def why_lost(self, snapshot: np.ndarray) -> list[str]:
+        """The same in sentences, one for each reason."""
+        return unreferenced_sentences(self.lost(snapshot))
 
     def wait(self, condition: Condition, patience_s: float, too_long: str) -> np.ndarray:
         """The first snapshot that fulfils a condition.
@@ -236,8 +239,8 @@ def clear_fault(arm: str) -> str:
         )
         if sentence := connection.fault(after):
             raise Refusal(f"The fault was cleared and came back. {sentence}")
-        lost = connection.lost(after)
-    return " ".join([f"The fault is cleared; arm {arm} holds where it stands.", *_held_words(after), *lost.values()])
+        why_lost = connection.why_lost(after)
+    return " ".join([f"The fault is cleared; arm {arm} holds where it stands.", *_held_words(after), *why_lost])
 
 
 def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
@@ -258,7 +261,7 @@ def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
 
         try:
             connection.order(Request.HOME, joint_mask=mask)
-            after = _see_to_the_end(connection, on_joint)
+            after = see_to_the_end(connection, on_joint)
         except KeyboardInterrupt:
             if _homes_soon(connection):
                 connection.ask(Request.HOME_STOP)
@@ -266,81 +269,24 @@ def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
             after = connection.wait(_is_over, connection.patience.person_s, still_homes)
             ended = "Ended: the joint that was on its way stands, without a reference."
             raise Refusal(connection.fault(after) or ended) from None
-        lost = connection.lost(after)
+        lost, why_lost = connection.lost(after), connection.why_lost(after)
         if sentence := connection.fault(after):
             raise Refusal(sentence)
         if not_homed := [
             joint for joint in joints or begun if joint in lost or (joint not in begun and connection.homes(joint))
         ]:
             ended = f"The homing run was ended before it had come to the end with {', '.join(not_homed)}."
-            raise Refusal(" ".join([ended, *lost.values()]))
-        stands = ", ".join(_stands_at(after, connection.index(joint), joint) for joint in begun)
+            raise Refusal(" ".join([ended, *why_lost]))
+        stands = ", ".join(stands_at(after, connection.index(joint), joint) for joint in begun)
         runs = any(map(connection.homes, joints or connection.joints))
     if not runs:
-        return " ".join([f"Arm {arm} holds where it stands; no drive of these joints finds a stop.", *lost.values()])
-    return " ".join([f"Homed; arm {arm} holds where it stands: {stands or 'nothing was homed'}.", *lost.values()])
+        return " ".join([f"Arm {arm} holds where it stands; no drive of these joints finds a stop.", *why_lost])
+    return " ".join([f"Homed; arm {arm} holds where it stands: {stands or 'nothing was homed'}.", *why_lost])
 
 
 def _interrupt(*_: object) -> None:
     """Any stop signal ends what runs as Ctrl-C does."""
     raise KeyboardInterrupt
-
-
-def angles_said(words: Sequence[str]) -> dict[str, float | None]:
-    """Joint → angle (degrees), None where none is said, of words such as `joint2` and `joint3=-12.5`."""
-    said: dict[str, float | None] = {}
-    for word in words:
-        joint, equals, angle = word.partition("=")
-        try:
-            said[joint] = float(angle) if equals else None
-        except ValueError:
-            said[joint] = math.nan
-        if not math.isfinite(said[joint] or 0.0):
-            raise Refusal(f"The angle of {joint} is {angle!r}, which is no number of degrees: write {joint}=-12.5.")
-    return said
-
-
-def reference(arm: str, said_deg: Mapping[str, float | None]) -> str:
-    """Take a person's word for where joints stand (degrees), or that they stand where they read (None)."""
-    with connect(arm) as connection:
-        for joint, angle_deg in said_deg.items():
-            _refuse_angle(connection, joint, angle_deg)
-        if sentence := connection.fault(connection.snapshot()):
-            raise Refusal(f"A fault is latched, clear it first: {sentence}")
-        taken: list[str] = []
-        for joint, angle_deg in said_deg.items():
-            index = connection.index(joint)
-            value = math.nan if angle_deg is None else math.radians(angle_deg)
-            try:
-                connection.order(Request.REFERENCE, joint_mask=1 << index, value=value)
-                after = _see_to_the_end(connection, lambda _: None)
-                if sentence := connection.fault(after) or connection.lost(after).get(joint, ""):
-                    raise Refusal(sentence)
-            except Refusal as refused:
-                said = f" Before that was taken: {', '.join(taken)}." if taken else ""
-                raise Refusal(f"{refused}{said}") from None
-            taken.append(_stands_at(after, index, joint))
-        lost = connection.lost(after)
-    return " ".join([f"Taken: {', '.join(taken)}.", *lost.values()])
-
-
-def _refuse_angle(connection: Connection, joint: str, angle_deg: float | None) -> None:
-    """Raise Refusal where nobody can say this of a joint."""
-    index = connection.index(joint)
-    if angle_deg is None:
-        reason = connection.snapshot()["joints"][index]["unreferenced_reason"]
-        if reason in (Unreferenced.POWER_LOST, Unreferenced.NOT_HOMED):
-            raise Refusal(
-                f"The drive of {joint} counts from where nobody knows, so what it reads is no angle: say where it "
-                f"stands, `rtarm reference {joint}=DEGREES`, or home it."
-            )
-        return
-    lower_deg, upper_deg = connection.limits_deg(index)
-    if not lower_deg <= angle_deg <= upper_deg:
-        raise Refusal(
-            f"The angle of {joint} is {angle_deg:g}°, outside its limits {lower_deg:g}° to {upper_deg:g}°: look again, "
-            "or mend zero_deg or direction in the arm file."
-        )
 
 
 def _homes_soon(connection: Connection) -> bool:
@@ -355,7 +301,7 @@ def _is_over(snapshot: np.ndarray) -> bool:
     return int(snapshot["mode"]) != Mode.REFERENCING
 
 
-def _see_to_the_end(connection: Connection, on_joint: Callable[[str], None]) -> np.ndarray:
+def see_to_the_end(connection: Connection, on_joint: Callable[[str], None]) -> np.ndarray:
     """Wait until joints are referenced, telling of each as its turn comes; the last snapshot."""
     joint = -1
 
@@ -374,7 +320,8 @@ def _see_to_the_end(connection: Connection, on_joint: Callable[[str], None]) -> 
         on_joint(connection.joints[joint])
 
 
-def _stands_at(snapshot: np.ndarray, index: int, joint: str) -> str:
+def stands_at(snapshot: np.ndarray, index: int, joint: str) -> str:
+    """A joint and where it is measured to stand."""
     return f"{joint} {math.degrees(snapshot['joints'][index]['measured_position_rad']):.2f}°"
 
 
@@ -391,9 +338,9 @@ def enable(arm: str) -> str:
         )
         if sentence := connection.fault(after):
             raise Refusal(sentence)
-        lost = connection.lost(after)
+        why_lost = connection.why_lost(after)
     held = _held_words(after)
-    return " ".join([f"The drives of {arm} are enabled; the arm holds where it stands.", *held, *lost.values()])
+    return " ".join([f"The drives of {arm} are enabled; the arm holds where it stands.", *held, *why_lost])
 
 
 def _held_words(snapshot: np.ndarray) -> list[str]:

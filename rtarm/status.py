@@ -21,11 +21,13 @@ from shm.gripper import read_gripper
 from shm.layout import BUS_TROUBLE
 from shm.sentences import (
     bus_state_sentence,
-    fault_sentence,
     grip_trouble_sentence,
     joint_name,
+    latched_sentence,
     outcome_sentence,
+    reasons_unreferenced,
     unreferenced_sentence,
+    unreferenced_sentences,
 )
 from shm.words import BusState, DriveStatus, Fault, Mode, Outcome, Phase, Unreferenced
 
@@ -155,6 +157,7 @@ def of_cycle(cycle: Any, joints: Sequence[str], now_ns: int) -> Report:
         "goal": _goal(cycle),
         "speed_scale": float(cycle["speed_scale"]),
         "joints": [_joint(name, cycle["joints"][index], now_ns) for index, name in enumerate(joints)],
+        "unreferenced": unreferenced_sentences(_why_unreferenced(cycle, joints)),
     }
 
 
@@ -233,7 +236,7 @@ def problems(report: Mapping[str, Any]) -> list[str]:
         )
     if report["bus"]["state"] in DOUBTFUL_BUS:
         found.append(bus_state_sentence(DOUBTFUL_BUS[report["bus"]["state"]]))
-    found += [joint["unreferenced"] for joint in report["joints"] if joint["unreferenced"] is not None]
+    found += report["unreferenced"]
     found += [_drive_problem(joint) for joint in report["joints"] if _is_told_of_the_drive_alone(joint, report)]
     front = report["front"]
     if front["pid"] is None:
@@ -261,15 +264,20 @@ def _fault(snapshot: np.ndarray, joints: Sequence[str], now_ns: int) -> Report |
     if number == Fault.NONE:
         return None
     joint = int(snapshot["fault_joint"])
-    value, limit = float(snapshot["fault_value"]), float(snapshot["fault_limit"])
     return {
         "name": key(Fault, number),
-        "sentence": fault_sentence(number, joint_name(joint, joints), value, limit),
+        "sentence": latched_sentence(snapshot, joints),
         "joint": joints[joint] if 0 <= joint < len(joints) else None,
-        "value": _finite(value),
-        "limit": _finite(limit),
+        "value": _finite(float(snapshot["fault_value"])),
+        "limit": _finite(float(snapshot["fault_limit"])),
         "age_s": (now_ns - int(snapshot["fault_ns"])) * 1e-9,
     }
+
+
+def _why_unreferenced(cycle: Any, joints: Sequence[str]) -> dict[str, int]:
+    """Before the first bring-up too, when no reason is told yet."""
+    found = reasons_unreferenced(cycle, joints)
+    return {name: reason or Unreferenced.NOT_BROUGHT_UP for name, reason in found.items()}
 
 
 def _goal(snapshot: np.ndarray) -> Report | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich import box
 from rich.console import Group, RenderableType
@@ -13,6 +13,9 @@ from rich.text import Text
 
 from rtarm.status import PERCENTS, describe_scheduling
 from shm.layout import BUS_TROUBLE
+
+if TYPE_CHECKING:
+    from rtarm.referencing import Reading
 
 
 def render_status(report: Mapping[str, Any]) -> RenderableType:
@@ -53,6 +56,16 @@ def _joints_table(joints: Sequence[Mapping[str, Any]]) -> Table:
             shown(joint["age_ms"], 1),
             "yes" if joint["referenced"] else "NO",
         )
+    return table
+
+
+def readings_table(found: Sequence[Reading]) -> Table:
+    """Joints without a reference: where each stands if its count is believed, and why it is not."""
+    table = Table("joint", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("stands at °", justify="right", no_wrap=True)
+    table.add_column("why that is not known")
+    for joint in found:
+        table.add_row(joint.joint, "-" if joint.stands_deg is None else f"{joint.stands_deg:.2f}", joint.cause)
     return table
 
 

@@ -9,6 +9,7 @@ from rtarm import service_manager
 from rtarm.errors import ExitCode
 from rtarm.interrupt import Interrupted, interruptible
 from rtarm.launcher import Launcher, Plan
+from rtarm.referencing import Reading, lacking, lacking_words, next_commands
 from rtarm.reporter import Reporter
 
 
@@ -42,19 +43,29 @@ def up(plan: Plan, reporter: Reporter) -> ExitCode:
         Refusal: something did not start, or the control process ended by itself.
     """
     launcher = Launcher(plan, reporter)
+    left: list[Reading] = []
 
     async def hold() -> None:
         await launcher.start()
         reporter.say("running; Ctrl-C stops the arm on its path and ends everything", style="bold")
+        # a homing run at the start gives references by itself, or tells why not
+        if plan.arm.control.init_mode != 0 and (found := lacking(plan.arm.name)):
+            reporter.say(f"{lacking_words(found)}, so no goal is taken: {next_commands(found)}", style="yellow")
         service_manager.tell(service_manager.READY)
         try:
             await launcher.watch()
         finally:
+            left.extend(lacking(plan.arm.name))
             service_manager.tell(service_manager.STOPPING)
 
     try:
         asyncio.run(run_launched(launcher, hold))
     except Interrupted:
         launcher.check_orderly_end()
+        if left:
+            reporter.say(
+                f"{lacking_words(left)} at the end: start again with `{plan.again}`, then {next_commands(left)}",
+                style="yellow",
+            )
         reporter.say("ended in order")
     return ExitCode.DONE

@@ -1,6 +1,7 @@
 """The state of a control process that has not run a cycle yet, made from the arm's configuration."""
 
 import math
+import os
 import time
 
 import numpy as np
@@ -12,6 +13,7 @@ from config.joint import FAMILIES, JointConfig
 from config.schema import ArmConfig
 from config.serial_adapters import SERIAL_ADAPTERS
 from rtloop.drives.setup import homes_by_a_run, setup_of
+from rtloop.saved import PSEUDO_TERMINALS
 from rtloop.state import (
     CAN_FRAME_BYTES,
     GRIPPER,
@@ -100,6 +102,7 @@ def _fill_params(params: np.void, arm: ArmConfig) -> None:
     params["period_ns"] = period_ns
     params["homing_mask"] = sum(1 << joint for joint in arm.homing_order)
     params["wire"] = WIRES[arm.bus.interface]
+    params["simulated"] = os.path.realpath(arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)
     for name in ("start_tolerance_rad", "velocity_margin", "acceleration_margin", "braking_factor"):
         params[name] = getattr(limits, name)
     params["following_error_rad"] = limits.following_error_rad
@@ -135,13 +138,13 @@ def _fill_joint(row: np.void, joint: JointConfig, arm: ArmConfig, index: int) ->
     row["reading_per_rad"] = joint.direction * joint.encoder_counts_per_rad
     row["reading_step_rad"] = joint.encoder_count_rad
     adapter = SERIAL_ADAPTERS.get(arm.bus.interface, SERIAL_ADAPTERS["slcan"])
-    byte_s = _byte_s(arm)
+    character_s = byte_s(arm)
     bit_s = 1.0 / arm.bus.bitrate
     command_bits = sum(_bits_from_host(before, arm.bus) for before in arm.joints[: index + 1])
-    row["command_delay_s"] = command_bits * bit_s + byte_s * adapter.frame_bytes(True, 8)
+    row["command_delay_s"] = command_bits * bit_s + character_s * adapter.frame_bytes(True, 8)
     replies = [frames for frames in drive.readings(arm.bus) if not frames.from_host]
     for reply in replies[-1:]:
-        reply_s = reply.bits * bit_s + byte_s * adapter.bytes_of(reply)
+        reply_s = reply.bits * bit_s + character_s * adapter.bytes_of(reply)
         row["report_delay_ns"] = round(reply_s * 1e9)
         row["reply_delay_ns"] = round((reply_s + drive.processing_s) * 1e9)
     setup_of(drive).fill(row, joint, arm)
@@ -159,7 +162,7 @@ def listeners(arm: ArmConfig) -> list[tuple[Identifiers, int]]:
     return [(used, whose) for used, whose in found if used.from_drive]
 
 
-def _byte_s(arm: ArmConfig) -> float:
+def byte_s(arm: ArmConfig) -> float:
     """Time of one byte on the serial line; a USB device's is not worth counting, and a socket has none."""
     baud = arm.bus.serial_baud
     return 0.0 if baud == "cdc" else UART_BITS_PER_CHARACTER / float(baud)

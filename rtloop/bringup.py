@@ -7,10 +7,12 @@ is its family's (`rtloop.drives.setup`); what its answer means for the joint is 
 import math
 from collections.abc import Callable, Mapping
 
+from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import Conversation, Dialogue
 from rtloop.drives.setup import Found, setup_of
-from rtloop.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, ServicePort
+from rtloop.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, POWER_KEPT, ServicePort
+from rtloop.power import Marks
 from shm.sentences import unreferenced_sentence
 from shm.words import Fault, Unreferenced
 
@@ -31,22 +33,29 @@ class BringUp(Conversation):
         now_ns: int,
         clears_protection: bool,
         tell: Callable[[str], None],
+        marks: Marks,
         mock_positions_rad: list[float] | None = None,
         counts_before: Mapping[int, int] | None = None,
         lost_before: Mapping[int, Unreferenced] | None = None,
+        forgive_silence: Callable[[int], None] = lambda joint: None,
     ) -> None:
         """`counts_before`: where drives counted when rtarm was ended, by the joints' numbers.
 
-        `lost_before`: joints whose angle was not known in an earlier process, and why.
+        `lost_before`: joints whose angle was not known in an earlier process, and why. `forgive_silence` remembers
+        beyond this one that a joint's angle is known although its drive was silent.
         """
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP, last_order=BRING_UP_DONE)
         self.tell = tell
+        self.marks = marks
+        self._forgive_silence = forgive_silence
         self.clears_protection = clears_protection
         self._counts_before = counts_before or {}
         self.lost_before = lost_before or {}
         # where a flag for lost power tells nothing new, only the joint's place can
         self._stood_rad = {n: port.measured_rad(n) for n in range(len(arm.joints)) if port.power_loss_known(n)}
         self.unasked_before = [port.unasked(n) for n in range(len(arm.joints))]
+        lost = [{port.unreferenced_reason(n), self.lost_before.get(n)} for n in range(len(arm.joints))]
+        self.was_silent = [Unreferenced.SILENT in reasons for reasons in lost]
         self._referenced_before = [port.referenced(n) for n in range(len(arm.joints))]
         self.post(BRING_UP_BEGINS)
         dialogues = {}
@@ -71,12 +80,14 @@ class BringUp(Conversation):
         per_rad, zero_rad = self.port.reading_per_rad(joint), self.port.zero_rad(joint)
         measured_rad = found.reading / per_rad - zero_rad
         target_rad = found.target / per_rad - zero_rad
-        if reason == Unreferenced.INCREMENTAL and self._referenced_before[joint]:
+        kept = found.kept_power and self.was_silent[joint]
+        if reason == Unreferenced.INCREMENTAL and (self._referenced_before[joint] or kept):
             reason = Unreferenced.REFERENCED
         elif reason == Unreferenced.INCREMENTAL:
             self.tell(unreferenced_sentence(reason, config.name))
         lost = self.lost_before.get(joint, Unreferenced.REFERENCED)
         made_good = config.drive.knows_its_angle and lost in MADE_GOOD_BY_ABSOLUTE
+        made_good |= kept and lost == Unreferenced.SILENT
         if reason == Unreferenced.REFERENCED and lost != Unreferenced.REFERENCED and not made_good:
             reason = lost
             self.tell(unreferenced_sentence(reason, config.name))
@@ -99,6 +110,20 @@ class BringUp(Conversation):
             reason = Unreferenced.OUTSIDE_LIMITS
             self.tell(
                 f"{config.name} is not referenced: it reads {measured_rad:+.3f} rad, outside its limits "
-                f"{config.lower_rad:+.3f} to {config.upper_rad:+.3f} rad; home it, or mend zero_deg or direction."
+                f"{config.lower_rad:+.3f} to {config.upper_rad:+.3f} rad; {_remedy(config, measured_rad)}."
             )
+        if kept and reason == Unreferenced.REFERENCED:
+            self.post(POWER_KEPT, joint=joint)
+            self._forgive_silence(joint)
+            self.tell(f"{config.name}: its drive had power all the time that it was silent, so its angle is known.")
         self._adopt(joint, target_rad, reason)
+
+
+def _remedy(config: JointConfig, measured_rad: float) -> str:
+    """What to do about a joint that reads outside its limits."""
+    turn_rad = 2.0 * math.pi / config.ratio
+    a_turn_off = any(config.lower_rad <= measured_rad + way <= config.upper_rad for way in (turn_rad, -turn_rad))
+    within = config.drive.within_a_turn
+    if within is not None and a_turn_off:
+        return f"it may be a motor turn off: {within}"
+    return "home it, or mend zero_deg or direction"

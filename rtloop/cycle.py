@@ -54,6 +54,7 @@ def begin_cycle(loop: Loop, shared: Shared, now_ns: int) -> None:
     core.suspended_ns = 0
     core.now_ns = now_ns
     core.cycle += 1
+    loop.quiet.away_ns += max(waited_ns - loop.params.period_ns, 0)
     period_s = loop.params.period_ns * 1e-9
     slot = core.history_next & (HISTORY_SLOTS - 1)
     loop.history_ns[slot] = now_ns

@@ -15,7 +15,17 @@ _EVENTS_WRITTEN_AT = offset_of(layout.STATE, "events_written")
 
 
 @jit
-def record_event(loop: Loop, shared: Shared, kind: int, joint: int, code: int, value: float, limit: float) -> None:
+def record_event(
+    loop: Loop,
+    shared: Shared,
+    kind: int,
+    joint: int,
+    code: int,
+    value: float,
+    limit: float,
+    silent: int = 0,
+    evidence: int = 0,
+) -> None:
     """Append to the event ring; the oldest is overwritten."""
     head = loop.params.state_address + _EVENTS_WRITTEN_AT
     written = load_relaxed(head)
@@ -26,6 +36,8 @@ def record_event(loop: Loop, shared: Shared, kind: int, joint: int, code: int, v
     event.code = code
     event.value = value
     event.limit = limit
+    event.silent = silent
+    event.evidence = evidence
     store_release(head, written + 1)
 
 

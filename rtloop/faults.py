@@ -25,8 +25,13 @@ def path_is_trusted(fault: int) -> bool:
 
 
 @jit
-def latch_fault(loop: Loop, shared: Shared, fault: int, joint: int, value: float, limit: float) -> None:
-    """Latch a fault, end every goal with it and let the arm brake."""
+def latch_fault(
+    loop: Loop, shared: Shared, fault: int, joint: int, value: float, limit: float, silent: int = 0, evidence: int = 0
+) -> None:
+    """Latch a fault, end every goal with it and let the arm brake.
+
+    `silent` (bit n: joint n) and `evidence` (bits of shm.words.Evidence) are for its sentence, where drives are silent.
+    """
     core = loop.core
     if core.fault != Fault.NONE:
         return
@@ -35,8 +40,10 @@ def latch_fault(loop: Loop, shared: Shared, fault: int, joint: int, value: float
     core.fault_value = value
     core.fault_limit = limit
     core.fault_ns = core.now_ns
+    core.fault_silent = silent
+    core.fault_evidence = evidence
     core.referencing_ends = 1
-    record_event(loop, shared, Event.FAULT, joint, fault, value, limit)
+    record_event(loop, shared, Event.FAULT, joint, fault, value, limit, silent, evidence)
     change_mode(loop, shared, Mode.FAULT)
     if not path_is_trusted(fault):
         core.own_brake = 1

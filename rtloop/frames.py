@@ -41,6 +41,8 @@ def encode(loop: Loop, shared: Shared) -> None:
     elif core.mode != Mode.OFFLINE:
         probe(loop, shared)
     send_service_frames(loop, shared)
+    if core.tx_length > 0:
+        loop.quiet.spoke_ns = core.now_ns
 
 
 @jit

@@ -207,7 +207,7 @@ class GripperTalk(Conversation):
         version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
         if version is None:
             raise _Trouble(GripTrouble.SILENT, self._servo.address)
-        block = yield from zdt_talk.read_block_surely()  # its current is what the limit is set back to
+        block = yield from zdt_talk.surely(zdt_talk.read_block)  # its current is what the limit is set back to
         if block is None or not version.known:
             raise _Trouble(GripTrouble.FIRMWARE, version.firmware)
         if block.checksum != 0:

@@ -8,6 +8,7 @@ import math
 from typing import Any
 
 from config.frames import ADAPTER_FRAMES
+from rtloop import silence
 from rtloop import status as status_bits
 from rtloop.agreed import agreed_error_rad, agreed_error_rad_s, agreed_error_rad_s2
 from rtloop.correction import ERROR_SPEED_SHARE
@@ -16,6 +17,7 @@ from rtloop.faults import latch_fault
 from rtloop.modes import is_limp
 from rtloop.path import in_goal
 from rtloop.phases import stop_running
+from rtloop.state import FAMILY_MOCK
 from shm.jit import jit
 from shm.words import Event, Fault, Mode, Outcome, Phase, Slowed, Unreferenced
 
@@ -120,7 +122,7 @@ def check_measured(loop: Loop, shared: Shared) -> None:
             shared.counters.stale_reads += 1
         if age_ns > params.stale_fault_ns:
             lose_reference(loop, shared, joint, Unreferenced.SILENT)
-            latch_fault(loop, shared, Fault.STALE_READING, joint, age_ns * 1e-9, params.stale_fault_ns * 1e-9)
+            latch_silence(loop, shared, joint, age_ns)
             continue
         if axis.bad_statuses >= STATUSES_TO_BELIEVE and not let_go_on_purpose(loop, axis.status):
             if axis.status & status_bits.POWER_LOST:
@@ -142,6 +144,20 @@ def check_measured(loop: Loop, shared: Shared) -> None:
             and (abs(error) > params.following_error_rad + axis.slip_rad + axis.lag_rad)
         ):
             latch_fault(loop, shared, Fault.FOLLOWING_ERROR, joint, error, params.following_error_rad)
+
+
+@jit
+def latch_silence(loop: Loop, shared: Shared, joint: int, age_ns: int) -> None:
+    """Latch the fault of a drive that is silent, which names no joint where all drives are."""
+    silent, all_silent = 0, True
+    for other in range(loop.params.joint_count):
+        if silent_ns(loop, other) > loop.params.stale_brake_ns:
+            silent |= 1 << other
+        elif loop.joints[other].family != FAMILY_MOCK:
+            all_silent = False
+    named = -1 if all_silent else joint
+    value, limit = age_ns * 1e-9, loop.params.stale_fault_ns * 1e-9
+    latch_fault(loop, shared, Fault.STALE_READING, named, value, limit, silent, silence.evidence(loop, shared))
 
 
 @jit

@@ -6,7 +6,7 @@ compared with what was commanded at that very instant.
 
 from typing import Any
 
-from rtloop import guard, service
+from rtloop import guard, service, silence
 from rtloop.drives import families
 from rtloop.faults import latch_fault
 from rtloop.recorder import marks_of, record_frame
@@ -45,6 +45,7 @@ def take_what_the_bus_brought(loop: Loop, shared: Shared) -> None:
     take_positions(loop, shared)
     shared.counters.receive_overflows = received.lost(loop)
     outgoing.take_back(loop, shared, received.unsent(loop))
+    silence.follow(loop, shared)
     error = received.closed(loop) - 1
     if error >= 0:
         core.silenced = 1
@@ -96,6 +97,7 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, kind: int, length: int
     if joint == NOBODY:
         return
     core.unheard_frames = 0
+    loop.quiet.heard_ns = time_ns
     service.hand_out(loop, joint, frame_id, kind, length, data, time_ns)
     if joint != GRIPPER:
         families.hear(loop, joint, shared, frame_id, kind, length, data, time_ns)

@@ -33,8 +33,12 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
         elif order.kind == port.ADOPT:
             if core.mode == Mode.BRINGING_UP or core.mode == Mode.REFERENCING:
                 adopt(loop, order.joint, order.value, order.code)
+        elif order.kind == port.POWER_KEPT:
+            forgive_silence(loop, order.joint)
         elif order.kind == port.FAST_READY:
             loop.axes[order.joint].fast_ready = 1
+        elif order.kind == port.HOLDS_STALLED:
+            loop.axes[order.joint].holds_stalled = 1
         elif order.kind == port.BRING_UP_DONE:
             if core.mode == Mode.BRINGING_UP:
                 raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)
@@ -73,6 +77,7 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
     core.fault = Fault.NONE
     core.fault_joint = -1
     core.fault_value = core.fault_limit = 0.0
+    core.fault_silent = core.fault_evidence = 0
     core.own_brake = core.slowed = core.rebase_ns = 0
     core.motion_started = core.silenced = core.rested = 0
     core.bring_up_asked = core.release_asked = core.home_asked = core.reference_asked = 0
@@ -85,11 +90,19 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
         if not outlives_a_clear(loop, joint):
             axis.unreferenced_reason = Unreferenced.NOT_BROUGHT_UP
         axis.readings = axis.status_readings = axis.bad_statuses = axis.doubted = axis.refusals = 0
-        axis.lag_ns = axis.fast_ready = 0
-        axis.status = 0
+        axis.lag_ns = axis.fast_ready = axis.holds_stalled = 0
+        axis.status = axis.firmware = 0
         axis.unanswered_since_ns = 0
         axis.status_ns = core.now_ns
         axis.told_velocity_rad_s = axis.effort_nm = axis.temperature_c = axis.voltage_v = math.nan
+
+
+@jit
+def forgive_silence(loop: Loop, joint: int) -> None:
+    """A drive that had power all along went on counting: that nobody heard it says nothing against its angle."""
+    axis = loop.axes[joint]
+    if axis.unreferenced_reason == Unreferenced.SILENT:
+        axis.unreferenced_reason = Unreferenced.NOT_BROUGHT_UP
 
 
 @jit

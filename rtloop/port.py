@@ -12,6 +12,7 @@ import numpy as np
 
 from rtloop.state import GRIPPER, LOOP, NOBODY, SERVICE_SLOTS, offset_of
 from rtloop.wire.frame_words import EXTENDED
+from shm.words import Unreferenced
 
 SEND = 1  # send a CAN frame
 ADOPT = 2  # joint stands at `value`; code = Unreferenced reason (0: referenced)
@@ -22,7 +23,9 @@ COUNT_FROM = 6  # joint's zero is `value` (rad) from its drive's own; code = 1: 
 REFERENCING = 7  # joint's turn; code = 1: its drive begins a homing run, so its count means nothing any more
 REFERENCING_DONE = 8
 HOME_ALL = 9  # begin the arm's homing run
+POWER_KEPT = 11  # joint's drive proves that it had power while it was silent
 FAST_READY = 10  # joint's drive takes FC as absolute, and its speed and ramp for that are set
+HOLDS_STALLED = 11  # joint's drive goes on holding where it stalls: what lets go of a stalled shaft is off
 
 IN = offset_of(LOOP, "service_in")
 OUT = offset_of(LOOP, "service_out")
@@ -80,6 +83,10 @@ class ServicePort:
     def referenced(self, joint: int) -> bool:
         """Whether the joint's count is known to mean an angle."""
         return bool(self._record["axes"][joint]["referenced"])
+
+    def unreferenced_reason(self, joint: int) -> Unreferenced:
+        """Why it is not."""
+        return Unreferenced(self._record["axes"][joint]["unreferenced_reason"])
 
     def measured_rad(self, joint: int) -> float:
         """The joint's last reading."""

@@ -5,6 +5,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from rtloop.conversation import Conversation, TalkFailed
 from rtloop.farewell import Farewell
 from rtloop.gripper import GripperTalk
 from rtloop.port import HOME_ALL, ServicePort
+from rtloop.power import Marks
 from rtloop.referencing import Referencing, referencing_asked_for
 from rtloop.release import Release
 from rtloop.state import offset_of
@@ -93,6 +95,7 @@ class ControlProcess:
         self._wire: OpenWire | None = None
         self._claim = Claim()
         self._lost_references: dict[int, Unreferenced] = {}
+        self._marks = Marks(saved.power_marks(arm), self._keep_marks)
         self._dropped_before = self._unsent_before = 0
         self._brought_up = False
         self._next_try_s = self._next_lost_s = self._next_keep_s = 0.0
@@ -339,10 +342,23 @@ class ControlProcess:
             now_ns=time.monotonic_ns(),
             clears_protection=clears_protection,
             tell=self._tell,
+            marks=self._marks,
             mock_positions_rad=known,
             counts_before=counts_before,
             lost_before=lost_before,
+            forgive_silence=self._forgive_silence,
         )
+
+    def _keep_marks(self, marks: Mapping[int, str]) -> None:
+        try:
+            saved.keep_power_marks(self._arm, marks)
+        except saved.NotSaved as problem:
+            self._tell(str(problem))
+
+    def _forgive_silence(self, joint: int) -> None:
+        """The next process is to know; where it cannot be told, it will ask the drive."""
+        with suppress(saved.NotSaved):
+            saved.forgive_silence(self._arm, joint)
 
     def _keep_lost(self, joint: int, reason: Unreferenced | None) -> None:
         """For who homes and references; what the cycle says of the joint until it is told is no news then."""
@@ -383,7 +399,9 @@ class ControlProcess:
             core["release_asked"] = 0  # taken back by the cycle when the drives are enabled meanwhile
             return Release(self._arm, self._port, now_ns=now_ns)
         if not self._stop_asked.yes and (core["home_asked"] or core["reference_asked"]):
-            return referencing_asked_for(self._arm, self._loop, self._port, now_ns, self._tell, self._keep_lost)
+            return referencing_asked_for(
+                self._arm, self._loop, self._port, now_ns, self._tell, self._keep_lost, self._marks
+            )
         return None
 
     def _supervise(self, ready: Callable[[], None], clears_protection: bool) -> int:

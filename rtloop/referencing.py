@@ -23,6 +23,7 @@ from rtloop.drives.setup import Homes, homing_of, joints_on_the_bus
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
 from rtloop.drives.zdt_talk import AGREEING
 from rtloop.port import ADOPT, COUNT_FROM, FAST_READY, REFERENCING, REFERENCING_DONE, ServicePort
+from rtloop.power import Marks
 from rtloop.saved import NotSaved
 from shm.words import Fault, Unreferenced
 
@@ -47,6 +48,7 @@ def referencing_asked_for(
     now_ns: int,
     tell: Callable[[str], None],
     keep_lost: KeepLost,
+    marks: Marks,
 ) -> Referencing:
     """Take up what the cycle was asked for (HOME or REFERENCE), joints to be homed in the arm file's order."""
     core, axes = loop[0]["core"], loop[0]["axes"]
@@ -61,6 +63,7 @@ def referencing_asked_for(
         placed={joint: float(axes[joint]["asked_rad"]) for joint in order if placed >> joint & 1},
         tell=tell,
         keep_lost=keep_lost,
+        marks=marks,
     )
 
 
@@ -80,6 +83,7 @@ class Referencing(Conversation):
         placed: Mapping[int, float],
         tell: Callable[[str], None],
         keep_lost: KeepLost,
+        marks: Marks,
         again: str = "`rtarm clear-fault` and `rtarm home` again",
     ) -> None:
         """`keep_lost` remembers beyond this process why a joint's angle is not known, or that it is.
@@ -89,6 +93,7 @@ class Referencing(Conversation):
         super().__init__(arm, port, now_ns, fault=Fault.HOMING, last_order=REFERENCING_DONE)
         self._tell = tell
         self._keep_lost_beyond = keep_lost
+        self._marks = marks
         self.again = again
         self._ending = False
         with_drive = joints_on_the_bus(arm)
@@ -221,6 +226,7 @@ class Referencing(Conversation):
                 yield from self._clear_power_lost(joint, config)
             target = yield from self._standing(joint, config)
             yield from self._require_mark(joint, config, mark_ms)
+            self._marks[joint] = str(mark_ms)
         except TalkFailed:
             yield from self._stand(joint)
             raise
@@ -338,6 +344,7 @@ class Referencing(Conversation):
             self._keep_lost(joint, Unreferenced.NOT_HOMED)  # what is said is known to this process alone
             measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
             zero_rad = config.direction * measured / config.encoder_counts_per_rad - angle_rad
+        self._marks[joint] = yield from zdt_talk.mark(self.now_ns)
         position_rad = config.direction * target / config.encoder_counts_per_rad - zero_rad
         self._count_from(joint, zero_rad, position_rad, flag_stays=bool(flags & registers.POWER_LOST))
 

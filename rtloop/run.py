@@ -51,7 +51,8 @@ _READER_POLL = offset_of(LOOP, "reader", "poll")
 _READER_BYTES = offset_of(LOOP, "reader", "bytes")
 _READER_MESSAGES = offset_of(LOOP, "reader", "messages")
 
-POLL_MS = 100
+POLL_MS = 20
+"""A reader that has not gone round for several of these was kept from it."""
 EPOCH_WITHIN_NS = 20_000
 """Three looks at clocks take a hundred ns; the rest is for slow ones."""
 
@@ -209,6 +210,7 @@ def read_wire(loop: Loop) -> None:
     clock, request = base + _READER_CLOCK, base + _READER_POLL
     fd = load_acquire(base + _FD)
     while load_acquire(base + _STOP) == 0 and received.closed(loop) == 0:
+        received.awake(loop, monotonic_ns(clock))
         store_relaxed(request, fd | (POLLIN << 32))
         ready = poll(request, 1, POLL_MS)
         if ready == 0:

@@ -1,9 +1,10 @@
 """What is known of the drives' counts beyond the life of a control process.
 
-Two small files an arm, in `rtarm/positions` under $XDG_STATE_HOME (~/.local/state). `<arm>.json`: where the drives
+Three small files an arm, in `rtarm/positions` under $XDG_STATE_HOME (~/.local/state). `<arm>.json`: where the drives
 counted when rtarm was last ended in order, to notice what happened to the arm since. It is there until a start has
 compared all of them: after a crash nothing is compared, since nothing is known. `<arm>.unreferenced`: which joints have
-lost their reference and why, until they are given one. Simulated arms at a pseudo-terminal begin wherever they are told
+lost their reference and why, until they are given one. `<arm>.power`: by what their drives prove that they have kept
+their power (`rtloop.power`). Simulated arms at a pseudo-terminal begin wherever they are told
 to, so nothing is kept of them.
 """
 
@@ -40,15 +41,15 @@ class NotSaved(Exception):
     """What should be kept could not be written; the text is the sentence people read."""
 
 
-def path_of(arm: str) -> Path:
-    """The file with the counts of an arm.
+def path_of(arm: str, kind: str = "positions") -> Path:
+    """The file with the counts of an arm, or with what else is kept of it.
 
     Raises:
         NotSaved: for a user without a home.
     """
     base = os.environ.get("XDG_STATE_HOME")
     try:
-        return (Path(base) if base else Path.home() / ".local" / "state") / "rtarm" / "positions" / f"{arm}.json"
+        return (Path(base) if base else Path.home() / ".local" / "state") / "rtarm" / kind / f"{arm}.json"
     except RuntimeError:
         raise NotSaved(
             "This user has no home, so where the arm stands and what is not known of it cannot be kept for the next "
@@ -62,12 +63,14 @@ def save(arm: ArmConfig, counts: Mapping[int, int]) -> None:
     Raises:
         NotSaved: with the sentence for people.
     """
-    if _is_simulated(arm):
+    if is_simulated(arm):
         return
     path = path_of(arm.name)
-    text = json.dumps({"channel": _channel(arm), "counts": {arm.joints[joint].name: n for joint, n in counts.items()}})
+    text = json.dumps(
+        {"channel": channel_of(arm), "counts": {arm.joints[joint].name: n for joint, n in counts.items()}}
+    )
     try:
-        _replace(path, text)
+        replace_file(path, text)
     except OSError as problem:
         raise NotSaved(
             f"Where the arm stands could not be kept in {path} ({problem.strerror}), so the next start cannot tell "
@@ -80,7 +83,7 @@ def counts_before(arm: ArmConfig) -> dict[int, int]:
 
     Empty where nothing is known. What cannot be read says nothing, since anybody may have written it.
     """
-    if _is_simulated(arm):
+    if is_simulated(arm):
         return {}
     try:
         path = path_of(arm.name)
@@ -88,7 +91,7 @@ def counts_before(arm: ArmConfig) -> dict[int, int]:
         return {}
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
-        known = dict(kept["counts"]) if kept["channel"] == _channel(arm) else {}
+        known = dict(kept["counts"]) if kept["channel"] == channel_of(arm) else {}
     except (OSError, ValueError, TypeError, KeyError):
         return {}
     counts = {joint: known.get(config.name) for joint, config in enumerate(arm.joints)}
@@ -97,7 +100,7 @@ def counts_before(arm: ArmConfig) -> dict[int, int]:
 
 def forget_counts(arm: ArmConfig) -> None:
     """The joints were compared with their counts of before, and may move from here on."""
-    if not _is_simulated(arm):
+    if not is_simulated(arm):
         with contextlib.suppress(OSError, NotSaved):
             path_of(arm.name).unlink(missing_ok=True)
 
@@ -107,7 +110,7 @@ def lost_references(arm: ArmConfig, tell: Callable[[str], object] = lambda _: No
 
     A file that is there and cannot be read may say so of every joint, and is taken to; `tell` gets the sentence.
     """
-    if _is_simulated(arm):
+    if is_simulated(arm):
         return {}
     try:
         return _read_lost(arm)
@@ -131,7 +134,7 @@ def keep_lost_reference(arm: ArmConfig, joint: int, reason: Unreferenced | None)
     Raises:
         NotSaved: with the sentence for people.
     """
-    if _is_simulated(arm):
+    if is_simulated(arm):
         return
     path = _lost_path(arm)
     lost = lost_references(arm)
@@ -141,7 +144,7 @@ def keep_lost_reference(arm: ArmConfig, joint: int, reason: Unreferenced | None)
         lost[joint] = reason
     try:
         if lost:
-            _replace(path, json.dumps({arm.joints[n].name: why.name for n, why in sorted(lost.items())}))
+            replace_file(path, json.dumps({arm.joints[n].name: why.name for n, why in sorted(lost.items())}))
         else:
             path.unlink(missing_ok=True)
     except OSError as problem:
@@ -149,6 +152,52 @@ def keep_lost_reference(arm: ArmConfig, joint: int, reason: Unreferenced | None)
             f"What is known of {arm.joints[joint].name}'s reference could not be kept in {path} ({problem.strerror}), "
             "so the next start would believe what is not true: see that the file can be written."
         ) from problem
+
+
+def forgive_silence(arm: ArmConfig, joint: int) -> None:
+    """The joint's drive had power while it was silent; what else is known against its angle stays.
+
+    Raises:
+        NotSaved: with the sentence for people.
+    """
+    if lost_references(arm).get(joint) == Unreferenced.SILENT:
+        keep_lost_reference(arm, joint, None)
+
+
+def power_marks(arm: ArmConfig) -> dict[int, str]:
+    """Joint number → its drive's mark (`rtloop.power`) at this channel; what cannot be read proves nothing."""
+    if is_simulated(arm):
+        return {}
+    try:
+        kept = json.loads(_power_path(arm).read_text(encoding="utf-8"))
+        marks = dict(kept["marks"]) if kept["channel"] == channel_of(arm) else {}
+    except (OSError, ValueError, TypeError, KeyError, NotSaved):
+        return {}
+    found = {joint: marks.get(config.name) for joint, config in enumerate(arm.joints)}
+    return {joint: mark for joint, mark in found.items() if isinstance(mark, str)}
+
+
+def keep_power_marks(arm: ArmConfig, marks: Mapping[int, str]) -> None:
+    """Keep all of them for the next process.
+
+    Raises:
+        NotSaved: with the sentence for people.
+    """
+    if is_simulated(arm):
+        return
+    path = _power_path(arm)
+    named = {arm.joints[joint].name: mark for joint, mark in sorted(marks.items())}
+    try:
+        replace_file(path, json.dumps({"channel": channel_of(arm), "marks": named}))
+    except OSError as problem:
+        raise NotSaved(
+            f"By what the drives prove that they keep their power could not be kept in {path} ({problem.strerror}), so "
+            "a drive that falls silent while rtarm dies must be referenced again: see that the file can be written."
+        ) from problem
+
+
+def _power_path(arm: ArmConfig) -> Path:
+    return path_of(arm.name).with_suffix(".power")
 
 
 def _read_lost(arm: ArmConfig) -> dict[int, Unreferenced]:
@@ -168,7 +217,7 @@ def _lost_path(arm: ArmConfig) -> Path:
     return path_of(arm.name).with_suffix(".unreferenced")
 
 
-def _replace(path: Path, text: str) -> None:
+def replace_file(path: Path, text: str) -> None:
     """Write a file whole or not at all, so that it is there even when the power goes."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=".")
@@ -189,9 +238,11 @@ def _replace(path: Path, text: str) -> None:
         os.close(folder)
 
 
-def _channel(arm: ArmConfig) -> str:
+def channel_of(arm: ArmConfig) -> str:
+    """How the arm's drives are reached: what is kept of them is of these drives alone."""
     return f"{arm.bus.interface}:{arm.bus.resolved_channel}"
 
 
-def _is_simulated(arm: ArmConfig) -> bool:
+def is_simulated(arm: ArmConfig) -> bool:
+    """Whether nothing is kept of the arm: its drives begin wherever they are told to."""
     return arm.bus.interface == "mock" or str(arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)

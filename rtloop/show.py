@@ -42,6 +42,8 @@ def show(loop: Loop, shared: Shared) -> None:
     snapshot.fault_value = core.fault_value
     snapshot.fault_limit = core.fault_limit
     snapshot.fault_ns = core.fault_ns
+    snapshot.fault_silent = core.fault_silent
+    snapshot.fault_evidence = core.fault_evidence
     snapshot.goal_id = running_goal(loop)
     snapshot.goal_phase = phase_of(loop)
     snapshot.trajectory_clock_ns = core.clock_s * 1e9

@@ -83,6 +83,7 @@ PARAMS = np.dtype(
         ("reading_ns", "i8"),  # between two positions of a drive
         ("fast_targets", "i8"),  # 1: targets are sent with FC, to drives that are known to take it as absolute
         ("report_overdue_ns", "i8"),  # age above which a report that is missing is asked for
+        ("simulated", "i8"),  # 1: the wire is a pseudo-terminal, behind which a program is the drives
     ]
 )
 
@@ -151,6 +152,7 @@ AXIS = np.dtype(
         ("led_cycle", "i8"),  # the last one in which it was led, where that is told apart; NOT_LED since it was adopted
         ("let_go", "i8"),  # 1: it was told to let go, and has said so
         ("brake_released", "i8"),  # 1: it has said that its brake is released
+        ("holds_stalled", "i8"),  # 1: it goes on holding where it stalls, and says no more than that it does
         ("questions", "i8"),  # for its position that may still be answered, QUESTIONS at most
         ("unasked", "i8"),  # positions that came although no question was left: reports
         ("heard", "i8"),  # 1: a position came since the last cycle
@@ -170,6 +172,7 @@ AXIS = np.dtype(
         ("status", "i8"),
         ("status_ns", "i8"),  # when a drive that says its status by itself has done so last
         ("error_code", "i8"),  # that its drive told last, 0 none
+        ("firmware", "i8"),  # of its drive, major version << 8 | minor version, 0 where it has not told
         ("status_readings", "i8"),
         ("referenced", "i8"),
         ("unreferenced_reason", "i8"),
@@ -243,6 +246,8 @@ CORE = np.dtype(
         ("fault_value", "f8"),
         ("fault_limit", "f8"),
         ("fault_ns", "i8"),
+        ("fault_silent", "i8"),  # joint mask; as the next, only for the sentence of STALE_READING
+        ("fault_evidence", "i8"),  # bits of shm.words.Evidence
         ("own_brake", "i8"),  # each joint brakes by itself: the path cannot be trusted
         ("motion_started", "i8"),
         ("rebase_ns", "i8"),  # since when the measured positions wait to be commanded, 0 = they do not
@@ -325,6 +330,24 @@ CORE = np.dtype(
     ]
 )
 
+QUIET = np.dtype(
+    [
+        # what happens while no drive is heard, for `rtloop.silence` alone
+        ("heard_ns", "i8"),  # arrival of the last frame of any drive
+        ("heard_before_ns", "i8"),  # the same in the cycle before
+        ("adapter_words", "i8"),  # answers of the adapter itself, where its wire tells them apart
+        ("adapter_words_before", "i8"),  # in the cycle before
+        ("adapter_ns", "i8"),  # cycle in which the last of them was taken
+        ("spoke_ns", "i8"),  # cycle that last had anything to send
+        # since a drive was heard
+        ("away_ns", "i8"),  # for how long the cycle was away
+        ("bytes_unsent", "i8"),  # these are the counters of then
+        ("unacknowledged", "i8"),
+        ("error_frames", "i8"),
+        ("frames_received", "i8"),
+    ]
+)
+
 FRAME = np.dtype(
     [
         ("kind", "i8"),
@@ -352,7 +375,8 @@ ARRIVED = np.dtype(
         ("dropped", "i8"),  # bytes that the system had no room for, as ordinary Python found out
         ("unsent", "i8"),  # bytes that the wire had taken and did not send after all, as ordinary Python found out
         ("clock", "i8", (2,)),
-        ("padding", "i8", (8,)),
+        ("woke_ns", "i8"),  # when the reader last went to look for bytes, 0 = never
+        ("padding", "i8", (7,)),
     ]
 )
 
@@ -422,6 +446,7 @@ LOOP = np.dtype(
         ("joints", JOINT_PARAMS, (MAX_JOINTS,)),
         ("listeners", LISTENER, (LISTENERS,)),  # who hears which frames
         ("core", CORE),
+        ("quiet", QUIET),
         ("axes", AXIS, (MAX_JOINTS,)),
         ("paths", PATH, (2,)),
         ("knots", layout.SETPOINT, (2 * WINDOW_KNOTS,)),

@@ -150,10 +150,12 @@ CHANGING = [
     Word("epoch_ns", "i8", "ns", "the same instant on CLOCK_REALTIME (ROS time)"),
     Word("mode", "i8", "", "shm.words.Mode"),
     Word("fault", "i8", "", "latched fault, shm.words.Fault; 0 none"),
-    Word("fault_joint", "i8", "", "joint it names, -1 for none"),
+    Word("fault_joint", "i8", "", "joint it names, -1 for none; STALE_READING: -1 for all"),
     Word("fault_value", "f8", "", "value that broke the limit"),
     Word("fault_limit", "f8", "", "the limit"),
     Word("fault_ns", "i8", "ns", "CLOCK_MONOTONIC when it was latched"),
+    Word("fault_silent", "i8", "", "STALE_READING: bit n = the drive of joint n was silent then; else 0"),
+    Word("fault_evidence", "i8", "", "STALE_READING: shm.words.Evidence, bits; else 0"),
     Word("goal_id", "i8", "", "goal being executed or stopped, 0 none"),
     Word("goal_phase", "i8", "", "shm.words.Phase"),
     Word("trajectory_clock_ns", "f8", "ns", "time along the trajectory"),
@@ -251,6 +253,8 @@ EVENT = _record(
         Word("code", "i8", "", "mode, fault, outcome … according to the kind"),
         Word("value", "f8", "", ""),
         Word("limit", "f8", "", ""),
+        Word("silent", "i8", "", "FAULT: as the snapshot's fault_silent"),
+        Word("evidence", "i8", "", "FAULT: as the snapshot's fault_evidence"),
     ],
 )
 

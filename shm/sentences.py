@@ -8,10 +8,10 @@ status bits of a drive.
 
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from shm import drive_words
-from shm.words import Answer, BusState, Fault, GripTrouble, Mode, Outcome, Request, Unreferenced
+from shm.words import Answer, BusState, Evidence, Fault, GripTrouble, Mode, Outcome, Request, Unreferenced
 
 Key = TypeVar("Key", bound=IntEnum)
 
@@ -219,11 +219,10 @@ FAULTS: dict[Fault, Meaning] = {
     ),
     Fault.STALE_READING: Meaning(
         "{joint} has given no believable answer for {value:.3f} s and {limit:.3f} s are allowed: check the drive's "
-        "supply, its cable and the adapter, then `rtarm clear-fault`, and `rtarm reference` the joint if it stands "
-        "where `rtarm status` says, or home it.",
+        "supply, its plug and its cable, then `rtarm clear-fault`.",
         "Without readings nobody knows where the joint is.",
-        "Check supply, cable, termination and adapter; clear the fault; `rtarm reference` the joint if it stands where "
-        "it reads, home it if not.",
+        "Check the drive's supply, plug and cable; clear the fault; `rtarm reference` the joint if it stands where it "
+        "reads, home it if not.",
     ),
     Fault.DRIVE_FAULT: Meaning(
         "The drive of {joint} reports a fault of its own ({value:drive}): remove the cause, then `rtarm clear-fault`.",
@@ -285,6 +284,97 @@ FAULTS: dict[Fault, Meaning] = {
     ),
 }
 
+
+class Silence(IntEnum):
+    """Whose silence it probably is where more than one drive is silent at once; `whose_silence` says which."""
+
+    SEVERAL_DRIVES = 1
+    NOT_BELIEVED = 2
+    NOT_ACKNOWLEDGED = 3
+    BABBLE = 4
+    BUS = 5
+    MACHINE = 6
+    SIMULATED_ARM = 7
+    NOT_TAKEN = 8
+    ADAPTER = 9
+    SUPPLY_OR_CABLE = 10
+    SUPPLY = 11
+
+
+_NO_DRIVE = "No drive has given a believable answer for {value:.3f} s and {limit:.3f} s are allowed"
+_THEN = ", then `rtarm clear-fault`."
+
+SILENCES: dict[Silence, Meaning] = {
+    Silence.SEVERAL_DRIVES: Meaning(
+        "{joint} have given no believable answer for {value:.3f} s and {limit:.3f} s are allowed, while other drives "
+        "answer: check the supply and the cable that they share" + _THEN,
+        "Drives that fall silent together have lost something that they share.",
+        "Check the supply that they share and the CAN cable up to the first of them; clear the fault.",
+    ),
+    Silence.NOT_BELIEVED: Meaning(
+        _NO_DRIVE + ", although frames of drives still come: check the Checksum in the drives' menus (0x6B), the "
+        "serial line for garbled characters, and that the drives hear what is sent" + _THEN,
+        "An answer that cannot be right tells no place.",
+        "Look at the wire errors in `rtarm status`, at the drives' menus and at the adapter; clear the fault.",
+    ),
+    Silence.NOT_ACKNOWLEDGED: Meaning(
+        _NO_DRIVE + ", and none acknowledges what is sent: look first at the drives' supply and its switch, then at "
+        "the CAN cable to them" + _THEN,
+        "A drive that has power and hears a frame acknowledges it, whatever it thinks of it.",
+        "Switch the drives on; check the CAN cable and the bit rate; clear the fault.",
+    ),
+    Silence.BABBLE: Meaning(
+        _NO_DRIVE + ", and frames of none of them fill the bus: find the node that sends without a pause (unplug one "
+        "after the other)" + _THEN,
+        "A node of higher priority that never pauses lets no drive answer.",
+        "Find that node; clear the fault.",
+    ),
+    Silence.BUS: Meaning(
+        _NO_DRIVE + ", and the CAN controller tells of errors: check wires, plugs and the 120 Ω at both ends, and that "
+        "the drives have power" + _THEN,
+        "On a disturbed bus no frame arrives whole.",
+        "Check wires, plugs and termination, and the drives' supply; clear the fault.",
+    ),
+    Silence.MACHINE: Meaning(
+        _NO_DRIVE + ", and this machine did not run the control process in time: find what overloads or suspends it "
+        "(`rtarm doctor`), and see that the drives have power" + _THEN,
+        "What came meanwhile may not have been read in time.",
+        "Relieve the machine, set it up for real time (`rtarm doctor --fix`); clear the fault.",
+    ),
+    Silence.SIMULATED_ARM: Meaning(
+        "No drive of the simulated arm has answered for {value:.3f} s and {limit:.3f} s are allowed: this machine was "
+        "too busy to run it in time (its own line says so), or the silence was planted; relieve the machine" + _THEN,
+        "A simulated arm is a program, which other programs can hold up.",
+        "Look for what keeps the machine busy (`rtarm doctor`); clear the fault.",
+    ),
+    Silence.NOT_TAKEN: Meaning(
+        _NO_DRIVE + ", and the adapter did not take all that was written: look at the adapter, its USB cable and hub, "
+        "then at the drives' supply and its switch" + _THEN,
+        "What an adapter does not take never reaches a drive.",
+        "Plug the adapter into another port, without a hub; check that the drives have power; clear the fault.",
+    ),
+    Silence.ADAPTER: Meaning(
+        _NO_DRIVE + ", and the adapter has fallen silent with them: look at the adapter, its USB cable and hub, and "
+        "whether this machine was too busy to pass its bytes on (`rtarm doctor`), and see that the drives have power"
+        + _THEN,
+        "An adapter that answers each frame says by its silence that it, or the way to it, stands still.",
+        "Plug the adapter into another port, without a hub; relieve the machine; clear the fault.",
+    ),
+    Silence.SUPPLY_OR_CABLE: Meaning(
+        _NO_DRIVE + ", while the adapter went on answering: look first at the drives' supply and its switch, then at "
+        "the CAN cable between adapter and drives" + _THEN,
+        "Drives share their supply, so together they fall silent most often for want of it.",
+        "Switch the drives on; check the CAN cable and its plugs; clear the fault.",
+    ),
+    Silence.SUPPLY: Meaning(
+        _NO_DRIVE + ": look first at the drives' supply and its switch, then at the CAN cable, the adapter and its USB "
+        "cable" + _THEN,
+        "Drives share their supply, so together they fall silent most often for want of it.",
+        "Switch the drives on; check the CAN cable, the adapter and its USB cable; clear the fault.",
+    ),
+}
+"""STALE_READING, where not one drive alone is silent."""
+
 BUS_STATES: dict[BusState, Meaning] = {
     BusState.ACTIVE: Meaning("The bus is in order.", "", ""),
     BusState.WARNING: Meaning(
@@ -326,10 +416,10 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
         "Check encoder and supply; home the joint, or look at it and say where it stands.",
     ),
     Unreferenced.SILENT: Meaning(
-        "The drive of {joint} was silent for too long, so its angle is not known: check supply and cable, "
-        "see whether the joint stands where `rtarm status` says, then take that with `rtarm reference`, or home it.",
+        "The drive of {joint} was silent for too long, so its angle is not known: see whether the joint stands where "
+        "`rtarm status` says, then take that with `rtarm reference`, or home it.",
         "A drive that was away may have been switched off and moved meanwhile.",
-        "Check supply and cable; `rtarm reference` the joint if it stands where it reads, home it if not.",
+        "Look at the joint; `rtarm reference` it if it stands where it reads, home it if not.",
     ),
     Unreferenced.TARGET_FAR: Meaning(
         "The drive of {joint} stands far from its own target, so adopting either would move it or lie: free "
@@ -512,6 +602,11 @@ def joint_name(joint: int, joints: Sequence[str]) -> str:
     return joints[joint] if 0 <= joint < len(joints) else "no joint"
 
 
+def joint_names(joints: Sequence[str]) -> str:
+    """The names of joints as a sentence lists them."""
+    return " and ".join(filter(None, (", ".join(joints[:-1]), *joints[-1:])))
+
+
 def _say(table: Mapping[Key, Meaning], kind: type[Key], number: int, joint: str, value: float, limit: float) -> str:
     try:
         meaning = table[kind(number)]
@@ -530,6 +625,57 @@ def fault_sentence(fault: int, joint: str = "", value: float = 0.0, limit: float
     return _say(FAULTS, Fault, fault, joint, value, limit)
 
 
+def whose_silence(joint: int, silent: int, evidence: int) -> Silence | None:
+    """Whose silence a STALE_READING is, by what was known when it was latched; None for that of one drive.
+
+    Supply or switch come first wherever nothing speaks for something else: drives that have lost their power count from
+    another place. What speaks for something else is told in the order in which it leaves the least doubt.
+
+    Args:
+        joint: the joint that the fault names, -1 where all drives are silent.
+        silent: bit n: the drive of joint n is silent.
+        evidence: bits of shm.words.Evidence.
+    """
+    if joint >= 0:
+        return Silence.SEVERAL_DRIVES if silent.bit_count() > 1 else None
+    for bits, whose in _SPEAKS_FOR:
+        if evidence & bits:
+            return whose
+    return Silence.SUPPLY
+
+
+_SPEAKS_FOR = (
+    (Evidence.HEARD, Silence.NOT_BELIEVED),
+    (Evidence.UNACKNOWLEDGED, Silence.NOT_ACKNOWLEDGED),
+    (Evidence.BABBLE, Silence.BABBLE),
+    (Evidence.BUS_ERRORS, Silence.BUS),
+    (Evidence.CYCLE_LATE | Evidence.READER_LATE, Silence.MACHINE),
+    (Evidence.SIMULATED, Silence.SIMULATED_ARM),
+    (Evidence.NOT_TAKEN, Silence.NOT_TAKEN),
+    (Evidence.ADAPTER_MUTE, Silence.ADAPTER),
+    (Evidence.ADAPTER_ANSWERS, Silence.SUPPLY_OR_CABLE),
+)
+
+
+def latched_sentence(cycle: Any, joints: Sequence[str]) -> str:
+    """What the latched fault says of a snapshot, or of the flight recorder's record of a cycle."""
+    number, joint = int(cycle["fault"]), int(cycle["fault_joint"])
+    value, limit = float(cycle["fault_value"]), float(cycle["fault_limit"])
+    silent, evidence = int(cycle["fault_silent"]), int(cycle["fault_evidence"])
+    return fault_told(number, joint, value, limit, silent, evidence, joints)
+
+
+def fault_told(
+    fault: int, joint: int, value: float, limit: float, silent: int, evidence: int, joints: Sequence[str]
+) -> str:
+    """What a fault says by all that is known of it, whoever tells it."""
+    whose = whose_silence(joint, silent, evidence) if fault == Fault.STALE_READING else None
+    if whose is None:
+        return fault_sentence(fault, joint_name(joint, joints), value, limit)
+    named = joint_names([name for number, name in enumerate(joints) if silent >> number & 1])
+    return SILENCES[whose].sentence.format(joint=named, value=_Value(value), limit=_Value(limit))
+
+
 def bus_state_sentence(state: int) -> str:
     """What the CAN controller thinks of its bus."""
     return _say(BUS_STATES, BusState, state, "", 0.0, 0.0)
@@ -538,6 +684,36 @@ def bus_state_sentence(state: int) -> str:
 def unreferenced_sentence(reason: int, joint: str) -> str:
     """Why a joint's count does not mean an angle."""
     return _say(UNREFERENCED, Unreferenced, reason, joint, 0.0, 0.0)
+
+
+def unreferenced_cause(reason: int, joint: str) -> str:
+    """What has happened to a joint's count: the same without what follows from it, and without a full stop."""
+    return unreferenced_sentence(reason, joint).partition(", so ")[0]
+
+
+def reasons_unreferenced(cycle: Any, joints: Sequence[str]) -> dict[str, int]:
+    """The joints without a reference, and why (shm.words.Unreferenced), of a snapshot or a record of a cycle."""
+    rows = cycle["joints"]
+    return {
+        name: int(rows[index]["unreferenced_reason"])
+        for index, name in enumerate(joints)
+        if not rows[index]["referenced"]
+    }
+
+
+def unreferenced_sentences(reasons: Mapping[str, int]) -> list[str]:
+    """Why counts do not mean angles, once for all joints with the same reason: by the joints' names, in their order."""
+    joints: dict[int, list[str]] = {}
+    for name, reason in reasons.items():
+        joints.setdefault(reason, []).append(name)
+    return [_of_each(reason, names) for reason, names in joints.items()]
+
+
+def _of_each(reason: int, joints: Sequence[str]) -> str:
+    if len(joints) == 1:
+        return unreferenced_sentence(reason, joints[0])
+    sentence = unreferenced_sentence(reason, f"each of {joint_names(joints)}")
+    return sentence[:1].upper() + sentence[1:]
 
 
 def grip_trouble_sentence(trouble: int, value: float) -> str:

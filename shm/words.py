@@ -165,6 +165,21 @@ class DriveStatus(IntFlag):
     COMMUNICATION = 2048
 
 
+class Evidence(IntFlag):
+    """What was known of wire and machine when a silence became a fault: facts for the sentence, nothing else."""
+
+    HEARD = 1  # frames of some drive still came
+    ADAPTER_ANSWERS = 2  # the adapter still answered what was sent
+    ADAPTER_MUTE = 4  # it did so until the drives fell silent, and then no more
+    NOT_TAKEN = 8  # the wire did not take all that was written
+    UNACKNOWLEDGED = 16  # the CAN controller told that no drive acknowledges
+    BUS_ERRORS = 32  # it told of other errors, or counts many
+    BABBLE = 64  # frames of no drive of the arm came at least as often as all drives answer otherwise
+    CYCLE_LATE = 128  # the cycle was away meanwhile for as long as the age ladder's first rung
+    READER_LATE = 256  # the thread that reads the wire did not run
+    SIMULATED = 512  # the wire is a pseudo-terminal: a program on this machine is the drives
+
+
 class Event(IntEnum):
     """Kind of a record in the event ring."""
 

@@ -55,6 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
             faults=[parse_fault(text) for text in options.fault],
             dialect=options.dialect,
             firmware=options.firmware,
+            odrive_firmware=options.odrive_firmware,
             homed=not options.unhomed,
             hand=None if options.hand is None else load_guided(options.hand, [joint.name for joint in config.joints]),
         )
@@ -133,10 +134,21 @@ def _serve(server: Server, truth: Path | None, window_s: float | None, faults_fr
 
     if truth is not None:
         server.heard = []
+    if isinstance(server, PtyServer):
+        server.on_held_up = _say_held_up
     print(f"ready {server.place}", flush=True)
     server.serve(attend, watched)
     signal.set_wakeup_fd(-1)
     write_truth()
+
+
+def _say_held_up(late_ns: int) -> None:
+    print(
+        f"sim: This machine held the simulated arm up for {late_ns * 1e-9:.3f} s, in which all its drives were silent: "
+        "relieve it, or see `rtarm doctor`.",
+        file=sys.stderr,
+        flush=True,
+    )
 
 
 def _forget_before(server: Server, time_ns: int) -> None:
@@ -198,7 +210,8 @@ def _parser() -> argparse.ArgumentParser:
         help="motion (CSV, or `wave`) along which a hand leads the joints whenever all are limp",
     )
     parser.add_argument("--dialect", choices=DIALECTS, default="lawicel", help="of an SLCAN adapter")
-    parser.add_argument("--firmware", choices=("new", "old"), default="new", help="of the drives")
+    parser.add_argument("--firmware", choices=("new", "old"), default="new", help="of ZDT drives")
+    parser.add_argument("--odrive-firmware", choices=("0.5.6", "0.6"), default="0.5.6", help="of ODrives")
     parser.add_argument("--unhomed", action="store_true", help="drives that have just been switched on")
     parser.add_argument("--seed", type=int, default=0, help="of random delays and faults")
     parser.add_argument("--truth", type=Path, help="file for the true motion (NumPy archive)")

@@ -69,6 +69,8 @@ class SimulatedArm:
         retarget: whether ZDT drives take a position command in mid-move, see `sim.drives.zdt`.
         enabling: what ZDT drives do that are enabled again, see `sim.drives.zdt`.
         lag_s: time constant of the shafts of ZDT drives behind their ramps [s].
+        odrive_firmware: of all ODrives, see `sim.drives.odrive`.
+        planning: how Damiao motors go to targets, see `sim.drives.damiao`.
         echo: whether the adapter reports its own transmissions as received frames.
         hand: a motion along which somebody leads the joints whenever all are limp, see `sim.hand`.
 
@@ -94,6 +96,8 @@ class SimulatedArm:
         retarget: Literal["accept", "reject"] = "accept",
         enabling: Literal["hold", "pull"] = "hold",
         lag_s: float = 0.0,
+        odrive_firmware: Literal["0.5.6", "0.6"] = "0.5.6",
+        planning: Literal["ramp", "gain"] = "ramp",
         echo: bool = False,
         hand: Guided | None = None,
     ) -> None:
@@ -130,6 +134,8 @@ class SimulatedArm:
                 retarget=retarget,
                 enabling=enabling,
                 lag_s=lag_s,
+                odrive_firmware=odrive_firmware,
+                planning=planning,
             )
             self.drives.append(make(mounting))
         self.gripper = self._gripper_drive(start_ns, firmware, homed, seed)

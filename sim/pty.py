@@ -24,6 +24,10 @@ from sim.waking import READ_SIZE, Waking
 
 PACKET_NS = 1_000_000
 """Time between two packets of a full-speed USB adapter."""
+LOOK_NS = 10_000_000
+"""It looks up as often as this, so that it knows when it was not let."""
+HELD_UP_NS = 80_000_000
+"""A simulated arm that looks up so much later is, with the way of its bytes, silent for what is a fault elsewhere."""
 
 
 class PtyServer(Waking):
@@ -37,6 +41,7 @@ class PtyServer(Waking):
         tty_path: the terminal a host opens.
         dropped_bytes: bytes to the host that found the terminal full.
         heard: what the host wrote, kept for `sim.truth` where this is a list.
+        on_held_up: told for how long (ns) this machine did not run the arm.
 
     Raises:
         ValueError: the arm has no serial adapter.
@@ -49,6 +54,7 @@ class PtyServer(Waking):
         self._adapter = arm.serial_adapter()
         self.dropped_bytes = 0
         self.heard: Heard | None = None
+        self.on_held_up: Callable[[int], None] = lambda late_ns: None
         self._link = link
         self._master, self._slave = os.openpty()
         os.set_blocking(self._master, False)
@@ -80,12 +86,15 @@ class PtyServer(Waking):
         going = attend()
         while going:
             due_ns = arm.next_due_ns()
-            wait_s = None
-            if due_ns is not None:
-                wait_s = max(0, max(due_ns, packet_ns) - time.monotonic_ns()) * 1e-9
-            listens = (self._master,) if self._adapter.takes_characters else ()
-            readable, _, _ = select.select((*listens, self._wake_read, *watched), (), (), wait_s)
             now_ns = time.monotonic_ns()
+            wake_ns = now_ns + LOOK_NS
+            if due_ns is not None:
+                wake_ns = min(max(due_ns, packet_ns, now_ns), wake_ns)
+            listens = (self._master,) if self._adapter.takes_characters else ()
+            readable, _, _ = select.select((*listens, self._wake_read, *watched), (), (), (wake_ns - now_ns) * 1e-9)
+            now_ns = time.monotonic_ns()
+            if now_ns - wake_ns > HELD_UP_NS:
+                self.on_held_up(now_ns - wake_ns)
             if self._master in readable:
                 data = os.read(self._master, READ_SIZE)
                 if self.heard is not None:

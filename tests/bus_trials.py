@@ -34,7 +34,7 @@ from config.joint import JointConfig
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rtloop.wire import received
-from shm.sentences import fault_sentence, outcome_sentence, unreferenced_sentence
+from shm.sentences import latched_sentence, outcome_sentence, unreferenced_sentence
 from shm.words import Answer, Fault, Mode, Outcome, Request, Slowed, Unreferenced
 from sim.pty import PACKET_NS
 
@@ -219,7 +219,7 @@ class _Trial:
         found.violations += led_after_its_stop(arm.arm, frames)
         if latched != Fault.NONE:
             self.judge_standstill(truth)
-            self.judge_sentence(latched)
+            self.judge_sentence()
         if fault.loses and not self.blind and arm.loop[0]["axes"][self.joint]["referenced"]:
             self.wrong(f"{name} is still referenced")
 
@@ -233,11 +233,11 @@ class _Trial:
             found.stands_ms = max(stood_ns - self.fault_ns, 0) * 1e-6
         found.violations += motion_after(truth, end_ns - 100_000_000, end_ns)
 
-    def judge_sentence(self, latched: Fault) -> None:
+    def judge_sentence(self) -> None:
         core = self.arm.core
         joint = int(core["fault_joint"])
         named = self.arm.arm.joints[joint].name if joint >= 0 else ""
-        sentence = fault_sentence(latched, named, float(core["fault_value"]), float(core["fault_limit"]))
+        sentence = latched_sentence(core, [config.name for config in self.arm.arm.joints])
         self.found.sentences.append(sentence)
         if named not in sentence or "{" in sentence or "nan" in sentence:
             self.wrong(f"the sentence is {sentence!r}")

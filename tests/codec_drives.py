@@ -136,12 +136,14 @@ def odrive_reads(frames: list[bytes]) -> Command:
 def odrive_says(rad: float, rad_s: float, nm: float, celsius: int) -> Said:
     estimates, currents = struct.pack("<ff", rad / TURN, rad_s / TURN), struct.pack("<ff", 99.0, nm / 0.08)
     turns, turns_s = struct.unpack("<ff", estimates)
-    frames = (hexed("029", estimates), hexed("034", currents))
+    closed = hexed("021", struct.pack("<IB", 0, 8) + bytes(3))  # without that zeros would be no position
+    frames = (closed, hexed("029", estimates), hexed("034", currents))
     return Said(frames, turns * TURN, turns_s * TURN, struct.unpack("<ff", currents)[1] * 0.08)
 
 
 def odrive_is_position(identifier: int, data: bytes) -> bool:
-    return identifier == 0x029 and len(data) == 8 and finite(*struct.unpack("<ff", data))
+    # zeros are what 0.5.6 says before its first closed loop
+    return identifier == 0x029 and len(data) == 8 and any(data) and finite(*struct.unpack("<ff", data))
 
 
 # --- Damiao: rad16 rad_s12 kp12 kd12 nm12, or two floats; status4 id4 rad16 rad_s12 nm12 celsius8 celsius8

@@ -22,6 +22,7 @@ from rtloop import status
 from rtloop.beginning import new_loop
 from rtloop.measured import take_frame
 from rtloop.port import Frame
+from rtloop.power import Marks
 from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
 from shm import layout
 
@@ -194,6 +195,7 @@ class Host:
         self.arm, self.answers, self.clears_protection = arm, answers, clears_protection
         self.now_ns, self.port, self.unasked_before = 0, None, [0] * len(arm.joints)
         self.told: list[str] = []
+        self.marks, self.was_silent = Marks(), [False] * len(arm.joints)
 
     def tell(self, sentence: str) -> None:
         self.told.append(sentence)

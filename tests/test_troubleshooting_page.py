@@ -12,6 +12,7 @@ from shm.sentences import (
     GRIP_TROUBLES,
     NOBODY_ACKNOWLEDGES,
     OUTCOMES,
+    SILENCES,
     STILL_QUEUED,
     UNREFERENCED,
     Meaning,
@@ -22,6 +23,7 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "troubleshooting.md"
 TABLES = (
     (OUTCOMES, {Outcome.NONE, Outcome.SUCCEEDED}),
     (FAULTS, {Fault.NONE}),
+    (SILENCES, set()),
     (BUS_STATES, {BusState.ACTIVE}),
     (UNREFERENCED, {Unreferenced.REFERENCED}),
     (GRIP_TROUBLES, {GripTrouble.NONE}),

@@ -23,6 +23,7 @@ from rtloop.cycle import step
 from rtloop.entries import record_at
 from rtloop.gripper import GripperTalk
 from rtloop.port import ServicePort
+from rtloop.power import Marks
 from rtloop.referencing import Referencing, referencing_asked_for
 from rtloop.release import Release
 from rtloop.state import LOOP
@@ -113,6 +114,7 @@ class VirtualArm:
         self.sent: list[tuple[int, bytes]] = []
         self.told: list[str] = []
         self.lost: dict[int, Unreferenced | None] = {}
+        self.marks = Marks()
         self.front_alive = True
         self.goal = 0
         self.pending: list[Callable[[], None]] = []
@@ -248,6 +250,7 @@ class VirtualArm:
             now_ns=self.now_ns,
             clears_protection=clears_protection,
             tell=self.told.append,
+            marks=self.marks,
             **known,
         )
         self.until(lambda: talk.poll(self.now_ns), at_most_s=at_most_s)
@@ -266,6 +269,15 @@ class VirtualArm:
         self.gripper = GripperTalk(
             self.arm, self.loop, self.port, self.state.array, now_ns=self.now_ns, tell=self.told.append
         )
+
+    def next_process(self) -> Self:
+        """Another control process at the same drives, which it has not brought up yet."""
+        after = type(self)(self.arm)
+        after.sim, after.marks = self.sim, self.marks
+        after.now_ns = self.now_ns + 10_000_000
+        assert after.sim is not None
+        after.sim.feed(after.now_ns, b"C\rS6\rO\r")
+        return after
 
     def release(self, *, at_most_s: float = 10.0) -> Release:
         """Run the conversation that lets the drives go; the request was made before."""
@@ -317,7 +329,7 @@ class VirtualArm:
     def reference(self, *, at_most_s: float = 400.0, each_cycle: Callable[[], None] = lambda: None) -> Referencing:
         """Run the conversation that HOME or REFERENCE has asked for, as the control process does."""
         talk = referencing_asked_for(
-            self.arm, self.loop, self.port, self.now_ns, self.told.append, self.lost.__setitem__
+            self.arm, self.loop, self.port, self.now_ns, self.told.append, self.lost.__setitem__, self.marks
         )
 
         def over() -> bool:

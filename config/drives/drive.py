@@ -35,6 +35,11 @@ class Drive(Section, ABC):
         return False
 
     @property
+    def within_a_turn(self) -> str | None:
+        """What to do where one that knows its angle within a motor turn alone counts a turn off; None of others."""
+        return None
+
+    @property
     def plans_its_motion(self) -> bool:
         """Whether it goes to a target with a speed and a ramp of its own, and so brakes by itself in silence."""
         return False

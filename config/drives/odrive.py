@@ -1,4 +1,4 @@
-"""ODrive with CANSimple (firmware 0.5.6): brushless motors, each axis with an identifier of its own."""
+"""ODrive with CANSimple (firmware 0.5.6 and 0.6): brushless motors, each axis with an identifier of its own."""
 
 from __future__ import annotations
 
@@ -31,15 +31,16 @@ class OdriveDrive(Drive):
         default=100,
         ge=1,
         le=1000,
-        description="Time between two heartbeats as set in the drive (axis.config.can.heartbeat_rate_ms); three in a "
-        "row that are missing are a fault.",
+        description="Time between two heartbeats as set in the drive (axis.config.can.heartbeat_rate_ms; "
+        "heartbeat_msg_rate_ms with firmware 0.6); three in a row that are missing are a fault.",
     )
     estimates_ms: int = Field(
         default=10,
         ge=0,
         le=60_000,
-        description="Time between two positions that the drive sends by itself (axis.config.can.encoder_rate_ms), 0 "
-        "for none. rtarm asks for them in every cycle; set 0 here and in the drive to spare the bus.",
+        description="Time between two positions that the drive sends by itself (axis.config.can.encoder_rate_ms; "
+        "encoder_msg_rate_ms with firmware 0.6), 0 for none. rtarm asks for them in every cycle; set 0 here and in the "
+        "drive to spare the bus.",
     )
     nm_per_ampere: float | None = Field(
         default=None,

@@ -61,14 +61,14 @@ class RobstrideDrive(Drive):
         gt=0,
         le=1e3,
         description="What the velocity field reaches, either way (rad/s): CyberGear 30, RobStride 00 33, 01 and 02 44, "
-        "03 20, 04 15.",
+        "03 20, 04 15, EL05 50.",
     )
     torque_range_nm: float = Field(
         default=12.0,
         gt=0,
         le=1e4,
         description="What the torque field reaches, either way (N·m): CyberGear 12, RobStride 00 14, 01 and 02 17, "
-        "03 60, 04 120.",
+        "03 60, 04 120, EL05 6.",
     )
     kp_range: float = Field(
         default=500.0,
@@ -84,8 +84,8 @@ class RobstrideDrive(Drive):
     )
     encoder: Literal["incremental", "absolute"] = Field(
         default="incremental",
-        description="absolute: its position means an angle as soon as it has power; incremental: a person says where "
-        "the joint stands, with `rtarm reference`.",
+        description="absolute: its position means an angle as soon as it has power, within one turn; incremental: a "
+        "person says where the joint stands, with `rtarm reference`.",
     )
     called: ClassVar[str] = "a RobStride drive"
     number_field: ClassVar[str] = "motor_id"
@@ -139,6 +139,17 @@ class RobstrideDrive(Drive):
     def knows_its_angle(self) -> bool:
         """With an encoder that sees its output shaft."""
         return self.encoder == "absolute"
+
+    @property
+    def within_a_turn(self) -> str | None:
+        """After power came RobStrides count 0 to 2π, or ±π where zero_sta is 1 (their manuals of 2026, 4.2.2)."""
+        if not self.knows_its_angle:
+            return None
+        return (
+            "after power came RobStrides count from 0 to 2π, or from -π to π where their parameter 7029 (zero_sta) is "
+            "1: set that with the maker's program and save it, or move the motor's zero and zero_deg so that the whole "
+            "range is counted"
+        )
 
     @property
     def highest_motor_rpm(self) -> float:

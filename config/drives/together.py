@@ -31,6 +31,7 @@ def check_drives(joints: Sequence[JointConfig], bus: BusConfig, limits: Limits) 
     _are_told_apart(joints)
     _are_not_too_fast(joints)
     _reach_the_whole_range(joints)
+    _know_their_angle(joints)
     _do_what_the_bus_asks(joints, bus)
     _suit_the_bus(joints, bus)
     _brake_in_silence(joints, limits)
@@ -97,6 +98,18 @@ def _reach_the_whole_range(joints: Sequence[JointConfig]) -> None:
                     f"drive's zero, but {joint.drive.called} is commanded within {most:.4g}; narrow the "
                     "range, or move the drive's zero and zero_deg.",
                 )
+
+
+def _know_their_angle(joints: Sequence[JointConfig]) -> None:
+    for index, joint in enumerate(joints):
+        turns = (joint.upper_deg - joint.lower_deg) * joint.ratio / 360.0
+        if joint.drive.within_a_turn is not None and turns >= 1.0:
+            raise refuse(
+                f"joints[{index}].drive.encoder",
+                f"encoder of {joint.name} is absolute, but its range is {turns:.2f} motor turns and "
+                f"{joint.drive.called} knows its angle within one turn only: remove encoder (a person then says where "
+                "the joint stands), or narrow the range to less than a turn.",
+            )
 
 
 def _do_what_the_bus_asks(joints: Sequence[JointConfig], bus: BusConfig) -> None:

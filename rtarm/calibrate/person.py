@@ -10,6 +10,8 @@ import textwrap
 from contextlib import suppress
 from typing import Protocol
 
+from rtarm.errors import Refusal
+
 WIDEST = 110
 """Columns of running text."""
 
@@ -64,6 +66,16 @@ def _wrapped(text: str) -> str:
 def agrees(person: Person, question: str) -> bool:
     """Whether the answer is y; anything else is no."""
     return person.answer(f"{question} [y/N, q ends]").lower() in ("y", "yes")
+
+
+def require_yes(person: Person, question: str) -> None:
+    """Let a person agree who sees the arm; raises Refusal where nobody does."""
+    try:
+        agreed = agrees(person, question)
+    except Quit as ended:
+        raise Refusal(f"Nothing was done ({ended}): say y, or give --yes in a script.") from None
+    if not agreed:
+        raise Refusal("Nothing was done; the arm stands where it stood.")
 
 
 def chosen(person: Person, question: str, options: dict[str, str]) -> str:

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rtarm.recording.chart import joint_charts
+from rtarm.recording.folding import folded
 from rtarm.recording.mcap_format import Loaded, Step
 from rtarm.recording.mcap_reader import read
 from rtarm.recording.story import Line, guilty_joint, since, tell
@@ -36,7 +37,7 @@ class Explanation:
         for sentence in story.verdict:
             yield Text(sentence)
         if story.first is not None:
-            came = since(story.first.monotonic_ns, story.zero_ns).strip()
+            came = self._since(story.first.monotonic_ns)
             yield Text.assemble(("First of all: ", "bold"), f"{story.first.sentence} ({came})")
         yield Text()
         yield self._table()
@@ -50,10 +51,19 @@ class Explanation:
         table = Table.grid(padding=(0, 2))
         table.add_column(justify="right", no_wrap=True, style="dim")
         table.add_column()
-        for line in self.story.lines:
+        for line in self._folded():
             style = "bold " + line.style if line is self.story.first else line.style
-            table.add_row(since(line.monotonic_ns, self.story.zero_ns).strip(), Text(line.sentence, style=style))
+            table.add_row(self._since(line.monotonic_ns), Text(line.sentence, style=style))
         return table
+
+    def _folded(self) -> list[Line]:
+        """The story's lines, repeats in one; what came first and the fault stand by themselves."""
+        story = self.story
+        apart = [story.zero_ns] if story.first is None else [story.zero_ns, story.first.monotonic_ns]
+        return folded(story.lines, apart, self._since)
+
+    def _since(self, line_ns: int) -> str:
+        return since(line_ns, self.story.zero_ns).strip()
 
 
 def plain(told: Explanation) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from rtarm.status import key, resolve_arm
 from shm import files
 from shm.files import MemoryFile
 from shm.recording import Recording, read_recording
-from shm.sentences import fault_sentence, joint_name
+from shm.sentences import latched_sentence
 from shm.words import Fault
 
 ASKED, FAULT, DEATH = "asked", "fault", "death"
@@ -79,9 +79,7 @@ def record(memory: MemoryFile, word: str, path: Path | None = None, step: Step =
 
 def _sentence(word: str, recording: Recording) -> str:
     if word == FAULT and len(recording.records):
-        last = recording.records[-1]
-        joint = joint_name(int(last["fault_joint"]), recording.joints)
-        return fault_sentence(int(last["fault"]), joint, float(last["fault_value"]), float(last["fault_limit"]))
+        return latched_sentence(recording.records[-1], recording.joints)
     if word == DEATH:
         return f"The control process (pid {recording.pid}) ended without an orderly end."
     return "Asked for by a person."

@@ -27,6 +27,7 @@ from rtarm.recording.mcap_format import (
     JOINTS,
     JSON,
     LATER_CYCLE_WORDS,
+    LATER_EVENT_WORDS,
     LATER_JOINT_WORDS,
     LIBRARY,
     LIMITS,
@@ -286,6 +287,9 @@ def _joints_of(rows: list[dict[str, Any]]) -> np.ndarray:
 
 
 def _events_of(rows: list[dict[str, Any]]) -> np.ndarray:
+    for row in rows:
+        for name in LATER_EVENT_WORDS:
+            row.setdefault(name, 0)
     return _filled(layout.EVENT, EVENT_WORDS, rows)
 
 

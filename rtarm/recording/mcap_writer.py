@@ -277,6 +277,8 @@ def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]
         "code": integer,
         "value": number,
         "limit": number,
+        "silent": integer,
+        "evidence": integer,
     }
     yield EVENTS, "foxglove.Log", {"title": "foxglove.Log", "type": "object", "properties": {**log, **own}}
     frame = {

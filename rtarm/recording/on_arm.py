@@ -14,7 +14,7 @@ import numpy as np
 
 from rtarm import moves
 from rtarm.arm_file import arm_file
-from rtarm.calibrate.person import Person
+from rtarm.calibrate.person import Person, require_yes
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, signals_raise
 from rtarm.requests import Connection, connect
@@ -166,7 +166,7 @@ def replay_on_arm(recording: Recording, argument: str | None, *, speed: float, y
         try:
             with signals_raise():
                 if not yes:
-                    moves.require_yes(person, _question(connection, path))
+                    require_yes(person, _question(connection, path))
                 with sending(config) as sender:
                     moves.go_slowly(connection, sender, path.positions_rad[0], person)
                     person.tell("Replaying.")

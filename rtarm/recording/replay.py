@@ -10,7 +10,7 @@ import numpy as np
 
 from rtarm.errors import Refusal
 from rtarm.status import PERCENTS, Report, counters, key, of_cycle, problems, scheduling
-from rtarm.top.events import Happening, happening
+from rtarm.top.events import Happening, happenings
 from rtarm.top.terminal import show
 from rtarm.top.watch import HAPPENINGS, RECENT_S, Look, Timing, spectrum_of
 from shm.layout import COUNTED
@@ -30,7 +30,7 @@ class Replay:
         self._speed = speed
         self._clock = clock
         self._began_ns = clock()
-        self._happenings = [happening(event, recording.joints) for event in recording.events]
+        self._happenings = [told for told, _ in happenings(recording.events, recording.joints)]
         self._instants = recording.records["monotonic_ns"]
 
     def close(self) -> None:

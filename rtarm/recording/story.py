@@ -12,9 +12,9 @@ import numpy as np
 
 from rtarm.recording.mcap_format import Reason
 from rtarm.status import key
-from rtarm.top.events import BAD, ODD, PLAIN, happening
+from rtarm.top.events import BAD, ODD, PLAIN, happenings
 from shm.recording import Recording
-from shm.sentences import FAULTS, fault_sentence, joint_name
+from shm.sentences import FAULTS, SILENCES, latched_sentence, whose_silence
 from shm.words import BusState, DriveStatus, Event, Fault, Mode, Phase, Slowed
 
 LATE_PERIODS = 2.5
@@ -153,9 +153,7 @@ def _latched(records: np.ndarray) -> int | None:
 
 
 def _fault_words(recording: Recording, at: int) -> str:
-    record = recording.records[at]
-    joint = joint_name(int(record["fault_joint"]), recording.joints)
-    return fault_sentence(int(record["fault"]), joint, float(record["fault_value"]), float(record["fault_limit"]))
+    return latched_sentence(recording.records[at], recording.joints)
 
 
 def _heading(recording: Recording, zero_ns: int) -> str:
@@ -188,8 +186,7 @@ def _lines(recording: Recording) -> Iterator[Line]:
 def _from_events(recording: Recording) -> Iterator[Line]:
     start_ns = int(recording.records["monotonic_ns"][0])
     bad = (Event.FAULT, Event.OVERRUN, Event.REFERENCE)
-    for event in recording.events:
-        told = happening(event, recording.joints)
+    for told, event in happenings(recording.events, recording.joints):
         if told.monotonic_ns >= start_ns:
             yield Line(told.monotonic_ns, told.sentence, told.style, int(event["kind"]) in bad, int(event["joint"]))
 
@@ -212,7 +209,23 @@ def _goals(recording: Recording) -> Iterator[Line]:
 
 
 def _silences(recording: Recording) -> Iterator[Line]:
-    """When a drive answered for the last time before answers were missing."""
+    """When a drive answered for the last time before answers were missing; once where that befell all of them."""
+    found = sorted(_silences_of_each(recording), key=lambda line: line.monotonic_ns)
+    while found:
+        first = found[0]
+        within_ns = first.monotonic_ns + LATE_PERIODS * recording.period_ns
+        together = {line.joint: line for line in reversed(found) if line.monotonic_ns <= within_ns}
+        if len(together) == len(recording.joints) > 1:
+            lasted = max((line.end_ns or math.inf) - line.monotonic_ns for line in together.values())
+            until = "from here on" if math.isinf(lasted) else f"for {lasted * 1e-6:.0f} ms after this"
+            yield Line(first.monotonic_ns, f"No drive gives readings {until}.", ODD, sign=True, end_ns=first.end_ns)
+        else:
+            yield first
+            together = {first.joint: first}
+        found = [line for line in found if all(line is not told for told in together.values())]
+
+
+def _silences_of_each(recording: Recording) -> Iterator[Line]:
     records = recording.records
     for joint, name in enumerate(recording.joints):
         read_ns = records["joints"]["measured_ns"][:, joint]
@@ -226,12 +239,10 @@ def _silences(recording: Recording) -> Iterator[Line]:
             again = np.flatnonzero(~late[at:])
             if len(again) and records["mode"][at] in (Mode.OFFLINE, Mode.BRINGING_UP):
                 continue  # bring-up asks for other things than readings
-            if len(again):
-                silence_s = (int(read_ns[at + again[0]]) - last_ns) * 1e-9
-                lasted = f"for {silence_s * 1e3:.0f} ms after this"
-            else:
-                lasted = "from here on"
-            yield Line(last_ns, f"{name} gives no readings {lasted}.", ODD, sign=True, joint=joint)
+            again_ns = int(read_ns[at + again[0]]) if len(again) else 0
+            lasted = f"for {(again_ns - last_ns) * 1e-6:.0f} ms after this" if again_ns else "from here on"
+            sentence = f"{name} gives no readings {lasted}."
+            yield Line(last_ns, sentence, ODD, sign=True, joint=joint, end_ns=again_ns)
 
 
 def _slow(recording: Recording) -> Iterator[Line]:
@@ -245,10 +256,10 @@ def _slow(recording: Recording) -> Iterator[Line]:
         ages_ns = records["monotonic_ns"][at] - records["joints"]["measured_ns"][at]
         joint = int(np.argmax(ages_ns))
         allowed_ms = float(recording.limits["stale_brake_ns"]) * 1e-6
-        sentence = (
-            f"{recording.joints[joint]} is late: its reading is {ages_ns[joint] * 1e-6:.0f} ms old, and from "
-            f"{allowed_ms:.0f} ms on the arm brakes on its path."
-        )
+        whose = f"{recording.joints[joint]} is late: its reading is {ages_ns[joint] * 1e-6:.0f} ms old"
+        if len(ages_ns) > 1 and ages_ns.min() > LATE_PERIODS * recording.period_ns:
+            joint, whose = -1, f"All drives are late: their readings are {ages_ns.min() * 1e-6:.0f} ms old and more"
+        sentence = f"{whose}, and from {allowed_ms:.0f} ms on the arm brakes on its path."
         yield Line(int(records["monotonic_ns"][at]), sentence, ODD, sign=True, joint=joint)
 
 
@@ -376,9 +387,14 @@ def _verdict(recording: Recording, reason: Reason, at: int | None, first: Line |
     if at is not None:
         yield _fault_words(recording, at)
         yield _what_the_arm_did(recording, at)
-        meaning = FAULTS.get(_known_fault(int(records["fault"][at])))
-        if meaning is not None:
+        meaning = FAULTS[_known_fault(int(records["fault"][at]))]
+        whose = whose_silence(*(int(records[f"fault_{word}"][at]) for word in ("joint", "silent", "evidence")))
+        if records["fault"][at] == Fault.STALE_READING and whose is not None:
+            yield f"Why that is a fault: {meaning.reason} {SILENCES[whose].reason}"
+            meaning = SILENCES[whose]
+        elif meaning.reason:
             yield f"Why that is a fault: {meaning.reason}"
+        if meaning.remedy:
             yield f"What to do: {meaning.remedy}"
     if recording.lost:
         yield f"{recording.lost} records were being written when they were read, and are left out."

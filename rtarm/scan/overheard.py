@@ -1,9 +1,10 @@
 """Drives that make themselves known without being asked, by what a scan overhears of them.
 
-An ODrive axis (CANSimple, firmware 0.5.6: its CAN guide and DBC file) says a heartbeat on the standard identifier
-node << 5 | 1: eight bytes, the error word (u32, little-endian) first and the axis state behind it, every 100 ms unless
-set otherwise. A CANopen node (CiA 301, heartbeat protocol) says one on 700 + node: one byte, its state; how often, or
-whether at all, is set in it. Where their identifiers meet, their lengths tell them apart.
+An ODrive axis (CANSimple, firmware 0.5.6: its CAN guide and DBC file; 0.6: ODrive's CAN protocol page) says a heartbeat
+on the standard identifier node << 5 | 1: eight bytes, the error word (u32, little-endian) first and the axis state
+behind it, every 100 ms unless set otherwise. What the error's bits mean depends on the firmware, which a scan does not
+ask for. A CANopen node (CiA 301, heartbeat protocol) says one on 700 + node: one byte, its state; how often, or whether
+at all, is set in it. Where their identifiers meet, their lengths tell them apart.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from dataclasses import dataclass
 from rtarm.scan.wires import Frame
 
 ODRIVE_HEARTBEAT, ODRIVE_COMMANDS = 0x01, 0x20
-ODRIVE_STATES = range(14)
-"""Axis states of firmware 0.5.6: 0 undefined to 13 encoder Hall phase calibration."""
+ODRIVE_STATES = range(15)
+"""Axis states: 0 undefined to 13 encoder Hall phase calibration with firmware 0.5.6, 14 anticogging with 0.6."""
 ODRIVE_USUAL = {1: "idle", 8: "closed loop"}
 CANOPEN_HEARTBEAT, CANOPEN_NODES = 0x700, range(1, 128)
 CANOPEN_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}

@@ -8,7 +8,7 @@ from typing import Any
 
 from rtarm import moves
 from rtarm.arm_file import arm_file
-from rtarm.calibrate.person import Person
+from rtarm.calibrate.person import Person, require_yes
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, signals_raise
 from rtarm.requests import Connection, connect
@@ -47,7 +47,7 @@ def play(argument: str | None, arm: str, name: str, *, speed: float, loop: bool,
         try:
             with signals_raise():
                 if not yes and not moves.is_near(connection, begin_rad):
-                    moves.require_yes(person, _question(connection, begin_rad))
+                    require_yes(person, _question(connection, begin_rad))
                 with sending(config) as sender:
                     while True:
                         moves.go_slowly(connection, sender, begin_rad, person)

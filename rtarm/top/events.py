@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +11,12 @@ from shm.sentences import (
     WIRE_IS_BACK,
     answer_sentence,
     command_sentence,
-    fault_sentence,
+    fault_told,
     joint_name,
     mode_name,
     outcome_sentence,
     unreferenced_sentence,
+    unreferenced_sentences,
 )
 from shm.words import Event, Outcome
 
@@ -35,16 +36,38 @@ def happening(event: np.void, joints: Sequence[str]) -> Happening:
     """An event in words; whatever stands in it, there are some."""
     kind, code = int(event["kind"]), int(event["code"])
     value, limit = float(event["value"]), float(event["limit"])
-    joint = joint_name(int(event["joint"]), joints)
-    sentence, style = _told(kind, code, joint, value, limit)
+    if kind == Event.FAULT:
+        silent, evidence = int(event["silent"]), int(event["evidence"])
+        sentence, style = fault_told(code, int(event["joint"]), value, limit, silent, evidence, joints), BAD
+    else:
+        sentence, style = _told(kind, code, joint_name(int(event["joint"]), joints), value, limit)
     return Happening(int(event["monotonic_ns"]), sentence, style)
+
+
+def happenings(events: Iterable[np.void], joints: Sequence[str]) -> list[tuple[Happening, np.void]]:
+    """Events in words, each with its record, in their order; what befell several joints at one instant is said once.
+
+    That is a lost reference, with the same reason: it stands where the first of them does.
+    """
+    found: list[tuple[Happening, np.void]] = []
+    lost: dict[tuple[int, int], tuple[int, list[str]]] = {}
+    for event in events:
+        if int(event["kind"]) == Event.REFERENCE:
+            together = int(event["monotonic_ns"]), int(event["code"])
+            if together in lost:
+                at, names = lost[together]
+                names.append(joint_name(int(event["joint"]), joints))
+                (sentence,) = unreferenced_sentences(dict.fromkeys(names, together[1]))
+                found[at] = found[at][0]._replace(sentence=sentence), found[at][1]
+                continue
+            lost[together] = len(found), [joint_name(int(event["joint"]), joints)]
+        found.append((happening(event, joints), event))
+    return found
 
 
 def _told(kind: int, code: int, joint: str, value: float, limit: float) -> tuple[str, str]:
     if kind == Event.MODE:
         return f"Mode: {mode_name(code)}.", PLAIN
-    if kind == Event.FAULT:
-        return fault_sentence(code, joint, value, limit), BAD
     if kind == Event.GOAL:
         return f"Goal {code} was announced.", PLAIN
     if kind == Event.RESULT:

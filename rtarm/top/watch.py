@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rtarm.status import Report, counters, percentiles_us, report_of
-from rtarm.top.events import BAD, GOOD, Happening, happening
+from rtarm.top.events import BAD, GOOD, Happening, happenings
 from rtarm.tracking import Window
 from shm import files
 from shm.client import StateReader
@@ -183,7 +183,7 @@ class Watch:
     def _happenings(self, reader: StateReader) -> list[Happening]:
         record = reader.memory.record
         joints = files.joint_names(record["header"])
-        return [happening(event, joints) for event in newest_events(record, HAPPENINGS)]
+        return [told for told, _ in happenings(newest_events(record, HAPPENINGS), joints)]
 
     def _newest_first(self, of_now: Sequence[Happening]) -> list[Happening]:
         found = sorted((*self._past, *of_now), key=lambda one: one.monotonic_ns)

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from config.schema import ArmConfig
-from rtarm import requests
+from rtarm import referencing, requests
 from rtarm.errors import Refusal
 from rtarm.view.words import Words
 from shm import files
@@ -94,6 +94,14 @@ class Orders:
     def enable(self) -> str:
         """Let the drives take hold of a limp arm."""
         return requests.enable(self._arm.name)
+
+    def readings(self) -> list[referencing.Reading]:
+        """What the joints without a reference read."""
+        return referencing.readings(self._arm.name)
+
+    def reference(self, shown: Sequence[referencing.Reading]) -> str:
+        """Take joints to stand where a person was shown them and has seen them."""
+        return referencing.take(self._arm.name, shown)
 
     def speed(self, scale: float) -> str:
         """Set the speed scale, 0 to 1."""

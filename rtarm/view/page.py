@@ -20,7 +20,16 @@ from rtarm.top.watch import Look
 from rtarm.view.history import History
 from rtarm.view.limits import Side, nearness
 from rtarm.view.orders import Orders, duration_s
-from rtarm.view.panels import STYLE, answer_html, events_html, joints_html, machine_html, problems_html, state_html
+from rtarm.view.panels import (
+    STYLE,
+    answer_html,
+    events_html,
+    joints_html,
+    machine_html,
+    problems_html,
+    readings_html,
+    state_html,
+)
 from rtarm.view.plots import Plots
 from rtarm.view.scene import BROKEN, NEAR, SHOWN_APART_RAD, Colour, Scene
 from rtarm.view.source import Source
@@ -185,6 +194,8 @@ class Controls:
         self._clear.visible = False
         self._enable = gui.add_button(words.enable, hint=words.enable_hint, color="green", visible=False)
         self._enable.on_click(self._ask_to_enable)
+        self._reference = gui.add_button(words.reference, hint=words.reference_hint, color="green", visible=False)
+        self._reference.on_click(self._ask_to_reference)
         self._speed: Any = gui.add_slider(words.speed, 0, 100, 1, 100, hint=words.speed_hint)
         self._speed.on_update(self._speed_moved)
         self._answer = gui.add_html("")
@@ -234,6 +245,7 @@ class Controls:
         with self._lock:
             _show(self._clear, report is not None and report["fault"] is not None)
             _show(self._enable, report is not None and report["fault"] is None and report["mode"] in LIMP)
+            _show(self._reference, report is not None and report["mode"] == "holding" and _lacks_a_reference(report))
             self._offer_go()
 
     def _offer_go(self) -> None:
@@ -309,21 +321,42 @@ class Controls:
             _set(self._answer, answer_html([*reversed(self._answers.values())]))
 
     def _ask_to_enable(self, event: viser.GuiEvent[Any]) -> None:
-        """The one order that is asked about: a limp arm is one that somebody may have their hands on."""
+        """A limp arm is one that somebody may have their hands on."""
+        if event.client is not None:
+            gui, words = event.client.gui, self._words
+            with gui.add_modal(words.enable_question.format(arm=self._arm.name)) as question:
+                gui.add_markdown(words.enable_warning)
+                self._add_answers(gui, question.close, words.enable_yes, self._orders.enable)
+
+    def _ask_to_reference(self, event: viser.GuiEvent[Any]) -> None:
+        """Every goal believes where the joints are taken to stand, so a person compares the angles first."""
         if event.client is None:
             return
         gui, words = event.client.gui, self._words
-        with gui.add_modal(words.enable_question.format(arm=self._arm.name)) as question:
-            gui.add_markdown(words.enable_warning)
-            yes = gui.add_button(words.enable_yes, color="green")
-            no = gui.add_button(words.no, color="gray")
+        try:
+            shown = self._orders.readings()
+        except (Refusal, SharedMemoryError) as refused:
+            self._answered(object(), str(refused), False)
+            return
+        if not shown:  # somebody else was faster
+            return
+        with gui.add_modal(words.reference_question.format(arm=self._arm.name)) as question:
+            gui.add_html(readings_html(shown, words))
+            agree = words.reference_yes if any(one.stands_deg is not None for one in shown) else None
+            self._add_answers(gui, question.close, agree, lambda: self._orders.reference(shown))
 
-        def enable(_: Any) -> None:
-            question.close()
-            self._give(words.enable_yes, lambda _: self._orders.enable())
+    def _add_answers(
+        self, gui: viser.GuiApi, close: Callable[[], None], agree: str | None, order: Callable[[], str]
+    ) -> None:
+        """The buttons under a question; with None for its label there is nothing to agree to."""
 
-        yes.on_click(enable)
-        no.on_click(lambda _: question.close())
+        def give(label: str) -> None:
+            close()
+            self._give(label, lambda _: order())
+
+        if agree is not None:
+            gui.add_button(agree, color="green").on_click(lambda _: give(agree))
+        gui.add_button(self._words.no, color="gray").on_click(lambda _: close())
 
     def _speed_moved(self, event: viser.GuiEvent[Any]) -> None:
         if event.client_id is None:  # set by the page itself
@@ -387,6 +420,10 @@ def _number(value: Any, low: float, high: float) -> float:
     except (TypeError, ValueError):
         return low
     return min(max(number, low), high) if math.isfinite(number) else low
+
+
+def _lacks_a_reference(report: dict[str, Any]) -> bool:
+    return not all(joint["referenced"] for joint in report["joints"])
 
 
 def _show(button: viser.GuiButtonHandle, shown: bool) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 from config.joint import JointConfig
 from config.schema import ArmConfig
+from rtarm.referencing import Reading, next_commands
 from rtarm.status import describe_scheduling
 from rtarm.status_tables import duration_words, gripper_words, trouble_words
 from rtarm.top.events import BAD, GOOD, ODD, Happening
@@ -207,6 +208,20 @@ def machine_html(look: Look, words: Words) -> str:
         for name, told, kind in rows
     )
     return _page(f'<table id="rt-machine">{"".join(cells)}</table>', now=True)
+
+
+def readings_html(found: Sequence[Reading], words: Words) -> str:
+    """Joints without a reference: where each stands if its count is believed, why it is not, what else to do."""
+    head = "".join(f"<th>{escape(one)}</th>" for one in (words.joint, words.stands_at, ""))
+    rows = "".join(
+        f'<tr data-say="reading"><td>{escape(one.joint)}</td>'
+        f"<td>{'-' if one.stands_deg is None else f'{one.stands_deg:.2f}'}</td>"
+        f'<td class="text">{escape(one.cause)}</td></tr>'
+        for one in found
+    )
+    left = [one for one in found if one.stands_deg is None]
+    said = words.no_angle.format(joints=", ".join(one.joint for one in left), ways=next_commands(left))
+    return _page(f"<table><tr>{head}</tr>{rows}</table>{_say(said, '', 'no_angle') if left else ''}")
 
 
 def answer_html(sentences: Sequence[tuple[str, bool]]) -> str:

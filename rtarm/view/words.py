@@ -40,6 +40,12 @@ class Words:
     enable_question: str
     enable_warning: str
     enable_yes: str
+    reference: str
+    reference_hint: str
+    reference_question: str
+    stands_at: str
+    no_angle: str
+    reference_yes: str
     no: str
     speed: str
     speed_hint: str
@@ -125,6 +131,12 @@ ENGLISH = Words(
     enable_question="Enable the drives of {arm}?",
     enable_warning="The drives take hold of the arm where it stands. Keep hands and things out of its way.",
     enable_yes="Enable the drives",
+    reference="Take joints where they read …",
+    reference_hint="Joints without a reference: shows where each would stand, and asks. Nothing moves.",
+    reference_question="Look at {arm}, twice: do its joints stand there? Every goal will believe it.",
+    stands_at="angle °",
+    no_angle="The count of {joints} is no angle: {ways}.",
+    reference_yes="They stand there",
     no="Leave it as it is",
     speed="Speed %",
     speed_hint="Slows down every goal, of whomever, on its path; 0 stands still.",
@@ -228,6 +240,12 @@ CHINESE = Words(
     enable_question="使能 {arm} 的驱动器？",
     enable_warning="驱动器将使机械臂保持在当前位置。手和物品请离开它的运动范围。",
     enable_yes="使能驱动器",
+    reference="按读数确认关节位置 …",
+    reference_hint="没有参考的关节：显示每个关节将被认为所在的位置，然后询问。什么都不会动。",
+    reference_question="请看 {arm}，看两遍：各关节是否就在这些位置？之后的每个目标都会相信它。",
+    stands_at="角度 °",
+    no_angle="{joints} 的计数不是角度：{ways}。",
+    reference_yes="就在这些位置",
     no="保持现状",
     speed="速度 %",
     speed_hint="让所有目标（不论来自谁）在路径上变慢；0 为静止。",

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION
 from config.schema import ArmConfig
 from rtloop.calibration.talk import Drive, OneDrive
 from rtloop.conversation import Conversation, TalkFailed
 from rtloop.drives import zdt_registers as registers
+from rtloop.drives.zdt_ask import addressed, zdt_addresses
 from rtloop.drives.zdt_talk import Answered
 from rtloop.port import ServicePort
+from rtloop.power import Marks
 from rtloop.referencing import KeepLost, Referencing
 from rtloop.settings.compare import DriveReport, report_of
 from rtloop.settings.talk import ReadSettings
@@ -48,6 +51,8 @@ class Found:
 
     joint: str
     address: int
+    firmware: str
+    """As it tells it, such as 2.0.0; empty where it does not."""
     enabled: bool
     homing_rpm: int | None
     problems: list[str]
@@ -74,12 +79,12 @@ class Session:
         keep_lost: KeepLost,
         lost_before: Mapping[int, Unreferenced] | None = None,
     ) -> None:
-        self._arm = arm
-        self._port = port
+        self.arm = arm
+        self.port = port
         self._clock_ns = clock_ns
         self._pause = pause
         self._rest = rest
-        self._tell = tell
+        self.tell = tell
         self._keep_lost = keep_lost
         self._lost = dict(lost_before or {})
         self._tells_power_loss: dict[int, bool] = {}
@@ -89,14 +94,15 @@ class Session:
 
     def read(self) -> None:
         """Ask every drive what it is; what that is stands in `found`, by joint."""
-        talk = ReadSettings(self._arm, self._port, now_ns=self._clock_ns())
+        talk = ReadSettings(self.arm, self.port, now_ns=self._clock_ns())
         self._hold(talk)
         shared = next((joint for joint, found in talk.found.items() if found.shared_address), None)
         for joint, reading in talk.found.items():
-            report = report_of(self._arm, joint, reading, shared)
+            report = report_of(self.arm, joint, reading, shared)
             self.found[joint] = Found(
                 joint=report.joint,
                 address=report.address,
+                firmware="" if reading.version is None else str(reading.version),
                 enabled=bool((reading.flags or 0) & registers.ENABLED),
                 homing_rpm=None if reading.homing is None else reading.homing.rpm,
                 problems=report.left_alone or self._not_countable(report, reading.block),
@@ -106,7 +112,7 @@ class Session:
     def _not_countable(self, report: DriveReport, block: registers.Block | None) -> list[str]:
         """Why a pulse of this drive would not be what the arm file takes it for."""
         assert block is not None  # else it is left alone
-        drive = self._arm.joints[[joint.name for joint in self._arm.joints].index(report.joint)].drive
+        drive = self.arm.joints[[joint.name for joint in self.arm.joints].index(report.joint)].drive
         expected = drive.command_steps_per_revolution
         if block.full_steps is not None and block.full_steps * block.microsteps == expected:
             return []
@@ -118,7 +124,7 @@ class Session:
 
     def look(self, joint: int) -> DriveState:
         """How the drive stands."""
-        return self._state(joint, self._have(joint, Drive.counts))
+        return self._state(joint, self.have(joint, Drive.counts))
 
     def turn(self, joint: int, by_counts: int, rpm: int) -> DriveState:
         """Turn its motor, slowly and not far; returns once it stands there.
@@ -131,12 +137,12 @@ class Session:
                 f"{MOST_RPM} rpm."
             )
         self._require_range(joint, by_counts)
-        return self._state(joint, self._have(joint, lambda drive: drive.turn(by_counts, rpm), moves=True))
+        return self._state(joint, self.have(joint, lambda drive: drive.turn(by_counts, rpm), moves=True))
 
     def _require_range(self, joint: int, by_counts: int) -> None:
         """No joint gets farther from where a person last put it than the arm file's range, by the file's ratio."""
-        config = self._arm.joints[joint]
-        here = self._have(joint, Drive.counts)
+        config = self.arm.joints[joint]
+        here = self.have(joint, Drive.counts)
         centre = self._centre.setdefault(joint, here)
         most = (config.upper_deg - config.lower_deg) * config.ratio / 360.0 * ENCODER_COUNTS_PER_REVOLUTION
         if abs(here + by_counts - centre) > most:
@@ -149,26 +155,27 @@ class Session:
     def let_go(self, joint: int) -> DriveState:
         """Make the joint limp; whoever asks has a person hold it."""
         self._limp.add(joint)
-        return self._state(joint, self._have(joint, Drive.let_go))
+        return self._state(joint, self.have(joint, Drive.let_go))
 
     def hold(self, joint: int) -> DriveState:
         """Hold it where it stands."""
-        counts = self._have(joint, Drive.hold, moves=True)
+        counts = self.have(joint, Drive.hold, moves=True)
         self._limp.discard(joint)
         self._centre[joint] = counts
         return self._state(joint, counts)
 
     def home(self, joint: int) -> DriveState:
         """Let the drive run to its stop, from which it then counts."""
-        self._have(joint, Drive.require_held)
+        self.have(joint, Drive.require_held)
         talk = Referencing(
-            self._arm,
-            self._port,
+            self.arm,
+            self.port,
             now_ns=self._clock_ns(),
             homed=[joint],
             placed={},
-            tell=self._tell,
+            tell=self.tell,
             keep_lost=self._remember,
+            marks=Marks(),
             again="run this again",
         )
         try:
@@ -194,7 +201,7 @@ class Session:
             self._lost[joint] = reason
 
     def _state(self, joint: int, counts: int) -> DriveState:
-        flags = self._have(joint, Drive.flags)
+        flags = self.have(joint, Drive.flags)
         doubt = None
         if flags & registers.POWER_LOST:
             doubt = "has lost power since it was homed, so what its drive counts is no angle"
@@ -206,22 +213,37 @@ class Session:
 
     # --- holding conversations
 
-    def _have(self, joint: int, dialogue: Callable[[Drive], Answered[Result]], *, moves: bool = False) -> Result:
-        talk = OneDrive(self._arm, self._port, now_ns=self._clock_ns(), joint=joint, dialogue=dialogue)
-        try:
+    def have(self, joint: int, dialogue: Callable[[Drive], Answered[Result]], *, moves: bool = False) -> Result:
+        """What a dialogue ends in; raises TalkFailed. A drive that moves is stopped by what ends it early."""
+        talk = self._talk(joint, dialogue)
+        with self._stopping(joint) if moves else nullcontext():
             self._hold(talk)
-        except BaseException as ended:
-            if moves:
-                self._stop(joint, ended)
-            raise
         if talk.problem is not None:
             raise talk.problem
-        assert talk.result is not None
-        return talk.result
+        return cast(Result, talk.result)
+
+    def _talk(self, joint: int, dialogue: Callable[[Drive], Answered[Result]]) -> OneDrive[Result]:
+        address = zdt_addresses(self.arm)[joint]
+        return OneDrive(
+            self.arm,
+            self.port,
+            now_ns=self._clock_ns(),
+            joint=joint,
+            dialogue=lambda clock: addressed(address, dialogue(Drive(self.arm, joint, clock))),
+        )
+
+    @contextmanager
+    def _stopping(self, joint: int) -> Iterator[None]:
+        """A drive that moves meanwhile is stopped by whatever ends this early."""
+        try:
+            yield
+        except BaseException as ended:
+            self._stop(joint, ended)
+            raise
 
     def _stop(self, joint: int, ended: BaseException) -> None:
         """Make a drive stand whose conversation was ended amid a move; raises TalkFailed where that is not seen."""
-        talk = OneDrive(self._arm, self._port, now_ns=self._clock_ns(), joint=joint, dialogue=Drive.stand)
+        talk = self._talk(joint, Drive.stand)
         while not talk.poll(self._clock_ns()):
             self._rest()
         if talk.problem is not None:

@@ -7,16 +7,16 @@ drive that hears nothing more goes no farther than the end of that one move.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION, ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.conversation import TRIES, Conversation, TalkFailed, silent_amid
+from rtloop.conversation import TRIES, Conversation, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
-from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed, zdt_addresses
+from rtloop.drives.zdt_ask import Ask
 from rtloop.drives.zdt_talk import Answered
 from rtloop.port import ServicePort
 from shm.words import Fault
@@ -54,15 +54,15 @@ class OneDrive(Conversation, Generic[Result]):
         *,
         now_ns: int,
         joint: int,
-        dialogue: Callable[[Drive], Answered[Result]],
+        dialogue: Callable[[Callable[[], int]], Part[Result]],
     ) -> None:
+        """`dialogue` makes it of a clock (ns)."""
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP)
         self.result: Result | None = None
         self.problem: TalkFailed | None = None
-        talk = self._have(dialogue(Drive(arm, joint, lambda: self.now_ns)))
-        self.begin({joint: addressed(zdt_addresses(arm)[joint], talk)})
+        self.begin({joint: self._have(dialogue(lambda: self.now_ns))})
 
-    def _have(self, dialogue: Generator[Ask, bytes | None, Result]) -> ZdtDialogue:
+    def _have(self, dialogue: Part[Result]) -> Dialogue:
         try:
             self.result = yield from dialogue
         except TalkFailed as problem:
@@ -73,12 +73,12 @@ class Drive:
     """What is said to one drive; `now_ns` tells the time."""
 
     def __init__(self, arm: ArmConfig, joint: int, now_ns: Callable[[], int]) -> None:
-        self._joint = joint
-        self._config: JointConfig = arm.joints[joint]
-        drive = self._config.drive
+        self.joint = joint
+        self.config: JointConfig = arm.joints[joint]
+        drive = self.config.drive
         assert isinstance(drive, ZdtDrive)  # no others are on the bus
         self._pulses_per_turn = drive.command_steps_per_revolution
-        self._now_ns = now_ns
+        self.now_ns = now_ns
 
     # --- reading
 
@@ -86,21 +86,21 @@ class Drive:
         """Where the motor stands."""
         found = yield from zdt_talk.read_counts(registers.ASK_POSITION)
         if found is None:
-            raise self._fails(silent_amid(self._config, "position"))
+            raise self.fails(silent_amid(self.config, "position"))
         return found
 
     def flags(self) -> Answered[int]:
         """The flags of `3A`."""
         found = yield from zdt_talk.read_flags(registers.ASK_STATUS)
         if found is None:
-            raise self._fails(silent_amid(self._config, "status"))
+            raise self.fails(silent_amid(self.config, "status"))
         return found
 
     def require_held(self) -> Answered[int]:
         """Its flags, once they say that it holds the joint and may move it."""
         flags = yield from self._require_sound()
         if not flags & registers.ENABLED:
-            raise self._fails(f"The drive of {self._config.name} is limp, so it cannot turn: let it hold first.")
+            raise self.fails(f"The drive of {self.config.name} is limp, so it cannot turn: let it hold first.")
         return flags
 
     # --- holding and letting go
@@ -108,16 +108,16 @@ class Drive:
     def stand(self) -> Answered[int]:
         """Stop it, and see that it stands; where."""
         for _ in range(STAND_TRIES):
-            began_ns = self._now_ns()
+            began_ns = self.now_ns()
             answer = yield Ask(registers.ASK_POSITION, (7,), before=(registers.STOP,))
             least = most = registers.signed_of(answer, registers.ASK_POSITION, 4)
-            while least is not None and most is not None and self._now_ns() - began_ns < STILL_NS:
+            while least is not None and most is not None and self.now_ns() - began_ns < STILL_NS:
                 now = yield from zdt_talk.read_counts(registers.ASK_POSITION)
                 least, most = (None, None) if now is None else (min(least, now), max(most, now))
             if least is not None and most is not None and most - least <= STILL_COUNTS:
                 return most
-        raise self._fails(
-            f"The drive of {self._config.name} does not say that it stands: it ends its small move by itself; use the "
+        raise self.fails(
+            f"The drive of {self.config.name} does not say that it stands: it ends its small move by itself; use the "
             "switch in the power line if it does not."
         )
 
@@ -129,8 +129,8 @@ class Drive:
             flags = yield from zdt_talk.read_flags(registers.ASK_STATUS, before=(registers.ENABLE, registers.STOP))
             if flags is not None and flags & registers.ENABLED:
                 return (yield from self.stand())
-        raise self._fails(
-            f"The drive of {self._config.name} stays disabled after being enabled: hold the joint, and look at the "
+        raise self.fails(
+            f"The drive of {self.config.name} stays disabled after being enabled: hold the joint, and look at the "
             "drive's display for a fault and at the En setting in its menu."
         )
 
@@ -140,7 +140,7 @@ class Drive:
             flags = yield from zdt_talk.read_flags(registers.ASK_STATUS, before=(registers.RELEASE,))
             if flags is not None and not flags & registers.ENABLED:
                 return (yield from self.counts())
-        raise self._fails(f"The drive of {self._config.name} does not let its shaft go: turn the joint by the drive.")
+        raise self.fails(f"The drive of {self.config.name} does not let its shaft go: turn the joint by the drive.")
 
     # --- moving
 
@@ -150,26 +150,30 @@ class Drive:
         Raises TalkFailed once it has been stopped again, or could not be.
         """
         flags = yield from self.require_held()
-        start = yield from self._standing_on_target()
-        pulses = round((start + by_counts) * self._pulses_per_turn / ENCODER_COUNTS_PER_REVOLUTION)
-        goal = round(pulses * ENCODER_COUNTS_PER_REVOLUTION / self._pulses_per_turn)
-        command = registers.move_to(pulses, rpm, registers.GENTLEST_RAMP)
-        sent_ns = self._now_ns()
+        start = yield from self.standing_on_target()
+        command, goal = self.move_to(start + by_counts, rpm, registers.GENTLEST_RAMP)
+        sent_ns = self.now_ns()
         answer = yield Ask(command, (3,), answered=False)
         if answer is not None and answer[1] in REFUSED:
-            raise self._fails(
-                f"The drive of {self._config.name} refuses to move, and stands: look at its display for a fault."
+            raise self.fails(
+                f"The drive of {self.config.name} refuses to move, and stands: look at its display for a fault."
             )
         problem = yield from self._watch(start, goal, rpm, sent_ns, flags)
         stands = yield from self.stand()
         if problem is None and abs(stands - goal) <= ARRIVED_COUNTS:
             return stands
         problem = problem or "did not stay where it was sent"
-        raise self._fails(
-            f"The drive of {self._config.name} {problem}: it was stopped, after {_degrees(stands - start)} of "
+        raise self.fails(
+            f"The drive of {self.config.name} {problem}: it was stopped, after {_degrees(stands - start)} of "
             f"{_degrees(goal - start)} of the motor. See what holds the joint (its stop, a cable, its own weight), "
             "free it, and run this again."
         )
+
+    def move_to(self, counts: int, rpm: int, ramp: int) -> tuple[bytes, int]:
+        """The command to go to a count, and the one that this is in whole pulses."""
+        pulses = round(counts * self._pulses_per_turn / ENCODER_COUNTS_PER_REVOLUTION)
+        goal = round(pulses * ENCODER_COUNTS_PER_REVOLUTION / self._pulses_per_turn)
+        return registers.move_to(pulses, rpm, ramp), goal
 
     def _watch(self, start: int, goal: int, rpm: int, sent_ns: int, flags: int) -> Answered[str | None]:
         """See it arrive; what goes wrong otherwise, after the drive's name."""
@@ -178,8 +182,8 @@ class Drive:
         counts_per_ns = rpm / 60e9 * ENCODER_COUNTS_PER_REVOLUTION
         silent = 0
         there_ns: int | None = None
-        while there_ns is None or self._now_ns() - there_ns < SETTLED_NS:
-            asked_ns = self._now_ns()  # it has been on its way for at least so long when it answers
+        while there_ns is None or self.now_ns() - there_ns < SETTLED_NS:
+            asked_ns = self.now_ns()  # it has been on its way for at least so long when it answers
             counts = yield from zdt_talk.read_counts(registers.ASK_POSITION)
             now = yield from zdt_talk.read_flags(registers.ASK_STATUS)
             if counts is None or now is None:
@@ -195,7 +199,7 @@ class Drive:
             done = sign * (counts - start)
             if done < min(total, (asked_ns - sent_ns - LATE_NS) * counts_per_ns) - AWAY_COUNTS:
                 return "does not turn as it should"
-            if done > min(total, (self._now_ns() - sent_ns) * counts_per_ns) + AWAY_COUNTS:
+            if done > min(total, (self.now_ns() - sent_ns) * counts_per_ns) + AWAY_COUNTS:
                 return "turns farther or faster than it was told"
             if abs(done - total) > ARRIVED_COUNTS:
                 there_ns = None
@@ -208,13 +212,13 @@ class Drive:
     def _require_sound(self) -> Answered[int]:
         flags = yield from self.flags()
         if flags & registers.PROTECTED:
-            raise self._fails(
-                f"The drive of {self._config.name} is in protection and holds nothing: remove the cause, switch the "
+            raise self.fails(
+                f"The drive of {self.config.name} is in protection and holds nothing: remove the cause, switch the "
                 "drive off and on, then run this again."
             )
         return flags
 
-    def _standing_on_target(self) -> Answered[int]:
+    def standing_on_target(self) -> Answered[int]:
         """Where it stands, once that is its own target too, so that nothing is left of earlier moves."""
         for _ in range(TRIES):
             measured = yield from self.counts()
@@ -222,13 +226,13 @@ class Drive:
             if target is not None and abs(measured - target) <= ARRIVED_COUNTS:
                 return measured
             yield from self.stand()
-        raise self._fails(
-            f"The drive of {self._config.name} does not take where it stands for its target: switch it off and on, "
+        raise self.fails(
+            f"The drive of {self.config.name} does not take where it stands for its target: switch it off and on, "
             "then run this again."
         )
 
-    def _fails(self, sentence: str) -> TalkFailed:
-        return TalkFailed(self._joint, sentence)
+    def fails(self, sentence: str) -> TalkFailed:
+        return TalkFailed(self.joint, sentence)
 
 
 def _degrees(counts: int) -> str:

@@ -6,6 +6,13 @@ its volatile memory and read back. Then it is enabled and told to stay where it 
 that no old target counts. A motor that was enabled is told the same: in mode mit the torque that it makes just then is
 taken for that of its stiffness, so that a load does not sag.
 
+The ramp (ACC, DEC) is written in rad/s² of the output shaft, as the makers' manuals have it. The one firmware that
+people have read (umeow0716/damiao_firmware, app/src/motor_control.c) goes at KP_APR / GR × the distance to its target,
+and takes ACC and DEC for rad/s of the rotor in a millisecond. Written for the manuals' law they are no ramp to it, and
+what brakes a joint in silence is the distance that grows small; written for that firmware's they would be a hundredth
+of the ramp to the others (GR / 1000), which then run far past their targets. So the manuals' number is the safe one
+under both; that firmware's motors lag behind their setpoints (docs/drive-families.md has the figures).
+
 Its alarm time (register 9) lets the motor go when it hears no command for so long, and a released arm falls; what asks
 for feedback does not count as one (as far as is known), so it would let go before the first goal. Without it a motor
 that hears nothing more keeps its last target, which is what a stop is; so it is set to 0 until the power is lost.

@@ -4,7 +4,8 @@ Protocol facts (manual V1.0.6; mks-servo-can): standard identifiers, the drive's
 the last byte is the sum of the identifier and all bytes before it. 16384 counts a motor turn.
 - `F5 rpm16 acc counts24`: go to an absolute target with at most that speed and a ramp of 1 rpm every (256 - acc) · 50
   µs, also in mid-move; with rpm 0 it is a halt along that ramp, after which the drive holds;
-- `31` → `31 counts48`; `3A` → `3A enabled`; `3E` → `3E tripped`; `F7` stops at once, homing runs too;
+- `31` → `31 counts48`; `3A` → `3A enabled`; `3E` → `3E stalled`, which is a tripped protection only where one is on
+  (V1.0.9); `F7` stops at once, homing runs too;
 - results are `F5 code`: 0 refused, 1 begun, 2 done, 3 stopped at a limit, 5 waits for others.
 A request and its answer differ in length for every function that is heard here, which tells an answer from an echo.
 
@@ -23,7 +24,7 @@ from rtloop.drives.mks_setup import (
     MOVE,
     READ_ENABLED,
     READ_POSITION,
-    READ_PROTECTED,
+    READ_STALLED,
     REFUSED,
     STOPPED_AT_LIMIT,
 )
@@ -122,11 +123,11 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
-    """Whether it is enabled and whether its protection has tripped, in turn; again what was bad the last time."""
+    """Whether it is enabled and whether it has stalled, in turn; again what was bad the last time."""
     axis = loop.axes[joint]
-    asked = READ_PROTECTED if (loop.core.cycle // loop.params.joint_count) & 1 else READ_ENABLED
+    asked = READ_STALLED if (loop.core.cycle // loop.params.joint_count) & 1 else READ_ENABLED
     if axis.bad_statuses > 0:
-        asked = READ_PROTECTED if axis.status & status_bits.PROTECTED else READ_ENABLED
+        asked = READ_STALLED if axis.status & status_bits.PROTECTED else READ_ENABLED
     send(loop, shared, joint, asked, 1)
 
 
@@ -155,8 +156,9 @@ def hear(
         hearing.hear_position(loop, joint, counts_of(data) / row.reading_per_rad - row.zero_rad, time_ns)
     elif length == 3 and code == READ_ENABLED and value <= 1:
         hearing.hear_status(loop, joint, axis.status & PROTECTION | value * status_bits.ENABLED)
-    elif length == 3 and code == READ_PROTECTED and value <= 1 and axis.status & status_bits.ANSWERED != 0:
-        hearing.hear_status(loop, joint, axis.status & status_bits.ENABLED | value * PROTECTION)
+    elif length == 3 and code == READ_STALLED and value <= 1 and axis.status & status_bits.ANSWERED != 0:
+        stalled = status_bits.STALLED if axis.holds_stalled == 1 else PROTECTION
+        hearing.hear_status(loop, joint, axis.status & status_bits.ENABLED | value * stalled)
     elif length == 3 and code == MOVE and value in (REFUSED, STOPPED_AT_LIMIT):
         hearing.hear_refusal(loop, shared, joint, True)
 

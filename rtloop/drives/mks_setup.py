@@ -1,10 +1,10 @@
 """Bring-up, homing and release of an MKS SERVO42D/57D; what its frames are is said in `rtloop.drives.mks`.
 
-What it is asked (nothing moves): its position, whether it moves, its work mode, microsteps and acknowledgements, its
-protection, whether it is enabled, and how far it stands from its own target. A drive that is on its way somewhere is
-stopped first. What must be different is told to it: the work mode SR_vFOC (`82`), without which it heeds no motion
-commands, and whether it acknowledges (`8C`); a drive keeps both. Firmware before V1.0.6 cannot be asked for settings
-(`00`), so they are told to it each time.
+What it is asked (nothing moves): its position, whether it moves, its work mode, microsteps and acknowledgements,
+whether it has stalled and whether that lets go of its shaft, whether it is enabled, and how far it stands from its own
+target. A drive that is on its way somewhere is stopped first. What must be different is told to it: the work mode
+SR_vFOC (`82`), without which it heeds no motion commands, and whether it acknowledges (`8C`); a drive keeps both.
+Firmware before V1.0.6 cannot be asked for settings (`00`), so they are told to it each time.
 
 Its count begins where it was switched on, and nothing tells that it was.
 """
@@ -21,15 +21,15 @@ from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.drives.asking import AskFrames
 from rtloop.drives.setup import ERROR_AT_START, Found, HomingHost, Host
-from rtloop.port import Frame
+from rtloop.port import HOLDS_STALLED, Frame
 from rtloop.wire.frame_words import STANDARD
 from shm.sentences import unreferenced_sentence
 from shm.words import Unreferenced
 
 READ_PARAMETER = 0x00
 READ_POSITION, READ_ERROR = 0x31, 0x39
-READ_ENABLED, READ_HOMED, CLEAR_PROTECTION, READ_PROTECTED = 0x3A, 0x3B, 0x3D, 0x3E
-WORK_MODE, MICROSTEPS, ANSWERS, HOME = 0x82, 0x84, 0x8C, 0x91
+READ_ENABLED, READ_HOMED, CLEAR_PROTECTION, READ_STALLED = 0x3A, 0x3B, 0x3D, 0x3E
+WORK_MODE, MICROSTEPS, PROTECT, ANSWERS, HOME, ERROR_GUARD = 0x82, 0x84, 0x88, 0x8C, 0x91, 0x9D
 READ_STATE, ENABLE, MOVE, EMERGENCY_STOP = 0xF1, 0xF3, 0xF5, 0xF7
 
 STOP_AT_ONCE = bytes((MOVE, 0, 0, 0, 0, 0, 0))
@@ -41,6 +41,8 @@ STANDS, HOMING, CALIBRATING = 1, 5, 6
 """Answers to READ_STATE; those between tell that it moves."""
 HOMING_FAILED = 2
 SR_VFOC = 5
+UNKNOWN = b"\xff\xff"
+"""What a drive says of a setting that it does not have."""
 HIGHEST_RPM = 3000
 """In SR_vFOC."""
 TRUE_SPEED_MICROSTEPS = (16, 32, 64)
@@ -87,6 +89,8 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     yield from _settle_mode(host, joint)
     yield from _settle_answers(host, joint)
     enabled = yield from _read(joint, config, READ_ENABLED, "status")
+    if not (yield from _lets_go_stalled(config)):
+        host.post(HOLDS_STALLED, joint=joint)
     yield from _clear_protection(host, joint)
     if not enabled or not (yield from _read(joint, config, READ_ENABLED, "status")):
         yield from _enable(host.arm, joint)
@@ -119,7 +123,7 @@ def home(host: HomingHost, joint: int) -> Part[tuple[float, float]]:
     stopped = yield from _see_it_end(host, joint, config, began)
     measured = yield from _unbroken(host, joint, _position(joint, config))
     result = yield _ask(can_id, (3, 4), READ_HOMED)
-    tripped = yield from _read(joint, config, READ_PROTECTED, "protection")
+    tripped = yield from _tripped(joint, config)
     failed = result is not None and result.data[-2] == HOMING_FAILED
     if failed or tripped or abs(measured) > ADOPT_WITHIN_RAD * config.encoder_counts_per_rad:
         raise TalkFailed(
@@ -290,21 +294,44 @@ def _settle_answers(host: Host, joint: int) -> Part[None]:
 
 def _clear_protection(host: Host, joint: int) -> Part[None]:
     config = host.arm.joints[joint]
-    if not (yield from _read(joint, config, READ_PROTECTED, "protection")):
+    if not (yield from _tripped(joint, config)):
         return
     if not host.clears_protection:
         raise TalkFailed(
             joint,
-            f"The drive of {config.name} has tripped its stall protection and holds nothing: free what blocks the "
+            f"The drive of {config.name} has tripped its protection (stall) and holds nothing: free what blocks the "
             f"joint, {ERROR_AT_START}.",
         )
     yield _ask(_can_id(config), 3, CLEAR_PROTECTION)
-    if (yield from _read(joint, config, READ_PROTECTED, "protection")):
+    if (yield from _tripped(joint, config)):
         raise TalkFailed(
             joint,
             f"The drive of {config.name} stays in protection after it was cleared, so what tripped it (a blocked "
             "joint, current) is still there: find it on the drive's display, then `rtarm clear-fault`.",
         )
+
+
+def _tripped(joint: int, config: JointConfig) -> Part[bool]:
+    """Whether its protection has tripped; the mark of a stall that let go of nothing is taken away (3D)."""
+    if not (yield from _read(joint, config, READ_STALLED, "protection")):
+        return False
+    if (yield from _lets_go_stalled(config)):
+        return True
+    yield _ask(_can_id(config), 3, CLEAR_PROTECTION)
+    return False
+
+
+def _lets_go_stalled(config: JointConfig) -> Part[bool]:
+    """Whether a stall makes the drive let go: `Protect` (88) is on, or its guard of the position's error (9D).
+
+    What cannot be asked is taken for on.
+    """
+    can_id = _can_id(config)
+    for code, length in ((PROTECT, 3), (ERROR_GUARD, 7)):
+        answer = yield _parameter_question(can_id, code, (4, length))
+        if answer is None or (answer.data[1:3] != UNKNOWN and answer.data[1]):
+            return True
+    return False
 
 
 def _enable(arm: ArmConfig, joint: int) -> Part[None]:
@@ -384,12 +411,15 @@ def _told(config: JointConfig, *data: int) -> Part[bool]:
 
 def _parameter(config: JointConfig, code: int, length: int) -> Part[bytes | None]:
     """The answer to the question for a setting, of so many bytes; None where the drive cannot be asked for it."""
-    can_id = _can_id(config)
-    question = AskFrames((_frame(can_id, bytes((READ_PARAMETER, code))),), _is_answer(can_id, (3, 4), code))
-    answer = yield question
-    if answer is None or len(answer.data) != length or answer.data[1:3] == b"\xff\xff":
+    answer = yield _parameter_question(_can_id(config), code, (3, 4))
+    if answer is None or len(answer.data) != length or answer.data[1:3] == UNKNOWN:
         return None
     return bytes(answer.data)
+
+
+def _parameter_question(can_id: int, code: int, lengths: tuple[int, ...]) -> AskFrames:
+    """The question for a setting, answered with so many bytes, or with four of which two say that it is UNKNOWN."""
+    return AskFrames((_frame(can_id, bytes((READ_PARAMETER, code))),), _is_answer(can_id, lengths, code))
 
 
 def _read(joint: int, config: JointConfig, code: int, what: str) -> Part[int]:

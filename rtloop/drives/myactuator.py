@@ -1,10 +1,11 @@
 """MyActuator RMD motors in the cycle: targets ahead for a drive that plans its own ramp.
 
-Protocol facts (Motor Motion Protocol V4.2 for V3 drivers; 2b-t/myactuator_rmd and its tests): standard identifiers, 140
-+ ID out and 240 + ID back, always 8 bytes, lowest byte first; an answer begins with the command's byte. A4 is an
-absolute target (0.01° of the output shaft) with the highest speed of its trapezoid (whole degrees a second), answered
-with temperature, current (0.01 A), speed (whole °/s) and an angle of whole degrees; 92 is answered with the angle in
-0.01°; 9A with temperature, brake, voltage (0.1 V) and error word; 9C as A4 is; 81 stops, with the loop closed.
+Protocol facts (Motor Motion Protocol V4.2 and V4.3 for V3 drivers; 2b-t/myactuator_rmd and its tests): standard
+identifiers, 140 + ID out and 240 + ID back, always 8 bytes, lowest byte first; an answer begins with the command's
+byte. A4 is an absolute target (0.01° of the output shaft) with the highest speed of its trapezoid (whole degrees a
+second), answered with temperature, current (0.01 A), speed (whole °/s) and an angle of whole degrees; 92 is answered
+with the angle in 0.01°; 9A with temperature, brake, voltage (0.1 V) and error word; 9C as A4 is; 81 stops, with the
+loop closed.
 
 A speed of 0 would be no limit at all, so 1 is the least that is sent.
 
@@ -34,8 +35,9 @@ DPS_PER_RPM = 6.0
 VOLT_PER_STEP = 0.1
 
 STALL, LOW_VOLTAGE, OVER_VOLTAGE, OVER_CURRENT, POWER = 0x0002, 0x0004, 0x0008, 0x0010, 0x0040
-OVER_TEMPERATURE, ENCODER = 0x1000, 0x2000
-"""Bits of the error word; power is the current that it takes from its supply."""
+OVER_TEMPERATURE, ENCODER = 0x0800 | 0x1000, 0x2000 | 0x4000
+"""Bits of the error word (V4.3): power is the current that it takes from its supply; board and motor each have a
+temperature, the encoder's calibration and its data an error each."""
 ERROR_MEANINGS = (
     (0xFFFF, status_bits.PROTECTED),
     (STALL, status_bits.STALLED),

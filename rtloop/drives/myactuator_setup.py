@@ -5,8 +5,9 @@ is on its way is stopped (81). The ramp is written (43) only where it is another
 what brakes the joint when the motor hears nothing more, so it must be the one that the arm file asks for. Then the
 motor gets where it stands as its target, at one degree a second, and a brake that it says is locked is released (77).
 
-Errors that end by themselves are waited for; the others (stall, over-current, lost parameters) end with a restart only
-(V4.2, 8), for which a person's `rtarm clear-fault` is taken: the motor holds nothing then anyway.
+Errors that end by themselves are waited for; the others (stall, over-current, lost parameters, the encoder's) end with
+a restart only (V4.2 and V4.3, 8), for which a person's `rtarm clear-fault` is taken: the motor holds nothing then
+anyway.
 
 The communication timeout (B3) is not used: it cuts the motor's output (V4.2, 2.30), so a joint without a brake falls,
 when a control process ends orderly too; nor can it be read. Silence is a stop on the ramp without it.
@@ -40,13 +41,16 @@ ERRORS = (
     (0x0040, "power"),
     (0x0080, "lost parameters"),
     (0x0100, "over-speed"),
+    (0x0800, "over-temperature of its board"),
     (0x1000, "over-temperature"),
-    (0x2000, "encoder"),
+    (0x2000, "encoder calibration"),
+    (0x4000, "encoder data"),
 )
-"""Bits of the status' error word."""
-NEEDS_RESTART = 0x0002 | 0x0010 | 0x0080
+"""Bits of the status' error word (V4.3)."""
+NEEDS_RESTART = 0x0002 | 0x0010 | 0x0080 | 0x2000 | 0x4000
 CREEP_DPS = 1
 RESTART_S = 5.0
+"""Patience with a restart, which takes 1.1 s."""
 HUNDREDTHS = 100.0
 
 
@@ -112,13 +116,14 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
     error = yield from _error(joint, config)
     if not error:
         return False
+    restarts = bool(error & NEEDS_RESTART)
     if not host.clears_protection:
+        ends = ", which ends with a restart of the drive only," if restarts else ""
         raise TalkFailed(
             joint,
-            f"The drive of {config.name} has an error ({error_words(error)}) and holds nothing: remove the cause, "
-            f"{ERROR_AT_START}.",
+            f"The drive of {config.name} has an error ({error_words(error)}){ends} and holds nothing: remove the "
+            f"cause, {ERROR_AT_START}.",
         )
-    restarts = bool(error & NEEDS_RESTART)
     if restarts:
         host.tell(
             f"{config.name}: its drive is restarted, because its error ({error_words(error)}) ends with that only."
@@ -134,8 +139,8 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
             return restarts
     raise TalkFailed(
         joint,
-        f"The drive of {config.name} keeps its error ({error_words(error)}), so what caused it is still there: remove "
-        "it, then `rtarm clear-fault`.",
+        f"The drive of {config.name} keeps its error ({error_words(error)}){' after a restart' if restarts else ''}, "
+        "so what caused it is still there: remove it, then `rtarm clear-fault`.",
     )
 
 

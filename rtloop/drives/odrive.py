@@ -1,9 +1,15 @@
 """ODrive with CANSimple in the cycle: a follower of set-points, told position and velocity in one frame.
 
-Protocol facts (firmware 0.5.6: its CAN guide and DBC file): standard identifiers, node << 5 | command, little-endian.
-0C is an input position (float turns, velocity and torque ahead as int16 of 0.001); 09 are the encoder's estimates
-(float turns, turns/s), 17 bus voltage and current, 14 motor current, each told when a remote frame asks for it; 01 is
-the heartbeat (error word, axis state), which comes by itself. Requests and answers share their identifiers.
+Protocol facts (firmware 0.5.6: its CAN guide and DBC file; firmware 0.6: ODrive's CAN protocol page, and
+can_simple_messages.hpp and odrive_enums.h in odriverobotics/ros_odrive): standard identifiers, node << 5 | command,
+little-endian. 0C is an input position (float turns, velocity and torque ahead as int16 of 0.001); 09 are the encoder's
+estimates (float turns, turns/s), 17 bus voltage and current, 14 motor current, each told when a remote frame asks for
+it; 01 is the heartbeat, which comes by itself: error word and axis state in its first five bytes, whatever the
+firmware. What the error's bits mean is another thing with 0.6, which tells its version when asked (00); 0.5 is silent
+then.
+
+Firmware 0.5.6 answers 09 with 0.0 and 0.0 until its loop has been closed once since power came (can_simple.cpp of
+odriverobotics/ODrive reads what start_closed_loop_control in axis.cpp connects).
 """
 
 import math
@@ -19,8 +25,10 @@ from rtloop.drives.odrive_setup import (
     COMMANDS,
     CURRENT,
     ESTIMATES,
+    FIRMWARE_0_6,
     HEARTBEAT,
     INPUT_POSITION,
+    VERSION,
 )
 from rtloop.wire import outgoing
 from rtloop.wire.frame_words import REMOTE, STANDARD
@@ -32,11 +40,20 @@ Shared = Any  # record of dtype shm.layout.STATE
 AHEAD_PER_UNIT = 1000.0
 MOST_AHEAD = 32_767
 
-ERROR_MEANINGS = (
+ERRORS_0_5 = (
     (0xFFFFFFFF, status_bits.PROTECTED),
     (1 << 7 | 1 << 8 | 1 << 19, status_bits.ENCODER),
     (1 << 18, status_bits.OVER_TEMPERATURE),
     (1 << 11, status_bits.COMMUNICATION),
+)
+ERRORS_0_6 = (
+    (0xFFFFFFFF, status_bits.PROTECTED),
+    (1 << 3 | 1 << 26, status_bits.ENCODER),  # no estimate; spinout, which is an encoder that slips or is offset
+    (1 << 8, status_bits.OVER_VOLTAGE),
+    (1 << 9, status_bits.UNDER_VOLTAGE),
+    (1 << 10 | 1 << 11 | 1 << 12, status_bits.OVER_CURRENT),
+    (1 << 13 | 1 << 14, status_bits.OVER_TEMPERATURE),
+    (1 << 24, status_bits.COMMUNICATION),
 )
 
 
@@ -107,17 +124,39 @@ def hear(
         return
     first, second = words.float_at(data, 0), words.float_at(data, 4)
     if command == ESTIMATES and math.isfinite(first) and math.isfinite(second):
-        hearing.hear_position(loop, joint, first / row.reading_per_rad - row.zero_rad, time_ns)
-        hearing.hear_velocity(loop, joint, second / row.reading_per_rad)
+        position_rad = first / row.reading_per_rad - row.zero_rad
+        if data != 0 or tells_zeros(loop, joint, position_rad):
+            hearing.hear_position(loop, joint, position_rad, time_ns)
+            hearing.hear_velocity(loop, joint, second / row.reading_per_rad)
     elif command == BUS and math.isfinite(first):
         hearing.hear_voltage(loop, joint, first)
     elif command == CURRENT and math.isfinite(second) and row.effort_per_unit != 0.0:
         hearing.hear_effort(loop, joint, second * row.effort_per_unit)
     elif command == HEARTBEAT:
-        hearing.hear_status(loop, joint, common_status(words.unsigned(data, 0, 4), words.unsigned(data, 4, 1)))
+        error, state = words.unsigned(data, 0, 4), words.unsigned(data, 4, 1)
+        hearing.hear_status(loop, joint, common_status(loop.axes[joint].firmware, error, state))
+    elif command == VERSION:
+        loop.axes[joint].firmware = words.unsigned(data, 4, 1) << 8 | words.unsigned(data, 5, 1)
 
 
 @jit
-def common_status(error: int, state: int) -> int:
-    """The heartbeat's error word and axis state in common bits."""
-    return words.meaning(error, ERROR_MEANINGS) | (status_bits.ENABLED if state == CLOSED_LOOP else 0)
+def tells_zeros(loop: Loop, joint: int, position_rad: float) -> bool:
+    """Whether estimates of 0.0 and 0.0 are where the axis stands, and not what firmware 0.5.6 says for "unknown".
+
+    They are if the axis was just measured there, or has said since it was measured last that its loop is closed.
+    """
+    axis = loop.axes[joint]
+    if axis.firmware >= FIRMWARE_0_6:
+        return True
+    if guard.knows_where_it_stands(loop, joint):
+        return bool(abs(position_rad - axis.measured_rad) <= loop.params.position_jump_rad)
+    return bool(axis.status & status_bits.ENABLED != 0 and axis.status_ns >= axis.measured_ns)
+
+
+@jit
+def common_status(firmware: int, error: int, state: int) -> int:
+    """The heartbeat's error word and axis state in common bits; `firmware` as in `rtloop.state.AXIS`."""
+    enabled = status_bits.ENABLED if state == CLOSED_LOOP else 0
+    if firmware >= FIRMWARE_0_6:
+        return words.meaning(error, ERRORS_0_6) | enabled
+    return words.meaning(error, ERRORS_0_5) | enabled

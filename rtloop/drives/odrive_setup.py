@@ -1,14 +1,17 @@
 """Bring-up and release of an ODrive axis with CANSimple; what its frames are is said in `rtloop.drives.odrive`.
 
-What it is asked (nothing moves): its position, then its heartbeat, which says whether it has an error and whether it is
-in closed loop. An axis that is idle gets its input position put to where it stands before its loop is closed. One whose
-loop is closed gets the same, because nothing tells what its input position is, and the modes are set behind that: where
-it stood still it keeps standing, by as much as it was off its old one.
+What it is asked (nothing moves): its position, its firmware's version, then its heartbeat, which says whether it has
+an error and whether it is in closed loop. An axis that is idle gets its input position put to where it stands before
+its loop is closed. One that tells no position yet, as 0.5.6 before its first closed loop, gets none: firmware 0.5
+begins a closed loop where it stands. One whose loop is closed gets an input position too, because nothing tells what
+its old one is, and the modes are set behind that: where it stood still it keeps standing, by as much as it was off its
+old one.
 """
 
 import math
 import struct
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +27,7 @@ from shm.words import Unreferenced
 
 COMMANDS = 32
 """Commands of a node: the lowest bits of an identifier."""
-HEARTBEAT, AXIS_STATE, ESTIMATES, MODES, INPUT_POSITION = 0x01, 0x07, 0x09, 0x0B, 0x0C
+VERSION, HEARTBEAT, AXIS_STATE, ESTIMATES, MODES, INPUT_POSITION = 0x00, 0x01, 0x07, 0x09, 0x0B, 0x0C
 CURRENT, BUS, CLEAR_ERRORS = 0x14, 0x17, 0x18
 ANSWER_BYTES = 8
 """Length of every answer, which a remote frame names."""
@@ -32,25 +35,97 @@ ANSWER_BYTES = 8
 IDLE, CLOSED_LOOP = 1, 8
 POSITION_CONTROL, PASSTHROUGH = 3, 1
 
-ERRORS = (
-    (0, "invalid state"),
-    (6, "motor"),
-    (7, "sensorless estimator"),
-    (8, "encoder"),
-    (9, "controller"),
-    (11, "watchdog expired"),
-    (12, "minimum end stop"),
-    (13, "maximum end stop"),
-    (14, "emergency stop asked over CAN"),
-    (17, "homing without an end stop"),
-    (18, "over-temperature"),
-    (19, "position unknown"),
-)
+FIRMWARE_0_6 = 6
+"""Major version << 8 | minor version since which the error's bits are those of `ERRORS_0_6`."""
+ERRORS_0_5 = {
+    0: "invalid state",
+    6: "motor",
+    7: "sensorless estimator",
+    8: "encoder",
+    9: "controller",
+    11: "watchdog expired",
+    12: "minimum end stop",
+    13: "maximum end stop",
+    14: "emergency stop asked over CAN",
+    17: "homing without an end stop",
+    18: "over-temperature",
+    19: "position unknown",
+}
 """Bits of the heartbeat's error word (firmware 0.5.6)."""
+ERRORS_0_6 = {
+    0: "initializing",
+    1: "fault of the board",
+    2: "timing",
+    3: "no estimate of position or velocity",
+    4: "bad configuration",
+    5: "gate driver",
+    6: "missing input",
+    8: "over-voltage of the supply",
+    9: "under-voltage of the supply",
+    10: "over-current from the supply",
+    11: "over-current back into the supply",
+    12: "over-current in the motor",
+    13: "over-temperature of the motor",
+    14: "over-temperature of the board",
+    15: "velocity limit",
+    16: "position limit",
+    24: "watchdog expired",
+    25: "emergency stop asked for",
+    26: "spinout",
+    27: "brake resistor disarmed",
+    28: "thermistor disconnected",
+    30: "calibration",
+}
+"""The same of firmware 0.6 (odrive_enums.h in odriverobotics/ros_odrive)."""
+INITIALIZING = 1
+"""The error of a board with firmware 0.6 that has just got power."""
+RESULTS = (
+    "success",
+    "busy",
+    "cancelled",
+    "disarmed",
+    "no response",
+    "pole pairs and encoder counts that do not fit",
+    "phase resistance out of range",
+    "phase inductance out of range",
+    "unbalanced phases",
+    "invalid motor type",
+    "illegal Hall state",
+    "timeout",
+    "homing without an end stop",
+    "invalid state",
+    "not calibrated",
+    "not converging",
+)
+"""What firmware 0.6 says in its heartbeat of the state that it was asked for last (the same file)."""
 
 MISSED_HEARTBEATS = 3
 BUSY_S = 2.0
 """An axis closes its loop within less, unless it must be calibrated first."""
+
+
+class Firmware(NamedTuple):
+    """Version of a drive's firmware; 0.5 does not tell it."""
+
+    major: int = 0
+    minor: int = 5
+    revision: int | None = None
+
+    @property
+    def is_0_6(self) -> bool:
+        """Whether it speaks as 0.6 does."""
+        return self.major << 8 | self.minor >= FIRMWARE_0_6
+
+    def __str__(self) -> str:
+        return "firmware " + ".".join(str(number) for number in self if number is not None)
+
+
+class Beat(NamedTuple):
+    """What a heartbeat says; `result` only with firmware 0.6."""
+
+    error: int
+    state: int
+    result: int
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
@@ -73,40 +148,29 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
             f"({host.arm.bus.bitrate} bit/s; axis.config.can.node_id and can.config.baud_rate), and the CAN wires with "
             "120 Ω at both ends.",
         )
-    error, state = yield from _heartbeat(host.arm, joint)
-    if error:
-        if not host.clears_protection:
-            raise TalkFailed(
-                joint,
-                f"The drive of {config.name} has an error ({error_words(error)}) and holds nothing: remove the cause, "
-                f"{ERROR_AT_START}.",
-            )
-        yield say(_frame(node, CLEAR_ERRORS))
-        error, state = yield from _heartbeat(host.arm, joint, lambda error, state: error == 0)
-        if error:
-            raise TalkFailed(
-                joint,
-                f"The drive of {config.name} keeps its error ({error_words(error)}) after it was cleared, so what "
-                "caused it is still there: find it with `dump_errors` in odrivetool, then `rtarm clear-fault`.",
-            )
+    firmware = yield from _firmware(node)
+    beat = yield from _without_errors(host, joint, firmware)
     for _ in range(TRIES):
         standing = yield from confirmed(lambda: _turns(joint, config), SAME_PLACE_RAD * config.ratio / (2.0 * math.pi))
         here = _frame(node, INPUT_POSITION, struct.pack("<fhh", standing, 0, 0))
         modes = _frame(node, MODES, struct.pack("<II", POSITION_CONTROL, PASSTHROUGH))
-        yield say(here)  # twice: modes without it would send an axis to whatever its input position is
-        yield say(here, modes)
-        if state == CLOSED_LOOP:
+        if standing != 0.0 or beat.state == CLOSED_LOOP or firmware.is_0_6:
+            yield say(here)  # twice: modes without it would send an axis to whatever its input position is
+            yield say(here, modes)
+        else:
+            yield say(modes)
+        if beat.state == CLOSED_LOOP:
             break
         yield say(_frame(node, AXIS_STATE, struct.pack("<II", CLOSED_LOOP, 0)))
-        error, state = yield from _heartbeat(host.arm, joint, lambda error, state: state == CLOSED_LOOP)
-        if state == CLOSED_LOOP:
+        beat = yield from _heartbeat(host.arm, joint, lambda beat: beat.state == CLOSED_LOOP)
+        if beat.state == CLOSED_LOOP:
             break
     else:
-        why = f"its error is {error_words(error)}" if error else f"its state is {state}"
         raise TalkFailed(
             joint,
-            f"The drive of {config.name} does not close its loop ({why}): calibrate its motor and encoder with "
-            "odrivetool and save that in the drive, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+            f"The drive of {config.name} ({firmware}) does not close its loop ({_why_open(beat, firmware)}): calibrate "
+            "its motor and encoder with odrivetool and save that in the drive, then `rtarm clear-fault`, or `rtarm up` "
+            "where it has ended.",
         )
     turns = yield from confirmed(lambda: _turns(joint, config), SAME_PLACE_RAD * config.ratio / (2.0 * math.pi))
     return Found(turns, turns, Unreferenced.REFERENCED if _drive(config).knows_its_angle else Unreferenced.INCREMENTAL)
@@ -117,8 +181,8 @@ def let_go(arm: ArmConfig, joint: int) -> Dialogue:
     config = arm.joints[joint]
     for _ in range(TRIES):
         yield say(_frame(_drive(config).node_id, AXIS_STATE, struct.pack("<II", IDLE, 0)))
-        _, state = yield from _heartbeat(arm, joint, lambda error, state: state != CLOSED_LOOP)
-        if state != CLOSED_LOOP:
+        beat = yield from _heartbeat(arm, joint, lambda beat: beat.state != CLOSED_LOOP)
+        if beat.state != CLOSED_LOOP:
             return
     raise TalkFailed(
         joint,
@@ -127,11 +191,51 @@ def let_go(arm: ArmConfig, joint: int) -> Dialogue:
     )
 
 
-def error_words(error: int) -> str:
+def error_words(error: int, firmware: Firmware) -> str:
     """The heartbeat's error word for people."""
-    known = [words for bit, words in ERRORS if error >> bit & 1]
-    unknown = error & ~sum(1 << bit for bit, _ in ERRORS)
+    names = ERRORS_0_6 if firmware.is_0_6 else ERRORS_0_5
+    known = [words for bit, words in names.items() if error >> bit & 1]
+    unknown = error & ~sum(1 << bit for bit in names)
     return ", ".join([*known, *([f"{unknown:#x}"] if unknown else [])]) or "none"
+
+
+def _why_open(beat: Beat, firmware: Firmware) -> str:
+    """What a heartbeat says of a loop that is not closed."""
+    if beat.error:
+        return f"its error is {error_words(beat.error, firmware)}"
+    if firmware.is_0_6 and 0 < beat.result < len(RESULTS):
+        return f"its procedure result is {RESULTS[beat.result]}"
+    return f"its state is {beat.state}"
+
+
+def _firmware(node: int) -> Part[Firmware]:
+    """The version that the node tells, or that of those which do not."""
+    answer = yield _asked(node, VERSION)
+    return Firmware() if answer is None else Firmware(*answer.data[4:7])
+
+
+def _without_errors(host: Host, joint: int, firmware: Firmware) -> Part[Beat]:
+    """Clear its errors, if a person has asked for that; raises TalkFailed."""
+    config = host.arm.joints[joint]
+    beat = yield from _heartbeat(host.arm, joint, lambda beat: not (firmware.is_0_6 and beat.error == INITIALIZING))
+    if not beat.error:
+        return beat
+    if not host.clears_protection:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} ({firmware}) has an error ({error_words(beat.error, firmware)}) and holds "
+            f"nothing: remove the cause, {ERROR_AT_START}.",
+        )
+    yield say(_frame(_drive(config).node_id, CLEAR_ERRORS))
+    beat = yield from _heartbeat(host.arm, joint, lambda beat: beat.error == 0)
+    if beat.error:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} ({firmware}) keeps its error ({error_words(beat.error, firmware)}) after it "
+            "was cleared, so what caused it is still there: find it with `dump_errors` in odrivetool, then `rtarm "
+            "clear-fault`.",
+        )
+    return beat
 
 
 def _drive(config: JointConfig) -> OdriveDrive:
@@ -165,16 +269,14 @@ def _turns(joint: int, config: JointConfig) -> Part[float]:
     )
 
 
-def _heartbeat(
-    arm: ArmConfig, joint: int, until: Callable[[int, int], bool] = lambda error, state: True
-) -> Part[tuple[int, int]]:
-    """Error word and axis state of the next heartbeat that is as wanted, or of the last within a while.
+def _heartbeat(arm: ArmConfig, joint: int, until: Callable[[Beat], bool]) -> Part[Beat]:
+    """The next heartbeat that is as wanted, or the last within a while.
 
     Raises TalkFailed where none comes.
     """
     config = arm.joints[joint]
     heartbeat_s = _drive(config).heartbeat_ms * 1e-3
-    found: tuple[int, int] | None = None
+    found: Beat | None = None
     listened = AskFrames((), lambda frame: frame.id & (COMMANDS - 1) == HEARTBEAT and len(frame.data) == ANSWER_BYTES)
     waited_s = silent_s = 0.0
     while waited_s < MISSED_HEARTBEATS * heartbeat_s + BUSY_S and silent_s < MISSED_HEARTBEATS * heartbeat_s:
@@ -185,13 +287,14 @@ def _heartbeat(
             continue
         waited_s += heartbeat_s
         silent_s = 0.0
-        found = struct.unpack("<IB", frame.data[:5])
-        if until(*found):
+        found = Beat(*struct.unpack("<IBB", frame.data[:6]))
+        if until(found):
             return found
     if found is None:
         raise TalkFailed(
             joint,
-            f"The drive of {config.name} sends no heartbeat: set axis.config.can.heartbeat_rate_ms to "
-            f"{_drive(config).heartbeat_ms}, or heartbeat_ms in the arm file to what it is.",
+            f"The drive of {config.name} sends no heartbeat: set axis.config.can.heartbeat_rate_ms "
+            f"(heartbeat_msg_rate_ms with firmware 0.6) to {_drive(config).heartbeat_ms}, or heartbeat_ms in the arm "
+            "file to what it is.",
         )
     return found

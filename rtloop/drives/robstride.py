@@ -6,6 +6,10 @@ stiffness, damping: 16 bits each, highest byte first; torque in data16), 17 read
 value lowest byte first). All but 17 are answered with type 2: position, velocity, torque, temperature (highest byte
 first), and in the identifier the motor, its faults and whether it runs. Type 21 is said by itself where it fails.
 
+Beyond the end of the position field RobStrides go on at its other end (their manuals of 2026, 4.2.3), others stay at
+its end. Parameter 7019 goes on in both, and so does what 7016 means, so a motor that is told to stay where such a field
+says would turn by twice the field's range: a field is read as the place next to where the motor was just measured.
+
 Mode control: a follower of set-points. A frame that leads it is answered with all it measures, so nothing is asked.
 
 Modes position and csp: its own position loop, a gain on the distance to the target within a speed limit, and no ramp
@@ -47,6 +51,7 @@ Shared = Any  # record of dtype shm.layout.STATE
 BITS = 16
 NO_TORQUE = 0x7FFF
 CELSIUS_PER_STEP = 0.1
+FIELD_SHARE = 0.75
 
 UNDER_VOLTAGE, OVER_CURRENT, OVER_TEMPERATURE = 0x01, 0x02, 0x04
 ENCODERS = 0x08 | 0x10 | 0x20
@@ -214,12 +219,28 @@ def hear_feedback(loop: Loop, joint: int, frame_id: int, data: int, time_ns: int
     position = words.of_field(words.swapped(words.unsigned(data, 0, 2), 2), row.range_rad, BITS)
     velocity = words.of_field(words.swapped(words.unsigned(data, 2, 2), 2), row.range_rad_s, BITS)
     torque = words.of_field(words.swapped(words.unsigned(data, 4, 2), 2), row.range_nm, BITS)
-    hearing.hear_position(loop, joint, position / row.reading_per_rad - row.zero_rad, time_ns)
+    angle = position / row.reading_per_rad - row.zero_rad
+    hearing.hear_position(loop, joint, beyond_its_field(loop, joint, angle), time_ns)
     hearing.hear_velocity(loop, joint, velocity / row.reading_per_rad)
     hearing.hear_effort(loop, joint, torque * row.effort_per_unit)
     celsius = words.signed(words.swapped(words.unsigned(data, 6, 2), 2), 0, 2) * CELSIUS_PER_STEP
     hearing.hear_temperature(loop, joint, celsius)
     hearing.hear_status(loop, joint, common_status((frame_id >> MODE_BIT) & 3, (frame_id >> FAULT_BIT) & 0x3F))
+
+
+@jit
+def beyond_its_field(loop: Loop, joint: int, angle_rad: float) -> float:
+    """The joint's angle (rad) by the position field, which goes on at its other end.
+
+    It has done so if the angle is more than three quarters of the field from where the joint was measured last. One
+    that lost its power counts within a turn then, which is never as far from a place in the field.
+    """
+    axis, row = loop.axes[joint], loop.joints[joint]
+    field_rad = 2.0 * row.range_rad / abs(row.reading_per_rad)
+    jump_rad = angle_rad - axis.measured_rad
+    if axis.readings == 0 or abs(jump_rad) <= FIELD_SHARE * field_rad:
+        return angle_rad
+    return angle_rad - math.copysign(field_rad, jump_rad)
 
 
 @jit

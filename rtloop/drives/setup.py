@@ -13,6 +13,7 @@ from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import Dialogue, Part
 from rtloop.port import ServicePort
+from rtloop.power import Marks
 from shm.words import Unreferenced
 
 SAME_PLACE_RAD = 0.02
@@ -28,6 +29,8 @@ class Found(NamedTuple):
     """Where it holds, or would, in the same unit; the joint is commanded to be there."""
     reason: Unreferenced = Unreferenced.REFERENCED
     """Why its count is not known to mean an angle."""
+    kept_power: bool = False
+    """Whether it proves that it has had power since a bring-up before (`rtloop.power`)."""
 
 
 ERROR_AT_START = "then start again with `rtarm up … --clear-fault`, which clears it"
@@ -42,6 +45,9 @@ class Host(Protocol):
     now_ns: int
     clears_protection: bool
     """Whether a person has asked for it, so that a drive's latched error may be cleared."""
+    marks: Marks
+    was_silent: list[bool]
+    """Whether each joint's angle was given up because its drive was silent."""
     unasked_before: list[int]
     """Positions that had come unasked from each joint's drive when this began."""
 

@@ -5,6 +5,8 @@ with the sign in a byte of its own):
 - `FD dir rpm16 acc pulses32 mode=01 sync=00 6B`, two packets: go to an absolute target with at most that
   speed and a ramp of 1 rpm every (256 - acc) · 50 µs;
 - `36 6B` → `36 sign counts32 6B`, 65536 counts a turn; `3A 6B` → `3A flags 6B`; `FE 98 00 6B` stops at once;
+- `3B 6B` → `3B flags 6B` tells of a tripped protection whether it was heat (bit 4) or current (5); a stall stands in
+  `3A`. It is asked of a drive in protection alone, right before its status;
 - acknowledgements are `func 02 6B`, refusals `func E2 6B`, misunderstandings `00 EE 6B` or `func EE 6B`.
 Requests and replies share their ids; they differ in length for every function used here, which is how a
 reply is told from an echo of one's own request.
@@ -44,6 +46,7 @@ POSITION = 1
 STATUS = 2
 REFUSED = 3
 ACCEPTED = 4
+CAUSE = 5
 
 
 @jit
@@ -81,6 +84,7 @@ def pack_fast_target(pulses: int) -> int:
 
 READ_POSITION = 0x36 | (CHECKSUM << 8)
 READ_STATUS = 0x3A | (CHECKSUM << 8)
+READ_CAUSE = 0x3B | (CHECKSUM << 8)
 STOP = 0xFE | (0x98 << 8) | (CHECKSUM << 24)
 END_HOMING = 0x9C | (0x48 << 8) | (CHECKSUM << 16)
 
@@ -140,7 +144,7 @@ def fast_command(loop: Loop, joint: int) -> int:
 
 @jit
 def decode(packet: int, length: int, data: int) -> tuple[int, int]:
-    """(kind, value) of a frame from a drive: POSITION in counts, STATUS as common bits, …"""
+    """(kind, value) of a frame from a drive: POSITION in counts, STATUS and CAUSE as common bits, …"""
     function = data & 255
     if packet != 0:
         return OTHER, 0
@@ -159,6 +163,8 @@ def decode(packet: int, length: int, data: int) -> tuple[int, int]:
             return STATUS, common_status(code)
         if code == 0xE2 or code == 0xEE:
             return REFUSED, function
+        if function == 0x3B:
+            return CAUSE, trip_cause(code)
         if code == 0x02:
             return ACCEPTED, function
     return OTHER, 0
@@ -179,6 +185,17 @@ def common_status(flags: int) -> int:
     if flags & 0x80:
         status |= status_bits.POWER_LOST
     return status
+
+
+@jit
+def trip_cause(flags: int) -> int:
+    """Why a protection has tripped by 3B's flags (4 heat, 5 current; a stall has none), in common bits."""
+    cause = 0
+    if flags & 0x10:
+        cause |= status_bits.OVER_TEMPERATURE
+    if flags & 0x20:
+        cause |= status_bits.OVER_CURRENT
+    return cause
 
 
 # --- what the cycle asks of a family of drives
@@ -214,6 +231,9 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
+    """Why its protection has tripped is asked first, so that it is known when its status is believed."""
+    if loop.axes[joint].status & status_bits.PROTECTED:
+        outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_CAUSE)
     outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_STATUS)
 
 
@@ -239,6 +259,11 @@ def hear(
     if kind == POSITION:
         hearing.hear_position(loop, joint, to_radians(loop, joint, value), time_ns)
     elif kind == STATUS:
-        hearing.hear_status(loop, joint, value)
+        axis = loop.axes[joint]
+        if value & status_bits.PROTECTED == 0:
+            axis.error_code = 0
+        hearing.hear_status(loop, joint, value | axis.error_code)
+    elif kind == CAUSE:
+        loop.axes[joint].error_code = value
     elif kind == REFUSED:
         hearing.hear_refusal(loop, shared, joint, value in (MOVE, FAST_MOVE))

@@ -35,8 +35,8 @@ END_HOMING = b"\x9c\x48\x6b"
 
 ENABLED, STALLED, PROTECTED, POWER_LOST = 0x01, 0x04, 0x08, 0x80
 """Flags of `3A`."""
-HOMING, HOMING_FAILED = 0x04, 0x08
-"""Flags of `3B`."""
+HOMING, HOMING_FAILED, TOO_HOT, TOO_MUCH_CURRENT = 0x04, 0x08, 0x10, 0x20
+"""Flags of `3B`, the last two of them for a protection that has tripped; a stall has none there."""
 
 HIGHEST_RPM = 3000
 """Of a motion command, whatever the firmware (zdt-emm-v5.md 3)."""
@@ -71,6 +71,15 @@ _BLOCK = struct.Struct(">8B3H6B4H")
 _HOMING = struct.Struct(">BBHIHHHB")
 HOMING_PACKETS = 3
 _TRIP = struct.Struct(">3H")
+
+
+def trip_cause(homing_flags: int) -> tuple[str, str]:
+    """Why the protection of a drive that says these flags of `3B` has tripped, and what a person does about it."""
+    if homing_flags & TOO_HOT:
+        return "over-temperature", "let the drive cool"
+    if homing_flags & TOO_MUCH_CURRENT:
+        return "over-current", "find what draws it"
+    return "stall", "free what blocks the joint"
 
 
 @dataclass(frozen=True)

@@ -70,21 +70,7 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
     reason = Unreferenced.REFERENCED
     flags = yield from zdt_talk.status_of(joint, config)
     if flags & registers.PROTECTED:
-        if not host.clears_protection:
-            raise TalkFailed(
-                joint,
-                f"The drive of {config.name} has tripped its stall protection and holds nothing: free what blocks "
-                f"the joint, {ERROR_AT_START}.",
-            )
-        yield Ask(registers.CLEAR_PROTECTION, (3,))
-        flags = yield from zdt_talk.status_of(joint, config)
-        if flags & registers.PROTECTED:
-            raise TalkFailed(
-                joint,
-                f"The drive of {config.name} stays in protection after it was cleared, so what tripped it (a "
-                "blocked joint, heat, current) is still there: find it on the drive's display, let the drive cool, "
-                "then `rtarm clear-fault`.",
-            )
+        flags = yield from _clear_protection(host, joint, config)
     if flags & registers.POWER_LOST and not host.port.power_loss_known(joint):
         yield _stop(host)  # since it has power it may have heard targets of before
         reason = Unreferenced.POWER_LOST
@@ -115,7 +101,45 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
     if host.arm.bus.fast_targets:
         yield from fast_targets.prepare(host.arm, joint, drive, version)
         host.post(FAST_READY, joint=joint)
-    return (yield from _standing(host, joint, config, reason))
+    if not host.was_silent[joint] and not (yield from zdt_talk.has_mark(host.marks[joint])):
+        host.marks[joint] = yield from zdt_talk.mark(host.now_ns)
+    found = yield from _standing(host, joint, config, reason)
+    # The last question, so that it speaks for all that was read before.
+    return found._replace(kept_power=(yield from _kept_power(host, joint, flags)))
+
+
+def _kept_power(host: Host, joint: int, flags: int) -> Answered[bool]:
+    """Whether a drive that was silent still has its mark in volatile memory.
+
+    One that has not gets none anew: it would speak for the time since, not for that in which the angle was lost.
+    """
+    if not host.was_silent[joint]:
+        return False
+    lost = flags & registers.POWER_LOST and not host.port.power_loss_known(joint)
+    if not lost and (yield from zdt_talk.has_mark(host.marks[joint])):
+        return True
+    host.marks[joint] = None
+    return False
+
+
+def _clear_protection(host: Host, joint: int, config: JointConfig) -> Answered[int]:
+    """End a protection that has tripped, where a person wants that; the flags of ASK_STATUS after it."""
+    cause, remedy = registers.trip_cause((yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS)) or 0)
+    if not host.clears_protection:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} has tripped its protection ({cause}) and holds nothing: {remedy}, "
+            f"{ERROR_AT_START}.",
+        )
+    yield Ask(registers.CLEAR_PROTECTION, (3,))
+    flags = yield from zdt_talk.status_of(joint, config)
+    if flags & registers.PROTECTED:
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} stays in protection after it was cleared, because what tripped it "
+            f"({cause}) is still there: {remedy}, then `rtarm clear-fault`.",
+        )
+    return flags
 
 
 def _end_homing(host: Host, joint: int, config: JointConfig) -> Answered[bool]:
@@ -162,7 +186,7 @@ def _settle_configuration(
         )
     if block.response == wanted:
         return
-    block = yield from zdt_talk.read_block_surely()
+    block = yield from zdt_talk.surely(zdt_talk.read_block)
     if block is None:
         raise TalkFailed(
             joint,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import replace
 from typing import TypeVar
 
@@ -58,14 +58,14 @@ def read_block() -> Answered[Block | None]:
     return registers.block_of((yield Ask(registers.ASK_BLOCK, (8,), packets=registers.BLOCK_PACKETS)))
 
 
-def read_block_surely() -> Answered[Block | None]:
-    """The configuration block as two answers in a row tell it, for whoever writes it back; None where no two agree.
+def surely(read: Callable[[], Answered[Value | None]]) -> Answered[Value | None]:
+    """What two answers in a row tell, for whoever writes it back or decides by it; None where no two agree.
 
     All of its fields go into the drive again, and a serial line may garble any of them unseen.
     """
     before = None
     for _ in range(SURE_TRIES):
-        found = yield from read_block()
+        found = yield from read()
         if found is not None and found == before:
             return found
         before = found
@@ -99,12 +99,30 @@ def homing_mark_ms(limit_ms: int, now_ns: int) -> int:
 
 def set_homing_timeout(timeout_ms: int) -> Answered[bool]:
     """Let the drive's homing run take so long, in volatile memory only; whether it does."""
-    parameters = yield from read_homing()
+    parameters = yield from surely(read_homing)
     if parameters is None:
         return False
     changed = replace(parameters, timeout_ms=timeout_ms)
     yield Ask(registers.write_homing(changed), (3,))
     return (yield from read_homing()) == changed
+
+
+def has_mark(mark: str | None) -> Answered[bool]:
+    """Whether the drive still has the homing time-out that `mark` has given it (`rtloop.power`)."""
+    if mark is None:
+        return False
+    parameters = yield from surely(read_homing)
+    return parameters is not None and str(parameters.timeout_ms) == mark
+
+
+def mark(now_ns: int) -> Answered[str | None]:
+    """Give the drive one, a little above the time-out that it has; None where it takes none, as older firmware may."""
+    parameters = yield from surely(read_homing)
+    if parameters is None:
+        return None
+    mark_ms = homing_mark_ms(parameters.timeout_ms - parameters.timeout_ms % 1000, now_ns)
+    mark_ms += mark_ms == parameters.timeout_ms  # that may be what it has stored
+    return str(mark_ms) if (yield from set_homing_timeout(mark_ms)) else None
 
 
 def begin_homing() -> Answered[bool]:

@@ -20,8 +20,7 @@ from rtloop.settings.talk import Reading
 STANDS_WITHIN_COUNTS = 200
 """About a degree of the motor: a closed loop that holds dithers by less."""
 PROTECTED, POWER_LOST = 0x08, 0x80
-TOO_HOT, TOO_MUCH_CURRENT = 0x10, 0x20
-"""Bits of `3A` and of `3B`."""
+"""Bits of `3A`."""
 
 Value = int | str | bool | None
 
@@ -200,11 +199,10 @@ def _left_alone(arm: ArmConfig, config: JointConfig, drive: ZdtDrive, found: Rea
 def _in_protection(who: str, found: Reading) -> str:
     if found.flags is None:
         return f"{who} does not tell its status, so nothing of it is changed."
-    causes = found.homing_flags or 0
-    why = "it became too hot" if causes & TOO_HOT else "too much current" if causes & TOO_MUCH_CURRENT else "a stall"
+    cause, remedy = registers.trip_cause(found.homing_flags or 0)
     return (
-        f"{who} is in protection ({why}) and holds nothing: remove the cause, bring the arm up and clear it with "
-        "`rtarm clear-fault` first."
+        f"{who} is in protection ({cause}) and holds nothing: {remedy}, bring the arm up and clear it with `rtarm "
+        "clear-fault` first."
     )
 
 

@@ -17,6 +17,7 @@ _CHUNKS_ARRIVED = offset_of(LOOP, "received", "arrived", "chunks")
 _LOST = offset_of(LOOP, "received", "arrived", "lost")
 _DROPPED = offset_of(LOOP, "received", "arrived", "dropped")
 _UNSENT = offset_of(LOOP, "received", "arrived", "unsent")
+_WOKE = offset_of(LOOP, "received", "arrived", "woke_ns")
 _CLOSED = offset_of(LOOP, "received", "arrived", "closed")
 _TAKEN = offset_of(LOOP, "received", "taken", "bytes")
 _CHUNKS_TAKEN = offset_of(LOOP, "received", "taken", "chunks")
@@ -49,6 +50,18 @@ def push(loop: Loop, time_ns: int, source: Any, count: int) -> None:
 def close(loop: Loop, error: int) -> None:
     """Producer: the wire is gone; `error` is the errno."""
     store_release(loop.params.address + _CLOSED, error + 1)
+
+
+@jit
+def awake(loop: Loop, time_ns: int) -> None:
+    """Producer: the reader's thread runs."""
+    store_release(loop.params.address + _WOKE, time_ns)
+
+
+@jit
+def woke_ns(loop: Loop) -> int:
+    """Consumer: when the reader's thread last went to look for bytes, 0 if it never did."""
+    return load_acquire(loop.params.address + _WOKE)
 
 
 @jit

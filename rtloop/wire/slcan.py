@@ -132,6 +132,7 @@ def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int
         byte = ring[at & (RX_BYTES - 1)]
         if byte == BEL:
             shared.counters.wire_errors += 1
+            loop.quiet.adapter_words += 1
             core.line_length = core.line_spoilt = 0
         elif collect(loop, byte):
             line, frame_id, kind, length, data = decode_line(loop)
@@ -143,5 +144,7 @@ def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int
                 return FRAME, frame_id, kind, length, data
             if line == LINE_WRONG:
                 shared.counters.wire_errors += 1
+            else:
+                loop.quiet.adapter_words += 1
     core.rx_taken = end
     return NOTHING, 0, 0, 0, 0

@@ -14,8 +14,12 @@ Modelled:
 - Registers: read, write, store (a limp motor's), ask for feedback; a write is answered with what then stands there. A
   value out of its range, or of a read-only register, changes nothing; an unknown register meets silence.
 - Velocities come in four bytes or eight, all else in eight.
-- Modes: MIT (stiffness, damping, torque), position-velocity (a trapezoid by ACC and DEC, no faster than told and than
-  MAX_SPD), velocity (by the same ramps), force-position (as position-velocity; the share of current caps the torque).
+- Modes: MIT (stiffness, damping, torque), position-velocity (`planning`), velocity (by the ramps of a trapezoid),
+  force-position (as position-velocity; the share of current caps the torque).
+- Position-velocity (`planning`) is one of two laws. "ramp", as the makers' manuals tell it of dual-encoder motors: a
+  trapezoid by ACC and DEC (rad/s²), no faster than told and than MAX_SPD. "gain", as that firmware has it
+  (app/src/motor_control.c and can_protocol.c): the rotor's speed (rad/s) is KP_APR × what the output shaft lacks (rad),
+  no faster than told × GR, and changes by ACC and DEC at most in a millisecond: rad/s² are practically no ramp there.
   [inf] A number that is not finite changes nothing; a speed of 0 stops by the ramp and stays.
 - Enabling begins without stiffness, or with a speed of 0, as disabling and another mode do: what was told is forgotten.
   With `keeps_targets` it is not, and a motor that is enabled goes where it was told last [inf].
@@ -33,13 +37,14 @@ from __future__ import annotations
 
 import math
 import struct
+from typing import Literal
 
 from config.drives.damiao import HIGHEST_KD, HIGHEST_KP, REGISTERS_ID, Ranges
 from config.drives.damiao import DamiaoDrive as DamiaoConfig
 from sim.bus import Frame
 from sim.drives.conversation import ServoDrive
 from sim.drives.drive import Cause, Mounting
-from sim.drives.servo import TURN_RAD, Law, Limp, Load, Plan, Spin, Torque
+from sim.drives.servo import STEP_S, TURN_RAD, Law, Limp, Load, Plan, Spin, Torque
 
 READ, WRITE, STORE, FEEDBACK = 0x33, 0x55, 0xAA, 0xCC
 ENABLE, DISABLE, ZERO, CLEAR = 0xFC, 0xFD, 0xFE, 0xFB
@@ -50,26 +55,55 @@ MIT, POSITION_VELOCITY, VELOCITY, FORCE_POSITION = 1, 2, 3, 4
 """Modes; each has an identifier 100 (hex) above the one before."""
 
 ACC, DEC, MAX_SPD, MST_ID, ESC_ID, TIMEOUT, CTRL_MODE = 4, 5, 6, 7, 8, 9, 10
-PMAX, VMAX, TMAX = 21, 22, 23
+GR, PMAX, VMAX, TMAX, KP_APR = 20, 21, 22, 23, 27
 TIMEOUT_UNIT_NS = 50_000
 HIGHEST_ID = 0x7FF
 
 FLOATS = {
     0: 15.0, 1: 0.945, 2: 100.0, 3: 0.98, ACC: 20.0, DEC: -20.0, MAX_SPD: 200.0,
-    11: 1e-4, 12: 1.8e-5, 17: 0.85, 18: 3.45e-4, 19: 0.0045, 20: 10.0, PMAX: 12.5, VMAX: 30.0, TMAX: 10.0,
-    24: 1000.0, 25: 0.00372, 26: 0.002, 27: 50.0, 28: 0.0, 29: 32.0, 30: 0.95, 31: 4.0, 32: 30.0, 33: 1000.0, 34: 10.0,
-    50: 0.0, 51: 0.0, 52: 1.0, 53: 1.0, 54: 0.0, 55: 1.0, 56: 0.0, 59: 10.261, 60: 24.0, 61: 25.0, 62: 30.0,
+    11: 1e-4, 12: 1.8e-5, 17: 0.85, 18: 3.45e-4, 19: 0.0045, GR: 10.0, PMAX: 12.5, VMAX: 30.0, TMAX: 10.0,
+    24: 1000.0, 25: 0.00372, 26: 0.002, KP_APR: 54.0, 28: 0.0, 29: 32.0, 30: 0.95, 31: 4.0, 32: 30.0, 33: 1000.0,
+    34: 10.0, 50: 0.0, 51: 0.0, 52: 1.0, 53: 1.0, 54: 0.0, 55: 1.0, 56: 0.0, 59: 10.261, 60: 24.0, 61: 25.0, 62: 30.0,
     63: 0.0, 64: 0.0, 65: 0.0, 80: 0.0, 81: 0.0,
 }  # fmt: skip
 """Registers that hold IEEE 754 singles, as a DM4310 comes (the less important ones [inf])."""
 WHOLE = {MST_ID: 0, ESC_ID: 1, TIMEOUT: 0, CTRL_MODE: MIT, 13: 0, 14: 5017, 15: 0, 16: 14, 35: 4, 36: 4}
 """Registers that hold whole numbers of 32 bits."""
+GEARS = {"DM3507": 7.0, "DM4340": 40.0, "DM4340P": 40.0, "DM6006": 6.0, "DM8006": 6.0, "DM8009": 9.0}
+"""Of the models with another one than a DM4310's (the maker's table)."""
 READ_ONLY = frozenset((*range(11, 21), 36, *range(50, 82)))
 ABOVE_ZERO = frozenset((ACC, MAX_SPD, PMAX, VMAX, TMAX))
 
 BOARD_COOLER_C = 5.0
 """What the power stage is cooler than the motor [inf]."""
 _COMMAND_HEAD = b"\xff" * 7
+Planning = Literal["ramp", "gain"]
+
+
+class Gain:
+    """Go to a target with a speed in proportion to what is missing; see `planning` above. The speed loop is ideal.
+
+    Attributes:
+        target: where to [rev].
+        top: highest speed [rev/s].
+        gain_1_s: of the speed.
+        up, down: how fast the signed speed may grow and fall [rev/s²].
+    """
+
+    rests = False
+
+    def __init__(self, target: float, top: float, gain_1_s: float, up: float, down: float) -> None:
+        self.target = target
+        self.top = top
+        self.gain_1_s = gain_1_s
+        self.up = up
+        self.down = down
+
+    def speed(self, load: Load, time_ns: int, position: float, speed: float) -> float:
+        """Speed after a step of the loop's wish, as far as the motor's torque goes."""
+        wanted = max(-self.top, min(self.top, self.gain_1_s * (self.target - position)))
+        wanted = max(speed - self.down * STEP_S, min(speed + self.up * STEP_S, wanted))
+        return load.driven(speed, (wanted - speed) / load.gain(1.0))
 
 
 class DamiaoDrive(ServoDrive):
@@ -78,6 +112,7 @@ class DamiaoDrive(ServoDrive):
     Args:
         registers: those of its flash that differ from `FLOATS` and `WHOLE`.
         absolute: whether an encoder sees its output shaft.
+        planning: the law of position-velocity, see above.
         start_ns, turns, counted, load, seed: see `ServoDrive`.
 
     Attributes:
@@ -91,6 +126,7 @@ class DamiaoDrive(ServoDrive):
         registers: dict[int, float] | None = None,
         *,
         absolute: bool = True,
+        planning: Planning = "ramp",
         start_ns: int = 0,
         turns: float = 0.0,
         counted: float | None = None,
@@ -100,6 +136,7 @@ class DamiaoDrive(ServoDrive):
         super().__init__(start_ns=start_ns, turns=turns, counted=counted, load=load, seed=seed)
         self.keeps_targets = False
         self._absolute = absolute
+        self._planning = planning
         self._flash: dict[int, float] = {**FLOATS, **WHOLE, **(registers or {})}
         self._strongest_nm = self.shaft.load.torque_nm
         self._begin()
@@ -114,6 +151,7 @@ class DamiaoDrive(ServoDrive):
         registers: dict[int, float] = {
             MST_ID: config.master_id,
             ESC_ID: config.motor_id,
+            GR: GEARS.get(config.model, FLOATS[GR]),
             PMAX: ranges.rad,
             VMAX: ranges.rad_s,
             TMAX: ranges.nm,
@@ -123,6 +161,7 @@ class DamiaoDrive(ServoDrive):
         return cls(
             registers,
             absolute=absolute,
+            planning=mounting.planning,
             start_ns=mounting.start_ns,
             turns=turns,
             counted=turns if mounting.homed or absolute else 0.0,
@@ -147,7 +186,7 @@ class DamiaoDrive(ServoDrive):
 
     def twin(self, now_ns: int, seed: int) -> DamiaoDrive:
         """Another motor with its IDs, from `now_ns` on, which counts from zero."""
-        return DamiaoDrive(dict(self.registers), start_ns=now_ns, seed=seed)
+        return DamiaoDrive(dict(self.registers), planning=self._planning, start_ns=now_ns, seed=seed)
 
     @property
     def ranges(self) -> Ranges:
@@ -289,6 +328,10 @@ class DamiaoDrive(ServoDrive):
         if top == 0.0:
             return Spin(0.0, self._ramp(DEC))
         target = self.origin + rad / TURN_RAD
+        if self._planning == "gain":
+            gear = self.registers[GR]
+            up, down = (abs(self.registers[register]) * 1e3 / gear / TURN_RAD for register in (ACC, DEC))
+            return Gain(target, abs(rad_s) / TURN_RAD, self.registers[KP_APR] / gear, up, down)
         law = self.shaft.law
         if self.enabled and isinstance(law, Plan):
             law.target, law.top, law.acceleration, law.deceleration = target, top, self._ramp(ACC), self._ramp(DEC)

@@ -117,6 +117,8 @@ class Mounting:
         homed: whether what it counts means the joint's angle; otherwise it was just switched on where it stands.
         seed: of its random delays.
         firmware, retarget, enabling, lag_s: of ZDT drives, see `sim.drives.zdt`.
+        odrive_firmware: of an ODrive, see `sim.drives.odrive`.
+        planning: of Damiao motors, see `sim.drives.damiao`.
     """
 
     joint: JointConfig
@@ -129,6 +131,8 @@ class Mounting:
     retarget: Literal["accept", "reject"] = "accept"
     enabling: Literal["hold", "pull"] = "hold"
     lag_s: float = 0.0
+    odrive_firmware: Literal["0.5.6", "0.6"] = "0.5.6"
+    planning: Literal["ramp", "gain"] = "ramp"
 
     def turns(self, position_rad: float) -> float:
         """Revolutions its shaft has made from where it counts 0 when the joint stands at an angle."""

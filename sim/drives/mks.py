@@ -17,7 +17,8 @@ Modelled:
 - Homing (90, 94, 91): to a switch, left first where it is closed already, or to a mechanical stop, away from it by the
   offset; [inf] without a ramp; zero is where it ends. F7 ends a run as failed. Zero where it stands (92).
 - Limit (90): with it on, the switch stops every motion towards it, at once. Only the one at IN_1.
-- Stall protection (88): [inf] 1.8 degrees of error for a second trip it; the shaft is let go until 3D and F3.
+- Stall (3E): [inf] 1.8 degrees of error for a second; told until 3D, whether or not the protection (88) is on (V1.0.9).
+  With it the shaft is let go until 3D and F3.
 - Settings of one or several bytes, in flash at once; `00` reads them, and answers FF FF for what it does not know.
 - Power: [inf] it boots with a loose shaft, counting from 0 where that stands.
 - 80 [inf] takes two seconds and turns nothing. 41 [inf] reboots at once.
@@ -87,6 +88,7 @@ class MksDrive(BusDrive):
         stepper: what moves.
         origin: where its shaft stands when it counts 0 [grains].
         switch: where the switch at IN_1 closes [grains] and on which side of that (1 or -1) it is closed; None without.
+        stalled: whether it has stalled, as 3E says it.
         protected: whether its protection has tripped.
     """
 
@@ -108,7 +110,7 @@ class MksDrive(BusDrive):
         )
         self.origin = 0 if counted else position
         self.switch: tuple[int, int] | None = None
-        self.protected = False
+        self.stalled = self.protected = False
         self._retargets = retargets
         self._tick_ns = 0
         self._finishing = 0
@@ -128,7 +130,7 @@ class MksDrive(BusDrive):
             0x3A: lambda: bytes((self.enabled,)),
             0x3B: lambda: bytes((0 if self._run else self._home_result,)),
             0x3D: self._clear_protection,
-            0x3E: lambda: bytes((self.protected,)),
+            0x3E: lambda: bytes((self.stalled,)),
             0x41: self._restart,
             0x92: self._set_zero,
             0xF1: lambda: bytes((self.state,)),
@@ -137,7 +139,7 @@ class MksDrive(BusDrive):
 
     @classmethod
     def mounted(cls, mounting: Mounting) -> MksDrive:
-        """The drive of a joint, enabled, with a stop at the joint's lower limit and a switch before that.
+        """The drive of a joint, enabled and protected, with a stop at the joint's lower limit and a switch before that.
 
         It homes towards the stop, without the switch.
         """
@@ -147,6 +149,7 @@ class MksDrive(BusDrive):
         drive = cls(
             {
                 0x82: bytes((SR_VFOC,)),
+                0x88: b"\x01",
                 0x8A: bytes((rates.get(mounting.bitrate, 2),)),
                 0x8B: joint.drive.can_id.to_bytes(2, "big"),
                 0x90: bytes((0, joint.direction < 0, 0, 60, 0, 1)),
@@ -338,6 +341,7 @@ class MksDrive(BusDrive):
 
     def _clear_protection(self) -> bytes:
         self.protected = self.protected and self.cause_lasts
+        self.stalled = self.protected
         return bytes((FAILED if self.protected else DONE,))
 
     def _restart(self) -> bytes:
@@ -439,11 +443,13 @@ class MksDrive(BusDrive):
             way = offset * GRAINS_PER_REVOLUTION // COUNTS_PER_REVOLUTION
             self.stepper.seek(self.stepper.position - self._home_sign * way, self._home_rpm, 0)
         elif not self._run:
-            self.trip()
+            self.stalled = True
+            if self.settings[0x88][0]:
+                self.trip()
 
     def trip(self) -> None:
         """Let the shaft go, because the protection says so."""
-        self.protected = True
+        self.stalled = self.protected = True
         self.release()
 
     # -- homing --------------------------------------------------------------------------------------
@@ -491,7 +497,7 @@ class MksDrive(BusDrive):
     def advance(self, now_ns: int) -> None:
         """Live up to `now_ns`; a time already lived changes nothing."""
         if not self._run:
-            self.stepper.stall_ns = STALL_NS if self.enabled and self.settings[0x88][0] else 0
+            self.stepper.stall_ns = STALL_NS if self.enabled else 0
         self.stepper.advance(now_ns)
         self._now_ns = max(self._now_ns, now_ns)
 
@@ -500,7 +506,7 @@ class MksDrive(BusDrive):
         self.release()
         self.stepper.hold()
         self.origin = self.stepper.ramp.position
-        self.protected = self._calibrating = False
+        self.stalled = self.protected = self._calibrating = False
         self._home_result = 0
 
     def loosen(self) -> None:

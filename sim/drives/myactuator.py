@@ -1,7 +1,7 @@
 """A MyActuator RMD motor on CAN, from its frames to its shaft.
 
-Written from other-drives.md, the maker's Motor Motion Protocol V4.2 and the tests of 2b-t/myactuator_rmd; [inf] marks
-what none of them says and is assumed here: a host should not depend on it.
+Written from other-drives.md, drives-checked.md, the maker's Motor Motion Protocol V4.2 and V4.3 and the tests of
+2b-t/myactuator_rmd; [inf] marks what none of them says and is assumed here: a host should not depend on it.
 
 Modelled:
 - Identifiers: standard, 140 + ID or 280 (all motors) in, 240 + ID out, 8 bytes. [inf] Anything else, and commands that
@@ -11,8 +11,8 @@ Modelled:
   it is, A2 speed, A1 current, 81 no speed. [inf] 81 brakes with index 3; a speed of 0 in A4 is no limit.
 - 80 shuts down; a motor with a brake is locked then, another one is loose. Motion commands release the brake, 77 and
   78 move it; what 9A says of it is the last command to it, with or without a brake.
-- Errors: any shuts down, and no motion command is obeyed meanwhile. Those of level 1 (stall, over-current) stay until a
-  restart (76), the others end with their cause. [inf] It answers motion commands then as always.
+- Errors: any shuts down, and no motion command is obeyed meanwhile. Stall, over-current and those of the encoder stay
+  until a restart (76), 1.1 s of silence; the others end with their cause. [inf] It answers motion commands as always.
 - B3: silence for longer than that shuts down, and the next frame ends that. Zero (64) counts after a restart. Ramps,
   zero and B3 are kept in its ROM.
 - An encoder that is not absolute counts from 0 where it stands when power comes or it is restarted.
@@ -34,11 +34,12 @@ from sim.drives.drive import Cause, Mounting
 from sim.drives.servo import TURN_RAD, Cascade, Hold, Law, Limp, Load, Plan, Spin, Torque
 
 STALL, LOW_VOLTAGE, OVER_CURRENT, OVER_TEMPERATURE = 0x0002, 0x0004, 0x0010, 0x1000
-UNTIL_RESTART = STALL | OVER_CURRENT
+ENCODER_CALIBRATION, ENCODER_DATA = 0x2000, 0x4000
+UNTIL_RESTART = STALL | OVER_CURRENT | ENCODER_CALIBRATION | ENCODER_DATA
 STEPS_PER_TURN, DEGREES = 36_000, 360.0
 UNLIMITED_DPS = 32_767
-RESTART_NS = 400_000_000
-"""[inf]"""
+RESTART_NS = 1_100_000_000
+"""Of silence after 76 (drives-checked.md, D6)."""
 TRACKING_GAIN_S, VELOCITY_BANDWIDTH_S = 20.0, 150.0
 """Of its loops [1/s] [inf]."""
 OFF, CURRENT, SPEED, POSITION = 0, 1, 2, 3

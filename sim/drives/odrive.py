@@ -1,7 +1,8 @@
-"""An axis of an ODrive with firmware 0.5.6 on CAN (CANSimple), from its frames to its shaft.
+"""An axis of an ODrive with firmware 0.5.6 or 0.6 on CAN (CANSimple), from its frames to its shaft.
 
-Written from other-drives.md and from reading the firmware's can_simple.cpp of that time (odriverobotics/ODrive on
-GitHub); [inf] marks what neither says and is assumed here: a host should not depend on it.
+Written from other-drives.md and from reading firmware 0.5.6 (can_simple.cpp and axis.cpp in odriverobotics/ODrive); of
+0.6, whose source was not to be found, from can_simple_messages.hpp and odrive_enums.h in odriverobotics/ros_odrive.
+[inf] marks what none of them says and is assumed here: a host should not depend on it.
 
 Modelled:
 - Identifiers: standard, node << 5 | command. Other nodes and extended frames meet silence. Reads are asked by a remote
@@ -9,9 +10,14 @@ Modelled:
   controller's error (1D) is told to any frame. [inf] A write that is too short, or with a number that is not finite, a
   limit that is not positive, changes nothing (the firmware takes whatever its buffer holds).
 - By itself: heartbeats, and encoder estimates where they are on. What finds the queue full is lost.
+- Until the loop has been closed once since power came, 0.5.6 tells estimates (09) of 0.0 and 0.0; its count (0A) is
+  true all the time. [inf] 0.6 tells true estimates all the time.
+- 0.6 tells its version (00); errors and why the loop was opened (03), both the same here; in heartbeats one word of
+  errors and, beside the state, what became of the state asked for last. Errors are of the axis, without parts.
 - States: idle (1), full calibration (3, seen as 4 and then 7, which turns the shaft a little to and fro), closed loop
-  (8). A state that it cannot take, with an error standing, not calibrated, or unknown, is error bit 0, and idle. Taking
-  closed loop in position control makes the present position the target.
+  (8). A state that it cannot take, with an error standing, not calibrated, or unknown, is error bit 0, and idle; with
+  0.6 it is no error but a procedure result [inf: which, and that it stays idle]. Taking closed loop in position control
+  makes the present position the target [inf: of 0.6].
 - Position control with passthrough or trapezoids, velocity control with passthrough or a ramp, torque control; other
   combinations are an error of the controller as soon as the loop is closed. Limits, gains, trajectory limits.
 - Errors: emergency stop, watchdog (fed by every frame for this node), and those that `protect` makes; any lets the
@@ -21,7 +27,8 @@ Modelled:
 - [inf] Inputs are forgotten when the loop is closed; rebooting (16) takes no time.
 
 Not modelled: start-up settings, anticogging, inertia feed-forward, sensorless running, voltages of inputs, input
-filters and the other input modes, overspeed, end stops, homing, and that a host's write could be an answer to another.
+filters and the other input modes, overspeed, end stops, homing, and that a host's write could be an answer to another;
+of 0.6 addresses (06), parameters (04, 05), temperatures (15), setting the position (19) and torques (1C).
 """
 
 from __future__ import annotations
@@ -31,6 +38,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal, NamedTuple
 
 from config.drives.odrive import OdriveDrive as OdriveConfig
 from sim.bus import Frame
@@ -45,9 +53,26 @@ UNDEFINED, IDLE, FULL_CALIBRATION, MOTOR_CALIBRATION, OFFSET_CALIBRATION, CLOSED
 POSITION_CONTROL, PASSTHROUGH = 3, 1
 """Control modes: 1 torque, 2 velocity, 3 position. Input modes: 1 passthrough, 2 ramp, 5 trapezoid."""
 
-INVALID_STATE, MOTOR_FAILED, CONTROLLER_FAILED = 1 << 0, 1 << 6, 1 << 9
-WATCHDOG_EXPIRED, ESTOP_REQUESTED, OVER_TEMPERATURE = 1 << 11, 1 << 14, 1 << 18
-"""Bits of the axis' error."""
+Firmware = Literal["0.5.6", "0.6"]
+
+
+class Errors(NamedTuple):
+    """Bits of the axis' error; 0.5.6 has one for what went wrong in a part, whose own error says what."""
+
+    spinout: int
+    current: int
+    temperature: int
+    bad_modes: int
+    watchdog: int
+    estop: int
+
+
+INVALID_STATE, MOTOR_FAILED, CONTROLLER_FAILED, ESTOP_REQUESTED = 1 << 0, 1 << 6, 1 << 9, 1 << 14
+"""Bits of 0.5.6."""
+ERRORS: dict[Firmware, Errors] = {
+    "0.5.6": Errors(CONTROLLER_FAILED, MOTOR_FAILED, 1 << 18, CONTROLLER_FAILED, 1 << 11, ESTOP_REQUESTED),
+    "0.6": Errors(1 << 26, 1 << 12, 1 << 13, 1 << 4, 1 << 24, 1 << 25),
+}
 CURRENT_LIMIT_VIOLATION = 0x1000
 """Bit of the motor's error."""
 INVALID_INPUT_MODE, SPINOUT_DETECTED = 0x02, 0x80
@@ -68,11 +93,17 @@ _TWO_FLOATS = struct.Struct("<ff")
 _POSITION = struct.Struct("<fhh")
 _TWO_WORDS = struct.Struct("<II")
 _WORD = struct.Struct("<I")
+SUCCESS, BUSY, DISARMED, INVALID_PROCEDURE, NOT_CALIBRATED = 0, 1, 3, 13, 14
+"""What 0.6 says became of the state that it was asked for last."""
+VERSION = bytes((2, 4, 4, 58, 0, 6, 10, 0))
+"""What 0.6 answers to 00: protocol, hardware 4.4.58 [inf], firmware 0.6.10, released."""
+
 _COUNT = struct.Struct("<i")
 _COUNTS = struct.Struct("<ii")
 _FLOAT = struct.Struct("<f")
 _LONG = struct.Struct("<Q")
 _HEARTBEAT = struct.Struct("<I4B")
+"""Error, state, flags of motor, encoder and controller; of 0.6 error, state, procedure result, trajectory done, 0."""
 
 
 @dataclass
@@ -81,6 +112,7 @@ class Settings:
 
     Attributes:
         node_id: on the bus, 0 to 63.
+        firmware: of the board.
         encoder_cpr: counts of its encoder for a turn.
         absolute: whether the encoder knows its angle when power comes.
         calibrated: whether it may close its loop after power has come.
@@ -97,6 +129,7 @@ class Settings:
     """
 
     node_id: int = 0
+    firmware: Firmware = "0.5.6"
     encoder_cpr: int = 8192
     absolute: bool = False
     calibrated: bool = True
@@ -126,7 +159,8 @@ class OdriveDrive(ServoDrive):
     Attributes:
         settings: as they are now; power brings back what was in flash, but the node.
         state: of the axis, as heartbeats say it.
-        axis_error, motor_error, controller_error: as they are read.
+        result: what became of the state asked for last, as those of 0.6 say it.
+        axis_error, motor_error, controller_error: as they are read; 0.6 has the first alone.
     """
 
     def __init__(
@@ -167,6 +201,13 @@ class OdriveDrive(ServoDrive):
             0x17: self._supply,
             0x1D: lambda: _LONG.pack(self.controller_error),
         }
+        if self._flash.firmware == "0.6":
+            for changed in (0x06, 0x19):
+                del self._writes[changed]
+            for gone in (0x04, 0x05, 0x0A, 0x15, 0x1D):
+                del self._reads[gone]
+            self._reads[0x00] = lambda: VERSION
+            self._reads[0x03] = lambda: _TWO_WORDS.pack(self.axis_error, self.axis_error)
         self._begin()
 
     @classmethod
@@ -178,6 +219,7 @@ class OdriveDrive(ServoDrive):
         nm_per_ampere = config.nm_per_ampere or Settings.nm_per_ampere
         settings = Settings(
             node_id=config.node_id,
+            firmware=mounting.odrive_firmware,
             encoder_cpr=config.encoder_cpr,
             absolute=config.encoder == "absolute",
             heartbeat_ms=config.heartbeat_ms,
@@ -217,6 +259,9 @@ class OdriveDrive(ServoDrive):
     def _begin(self) -> None:
         self.settings = replace(self._flash)
         self.axis_error = self.motor_error = self.controller_error = 0
+        self.result = SUCCESS
+        self._errors = ERRORS[self.settings.firmware]
+        self._knows_estimates = self.settings.firmware == "0.6"
         self._input = (0.0, 0.0, 0.0)
         self._limit_torque()
         self._idle()
@@ -234,15 +279,16 @@ class OdriveDrive(ServoDrive):
         match cause:
             case "stall":
                 self.controller_error |= SPINOUT_DETECTED
-                self._fail(CONTROLLER_FAILED)
+                self._fail(self._errors.spinout)
             case "temperature":
-                self._fail(OVER_TEMPERATURE)
+                self._fail(self._errors.temperature)
             case "current":
                 self.motor_error |= CURRENT_LIMIT_VIOLATION
-                self._fail(MOTOR_FAILED)
+                self._fail(self._errors.current)
 
     def _fail(self, error: int) -> None:
         self.axis_error |= error
+        self.result = DISARMED
         self._idle()
 
     def _idle(self) -> None:
@@ -263,7 +309,7 @@ class OdriveDrive(ServoDrive):
             if frame.remote or not frame.data or command == 0x1D:
                 self.reply(self._frame(command, self._reads[command]()))
         elif command == 0x02:
-            self._fail(ESTOP_REQUESTED)
+            self._fail(self._errors.estop)
         elif command == 0x16:
             self.boot()
         elif command == 0x18:
@@ -277,7 +323,10 @@ class OdriveDrive(ServoDrive):
         return Frame(self.settings.node_id << COMMAND_BITS | command, data, extended=False)
 
     def _beat(self) -> None:
-        flags = (self.motor_error != 0, 0, (self.controller_error != 0) | self._trajectory_done() << 7)
+        done = self._trajectory_done()
+        flags = [self.motor_error != 0, 0, (self.controller_error != 0) | done << 7]
+        if self.settings.firmware == "0.6":
+            flags = [self.result, done, 0]
         self.say(self._frame(0x01, _HEARTBEAT.pack(self.axis_error, self.state, *flags)))
 
     def _tell_estimates(self) -> None:
@@ -288,6 +337,8 @@ class OdriveDrive(ServoDrive):
 
     def _estimates(self) -> bytes:
         cpr = self.settings.encoder_cpr
+        if not self._knows_estimates:
+            return _TWO_FLOATS.pack(0.0, 0.0)
         return _TWO_FLOATS.pack(round(self.counted * cpr) / cpr, self.shaft.speed)
 
     def _counts(self) -> bytes:
@@ -305,7 +356,7 @@ class OdriveDrive(ServoDrive):
 
     def _feed_watchdog(self) -> None:
         if self.settings.watchdog_s > 0.0:
-            self.after("watchdog", round(self.settings.watchdog_s * 1e9), lambda: self._fail(WATCHDOG_EXPIRED))
+            self.after("watchdog", round(self.settings.watchdog_s * 1e9), lambda: self._fail(self._errors.watchdog))
 
     def _clear_errors(self) -> None:
         if not self.cause_lasts:
@@ -315,13 +366,19 @@ class OdriveDrive(ServoDrive):
 
     def _request_state(self, state: int) -> None:
         if state == IDLE:
+            self.result = SUCCESS
             self._idle()
         elif state == FULL_CALIBRATION and not self.axis_error:
+            self.result = BUSY
             self._idle()
             self.state = MOTOR_CALIBRATION
             self.after("calibration", MOTOR_CALIBRATION_NS, lambda: self._find_offset(CALIBRATION_TURNS))
         elif state == CLOSED_LOOP and not self.axis_error and self.settings.calibrated:
             self._close_loop()
+        elif state != UNDEFINED and self.settings.firmware == "0.6":
+            known = state in (FULL_CALIBRATION, CLOSED_LOOP)
+            self.result = NOT_CALIBRATED if known and not self.axis_error else INVALID_PROCEDURE
+            self._idle()
         elif state != UNDEFINED:
             self._fail(INVALID_STATE)
 
@@ -335,12 +392,14 @@ class OdriveDrive(ServoDrive):
 
     def _calibrated(self) -> None:
         self.settings.calibrated = True
+        self.result = SUCCESS
         self._idle()
 
     def _close_loop(self) -> None:
         self.cancel("calibration")
         self.state = CLOSED_LOOP
-        self.enabled = True
+        self.result = BUSY
+        self.enabled = self._knows_estimates = True
         self._input = (self.counted, 0.0, 0.0)
         self._lead()
 
@@ -351,7 +410,7 @@ class OdriveDrive(ServoDrive):
         law = self._law()
         if law is None:
             self.controller_error |= INVALID_INPUT_MODE
-            self._fail(CONTROLLER_FAILED)
+            self._fail(self._errors.bad_modes)
         else:
             self.shaft.obey(law)
 

@@ -1,7 +1,8 @@
 """A RobStride motor or Xiaomi CyberGear on CAN, from its frames to its shaft.
 
-Written from other-drives.md, the CyberGear's manual (belovictor/cybergear-docs) and, for RobStrides' run modes, the
-maker's RobStride/Python_Sample; [inf] marks what none of them says and is assumed here: a host should not depend on it.
+Written from other-drives.md, the CyberGear's manual (belovictor/cybergear-docs) and, for RobStrides, the maker's
+RobStride/Python_Sample (run modes) and manuals of 2026 (RobStride/Product_Information: counting); [inf] marks what none
+of them says and is assumed here: a host should not depend on it.
 
 Modelled:
 - Identifiers: extended, type << 24 | data16 << 8 | for whom. Get id (0), set-point with gains (1), feedback (2), enable
@@ -12,9 +13,11 @@ Modelled:
   it was told last stays when it is stopped, so that enabling it again would act on that; power makes it forget.
 - Run modes: 0 set-points with gains, 1 its own position loop within a speed limit (CyberGear) or a trapezoid with a
   ramp of its own (RobStrides), 5 the former on RobStrides, 2 speed, 3 current.
-- Numbers of 16 bits are cut off to whole steps, positions beyond the range stay at its end.
-- The encoder counts from 0 where it stands when power comes, or goes on, if it is absolute. Zero is set where it
-  stands; [inf] what it was told stays, and then means the new count.
+- Numbers of 16 bits are cut off to whole steps; positions beyond the range stay at its end, those that RobStrides tell
+  go on at its other end. Parameter 7019 goes on in both.
+- The encoder counts from 0 where it stands when power comes, or goes on, if it is absolute; that of RobStrides within a
+  turn, 0 to 2π or -π to π as zero_sta (7029) says, which is read only here. Zero is set where it stands; [inf] what it
+  was told stays, and then means the new count.
 
 Not modelled: calibration, bit rates, timeouts, filters, saving of parameters, reports by itself.
 """
@@ -25,6 +28,7 @@ import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from config.drives.robstride import RobstrideDrive as RobstrideConfig
 from sim.bus import Frame
@@ -37,7 +41,7 @@ GET_ID, CONTROL, FEEDBACK, ENABLE, STOP, SET_ZERO, SET_ID, READ, WRITE, FAULT = 
 RESET, RUN = 0, 2
 ANYBODY = 0xFE
 """For whom a motor says its id."""
-RUN_MODE = 0x7005
+RUN_MODE, ZERO_STA = 0x7005, 0x7029
 UNDER_VOLTAGE, OVER_CURRENT, OVER_TEMPERATURE, STALL = 1, 2, 4, 16
 """Bits of its faults in feedback."""
 FAULT_WORDS = {STALL: 0x0100, OVER_TEMPERATURE: 0x0001, OVER_CURRENT: 0x10000}
@@ -74,8 +78,9 @@ class Settings:
 
     Attributes:
         motor_id: on the bus.
-        robstride: whether its run modes are those of RobStrides.
+        robstride: whether its run modes and its counting are those of RobStrides.
         absolute: whether its encoder knows its angle when power comes.
+        zero_sta: 0 for a count of 0 to 2π when power comes, 1 for one of -π to π, of RobStrides with such an encoder.
         position_rad, velocity_rad_s, torque_nm, kp, kd: what the fields of its frames reach.
         velocity_gain: of its velocity loop [N·m/(rev/s)].
     """
@@ -83,6 +88,7 @@ class Settings:
     motor_id: int = 127
     robstride: bool = False
     absolute: bool = False
+    zero_sta: Literal[0, 1] = 0
     position_rad: float = 4 * math.pi
     velocity_rad_s: float = 30.0
     torque_nm: float = 12.0
@@ -133,13 +139,15 @@ class RobstrideDrive(ServoDrive):
 
     @classmethod
     def mounted(cls, mounting: Mounting) -> RobstrideDrive:
-        """The motor of a joint, its loops tuned to its load."""
-        config, load = mounting.joint.drive, mounting.load
+        """The motor of a joint, its loops tuned to its load, and zero_sta set so that it counts the joint's range."""
+        config, load, joint = mounting.joint.drive, mounting.load, mounting.joint
+        counts_below_zero = min(mounting.turns(joint.lower_rad), mounting.turns(joint.upper_rad)) < 0.0
         assert isinstance(config, RobstrideConfig)
         settings = Settings(
             motor_id=config.motor_id,
             robstride=config.mode == "csp",
             absolute=config.encoder == "absolute",
+            zero_sta=1 if counts_below_zero else 0,
             position_rad=config.position_range_rad,
             velocity_rad_s=config.velocity_range_rad_s,
             torque_nm=config.torque_range_nm,
@@ -173,9 +181,11 @@ class RobstrideDrive(ServoDrive):
     # -- what happens to it --------------------------------------------------------------------------
 
     def boot(self) -> None:
-        """Stopped, with usual parameters; an encoder that is not absolute begins to count."""
+        """Stopped, with usual parameters; an encoder that is not absolute begins to count, that of RobStrides folds."""
         if not self.settings.absolute:
             self.origin += self.counted
+        elif self.settings.robstride:
+            self.origin += math.floor(self.counted + 0.5 * self.settings.zero_sta)
         self._begin()
 
     def _begin(self) -> None:
@@ -221,8 +231,11 @@ class RobstrideDrive(ServoDrive):
 
     def _feedback(self) -> Frame:
         settings = self.settings
+        position = self.counted * TURN_RAD
+        if settings.robstride:
+            position -= 2.0 * settings.position_rad * round(position / (2.0 * settings.position_rad))
         measured = (
-            _code(self.counted * TURN_RAD, settings.position_rad),
+            _code(position, settings.position_rad),
             _code(self.shaft.speed * TURN_RAD, settings.velocity_rad_s),
             _code(self.shaft.torque_nm, settings.torque_nm),
             round(self.celsius * 10.0) & 0xFFFF,
@@ -267,10 +280,11 @@ class RobstrideDrive(ServoDrive):
 
     def _read(self, data16: int, data: bytes) -> None:
         index = int.from_bytes(data[:2], "little")
+        settings = {ZERO_STA: float(self.settings.zero_sta)} if self.settings.robstride else {}
         measured = {0x7019: self.counted * TURN_RAD, 0x701B: self.shaft.speed * TURN_RAD, 0x701C: self.supply_v}
-        value = measured.get(index, self.parameters.get(index))
+        value = {**self.parameters, **settings, **measured}.get(index)
         if value is not None:
-            packed = struct.pack("<Bxxx", int(value)) if index == RUN_MODE else struct.pack("<f", value)
+            packed = struct.pack("<Bxxx", int(value)) if index in (RUN_MODE, ZERO_STA) else struct.pack("<f", value)
             self.reply(self._frame(READ, struct.pack("<Hxx", index) + packed))
 
     def _write(self, data16: int, data: bytes) -> None:

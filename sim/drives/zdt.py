@@ -83,6 +83,10 @@ class ZdtDrive(Functions):
         wrong_values: share of its position answers that are wrong, and by how many counts at most.
         refuses: whether it refuses every motion command.
         keeps_settings: whether it says that it took new settings, and keeps its own.
+        stores_everything: whether what it is told for volatile memory alone outlives the power, too.
+        power_flag: whether bit 7 of `3A` tells a loss of power ("right"), is always 0 ("absent"), is 0 after
+            power-up ("unset"), or is always 1 ("stuck").
+        ramp_steepness: how many times as hard as told its ramp is.
         foreign: whether its configuration block is longer, as that of another firmware [inf].
         causes: why its protection tripped, as bits of `3B` (4 over-temperature, 5 over-current; a stall has none).
         cause_lasts: whether that cause is still there, so that the protection cannot be cleared.
@@ -229,7 +233,7 @@ class ZdtDrive(Functions):
         self._single_turn_zero = self._single_turn_zero_flash
         self._hold()
         self._origin = self._ramp.position
-        self.enabled, self.protected, self.power_lost = True, False, True
+        self.enabled, self.protected, self.power_lost = True, False, self.power_flag != "unset"
         self.causes = self.count_shift = 0
         self._homing_failed = False
         self._watchdog_ns = self._watchdog_flash_ns

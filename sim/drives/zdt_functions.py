@@ -159,7 +159,7 @@ class Functions(Motion):
         if homing.mode > 3 or homing.direction > 1 or homing.at_power_up > 1:
             return REFUSED
         self.homing = homing
-        if arguments[0]:
+        if arguments[0] or self.stores_everything:
             self._homing_flash = homing
         return DONE
 
@@ -215,7 +215,7 @@ class Functions(Motion):
         if self.keeps_settings:
             return DONE
         self.settings = replace(new, address=self.settings.address, screen_off=self.settings.screen_off)
-        if store:
+        if store or self.stores_everything:
             self._flash = self.settings
         return DONE
 

@@ -15,6 +15,8 @@ from sim.drives.ramp import GRAINS_PER_REVOLUTION, NEVER, Ramp
 from sim.drives.shaft import Shaft
 from sim.drives.zdt_settings import Homing, Settings
 
+PowerFlag = Literal["right", "absent", "unset", "stuck"]
+
 COUNTS_PER_REVOLUTION = 65536
 DONE, NOTHING_TO_DO, REFUSED, COMPLETE = 0x02, 0x12, 0xE2, 0x9F
 """Codes of answers: taken, already there, refused, and arrived."""
@@ -50,6 +52,9 @@ class Motion(ABC):
         self.report_clock = 1.0
         self.fast_is_relative = False
         self.keeps_settings = False
+        self.stores_everything = False
+        self.power_flag: PowerFlag = "right"
+        self.ramp_steepness = 1
         self.foreign = False
         self.causes = 0
         self.cause_lasts = False
@@ -181,7 +186,11 @@ class Motion(ABC):
         """The flags of `3A`; a stall that has tripped the protection goes on being told until that is cleared."""
         stalled = self._stalled or (self.protected and not self.causes)
         flags = self.enabled | (self.reached and not stalled) << 1 | stalled << 2 | self.protected << 3
-        return flags | self.power_lost << 7 if self._new else flags
+        return flags | self._tells_power_lost << 7
+
+    @property
+    def _tells_power_lost(self) -> bool:
+        return self._new and (self.power_flag == "stuck" or (self.power_lost and self.power_flag != "absent"))
 
     @property
     def homing_byte(self) -> int:
@@ -215,9 +224,8 @@ class Motion(ABC):
     def _able(self) -> bool:
         return self.enabled and not self.protected and not self.refuses and self._homing_mode is None
 
-    @staticmethod
-    def _tick_ns(acc: int) -> int:
-        return (256 - acc) * RAMP_STEP_NS if acc else 0
+    def _tick_ns(self, acc: int) -> int:
+        return (256 - acc) * RAMP_STEP_NS // self.ramp_steepness if acc else 0
 
     def _move(self, function: int, offset: int, base: int, rpm: int, acc: int) -> int:
         """Go `offset` grains from zero (base 1), the last target (0) or the measured position (2)."""

@@ -68,6 +68,7 @@ RUN: dict[str, Run] = {
     ),
     "rtarm calibrate ./my_arm.yaml": Run(ADAPTER, "Nothing was written", (REFUSED,), QUITS),
     "rtarm calibrate ./my_arm.yaml --joint joint5": Run(ADAPTER, "Nothing was written", (REFUSED,), QUITS),
+    "rtarm commission ./my_arm.yaml joint6": Run(ADAPTER, "Nothing was checked", (REFUSED,), QUITS),
     "rtarm up episode1 --channel /dev/ttyUSB1": Run(ADAPTER, "ended in order", talk=RUNS),
     "rtarm up ./my_arm.yaml": Run(ADAPTER, "ended in order", talk=RUNS),
     # an arm runs
@@ -92,6 +93,7 @@ RUN: dict[str, Run] = {
     "rtarm reference joint1": Run(ARM, "Taken: joint1"),
     "rtarm reference joint2": Run(ARM, "Taken: joint2"),
     "rtarm reference joint2=-12.5": Run(ARM, "Taken: joint2 -12.50°"),
+    "rtarm reference --all": Run(ARM, "are referenced"),
     "rtarm reference joint6=-24": Run(ARM, "Taken: joint6 -24.00°"),
     "rtarm free": Run(ARM, "are limp: lead it by hand"),
     "rtarm enable": Run(ARM, "are enabled; the arm holds where it stands"),

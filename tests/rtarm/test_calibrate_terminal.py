@@ -176,7 +176,7 @@ def test_only_a_terminal_is_asked_and_only_sound_drives_are_turned(truth: Stack,
     truth.sim.line_with("fault protection")
     refused = run_rtarm("calibrate", str(mine))
     assert (refused.returncode, refused.stdout) == (2, "")
-    assert "The drive of joint3 (address 3) is in protection (a stall) and holds nothing" in refused.stderr
+    assert "The drive of joint3 (address 3) is in protection (stall) and holds nothing" in refused.stderr
     ended = run_rtarm("calibrate", str(mine), "--joint", "joint6")  # whose drive is sound
     assert (ended.returncode, "not understood: joint3." in ended.stdout) == (1, True)
     assert all(np.ptp(motion.position_rad) == 0.0 for motion in truth.truth().values())

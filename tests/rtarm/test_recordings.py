@@ -401,7 +401,7 @@ def test_the_story_of_a_drive_that_loses_its_power(power_loss: Recording) -> Non
     assert not missing, "\n".join(lines)
     assert found.verdict[0].startswith("joint2 has given no believable answer for 0.10")
     assert found.verdict[1].startswith("Then each joint braked by itself and came to rest 0.")
-    assert found.verdict[-1].startswith("What to do: Check supply, cable")
+    assert found.verdict[-1].startswith("What to do: Check the drive's supply, plug and cable")
 
 
 def test_a_held_shaft_is_told_by_what_its_drive_said_and_by_the_limit(stalled: Recording) -> None:

@@ -77,7 +77,7 @@ def watch(arm: WrittenArm) -> Iterator[Watch]:
 
 
 def event(kind: int, joint: int = -1, code: int = 0, value: float = 0.0, limit: float = 0.0) -> np.void:
-    return np.array([(1, kind, joint, code, value, limit)], layout.EVENT)[0]
+    return np.array([(1, kind, joint, code, value, limit, 0, 0)], layout.EVENT)[0]
 
 
 @pytest.mark.parametrize(

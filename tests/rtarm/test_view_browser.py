@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from arm_files import edited, known_arm
 from browser import CHROMIUM, DRIVER, Browser, host_of
-from stack import Process, Stack
+from stack import PATIENT, Process, Stack
 from working_threads import niceness_at_work
 
 from rtarm import requests
@@ -276,9 +276,46 @@ def test_a_fault_is_told_with_what_to_do(browser: Browser, new_arm_name: Callabl
         arm.sim.process.send_signal(signal.SIGSTOP)  # silent drives
         browser.until(lambda: browser.text("#rt-mode") == "fault")
         arm.sim.process.send_signal(signal.SIGCONT)
-        assert "has given no believable answer" in browser.said("problem")
+        assert "No drive of the simulated arm has answered" in browser.said("problem")
         assert "`rtarm clear-fault`" in browser.said("problem")
         browser.keep("view_fault")
         browser.press("Clear fault")
         browser.until(lambda: "is cleared" in browser.said("answer"))
         arm.until(lambda report: report["fault"] is None)
+
+
+def test_joints_are_taken_where_they_read_only_after_the_angles_were_shown(
+    browser: Browser, new_arm_name: Callable[[], str], tmp_path: Path
+) -> None:
+    name = f"{PICTURED}_3" if PICTURED else new_arm_name()
+    with closing(ViewedArm(name, tmp_path, start_deg=(10.0, -20.0, 15.0, 30.0, -25.0, 40.0))) as arm:
+        arm.change(limits=PATIENT)
+        arm.start_sim()
+        arm.start_loop()
+        arm.start_view()
+        browser.open(arm.url)
+        arm.sim.say("silent:joint=joint2,at_s=0,until_s=4")
+        arm.sim.say("power-loss:joint=joint5,at_s=0,off_s=4")
+        arm.until(lambda report: report["fault"] is not None and report["joints"][1]["age_ms"] < 100.0)
+        assert not any(label.startswith("Take joints") for label in browser.buttons())
+        browser.press("Clear fault")
+        browser.press("Take joints where they read")
+        browser.until(lambda: "Leave it as it is" in browser.buttons())
+        silent, dark = browser.texts("[data-say=reading]")
+        assert silent.startswith("joint2-20.0") and "was silent for too long" in silent
+        assert dark == "joint5-The drive of joint5 lost power"
+        assert "`rtarm reference joint5=DEGREES`" in browser.said("no_angle")
+        browser.keep("view_reference")
+        browser.press("Leave it as it is")
+        browser.until(lambda: "Leave it as it is" not in browser.buttons())
+        assert [joint["referenced"] for joint in arm.status()["joints"]] == [True, False, True, True, False, True]
+        browser.press("Take joints where they read")
+        browser.press("They stand there")
+        browser.until(lambda: "Taken: joint2 -20.0" in browser.said("answer"))
+        assert [joint["referenced"] for joint in arm.status()["joints"]] == [True, True, True, True, False, True]
+        browser.press("Take joints where they read")
+        browser.until(lambda: "Leave it as it is" in browser.buttons())
+        assert "They stand there" not in browser.buttons(), "what counts from nowhere can only be told"
+        requests.let_go(arm.name, Request.FREE)
+        browser.press("Leave it as it is")
+        browser.until(lambda: not any(label.startswith("Take joints") for label in browser.buttons()))

@@ -5,6 +5,7 @@ from bring_up_rig import failure_of, way
 from virtual import VirtualArm
 
 from shm.words import Mode
+from sim.faults import Protection
 
 NUMBER = {
     "episode1": "address 3",
@@ -28,4 +29,23 @@ def test_a_drive_that_is_not_there_is_said(name: str) -> None:
     assert arm.core["mode"] == Mode.FAULT
     for joint, config in enumerate(arm.arm.joints):
         assert way(arm, joint) <= config.encoder_count_rad + config.command_pulse_rad
+    arm.close()
+
+
+@pytest.mark.parametrize(
+    ("cause", "words", "remedy"),
+    [
+        ("stall", "stall", "free what blocks the joint"),
+        ("temperature", "over-temperature", "let the drive cool"),
+        ("current", "over-current", "find what draws it"),
+    ],
+)
+def test_why_a_zdt_drive_has_tripped_is_said(cause: str, words: str, remedy: str) -> None:
+    """A drive that has tripped before the start (3B of zdt-emm-v5.md)."""
+    arm = VirtualArm(faults=[Protection("joint4", 0.0, 1e6, cause)])
+    arm.cycles(2)
+    assert f"joint4 has tripped its protection ({words}) and holds nothing: {remedy}, then start" in failure_of(arm)
+    failed = failure_of(arm, clears_protection=True)
+    assert "joint4 stays in protection after it was cleared" in failed
+    assert f"({words}) is still there: {remedy}, then `rtarm clear-fault`" in failed
     arm.close()

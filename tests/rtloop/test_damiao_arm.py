@@ -8,13 +8,14 @@ import struct
 
 import numpy as np
 import pytest
-from motion_figures import rms, sampled_truth
+from motion_figures import accelerations, rms, sampled_truth
+from true_motion import commanded_until_end
 from virtual import VirtualArm, recorded_goal
 
 from config.loader import load_arm
 from shm.words import DriveStatus, Fault, Mode, Outcome
 from sim.bus import Frame
-from sim.drives.damiao import CTRL_MODE, TIMEOUT, VMAX
+from sim.drives.damiao import CTRL_MODE, GR, TIMEOUT, VMAX
 from sim.faults import Disabled
 
 MIT, PLANNING = "damiao6", "damiao6_pv"
@@ -186,6 +187,53 @@ def test_silence_of_the_host_ends_a_little_behind_the_last_set_point() -> None:
         coast_rad = speed * (drive.kd / drive.kp + 2.0 * arm.period_ns * 1e-9) + 2e-3
         assert np.abs(position_rad - position_rad[0]).max() <= coast_rad
         assert np.all(np.abs(velocity_rad_s[times_ns > died_ns + 150_000_000]) < 2e-3)
+    arm.close()
+
+
+def with_a_gain(gear: float | None) -> VirtualArm:
+    """An arm at the beginning of a goal; its motors have that firmware's law, and a gear or that of their model."""
+    arm = VirtualArm.at_start_of("large", PLANNING, planning="gain")
+    for drive in arm.sim.drives:
+        drive.registers[GR] = gear or drive.registers[GR]
+    return arm
+
+
+def test_motors_whose_speed_is_a_gain_lag_and_arrive() -> None:
+    """The figures of docs/drive-families.md; with the law of the manuals it is 0.03 degrees."""
+    arm = with_a_gain(10.0)
+    goal = arm.play("large")
+    times_ns, commanded_rad = commanded_until_end(arm, goal)
+    assert arm.outcome(goal) == Outcome.SUCCEEDED
+    for joint in range(6):
+        true_ns, position_rad, _ = sampled_truth(arm.sim, joint, times_ns[0], times_ns[-1])
+        lag_deg = np.degrees(np.abs(position_rad - np.interp(true_ns, times_ns, commanded_rad[:, joint])).max())
+        assert 0.5 < lag_deg < 3.5
+    arm.close()
+
+
+def test_motors_whose_speed_is_a_gain_end_gently_in_silence() -> None:
+    """On the last target, which is no further away than their gain makes of their speed."""
+    arm = with_a_gain(10.0)
+    arm.play_part("large", 0.4)
+    died_ns = arm.sim.now_ns
+    speeds = np.abs(arm.loop[0]["axes"]["velocity_rad_s"][:6])
+    arm.sim.run_until(died_ns + 3_000_000_000)
+    for joint, config in enumerate(arm.arm.joints):
+        times_ns, position_rad, velocity_rad_s = sampled_truth(arm.sim, joint, died_ns, arm.sim.now_ns)
+        assert np.abs(position_rad - position_rad[0]).max() <= 1.1 * speeds[joint] * 10.0 / 54.0
+        assert np.abs(accelerations(position_rad)).max() <= 2.0 * config.max_acceleration_rad_s2
+        assert np.all(np.abs(velocity_rad_s[times_ns > died_ns + 1_500_000_000]) < 2e-3)
+    arm.close()
+
+
+def test_motors_too_slow_for_a_goal_are_stopped_by_the_following_error() -> None:
+    """With the gear of a DM4340 the gain is 1.35/s: the arm stops, and stands."""
+    arm = with_a_gain(None)
+    goal = arm.play("large")
+    assert arm.end_of(goal) == Outcome.FAULT
+    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.FOLLOWING_ERROR, 0)
+    arm.cycles(1000)
+    assert stands(arm, arm.sim.now_ns - 500_000_000)
     arm.close()
 
 

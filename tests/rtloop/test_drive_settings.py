@@ -241,8 +241,8 @@ LEFT_ALONE = {
     "missing": (faults.Silent("joint2", 0.0), "does not answer"),
     "another checksum": (faults.WrongChecksums(1.0, joint="joint2"), "another checksum than 6B"),
     "X firmware": (faults.ForeignFirmware("joint2"), "37 bytes and 24 fields"),
-    "in protection": (faults.Protection("joint2", 0.0), "is in protection (a stall)"),
-    "too hot": (faults.Protection("joint2", 0.0, cause="temperature"), "is in protection (it became too hot)"),
+    "in protection": (faults.Protection("joint2", 0.0), "is in protection (stall)"),
+    "too hot": (faults.Protection("joint2", 0.0, cause="temperature"), "is in protection (over-temperature)"),
 }
 
 

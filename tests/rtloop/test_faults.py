@@ -11,8 +11,8 @@ from rtloop.drives.zdt_ask import split_packets
 from rtloop.port import SEND
 from rtloop.wire import outgoing, received
 from shm.recording import SENT, read_recording
-from shm.words import Answer, Fault, Mode, Outcome, Request, Slowed, Unreferenced
-from sim.faults import CorruptBytes, CountSlip, LostReplies, PowerLoss, Silent, Stall
+from shm.words import Answer, DriveStatus, Fault, Mode, Outcome, Request, Slowed, Unreferenced
+from sim.faults import CorruptBytes, CountSlip, LostReplies, PowerLoss, Protection, Silent, Stall
 
 FD = "FD"
 
@@ -40,6 +40,39 @@ def test_a_silent_drive_is_braked_then_latched() -> None:
     arm.cycles(200)
     assert motion_frames(arm, 2, since) == 0
     assert not np.any(arm.loop[0]["axes"]["velocity_rad_s"])
+    arm.close()
+
+
+@pytest.mark.parametrize(
+    ("cause", "named"),
+    [
+        ("stall", DriveStatus.STALLED),
+        ("temperature", DriveStatus.OVER_TEMPERATURE),
+        ("current", DriveStatus.OVER_CURRENT),
+    ],
+)
+def test_the_fault_of_a_drive_that_trips_names_the_cause(cause: str, named: DriveStatus) -> None:
+    """A ZDT drive is asked for it (3B) from the moment on at which it is seen to have tripped, and never before."""
+    arm = VirtualArm.amid("large")
+    question = b"T0000040023B6B\r"
+    assert not any(question in data for _, data in arm.sent[-40:])
+    arm.sim.inject(Protection("joint4", 0.0, cause=cause), since_ns=arm.now_ns)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.DRIVE_FAULT, 3)
+    reasons = DriveStatus.STALLED | DriveStatus.OVER_TEMPERATURE | DriveStatus.OVER_CURRENT
+    assert (
+        DriveStatus(int(arm.core["fault_value"])) & (reasons | DriveStatus.PROTECTED) == named | DriveStatus.PROTECTED
+    )
+    assert sum(question in data for _, data in arm.sent) > 0
+    arm.close()
+
+
+def test_a_sound_drive_is_never_asked_why_it_has_tripped() -> None:
+    """It would cost the bus 200 bits in each cycle."""
+    arm = VirtualArm.at_start_of("large")
+    brought_up = len(arm.sent)
+    assert arm.end_of(arm.play("large")) == Outcome.SUCCEEDED
+    assert not any(b"0023B6B\r" in data for _, data in arm.sent[brought_up:])
     arm.close()
 
 

@@ -58,6 +58,7 @@ def put(rig: Rig, at: dict[str, Any]) -> None:
     at = {name.replace("_deg", "_rad"): math.radians(value) if "_deg" in name else value for name, value in at.items()}
     rig.stands(at.pop("position_rad", 0.0), at.pop("velocity_rad_s", 0.0))
     rig.axis["unreferenced_reason"] = Unreferenced[at.pop("unreferenced", "REFERENCED")]
+    rig.axis["status"] = sum(getattr(status, word.upper()) for word in at.pop("status", ()))
     if "measured_rad" in at:
         rig.axis["measured_rad"], rig.axis["readings"] = at.pop("measured_rad"), 1
     assert not at

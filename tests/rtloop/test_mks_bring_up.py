@@ -194,6 +194,87 @@ def test_an_angle_is_not_known_until_it_is_said():
     arm.close()
 
 
+# --- stalls ---------------------------------------------------------------------------------------------
+
+OFF = {0x88: b"\x00", 0x9D: bytes(5)}
+ON = pytest.mark.parametrize(
+    "settings",
+    [OFF | {0x88: b"\x01"}, OFF | {0x9D: b"\x01\x00\x64\x00\x64"}],
+    ids=["Protect", "guard of the error"],
+)
+
+
+def told_of_a_stall(settings: dict[int, bytes], **options) -> VirtualArm:
+    """An arm that holds, joint 2 of which then tells a stall (3E)."""
+    arm = arm_of((0.0,) * 6, **options)
+    drives(arm)[1].settings |= settings
+    brought_up(arm)
+    assert arm.ask(Request.REFERENCE, joint_mask=0b111111, value=math.nan) == Answer.DONE
+    assert arm.reference().failure is None
+    drives(arm)[1].stalled = True
+    arm.cycles(40)
+    return arm
+
+
+def test_a_stall_without_protection_is_no_trip():
+    """3E tells it all the same (manual V1.0.9), but the drive goes on holding."""
+    arm = told_of_a_stall(OFF)
+    bits = arm.loop[0]["axes"][1]["status"]
+    assert bits & status.STALLED and not bits & status.PROTECTED
+    assert (arm.core["mode"], arm.core["fault"]) == (Mode.HOLDING, Fault.NONE)
+    arm.close()
+
+
+@ON
+def test_a_stall_with_protection_is_a_trip(settings):
+    arm = told_of_a_stall(settings)
+    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.DRIVE_FAULT, 1)
+    assert int(arm.core["fault_value"]) & status.PROTECTED
+    arm.close()
+
+
+def test_what_cannot_be_asked_is_taken_for_a_protection_that_is_on():
+    arm = arm_of((0.0,) * 6)
+    drive = drives(arm)[1]
+    drive.settings |= OFF
+    obey = drive._obey
+    drive._obey = lambda code, arguments: None if code == 0x00 else obey(code, arguments)
+    brought_up(arm)
+    assert arm.loop[0]["axes"][1]["holds_stalled"] == 0
+    assert all(axis["holds_stalled"] == 0 for axis in arm.loop[0]["axes"][:6])
+    arm.close()
+
+
+def test_a_firmware_without_a_guard_of_the_error_has_none_that_is_on():
+    arm = arm_of((0.0,) * 6)
+    drive = drives(arm)[1]
+    drive.settings |= OFF
+    del drive.settings[0x9D]
+    brought_up(arm)
+    assert arm.loop[0]["axes"][1]["holds_stalled"] == 1
+    arm.close()
+
+
+def test_the_mark_of_a_stall_without_protection_keeps_nothing_from_coming_up():
+    arm = arm_of()
+    drives(arm)[1].settings |= OFF
+    drives(arm)[1].stalled = True
+    brought_up(arm)
+    assert not drives(arm)[1].stalled
+    arm.close()
+
+
+@ON
+def test_a_tripped_protection_waits_for_a_person(settings):
+    arm = arm_of()
+    drives(arm)[1].settings |= settings
+    drives(arm)[1].stalled = True
+    assert "joint2 has tripped its protection (stall)" in failure_of(arm)
+    brought_up(arm, clears_protection=True)
+    assert not drives(arm)[1].stalled
+    arm.close()
+
+
 # --- stops ----------------------------------------------------------------------------------------------
 
 

@@ -104,6 +104,30 @@ def test_errors_end_when_a_person_wants_that(cause: str, restarted: bool) -> Non
     arm.close()
 
 
+@pytest.mark.parametrize(
+    ("error", "words", "restarted"),
+    [
+        (0x0800, "over-temperature of its board", False),
+        (0x2000, "encoder calibration", True),
+        (0x4000, "encoder data", True),
+    ],
+)
+def test_an_error_is_named_and_whether_only_a_restart_ends_it(error: int, words: str, restarted: bool) -> None:
+    """Bits of the maker's protocol V4.3."""
+    arm = VirtualArm(ARM)
+    drive = arm.sim.drives[1]
+    drive.error, drive.cause_lasts = error, True
+    failed = failure_of(arm)
+    assert f"joint2 has an error ({words})" in failed
+    assert ("which ends with a restart of the drive only" in failed) == restarted
+    failed = failure_of(arm, clears_protection=True)
+    assert ("keeps its error" in failed) and ("after a restart" in failed) == restarted
+    drive.cause_lasts = False
+    assert arm.bring_up(clears_protection=True).failure is None, arm.told
+    assert any("joint2: its drive is restarted" in sentence for sentence in arm.told) == restarted
+    arm.close()
+
+
 def test_a_motor_that_is_let_go_says_so() -> None:
     arm = VirtualArm.brought_up(ARM)
     told(arm, 1, b"\x80")

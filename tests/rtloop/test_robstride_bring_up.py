@@ -2,6 +2,7 @@
 
 import math
 import struct
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -9,10 +10,11 @@ from bring_up_rig import failure_of, farthest, tell, way
 from virtual import VirtualArm
 
 from config.loader import load_arm
+from config.schema import ArmConfig
 from rtloop.drives import fields
 from rtloop.drives.robstride_setup import CREEP_RAD_S, _hold_as_it_is
 from rtloop.port import Frame as PortFrame
-from shm.words import Mode
+from shm.words import Answer, Mode, Request
 from sim.drives.robstride import RESET, RUN
 from sim.faults import Disabled, Protection
 
@@ -166,4 +168,58 @@ def test_a_fault_is_said_and_cleared_only_when_a_person_wants_that() -> None:
     assert arm.sim.drives[4].state == RESET
     assert arm.bring_up(clears_protection=True).failure is None
     assert arm.core["mode"] == Mode.HOLDING
+    arm.close()
+
+
+def csp_arm(**joint: float) -> ArmConfig:
+    """Six RobStrides with their own position loop, their first joint changed."""
+    given = load_arm(POSITION).model_dump(mode="json", exclude_unset=True)
+    for each in given["joints"]:
+        each["drive"]["mode"] = "csp"
+    given["joints"][0].update(joint)
+    return ArmConfig.model_validate(given)
+
+
+def test_a_motor_that_counts_a_turn_off_after_power_came_is_not_referenced_and_says_why() -> None:
+    """zero_sta is 0 as motors come: one that stands a little below its zero counts nearly 2π."""
+    arm = VirtualArm(csp_arm(zero_deg=0.0, lower_deg=-90.0, upper_deg=90.0), start_rad=[-0.5, 0, 0, 0, 0, 0])
+    drive = arm.sim.drives[0]
+    assert drive.settings.zero_sta == 1, "as its owner has set it"
+    drive.settings = replace(drive.settings, zero_sta=0)
+    drive.power_off(arm.sim.now_ns)
+    drive.power_on(arm.sim.now_ns)
+    assert arm.bring_up().failure is None
+    (said,) = [sentence for sentence in arm.told if "joint1" in sentence]
+    assert "+5.783 rad" in said and "a motor turn off" in said and "7029 (zero_sta)" in said
+    assert arm.loop[0]["axes"]["referenced"][:6].tolist() == [0, 1, 1, 1, 1, 1]
+    assert farthest(arm) <= 2 * arm.arm.joints[0].encoder_count_rad
+    arm.close()
+
+
+def test_a_limp_motor_that_is_led_beyond_its_field_is_measured_there() -> None:
+    """Its feedback goes on at the other end of the field, its parameter 7019 does not."""
+    arm = VirtualArm.brought_up(
+        csp_arm(
+            zero_deg=0.0,
+            lower_deg=-90.0,
+            upper_deg=700.0,
+            drive={
+                "family": "robstride",
+                "motor_id": 1,
+                "mode": "csp",
+            },
+        ),
+        start_rad=[12.0, 0, 0, 0, 0, 0],
+    )
+    assert arm.ask(Request.REFERENCE, joint_mask=1, value=math.nan) == Answer.DONE
+    assert arm.reference().failure is None
+    assert arm.ask(Request.DISABLE) == Answer.DONE
+    assert arm.release().failure is None
+    drive, axis = arm.sim.drives[0], arm.loop[0]["axes"][0]
+    drive.lead(arm.sim.now_ns, 0.05)
+    while drive.counted < 2.1:
+        arm.cycle()
+        assert axis["measured_rad"] == pytest.approx(drive.counted * 2 * math.pi, abs=0.01)
+        assert not axis["doubted"], "and no reading contradicts the one before"
+    assert arm.core["mode"] == Mode.DISABLED
     arm.close()

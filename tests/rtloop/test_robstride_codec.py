@@ -3,10 +3,13 @@
 (facts) marks frames of other-drives.md (host AA, motor 1; sirwart/robstride).
 """
 
+import math
 import struct
 
 import pytest
 from codec_rig import Rig, arm_of, golden, text_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from config.errors import ConfigError
 from config.schema import ArmConfig
@@ -55,6 +58,60 @@ def test_a_motor_that_is_led_is_not_asked_as_well(joint):
     assert len(rig.sends("ask_position")) == 1
 
 
+# --- beyond the end of the position field (RobStrides' manuals of 2026, 4.2.3) ----------------------------
+
+
+def feedback(rad: float) -> str:
+    """Motor 1 runs and stands at so many radians; a field of ±4π goes on at its other end."""
+    place = int((rad + 4 * math.pi) / (8 * math.pi) * 65535 % 65535)
+    return f"028001AA# {place.to_bytes(2, 'big').hex(' ')} 7F FF 7F FF 01 31"
+
+
+def measure(rig: Rig, rad: float) -> float:
+    """Let a motor tell where it stands; where the joint is measured then."""
+    rig.axis["measured_rad"] = rig.hears(feedback(rad))["position_rad"]
+    rig.axis["readings"] += 1
+    return float(rig.axis["measured_rad"])
+
+
+@settings(deadline=None)
+@given(
+    st.floats(-12.0, 12.0),
+    st.lists(st.floats(-3.0, 3.0), max_size=12),
+    st.sampled_from([1, -1]),
+    st.sampled_from([0.0, 30.0, -90.0]),
+)
+def test_a_motor_that_leaves_its_field_is_measured_where_it_is(
+    rad: float, steps: list[float], direction: int, zero_deg: float
+) -> None:
+    rig = Rig.named("robstride", direction=direction, zero_deg=zero_deg)
+    for step in [0.0, *steps]:
+        if abs(rad + step) < 18.0:  # further than a turn beyond its field no joint gets
+            rad += step
+            expected = direction * rad - math.radians(zero_deg)
+            assert measure(rig, rad) == pytest.approx(expected, abs=4e-4)
+
+
+@given(st.floats(-12.5, 12.5), st.floats(-math.pi, 2 * math.pi))
+@settings(deadline=None)
+def test_what_a_motor_counts_after_power_came_is_not_taken_for_that(before: float, after: float) -> None:
+    rig = Rig.named("robstride")
+    measure(rig, before)
+    assert measure(rig, after) == pytest.approx(after, abs=4e-4)
+
+
+@pytest.mark.parametrize("joint", ["control", "position"])
+def test_a_motor_beyond_its_field_is_told_to_stay_and_not_to_turn_back_by_twice_its_field(joint: str) -> None:
+    rig = Rig.named("robstride", joint)
+    for rad in (12.5, 12.6):
+        measure(rig, rad)
+    *_, sent = rig.sends("stop")
+    if joint == "control":
+        assert sent.startswith("017FFF01# FF FF ")  # the end of the field, 0.03 rad from there
+    else:
+        assert struct.unpack("<f", bytes.fromhex(sent[-11:]))[0] == pytest.approx(12.6, abs=4e-4)
+
+
 # --- what the arm file refuses --------------------------------------------------------------------------
 
 
@@ -84,6 +141,8 @@ def test_drives_that_are_refused(change, said):
         ((CONTROL,), {"motor_rpm": 300}, "at most 286.4"),
         ((CONTROL,), {"lower_deg": -800}, "commanded within 2; "),
         ((CONTROL,), {"ratio": 5}, "commanded within 2; "),
+        (({**CONTROL, "encoder": "absolute"},), {"upper_deg": 190}, "range is 1.00 motor turns and a RobStride drive"),
+        (({**CONTROL, "encoder": "absolute"},), {"ratio": 1.1}, "range is 1.04 motor turns"),
     ],
 )
 def test_arms_that_are_refused(drives, joint, said):

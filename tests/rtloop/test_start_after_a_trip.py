@@ -22,8 +22,8 @@ def test_a_start_says_how_a_tripped_drive_is_cleared_and_that_clears_it(tmp_path
         refused = stack.start_loop(ready=False)
         assert refused.code() == 2
         assert (
-            "The drive of joint3 has tripped its stall protection and holds nothing: free what blocks the joint, then "
-            "start again with `rtarm up … --clear-fault`, which clears it."
+            "The drive of joint3 has tripped its protection (stall) and holds nothing: free what blocks the joint, "
+            "then start again with `rtarm up … --clear-fault`, which clears it."
         ) in refused.text
         stack.start_loop("--clear-fault")
         status = read_status(stack.name)

@@ -8,6 +8,7 @@ from shm.words import Answer, Fault, Mode, Outcome, Unreferenced
 TABLES = {
     Outcome: sentences.OUTCOMES,
     Fault: sentences.FAULTS,
+    sentences.Silence: sentences.SILENCES,
     Unreferenced: sentences.UNREFERENCED,
     Answer: sentences.ANSWERS,
 }
@@ -26,6 +27,15 @@ def test_each_sentence_is_one_and_fills_in(member):
     if bad_news:
         row = TABLES[type(member)][member]
         assert row.reason.endswith(".") and row.remedy.endswith(".")
+
+
+@pytest.mark.parametrize(
+    "reason", [one for one in Unreferenced if one != Unreferenced.REFERENCED], ids=lambda r: r.name
+)
+def test_a_cause_is_the_sentence_without_what_follows_from_it(reason):
+    cause = sentences.unreferenced_cause(reason, "joint2")
+    assert sentences.unreferenced_sentence(reason, "joint2").startswith(f"{cause}, so ")
+    assert "joint2" in cause and ":" not in cause and len(cause) < 62  # beside joint and angle in 80 columns
 
 
 def test_the_values_are_in_the_sentence():

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 from drive_bench import DriveBench, text
 
@@ -46,6 +47,7 @@ class Family:
 
     arm: str  # an arm file whose first joint has such a drive with number 1
     make: Callable[..., Drive]  # a drive that stands at some turns and counts them; has options beside that
+    mounted: dict[str, str] = field(default_factory=dict, kw_only=True)  # options of a `Mounting` that make it this one
     enable: Callable[[float], Frames]  # lets it hold where it stands, which is told it [rev]
     go: Callable[[float], Frames]  # sends it to where it counts so much [rev], with `TOP`
     stop: Frames  # brakes it, and it goes on holding
@@ -226,7 +228,10 @@ def mks(node: int) -> Family:
 
 
 def odrives(node: int) -> Family:
-    """ODrive 0.5.6 (its CANSimple page): trapezoids, by a heartbeat every 100 ms; positions are revolutions."""
+    """ODrive 0.5.6 (its CANSimple page): trapezoids, by a heartbeat every 100 ms; positions are revolutions.
+
+    Where it is its count says (0A): its estimates say nothing before its loop was closed.
+    """
 
     def head(command: int) -> str:
         return f"{node << 5 | command:03X}#"
@@ -254,7 +259,7 @@ def odrives(node: int) -> Family:
         stop=(f"{head(0x0B)} 02 00 00 00 02 00 00 00", f"{head(0x0D)} {floats(0.0, 0.0)}"),
         let_go=(f"{head(0x07)} 01 00 00 00",),
         clear=(f"{head(0x18)}",),
-        where=(f"{head(0x09)} remote", lambda data: struct.unpack("<ff", data)[0]),
+        where=(f"{head(0x0A)} remote", lambda data: struct.unpack("<ii", data)[0] / 8192),
         status=beat,
         says=words("0 1 00 80", "0 8 00 80", "200 1 00 81", "40000 1 00 80", "40 1 01 80", "0 1 00 80", "800 1 00 80"),
         climbs=20.0,
@@ -264,6 +269,27 @@ def odrives(node: int) -> Family:
         zero=(f"{head(0x19)} 00 00 00 00",),
         volts=(f"{head(0x17)} remote", lambda data: struct.unpack("<ff", data)[0]),
         renumber=f"{head(0x06)} 02 00 00 00",
+    )
+
+
+def odrives_0_6(node: int) -> Family:
+    """The same with firmware 0.6 (can_simple_messages.hpp and odrive_enums.h in odriverobotics/ros_odrive)."""
+    older = odrives(node)
+
+    def beat(bench: DriveBench) -> str:
+        beats = [said for said in bench.wait(100) if said.startswith(f"{node << 5 | 0x01:03X}#")]
+        error, state, _, done, nothing = struct.unpack("<I4B", bytes.fromhex(beats[-1][5:]))
+        return f"{error:X} {state} {done} {nothing}"
+
+    return replace(
+        older,
+        make=partial(older.make, firmware="0.6"),
+        mounted={"odrive_firmware": "0.6"},
+        where=(f"{node << 5 | 0x09:03X}# remote", lambda data: struct.unpack("<ff", data)[0]),
+        status=beat,
+        says=words("0 1 1 0", "0 8 1 0", "4000000 1 1 0", "2000 1 1 0", "1000 1 1 0", "0 1 1 0", "1000000 1 1 0"),
+        zero=(),
+        renumber="",
     )
 
 
@@ -483,6 +509,7 @@ FAMILIES = (
     zdt_of_old,
     mks,
     odrives,
+    odrives_0_6,
     damiao_position_velocity,
     damiao_mit,
     cia402,

@@ -26,6 +26,7 @@ from sim.drives.damiao import (
     TMAX,
     VMAX,
     DamiaoDrive,
+    Planning,
 )
 from sim.drives.servo import TURN_RAD, Load
 
@@ -40,11 +41,11 @@ HOW = "7FF# 01 00 CC 00 00 00 00 00"
 CODE_RAD = 25.0 / 65535
 
 
-def motor(rad: float = 0.0, **registers: float) -> DriveBench:
+def motor(rad: float = 0.0, planning: Planning = "ramp", **registers: float) -> DriveBench:
     """A DM4340 with motor ID 1 and master ID 11 (hex); registers by their names here."""
     numbers = {"acc": ACC, "dec": DEC, "mode": CTRL_MODE, "timeout": TIMEOUT, "esc": ESC_ID, "mst": MST_ID}
     held = {MST_ID: 0x11, VMAX: 10.0, TMAX: 28.0} | {numbers[name]: value for name, value in registers.items()}
-    return DriveBench(DamiaoDrive(held, turns=rad / TURN_RAD, load=Load(0.02, 0.02, 20.0)))
+    return DriveBench(DamiaoDrive(held, planning=planning, turns=rad / TURN_RAD, load=Load(0.02, 0.02, 20.0)))
 
 
 def rad(bench: DriveBench) -> float:
@@ -164,6 +165,32 @@ def test_a_velocity_comes_in_four_bytes_or_eight(length):
     """Four are the firmware's (drives-checked)."""
     bench = motor(mode=3, acc=10.0).tell(ENABLE, Frame(0x201, struct.pack("<ff", -3.0, 0.0)[:length], extended=False))
     assert bench.after(500).turns_s * TURN_RAD == pytest.approx(-3.0)
+
+
+def firmware(**registers: float) -> DriveBench:
+    """A motor with the law of umeow0716/damiao_firmware, and its numbers: gear 10, KP_APR 54, ACC and DEC 2."""
+    return motor(planning="gain", mode=POSITION_VELOCITY, **{"acc": 2.0, "dec": -2.0, **registers}).tell(ENABLE)
+
+
+def test_a_speed_in_proportion_to_the_distance():
+    """54 rad/s of the rotor for a radian of the output shaft, whose tenth is what that turns at."""
+    bench = firmware().tell(moved(0.1, 10.0))
+    assert bench.after(5).turns_s * TURN_RAD == pytest.approx(5.4 * (0.1 - rad(bench)), rel=0.01)
+    assert 0.1 - rad(bench.after(185)) == pytest.approx(0.1 / math.e, rel=0.03)
+    assert rad(bench.after(4000)) == pytest.approx(0.1, abs=1e-6)
+
+
+def test_no_faster_than_told():
+    bench = firmware().tell(moved(-5.0, 0.5))
+    assert bench.after(500).turns_s * TURN_RAD == pytest.approx(-0.5)
+
+
+def test_ramps_are_steps_in_a_millisecond():
+    """0.1 rad/s of the rotor: 10 rad/s² of the output shaft. In rad/s² it would be 0.1."""
+    bench = firmware(acc=0.1, dec=-0.2).tell(moved(5.0, 2.0))
+    assert bench.after(100).turns_s * TURN_RAD == pytest.approx(1.0, rel=0.02)
+    bench = firmware(acc=0.1, dec=-0.2).tell(moved(-5.0, 2.0))  # a speed that falls, so that DEC counts
+    assert bench.after(50).turns_s * TURN_RAD == pytest.approx(-1.0, rel=0.02)
 
 
 def test_force_position():

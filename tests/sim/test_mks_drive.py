@@ -244,6 +244,17 @@ def test_a_blocked_shaft_trips_the_protection_where_that_is_on():
     assert bench.turns == 0.25
 
 
+def test_a_stall_is_told_where_the_protection_is_off_too():
+    """And the shaft is held all the same (manual V1.0.9)."""
+    bench = drive(turns=0.25).after(1)
+    bench.drive.block_shaft(bench.now_ns)
+    bench.tell(told(0xF5, 0, 60, 0, 0, 0x40, 0))
+    assert bench.after(STALL_NS * 1e-6 + 300).ask("001# 3E 3F") == [said(0x3E, 1)]
+    assert bench.ask("001# 3A 3B") == [said(0x3A, 1)]
+    assert bench.ask("001# 3D 3E") == [said(0x3D, 1)]
+    assert bench.ask("001# 3E 3F") == [said(0x3E, 0)]
+
+
 def test_an_error_is_told_while_the_shaft_is_held_back():
     bench = drive()
     bench.drive.block_shaft(bench.now_ns)

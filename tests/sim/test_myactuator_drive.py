@@ -112,6 +112,24 @@ def test_a_restart_is_not_answered_and_takes_a_while():
     assert bench.after(RESTART_NS / 1e6).drive.listening
 
 
+def test_it_restarts_in_as_long_as_real_ones_take():
+    """1.1 s (drives-checked.md, D6)."""
+    bench = motor().tell(RESTART)
+    assert not bench.after(1_050).drive.listening
+    assert bench.after(60).drive.listening
+
+
+@pytest.mark.parametrize(("error", "stays"), [(0x0800, False), (0x1000, False), (0x2000, True), (0x4000, True)])
+def test_what_of_its_errors_only_a_restart_ends(error, stays):
+    """Board and motor cool down; the encoder's errors do not recover by themselves (V4.3)."""
+    bench = motor()
+    bench.drive.error = error
+    kept = f"241# 9A 32 00 00 E5 01 {error.to_bytes(2, 'little').hex(' ')}" if stays else "241# 9A 32 00 00 E5 01 00 00"
+    assert bench.ask(STATUS) == [kept]
+    bench.tell(RESTART).after(1_200)
+    assert bench.ask(STATUS) == ["241# 9A 32 00 00 E5 01 00 00"]
+
+
 def test_a_brake_holds_what_is_shut_down():
     for brake, stays in ((True, True), (False, False)):
         bench = motor(brake=brake).tell(SPIN)

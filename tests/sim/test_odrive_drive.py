@@ -1,6 +1,7 @@
 """The simulated ODrive axis: golden frames, its states, what moves it, and what it ignores.
 
-Frames marked (facts) are the vectors of other-drives.md; the others follow from its tables and the firmware's layout.
+Frames marked (facts) are the vectors of other-drives.md; the others follow from its tables and the firmware's layout,
+those of firmware 0.6 from can_simple_messages.hpp and odrive_enums.h in odriverobotics/ros_odrive.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ from sim.drives.odrive import (
     ESTOP_REQUESTED,
     IDLE,
     INVALID_STATE,
+    NOT_CALIBRATED,
     OdriveDrive,
     Settings,
 )
 from sim.drives.servo import Load, Spin
 
 CLOSE = "027# 08 00 00 00 00 00 00 00"  # node 1 closed loop (facts)
+LET_GO = "027# 01 00 00 00"
 PASSTHROUGH = "02B# 03 00 00 00 01 00 00 00"  # node 1 position + passthrough (facts)
 TRAPEZOID = "02B# 03 00 00 00 05 00 00 00"
 RAMPED = "02B# 02 00 00 00 02 00 00 00"
@@ -56,7 +59,7 @@ def test_position_of_the_facts():
 
 
 def test_estimates_of_the_facts():
-    bench = axis(node_id=2, turns=0.25, encoder_cpr=4096)
+    bench = axis(node_id=2, turns=0.25, encoder_cpr=4096).tell("047# 08 00 00 00", "047# 01 00 00 00")
     bench.drive.shaft.obey(Spin(-0.5, 1e9))
     assert bench.after(0.1).ask("049# remote") == ["049# 00 00 80 3E 00 00 00 BF"]  # 0.25 rev, -0.5 rev/s (facts)
 
@@ -76,7 +79,65 @@ def test_estimates_of_the_facts():
     ],
 )
 def test_reads(request_text, answer):
-    assert axis(turns=0.75).ask(request_text) == [answer]
+    assert axis(turns=0.75).tell(CLOSE, LET_GO).ask(request_text) == [answer]
+
+
+def test_estimates_of_0_5_6_are_zeros_until_the_loop_was_closed_once_since_power_came():
+    """can_simple.cpp and start_closed_loop_control in axis.cpp of fw-v0.5.6; the count is true all the time."""
+    bench = axis(turns=0.75, absolute=True)
+    for _ in range(2):
+        assert bench.ask("029# remote") == ["029# 00 00 00 00 00 00 00 00"]
+        assert bench.ask("02A# remote") == ["02A# 00 18 00 00 00 18 00 00"]
+        bench.tell(CLOSE, LET_GO)
+        assert bench.ask("029# remote") == ["029# 00 00 40 3F 00 00 00 00"]
+        bench.restart()
+
+
+# --- firmware 0.6 ---------------------------------------------------------------------------------------
+
+
+def newer(**changes) -> DriveBench:
+    return axis(firmware="0.6", **{"heartbeat_ms": 100} | changes)
+
+
+@pytest.mark.parametrize("question", ["020# remote", "020#"])
+def test_0_6_tells_its_version_and_0_5_6_is_silent(question):
+    assert newer().ask(question) == ["020# 02 04 04 3A 00 06 0A 00"]
+    assert axis().ask(question) == []
+
+
+def test_estimates_of_0_6_are_true_before_any_loop_is_closed():
+    assert newer(turns=0.75).ask("029# remote") == ["029# 00 00 40 3F 00 00 00 00"]
+
+
+def test_a_heartbeat_of_0_6_has_the_procedures_result_and_whether_the_trajectory_is_done():
+    bench = newer()
+    assert bench.wait(100) == ["021# 00 00 00 00 01 00 01 00"]
+    assert bench.tell(CLOSE).wait(100) == ["021# 00 00 00 00 08 01 01 00"]
+    assert bench.tell(LET_GO).wait(100) == ["021# 00 00 00 00 01 00 01 00"]
+    assert bench.tell("022#").wait(100) == ["021# 00 00 00 02 01 03 01 00"]
+    assert bench.ask("023# remote") == ["023# 00 00 00 02 00 00 00 02"]
+    assert bench.tell("038#", CLOSE).wait(100) == ["021# 00 00 00 00 08 01 01 00"]
+
+
+@pytest.mark.parametrize(("cause", "error"), [("stall", 0x0400_0000), ("temperature", 0x2000), ("current", 0x1000)])
+def test_errors_of_0_6_are_one_word(cause, error):
+    bench = newer().tell(CLOSE)
+    bench.drive.protect(bench.now_ns, cause)
+    assert bench.wait(100) == [f"021# {struct.pack('<I', error).hex(' ').upper()} 01 03 01 00"]
+
+
+def test_what_0_6_cannot_do_is_a_result_and_no_error():
+    bench = newer(calibrated=False).tell(CLOSE)
+    assert (bench.drive.state, bench.drive.axis_error, bench.drive.result) == (IDLE, 0, NOT_CALIBRATED)
+
+
+@pytest.mark.parametrize("gone", ["024# remote", "025# remote", "02A# remote", "035# remote", "03D# 01"])
+def test_what_0_6_does_not_know_any_more_meets_silence(gone):
+    assert newer(heartbeat_ms=0).ask(gone) == []
+
+
+# --- both -----------------------------------------------------------------------------------------------
 
 
 def test_a_remote_request_of_any_length_is_answered():
@@ -194,7 +255,7 @@ def test_modes_that_do_not_go_together_are_an_error_when_the_loop_is_closed():
 
 
 def test_a_count_that_is_set_under_a_closed_loop_moves_the_shaft():
-    bench = axis(turns=1.0).tell("039# 00 40 00 00")
+    bench = axis(turns=1.0).tell(CLOSE, LET_GO, "039# 00 40 00 00")
     assert bench.ask("029# remote") == ["029# 00 00 00 40 00 00 00 00"]
     assert bench.tell(CLOSE, "039# 00 00 00 00").after(2000).turns == pytest.approx(3.0, abs=1e-6)
 

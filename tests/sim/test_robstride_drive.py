@@ -1,6 +1,7 @@
 """The simulated RobStride motor: golden frames, its run modes, what moves it, and what it ignores.
 
-Frames marked (facts) are the vectors of other-drives.md (host AA, motor 1); the others follow from its tables.
+Frames marked (facts) are the vectors of other-drives.md (host AA, motor 1); the others follow from its tables, how
+RobStrides count from the manuals in RobStride/Product_Information (EL05User Manual260428.pdf, 4.1.14 and 4.2).
 """
 
 from __future__ import annotations
@@ -115,6 +116,41 @@ def test_a_speed_of_zero_moves_nothing_in_any_mode():
         bench.wait(300)
         before = bench.turns
         assert bench.tell(write(0x700A, 0.0)).after(300).turns == pytest.approx(before, abs=1e-6)
+
+
+# --- counting -------------------------------------------------------------------------------------------
+
+ASK_FEEDBACK = "1200AA01# 0A 70 00 00 00 00 00 00"
+TENTH = 0.1 / TURN_RAD
+
+
+@pytest.mark.parametrize(
+    ("robstride", "turns", "field"),
+    [
+        (False, 2.0 + TENTH, 0xFFFF),
+        (False, -2.0 - TENTH, 0x0000),
+        (True, 2.0 + TENTH, 0x0104),  # -4π + 0.1
+        (True, -2.0 - TENTH, 0xFEFA),
+        (True, 2.0 - TENTH, 0xFEFA),
+        (True, 6.0 + TENTH, 0x0104),
+    ],
+)
+def test_the_position_field_of_robstrides_goes_on_at_its_other_end(robstride, turns, field):
+    bench = motor(turns, robstride=robstride)
+    (feedback,) = bench.ask(ASK_FEEDBACK)
+    assert int.from_bytes(bytes.fromhex(feedback[10:15]), "big") == pytest.approx(field, abs=1)
+    (answer,) = bench.ask(READ_POSITION)
+    assert struct.unpack("<f", bytes.fromhex(answer[22:]))[0] == pytest.approx(turns * TURN_RAD)
+
+
+@pytest.mark.parametrize(
+    ("zero_sta", "turns", "counted"), [(0, -0.1, 0.9), (0, 1.7, 0.7), (1, -0.1, -0.1), (1, 0.7, -0.3)]
+)
+def test_after_power_came_robstrides_count_within_a_turn(zero_sta, turns, counted):
+    bench = motor(turns, robstride=True, absolute=True, zero_sta=zero_sta)
+    assert bench.ask("1100AA01# 29 70 00 00 00 00 00 00") == [f"110001AA# 29 70 00 00 {zero_sta:02X} 00 00 00"]
+    assert bench.drive.counted == pytest.approx(turns)
+    assert bench.restart().drive.counted == pytest.approx(counted)
 
 
 # --- faults, power and names ----------------------------------------------------------------------------

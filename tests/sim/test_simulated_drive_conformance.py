@@ -149,7 +149,7 @@ def test_a_joints_drive_counts_what_the_arm_sees_or_from_where_it_was_switched_o
         config = config.model_copy(update={"encoder": "motor_side"})
     joint = joint.model_copy(update={"direction": direction, "drive": config})
     drive = families.FAMILIES[config.family](
-        Mounting(joint, 500_000, start_ns=0, position_rad=0.1, homed=homed, seed=1)
+        Mounting(joint, 500_000, start_ns=0, position_rad=0.1, homed=homed, seed=1, **family.mounted)
     )
     bench = FamilyBench(replace(family, make=lambda _: drive))
     turns = direction * (0.1 + joint.zero_rad) * joint.ratio / (2 * np.pi)

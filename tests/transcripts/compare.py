@@ -16,7 +16,7 @@ from wires import WIRES
 
 from sim.bus import Frame
 from transcripts.tape import Entry, Transcript
-from transcripts.words import meaning
+from transcripts.words import LATER, meaning
 
 TOLERANCE = 1e-9
 """Share of a float (or of 1, for smaller ones) by which it may differ elsewhere than where it was recorded."""
@@ -100,9 +100,11 @@ def _word_differences(
 ) -> tuple[list[_Difference], _Difference | None]:
     """The first difference of each word, and the first float that only rounding tells apart."""
     found, rounded = [], []
-    found += [_Difference(0, f"{_spelled(name)} is new") for name in sorted(now.words.keys() - was.words.keys())]
+    lacking = {name: np.zeros(len(was.sent), np.int64) for name in LATER & now.words.keys()}
+    recorded = lacking | was.words
+    found += [_Difference(0, f"{_spelled(name)} is new") for name in sorted(now.words.keys() - recorded.keys())]
     every = np.arange(len(was.sent))
-    for name, values in was.words.items():
+    for name, values in recorded.items():
         cycles = every if len(values) == len(every) else was.kept
         cycles = cycles[cycles < len(now.sent)]
         if name not in now.words:
@@ -144,10 +146,11 @@ def _told_difference(was: list[Entry], now: list[Entry], tolerance: float) -> li
     """The first event, result or answer that is another one, is gone, or is new."""
     for old, new in zip(was, now, strict=False):
         if old[:2] == new[:2]:
-            changed = [name for name in old[2] if not _equal(old[2][name], new[2][name], tolerance)]
+            before = dict.fromkeys(LATER & new[2].keys(), 0) | old[2]
+            changed = [name for name in before if not _equal(before[name], new[2][name], tolerance)]
             if changed:
                 shown = ", ".join(
-                    f"{name} was {meaning(name, old[2][name], old[2])}, is {meaning(name, new[2][name], new[2])}"
+                    f"{name} was {meaning(name, before[name], before)}, is {meaning(name, new[2][name], new[2])}"
                     for name in changed
                 )
                 return [_Difference(old[0], f"of the {_entry(old)} {shown}")]

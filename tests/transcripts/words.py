@@ -18,6 +18,7 @@ CYCLE = (
     *("cycle", "monotonic_ns", "epoch_ns", "mode", "fault", "fault_joint", "fault_value", "fault_limit", "fault_ns"),
     *("goal_id", "goal_phase", "trajectory_clock_ns", "trajectory_end_ns", "speed_scale", "speed_scale_target"),
     *("speed_scale_asked", "motion_started", "referencing_joint", "pose_due", "held", "stops", "epoch"),
+    *("fault_silent", "fault_evidence"),
 )
 JOINT = (
     *("commanded_position_rad", "commanded_velocity_rad_s", "commanded_acceleration_rad_s2", "measured_position_rad"),
@@ -36,7 +37,10 @@ GRIPPER = (
 )
 RESULT = ("goal_id", "outcome", "joint", "value", "limit", "monotonic_ns")
 ANSWER = ("sequence", "answer")
-EVENT = ("monotonic_ns", "kind", "joint", "code", "value", "limit")
+EVENT = ("monotonic_ns", "kind", "joint", "code", "value", "limit", "silent", "evidence")
+
+LATER = frozenset({"fault_silent", "fault_evidence", "silent", "evidence"})
+"""Words that a recording may lack, since they were 0 in all of its cycles and there were none when it was made."""
 
 RENAMED: dict[str, str] = {}
 """Words that bear another name in the layout of today: recorded name, present one."""

@@ -1,0 +1,149 @@
+"""What bench tests (`rtarm commission`) have found of an arm's drives: kept, and refused where it is not what was kept.
+
+One small file an arm, `rtarm/commissioned/<arm>.json` under $XDG_STATE_HOME (~/.local/state): a record for each channel
+and joint. What it says of a drive holds for that drive alone: same joint, same channel, same family and number. Whoever
+relies on it compares the firmware too, once the drive has told it. Simulated arms at a pseudo-terminal are not kept.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, fields
+from enum import StrEnum
+
+from config.drives.drive import Drive
+from config.schema import ArmConfig
+from rtloop.saved import NotSaved, channel_of, is_simulated, path_of, replace_file
+
+
+class PowerProof(StrEnum):
+    """How a drive that was silent proves that it has kept its power."""
+
+    FLAG = "flag"
+    """Its flag for lost power is 1 after a loss of power, and stays 0 otherwise once it was cleared."""
+    CANARY = "canary"
+    """A value in its volatile memory is another one after a loss of power."""
+    NONE = "none"
+
+
+class NotReadable(Exception):
+    """The file is there and is none that was kept here; the text is the sentence people read."""
+
+
+@dataclass(frozen=True)
+class Commissioned:
+    """One drive; None for what was not tried."""
+
+    channel: str
+    family: str
+    number: int
+    firmware: str
+    """As the drive tells it, such as 2.0.0; empty where it tells none."""
+    when: str
+    """UTC, such as 2026-01-31T12:00:00Z."""
+    power_proof: PowerProof | None = None
+    power: str = ""
+    """What was found of that, such as "flag seen 1 after the power cycle, cleared, read 0"."""
+    fast_targets: bool | None = None
+    """Whether targets of `FC` are absolute to it."""
+    reports: bool | None = None
+    """Whether it sends its position by itself when told, at the rate it was told."""
+    retargets: bool | None = None
+    """Whether a new target in motion is taken, and the motion goes on."""
+    brakes_in_silence: bool | None = None
+    """Whether it brakes with the ramp it was told, and stands, though it hears nothing more."""
+
+    @property
+    def heals(self) -> bool:
+        """Whether a goal may go on after a short silence of all drives: proven in silence, proven to have power."""
+        return self.brakes_in_silence is True and self.power_proof in (PowerProof.FLAG, PowerProof.CANARY)
+
+    def after(self, before: Commissioned | None) -> Commissioned:
+        """This with what an earlier test of the same drive and firmware has found and this one did not try."""
+        if before is None or before.firmware != self.firmware:
+            return self
+        values = asdict(self)
+        kept = {name: value for name, value in asdict(before).items() if values[name] in (None, "")}
+        return Commissioned(**{**values, **kept})
+
+
+_TRUTHS = ("fast_targets", "reports", "retargets", "brakes_in_silence")
+
+
+def load(arm: ArmConfig) -> dict[int, Commissioned]:
+    """Joint number → what was found of the drive that the arm file gives it; empty where nothing was tried.
+
+    Raises:
+        NotReadable: the file cannot be read, or says something else.
+    """
+    known = _read(arm).get(channel_of(arm), {})
+    numbers = {joint.name: number for number, joint in enumerate(arm.joints)}
+    return {
+        numbers[name]: found
+        for name, found in known.items()
+        if name in numbers and _is_of(found, arm.joints[numbers[name]].drive)
+    }
+
+
+def save(arm: ArmConfig, joint: int, found: Commissioned) -> None:
+    """Keep what was found of one drive, in the place of what was known of it and beside what is of the others.
+
+    Raises:
+        NotReadable: what is there is none that was kept here, and stays.
+        NotSaved: it cannot be written.
+    """
+    if is_simulated(arm):
+        return
+    known = _read(arm)
+    known.setdefault(channel_of(arm), {})[arm.joints[joint].name] = found
+    plain = {channel: {name: asdict(one) for name, one in joints.items()} for channel, joints in known.items()}
+    path = path_of(arm.name, "commissioned")
+    try:
+        replace_file(path, json.dumps(plain, indent=1))
+    except OSError as problem:
+        raise NotSaved(
+            f"What was found of {arm.joints[joint].name} could not be kept in {path} ({problem.strerror}), so nothing "
+            "is unlocked by it: see that the file can be written, then run this again."
+        ) from problem
+
+
+def _read(arm: ArmConfig) -> dict[str, dict[str, Commissioned]]:
+    """Channel → name of a joint → what was found there; raises NotReadable."""
+    if is_simulated(arm):
+        return {}
+    try:
+        path = path_of(arm.name, "commissioned")
+    except NotSaved:
+        return {}
+    try:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        return {channel: {name: _typed(one) for name, one in joints.items()} for channel, joints in kept.items()}
+    except (FileNotFoundError, NotADirectoryError):
+        return {}
+    except (OSError, ValueError, TypeError, AttributeError) as problem:
+        why = problem.strerror if isinstance(problem, OSError) else "it says something else"
+        raise NotReadable(
+            f"What was found of the drives of {arm.name} at the bench cannot be read in {path} ({why}), so none of it "
+            "is believed: remove that file, then run `rtarm commission` for each of them again."
+        ) from None
+
+
+def _is_of(found: Commissioned, drive: Drive) -> bool:
+    return (found.family, found.number) == (drive.family, drive.number)
+
+
+def _typed(values: object) -> Commissioned:
+    """Raises ValueError or TypeError for what is no record."""
+    if not isinstance(values, dict) or set(values) != {field.name for field in fields(Commissioned)}:
+        raise ValueError(values)
+    for name, value in values.items():
+        if name == "number":
+            right = type(value) is int
+        elif name in _TRUTHS:
+            right = value is None or isinstance(value, bool)
+        else:
+            right = isinstance(value, str) or (name == "power_proof" and value is None)
+        if not right:
+            raise ValueError(f"{name} is {value!r}")
+    proof = values["power_proof"]
+    return Commissioned(**{**values, "power_proof": None if proof is None else PowerProof(proof)})

@@ -1,0 +1,123 @@
+"""`rtarm commission` as a person runs it: at a terminal, beside a simulated drive."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from at_terminal import CTRL_C, PATIENCE_S, rtarm_at_terminal
+from stack import Stack, run_rtarm
+from waiting import until
+
+from config.loader import load_arm
+from rtarm.recording.mcap_reader import read
+from rtloop import commissioned
+from shm.files import DIRECTORY
+
+
+@pytest.fixture
+def bench(arm_name: str, tmp_path: Path) -> Iterator[Stack]:
+    stack = Stack(arm_name, tmp_path)
+    stack.start_sim()
+    yield stack
+    stack.close()
+
+
+def no_process_left(stack: Stack) -> bool:
+    return not list(DIRECTORY.glob(f"rtarm.{stack.name}.*"))
+
+
+@pytest.mark.process
+def test_a_whole_bench_test_and_its_report(bench: Stack, tmp_path: Path) -> None:
+    folder = tmp_path / "report"
+    with closing(rtarm_at_terminal("commission", str(bench.arm_file), "joint6", "-o", str(folder))) as at:
+        at.reply("Ask it?", "y")
+        at.read_until("answers: as documented.")
+        at.reply("Ask it?", "n")
+        at.read_until("reply delay is left out.")
+        at.reply("Try it?", "y")
+        at.read_until("fast targets: as documented.")
+        at.reply("Try it?", "y")
+        at.read_until("reports: as documented.")
+        at.reply("Turn it?", "y")
+        at.read_until("silence: as documented.")
+        at.reply("Turn it?", "o")
+        at.read_until("retarget: as documented.")
+        bench.sim.say("stall:joint=joint6,at_s=0")
+        at.reply("Is it clamped", "y")
+        at.read_until("stall: as documented.")
+        at.reply("Watch it while you switch it off and on?", "y")
+        at.read_until("Switch the power of joint6's drive off now")
+        bench.sim.say("power-loss:joint=joint6,at_s=0,off_s=3")
+        at.read_until("It is silent.")
+        at.read_until("power flag: as documented. read 0 before, seen 1 after the power cycle, cleared, read 0.")
+        at.read_until("volatile settings: as documented.")
+        at.read_until("proof of power (a silent drive keeps its reference): unlocked")
+        at.read_until("This was a simulated drive")
+        at.read_until("| zdt 2.0.0 | slcan | 8 | none | flag |")
+        assert at.code() == 0
+    assert no_process_left(bench)
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert report["unlocked"] == dict.fromkeys(("proof of power", "fast targets", "reports", "healing"), True)
+    assert report["simulated"] and report["record"]["firmware"] == "2.0.0" and len(report["findings"]) == 8
+    assert "".join((folder / "report.txt").read_text(encoding="utf-8").split()) in "".join(at.said.split())
+    assert commissioned.load(load_arm(bench.arm_file))[5].heals
+    recording = read(folder / "recording.mcap").recording
+    assert len(recording.frames) > 1000 and recording.arm == bench.name
+    motions = bench.truth()
+    assert all(np.ptp(motion.position_rad) == 0.0 for name, motion in motions.items() if name != "joint6")
+    assert math.degrees(np.max(np.abs(motions["joint6"].position_rad))) <= 15.1
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("how", ["Ctrl-C", "kill -9"])
+def test_whatever_ends_it_amid_a_move_stops_it_and_leaves_what_was_found(
+    bench: Stack, tmp_path: Path, how: str
+) -> None:
+    folder = tmp_path / "report"
+    with closing(rtarm_at_terminal("commission", str(bench.arm_file), "joint5", "-o", str(folder))) as at:
+        at.reply("Ask it?", "y")
+        for question in ("Ask it?", "Try it?", "Try it?"):
+            at.reply(question, "")
+        at.reply("Turn it?", "y")
+        until(lambda: abs(bench.truth()["joint5"].position_rad[-1]) > math.radians(1.0), patience_s=PATIENCE_S)
+        if how == "Ctrl-C":
+            at.press(CTRL_C)
+            assert at.code() == 1
+            assert "Ended early (SIGINT); the drive stands." in at.said
+            report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+            assert [finding["check"] for finding in report["findings"]] == ["answers"]
+        else:
+            at.process.kill()
+        at.process.wait(PATIENCE_S)
+        until(lambda: no_process_left(bench), patience_s=PATIENCE_S)
+    stood = bench.truth()["joint5"]
+    assert stood.velocity_rad_s[-1] == 0.0 and 1.0 < abs(math.degrees(stood.position_rad[-1])) < 14.5
+
+
+@pytest.mark.process
+def test_what_is_refused_leaves_nothing_behind(bench: Stack, tmp_path: Path) -> None:
+    there = tmp_path / "there"
+    there.mkdir()
+    (there / "mine").write_text("mine")
+    taken = run_rtarm("commission", str(bench.arm_file), "joint6", "-o", str(there))
+    assert taken.returncode == 1 and "for the report cannot be made (File exists): give another with -o" in taken.stderr
+    assert (there / "mine").read_text() == "mine"
+    folder = tmp_path / "report"
+    piped = run_rtarm("commission", str(bench.arm_file), "joint6", "-o", str(folder), typed="y\n" * 50)
+    assert piped.returncode == 1 and "answers are taken from a terminal alone" in piped.stderr
+    bench.sim.say("silent:joint=joint6,at_s=0")
+    bench.sim.line_with("fault silent")
+    silent = run_rtarm("commission", str(bench.arm_file), "joint6", "-o", str(folder))
+    assert silent.returncode == 2 and "joint6" in silent.stderr
+    assert not folder.exists() and no_process_left(bench)
+
+
+def test_a_joint_that_is_none_and_an_arm_without_a_bus() -> None:
+    assert "has no joint 'elbow'; it has joint1" in run_rtarm("commission", "episode1", "elbow").stderr
+    assert "has mock drives and no bus" in run_rtarm("commission", "mock", "joint1").stderr

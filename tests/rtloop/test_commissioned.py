@@ -1,0 +1,124 @@
+"""What bench tests have found: kept for these drives alone, and refused in a sentence where it is something else."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from config.loader import load_arm
+from config.schema import ArmConfig
+from rtloop import commissioned
+from rtloop.commissioned import Commissioned, NotReadable, PowerProof
+from rtloop.saved import NotSaved, channel_of, path_of
+
+TRUTHS = st.none() | st.booleans()
+
+
+@pytest.fixture
+def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ArmConfig:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    return load_arm("episode1", overrides={"bus": {"channel": "/dev/ttyACM0"}})
+
+
+def found_of(arm: ArmConfig, joint: int, **values: Any) -> Commissioned:
+    drive = arm.joints[joint].drive
+    return Commissioned(
+        **{
+            "channel": channel_of(arm),
+            "family": drive.family,
+            "number": drive.number,
+            "firmware": "2.0.0",
+            "when": "2026-01-31T12:00:00Z",
+            **values,
+        }
+    )
+
+
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(proof=st.none() | st.sampled_from(PowerProof), words=st.text(), truths=st.tuples(TRUTHS, TRUTHS, TRUTHS, TRUTHS))
+def test_what_is_kept_is_read_again(
+    arm: ArmConfig, proof: PowerProof | None, words: str, truths: tuple[bool | None, ...]
+) -> None:
+    names = ("fast_targets", "reports", "retargets", "brakes_in_silence")
+    found = found_of(arm, 2, power_proof=proof, power=words, **dict(zip(names, truths, strict=True)))
+    commissioned.save(arm, 2, found)
+    commissioned.save(arm, 4, found_of(arm, 4))
+    assert commissioned.load(arm) == {2: found, 4: found_of(arm, 4)}
+
+
+def test_it_is_of_these_drives_alone(arm: ArmConfig) -> None:
+    commissioned.save(arm, 0, found_of(arm, 0))
+    elsewhere = load_arm("episode1", overrides={"bus": {"channel": "/dev/ttyACM1"}})
+    assert commissioned.load(elsewhere) == {}
+    commissioned.save(elsewhere, 0, found_of(elsewhere, 0, reports=True))
+    assert commissioned.load(arm) == {0: found_of(arm, 0)}
+    drive = arm.joints[0].drive.model_copy(update={"address": 9})
+    joints = [arm.joints[0].model_copy(update={"drive": drive}), *arm.joints[1:]]
+    other = arm.model_copy(update={"joints": joints})
+    assert commissioned.load(other) == {}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]x",
+        "null",
+        "[1]",
+        '{"joint1": 1}',
+        "\xff\xfe",
+        "{" * 3,
+        '{"slcan:x": 1}',
+        '{"slcan:x": {"joint1": 1}}',
+    ],
+)
+def test_a_file_that_says_something_else_is_refused_in_a_sentence(arm: ArmConfig, text: str) -> None:
+    commissioned.save(arm, 0, found_of(arm, 0))
+    path = path_of(arm.name, "commissioned")
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(NotReadable, match="none of it is believed: remove that file"):
+        commissioned.load(arm)
+    with pytest.raises(NotReadable):
+        commissioned.save(arm, 1, found_of(arm, 1))
+    assert path.read_bytes() == text.encode("latin-1")
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("number", True), ("number", "1"), ("reports", 1), ("power_proof", "surely"), ("firmware", None), ("more", 1)],
+)
+def test_a_value_of_another_kind_is_refused(arm: ArmConfig, field: str, value: Any) -> None:
+    commissioned.save(arm, 0, found_of(arm, 0))
+    path = path_of(arm.name, "commissioned")
+    kept = json.loads(path.read_text())
+    kept[channel_of(arm)]["joint1"][field] = value
+    path.write_text(json.dumps(kept))
+    with pytest.raises(NotReadable):
+        commissioned.load(arm)
+
+
+def test_nothing_is_kept_of_a_simulated_arm(arm: ArmConfig) -> None:
+    simulated = load_arm("episode1", overrides={"bus": {"channel": "/dev/pts/7"}})
+    commissioned.save(simulated, 0, found_of(simulated, 0))
+    assert commissioned.load(simulated) == {} and not path_of(arm.name, "commissioned").exists()
+
+
+def test_what_cannot_be_kept_is_said(arm: ArmConfig, tmp_path: Path) -> None:
+    (tmp_path / "rtarm").write_text("in the way")
+    assert commissioned.load(arm) == {}
+    with pytest.raises(NotSaved, match="nothing is unlocked by it"):
+        commissioned.save(arm, 0, found_of(arm, 0))
+
+
+def test_what_was_not_tried_again_stays_with_the_same_firmware(arm: ArmConfig) -> None:
+    before = found_of(arm, 0, reports=False, power_proof=PowerProof.FLAG, power="seen 1")
+    now = found_of(arm, 0, reports=True, brakes_in_silence=True)
+    assert now.after(before) == replace(now, power_proof=PowerProof.FLAG, power="seen 1")
+    assert now.after(before).heals and not now.heals
+    assert now.after(replace(before, firmware="1.2.5")) == now

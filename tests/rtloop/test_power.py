@@ -1,0 +1,148 @@
+"""A drive that proves that it had power keeps its angle through a silence; no other does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import get_args
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from virtual import VirtualArm
+
+from rtloop.power import Marks
+from rtloop.saved import OUTLIVES_THE_PROCESS
+from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
+from sim.drives.zdt import ZdtDrive
+from sim.drives.zdt_motion import PowerFlag
+
+KNOWN_WITHIN_RAD = 0.01
+FLAGS: tuple[PowerFlag, ...] = get_args(PowerFlag)
+
+
+@dataclass(frozen=True)
+class Silence:
+    """Some drives' plugs come loose for a while, in which some of them lose their supply."""
+
+    joints: frozenset[int]
+    powerless: frozenset[int]
+    seconds: float
+    process_dies: bool = False
+    garbled: float = 0.0
+    """Share of the bytes that are garbled while the drives are brought up again."""
+
+
+def drives_of(arm: VirtualArm) -> list[ZdtDrive]:
+    assert arm.sim is not None
+    return [drive for drive in arm.sim.drives if isinstance(drive, ZdtDrive)]
+
+
+def endure(arm: VirtualArm, silence: Silence) -> VirtualArm:
+    """The arm after the silence and a person's clear, of the same control process or of the next one."""
+    drives = drives_of(arm)
+    for joint in silence.joints:
+        drives[joint].unplug(arm.now_ns)
+    for joint in silence.powerless:
+        drives[joint].power_off(arm.now_ns)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.cycles(round(silence.seconds * 1e9 / arm.period_ns))
+    for joint in silence.powerless:
+        drives[joint].power_on(arm.now_ns)
+    for joint in silence.joints:
+        drives[joint].plug_in(arm.now_ns)
+    arm.until(lambda: arm.core["fault_ns"] + 500_000_000 < arm.now_ns)
+    if silence.process_dies:
+        axes = arm.loop[0]["axes"][: len(drives)]
+        lost = {n: Unreferenced(axis["unreferenced_reason"]) for n, axis in enumerate(axes) if not axis["referenced"]}
+        arm = arm.next_process()
+        arm.bring_up(lost_before={n: why for n, why in lost.items() if why in OUTLIVES_THE_PROCESS})
+    else:
+        arm.clear_fault()
+    return arm
+
+
+def referenced(arm: VirtualArm) -> list[bool]:
+    return [bool(axis["referenced"]) for axis in arm.loop[0]["axes"][: len(arm.arm.joints)]]
+
+
+@pytest.mark.parametrize("process_dies", [False, True])
+@pytest.mark.parametrize("flag", ["right", "absent", "unset"])
+def test_a_silent_drive_keeps_its_angle_where_it_had_power_and_loses_it_where_it_had_not(
+    flag: PowerFlag, process_dies: bool
+) -> None:
+    arm = VirtualArm("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    for drive in drives_of(arm):
+        drive.power_flag = flag
+    arm.bring_up()
+    arm = endure(arm, Silence(frozenset(range(6)), frozenset((1, 4)), 0.4, process_dies))
+    assert referenced(arm) == [joint not in (1, 4) for joint in range(6)]
+    arm.close()
+
+
+def test_an_arm_that_was_silent_takes_the_next_goal() -> None:
+    arm = VirtualArm.brought_up("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    arm = endure(arm, Silence(frozenset(range(6)), frozenset(), 0.2))
+    assert "joint3: its drive had power all the time that it was silent, so its angle is known." in arm.told
+    assert arm.end_of(arm.send_shift()) == Outcome.SUCCEEDED
+    arm.close()
+
+
+def test_old_firmware_without_a_flag_proves_it_too() -> None:
+    arm = VirtualArm.brought_up("episode1", firmware="old")
+    arm = endure(arm, Silence(frozenset((2, 3)), frozenset((3,)), 0.3))
+    assert referenced(arm) == [True, True, True, False, True, True]
+    arm.close()
+
+
+def test_a_drive_whose_mark_was_not_kept_proves_nothing() -> None:
+    arm = VirtualArm.brought_up("episode1")
+    arm.marks = Marks()
+    arm = endure(arm, Silence(frozenset((2,)), frozenset(), 0.3))
+    assert referenced(arm) == [True, True, False, True, True, True]
+    arm.close()
+
+
+def test_an_angle_that_was_lost_is_not_found_again_by_a_later_silence() -> None:
+    arm = VirtualArm.brought_up("episode1")
+    drives_of(arm)[3].power_flag = "absent"
+    arm = endure(arm, Silence(frozenset((3,)), frozenset((3,)), 0.3))
+    arm = endure(arm, Silence(frozenset((0,)), frozenset(), 0.3))
+    assert referenced(arm) == [True, True, True, False, True, True]
+    assert arm.ask(Request.REFERENCE, joint_mask=1 << 3) == Answer.DONE
+    assert arm.reference().failure is None
+    arm = endure(arm, Silence(frozenset((3,)), frozenset(), 0.3))
+    assert all(referenced(arm))
+    arm.close()
+
+
+SILENCES = st.builds(
+    lambda joints, cut, *rest: Silence(joints, frozenset(joint for joint in joints if joint in cut), *rest),
+    st.frozensets(st.integers(0, 5), min_size=1),
+    st.frozensets(st.integers(0, 5)),
+    st.floats(0.15, 2.0),
+    st.booleans(),
+)
+
+
+@settings(max_examples=25)
+@given(st.tuples(*[st.sampled_from(FLAGS)] * 6), st.lists(SILENCES, min_size=1, max_size=4))
+def test_no_angle_is_kept_over_a_loss_of_power_and_none_is_lost_that_is_proven(
+    flags: tuple[PowerFlag, ...], silences: list[Silence]
+) -> None:
+    arm = VirtualArm("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    for drive, flag in zip(drives_of(arm), flags, strict=True):
+        drive.power_flag = flag
+    arm.bring_up()
+    known = [flag != "stuck" for flag in flags]
+    for silence in silences:
+        if not any(known[joint] for joint in silence.joints):
+            continue  # nobody watches it
+        arm = endure(arm, silence)
+        known = [was and joint not in silence.powerless for joint, was in enumerate(known)]
+        assert referenced(arm) == known
+        assert arm.core["fault"] == Fault.NONE
+    for joint, angle_rad in enumerate(arm.loop[0]["axes"]["measured_rad"][:6]):
+        assert arm.sim is not None
+        if known[joint]:
+            assert abs(angle_rad - arm.sim.true_position_rad(joint, arm.now_ns)) < KNOWN_WITHIN_RAD
+    arm.close()
