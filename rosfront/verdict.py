@@ -47,6 +47,7 @@ _NOT_BEGUN = {
     Outcome.REFUSED_MODE,
     Outcome.REFUSED_HELD,
     Outcome.REFUSED_OUTDATED,
+    Outcome.REFUSED_STREAM,
     Outcome.REFUSED_UNREFERENCED,
     Outcome.REFUSED_START,
     Outcome.REFUSED_LIMITS,

@@ -394,7 +394,7 @@ def resume(arm: str) -> str:
         connection.writer.resume()
         after = connection.wait_heard(lambda now: not now["held"])
     if not before["held"]:
-        return f"Arm {arm} was not held."
+        return f"Arm {arm} is not held: goals and streams may begin."
     goes_on = int(before["goal_phase"]) == Phase.PAUSED and int(after["goal_id"]) == int(before["goal_id"])
     return f"The goal of {arm} goes on." if goes_on else f"Arm {arm} takes goals again."
 

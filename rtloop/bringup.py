@@ -37,12 +37,14 @@ class BringUp(Conversation):
         mock_positions_rad: list[float] | None = None,
         counts_before: Mapping[int, int] | None = None,
         lost_before: Mapping[int, Unreferenced] | None = None,
+        heals: bool = False,
         forgive_silence: Callable[[int], None] = lambda joint: None,
     ) -> None:
         """`counts_before`: where drives counted when rtarm was ended, by the joints' numbers.
 
         `lost_before`: joints whose angle was not known in an earlier process, and why. `forgive_silence` remembers
-        beyond this one that a joint's angle is known although its drive was silent.
+        beyond this one that a joint's angle is known although its drive was silent. `heals`: nobody has asked for this,
+        but a stall is over (`rtloop.healing`).
         """
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP, last_order=BRING_UP_DONE)
         self.tell = tell
@@ -57,7 +59,7 @@ class BringUp(Conversation):
         lost = [{port.unreferenced_reason(n), self.lost_before.get(n)} for n in range(len(arm.joints))]
         self.was_silent = [Unreferenced.SILENT in reasons for reasons in lost]
         self._referenced_before = [port.referenced(n) for n in range(len(arm.joints))]
-        self.post(BRING_UP_BEGINS)
+        self.post(BRING_UP_BEGINS, code=int(heals))
         dialogues = {}
         for joint, config in enumerate(arm.joints):
             if config.drive.identifiers:

@@ -13,6 +13,7 @@ from enum import StrEnum
 
 from config.drives.drive import Drive
 from config.schema import ArmConfig
+from rtloop.drives.setup import joints_on_the_bus
 from rtloop.saved import NotSaved, channel_of, is_simulated, path_of, replace_file
 
 
@@ -55,7 +56,7 @@ class Commissioned:
 
     @property
     def heals(self) -> bool:
-        """Whether a goal may go on after a short silence of all drives: proven in silence, proven to have power."""
+        """Whether the arm may go on by itself after a silence of all drives: it brakes in one, and proves its power."""
         return self.brakes_in_silence is True and self.power_proof in (PowerProof.FLAG, PowerProof.CANARY)
 
     def after(self, before: Commissioned | None) -> Commissioned:
@@ -83,6 +84,17 @@ def load(arm: ArmConfig) -> dict[int, Commissioned]:
         for name, found in known.items()
         if name in numbers and _is_of(found, arm.joints[numbers[name]].drive)
     }
+
+
+def heals(arm: ArmConfig) -> bool:
+    """Whether the arm may go on by itself after a stall (`rtloop.healing`): simulated, or each drive was found to."""
+    if is_simulated(arm):
+        return True
+    try:
+        found = load(arm)
+    except NotReadable:
+        return False
+    return all(joint in found and found[joint].heals for joint in joints_on_the_bus(arm))
 
 
 def save(arm: ArmConfig, joint: int, found: Commissioned) -> None:

@@ -310,6 +310,8 @@ def _wrong_begin(loop: Loop) -> tuple[int, int]:
         return Outcome.REFUSED_HELD, -1
     if begin.epoch != core.epoch:
         return Outcome.REFUSED_OUTDATED, -1
+    if begin.entry & _STREAM and core.healed_ns > core.resume_ns:
+        return Outcome.REFUSED_STREAM, -1
     for joint in range(loop.params.joint_count):
         if loop.axes[joint].referenced == 0:
             return Outcome.REFUSED_UNREFERENCED, joint

@@ -5,13 +5,14 @@ from typing import Any
 
 from rtloop import intake, port, service
 from rtloop.commands import raise_epoch
+from rtloop.events import record_event
 from rtloop.faults import latch_fault
 from rtloop.guard import outlives_a_clear
 from rtloop.modes import change_mode
 from rtloop.state import HISTORY_SLOTS, NOT_LED
 from shm.jit import jit
 from shm.layout import MAX_JOINTS
-from shm.words import Answer, BusState, Fault, Mode, Outcome, Request, Unreferenced
+from shm.words import Answer, BusState, Event, Fault, Mode, Outcome, Request, Unreferenced
 
 POSE_DUE_NS = 120_000_000_000
 """A ROS process that begins later than that after homing at the start finds an arm that nobody expects to move."""
@@ -30,6 +31,9 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
             break
         if order.kind == port.BRING_UP_BEGINS:
             begin_bring_up(loop, shared)
+            core.healed_ns = core.now_ns if order.code == 1 else 0
+            if order.code == 1:
+                record_event(loop, shared, Event.HEALED, -1, 0, 0.0, 0.0)
         elif order.kind == port.ADOPT:
             if core.mode == Mode.BRINGING_UP or core.mode == Mode.REFERENCING:
                 adopt(loop, order.joint, order.value, order.code)

@@ -12,13 +12,14 @@ import numpy as np
 from config.budget import check_budget
 from config.loader import arm_hash
 from config.schema import ArmConfig
-from rtloop import realtime, saved
+from rtloop import commissioned, realtime, saved
 from rtloop.beginning import new_loop, show_drives, show_limits
 from rtloop.bringup import BringUp
 from rtloop.compiled import CompiledCycle
 from rtloop.conversation import Conversation, TalkFailed
 from rtloop.farewell import Farewell
 from rtloop.gripper import GripperTalk
+from rtloop.healing import Healing
 from rtloop.port import HOME_ALL, ServicePort
 from rtloop.power import Marks
 from rtloop.referencing import Referencing, referencing_asked_for
@@ -333,6 +334,7 @@ class ControlProcess:
         clears_protection: bool,
         counts_before: Mapping[int, int] | None = None,
         lost_before: Mapping[int, Unreferenced] | None = None,
+        heals: bool = False,
     ) -> BringUp:
         measured = self._loop[0]["axes"]["measured_rad"][: len(self._arm.joints)]
         known = [0.0 if np.isnan(position) else float(position) for position in measured]
@@ -346,6 +348,7 @@ class ControlProcess:
             mock_positions_rad=known,
             counts_before=counts_before,
             lost_before=lost_before,
+            heals=heals,
             forgive_silence=self._forgive_silence,
         )
 
@@ -411,6 +414,7 @@ class ControlProcess:
             counts_before=saved.counts_before(self._arm),
             lost_before=saved.lost_references(self._arm, self._tell),
         )
+        healing = Healing(self._arm, self._loop, self._port, self._marks, unlocked=commissioned.heals(self._arm))
         first = True
         closing_until_s = 0.0
         while True:
@@ -427,7 +431,8 @@ class ControlProcess:
                         return 2
                 elif first and self._arm.control.init_mode == 0:
                     self._port.post(HOME_ALL)
-                talk = None
+                healed = healing.succeeded(talk, time.monotonic_ns())
+                talk = self._bring_up(clears_protection=False, heals=True) if healed else None
             # a fault before the end of the first bring-up, such as a wire that went, becomes its failure
             if first and talk is None and int(self._core["mode"]) not in (Mode.OFFLINE, Mode.BRINGING_UP):
                 self._keep_newly_lost()  # before that is gone by which it was found
@@ -438,6 +443,8 @@ class ControlProcess:
                 self._begin_with_gripper()
             if talk is None:
                 talk = self._asked_for()
+            if talk is None and not first and not self._stop_asked.yes:
+                talk = healing.begin(time.monotonic_ns())
             if isinstance(talk, Referencing) and (self._stop_asked.yes or int(self._core["referencing_ends"]) == 1):
                 talk.end()
             if not self._cycle.is_alive():

@@ -169,6 +169,7 @@ AXIS = np.dtype(
         ("effort_nm", "f8"),
         ("temperature_c", "f8"),
         ("voltage_v", "f8"),
+        ("lost_at_rad", "f8"),  # its last reading when its reference was lost
         ("status", "i8"),
         ("status_ns", "i8"),  # when a drive that says its status by itself has done so last
         ("error_code", "i8"),  # that its drive told last, 0 none
@@ -248,6 +249,7 @@ CORE = np.dtype(
         ("fault_ns", "i8"),
         ("fault_silent", "i8"),  # joint mask; as the next, only for the sentence of STALE_READING
         ("fault_evidence", "i8"),  # bits of shm.words.Evidence
+        ("healed_ns", "i8"),  # when the arm went on after a stall by itself last, since a person brought it up; 0 never
         ("own_brake", "i8"),  # each joint brakes by itself: the path cannot be trusted
         ("motion_started", "i8"),
         ("rebase_ns", "i8"),  # since when the measured positions wait to be commanded, 0 = they do not

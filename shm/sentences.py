@@ -119,6 +119,12 @@ OUTCOMES: dict[Outcome, Meaning] = {
         "A person who stops the arm means it, and neither a stream nor a client that sends its goal again knows of it.",
         "Ask who stopped the arm and why; then `rtarm resume`, the service ~/resume, or Resume on its page.",
     ),
+    Outcome.REFUSED_STREAM: Meaning(
+        "All drives were silent for a moment and the arm has gone on holding by itself, so a stream waits for a person: "
+        "look where the arm stands, then `rtarm resume` (or ~/resume).",
+        "A stream was cut off in motion, and who sends it may not know where the arm stands now.",
+        "See that nothing is in the arm's way; then `rtarm resume`, the service ~/resume, or Resume on its page.",
+    ),
     Outcome.REFUSED_UNREFERENCED: Meaning(
         "{joint} has no reference, so its angle is not known and no goal is taken: see `rtarm status` for "
         "the reason and what to do about it.",
@@ -586,6 +592,11 @@ STILL_QUEUED = Meaning(
     "Take the interface down and up, then switch the drives on.",
 )
 """At the end of a control process on SocketCAN, where the frames outlive it."""
+HEALED = (
+    "All drives were silent for a moment; each has kept its power and stands where it may, so the arm holds and takes the "
+    "next goal. Streams wait for `rtarm resume`."
+)
+"""Of an arm that goes on after a stall by itself."""
 WIRE_IS_BACK = "The adapter is back: `rtarm clear-fault` brings the drives up again."
 
 

@@ -109,6 +109,7 @@ class Outcome(IntEnum):
     GOAL_ACCELERATION = 21
     REFUSED_HELD = 22  # a person has stopped or holds the arm
     REFUSED_OUTDATED = 23  # it arrived before a stop, a hold, a homing run, a fault, or the drives were let go
+    REFUSED_STREAM = 24  # the arm went on after a stall by itself, and streams wait for a person's resume
 
 
 class Fault(IntEnum):
@@ -192,6 +193,7 @@ class Event(IntEnum):
     REFERENCE = 7
     WIRE = 8  # the adapter is back
     COMMAND = 9  # stop, hold, resume or speed scale, newer than the last
+    HEALED = 10  # all drives were silent for a moment, and the arm goes on by itself
 
 
 class Slowed(IntFlag):

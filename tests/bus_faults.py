@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 GOES_ON = Fault.NONE
 
+JOINTS = tuple(f"joint{number}" for number in range(1, 7))
+
 Inject = Callable[[np.random.Generator, str], Sequence[wrong.Fault]]
 Mend = Callable[["TrialArm", int], None]
 
@@ -39,6 +41,7 @@ class BusFault:
         blind_rad: nothing is expected of a joint that stands nearer than this to where its drive counts from.
         options, overrides: of the simulated arm, and of the arm's file.
         backlog: what was on its way when the way was blocked still arrives when it is free.
+        heals: the arm goes on by itself where it may.
     """
 
     name: str
@@ -49,6 +52,7 @@ class BusFault:
     throws: bool = False
     loses: bool = False
     backlog: bool = False
+    heals: bool = False
     blind_rad: float = 0.0
     options: dict[str, Any] = field(default_factory=dict)
     overrides: dict[str, dict[str, object]] = field(default_factory=dict)
@@ -132,9 +136,25 @@ def _between(random: np.random.Generator, low: float, high: float) -> float:
     return float(random.uniform(low, high))
 
 
+def _silences(random: np.random.Generator, _: str) -> list[wrong.Fault]:
+    until_s = _between(random, 0.05, 0.9)
+    return [wrong.Silent(joint, 0.0, until_s) for joint in JOINTS]
+
+
+def _loses_power_in_silence(random: np.random.Generator, joint: str) -> list[wrong.Fault]:
+    """As long as all are silent, or for a moment of it."""
+    until_s = _between(random, 0.15, 0.9)
+    off_s = _between(random, 0.01, until_s)
+    return [
+        *(wrong.Silent(each, 0.0, until_s) for each in JOINTS),
+        wrong.PowerLoss(joint, _between(random, 0.0, until_s - off_s), off_s),
+    ]
+
+
 STALE = frozenset({Fault.STALE_READING})
 STALE_OR_NOT = frozenset({Fault.STALE_READING, GOES_ON})
 NEVER = frozenset({GOES_ON})
+STALL = frozenset({Fault.STALE_READING, Fault.FOLLOWING_ERROR, GOES_ON})
 REFERENCE = frozenset({Fault.REFERENCE_LOST})
 FOLLOWING = Fault.FOLLOWING_ERROR
 
@@ -229,6 +249,36 @@ FAULTS = (
         frozenset({GOES_ON, FOLLOWING}),
         backlog=True,
     ),
+    BusFault(
+        "the adapter says nothing for 50 to 900 ms, and the arm may heal",
+        lambda r, _: [wrong.ReceiveStall(0.0, _between(r, 0.05, 0.9))],
+        STALL,
+        heals=True,
+    ),
+    BusFault(
+        "the serial port takes nothing for 50 to 900 ms, and the arm may heal",
+        lambda r, _: [wrong.SerialBlocked(0.0, _between(r, 0.05, 0.9))],
+        STALL,
+        backlog=True,
+        heals=True,
+    ),
+    BusFault(
+        "a node babbles for 50 to 900 ms, and the arm may heal",
+        lambda r, _: [wrong.Babble(0.0, _between(r, 0.05, 0.9))],
+        STALL,
+        backlog=True,
+        heals=True,
+    ),
+    BusFault("all drives are silent for 50 to 900 ms, and the arm may heal", _silences, STALL, heals=True),
+    BusFault(
+        "all drives are silent for 150 to 900 ms, one loses power meanwhile, and the arm may heal",
+        _loses_power_in_silence,
+        STALL,
+        _wait_for_power,
+        throws=True,
+        loses=True,
+        heals=True,
+    ),
     BusFault("the adapter is pulled out", lambda _, __: [], frozenset({Fault.WIRE}), unplugs=True),
     BusFault("a shaft is held", _now(wrong.Stall), frozenset({FOLLOWING, GOES_ON}), _let_go_of_shaft, throws=True),
     BusFault(
@@ -282,7 +332,7 @@ FAULTS = (
     BusFault("a drive loses power for 0.5 s", _now(wrong.PowerLoss, off_s=0.5), STALE, throws=True, loses=True),
     BusFault(
         "all drives lose power for 1 s",
-        lambda _, __: [wrong.PowerLoss(f"joint{number}", 0.0, 1.0) for number in range(1, 7)],
+        lambda _, __: [wrong.PowerLoss(joint, 0.0, 1.0) for joint in JOINTS],
         STALE,
         _wait_for_power,
         throws=True,

@@ -11,7 +11,7 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -36,6 +36,7 @@ from config.schema import ArmConfig
 from rtloop.wire import received
 from shm.sentences import latched_sentence, outcome_sentence, unreferenced_sentence
 from shm.words import Answer, Fault, Mode, Outcome, Request, Slowed, Unreferenced
+from sim.drives.zdt import ZdtDrive
 from sim.pty import PACKET_NS
 
 GOALS = ("large", "scale_1_0", "scale_0_5", "cartesian", "single_joint", "sweep", "sweep", "sweep")
@@ -45,6 +46,9 @@ TTY_BYTES = 4096
 """What the kernel keeps for a serial port that takes nothing."""
 STANDING_S = 0.5
 PATIENCE_S = 12.0
+HEALING_S = 3.0
+"""A stall's end, as long again until no answer can be an old one, and a bring-up."""
+KNOWN_WITHIN_RAD = 0.01
 
 
 class TrialArm(VirtualArm):
@@ -114,6 +118,8 @@ def run_trial(fault: BusFault, seed: int) -> Found:
     found = Found(fault.name, seed)
     try:
         assert arm.bring_up().failure is None
+        if fault.heals:
+            arm.heal_by_itself()
         _Trial(fault, arm, found, random).run(times_ns, joints)
     finally:
         arm.close()
@@ -160,10 +166,13 @@ class _Trial:
         arm.cycles(int(self.random.integers(2, times_ns[-1] // arm.period_ns)))
         self.break_it()
         self.let_it_end(goal)
-        arm.cycles(round(STANDING_S * 1e9 / arm.period_ns))
+        arm.cycles(round((HEALING_S if self.fault.heals else STANDING_S) * 1e9 / arm.period_ns))
         self.judge(goal)
         if arm.core["mode"] == Mode.FAULT and not self.fault.unplugs:
             self.come_back()
+        elif found.latched == Fault.STALE_READING.name:  # and healed
+            self.judge_references({joint: Unreferenced.SILENT for joint in range(6)})
+            self.move_again(Outcome.SUCCEEDED)
         elif found.outcome == Outcome.SUCCEEDED.name and not self.fault.unplugs:
             if self.fault.mend is not None:
                 self.fault.mend(arm, self.joint)
@@ -205,7 +214,7 @@ class _Trial:
         name = self.config.name
         outcome = Outcome(arm.outcome(goal))
         found.outcome = outcome.name
-        latched = Fault(int(arm.core["fault"]))
+        latched = Fault[found.latched or Fault.NONE.name]
         if latched not in fault.latched and not self.blind:
             self.wrong(f"latched {latched.name}, which this fault does not explain")
         if latched == Fault.NONE and outcome == Outcome.FAULT:
@@ -219,6 +228,7 @@ class _Trial:
         found.violations += led_after_its_stop(arm.arm, frames)
         if latched != Fault.NONE:
             self.judge_standstill(truth)
+        if arm.core["fault"]:
             self.judge_sentence()
         if fault.loses and not self.blind and arm.loop[0]["axes"][self.joint]["referenced"]:
             self.wrong(f"{name} is still referenced")
@@ -246,7 +256,7 @@ class _Trial:
 
     def come_back(self) -> None:
         arm, fault = self.arm, self.fault
-        before = arm.loop[0]["axes"]["unreferenced_reason"][:6].copy()
+        before = {joint: Unreferenced(arm.loop[0]["axes"][joint]["unreferenced_reason"]) for joint in range(6)}
         since = len(arm.sent)
         if fault.mend is not None:
             told = self.clear()  # the cause is still there
@@ -263,14 +273,28 @@ class _Trial:
                 f"after the clear the arm is {Mode(int(arm.core['mode'])).name}, {Fault(int(arm.core['fault'])).name}"
             )
             return
-        for joint in range(6):
-            lasting = before[joint] in (Unreferenced.POWER_LOST, Unreferenced.POSITION_JUMP, Unreferenced.SILENT)
-            if lasting and arm.loop[0]["axes"][joint]["referenced"]:
-                self.wrong(f"the clear referenced {arm.arm.joints[joint].name}")
+        self.judge_references(before)
         if motion_frames(frames_sent(arm.sent[since:]), self.config.drive.address, 0):  # type: ignore[union-attr]
             self.wrong("the clear moved the arm")
         sound = bool(np.all(arm.loop[0]["axes"]["referenced"][:6]))
         self.move_again(Outcome.SUCCEEDED if sound else Outcome.REFUSED_UNREFERENCED)
+
+    def judge_references(self, before: Mapping[int, Unreferenced]) -> None:
+        """What is referenced stands where it reads; what was silent alone, and kept its power, is referenced."""
+        arm = self.arm
+        for joint, reason in before.items():
+            axis, name = arm.loop[0]["axes"][joint], arm.arm.joints[joint].name
+            off_rad = float(axis["measured_rad"]) - self.sim.true_position_rad(joint, self.sim.now_ns)
+            if axis["referenced"] and reason in (Unreferenced.POWER_LOST, Unreferenced.POSITION_JUMP):
+                self.wrong(f"the clear referenced {name}")
+            elif axis["referenced"] and abs(off_rad) > KNOWN_WITHIN_RAD:
+                self.wrong(f"{name} is referenced, and {off_rad:+.3f} rad from where it reads")
+            elif not axis["referenced"] and reason == Unreferenced.SILENT and not self.lost_power(joint):
+                self.wrong(f"{name} has lost its reference although its drive has kept its power")
+
+    def lost_power(self, joint: int) -> bool:
+        drive = self.sim.drives[joint]
+        return isinstance(drive, ZdtDrive) and drive.power_lost
 
     def clear(self) -> str:
         """Ask for a clear; the sentence with which it failed, if it did."""

@@ -21,7 +21,9 @@ from rtloop.beginning import new_loop, show_drives, show_limits
 from rtloop.bringup import BringUp
 from rtloop.cycle import step
 from rtloop.entries import record_at
+from rtloop.conversation import Conversation
 from rtloop.gripper import GripperTalk
+from rtloop.healing import Healing
 from rtloop.port import ServicePort
 from rtloop.power import Marks
 from rtloop.referencing import Referencing, referencing_asked_for
@@ -106,6 +108,8 @@ class VirtualArm:
         self.writer = CommandWriter(self.command)
         self.port = ServicePort(self.loop, entries)
         self.gripper: GripperTalk | None = None
+        self.healing: Healing | None = None
+        self._healing_talk: Conversation | None = None
         self.now_ns = START_NS
         self.core["epoch"] = START_NS  # which is the real time of its start otherwise
         self.suspended_ns = 0
@@ -193,6 +197,8 @@ class VirtualArm:
             self._feed_ring()
         if self.gripper is not None:
             self.gripper.poll(self.now_ns)
+        if self.healing is not None:
+            self._attend_healing(self.healing)
         count = step(self.loop[0], self.state.array[0], self.now_ns)
         if count:
             self.write(self.loop[0]["tx"][:count].tobytes())
@@ -244,18 +250,13 @@ class VirtualArm:
 
     def bring_up(self, *, clears_protection: bool = False, at_most_s: float = 10.0, **known: Any) -> BringUp:
         """Run the conversation that brings the drives up; `known`: what the control process knows beforehand."""
-        talk = BringUp(
-            self.arm,
-            self.port,
-            now_ns=self.now_ns,
-            clears_protection=clears_protection,
-            tell=self.told.append,
-            marks=self.marks,
-            **known,
-        )
+        talk = self._begin_bring_up(clears_protection=clears_protection, **known)
         self.until(lambda: talk.poll(self.now_ns), at_most_s=at_most_s)
         self.cycles(2)
         return talk
+
+    def _begin_bring_up(self, **known: Any) -> BringUp:
+        return BringUp(self.arm, self.port, now_ns=self.now_ns, tell=self.told.append, marks=self.marks, **known)
 
     def clear_fault(self) -> BringUp:
         """Ask for a clear, which must be granted, and bring the drives up as the control process does then."""
@@ -263,6 +264,17 @@ class VirtualArm:
         self.until(lambda: bool(self.core["bring_up_asked"]), at_most_s=1.0)
         self.core["bring_up_asked"] = 0
         return self.bring_up(clears_protection=True)
+
+    def heal_by_itself(self, *, unlocked: bool = True) -> None:
+        """Go on after a stall by itself from now on, as the control process lets an arm do."""
+        self.healing = Healing(self.arm, self.loop, self.port, self.marks, unlocked=unlocked)
+
+    def _attend_healing(self, healing: Healing) -> None:
+        if self._healing_talk is None:
+            self._healing_talk = healing.begin(self.now_ns)
+        elif self._healing_talk.poll(self.now_ns):
+            healed = healing.succeeded(self._healing_talk, self.now_ns)
+            self._healing_talk = self._begin_bring_up(clears_protection=False, heals=True) if healed else None
 
     def begin_with_gripper(self) -> None:
         """Let the conversation with the gripper's drive go on beside everything else."""

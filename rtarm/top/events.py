@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shm.sentences import (
+    HEALED,
     WIRE_IS_BACK,
     answer_sentence,
     command_sentence,
@@ -82,4 +83,6 @@ def _told(kind: int, code: int, joint: str, value: float, limit: float) -> tuple
         return unreferenced_sentence(code, joint), BAD
     if kind == Event.WIRE:
         return WIRE_IS_BACK, GOOD
+    if kind == Event.HEALED:
+        return HEALED, GOOD
     return f"Unknown event {kind}: start all processes from one installation.", ODD

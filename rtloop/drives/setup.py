@@ -74,6 +74,21 @@ class Setup(Protocol):
         """Let the drive go limp, and see that it has; raises TalkFailed."""
 
 
+class PowerHost(Protocol):
+    """The conversation that asks for a proof of power."""
+
+    arm: ArmConfig
+    port: ServicePort
+    marks: Marks
+
+
+class PowerProof(Protocol):
+    """What such a file has besides where its drives can prove that they had power (`rtloop.power`)."""
+
+    def kept_power(self, host: PowerHost, joint: int) -> Part[bool]:
+        """Whether the drive has had power since it was given its mark; changes nothing, raises nothing."""
+
+
 class HomingHost(Protocol):
     """The homing run that a drive's dialogue is part of."""
 
@@ -101,6 +116,12 @@ class Homes(Protocol):
 def setup_of(drive: Drive) -> Setup:
     """The file of a drive's family."""
     return cast(Setup, importlib.import_module(f"rtloop.drives.{drive.family}_setup"))
+
+
+def power_proof_of(drive: Drive) -> PowerProof | None:
+    """The file of a drive's family, if its drives can prove that they had power."""
+    found = setup_of(drive)
+    return cast(PowerProof, found) if hasattr(found, "kept_power") else None
 
 
 def homing_of(drive: Drive) -> Homes | None:

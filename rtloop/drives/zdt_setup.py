@@ -19,7 +19,7 @@ from rtloop import fast_targets, reports
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
-from rtloop.drives.setup import ERROR_AT_START, Found, Host
+from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
 from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
@@ -105,21 +105,27 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
         host.marks[joint] = yield from zdt_talk.mark(host.now_ns)
     found = yield from _standing(host, joint, config, reason)
     # The last question, so that it speaks for all that was read before.
-    return found._replace(kept_power=(yield from _kept_power(host, joint, flags)))
-
-
-def _kept_power(host: Host, joint: int, flags: int) -> Answered[bool]:
-    """Whether a drive that was silent still has its mark in volatile memory.
-
-    One that has not gets none anew: it would speak for the time since, not for that in which the angle was lost.
-    """
     if not host.was_silent[joint]:
+        return found
+    if (yield from _kept_power(host, joint)):
+        return found._replace(kept_power=True)
+    host.marks[joint] = None  # a new one would speak for the time since, not for that in which the angle was lost
+    return found
+
+
+def kept_power(host: PowerHost, joint: int) -> Part[bool]:
+    """What `rtloop.drives.setup.PowerProof` says."""
+    drive = host.arm.joints[joint].drive
+    assert isinstance(drive, ZdtDrive)
+    return addressed(drive.address, _kept_power(host, joint))
+
+
+def _kept_power(host: PowerHost, joint: int) -> Answered[bool]:
+    """Whether the drive still has its mark in volatile memory, and no flag for lost power that means something."""
+    flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
+    if flags is None or (flags & registers.POWER_LOST and not host.port.power_loss_known(joint)):
         return False
-    lost = flags & registers.POWER_LOST and not host.port.power_loss_known(joint)
-    if not lost and (yield from zdt_talk.has_mark(host.marks[joint])):
-        return True
-    host.marks[joint] = None
-    return False
+    return (yield from zdt_talk.has_mark(host.marks[joint]))
 
 
 def _clear_protection(host: Host, joint: int, config: JointConfig) -> Answered[int]:

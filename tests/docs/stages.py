@@ -86,7 +86,7 @@ RUN: dict[str, Run] = {
     "rtarm replay": Run(ARM, talk=(("joint6", "q"),)),
     "rtarm replay FILE.mcap --speed 0.5": Run(ARM, talk=(("joint6", "q"),)),
     "rtarm hold": Run(ARM, "stands and takes no goals before `rtarm resume`"),
-    "rtarm resume": Run(ARM, "was not held"),
+    "rtarm resume": Run(ARM, "is not held"),
     "rtarm stop": Run(ARM, "no goal was running"),
     "rtarm clear-fault": Run(ARM, "fault"),
     "python goal.py": Run(ARM, "Goal reached: the largest error is"),

@@ -72,7 +72,7 @@ def test_a_stop_while_an_earlier_one_waits_is_asked_for_as_well(arm: WrittenArm)
 @pytest.mark.parametrize(
     ("held", "phase", "said"),
     [
-        (0, Phase.RUNNING, "Arm {} was not held."),
+        (0, Phase.RUNNING, "Arm {} is not held: goals and streams may begin."),
         (1, Phase.PAUSED, "The goal of {} goes on."),
         (1, Phase.NONE, "Arm {} takes goals again."),
     ],

@@ -11,7 +11,7 @@ from virtual import VirtualArm, recorded_goal
 
 from config.budget import budget
 from config.loader import load_arm
-from rtloop.calibration.talk import OneDrive
+from rtloop.calibration.talk import Drive, OneDrive
 from rtloop.drives import zdt_registers
 from rtloop.farewell import Farewell
 from rtloop.settings.session import Session
@@ -217,7 +217,13 @@ def test_drives_that_report_are_understood_by_those_who_ask_and_move_them(period
     session.read()
     assert [(report.answers, report.left_alone) for report in session.reports.values()] == [(True, [])] * 6
     stood_rad = arm.sim.true_position_rad(1, arm.sim.now_ns - 1)
-    talk = OneDrive(arm.arm, arm.port, now_ns=arm.now_ns, joint=1, dialogue=lambda drive: drive.turn(6000, 20))
+    talk = OneDrive(
+        arm.arm,
+        arm.port,
+        now_ns=arm.now_ns,
+        joint=1,
+        dialogue=lambda clock: addressed(2, Drive(arm.arm, 1, clock).turn(6000, 20)),
+    )
     arm.until(lambda: talk.poll(arm.now_ns))
     assert talk.problem is None
     turned_rad = arm.sim.true_position_rad(1, arm.sim.now_ns - 1) - stood_rad

@@ -1,0 +1,157 @@
+"""Going on after a stall by itself: narrowly, and never on a guess.
+
+A silence of all drives is a fault however it came about: goals and streams are over, the arm has been braked and stands
+in Mode.FAULT. Where nobody but the machine, the adapter or the bus stood still, a person who clears that fault has
+nothing to find. So it is cleared here, without clearing any error of a drive, when every one of these holds:
+
+- all drives were silent, and are heard again within `ENDED_WITHIN_NS`;
+- each drive says that it holds, without an error, and each has been heard for so long that no answer can be an old one
+  (`lag_ns`): what waited in any queue has been said;
+- each joint has stood still for `REST_NS`, between where it was when it fell silent and where it was led;
+- each drive proves that it had power (`rtloop.power`), or has an encoder that needs none;
+- the arm is simulated, or a bench test of each drive has found that it brakes in silence and proves its power
+  (`rtloop.commissioned`);
+- it is not the third time in a minute.
+
+Why it was silent is never asked: that is told to people alone. The hazards of this stand in docs/safety.md.
+"""
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from config.schema import ArmConfig
+from rtloop import status as status_bits
+from rtloop.conversation import Conversation, Dialogue
+from rtloop.drives.setup import joints_on_the_bus, power_proof_of
+from rtloop.guard import FRESH_READINGS
+from rtloop.port import ServicePort
+from rtloop.power import Marks
+from shm.words import Fault, Mode, Unreferenced
+
+ENDED_WITHIN_NS = 1_000_000_000
+"""A stall is over by then; whoever looks at an arm that stands in a fault for longer may have begun to handle it."""
+DECIDED_WITHIN_NS = 4_000_000_000
+REST_NS = 100_000_000
+MOST_HEALED = 2
+WITHIN_NS = 60_000_000_000
+"""A fault that comes back for the third time within this stays, so that somebody looks for its cause."""
+
+
+class PowerCheck(Conversation):
+    """Asks every drive whether it had power; nothing is decided or changed by it.
+
+    Attributes:
+        proven: joints whose drive's count has outlived the silence.
+    """
+
+    def __init__(self, arm: ArmConfig, port: ServicePort, marks: Marks, now_ns: int) -> None:
+        super().__init__(arm, port, now_ns, fault=Fault.STALE_READING)
+        self.marks = marks
+        self.proven: set[int] = set()
+        self.begin({joint: self._ask(joint) for joint in joints_on_the_bus(arm)})
+
+    def _ask(self, joint: int) -> Dialogue:
+        drive = self.arm.joints[joint].drive
+        proof = power_proof_of(drive)
+        if drive.knows_its_angle or (proof is not None and (yield from proof.kept_power(self, joint))):
+            self.proven.add(joint)
+
+
+class Healing:
+    """Watches the faults of one arm; `unlocked`: its drives are known to brake in silence and to prove their power."""
+
+    def __init__(self, arm: ArmConfig, loop: np.ndarray, port: ServicePort, marks: Marks, *, unlocked: bool) -> None:
+        self._arm, self._loop, self._port, self._marks = arm, loop, port, marks
+        self._joints = joints_on_the_bus(arm)
+        self._unlocked = unlocked and len(self._joints) > 1  # a single silent drive may be the cause itself
+        self._given_up_ns = self._rest_since_ns = 0
+        self._stood_rad: list[float] = []
+        self._healed_ns: deque[int] = deque(maxlen=MOST_HEALED)
+        self._check: PowerCheck | None = None
+
+    def begin(self, now_ns: int) -> PowerCheck | None:
+        """Called from time to time: the questions for power, once nothing else speaks against going on."""
+        core = self._loop[0]["core"]
+        fault_ns = int(core["fault_ns"])
+        if not self._unlocked or int(core["mode"]) != Mode.FAULT or fault_ns == self._given_up_ns:
+            return None
+        if not self._may_heal(now_ns, fault_ns):
+            self._given_up_ns = fault_ns
+            return None
+        if not self._stands(now_ns):
+            return None
+        self._given_up_ns = fault_ns  # it is tried once
+        self._check = PowerCheck(self._arm, self._port, self._marks, now_ns)
+        return self._check
+
+    def succeeded(self, talk: Conversation, now_ns: int) -> bool:
+        """Whether this conversation was the last question, and the arm may be brought up again now."""
+        if talk is not self._check or self._check is None or self._check.proven != set(self._joints):
+            return False
+        core = self._loop[0]["core"]
+        asked = int(core["bring_up_asked"]) == 1  # a person's clear is a person's
+        same = int(core["mode"]) == Mode.FAULT and int(core["fault_ns"]) == self._given_up_ns
+        if asked or not same or not self._hold():
+            return False
+        self._healed_ns.append(now_ns)
+        return True
+
+    def _may_heal(self, now_ns: int, fault_ns: int) -> bool:
+        core, axes = self._loop[0]["core"], self._loop[0]["axes"]
+        if int(core["fault"]) != Fault.STALE_READING or int(core["fault_joint"]) != -1 or int(core["closing"]) == 1:
+            return False
+        if len(self._healed_ns) == MOST_HEALED and now_ns - self._healed_ns[0] < WITHIN_NS:
+            return False
+        lost = {Unreferenced(axes[joint]["unreferenced_reason"]) for joint in range(len(self._arm.joints))}
+        if not lost <= {Unreferenced.REFERENCED, Unreferenced.SILENT}:
+            return False
+        heard_ns = min(int(axes[joint]["measured_ns"]) for joint in self._joints)
+        if heard_ns < fault_ns and now_ns - fault_ns > ENDED_WITHIN_NS:
+            return False
+        return now_ns - fault_ns <= DECIDED_WITHIN_NS
+
+    def _stands(self, now_ns: int) -> bool:
+        """Whether every joint has stood for long enough where it may, and its drive holds it."""
+        axes = self._loop[0]["axes"]
+        stood_rad = [float(axes[joint]["measured_rad"]) for joint in self._joints]
+        still = len(self._stood_rad) == len(stood_rad) and all(
+            abs(now - before) <= self._slack_rad(joint)
+            for joint, now, before in zip(self._joints, stood_rad, self._stood_rad, strict=True)
+        )
+        led = np.any(axes[: len(self._arm.joints)]["velocity_rad_s"] != 0.0)
+        if led or not still or not self._hold() or not all(self._is_fresh(joint, now_ns) for joint in self._joints):
+            self._stood_rad, self._rest_since_ns = stood_rad, now_ns
+            return False
+        return now_ns - self._rest_since_ns >= REST_NS and all(self._is_on_its_way(joint) for joint in self._joints)
+
+    def _slack_rad(self, joint: int) -> float:
+        return 2.0 * float(self._loop[0]["joints"][joint]["slack_rad"])
+
+    def _hold(self) -> bool:
+        """Whether each drive has said since the fault that it holds, and means it."""
+        core, axes = self._loop[0]["core"], self._loop[0]["axes"]
+        wrong = status_bits.PROTECTED | status_bits.POWER_LOST
+        return all(
+            int(axes[joint]["status"]) & status_bits.ENABLED
+            and not int(axes[joint]["status"]) & wrong
+            and int(axes[joint]["bad_statuses"]) == 0
+            and int(axes[joint]["status_ns"]) > int(core["fault_ns"])
+            for joint in self._joints
+        )
+
+    def _is_fresh(self, joint: int, now_ns: int) -> bool:
+        """Whether the last reading is new, and no answer can be older than its question."""
+        axis, params = self._loop[0]["axes"][joint], self._loop[0]["params"]
+        age_ns = now_ns - int(axis["measured_ns"])
+        return age_ns <= FRESH_READINGS * int(params["reading_ns"]) and int(axis["lag_ns"]) == 0
+
+    def _is_on_its_way(self, joint: int) -> bool:
+        """Whether a joint stands between its last reading before the silence and where it was led."""
+        axis = self._loop[0]["axes"][joint]
+        if int(axis["referenced"]) == 1:
+            return True  # it was judged all the time
+        ends = float(axis["lost_at_rad"]), float(axis["position_rad"])
+        beside_rad = self._arm.limits.position_jump_rad
+        return min(ends) - beside_rad <= float(axis["measured_rad"]) <= max(ends) + beside_rad
