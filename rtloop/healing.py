@@ -17,7 +17,6 @@ Why it was silent is never asked: that is told to people alone. The hazards of t
 """
 
 from collections import deque
-from collections.abc import Callable
 
 import numpy as np
 

@@ -120,8 +120,8 @@ OUTCOMES: dict[Outcome, Meaning] = {
         "Ask who stopped the arm and why; then `rtarm resume`, the service ~/resume, or Resume on its page.",
     ),
     Outcome.REFUSED_STREAM: Meaning(
-        "All drives were silent for a moment and the arm has gone on holding by itself, so a stream waits for a person: "
-        "look where the arm stands, then `rtarm resume` (or ~/resume).",
+        "All drives were silent for a moment and the arm holds again by itself, so a stream waits for a person: look "
+        "where the arm stands, then `rtarm resume` (or ~/resume).",
         "A stream was cut off in motion, and who sends it may not know where the arm stands now.",
         "See that nothing is in the arm's way; then `rtarm resume`, the service ~/resume, or Resume on its page.",
     ),
@@ -593,8 +593,8 @@ STILL_QUEUED = Meaning(
 )
 """At the end of a control process on SocketCAN, where the frames outlive it."""
 HEALED = (
-    "All drives were silent for a moment; each has kept its power and stands where it may, so the arm holds and takes the "
-    "next goal. Streams wait for `rtarm resume`."
+    "All drives were silent for a moment; each has kept its power and stands where it may, so the arm holds by itself "
+    "and takes the next goal. Streams wait for `rtarm resume`."
 )
 """Of an arm that goes on after a stall by itself."""
 WIRE_IS_BACK = "The adapter is back: `rtarm clear-fault` brings the drives up again."

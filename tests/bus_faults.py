@@ -15,6 +15,7 @@ from shm.words import Fault
 from sim import faults as wrong
 from sim.babble import Babbler
 from sim.drives.zdt import ZdtDrive
+from sim.drives.zdt_motion import PowerFlag
 
 if TYPE_CHECKING:
     from bus_trials import TrialArm
@@ -42,6 +43,7 @@ class BusFault:
         options, overrides: of the simulated arm, and of the arm's file.
         backlog: what was on its way when the way was blocked still arrives when it is free.
         heals: the arm goes on by itself where it may.
+        flags: kinds of flags for lost power that the drives may have.
     """
 
     name: str
@@ -53,6 +55,7 @@ class BusFault:
     loses: bool = False
     backlog: bool = False
     heals: bool = False
+    flags: tuple[PowerFlag, ...] = ()
     blind_rad: float = 0.0
     options: dict[str, Any] = field(default_factory=dict)
     overrides: dict[str, dict[str, object]] = field(default_factory=dict)
@@ -278,6 +281,7 @@ FAULTS = (
         throws=True,
         loses=True,
         heals=True,
+        flags=("right", "absent", "unset"),  # one that is stuck tells of no reference from the beginning
     ),
     BusFault("the adapter is pulled out", lambda _, __: [], frozenset({Fault.WIRE}), unplugs=True),
     BusFault("a shaft is held", _now(wrong.Stall), frozenset({FOLLOWING, GOES_ON}), _let_go_of_shaft, throws=True),

@@ -117,6 +117,9 @@ def run_trial(fault: BusFault, seed: int) -> Found:
     arm = TrialArm(config, start_rad=joints[0, :, 0], seed=seed, **fault.options)
     found = Found(fault.name, seed)
     try:
+        for drive in arm.sim.drives if fault.flags and arm.sim is not None else ():
+            assert isinstance(drive, ZdtDrive)
+            drive.power_flag = fault.flags[random.integers(len(fault.flags))]
         assert arm.bring_up().failure is None
         if fault.heals:
             arm.heal_by_itself()
@@ -171,7 +174,7 @@ class _Trial:
         if arm.core["mode"] == Mode.FAULT and not self.fault.unplugs:
             self.come_back()
         elif found.latched == Fault.STALE_READING.name:  # and healed
-            self.judge_references({joint: Unreferenced.SILENT for joint in range(6)})
+            self.judge_references(dict.fromkeys(range(6), Unreferenced.SILENT))
             self.move_again(Outcome.SUCCEEDED)
         elif found.outcome == Outcome.SUCCEEDED.name and not self.fault.unplugs:
             if self.fault.mend is not None:
@@ -230,6 +233,10 @@ class _Trial:
             self.judge_standstill(truth)
         if arm.core["fault"]:
             self.judge_sentence()
+        if fault.heals and latched == Fault.STALE_READING:
+            heals = not any(self.lost_power(joint) for joint in range(6))
+            if heals != (arm.core["mode"] == Mode.HOLDING):
+                self.wrong("the arm did not go on by itself" if heals else "the arm went on although power was lost")
         if fault.loses and not self.blind and arm.loop[0]["axes"][self.joint]["referenced"]:
             self.wrong(f"{name} is still referenced")
 
@@ -294,7 +301,7 @@ class _Trial:
 
     def lost_power(self, joint: int) -> bool:
         drive = self.sim.drives[joint]
-        return isinstance(drive, ZdtDrive) and drive.power_lost
+        return isinstance(drive, ZdtDrive) and drive.power_losses > 0
 
     def clear(self) -> str:
         """Ask for a clear; the sentence with which it failed, if it did."""

@@ -19,9 +19,9 @@ from config.serial_adapters import SLCAN_BITRATES
 from rtloop import entries
 from rtloop.beginning import new_loop, show_drives, show_limits
 from rtloop.bringup import BringUp
+from rtloop.conversation import Conversation
 from rtloop.cycle import step
 from rtloop.entries import record_at
-from rtloop.conversation import Conversation
 from rtloop.gripper import GripperTalk
 from rtloop.healing import Healing
 from rtloop.port import ServicePort

@@ -84,6 +84,7 @@ class ZdtDrive(Functions):
         refuses: whether it refuses every motion command.
         keeps_settings: whether it says that it took new settings, and keeps its own.
         stores_everything: whether what it is told for volatile memory alone outlives the power, too.
+        power_losses: how often it has lost its supply.
         power_flag: whether bit 7 of `3A` tells a loss of power ("right"), is always 0 ("absent"), is 0 after
             power-up ("unset"), or is always 1 ("stuck").
         ramp_steepness: how many times as hard as told its ramp is.
@@ -215,6 +216,7 @@ class ZdtDrive(Functions):
         """Lose the supply: silence, a loose shaft, and everything volatile forgotten (9.8)."""
         self.advance(now_ns)
         self.powered = self.listening = False
+        self.power_losses += 1
         self.outbox.clear()
         self._partial = None
         self._buffered = None

@@ -60,6 +60,7 @@ class Motion(ABC):
         self.cause_lasts = False
         self.count_shift = 0
         self.powered = True
+        self.power_losses = 0
         self.enabled = True
         self.protected = False
         self.power_lost = not homed

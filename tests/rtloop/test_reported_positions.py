@@ -13,6 +13,7 @@ from config.budget import budget
 from config.loader import load_arm
 from rtloop.calibration.talk import Drive, OneDrive
 from rtloop.drives import zdt_registers
+from rtloop.drives.zdt_ask import addressed
 from rtloop.farewell import Farewell
 from rtloop.settings.session import Session
 from shm.words import Answer, Fault, Mode, Outcome, Request, Slowed
