@@ -87,9 +87,7 @@ def load(arm: ArmConfig) -> dict[int, Commissioned]:
 
 
 def heals(arm: ArmConfig) -> bool:
-    """Whether the arm may go on by itself after a stall (`rtloop.healing`): simulated, or each drive was found to."""
-    if is_simulated(arm):
-        return True
+    """Whether each drive of the arm was found to do what going on after a stall relies on (`rtloop.healing`)."""
     try:
         found = load(arm)
     except NotReadable:

@@ -414,7 +414,8 @@ class ControlProcess:
             counts_before=saved.counts_before(self._arm),
             lost_before=saved.lost_references(self._arm, self._tell),
         )
-        healing = Healing(self._arm, self._loop, self._port, self._marks, unlocked=commissioned.heals(self._arm))
+        unlocked = bool(self._loop[0]["params"]["simulated"]) or commissioned.heals(self._arm)
+        healing = Healing(self._arm, self._loop, self._port, self._marks, unlocked=unlocked)
         first = True
         closing_until_s = 0.0
         while True:

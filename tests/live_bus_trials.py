@@ -35,7 +35,8 @@ from observer import (
 from process_trials import begin_again, own_ros_domain, small_home, spread
 
 from config.loader import load_arm
-from shm.words import Fault
+from rtloop.healing import DECIDED_WITHIN_NS
+from shm.words import Fault, Mode
 
 STANDS_WITHIN_S = 3.0
 """A stop takes 2 s at most; some faults are noticed after 0.1 s."""
@@ -126,9 +127,21 @@ def _note_fault(rig: Any, told_ns: int, seen: Seen) -> None:
         seen.latched_ms = (time.monotonic_ns() - told_ns) / 1e6
 
 
+def _await_healing(rig: Any, seen: Seen) -> None:
+    """Until the arm has gone on by itself, or will not any more."""
+    until_s = time.monotonic() + DECIDED_WITHIN_NS * 1e-9 + 1.0
+    while time.monotonic() < until_s:
+        if (snapshot := rig.snapshot()) is not None and snapshot["mode"] == Mode.HOLDING:
+            seen.steps.append("went on by itself")
+            return
+        time.sleep(POLL_S)
+
+
 def _judge(rig: Any, fault: BusFault, began_ns: int, told_ns: int, thrown: set[str], seen: Seen) -> None:
     if fault.backlog:
         time.sleep(BACKLOG_S)  # what waited is still on its way
+    if fault.heals and seen.latched:
+        _await_healing(rig, seen)
     rig.standing(STANDS_WITHIN_S)
     time.sleep(STILL_S)  # in which nothing may begin to move
     still_ns = time.monotonic_ns() - round(STILL_S * 1e9)
@@ -147,6 +160,8 @@ def _way_back(rig: Any, fault: BusFault, seen: Seen) -> None:
     if fault.mend is not None or fault.loses:
         plug_in(rig, fault)
     seen.violations += rig.goal_succeeds(seen.notes, seen.steps)
+    if fault.heals and not fault.loses and any(step.startswith("referenced") for step in seen.steps):
+        seen.violations.append("references were lost although every drive had power")
 
 
 # --- many of them

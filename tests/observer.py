@@ -189,9 +189,9 @@ def led_after_its_stop(arm: ArmConfig, frames: Collection[WireFrame]) -> list[st
     for joint in arm.joints:
         if not isinstance(joint.drive, ZdtDrive):
             continue
-        address = joint.drive.address
-        stops = [frame.time_ns for frame in frames if frame.drive == address and frame.data[:2] == STOP]
-        if stops and motion_frames(frames, address, stops[0] - 1):
+        heard = [frame.data for frame in frames if frame.drive == joint.drive.address]
+        stop = next((n for n, data in enumerate(heard) if data[:2] == STOP), len(heard))
+        if any(data[:1] in MOVES for data in heard[stop:]):  # by their order: what waited together arrives at one time
             found.append(f"{joint.name} was led after its stop command")
     return found
 
