@@ -86,6 +86,14 @@ def load(arm: ArmConfig) -> dict[int, Commissioned]:
     }
 
 
+def unproven(arm: ArmConfig) -> set[int]:
+    """Joints whose drive was found to prove no power; all of them where nobody can tell what was found."""
+    try:
+        return {joint for joint, found in load(arm).items() if found.power_proof is PowerProof.NONE}
+    except NotReadable:
+        return set(range(len(arm.joints)))
+
+
 def heals(arm: ArmConfig) -> bool:
     """Whether each drive of the arm was found to do what going on after a stall relies on (`rtloop.healing`)."""
     try:

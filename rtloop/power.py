@@ -11,23 +11,30 @@ process, so that a crash costs no angle either. What a drive does not prove stay
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 
 class Marks:
     """The mark of each joint's drive, by the joint's number; a drive without one proves nothing."""
 
     def __init__(
-        self, known: Mapping[int, str] | None = None, keep: Callable[[Mapping[int, str]], object] = lambda marks: None
+        self,
+        known: Mapping[int, str] | None = None,
+        keep: Callable[[Mapping[int, str]], object] = lambda marks: None,
+        unproven: Collection[int] = (),
     ) -> None:
-        """`known` are those of before, `keep` remembers them all whenever one changes."""
-        self._marks, self._keep = dict(known or {}), keep
+        """`known` are those of before, `keep` remembers them all whenever one changes.
+
+        `unproven`: joints whose drive keeps a mark over a loss of power, or takes none (`rtloop.commissioned`).
+        """
+        self._keep, self._unproven = keep, unproven
+        self._marks = {joint: mark for joint, mark in (known or {}).items() if joint not in unproven}
 
     def __getitem__(self, joint: int) -> str | None:
         return self._marks.get(joint)
 
     def __setitem__(self, joint: int, mark: str | None) -> None:
-        if mark == self[joint]:
+        if mark == self[joint] or joint in self._unproven:
             return
         self._marks.pop(joint, None)
         if mark is not None:

@@ -96,7 +96,7 @@ class ControlProcess:
         self._wire: OpenWire | None = None
         self._claim = Claim()
         self._lost_references: dict[int, Unreferenced] = {}
-        self._marks = Marks(saved.power_marks(arm), self._keep_marks)
+        self._marks = Marks(saved.power_marks(arm), self._keep_marks, commissioned.unproven(arm))
         self._dropped_before = self._unsent_before = 0
         self._brought_up = False
         self._next_try_s = self._next_lost_s = self._next_keep_s = 0.0

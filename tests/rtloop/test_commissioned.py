@@ -15,6 +15,7 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from rtloop import commissioned
 from rtloop.commissioned import Commissioned, NotReadable, PowerProof
+from rtloop.power import Marks
 from rtloop.saved import NotSaved, channel_of, path_of
 
 TRUTHS = st.none() | st.booleans()
@@ -122,3 +123,29 @@ def test_what_was_not_tried_again_stays_with_the_same_firmware(arm: ArmConfig) -
     assert now.after(before) == replace(now, power_proof=PowerProof.FLAG, power="seen 1")
     assert now.after(before).heals and not now.heals
     assert now.after(replace(before, firmware="1.2.5")) == now
+
+
+def test_an_arm_goes_on_by_itself_where_each_drive_was_found_to_allow_it(arm: ArmConfig) -> None:
+    assert not commissioned.heals(arm)
+    for joint in range(6):
+        assert not commissioned.heals(arm)
+        commissioned.save(arm, joint, found_of(arm, joint, power_proof=PowerProof.CANARY, brakes_in_silence=True))
+    assert commissioned.heals(arm)
+    commissioned.save(arm, 3, found_of(arm, 3, power_proof=PowerProof.NONE, brakes_in_silence=True))
+    assert not commissioned.heals(arm)
+
+
+def test_a_drive_that_was_found_to_prove_no_power_gets_no_mark(arm: ArmConfig) -> None:
+    commissioned.save(arm, 0, found_of(arm, 0, power_proof=PowerProof.FLAG))
+    commissioned.save(arm, 1, found_of(arm, 1, power_proof=PowerProof.NONE))
+    marks = Marks({0: "10001", 1: "10001", 2: "10001"}, unproven=commissioned.unproven(arm))
+    marks[1] = "10002"
+    assert [marks[joint] for joint in range(3)] == ["10001", None, "10001"]
+
+
+def test_a_record_that_cannot_be_read_unlocks_nothing(arm: ArmConfig) -> None:
+    path = path_of(arm.name, "commissioned")
+    path.parent.mkdir(parents=True)
+    path.write_text("{", encoding="utf-8")
+    assert not commissioned.heals(arm)
+    assert commissioned.unproven(arm) == set(range(6))
