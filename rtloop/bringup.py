@@ -13,7 +13,7 @@ from rtloop.conversation import Conversation, Dialogue
 from rtloop.drives.setup import Found, setup_of
 from rtloop.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, POWER_KEPT, ServicePort
 from rtloop.power import Marks
-from shm.sentences import unreferenced_sentence
+from shm.sentences import joint_names, unreferenced_sentences
 from shm.words import Fault, Unreferenced
 
 SLACK_RAD = 0.02
@@ -58,6 +58,8 @@ class BringUp(Conversation):
         self.unasked_before = [port.unasked(n) for n in range(len(arm.joints))]
         lost = [{port.unreferenced_reason(n), self.lost_before.get(n)} for n in range(len(arm.joints))]
         self.was_silent = [Unreferenced.SILENT in reasons for reasons in lost]
+        self._unknown: dict[int, Unreferenced] = {}
+        self._kept_power: list[int] = []
         self._referenced_before = [port.referenced(n) for n in range(len(arm.joints))]
         self.post(BRING_UP_BEGINS, code=int(heals))
         dialogues = {}
@@ -68,6 +70,17 @@ class BringUp(Conversation):
                 start = mock_positions_rad[joint] if mock_positions_rad else 0.0
                 self._adopt(joint, min(max(start, config.lower_rad), config.upper_rad), Unreferenced.REFERENCED)
         self.begin(dialogues)
+
+    def _goes_on(self) -> bool:
+        """What is the same for several joints is told once, when all have been judged."""
+        names = [joint.name for joint in self.arm.joints]
+        for sentence in unreferenced_sentences({names[joint]: why for joint, why in sorted(self._unknown.items())}):
+            self.tell(sentence)
+        if kept := [names[joint] for joint in sorted(self._kept_power)]:
+            self.tell(
+                f"{joint_names(kept)}: power was there all through the silence, as the drive proves, so the angle is known."
+            )
+        return False
 
     def _adopt(self, joint: int, position_rad: float, reason: Unreferenced) -> None:
         self.post(ADOPT, joint=joint, value=position_rad, code=reason)
@@ -86,19 +99,17 @@ class BringUp(Conversation):
         if reason == Unreferenced.INCREMENTAL and (self._referenced_before[joint] or kept):
             reason = Unreferenced.REFERENCED
         elif reason == Unreferenced.INCREMENTAL:
-            self.tell(unreferenced_sentence(reason, config.name))
+            self._unknown[joint] = reason
         lost = self.lost_before.get(joint, Unreferenced.REFERENCED)
         made_good = config.drive.knows_its_angle and lost in MADE_GOOD_BY_ABSOLUTE
         made_good |= kept and lost == Unreferenced.SILENT
         if reason == Unreferenced.REFERENCED and lost != Unreferenced.REFERENCED and not made_good:
-            reason = lost
-            self.tell(unreferenced_sentence(reason, config.name))
+            reason = self._unknown[joint] = lost
         step = math.copysign(self.port.reading_step_rad(joint), per_rad)
         moved_rad = measured_rad + zero_rad - self._counts_before[joint] * step if joint in self._counts_before else 0.0
         elsewhere_rad = abs(measured_rad - self._stood_rad.get(joint, measured_rad))
         if elsewhere_rad > self.arm.limits.position_jump_rad:
-            reason = Unreferenced.POWER_LOST
-            self.tell(unreferenced_sentence(reason, config.name))
+            reason = self._unknown[joint] = Unreferenced.POWER_LOST
         if reason == Unreferenced.REFERENCED and abs(moved_rad) > self.arm.limits.position_jump_rad:
             reason = Unreferenced.MOVED
             self.tell(
@@ -117,7 +128,7 @@ class BringUp(Conversation):
         if kept and reason == Unreferenced.REFERENCED:
             self.post(POWER_KEPT, joint=joint)
             self._forgive_silence(joint)
-            self.tell(f"{config.name}: its drive had power all the time that it was silent, so its angle is known.")
+            self._kept_power.append(joint)
         self._adopt(joint, target_rad, reason)
 
 
