@@ -77,9 +77,8 @@ class BringUp(Conversation):
         for sentence in unreferenced_sentences({names[joint]: why for joint, why in sorted(self._unknown.items())}):
             self.tell(sentence)
         if kept := [names[joint] for joint in sorted(self._kept_power)]:
-            self.tell(
-                f"{joint_names(kept)}: power was there all through the silence, as the drive proves, so the angle is known."
-            )
+            who = joint_names(kept)
+            self.tell(f"{who}: power was there all through the silence, as the drive proves, so the angle is known.")
         return False
 
     def _adopt(self, joint: int, position_rad: float, reason: Unreferenced) -> None:
