@@ -15,6 +15,7 @@ from config.python_can import SERIAL_INTERFACES
 from config.schema import ArmConfig
 from rtarm.doctor.finding import Found, Write, bad, note, ok, together, warn
 from rtarm.doctor.machine import Machine, Unknown, settled
+from rtarm.doctor.permissions import REAL_TIME_POLICIES
 
 SERIAL_PREFIXES = ("ttyUSB", "ttyACM")
 ARPHRD_CAN = 280
@@ -28,6 +29,12 @@ GRABBERS = {
     "brltty": "sudo systemctl mask --now brltty.service brltty-udev.service",
 }
 """Services that open serial adapters of others, and how they are turned off."""
+WORKERS = "kworker/u"
+"""Begins the names of the kernel's threads that do what is bound to no processor."""
+HURRY = (
+    f"for worker in $(pgrep '^{WORKERS}'); do sudo chrt --fifo --pid 1 \"$worker\"; done"
+    "   # lasts until the kernel makes new ones"
+)
 
 
 def channel(arm: ArmConfig | None) -> str | None:
@@ -164,6 +171,19 @@ def latency_timer(machine: Machine, arm: ArmConfig | None) -> Found:
 def _latency(name: str, file: str, found_ms: int) -> Found:
     said = f"{name} {found_ms} ms"
     return ok(said) if found_ms <= 1 else warn(said, fix=(Write(file, "1"),))
+
+
+def serial_workers(machine: Machine, arm: ArmConfig | None) -> Found:
+    """Whose turn received bytes wait for; no file sets the priority, so only a command is shown."""
+    names = ", ".join(serial_adapters(machine, arm))
+    if not names:
+        return ok("no serial adapter")
+    workers = [thread for thread in machine.threads() if thread.of_kernel and thread.name.startswith(WORKERS)]
+    if not workers:
+        raise Unknown("the kernel's threads are hidden here")
+    if all(worker.policy in REAL_TIME_POLICIES for worker in workers):
+        return ok(f"{names}: {WORKERS}… have real-time priority")
+    return note(f"{names}: {WORKERS}… have ordinary priority; a CAN interface needs none of them", HURRY)
 
 
 def usb_power(machine: Machine, arm: ArmConfig | None) -> Found:

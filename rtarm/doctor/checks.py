@@ -94,6 +94,11 @@ CHECKS: tuple[Check, ...] = (
         "An FTDI chip holds received bytes back for so long, 16 ms as it comes; rtarm wants each cycle's at once.",
         adapters.latency_timer,
     ),
+    Check(
+        "serial workers",
+        "Received bytes wait for a thread of the kernel, which a busy program keeps from its turn for 3 ms and more.",
+        adapters.serial_workers,
+    ),
     Check("USB power", "An adapter that was put to sleep answers late, or disappears.", adapters.usb_power),
     Check("port grabbers", "They speak to adapters that are none of theirs, or take them over.", adapters.grabbers),
     Check(

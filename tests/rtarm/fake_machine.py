@@ -52,6 +52,8 @@ def good_machine() -> dict[str, Content]:
         "/proc/1/cgroup": "0::/init.scope",
         "/proc/9/comm": "migration/0",
         "/proc/9/task/9/stat": stat("migration/0", flags=0x0020_0000, policy=1, priority=99),
+        "/proc/10/comm": "kworker/u8:0-flush-254:0",
+        "/proc/10/task/10/stat": stat("kworker/u8:0-flush-254:0", flags=0x0020_0000, policy=1, priority=1),
         "/proc/self/cgroup": "0::/user.slice/arm.scope",
         "/proc/self/limits": "Max locked memory         8388608              8388608              bytes",
         "/proc/self/status": "Uid:\t1000\t1000\t1000\t1000\nSeccomp:\t0\nCpus_allowed_list:\t0-7",
