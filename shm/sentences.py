@@ -227,8 +227,8 @@ FAULTS: dict[Fault, Meaning] = {
         "{joint} has given no believable answer for {value:.3f} s and {limit:.3f} s are allowed: check the drive's "
         "supply, its plug and its cable, then `rtarm clear-fault`.",
         "Without readings nobody knows where the joint is.",
-        "Check the drive's supply, plug and cable; clear the fault; `rtarm reference` the joint if it stands where it "
-        "reads, home it if not.",
+        "Check the drive's supply, plug and cable; clear the fault. Where the drive does not prove that it had power, "
+        "`rtarm reference` the joint if it stands where it reads, home it if not.",
     ),
     Fault.DRIVE_FAULT: Meaning(
         "The drive of {joint} reports a fault of its own ({value:drive}): remove the cause, then `rtarm clear-fault`.",
