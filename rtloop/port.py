@@ -23,9 +23,9 @@ COUNT_FROM = 6  # joint's zero is `value` (rad) from its drive's own; code = 1: 
 REFERENCING = 7  # joint's turn; code = 1: its drive begins a homing run, so its count means nothing any more
 REFERENCING_DONE = 8
 HOME_ALL = 9  # begin the arm's homing run
-POWER_KEPT = 11  # joint's drive proves that it had power while it was silent
 FAST_READY = 10  # joint's drive takes FC as absolute, and its speed and ramp for that are set
 HOLDS_STALLED = 11  # joint's drive goes on holding where it stalls: what lets go of a stalled shaft is off
+POWER_KEPT = 12  # joint's drive proves that it had power while it was silent
 
 IN = offset_of(LOOP, "service_in")
 OUT = offset_of(LOOP, "service_out")
