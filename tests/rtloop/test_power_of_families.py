@@ -6,8 +6,11 @@ through, a joint that is referenced afterwards stands where it reads.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -16,8 +19,9 @@ from virtual import START_NS, VirtualArm
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.drives import myactuator_setup
-from rtloop.drives.arming import ARMED
+from rtloop.conversation import TRIES
+from rtloop.drives import cia402_setup, damiao_setup, myactuator_setup, robstride_setup
+from rtloop.drives.arming import ARMED, Arming, stayed_armed
 from rtloop.drives.myactuator_setup import CLOCK_TOLERANCE, Uptime
 from rtloop.power import Marks
 from rtloop.saved import OUTLIVES_THE_PROCESS
@@ -25,6 +29,8 @@ from shm.words import Answer, Mode, Outcome, Request, Unreferenced
 from sim.drives.myactuator import MyactuatorDrive
 
 ARMED_ARMS = ("cia402_6", "damiao6", "damiao6_pv", "robstride6", "robstride6_position")
+SELF_ARMING_ARMS = ("cia402_6", "damiao6", "robstride6")
+"""Those whose mode is the one that power brings: in another one an armed drive is refused anyhow."""
 PROVING_ARMS = ("myactuator6", *ARMED_ARMS)
 OTHER_ARMS = ("odrive6", "mks6")
 START_RAD = [0.3, -0.2, 0.4, 0.5, -0.6, 0.7]
@@ -114,8 +120,8 @@ def reads_true(arm: VirtualArm) -> bool:
     )
 
 
-def endure(arm: VirtualArm, silence: Silence) -> VirtualArm:
-    """The arm after the silence and a person's clear, of the same control process or of the next one."""
+def fall_silent(arm: VirtualArm, silence: Silence) -> None:
+    """Let it happen, up to when the drives are heard again."""
     drives = arm.sim.drives
     for joint in silence.joints:
         drives[joint].unplug(arm.now_ns)
@@ -133,6 +139,11 @@ def endure(arm: VirtualArm, silence: Silence) -> VirtualArm:
         for joint in silence.late:
             drives[joint].plug_in(arm.now_ns)
         arm.cycles(round(WAKING_S * 1e9 / arm.period_ns))
+
+
+def endure(arm: VirtualArm, silence: Silence) -> VirtualArm:
+    """The arm after the silence and a person's clear, of the same control process or of the next one."""
+    fall_silent(arm, silence)
     arm.sim.adapter.corruption = silence.garbled
     if silence.process_dies:
         axes = enumerate(arm.loop[0]["axes"][:6])
@@ -210,7 +221,7 @@ def test_a_drive_whose_mark_was_not_kept_proves_nothing(name: str) -> None:
     arm.close()
 
 
-@pytest.mark.parametrize("name", ARMED_ARMS)
+@pytest.mark.parametrize("name", SELF_ARMING_ARMS)
 def test_a_drive_that_power_arms_proves_nothing_by_being_armed(name: str) -> None:
     arm = arm_of(name, (arms_itself,) * 3 + (sound,) * 3)
     assert [arm.marks[joint] for joint in range(6)] == [None] * 3 + [ARMED] * 3
@@ -227,6 +238,130 @@ def test_a_drive_that_was_let_go_proves_nothing(name: str) -> None:
     drive.disable(arm.now_ns)
     arm = endure(arm, Silence(frozenset((2, 3))))
     assert referenced(arm) == [joint != 2 for joint in range(6)]
+    arm.close()
+
+
+@pytest.mark.parametrize("name", ["cia402_6", "damiao6", "myactuator6", "robstride6"])
+def test_drives_with_absolute_encoders_are_given_no_mark(name: str) -> None:
+    arm = VirtualArm.brought_up(name)
+    assert not any(arm.marks[joint] for joint in range(6))
+    arm.close()
+
+
+# --- answers that are garbled
+
+
+def end_of(part: Generator) -> Any:
+    with pytest.raises(StopIteration) as end:
+        next(part)
+    return end.value.value
+
+
+def looks(*answers: bool | None) -> Callable:
+    """A drive that says one after the other, whenever it is asked whether it is armed."""
+    left = iter(answers)
+
+    def look() -> Generator:
+        return next(left)
+        yield
+
+    return look
+
+
+@pytest.mark.parametrize(
+    ("answers", "proof"),
+    [
+        ((True, True), True),
+        ((False, True, True), True),
+        ((None, True, True), True),
+        ((True, False, False), False),
+        ((True, None, False, False), False),
+        ((True, False, True, False, True, False), False),
+        ((None,) * (TRIES + 1), False),
+    ],
+)
+def test_two_answers_must_agree_that_a_drive_is_armed(answers: tuple[bool | None, ...], proof: bool) -> None:
+    host = SimpleNamespace(marks=Marks({0: ARMED}), was_silent=[True])
+    assert end_of(stayed_armed(host, 0, looks(*answers))) is proof
+    host.marks[0] = None
+    assert end_of(stayed_armed(host, 0, looks(*answers))) is False
+
+
+@pytest.mark.parametrize(
+    ("silent", "mark", "seen", "answers", "found"),
+    [
+        (True, ARMED, False, (True, True), True),
+        (True, ARMED, True, (False, False), False),
+        (True, ARMED, True, (None,) * (TRIES + 1), True),
+        (True, None, False, (), False),
+        (False, ARMED, False, (), False),
+    ],
+)
+def test_a_drive_that_may_prove_something_is_not_armed_by_a_garbled_answer(
+    silent: bool, mark: str | None, seen: bool, answers: tuple[bool | None, ...], found: bool
+) -> None:
+    host = SimpleNamespace(marks=Marks({0: mark} if mark else {}), was_silent=[silent])
+    assert end_of(Arming(host, 0, looks(*answers)).found(seen)) is found
+    assert host.marks[0] == mark
+
+
+def garble_first(monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, garbled: Callable) -> None:
+    """Spoil the first answer that a function of a bring-up gets of each drive, which its last argument names."""
+    true, spoilt = getattr(module, name), set()
+
+    def read(*arguments: Any) -> Generator:
+        answer = yield from true(*arguments)
+        whose = repr(arguments[-1])
+        if whose in spoilt:
+            return answer
+        spoilt.add(whose)
+        return garbled(answer)
+
+    monkeypatch.setattr(module, name, read)
+
+
+FIRST_LOOKS = {
+    "cia402_6": (
+        cia402_setup,
+        "_sound_state",
+        lambda state: cia402_setup.SWITCH_ON_DISABLED,
+        lambda state: cia402_setup.OPERATION_ENABLED,
+    ),
+    "damiao6": (
+        damiao_setup,
+        "_feedback",
+        lambda found: found._replace(code=damiao_setup.LIMP),
+        lambda found: found._replace(code=damiao_setup.ENABLED),
+    ),
+    "robstride6": (
+        robstride_setup,
+        "_asked_how_it_is",
+        lambda state: state._replace(mode=robstride_setup.RESET),
+        lambda state: state._replace(mode=robstride_setup.RUN),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FIRST_LOOKS)
+def test_a_garbled_answer_costs_no_proof(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    module, function, disarmed, _ = FIRST_LOOKS[name]
+    arm = arm_of(name)
+    fall_silent(arm, Silence(ALL))
+    garble_first(monkeypatch, module, function, disarmed)
+    assert arm.clear_fault().failure is None, arm.told
+    assert all(referenced(arm))
+    arm.close()
+
+
+@pytest.mark.parametrize("name", FIRST_LOOKS)
+def test_a_garbled_answer_is_no_proof(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    module, function, _, armed = FIRST_LOOKS[name]
+    arm = arm_of(name)
+    fall_silent(arm, Silence(ALL, ALL))
+    garble_first(monkeypatch, module, function, armed)
+    assert arm.clear_fault().failure is None, arm.told
+    assert not any(referenced(arm))
+    assert all(drive.enabled for drive in arm.sim.drives)
     arm.close()
 
 
@@ -325,6 +460,56 @@ def test_what_a_motor_makes_of_its_uptime(plant: Callable, proves: bool) -> None
     arm.close()
 
 
+def say_first(drive: MyactuatorDrive, *uptimes_ms: int) -> None:
+    """Garble the first uptimes that a motor says."""
+    says, left = drive._does[0xB1], list(uptimes_ms)
+
+    def garbled(data: bytes) -> bytes | None:
+        return struct.pack("<BxxxI", 0xB1, left.pop(0)) if left else says(data)
+
+    drive._does[0xB1] = garbled
+
+
+def test_one_uptime_that_is_garbled_neither_proves_nor_costs_a_proof() -> None:
+    arm = arm_of("myactuator6")
+    fall_silent(arm, Silence(ALL, frozenset((2,))))
+    for joint in (2, 3):
+        up = Uptime.of_mark(arm.marks[joint])
+        asked_in_ms = 15  # as much as another motor's uptime has grown when it is asked
+        kept_ms = up.ms + (arm.now_ns - up.heard_ns) // 1_000_000 + asked_in_ms
+        say_first(arm.sim.drives[joint], kept_ms if joint == 2 else 7)
+    assert arm.clear_fault().failure is None, arm.told
+    assert referenced(arm) == [joint != 2 for joint in range(6)]
+    arm.close()
+
+
+def test_a_garbled_uptime_is_no_mark() -> None:
+    arm = VirtualArm(incremental("myactuator6"), start_rad=START_RAD, homed=False)
+    say_first(arm.sim.drives[2], 7)
+    assert arm.bring_up().failure is None, arm.told
+    reference(arm)
+    arm = endure(arm, Silence(ALL))
+    assert all(referenced(arm))
+    arm.close()
+
+
+# --- marks
+
+
+def test_a_mark_that_waits_for_a_reference_gives_way_to_one_of_later() -> None:
+    kept: list[dict[int, str]] = []
+    marks = Marks({0: "old"}, lambda marks: kept.append(dict(marks)))
+    marks.give_once_referenced(0, "waiting")
+    assert marks[0] is None and kept[-1] == {}
+    marks[0] = "later"
+    marks.referenced(0)
+    assert marks[0] == "later"
+    marks.give_once_referenced(0, "waiting")
+    marks.referenced(0)
+    marks.referenced(1)
+    assert marks[0] == "waiting" and kept[-1] == {0: "waiting"}
+
+
 # --- all of it at random
 
 SILENCES = st.builds(
@@ -337,9 +522,11 @@ SILENCES = st.builds(
     st.sampled_from([0.0, 0.0, 0.003, 0.02]),
     st.booleans(),
 )
-PLANTS = {name: st.sampled_from([sound, sound, arms_itself]) for name in ARMED_ARMS}
-PLANTS["myactuator6"] = st.sampled_from([sound, uptime("stuck"), uptime("absent"), clock(1.01)])
-PLANTS |= dict.fromkeys(OTHER_ARMS, st.just(sound))
+SLIGHTLY_FAST = clock(1.01)
+PROVE = (sound, SLIGHTLY_FAST)
+PLANTS = dict.fromkeys((*ARMED_ARMS, *OTHER_ARMS), st.just(sound))
+PLANTS |= dict.fromkeys(SELF_ARMING_ARMS, st.sampled_from([sound, sound, arms_itself]))
+PLANTS["myactuator6"] = st.sampled_from([sound, uptime("stuck"), uptime("absent"), SLIGHTLY_FAST])
 
 
 @pytest.mark.parametrize("name", [*PROVING_ARMS, *OTHER_ARMS])
@@ -347,7 +534,7 @@ PLANTS |= dict.fromkeys(OTHER_ARMS, st.just(sound))
 @given(data=st.data())
 def test_no_angle_is_kept_over_a_loss_of_power_and_none_is_lost_that_is_proven(name: str, data: st.DataObject) -> None:
     plants = data.draw(st.tuples(*[PLANTS[name]] * 6))
-    proves = [name in PROVING_ARMS and (plant is sound or plant.__qualname__.startswith("clock")) for plant in plants]
+    proves = [name in PROVING_ARMS and plant in PROVE for plant in plants]
     arm = arm_of(name, plants)
     known = referenced(arm)
     for silence in data.draw(st.lists(SILENCES, min_size=1, max_size=3)):
