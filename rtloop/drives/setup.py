@@ -88,16 +88,16 @@ class PowerHost(Protocol):
 
 
 def settle_mark(host: Host, joint: int, proof: bool, mark: str | None) -> bool:
-    """Give a drive its mark for the next silence; whether it has proven that it had power in the last one.
+    """Give a drive its mark for the next silence; whether it has proven, by the one of before, that it had power.
 
     One that was silent and proves nothing gets its mark when the joint is referenced: it speaks for the time since, not
     for that in which the angle was lost.
     """
     if host.was_silent[joint] and not proof:
         host.marks.give_once_referenced(joint, mark)
-        return False
-    host.marks[joint] = mark
-    return host.was_silent[joint]
+    else:
+        host.marks[joint] = mark
+    return proof
 
 
 class HomingHost(Protocol):

@@ -19,13 +19,14 @@ from virtual import START_NS, VirtualArm
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.conversation import TRIES
+from rtloop.conversation import TRIES, Conversation, Dialogue
 from rtloop.drives import cia402_setup, damiao_setup, myactuator_setup, robstride_setup
 from rtloop.drives.arming import ARMED, Arming, stayed_armed
 from rtloop.drives.myactuator_setup import CLOCK_TOLERANCE, Uptime
+from rtloop.drives.setup import setup_of
 from rtloop.power import Marks
 from rtloop.saved import OUTLIVES_THE_PROCESS
-from shm.words import Answer, Mode, Outcome, Request, Unreferenced
+from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.drives.myactuator import MyactuatorDrive
 
 ARMED_ARMS = ("cia402_6", "damiao6", "damiao6_pv", "robstride6", "robstride6_position")
@@ -248,6 +249,41 @@ def test_drives_with_absolute_encoders_are_given_no_mark(name: str) -> None:
     arm.close()
 
 
+# --- asked apart from a bring-up
+
+
+class Check(Conversation):
+    """Asks the drives for their proof, and does nothing else."""
+
+    def __init__(self, arm: VirtualArm) -> None:
+        super().__init__(arm.arm, arm.port, arm.now_ns, fault=Fault.STALE_READING)
+        self.marks = arm.marks
+        self.proven: dict[int, bool] = {}
+        self.begin({joint: self._ask(joint) for joint in range(6)})
+
+    def _ask(self, joint: int) -> Dialogue:
+        family: Any = setup_of(self.arm.joints[joint].drive)
+        self.proven[joint] = yield from family.kept_power(self, joint)
+
+
+@pytest.mark.parametrize("name", ["cia402_6", "damiao6", "myactuator6", "robstride6"])
+def test_a_proof_is_asked_for_without_changing_anything(name: str) -> None:
+    arm = arm_of(name)
+    fall_silent(arm, Silence(ALL, frozenset((1,))))
+    arm.sim.drives[4].unplug(arm.now_ns)
+    before = [arm.marks[joint] for joint in range(6)]
+    check = Check(arm)
+    arm.until(lambda: check.poll(arm.now_ns))
+    assert check.failure is None
+    assert check.proven == {joint: joint not in (1, 4) for joint in range(6)}
+    assert [arm.marks[joint] for joint in range(6)] == before
+    assert arm.core["mode"] == Mode.FAULT and arm.sim.drives[1].enabled is False
+    arm.sim.drives[4].plug_in(arm.now_ns)
+    assert arm.clear_fault().failure is None, arm.told
+    assert referenced(arm) == [joint != 1 for joint in range(6)]
+    arm.close()
+
+
 # --- answers that are garbled
 
 
@@ -274,7 +310,9 @@ def looks(*answers: bool | None) -> Callable:
         ((True, True), True),
         ((False, True, True), True),
         ((None, True, True), True),
+        ((None, None, True, True), True),
         ((True, False, False), False),
+        ((False, True, False, False), False),
         ((True, None, False, False), False),
         ((True, False, True, False, True, False), False),
         ((None,) * (TRIES + 1), False),
@@ -453,7 +491,9 @@ def test_time_in_which_this_machine_was_suspended_counts(monkeypatch: pytest.Mon
     ],
     ids=["absent", "stuck", "a little slow", "a little fast", "slow", "fast"],
 )
-def test_what_a_motor_makes_of_its_uptime(plant: Callable, proves: bool) -> None:
+def test_what_a_motor_makes_of_its_uptime(monkeypatch: pytest.MonkeyPatch, plant: Callable, proves: bool) -> None:
+    """On a machine that was suspended for a while before."""
+    monkeypatch.setattr(myactuator_setup, "suspended_ns", lambda: 100_000_000_000)
     arm = arm_of("myactuator6", (plant,) * 3 + (sound,) * 3)
     arm = endure(arm, Silence(ALL, frozenset((0, 5)), seconds=2.0))
     assert referenced(arm) == [False, proves, proves, True, True, False]
@@ -480,6 +520,15 @@ def test_one_uptime_that_is_garbled_neither_proves_nor_costs_a_proof() -> None:
         say_first(arm.sim.drives[joint], kept_ms if joint == 2 else 7)
     assert arm.clear_fault().failure is None, arm.told
     assert referenced(arm) == [joint != 2 for joint in range(6)]
+    arm.close()
+
+
+def test_a_motor_that_tells_no_uptime_is_asked_as_often_as_any_that_is_silent() -> None:
+    arm = VirtualArm(incremental("myactuator6"))
+    asked = []
+    arm.sim.drives[2]._does[0xB1] = asked.append
+    assert arm.bring_up().failure is None, arm.told
+    assert len(asked) == TRIES
     arm.close()
 
 
@@ -545,7 +594,9 @@ def test_no_angle_is_kept_over_a_loss_of_power_and_none_is_lost_that_is_proven(n
         may = [was and joint not in silence.powerless for joint, was in enumerate(known)]
         assert all(may[joint] for joint in range(6) if kept[joint])
         assert reads_true(arm)
-        if not silence.garbled and not silence.process_dies:
+        if silence.garbled:
+            break  # a place that was garbled may have led a joint astray
+        if not silence.process_dies:
             must = [may[joint] and proves[joint] for joint in silence.joints]
             assert [kept[joint] for joint in silence.joints] == must
         if silence.referenced_again:
