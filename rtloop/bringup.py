@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import Conversation, Dialogue
-from rtloop.drives.setup import Found, setup_of
+from rtloop.drives.setup import Found, counts_beyond_rtarm, setup_of
 from rtloop.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, POWER_KEPT, ServicePort
 from rtloop.power import Marks
 from shm.sentences import joint_names, unreferenced_sentences
@@ -56,8 +56,12 @@ class BringUp(Conversation):
         # where a flag for lost power tells nothing new, only the joint's place can
         self._stood_rad = {n: port.measured_rad(n) for n in range(len(arm.joints)) if port.power_loss_known(n)}
         self.unasked_before = [port.unasked(n) for n in range(len(arm.joints))]
-        lost = [{port.unreferenced_reason(n), self.lost_before.get(n)} for n in range(len(arm.joints))]
-        self.was_silent = [Unreferenced.SILENT in reasons for reasons in lost]
+        silent_before = [self.lost_before.get(n) == Unreferenced.SILENT for n in range(len(arm.joints))]
+        self.was_silent = [
+            port.unreferenced_reason(n) == Unreferenced.SILENT
+            or (silent_before[n] and counts_beyond_rtarm(config.drive))
+            for n, config in enumerate(arm.joints)
+        ]
         self._unknown: dict[int, Unreferenced] = {}
         self._kept_power: list[int] = []
         self._referenced_before = [port.referenced(n) for n in range(len(arm.joints))]

@@ -7,6 +7,16 @@ process, so that a crash costs no angle either. What a drive does not prove stay
 | family | its mark |
 |---|---|
 | ZDT | an odd homing time-out in volatile memory; the flag for lost power (3A bit 7) speaks against it |
+| MyActuator | its uptime (B1): longer than the time since the mark, and grown by it |
+| CiA 402 | armed (*operation enabled*), since rtarm armed it |
+| Damiao | armed (*enabled*), likewise |
+| RobStride | armed (*run*), likewise |
+| ODrive | none: an axis may be set to close its loop when power comes, and CANSimple does not tell whether it is |
+| MKS | none: it keeps whatever it is told, and tells no uptime |
+| any with an absolute encoder | none is needed |
+
+A count that begins where power came is given its angle by a person, or a homing run, in each control process. So what
+these drives prove saves an angle from a silence, not from the end of the process that was told it; ZDT's does both.
 """
 
 from __future__ import annotations
@@ -29,14 +39,26 @@ class Marks:
         """
         self._keep, self._unproven = keep, unproven
         self._marks = {joint: mark for joint, mark in (known or {}).items() if joint not in unproven}
+        self._until_referenced: dict[int, str | None] = {}
 
     def __getitem__(self, joint: int) -> str | None:
         return self._marks.get(joint)
 
     def __setitem__(self, joint: int, mark: str | None) -> None:
+        self._until_referenced.pop(joint, None)
         if mark == self[joint] or joint in self._unproven:
             return
         self._marks.pop(joint, None)
         if mark is not None:
             self._marks[joint] = mark
         self._keep(self._marks)
+
+    def give_once_referenced(self, joint: int, mark: str | None) -> None:
+        """A drive whose joint's angle is lost has no mark, and gets one that speaks for the angle that is said next."""
+        self[joint] = None
+        self._until_referenced[joint] = mark
+
+    def referenced(self, joint: int) -> None:
+        """The joint's angle is known again."""
+        if joint in self._until_referenced:
+            self[joint] = self._until_referenced.pop(joint)

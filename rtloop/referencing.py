@@ -421,5 +421,6 @@ class Referencing(Conversation):
         if reason == Unreferenced.REFERENCED and not inside:
             reason = Unreferenced.OUTSIDE_LIMITS
         known = flag_stays and reason == Unreferenced.REFERENCED
+        self._marks.referenced(joint)
         self.post(COUNT_FROM, joint=joint, value=zero_rad, code=int(known))
         self.post(ADOPT, joint=joint, value=position_rad, code=reason)

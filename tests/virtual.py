@@ -288,7 +288,7 @@ class VirtualArm:
         after.sim, after.marks = self.sim, self.marks
         after.now_ns = self.now_ns + 10_000_000
         assert after.sim is not None
-        after.sim.feed(after.now_ns, b"C\rS6\rO\r")
+        after.sim.feed(after.now_ns, f"C\r{SLCAN_BITRATES[after.arm.bus.bitrate]}\rO\r".encode())
         return after
 
     def release(self, *, at_most_s: float = 10.0) -> Release:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rtloop.conversation import TRIES, Packet, Part
+from rtloop.conversation import TRIES, Packet, Part, Value
 from rtloop.port import Frame
 
 
@@ -30,6 +30,17 @@ class AskFrames:
 def say(*frames: Frame) -> AskFrames:
     """Frames that nothing answers."""
     return AskFrames(frames, lambda frame: False, answered=False)
+
+
+def surely(read: Callable[[], Part[Value | None]]) -> Part[Value | None]:
+    """What two answers in a row tell, for who decides by it: one alone may be garbled. None where no two agree."""
+    before = yield from read()
+    for _ in range(TRIES):
+        found = yield from read()
+        if found is not None and found == before:
+            return found
+        before = found
+    return None
 
 
 def confirmed(read: Callable[[], Part[float]], within: float) -> Part[float]:

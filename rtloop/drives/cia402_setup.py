@@ -36,9 +36,10 @@ from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import Dialogue, Part, TalkFailed
 from rtloop.drives import pdo
+from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, say
-from rtloop.drives.sdo import Aborted, Node, Object, abort_words, reading, value_in
-from rtloop.drives.setup import ERROR_AT_START, Found, Host
+from rtloop.drives.sdo import ABORT, Aborted, Node, Object, abort_words, reading, value_in
+from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost
 from rtloop.port import Frame
 from rtloop.wire.frame_words import STANDARD
 from shm.words import Unreferenced
@@ -142,6 +143,10 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     node = Node(joint, config)
     yield from _is_a_drive(host, node)
     state = yield from _sound_state(host, node)
+    arming = Arming(host, joint, lambda: _is_enabled(node))
+    enabled = state == OPERATION_ENABLED
+    if (yield from arming.found(enabled)) != enabled:  # which was garbled
+        state = yield from _sound_state(host, node)
     holds = state in HOLDING
     if holds and (yield from node.read(MODE_SHOWN)) != CSP:
         yield from _halt(host.arm, node)
@@ -153,10 +158,28 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         yield from node.write(MODE, CSP)
         yield from _until_csp(host.arm, node)
     if state != OPERATION_ENABLED:
+        arming.begins()
         yield from _enable(host.arm, node, state)
     elif (yield from node.read(CONTROLWORD)) != ENABLE_OPERATION:
         yield from node.write(CONTROLWORD, ENABLE_OPERATION)
-    return (yield from _standing(host, node))
+    found = yield from _standing(host, node)
+    if found.reason == Unreferenced.REFERENCED:
+        return found
+    return found._replace(kept_power=(yield from arming.kept_power()))
+
+
+def kept_power(host: PowerHost, joint: int) -> Part[bool]:
+    """What `rtloop.drives.setup.PowerHost` says."""
+    node = Node(joint, host.arm.joints[joint])
+    return (yield from stayed_armed(host, joint, lambda: _is_enabled(node)))
+
+
+def _is_enabled(node: Node) -> Part[bool | None]:
+    """Whether its operation is enabled; None where it does not say."""
+    reply = yield reading(node.number, STATUSWORD)
+    if reply is None or reply.data[0] == ABORT:
+        return None
+    return state_of(value_in(reply, STATUSWORD)) == OPERATION_ENABLED
 
 
 def let_go(arm: ArmConfig, joint: int) -> Dialogue:

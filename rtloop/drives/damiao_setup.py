@@ -37,9 +37,10 @@ from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.correction import ERROR_SPEED_SHARE
+from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, say
 from rtloop.drives.fields import field, of_field
-from rtloop.drives.setup import ERROR_AT_START, Found, Host
+from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost
 from rtloop.port import Frame
 from rtloop.wire.frame_words import STANDARD
 from shm.words import Unreferenced
@@ -111,10 +112,15 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     yield from _check_ranges(joint, config)
     _require_within_its_field(joint, config, found.rad)
     yield from _set_up(host, joint, enabled=found.code == ENABLED)
+    arming = Arming(host, joint, lambda: _is_enabled(config))
     for _ in range(TRIES):
         found = yield from _feedback(joint, config)
         stay = _stay(config, found, host.arm.limits.following_error_rad * config.ratio)
-        yield say(stay) if found.code == ENABLED else say(stay, _command(drive, ENABLE), stay)
+        if (yield from arming.found(found.code == ENABLED)):
+            yield say(stay)
+        else:
+            arming.begins()
+            yield say(stay, _command(drive, ENABLE), stay)
         found = yield from _feedback(joint, config)
         if found.code == ENABLED:
             break
@@ -125,8 +131,21 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
             "see what it says in the maker's tool, remove the cause, then `rtarm clear-fault`, or `rtarm up` where "
             "it has ended.",
         )
-    reason = Unreferenced.REFERENCED if knows_its_angle(config) else Unreferenced.INCREMENTAL
-    return Found(found.rad, _held_rad(config, found, host.arm.limits.following_error_rad * config.ratio), reason)
+    held_rad = _held_rad(config, found, host.arm.limits.following_error_rad * config.ratio)
+    if knows_its_angle(config):
+        return Found(found.rad, held_rad)
+    return Found(found.rad, held_rad, Unreferenced.INCREMENTAL, kept_power=(yield from arming.kept_power()))
+
+
+def kept_power(host: PowerHost, joint: int) -> Part[bool]:
+    """What `rtloop.drives.setup.PowerHost` says."""
+    return (yield from stayed_armed(host, joint, lambda: _is_enabled(host.arm.joints[joint])))
+
+
+def _is_enabled(config: JointConfig) -> Part[bool | None]:
+    """Whether the motor is enabled; None where it does not say."""
+    answer = yield _asked(config)
+    return None if answer is None else feedback_of(answer.data, _drive(config).ranges).code == ENABLED
 
 
 def let_go(arm: ArmConfig, joint: int) -> Dialogue:

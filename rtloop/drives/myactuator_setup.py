@@ -11,10 +11,16 @@ anyway.
 
 The communication timeout (B3) is not used: it cuts the motor's output (V4.2, 2.30), so a joint without a brake falls,
 when a control process ends orderly too; nor can it be read. Silence is a stop on the ramp without it.
+
+Its last answer is its uptime (B1), by which a motor that was silent proves that it had power: it began before its mark
+was given, and went on since as the clock did.
 """
 
 import math
 import struct
+import time
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,14 +29,14 @@ from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.drives.asking import AskFrames, say
-from rtloop.drives.setup import ERROR_AT_START, Found, Host
+from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost, settle_mark
 from rtloop.port import Frame
 from rtloop.wire.frame_words import STANDARD
 from shm.words import Unreferenced
 
 READ_RAMP, WRITE_RAMP, RESET, RELEASE_BRAKE = 0x42, 0x43, 0x76, 0x77
 SHUTDOWN, STOP, ANGLE, STATUS, FEEDBACK = 0x80, 0x81, 0x92, 0x9A, 0x9C
-TARGET = 0xA4
+TARGET, UPTIME = 0xA4, 0xB1
 RAMPS = ((0, "acceleration"), (1, "deceleration"))
 """Indexes of 42 and 43: those of position planning."""
 ERRORS = (
@@ -52,6 +58,46 @@ CREEP_DPS = 1
 RESTART_S = 5.0
 """Patience with a restart, which takes 1.1 s."""
 HUNDREDTHS = 100.0
+CLOCK_TOLERANCE = 0.0158
+"""Of a motor's clock beside ours: CAN's specification (2.0, oscillator tolerance) lets none be further off."""
+UPTIME_STEP_MS = 1.0
+BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+
+
+class Uptime(NamedTuple):
+    """What a motor said of its uptime (B1), and between which times of this boot of this machine."""
+
+    boot: str
+    ms: int
+    asked_ns: int
+    heard_ns: int
+
+    @classmethod
+    def of_mark(cls, mark: str | None) -> "Uptime | None":
+        """What was kept as a mark, if it is one."""
+        try:
+            boot, *numbers = (mark or "").split()
+            return cls(boot, *map(int, numbers))
+        except (ValueError, TypeError):
+            return None
+
+    @property
+    def mark(self) -> str:
+        """The same to be kept."""
+        return " ".join(map(str, self))
+
+    def goes_on_from(self, before: "Uptime") -> bool:
+        """Whether it has grown by the time since, without having begun anew, which it also does after 49.7 days."""
+        least_ms = (self.asked_ns - before.heard_ns) * 1e-6 * (1.0 - CLOCK_TOLERANCE) - UPTIME_STEP_MS
+        return least_ms <= self.ms - before.ms <= self.most_ms_since(before)
+
+    def proves_power_since(self, before: "Uptime") -> bool:
+        """Whether it has gone on since: the motor began before that, not after a loss of power since."""
+        return self.boot == before.boot and self.goes_on_from(before) and self.ms > self.most_ms_since(before)
+
+    def most_ms_since(self, before: "Uptime") -> float:
+        """What a motor's clock makes of the time since at most (ms)."""
+        return (self.heard_ns - before.asked_ns) * 1e-6 * (1.0 + CLOCK_TOLERANCE) + UPTIME_STEP_MS
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
@@ -95,8 +141,49 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     if status[3] == 0:  # or it has no brake
         yield from _answered(joint, config, RELEASE_BRAKE, "brake")
     reading = yield from _angle(joint, config)
+    if drive.knows_its_angle:
+        return Found(reading, held)
     reason = Unreferenced.POWER_LOST if restarted else Unreferenced.INCREMENTAL
-    return Found(reading, held, Unreferenced.REFERENCED if drive.knows_its_angle else reason)
+    # The last question, so that it speaks for all that was read before.
+    up = yield from _agreed_uptime(host, joint)
+    kept = settle_mark(host, joint, _proves(up, host.marks[joint]), up.mark if up else None)
+    return Found(reading, held, reason, kept)
+
+
+def kept_power(host: PowerHost, joint: int) -> Part[bool]:
+    """What `rtloop.drives.setup.PowerHost` says."""
+    return _proves((yield from _agreed_uptime(host, joint)), host.marks[joint])
+
+
+def _proves(up: Uptime | None, mark: str | None) -> bool:
+    before = Uptime.of_mark(mark)
+    return up is not None and before is not None and up.proves_power_since(before)
+
+
+def _agreed_uptime(host: PowerHost, joint: int) -> Part[Uptime | None]:
+    """The second of two that go on from each other, since one alone may be garbled; None where it tells none."""
+    before = None
+    for _ in range(TRIES):
+        found = yield from _uptime(host, joint)
+        if found is None or (before is not None and found.goes_on_from(before)):
+            return found
+        before = found
+    return None
+
+
+def _uptime(host: PowerHost, joint: int) -> Part[Uptime | None]:
+    """What it says of its uptime; None where it does not."""
+    asked_ns = host.now_ns + suspended_ns()
+    answer = yield _asked(_drive(host.arm.joints[joint]), UPTIME)
+    if answer is None:
+        return None
+    ms = int.from_bytes(answer.data[4:], "little")
+    return Uptime(BOOT_ID.read_text().strip(), ms, asked_ns, host.now_ns + suspended_ns())
+
+
+def suspended_ns() -> int:
+    """For how long this machine was suspended since it booted: the clock of `now_ns` stood, and motors ran."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) - time.monotonic_ns()
 
 
 def let_go(arm: ArmConfig, joint: int) -> Dialogue:

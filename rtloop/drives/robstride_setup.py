@@ -23,8 +23,9 @@ from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.correction import ERROR_SPEED_SHARE
 from rtloop.drives import fields
+from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
-from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host
+from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.port import Frame
 from shm.words import Unreferenced
 
@@ -92,12 +93,16 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         )
     if state.faults:
         state = yield from _without_faults(host, joint, state)
+    arming = Arming(host, joint, lambda: _is_running(drive))
+    if (yield from arming.found(state.mode == RUN)) != (state.mode == RUN):  # which was garbled
+        state = yield from _asked_again(joint, config)
     if state.mode == RUN:
         yield from _refuse_another_run_mode(joint, config)
     for _ in range(TRIES):
         standing = held = yield from confirmed(lambda: _where_it_stands(joint, config), SAME_PLACE_RAD * config.ratio)
         _require_within_its_field(joint, config, standing)
         if state.mode != RUN:
+            arming.begins()
             yield from _prepare(joint, config, standing)
             state = yield from _enabled(joint, config, standing)
         elif drive.mode == "control":
@@ -118,7 +123,20 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         hold_rad_s = ERROR_SPEED_SHARE * config.max_velocity_rad_s * config.ratio
         yield from _said(joint, config, _write(drive, SPEED_LIMIT, hold_rad_s))
         held = standing
-    return Found(standing, held, Unreferenced.REFERENCED if drive.knows_its_angle else Unreferenced.INCREMENTAL)
+    if drive.knows_its_angle:
+        return Found(standing, held)
+    return Found(standing, held, Unreferenced.INCREMENTAL, kept_power=(yield from arming.kept_power()))
+
+
+def kept_power(host: PowerHost, joint: int) -> Part[bool]:
+    """What `rtloop.drives.setup.PowerHost` says."""
+    return (yield from stayed_armed(host, joint, lambda: _is_running(_drive(host.arm.joints[joint]))))
+
+
+def _is_running(drive: RobstrideDrive) -> Part[bool | None]:
+    """Whether the motor runs; None where it does not say."""
+    state = yield from _asked_how_it_is(drive)
+    return None if state is None else state.mode == RUN
 
 
 def let_go(arm: ArmConfig, joint: int) -> Dialogue:
@@ -249,10 +267,7 @@ def _enabled(joint: int, config: JointConfig, standing: float) -> Part[State]:
     drive = _drive(config)
     hold = (_hold(drive, standing),) if drive.mode == "control" else ()
     yield from _said(joint, config, _frame(drive, ENABLE), *hold)
-    state = yield from _asked_how_it_is(drive)
-    if state is None:
-        raise TalkFailed(joint, silent_amid(config, "state"))
-    return state
+    return (yield from _asked_again(joint, config))
 
 
 def _drive(config: JointConfig) -> RobstrideDrive:
@@ -298,6 +313,14 @@ def _asked_how_it_is(drive: RobstrideDrive) -> Part[State | None]:
     """Its state, None where it does not answer."""
     answer = yield AskFrames((_write(drive, SPEED_TARGET, 0.0),), _is_feedback)
     return None if answer is None else _state(answer)
+
+
+def _asked_again(joint: int, config: JointConfig) -> Part[State]:
+    """Its state; raises TalkFailed where it does not answer any more."""
+    state = yield from _asked_how_it_is(_drive(config))
+    if state is None:
+        raise TalkFailed(joint, silent_amid(config, "state"))
+    return state
 
 
 def _is_feedback(frame: Frame) -> bool:

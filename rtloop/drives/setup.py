@@ -47,7 +47,7 @@ class Host(Protocol):
     """Whether a person has asked for it, so that a drive's latched error may be cleared."""
     marks: Marks
     was_silent: list[bool]
-    """Whether each joint's angle was given up because its drive was silent."""
+    """Whether each joint's angle was given up because its drive was silent, and is known again if that cost nothing."""
     unasked_before: list[int]
     """Positions that had come unasked from each joint's drive when this began."""
 
@@ -79,6 +79,7 @@ class PowerHost(Protocol):
 
     arm: ArmConfig
     port: ServicePort
+    now_ns: int
     marks: Marks
 
 
@@ -87,6 +88,19 @@ class PowerProof(Protocol):
 
     def kept_power(self, host: PowerHost, joint: int) -> Part[bool]:
         """Whether the drive has had power since it was given its mark; changes nothing, raises nothing."""
+
+
+def settle_mark(host: Host, joint: int, proof: bool, mark: str | None) -> bool:
+    """Give a drive its mark for the next silence; whether it has proven, by the one of before, that it had power.
+
+    One that was silent and proves nothing gets its mark when the joint is referenced: it speaks for the time since, not
+    for that in which the angle was lost.
+    """
+    if host.was_silent[joint] and not proof:
+        host.marks.give_once_referenced(joint, mark)
+    else:
+        host.marks[joint] = mark
+    return proof
 
 
 class HomingHost(Protocol):
@@ -133,6 +147,11 @@ def homing_of(drive: Drive) -> Homes | None:
 def homes_by_a_run(drive: Drive) -> bool:
     """Whether its drives find a stop when they are homed (`rtloop.referencing` says how ZDT's do)."""
     return isinstance(drive, ZdtDrive) or (bool(drive.identifiers) and homing_of(drive) is not None)
+
+
+def counts_beyond_rtarm(drive: Drive) -> bool:
+    """Whether its count, if it is not absolute, means the same to the next control process."""
+    return isinstance(drive, ZdtDrive)
 
 
 def joints_on_the_bus(arm: ArmConfig) -> list[int]:

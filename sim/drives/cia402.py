@@ -119,6 +119,8 @@ class Cia402Drive(CanopenNode):
         if not self.absolute:
             self.origin += self.counted
         self.reset()
+        if self.arms_itself:
+            self._go(OPERATION_ENABLED)
 
     def reset(self) -> None:
         """Begin anew, in a node that boots."""

@@ -204,6 +204,7 @@ class ServoDrive(BusDrive):
         origin: where the shaft stands when it counts 0 [rev].
         celsius: temperature of its motor; settable.
         supply_v: voltage of its supply; settable.
+        arms_itself: whether it holds its shaft as soon as it has power, in families whose drives want a command for it.
         the others: see `BusDrive`.
     """
 
@@ -213,6 +214,7 @@ class ServoDrive(BusDrive):
         super().__init__(start_ns=start_ns, seed=seed)
         self.celsius = 30.0
         self.supply_v = 24.0
+        self.arms_itself = False
         self.shaft = Servo(start_ns, turns, load)
         self.origin = 0.0 if counted is None else turns - counted
 

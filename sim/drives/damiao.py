@@ -215,6 +215,8 @@ class DamiaoDrive(ServoDrive):
         """Limp, with what was stored; of the turns that were counted only the last one's part is known."""
         self.origin += round(self.counted) if self._absolute else self.counted
         self._begin()
+        if self.arms_itself:
+            self._enable()
 
     def _begin(self) -> None:
         self.registers = dict(self._flash)

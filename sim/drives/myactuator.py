@@ -15,6 +15,7 @@ Modelled:
   until a restart (76), 1.1 s of silence; the others end with their cause. [inf] It answers motion commands as always.
 - B3: silence for longer than that shuts down, and the next frame ends that. Zero (64) counts after a restart. Ramps,
   zero and B3 are kept in its ROM.
+- B1 tells the time since power came or it was restarted (ms), in 32 bits that begin anew.
 - An encoder that is not absolute counts from 0 where it stands when power comes or it is restarted.
 
 Not modelled: gains (30 to 32), function control (20), reports (B6), bit rates, setting the ID, single-turn commands.
@@ -25,6 +26,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Literal
 
 from config.drives.myactuator import ALL_MOTORS, RAMP_DPS_S, REPLY, REQUEST
 from config.drives.myactuator import MyactuatorDrive as MyactuatorConfig
@@ -45,6 +47,10 @@ TRACKING_GAIN_S, VELOCITY_BANDWIDTH_S = 20.0, 150.0
 OFF, CURRENT, SPEED, POSITION = 0, 1, 2, 3
 """What 70 says; [inf] 0 where it is shut down."""
 MODEL, BUILT = b"X8S2V10", 20220206
+UP_BEFORE_NS = 60_000_000_000
+"""For how long a motor has had power when it begins to exist."""
+STUCK_UPTIME_MS = 90_000_000
+UptimeKind = Literal["right", "absent", "stuck"]
 
 
 @dataclass
@@ -83,6 +89,9 @@ class MyactuatorDrive(ServoDrive):
         mode: as 70 says it.
         brake_released: the last command to its brake.
         rom_writes: how often its ROM was written.
+        uptime: whether B1 is "right", not answered ("absent"), or always the same number ("stuck").
+        clock: what its clock makes of a second (s).
+        up_since_ns: when power came, or it was restarted.
     """
 
     def __init__(
@@ -98,6 +107,8 @@ class MyactuatorDrive(ServoDrive):
         super().__init__(start_ns=start_ns, turns=turns, counted=counted, load=load, seed=seed)
         self.settings = settings or Settings()
         self.rom_writes = self.error = 0
+        self.uptime: UptimeKind = "right"
+        self.clock = 1.0
         self._zero_turns = 0.0
         self._does: dict[int, Callable[[bytes], bytes | None]] = {
             0x42: self._read_ramp,
@@ -116,11 +127,13 @@ class MyactuatorDrive(ServoDrive):
             0xA2: self._speed,
             0xA4: self._target,
             0xA8: self._target,
+            0xB1: self._tell_uptime,
             0xB2: lambda data: struct.pack("<BxxxI", 0xB2, BUILT),
             0xB3: self._set_timeout,
             0xB5: lambda data: bytes((0xB5, *MODEL)),
         }
         self._begin()
+        self.up_since_ns = start_ns - UP_BEFORE_NS
 
     @classmethod
     def mounted(cls, mounting: Mounting) -> MyactuatorDrive:
@@ -162,6 +175,7 @@ class MyactuatorDrive(ServoDrive):
 
     def _begin(self) -> None:
         self._zero_turns = 0.0
+        self.up_since_ns = self._now_ns
         self.error = self.error if self.cause_lasts else 0
         self.release()
         self._feed_timeout()
@@ -219,6 +233,12 @@ class MyactuatorDrive(ServoDrive):
             max(-32_768, min(32_767, round(self.shaft.speed * DEGREES))),
             _signed(round(self.counted * DEGREES), 16),
         )
+
+    def _tell_uptime(self, data: bytes) -> bytes | None:
+        if self.uptime == "absent":
+            return None
+        up_ms = int((self._now_ns - self.up_since_ns) * self.clock) // 1_000_000
+        return struct.pack("<BxxxI", 0xB1, STUCK_UPTIME_MS if self.uptime == "stuck" else up_ms % (1 << 32))
 
     def _read_ramp(self, data: bytes) -> bytes | None:
         if data[1] >= len(self.settings.ramps_dps_s):

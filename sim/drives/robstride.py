@@ -187,6 +187,8 @@ class RobstrideDrive(ServoDrive):
         elif self.settings.robstride:
             self.origin += math.floor(self.counted + 0.5 * self.settings.zero_sta)
         self._begin()
+        if self.arms_itself:
+            self._run()
 
     def _begin(self) -> None:
         self.parameters = usual_parameters()
@@ -257,10 +259,13 @@ class RobstrideDrive(ServoDrive):
 
     def _enable(self, data16: int, data: bytes) -> None:
         if not self.faults:
-            self.state = RUN
-            self.enabled = True
-            self._lead()
+            self._run()
         self.reply(self._feedback())
+
+    def _run(self) -> None:
+        self.state = RUN
+        self.enabled = True
+        self._lead()
 
     def _stop(self, data16: int, data: bytes) -> None:
         self.release()
