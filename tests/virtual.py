@@ -253,6 +253,7 @@ class VirtualArm:
         talk = self._begin_bring_up(clears_protection=clears_protection, **known)
         self.until(lambda: talk.poll(self.now_ns), at_most_s=at_most_s)
         self.cycles(2)
+        self.until(lambda: self.core["mode"] != Mode.BRINGING_UP, at_most_s=1.0)
         return talk
 
     def _begin_bring_up(self, **known: Any) -> BringUp:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from rtloop.conversation import TRIES, Packet, Part, Value
 from rtloop.port import Frame
@@ -43,15 +44,15 @@ def surely(read: Callable[[], Part[Value | None]]) -> Part[Value | None]:
     return None
 
 
-def confirmed(read: Callable[[], Part[float]], within: float) -> Part[float]:
+def confirmed(read: Callable[[], Part[Value]], within: float, place: Callable[[Any], float] = float) -> Part[Value]:
     """A place that was read twice in a row: a serial line has no checksum, and a drive is told to be there.
 
-    One that moves so fast that no two readings agree is where it was read last.
+    One that moves so fast that no two readings agree is where it was read last. `place` is that of a reading.
     """
     before = yield from read()
     for _ in range(TRIES):
         found = yield from read()
-        if abs(found - before) <= within:
+        if abs(place(found) - place(before)) <= within:
             break
         before = found
     return found

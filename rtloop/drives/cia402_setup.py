@@ -37,9 +37,9 @@ from config.schema import ArmConfig
 from rtloop.conversation import Dialogue, Part, TalkFailed
 from rtloop.drives import pdo
 from rtloop.drives.arming import Arming, stayed_armed
-from rtloop.drives.asking import AskFrames, say
+from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.sdo import ABORT, Aborted, Node, Object, abort_words, reading, value_in
-from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost
+from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.port import Frame
 from rtloop.wire.frame_words import STANDARD
 from shm.words import Unreferenced
@@ -429,7 +429,12 @@ def _start(arm: ArmConfig, node: Node) -> Part[None]:
 
 def _target_here(node: Node) -> Part[None]:
     """Put its target where it stands."""
-    yield from node.write(TARGET, (yield from node.read(POSITION)))
+    yield from node.write(TARGET, (yield from _place(node)))
+
+
+def _place(node: Node) -> Part[int]:
+    """Where it stands (counts)."""
+    return (yield from confirmed(lambda: node.read(POSITION), SAME_PLACE_RAD * node.config.encoder_counts_per_rad))
 
 
 def _until_csp(arm: ArmConfig, node: Node) -> Part[None]:
@@ -470,7 +475,7 @@ def _standing(host: Host, node: Node) -> Part[Found]:
     """Where it stands, and its own target; one that is far from it is put there, which ends pushing."""
     drive = _drive(node.config)
     most = host.arm.limits.following_error_rad * node.config.encoder_counts_per_rad
-    here = yield from node.read(POSITION)
+    here = yield from _place(node)
     target = yield from node.read(TARGET)
     if abs(target - here) > most:
         yield from node.write(TARGET, here)

@@ -38,9 +38,9 @@ from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.correction import ERROR_SPEED_SHARE
 from rtloop.drives.arming import Arming, stayed_armed
-from rtloop.drives.asking import AskFrames, say
+from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.fields import field, of_field
-from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost
+from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.port import Frame
 from rtloop.wire.frame_words import STANDARD
 from shm.words import Unreferenced
@@ -114,14 +114,14 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     yield from _set_up(host, joint, enabled=found.code == ENABLED)
     arming = Arming(host, joint, lambda: _is_enabled(config))
     for _ in range(TRIES):
-        found = yield from _feedback(joint, config)
+        found = yield from _confirmed_feedback(joint, config)
         stay = _stay(config, found, host.arm.limits.following_error_rad * config.ratio)
         if (yield from arming.found(found.code == ENABLED)):
             yield say(stay)
         else:
             arming.begins()
             yield say(stay, _command(drive, ENABLE), stay)
-        found = yield from _feedback(joint, config)
+        found = yield from _confirmed_feedback(joint, config)
         if found.code == ENABLED:
             break
     else:
@@ -212,6 +212,15 @@ def _held_rad(config: JointConfig, found: Feedback, most_rad: float) -> float:
     if drive.kp is None or found.code != ENABLED or not stands:
         return found.rad
     return found.rad + min(max(found.nm / drive.kp, -most_rad), most_rad)
+
+
+def _confirmed_feedback(joint: int, config: JointConfig) -> Part[Feedback]:
+    """The motor's feedback, with a place to be told to it; raises TalkFailed."""
+    return (
+        yield from confirmed(
+            lambda: _feedback(joint, config), SAME_PLACE_RAD * config.ratio, place=lambda found: found.rad
+        )
+    )
 
 
 def _asked(config: JointConfig) -> AskFrames:

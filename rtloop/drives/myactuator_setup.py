@@ -28,8 +28,8 @@ from config.drives.myactuator import RAMP_DPS_S, REPLY, REQUEST, MyactuatorDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
-from rtloop.drives.asking import AskFrames, say
-from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost, settle_mark
+from rtloop.drives.asking import AskFrames, confirmed, say
+from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, PowerHost, settle_mark
 from rtloop.port import Frame
 from rtloop.wire.frame_words import STANDARD
 from shm.words import Unreferenced
@@ -303,9 +303,13 @@ def _answered(joint: int, config: JointConfig, command: int, what: str, data: by
 
 
 def _angle(joint: int, config: JointConfig) -> Part[int]:
-    """Angle of its output shaft (0.01°); raises TalkFailed."""
-    data = yield from _answered(joint, config, ANGLE, "position")
-    return int(struct.unpack_from("<i", data, 4)[0])
+    """Angle of its output shaft (0.01°), as it will be told to hold it; raises TalkFailed."""
+
+    def read() -> Part[int]:
+        data = yield from _answered(joint, config, ANGLE, "position")
+        return int(struct.unpack_from("<i", data, 4)[0])
+
+    return (yield from confirmed(read, math.degrees(SAME_PLACE_RAD) * config.ratio * HUNDREDTHS))
 
 
 def _error(joint: int, config: JointConfig) -> Part[int]:

@@ -78,7 +78,7 @@ ENABLE = "001# FF FF FF FF FF FF FF FC"
 
 
 def test_a_limp_motor_is_enabled_between_two_commands_to_stay() -> None:
-    motor = Motor(ARM, LIMP_HERE, LIMP_HERE, ENABLED_HERE)
+    motor = Motor(ARM, LIMP_HERE, LIMP_HERE, LIMP_HERE, ENABLED_HERE)
     sent, found = motor.hold(bring_up(motor, 0))
     assert commands(sent) == [HOLD, ENABLE, HOLD]
     assert sent[0] == "7FF# 01 00 CC 00 00 00 00 00"
@@ -89,7 +89,7 @@ def test_a_limp_motor_is_enabled_between_two_commands_to_stay() -> None:
 
 
 def test_one_that_plans_its_motion_is_told_where_it_stands() -> None:
-    motor = Motor(PLANNING, LIMP_HERE, LIMP_HERE, ENABLED_HERE)
+    motor = Motor(PLANNING, LIMP_HERE, LIMP_HERE, LIMP_HERE, ENABLED_HERE)
     sent, found = motor.hold(bring_up(motor, 0))
     stay = "101# " + struct.pack("<ff", HERE_RAD, 0.25 * PLANNING.joints[0].max_velocity_rad_s).hex(" ").upper()
     assert commands(sent) == [stay, ENABLE, stay]

@@ -169,7 +169,7 @@ def test_a_silent_drive_keeps_its_angle_where_it_had_power_and_loses_it_where_it
     arm = endure(arm_of(name), Silence(ALL, frozenset((1, 4))))
     assert referenced(arm) == [joint not in (1, 4) for joint in range(6)]
     assert reads_true(arm)
-    assert "joint3: its drive had power all the time that it was silent, so its angle is known." in arm.told
+    assert any("joint3" in told and "power was there all through the silence" in told for told in arm.told)
     reference(arm)
     assert arm.end_of(arm.send_shift()) == Outcome.SUCCEEDED
     arm = endure(arm, Silence(ALL, frozenset((2,))))  # a mark was given with the reference
