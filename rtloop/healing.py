@@ -106,7 +106,7 @@ class Healing:
         asked = int(core["bring_up_asked"]) == 1  # a person's clear is a person's
         if asked or self._check.proven != set(self._joints) or not self._may_heal(now_ns, int(core["fault_ns"])):
             return False
-        if not self._is_still() or not self._hold(self._rest_since_ns):
+        if not self._is_still() or not self._hold():
             return False
         self._healed_ns.append(now_ns)
         return True
@@ -131,11 +131,10 @@ class Healing:
         """Whether every joint has stood for long enough where it may, and its drive holds it."""
         axes = self._loop[0]["axes"]
         led = np.any(axes[: len(self._arm.joints)]["velocity_rad_s"] != 0.0)
-        holds = self._hold(int(self._loop[0]["core"]["fault_ns"]))
-        if led or not self._is_still() or not holds or not all(self._is_fresh(joint, now_ns) for joint in self._joints):
+        if led or not self._is_still() or not all(self._is_fresh(joint, now_ns) for joint in self._joints):
             self._stood_rad, self._rest_since_ns = self._stand_rad(), now_ns
             return False
-        rested = now_ns - self._rest_since_ns >= REST_NS and self._hold(self._rest_since_ns)
+        rested = now_ns - self._rest_since_ns >= REST_NS and self._hold()
         return rested and all(self._is_on_its_way(joint) for joint in self._joints)
 
     def _stand_rad(self) -> list[float]:
@@ -151,21 +150,21 @@ class Healing:
     def _slack_rad(self, joint: int) -> float:
         return 2.0 * float(self._loop[0]["joints"][joint]["slack_rad"])
 
-    def _hold(self, since_ns: int) -> bool:
-        """Whether each drive has said since then that it holds, and nothing else."""
+    def _hold(self) -> bool:
+        """Whether each drive has said since the rest began that it holds, and of no error."""
         axes = self._loop[0]["axes"]
         return all(
             int(axes[joint]["status"]) & status_bits.ENABLED
             and not int(axes[joint]["status"]) & ~SOUND
-            and int(axes[joint]["status_ns"]) > since_ns
+            and int(axes[joint]["status_ns"]) > self._rest_since_ns
             for joint in self._joints
         )
 
     def _is_fresh(self, joint: int, now_ns: int) -> bool:
-        """Whether the last reading is new, and no answer can be older than its question."""
-        axis, params = self._loop[0]["axes"][joint], self._loop[0]["params"]
+        """Whether the last reading is new, and no answer can be older than the question before its own."""
+        axis, reading_ns = self._loop[0]["axes"][joint], int(self._loop[0]["params"]["reading_ns"])
         age_ns = now_ns - int(axis["measured_ns"])
-        return age_ns <= FRESH_READINGS * int(params["reading_ns"]) and int(axis["lag_ns"]) == 0
+        return age_ns <= FRESH_READINGS * reading_ns and int(axis["lag_ns"]) <= reading_ns
 
     def _is_on_its_way(self, joint: int) -> bool:
         """Whether a joint stands between its last reading before the silence and where it was led."""
