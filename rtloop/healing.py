@@ -11,7 +11,11 @@ nothing to find. So it is cleared here, without clearing any error of a drive, w
 - each drive proves that it had power (`rtloop.power`), or has an encoder that needs none;
 - the arm is simulated, or a bench test of each drive has found that it brakes in silence and proves its power
   (`rtloop.commissioned`);
+- nobody had asked for anything else that ended in this fault, such as a homing run or to let the drives go;
+- the wire was there all the time, and the controller on the bus;
 - it is not the third time in a minute.
+
+What speaks against going on is looked for again once the drives have proven their power.
 
 Why it was silent is never asked: that is told to people alone. The hazards of this stand in docs/safety.md.
 """
@@ -36,6 +40,8 @@ REST_NS = 100_000_000
 MOST_HEALED = 2
 WITHIN_NS = 60_000_000_000
 """A fault that comes back for the third time within this stays, so that somebody looks for its cause."""
+SOUND = status_bits.ENABLED | status_bits.REACHED | status_bits.ANSWERED
+"""All that the status of a drive without an error says."""
 
 
 class PowerCheck(Conversation):
@@ -65,7 +71,7 @@ class Healing:
         self._arm, self._loop, self._port, self._marks = arm, loop, port, marks
         self._joints = joints_on_the_bus(arm)
         self._unlocked = unlocked and len(self._joints) > 1  # a single silent drive may be the cause itself
-        self._given_up_ns = self._rest_since_ns = 0
+        self._watched_ns = self._given_up_ns = self._rest_since_ns = 0
         self._stood_rad: list[float] = []
         self._healed_ns: deque[int] = deque(maxlen=MOST_HEALED)
         self._check: PowerCheck | None = None
@@ -76,6 +82,8 @@ class Healing:
         fault_ns = int(core["fault_ns"])
         if not self._unlocked or int(core["mode"]) != Mode.FAULT or fault_ns == self._given_up_ns:
             return None
+        if fault_ns != self._watched_ns:
+            self._watched_ns, self._stood_rad = fault_ns, []  # where it stood in another fault says nothing of this one
         if not self._may_heal(now_ns, fault_ns):
             self._given_up_ns = fault_ns
             return None
@@ -86,13 +94,19 @@ class Healing:
         return self._check
 
     def succeeded(self, talk: Conversation, now_ns: int) -> bool:
-        """Whether this conversation was the last question, and the arm may be brought up again now."""
-        if talk is not self._check or self._check is None or self._check.proven != set(self._joints):
-            return False
+        """Whether this conversation was the last question, and the arm may be brought up again now.
+
+        Any other that ends in a fault was asked for by a person, who is to see what became of it.
+        """
         core = self._loop[0]["core"]
+        if talk is not self._check or self._check is None:
+            if int(core["mode"]) == Mode.FAULT:
+                self._given_up_ns = int(core["fault_ns"])
+            return False
         asked = int(core["bring_up_asked"]) == 1  # a person's clear is a person's
-        same = int(core["mode"]) == Mode.FAULT and int(core["fault_ns"]) == self._given_up_ns
-        if asked or not same or not self._hold():
+        if asked or self._check.proven != set(self._joints) or not self._may_heal(now_ns, int(core["fault_ns"])):
+            return False
+        if not self._is_still() or not self._hold():
             return False
         self._healed_ns.append(now_ns)
         return True
@@ -101,6 +115,8 @@ class Healing:
         core, axes = self._loop[0]["core"], self._loop[0]["axes"]
         if int(core["fault"]) != Fault.STALE_READING or int(core["fault_joint"]) != -1 or int(core["closing"]) == 1:
             return False
+        if int(core["silenced"]) == 1:
+            return False  # the wire went, or the controller left the bus, under this fault
         if len(self._healed_ns) == MOST_HEALED and now_ns - self._healed_ns[0] < WITHIN_NS:
             return False
         lost = {Unreferenced(axes[joint]["unreferenced_reason"]) for joint in range(len(self._arm.joints))}
@@ -114,43 +130,48 @@ class Healing:
     def _stands(self, now_ns: int) -> bool:
         """Whether every joint has stood for long enough where it may, and its drive holds it."""
         axes = self._loop[0]["axes"]
-        stood_rad = [float(axes[joint]["measured_rad"]) for joint in self._joints]
-        still = len(self._stood_rad) == len(stood_rad) and all(
-            abs(now - before) <= self._slack_rad(joint)
-            for joint, now, before in zip(self._joints, stood_rad, self._stood_rad, strict=True)
-        )
         led = np.any(axes[: len(self._arm.joints)]["velocity_rad_s"] != 0.0)
-        if led or not still or not self._hold() or not all(self._is_fresh(joint, now_ns) for joint in self._joints):
-            self._stood_rad, self._rest_since_ns = stood_rad, now_ns
+        if led or not self._is_still() or not all(self._is_fresh(joint, now_ns) for joint in self._joints):
+            self._stood_rad, self._rest_since_ns = self._stand_rad(), now_ns
             return False
-        return now_ns - self._rest_since_ns >= REST_NS and all(self._is_on_its_way(joint) for joint in self._joints)
+        rested = now_ns - self._rest_since_ns >= REST_NS and self._hold()
+        return rested and all(self._is_on_its_way(joint) for joint in self._joints)
+
+    def _stand_rad(self) -> list[float]:
+        return [float(self._loop[0]["axes"][joint]["measured_rad"]) for joint in self._joints]
+
+    def _is_still(self) -> bool:
+        """Whether every joint stands where it stood when its rest began."""
+        return len(self._stood_rad) == len(self._joints) and all(
+            abs(now - before) <= self._slack_rad(joint)
+            for joint, now, before in zip(self._joints, self._stand_rad(), self._stood_rad, strict=True)
+        )
 
     def _slack_rad(self, joint: int) -> float:
         return 2.0 * float(self._loop[0]["joints"][joint]["slack_rad"])
 
     def _hold(self) -> bool:
-        """Whether each drive has said since the fault that it holds, and means it."""
-        core, axes = self._loop[0]["core"], self._loop[0]["axes"]
-        wrong = status_bits.PROTECTED | status_bits.POWER_LOST
+        """Whether each drive has said since the rest began that it holds, and of no error."""
+        axes = self._loop[0]["axes"]
         return all(
             int(axes[joint]["status"]) & status_bits.ENABLED
-            and not int(axes[joint]["status"]) & wrong
-            and int(axes[joint]["bad_statuses"]) == 0
-            and int(axes[joint]["status_ns"]) > int(core["fault_ns"])
+            and not int(axes[joint]["status"]) & ~SOUND
+            and int(axes[joint]["status_ns"]) > self._rest_since_ns
             for joint in self._joints
         )
 
     def _is_fresh(self, joint: int, now_ns: int) -> bool:
-        """Whether the last reading is new, and no answer can be older than its question."""
-        axis, params = self._loop[0]["axes"][joint], self._loop[0]["params"]
+        """Whether the last reading is new, and no answer can be older than the question before its own."""
+        axis, reading_ns = self._loop[0]["axes"][joint], int(self._loop[0]["params"]["reading_ns"])
         age_ns = now_ns - int(axis["measured_ns"])
-        return age_ns <= FRESH_READINGS * int(params["reading_ns"]) and int(axis["lag_ns"]) == 0
+        return age_ns <= FRESH_READINGS * reading_ns and int(axis["lag_ns"]) <= reading_ns
 
     def _is_on_its_way(self, joint: int) -> bool:
         """Whether a joint stands between its last reading before the silence and where it was led."""
         axis = self._loop[0]["axes"][joint]
-        if int(axis["referenced"]) == 1:
-            return True  # it was judged all the time
+        if int(axis["referenced"]) == 1:  # no following error is latched beside another fault
+            away_rad = abs(float(axis["position_rad"]) - float(axis["measured_rad"]))
+            return away_rad <= self._arm.limits.following_error_rad
         ends = float(axis["lost_at_rad"]), float(axis["position_rad"])
         beside_rad = self._arm.limits.position_jump_rad
         return min(ends) - beside_rad <= float(axis["measured_rad"]) <= max(ends) + beside_rad
