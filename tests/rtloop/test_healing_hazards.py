@@ -287,7 +287,7 @@ def test_a_second_silence_is_waited_out(moving: VirtualArm) -> None:
     silence(moving, 0.3)
     moving.cycles(3)  # the first answers tell how old they may be
     moving.until(lambda: int(max(moving.loop[0]["axes"]["lag_ns"][:6])) == 0)
-    moving.cycles(round(0.8 * REST_NS / moving.period_ns))
+    moving.cycles(round(0.55 * REST_NS / moving.period_ns))
     silence(moving, 0.7)
     moving.until(lambda: healed(moving), at_most_s=3.0)
 
