@@ -148,14 +148,10 @@ def check_measured(loop: Loop, shared: Shared) -> None:
 
 @jit
 def latch_silence(loop: Loop, shared: Shared, joint: int, age_ns: int) -> None:
-    """Latch the fault of a drive that is silent, which names no joint where all drives are.
-
-    Of those that answered last some owe nothing, since nobody is asked any more once what is asked only queues up.
-    """
+    """Latch the fault of a drive that is silent, which names no joint where all drives are."""
     silent, all_silent = 0, True
-    nobody = loop.core.now_ns - loop.quiet.heard_ns > loop.params.stale_brake_ns
     for other in range(loop.params.joint_count):
-        if (nobody and loop.joints[other].family != FAMILY_MOCK) or silent_ns(loop, other) > loop.params.stale_brake_ns:
+        if silent_ns(loop, other) > loop.params.stale_brake_ns:
             silent |= 1 << other
         elif loop.joints[other].family != FAMILY_MOCK:
             all_silent = False

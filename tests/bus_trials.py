@@ -234,9 +234,11 @@ class _Trial:
         if arm.core["fault"]:
             self.judge_sentence()
         if fault.heals and latched == Fault.STALE_READING:
-            heals = not any(self.lost_power(joint) for joint in range(6))
-            if heals != (arm.core["mode"] == Mode.HOLDING):
-                self.wrong("the arm did not go on by itself" if heals else "the arm went on although power was lost")
+            heals, holds = not any(self.lost_power(joint) for joint in range(6)), arm.core["mode"] == Mode.HOLDING
+            if holds and not heals:
+                self.wrong("the arm went on although power was lost")
+            elif heals and not holds and arm.core["fault_joint"] == -1:  # else some were heard again as it was latched
+                self.wrong("the arm did not go on by itself")
         if fault.loses and not self.blind and arm.loop[0]["axes"][self.joint]["referenced"]:
             self.wrong(f"{name} is still referenced")
 
