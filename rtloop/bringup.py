@@ -49,6 +49,7 @@ class BringUp(Conversation):
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP, last_order=BRING_UP_DONE)
         self.tell = tell
         self.marks = marks
+        self.heals = heals
         self._forgive_silence = forgive_silence
         self.clears_protection = clears_protection
         self._counts_before = counts_before or {}

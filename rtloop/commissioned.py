@@ -1,8 +1,8 @@
 """What bench tests (`rtarm commission`) have found of an arm's drives: kept, and refused where it is not what was kept.
 
 One small file an arm, `rtarm/commissioned/<arm>.json` under $XDG_STATE_HOME (~/.local/state): a record for each channel
-and joint. What it says of a drive holds for that drive alone: same joint, same channel, same family and number. Whoever
-relies on it compares the firmware too, once the drive has told it. Simulated arms at a pseudo-terminal are not kept.
+and joint. What it says of a drive holds for that drive alone: same joint, same channel, same family and number. One
+that was exchanged, or given other firmware, must be tested again. Simulated arms at a pseudo-terminal are not kept.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ from rtloop.wire.claim import Claim, claim_for_arm
 from rtloop.wire.opening import OpenWire, close_wire, keeps_frames, lost_bytes, open_wire, unsent_bytes
 from rtloop.wire.refusal import WireRefused
 from shm import files
-from shm.sentences import STILL_QUEUED, WIRE_IS_BACK
+from shm.sentences import HEALED, STILL_QUEUED, WIRE_IS_BACK
 from shm.words import Mode, Phase, Unreferenced
 
 BUSY_POLL_S = 0.004
@@ -432,6 +432,8 @@ class ControlProcess:
                         return 2
                 elif first and self._arm.control.init_mode == 0:
                     self._port.post(HOME_ALL)
+                elif isinstance(talk, BringUp) and talk.heals:
+                    self._tell(HEALED)
                 healed = healing.succeeded(talk, time.monotonic_ns())
                 talk = self._bring_up(clears_protection=False, heals=True) if healed else None
             # a fault before the end of the first bring-up, such as a wire that went, becomes its failure

@@ -195,7 +195,7 @@ class Host:
         self.arm, self.answers, self.clears_protection = arm, answers, clears_protection
         self.now_ns, self.port, self.unasked_before = 0, None, [0] * len(arm.joints)
         self.told: list[str] = []
-        self.marks, self.was_silent = Marks(), [False] * len(arm.joints)
+        self.marks, self.was_silent, self.heals = Marks(), [False] * len(arm.joints), False
 
     def tell(self, sentence: str) -> None:
         self.told.append(sentence)

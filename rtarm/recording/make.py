@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
+
 from rtarm.errors import Refusal
 from rtarm.recording import folder
 from rtarm.recording.mcap_format import Reason, Step
@@ -78,8 +80,8 @@ def record(memory: MemoryFile, word: str, path: Path | None = None, step: Step =
 
 
 def _sentence(word: str, recording: Recording) -> str:
-    if word == FAULT and len(recording.records):
-        return latched_sentence(recording.records[-1], recording.joints)
+    if word == FAULT and (latched := _latched(recording)) is not None:
+        return latched_sentence(latched, recording.joints)
     if word == DEATH:
         return f"The control process (pid {recording.pid}) ended without an orderly end."
     return "Asked for by a person."
@@ -87,4 +89,11 @@ def _sentence(word: str, recording: Recording) -> str:
 
 def _name(word: str, recording: Recording) -> str:
     """What the file is named after: the fault, or else the reason."""
-    return key(Fault, int(recording.records[-1]["fault"])) if word == FAULT and len(recording.records) else word
+    latched = _latched(recording)
+    return key(Fault, int(latched["fault"])) if word == FAULT and latched is not None else word
+
+
+def _latched(recording: Recording) -> np.void | None:
+    """The newest cycle in a latched fault: the arm may have gone on since."""
+    faulted = np.flatnonzero(recording.records["fault"])
+    return recording.records[faulted[-1]] if len(faulted) else None

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from rtloop.conversation import Part
 from rtloop.drives.asking import surely
-from rtloop.drives.setup import Host, PowerHost, settle_mark
+from rtloop.drives.setup import Host, PowerHost, require_may_enable, settle_mark
 
 ARMED = "armed by rtarm"
 Look = Callable[[], Part[bool | None]]
@@ -38,6 +38,7 @@ class Arming:
 
     def begins(self) -> None:
         """The drive is armed next: however this bring-up ends, that it is so will prove nothing of the time before."""
+        require_may_enable(self._host, self._joint)
         self._anew = True
         self._host.marks[self._joint] = None
 

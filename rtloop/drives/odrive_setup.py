@@ -20,7 +20,7 @@ from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, answer_patience_s, silent_amid
 from rtloop.drives.asking import AskFrames, confirmed, say
-from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host
+from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, require_may_enable
 from rtloop.port import Frame
 from rtloop.wire.frame_words import REMOTE, STANDARD
 from shm.words import Unreferenced
@@ -161,6 +161,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
             yield say(modes)
         if beat.state == CLOSED_LOOP:
             break
+        require_may_enable(host, joint)
         yield say(_frame(node, AXIS_STATE, struct.pack("<II", CLOSED_LOOP, 0)))
         beat = yield from _heartbeat(host.arm, joint, lambda beat: beat.state == CLOSED_LOOP)
         if beat.state == CLOSED_LOOP:

@@ -11,7 +11,7 @@ from config.drives.drive import Drive
 from config.drives.zdt import ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.conversation import Dialogue, Part
+from rtloop.conversation import Dialogue, Part, TalkFailed
 from rtloop.port import ServicePort
 from rtloop.power import Marks
 from shm.words import Unreferenced
@@ -45,6 +45,8 @@ class Host(Protocol):
     now_ns: int
     clears_protection: bool
     """Whether a person has asked for it, so that a drive's latched error may be cleared."""
+    heals: bool
+    """Whether nobody has asked for it (`rtloop.healing`), so that no drive may be enabled."""
     marks: Marks
     was_silent: list[bool]
     """Whether each joint's angle was given up because its drive was silent, and is known again if that cost nothing."""
@@ -88,6 +90,16 @@ class PowerProof(Protocol):
 
     def kept_power(self, host: PowerHost, joint: int) -> Part[bool]:
         """Whether the drive has had power since it was given its mark; changes nothing, raises nothing."""
+
+
+def require_may_enable(host: Host, joint: int) -> None:
+    """Raise TalkFailed where a drive that holds nothing is found although nobody has asked for its being enabled."""
+    if host.heals:
+        raise TalkFailed(
+            joint,
+            f"The drive of {host.arm.joints[joint].name} holds nothing any more, and nobody has asked for its being "
+            "enabled: see why, then `rtarm clear-fault`, which enables it where it stands.",
+        )
 
 
 def settle_mark(host: Host, joint: int, proof: bool, mark: str | None) -> bool:

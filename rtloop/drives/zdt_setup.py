@@ -19,7 +19,7 @@ from rtloop import fast_targets, reports
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
-from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost
+from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost, require_may_enable
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
 from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
@@ -86,6 +86,7 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
     yield from _settle_configuration(host, joint, config, drive, version)
     yield from _settle_reports(host, joint, config, version)
     if not flags & registers.ENABLED:
+        require_may_enable(host, joint)
         for _ in range(TRIES):
             # it may pull its shaft to the target of before it was let go
             yield Ask(registers.STOP, (3,), answered=host.arm.bus.acknowledge, before=(registers.ENABLE,))

@@ -9,8 +9,10 @@ from at_terminal import rtarm_at_terminal
 from fault_rig import wait
 from stack import PATIENCE_S, Process
 
+from config.loader import load_arm
 from rtarm.status import read_status
-from shm.words import Mode
+from rtloop import saved
+from shm.words import Mode, Unreferenced
 
 pytestmark = pytest.mark.process
 
@@ -28,13 +30,15 @@ def unreferenced(stack):
     return [joint["name"] for joint in read_status(stack.name)["joints"] if not joint["referenced"]]
 
 
-def test_of_silent_drives_those_that_kept_their_power_are_taken_where_they_are_shown(stack_at):
+def test_of_drives_that_were_silent_those_that_count_on_are_taken_where_they_are_shown(stack_at):
+    """Two were silent when no mark was kept that could prove their power; the third loses it now."""
     stack = stack_at(START_DEG)
+    for joint in (1, 2):
+        saved.keep_lost_reference(load_arm(stack.arm_file), joint, Unreferenced.SILENT)
     stack.start_loop()
-    stack.sim.say("silent:joint=joint2,at_s=0,until_s=4")
-    stack.sim.say("silent:joint=joint3,at_s=0,until_s=4")
+    assert unreferenced(stack) == ["joint2", "joint3"]
     stack.sim.say("power-loss:joint=joint5,at_s=0,off_s=4")
-    wait(lambda: len(unreferenced(stack)) == 3, "the loss of three references", PATIENCE_S)
+    wait(lambda: len(unreferenced(stack)) == 3, "the loss of the third reference", PATIENCE_S)
     stack.until(lambda report: all(joint["age_ms"] < 100.0 for joint in report["joints"]))
     assert rtarm(stack, "clear-fault", stack.name)[0] == 0
     assert unreferenced(stack) == ["joint2", "joint3", "joint5"]

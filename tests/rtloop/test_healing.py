@@ -202,3 +202,16 @@ def test_a_persons_clear_comes_first(moving: VirtualArm) -> None:
     wait(moving)
     assert still_faulted(moving)
     assert moving.core["bring_up_asked"] == 1
+
+
+def test_a_drive_that_is_let_go_as_it_is_brought_up_stays_limp(moving: VirtualArm) -> None:
+    """Nobody has asked for its being enabled."""
+    silence(moving)
+    moving.until(lambda: moving.core["mode"] == Mode.BRINGING_UP, at_most_s=3.0)
+    drive_of(moving, 2).disable(moving.now_ns)
+    wait(moving)
+    assert (moving.core["mode"], moving.core["fault"]) == (Mode.FAULT, Fault.BRING_UP)
+    assert not drive_of(moving, 2).enabled
+    moving.healing = None
+    moving.clear_fault()
+    assert drive_of(moving, 2).enabled
