@@ -42,11 +42,9 @@ def test_a_stall_ends_the_goal_and_the_next_one_succeeds_without_a_person(stack_
         report = stack.until(lambda report: report["mode"] == Mode.HOLDING.name.lower())
         assert all(joint["referenced"] for joint in report["joints"])
         assert "-stale_reading.mcap" in up.line_with("recorded: ")
-        back = recorded("large")
-        here = [joint["position_rad"] for joint in report["joints"]]
-        point = back.trajectory.points[-1]
-        point.positions = [angle + 0.05 for angle in here]
-        back.trajectory.points = [point]
-        status, _, words = client.run(back)
+        home = goal.trajectory.points[0]  # where it stood, from where it stands now
+        home.velocities, home.accelerations, home.time_from_start = [], [], goal.trajectory.points[-1].time_from_start
+        goal.trajectory.points = [home]
+        status, _, words = client.run(goal)
         assert status == SUCCEEDED, words
     until(lambda: not stack.until(bool)["fault"], "an arm without a fault")

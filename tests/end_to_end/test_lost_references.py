@@ -42,12 +42,30 @@ def start_and_lose_joint3(stack):
     assert reasons(stack) == {2: Unreferenced.SILENT}
 
 
+def forget_marks(stack):
+    """From here on no drive can prove that it had power."""
+    path_of(stack.name).with_suffix(".power").unlink()
+
+
+@pytest.mark.parametrize("end", ["terminate", "kill"])
+def test_a_drive_that_proves_that_it_had_power_is_known_after_a_restart(stack, end):
+    start_and_lose_joint3(stack)
+    wait(path_of(stack.name).with_suffix(".unreferenced").exists, "what the next process reads", PATIENCE_S)
+    getattr(stack.loop.process, end)()
+    stack.loop.code()
+    stack.start_loop()
+    assert reasons(stack) == {}
+    assert "joint3: power was there all through the silence" in stack.loop.said()
+    assert not path_of(stack.name).with_suffix(".unreferenced").exists()
+
+
 @pytest.mark.parametrize("end", ["terminate", "kill"])
 def test_no_restart_gives_a_reference_back(stack, end):
     start_and_lose_joint3(stack)
     wait(path_of(stack.name).with_suffix(".unreferenced").exists, "what the next process reads", PATIENCE_S)
     getattr(stack.loop.process, end)()
     stack.loop.code()
+    forget_marks(stack)
     stack.start_loop()
     assert reasons(stack) == {2: Unreferenced.SILENT}
     assert "The drive of joint3 was silent for too long" in stack.loop.said()
@@ -70,6 +88,7 @@ def test_what_could_not_be_kept_is_kept_as_soon_as_it_can(stack):
     stack.loop.process.kill()
     stack.loop.code()
     assert "could not be kept" not in stack.loop.said().partition("see that the file can be written.")[2]
+    forget_marks(stack)
     stack.start_loop()
     assert reasons(stack) == {2: Unreferenced.SILENT}
 
