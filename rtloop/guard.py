@@ -17,7 +17,7 @@ from rtloop.faults import latch_fault
 from rtloop.modes import is_limp
 from rtloop.path import in_goal
 from rtloop.phases import stop_running
-from rtloop.state import FAMILY_MOCK
+from rtloop.state import FAMILY_MOCK, FRESH_READINGS
 from shm.jit import jit
 from shm.words import Event, Fault, Mode, Outcome, Phase, Slowed, Unreferenced
 
@@ -30,8 +30,6 @@ ROUNDING = 1.0 + 1e-6
 STATUSES_TO_BELIEVE = 2
 REFUSALS_TO_BELIEVE = 2
 STOP_FRAMES = 3
-FRESH_READINGS = 3
-"""A reading that is as old as so many that should have come since tells nothing of where the joint is."""
 PROBES = 10
 """Drives are asked so often, each time one of them, between the last frame anybody heard and the latched fault."""
 HAND_SHARE = 2.0

@@ -28,9 +28,9 @@ from config.schema import ArmConfig
 from rtloop import status as status_bits
 from rtloop.conversation import Conversation, Dialogue
 from rtloop.drives.setup import joints_on_the_bus, power_proof_of
-from rtloop.guard import FRESH_READINGS
 from rtloop.port import ServicePort
 from rtloop.power import Marks
+from rtloop.state import FRESH_READINGS
 from shm.words import Fault, Mode, Unreferenced
 
 ENDED_WITHIN_NS = 1_000_000_000

@@ -26,6 +26,8 @@ CAN_FRAME_BYTES = 16
 TX_FRAMES = TX_BYTES // CAN_FRAME_BYTES
 RX_FRAMES = READ_BYTES // CAN_FRAME_BYTES
 LISTENERS = 8 * MAX_JOINTS
+FRESH_READINGS = 3
+"""A reading that is as old as so many that should have come since tells nothing of where the joint is."""
 NOT_LED = -1
 """A drive that was adopted where it stands, and has been told nothing since."""
 NOBODY, GRIPPER = -1, -2

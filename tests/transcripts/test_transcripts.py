@@ -34,7 +34,7 @@ NEVER_SEEN = {
     "Mode.OFFLINE",
 }
 """What no scenario comes to; tests of tests/rtloop do."""
-CYCLE = 40
+CYCLE = 60
 NAME = "joint2.commanded_position_rad"
 
 
@@ -160,7 +160,7 @@ def test_one_bit_of_a_float_is_found_and_named(was: Transcript, now: Transcript)
     nudge(now, NAME, CYCLE)
     old, new = was.words[NAME][CYCLE], now.words[NAME][CYCLE]
     assert difference(was, now) == (
-        f"goal-small, cycle {CYCLE} (0.333 s): joint2's commanded_position_rad was {float(old)!r}, is {float(new)!r}"
+        f"goal-small, cycle {CYCLE} (0.500 s): joint2's commanded_position_rad was {float(old)!r}, is {float(new)!r}"
     )
 
 
