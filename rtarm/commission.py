@@ -39,7 +39,7 @@ RELIES: Mapping[str, str] = {
     "proof of power": "a silent drive keeps its reference",
     "fast targets": "bus.position_command: FC",
     "reports": "bus.positions: reported",
-    "healing": "a goal goes on after a short silence of all drives",
+    "healing": "the arm clears by itself the fault of a short silence of all drives",
 }
 
 

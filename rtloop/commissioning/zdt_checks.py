@@ -119,7 +119,8 @@ def judge_silence(forth: Ran, samples: Samples, trial: Trial, back_rev: float, w
         came = "too few readings while it braked: the bus is too slow or too busy for this"
         return Finding("silence", asked, documented, came, Verdict.NOT_TRIED)
     factor = braked * 60.0 / told
-    arrived = abs(back_rev) * TURN <= ARRIVED_COUNTS or bool(watchdog_ms)
+    may_be_left = trial.counts if watchdog_ms else 0  # which stops it on its way
+    arrived = abs(back_rev) * TURN <= may_be_left + ARRIVED_COUNTS
     came = f"it braked at {braked * 60.0:.0f} rpm/s, {factor:.2f} × the documented ramp, and after the silence stood "
     came += f"{abs(back_rev) * 360.0:.1f}° from its target"
     right = RAMP_RANGE[0] <= factor <= RAMP_RANGE[1] and arrived

@@ -240,10 +240,11 @@ def power_cycle(drive: Drive, tell: Callable[[str], None], lost: Callable[[], No
     if flags & registers.POWER_LOST:
         lost()  # whether or not it was seen silent
     after = yield from drive.counts()
-    homing_after = yield from zdt_talk.read_homing()
+    homing_after = yield from zdt_talk.surely(zdt_talk.read_homing)
     block_after = (yield from zdt_talk.surely(zdt_talk.read_block)) if changed is not None else None
     flag_cleared = yield from _clear_power_lost()
-    if marked and homing is not None and homing_after != homing:
+    # one that has forgotten keeps what it has stored: what it had before may be a mark that proves its power
+    if homing is not None and homing_after is not None and marked and homing_after.timeout_ms == mark_ms:
         yield from zdt_talk.set_homing_timeout(homing.timeout_ms)
     if block is not None and block_after != block:
         yield Ask(registers.write_block(block, store=False), (3,), answered=False)

@@ -169,7 +169,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 
 
 def kept_power(host: PowerHost, joint: int) -> Part[bool]:
-    """What `rtloop.drives.setup.PowerHost` says."""
+    """What `rtloop.drives.setup.PowerProof` says."""
     node = Node(joint, host.arm.joints[joint])
     return (yield from stayed_armed(host, joint, lambda: _is_enabled(node)))
 

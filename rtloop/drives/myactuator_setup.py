@@ -151,7 +151,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 
 
 def kept_power(host: PowerHost, joint: int) -> Part[bool]:
-    """What `rtloop.drives.setup.PowerHost` says."""
+    """What `rtloop.drives.setup.PowerProof` says."""
     return _proves((yield from _agreed_uptime(host, joint)), host.marks[joint])
 
 

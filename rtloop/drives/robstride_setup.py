@@ -129,7 +129,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 
 
 def kept_power(host: PowerHost, joint: int) -> Part[bool]:
-    """What `rtloop.drives.setup.PowerHost` says."""
+    """What `rtloop.drives.setup.PowerProof` says."""
     return (yield from stayed_armed(host, joint, lambda: _is_running(_drive(host.arm.joints[joint]))))
 
 

@@ -17,9 +17,11 @@ from config.loader import load_arm
 from config.ramp import nearest_usable_acceleration_rad_s2
 from rtloop.calibration.session import NotDone
 from rtloop.commissioned import PowerProof
+from rtloop.commissioning import zdt_checks
 from rtloop.commissioning.finding import Finding, Verdict, braking_rev_s2
 from rtloop.commissioning.session import Bench, checks_of
-from rtloop.commissioning.zdt_talk import trial_of
+from rtloop.commissioning.zdt_talk import Ran, trial_of
+from rtloop.drives import zdt_talk
 from shm.recording import now_at, read_on
 from shm.words import Unreferenced
 from sim import faults
@@ -307,3 +309,21 @@ def test_a_family_without_checks_says_so() -> None:
     with pytest.raises(NotDone, match="joint2 has an ODrive axis, and there are no checks for its family yet"):
         checks_of(mixed(), 1)
     assert len(checks_of(mixed(), 0)) == len(NAMES)
+
+
+def test_a_drive_that_lost_its_power_does_not_get_a_mark_of_before_back() -> None:
+    """With it the next control process would believe an angle that is gone (`rtloop.power`)."""
+    trial = Trial(0)
+    mark = trial.bench.have(0, lambda drive: zdt_talk.mark(drive.now_ns()))
+    trial.check("power cycle")
+    after = trial.bench.have(0, lambda drive: zdt_talk.read_homing())
+    assert after is not None and str(after.timeout_ms) != mark
+
+
+@pytest.mark.parametrize(("left", "good"), [(0.5, True), (1.5, False)])
+def test_a_drive_with_a_watchdog_stands_on_its_way(left: float, good: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that was let go, or ran on, stands elsewhere, and does not brake in silence."""
+    trial = trial_of(load_arm("episode1"), 0)
+    monkeypatch.setattr(zdt_checks, "braking_rev_s2", lambda *_: trial.ramp_rpm_s / 60.0)
+    found = zdt_checks.judge_silence(Ran(0, trial.counts, None), np.zeros((0, 2)), trial, left * trial.turns, 300)
+    assert (found.verdict == Verdict.AS_DOCUMENTED) == good
