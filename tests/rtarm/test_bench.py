@@ -496,7 +496,7 @@ def test_control_c_keeps_what_was_measured(line: str, kept: bool, tmp_path: Path
     program = (
         "import sys; from pathlib import Path; from rich.console import Console; from rtarm.bench.run import *;"
         "from rtarm.errors import Refusal\n"
-        "extent = Extent((200,), repeats=3, slice_s=0.3, longest_s=100.0, who=('rtarm', 'plain_loop'))\n"
+        "extent = Extent((200,), repeats=3, slice_s=0.3, longest_s=1000.0, who=('rtarm', 'plain_loop'))\n"
         "try: sys.exit(run_bench(extent, Path(sys.argv[1]), None, Reporter(Console())))\n"
         "except Refusal as refusal: sys.exit(refusal.sentence)"
     )
