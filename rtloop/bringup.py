@@ -100,6 +100,8 @@ class BringUp(Conversation):
         measured_rad = found.reading / per_rad - zero_rad
         target_rad = found.target / per_rad - zero_rad
         kept = found.kept_power and self.was_silent[joint]
+        if reason == Unreferenced.POWER_LOST:
+            self._unknown[joint] = reason
         if reason == Unreferenced.INCREMENTAL and (self._referenced_before[joint] or kept):
             reason = Unreferenced.REFERENCED
         elif reason == Unreferenced.INCREMENTAL:
@@ -112,7 +114,7 @@ class BringUp(Conversation):
         step = math.copysign(self.port.reading_step_rad(joint), per_rad)
         moved_rad = measured_rad + zero_rad - self._counts_before[joint] * step if joint in self._counts_before else 0.0
         elsewhere_rad = abs(measured_rad - self._stood_rad.get(joint, measured_rad))
-        if elsewhere_rad > self.arm.limits.position_jump_rad:
+        if elsewhere_rad > self.arm.limits.position_jump_rad and not found.kept_power:
             reason = self._unknown[joint] = Unreferenced.POWER_LOST
         if reason == Unreferenced.REFERENCED and abs(moved_rad) > self.arm.limits.position_jump_rad:
             reason = Unreferenced.MOVED

@@ -8,13 +8,23 @@ that was exchanged, or given other firmware, must be tested again. Simulated arm
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
 
 from config.drives.drive import Drive
 from config.schema import ArmConfig
 from rtloop.drives.setup import joints_on_the_bus
-from rtloop.saved import NotSaved, channel_of, is_simulated, path_of, replace_file
+from rtloop.power import Marks
+from rtloop.saved import (
+    NotSaved,
+    channel_of,
+    is_simulated,
+    keep_power_marks,
+    path_of,
+    power_marks,
+    replace_file,
+)
 
 
 class PowerProof(StrEnum):
@@ -92,6 +102,18 @@ def unproven(arm: ArmConfig) -> set[int]:
         return {joint for joint, found in load(arm).items() if found.power_proof is PowerProof.NONE}
     except NotReadable:
         return set(range(len(arm.joints)))
+
+
+def marks(arm: ArmConfig, tell: Callable[[str], object]) -> Marks:
+    """What the arm's drives have that proves their power, kept for the next process; `tell` gets what is not kept."""
+
+    def keep(changed: Mapping[int, str]) -> None:
+        try:
+            keep_power_marks(arm, changed)
+        except NotSaved as problem:
+            tell(str(problem))
+
+    return Marks(power_marks(arm), keep, unproven(arm))
 
 
 def heals(arm: ArmConfig) -> bool:

@@ -21,7 +21,6 @@ from rtloop.farewell import Farewell
 from rtloop.gripper import GripperTalk
 from rtloop.healing import Healing
 from rtloop.port import HOME_ALL, ServicePort
-from rtloop.power import Marks
 from rtloop.referencing import Referencing, referencing_asked_for
 from rtloop.release import Release
 from rtloop.state import offset_of
@@ -96,7 +95,7 @@ class ControlProcess:
         self._wire: OpenWire | None = None
         self._claim = Claim()
         self._lost_references: dict[int, Unreferenced] = {}
-        self._marks = Marks(saved.power_marks(arm), self._keep_marks, commissioned.unproven(arm))
+        self._marks = commissioned.marks(arm, tell)
         self._dropped_before = self._unsent_before = 0
         self._brought_up = False
         self._next_try_s = self._next_lost_s = self._next_keep_s = 0.0
@@ -351,12 +350,6 @@ class ControlProcess:
             heals=heals,
             forgive_silence=self._forgive_silence,
         )
-
-    def _keep_marks(self, marks: Mapping[int, str]) -> None:
-        try:
-            saved.keep_power_marks(self._arm, marks)
-        except saved.NotSaved as problem:
-            self._tell(str(problem))
 
     def _forgive_silence(self, joint: int) -> None:
         """The next process is to know; where it cannot be told, it will ask the drive."""

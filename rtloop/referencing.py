@@ -207,12 +207,14 @@ class Referencing(Conversation):
         flags = yield from self._sound(joint, config)
         expected_rad = -config.zero_rad if self.port.referenced(joint) else None
         mark_ms = zdt_talk.homing_mark_ms(round(limit_s * 1e3), self.now_ns)
+        self._marks[joint] = None  # a mark that is still known and gone speaks of a loss of power
         if not (yield from zdt_talk.set_homing_timeout(mark_ms)):
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} does not take a homing time-out of {limit_s:g} s: set it in its menu, or "
                 "lower homing.timeout_s.",
             )
+        self._marks[joint] = str(mark_ms)
         began = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
         self._keep_lost(joint, Unreferenced.NOT_HOMED)
         self.post(REFERENCING, joint=joint, code=1)
@@ -220,13 +222,12 @@ class Referencing(Conversation):
             yield from self._begin_run(joint, config)
             stopped = yield from self._see_it_end(joint, config, began)
             yield from self._judge(joint, config, stopped, expected_rad)
-            yield from self._require_mark(joint, config, mark_ms)
+            yield from self._require_mark(joint, config, str(mark_ms))
             yield from self._set_up(joint, config)
             if flags & registers.POWER_LOST:
                 yield from self._clear_power_lost(joint, config)
             target = yield from self._standing(joint, config)
-            yield from self._require_mark(joint, config, mark_ms)
-            self._marks[joint] = str(mark_ms)
+            yield from self._require_mark(joint, config, str(mark_ms))
         except TalkFailed:
             yield from self._stand(joint)
             raise
@@ -285,13 +286,12 @@ class Referencing(Conversation):
         stopped_rad = config.direction * stopped / config.encoder_counts_per_rad - self.port.zero_rad(joint)
         self._require_place(joint, stopped_rad, expected_rad)
 
-    def _require_mark(self, joint: int, config: JointConfig, mark_ms: int) -> ZdtDialogue:
-        parameters = yield from zdt_talk.read_homing()
-        if parameters is None or parameters.timeout_ms != mark_ms:
+    def _require_mark(self, joint: int, config: JointConfig, mark: str) -> ZdtDialogue:
+        if not (yield from zdt_talk.has_mark(mark)):
             raise TalkFailed(
                 joint,
-                f"The drive of {config.name} has lost power during its homing run, so what it counts is no angle: see "
-                f"to its supply, then {self.again}.",
+                f"The drive of {config.name} has lost power while it was referenced, so what it counts is no angle: "
+                f"see to its supply, then {self.again}.",
             )
 
     def _stand(self, joint: int) -> ZdtDialogue:
@@ -330,6 +330,8 @@ class Referencing(Conversation):
         config = self.arm.joints[joint]
         flags = yield from self._sound(joint, config)
         yield from self._set_up(joint, config)
+        self._marks[joint] = None
+        self._marks[joint] = mark = yield from zdt_talk.mark(self.now_ns)  # before the count for which it speaks
         target = yield from self._standing(joint, config)
         zero_rad = self.port.zero_rad(joint)
         counts_nowhere = flags & registers.POWER_LOST and not self.port.power_loss_known(joint)
@@ -344,7 +346,8 @@ class Referencing(Conversation):
             self._keep_lost(joint, Unreferenced.NOT_HOMED)  # what is said is known to this process alone
             measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
             zero_rad = config.direction * measured / config.encoder_counts_per_rad - angle_rad
-        self._marks[joint] = yield from zdt_talk.mark(self.now_ns)
+        if mark is not None:
+            yield from self._require_mark(joint, config, mark)
         position_rad = config.direction * target / config.encoder_counts_per_rad - zero_rad
         self._count_from(joint, zero_rad, position_rad, flag_stays=bool(flags & registers.POWER_LOST))
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 
 from config.schema import ArmConfig
-from rtloop import offline, saved
+from rtloop import commissioned, offline, saved
 from rtloop.calibration.session import DriveState, NotDone, Session
 from rtloop.offline import heard_more, next_line, say
 from rtloop.port import ServicePort
@@ -50,6 +50,7 @@ def serve(arm: ArmConfig, port: ServicePort, pause: Callable[[], None]) -> None:
         rest=lambda: time.sleep(BUSY_POLL_S),
         tell=lambda line: say("told", line),
         keep_lost=lambda joint, reason: saved.keep_lost_reference(arm, joint, reason),
+        marks=commissioned.marks(arm, lambda line: say("told", line)),
         lost_before=saved.lost_references(arm),
     )
     session.read()

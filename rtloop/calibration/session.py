@@ -65,6 +65,7 @@ class Session:
     `pause` lets time pass between two looks at a conversation and may raise to end it; a drive that moves then is
     stopped first, while `rest` lets time pass, which does not raise. `tell` gets sentences of a homing run, and
     `keep_lost` remembers why a joint's angle is not known, or that it is; `lost_before` is what was known of that.
+    `marks` are those that the drives have (`rtloop.power`): a homing run gives another one.
     """
 
     def __init__(
@@ -77,6 +78,7 @@ class Session:
         rest: Callable[[], None],
         tell: Callable[[str], None],
         keep_lost: KeepLost,
+        marks: Marks,
         lost_before: Mapping[int, Unreferenced] | None = None,
     ) -> None:
         self.arm = arm
@@ -86,6 +88,7 @@ class Session:
         self._rest = rest
         self.tell = tell
         self._keep_lost = keep_lost
+        self._marks = marks
         self._lost = dict(lost_before or {})
         self._tells_power_loss: dict[int, bool] = {}
         self._limp: set[int] = set()
@@ -175,7 +178,7 @@ class Session:
             placed={},
             tell=self.tell,
             keep_lost=self._remember,
-            marks=Marks(),
+            marks=self._marks,
             again="run this again",
         )
         try:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from config.schema import ArmConfig
-from rtloop import offline, saved
+from rtloop import commissioned, offline, saved
 from rtloop.calibration.session import NotDone
 from rtloop.commissioning.session import Bench, checks_of
 from rtloop.offline import heard_more, next_line, say
@@ -62,6 +62,7 @@ def serve(arm: ArmConfig, port: ServicePort, pause: Callable[[], None]) -> None:
         rest=lambda: time.sleep(BUSY_POLL_S),
         tell=lambda line: say("told", line),
         keep_lost=lambda joint, reason: saved.keep_lost_reference(arm, joint, reason),
+        marks=commissioned.marks(arm, lambda line: say("told", line)),
         lost_before=saved.lost_references(arm),
         recorded=recorded,
     )

@@ -61,6 +61,7 @@ HUNDREDTHS = 100.0
 CLOCK_TOLERANCE = 0.0158
 """Of a motor's clock beside ours: CAN's specification (2.0, oscillator tolerance) lets none be further off."""
 UPTIME_STEP_MS = 1.0
+UPTIME_ROUND_MS = 1 << 32
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
@@ -88,12 +89,20 @@ class Uptime(NamedTuple):
 
     def goes_on_from(self, before: "Uptime") -> bool:
         """Whether it has grown by the time since, without having begun anew, which it also does after 49.7 days."""
-        least_ms = (self.asked_ns - before.heard_ns) * 1e-6 * (1.0 - CLOCK_TOLERANCE) - UPTIME_STEP_MS
-        return least_ms <= self.ms - before.ms <= self.most_ms_since(before)
+        return self.least_ms_since(before) <= self.ms - before.ms <= self.most_ms_since(before)
 
     def proves_power_since(self, before: "Uptime") -> bool:
         """Whether it has gone on since: the motor began before that, not after a loss of power since."""
         return self.boot == before.boot and self.goes_on_from(before) and self.ms > self.most_ms_since(before)
+
+    def began_since(self, before: "Uptime") -> bool:
+        """Whether the motor has surely begun anew since: its uptime is behind, and not because it went round."""
+        went_round = before.ms + self.most_ms_since(before) >= UPTIME_ROUND_MS
+        return self.boot == before.boot and not went_round and self.ms - before.ms < self.least_ms_since(before)
+
+    def least_ms_since(self, before: "Uptime") -> float:
+        """What a motor's clock makes of the time since at least (ms)."""
+        return (self.asked_ns - before.heard_ns) * 1e-6 * (1.0 - CLOCK_TOLERANCE) - UPTIME_STEP_MS
 
     def most_ms_since(self, before: "Uptime") -> float:
         """What a motor's clock makes of the time since at most (ms)."""
@@ -146,6 +155,9 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     reason = Unreferenced.POWER_LOST if restarted else Unreferenced.INCREMENTAL
     # The last question, so that it speaks for all that was read before.
     up = yield from _agreed_uptime(host, joint)
+    before = Uptime.of_mark(host.marks[joint])
+    if up is not None and before is not None and up.began_since(before):
+        reason = Unreferenced.POWER_LOST
     kept = settle_mark(host, joint, _proves(up, host.marks[joint]), up.mark if up else None)
     return Found(reading, held, reason, kept)
 

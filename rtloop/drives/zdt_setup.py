@@ -74,11 +74,6 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
     if flags & registers.POWER_LOST and not host.port.power_loss_known(joint):
         yield _stop(host)  # since it has power it may have heard targets of before
         reason = Unreferenced.POWER_LOST
-        host.tell(
-            f"{config.name} is not referenced: its drive has lost power since its position was set, so its count "
-            "does not mean an angle: home it with `rtarm home`, or say where it stands with `rtarm reference`; "
-            "until then goals are refused."
-        )
     homing = yield from _end_homing(host, joint, config)
     if reason == Unreferenced.REFERENCED and homing:
         reason = Unreferenced.NOT_HOMED
@@ -102,16 +97,14 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
     if host.arm.bus.fast_targets:
         yield from fast_targets.prepare(host.arm, joint, drive, version)
         host.post(FAST_READY, joint=joint)
-    if not host.was_silent[joint] and not (yield from zdt_talk.has_mark(host.marks[joint])):
+    if host.marks[joint] is None and not host.was_silent[joint]:  # it speaks for the time since
         host.marks[joint] = yield from zdt_talk.mark(host.now_ns)
     found = yield from _standing(host, joint, config, reason)
     # The last question, so that it speaks for all that was read before.
-    if not host.was_silent[joint]:
-        return found
-    if (yield from _kept_power(host, joint)):
-        return found._replace(kept_power=True)
-    host.marks[joint] = None  # a new one would speak for the time since, not for that in which the angle was lost
-    return found
+    had_power = yield from _had_power(host, joint)
+    if had_power is False:
+        return found._replace(reason=Unreferenced.POWER_LOST)
+    return found._replace(kept_power=had_power is True)
 
 
 def kept_power(host: PowerHost, joint: int) -> Part[bool]:
@@ -122,10 +115,23 @@ def kept_power(host: PowerHost, joint: int) -> Part[bool]:
 
 
 def _kept_power(host: PowerHost, joint: int) -> Answered[bool]:
-    """Whether the drive still has its mark in volatile memory, and no flag for lost power that means something."""
-    flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
-    if flags is None or (flags & registers.POWER_LOST and not host.port.power_loss_known(joint)):
-        return False
+    return (yield from _had_power(host, joint)) is True
+
+
+def _had_power(host: PowerHost, joint: int) -> Answered[bool | None]:
+    """Whether the drive has had power since it got its mark; None where nothing tells.
+
+    Its flag for lost power speaks against it, where that means something; without it the mark decides.
+    """
+    if not host.port.power_loss_known(joint):
+        for _ in range(zdt_talk.AGREEING):
+            flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
+            if flags is None:
+                return None
+            if not flags & registers.POWER_LOST:
+                break
+        else:
+            return False
     return (yield from zdt_talk.has_mark(host.marks[joint]))
 
 

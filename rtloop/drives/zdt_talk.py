@@ -107,12 +107,10 @@ def set_homing_timeout(timeout_ms: int) -> Answered[bool]:
     return (yield from read_homing()) == changed
 
 
-def has_mark(mark: str | None) -> Answered[bool]:
-    """Whether the drive still has the homing time-out that `mark` has given it (`rtloop.power`)."""
-    if mark is None:
-        return False
-    parameters = yield from surely(read_homing)
-    return parameters is not None and str(parameters.timeout_ms) == mark
+def has_mark(mark: str | None) -> Answered[bool | None]:
+    """Whether the drive still has the homing time-out that `mark` has given it (`rtloop.power`); None: nobody knows."""
+    parameters = None if mark is None else (yield from surely(read_homing))
+    return None if parameters is None else str(parameters.timeout_ms) == mark
 
 
 def mark(now_ns: int) -> Answered[str | None]:

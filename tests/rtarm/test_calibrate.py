@@ -33,6 +33,7 @@ from rtarm.calibrate.person import Quit, agrees, number
 from rtarm.calibrate.words import positive_in_words
 from rtarm.errors import Refusal
 from rtloop.calibration.session import MOST_COUNTS, MOST_RPM, Session
+from rtloop.power import Marks
 from sim.arm import SimulatedArm
 
 # --- arithmetic -------------------------------------------------------------------------------------------------
@@ -155,6 +156,7 @@ class Scene:
             rest=self.virtual.cycle,
             tell=lambda _: None,
             keep_lost=lambda _joint, _reason: None,
+            marks=Marks(),
         )
         self.session.read()
         self.told: list[str] = []

@@ -27,6 +27,7 @@ from rtarm.status import of_cycle
 from rtarm.zdt_joints import other_drives, zdt_joints
 from rtloop.beginning import show_drives
 from rtloop.calibration.session import Session as Calibration
+from rtloop.power import Marks
 from rtloop.settings.compare import as_json
 from rtloop.settings.session import Session
 from shm import layout
@@ -93,6 +94,7 @@ def test_a_calibration_of_a_mixed_arm_is_of_its_zdt_drives() -> None:
         rest=virtual.cycle,
         tell=lambda _: None,
         keep_lost=lambda joint, reason: None,
+        marks=Marks(),
     )
     session.read()
     assert {joint: found.problems for joint, found in session.found.items()} == {0: [], 2: [], 4: []}

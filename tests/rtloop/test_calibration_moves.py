@@ -19,6 +19,7 @@ from rtloop.calibration.session import MOST_COUNTS, MOST_RPM, NotDone, Session
 from rtloop.conversation import TalkFailed
 from rtloop.drives import zdt
 from rtloop.drives import zdt_registers as registers
+from rtloop.power import Marks
 from shm.words import Mode, Unreferenced
 from sim import faults
 
@@ -47,6 +48,7 @@ class Bench:
             rest=self.virtual.cycle,
             tell=self.told.append,
             keep_lost=self.lost.__setitem__,
+            marks=Marks(),
         )
         self.session.read()
 

@@ -22,6 +22,7 @@ from rtloop.commissioning.finding import Finding, Verdict, braking_rev_s2
 from rtloop.commissioning.session import Bench, checks_of
 from rtloop.commissioning.zdt_talk import Ran, trial_of
 from rtloop.drives import zdt_talk
+from rtloop.power import Marks
 from shm.recording import now_at, read_on
 from shm.words import Unreferenced
 from sim import faults
@@ -53,6 +54,7 @@ class Trial:
             rest=self.virtual.cycle,
             tell=self._hear,
             keep_lost=self.lost.__setitem__,
+            marks=Marks(),
             recorded=self._recorded,
         )
         self.bench.read()

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
 
+from rtloop.drives import zdt_registers as registers
 from rtloop.power import Marks
 from rtloop.saved import OUTLIVES_THE_PROCESS
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
@@ -121,6 +123,64 @@ def test_an_angle_that_was_lost_is_not_found_again_by_a_later_silence() -> None:
     assert arm.reference().failure is None
     arm = endure(arm, Silence(frozenset((3,)), frozenset(), 0.3))
     assert all(referenced(arm))
+    arm.close()
+
+
+def lose_power(arm: VirtualArm, joint: int, seconds: float) -> None:
+    """A drive without a flag for it loses its supply, too shortly for the age ladder where somebody looks."""
+    drive = drives_of(arm)[joint]
+    drive.power_off(arm.now_ns)
+    arm.cycles(round(seconds * 1e9 / arm.period_ns))
+    drive.power_on(arm.now_ns)
+
+
+@pytest.mark.parametrize("firmware", ["new", "old"])
+def test_a_loss_of_power_that_a_bring_up_hides_is_noticed_without_a_flag(firmware: Any) -> None:
+    """It begins right before a person's clear, which forgets for how long a drive has been silent."""
+    arm = VirtualArm("episode1", firmware=firmware, start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    for drive in drives_of(arm):
+        drive.power_flag = "absent"
+    arm.bring_up()
+    drives_of(arm)[0].trip(arm.now_ns, registers.STALLED)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    lose_power(arm, 2, 0.05)
+    arm.clear_fault()
+    assert referenced(arm) == [joint != 2 for joint in range(6)]
+    assert arm.loop[0]["axes"][2]["unreferenced_reason"] == Unreferenced.POWER_LOST
+    assert "joint3 lost power" in arm.told[-1]
+    arm.close()
+
+
+def test_a_loss_of_power_between_two_processes_is_noticed_without_a_flag_until_an_angle_is_said() -> None:
+    arm = VirtualArm("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    for drive in drives_of(arm):
+        drive.power_flag = "absent"
+    arm.bring_up()
+    lose_power(arm, 2, 0.05)
+    for _ in range(2):  # a process that is killed before it has kept why changes nothing
+        arm = arm.next_process()
+        arm.bring_up()
+        assert referenced(arm) == [joint != 2 for joint in range(6)]
+    assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=math.nan) == Answer.REFUSED_VALUE
+    assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=0.4) == Answer.DONE
+    assert arm.reference().failure is None
+    assert all(referenced(arm))
+    arm = arm.next_process()
+    arm.bring_up()
+    assert all(referenced(arm))
+    arm.close()
+
+
+@pytest.mark.parametrize("powerless", [False, True])
+def test_an_angle_said_beside_a_standing_flag_outlives_a_silence_with_power(powerless: bool) -> None:
+    arm = VirtualArm("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    drives_of(arm)[2].power_flag = "stuck"
+    arm.bring_up()
+    assert not referenced(arm)[2]
+    assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=0.4) == Answer.DONE
+    assert arm.reference().failure is None
+    arm = endure(arm, Silence(frozenset(range(6)), frozenset((2,)) if powerless else frozenset(), 0.3))
+    assert referenced(arm) == [joint != 2 or not powerless for joint in range(6)]
     arm.close()
 
 
