@@ -383,7 +383,7 @@ def test_the_story_of_a_drive_that_loses_its_power(power_loss: Recording) -> Non
     assert (found.first.joint, found.first.sentence) == (1, "joint2 gives no readings from here on.")
     lines = [f"{story.since(line.monotonic_ns, found.zero_ns).strip()} {line.sentence}" for line in found.lines]
     starts = [
-        "-2.400 s Mode: bringing up.",
+        "-2.442 s Mode: bringing up.",
         "-2.117 s Mode: holding.",
         "-2.100 s Goal 1 was announced.",
         "-2.100 s Mode: executing.",

@@ -233,7 +233,7 @@ def test_a_homing_run_makes_its_count_mean_something():
     ("fault", "after", "sentence"),
     [
         (faults.Refusing("joint1", 0.0), 0, "does not begin its homing run"),
-        (faults.PowerLoss("joint1", 0.0, 0.02), 100, "has lost power during .*, then run this again"),
+        (faults.PowerLoss("joint1", 0.0, 0.02), 100, "has lost power while .*, then run this again"),
         (faults.Protection("joint1", 0.0), 0, "is in protection and holds nothing: .*, then run this again"),
         (faults.Protection("joint1", 0.0), 100, "its protection, .*, then run this again"),
         (faults.Disabled("joint1", 0.0), 0, "is limp, so it cannot turn"),
