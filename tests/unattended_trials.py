@@ -1,7 +1,8 @@
 """`PYTHONPATH=tests python -m unattended_trials`: goals on a simulated arm whose page is open; does it need a person?
 
-Run it beside what a machine does besides an arm (`stress-ng --cpu 4`). A trial needs a person when the arm stands in a
-fault for longer than it may take to go on by itself. What the observer finds in true motion is a violation.
+`--beside "stress-ng --cpu 4"` is what the machine does besides once the page is open. A trial needs a person when the
+arm stands in a fault for longer than it may take to go on by itself. What the observer finds in true motion is a
+violation.
 """
 
 from __future__ import annotations
@@ -9,11 +10,14 @@ from __future__ import annotations
 import argparse
 import re
 import secrets
+import shlex
+import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -56,11 +60,27 @@ def _goes_on(rig: Any) -> bool:
     return True
 
 
+@contextmanager
+def _beside(command: str) -> Iterator[None]:
+    """Run a command meanwhile; none where it is empty."""
+    if not command:
+        yield
+        return
+    with subprocess.Popen(shlex.split(command), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as load:
+        try:
+            yield
+            if load.poll() is not None:
+                raise AssertionError(f"{command} ended meanwhile with {load.returncode}")
+        finally:
+            load.terminate()
+
+
 def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="unattended_trials", description=__doc__)
     parser.add_argument("--trials", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--beside", default="", metavar="COMMAND")
     options = parser.parse_args(arguments)
     begin_again("unattended_trials", arguments)
     own_ros_domain()
@@ -80,7 +100,8 @@ def main(arguments: Sequence[str]) -> int:
                 found = re.search(r"http://\S+", view.line_with("http://"))
                 assert found is not None
                 browser.open(found.group())
-                ended, person = run(rig, options.minutes)
+                with _beside(options.beside):
+                    ended, person = run(rig, options.minutes)
                 needed += bool(person)
                 told = ", ".join(f"{count} × {how}" for how, count in ended.most_common())
                 print(f"{number + 1}: {told}. Needed a person: {person or 'no'}", flush=True)
