@@ -21,6 +21,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import guardian
 import numpy as np
 from process_trials import begin_again, own_ros_domain, small_home
 
@@ -40,6 +41,7 @@ def run(rig: Any, minutes: float) -> tuple[Counter[str], str]:
     ended: Counter[str] = Counter()
     until_s = time.monotonic() + 60.0 * minutes
     while time.monotonic() < until_s:
+        guardian.doing(f"goal {ended.total() + 1}")
         sent = rig.send(rig.goal())
         if not sent.ended.wait(sent.duration_s + RESULT_WITHIN_S):
             raise Hang("a goal has no result")
