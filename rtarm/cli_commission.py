@@ -39,7 +39,7 @@ def commission(
     """
     with sentences():
         from rtarm.calibrate.person import Terminal
-        from rtarm.commission import commission as run
+        from rtarm.commissioning.run import commission as run
 
         overrides = overrides_given({"bus": {"interface": interface, "channel": channel}})
         agrees = run(arm, joint, output, overrides, Terminal())

@@ -33,7 +33,9 @@ class PowerProof(StrEnum):
     FLAG = "flag"
     """Its flag for lost power is 1 after a loss of power, and stays 0 otherwise once it was cleared."""
     CANARY = "canary"
-    """A value in its volatile memory is another one after a loss of power."""
+    """What it was told, or counts, is another one after a loss of power."""
+    ABSOLUTE = "absolute"
+    """None is needed: its encoder knows the joint's angle with or without power."""
     NONE = "none"
 
 
@@ -67,7 +69,7 @@ class Commissioned:
     @property
     def heals(self) -> bool:
         """Whether the arm may go on by itself after a silence of all drives: it brakes in one, and proves its power."""
-        return self.brakes_in_silence is True and self.power_proof in (PowerProof.FLAG, PowerProof.CANARY)
+        return self.brakes_in_silence is True and self.power_proof not in (None, PowerProof.NONE)
 
     def after(self, before: Commissioned | None) -> Commissioned:
         """This with what an earlier test of the same drive and firmware has found and this one did not try."""

@@ -217,9 +217,7 @@ def lose_reference(loop: Loop, shared: Shared, joint: int, reason: int) -> None:
     if axis.referenced == 1:
         record_event(loop, shared, Event.REFERENCE, joint, reason, 0.0, 0.0)
         axis.lost_at_rad = axis.measured_rad
-    axis.referenced = axis.fast_ready = 0
-    if reason != Unreferenced.SILENT:  # a drive that proves that it had power counts on from where it did
-        axis.power_loss_known = 0
+    axis.referenced = axis.power_loss_known = axis.fast_ready = 0
     axis.unreferenced_reason = reason
     axis.stop_frames_due = STOP_FRAMES
 

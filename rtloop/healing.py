@@ -70,7 +70,8 @@ class Healing:
     def __init__(self, arm: ArmConfig, loop: np.ndarray, port: ServicePort, marks: Marks, *, unlocked: bool) -> None:
         self._arm, self._loop, self._port, self._marks = arm, loop, port, marks
         self._joints = joints_on_the_bus(arm)
-        self._unlocked = unlocked and len(self._joints) > 1  # a single silent drive may be the cause itself
+        # a single silent drive may be the cause itself, and a bring-up for FC tries targets
+        self._unlocked = unlocked and len(self._joints) > 1 and not arm.bus.fast_targets
         self._watched_ns = self._given_up_ns = self._rest_since_ns = 0
         self._stood_rad: list[float] = []
         self._healed_ns: deque[int] = deque(maxlen=MOST_HEALED)

@@ -150,7 +150,5 @@ def adopt(loop: Loop, joint: int, position_rad: float, reason: int) -> None:
     if reason == Unreferenced.POWER_LOST or not outlives_a_clear(loop, joint):
         axis.unreferenced_reason = reason
     axis.referenced = 1 if axis.unreferenced_reason == Unreferenced.REFERENCED else 0
-    if axis.unreferenced_reason == Unreferenced.SILENT or axis.unreferenced_reason == Unreferenced.POWER_LOST:
-        axis.power_loss_known = 0
     if axis.referenced == 1:  # any other is stopped before it is led again
         axis.stop_frames_due = 0

@@ -19,7 +19,7 @@ from rtloop import fast_targets, reports
 from rtloop.conversation import TRIES, Conversation, Dialogue, TalkFailed, silent_amid
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
-from rtloop.drives.setup import Homes, homing_of, joints_on_the_bus
+from rtloop.drives.setup import Homes, homing_of, joints_on_the_bus, mark_renewal_of
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
 from rtloop.drives.zdt_talk import AGREEING
 from rtloop.port import ADOPT, COUNT_FROM, FAST_READY, REFERENCING, REFERENCING_DONE, ServicePort
@@ -93,7 +93,7 @@ class Referencing(Conversation):
         super().__init__(arm, port, now_ns, fault=Fault.HOMING, last_order=REFERENCING_DONE)
         self._tell = tell
         self._keep_lost_beyond = keep_lost
-        self._marks = marks
+        self.marks = marks
         self.again = again
         self._ending = False
         with_drive = joints_on_the_bus(arm)
@@ -148,6 +148,8 @@ class Referencing(Conversation):
         drive = self.arm.joints[joint].drive
         if isinstance(drive, ZdtDrive):
             return (yield from addressed(drive.address, self._place_zdt(joint, angle_rad)))
+        if not drive.knows_its_angle and (renewal := mark_renewal_of(drive)) is not None:
+            yield from renewal.renew_mark(self, joint)
         if self.now_ns - self.port.measured_ns(joint) > FRESH_NS:
             raise TalkFailed(joint, silent_amid(self.arm.joints[joint], "position"))
         self.post(REFERENCING, joint=joint)
@@ -207,14 +209,14 @@ class Referencing(Conversation):
         flags = yield from self._sound(joint, config)
         expected_rad = -config.zero_rad if self.port.referenced(joint) else None
         mark_ms = zdt_talk.homing_mark_ms(round(limit_s * 1e3), self.now_ns)
-        self._marks[joint] = None  # a mark that is still known and gone speaks of a loss of power
+        self.marks[joint] = None  # a mark that is still known and gone speaks of a loss of power
         if not (yield from zdt_talk.set_homing_timeout(mark_ms)):
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} does not take a homing time-out of {limit_s:g} s: set it in its menu, or "
                 "lower homing.timeout_s.",
             )
-        self._marks[joint] = str(mark_ms)
+        self.marks[joint] = str(mark_ms)
         began = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
         self._keep_lost(joint, Unreferenced.NOT_HOMED)
         self.post(REFERENCING, joint=joint, code=1)
@@ -287,7 +289,10 @@ class Referencing(Conversation):
         self._require_place(joint, stopped_rad, expected_rad)
 
     def _require_mark(self, joint: int, config: JointConfig, mark: str) -> ZdtDialogue:
-        if not (yield from zdt_talk.has_mark(mark)):
+        marked = yield from zdt_talk.has_mark(mark)
+        if marked is None:
+            raise TalkFailed(joint, silent_amid(config, "homing parameters"))
+        if not marked:
             raise TalkFailed(
                 joint,
                 f"The drive of {config.name} has lost power while it was referenced, so what it counts is no angle: "
@@ -330,11 +335,13 @@ class Referencing(Conversation):
         config = self.arm.joints[joint]
         flags = yield from self._sound(joint, config)
         yield from self._set_up(joint, config)
-        self._marks[joint] = None
-        self._marks[joint] = mark = yield from zdt_talk.mark(self.now_ns)  # before the count for which it speaks
+        marked = yield from zdt_talk.has_mark(self.marks[joint])
+        self.marks[joint] = None
+        self.marks[joint] = mark = yield from zdt_talk.mark(self.now_ns)  # before the count for which it speaks
         target = yield from self._standing(joint, config)
         zero_rad = self.port.zero_rad(joint)
         counts_nowhere = flags & registers.POWER_LOST and not self.port.power_loss_known(joint)
+        counts_nowhere |= marked is False
         if math.isnan(angle_rad) and counts_nowhere:
             self._tell(f"{config.name}: its drive has lost power, so what it counts is no angle: say where it stands.")
             self._count_from(joint, zero_rad, self.port.commanded_rad(joint), Unreferenced.POWER_LOST)
@@ -424,6 +431,6 @@ class Referencing(Conversation):
         if reason == Unreferenced.REFERENCED and not inside:
             reason = Unreferenced.OUTSIDE_LIMITS
         known = flag_stays and reason == Unreferenced.REFERENCED
-        self._marks.referenced(joint)
+        self.marks.referenced(joint)
         self.post(COUNT_FROM, joint=joint, value=zero_rad, code=int(known))
         self.post(ADOPT, joint=joint, value=position_rad, code=reason)

@@ -190,6 +190,8 @@ def keep_power_marks(arm: ArmConfig, marks: Mapping[int, str]) -> None:
     try:
         replace_file(path, json.dumps({"channel": channel_of(arm), "marks": named}))
     except OSError as problem:
+        with contextlib.suppress(OSError):  # what it says of before would speak against a drive that has another one
+            path.unlink()
         raise NotSaved(
             f"By what the drives prove that they keep their power could not be kept in {path} ({problem.strerror}), so "
             "a drive that falls silent while rtarm dies must be referenced again: see that the file can be written."

@@ -113,6 +113,10 @@ class Bench(Session):
             while self._clock_ns() < until_ns:
                 self._pause()
 
+    def forget_mark(self, joint: int) -> None:
+        """What the drive has is about to be another one, and its power to be switched off."""
+        self._marks[joint] = None
+
     def lose(self, joint: int) -> None:
         """Remember that the drive has lost its power; raises NotSaved."""
         self._remember(joint, Unreferenced.POWER_LOST)

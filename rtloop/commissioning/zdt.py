@@ -175,6 +175,7 @@ def _stall(bench: Bench, joint: int, sign: int) -> list[Finding]:
 
 
 def _power_cycle(bench: Bench, joint: int, _: int) -> list[Finding]:
+    bench.forget_mark(joint)
     cycle = bench.have(joint, lambda drive: talk.power_cycle(drive, bench.tell, lambda: bench.lose(joint)))
     bench.power_proof = checks.power_proof(cycle)
     return [checks.judge_power_flag(cycle), checks.judge_volatile(cycle)]

@@ -29,7 +29,15 @@ from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.drives.asking import AskFrames, confirmed, say
-from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, PowerHost, settle_mark
+from rtloop.drives.setup import (
+    ERROR_AT_START,
+    SAME_PLACE_RAD,
+    Found,
+    Host,
+    PowerHost,
+    require_may_enable,
+    settle_mark,
+)
 from rtloop.port import Frame
 from rtloop.wire.frame_words import STANDARD
 from shm.words import Unreferenced
@@ -96,9 +104,10 @@ class Uptime(NamedTuple):
         return self.boot == before.boot and self.goes_on_from(before) and self.ms > self.most_ms_since(before)
 
     def began_since(self, before: "Uptime") -> bool:
-        """Whether the motor has surely begun anew since: its uptime is behind, and not because it went round."""
-        went_round = before.ms + self.most_ms_since(before) >= UPTIME_ROUND_MS
-        return self.boot == before.boot and not went_round and self.ms - before.ms < self.least_ms_since(before)
+        """Whether the motor has surely begun anew since: its uptime is behind, no longer than that, and not round."""
+        most_ms = self.most_ms_since(before)
+        behind = self.ms - before.ms < self.least_ms_since(before)
+        return self.boot == before.boot and behind and self.ms <= most_ms and before.ms + most_ms < UPTIME_ROUND_MS
 
     def least_ms_since(self, before: "Uptime") -> float:
         """What a motor's clock makes of the time since at least (ms)."""
@@ -143,6 +152,8 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         )
     restarted = yield from _without_errors(host, joint)
     yield from _at_rest(joint, config)
+    if host.heals and not (yield from kept_power(host, joint)):  # a target would enable one that lost its power
+        require_may_enable(host, joint)
     yield from _with_its_ramp(host, joint)
     held = yield from _angle(joint, config)
     yield from _answered(joint, config, TARGET, "target", struct.pack("<xHi", CREEP_DPS, held))
@@ -150,11 +161,12 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     if status[3] == 0:  # or it has no brake
         yield from _answered(joint, config, RELEASE_BRAKE, "brake")
     reading = yield from _angle(joint, config)
-    if drive.knows_its_angle:
-        return Found(reading, held)
     reason = Unreferenced.POWER_LOST if restarted else Unreferenced.INCREMENTAL
     # The last question, so that it speaks for all that was read before.
     up = yield from _agreed_uptime(host, joint)
+    if drive.knows_its_angle:
+        host.marks[joint] = up.mark if up else None
+        return Found(reading, held)
     before = Uptime.of_mark(host.marks[joint])
     if up is not None and before is not None and up.began_since(before):
         reason = Unreferenced.POWER_LOST
@@ -165,6 +177,12 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 def kept_power(host: PowerHost, joint: int) -> Part[bool]:
     """What `rtloop.drives.setup.PowerProof` says."""
     return _proves((yield from _agreed_uptime(host, joint)), host.marks[joint])
+
+
+def renew_mark(host: PowerHost, joint: int) -> Part[None]:
+    """What `rtloop.drives.setup.RenewsMark` says."""
+    up = yield from _agreed_uptime(host, joint)
+    host.marks[joint] = up.mark if up else None
 
 
 def _proves(up: Uptime | None, mark: str | None) -> bool:

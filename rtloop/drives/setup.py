@@ -92,6 +92,13 @@ class PowerProof(Protocol):
         """Whether the drive has had power since it was given its mark; changes nothing, raises nothing."""
 
 
+class RenewsMark(Protocol):
+    """What such a file has besides where a mark is what the drive has said: it must not be older than the angle."""
+
+    def renew_mark(self, host: PowerHost, joint: int) -> Part[None]:
+        """Give the drive a mark that speaks from now on; raises nothing."""
+
+
 def require_may_enable(host: Host, joint: int) -> None:
     """Raise TalkFailed where a drive that holds nothing is found although nobody has asked for its being enabled."""
     if host.heals:
@@ -148,6 +155,12 @@ def power_proof_of(drive: Drive) -> PowerProof | None:
     """The file of a drive's family, if its drives can prove that they had power."""
     found = setup_of(drive)
     return cast(PowerProof, found) if hasattr(found, "kept_power") else None
+
+
+def mark_renewal_of(drive: Drive) -> RenewsMark | None:
+    """The file of a drive's family, if its marks are to be renewed when a person says an angle."""
+    found = setup_of(drive)
+    return cast(RenewsMark, found) if hasattr(found, "renew_mark") else None
 
 
 def homing_of(drive: Drive) -> Homes | None:

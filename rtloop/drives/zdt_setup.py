@@ -16,7 +16,7 @@ from config.drives.zdt import ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop import fast_targets, reports
-from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed
+from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
 from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost, require_may_enable
@@ -97,14 +97,17 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
     if host.arm.bus.fast_targets:
         yield from fast_targets.prepare(host.arm, joint, drive, version)
         host.post(FAST_READY, joint=joint)
-    if host.marks[joint] is None and not host.was_silent[joint]:  # it speaks for the time since
+    was_marked = host.marks[joint] is not None
+    if not was_marked and not host.was_silent[joint]:
         host.marks[joint] = yield from zdt_talk.mark(host.now_ns)
     found = yield from _standing(host, joint, config, reason)
     # The last question, so that it speaks for all that was read before.
     had_power = yield from _had_power(host, joint)
     if had_power is False:
         return found._replace(reason=Unreferenced.POWER_LOST)
-    return found._replace(kept_power=had_power is True)
+    if had_power is None and host.marks[joint] is not None:  # it may be without power just now
+        raise TalkFailed(joint, silent_amid(config, "proof of power"))
+    return found._replace(kept_power=was_marked and had_power is True)  # a new one speaks for the time since
 
 
 def kept_power(host: PowerHost, joint: int) -> Part[bool]:

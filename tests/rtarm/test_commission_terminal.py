@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arm_files import edited
 from at_terminal import CTRL_C, PATIENCE_S, rtarm_at_terminal
 from stack import Stack, run_rtarm
 from waiting import until
@@ -121,3 +122,86 @@ def test_what_is_refused_leaves_nothing_behind(bench: Stack, tmp_path: Path) -> 
 def test_a_joint_that_is_none_and_an_arm_without_a_bus() -> None:
     assert "has no joint 'elbow'; it has joint1" in run_rtarm("commission", "episode1", "elbow").stderr
     assert "has mock drives and no bus" in run_rtarm("commission", "mock", "joint1").stderr
+
+
+@pytest.fixture
+def led(arm_name: str, tmp_path: Path) -> Iterator[Stack]:
+    stack = Stack(arm_name, tmp_path, "damiao6", start_deg=(0.0, 10.0, 0.0, 0.0, 0.0, 0.0))
+    with edited(stack.arm_file) as values:
+        values["joints"][1]["drive"]["encoder"] = "incremental"
+    stack.start_sim()
+    yield stack
+    stack.close()
+
+
+@pytest.mark.process
+def test_a_whole_bench_test_of_a_drive_that_is_led(led: Stack, tmp_path: Path) -> None:
+    folder = tmp_path / "report"
+    with closing(rtarm_at_terminal("commission", str(led.arm_file), "joint2", "-o", str(folder))) as at:
+        at.reply("Bring it up?", "y")
+        at.read_until("answers: as documented.")
+        at.reply("Listen to it?", "y")
+        at.read_until("reply delay: ")
+        at.reply("Turn it?", "o")
+        at.read_until("retarget: as documented.")
+        at.reply("Turn it?", "y")
+        at.read_until("silence: as documented.")
+        at.reply("Is it clamped", "n")
+        at.read_until("stall is left out.")
+        at.reply("Watch it while you pull its CAN plug", "y")
+        at.read_until("Pull the CAN plug of joint2's drive now")
+        led.sim.say("silent:joint=joint2,at_s=0,until_s=3")
+        at.read_until("It is silent.")
+        at.read_until("unplugged: as documented. its angle was kept")
+        at.reply("Turn it, and watch it while you switch it off and on?", "o")
+        at.read_until("Switch the power of joint2's drive off now")
+        led.sim.say("power-loss:joint=joint2,at_s=0,off_s=3")
+        at.read_until("It is silent.")
+        at.read_until("power cycle: as documented. its angle was lost")
+        at.read_until("healing (the arm clears by itself the fault of a short silence of all drives): unlocked")
+        at.read_until("| damiao  | slcan | 6 | none | canary |")
+        assert at.code() == 0
+    assert no_process_left(led)
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert report["unlocked"] == {"proof of power": True, "healing": True} and report["simulated"]
+    assert commissioned.load(load_arm(led.arm_file))[1].heals
+    assert len(read(folder / "recording.mcap").recording.frames) > 1000
+    motions = led.truth()
+    assert all(np.ptp(motion.position_rad) == 0.0 for name, motion in motions.items() if name != "joint2")
+    moved_deg = np.abs(np.degrees(motions["joint2"].position_rad) - 10.0)
+    assert 14.5 < np.max(moved_deg) < 15.5
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("how", ["Ctrl-C", "kill -9"])
+def test_whatever_ends_it_a_drive_that_is_led_stands(led: Stack, tmp_path: Path, how: str) -> None:
+    folder = tmp_path / "report"
+    with closing(rtarm_at_terminal("commission", str(led.arm_file), "joint2", "-o", str(folder))) as at:
+        at.reply("Bring it up?", "y")
+        at.reply("Listen to it?", "")
+        at.reply("Turn it?", "")
+        at.reply("Turn it?", "y")
+        until(lambda: abs(led.truth()["joint2"].position_rad[-1] - math.radians(10.0)) > 0.1, patience_s=PATIENCE_S)
+        if how == "Ctrl-C":
+            at.press(CTRL_C)
+            assert at.code() == 1
+            report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+            assert [finding["check"] for finding in report["findings"]] == ["answers"]
+        else:
+            at.process.kill()
+        at.process.wait(PATIENCE_S)
+        until(lambda: no_process_left(led), patience_s=PATIENCE_S)
+    assert led.truth()["joint2"].velocity_rad_s[-1] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.process
+def test_a_drive_that_is_not_brought_up_is_told_and_leaves_nothing(led: Stack, tmp_path: Path) -> None:
+    folder = tmp_path / "report"
+    led.sim.say("silent:joint=joint2,at_s=0")
+    led.sim.line_with("fault silent")
+    with closing(rtarm_at_terminal("commission", str(led.arm_file), "joint2", "-o", str(folder))) as at:
+        at.reply("Bring it up?", "y")
+        at.read_until("does not answer on its master_id")
+        at.read_until("Nothing was checked.")
+        assert at.code() == 2
+    assert not folder.exists() and no_process_left(led)

@@ -449,3 +449,28 @@ def test_drives_that_report_their_positions(powerless: bool) -> None:
     assert healed(arm) != powerless
     assert powerless == still_faulted(arm)
     arm.close()
+
+
+@pytest.mark.parametrize("powerless", [False, True])
+def test_motors_that_a_target_would_enable(powerless: bool) -> None:
+    """Their encoders know their angles, so it is not for these that they prove their power."""
+    arm = VirtualArm.brought_up("myactuator6")
+    arm.heal_by_itself()
+    goes_silent(arm)
+    if powerless:
+        is_off_for_a_moment(arm)
+    is_heard(arm)
+    wait(arm)
+    assert healed(arm) != powerless
+    assert [drive_of(arm, joint).enabled for joint in ALL] == [joint != 4 or not powerless for joint in ALL]
+    arm.close()
+
+
+def test_an_arm_whose_bring_up_tries_targets_does_not_go_on_by_itself() -> None:
+    arm = VirtualArm.brought_up(load_arm("episode1", overrides={"bus": {"position_command": "FC"}}))
+    arm.heal_by_itself()
+    goes_silent(arm)
+    is_heard(arm)
+    wait(arm)
+    assert still_faulted(arm)
+    arm.close()

@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 from virtual import VirtualArm
 
 from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_talk
 from rtloop.power import Marks
 from rtloop.saved import OUTLIVES_THE_PROCESS
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.drives.zdt import ZdtDrive
 from sim.drives.zdt_motion import PowerFlag
-from sim.faults import CorruptBytes
+from sim.faults import CorruptBytes, PowerLoss
 
 KNOWN_WITHIN_RAD = 0.01
 FLAGS: tuple[PowerFlag, ...] = get_args(PowerFlag)
@@ -171,16 +172,40 @@ def test_a_loss_of_power_between_two_processes_is_noticed_without_a_flag_until_a
     arm.close()
 
 
-@pytest.mark.parametrize("powerless", [False, True])
-def test_an_angle_said_beside_a_standing_flag_outlives_a_silence_with_power(powerless: bool) -> None:
+def test_an_angle_said_beside_a_standing_flag_is_lost_with_a_silence() -> None:
+    """What the drive stores may outlive its power, too: without the flag nothing is believed."""
     arm = VirtualArm("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
     drives_of(arm)[2].power_flag = "stuck"
+    drives_of(arm)[2].stores_everything = True
     arm.bring_up()
     assert not referenced(arm)[2]
     assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=0.4) == Answer.DONE
     assert arm.reference().failure is None
-    arm = endure(arm, Silence(frozenset(range(6)), frozenset((2,)) if powerless else frozenset(), 0.3))
-    assert referenced(arm) == [joint != 2 or not powerless for joint in range(6)]
+    arm = endure(arm, Silence(frozenset(range(6)), frozenset((2,)), 0.3))
+    assert referenced(arm) == [joint != 2 for joint in range(6)]
+    arm.close()
+
+
+def test_a_new_mark_does_not_speak_for_the_time_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A drive that took none when its angle was said, and lost its power before the bring-up that gives it one."""
+    arm = VirtualArm("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    drives_of(arm)[2].power_flag = "stuck"
+    arm.bring_up()
+
+    def takes_none(now_ns: int) -> Any:
+        yield from ()
+
+    with monkeypatch.context() as patched:
+        patched.setattr(zdt_talk, "mark", takes_none)
+        assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=0.4) == Answer.DONE
+        assert arm.reference().failure is None
+    assert all(referenced(arm)) and arm.marks[2] is None
+    drives_of(arm)[0].trip(arm.now_ns, registers.STALLED)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.sim.inject(PowerLoss("joint3", at_s=0.0, off_s=0.1), since_ns=arm.now_ns)
+    arm.cycles(3)
+    arm.clear_fault()
+    assert not referenced(arm)[2]
     arm.close()
 
 

@@ -604,3 +604,69 @@ def test_no_angle_is_kept_over_a_loss_of_power_and_none_is_lost_that_is_proven(n
             reference(arm)
         known = referenced(arm)
     arm.close()
+
+
+S = 1_000_000_000
+MARKED = Uptime("boot", 60_000, 100 * S, 100 * S + 1_000_000)
+
+
+def said(ms: float, after_s: float, boot: str = "boot") -> Uptime:
+    """What a motor says of its uptime so long after `MARKED`."""
+    return Uptime(boot, round(ms), MARKED.asked_ns + round(after_s * S), MARKED.heard_ns + round(after_s * S))
+
+
+@given(st.floats(0.5, 1e5), st.floats(0.0, 1.0), st.floats(1.0 - CLOCK_TOLERANCE, 1.0 + CLOCK_TOLERANCE))
+def test_a_motor_that_began_anew_is_known_by_its_uptime(after_s: float, share: float, rate: float) -> None:
+    up = said(1e3 * after_s * share * rate, after_s)
+    assert not up.proves_power_since(MARKED)
+    assert up.began_since(MARKED) or up.ms >= MARKED.ms + up.least_ms_since(MARKED)
+
+
+@given(st.floats(0.5, 1e5), st.floats(1.0 - CLOCK_TOLERANCE, 1.0 + CLOCK_TOLERANCE))
+def test_a_motor_that_went_on_did_not_begin_anew(after_s: float, rate: float) -> None:
+    assert not said(MARKED.ms + 1e3 * after_s * rate, after_s).began_since(MARKED)
+
+
+@pytest.mark.parametrize("after_s", [0.5, 10.0, 50.0])
+def test_an_uptime_that_stands_still_or_is_slow_says_nothing(after_s: float) -> None:
+    assert not said(MARKED.ms, after_s).began_since(MARKED)
+    assert not said(MARKED.ms + 0.9e3 * after_s, after_s).began_since(MARKED)
+    assert not said(10.0, after_s, boot="another").began_since(MARKED)
+
+
+def test_an_uptime_that_went_round_says_nothing() -> None:
+    marked = MARKED._replace(ms=(1 << 32) - 5_000)
+    assert not said(5_000, 10.0).began_since(marked)
+    assert said(5_000, 10.0).began_since(MARKED)
+
+
+def test_an_angle_that_is_said_after_an_unnoticed_loss_of_power_is_kept() -> None:
+    """Its mark is no older than the angle."""
+    arm = VirtualArm(incremental("myactuator6"), start_rad=START_RAD, homed=False)
+    arm.cycles(round(WAKING_S * 1e9 / arm.period_ns))
+    assert arm.bring_up().failure is None
+    motor = arm.sim.drives[2]
+    motor.power_off(arm.now_ns)
+    arm.cycles(100)
+    motor.power_on(arm.now_ns)
+    arm.cycles(150)
+    reference(arm)
+    arm.sim.drives[5].unplug(arm.now_ns)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.sim.drives[5].plug_in(arm.now_ns)
+    arm.cycles(100)
+    arm.clear_fault()
+    assert referenced(arm)[:5] == [True] * 5
+    arm.close()
+
+
+def test_a_motor_without_a_true_uptime_keeps_its_angle_beside_another_joints_fault() -> None:
+    arm = arm_of("myactuator6", (uptime("stuck"), uptime("stuck"), clock(0.9), sound, sound, sound))
+    arm.cycles(500)
+    arm.sim.drives[5].unplug(arm.now_ns)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.sim.drives[5].plug_in(arm.now_ns)
+    arm.cycles(100)
+    arm.clear_fault()
+    assert referenced(arm)[:5] == [True] * 5
+    arm.close()

@@ -1,0 +1,1 @@
+"""`rtarm commission`: the bench test of one drive, with a person beside it."""

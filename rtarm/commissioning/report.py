@@ -1,0 +1,130 @@
+"""What was found of one drive: a folder to send back, and what the control process may rely on from then on.
+
+`report.txt` is for people, `report.json` for programs, `recording.mcap` has every frame.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from config.schema import ArmConfig
+from rtarm.errors import Refusal
+from rtloop import commissioned
+from rtloop.commissioned import Commissioned, NotReadable, PowerProof
+from rtloop.saved import PSEUDO_TERMINALS, NotSaved, is_simulated
+
+RELIES: Mapping[str, str] = {
+    "proof of power": "a silent drive keeps its reference",
+    "fast targets": "bus.position_command: FC",
+    "reports": "bus.positions: reported",
+    "healing": "the arm clears by itself the fault of a short silence of all drives",
+}
+
+
+class Report:
+    """What was found of one drive so far."""
+
+    def __init__(self, arm: ArmConfig, joint: int, folder: Path) -> None:
+        self.arm, self.joint, self.folder = arm, joint, folder
+        self.findings: list[dict[str, Any]] = []
+        self.ended = ""
+        self.made = False
+        """Whether the folder is this report's."""
+        self._record: Commissioned | None = None
+
+    def make(self) -> None:
+        """Make the folder; raises Refusal."""
+        try:
+            os.mkdir(self.folder)
+        except OSError as problem:
+            raise Refusal(
+                f"The folder {self.folder} for the report cannot be made ({problem.strerror}): give another with -o."
+            ) from None
+        self.made = True
+
+    def add(self, findings: Sequence[dict[str, Any]], record: Commissioned) -> None:
+        """The findings of one check (fields of `Finding`), and the record that they make with those before."""
+        self.findings += findings
+        self._record = record
+
+    @property
+    def agrees(self) -> bool:
+        """Whether nothing that was tried differs from the manual."""
+        return all(finding["verdict"] != "differs" for finding in self.findings)
+
+    @property
+    def _simulated(self) -> bool:
+        """Whether this is no report of hardware; a link may lead to a pseudo-terminal."""
+        return is_simulated(self.arm) or os.path.realpath(self.arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)
+
+    def keep(self, before: Commissioned | None) -> None:
+        """Put what was found into the arm's local state; raises Refusal."""
+        assert self._record is not None
+        self._record = self._record.after(before)
+        try:
+            commissioned.save(self.arm, self.joint, self._record)
+        except (NotSaved, NotReadable) as problem:
+            self.ended = f"{self.ended} {problem}".strip()
+
+    def unlocked(self) -> dict[str, bool | None]:
+        """What the control process may rely on; None for what was not tried. Two are of ZDT drives alone."""
+        record = self._record
+        assert record is not None
+        proof = None if record.power_proof is None else record.power_proof != PowerProof.NONE
+        heals = None if None in (proof, record.brakes_in_silence) else record.heals
+        of_zdt = {"fast targets": record.fast_targets, "reports": record.reports} if record.family == "zdt" else {}
+        return {"proof of power": proof, **of_zdt, "healing": heals}
+
+    def write(self) -> None:
+        """Both files of the report."""
+        record = self._record
+        assert record is not None
+        whole = {
+            "rtarm": version("rtarm"),
+            "arm": self.arm.name,
+            "joint": self.arm.joints[self.joint].name,
+            "ended": self.ended,
+            "simulated": self._simulated,
+            "record": vars(record),
+            "unlocked": self.unlocked(),
+            "findings": self.findings,
+        }
+        try:
+            (self.folder / "report.json").write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
+            (self.folder / "report.txt").write_text(self.text() + "\n", encoding="utf-8")
+        except OSError as problem:
+            raise Refusal(f"The report {self.folder} cannot be written ({problem.strerror}).") from None
+
+    def text(self) -> str:
+        """For people; its last lines are those of docs/hardware-status.md."""
+        record, config = self._record, self.arm.joints[self.joint]
+        assert record is not None
+        lines = [
+            f"{self.arm.name}, {config.name}: {config.drive.called}, number {record.number}, firmware "
+            f"{record.firmware or 'unknown'}, {record.channel}, {record.when}, rtarm {version('rtarm')}"
+        ]
+        for finding in self.findings:
+            lines += [
+                "",
+                f"{finding['check']}: {finding['verdict']}",
+                f"  asked: {finding['asked']}",
+                f"  manual: {finding['documented']}",
+                f"  came: {finding['came']}",
+            ]
+        words = {True: "unlocked", False: "withheld", None: "not tried, as before"}
+        lines += ["", *(f"{what} ({RELIES[what]}): {words[yes]}" for what, yes in self.unlocked().items())]
+        if self._simulated:
+            lines.append("This was a simulated drive: it says nothing of real ones.")
+        lines += [*([self.ended] if self.ended else []), "", f"To send back: the folder {self.folder}, or this line:"]
+        differs = [finding["check"] for finding in self.findings if finding["verdict"] == "differs"]
+        tried = sum(finding["verdict"] != "not tried" for finding in self.findings)
+        lines.append(
+            f"| {config.drive.family} {record.firmware} | {self.arm.bus.interface} | {tried} | "
+            f"{', '.join(differs) or 'none'} | {record.power_proof or 'not tried'} | {record.when[:10]} |"
+        )
+        return "\n".join(lines)

@@ -1,0 +1,256 @@
+"""The bench test of a drive that its ordinary control process leads, in virtual time: what is planted is found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from virtual import VirtualArm
+
+from config.loader import load_arm
+from config.schema import ArmConfig
+from rtarm.commissioning.led import Led, alone
+from rtarm.commissioning.led_checks import LedBench, checks_of, way_of
+from rtloop.commissioned import PowerProof
+from rtloop.commissioning.finding import Finding, Verdict
+from rtloop.conversation import Conversation
+from rtloop.referencing import referencing_asked_for
+from sim import faults
+
+ARMS = ("odrive6", "mks6", "damiao6", "damiao6_pv", "robstride6", "robstride6_position", "myactuator6", "cia402_6")
+OFF_MIDDLE_DEG = 15.0
+PROVING = ("damiao6", "damiao6_pv", "robstride6", "robstride6_position", "myactuator6", "cia402_6")
+Plant = Callable[[Any], None]
+
+
+def one_joint(name: str, encoder: str | None = None, joint: int = 1) -> ArmConfig:
+    """A joint of an arm alone."""
+    values = alone(load_arm(name), joint)
+    if encoder is not None:
+        values["joints"][0]["drive"]["encoder"] = encoder
+    return ArmConfig.model_validate(values)
+
+
+BENCHES: list[Bench] = []
+
+
+@pytest.fixture(autouse=True)
+def closed() -> Iterator[None]:
+    yield
+    while BENCHES:
+        BENCHES.pop().close()
+
+
+class Bench(VirtualArm):
+    """The control process of such an arm, supervised, and a person who does what is asked."""
+
+    def __init__(self, arm: ArmConfig, plant: Plant = lambda _: None, really: ArmConfig | None = None) -> None:
+        """`really` is what the drive is, where the arm file says something else."""
+        start_rad = [math.radians((arm.joints[0].lower_deg + arm.joints[0].upper_deg) / 2.0 + OFF_MIDDLE_DEG)]
+        super().__init__(really or arm, start_rad=start_rad, homed=really is not None)
+        if really is not None:
+            there = self.sim
+            self.close()
+            super().__init__(arm)
+            self.sim = there
+        BENCHES.append(self)
+        assert self.sim is not None
+        self.drive: Any = self.sim.drives[0]
+        plant(self.drive)
+        self.cycles(round(0.6e9 / self.period_ns))
+        assert self.bring_up().failure is None, self.told
+        self._talk: Conversation | None = None
+        self._stands_still = False
+        self.asked: list[str] = []
+        self.switches = self.clamps = True
+        self.bench = LedBench(
+            Led(
+                self.arm,
+                self.reader,
+                self.writer,
+                pass_time=self.pass_time,
+                now_ns=lambda: self.now_ns,
+                standing_still=self.standing_still,
+            ),
+            self.hear,
+        )
+
+    def pass_time(self) -> None:
+        if self._stands_still:
+            self.now_ns += self.period_ns
+            self.listen(self.now_ns)
+            return
+        self.cycle()
+        if self._talk is not None:
+            self._talk = None if self._talk.poll(self.now_ns) else self._talk
+        elif self.core["bring_up_asked"]:
+            self.core["bring_up_asked"] = 0
+            self._talk = self._begin_bring_up(clears_protection=True)
+        elif self.core["reference_asked"]:
+            self._talk = referencing_asked_for(
+                self.arm, self.loop, self.port, self.now_ns, self.told.append, self.lost.__setitem__, self.marks
+            )
+
+    @contextmanager
+    def standing_still(self) -> Iterator[None]:
+        self._stands_still = True
+        yield
+        self._stands_still = False
+
+    def hear(self, line: str) -> None:
+        self.asked.append(line)
+        assert self.sim is not None
+        name = self.arm.joints[0].name
+        if "Switch the power" in line and self.switches:
+            self.sim.inject(faults.PowerLoss(name, 0.5, 4.0), self.sim.now_ns)
+        if "Pull the CAN plug" in line and self.switches:
+            self.sim.inject(faults.Silent(name, 0.5, 4.0), self.sim.now_ns)
+
+    def check(self, name: str, sign: int = 1) -> Finding:
+        check = next(check for check in checks_of(self.arm) if check.name == name)
+        if name != "stall" or not self.clamps:
+            return self.bench.check(check, sign)[0]
+        shaft = self.drive.shaft
+        low, high = shaft.low, shaft.high
+        self.drive.block_shaft(self.now_ns)
+        found = self.bench.check(check, sign)[0]
+        shaft.low, shaft.high = low, high
+        return found
+
+    def all(self) -> dict[str, Finding]:
+        return {check.name: self.check(check.name) for check in checks_of(self.arm)}
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_an_honest_drive_is_as_documented(name: str) -> None:
+    rig = Bench(one_joint(name))
+    found = rig.all()
+    assert not [finding.came for finding in found.values() if finding.verdict != Verdict.AS_DOCUMENTED]
+    assert rig.bench.power_proof == (PowerProof.NONE if name == "mks6" else PowerProof.ABSOLUTE)
+    assert rig.bench.absolute == (name != "mks6")
+
+
+@pytest.mark.parametrize("name", PROVING)
+def test_an_honest_drive_that_counts_from_where_power_came_proves_its_power(name: str) -> None:
+    rig = Bench(one_joint(name, "incremental"))
+    found = rig.all()
+    assert not [finding.came for finding in found.values() if finding.verdict != Verdict.AS_DOCUMENTED]
+    assert rig.bench.power_proof == PowerProof.CANARY
+    assert found["unplugged"].came.startswith("its angle was kept")
+    assert found["power cycle"].came.startswith("its angle was lost")
+
+
+def test_an_odrive_that_counts_from_where_power_came_proves_nothing() -> None:
+    rig = Bench(one_joint("odrive6", "incremental"))
+    for name in ("unplugged", "power cycle"):
+        found = rig.check(name)
+        assert found.verdict == Verdict.AS_DOCUMENTED and found.came.startswith("its angle was lost")
+    assert rig.bench.power_proof == PowerProof.NONE
+
+
+def slow(drive: Any) -> None:
+    drive.reply_delay_ns = (3_500_000, 3_600_000)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_a_drive_that_answers_late_is_found(name: str) -> None:
+    assert Bench(one_joint(name), slow).check("reply delay").verdict == Verdict.DIFFERS
+
+
+def lets_go_in_silence(drive: Any) -> None:
+    """Its watchdog is on, and nobody can turn it off."""
+    took, lived = drive.take, drive.advance
+    heard_ns = [0]
+
+    def take(frame: Any) -> None:
+        heard_ns[0] = drive._now_ns
+        took(frame)
+
+    def advance(now_ns: int) -> None:
+        lived(now_ns)
+        if drive.enabled and heard_ns[0] and now_ns - heard_ns[0] > 500_000_000:
+            drive.release()
+
+    drive.take, drive.advance = take, advance
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_a_drive_that_lets_go_in_silence_is_found(name: str) -> None:
+    found = Bench(one_joint(name), lets_go_in_silence).check("silence")
+    assert found.verdict == Verdict.DIFFERS and "let the joint go" in found.came
+
+
+def arms_itself(drive: Any) -> None:
+    drive.arms_itself = True
+
+
+@pytest.mark.parametrize("name", ["cia402_6", "damiao6", "robstride6"])
+def test_a_drive_that_power_arms_proves_nothing(name: str) -> None:
+    rig = Bench(one_joint(name, "incremental"), arms_itself)
+    found = rig.check("power cycle")
+    assert found.verdict == Verdict.DIFFERS and rig.bench.power_proof == PowerProof.NONE
+    assert found.came.startswith("its angle was kept")
+
+
+@pytest.mark.parametrize("kind", ["absent", "stuck"])
+def test_a_motor_without_a_true_uptime_proves_nothing(kind: str) -> None:
+    rig = Bench(one_joint("myactuator6", "incremental"), lambda drive: setattr(drive, "uptime", kind))
+    found = rig.check("unplugged")
+    assert found.verdict == Verdict.DIFFERS and found.came.startswith("its angle was lost")
+    assert rig.check("power cycle").came.startswith("its angle was lost")
+
+
+@pytest.mark.parametrize("name", PROVING)
+def test_an_encoder_that_does_not_know_its_angle_is_found(name: str) -> None:
+    rig = Bench(one_joint(name, "absolute"), really=one_joint(name, "incremental"))
+    found = rig.check("power cycle")
+    assert found.verdict == Verdict.DIFFERS and rig.bench.power_proof == PowerProof.NONE
+    assert found.figures["away_deg"] > 10.0
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_a_drive_that_does_not_follow_is_found(name: str) -> None:
+    rig = Bench(one_joint(name))
+    rig.drive.block_shaft(rig.now_ns)
+    found = rig.check("retarget")
+    assert found.verdict == Verdict.DIFFERS and "joint2" in found.came
+
+
+def test_a_clamp_that_gives_way_is_no_stall() -> None:
+    rig = Bench(one_joint("odrive6"))
+    rig.clamps = False
+    found = rig.check("stall")
+    assert found.verdict == Verdict.NOT_TRIED and "the clamp gave way" in found.came
+
+
+def test_power_that_stays_on_is_told() -> None:
+    rig = Bench(one_joint("damiao6"))
+    rig.switches = False
+    found = rig.check("power cycle")
+    assert found.verdict == Verdict.NOT_TRIED and found.came == "it was never silent: its power stayed on"
+    assert rig.bench.power_proof is None
+    assert rig.check("unplugged").came == "it was never silent: its plug stayed in"
+
+
+@pytest.mark.parametrize("name", ["odrive6", "mks6", "damiao6"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_no_move_is_farther_than_was_told(name: str, sign: int) -> None:
+    rig = Bench(one_joint(name))
+    assert rig.sim is not None
+    began_rad = rig.sim.true_position_rad(0, rig.now_ns)
+    farthest = 0.0
+    lived = rig.pass_time
+
+    def pass_time() -> None:
+        nonlocal farthest
+        lived()
+        farthest = max(farthest, abs(rig.sim.true_position_rad(0, rig.now_ns) - began_rad))
+
+    rig.bench.led._pass_time = pass_time
+    for check in ("retarget", "silence"):
+        rig.check(check, sign)
+    assert farthest == pytest.approx(way_of(rig.arm), rel=0.02)
+    assert rig.sim.true_position_rad(0, rig.now_ns) == pytest.approx(began_rad, abs=0.002)
