@@ -13,7 +13,7 @@ process, so that a crash costs no angle either. What a drive does not prove stay
 | RobStride | armed (*run*), likewise |
 | ODrive | none: an axis may be set to close its loop when power comes, and CANSimple does not tell whether it is |
 | MKS | none: it keeps whatever it is told, and tells no uptime |
-| any with an absolute encoder | none is needed |
+| any with an absolute encoder | none is needed; MyActuator's is, before an arm goes on by itself: a target enables it |
 
 A count that begins where power came is given its angle by a person, or a homing run, in each control process. So what
 these drives prove saves an angle from a silence, not from the end of the process that was told it; ZDT's does both.

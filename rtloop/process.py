@@ -376,9 +376,8 @@ class ControlProcess:
         if not news or time.monotonic() < self._next_keep_s:
             return
         try:
-            for joint, reason in news.items():
-                saved.keep_lost_reference(self._arm, joint, reason)
-                kept[joint] = reason
+            saved.keep_lost_references(self._arm, news)
+            kept.update(news)
         except saved.NotSaved as problem:
             self._next_keep_s = time.monotonic() + KEEP_AGAIN_S
             if str(problem) != self._told_of_lost:

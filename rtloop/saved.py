@@ -127,7 +127,12 @@ def lost_references(arm: ArmConfig, tell: Callable[[str], object] = lambda _: No
 
 
 def keep_lost_reference(arm: ArmConfig, joint: int, reason: Unreferenced | None) -> None:
-    """Remember beyond this process why a joint's angle is not known, or (None) that it is.
+    """The same of one joint."""
+    keep_lost_references(arm, {joint: reason})
+
+
+def keep_lost_references(arm: ArmConfig, reasons: Mapping[int, Unreferenced | None]) -> None:
+    """Remember beyond this process why joints' angles are not known, or (None) that they are; one write for all.
 
     A count from nowhere stays one whatever else befalls the joint: a process that was told its angle may lose that.
 
@@ -138,19 +143,21 @@ def keep_lost_reference(arm: ArmConfig, joint: int, reason: Unreferenced | None)
         return
     path = _lost_path(arm)
     lost = lost_references(arm)
-    if reason is None:
-        lost.pop(joint, None)
-    elif lost.get(joint) not in COUNTS_FROM_NOWHERE or reason in COUNTS_FROM_NOWHERE:
-        lost[joint] = reason
+    for joint, reason in reasons.items():
+        if reason is None:
+            lost.pop(joint, None)
+        elif lost.get(joint) not in COUNTS_FROM_NOWHERE or reason in COUNTS_FROM_NOWHERE:
+            lost[joint] = reason
     try:
         if lost:
             replace_file(path, json.dumps({arm.joints[n].name: why.name for n, why in sorted(lost.items())}))
         else:
             path.unlink(missing_ok=True)
     except OSError as problem:
+        names = ", ".join(arm.joints[joint].name for joint in reasons)
         raise NotSaved(
-            f"What is known of {arm.joints[joint].name}'s reference could not be kept in {path} ({problem.strerror}), "
-            "so the next start would believe what is not true: see that the file can be written."
+            f"What is known of the reference of {names} could not be kept in {path} ({problem.strerror}), so the next "
+            "start would believe what is not true: see that the file can be written."
         ) from problem
 
 

@@ -82,7 +82,7 @@ def test_what_could_not_be_kept_is_kept_as_soon_as_it_can(stack):
     file = path_of(stack.name).with_suffix(".unreferenced")
     file.mkdir(parents=True)
     stack.sim.say("silent:joint=joint3,at_s=0,until_s=0.5")
-    stack.loop.line_with("What is known of joint3's reference could not be kept in")
+    stack.loop.line_with("What is known of the reference of joint3 could not be kept in")
     file.rmdir()
     wait(file.exists, "another try", PATIENCE_S)
     stack.loop.process.kill()
