@@ -340,8 +340,8 @@ class Referencing(Conversation):
         self.marks[joint] = mark = yield from zdt_talk.mark(self.now_ns)  # before the count for which it speaks
         target = yield from self._standing(joint, config)
         zero_rad = self.port.zero_rad(joint)
-        counts_nowhere = flags & registers.POWER_LOST and not self.port.power_loss_known(joint)
-        counts_nowhere |= marked is False
+        flagged = flags & registers.POWER_LOST and not self.port.power_loss_known(joint)
+        counts_nowhere = flagged or marked is False
         if math.isnan(angle_rad) and counts_nowhere:
             self._tell(f"{config.name}: its drive has lost power, so what it counts is no angle: say where it stands.")
             self._count_from(joint, zero_rad, self.port.commanded_rad(joint), Unreferenced.POWER_LOST)

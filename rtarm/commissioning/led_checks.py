@@ -190,8 +190,9 @@ class LedBench:
             False: "it counts from where power came, and cannot pretend that it had power: its angle is lost",
         }[self.absolute]
         start_rad = self._stands_rad()
-        if why := self._go(start_rad + sign * way_of(self.led.arm), GENTLE)[0]:
-            return [Finding("power cycle", asked, documented, why, Verdict.NOT_TRIED)]
+        hindered, _ = self._go(start_rad + sign * way_of(self.led.arm), GENTLE)
+        if hindered:
+            return [Finding("power cycle", asked, documented, hindered, Verdict.NOT_TRIED)]
         before_rad = self._stands_rad()
         why = self._silent(
             f"Switch the power of {self.name}'s drive off now; it is watched until it falls silent.",
