@@ -6,7 +6,6 @@ It runs with an arm file of that joint and a state folder of its own, so that no
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -56,9 +55,16 @@ class LedProcess:
         )
         self._listener = threading.Thread(target=self._listen, daemon=True)
         self._listener.start()
+        try:
+            self._await_ready()
+        except BaseException:
+            self.close()
+            raise
+
+    def _await_ready(self) -> None:
         assert self._process.stdout is not None
         if self._process.stdout.readline().strip() != READY:
-            self.close()
+            self._listener.join()
             raise Refusal("\n".join(self.told) or "The control process did not start.", ExitCode.LOOP_REFUSED)
 
     def _listen(self) -> None:
@@ -79,14 +85,14 @@ class LedProcess:
     @contextmanager
     def standing_still(self) -> Iterator[None]:
         """Nothing of it runs meanwhile."""
-        os.kill(self._process.pid, signal.SIGSTOP)
+        self._process.send_signal(signal.SIGSTOP)
         try:
             ends_s = time.monotonic() + STOPPED_PATIENCE_S
             while _state_of(self._process.pid) != "T" and time.monotonic() < ends_s:
                 time.sleep(POLL_S)
             yield
         finally:
-            os.kill(self._process.pid, signal.SIGCONT)
+            self._process.send_signal(signal.SIGCONT)  # says nothing to one that has ended
 
     def close(self) -> None:
         """End it in order: what moves stops, and the drive holds."""
