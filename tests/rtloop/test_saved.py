@@ -115,7 +115,7 @@ def test_a_file_that_says_something_else_may_say_it_of_every_joint(arm, text):
 def test_a_file_that_cannot_be_read_may_say_it_of_every_joint(arm):
     saved.path_of(arm.name).with_suffix(".unreferenced").mkdir(parents=True)  # root reads any file
     assert saved.lost_references(arm) == dict.fromkeys(range(6), Unreferenced.NOT_HOMED)
-    with pytest.raises(saved.NotSaved, match=r"joint4.s reference could not be kept in .* see that the file can be"):
+    with pytest.raises(saved.NotSaved, match=r"reference of joint4 could not be kept in .* see that the file can be"):
         saved.keep_lost_reference(arm, 3, None)
     assert [path.suffix for path in saved.path_of(arm.name).parent.iterdir()] == [
         ".unreferenced"
