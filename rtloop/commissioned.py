@@ -73,7 +73,7 @@ class Commissioned:
 
     def after(self, before: Commissioned | None) -> Commissioned:
         """This with what an earlier test of the same drive and firmware has found and this one did not try."""
-        if before is None or before.firmware != self.firmware:
+        if before is None or not self.firmware or before.firmware != self.firmware:
             return self
         values = asdict(self)
         kept = {name: value for name, value in asdict(before).items() if values[name] in (None, "")}
@@ -171,7 +171,8 @@ def _read(arm: ArmConfig) -> dict[str, dict[str, Commissioned]]:
 
 
 def _is_of(found: Commissioned, drive: Drive) -> bool:
-    return (found.family, found.number) == (drive.family, drive.number)
+    knows = drive.knows_its_angle or found.power_proof is not PowerProof.ABSOLUTE
+    return knows and (found.family, found.number) == (drive.family, drive.number)
 
 
 def _typed(values: object) -> Commissioned:

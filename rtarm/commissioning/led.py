@@ -98,7 +98,8 @@ class Led:
             with suppress(TornRead):  # it may stand still amid writing one
                 before = self.look()
             self.wait(seconds)
-            heard_ns = self.now_ns()
+            # one that was on its way is stamped when the process goes on
+            heard_ns = self.now_ns() + 3 * self.arm.control.period_ns
         after = self.until(lambda now: int(now["joints"][0]["measured_ns"]) > heard_ns, self.arm.patience.bring_up_s)
         self.wait(DECIDED_S)
         return before, after

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from config.schema import ArmConfig
-from rtarm.commissioning.led import Led, seconds_for
+from rtarm.commissioning.led import FASTEST, Led, seconds_for
 from rtloop.commissioned import PowerProof
-from rtloop.commissioning.finding import Finding, Verdict, judge_reply_delay, reply_delays_s, verdict_of
+from rtloop.commissioning.finding import Finding, Said, Verdict, judge_reply_delay, reply_delays_s, verdict_of
 from rtloop.commissioning.session import wire_s
 from rtloop.drives.setup import power_proof_of
-from shm.words import DriveStatus
+from shm.sentences import unreferenced_sentence
+from shm.words import DriveStatus, Unreferenced
 
 MOST_DEG = 15.0
 RANGE_SHARE = 0.25
@@ -55,19 +56,25 @@ class Check:
 
 
 class LedBench:
-    """What is found of a joint that is brought up and stands; `tell` gets what a person has to do meanwhile."""
+    """What is found of a joint that is brought up and stands.
 
-    def __init__(self, led: Led, tell: Callable[[str], None]) -> None:
-        self.led, self._tell = led, tell
+    `tell` gets what a person has to do meanwhile, and `agrees` asks: nothing limp is enabled without a y.
+    """
+
+    def __init__(self, led: Led, tell: Callable[[str], None], agrees: Callable[[str], bool]) -> None:
+        self.led, self._tell, self._agrees = led, tell, agrees
         self.name = led.config.name
         self.absolute = led.referenced
         """Whether its encoder knows its angle as soon as it has power."""
-        self.power_proof: PowerProof | None = None
+        self._power_proof: PowerProof | None = None
+        self._unproven = False
         self.found: dict[str, Finding] = {}
 
     def check(self, check: Check, sign: int) -> list[Finding]:
         """Do one check, from a joint that holds and is referenced, and bring it back to where it stood."""
-        why = self.led.clear() or self._known()
+        why = self.led.trouble(self.led.look())
+        if not why or self._agrees(f"{why} Shall that be cleared, and {self.name} be held where it stands?"):
+            why = self.led.clear() or self._known()
         found = (
             check.ask(self, sign)
             if not why
@@ -76,10 +83,17 @@ class LedBench:
         self.found |= {finding.check: finding for finding in found}
         return found
 
+    @property
+    def power_proof(self) -> PowerProof | None:
+        """How it proves that it has kept its power; None where that was not tried."""
+        return PowerProof.NONE if self._unproven else self._power_proof
+
     def _known(self) -> str:
         """See that its angle is known: one that counts from where power came stands in the middle of its range."""
         if self.led.referenced:
             return ""
+        if int(self.led.joint()["unreferenced_reason"]) == Unreferenced.OUTSIDE_LIMITS:
+            return unreferenced_sentence(Unreferenced.OUTSIDE_LIMITS, self.name)
         return self.led.reference(math.radians((self.led.config.lower_deg + self.led.config.upper_deg) / 2.0))
 
     # --- the checks
@@ -88,7 +102,7 @@ class LedBench:
         """How soon it answers."""
         self.led.frames()
         self.led.wait(LISTENS_S)
-        delays_s = reply_delays_s(self.led.frames(), lambda frame: True, lambda frame: True)
+        delays_s = reply_delays_s(self.led.frames(), lambda frame: True, self._is_its)
         return [judge_reply_delay(delays_s, wire_s(self.led.arm, 0), self.led.config.drive.processing_s)]
 
     def retarget(self, sign: int) -> list[Finding]:
@@ -97,8 +111,8 @@ class LedBench:
         asked = f"{abs(math.degrees(way_rad)):.0f}° there and back, with a new target or set-point in each cycle"
         documented = "it takes each of them and goes on, near its path"
         start_rad, worst_rad = self._stands_rad(), 0.0
-        for to_rad in (start_rad + way_rad, start_rad):
-            ended, off_rad = self._go(to_rad, BRISK)
+        for to_rad, share in ((start_rad + way_rad, GENTLE), (start_rad, BRISK)):
+            ended, off_rad = self._go(to_rad, share)
             worst_rad = max(worst_rad, off_rad)
             if ended:
                 return [Finding("retarget", asked, documented, ended, Verdict.DIFFERS)]
@@ -120,9 +134,12 @@ class LedBench:
         if after is None:
             came = "it answers no more after the silence"
             return [Finding("silence", asked, documented, came, Verdict.DIFFERS)]
-        self.led.end_of(goal, arm.patience.person_s)
+        ended = self.led.end_of(goal, arm.patience.person_s)
         stands, moving = self.led.joint(), before["joints"][0]
         speed_rad_s = abs(float(moving["commanded_velocity_rad_s"]))
+        if speed_rad_s < 0.5 * FASTEST * abs(way_rad) / seconds:
+            came = f"it did not move when the silence began: {ended or 'its goal was over'}"
+            return [Finding("silence", asked, documented, came, Verdict.NOT_TRIED)]
         ramp_rad_s2 = self.led.config.max_acceleration_rad_s2 * arm.limits.silence_brake_factor
         most_rad = speed_rad_s**2 / (2.0 * ramp_rad_s2) + speed_rad_s * self._late_s + SLACK_RAD
         beyond_rad = sign * float(stands["measured_position_rad"] - moving["measured_position_rad"])
@@ -171,15 +188,17 @@ class LedBench:
         why = self._silent(
             f"Pull the CAN plug of {self.name}'s drive now, and leave its power on.",
             "It is silent. Put the plug back.",
+            "Is it back in, was its power on all the time, and is nobody's hand at the joint?",
         )
         if why is None:
-            came = "it was never silent: its plug stayed in"
+            came = "its plug was not pulled and put back"
             return [Finding("unplugged", asked, documented, came, Verdict.NOT_TRIED)]
         if why:
             return [Finding("unplugged", asked, documented, why, Verdict.DIFFERS)]
         known, away_rad = self.led.referenced, abs(self._stands_rad() - before_rad)
         came = f"its angle was {'kept' if known else 'lost'}, {math.degrees(away_rad):.1f}° from that of before"
         right = known == (self.absolute or self._proves) and away_rad <= SAME_RAD
+        self._unproven |= not right
         return [Finding("unplugged", asked, documented, came, verdict_of(right), {"away_deg": math.degrees(away_rad)})]
 
     def power_cycle(self, sign: int) -> list[Finding]:
@@ -197,20 +216,19 @@ class LedBench:
         why = self._silent(
             f"Switch the power of {self.name}'s drive off now; it is watched until it falls silent.",
             "It is silent. Wait until nothing of it is lit, then switch it on again.",
+            "Was it dark, is it on again, and is nobody's hand at the joint? It is enabled where it stands.",
         )
         if why is None:
-            came = "it was never silent: its power stayed on"
+            came = "its power was not switched off and on"
             return [Finding("power cycle", asked, documented, came, Verdict.NOT_TRIED)]
+        self._power_proof = PowerProof.NONE
         if why:
             return [Finding("power cycle", asked, documented, why, Verdict.DIFFERS)]
         known, away_rad = self.led.referenced, abs(self._stands_rad() - before_rad)
         came = f"its angle was {'kept' if known else 'lost'}, {math.degrees(away_rad):.1f}° from that of before"
         right = known == self.absolute and not (known and away_rad > SAME_RAD)
-        self.power_proof = PowerProof.NONE
         if right and (self.absolute or self._proves):
-            self.power_proof = PowerProof.ABSOLUTE if self.absolute else PowerProof.CANARY
-        if right and known:
-            self._go_back(start_rad)
+            self._power_proof = PowerProof.ABSOLUTE if self.absolute else PowerProof.CANARY
         figures = {"away_deg": math.degrees(away_rad)}
         return [Finding("power cycle", asked, documented, came, verdict_of(right), figures)]
 
@@ -221,8 +239,8 @@ class LedBench:
         """Whether its family can prove that it has kept its power, where that is needed."""
         return power_proof_of(self.led.config.drive) is not None and not self.absolute
 
-    def _silent(self, do: str, then: str) -> str | None:
-        """Have a person make it silent, and end that; why it is not brought up then, None where it was never silent."""
+    def _silent(self, do: str, then: str, question: str) -> str | None:
+        """Have a person make it silent, and end that; why it is not brought up then, None where that was not so."""
         self._tell(do)
         silent_ns = round(SILENT_S * 1e9)
         if not self.led.until(
@@ -230,10 +248,18 @@ class LedBench:
         ):
             return None
         self._tell(then)
+        if not self._agrees(question):
+            return None
         ends_ns = self.led.now_ns() + round(SWITCH_PATIENCE_S * 1e9)
         while (why := self.led.clear()) and self.led.now_ns() < ends_ns:
             self.led.wait(SILENT_S)
         return why
+
+    def _is_its(self, frame: Said) -> bool:
+        """Whether this drive has said it; others on the bus have clocks of their own."""
+        return any(
+            said.from_drive and not (frame.id ^ said.match) & said.mask for said in self.led.config.drive.identifiers
+        )
 
     @property
     def _late_s(self) -> float:
@@ -275,7 +301,9 @@ def way_of(arm: ArmConfig) -> float:
 def checks_of(arm: ArmConfig) -> Sequence[Check]:
     """The checks of the arm's joint in their order."""
     name, way_deg = arm.joints[0].name, math.degrees(way_of(arm))
-    move = f"{name} turns by {way_deg:.1f}° and back"
+    fastest_deg_s = FASTEST * way_deg / seconds_for(arm, way_of(arm), BRISK)
+    ratio = arm.joints[0].ratio
+    move = f"{name} turns by {way_deg:.1f}° at up to {fastest_deg_s:.0f} °/s, if its ratio is {ratio:g}, and back"
     return (
         Check("reply delay", "How soon it answers. Nothing moves.", "Listen to it?", LedBench.reply_delay),
         Check("retarget", f"New targets in motion. {move}.", "Turn it?", LedBench.retarget, moves=True),

@@ -99,6 +99,7 @@ class LedProcess:
         assert self._process.stdout is not None
         with undisturbed():
             self._process.terminate()
+            self._process.send_signal(signal.SIGCONT)  # it may stand still
             try:
                 self._process.wait(self.arm.patience.control_process_s)
             except subprocess.TimeoutExpired:
@@ -127,14 +128,16 @@ def led_alone(arm: ArmConfig, joint: int) -> Iterator[tuple[Led, LedProcess]]:
             link.writer.beat()
             process.pass_time()
 
-        yield (
-            Led(
-                process.arm,
-                link.reader,
-                link.writer,
-                pass_time=pass_time,
-                now_ns=time.monotonic_ns,
-                standing_still=process.standing_still,
-            ),
-            process,
+        led = Led(
+            process.arm,
+            link.reader,
+            link.writer,
+            pass_time=pass_time,
+            now_ns=time.monotonic_ns,
+            standing_still=process.standing_still,
         )
+        try:
+            yield led, process
+        except BaseException:
+            link.writer.stop()  # at once, whatever has to be put in order first
+            raise

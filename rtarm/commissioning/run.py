@@ -132,7 +132,7 @@ def _led(person: Person, report: Report) -> None:
     with led_alone(arm, joint) as (led, process):
         report.make()
         with _recorded(arm.name, report.folder / RECORDING):
-            bench = LedBench(led, person.tell)
+            bench = LedBench(led, person.tell, lambda question: agrees(person, question))
             _found(person, report, [asdict(_answers(process.told))], _record(arm, joint, bench))
             checks = checks_of(led.arm)
             for number, check in enumerate(checks, 1):

@@ -18,6 +18,7 @@ from rtloop.commissioned import PowerProof
 from rtloop.commissioning.finding import Finding, Verdict
 from rtloop.conversation import Conversation
 from rtloop.referencing import referencing_asked_for
+from shm.words import Mode
 from sim import faults
 
 ARMS = ("odrive6", "mks6", "damiao6", "damiao6_pv", "robstride6", "robstride6_position", "myactuator6", "cia402_6")
@@ -47,10 +48,13 @@ def closed() -> Iterator[None]:
 class Bench(VirtualArm):
     """The control process of such an arm, supervised, and a person who does what is asked."""
 
-    def __init__(self, arm: ArmConfig, plant: Plant = lambda _: None, really: ArmConfig | None = None) -> None:
+    def __init__(
+        self, arm: ArmConfig, plant: Plant = lambda _: None, really: ArmConfig | None = None, **place: Any
+    ) -> None:
         """`really` is what the drive is, where the arm file says something else."""
-        start_rad = [math.radians((arm.joints[0].lower_deg + arm.joints[0].upper_deg) / 2.0 + OFF_MIDDLE_DEG)]
-        super().__init__(really or arm, start_rad=start_rad, homed=really is not None)
+        middle_deg = (arm.joints[0].lower_deg + arm.joints[0].upper_deg) / 2.0
+        start_rad = [math.radians(place.get("start_deg", middle_deg + OFF_MIDDLE_DEG))]
+        super().__init__(really or arm, start_rad=start_rad, homed=really is not None or "homed" in place)
         if really is not None:
             there = self.sim
             self.close()
@@ -76,6 +80,7 @@ class Bench(VirtualArm):
                 standing_still=self.standing_still,
             ),
             self.hear,
+            lambda question: True,
         )
 
     def pass_time(self) -> None:
@@ -201,6 +206,29 @@ def test_a_motor_without_a_true_uptime_proves_nothing(kind: str) -> None:
     found = rig.check("unplugged")
     assert found.verdict == Verdict.DIFFERS and found.came.startswith("its angle was lost")
     assert rig.check("power cycle").came.startswith("its angle was lost")
+    assert rig.bench.power_proof == PowerProof.NONE
+
+
+def test_a_silence_of_a_joint_that_does_not_move_is_none() -> None:
+    rig = Bench(one_joint("damiao6"))
+    rig.drive.block_shaft(rig.now_ns)
+    assert rig.check("silence").verdict == Verdict.NOT_TRIED
+
+
+def test_a_fault_is_not_cleared_without_a_yes() -> None:
+    rig = Bench(one_joint("damiao6"))
+    rig.bench._agrees = lambda question: False
+    rig.drive.disable(rig.now_ns)
+    rig.until(lambda: rig.core["mode"] == Mode.FAULT)
+    assert rig.check("retarget").verdict == Verdict.NOT_TRIED
+    assert not rig.drive.enabled
+
+
+def test_a_joint_outside_its_limits_is_not_moved() -> None:
+    arm = one_joint("damiao6")
+    rig = Bench(arm, start_deg=arm.joints[0].upper_deg + 10.0, homed=True)
+    found = rig.check("retarget")
+    assert found.verdict == Verdict.NOT_TRIED and "outside its limits" in found.came
 
 
 @pytest.mark.parametrize("name", PROVING)
@@ -230,9 +258,9 @@ def test_power_that_stays_on_is_told() -> None:
     rig = Bench(one_joint("damiao6"))
     rig.switches = False
     found = rig.check("power cycle")
-    assert found.verdict == Verdict.NOT_TRIED and found.came == "it was never silent: its power stayed on"
+    assert found.verdict == Verdict.NOT_TRIED and found.came == "its power was not switched off and on"
     assert rig.bench.power_proof is None
-    assert rig.check("unplugged").came == "it was never silent: its plug stayed in"
+    assert rig.check("unplugged").came == "its plug was not pulled and put back"
 
 
 @pytest.mark.parametrize("name", ["odrive6", "mks6", "damiao6"])
