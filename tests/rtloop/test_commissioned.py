@@ -18,6 +18,8 @@ from rtloop.commissioned import Commissioned, NotReadable, PowerProof
 from rtloop.power import Marks
 from rtloop.saved import NotSaved, channel_of, path_of
 
+PROOFS = st.sampled_from([None, PowerProof.FLAG, PowerProof.CANARY, PowerProof.NONE])
+"""What these drives may have: their encoders do not know their angles."""
 TRUTHS = st.none() | st.booleans()
 
 
@@ -43,7 +45,7 @@ def found_of(arm: ArmConfig, joint: int, **values: Any) -> Commissioned:
 
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
-    proof=st.none() | st.sampled_from([PowerProof.FLAG, PowerProof.CANARY, PowerProof.NONE]),
+    proof=PROOFS,
     words=st.text(),
     truths=st.tuples(TRUTHS, TRUTHS, TRUTHS, TRUTHS),
 )
