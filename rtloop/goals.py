@@ -54,8 +54,11 @@ def enter_newer_goal(loop: Loop, shared: Shared) -> None:
     if not intake.incoming_is_ready(loop) or loop.paths[newer].start_ns > core.now_ns:
         return  # what runs may run until then
     entry_s = due_s(loop, newer)
-    if not has_bridge(loop, newer, entry_s) and refused_as_too_far(loop, shared, entry_s):
-        return
+    if loop.paths[newer].met == 0 and not has_bridge(loop, newer, entry_s):
+        if refused_as_too_far(loop, shared, entry_s):
+            return
+        # what the arm needs from now on to find a way, or to stop first, takes it away from there
+        loop.paths[newer].met = 1 if loop.paths[newer].start_ns == 0 else 0
     if stops_for_good(loop, core.active) and not guard.at_rest(loop):
         return  # a stop that was asked for is finished first
     if core.mode != Mode.HOLDING and core.mode != Mode.EXECUTING and core.mode != Mode.STOPPING:

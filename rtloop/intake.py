@@ -286,7 +286,7 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
     path.bridge = 1 if begin.entry & _BRIDGE else 0
     path.stream = 1 if begin.entry & _STREAM else 0
     path.entry_s = path.blend_s = 0.0
-    path.torn = 0
+    path.torn = path.met = 0
     path.taken = 0
     path.closest_ns = NEVER_CLOSE_NS
     for joint in range(loop.params.joint_count):

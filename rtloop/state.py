@@ -221,6 +221,7 @@ PATH = np.dtype(
         ("ends_moving", "i8"),  # 1: the last point, which is known, leaves a joint in motion
         ("torn", "i8"),  # knots are missing after the newest one
         ("start_ns", "i8"),
+        ("met", "i8"),  # 1: the arm was where its goal, which has no start time, begins
         ("joint_mask", "i8"),
         ("goal_time_s", "f8"),
         ("bridge", "i8"),

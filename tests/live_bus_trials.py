@@ -92,8 +92,7 @@ def run(rig: Any, fault: BusFault) -> Seen:
     blind = abs(rig.commanded_rad()[rig.arm.joints.index(joint)] + joint.zero_rad) < fault.blind_rad
     told_ns = time.monotonic_ns()
     for text in map(spelled, fault.inject(rig.random, joint.name)):
-        rig.sim.say(text)
-        rig.sim.line_with(f"fault {text}")
+        rig.befall(text)
     _await_end(rig, sent, told_ns, seen)
     thrown = {joint.name} if fault.throws else set()
     _judge(rig, fault, began_ns, told_ns, thrown, seen)

@@ -246,8 +246,7 @@ class Soak:
 
     def _tell(self, *faults: str) -> None:
         for fault in faults:
-            self.rig.sim.say(fault)
-            self.rig.sim.line_with("fault")
+            self.rig.befall(fault)
 
     def _freeze(self, target: str, least_s: float, most_s: float) -> None:
         from process_faults import frozen

@@ -163,6 +163,11 @@ class Stack:
         self.sim.line_with("ready")
         return self.sim
 
+    def befall(self, fault: str) -> None:
+        """Let something go wrong, as on the simulator's command line, its times counted from now."""
+        self.sim.say(fault)
+        self.sim.line_with(f"fault {fault}")
+
     def unplug(self) -> None:
         """Take the adapter away at once, its name first.
 

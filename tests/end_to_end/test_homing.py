@@ -135,19 +135,15 @@ def test_a_ros_process_that_begins_amid_homing_waits_for_its_end_and_goes_to_the
 def test_an_arm_that_was_moved_while_rtarm_was_not_running_is_not_believed(held):
     held.loop.process.terminate()
     assert held.loop.code() == 0
-    held.sim.close()
-    held._start_deg = [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]
+    held.befall("count-slip:joint=joint3,at_s=0,deg=5")
     held.change(limits={"position_jump_rad": 0.05})
-    held.start_sim()
     held.start_loop()
     assert referenced(held) == [1, 1, 0, 1, 1, 1]
     assert "joint3 is not referenced: it stands +5.00° from where it stood when rtarm was ended" in held.loop.said()
     assert rtarm(held, "reference", "joint3")[0] == 0
     held.loop.process.kill()  # nobody knows what happens from here on
     held.loop.code()
-    held.sim.close()
-    held._start_deg = [0.0] * 6
-    held.start_sim()
+    held.befall("count-slip:joint=joint3,at_s=0,deg=-5")
     held.start_loop()
     assert referenced(held) == [1] * 6
 

@@ -99,14 +99,12 @@ def test_a_start_that_fails_does_not_forget_where_the_joints_stood(stack):
     assert stack.loop.code() == 0
     stood = counts_before(load_arm(stack.arm_file))
     assert len(stood) == 6
-    stack.sim.close()
-    stack._start_deg = [10.0, 0.0, 0.0, 0.0, 0.0, 0.0]  # moved by hand meanwhile
-    stack.start_sim("--fault", "silent:joint=joint6,at_s=0,until_s=1000")
+    stack.befall("count-slip:joint=joint1,at_s=0,deg=10")
+    stack.befall("silent:joint=joint6,at_s=0")
     stack.start_loop(ready=False)
     assert stack.loop.code() == 2
     assert counts_before(load_arm(stack.arm_file)) == stood
-    stack.sim.close()
-    stack.start_sim()
+    stack.befall("silent:joint=joint6,at_s=0,until_s=0")
     stack.start_loop()
     assert reasons(stack) == {0: Unreferenced.MOVED}
     assert counts_before(load_arm(stack.arm_file)) == {}

@@ -318,8 +318,7 @@ def test_a_servo_on_the_bus_grips_a_thing_and_lets_it_go(stack, user):
     states = user.listen(JointState, "/joint_states")
     until(lambda: states and len(states[-1].name) == 7, "the gripper's joint", 20.0)
     assert user.go(1.9)[0] == SUCCEEDED
-    stack.sim.say("thing:at_s=0,deg=40")
-    stack.sim.line_with("fault thing")
+    stack.befall("thing:at_s=0,deg=40")
     status, result = user.go(0.0)
     assert (status, result.stalled, result.reached_goal) == (SUCCEEDED, True, False)
     assert result.position == pytest.approx(math.radians(40.0), abs=0.01)
@@ -340,8 +339,7 @@ def test_a_servo_that_loses_power_is_no_fault_of_the_arm(stack, user):
         found = {s.name.rpartition(": ")[2]: (s.level, s.message) for s in diagnostics[-1].status}
         return found.get("gripper", (b"", "")), found.get("arm", (b"", ""))
 
-    stack.sim.say("power-loss:joint=gripper_joint,at_s=0,off_s=0.3")
-    stack.sim.line_with("fault power-loss")
+    stack.befall("power-loss:joint=gripper_joint,at_s=0,off_s=0.3")
     until(lambda: diagnostics and "lost power" in levels()[0][1], "the report", 20.0)
     status, _ = user.go(1.0)
     assert status == ABORTED

@@ -172,8 +172,7 @@ def test_only_a_terminal_is_asked_and_only_sound_drives_are_turned(truth: Stack,
         "Ended (answers are taken from a terminal alone, and the standard input is none); the arm stands. Nothing was "
         "written.\n"
     )
-    truth.sim.say("protection:joint=joint3,at_s=0")
-    truth.sim.line_with("fault protection")
+    truth.befall("protection:joint=joint3,at_s=0")
     refused = run_rtarm("calibrate", str(mine))
     assert (refused.returncode, refused.stdout) == (2, "")
     assert "The drive of joint3 (address 3) is in protection (stall) and holds nothing" in refused.stderr
@@ -197,8 +196,7 @@ def test_what_is_typed_before_a_question_is_no_answer_to_it(truth: Stack, mine: 
 @pytest.mark.process
 def test_a_drive_that_stalls_ends_it_with_its_sentence(truth: Stack, mine: Path) -> None:
     before = mine.read_bytes()
-    truth.sim.say("stall:joint=joint6,at_s=0")
-    truth.sim.line_with("fault stall")
+    truth.befall("stall:joint=joint6,at_s=0")
     with closing(rtarm_at_terminal("calibrate", str(mine), "--joint", "joint6")) as at:
         at.reply("Turn it?", "y")
         at.read_until("The drive of joint6 was held up (it says that it stalls): it was stopped")

@@ -112,8 +112,7 @@ def test_what_is_refused_leaves_nothing_behind(bench: Stack, tmp_path: Path) -> 
     folder = tmp_path / "report"
     piped = run_rtarm("commission", str(bench.arm_file), "joint6", "-o", str(folder), typed="y\n" * 50)
     assert piped.returncode == 1 and "answers are taken from a terminal alone" in piped.stderr
-    bench.sim.say("silent:joint=joint6,at_s=0")
-    bench.sim.line_with("fault silent")
+    bench.befall("silent:joint=joint6,at_s=0")
     silent = run_rtarm("commission", str(bench.arm_file), "joint6", "-o", str(folder))
     assert silent.returncode == 2 and "joint6" in silent.stderr
     assert not folder.exists() and no_process_left(bench)
@@ -199,8 +198,7 @@ def test_whatever_ends_it_a_drive_that_is_led_stands(led: Stack, tmp_path: Path,
 @pytest.mark.process
 def test_a_drive_that_is_not_brought_up_is_told_and_leaves_nothing(led: Stack, tmp_path: Path) -> None:
     folder = tmp_path / "report"
-    led.sim.say("silent:joint=joint2,at_s=0")
-    led.sim.line_with("fault silent")
+    led.befall("silent:joint=joint2,at_s=0")
     with closing(rtarm_at_terminal("commission", str(led.arm_file), "joint2", "-o", str(folder))) as at:
         at.reply("Bring it up?", "y")
         at.read_until("does not answer on its master_id")

@@ -70,8 +70,7 @@ def test_a_session_from_reading_to_flash(simulated: Stack) -> None:
     assert nothing.returncode == 0 and "What a drive's flash holds cannot be read" in nothing.stderr
 
     for joint in ("joint1", "joint2"):
-        simulated.sim.say(f"power-loss:joint={joint},at_s=0,off_s=0.01")
-        simulated.sim.line_with("fault power-loss")
+        simulated.befall(f"power-loss:joint={joint},at_s=0,off_s=0.01")
     stored = drives(simulated, "--write", "--store", "--json", typed="y\n")
     report = json.loads(stored.stdout)
     assert (stored.returncode, report["agrees"], report["joints"]) == (0, True, ["joint1", "joint2"])

@@ -95,6 +95,7 @@ def test_a_hold_and_its_resume_keep_the_limits(share: float, cycles: int) -> Non
 
 @trials
 @given(st.floats(0.05, 0.95), st.floats(-1.0, 1.0), st.floats(0.4, 1.0), st.booleans())
+@example(0.625, -1.0, 0.5, False)  # no way in motion: the arm stops first, farther from its start than a goal may begin
 def test_a_goal_that_begins_at_rest_where_the_arm_is_measured_keeps_the_limits(
     share: float, back: float, slowness: float, twice: bool
 ) -> None:
