@@ -219,28 +219,38 @@ def stands(snapshot: np.ndarray) -> bool:
 def clear_fault(arm: str) -> str:
     """Clear the latched fault, wait until the drives are brought up again, and say how it went."""
     with connect(arm) as connection:
-        before = connection.snapshot()
-        if int(before["fault"]) == Fault.NONE:
+        after = cleared(connection)
+        if after is None:
             return f"Arm {arm} has no latched fault, so there is nothing to clear."
-        answer = connection.ask(Request.CLEAR_FAULT)
-        if answer != Answer.DONE:
-            raise Refusal(answer_sentence(answer))
-        latched_ns = int(before["fault_ns"])
-
-        def decided(now: np.ndarray) -> bool:
-            again = int(now["fault"]) != Fault.NONE and int(now["fault_ns"]) != latched_ns
-            return again or int(now["mode"]) in (Mode.HOLDING, Mode.EXECUTING)
-
-        after = connection.wait(
-            decided,
-            connection.patience.bring_up_s,
-            f"The drives of {arm} are not brought up {connection.patience.bring_up_s:.1f} s after the fault was "
-            "cleared: look at the lines of the control process and at `rtarm status`.",
-        )
-        if sentence := connection.fault(after):
-            raise Refusal(f"The fault was cleared and came back. {sentence}")
         why_lost = connection.why_lost(after)
     return " ".join([f"The fault is cleared; arm {arm} holds where it stands.", *_held_words(after), *why_lost])
+
+
+def cleared(connection: Connection) -> np.ndarray | None:
+    """Clear the latched fault and wait until the drives are brought up again: the snapshot then, None without a fault.
+
+    Raises:
+        Refusal: it is not cleared, or came back.
+    """
+    arm, before = connection.arm, connection.snapshot()
+    if int(before["fault"]) == Fault.NONE:
+        return None
+    connection.order(Request.CLEAR_FAULT)
+    latched_ns = int(before["fault_ns"])
+
+    def decided(now: np.ndarray) -> bool:
+        again = int(now["fault"]) != Fault.NONE and int(now["fault_ns"]) != latched_ns
+        return again or int(now["mode"]) in (Mode.HOLDING, Mode.EXECUTING)
+
+    after = connection.wait(
+        decided,
+        connection.patience.bring_up_s,
+        f"The drives of {arm} are not brought up {connection.patience.bring_up_s:.1f} s after the fault was "
+        "cleared: look at the lines of the control process and at `rtarm status`.",
+    )
+    if sentence := connection.fault(after):
+        raise Refusal(f"The fault was cleared and came back. {sentence}")
+    return after
 
 
 def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:

@@ -6,7 +6,9 @@ Prints `ready` when the arm holds. Exit codes: 0 orderly end, 2 refused to start
 import os
 import signal
 
-STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
+_NOHUP = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT, *(() if _NOHUP else (signal.SIGHUP,)))
+"""The last when its terminal is closed; nohup(1) lets it outlive that."""
 for _number in STOP_SIGNALS:
     # While everything is loaded there is nothing to put in order, and an exception may be lost inside an import.
     signal.signal(_number, lambda *_: os._exit(0))

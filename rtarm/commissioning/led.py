@@ -14,25 +14,24 @@ from typing import Any
 import numpy as np
 
 from config.schema import ArmConfig
+from rtarm.errors import Refusal
+from rtarm.requests import Condition, Connection
 from rtloop.commissioning.finding import Said, frames_of
 from shm.client import CommandWriter, StateReader, find
 from shm.errors import TornRead
 from shm.recording import Position, now_at, read_on
-from shm.sentences import answer_sentence, latched_sentence, outcome_sentence
-from shm.words import Answer, Fault, Mode, Outcome, Request
+from shm.sentences import outcome_sentence
+from shm.words import Mode, Outcome, Request
 
-ANSWER_PATIENCE_S = 2.0
 DECIDED_S = 0.5
 REST_TO_REST = 5
 """Order of a segment with which a joint goes from rest to rest: a quintic."""
 FASTEST, HARDEST = 1.875, 5.774
 """Largest velocity and acceleration of such a segment, in way / T and way / T²: 15/8 and 10/√3."""
 
-Condition = Callable[[Any], bool]
 
-
-class Led:
-    """An arm of one joint.
+class Led(Connection):
+    """The connection to an arm of one joint.
 
     `pass_time` lets a little time pass, in which its control process goes on and hears that somebody is there;
     `standing_still` is a context in which that process does nothing, so that its drive hears nothing more.
@@ -40,7 +39,7 @@ class Led:
 
     def __init__(
         self,
-        arm: ArmConfig,
+        config: ArmConfig,
         reader: StateReader,
         writer: CommandWriter,
         *,
@@ -48,20 +47,16 @@ class Led:
         now_ns: Callable[[], int],
         standing_still: Callable[[], AbstractContextManager[None]],
     ) -> None:
-        self.arm = arm
-        self.config = arm.joints[0]
+        super().__init__(config.name, reader, writer)
+        self.config = config
+        self.name = config.joints[0].name
         self.now_ns = now_ns
-        self._reader, self._writer = reader, writer
         self._pass_time, self._standing_still = pass_time, standing_still
         self._since: Position = now_at(reader.memory)
 
-    def look(self) -> Any:
-        """The newest snapshot (dtype layout.SNAPSHOT, no dimensions)."""
-        return self._reader.snapshot()
-
     def joint(self) -> Any:
-        """What that says of the joint (dtype layout.JOINT)."""
-        return self.look()["joints"][0]
+        """What the newest snapshot says of the joint (dtype layout.JOINT)."""
+        return self.snapshot()["joints"][0]
 
     @property
     def referenced(self) -> bool:
@@ -73,94 +68,68 @@ class Led:
         recording, self._since = read_on(self._reader.memory, self._since)
         return frames_of(recording.frames)
 
-    def wait(self, seconds: float) -> None:
+    def let_pass(self, seconds: float) -> None:
         """Let time pass."""
-        ends_ns = self.now_ns() + round(seconds * 1e9)
-        while self.now_ns() < ends_ns:
-            self._pass_time()
+        self.until(lambda _: False, seconds)
 
-    def until(self, condition: Condition, patience_s: float) -> Any | None:
+    def until(self, condition: Condition, patience_s: float) -> np.ndarray | None:
         """The first snapshot that fulfils a condition; None where none does in time."""
         ends_ns = self.now_ns() + round(patience_s * 1e9)
-        while not condition(now := self.look()):
-            if self.now_ns() > ends_ns:
+        while not condition(now := self.snapshot()):
+            if self.now_ns() >= ends_ns:
                 return None
             self._pass_time()
         return now
+
+    def wait(self, condition: Condition, patience_s: float, too_long: str) -> np.ndarray:
+        now = self.until(condition, patience_s)
+        if now is None:
+            raise Refusal(too_long)
+        return now
+
+    def order(self, kind: Request, *, joint_mask: int = 0, value: float = 0.0) -> None:
+        """Make a request as soon as the joint is at rest; raises Refusal with the sentence where it is refused."""
+        ends_ns = self.now_ns() + round(self.patience.person_s * 1e9)
+        while True:
+            try:
+                return super().order(kind, joint_mask=joint_mask, value=value)
+            except Refusal:
+                if self.now_ns() >= ends_ns:
+                    raise
+            self._pass_time()
 
     def say_nothing(self, seconds: float) -> tuple[Any, Any | None]:
         """Let its control process do nothing; the snapshots of before, and with its first reading since, if one comes.
 
         What follows from the silence is decided when this returns.
         """
-        before = self.look()
+        before = self.snapshot()
         with self._standing_still():
             with suppress(TornRead):  # it may stand still amid writing one
-                before = self.look()
-            self.wait(seconds)
+                before = self.snapshot()
+            ends_ns = self.now_ns() + round(seconds * 1e9)
+            while self.now_ns() < ends_ns:
+                self._pass_time()
             # one that was on its way is stamped when the process goes on
-            heard_ns = self.now_ns() + 3 * self.arm.control.period_ns
-        after = self.until(lambda now: int(now["joints"][0]["measured_ns"]) > heard_ns, self.arm.patience.bring_up_s)
-        self.wait(DECIDED_S)
+            heard_ns = self.now_ns() + 3 * self.config.control.period_ns
+        after = self.until(lambda now: int(now["joints"][0]["measured_ns"]) > heard_ns, self.patience.bring_up_s)
+        self.let_pass(DECIDED_S)
         return before, after
 
-    def _grant(self, kind: Request, value: float = 0.0) -> str:
-        """Make a request as soon as the joint is at rest; why it was refused, "" where it was not."""
-        ends_ns = self.now_ns() + round(self.arm.patience.person_s * 1e9)
-        while (refused := self._ask(kind, value)) and self.now_ns() < ends_ns:
-            self._pass_time()
-        return refused
-
-    def _ask(self, kind: Request, value: float) -> str:
-        sequence = self._writer.request(
-            kind,
-            consumed=self._reader.requests_consumed(),
-            epoch=int(self.look()["epoch"]),
-            joint_mask=1,
-            value=value,
-        )
-        now = self.until(lambda now: find(now["answers"], "sequence", sequence) is not None, ANSWER_PATIENCE_S)
-        found = None if now is None else find(now["answers"], "sequence", sequence)
-        if found is None:
-            return "The control process does not answer."
-        answer = Answer(int(found["answer"]))
-        return "" if answer == Answer.DONE else answer_sentence(answer)
-
-    def clear(self) -> str:
-        """Clear its fault, if there is one, and see it hold; why it does not, "" where it does."""
-        before = self.look()
-        if int(before["fault"]) != Fault.NONE and (refused := self._grant(Request.CLEAR_FAULT)):
-            return refused
-        latched_ns = int(before["fault_ns"])
-
-        def decided(now: Any) -> bool:
-            again = int(now["fault"]) != Fault.NONE and int(now["fault_ns"]) != latched_ns
-            return again or (int(now["fault"]) == Fault.NONE and int(now["mode"]) == Mode.HOLDING)
-
-        after = self.until(decided, self.arm.patience.bring_up_s)
-        if after is None:
-            return f"It is not brought up within {self.arm.patience.bring_up_s:.0f} s."
-        return self.trouble(after)
-
-    def trouble(self, now: Any) -> str:
-        """The latched fault in a sentence, "" where there is none."""
-        return latched_sentence(now, [self.config.name]) if int(now["fault"]) != Fault.NONE else ""
-
-    def reference(self, angle_rad: float) -> str:
-        """Say where the joint stands; why that is not taken, "" where it is."""
-        if refused := self._grant(Request.REFERENCE, angle_rad):
-            return refused
-        now = self.until(
+    def reference(self, angle_rad: float) -> None:
+        """Say where the joint stands; raises Refusal where that is not taken."""
+        self.order(Request.REFERENCE, joint_mask=1, value=angle_rad)
+        self.wait(
             lambda now: int(now["mode"]) == Mode.HOLDING and bool(now["joints"][0]["referenced"]),
-            self.arm.patience.bring_up_s,
+            self.patience.bring_up_s,
+            f"The angle of {self.name} is not taken.",
         )
-        return "" if now is not None else self.trouble(self.look()) or "Its angle is not taken."
 
     def go(self, to_rad: float, seconds: float, tolerance_rad: float) -> int:
         """Send it there, from rest to rest, no farther from its path than so; the goal's number."""
         goal = self._writer.announced_goal + 1
         consumed = self._reader.setpoints_consumed
-        now = self.look()
+        now = self.snapshot()
         path = np.array([[tolerance_rad, 0.0, 0.0]])
         self._writer.announce(goal)
         self._writer.begin(
@@ -192,9 +161,9 @@ class Led:
         found = result(now)
         if int(found["outcome"]) == Outcome.SUCCEEDED:
             return ""
-        if trouble := self.trouble(now):
-            return trouble
-        return outcome_sentence(int(found["outcome"]), self.config.name, float(found["value"]), float(found["limit"]))
+        if fault := self.fault(now):
+            return fault
+        return outcome_sentence(int(found["outcome"]), self.name, float(found["value"]), float(found["limit"]))
 
 
 def seconds_for(arm: ArmConfig, way_rad: float, share: float) -> float:

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from config.schema import ArmConfig
 from rtarm.commissioning.led import FASTEST, Led, seconds_for
+from rtarm.errors import Refusal
+from rtarm.requests import cleared
 from rtloop.commissioned import PowerProof
 from rtloop.commissioning.finding import Finding, Said, Verdict, judge_reply_delay, reply_delays_s, verdict_of
 from rtloop.commissioning.session import wire_s
@@ -63,51 +65,53 @@ class LedBench:
 
     def __init__(self, led: Led, tell: Callable[[str], None], agrees: Callable[[str], bool]) -> None:
         self.led, self._tell, self._agrees = led, tell, agrees
-        self.name = led.config.name
+        self.name = led.name
         self.absolute = led.referenced
         """Whether its encoder knows its angle as soon as it has power."""
-        self._power_proof: PowerProof | None = None
-        self._unproven = False
+        self.power_proof: PowerProof | None = None
+        """How it proves that it has kept its power; None where that was not tried."""
+        self.power = ""
+        """What was found of that."""
         self.found: dict[str, Finding] = {}
 
     def check(self, check: Check, sign: int) -> list[Finding]:
         """Do one check, from a joint that holds and is referenced, and bring it back to where it stood."""
-        why = self.led.trouble(self.led.look())
-        if not why or self._agrees(f"{why} Shall that be cleared, and {self.name} be held where it stands?"):
-            why = self.led.clear() or self._known()
-        found = (
-            check.ask(self, sign)
-            if not why
-            else [Finding(check.name, check.explains, "", f"It could not begin: {why}", Verdict.NOT_TRIED)]
-        )
+        found = self._checked(check, sign)
         self.found |= {finding.check: finding for finding in found}
         return found
 
-    @property
-    def power_proof(self) -> PowerProof | None:
-        """How it proves that it has kept its power; None where that was not tried."""
-        return PowerProof.NONE if self._unproven else self._power_proof
+    def _checked(self, check: Check, sign: int) -> list[Finding]:
+        why = self.led.fault(self.led.snapshot())
+        if why and not self._agrees(f"{why} Shall that be cleared, and {self.name} be held where it stands?"):
+            return [_could_not_begin(check, why)]
+        try:
+            cleared(self.led)
+            self._know()
+        except Refusal as refused:
+            return [_could_not_begin(check, refused.sentence)]
+        return check.ask(self, sign)
 
-    def _known(self) -> str:
+    def _know(self) -> None:
         """See that its angle is known: one that counts from where power came stands in the middle of its range."""
         if self.led.referenced:
-            return ""
+            return
         if int(self.led.joint()["unreferenced_reason"]) == Unreferenced.OUTSIDE_LIMITS:
-            return unreferenced_sentence(Unreferenced.OUTSIDE_LIMITS, self.name)
-        return self.led.reference(math.radians((self.led.config.lower_deg + self.led.config.upper_deg) / 2.0))
+            raise Refusal(unreferenced_sentence(Unreferenced.OUTSIDE_LIMITS, self.name))
+        joint = self.led.config.joints[0]
+        self.led.reference(math.radians((joint.lower_deg + joint.upper_deg) / 2.0))
 
     # --- the checks
 
     def reply_delay(self, _: int) -> list[Finding]:
         """How soon it answers."""
         self.led.frames()
-        self.led.wait(LISTENS_S)
+        self.led.let_pass(LISTENS_S)
         delays_s = reply_delays_s(self.led.frames(), lambda frame: True, self._is_its)
-        return [judge_reply_delay(delays_s, wire_s(self.led.arm, 0), self.led.config.drive.processing_s)]
+        return [judge_reply_delay(delays_s, wire_s(self.led.config, 0), self.led.config.joints[0].drive.processing_s)]
 
     def retarget(self, sign: int) -> list[Finding]:
         """A target in motion in each cycle."""
-        way_rad = sign * way_of(self.led.arm)
+        way_rad = sign * way_of(self.led.config)
         asked = f"{abs(math.degrees(way_rad)):.0f}° there and back, with a new target or set-point in each cycle"
         documented = "it takes each of them and goes on, near its path"
         start_rad, worst_rad = self._stands_rad(), 0.0
@@ -123,13 +127,13 @@ class LedBench:
 
     def silence(self, sign: int) -> list[Finding]:
         """Nothing more is said to it in motion."""
-        arm, way_rad = self.led.arm, sign * way_of(self.led.arm)
+        arm, way_rad = self.led.config, sign * way_of(self.led.config)
         asked = f"{SILENCE_S:g} s of silence amid a move of {abs(math.degrees(way_rad)):.0f}°"
         documented = "it stands at the last that it was told, and holds the joint"
         start_rad = self._stands_rad()
         seconds = seconds_for(arm, abs(way_rad), BRISK)
         goal = self.led.go(start_rad + way_rad, seconds, AT_EASE_RAD)
-        self.led.wait(seconds / 2.0)
+        self.led.let_pass(seconds / 2.0)
         before, after = self.led.say_nothing(SILENCE_S)
         if after is None:
             came = "it answers no more after the silence"
@@ -140,7 +144,7 @@ class LedBench:
         if speed_rad_s < 0.5 * FASTEST * abs(way_rad) / seconds:
             came = f"it did not move when the silence began: {ended or 'its goal was over'}"
             return [Finding("silence", asked, documented, came, Verdict.NOT_TRIED)]
-        ramp_rad_s2 = self.led.config.max_acceleration_rad_s2 * arm.limits.silence_brake_factor
+        ramp_rad_s2 = arm.joints[0].max_acceleration_rad_s2 * arm.limits.silence_brake_factor
         most_rad = speed_rad_s**2 / (2.0 * ramp_rad_s2) + speed_rad_s * self._late_s + SLACK_RAD
         beyond_rad = sign * float(stands["measured_position_rad"] - moving["measured_position_rad"])
         crept_rad = abs(float(stands["measured_position_rad"] - after["joints"][0]["measured_position_rad"]))
@@ -164,7 +168,7 @@ class LedBench:
         start_rad = self._stands_rad()
         began_ns = self.led.now_ns()
         goal = self.led.go(start_rad + sign * math.radians(PUSH_DEG), PUSH_S, PUSH_RAD)
-        ended = self.led.end_of(goal, PUSH_S + self.led.arm.patience.person_s)
+        ended = self.led.end_of(goal, PUSH_S + self.led.config.patience.person_s)
         seconds = (self.led.now_ns() - began_ns) * 1e-9
         moved_deg = abs(math.degrees(float(self.led.joint()["measured_position_rad"]) - start_rad))
         self._go_back(start_rad)
@@ -179,99 +183,112 @@ class LedBench:
 
     def unplugged(self, _: int) -> list[Finding]:
         """Its CAN plug is pulled while it stands, and its power stays on."""
-        asked = "its CAN plug pulled and put back, with its power on"
+        keeps = self.absolute or self._proves
         documented = {
             True: "it has held the joint, which is where it was",
             False: "its family proves nothing, so its angle is lost",
-        }[self.absolute or self._proves]
-        before_rad = self._stands_rad()
-        why = self._silent(
+        }[keeps]
+        finding = self._silenced(
+            Finding(
+                "unplugged",
+                "its CAN plug pulled and put back, with its power on",
+                documented,
+                "its plug was not pulled and put back",
+                Verdict.NOT_TRIED,
+            ),
             f"Pull the CAN plug of {self.name}'s drive now, and leave its power on.",
             "It is silent. Put the plug back.",
             "Is it back in, was its power on all the time, and is nobody's hand at the joint?",
+            keeps=keeps,
         )
-        if why is None:
-            came = "its plug was not pulled and put back"
-            return [Finding("unplugged", asked, documented, came, Verdict.NOT_TRIED)]
-        if why:
-            return [Finding("unplugged", asked, documented, why, Verdict.DIFFERS)]
-        known, away_rad = self.led.referenced, abs(self._stands_rad() - before_rad)
-        came = f"its angle was {'kept' if known else 'lost'}, {math.degrees(away_rad):.1f}° from that of before"
-        right = known == (self.absolute or self._proves) and away_rad <= SAME_RAD
-        self._unproven |= not right
-        return [Finding("unplugged", asked, documented, came, verdict_of(right), {"away_deg": math.degrees(away_rad)})]
+        if finding.verdict == Verdict.DIFFERS:
+            self._prove(PowerProof.NONE, finding.came)
+        return [finding]
 
     def power_cycle(self, sign: int) -> list[Finding]:
         """Its power is switched off and on, away from where that was done before: one that counts 0 there shows it."""
-        asked = "its power switched off and on"
         documented = {
             True: "its encoder knows its angle, with or without power",
             False: "it counts from where power came, and cannot pretend that it had power: its angle is lost",
         }[self.absolute]
-        start_rad = self._stands_rad()
-        hindered, _ = self._go(start_rad + sign * way_of(self.led.arm), GENTLE)
+        asked = "its power switched off and on"
+        hindered, _ = self._go(self._stands_rad() + sign * way_of(self.led.config), GENTLE)
         if hindered:
             return [Finding("power cycle", asked, documented, hindered, Verdict.NOT_TRIED)]
-        before_rad = self._stands_rad()
-        why = self._silent(
+        finding = self._silenced(
+            Finding("power cycle", asked, documented, "its power was not switched off and on", Verdict.NOT_TRIED),
             f"Switch the power of {self.name}'s drive off now; it is watched until it falls silent.",
             "It is silent. Wait until nothing of it is lit, then switch it on again.",
             "Was it dark, is it on again, and is nobody's hand at the joint? It is enabled where it stands.",
+            keeps=self.absolute,
         )
-        if why is None:
-            came = "its power was not switched off and on"
-            return [Finding("power cycle", asked, documented, came, Verdict.NOT_TRIED)]
-        self._power_proof = PowerProof.NONE
-        if why:
-            return [Finding("power cycle", asked, documented, why, Verdict.DIFFERS)]
-        known, away_rad = self.led.referenced, abs(self._stands_rad() - before_rad)
-        came = f"its angle was {'kept' if known else 'lost'}, {math.degrees(away_rad):.1f}° from that of before"
-        right = known == self.absolute and not (known and away_rad > SAME_RAD)
-        if right and (self.absolute or self._proves):
-            self._power_proof = PowerProof.ABSOLUTE if self.absolute else PowerProof.CANARY
-        figures = {"away_deg": math.degrees(away_rad)}
-        return [Finding("power cycle", asked, documented, came, verdict_of(right), figures)]
+        if finding.verdict != Verdict.NOT_TRIED:
+            proof = PowerProof.ABSOLUTE if self.absolute else PowerProof.CANARY
+            proves = finding.good and (self.absolute or self._proves)
+            self._prove(proof if proves else PowerProof.NONE, finding.came)
+        return [finding]
 
     # --- what they share
 
     @property
     def _proves(self) -> bool:
         """Whether its family can prove that it has kept its power, where that is needed."""
-        return power_proof_of(self.led.config.drive) is not None and not self.absolute
+        return power_proof_of(self.led.config.joints[0].drive) is not None and not self.absolute
 
-    def _silent(self, do: str, then: str, question: str) -> str | None:
-        """Have a person make it silent, and end that; why it is not brought up then, None where that was not so."""
+    def _prove(self, proof: PowerProof, came: str) -> None:
+        """Remember how it proves its power; one that was found to prove nothing once does so never."""
+        if self.power_proof is not PowerProof.NONE:
+            self.power_proof, self.power = proof, came
+
+    def _silenced(self, undone: Finding, do: str, then: str, question: str, *, keeps: bool) -> Finding:
+        """Have a person make it silent and end that; whether its angle is kept as it should be, and the same then."""
+        before_rad = self._stands_rad()
         self._tell(do)
         silent_ns = round(SILENT_S * 1e9)
-        if not self.led.until(
+        silent = self.led.until(
             lambda now: int(now["monotonic_ns"]) - int(now["joints"][0]["measured_ns"]) > silent_ns, SWITCH_PATIENCE_S
-        ):
-            return None
-        self._tell(then)
-        if not self._agrees(question):
-            return None
+        )
+        if silent is not None:
+            self._tell(then)
+        if silent is None or not self._agrees(question):
+            return undone
         ends_ns = self.led.now_ns() + round(SWITCH_PATIENCE_S * 1e9)
-        while (why := self.led.clear()) and self.led.now_ns() < ends_ns:
-            self.led.wait(SILENT_S)
-        return why
+        while why := self._not_cleared():
+            if self.led.now_ns() >= ends_ns:
+                return replace(undone, came=why, verdict=Verdict.DIFFERS)
+            self.led.let_pass(SILENT_S)
+        known, away_rad = self.led.referenced, abs(self._stands_rad() - before_rad)
+        return replace(
+            undone,
+            came=f"its angle was {'kept' if known else 'lost'}, {math.degrees(away_rad):.1f}° from that of before",
+            verdict=verdict_of(known == keeps and not (known and away_rad > SAME_RAD)),
+            figures={"away_deg": math.degrees(away_rad)},
+        )
+
+    def _not_cleared(self) -> str:
+        """Clear its fault; why it is not brought up then, "" where it is."""
+        try:
+            cleared(self.led)
+        except Refusal as refused:
+            return refused.sentence
+        return ""
 
     def _is_its(self, frame: Said) -> bool:
         """Whether this drive has said it; others on the bus have clocks of their own."""
-        return any(
-            said.from_drive and not (frame.id ^ said.match) & said.mask for said in self.led.config.drive.identifiers
-        )
+        drive = self.led.config.joints[0].drive
+        return any(said.from_drive and not (frame.id ^ said.match) & said.mask for said in drive.identifiers)
 
     @property
     def _late_s(self) -> float:
         """How long a joint may go on at its speed: what was sent just before the silence is told it a little later."""
-        return LATE_S + 3.0 * self.led.arm.control.period_ns * 1e-9
+        return LATE_S + 3.0 * self.led.config.control.period_ns * 1e-9
 
     def _stands_rad(self) -> float:
         return float(self.led.joint()["commanded_position_rad"])
 
     def _go(self, to_rad: float, share: float) -> tuple[str, float]:
         """Go somewhere; why it did not arrive, "" where it did, and how far it was from its path at the most."""
-        arm = self.led.arm
+        arm = self.led.config
         seconds = seconds_for(arm, abs(to_rad - self._stands_rad()), share)
         goal = self.led.go(to_rad, seconds, AT_EASE_RAD)
         worst_rad = 0.0
@@ -288,8 +305,12 @@ class LedBench:
 
     def _go_back(self, to_rad: float) -> None:
         """Be where it stood, as far as it can: what hinders it is told when the next check begins."""
-        if not self.led.clear() and self.led.referenced:
+        if not self._not_cleared() and self.led.referenced:
             self._go(to_rad, GENTLE)
+
+
+def _could_not_begin(check: Check, why: str) -> Finding:
+    return Finding(check.name, check.explains, "", f"It could not begin: {why}", Verdict.NOT_TRIED)
 
 
 def way_of(arm: ArmConfig) -> float:

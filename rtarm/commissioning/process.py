@@ -25,6 +25,7 @@ from rtarm.commissioning.led import Led, alone
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import undisturbed
 from rtarm.processes import READY, plain_environment, shared_death
+from shm.errors import NotRunning
 
 POLL_S = 0.002
 STOPPED_PATIENCE_S = 1.0
@@ -76,11 +77,11 @@ class LedProcess:
                 print(line, end="", file=sys.stderr, flush=True)
 
     def pass_time(self) -> None:
-        """Let it go on; raises Refusal where it has ended."""
+        """Let it go on; raises NotRunning where it has ended."""
         time.sleep(POLL_S)
         if self._process.poll() is not None:
             self._listener.join()
-            raise Refusal(f"The control process ended meanwhile: {' '.join(self.told[-1:])}", ExitCode.LOOP_DIED)
+            raise NotRunning(f"The control process ended meanwhile: {' '.join(self.told[-1:])}")
 
     @contextmanager
     def standing_still(self) -> Iterator[None]:

@@ -27,9 +27,10 @@ RELIES: Mapping[str, str] = {
 
 
 class Report:
-    """What was found of one drive so far."""
+    """What was found of one drive so far; `before` is what an earlier test has found of it."""
 
-    def __init__(self, arm: ArmConfig, joint: int, folder: Path) -> None:
+    def __init__(self, arm: ArmConfig, joint: int, folder: Path, before: Commissioned | None) -> None:
+        self._before = before
         self.arm, self.joint, self.folder = arm, joint, folder
         self.findings: list[dict[str, Any]] = []
         self.ended = ""
@@ -48,9 +49,16 @@ class Report:
         self.made = True
 
     def add(self, findings: Sequence[dict[str, Any]], record: Commissioned) -> None:
-        """The findings of one check (fields of `Finding`), and the record that they make with those before."""
+        """Take the findings of one check (fields of `Finding`), and keep the record that they make with those before.
+
+        What differs is known to the control process from then on, however this ends. Raises Refusal.
+        """
         self.findings += findings
-        self._record = record
+        self._record = record.after(self._before)
+        try:
+            commissioned.save(self.arm, self.joint, self._record)
+        except (NotSaved, NotReadable) as problem:
+            raise Refusal(str(problem)) from None
 
     @property
     def agrees(self) -> bool:
@@ -61,15 +69,6 @@ class Report:
     def _simulated(self) -> bool:
         """Whether this is no report of hardware; a link may lead to a pseudo-terminal."""
         return is_simulated(self.arm) or os.path.realpath(self.arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)
-
-    def keep(self, before: Commissioned | None) -> None:
-        """Put what was found into the arm's local state; raises Refusal."""
-        assert self._record is not None
-        self._record = self._record.after(before)
-        try:
-            commissioned.save(self.arm, self.joint, self._record)
-        except (NotSaved, NotReadable) as problem:
-            self.ended = f"{self.ended} {problem}".strip()
 
     def unlocked(self) -> dict[str, bool | None]:
         """What the control process may rely on; None for what was not tried. Two are of ZDT drives alone."""
@@ -116,7 +115,7 @@ class Report:
                 f"  manual: {finding['documented']}",
                 f"  came: {finding['came']}",
             ]
-        words = {True: "unlocked", False: "withheld", None: "not tried, as before"}
+        words = {True: "unlocked", False: "withheld", None: "not tried"}
         lines += ["", *(f"{what} ({RELIES[what]}): {words[yes]}" for what, yes in self.unlocked().items())]
         if self._simulated:
             lines.append("This was a simulated drive: it says nothing of real ones.")

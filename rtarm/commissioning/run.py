@@ -30,6 +30,7 @@ from rtloop.commissioned import Commissioned, NotReadable, PowerProof
 from rtloop.commissioning.finding import Finding, Verdict
 from rtloop.commissioning.session import FAMILIES
 from shm import files
+from shm.errors import NotRunning
 
 INTRODUCTION = (
     "One drive is checked, and only after your y; each move is told before it is made. The joint must be free to turn "
@@ -58,7 +59,7 @@ def commission(argument: str, name: str, output: Path | None, overrides: Mapping
         raise Refusal(str(damaged)) from None
     stamp = time.strftime("%Y%m%dT%H%M%S")
     folder = output or Path(f"commission-{arm.name}-{name.replace('/', '_')}-{stamp}")
-    report, code = Report(arm, joint, folder), ExitCode.REFUSED
+    report, code = Report(arm, joint, folder, before), ExitCode.REFUSED
     try:
         with signals_raise():
             if arm.joints[joint].drive.family in FAMILIES:
@@ -69,12 +70,13 @@ def commission(argument: str, name: str, output: Path | None, overrides: Mapping
         report.ended = f"Ended early ({ended}); the drive stands."
     except Refusal as refused:
         report.ended, code = refused.sentence, refused.code
+    except NotRunning as died:
+        report.ended, code = str(died), ExitCode.LOOP_DIED
     if not report.findings:
         if report.made:  # never what was there before
             (folder / RECORDING).unlink(missing_ok=True)
             folder.rmdir()
         raise Refusal(f"{report.ended} Nothing was checked.".strip(), code)
-    report.keep(before)
     report.write()
     person.tell(report.text())
     if report.ended:
@@ -134,7 +136,7 @@ def _led(person: Person, report: Report) -> None:
         with _recorded(arm.name, report.folder / RECORDING):
             bench = LedBench(led, person.tell, lambda question: agrees(person, question))
             _found(person, report, [asdict(_answers(process.told))], _record(arm, joint, bench))
-            checks = checks_of(led.arm)
+            checks = checks_of(led.config)
             for number, check in enumerate(checks, 1):
                 explains = f"{number}/{len(checks)}. {check.explains}"
                 sign = _asked(person, explains, check.question, check.moves, check.name)
@@ -164,7 +166,7 @@ def _record(arm: ArmConfig, joint: int, bench: LedBench) -> Commissioned:
         firmware="",
         when=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         power_proof=bench.power_proof,
-        power=bench.found["power cycle"].came if bench.power_proof is not None else "",
+        power=bench.power,
         retargets=good.get("retarget"),
         brakes_in_silence=good.get("silence"),
     )

@@ -220,7 +220,7 @@ def power_cycle(drive: Drive, tell: Callable[[str], None], lost: Callable[[], No
         lost()
     flag_before = yield from _clear_power_lost()
     before = yield from drive.counts()
-    homing = yield from zdt_talk.read_homing()
+    homing = yield from zdt_talk.surely(zdt_talk.read_homing)
     mark_ms = 0 if homing is None else zdt_talk.homing_mark_ms(homing.timeout_ms, drive.now_ns())
     marked = homing is not None and (yield from zdt_talk.set_homing_timeout(mark_ms))
     block = (yield from zdt_talk.surely(zdt_talk.read_block)) if version.known else None

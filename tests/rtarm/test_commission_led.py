@@ -12,6 +12,7 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from config.schema import ArmConfig
+from rtarm.commissioning import led_checks
 from rtarm.commissioning.led import Led, alone
 from rtarm.commissioning.led_checks import LedBench, checks_of, way_of
 from rtloop.commissioned import PowerProof
@@ -205,8 +206,9 @@ def test_a_motor_without_a_true_uptime_proves_nothing(kind: str) -> None:
     rig = Bench(one_joint("myactuator6", "incremental"), lambda drive: setattr(drive, "uptime", kind))
     found = rig.check("unplugged")
     assert found.verdict == Verdict.DIFFERS and found.came.startswith("its angle was lost")
+    assert (rig.bench.power_proof, rig.bench.power) == (PowerProof.NONE, found.came)
     assert rig.check("power cycle").came.startswith("its angle was lost")
-    assert rig.bench.power_proof == PowerProof.NONE
+    assert (rig.bench.power_proof, rig.bench.power) == (PowerProof.NONE, found.came)
 
 
 def test_a_silence_of_a_joint_that_does_not_move_is_none() -> None:
@@ -254,7 +256,8 @@ def test_a_clamp_that_gives_way_is_no_stall() -> None:
     assert found.verdict == Verdict.NOT_TRIED and "the clamp gave way" in found.came
 
 
-def test_power_that_stays_on_is_told() -> None:
+def test_power_that_stays_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(led_checks, "SWITCH_PATIENCE_S", 3.0)
     rig = Bench(one_joint("damiao6"))
     rig.switches = False
     found = rig.check("power cycle")

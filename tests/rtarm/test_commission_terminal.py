@@ -18,6 +18,7 @@ from waiting import until
 from config.loader import load_arm
 from rtarm.recording.mcap_reader import read
 from rtloop import commissioned
+from rtloop.commissioned import PowerProof
 from shm.files import DIRECTORY
 
 
@@ -193,6 +194,26 @@ def test_whatever_ends_it_a_drive_that_is_led_stands(led: Stack, tmp_path: Path,
         at.process.wait(PATIENCE_S)
         until(lambda: no_process_left(led), patience_s=PATIENCE_S)
     assert led.truth()["joint2"].velocity_rad_s[-1] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.process
+def test_a_proof_that_fails_is_known_although_the_bench_test_is_killed(led: Stack, tmp_path: Path) -> None:
+    """The person pulls the plug that carries power, too: its angle is lost where its family keeps it."""
+    with closing(rtarm_at_terminal("commission", str(led.arm_file), "joint2", "-o", str(tmp_path / "report"))) as at:
+        at.reply("Bring it up?", "y")
+        at.reply("Listen to it?", "")
+        for question in ("Turn it?", "Turn it?", "Is it clamped"):
+            at.reply(question, "")
+        at.reply("Watch it while you pull its CAN plug", "y")
+        at.read_until("Pull the CAN plug of joint2's drive now")
+        led.befall("power-loss:joint=joint2,at_s=0,off_s=3")
+        at.read_until("It is silent.")
+        at.reply("Is it back in", "y")
+        at.read_until("unplugged: differs. its angle was lost")
+        at.process.kill()
+        at.process.wait(PATIENCE_S)
+    until(lambda: no_process_left(led), patience_s=PATIENCE_S)
+    assert commissioned.load(load_arm(led.arm_file))[1].power_proof is PowerProof.NONE
 
 
 @pytest.mark.process

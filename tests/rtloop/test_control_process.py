@@ -21,7 +21,8 @@ import pytest
 from arm_files import write_arm
 from compiling import make_object
 from memory_front import MemoryFront
-from stack import Process
+from stack import PATIENCE_S, Process
+from waiting import until
 
 from config.loader import load_arm
 from rtloop import compiled, realtime, saved
@@ -380,6 +381,26 @@ sys.exit(process.wait())
     result = limited(program, MIB, str(mock_arm.file))
     assert (result.returncode, result.stdout.split()) == (0, ["ready"])
     assert result.stderr.count("Memory is not locked") == 1
+
+
+@pytest.mark.process
+def test_a_closed_terminal_ends_it_in_order_and_nohup_lets_it_outlive_that(mock_arm):
+    with closing(Process("rtloop", str(mock_arm.file))) as process:
+        process.line_with("ready")
+        process.process.send_signal(signal.SIGHUP)
+        assert process.code() == 0
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # what is ignored stays so in a child
+    try:
+        outlives = Process("rtloop", str(mock_arm.file))
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    with closing(outlives):
+        outlives.line_with("ready")
+        with closing(StateReader(open_state(mock_arm.name))) as reader:
+            outlives.process.send_signal(signal.SIGHUP)
+            heard = int(reader.snapshot()["cycle"])
+            until(lambda: int(reader.snapshot()["cycle"]) > heard + 10, patience_s=PATIENCE_S)
+        assert outlives.process.poll() is None
 
 
 @pytest.mark.process
