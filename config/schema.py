@@ -97,9 +97,9 @@ class LimitsConfig(Section):
         default=0.05,
         gt=0,
         le=0.5,
-        description="Largest distance between a goal's first point and the commanded position (rad); the way onto the "
-        "path was not planned, so no obstacle is known to it, and a goal that begins more than 0.5 rad away is not "
-        "this arm's.",
+        description="Largest distance between a goal's first point and the commanded position (rad), when it comes in "
+        "or, with a start time, is due; the way onto the path was not planned, so no obstacle is known to it, and a "
+        "goal that begins more than 0.5 rad away is not this arm's.",
     )
     stale_brake_s: float = Field(
         default=0.020,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from enum import StrEnum
 
 from config.drives.drive import Drive
@@ -72,8 +72,15 @@ class Commissioned:
         return self.brakes_in_silence is True and self.power_proof not in (None, PowerProof.NONE)
 
     def after(self, before: Commissioned | None) -> Commissioned:
-        """This with what an earlier test of the same drive and firmware has found and this one did not try."""
-        if before is None or not self.firmware or before.firmware != self.firmware:
+        """This with what an earlier test of the same drive and firmware has found and this one did not try.
+
+        One that was found to prove nothing does so, whatever its firmware, until that is tried again.
+        """
+        if before is None:
+            return self
+        if not self.firmware or before.firmware != self.firmware:
+            if self.power_proof is None and before.power_proof is PowerProof.NONE:
+                return replace(self, power_proof=before.power_proof, power=before.power)
             return self
         values = asdict(self)
         kept = {name: value for name, value in asdict(before).items() if values[name] in (None, "")}

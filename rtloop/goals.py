@@ -54,11 +54,13 @@ def enter_newer_goal(loop: Loop, shared: Shared) -> None:
     if not intake.incoming_is_ready(loop) or loop.paths[newer].start_ns > core.now_ns:
         return  # what runs may run until then
     entry_s = due_s(loop, newer)
-    if loop.paths[newer].met == 0 and not has_bridge(loop, newer, entry_s):
+    path = loop.paths[newer]
+    if (path.met == 0 or core.speed_scale <= 0.0) and not has_bridge(loop, newer, entry_s):
         if refused_as_too_far(loop, shared, entry_s):
             return
-        # what the arm needs from now on to find a way, or to stop first, takes it away from there
-        loop.paths[newer].met = 1 if loop.paths[newer].start_ns == 0 else 0
+        # To find a way, or to stop first, takes the arm along its old path away from there, for no longer than a stop:
+        # that is the way back. A clock that people have stopped is another matter.
+        path.met = 1 if path.start_ns == 0 else 0
     if stops_for_good(loop, core.active) and not guard.at_rest(loop):
         return  # a stop that was asked for is finished first
     if core.mode != Mode.HOLDING and core.mode != Mode.EXECUTING and core.mode != Mode.STOPPING:

@@ -15,13 +15,13 @@ import numpy as np
 
 from config.schema import ArmConfig
 from rtarm.errors import Refusal
-from rtarm.requests import Condition, Connection
+from rtarm.requests import Condition, Connection, cleared
 from rtloop.commissioning.finding import Said, frames_of
 from shm.client import CommandWriter, StateReader, find
 from shm.errors import TornRead
 from shm.recording import Position, now_at, read_on
 from shm.sentences import outcome_sentence
-from shm.words import Mode, Outcome, Request
+from shm.words import Fault, Mode, Outcome, Request
 
 DECIDED_S = 0.5
 REST_TO_REST = 5
@@ -116,14 +116,25 @@ class Led(Connection):
         self.let_pass(DECIDED_S)
         return before, after
 
+    def hold(self) -> None:
+        """Clear its fault, if there is one, and see it hold, whoever else brings it up; raises Refusal."""
+        self.wait(
+            lambda now: _at_fault(now) or int(now["mode"]) == Mode.HOLDING,
+            self.patience.bring_up_s,
+            f"{self.name} is not brought up.",
+        )
+        cleared(self)
+
     def reference(self, angle_rad: float) -> None:
         """Say where the joint stands; raises Refusal where that is not taken."""
         self.order(Request.REFERENCE, joint_mask=1, value=angle_rad)
-        self.wait(
-            lambda now: int(now["mode"]) == Mode.HOLDING and bool(now["joints"][0]["referenced"]),
+        now = self.wait(
+            lambda now: _at_fault(now) or (int(now["mode"]) == Mode.HOLDING and bool(now["joints"][0]["referenced"])),
             self.patience.bring_up_s,
             f"The angle of {self.name} is not taken.",
         )
+        if fault := self.fault(now):
+            raise Refusal(fault)
 
     def go(self, to_rad: float, seconds: float, tolerance_rad: float) -> int:
         """Send it there, from rest to rest, no farther from its path than so; the goal's number."""
@@ -164,6 +175,10 @@ class Led(Connection):
         if fault := self.fault(now):
             return fault
         return outcome_sentence(int(found["outcome"]), self.name, float(found["value"]), float(found["limit"]))
+
+
+def _at_fault(snapshot: np.ndarray) -> bool:
+    return int(snapshot["fault"]) != Fault.NONE
 
 
 def seconds_for(arm: ArmConfig, way_rad: float, share: float) -> float:

@@ -14,7 +14,6 @@ from typing import Any
 from config.schema import ArmConfig
 from rtarm.commissioning.led import FASTEST, Led, seconds_for
 from rtarm.errors import Refusal
-from rtarm.requests import cleared
 from rtloop.commissioned import PowerProof
 from rtloop.commissioning.finding import Finding, Said, Verdict, judge_reply_delay, reply_delays_s, verdict_of
 from rtloop.commissioning.session import wire_s
@@ -85,7 +84,7 @@ class LedBench:
         if why and not self._agrees(f"{why} Shall that be cleared, and {self.name} be held where it stands?"):
             return [_could_not_begin(check, why)]
         try:
-            cleared(self.led)
+            self.led.hold()
             self._know()
         except Refusal as refused:
             return [_could_not_begin(check, refused.sentence)]
@@ -253,7 +252,7 @@ class LedBench:
         if silent is None or not self._agrees(question):
             return undone
         ends_ns = self.led.now_ns() + round(SWITCH_PATIENCE_S * 1e9)
-        while why := self._not_cleared():
+        while why := self._not_held():
             if self.led.now_ns() >= ends_ns:
                 return replace(undone, came=why, verdict=Verdict.DIFFERS)
             self.led.let_pass(SILENT_S)
@@ -265,10 +264,10 @@ class LedBench:
             figures={"away_deg": math.degrees(away_rad)},
         )
 
-    def _not_cleared(self) -> str:
-        """Clear its fault; why it is not brought up then, "" where it is."""
+    def _not_held(self) -> str:
+        """Clear its fault; why it does not hold then, "" where it does."""
         try:
-            cleared(self.led)
+            self.led.hold()
         except Refusal as refused:
             return refused.sentence
         return ""
@@ -305,7 +304,7 @@ class LedBench:
 
     def _go_back(self, to_rad: float) -> None:
         """Be where it stood, as far as it can: what hinders it is told when the next check begins."""
-        if not self._not_cleared() and self.led.referenced:
+        if not self._not_held() and self.led.referenced:
             self._go(to_rad, GENTLE)
 
 

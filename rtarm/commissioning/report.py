@@ -34,6 +34,8 @@ class Report:
         self.arm, self.joint, self.folder = arm, joint, folder
         self.findings: list[dict[str, Any]] = []
         self.ended = ""
+        self.not_kept = ""
+        """Why what was found is not kept."""
         self.made = False
         """Whether the folder is this report's."""
         self._record: Commissioned | None = None
@@ -51,14 +53,15 @@ class Report:
     def add(self, findings: Sequence[dict[str, Any]], record: Commissioned) -> None:
         """Take the findings of one check (fields of `Finding`), and keep the record that they make with those before.
 
-        What differs is known to the control process from then on, however this ends. Raises Refusal.
+        What differs is known to the control process from then on, however this ends.
         """
         self.findings += findings
         self._record = record.after(self._before)
         try:
             commissioned.save(self.arm, self.joint, self._record)
+            self.not_kept = ""
         except (NotSaved, NotReadable) as problem:
-            raise Refusal(str(problem)) from None
+            self.not_kept = str(problem)
 
     @property
     def agrees(self) -> bool:

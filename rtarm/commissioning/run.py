@@ -30,7 +30,7 @@ from rtloop.commissioned import Commissioned, NotReadable, PowerProof
 from rtloop.commissioning.finding import Finding, Verdict
 from rtloop.commissioning.session import FAMILIES
 from shm import files
-from shm.errors import NotRunning
+from shm.errors import NotRunning, SharedMemoryError
 
 INTRODUCTION = (
     "One drive is checked, and only after your y; each move is told before it is made. The joint must be free to turn "
@@ -70,13 +70,15 @@ def commission(argument: str, name: str, output: Path | None, overrides: Mapping
         report.ended = f"Ended early ({ended}); the drive stands."
     except Refusal as refused:
         report.ended, code = refused.sentence, refused.code
-    except NotRunning as died:
-        report.ended, code = str(died), ExitCode.LOOP_DIED
+    except SharedMemoryError as problem:
+        report.ended = str(problem)
+        code = ExitCode.LOOP_DIED if isinstance(problem, NotRunning) else ExitCode.REFUSED
     if not report.findings:
         if report.made:  # never what was there before
             (folder / RECORDING).unlink(missing_ok=True)
             folder.rmdir()
         raise Refusal(f"{report.ended} Nothing was checked.".strip(), code)
+    report.ended = f"{report.ended} {report.not_kept}".strip()
     report.write()
     person.tell(report.text())
     if report.ended:

@@ -19,7 +19,7 @@ from rtloop.commissioned import PowerProof
 from rtloop.commissioning.finding import Finding, Verdict
 from rtloop.conversation import Conversation
 from rtloop.referencing import referencing_asked_for
-from shm.words import Mode
+from shm.words import Mode, Request
 from sim import faults
 
 ARMS = ("odrive6", "mks6", "damiao6", "damiao6_pv", "robstride6", "robstride6_position", "myactuator6", "cia402_6")
@@ -201,13 +201,31 @@ def test_a_drive_that_power_arms_proves_nothing(name: str) -> None:
     assert found.came.startswith("its angle was kept")
 
 
+def test_a_fault_that_somebody_else_clears_is_no_angle_that_was_lost() -> None:
+    rig = Bench(one_joint("damiao6", "incremental"), arms_itself)
+
+    def agrees(question: str) -> bool:
+        if "Was it dark" in question:
+            rig.until(lambda: rig.sim is not None and rig.drive.powered)
+            rig.cycles(round(0.6e9 / rig.period_ns))
+            rig.request(Request.CLEAR_FAULT)
+            while rig.core["mode"] != Mode.BRINGING_UP:
+                rig.pass_time()
+        return True
+
+    rig.bench._agrees = agrees
+    found = rig.check("power cycle")
+    assert found.verdict == Verdict.DIFFERS and found.came.startswith("its angle was kept")
+
+
 @pytest.mark.parametrize("kind", ["absent", "stuck"])
 def test_a_motor_without_a_true_uptime_proves_nothing(kind: str) -> None:
     rig = Bench(one_joint("myactuator6", "incremental"), lambda drive: setattr(drive, "uptime", kind))
     found = rig.check("unplugged")
     assert found.verdict == Verdict.DIFFERS and found.came.startswith("its angle was lost")
     assert (rig.bench.power_proof, rig.bench.power) == (PowerProof.NONE, found.came)
-    assert rig.check("power cycle").came.startswith("its angle was lost")
+    cycled = rig.check("power cycle")
+    assert cycled.came.startswith("its angle was lost") and cycled.came != found.came
     assert (rig.bench.power_proof, rig.bench.power) == (PowerProof.NONE, found.came)
 
 

@@ -123,6 +123,16 @@ def test_what_cannot_be_kept_is_said(arm: ArmConfig, tmp_path: Path) -> None:
         commissioned.save(arm, 0, found_of(arm, 0))
 
 
+@pytest.mark.parametrize("firmware", ["", "9.9.9"])
+def test_a_drive_that_proves_nothing_is_not_believed_because_it_was_asked_something_else(
+    arm: ArmConfig, firmware: str
+) -> None:
+    before = found_of(arm, 0, power_proof=PowerProof.NONE, power="its angle was kept")
+    now = replace(before, firmware=firmware, power_proof=None, power="")
+    assert (now.after(before).power_proof, now.after(before).power) == (PowerProof.NONE, before.power)
+    assert replace(now, power_proof=PowerProof.CANARY).after(before).power_proof is PowerProof.CANARY
+
+
 def test_what_was_not_tried_again_stays_with_the_same_firmware(arm: ArmConfig) -> None:
     before = found_of(arm, 0, reports=False, power_proof=PowerProof.FLAG, power="seen 1")
     now = found_of(arm, 0, reports=True, brakes_in_silence=True)

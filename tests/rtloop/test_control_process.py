@@ -385,16 +385,18 @@ sys.exit(process.wait())
 
 @pytest.mark.process
 def test_a_closed_terminal_ends_it_in_order_and_nohup_lets_it_outlive_that(mock_arm):
-    with closing(Process("rtloop", str(mock_arm.file))) as process:
+    def begun_with(hangup: signal.Handlers) -> Process:
+        before = signal.signal(signal.SIGHUP, hangup)  # what is ignored stays so in a child
+        try:
+            return Process("rtloop", str(mock_arm.file))
+        finally:
+            signal.signal(signal.SIGHUP, before)
+
+    with closing(begun_with(signal.SIG_DFL)) as process:
         process.line_with("ready")
         process.process.send_signal(signal.SIGHUP)
         assert process.code() == 0
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # what is ignored stays so in a child
-    try:
-        outlives = Process("rtloop", str(mock_arm.file))
-    finally:
-        signal.signal(signal.SIGHUP, before)
-    with closing(outlives):
+    with closing(begun_with(signal.SIG_IGN)) as outlives:
         outlives.line_with("ready")
         with closing(StateReader(open_state(mock_arm.name))) as reader:
             outlives.process.send_signal(signal.SIGHUP)

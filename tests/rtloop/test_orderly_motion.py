@@ -117,6 +117,18 @@ def test_a_goal_that_begins_at_rest_where_the_arm_is_measured_keeps_the_limits(
     arm.close()
 
 
+def test_an_arm_that_was_slowed_to_a_standstill_does_not_go_back_to_a_goal_of_before() -> None:
+    arm, goal = amid_full_speed(0.5)
+    rows = np.zeros((2, 6, 3))
+    rows[:, :, 0] = arm.loop[0]["axes"]["measured_rad"][:6]
+    newer = arm.send_goal(np.array([0, NS // 10]), rows)
+    arm.writer.scale(0.0)
+    assert arm.end_of(newer) == Outcome.REFUSED_START
+    arm.writer.scale(1.0)
+    assert arm.end_of(goal) == Outcome.SUCCEEDED
+    arm.close()
+
+
 def test_a_persons_stop_brakes_harder_also_amid_an_orderly_one() -> None:
     """It may use the braking factor, and need not wait for a cancel or a hold that is gentler."""
     took = {}
