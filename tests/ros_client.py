@@ -23,7 +23,8 @@ from rosfront.action_client import ActionClient
 from rtarm.ros_client import in_executor, spinning
 
 GOALS = Path(__file__).parent / "data" / "moveit"
-SUCCEEDED, CANCELED, ABORTED = (
+UNKNOWN, SUCCEEDED, CANCELED, ABORTED = (
+    GoalStatus.STATUS_UNKNOWN,
     GoalStatus.STATUS_SUCCEEDED,
     GoalStatus.STATUS_CANCELED,
     GoalStatus.STATUS_ABORTED,
