@@ -29,7 +29,7 @@ from sim import faults as wrong
 from sim.adapter import Dialect, SlcanAdapter
 from sim.at_adapter import AtAdapter
 from sim.babble import Babbler
-from sim.bus import Bus, Frame, Outbox
+from sim.bus import Arrivals, Bus, Frame, Outbox, joined
 from sim.can_interface import CanInterface
 from sim.drives.drive import Drive, Mounting
 from sim.drives.families import FAMILIES
@@ -195,10 +195,14 @@ class SimulatedArm:
         self.run_until(now_ns)
         self.adapter.feed(now_ns, data)
 
+    def arrivals(self, now_ns: int) -> Arrivals:
+        """All bytes for the host that have arrived up to `now_ns`, each with its time."""
+        self.run_until(now_ns)
+        return self.adapter.arrivals(now_ns)
+
     def collect(self, now_ns: int) -> bytes:
         """All bytes for the host that have arrived up to `now_ns`."""
-        self.run_until(now_ns)
-        return self.adapter.collect(now_ns)
+        return joined(self.arrivals(now_ns))
 
     def next_due_ns(self) -> int | None:
         """The earliest time at which there may be bytes for the host if it writes nothing meanwhile.

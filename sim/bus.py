@@ -29,6 +29,13 @@ class Frame(NamedTuple):
 
 Outbox = deque[tuple[int, Frame]]
 """Frames a node wants to send, in its order, each with the time from which it is ready [ns]."""
+Arrivals = list[tuple[int, bytes]]
+"""Bytes for the host in their order, each with the time at which they were there [ns]."""
+
+
+def joined(arrivals: Arrivals) -> bytes:
+    """The bytes alone."""
+    return b"".join(data for _, data in arrivals)
 
 
 class Node(Protocol):
@@ -156,19 +163,16 @@ class Bus:
         while True:
             waker: Node | None = None
             event_ns = NEVER
-            senders = []
             for node in self.nodes:
                 if node.wake_ns < event_ns:
                     event_ns, waker = node.wake_ns, node
-                if node.outbox:
-                    senders.append(node)
             if self._flying is not None:
                 if self._flying[0] <= event_ns:
                     if self._flying[0] > now_ns:
                         return
                     self._deliver(*self._flying)
                     continue
-            elif senders and (winner := self._arbitrate(senders, min(event_ns, now_ns + 1))):
+            elif winner := self._arbitrate(min(event_ns, now_ns + 1)):
                 self._start(*winner)
                 continue
             if waker is None or event_ns > now_ns:
@@ -203,19 +207,18 @@ class Bus:
                 return True
         return False
 
-    def _arbitrate(self, senders: list[Node], before_ns: int) -> tuple[int, Node] | None:
+    def _arbitrate(self, before_ns: int) -> tuple[int, Node] | None:
         """The next frame to start on the free bus: when, and whose; None if not before `before_ns`."""
-        senders = [node for node in senders if self._heard(node)]
+        senders = [node for node in self.nodes if node.outbox and self._heard(node)]
         if not senders:
             return None
-        ready_ns = min(node.outbox[0][0] for node in senders)
-        start_ns = max(ready_ns, self._free_ns, self._clock_ns)
+        start_ns = max(min([node.outbox[0][0] for node in senders]), self._free_ns, self._clock_ns)
         if start_ns >= before_ns:
             return None
         if len(senders) == 1:
             return start_ns, senders[0]
         ready = [node for node in senders if node.outbox[0][0] <= start_ns]
-        return start_ns, min(ready, key=lambda node: _arbitration_rank(node.outbox[0][1]))
+        return start_ns, min(ready, key=_arbitration_rank)
 
     def _start(self, now_ns: int, winner: Node) -> None:
         frame = winner.outbox.popleft()[1]
@@ -238,8 +241,9 @@ class Bus:
                 node.receive(ends_ns, frame)
 
 
-def _arbitration_rank(frame: Frame) -> int:
-    """Bits compared in arbitration, as a number: the lowest wins."""
+def _arbitration_rank(node: Node) -> int:
+    """Bits of its next frame that are compared in arbitration, as a number: the lowest wins."""
+    frame = node.outbox[0][1]
     if frame.extended:
         return (frame.can_id >> 18) << 21 | 0b11 << 19 | (frame.can_id & 0x3FFFF) << 1 | frame.remote
     return frame.can_id << 21 | frame.remote << 20

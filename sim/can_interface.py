@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections import deque
 
-from sim.bus import Frame, Outbox
+from sim.bus import Arrivals, Frame, Outbox
 from sim.drives.ramp import NEVER
 
 RECORD = struct.Struct("=IB3x8s")
@@ -67,12 +67,12 @@ class CanInterface:
                 continue
             self.outbox.append((now_ns, frame))
 
-    def collect(self, now_ns: int) -> bytes:
-        """The frames that have arrived by `now_ns`."""
+    def arrivals(self, now_ns: int) -> Arrivals:
+        """The frames that have arrived by `now_ns`, each with its time."""
         parts = []
         while self._records and self._records[0][0] <= now_ns:
-            parts.append(self._records.popleft()[1])
-        return b"".join(parts)
+            parts.append(self._records.popleft())
+        return parts
 
     def next_due_ns(self) -> int:
         """When the next frame has arrived."""

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
 
-from sim.bus import Frame, Outbox
+from sim.bus import Arrivals, Frame, Outbox
 from sim.drives.ramp import NEVER
 
 FLAG_RECEIVE_FULL, FLAG_TRANSMIT_FULL = 0x01, 0x02
@@ -130,20 +130,19 @@ class SerialAdapter(ABC, Generic[Message]):
             else:
                 self._act(now_ns, message)
 
-    def collect(self, now_ns: int) -> bytes:
-        """The bytes that have arrived at the host by `now_ns`."""
+    def arrivals(self, now_ns: int) -> Arrivals:
+        """What is at the host by `now_ns`: whole lines, each with the time of its last byte, then a part of one."""
         parts = []
         while self._replies:
             due_ns, data = self._replies[0]
             if due_ns > now_ns:
                 late = -((now_ns - due_ns) // self._byte_ns) if self._byte_ns else len(data)
                 if late < len(data):
-                    parts.append(data[:-late])
+                    parts.append((now_ns, data[:-late]))
                     self._replies[0] = (due_ns, data[-late:])
                 break
-            parts.append(data)
-            self._replies.popleft()
-        return b"".join(parts)
+            parts.append(self._replies.popleft())
+        return parts
 
     def next_due_ns(self) -> int:
         """When the next finished line has arrived at the host."""

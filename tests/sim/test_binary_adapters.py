@@ -16,7 +16,7 @@ from config.loader import load_arm
 from rtloop.wire.binary_adapters import EXTENDED_ONLY, NORMAL, STANDARD_ONLY, set_up_frame
 from sim.arm import SimulatedArm
 from sim.at_adapter import AtAdapter
-from sim.bus import Bus, Frame
+from sim.bus import Bus, Frame, joined
 from sim.drives.ramp import NEVER
 from sim.pty import PtyServer
 from sim.seeed_adapter import SeeedAdapter
@@ -41,23 +41,23 @@ def test_golden_bytes_both_ways(make: Any, wire: Any) -> None:
         adapter.feed(0, spelt)
         assert not adapter.outbox  # not on the bus yet
         adapter.feed(0, wire.opening if frame.extended else FOR_STANDARD)
-        adapter.collect(0)
+        adapter.arrivals(0)
         for piece in (spelt, *(spelt[at : at + 1] for at in range(len(spelt)))):
             adapter.feed(0, piece)
         assert [sent for _, sent in adapter.outbox] == [frame] * 2
         adapter.receive(5, frame)
-        assert adapter.collect(5) == spelt
+        assert joined(adapter.arrivals(5)) == spelt
 
 
 def test_a_usb_can_a_delivers_what_it_is_set_to() -> None:
     adapter = opened()
     adapter.receive(0, Frame(0x123, b"\1", extended=False))
-    assert adapter.collect(0) == b""
+    assert joined(adapter.arrivals(0)) == b""
     assert adapter.next_due_ns() == NEVER
     adapter.feed(0, FOR_STANDARD)
     adapter.receive(0, Frame(0x123, b"\1", extended=False))
     adapter.receive(0, Frame(0x123, b"\1"))
-    assert adapter.collect(0) == bytes.fromhex("AA C1 23 01 01 55")
+    assert joined(adapter.arrivals(0)) == bytes.fromhex("AA C1 23 01 01 55")
 
 
 @pytest.mark.parametrize("mode", [1, 2, 3])
@@ -81,7 +81,7 @@ def test_at_another_rate_nothing_gets_through_and_the_status_says_so() -> None:
     adapter = SeeedAdapter(500_000, depth=2)
     adapter.feed(0, SEEED.opening + SEEED.spell(Frame(0x100, b"")) * 3 + STATUS_ASKED)
     assert not adapter.outbox and not adapter.listening and adapter.lost_frames == 1
-    assert adapter.collect(0)[:5] == b"\xaa\x55\x04\x00\x02"
+    assert joined(adapter.arrivals(0))[:5] == b"\xaa\x55\x04\x00\x02"
     at = AtAdapter(500_000)
     at.feed(0, AT.opening + AT.spell(Frame(0x100, b"")))
     assert at.is_open and not at.listening and not at.outbox
@@ -99,7 +99,7 @@ def test_what_loses_the_bus_to_another_is_sent_again_or_lost(byte_14: int, sent:
     bus.run_until(10_000)
     adapter.feed(10_000, SEEED.spell(Frame(0x400, b"\1")))
     bus.run_until(10**6)
-    assert [frame.can_id for frame in SEEED.read(ear.collect(10**6))] == sent
+    assert [frame.can_id for frame in SEEED.read(joined(ear.arrivals(10**6)))] == sent
     assert (adapter.lost_arbitrations, drive.lost_arbitrations) == (1, 0)
 
 
@@ -112,7 +112,7 @@ def test_bytes_take_their_time() -> None:
     assert adapter.is_open
     adapter.receive(10**6, Frame(0x100, b"\x36\x6b"))
     assert adapter.next_due_ns() == 10**6 + 9 * byte_ns
-    assert adapter.collect(10**6 + 8 * byte_ns) == bytes.fromhex("AA E2 00 01 00 00 36 6B")
+    assert joined(adapter.arrivals(10**6 + 8 * byte_ns)) == bytes.fromhex("AA E2 00 01 00 00 36 6B")
 
 
 # --- python-can -------------------------------------------------------------------------------------------------

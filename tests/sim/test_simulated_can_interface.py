@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.bus import Frame
+from sim.bus import Frame, joined
 from sim.can_interface import CanInterface
 
 # struct can_frame of linux/can.h on a little-endian machine: identifier with flags, length, padding, data.
@@ -25,8 +25,8 @@ def test_golden_records_both_ways(record, frame):
     assert list(interface.outbox) == [(7, frame)]
     interface.receive(9, frame)
     assert interface.next_due_ns() == 9
-    assert interface.collect(8) == b""
-    assert interface.collect(9) == bytes.fromhex(record)
+    assert joined(interface.arrivals(8)) == b""
+    assert joined(interface.arrivals(9)) == bytes.fromhex(record)
 
 
 frames = st.builds(
@@ -45,7 +45,7 @@ def test_what_one_interface_writes_another_reads(sent):
     there, here = CanInterface(), CanInterface()
     for frame in sent:
         there.receive(0, frame)
-    here.feed(0, there.collect(0))
+    here.feed(0, joined(there.arrivals(0)))
     assert [frame for _, frame in here.outbox] == sent
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.adapter import SlcanAdapter
-from sim.bus import Frame
+from sim.bus import Frame, joined
 from sim.drives.ramp import NEVER
 
 
@@ -15,13 +15,13 @@ def opened(**options):
     adapter = SlcanAdapter(500_000, **options)
     adapter.feed(0, b"S6\rO\r")
     adapter.wake(10**9)
-    adapter.collect(10**9)
+    adapter.arrivals(10**9)
     return adapter
 
 
 def ask(adapter, line):
     adapter.feed(0, line)
-    return adapter.collect(0)
+    return joined(adapter.arrivals(0))
 
 
 GOLDEN = [
@@ -39,7 +39,7 @@ def test_golden_lines_both_ways(line, frame):
     assert ask(adapter, line) == (b"Z\r" if frame.extended else b"z\r")
     assert [sent for _, sent in adapter.outbox] == [frame]
     adapter.receive(5, frame)
-    assert adapter.collect(5) == line
+    assert joined(adapter.arrivals(5)) == line
 
 
 def test_opening_is_answered_step_by_step():
@@ -103,7 +103,7 @@ def test_echo_is_an_option():
     for echo, answer in ((False, b""), (True, b"t1000\r")):
         adapter = opened(echo=echo)
         adapter.sent(0, Frame(0x100, b"", extended=False))
-        assert adapter.collect(0) == answer
+        assert joined(adapter.arrivals(0)) == answer
 
 
 def test_stamps_count_milliseconds_and_wrap():
@@ -111,7 +111,7 @@ def test_stamps_count_milliseconds_and_wrap():
     ask(adapter, b"S6\rZ1\rO\r")
     adapter.receive(59_999_000_000, Frame(0x100, b"\x36"))
     adapter.receive(60_000_000_000, Frame(0x100, b"\x36"))
-    assert adapter.collect(60_000_000_000) == b"T00000100136EA5F\rT000001001360000\r"
+    assert joined(adapter.arrivals(60_000_000_000)) == b"T00000100136EA5F\rT000001001360000\r"
 
 
 def test_characters_take_their_time_in_both_directions():
@@ -125,14 +125,14 @@ def test_characters_take_their_time_in_both_directions():
     adapter.wake(5 * byte_ns)
     assert adapter.is_open
     assert adapter.wake_ns == NEVER
-    assert adapter.collect(4 * byte_ns) == b"\r"
-    assert adapter.collect(6 * byte_ns) == b"\r"
+    assert joined(adapter.arrivals(4 * byte_ns)) == b"\r"
+    assert joined(adapter.arrivals(6 * byte_ns)) == b"\r"
     adapter.receive(10**6, Frame(0x100, b"\x36\x6b"))
     line = b"T000001002366B\r"
     assert adapter.next_due_ns() == 10**6 + len(line) * byte_ns
-    assert adapter.collect(10**6 + 5 * byte_ns - 1) == line[:4]
-    assert adapter.collect(10**6 + 5 * byte_ns) == line[4:5]
-    assert adapter.collect(10**7) == line[5:]
+    assert joined(adapter.arrivals(10**6 + 5 * byte_ns - 1)) == line[:4]
+    assert joined(adapter.arrivals(10**6 + 5 * byte_ns)) == line[4:5]
+    assert joined(adapter.arrivals(10**7)) == line[5:]
 
 
 def test_a_second_write_waits_for_the_first():
@@ -159,6 +159,6 @@ def test_refused_opening_and_corruption_are_faults():
     adapter = opened()
     adapter.corruption = 1.0
     adapter.receive(0, Frame(0x100, b""))
-    garbled = adapter.collect(0)
+    garbled = joined(adapter.arrivals(0))
     assert len(garbled) == 11
     assert all(a != b for a, b in zip(garbled, b"T000001000\r", strict=True))
