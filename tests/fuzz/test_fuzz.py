@@ -125,8 +125,10 @@ def test_some_hostile_texts_are_arms(kind: str) -> None:
     target = Texts(kind)
     for case in range(1_000):
         target.case(np.random.default_rng([SEED, case]))
+        if target.accepted:
+            break
     target.close()
-    assert target.accepted > 0
+    assert target.accepted
 
 
 def test_hostile_values_of_parameters_are_refused_in_a_sentence() -> None:
