@@ -28,7 +28,7 @@ from observer import (
     stopped_joints,
     truth_of,
 )
-from virtual import VirtualArm, push, recorded_goal
+from virtual import VirtualArm, recorded_goal
 
 from config.joint import JointConfig
 from config.loader import load_arm
@@ -72,7 +72,7 @@ class TrialArm(VirtualArm):
             at_ns = min(self.sim.now_ns + PACKET_NS, until_ns)
             data = self.sim.collect(at_ns)
             if data and not self._unplugged:
-                push(self.loop_address, at_ns, np.frombuffer(data, np.uint8), len(data))
+                self.receive(at_ns, data)
 
     def write(self, data: bytes) -> None:
         assert self.sim is not None

@@ -179,8 +179,11 @@ class VirtualArm:
         from_ns = self.sim.now_ns
         arrivals = self.sim.arrivals(until_ns + self.suspended_ns)
         for sim_ns, together in groupby(arrivals, lambda arrival: max(arrival[0], from_ns)):
-            data = b"".join(part for _, part in together)
-            push(self.loop_address, sim_ns - self.suspended_ns, np.frombuffer(data, np.uint8), len(data))
+            self.receive(sim_ns - self.suspended_ns, b"".join(part for _, part in together))
+
+    def receive(self, time_ns: int, data: bytes) -> None:
+        """Push bytes that came at a time into the receive ring."""
+        push(self.loop_address, time_ns, np.frombuffer(data, np.uint8), len(data))
 
     def suspend(self, duration_s: float) -> None:
         """The machine sleeps between two cycles: the drives live on, the loop's clock stands still."""

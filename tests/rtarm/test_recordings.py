@@ -37,7 +37,6 @@ from rtarm.recording.mcap_writer import NotWritten
 from rtarm.recording.replay import Replay
 from rtarm.reporter import Reporter
 from rtarm.top.picture import Picture
-from rtloop.wire import received
 from rtloop.wire.slcan import BEL
 from shm import files, layout
 from shm.recording import Recording
@@ -65,7 +64,7 @@ def executing(cycles: int = 120) -> VirtualArm:
 def power_loss() -> Recording:
     """joint2's drive loses its power in motion, after a garbled line that has nothing to do with it."""
     arm = executing()
-    received.push(arm.loop[0], arm.now_ns, np.array([BEL], np.uint8), 1)
+    arm.receive(arm.now_ns, bytes([BEL]))
     arm.cycles(120)
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=60.0), since_ns=arm.now_ns)
     arm.until(lambda: arm.core["fault"] != Fault.NONE)

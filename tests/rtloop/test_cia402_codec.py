@@ -288,7 +288,7 @@ def test_frames_of_others_move_nothing(frames, twice):
     arm.sim.drives[0].reply_loss = 1.0  # its own answers would be the last word of every cycle
     for frame_id, data in frames * (1 + twice):
         text = f"t{frame_id:03X}{len(data)}{data.hex().upper()}\r".encode()
-        arm._hear(arm.sim.now_ns, text)
+        arm.receive(arm.sim.now_ns, text)
         arm.cycle()
     arm.cycles(40)
     assert arm.core["mode"] in (Mode.HOLDING, Mode.FAULT)
@@ -305,7 +305,7 @@ def test_a_reading_that_jumps_twice_does_not_pull_the_joint_there():
     at_rest_rad = arm.sim.true_position_rad(0, arm.sim.now_ns)
     arm.sim.drives[0].reply_loss = 1.0
     for _ in range(4):
-        arm._hear(arm.sim.now_ns, b"t1818" + struct.pack("<Hih", 0x1637, 12_345, 0).hex().upper().encode() + b"\r")
+        arm.receive(arm.sim.now_ns, b"t1818" + struct.pack("<Hih", 0x1637, 12_345, 0).hex().upper().encode() + b"\r")
         arm.cycle()
     arm.cycles(10)
     assert arm.core["mode"] == Mode.FAULT

@@ -90,8 +90,7 @@ def test_a_drive_that_lost_power_gets_its_stop_and_no_motion_frame():
 
 
 def hear(arm, error_class, detail=b""):
-    data = np.frombuffer(error_record(error_class, detail), np.uint8)
-    received.push(arm.loop[0], arm.now_ns, data, len(data))
+    arm.receive(arm.now_ns, error_record(error_class, detail))
     arm.cycle()
 
 

@@ -695,8 +695,7 @@ def controller_errors() -> None:
             (can_words.RESTARTED, b""),
         ):
             arm.cycles(30)
-            data = np.frombuffer(error_record(kind, detail), np.uint8)
-            received.push(arm.loop[0], arm.now_ns, data, len(data))
+            arm.receive(arm.now_ns, error_record(kind, detail))
         faulted(arm)
         arm.clear_fault()
 
