@@ -25,7 +25,6 @@ from collections import deque
 import numpy as np
 
 from config.schema import ArmConfig
-from rtloop import status as status_bits
 from rtloop.conversation import Conversation, Dialogue
 from rtloop.drives.setup import joints_on_the_bus, power_proof_of
 from rtloop.port import ServicePort
@@ -40,8 +39,6 @@ REST_NS = 100_000_000
 MOST_HEALED = 2
 WITHIN_NS = 60_000_000_000
 """A fault that comes back for the third time within this stays, so that somebody looks for its cause."""
-SOUND = status_bits.ENABLED | status_bits.REACHED | status_bits.ANSWERED
-"""All that the status of a drive without an error says."""
 
 
 class PowerCheck(Conversation):
@@ -155,9 +152,7 @@ class Healing:
         """Whether each drive has said since the rest began that it holds, and of no error."""
         axes = self._loop[0]["axes"]
         return all(
-            int(axes[joint]["status"]) & status_bits.ENABLED
-            and not int(axes[joint]["status"]) & ~SOUND
-            and int(axes[joint]["status_ns"]) > self._rest_since_ns
+            self._port.holds(joint) and int(axes[joint]["status_ns"]) > self._rest_since_ns
             for joint in self._joints
         )
 

@@ -152,6 +152,39 @@ def test_a_loss_of_power_that_a_bring_up_hides_is_noticed_without_a_flag(firmwar
     arm.close()
 
 
+@pytest.mark.parametrize("flag", ["absent", "stuck"])
+def test_a_count_that_is_another_one_behind_a_clear_is_no_angle_whatever_the_mark_says(flag: PowerFlag) -> None:
+    """Neither flag nor mark of this drive tells a loss of power: it stores what it is told for volatile memory."""
+    arm = VirtualArm("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    drives_of(arm)[2].power_flag, drives_of(arm)[2].stores_everything = flag, True
+    arm.bring_up()
+    if flag == "stuck":
+        assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=0.4) == Answer.DONE
+        assert arm.reference().failure is None
+    assert all(referenced(arm))
+    drives_of(arm)[0].trip(arm.now_ns, registers.STALLED)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.sim.inject(PowerLoss("joint3", at_s=0.0, off_s=0.1), since_ns=arm.now_ns)
+    arm.cycles(3)
+    arm.clear_fault()
+    assert referenced(arm) == [joint != 2 for joint in range(6)]
+    assert arm.loop[0]["axes"][2]["unreferenced_reason"] == Unreferenced.POWER_LOST
+    arm.close()
+
+
+def test_a_joint_that_held_nothing_before_a_clear_may_stand_elsewhere_behind_it() -> None:
+    arm = VirtualArm.brought_up("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    drive = drives_of(arm)[2]
+    drive.trip(arm.now_ns, registers.STALLED)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    before_rad = float(arm.loop[0]["axes"][2]["measured_rad"])
+    drive.lead(arm.now_ns, 10.0)  # it falls, until the clear has it hold again
+    arm.clear_fault()
+    assert abs(arm.loop[0]["axes"][2]["measured_rad"] - before_rad) > 2.0 * arm.arm.limits.position_jump_rad
+    assert all(referenced(arm))
+    arm.close()
+
+
 def test_a_loss_of_power_between_two_processes_is_noticed_without_a_flag_until_an_angle_is_said() -> None:
     arm = VirtualArm("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
     for drive in drives_of(arm):
