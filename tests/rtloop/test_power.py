@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import pytest
@@ -202,6 +203,46 @@ def test_a_loss_of_power_between_two_processes_is_noticed_without_a_flag_until_a
     arm = arm.next_process()
     arm.bring_up()
     assert all(referenced(arm))
+    arm.close()
+
+
+@pytest.mark.parametrize("garbled", [False, True])
+def test_a_drive_that_does_not_tell_its_mark_any_more_is_brought_up_without_its_angle(
+    garbled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that was exchanged for, or has got, firmware that refuses the question (22); or the line garbles it."""
+    arm = VirtualArm.brought_up("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    drive = drives_of(arm)[2]
+    if garbled:
+        others = itertools.count(1)
+        monkeypatch.setitem(drive._reads, 0x22, lambda: b"\x22" + replace(drive.homing, timeout_ms=next(others)).pack())
+    else:
+        drive.unknown = frozenset((0x22,))
+    for _ in range(2):  # a process that is killed before it has kept why changes nothing
+        arm = arm.next_process()
+        assert arm.bring_up().failure is None
+        assert referenced(arm) == [joint != 2 for joint in range(6)]
+        assert "joint3: its drive, which had a mark, does not tell its homing parameters" in arm.told[-2]
+    assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=0.4) == Answer.DONE
+    assert arm.reference().failure is None
+    arm = arm.next_process()
+    assert arm.bring_up().failure is None
+    assert all(referenced(arm))
+    arm.close()
+
+
+def test_a_drive_that_is_silent_when_its_mark_is_asked_for_ends_the_bring_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = VirtualArm.brought_up("episode1")
+    drive = drives_of(arm)[2]
+
+    def goes_silent() -> bytes:
+        drive.unplug(arm.now_ns)
+        return b""
+
+    arm = arm.next_process()
+    monkeypatch.setitem(drive._reads, 0x22, goes_silent)
+    failure = arm.bring_up().failure
+    assert failure is not None and "joint3 stopped answering while its status was read" in str(failure)
     arm.close()
 
 
