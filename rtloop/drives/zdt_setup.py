@@ -111,6 +111,11 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
             "line garbles what it says."
         )
         had_power = False
+    elif had_power is False and reason != Unreferenced.POWER_LOST:  # its flag, where it has one, told no loss of power
+        host.tell(
+            f"{config.name}: the mark of its drive, a homing time-out of {host.marks[joint]} ms, is gone: it lost "
+            "power, or something else has set it, such as another user, computer, container or program."
+        )
     if had_power is False:
         return found._replace(reason=Unreferenced.POWER_LOST)
     return found._replace(kept_power=was_marked and had_power is True)  # a new one speaks for the time since

@@ -196,6 +196,7 @@ def test_a_loss_of_power_between_two_processes_is_noticed_without_a_flag_until_a
         arm = arm.next_process()
         arm.bring_up()
         assert referenced(arm) == [joint != 2 for joint in range(6)]
+        assert "joint3: the mark of its drive" in arm.told[-2] and "it lost power, or something else" in arm.told[-2]
     assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=math.nan) == Answer.REFUSED_VALUE
     assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=0.4) == Answer.DONE
     assert arm.reference().failure is None
