@@ -247,6 +247,25 @@ def test_a_drive_that_is_silent_when_its_mark_is_asked_for_ends_the_bring_up(mon
     arm.close()
 
 
+@pytest.mark.parametrize("home", [False, True])
+def test_a_mark_that_is_gone_takes_the_angle_before_another_one_takes_its_place(home: bool) -> None:
+    """A drive that lost its power unseen, and of whose homing run, or reference, nothing comes."""
+    arm = VirtualArm.brought_up("episode1")
+    drive = drives_of(arm)[2]
+    drive.homing = replace(drive.homing, timeout_ms=10_000)
+    if home:
+        drive.unknown = frozenset((0x4C,))  # it takes no time-out
+        assert arm.ask(Request.HOME, joint_mask=1 << 2) == Answer.DONE
+    else:
+        drive.unknown = frozenset((0x33,))  # it does not tell its target
+        assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=math.nan) == Answer.DONE
+    assert arm.reference().failure is not None
+    assert arm.lost[2] == Unreferenced.POWER_LOST
+    assert referenced(arm) == [joint != 2 for joint in range(6)]
+    assert arm.loop[0]["axes"][2]["unreferenced_reason"] == Unreferenced.POWER_LOST
+    arm.close()
+
+
 def test_an_angle_said_beside_a_standing_flag_is_lost_with_a_silence() -> None:
     """What the drive stores may outlive its power, too: without the flag nothing is believed."""
     arm = VirtualArm("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
