@@ -95,7 +95,9 @@ class BringUp(Conversation):
         if self.port.power_loss_known(joint):
             return True
         away_rad = abs(self.port.commanded_rad(joint) - self.port.measured_rad(joint))
-        held = self.port.referenced(joint) and self.port.holds(joint) and 2 * away_rad < self.arm.limits.position_jump_rad
+        held = (
+            self.port.referenced(joint) and self.port.holds(joint) and 2 * away_rad < self.arm.limits.position_jump_rad
+        )
         return held and not self.arm.joints[joint].drive.knows_its_angle
 
     def _adopt(self, joint: int, position_rad: float, reason: Unreferenced) -> None:

@@ -105,11 +105,12 @@ def load(arm: ArmConfig) -> dict[int, Commissioned]:
     }
 
 
-def unproven(arm: ArmConfig) -> set[int]:
-    """Joints whose drive was found to prove no power; all of them where nobody can tell what was found."""
+def unproven(arm: ArmConfig, tell: Callable[[str], object]) -> set[int]:
+    """Joints whose drive was found to prove no power; all of them where nobody can tell what was found: `tell` is told."""
     try:
         return {joint for joint, found in load(arm).items() if found.power_proof is PowerProof.NONE}
-    except NotReadable:
+    except NotReadable as damaged:
+        tell(str(damaged))
         return set(range(len(arm.joints)))
 
 
@@ -122,14 +123,14 @@ def marks(arm: ArmConfig, tell: Callable[[str], object]) -> Marks:
         except NotSaved as problem:
             tell(str(problem))
 
-    return Marks(power_marks(arm), keep, unproven(arm))
+    return Marks(power_marks(arm), keep, unproven(arm, tell))
 
 
 def heals(arm: ArmConfig) -> bool:
     """Whether each drive of the arm was found to do what going on after a stall relies on (`rtloop.healing`)."""
     try:
         found = load(arm)
-    except NotReadable:
+    except NotReadable:  # which `unproven` tells
         return False
     return all(joint in found and found[joint].heals for joint in joints_on_the_bus(arm))
 
@@ -183,10 +184,11 @@ def _is_of(found: Commissioned, drive: Drive) -> bool:
 
 
 def _typed(values: object) -> Commissioned:
-    """Raises ValueError or TypeError for what is no record."""
-    if not isinstance(values, dict) or set(values) != {field.name for field in fields(Commissioned)}:
-        raise ValueError(values)
-    for name, value in values.items():
+    """One drive; another version of rtarm may say more of it, or less. Raises ValueError or TypeError for no record."""
+    if not isinstance(values, dict):
+        raise TypeError(values)
+    known = {field.name: values[field.name] for field in fields(Commissioned) if field.name in values}
+    for name, value in known.items():
         if name == "number":
             right = type(value) is int
         elif name in _TRUTHS:
@@ -195,5 +197,5 @@ def _typed(values: object) -> Commissioned:
             right = isinstance(value, str) or (name == "power_proof" and value is None)
         if not right:
             raise ValueError(f"{name} is {value!r}")
-    proof = values["power_proof"]
-    return Commissioned(**{**values, "power_proof": None if proof is None else PowerProof(proof)})
+    proof = known.get("power_proof")
+    return Commissioned(**{**known, "power_proof": None if proof is None else PowerProof(proof)})

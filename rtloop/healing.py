@@ -152,8 +152,7 @@ class Healing:
         """Whether each drive has said since the rest began that it holds, and of no error."""
         axes = self._loop[0]["axes"]
         return all(
-            self._port.holds(joint) and int(axes[joint]["status_ns"]) > self._rest_since_ns
-            for joint in self._joints
+            self._port.holds(joint) and int(axes[joint]["status_ns"]) > self._rest_since_ns for joint in self._joints
         )
 
     def _is_fresh(self, joint: int, now_ns: int) -> bool:

@@ -346,7 +346,8 @@ class Referencing(Conversation):
         yield from self._set_up(joint, config)
         unmarked = yield from self._lost_its_mark(joint)
         self.marks[joint] = None
-        self.marks[joint] = mark = yield from zdt_talk.mark(self.now_ns)  # before the count for which it speaks
+        mark = (yield from zdt_talk.mark(self.now_ns)) if self.marks.takes(joint) else None
+        self.marks[joint] = mark  # before the count for which it speaks
         target = yield from self._standing(joint, config)
         zero_rad = self.port.zero_rad(joint)
         flagged = flags & registers.POWER_LOST and not self.port.power_loss_known(joint)

@@ -98,7 +98,7 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
         yield from fast_targets.prepare(host.arm, joint, drive, version)
         host.post(FAST_READY, joint=joint)
     was_marked = host.marks[joint] is not None
-    if not was_marked and not host.was_silent[joint]:
+    if not was_marked and not host.was_silent[joint] and host.marks.takes(joint):
         host.marks[joint] = yield from zdt_talk.mark(host.now_ns)
     found = yield from _standing(host, joint, config, reason)
     # The last question, so that it speaks for all that was read before.

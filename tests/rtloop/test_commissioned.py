@@ -16,7 +16,7 @@ from config.schema import ArmConfig
 from rtloop import commissioned
 from rtloop.commissioned import Commissioned, NotReadable, PowerProof
 from rtloop.power import Marks
-from rtloop.saved import NotSaved, channel_of, path_of
+from rtloop.saved import NotSaved, channel_of, keep_power_marks, path_of, power_marks
 
 PROOFS = st.sampled_from([None, PowerProof.FLAG, PowerProof.CANARY, PowerProof.NONE])
 """What these drives may have: their encoders do not know their angles."""
@@ -98,7 +98,7 @@ def test_a_file_that_says_something_else_is_refused_in_a_sentence(arm: ArmConfig
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("number", True), ("number", "1"), ("reports", 1), ("power_proof", "surely"), ("firmware", None), ("more", 1)],
+    [("number", True), ("number", "1"), ("reports", 1), ("power_proof", "surely"), ("firmware", None)],
 )
 def test_a_value_of_another_kind_is_refused(arm: ArmConfig, field: str, value: Any) -> None:
     commissioned.save(arm, 0, found_of(arm, 0))
@@ -108,6 +108,17 @@ def test_a_value_of_another_kind_is_refused(arm: ArmConfig, field: str, value: A
     path.write_text(json.dumps(kept))
     with pytest.raises(NotReadable):
         commissioned.load(arm)
+
+
+def test_a_record_of_another_version_is_read_as_far_as_it_says_the_same(arm: ArmConfig) -> None:
+    commissioned.save(arm, 0, found_of(arm, 0, power_proof=PowerProof.FLAG))
+    path = path_of(arm.name, "commissioned")
+    kept = json.loads(path.read_text())
+    record = kept[channel_of(arm)]["joint1"]
+    record["more"] = {"of": 1}
+    del record["brakes_in_silence"]
+    path.write_text(json.dumps(kept))
+    assert commissioned.load(arm) == {0: found_of(arm, 0, power_proof=PowerProof.FLAG)}
 
 
 def test_nothing_is_kept_of_a_simulated_arm(arm: ArmConfig) -> None:
@@ -154,14 +165,18 @@ def test_an_arm_goes_on_by_itself_where_each_drive_was_found_to_allow_it(arm: Ar
 def test_a_drive_that_was_found_to_prove_no_power_gets_no_mark(arm: ArmConfig) -> None:
     commissioned.save(arm, 0, found_of(arm, 0, power_proof=PowerProof.FLAG))
     commissioned.save(arm, 1, found_of(arm, 1, power_proof=PowerProof.NONE))
-    marks = Marks({0: "10001", 1: "10001", 2: "10001"}, unproven=commissioned.unproven(arm))
+    marks = Marks({0: "10001", 1: "10001", 2: "10001"}, unproven=commissioned.unproven(arm, pytest.fail))
     marks[1] = "10002"
     assert [marks[joint] for joint in range(3)] == ["10001", None, "10001"]
 
 
-def test_a_record_that_cannot_be_read_unlocks_nothing(arm: ArmConfig) -> None:
+def test_a_record_that_cannot_be_read_unlocks_nothing_takes_the_marks_and_is_told(arm: ArmConfig) -> None:
     path = path_of(arm.name, "commissioned")
     path.parent.mkdir(parents=True)
     path.write_text("{", encoding="utf-8")
-    assert not commissioned.heals(arm)
-    assert commissioned.unproven(arm) == set(range(6))
+    keep_power_marks(arm, {0: "10001", 3: "10002"})
+    told: list[str] = []
+    marks = commissioned.marks(arm, told.append)
+    assert not commissioned.heals(arm) and not any(marks.takes(joint) for joint in range(6))
+    assert power_marks(arm) == {}
+    assert len(told) == 1 and "none of it is believed: remove that file" in told[0]

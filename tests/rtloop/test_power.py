@@ -107,6 +107,25 @@ def test_old_firmware_without_a_flag_proves_it_too() -> None:
     arm.close()
 
 
+def test_drives_of_which_nobody_can_tell_what_was_found_keep_their_angles_when_it_can_be_told_again() -> None:
+    """They get no mark meanwhile, and that of before, in whose place there may be another, is not held against them."""
+    arm = VirtualArm.brought_up("episode1")
+    kept = [dict(arm.marks._marks)]
+    arm = arm.next_process()
+    arm.marks = Marks(kept[-1], lambda marks: kept.append(dict(marks)), range(6))
+    before = [drive.homing for drive in drives_of(arm)]
+    assert arm.bring_up().failure is None
+    assert arm.ask(Request.REFERENCE, joint_mask=1 << 1, value=math.nan) == Answer.DONE
+    assert arm.reference().failure is None
+    assert [drive.homing for drive in drives_of(arm)] == before
+    drives_of(arm)[2].homing = replace(before[2], timeout_ms=10_000)
+    arm = arm.next_process()
+    arm.marks = Marks(kept[-1])
+    assert arm.bring_up().failure is None
+    assert all(referenced(arm))
+    arm.close()
+
+
 def test_a_drive_whose_mark_was_not_kept_proves_nothing() -> None:
     arm = VirtualArm.brought_up("episode1")
     arm.marks = Marks()
