@@ -26,7 +26,7 @@ import numpy as np
 
 from config.schema import ArmConfig
 from rtloop.conversation import Conversation, Dialogue
-from rtloop.drives.setup import joints_on_the_bus, power_proof_of
+from rtloop.drives.setup import joints_on_the_bus, must_prove_power, power_proof_of
 from rtloop.port import ServicePort
 from rtloop.power import Marks
 from rtloop.state import FRESH_READINGS
@@ -45,7 +45,7 @@ class PowerCheck(Conversation):
     """Asks every drive whether it had power; nothing is decided or changed by it.
 
     Attributes:
-        proven: joints whose drive's count has outlived the silence.
+        proven: joints whose drive has had power in the silence, or need not have had it.
     """
 
     def __init__(self, arm: ArmConfig, port: ServicePort, marks: Marks, now_ns: int) -> None:
@@ -57,7 +57,7 @@ class PowerCheck(Conversation):
     def _ask(self, joint: int) -> Dialogue:
         drive = self.arm.joints[joint].drive
         proof = power_proof_of(drive)
-        if drive.knows_its_angle or (proof is not None and (yield from proof.kept_power(self, joint))):
+        if not must_prove_power(drive) or (proof is not None and (yield from proof.kept_power(self, joint))):
             self.proven.add(joint)
 
 
