@@ -23,7 +23,7 @@ import time
 from config.errors import ConfigError
 from config.loader import load_arm, parse_overrides
 from config.schema import ArmConfig
-from rtloop import compiled
+from rtloop import commissioned, compiled
 from rtloop.another_file import refuse_another_file
 from rtloop.process import CannotStart, ControlProcess, StopAsked
 from rtloop.wire.refusal import WireRefused
@@ -40,6 +40,8 @@ def main(arguments: list[str] | None = None) -> int:
         options = parser.parse_args(arguments)
         arm = arm_of(options)
         refuse_another_file(arm)
+        if sentence := commissioned.withheld(arm):
+            raise CannotStart(sentence)
         stop_asked = StopAsked(STOP_SIGNALS)
         process = ControlProcess(arm, compiled_cycle(stop_asked), tell, stop_asked)
         return process.serve(lambda: print("ready", flush=True), clears_protection=options.clear_fault)

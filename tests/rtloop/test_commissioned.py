@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -158,8 +160,36 @@ def test_an_arm_goes_on_by_itself_where_each_drive_was_found_to_allow_it(arm: Ar
         assert not commissioned.heals(arm)
         commissioned.save(arm, joint, found_of(arm, joint, power_proof=PowerProof.CANARY, brakes_in_silence=True))
     assert commissioned.heals(arm)
-    commissioned.save(arm, 3, found_of(arm, 3, power_proof=PowerProof.NONE, brakes_in_silence=True))
-    assert not commissioned.heals(arm)
+    stays = {"power_proof": PowerProof.CANARY, "brakes_in_silence": True}
+    for withholds in ({"power_proof": PowerProof.NONE}, {"brakes_in_silence": False}, {"retargets": False}):
+        commissioned.save(arm, 3, found_of(arm, 3, **{**stays, **withholds}))
+        assert not commissioned.heals(arm)
+    commissioned.save(arm, 3, found_of(arm, 3, **stays, retargets=True))
+    assert commissioned.heals(arm)
+
+
+@pytest.mark.parametrize(
+    ("setting", "asked", "found", "says"),
+    [
+        ("position_command", "FC", "fast_targets", "not to take targets of FC for absolute ones"),
+        ("positions", "reported", "reports", "not to report its position as it was told"),
+    ],
+)
+def test_an_arm_that_asks_of_a_drive_what_it_was_found_not_to_do_is_refused(
+    arm: ArmConfig, setting: str, asked: str, found: str, says: str
+) -> None:
+    settings_asked = [f"bus.channel={arm.bus.channel}", f"bus.{setting}={asked}"]
+    asks = load_arm("episode1", overrides={"bus": {"channel": arm.bus.channel, setting: asked}})
+    for does in (None, True):
+        commissioned.save(arm, 2, found_of(arm, 2, **{found: does}))
+        assert commissioned.withheld(asks) == ""
+    commissioned.save(arm, 2, found_of(arm, 2, **{found: False}))
+    assert commissioned.withheld(arm) == ""
+    command = [sys.executable, "-m", "rtloop", "episode1", *[word for one in settings_asked for word in ("--set", one)]]
+    refused = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert refused.returncode == 2
+    assert f"joint3 was found at the bench (2026-01-31T12:00:00Z, firmware 2.0.0) {says}" in refused.stderr
+    assert f"set bus.{setting} to" in refused.stderr and "`rtarm commission`" in refused.stderr
 
 
 def test_a_drive_that_was_found_to_prove_no_power_gets_no_mark(arm: ArmConfig) -> None:
