@@ -19,6 +19,7 @@ import argparse
 import subprocess
 import sys
 import time
+from typing import TextIO
 
 from config.errors import ConfigError
 from config.loader import load_arm, parse_overrides
@@ -44,7 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
             raise CannotStart(sentence)
         stop_asked = StopAsked(STOP_SIGNALS)
         process = ControlProcess(arm, compiled_cycle(stop_asked), tell, stop_asked)
-        return process.serve(lambda: print("ready", flush=True), clears_protection=options.clear_fault)
+        return process.serve(lambda: say("ready", sys.stdout), clears_protection=options.clear_fault)
     except (ConfigError, SharedMemoryError, CannotStart, WireRefused) as error:
         tell(str(error))
         return 2
@@ -95,7 +96,15 @@ def compiled_cycle(stop_asked: StopAsked) -> compiled.CompiledCycle:
 
 
 def tell(sentence: str) -> None:
-    print(f"rtloop: {sentence}", file=sys.stderr, flush=True)
+    """For people; where they have closed the terminal, or ended who listens, the arm is led and ended all the same."""
+    say(f"rtloop: {sentence}", sys.stderr)
+
+
+def say(line: str, stream: TextIO) -> None:
+    try:
+        print(line, file=stream, flush=True)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # with what its buffer keeps
 
 
 if __name__ == "__main__":
