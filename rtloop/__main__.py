@@ -19,11 +19,12 @@ import argparse
 import subprocess
 import sys
 import time
+from typing import TextIO
 
 from config.errors import ConfigError
 from config.loader import load_arm, parse_overrides
 from config.schema import ArmConfig
-from rtloop import compiled
+from rtloop import commissioned, compiled
 from rtloop.another_file import refuse_another_file
 from rtloop.process import CannotStart, ControlProcess, StopAsked
 from rtloop.wire.refusal import WireRefused
@@ -40,9 +41,11 @@ def main(arguments: list[str] | None = None) -> int:
         options = parser.parse_args(arguments)
         arm = arm_of(options)
         refuse_another_file(arm)
+        if sentence := commissioned.withheld(arm):
+            raise CannotStart(sentence)
         stop_asked = StopAsked(STOP_SIGNALS)
         process = ControlProcess(arm, compiled_cycle(stop_asked), tell, stop_asked)
-        return process.serve(lambda: print("ready", flush=True), clears_protection=options.clear_fault)
+        return process.serve(lambda: say("ready", sys.stdout), clears_protection=options.clear_fault)
     except (ConfigError, SharedMemoryError, CannotStart, WireRefused) as error:
         tell(str(error))
         return 2
@@ -93,7 +96,15 @@ def compiled_cycle(stop_asked: StopAsked) -> compiled.CompiledCycle:
 
 
 def tell(sentence: str) -> None:
-    print(f"rtloop: {sentence}", file=sys.stderr, flush=True)
+    """For people; where they have closed the terminal, or ended who listens, the arm is led and ended all the same."""
+    say(f"rtloop: {sentence}", sys.stderr)
+
+
+def say(line: str, stream: TextIO) -> None:
+    try:
+        print(line, file=stream, flush=True)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # with what its buffer keeps
 
 
 if __name__ == "__main__":

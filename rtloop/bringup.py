@@ -54,8 +54,8 @@ class BringUp(Conversation):
         self.clears_protection = clears_protection
         self._counts_before = counts_before or {}
         self.lost_before = lost_before or {}
-        # where a flag for lost power tells nothing new, only the joint's place can
-        self._stood_rad = {n: port.measured_rad(n) for n in range(len(arm.joints)) if port.power_loss_known(n)}
+        # no clear moves a joint that stands, so a count that is another one behind it has begun anew
+        self._stood_rad = {n: port.measured_rad(n) for n in range(len(arm.joints)) if self._stood(n)}
         self.unasked_before = [port.unasked(n) for n in range(len(arm.joints))]
         silent_before = [self.lost_before.get(n) == Unreferenced.SILENT for n in range(len(arm.joints))]
         self.was_silent = [
@@ -86,6 +86,20 @@ class BringUp(Conversation):
             self.tell(f"{who}: power was there all through the silence, as the drive proves, so the angle is known.")
         return False
 
+    def _stood(self, joint: int) -> bool:
+        """Whether the joint's place of before must be its place of now, unless its drive has lost its count.
+
+        Where a flag for lost power tells nothing new that is asked of every joint. Of any other only if its drive held
+        it where it was led: one that is limp, tripped or held off its place may move meanwhile.
+        """
+        if self.port.power_loss_known(joint):
+            return True
+        away_rad = abs(self.port.commanded_rad(joint) - self.port.measured_rad(joint))
+        held = (
+            self.port.referenced(joint) and self.port.holds(joint) and 2 * away_rad < self.arm.limits.position_jump_rad
+        )
+        return held and not self.arm.joints[joint].drive.knows_its_angle
+
     def _adopt(self, joint: int, position_rad: float, reason: Unreferenced) -> None:
         self.post(ADOPT, joint=joint, value=position_rad, code=reason)
 
@@ -114,7 +128,7 @@ class BringUp(Conversation):
         step = math.copysign(self.port.reading_step_rad(joint), per_rad)
         moved_rad = measured_rad + zero_rad - self._counts_before[joint] * step if joint in self._counts_before else 0.0
         elsewhere_rad = abs(measured_rad - self._stood_rad.get(joint, measured_rad))
-        if elsewhere_rad > self.arm.limits.position_jump_rad and not found.kept_power:
+        if elsewhere_rad > self.arm.limits.position_jump_rad:  # whatever its mark says, which its drive may store
             reason = self._unknown[joint] = Unreferenced.POWER_LOST
         if reason == Unreferenced.REFERENCED and abs(moved_rad) > self.arm.limits.position_jump_rad:
             reason = Unreferenced.MOVED

@@ -68,8 +68,12 @@ class Commissioned:
 
     @property
     def heals(self) -> bool:
-        """Whether the arm may go on by itself after a silence of all drives: it brakes in one, and proves its power."""
-        return self.brakes_in_silence is True and self.power_proof not in (None, PowerProof.NONE)
+        """Whether the arm may go on by itself after a silence of all drives.
+
+        It brakes in one, proves its power, and was not found to refuse a new target in motion.
+        """
+        proves = self.power_proof not in (None, PowerProof.NONE)
+        return proves and self.brakes_in_silence is True and self.retargets is not False
 
     def after(self, before: Commissioned | None) -> Commissioned:
         """This with what an earlier test of the same drive and firmware has found and this one did not try.
@@ -87,6 +91,11 @@ class Commissioned:
         return Commissioned(**{**values, **kept})
 
 
+_ASKED = (
+    ("position_command", "FD", "fast_targets", "take targets of FC for absolute ones"),
+    ("positions", "polled", "reports", "report its position as it was told"),
+)
+"""A setting of the bus, what asks nothing special of a drive, by which word it was found, and what it then does."""
 _TRUTHS = ("fast_targets", "reports", "retargets", "brakes_in_silence")
 
 
@@ -105,11 +114,12 @@ def load(arm: ArmConfig) -> dict[int, Commissioned]:
     }
 
 
-def unproven(arm: ArmConfig) -> set[int]:
-    """Joints whose drive was found to prove no power; all of them where nobody can tell what was found."""
+def unproven(arm: ArmConfig, tell: Callable[[str], object]) -> set[int]:
+    """Joints whose drive was found to prove no power; all of them where `tell` gets why that cannot be read."""
     try:
         return {joint for joint, found in load(arm).items() if found.power_proof is PowerProof.NONE}
-    except NotReadable:
+    except NotReadable as damaged:
+        tell(str(damaged))
         return set(range(len(arm.joints)))
 
 
@@ -122,14 +132,32 @@ def marks(arm: ArmConfig, tell: Callable[[str], object]) -> Marks:
         except NotSaved as problem:
             tell(str(problem))
 
-    return Marks(power_marks(arm), keep, unproven(arm))
+    return Marks(power_marks(arm), keep, unproven(arm, tell))
+
+
+def withheld(arm: ArmConfig) -> str:
+    """Why the arm must not start: its file asks of a drive what that was found not to do; empty where it does not."""
+    try:
+        known = load(arm)
+    except NotReadable:  # which `unproven` tells
+        return ""
+    for joint, found in known.items():
+        for setting, usual, name, what in _ASKED:
+            if getattr(arm.bus, setting) != usual and getattr(found, name) is False:
+                firmware = found.firmware or "not told"
+                return (
+                    f"The drive of {arm.joints[joint].name} was found at the bench ({found.when}, firmware {firmware}) "
+                    f"not to {what}, and the arm file asks for that: set bus.{setting} to {usual}, or test the drive "
+                    "again with `rtarm commission`."
+                )
+    return ""
 
 
 def heals(arm: ArmConfig) -> bool:
     """Whether each drive of the arm was found to do what going on after a stall relies on (`rtloop.healing`)."""
     try:
         found = load(arm)
-    except NotReadable:
+    except NotReadable:  # which `unproven` tells
         return False
     return all(joint in found and found[joint].heals for joint in joints_on_the_bus(arm))
 
@@ -183,10 +211,11 @@ def _is_of(found: Commissioned, drive: Drive) -> bool:
 
 
 def _typed(values: object) -> Commissioned:
-    """Raises ValueError or TypeError for what is no record."""
-    if not isinstance(values, dict) or set(values) != {field.name for field in fields(Commissioned)}:
-        raise ValueError(values)
-    for name, value in values.items():
+    """One drive; another version of rtarm may say more of it, or less. Raises ValueError or TypeError for no record."""
+    if not isinstance(values, dict):
+        raise TypeError(values)
+    known = {field.name: values[field.name] for field in fields(Commissioned) if field.name in values}
+    for name, value in known.items():
         if name == "number":
             right = type(value) is int
         elif name in _TRUTHS:
@@ -195,5 +224,5 @@ def _typed(values: object) -> Commissioned:
             right = isinstance(value, str) or (name == "power_proof" and value is None)
         if not right:
             raise ValueError(f"{name} is {value!r}")
-    proof = values["power_proof"]
-    return Commissioned(**{**values, "power_proof": None if proof is None else PowerProof(proof)})
+    proof = known.get("power_proof")
+    return Commissioned(**{**known, "power_proof": None if proof is None else PowerProof(proof)})

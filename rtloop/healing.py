@@ -25,9 +25,8 @@ from collections import deque
 import numpy as np
 
 from config.schema import ArmConfig
-from rtloop import status as status_bits
 from rtloop.conversation import Conversation, Dialogue
-from rtloop.drives.setup import joints_on_the_bus, power_proof_of
+from rtloop.drives.setup import joints_on_the_bus, must_prove_power, power_proof_of
 from rtloop.port import ServicePort
 from rtloop.power import Marks
 from rtloop.state import FRESH_READINGS
@@ -40,15 +39,13 @@ REST_NS = 100_000_000
 MOST_HEALED = 2
 WITHIN_NS = 60_000_000_000
 """A fault that comes back for the third time within this stays, so that somebody looks for its cause."""
-SOUND = status_bits.ENABLED | status_bits.REACHED | status_bits.ANSWERED
-"""All that the status of a drive without an error says."""
 
 
 class PowerCheck(Conversation):
     """Asks every drive whether it had power; nothing is decided or changed by it.
 
     Attributes:
-        proven: joints whose drive's count has outlived the silence.
+        proven: joints whose drive has had power in the silence, or need not have had it.
     """
 
     def __init__(self, arm: ArmConfig, port: ServicePort, marks: Marks, now_ns: int) -> None:
@@ -60,7 +57,7 @@ class PowerCheck(Conversation):
     def _ask(self, joint: int) -> Dialogue:
         drive = self.arm.joints[joint].drive
         proof = power_proof_of(drive)
-        if drive.knows_its_angle or (proof is not None and (yield from proof.kept_power(self, joint))):
+        if not must_prove_power(drive) or (proof is not None and (yield from proof.kept_power(self, joint))):
             self.proven.add(joint)
 
 
@@ -155,10 +152,7 @@ class Healing:
         """Whether each drive has said since the rest began that it holds, and of no error."""
         axes = self._loop[0]["axes"]
         return all(
-            int(axes[joint]["status"]) & status_bits.ENABLED
-            and not int(axes[joint]["status"]) & ~SOUND
-            and int(axes[joint]["status_ns"]) > self._rest_since_ns
-            for joint in self._joints
+            self._port.holds(joint) and int(axes[joint]["status_ns"]) > self._rest_since_ns for joint in self._joints
         )
 
     def _is_fresh(self, joint: int, now_ns: int) -> bool:

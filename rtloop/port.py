@@ -10,6 +10,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from rtloop import status as status_bits
 from rtloop.state import GRIPPER, LOOP, NOBODY, SERVICE_SLOTS, offset_of
 from rtloop.wire.frame_words import EXTENDED
 from shm.words import Unreferenced
@@ -27,6 +28,8 @@ FAST_READY = 10  # joint's drive takes FC as absolute, and its speed and ramp fo
 HOLDS_STALLED = 11  # joint's drive goes on holding where it stalls: what lets go of a stalled shaft is off
 POWER_KEPT = 12  # joint's drive proves that it had power while it was silent
 
+SOUND = status_bits.ENABLED | status_bits.REACHED | status_bits.ANSWERED
+"""All that the status of a drive without an error says."""
 IN = offset_of(LOOP, "service_in")
 OUT = offset_of(LOOP, "service_out")
 WRITTEN = 0
@@ -103,6 +106,11 @@ class ServicePort:
     def commanded_rad(self, joint: int) -> float:
         """Where the joint is commanded to be."""
         return float(self._record["axes"][joint]["position_rad"])
+
+    def holds(self, joint: int) -> bool:
+        """Whether the joint's drive has said last that it holds, and of no error."""
+        status = int(self._record["axes"][joint]["status"])
+        return status & status_bits.ENABLED != 0 and status & ~SOUND == 0
 
     def power_loss_known(self, joint: int) -> bool:
         """Whether a drive's flag for lost power means nothing, because a person said where the joint stands since."""

@@ -207,7 +207,8 @@ class Referencing(Conversation):
         config, limit_s = self.arm.joints[joint], self.arm.homing.timeout_s
         self._tell_of_run(config)
         flags = yield from self._sound(joint, config)
-        expected_rad = -config.zero_rad if self.port.referenced(joint) else None
+        unmarked = yield from self._lost_its_mark(joint)
+        expected_rad = -config.zero_rad if self.port.referenced(joint) and not unmarked else None
         mark_ms = zdt_talk.homing_mark_ms(round(limit_s * 1e3), self.now_ns)
         self.marks[joint] = None  # a mark that is still known and gone speaks of a loss of power
         if not (yield from zdt_talk.set_homing_timeout(mark_ms)):
@@ -288,6 +289,14 @@ class Referencing(Conversation):
         stopped_rad = config.direction * stopped / config.encoder_counts_per_rad - self.port.zero_rad(joint)
         self._require_place(joint, stopped_rad, expected_rad)
 
+    def _lost_its_mark(self, joint: int) -> zdt_talk.Answered[bool]:
+        """Whether the drive's mark is gone; its angle is then lost before another one takes that mark's place."""
+        if (yield from zdt_talk.has_mark(self.marks[joint])) is not False:
+            return False
+        self._keep_lost(joint, Unreferenced.POWER_LOST)
+        self.post(ADOPT, joint=joint, value=self.port.commanded_rad(joint), code=Unreferenced.POWER_LOST)
+        return True
+
     def _require_mark(self, joint: int, config: JointConfig, mark: str) -> ZdtDialogue:
         marked = yield from zdt_talk.has_mark(mark)
         if marked is None:
@@ -335,13 +344,14 @@ class Referencing(Conversation):
         config = self.arm.joints[joint]
         flags = yield from self._sound(joint, config)
         yield from self._set_up(joint, config)
-        marked = yield from zdt_talk.has_mark(self.marks[joint])
+        unmarked = yield from self._lost_its_mark(joint)
         self.marks[joint] = None
-        self.marks[joint] = mark = yield from zdt_talk.mark(self.now_ns)  # before the count for which it speaks
+        mark = (yield from zdt_talk.mark(self.now_ns)) if self.marks.takes(joint) else None
+        self.marks[joint] = mark  # before the count for which it speaks
         target = yield from self._standing(joint, config)
         zero_rad = self.port.zero_rad(joint)
         flagged = flags & registers.POWER_LOST and not self.port.power_loss_known(joint)
-        counts_nowhere = flagged or marked is False
+        counts_nowhere = flagged or unmarked
         if math.isnan(angle_rad) and counts_nowhere:
             self._tell(f"{config.name}: its drive has lost power, so what it counts is no angle: say where it stands.")
             self._count_from(joint, zero_rad, self.port.commanded_rad(joint), Unreferenced.POWER_LOST)

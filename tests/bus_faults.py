@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from bus_trials import TrialArm
 
 GOES_ON = Fault.NONE
+FLAGS: tuple[PowerFlag, ...] = get_args(PowerFlag)
+"""A joint whose drive's flag is stuck is where a person says."""
 
 JOINTS = tuple(f"joint{number}" for number in range(1, 7))
 
@@ -39,7 +41,8 @@ class BusFault:
         unplugs: the adapter is pulled out, and stays out.
         throws: the joint's own drive fails, so that its acceleration is not ours.
         loses: the joint must not be referenced afterwards, whatever was latched.
-        blind_rad: nothing is expected of a joint that stands nearer than this to where its drive counts from.
+        blind_rad: nothing is expected of a joint that stands nearer than this to where its drive counts from, where no
+            flag tells a loss of power.
         options, overrides: of the simulated arm, and of the arm's file.
         backlog: what was on its way when the way was blocked still arrives when it is free.
         heals: the arm goes on by itself where it may.
@@ -59,6 +62,10 @@ class BusFault:
     blind_rad: float = 0.0
     options: dict[str, Any] = field(default_factory=dict)
     overrides: dict[str, dict[str, object]] = field(default_factory=dict)
+
+    def is_blind(self, away_rad: float, flag: PowerFlag) -> bool:
+        """Whether nothing is expected of a joint so far from where its drive counts from, which has such a flag."""
+        return away_rad < self.blind_rad and (flag != "right" or self.options.get("firmware") == "old")
 
 
 def spelled(fault: wrong.Fault) -> str:
@@ -281,7 +288,7 @@ FAULTS = (
         throws=True,
         loses=True,
         heals=True,
-        flags=("right", "absent", "unset"),  # one that is stuck tells of no reference from the beginning
+        flags=FLAGS,
     ),
     BusFault("the adapter is pulled out", lambda _, __: [], frozenset({Fault.WIRE}), unplugs=True),
     BusFault("a shaft is held", _now(wrong.Stall), frozenset({FOLLOWING, GOES_ON}), _let_go_of_shaft, throws=True),
@@ -332,8 +339,17 @@ FAULTS = (
         frozenset({Fault.REFERENCE_LOST, Fault.STALE_READING, FOLLOWING}),  # and the flag, a moment later
         throws=True,
         loses=True,
+        flags=FLAGS,
+        blind_rad=1.0,
     ),
-    BusFault("a drive loses power for 0.5 s", _now(wrong.PowerLoss, off_s=0.5), STALE, throws=True, loses=True),
+    BusFault(
+        "a drive loses power for 0.5 s",
+        _now(wrong.PowerLoss, off_s=0.5),
+        STALE,
+        throws=True,
+        loses=True,
+        flags=FLAGS,
+    ),
     BusFault(
         "all drives lose power for 1 s",
         lambda _, __: [wrong.PowerLoss(joint, 0.0, 1.0) for joint in JOINTS],
@@ -341,6 +357,7 @@ FAULTS = (
         _wait_for_power,
         throws=True,
         loses=True,
+        flags=FLAGS,
     ),
     BusFault(
         "old firmware, which has no flag for it, loses power for 10 to 80 ms",

@@ -86,6 +86,16 @@ class TrialArm(VirtualArm):
             self.sent.append((self.now_ns, taken))
             self.taken(len(taken))
 
+    def reference_all(self) -> None:
+        """A person says where the joints stand whose drives' flags for lost power are stuck."""
+        assert self.sim is not None
+        for joint in range(len(self.arm.joints)):
+            if not self.loop[0]["axes"][joint]["referenced"]:
+                angle_rad = self.sim.true_position_rad(joint, self.sim.now_ns)
+                assert self.ask(Request.REFERENCE, joint_mask=1 << joint, value=angle_rad) == Answer.DONE
+                assert self.reference().failure is None
+        self.sent.clear()  # no motion was led before, so the stop commands of that end none
+
     def unplug(self) -> None:
         """Pull the adapter out: the reader notices, and nothing reaches the drives any more."""
         self._unplugged = True
@@ -121,6 +131,7 @@ def run_trial(fault: BusFault, seed: int) -> Found:
             assert isinstance(drive, ZdtDrive)
             drive.power_flag = fault.flags[random.integers(len(fault.flags))]
         assert arm.bring_up().failure is None
+        arm.reference_all()
         if fault.heals:
             arm.heal_by_itself()
         _Trial(fault, arm, found, random).run(times_ns, joints)
@@ -186,7 +197,9 @@ class _Trial:
         within_ns = int(self.random.integers(0, arm.period_ns))
         self.fault_ns = arm.now_ns + within_ns
         away_rad = abs(float(arm.loop[0]["axes"][self.joint]["measured_rad"]) + self.config.zero_rad)
-        self.blind = away_rad < self.fault.blind_rad
+        drive = self.sim.drives[self.joint]
+        assert isinstance(drive, ZdtDrive)
+        self.blind = self.fault.is_blind(away_rad, drive.power_flag)
         for fault in self.fault.inject(self.random, self.config.name):
             self.sim.inject(fault, self.fault_ns)
         if self.fault.unplugs:
@@ -302,8 +315,9 @@ class _Trial:
                 self.wrong(f"{name} has lost its reference although its drive has kept its power")
 
     def lost_power(self, joint: int) -> bool:
+        """Whether the joint's drive did, or whether its flag says so whatever it did."""
         drive = self.sim.drives[joint]
-        return isinstance(drive, ZdtDrive) and drive.power_losses > 0
+        return isinstance(drive, ZdtDrive) and (drive.power_losses > 0 or drive.power_flag == "stuck")
 
     def clear(self) -> str:
         """Ask for a clear; the sentence with which it failed, if it did."""

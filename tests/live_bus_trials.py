@@ -89,7 +89,8 @@ def run(rig: Any, fault: BusFault) -> Seen:
     rig.make_ready()
     sent, began_ns = rig.moving_goal(0.7, seen.notes, seen.steps, shortest_s=2.0)
     joint = rig.arm.joints[rig.random.integers(len(rig.arm.joints))]
-    blind = abs(rig.commanded_rad()[rig.arm.joints.index(joint)] + joint.zero_rad) < fault.blind_rad
+    away_rad = abs(rig.commanded_rad()[rig.arm.joints.index(joint)] + joint.zero_rad)
+    blind = fault.is_blind(away_rad, "right")
     told_ns = time.monotonic_ns()
     for text in map(spelled, fault.inject(rig.random, joint.name)):
         rig.befall(text)

@@ -35,7 +35,6 @@ from rtloop.drives.setup import (
     Found,
     Host,
     PowerHost,
-    require_may_enable,
     settle_mark,
 )
 from rtloop.port import Frame
@@ -63,6 +62,8 @@ ERRORS = (
 """Bits of the status' error word (V4.3)."""
 NEEDS_RESTART = 0x0002 | 0x0010 | 0x0080 | 0x2000 | 0x4000
 CREEP_DPS = 1
+ENABLED_BY_A_TARGET = True
+"""A motor that has lost its power is limp until its first target, so that one is not sent to it unasked."""
 RESTART_S = 5.0
 """Patience with a restart, which takes 1.1 s."""
 HUNDREDTHS = 100.0
@@ -151,9 +152,14 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
             "ends.",
         )
     restarted = yield from _without_errors(host, joint)
+    if host.heals and not (yield from kept_power(host, joint)):
+        raise TalkFailed(
+            joint,
+            f"The drive of {config.name} does not prove that it had power all the time, and the target that it would "
+            "be told enables one that had not, which nobody has asked for: see whether it holds, then `rtarm "
+            "clear-fault`, which enables it where it stands.",
+        )
     yield from _at_rest(joint, config)
-    if host.heals and not (yield from kept_power(host, joint)):  # a target would enable one that lost its power
-        require_may_enable(host, joint)
     yield from _with_its_ramp(host, joint)
     held = yield from _angle(joint, config)
     yield from _answered(joint, config, TARGET, "target", struct.pack("<xHi", CREEP_DPS, held))

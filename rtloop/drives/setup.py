@@ -157,6 +157,11 @@ def power_proof_of(drive: Drive) -> PowerProof | None:
     return cast(PowerProof, found) if hasattr(found, "kept_power") else None
 
 
+def must_prove_power(drive: Drive) -> bool:
+    """Whether an arm goes on by itself only where the drive proves its power: its angle, or its hold, rests on it."""
+    return not drive.knows_its_angle or hasattr(setup_of(drive), "ENABLED_BY_A_TARGET")
+
+
 def mark_renewal_of(drive: Drive) -> RenewsMark | None:
     """The file of a drive's family, if its marks are to be renewed when a person says an angle."""
     found = setup_of(drive)

@@ -16,7 +16,7 @@ from config.drives.zdt import ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop import fast_targets, reports
-from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
 from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost, require_may_enable
@@ -98,15 +98,26 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
         yield from fast_targets.prepare(host.arm, joint, drive, version)
         host.post(FAST_READY, joint=joint)
     was_marked = host.marks[joint] is not None
-    if not was_marked and not host.was_silent[joint]:
+    if not was_marked and not host.was_silent[joint] and host.marks.takes(joint):
         host.marks[joint] = yield from zdt_talk.mark(host.now_ns)
     found = yield from _standing(host, joint, config, reason)
     # The last question, so that it speaks for all that was read before.
     had_power = yield from _had_power(host, joint)
+    if had_power is None and host.marks[joint] is not None:
+        yield from zdt_talk.status_of(joint, config)  # it may be without power just now
+        host.tell(
+            f"{config.name}: its drive, which had a mark, does not tell its homing parameters (22), or tells others "
+            "whenever it is asked, so nothing proves that it had power: it was exchanged, got other firmware, or the "
+            "line garbles what it says."
+        )
+        had_power = False
+    elif had_power is False and reason != Unreferenced.POWER_LOST:  # its flag, where it has one, told no loss of power
+        host.tell(
+            f"{config.name}: the mark of its drive, a homing time-out of {host.marks[joint]} ms, is gone: it lost "
+            "power, or something else has set it, such as another user, computer, container or program."
+        )
     if had_power is False:
         return found._replace(reason=Unreferenced.POWER_LOST)
-    if had_power is None and host.marks[joint] is not None:  # it may be without power just now
-        raise TalkFailed(joint, silent_amid(config, "proof of power"))
     return found._replace(kept_power=was_marked and had_power is True)  # a new one speaks for the time since
 
 

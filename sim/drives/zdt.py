@@ -84,6 +84,7 @@ class ZdtDrive(Functions):
         refuses: whether it refuses every motion command.
         keeps_settings: whether it says that it took new settings, and keeps its own.
         stores_everything: whether what it is told for volatile memory alone outlives the power, too.
+        unknown: function bytes that its firmware does not know, beside those of `firmware`.
         power_losses: how often it has lost its supply.
         power_flag: whether bit 7 of `3A` tells a loss of power ("right"), is always 0 ("absent"), is 0 after
             power-up ("unset"), or is always 1 ("stuck").
@@ -295,6 +296,8 @@ class ZdtDrive(Functions):
     # -- requests and answers ------------------------------------------------------------------------
 
     def _request_length(self, function: int) -> int:
+        if function in self.unknown:
+            return 0
         if function in self._reads:
             return 3 if function in READ_ARGUMENT else 2
         command = self._commands.get(function)

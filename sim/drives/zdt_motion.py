@@ -53,6 +53,7 @@ class Motion(ABC):
         self.fast_is_relative = False
         self.keeps_settings = False
         self.stores_everything = False
+        self.unknown: frozenset[int] = frozenset()
         self.power_flag: PowerFlag = "right"
         self.ramp_steepness = 1
         self.foreign = False

@@ -5,12 +5,17 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import subprocess
+import sys
 import threading
+from pathlib import Path
 
 import pytest
 
 from rtarm.interrupt import STOP_SIGNALS, Interrupted, signals_raise
 from rtarm.up import run_launched
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 class Ending:
@@ -49,6 +54,31 @@ def test_a_first_signal_amid_the_end_does_not_leave_it_half_done(fails: bool) ->
         for number, handler in handlers.items():
             signal.signal(number, handler)
     assert launcher.done == ["first step", "heard", "at once", "last step"]
+
+
+@pytest.mark.parametrize(("hangup", "ends_by"), [(signal.SIG_DFL, "SIGHUP"), (signal.SIG_IGN, "SIGTERM")])
+def test_what_nohup_began_outlives_its_terminal(hangup: signal.Handlers, ends_by: str) -> None:
+    program = """
+import asyncio, os, signal
+from rtarm.interrupt import Interrupted, interruptible
+
+async def work():
+    os.kill(os.getpid(), signal.SIGHUP)
+    await asyncio.sleep(0.05)
+    os.kill(os.getpid(), signal.SIGTERM)
+    await asyncio.sleep(60)
+
+try:
+    asyncio.run(interruptible(work()))
+except Interrupted as by:
+    print(by)
+"""
+    before = signal.signal(signal.SIGHUP, hangup)  # what is ignored stays so in a child
+    try:
+        ended = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert ended.stdout.split() == [ends_by]
 
 
 def test_work_of_another_thread_is_done_though_no_signal_reaches_it() -> None:

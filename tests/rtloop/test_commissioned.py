@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ from config.schema import ArmConfig
 from rtloop import commissioned
 from rtloop.commissioned import Commissioned, NotReadable, PowerProof
 from rtloop.power import Marks
-from rtloop.saved import NotSaved, channel_of, path_of
+from rtloop.saved import NotSaved, channel_of, keep_power_marks, path_of, power_marks
 
 PROOFS = st.sampled_from([None, PowerProof.FLAG, PowerProof.CANARY, PowerProof.NONE])
 """What these drives may have: their encoders do not know their angles."""
@@ -98,7 +100,7 @@ def test_a_file_that_says_something_else_is_refused_in_a_sentence(arm: ArmConfig
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("number", True), ("number", "1"), ("reports", 1), ("power_proof", "surely"), ("firmware", None), ("more", 1)],
+    [("number", True), ("number", "1"), ("reports", 1), ("power_proof", "surely"), ("firmware", None)],
 )
 def test_a_value_of_another_kind_is_refused(arm: ArmConfig, field: str, value: Any) -> None:
     commissioned.save(arm, 0, found_of(arm, 0))
@@ -108,6 +110,17 @@ def test_a_value_of_another_kind_is_refused(arm: ArmConfig, field: str, value: A
     path.write_text(json.dumps(kept))
     with pytest.raises(NotReadable):
         commissioned.load(arm)
+
+
+def test_a_record_of_another_version_is_read_as_far_as_it_says_the_same(arm: ArmConfig) -> None:
+    commissioned.save(arm, 0, found_of(arm, 0, power_proof=PowerProof.FLAG))
+    path = path_of(arm.name, "commissioned")
+    kept = json.loads(path.read_text())
+    record = kept[channel_of(arm)]["joint1"]
+    record["more"] = {"of": 1}
+    del record["brakes_in_silence"]
+    path.write_text(json.dumps(kept))
+    assert commissioned.load(arm) == {0: found_of(arm, 0, power_proof=PowerProof.FLAG)}
 
 
 def test_nothing_is_kept_of_a_simulated_arm(arm: ArmConfig) -> None:
@@ -147,21 +160,53 @@ def test_an_arm_goes_on_by_itself_where_each_drive_was_found_to_allow_it(arm: Ar
         assert not commissioned.heals(arm)
         commissioned.save(arm, joint, found_of(arm, joint, power_proof=PowerProof.CANARY, brakes_in_silence=True))
     assert commissioned.heals(arm)
-    commissioned.save(arm, 3, found_of(arm, 3, power_proof=PowerProof.NONE, brakes_in_silence=True))
-    assert not commissioned.heals(arm)
+    stays = {"power_proof": PowerProof.CANARY, "brakes_in_silence": True}
+    for withholds in ({"power_proof": PowerProof.NONE}, {"brakes_in_silence": False}, {"retargets": False}):
+        commissioned.save(arm, 3, found_of(arm, 3, **{**stays, **withholds}))
+        assert not commissioned.heals(arm)
+    commissioned.save(arm, 3, found_of(arm, 3, **stays, retargets=True))
+    assert commissioned.heals(arm)
+
+
+@pytest.mark.parametrize(
+    ("setting", "asked", "found", "says"),
+    [
+        ("position_command", "FC", "fast_targets", "not to take targets of FC for absolute ones"),
+        ("positions", "reported", "reports", "not to report its position as it was told"),
+    ],
+)
+def test_an_arm_that_asks_of_a_drive_what_it_was_found_not_to_do_is_refused(
+    arm: ArmConfig, setting: str, asked: str, found: str, says: str
+) -> None:
+    settings_asked = [f"bus.channel={arm.bus.channel}", f"bus.{setting}={asked}"]
+    asks = load_arm("episode1", overrides={"bus": {"channel": arm.bus.channel, setting: asked}})
+    for does in (None, True):
+        commissioned.save(arm, 2, found_of(arm, 2, **{found: does}))
+        assert commissioned.withheld(asks) == ""
+    commissioned.save(arm, 2, found_of(arm, 2, **{found: False}))
+    assert commissioned.withheld(arm) == ""
+    command = [sys.executable, "-m", "rtloop", "episode1", *[word for one in settings_asked for word in ("--set", one)]]
+    refused = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert refused.returncode == 2
+    assert f"joint3 was found at the bench (2026-01-31T12:00:00Z, firmware 2.0.0) {says}" in refused.stderr
+    assert f"set bus.{setting} to" in refused.stderr and "`rtarm commission`" in refused.stderr
 
 
 def test_a_drive_that_was_found_to_prove_no_power_gets_no_mark(arm: ArmConfig) -> None:
     commissioned.save(arm, 0, found_of(arm, 0, power_proof=PowerProof.FLAG))
     commissioned.save(arm, 1, found_of(arm, 1, power_proof=PowerProof.NONE))
-    marks = Marks({0: "10001", 1: "10001", 2: "10001"}, unproven=commissioned.unproven(arm))
+    marks = Marks({0: "10001", 1: "10001", 2: "10001"}, unproven=commissioned.unproven(arm, pytest.fail))
     marks[1] = "10002"
     assert [marks[joint] for joint in range(3)] == ["10001", None, "10001"]
 
 
-def test_a_record_that_cannot_be_read_unlocks_nothing(arm: ArmConfig) -> None:
+def test_a_record_that_cannot_be_read_unlocks_nothing_takes_the_marks_and_is_told(arm: ArmConfig) -> None:
     path = path_of(arm.name, "commissioned")
     path.parent.mkdir(parents=True)
     path.write_text("{", encoding="utf-8")
-    assert not commissioned.heals(arm)
-    assert commissioned.unproven(arm) == set(range(6))
+    keep_power_marks(arm, {0: "10001", 3: "10002"})
+    told: list[str] = []
+    marks = commissioned.marks(arm, told.append)
+    assert not commissioned.heals(arm) and not any(marks.takes(joint) for joint in range(6))
+    assert power_marks(arm) == {}
+    assert len(told) == 1 and "none of it is believed: remove that file" in told[0]

@@ -406,6 +406,48 @@ def test_a_closed_terminal_ends_it_in_order_and_nohup_lets_it_outlive_that(mock_
 
 
 @pytest.mark.process
+def test_an_arm_in_motion_stops_on_its_path_though_nobody_reads_any_more_what_it_says(mock_arm):
+    """Its own terminal is closed, and it has something to say in each look at whether it stands."""
+    program = """
+import fcntl, runpy, termios
+from rtloop.process import ControlProcess
+
+fcntl.ioctl(0, termios.TIOCSCTTY)
+stands = ControlProcess._stands
+
+def says(process):
+    process._tell("still there")
+    return stands(process)
+
+ControlProcess._stands = says
+runpy.run_module("rtloop", run_name="__main__")
+"""
+    master, slave = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, str(mock_arm.file)],
+        cwd=ROOT,
+        stdin=slave,
+        stdout=subprocess.PIPE,
+        stderr=slave,
+        start_new_session=True,
+    )
+    os.close(slave)
+    with process, closing(process.stdout):
+        assert process.stdout.readline() == b"ready\n"
+        with closing(MemoryFront(mock_arm.file)) as front:
+            assert front.swing() == 1
+            front.until(lambda now: now["trajectory_clock_ns"] > 1e9)
+            os.close(master)  # which sends it SIGHUP
+            assert front.outcome(1) == Outcome.SHUTDOWN
+            deadline = time.monotonic() + PATIENCE_S
+            while process.poll() is None and time.monotonic() < deadline:
+                front.now()
+                time.sleep(0.002)
+            assert process.poll() == 0
+            assert not np.any(front.now()["joints"]["commanded_velocity_rad_s"])
+
+
+@pytest.mark.process
 def test_a_signal_while_the_cycle_is_compiled_ends_the_compiler_too(mock_arm, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with closing(Process("rtloop", str(mock_arm.file))) as process:

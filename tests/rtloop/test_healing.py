@@ -122,12 +122,16 @@ def is_not_referenced(arm: VirtualArm) -> None:
     arm.loop[0]["axes"][4]["unreferenced_reason"] = Unreferenced.MOVED
 
 
+def refuses_its_mark(arm: VirtualArm) -> None:
+    drive_of(arm, 2).unknown = frozenset((0x22,))
+
+
 def has_no_mark(arm: VirtualArm) -> None:
     arm.marks[2] = None
 
 
 @pytest.mark.parametrize(
-    "what", [loses_power, loses_power_unseen, trips, is_let_go, ends, is_not_referenced, has_no_mark]
+    "what", [loses_power, loses_power_unseen, trips, is_let_go, ends, is_not_referenced, has_no_mark, refuses_its_mark]
 )
 def test_it_stays_in_its_fault_where_anything_else_has_happened(
     moving: VirtualArm, what: Callable[[VirtualArm], None]

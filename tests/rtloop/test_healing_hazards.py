@@ -10,8 +10,9 @@ from observer import frames_sent, motion_frames
 from test_healing import ALL, drive_of, healed, silence, still_faulted, wait
 from virtual import VirtualArm
 
+from config.joint import JointConfig
 from config.loader import load_arm
-from rtloop.drives import zdt_registers
+from rtloop.drives import myactuator_setup, zdt_registers
 from rtloop.healing import DECIDED_WITHIN_NS, REST_NS, Healing
 from rtloop.wire import received
 from shm.words import Answer, BusState, Fault, Mode, Outcome, Request, Unreferenced
@@ -470,6 +471,48 @@ def test_motors_that_a_target_would_enable(powerless: bool) -> None:
     wait(arm)
     assert healed(arm) != powerless
     assert [motor.enabled for motor in motors] == [motor is not motors[4] or not powerless for motor in motors]
+    arm.close()
+
+
+@pytest.mark.parametrize("seconds", [3.0, 30.0])
+def test_motors_whose_uptime_proves_nothing_any_more_keep_their_fault(seconds: float) -> None:
+    """They had been on for 0.2 s at the last bring-up, which proves something for 63 times as long."""
+    arm = VirtualArm("myactuator6")
+    assert arm.sim is not None
+    motors: list[Any] = arm.sim.drives
+    for motor in motors:
+        motor.up_since_ns = arm.now_ns - 100_000_000
+    assert arm.bring_up().failure is None
+    arm.heal_by_itself()
+    wait(arm, seconds)
+    for motor in motors:
+        motor.unplug(arm.now_ns)
+    arm.until(lambda: still_faulted(arm))
+    for motor in motors:
+        motor.plug_in(arm.now_ns)
+    wait(arm)
+    assert healed(arm) == (seconds < 6.0) and still_faulted(arm) == (seconds > 6.0)
+    assert all(motor.enabled for motor in motors)
+    if still_faulted(arm):
+        arm.clear_fault()  # a person's, who may enable what holds nothing
+    assert healed(arm)
+    arm.close()
+
+
+def test_a_bring_up_that_nobody_has_asked_for_asks_a_motor_for_its_power_before_it_would_stop_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    arm = VirtualArm.brought_up("myactuator6")
+    arm.marks[4] = None
+    at_rest = myactuator_setup._at_rest
+
+    def at_rest_of_others(joint: int, config: JointConfig) -> Any:
+        assert joint != 4
+        return at_rest(joint, config)
+
+    monkeypatch.setattr(myactuator_setup, "_at_rest", at_rest_of_others)
+    failure = arm.next_process().bring_up(heals=True).failure
+    assert failure is not None and "joint5 does not prove that it had power all the time" in str(failure)
     arm.close()
 
 

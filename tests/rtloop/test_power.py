@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import pytest
@@ -106,6 +107,25 @@ def test_old_firmware_without_a_flag_proves_it_too() -> None:
     arm.close()
 
 
+def test_drives_of_which_nobody_can_tell_what_was_found_keep_their_angles_when_it_can_be_told_again() -> None:
+    """They get no mark meanwhile, and that of before, in whose place there may be another, is not held against them."""
+    arm = VirtualArm.brought_up("episode1")
+    kept = [dict(arm.marks._marks)]
+    arm = arm.next_process()
+    arm.marks = Marks(kept[-1], lambda marks: kept.append(dict(marks)), range(6))
+    before = [drive.homing for drive in drives_of(arm)]
+    assert arm.bring_up().failure is None
+    assert arm.ask(Request.REFERENCE, joint_mask=1 << 1, value=math.nan) == Answer.DONE
+    assert arm.reference().failure is None
+    assert [drive.homing for drive in drives_of(arm)] == before
+    drives_of(arm)[2].homing = replace(before[2], timeout_ms=10_000)
+    arm = arm.next_process()
+    arm.marks = Marks(kept[-1])
+    assert arm.bring_up().failure is None
+    assert all(referenced(arm))
+    arm.close()
+
+
 def test_a_drive_whose_mark_was_not_kept_proves_nothing() -> None:
     arm = VirtualArm.brought_up("episode1")
     arm.marks = Marks()
@@ -152,6 +172,39 @@ def test_a_loss_of_power_that_a_bring_up_hides_is_noticed_without_a_flag(firmwar
     arm.close()
 
 
+@pytest.mark.parametrize("flag", ["absent", "stuck"])
+def test_a_count_that_is_another_one_behind_a_clear_is_no_angle_whatever_the_mark_says(flag: PowerFlag) -> None:
+    """Neither flag nor mark of this drive tells a loss of power: it stores what it is told for volatile memory."""
+    arm = VirtualArm("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    drives_of(arm)[2].power_flag, drives_of(arm)[2].stores_everything = flag, True
+    arm.bring_up()
+    if flag == "stuck":
+        assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=0.4) == Answer.DONE
+        assert arm.reference().failure is None
+    assert all(referenced(arm))
+    drives_of(arm)[0].trip(arm.now_ns, registers.STALLED)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.sim.inject(PowerLoss("joint3", at_s=0.0, off_s=0.1), since_ns=arm.now_ns)
+    arm.cycles(3)
+    arm.clear_fault()
+    assert referenced(arm) == [joint != 2 for joint in range(6)]
+    assert arm.loop[0]["axes"][2]["unreferenced_reason"] == Unreferenced.POWER_LOST
+    arm.close()
+
+
+def test_a_joint_that_held_nothing_before_a_clear_may_stand_elsewhere_behind_it() -> None:
+    arm = VirtualArm.brought_up("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    drive = drives_of(arm)[2]
+    drive.trip(arm.now_ns, registers.STALLED)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    before_rad = float(arm.loop[0]["axes"][2]["measured_rad"])
+    drive.lead(arm.now_ns, 10.0)  # it falls, until the clear has it hold again
+    arm.clear_fault()
+    assert abs(arm.loop[0]["axes"][2]["measured_rad"] - before_rad) > 2.0 * arm.arm.limits.position_jump_rad
+    assert all(referenced(arm))
+    arm.close()
+
+
 def test_a_loss_of_power_between_two_processes_is_noticed_without_a_flag_until_an_angle_is_said() -> None:
     arm = VirtualArm("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
     for drive in drives_of(arm):
@@ -162,6 +215,7 @@ def test_a_loss_of_power_between_two_processes_is_noticed_without_a_flag_until_a
         arm = arm.next_process()
         arm.bring_up()
         assert referenced(arm) == [joint != 2 for joint in range(6)]
+        assert "joint3: the mark of its drive" in arm.told[-2] and "it lost power, or something else" in arm.told[-2]
     assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=math.nan) == Answer.REFUSED_VALUE
     assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=0.4) == Answer.DONE
     assert arm.reference().failure is None
@@ -169,6 +223,65 @@ def test_a_loss_of_power_between_two_processes_is_noticed_without_a_flag_until_a
     arm = arm.next_process()
     arm.bring_up()
     assert all(referenced(arm))
+    arm.close()
+
+
+@pytest.mark.parametrize("garbled", [False, True])
+def test_a_drive_that_does_not_tell_its_mark_any_more_is_brought_up_without_its_angle(
+    garbled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that was exchanged for, or has got, firmware that refuses the question (22); or the line garbles it."""
+    arm = VirtualArm.brought_up("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    drive = drives_of(arm)[2]
+    if garbled:
+        others = itertools.count(1)
+        monkeypatch.setitem(drive._reads, 0x22, lambda: b"\x22" + replace(drive.homing, timeout_ms=next(others)).pack())
+    else:
+        drive.unknown = frozenset((0x22,))
+    for _ in range(2):  # a process that is killed before it has kept why changes nothing
+        arm = arm.next_process()
+        assert arm.bring_up().failure is None
+        assert referenced(arm) == [joint != 2 for joint in range(6)]
+        assert "joint3: its drive, which had a mark, does not tell its homing parameters" in arm.told[-2]
+    assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=0.4) == Answer.DONE
+    assert arm.reference().failure is None
+    arm = arm.next_process()
+    assert arm.bring_up().failure is None
+    assert all(referenced(arm))
+    arm.close()
+
+
+def test_a_drive_that_is_silent_when_its_mark_is_asked_for_ends_the_bring_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = VirtualArm.brought_up("episode1")
+    drive = drives_of(arm)[2]
+
+    def goes_silent() -> bytes:
+        drive.unplug(arm.now_ns)
+        return b""
+
+    arm = arm.next_process()
+    monkeypatch.setitem(drive._reads, 0x22, goes_silent)
+    failure = arm.bring_up().failure
+    assert failure is not None and "joint3 stopped answering while its status was read" in str(failure)
+    arm.close()
+
+
+@pytest.mark.parametrize("home", [False, True])
+def test_a_mark_that_is_gone_takes_the_angle_before_another_one_takes_its_place(home: bool) -> None:
+    """A drive that lost its power unseen, and of whose homing run, or reference, nothing comes."""
+    arm = VirtualArm.brought_up("episode1")
+    drive = drives_of(arm)[2]
+    drive.homing = replace(drive.homing, timeout_ms=10_000)
+    if home:
+        drive.unknown = frozenset((0x4C,))  # it takes no time-out
+        assert arm.ask(Request.HOME, joint_mask=1 << 2) == Answer.DONE
+    else:
+        drive.unknown = frozenset((0x33,))  # it does not tell its target
+        assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=math.nan) == Answer.DONE
+    assert arm.reference().failure is not None
+    assert arm.lost[2] == Unreferenced.POWER_LOST
+    assert referenced(arm) == [joint != 2 for joint in range(6)]
+    assert arm.loop[0]["axes"][2]["unreferenced_reason"] == Unreferenced.POWER_LOST
     arm.close()
 
 

@@ -157,7 +157,8 @@ def test_a_fault_of_another_drive_ends_a_homing_run(mask):
 
 def test_a_stop_that_is_not_found_in_time_is_a_fault():
     arm = new_arm((0.0,) * 6, overrides={"homing": {"timeout_s": 2.0}})
-    arm.sim.drives[1].homing = type(arm.sim.drives[1].homing)(timeout_ms=1_000)
+    homing = arm.sim.drives[1].homing
+    arm.sim.drives[1].homing = type(homing)(timeout_ms=homing.timeout_ms)  # which is its mark
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
     failure = arm.reference(at_most_s=6.0).failure
     assert "joint2 has not found its homing stop within 2 s" in str(failure)
