@@ -410,7 +410,7 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
         "Wait, or see why bring-up does not end.",
     ),
     Unreferenced.POWER_LOST: Meaning(
-        "The drive of {joint} lost power or its mark, so its angle is not known: home it with `rtarm home`, or say "
+        "The drive of {joint} may have lost power, so its angle is not known: home it with `rtarm home`, or say "
         "where it stands with `rtarm reference`.",
         "A drive counts from where it stood when it was switched on; that its mark is there proves that it was not.",
         "Home the joint; or look at it and say its angle (`rtarm reference JOINT=DEGREES`).",

@@ -49,7 +49,7 @@ def test_of_drives_that_were_silent_those_that_count_on_are_taken_where_they_are
     with closing(rtarm_at_terminal("reference", "--all", "--arm", stack.name)) as at:
         at.read_until("joint2 -20.00 The drive of joint2 was silent for too long")
         at.read_until("joint3 15.00 The drive of joint3 was silent for too long")
-        at.read_until("joint5 - The drive of joint5 lost power")
+        at.read_until("joint5 - The drive of joint5 may have lost power")
         at.reply("do they stand there (joint2, joint3)? [y/N, q ends]", "y")
         at.read_until("Taken: joint2 -20.00°, joint3 15.00°.")
         at.read_until("The count of joint5 is no angle: `rtarm home joint5`, or `rtarm reference joint5=DEGREES`")

@@ -92,7 +92,7 @@ def event(kind: int, joint: int = -1, code: int = 0, value: float = 0.0, limit: 
             "Goal reached: the largest error is 0.0010 rad, of sh",
         ),
         (event(Event.OVERRUN, -1, 0, 0.3, 0.1), "The control cycle was away for 0.300 s and the drives look ahead"),
-        (event(Event.REFERENCE, 0, Unreferenced.POWER_LOST), "The drive of shoulder lost power"),
+        (event(Event.REFERENCE, 0, Unreferenced.POWER_LOST), "The drive of shoulder may have lost power"),
         (event(99), "Unknown event 99"),
         (
             event(Event.RESULT, -1, Outcome.REFUSED_MODE, math.nan),

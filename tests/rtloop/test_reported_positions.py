@@ -313,7 +313,7 @@ def test_a_drive_that_lost_power_is_asked_and_stopped(off_s: float, joint: int) 
     truth = truth_of(arm.sim)[name]
     assert np.ptp(truth.position_at(np.arange(arm.now_ns - 10**9, arm.now_ns - 10**6, 10**7))) == 0.0
     assert arm.clear_fault().failure is None
-    assert any(f"The drive of {name} lost power" in sentence for sentence in arm.told)
+    assert any(f"The drive of {name} may have lost power" in sentence for sentence in arm.told)
     assert min(reports(arm)) > 50
     arm.close()
 
