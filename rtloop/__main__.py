@@ -25,6 +25,7 @@ from config.loader import load_arm, parse_overrides
 from config.schema import ArmConfig
 from rtloop import compiled
 from rtloop.another_file import refuse_another_file
+from rtloop.false_encoders import refuse_false_encoders
 from rtloop.process import CannotStart, ControlProcess, StopAsked
 from rtloop.wire.refusal import WireRefused
 from shm.cache import ROOT
@@ -40,6 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
         options = parser.parse_args(arguments)
         arm = arm_of(options)
         refuse_another_file(arm)
+        refuse_false_encoders(arm)
         stop_asked = StopAsked(STOP_SIGNALS)
         process = ControlProcess(arm, compiled_cycle(stop_asked), tell, stop_asked)
         return process.serve(lambda: print("ready", flush=True), clears_protection=options.clear_fault)

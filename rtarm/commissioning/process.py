@@ -94,8 +94,12 @@ class LedProcess:
         time.sleep(POLL_S)
         if self._process.poll() is not None:
             self._listener.join()
-            how = " ".join([f"{describe_end(self._process.returncode)}.", *self.told[-1:]])
-            raise NotRunning(f"The control process of {self.arm.name} ended meanwhile {how} {NOT_SEEN}")
+            raise NotRunning(f"{self._how_it_ended()} {NOT_SEEN}")
+
+    def _how_it_ended(self) -> str:
+        code = self._process.returncode
+        how = f"The control process of {self.arm.name} ended {describe_end(code)}."
+        return " ".join([how, *(self.told[-1:] if code > 0 else [])])
 
     @contextmanager
     def standing_still(self) -> Iterator[None]:
@@ -123,8 +127,7 @@ class LedProcess:
             self._listener.join()
             self._process.stdout.close()
         if self._process.returncode != 0:
-            how = f"The control process of {self.arm.name} ended {describe_end(self._process.returncode)}."
-            self.refused = " ".join([how, *self.told[-1:]])
+            self.refused = self._how_it_ended()
 
 
 def _state_of(pid: int) -> str:
