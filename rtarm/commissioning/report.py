@@ -27,6 +27,10 @@ RELIES: Mapping[str, str] = {
 }
 
 
+RELIED_ON = ("power_proof", "fast_targets", "reports", "retargets", "brakes_in_silence")
+"""Fields of a record."""
+
+
 class Report:
     """What was found of one drive so far; `before` is what an earlier test has found of it."""
 
@@ -67,7 +71,8 @@ class Report:
         """
         self.findings += findings
         self.record = record
-        if record.firmware or set(_unlocked(record).values()) != {None}:  # else it says nothing of the drive of before
+        # what tells neither its firmware nor what is relied on says nothing of the drive of before
+        if record.firmware or any(getattr(record, name) is not None for name in RELIED_ON):
             self._keep(record.after(self._before))
         self.write()
 
@@ -145,7 +150,8 @@ class Report:
 
 def _unlocked(record: Commissioned) -> dict[str, bool | None]:
     proof = None if record.power_proof is None else record.power_proof != PowerProof.NONE
-    heals = None if None in (proof, record.brakes_in_silence) else record.heals
+    needs = (proof, record.brakes_in_silence)
+    heals = None if None in needs and False not in needs else record.heals
     of_zdt = {"fast targets": record.fast_targets, "reports": record.reports} if record.family == "zdt" else {}
     return {"proof of power": proof, **of_zdt, "healing": heals}
 
