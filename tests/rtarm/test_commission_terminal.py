@@ -287,7 +287,8 @@ def test_a_control_process_that_is_killed_says_nothing_of_the_drive(led: Stack, 
         at.reply("Listen to it?", "")
         at.reply("Turn it?", "y")
         until(lambda: abs(led.truth()["joint2"].position_rad[-1] - math.radians(10.0)) > 0.1, patience_s=PATIENCE_S)
-        os.kill(int(files.open_state(led.name).record["header"]["pid"]), signal.SIGKILL)
+        with closing(files.open_state(led.name)) as state:
+            os.kill(int(state.record["header"]["pid"]), signal.SIGKILL)
         assert at.code() == 3
         assert "ended by SIGKILL. The drive was not seen to stand" in flat(at)
 
