@@ -21,7 +21,7 @@ from rich.text import Text
 from config.schema import ArmConfig
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import undisturbed
-from rtarm.processes import plain_environment, shared_death
+from rtarm.processes import describe_end, plain_environment, shared_death
 from rtarm.zdt_joints import other_drives, zdt_joints
 
 PATIENCE_S = 10.0
@@ -107,7 +107,8 @@ class OfflineProcess:
             self._process.wait()
         with self._process.stdout as unread:
             refused = [line.rstrip("\n").partition(" ")[2] for line in unread if line.startswith("refused ")]
-        self.refused = refused[0] if refused else None
+        code = self._process.returncode
+        self.refused = refused[0] if refused else f"The control process ended {describe_end(code)}." if code else None
 
 
 @contextmanager

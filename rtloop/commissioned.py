@@ -136,20 +136,37 @@ def marks(arm: ArmConfig, tell: Callable[[str], object]) -> Marks:
 
 
 def withheld(arm: ArmConfig) -> str:
-    """Why the arm must not start: its file asks of a drive what that was found not to do; empty where it does not."""
+    """Why the arm must not start: its file relies on what a drive was found not to do; empty where it does not."""
     try:
         known = load(arm)
     except NotReadable:  # which `unproven` tells
         return ""
-    for joint, found in known.items():
-        for setting, usual, name, what in _ASKED:
-            if getattr(arm.bus, setting) != usual and getattr(found, name) is False:
-                firmware = found.firmware or "not told"
-                return (
-                    f"The drive of {arm.joints[joint].name} was found at the bench ({found.when}, firmware {firmware}) "
-                    f"not to {what}, and the arm file asks for that: set bus.{setting} to {usual}, or test the drive "
-                    "again with `rtarm commission`."
-                )
+    relied_on = (_withheld_by(arm, joint, found) for joint, found in known.items())
+    return next((sentence for sentence in relied_on if sentence), "")
+
+
+def _withheld_by(arm: ArmConfig, joint: int, found: Commissioned) -> str:
+    config = arm.joints[joint]
+    bench = f"at the bench ({found.when}, firmware {found.firmware or 'not told'})"
+    if config.drive.knows_its_angle and found.power_proof is PowerProof.NONE:
+        return (
+            f"The encoder of {config.name} is absolute in the arm file, but {bench} it was not ({found.power}), so its "
+            "angle cannot be believed: mend `encoder` in the arm file, or test it again with `rtarm commission`."
+        )
+    for asked, does, what, instead in (
+        (
+            arm.bus.fast_targets,
+            found.fast_targets,
+            "take targets of FC for absolute ones",
+            "bus.position_command to FD",
+        ),
+        (arm.bus.reported, found.reports, "report its position as it was told", "bus.positions to polled"),
+    ):
+        if asked and does is False:
+            return (
+                f"The drive of {config.name} was found {bench} not to {what}, and the arm file asks for that: set "
+                f"{instead}, or test the drive again with `rtarm commission`."
+            )
     return ""
 
 

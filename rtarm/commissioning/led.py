@@ -7,27 +7,64 @@ by the very code that does so every day.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from contextlib import AbstractContextManager, suppress
-from typing import Any
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from enum import Enum
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from config.schema import ArmConfig
 from rtarm.errors import Refusal
 from rtarm.requests import Condition, Connection, cleared
+from rtarm.status import STOPPED_BY_A_PERSON
 from rtloop.commissioning.finding import Said, frames_of
 from shm.client import CommandWriter, StateReader, find
 from shm.errors import TornRead
 from shm.recording import Position, now_at, read_on
 from shm.sentences import outcome_sentence
-from shm.words import Fault, Mode, Outcome, Request
+from shm.words import DriveStatus, Fault, Mode, Outcome, Request
 
 DECIDED_S = 0.5
 REST_TO_REST = 5
 """Order of a segment with which a joint goes from rest to rest: a quintic."""
 FASTEST, HARDEST = 1.875, 5.774
 """Largest velocity and acceleration of such a segment, in way / T and way / T²: 15/8 and 10/√3."""
+
+
+FRESH_S = 0.5
+"""A reading that is older says nothing of how the drive is now."""
+AT_EASE_RAD = 0.1
+"""A joint that is led may be so far from its path before its goal ends; its following error ends more."""
+
+
+class Cause(Enum):
+    """What ended a goal."""
+
+    ARRIVED = "its joint arrived"
+    BEHIND = "its joint stayed behind, or its protection tripped"
+    DRIVE = "its drive let go, lost its power or refuses to move"
+    ELSEWHERE = "a refusal, a person, the bus or this machine, which says nothing of the drive"
+
+
+class End(NamedTuple):
+    """How a goal ended."""
+
+    cause: Cause
+    sentence: str = ""
+    """Empty where the joint arrived."""
+
+
+_OF_OUTCOMES = {
+    Outcome.SUCCEEDED: Cause.ARRIVED,
+    Outcome.PATH_TOLERANCE: Cause.BEHIND,
+    Outcome.GOAL_TOLERANCE: Cause.BEHIND,
+}
+_OF_FAULTS = {
+    Fault.FOLLOWING_ERROR: Cause.BEHIND,
+    Fault.DRIVE_FAULT: Cause.DRIVE,
+    Fault.REFERENCE_LOST: Cause.DRIVE,
+}
 
 
 class Led(Connection):
@@ -116,14 +153,47 @@ class Led(Connection):
         self.let_pass(DECIDED_S)
         return before, after
 
-    def hold(self) -> None:
-        """Clear its fault, if there is one, and see it hold, whoever else brings it up; raises Refusal."""
-        self.wait(
+    def hindrance(self) -> str:
+        """What keeps it from moving, a fault or a person, "" where nothing does; raises Refusal.
+
+        Whoever brings it up just now is waited for.
+        """
+        now = self.wait(
             lambda now: _at_fault(now) or int(now["mode"]) == Mode.HOLDING,
             self.patience.bring_up_s,
             f"{self.name} is not brought up.",
         )
+        return self.fault(now) or (STOPPED_BY_A_PERSON if now["held"] else "")
+
+    def clear(self) -> None:
+        """Take that away: its drive is enabled where it stands; raises Refusal."""
         cleared(self)
+        self._writer.resume()
+        self.wait_heard(lambda now: not now["held"])
+
+    def drive_refused(self) -> bool:
+        """Whether it was the drive that ended its bring-up, and not the bus or this machine."""
+        return int(self.snapshot()["fault"]) == Fault.BRING_UP
+
+    def is_limp(self) -> bool:
+        """Whether its drive said last that it holds nothing."""
+        status = int(self.joint()["drive_status"])
+        return not status & DriveStatus.ENABLED or bool(status & DriveStatus.PROTECTED)
+
+    def not_seen_to_stand(self) -> str:
+        """Why nobody knows that its drive stands and holds the joint, a sentence; "" where that was seen last."""
+        try:
+            now = self.snapshot()
+        except TornRead:
+            return f"What {self.name} did last is not known."
+        joint = now["joints"][0]
+        if int(now["monotonic_ns"]) - int(joint["measured_ns"]) > FRESH_S * 1e9:
+            return f"The drive of {self.name} did not answer at the end."
+        if self.is_limp():
+            return f"The drive of {self.name} is limp."
+        away_rad = abs(float(joint["commanded_position_rad"] - joint["measured_position_rad"]))
+        moves = bool(joint["commanded_velocity_rad_s"]) or away_rad > AT_EASE_RAD
+        return f"{self.name} was still on its way." if moves else ""
 
     def reference(self, angle_rad: float) -> None:
         """Say where the joint stands; raises Refusal where that is not taken."""
@@ -135,6 +205,15 @@ class Led(Connection):
         )
         if fault := self.fault(now):
             raise Refusal(fault)
+
+    @contextmanager
+    def stopped_by_any_end(self) -> Iterator[None]:
+        """A motion is stopped by whatever ends this early, and at once: before anything is put in order."""
+        try:
+            yield
+        except BaseException:
+            self._writer.stop()
+            raise
 
     def go(self, to_rad: float, seconds: float, tolerance_rad: float) -> int:
         """Send it there, from rest to rest, no farther from its path than so; the goal's number."""
@@ -159,26 +238,37 @@ class Led(Connection):
         self._writer.end(goal, path, consumed())
         return goal
 
-    def end_of(self, goal: int, patience_s: float) -> str | None:
-        """How a goal ended, in a sentence, "" for success; None where it has not in time."""
+    def end_of(self, goal: int, patience_s: float, look: Callable[[Any], None] = lambda joint: None) -> End:
+        """How a goal ended, which is stopped where it does not in time; `look` gets the joint of each snapshot."""
 
         def result(now: Any) -> Any:
+            look(now["joints"][0])
             found = find(now["results"], "goal_id", goal)
             return found if found is not None and int(found["outcome"]) != Outcome.NONE else None
 
         now = self.until(lambda now: result(now) is not None, patience_s)
         if now is None:
-            return None
+            self._writer.stop()  # it may be paused, and would go on when that is over
+            return End(Cause.ELSEWHERE, "Its goal did not end in time, and was stopped.")
         found = result(now)
-        if int(found["outcome"]) == Outcome.SUCCEEDED:
-            return ""
-        if fault := self.fault(now):
-            return fault
-        return outcome_sentence(int(found["outcome"]), self.name, float(found["value"]), float(found["limit"]))
+        outcome = Outcome(int(found["outcome"]))
+        if _at_fault(now) and outcome != Outcome.SUCCEEDED:
+            return End(_cause_of_fault(now), self.fault(now))
+        cause = _OF_OUTCOMES.get(outcome, Cause.ELSEWHERE)
+        if cause is Cause.ARRIVED:
+            return End(cause)
+        return End(cause, outcome_sentence(outcome, self.name, float(found["value"]), float(found["limit"])))
 
 
 def _at_fault(snapshot: np.ndarray) -> bool:
     return int(snapshot["fault"]) != Fault.NONE
+
+
+def _cause_of_fault(snapshot: np.ndarray) -> Cause:
+    fault = Fault(int(snapshot["fault"]))
+    if fault == Fault.DRIVE_FAULT and int(snapshot["joints"][0]["drive_status"]) & DriveStatus.PROTECTED:
+        return Cause.BEHIND
+    return _OF_FAULTS.get(fault, Cause.ELSEWHERE)
 
 
 def seconds_for(arm: ArmConfig, way_rad: float, share: float) -> float:

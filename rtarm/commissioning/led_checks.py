@@ -1,39 +1,53 @@
 """The checks of a drive that its ordinary control process leads: whatever its family, through the bytes of every day.
 
 What its manual says of answers, settings and errors is judged by its bring-up, which refuses what is not as documented.
-Here it is seen to follow, to fall silent to, to be held fast and to lose its power.
+Here it is seen to follow, to fall silent to, to be held fast and to lose its power. Whatever is found limp, or stopped
+by a person, stays so until the person at the bench says y to that.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 from config.schema import ArmConfig
-from rtarm.commissioning.led import FASTEST, Led, seconds_for
+from rtarm.commissioning.led import AT_EASE_RAD, DECIDED_S, FASTEST, Cause, End, Led, seconds_for
 from rtarm.errors import Refusal
 from rtloop.commissioned import PowerProof
-from rtloop.commissioning.finding import Finding, Said, Verdict, judge_reply_delay, reply_delays_s, verdict_of
+from rtloop.commissioning.finding import (
+    Check,
+    Finding,
+    Said,
+    Verdict,
+    beyond_limits,
+    judge_reply_delay,
+    reply_delays_s,
+    verdict_of,
+)
 from rtloop.commissioning.session import wire_s
 from rtloop.drives.setup import power_proof_of
 from shm.sentences import unreferenced_sentence
-from shm.words import DriveStatus, Unreferenced
+from shm.words import Unreferenced
 
 MOST_DEG = 15.0
 RANGE_SHARE = 0.25
 """No single move is longer than the least of both."""
 GENTLE, BRISK = 0.3, 0.6
 """Shares of the joint's velocity and acceleration that a move uses at most."""
-AT_EASE_RAD = 0.1
-"""A joint that is led may be so far from its path before its goal ends; its following error ends more."""
+SLOW, SLOW_SHARE = 0.5, 0.1
+"""A joint that goes on is slower than so much of its path's speed for so short a share of the time."""
 LISTENS_S = 1.0
 STILL_RAD = 0.005
 """A joint that stands moves no more."""
 SILENCE_S = 1.5
 LATE_S = 0.05
 """So old its last reading before a silence may be, and so long it may go on at its speed."""
+GOES_ON_CYCLES = 2.0
+"""A drive has targets for so many cycles ahead, and brakes then."""
+HARDEST_RAMP = 2.0
+"""A drive that promises a ramp brakes no harder than so many times that."""
 SLACK_RAD = 0.01
 PUSH_DEG, PUSH_S, PUSH_RAD = 5.0, 2.0, 0.03
 """Against a clamp; a goal whose joint is farther from its path ends."""
@@ -42,18 +56,30 @@ SILENT_S = 0.5
 """Without a reading: its plug is pulled, or its power off."""
 SAME_RAD = math.radians(2.0)
 """A limp joint that a person holds may turn by so much while its power is off."""
+BOOTS_S = 10.0
+"""From the y that its power is on to its first answer, if it gives any before it is brought up."""
+ENABLE_TRIES = 3
 
 
-@dataclass(frozen=True)
-class Check:
-    """One step of a bench test."""
+class Declined(Refusal):
+    """The person did not want the joint to be held."""
 
-    name: str
-    explains: str
-    question: str
-    ask: Callable[[LedBench, int], list[Finding]]
-    """Of the way the motor turns, 1 or -1."""
-    moves: bool = False
+
+class Followed(NamedTuple):
+    """How a joint followed its path."""
+
+    off_rad: float
+    """From it, at the most."""
+    slow: float
+    """Share of the time amid it in which it was slower than `SLOW` times what it was told."""
+
+
+class Silenced(NamedTuple):
+    """What came of a silence that a person has made."""
+
+    finding: Finding
+    angle_right: bool | None = None
+    """Whether its angle was kept, or lost, as it should be; None where that was not seen."""
 
 
 class LedBench:
@@ -71,24 +97,25 @@ class LedBench:
         """How it proves that it has kept its power; None where that was not tried."""
         self.power = ""
         """What was found of that."""
+        self.lets_go = False
+        """Whether it let its joint go in any silence."""
         self.found: dict[str, Finding] = {}
+
+    @property
+    def brakes_in_silence(self) -> bool | None:
+        """Whether it brakes and holds in silence; None where that was not tried."""
+        return False if self.lets_go else self.found["silence"].good if "silence" in self.found else None
 
     def check(self, check: Check, sign: int) -> list[Finding]:
         """Do one check, from a joint that holds and is referenced, and bring it back to where it stood."""
-        found = self._checked(check, sign)
+        try:
+            self._hold()
+            self._know()
+            found = check.ask(self, sign)
+        except Refusal as refused:
+            found = [Finding(check.name, check.explains, "", refused.sentence, Verdict.NOT_TRIED)]
         self.found |= {finding.check: finding for finding in found}
         return found
-
-    def _checked(self, check: Check, sign: int) -> list[Finding]:
-        why = self.led.fault(self.led.snapshot())
-        if why and not self._agrees(f"{why} Shall that be cleared, and {self.name} be held where it stands?"):
-            return [_could_not_begin(check, why)]
-        try:
-            self.led.hold()
-            self._know()
-        except Refusal as refused:
-            return [_could_not_begin(check, refused.sentence)]
-        return check.ask(self, sign)
 
     def _know(self) -> None:
         """See that its angle is known: one that counts from where power came stands in the middle of its range."""
@@ -110,53 +137,72 @@ class LedBench:
 
     def retarget(self, sign: int) -> list[Finding]:
         """A target in motion in each cycle."""
-        way_rad = sign * way_of(self.led.config)
-        asked = f"{abs(math.degrees(way_rad)):.0f}° there and back, with a new target or set-point in each cycle"
-        documented = "it takes each of them and goes on, near its path"
-        start_rad, worst_rad = self._stands_rad(), 0.0
-        for to_rad, share in ((start_rad + way_rad, GENTLE), (start_rad, BRISK)):
-            ended, off_rad = self._go(to_rad, share)
-            worst_rad = max(worst_rad, off_rad)
-            if ended:
-                return [Finding("retarget", asked, documented, ended, Verdict.DIFFERS)]
-        came = f"it went there and back, {math.degrees(worst_rad):.2f}° from its path at the most"
+        start_rad, there_rad = self._way(sign * way_of(self.led.config))
+        end, went = self._go(there_rad, GENTLE)
+        if end.cause is Cause.ARRIVED:
+            end, back = self._go(start_rad, BRISK)
+            went = Followed(*map(max, zip(went, back, strict=True)))
+        off_deg = math.degrees(went.off_rad)
+        verdict = _verdict(end, Cause.ARRIVED)
+        if end.cause is Cause.ARRIVED and went.slow > SLOW_SHARE:
+            verdict = Verdict.DIFFERS
         return [
-            Finding("retarget", asked, documented, came, Verdict.AS_DOCUMENTED, {"worst_deg": math.degrees(worst_rad)})
+            Finding(
+                "retarget",
+                f"{abs(math.degrees(there_rad - start_rad)):.0f}° there and back, with a new target or set-point in "
+                "each cycle",
+                "it takes each of them and goes on, near its path, and is slower than "
+                f"{SLOW:g} × what it was told for no more than {SLOW_SHARE:.0%} of the time",
+                end.sentence
+                or f"it went there and back, {off_deg:.2f}° from its path at the most, slower than {SLOW:g} × what it "
+                f"was told for {went.slow:.0%} of the time",
+                verdict,
+                {"worst_deg": off_deg, "slow_share": went.slow},
+            )
         ]
 
     def silence(self, sign: int) -> list[Finding]:
         """Nothing more is said to it in motion."""
-        arm, way_rad = self.led.config, sign * way_of(self.led.config)
-        asked = f"{SILENCE_S:g} s of silence amid a move of {abs(math.degrees(way_rad)):.0f}°"
-        documented = "it stands at the last that it was told, and holds the joint"
-        start_rad = self._stands_rad()
-        seconds = seconds_for(arm, abs(way_rad), BRISK)
-        goal = self.led.go(start_rad + way_rad, seconds, AT_EASE_RAD)
+        arm, way_rad = self.led.config, way_of(self.led.config)
+        drive = arm.joints[0].drive
+        ramp_rad_s2 = arm.joints[0].max_acceleration_rad_s2 * arm.limits.silence_brake_factor
+        asked = f"{SILENCE_S:g} s of silence amid a move of {math.degrees(way_rad):.0f}°"
+        brakes = f"brakes at {math.degrees(ramp_rad_s2):.0f} °/s², " if drive.plans_its_motion else ""
+        documented = f"it {brakes}stands at the last that it was told, and holds the joint"
+        start_rad, there_rad = self._way(sign * way_rad)
+        seconds = seconds_for(arm, way_rad, BRISK)
+        goal = self.led.go(there_rad, seconds, AT_EASE_RAD)
         self.led.let_pass(seconds / 2.0)
         before, after = self.led.say_nothing(SILENCE_S)
         if after is None:
             came = "it answers no more after the silence"
             return [Finding("silence", asked, documented, came, Verdict.DIFFERS)]
-        ended = self.led.end_of(goal, arm.patience.person_s)
+        ended = self.led.end_of(goal, arm.patience.person_s).sentence
         stands, moving = self.led.joint(), before["joints"][0]
         speed_rad_s = abs(float(moving["commanded_velocity_rad_s"]))
-        if speed_rad_s < 0.5 * FASTEST * abs(way_rad) / seconds:
+        if speed_rad_s < 0.5 * FASTEST * way_rad / seconds:
             came = f"it did not move when the silence began: {ended or 'its goal was over'}"
             return [Finding("silence", asked, documented, came, Verdict.NOT_TRIED)]
-        ramp_rad_s2 = arm.joints[0].max_acceleration_rad_s2 * arm.limits.silence_brake_factor
-        most_rad = speed_rad_s**2 / (2.0 * ramp_rad_s2) + speed_rad_s * self._late_s + SLACK_RAD
         beyond_rad = sign * float(stands["measured_position_rad"] - moving["measured_position_rad"])
+        braked_rad_s2 = self._braked_rad_s2(speed_rad_s, beyond_rad)
+        most_rad = speed_rad_s**2 / (2.0 * ramp_rad_s2) + speed_rad_s * self._late_s + SLACK_RAD
         crept_rad = abs(float(stands["measured_position_rad"] - after["joints"][0]["measured_position_rad"]))
-        status = int(stands["drive_status"])
-        holds = bool(status & DriveStatus.ENABLED) and not status & DriveStatus.PROTECTED
+        lets_go = self.led.is_limp()
+        self.lets_go |= lets_go
         stood = crept_rad <= STILL_RAD
-        right = holds and stood and -most_rad <= beyond_rad <= most_rad
+        right = stood and not lets_go and -most_rad <= beyond_rad <= most_rad
+        right &= not drive.plans_its_motion or braked_rad_s2 <= HARDEST_RAMP * ramp_rad_s2
+        braked = f"braked at {math.degrees(braked_rad_s2):.0f} °/s² by its own encoder and held the joint"
         came = (
             f"at {math.degrees(speed_rad_s):.1f} °/s it went on by {math.degrees(beyond_rad):.1f}° "
-            f"({math.degrees(most_rad):.1f}° at the most), {'stood' if stood else 'still moved'} and "
-            f"{'held the joint' if holds else 'let the joint go'}"
+            f"({math.degrees(most_rad):.1f}° at the most), {'stood' if stood else 'still moved'}, "
+            f"{'let the joint go' if lets_go else braked}"
         )
-        figures = {"speed_deg_s": math.degrees(speed_rad_s), "beyond_deg": math.degrees(beyond_rad)}
+        figures = {
+            "speed_deg_s": math.degrees(speed_rad_s),
+            "beyond_deg": math.degrees(beyond_rad),
+            "braked_deg_s2": math.degrees(braked_rad_s2),
+        }
         self._go_back(start_rad)
         return [Finding("silence", asked, documented, came, verdict_of(right), figures)]
 
@@ -164,43 +210,44 @@ class LedBench:
         """It pushes against a clamp."""
         asked = f"{PUSH_DEG:g}° against the clamp"
         documented = "its encoder tells that it stays behind, or its protection trips; the goal ends"
-        start_rad = self._stands_rad()
+        start_rad, there_rad = self._way(sign * math.radians(PUSH_DEG))
         began_ns = self.led.now_ns()
-        goal = self.led.go(start_rad + sign * math.radians(PUSH_DEG), PUSH_S, PUSH_RAD)
-        ended = self.led.end_of(goal, PUSH_S + self.led.config.patience.person_s)
+        goal = self.led.go(there_rad, PUSH_S, PUSH_RAD)
+        end = self.led.end_of(goal, PUSH_S + self.led.config.patience.person_s)
         seconds = (self.led.now_ns() - began_ns) * 1e-9
         moved_deg = abs(math.degrees(float(self.led.joint()["measured_position_rad"]) - start_rad))
         self._go_back(start_rad)
         figures = {"moved_deg": moved_deg, "seconds": seconds}
+        came = f"after {seconds:.1f} s: {end.sentence or 'nobody noticed that it does not turn'}"
+        verdict = _verdict(end, Cause.BEHIND)
         if moved_deg > PUSH_DEG / 2.0:
             came = (
                 f"it says that it turned by {moved_deg:.1f}°: the clamp gave way, or its encoder tells what is not so"
             )
-            return [Finding("stall", asked, documented, came, Verdict.NOT_TRIED, figures)]
-        came = f"after {seconds:.1f} s: {ended}" if ended else "nobody noticed that it does not turn"
-        return [Finding("stall", asked, documented, came, verdict_of(bool(ended)), figures)]
+            verdict = Verdict.NOT_TRIED
+        return [Finding("stall", asked, documented, came, verdict, figures)]
 
     def unplugged(self, _: int) -> list[Finding]:
         """Its CAN plug is pulled while it stands, and its power stays on."""
         keeps = self.absolute or self._proves
-        documented = {
-            True: "it has held the joint, which is where it was",
-            False: "its family proves nothing, so its angle is lost",
-        }[keeps]
-        finding = self._silenced(
+        documented = "it holds the joint; " + (
+            "its angle is where it was" if keeps else "its family proves nothing, so its angle is lost"
+        )
+        finding, angle_right = self._silenced(
             Finding(
                 "unplugged",
                 "its CAN plug pulled and put back, with its power on",
                 documented,
-                "its plug was not pulled and put back",
+                "its plug was not pulled",
                 Verdict.NOT_TRIED,
             ),
             f"Pull the CAN plug of {self.name}'s drive now, and leave its power on.",
             "It is silent. Put the plug back.",
-            "Is it back in, was its power on all the time, and is nobody's hand at the joint?",
+            "Is it back in, and was its power on all the time?",
             keeps=keeps,
+            holds=True,
         )
-        if finding.verdict == Verdict.DIFFERS:
+        if angle_right is False:
             self._prove(PowerProof.NONE, finding.came)
         return [finding]
 
@@ -211,20 +258,20 @@ class LedBench:
             False: "it counts from where power came, and cannot pretend that it had power: its angle is lost",
         }[self.absolute]
         asked = "its power switched off and on"
-        hindered, _ = self._go(self._stands_rad() + sign * way_of(self.led.config), GENTLE)
-        if hindered:
-            return [Finding("power cycle", asked, documented, hindered, Verdict.NOT_TRIED)]
-        finding = self._silenced(
-            Finding("power cycle", asked, documented, "its power was not switched off and on", Verdict.NOT_TRIED),
+        end, _ = self._go(self._way(sign * way_of(self.led.config))[1], GENTLE)
+        if end.cause is not Cause.ARRIVED:
+            return [Finding("power cycle", asked, documented, end.sentence, Verdict.NOT_TRIED)]
+        finding, angle_right = self._silenced(
+            Finding("power cycle", asked, documented, "its power was not switched off", Verdict.NOT_TRIED),
             f"Switch the power of {self.name}'s drive off now; it is watched until it falls silent.",
             "It is silent. Wait until nothing of it is lit, then switch it on again.",
-            "Was it dark, is it on again, and is nobody's hand at the joint? It is enabled where it stands.",
+            "Was it dark, is it on again, and did the joint stay where it was?",
             keeps=self.absolute,
+            holds=False,
         )
-        if finding.verdict != Verdict.NOT_TRIED:
+        if angle_right is not None:
             proof = PowerProof.ABSOLUTE if self.absolute else PowerProof.CANARY
-            proves = finding.good and (self.absolute or self._proves)
-            self._prove(proof if proves else PowerProof.NONE, finding.came)
+            self._prove(proof if angle_right and (self.absolute or self._proves) else PowerProof.NONE, finding.came)
         return [finding]
 
     # --- what they share
@@ -239,38 +286,57 @@ class LedBench:
         if self.power_proof is not PowerProof.NONE:
             self.power_proof, self.power = proof, came
 
-    def _silenced(self, undone: Finding, do: str, then: str, question: str, *, keeps: bool) -> Finding:
-        """Have a person make it silent and end that; whether its angle is kept as it should be, and the same then."""
+    def _silenced(self, undone: Finding, do: str, then: str, question: str, *, keeps: bool, holds: bool) -> Silenced:
+        """Have a person make it silent and end that; whether it `keeps` its angle and `holds` its joint, as told."""
         before_rad = self._stands_rad()
         self._tell(do)
-        silent_ns = round(SILENT_S * 1e9)
-        silent = self.led.until(
-            lambda now: int(now["monotonic_ns"]) - int(now["joints"][0]["measured_ns"]) > silent_ns, SWITCH_PATIENCE_S
-        )
-        if silent is not None:
-            self._tell(then)
-        if silent is None or not self._agrees(question):
-            return undone
-        ends_ns = self.led.now_ns() + round(SWITCH_PATIENCE_S * 1e9)
-        while why := self._not_held():
-            if self.led.now_ns() >= ends_ns:
-                return replace(undone, came=why, verdict=Verdict.DIFFERS)
-            self.led.let_pass(SILENT_S)
+        if self.led.until(lambda now: _silent_for_ns(now) > SILENT_S * 1e9, SWITCH_PATIENCE_S) is None:
+            return Silenced(undone)
+        self._tell(then)
+        if not self._agrees(question):
+            return Silenced(replace(undone, came="it fell silent, but not as it was asked for, or nobody said so"))
+        said_ns = self.led.now_ns()
+        patience_s = SWITCH_PATIENCE_S if holds else BOOTS_S  # without power some are asked by their bring-up alone
+        heard = self.led.until(lambda now: int(now["joints"][0]["measured_ns"]) > said_ns, patience_s) is not None
+        if holds and not heard:
+            return Silenced(replace(undone, came=f"it has not answered for {patience_s:g} s since your y"))
+        self.led.let_pass(DECIDED_S)
+        lets_go = holds and self.led.is_limp()
+        self.lets_go |= lets_go
+        how = f"; it {'was limp' if self.led.is_limp() else 'held the joint'} when it was back" if heard else ""
+        try:
+            self._hold()
+        except Refusal as refused:
+            differs = lets_go or (heard and not isinstance(refused, Declined))
+            verdict = Verdict.DIFFERS if differs else Verdict.NOT_TRIED
+            return Silenced(replace(undone, came=refused.sentence + how, verdict=verdict))
         known, away_rad = self.led.referenced, abs(self._stands_rad() - before_rad)
-        return replace(
+        # a joint that was let go amid it may be elsewhere, and its encoder right
+        elsewhere = known and away_rad > SAME_RAD and not lets_go
+        angle_right = known == keeps and not elsewhere
+        finding = replace(
             undone,
-            came=f"its angle was {'kept' if known else 'lost'}, {math.degrees(away_rad):.1f}° from that of before",
-            verdict=verdict_of(known == keeps and not (known and away_rad > SAME_RAD)),
+            came=f"its angle was {'kept' if known else 'lost'}, {math.degrees(away_rad):.1f}° from that of before{how}",
+            verdict=verdict_of(angle_right and not lets_go),
             figures={"away_deg": math.degrees(away_rad)},
         )
+        return Silenced(finding, angle_right)
 
-    def _not_held(self) -> str:
-        """Clear its fault; why it does not hold then, "" where it does."""
-        try:
-            self.led.hold()
-        except Refusal as refused:
-            return refused.sentence
-        return ""
+    def _hold(self) -> None:
+        """See it hold and take goals: what keeps it from that is taken away after a y alone; raises Refusal."""
+        refused: Refusal | None = None
+        for _ in range(ENABLE_TRIES):
+            why = self.led.hindrance()
+            if not why:
+                return
+            limp = f"{self.name} is limp, and is enabled where it stands: no hand at it. " if self.led.is_limp() else ""
+            if not self._agrees(f"{why} {limp}Shall that be cleared, and {self.name} be held where it stands?"):
+                raise Declined(why)
+            try:
+                self.led.clear()
+            except Refusal as again:
+                refused = again
+        raise refused or Refusal(why)
 
     def _is_its(self, frame: Said) -> bool:
         """Whether this drive has said it; others on the bus have clocks of their own."""
@@ -282,34 +348,69 @@ class LedBench:
         """How long a joint may go on at its speed: what was sent just before the silence is told it a little later."""
         return LATE_S + 3.0 * self.led.config.control.period_ns * 1e-9
 
+    def _braked_rad_s2(self, speed_rad_s: float, beyond_rad: float) -> float:
+        """How hard it braked, by the way between its readings of before and after, less that of its last targets."""
+        goes_on_rad = speed_rad_s * GOES_ON_CYCLES * self.led.config.control.period_ns * 1e-9
+        return speed_rad_s**2 / (2.0 * max(beyond_rad - goes_on_rad, STILL_RAD / 10.0))
+
     def _stands_rad(self) -> float:
         return float(self.led.joint()["commanded_position_rad"])
 
-    def _go(self, to_rad: float, share: float) -> tuple[str, float]:
-        """Go somewhere; why it did not arrive, "" where it did, and how far it was from its path at the most."""
-        arm = self.led.config
-        seconds = seconds_for(arm, abs(to_rad - self._stands_rad()), share)
-        goal = self.led.go(to_rad, seconds, AT_EASE_RAD)
-        worst_rad = 0.0
+    def _way(self, way_rad: float) -> tuple[float, float]:
+        """Where it stands, and where such a way ends; raises Refusal where that is beyond its limits."""
+        joint = self.led.config.joints[0]
+        here_rad = self._stands_rad()
+        there_rad = here_rad + way_rad
+        if not joint.lower_rad <= there_rad <= joint.upper_rad:
+            raise Refusal(beyond_limits(joint, math.degrees(here_rad), math.degrees(there_rad)))
+        return here_rad, there_rad
 
-        def ended(now: Any) -> bool:
-            nonlocal worst_rad
-            joint = now["joints"][0]
-            worst_rad = max(worst_rad, abs(float(joint["measured_position_rad"] - joint["reference_position_rad"])))
-            return goal in now["results"]["goal_id"]
+    def _go(self, to_rad: float, share: float) -> tuple[End, Followed]:
+        """Go somewhere; how that ended, and how the joint followed."""
+        arm, way_rad = self.led.config, abs(to_rad - self._stands_rad())
+        seconds = seconds_for(arm, way_rad, share)
+        off_rad, speeds = [0.0], [(0.0, 0.0)]
 
-        self.led.until(ended, seconds + arm.patience.person_s)
-        why = self.led.end_of(goal, 0.0)
-        return "Its goal does not end." if why is None else why, worst_rad
+        def look(joint: Any) -> None:
+            off_rad.append(abs(float(joint["measured_position_rad"] - joint["reference_position_rad"])))
+            speeds.append((abs(float(joint["reference_velocity_rad_s"])), abs(float(joint["measured_velocity_rad_s"]))))
+
+        end = self.led.end_of(self.led.go(to_rad, seconds, AT_EASE_RAD), seconds + arm.patience.person_s, look)
+        under_way = [has < SLOW * told for told, has in speeds if told > 0.5 * FASTEST * way_rad / seconds]
+        return end, Followed(max(off_rad), sum(under_way) / max(len(under_way), 1))
 
     def _go_back(self, to_rad: float) -> None:
-        """Be where it stood, as far as it can: what hinders it is told when the next check begins."""
-        if not self._not_held() and self.led.referenced:
+        """Be where it stood, as far as it can; one that was limp may be anywhere, and turns back after a y alone."""
+        try:
+            unasked = not self.led.hindrance()
+            self._hold()
+        except Refusal:
+            return  # which is told when the next check begins
+        here_rad = self._stands_rad()
+        unasked &= abs(here_rad - to_rad) <= way_of(self.led.config) + SLACK_RAD
+        from_to = f"from {math.degrees(here_rad):.1f}° to {math.degrees(to_rad):.1f}°, where it began"
+        away = abs(here_rad - to_rad) > STILL_RAD
+        if away and self.led.referenced and (unasked or self._agrees(f"Shall {self.name} turn back, {from_to}?")):
             self._go(to_rad, GENTLE)
 
 
-def _could_not_begin(check: Check, why: str) -> Finding:
-    return Finding(check.name, check.explains, "", f"It could not begin: {why}", Verdict.NOT_TRIED)
+def judge_answers(told: Sequence[str], refused: str) -> Finding:
+    """What a bring-up `told`, and why it was `refused`."""
+    return Finding(
+        "answers",
+        "all that a bring-up asks and sets",
+        "an answer to each, settings that are taken, a drive that holds",
+        refused or " ".join(told) or "it answered, nothing had to be set, and it holds",
+        verdict_of(not refused),
+    )
+
+
+def _verdict(end: End, documented: Cause) -> Verdict:
+    return Verdict.NOT_TRIED if end.cause is Cause.ELSEWHERE else verdict_of(end.cause is documented)
+
+
+def _silent_for_ns(snapshot: Any) -> int:
+    return int(snapshot["monotonic_ns"]) - int(snapshot["joints"][0]["measured_ns"])
 
 
 def way_of(arm: ArmConfig) -> float:

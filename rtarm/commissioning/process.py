@@ -6,6 +6,7 @@ It runs with an arm file of that joint and a state folder of its own, so that no
 
 from __future__ import annotations
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,38 +14,37 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import yaml
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rosfront.link import attach
+from rosfront.link import Link, attach
 from rtarm.commissioning.led import Led, alone
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import undisturbed
-from rtarm.processes import READY, plain_environment, shared_death
+from rtarm.processes import READY, describe_end, plain_environment, shared_death
 from shm.errors import NotRunning
 
 POLL_S = 0.002
 STOPPED_PATIENCE_S = 1.0
+NOT_SEEN = "The drive was not seen to stand: use the switch in the power line."
 TELLS = "rtloop: "
 """What its lines for people begin with."""
 
 
 class LedProcess:
-    """Such a process, which has brought its drive up; `told` are its sentences so far.
-
-    Raises:
-        Refusal: it cannot begin, with its own sentence.
-    """
+    """Such a process; `told` are its sentences so far."""
 
     def __init__(self, arm: ArmConfig, joint: int, folder: Path) -> None:
         file = folder / f"{arm.name}.yaml"
         file.write_text(yaml.safe_dump(alone(arm, joint)), encoding="utf-8")
         self.arm = load_arm(file)
         self.told: list[str] = []
+        self.refused = ""
+        """Why its drive was not seen to stand when it was closed, a sentence."""
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "rtloop", str(file)],
             stdout=subprocess.PIPE,
@@ -56,17 +56,30 @@ class LedProcess:
         )
         self._listener = threading.Thread(target=self._listen, daemon=True)
         self._listener.start()
-        try:
-            self._await_ready()
-        except BaseException:
-            self.close()
-            raise
 
-    def _await_ready(self) -> None:
+    def attach(self) -> Link:
+        """Its memory files, once its bus is open and its bring-up begins; raises Refusal where neither comes."""
+        while True:
+            try:
+                link = attach(self.arm)
+            except NotRunning:
+                link = None
+            if link is not None:
+                if link.loop_pid == self._process.pid and link.loop_has_run():
+                    return link
+                link.close()
+            if self._process.poll() is not None:
+                self._listener.join()
+                raise Refusal("\n".join(self.told) or "The control process did not start.", ExitCode.LOOP_REFUSED)
+            time.sleep(POLL_S)
+
+    def brought_up(self) -> bool:
+        """Wait for the end of its bring-up; whether its drive holds the joint then."""
         assert self._process.stdout is not None
-        if self._process.stdout.readline().strip() != READY:
+        ready = self._process.stdout.readline().strip() == READY
+        if not ready:
             self._listener.join()
-            raise Refusal("\n".join(self.told) or "The control process did not start.", ExitCode.LOOP_REFUSED)
+        return ready
 
     def _listen(self) -> None:
         assert self._process.stderr is not None
@@ -81,7 +94,12 @@ class LedProcess:
         time.sleep(POLL_S)
         if self._process.poll() is not None:
             self._listener.join()
-            raise NotRunning(f"The control process ended meanwhile: {' '.join(self.told[-1:])}")
+            raise NotRunning(f"{self._how_it_ended()} {NOT_SEEN}")
+
+    def _how_it_ended(self) -> str:
+        code = self._process.returncode
+        how = f"The control process of {self.arm.name} ended {describe_end(code)}."
+        return " ".join([how, *(self.told[-1:] if code > 0 else [])])
 
     @contextmanager
     def standing_still(self) -> Iterator[None]:
@@ -96,7 +114,7 @@ class LedProcess:
             self._process.send_signal(signal.SIGCONT)  # says nothing to one that has ended
 
     def close(self) -> None:
-        """End it in order: what moves stops, and the drive holds."""
+        """End it in order: what moves stops, and the drive holds; `refused` says where that is not so."""
         assert self._process.stdout is not None
         with undisturbed():
             self._process.terminate()
@@ -108,6 +126,8 @@ class LedProcess:
                 self._process.wait()
             self._listener.join()
             self._process.stdout.close()
+        if self._process.returncode != 0:
+            self.refused = self._how_it_ended()
 
 
 def _state_of(pid: int) -> str:
@@ -117,13 +137,15 @@ def _state_of(pid: int) -> str:
 
 @contextmanager
 def led_alone(arm: ArmConfig, joint: int) -> Iterator[tuple[Led, LedProcess]]:
-    """A joint of an arm, brought up alone, for as long as it is tested; raises Refusal."""
-    with ExitStack() as kept:
-        folder = Path(kept.enter_context(tempfile.TemporaryDirectory(prefix="rtarm-commission-")))
-        process = LedProcess(arm, joint, folder)
-        kept.callback(process.close)
-        link = attach(process.arm)
-        kept.callback(link.close)
+    """A joint of an arm that is being brought up alone, for as long as it is tested; raises Refusal."""
+    left_behind = f"rtarm-commission-{arm.name}-"  # of one that was killed: no other runs beside the arm's memory files
+    for folder in Path(tempfile.gettempdir()).glob(f"{left_behind}*"):
+        shutil.rmtree(folder, ignore_errors=True)
+    with (
+        tempfile.TemporaryDirectory(prefix=left_behind) as made,
+        closing(LedProcess(arm, joint, Path(made))) as process,
+        closing(process.attach()) as link,
+    ):
 
         def pass_time() -> None:
             link.writer.beat()
@@ -139,6 +161,6 @@ def led_alone(arm: ArmConfig, joint: int) -> Iterator[tuple[Led, LedProcess]]:
         )
         try:
             yield led, process
-        except BaseException:
-            link.writer.stop()  # at once, whatever has to be put in order first
-            raise
+        finally:
+            process.close()
+            process.refused = process.refused or led.not_seen_to_stand()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +17,7 @@ from config.schema import ArmConfig
 from rtarm.errors import Refusal
 from rtloop import commissioned
 from rtloop.commissioned import Commissioned, NotReadable, PowerProof
-from rtloop.saved import PSEUDO_TERMINALS, NotSaved, is_simulated
+from rtloop.saved import PSEUDO_TERMINALS, NotSaved, channel_of, is_simulated
 
 RELIES: Mapping[str, str] = {
     "proof of power": "a silent drive keeps its reference",
@@ -24,6 +25,10 @@ RELIES: Mapping[str, str] = {
     "reports": "bus.positions: reported",
     "healing": "the arm clears by itself the fault of a short silence of all drives",
 }
+
+
+RELIED_ON = ("power_proof", "fast_targets", "reports", "retargets", "brakes_in_silence")
+"""Fields of a record."""
 
 
 class Report:
@@ -36,9 +41,18 @@ class Report:
         self.ended = ""
         self.not_kept = ""
         """Why what was found is not kept."""
+        self.withdrawn = ""
+        """What the earlier test had unlocked and this one withdraws, a sentence."""
         self.made = False
         """Whether the folder is this report's."""
-        self._record: Commissioned | None = None
+        drive = arm.joints[joint].drive
+        self.record = Commissioned(
+            channel=channel_of(arm),
+            family=drive.family,
+            number=drive.number,
+            firmware="",
+            when=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        )
 
     def make(self) -> None:
         """Make the folder; raises Refusal."""
@@ -53,15 +67,23 @@ class Report:
     def add(self, findings: Sequence[dict[str, Any]], record: Commissioned) -> None:
         """Take the findings of one check (fields of `Finding`), and keep the record that they make with those before.
 
-        What differs is known to the control process from then on, however this ends.
+        What differs is known to the control process from then on, and stands in the report, however this ends.
         """
         self.findings += findings
-        self._record = record.after(self._before)
+        self.record = record
+        # what tells neither its firmware nor what is relied on says nothing of the drive of before
+        if record.firmware or any(getattr(record, name) is not None for name in RELIED_ON):
+            self._keep(record.after(self._before))
+        self.write()
+
+    def _keep(self, record: Commissioned) -> None:
+        self.record = record
         try:
-            commissioned.save(self.arm, self.joint, self._record)
+            commissioned.save(self.arm, self.joint, record)
             self.not_kept = ""
         except (NotSaved, NotReadable) as problem:
             self.not_kept = str(problem)
+        self.withdrawn = "" if self._before is None else _withdrawn(self._before, record)
 
     @property
     def agrees(self) -> bool:
@@ -75,24 +97,18 @@ class Report:
 
     def unlocked(self) -> dict[str, bool | None]:
         """What the control process may rely on; None for what was not tried. Two are of ZDT drives alone."""
-        record = self._record
-        assert record is not None
-        proof = None if record.power_proof is None else record.power_proof != PowerProof.NONE
-        heals = None if None in (proof, record.brakes_in_silence) else record.heals
-        of_zdt = {"fast targets": record.fast_targets, "reports": record.reports} if record.family == "zdt" else {}
-        return {"proof of power": proof, **of_zdt, "healing": heals}
+        return _unlocked(self.record)
 
     def write(self) -> None:
         """Both files of the report."""
-        record = self._record
-        assert record is not None
         whole = {
             "rtarm": version("rtarm"),
             "arm": self.arm.name,
             "joint": self.arm.joints[self.joint].name,
             "ended": self.ended,
             "simulated": self._simulated,
-            "record": vars(record),
+            "record": vars(self.record),
+            "withdrawn": self.withdrawn,
             "unlocked": self.unlocked(),
             "findings": self.findings,
         }
@@ -104,8 +120,7 @@ class Report:
 
     def text(self) -> str:
         """For people; its last lines are those of docs/hardware-status.md."""
-        record, config = self._record, self.arm.joints[self.joint]
-        assert record is not None
+        record, config = self.record, self.arm.joints[self.joint]
         lines = [
             f"{self.arm.name}, {config.name}: {config.drive.called}, number {record.number}, firmware "
             f"{record.firmware or 'unknown'}, {record.channel}, {record.when}, rtarm {version('rtarm')}"
@@ -120,6 +135,7 @@ class Report:
             ]
         words = {True: "unlocked", False: "withheld", None: "not tried"}
         lines += ["", *(f"{what} ({RELIES[what]}): {words[yes]}" for what, yes in self.unlocked().items())]
+        lines += [self.withdrawn] if self.withdrawn else []
         if self._simulated:
             lines.append("This was a simulated drive: it says nothing of real ones.")
         lines += [*([self.ended] if self.ended else []), "", f"To send back: the folder {self.folder}, or this line:"]
@@ -130,3 +146,24 @@ class Report:
             f"{', '.join(differs) or 'none'} | {record.power_proof or 'not tried'} | {record.when[:10]} |"
         )
         return "\n".join(lines)
+
+
+def _unlocked(record: Commissioned) -> dict[str, bool | None]:
+    proof = None if record.power_proof is None else record.power_proof != PowerProof.NONE
+    needs = (proof, record.brakes_in_silence)
+    heals = None if None in needs and False not in needs else record.heals
+    of_zdt = {"fast targets": record.fast_targets, "reports": record.reports} if record.family == "zdt" else {}
+    return {"proof of power": proof, **of_zdt, "healing": heals}
+
+
+def _withdrawn(before: Commissioned, record: Commissioned) -> str:
+    """What an earlier test had unlocked and this one has not tried, a sentence; "" where that is nothing."""
+    now = _unlocked(record)
+    gone = [what for what, yes in _unlocked(before).items() if yes and now.get(what) is None]
+    if not gone:
+        return ""
+    why = "its firmware is another one" if record.firmware else "it tells no firmware, so it may be another drive"
+    return (
+        f"Withdrawn is what the bench test of {before.when[:10]} had unlocked and this one has not tried "
+        f"({', '.join(gone)}): {why}. All checks in one session unlock it again."
+    )

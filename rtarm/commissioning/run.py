@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rtarm.calibrate.person import Person, Quit, agrees
-from rtarm.commissioning.led_checks import LedBench, checks_of
-from rtarm.commissioning.process import led_alone
+from rtarm.commissioning.led_checks import LedBench, checks_of, judge_answers
+from rtarm.commissioning.process import NOT_SEEN, LedProcess, led_alone
 from rtarm.commissioning.report import Report
 from rtarm.drives import OfflineProcess, offline_process
 from rtarm.errors import ExitCode, Refusal
@@ -60,14 +60,17 @@ def commission(argument: str, name: str, output: Path | None, overrides: Mapping
     stamp = time.strftime("%Y%m%dT%H%M%S")
     folder = output or Path(f"commission-{arm.name}-{name.replace('/', '_')}-{stamp}")
     report, code = Report(arm, joint, folder, before), ExitCode.REFUSED
+    opened: list[OfflineProcess | LedProcess] = []
     try:
         with signals_raise():
+            _require_at_rest(arm)
+            report.make()
             if arm.joints[joint].drive.family in FAMILIES:
-                _by_itself(argument, overrides, person, report)
+                _by_itself(argument, overrides, person, report, opened)
             else:
-                _led(person, report)
+                _led(person, report, opened)
     except (Quit, Interrupted) as ended:
-        report.ended = f"Ended early ({ended}); the drive stands."
+        report.ended, code = _early(str(ended), opened)
     except Refusal as refused:
         report.ended, code = refused.sentence, refused.code
     except SharedMemoryError as problem:
@@ -86,34 +89,74 @@ def commission(argument: str, name: str, output: Path | None, overrides: Mapping
     return report.agrees
 
 
+def _require_at_rest(arm: ArmConfig) -> None:
+    """Raise Refusal where the arm runs."""
+    try:
+        files.open_state(arm.name).close()
+    except NotRunning:
+        return
+    raise Refusal(
+        "Drives are checked by a control process of their own, and this arm has one already: end that first (Ctrl-C in "
+        "its `rtarm up`), then run this again.",
+        ExitCode.LOOP_REFUSED,
+    )
+
+
+def _early(why: str, opened: Sequence[OfflineProcess | LedProcess]) -> tuple[str, ExitCode]:
+    """The sentence and the exit code of an end that was asked for: it tells of the drive what was seen."""
+    if not opened:
+        return f"Ended early ({why}).", ExitCode.REFUSED
+    if refused := opened[0].refused:
+        return f"Ended early ({why}). {refused} {NOT_SEEN}", ExitCode.LOOP_REFUSED
+    return f"Ended early ({why}); the drive stands.", ExitCode.REFUSED
+
+
 # --- a ZDT drive, by dialogues of its own
 
 
-def _by_itself(argument: str, overrides: Mapping[str, Any], person: Person, report: Report) -> None:
+def _by_itself(
+    argument: str,
+    overrides: Mapping[str, Any],
+    person: Person,
+    report: Report,
+    opened: list[OfflineProcess | LedProcess],
+) -> None:
     arm, joint = report.arm, report.joint
     with offline_process("rtloop.commissioning", argument, overrides) as process:
-        found = process.answer("ready")["drives"].get(str(joint))
-        report.make()
+        opened.append(process)
+        found = process.answer("ready")["drives"][str(joint)]
         with _recorded(arm.name, report.folder / RECORDING):
-            _hold(process, found, arm.joints[joint].name, person, joint)
+            if found["problems"]:
+                _found(person, report, [asdict(_not_taken(found))], replace(report.record, firmware=found["firmware"]))
+                return
             process.order(f"checks {joint}")
             checks: Sequence[Sequence[Any]] = process.answer("checks")  # type: ignore[assignment]
+            _hold(process, found, arm.joints[joint].name, person, joint)
             person.tell(INTRODUCTION)
-            for number, (name, explains, question, moves) in enumerate(checks, 1):
-                sign = _asked(person, f"{number}/{len(checks)}. {explains}", question, moves, name)
-                if sign:
-                    process.order(f"check {joint} {sign} {name}")
-                    answer = process.answer("found", person.tell)
-                    proof = answer["record"]["power_proof"]
-                    record = Commissioned(**{**answer["record"], "power_proof": proof and PowerProof(proof)})
-                    _found(person, report, answer["findings"], record)
+
+            def do(name: str, sign: int) -> None:
+                process.order(f"check {joint} {sign} {name}")
+                answer = process.answer("found", person.tell)
+                proof = answer["record"]["power_proof"]
+                record = Commissioned(**{**answer["record"], "power_proof": proof and PowerProof(proof)})
+                _found(person, report, answer["findings"], record)
+
+            _ask_each(person, checks, do)
 
 
-def _hold(process: OfflineProcess, found: Mapping[str, Any] | None, name: str, person: Person, joint: int) -> None:
-    """See that the drive may be checked, and let it hold its joint if the person agrees; raises Refusal."""
-    assert found is not None  # it is one of those that this process reads
-    if found["problems"]:
-        raise Refusal("\n".join(found["problems"]), ExitCode.LOOP_REFUSED)
+def _not_taken(found: Mapping[str, Any]) -> Finding:
+    """Of a drive that is not what every check takes it for."""
+    return Finding(
+        "answers",
+        "what it is: firmware, configuration, status",
+        "a drive of its family, as the arm file has it",
+        " ".join(found["problems"]),
+        Verdict.DIFFERS,
+    )
+
+
+def _hold(process: OfflineProcess, found: Mapping[str, Any], name: str, person: Person, joint: int) -> None:
+    """Let the drive hold its joint if the person agrees; raises Refusal."""
     if not found["enabled"] and agrees(person, f"{name} is limp, and most checks need its drive to hold it. Let it?"):
         process.order(f"hold {joint}")
         process.answer("state")
@@ -122,7 +165,7 @@ def _hold(process: OfflineProcess, found: Mapping[str, Any] | None, name: str, p
 # --- one of another family, led as every day
 
 
-def _led(person: Person, report: Report) -> None:
+def _led(person: Person, report: Report, opened: list[OfflineProcess | LedProcess]) -> None:
     arm, joint = report.arm, report.joint
     name = arm.joints[joint].name
     person.tell(INTRODUCTION)
@@ -132,45 +175,35 @@ def _led(person: Person, report: Report) -> None:
         "holds the joint where it stands. Bring it up?",
     ):
         raise Quit("you did not want it")
-    _forget_mark(arm, joint)
     with led_alone(arm, joint) as (led, process):
-        report.make()
-        with _recorded(arm.name, report.folder / RECORDING):
+        opened.append(process)
+        _forget_mark(arm, joint)
+        with _recorded(arm.name, report.folder / RECORDING), led.stopped_by_any_end():
+            refused = "" if process.brought_up() else "\n".join(process.told)
+            if refused and not led.drive_refused():
+                raise Refusal(refused, ExitCode.LOOP_REFUSED)
+            _found(person, report, [asdict(judge_answers(process.told, refused))], report.record)
+            if refused:
+                return
             bench = LedBench(led, person.tell, lambda question: agrees(person, question))
-            _found(person, report, [asdict(_answers(process.told))], _record(arm, joint, bench))
-            checks = checks_of(led.config)
-            for number, check in enumerate(checks, 1):
-                explains = f"{number}/{len(checks)}. {check.explains}"
-                sign = _asked(person, explains, check.question, check.moves, check.name)
-                if sign:
-                    found = [asdict(one) for one in bench.check(check, sign)]
-                    _found(person, report, found, _record(arm, joint, bench))
+            checks = {check.name: check for check in checks_of(led.config)}
+
+            def do(name: str, sign: int) -> None:
+                found = [asdict(one) for one in bench.check(checks[name], sign)]
+                _found(person, report, found, _record(report.record, bench))
+
+            _ask_each(person, [(one.name, one.explains, one.question, one.moves) for one in checks.values()], do)
 
 
-def _answers(told: Sequence[str]) -> Finding:
-    return Finding(
-        "answers",
-        "all that a bring-up asks and sets",
-        "an answer to each, settings that are taken, a drive that holds",
-        " ".join(told) or "it answered, nothing had to be set, and it holds",
-        Verdict.AS_DOCUMENTED,
-    )
-
-
-def _record(arm: ArmConfig, joint: int, bench: LedBench) -> Commissioned:
+def _record(before: Commissioned, bench: LedBench) -> Commissioned:
     """What the checks so far say that the control process may rely on."""
-    drive = arm.joints[joint].drive
-    good = {name: finding.good for name, finding in bench.found.items()}
-    return Commissioned(
-        channel=saved.channel_of(arm),
-        family=drive.family,
-        number=drive.number,
-        firmware="",
+    return replace(
+        before,
         when=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         power_proof=bench.power_proof,
         power=bench.power,
-        retargets=good.get("retarget"),
-        brakes_in_silence=good.get("silence"),
+        retargets=bench.found["retarget"].good if "retarget" in bench.found else None,
+        brakes_in_silence=bench.brakes_in_silence,
     )
 
 
@@ -185,6 +218,13 @@ def _forget_mark(arm: ArmConfig, joint: int) -> None:
 
 
 # --- what both share
+
+
+def _ask_each(person: Person, checks: Sequence[Sequence[Any]], do: Callable[[str, int], None]) -> None:
+    """Explain each check and ask for it; `do` gets the name of one that is wanted, and the way."""
+    for number, (name, explains, question, moves) in enumerate(checks, 1):
+        if sign := _asked(person, f"{number}/{len(checks)}. {explains}", question, moves, name):
+            do(name, sign)
 
 
 def _asked(person: Person, explains: str, question: str, moves: bool, name: str) -> int:

@@ -121,6 +121,11 @@ class Drive:
             "switch in the power line if it does not."
         )
 
+    def stand_held(self) -> Answered[int]:
+        """The same of one that must hold its joint."""
+        yield from self.require_held()
+        return (yield from self.stand())
+
     def hold(self) -> Answered[int]:
         """Enable it, and see that it holds where it stands; where."""
         yield from self._require_sound()

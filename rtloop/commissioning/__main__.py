@@ -2,7 +2,8 @@
 
 Prints `ready {drives}`, then obeys lines on its standard input until that ends: `checks J` (answered by `checks […]`),
 `check J SIGN NAME` (by `found {…}`) and `hold J` (by `state {…}`), with joint numbers from 0. `told …` lines come
-meanwhile. What is refused, and how it ends, is as of `python -m rtloop.calibration`.
+meanwhile. At the end a drive whose checks were asked for must be seen to stand and hold its joint. What is refused, and
+how it ends, is as of `python -m rtloop.calibration`.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from config.schema import ArmConfig
 from rtloop import commissioned, offline, saved
 from rtloop.calibration.session import NotDone
-from rtloop.commissioning.session import Bench, checks_of
+from rtloop.commissioning.session import Bench
 from rtloop.offline import heard_more, next_line, say
 from rtloop.port import ServicePort
 from rtloop.process import BUSY_POLL_S, Ended
@@ -70,18 +71,22 @@ def serve(arm: ArmConfig, port: ServicePort, pause: Callable[[], None]) -> None:
     say("ready", json.dumps({"drives": {joint: asdict(found) for joint, found in bench.found.items()}}))
     try:
         while line := next_line(pause):
-            word, answer = obey(arm, bench, line.split(maxsplit=3))
+            word, answer = obey(bench, line.split(maxsplit=3))
             say(word, json.dumps(answer))
+        bench.see_it_stand()
+    except Ended as ended:
+        if ended.code == 0:
+            bench.see_it_stand()
+        raise
     finally:
-        bench.close()
         memory.close()
 
 
-def obey(arm: ArmConfig, bench: Bench, words: list[str]) -> tuple[str, Any]:
+def obey(bench: Bench, words: list[str]) -> tuple[str, Any]:
     """The word and the content of the answer to an order; raises NotDone for what is none."""
     match words:
         case ["checks", joint]:
-            checks = checks_of(arm, int(joint))
+            checks = bench.checks(int(joint))
             return "checks", [[check.name, check.explains, check.question, check.moves] for check in checks]
         case ["hold", joint]:
             return "state", asdict(bench.hold(int(joint)))

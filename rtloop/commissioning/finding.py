@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from config.joint import JointConfig
 from shm.recording import IDENTIFIER_MASK, LENGTH_MASK, LENGTH_SHIFT, SENT
 
 LATE_S = 2e-3
@@ -48,9 +49,30 @@ class Finding:
         return None if self.verdict == Verdict.NOT_TRIED else self.verdict == Verdict.AS_DOCUMENTED
 
 
+@dataclass(frozen=True)
+class Check:
+    """One step of a bench test."""
+
+    name: str
+    explains: str
+    """What it does, and what a person has to see to before."""
+    question: str
+    ask: Callable[..., list[Finding]]
+    """Of the bench (and a joint's number, where it has several), and 1 or -1 for the way the motor turns."""
+    moves: bool = False
+
+
 def verdict_of(as_documented: bool) -> Verdict:
     """Of a check that was tried."""
     return Verdict.AS_DOCUMENTED if as_documented else Verdict.DIFFERS
+
+
+def beyond_limits(joint: JointConfig, here_deg: float, there_deg: float) -> str:
+    """Why a joint is not turned somewhere, a sentence."""
+    return (
+        f"{joint.name} stands at {here_deg:.1f}° and would turn to {there_deg:.1f}°, beyond its limits "
+        f"{joint.lower_deg:g}° to {joint.upper_deg:g}°: turn it the other way (`o`)."
+    )
 
 
 class Said(NamedTuple):

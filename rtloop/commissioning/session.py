@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, cast
 
 import numpy as np
@@ -16,26 +17,14 @@ from rtloop.beginning import byte_s
 from rtloop.calibration.session import NotDone, Session
 from rtloop.calibration.talk import Drive
 from rtloop.commissioned import Commissioned, PowerProof
-from rtloop.commissioning.finding import Finding, Said, Verdict, frames_of
+from rtloop.commissioning.finding import Check, Finding, Said, Verdict, beyond_limits, frames_of
 from rtloop.conversation import TalkFailed
+from rtloop.drives.zdt_talk import Answered
 from rtloop.saved import NotSaved, channel_of
 from shm.words import Unreferenced
 
 FAMILIES = ("zdt",)
 """Those that a file of this folder has checks for."""
-
-
-@dataclass(frozen=True)
-class Check:
-    """One step of a bench test."""
-
-    name: str
-    explains: str
-    """What it does, and what a person has to see to before."""
-    question: str
-    ask: Callable[[Bench, int, int], list[Finding]]
-    """Of a joint's number, and 1 or -1 for the way its motor turns."""
-    moves: bool = False
 
 
 def checks_of(arm: ArmConfig, joint: int) -> list[Check]:
@@ -64,7 +53,18 @@ class Bench(Session):
         super().__init__(*arguments, **options)
         self._recorded = recorded
         self._findings: dict[str, Finding] = {}
+        self._at_bench: int | None = None
         self.power_proof: PowerProof | None = None
+
+    def checks(self, joint: int) -> list[Check]:
+        """The checks of a joint's drive, which is at the bench from now on; raises NotDone for a family without."""
+        self._at_bench = joint
+        return checks_of(self.arm, joint)
+
+    def see_it_stand(self) -> None:
+        """Raise TalkFailed where the drive at the bench is not seen to stand and hold its joint."""
+        if self._at_bench is not None:
+            self._have_undisturbed(self._at_bench, Drive.stand_held)
 
     def check(self, name: str, joint: int, sign: int) -> list[Finding]:
         """Do one check; what could not be tried is a finding, too.
@@ -112,6 +112,32 @@ class Bench(Session):
         with self._stopping(joint):
             while self._clock_ns() < until_ns:
                 self._pause()
+
+    def require_room(self, joint: int, by_counts: int) -> None:
+        """Raise TalkFailed where a joint's angle is known, and such a turn of its motor would end beyond its limits."""
+        state, config = self.look(joint), self.arm.joints[joint]
+        here_rad, there_rad = (
+            counts / self.port.reading_per_rad(joint) - self.port.zero_rad(joint)
+            for counts in (state.counts, state.counts + by_counts)
+        )
+        if state.doubt is None and not config.lower_rad <= there_rad <= config.upper_rad:
+            raise TalkFailed(joint, beyond_limits(config, math.degrees(here_rad), math.degrees(there_rad)))
+
+    @contextmanager
+    def ending_with(self, joint: int, dialogue: Callable[[Drive], Answered[object]]) -> Iterator[None]:
+        """A dialogue is had at the end, however that comes about; raises TalkFailed."""
+        try:
+            yield
+        finally:
+            self._have_undisturbed(joint, dialogue)
+
+    def _have_undisturbed(self, joint: int, dialogue: Callable[[Drive], Answered[object]]) -> None:
+        """Have a dialogue that nothing ends early."""
+        pause, self._pause = self._pause, self._rest
+        try:
+            self.have(joint, dialogue)
+        finally:
+            self._pause = pause
 
     def forget_mark(self, joint: int) -> None:
         """What the drive has is about to be another one, and its power to be switched off."""

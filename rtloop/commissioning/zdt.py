@@ -8,8 +8,8 @@ from rtloop import fast_targets, reports
 from rtloop.calibration.talk import ARRIVED_COUNTS, LATE_NS, Drive
 from rtloop.commissioning import zdt_checks as checks
 from rtloop.commissioning import zdt_talk as talk
-from rtloop.commissioning.finding import Finding, Said, judge_reply_delay, reply_delays_s
-from rtloop.commissioning.session import Bench, Check, wire_s
+from rtloop.commissioning.finding import Check, Finding, Said, judge_reply_delay, reply_delays_s
+from rtloop.commissioning.session import Bench, wire_s
 from rtloop.conversation import TalkFailed
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
@@ -136,6 +136,7 @@ def _reports(bench: Bench, joint: int, _: int) -> list[Finding]:
 def _silence(bench: Bench, joint: int, sign: int) -> list[Finding]:
     trial = talk.trial_of(bench.arm, joint)
     way = sign * trial.counts
+    bench.require_room(joint, way)
     watchdog_ms = bench.have(joint, lambda drive: zdt_talk.read_watchdog()) or 0
     forth = bench.have(joint, lambda drive: talk.run(drive, trial, ((0, way),)), moves=True)
     samples = checks.samples_of(_of_joint(bench, joint), forth.start, way)
@@ -153,6 +154,7 @@ def _silence(bench: Bench, joint: int, sign: int) -> list[Finding]:
 def _retarget(bench: Bench, joint: int, sign: int) -> list[Finding]:
     trial = talk.trial_of(bench.arm, joint)
     way = sign * trial.counts
+    bench.require_room(joint, way)
     first, told_at = round(checks.FIRST_SHARE * way), round(checks.RETARGET_SHARE * trial.counts)
     ran = bench.have(joint, lambda drive: talk.run(drive, trial, ((0, first), (told_at, way))), moves=True)
     frames = _of_joint(bench, joint)
@@ -162,6 +164,7 @@ def _retarget(bench: Bench, joint: int, sign: int) -> list[Finding]:
 
 
 def _stall(bench: Bench, joint: int, sign: int) -> list[Finding]:
+    bench.require_room(joint, sign * talk.PRESS_COUNTS)
     block = bench.have(joint, lambda drive: zdt_talk.surely(zdt_talk.read_block))
     if block is None:
         raise TalkFailed(joint, f"The drive of {bench.arm.joints[joint].name} does not tell its stall protection.")
@@ -176,6 +179,8 @@ def _stall(bench: Bench, joint: int, sign: int) -> list[Finding]:
 
 def _power_cycle(bench: Bench, joint: int, _: int) -> list[Finding]:
     bench.forget_mark(joint)
-    cycle = bench.have(joint, lambda drive: talk.power_cycle(drive, bench.tell, lambda: bench.lose(joint)))
+    changed = talk.Changed()
+    with bench.ending_with(joint, lambda drive: talk.put_back(drive, changed)):
+        cycle = bench.have(joint, lambda drive: talk.power_cycle(drive, changed, bench.tell, lambda: bench.lose(joint)))
     bench.power_proof = checks.power_proof(cycle)
     return [checks.judge_power_flag(cycle), checks.judge_volatile(cycle)]

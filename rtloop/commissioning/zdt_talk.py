@@ -14,7 +14,7 @@ from rtloop.conversation import silent_amid
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_ask import Ask
-from rtloop.drives.zdt_registers import Version
+from rtloop.drives.zdt_registers import Block, Version
 from rtloop.drives.zdt_talk import Answered
 
 MOST_RPM = 60
@@ -208,8 +208,43 @@ class PowerCycle:
     """The same of its configuration block."""
 
 
-def power_cycle(drive: Drive, tell: Callable[[str], None], lost: Callable[[], None]) -> Answered[PowerCycle | None]:
-    """Watch a person switch its power off and on; None where it was never silent.
+@dataclass
+class Changed:
+    """What is changed in volatile memory to see it forgotten, noted before it is: what was there, and what comes."""
+
+    homing_ms: tuple[int, int] | None = None
+    block: tuple[Block, Block] | None = None
+
+
+def put_back(drive: Drive, changed: Changed) -> Answered[None]:
+    """Give a drive that has not forgotten what was there before; raises TalkFailed where that is not seen."""
+    # one that has forgotten keeps what it has stored: what it had before may be a mark that proves its power
+    if changed.homing_ms is not None:
+        before_ms, now_ms = changed.homing_ms
+        homing = yield from zdt_talk.surely(zdt_talk.read_homing)
+        if homing is None or (homing.timeout_ms == now_ms and not (yield from zdt_talk.set_homing_timeout(before_ms))):
+            raise drive.fails(_not_put_back(drive))
+    if changed.block is not None:
+        before, now = changed.block
+        block = yield from zdt_talk.surely(zdt_talk.read_block)
+        if block == now:
+            yield Ask(registers.write_block(before, store=False), (3,), answered=False)
+            block = yield from zdt_talk.surely(zdt_talk.read_block)
+        if block is None or block == now:
+            raise drive.fails(_not_put_back(drive))
+
+
+def _not_put_back(drive: Drive) -> str:
+    return (
+        f"Whether the drive of {drive.config.name} has its homing time-out and its stall time of before is not known: "
+        "switch its power off and on, which brings back what it has stored."
+    )
+
+
+def power_cycle(
+    drive: Drive, changed: Changed, tell: Callable[[str], None], lost: Callable[[], None]
+) -> Answered[PowerCycle | None]:
+    """Watch a person switch its power off and on; None where it was never silent. What is put back is in `changed`.
 
     `lost` remembers that its count means nothing: as soon as that is so, and before any flag is cleared that says it.
     """
@@ -222,12 +257,15 @@ def power_cycle(drive: Drive, tell: Callable[[str], None], lost: Callable[[], No
     before = yield from drive.counts()
     homing = yield from zdt_talk.surely(zdt_talk.read_homing)
     mark_ms = 0 if homing is None else zdt_talk.homing_mark_ms(homing.timeout_ms, drive.now_ns())
+    changed.homing_ms = None if homing is None else (homing.timeout_ms, mark_ms)
     marked = homing is not None and (yield from zdt_talk.set_homing_timeout(mark_ms))
     block = (yield from zdt_talk.surely(zdt_talk.read_block)) if version.known else None
-    changed = None if block is None else replace(block, stall_time_ms=block.stall_time_ms ^ 1)
-    if changed is not None:
-        yield Ask(registers.write_block(changed, store=False), (3,), answered=False)
-        changed = changed if (yield from zdt_talk.surely(zdt_talk.read_block)) == changed else None
+    taken = False
+    if block is not None:
+        other = replace(block, stall_time_ms=block.stall_time_ms ^ 1)
+        changed.block = block, other
+        yield Ask(registers.write_block(other, store=False), (3,), answered=False)
+        taken = (yield from zdt_talk.surely(zdt_talk.read_block)) == other
     tell(f"Switch the power of {drive.config.name}'s drive off now; it is watched until it falls silent.")
     silent_ns = answers_ns = yield from _wait_for(drive, answers=False)
     if silent_ns is not None:
@@ -241,13 +279,8 @@ def power_cycle(drive: Drive, tell: Callable[[str], None], lost: Callable[[], No
         lost()  # whether or not it was seen silent
     after = yield from drive.counts()
     homing_after = yield from zdt_talk.surely(zdt_talk.read_homing)
-    block_after = (yield from zdt_talk.surely(zdt_talk.read_block)) if changed is not None else None
+    block_after = (yield from zdt_talk.surely(zdt_talk.read_block)) if taken else None
     flag_cleared = yield from _clear_power_lost()
-    # one that has forgotten keeps what it has stored: what it had before may be a mark that proves its power
-    if homing is not None and homing_after is not None and marked and homing_after.timeout_ms == mark_ms:
-        yield from zdt_talk.set_homing_timeout(homing.timeout_ms)
-    if block is not None and block_after != block:
-        yield Ask(registers.write_block(block, store=False), (3,), answered=False)
     if silent_ns is None or answers_ns is None:
         return None
     return PowerCycle(
@@ -259,7 +292,7 @@ def power_cycle(drive: Drive, tell: Callable[[str], None], lost: Callable[[], No
         counts_before=before,
         counts_after=after,
         homing_forgotten=None if not marked or homing_after is None else homing_after.timeout_ms != mark_ms,
-        block_forgotten=None if changed is None or block_after is None else block_after == block,
+        block_forgotten=None if block_after is None else block_after == block,
     )
 
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
+import tempfile
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -11,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm_files import edited
-from at_terminal import CTRL_C, PATIENCE_S, rtarm_at_terminal
+from at_terminal import CTRL_C, PATIENCE_S, Terminal, rtarm_at_terminal
 from stack import Stack, run_rtarm
 from waiting import until
 
@@ -19,6 +22,7 @@ from config.loader import load_arm
 from rtarm.recording.mcap_reader import read
 from rtloop import commissioned
 from rtloop.commissioned import PowerProof
+from shm import files
 from shm.files import DIRECTORY
 
 
@@ -28,6 +32,11 @@ def bench(arm_name: str, tmp_path: Path) -> Iterator[Stack]:
     stack.start_sim()
     yield stack
     stack.close()
+
+
+def flat(at: Terminal) -> str:
+    """What was said, on one line."""
+    return " ".join(at.said.split())
 
 
 def no_process_left(stack: Stack) -> bool:
@@ -98,8 +107,23 @@ def test_whatever_ends_it_amid_a_move_stops_it_and_leaves_what_was_found(
             at.process.kill()
         at.process.wait(PATIENCE_S)
         until(lambda: no_process_left(bench), patience_s=PATIENCE_S)
+    assert "answers: as documented" in (folder / "report.txt").read_text(encoding="utf-8")
     stood = bench.truth()["joint5"]
     assert stood.velocity_rad_s[-1] == 0.0 and 1.0 < abs(math.degrees(stood.position_rad[-1])) < 14.5
+
+
+@pytest.mark.process
+def test_a_drive_that_falls_silent_amid_a_move_is_not_said_to_stand(bench: Stack, tmp_path: Path) -> None:
+    with closing(rtarm_at_terminal("commission", str(bench.arm_file), "joint5", "-o", str(tmp_path / "report"))) as at:
+        at.reply("Ask it?", "y")
+        for question in ("Ask it?", "Try it?", "Try it?"):
+            at.reply(question, "")
+        at.reply("Turn it?", "y")
+        until(lambda: abs(bench.truth()["joint5"].position_rad[-1]) > math.radians(1.0), patience_s=PATIENCE_S)
+        bench.sim.say("silent:joint=joint5,at_s=0,until_s=30")
+        at.press(CTRL_C)
+        assert at.code() == 2
+        assert "use the switch in the power line" in flat(at) and "the drive stands" not in flat(at)
 
 
 @pytest.mark.process
@@ -114,9 +138,12 @@ def test_what_is_refused_leaves_nothing_behind(bench: Stack, tmp_path: Path) -> 
     piped = run_rtarm("commission", str(bench.arm_file), "joint6", "-o", str(folder), typed="y\n" * 50)
     assert piped.returncode == 1 and "answers are taken from a terminal alone" in piped.stderr
     bench.befall("silent:joint=joint6,at_s=0")
-    silent = run_rtarm("commission", str(bench.arm_file), "joint6", "-o", str(folder))
-    assert silent.returncode == 2 and "joint6" in silent.stderr
     assert not folder.exists() and no_process_left(bench)
+    silent = run_rtarm("commission", str(bench.arm_file), "joint6", "-o", str(folder))
+    assert silent.returncode == 5 and no_process_left(bench)
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert [(one["check"], one["verdict"]) for one in report["findings"]] == [("answers", "differs")]
+    assert "joint6" in report["findings"][0]["came"] and (folder / "recording.mcap").exists()
 
 
 def test_a_joint_that_is_none_and_an_arm_without_a_bus() -> None:
@@ -153,12 +180,14 @@ def test_a_whole_bench_test_of_a_drive_that_is_led(led: Stack, tmp_path: Path) -
         led.sim.say("silent:joint=joint2,at_s=0,until_s=3")
         at.read_until("It is silent.")
         at.reply("Is it back in", "y")
+        at.reply("Shall that be cleared", "y")
         at.read_until("unplugged: as documented. its angle was kept")
         at.reply("Turn it, and watch it while you switch it off and on?", "o")
         at.read_until("Switch the power of joint2's drive off now")
         led.sim.say("power-loss:joint=joint2,at_s=0,off_s=3")
         at.read_until("It is silent.")
         at.reply("Was it dark", "y")
+        at.reply("joint2 is limp, and is enabled where it stands", "y")
         at.read_until("power cycle: as documented. its angle was lost")
         at.read_until("healing (the arm clears by itself the fault of a short silence of all drives): unlocked")
         at.read_until("| damiao  | slcan | 6 | none | canary |")
@@ -188,9 +217,12 @@ def test_whatever_ends_it_a_drive_that_is_led_stands(led: Stack, tmp_path: Path,
             at.press(CTRL_C)
             assert at.code() == 1
             report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-            assert [finding["check"] for finding in report["findings"]] == ["answers"]
+            assert "Ended early (SIGINT); the drive stands." in at.said
         else:
             at.process.kill()
+            at.process.wait(PATIENCE_S)
+            report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+        assert [finding["check"] for finding in report["findings"]] == ["answers"]
         at.process.wait(PATIENCE_S)
         until(lambda: no_process_left(led), patience_s=PATIENCE_S)
     assert led.truth()["joint2"].velocity_rad_s[-1] == pytest.approx(0.0, abs=1e-3)
@@ -209,6 +241,7 @@ def test_a_proof_that_fails_is_known_although_the_bench_test_is_killed(led: Stac
         led.befall("power-loss:joint=joint2,at_s=0,off_s=3")
         at.read_until("It is silent.")
         at.reply("Is it back in", "y")
+        at.reply("joint2 is limp, and is enabled where it stands", "y")
         at.read_until("unplugged: differs. its angle was lost")
         at.process.kill()
         at.process.wait(PATIENCE_S)
@@ -217,12 +250,52 @@ def test_a_proof_that_fails_is_known_although_the_bench_test_is_killed(led: Stac
 
 
 @pytest.mark.process
-def test_a_drive_that_is_not_brought_up_is_told_and_leaves_nothing(led: Stack, tmp_path: Path) -> None:
+def test_a_drive_that_is_not_brought_up_is_told_in_a_report(led: Stack, tmp_path: Path) -> None:
     folder = tmp_path / "report"
     led.befall("silent:joint=joint2,at_s=0")
     with closing(rtarm_at_terminal("commission", str(led.arm_file), "joint2", "-o", str(folder))) as at:
         at.reply("Bring it up?", "y")
+        at.read_until("answers: differs.")
         at.read_until("does not answer on its master_id")
-        at.read_until("Nothing was checked.")
+        assert at.code() == 5
+    assert no_process_left(led)
+    assert "answers: differs" in (folder / "report.txt").read_text(encoding="utf-8")
+    assert len(read(folder / "recording.mcap").recording.frames) > 0
+
+
+@pytest.mark.process
+def test_a_drive_that_was_not_seen_to_stand_is_not_said_to(led: Stack, tmp_path: Path) -> None:
+    with closing(rtarm_at_terminal("commission", str(led.arm_file), "joint2", "-o", str(tmp_path / "report"))) as at:
+        at.reply("Bring it up?", "y")
+        for question in ("Listen to it?", "Turn it?", "Turn it?", "Is it clamped"):
+            at.reply(question, "")
+        at.reply("Watch it while you pull its CAN plug", "y")
+        at.read_until("Pull the CAN plug of joint2's drive now")
+        led.sim.say("silent:joint=joint2,at_s=0,until_s=30")
+        at.read_until("It is silent.")
+        at.press(CTRL_C)
         assert at.code() == 2
-    assert not folder.exists() and no_process_left(led)
+        assert "The drive of joint2 did not answer at the end. The drive was not seen to stand: use" in flat(at)
+        assert "the drive stands" not in at.said
+    assert not list(Path(tempfile.gettempdir()).glob(f"rtarm-commission-{led.name}-*"))
+
+
+@pytest.mark.process
+def test_a_control_process_that_is_killed_says_nothing_of_the_drive(led: Stack, tmp_path: Path) -> None:
+    with closing(rtarm_at_terminal("commission", str(led.arm_file), "joint2", "-o", str(tmp_path / "report"))) as at:
+        at.reply("Bring it up?", "y")
+        at.reply("Listen to it?", "")
+        at.reply("Turn it?", "y")
+        until(lambda: abs(led.truth()["joint2"].position_rad[-1] - math.radians(10.0)) > 0.1, patience_s=PATIENCE_S)
+        with closing(files.open_state(led.name)) as state:
+            os.kill(int(state.record["header"]["pid"]), signal.SIGKILL)
+        assert at.code() == 3
+        assert "ended by SIGKILL. The drive was not seen to stand" in flat(at)
+
+
+@pytest.mark.process
+def test_a_running_arm_is_refused_before_any_question_and_keeps_its_marks(led: Stack, tmp_path: Path) -> None:
+    led.start_loop()
+    refused = run_rtarm("commission", str(led.arm_file), "joint2", "-o", str(tmp_path / "report"))
+    assert refused.returncode == 2 and "this arm has one already: end that first" in refused.stderr
+    assert "Bring it up?" not in refused.stdout and not (tmp_path / "report").exists()

@@ -210,3 +210,19 @@ def test_a_record_that_cannot_be_read_unlocks_nothing_takes_the_marks_and_is_tol
     assert not commissioned.heals(arm) and not any(marks.takes(joint) for joint in range(6))
     assert power_marks(arm) == {}
     assert len(told) == 1 and "none of it is believed: remove that file" in told[0]
+
+
+def test_an_encoder_that_was_found_not_to_be_absolute_is_not_believed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    arm = load_arm("damiao6", overrides={"bus": {"channel": "/dev/ttyACM0"}})
+    drive = arm.joints[1].drive
+    found = Commissioned(channel_of(arm), drive.family, drive.number, "", "2026-01-31T12:00:00Z", PowerProof.ABSOLUTE)
+    commissioned.save(arm, 1, found)
+    assert commissioned.withheld(arm) == ""
+    commissioned.save(arm, 1, replace(found, power_proof=PowerProof.NONE, power="its angle was kept, 30.0° away"))
+    sentence = commissioned.withheld(arm)
+    assert "joint2 is absolute in the arm file" in sentence and "was not (its angle was kept, 30.0° away)" in sentence
+    counts = arm.joints[1].model_copy(update={"drive": drive.model_copy(update={"encoder": "incremental"})})
+    assert commissioned.withheld(arm.model_copy(update={"joints": [arm.joints[0], counts, *arm.joints[2:]]})) == ""

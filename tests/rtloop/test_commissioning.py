@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +22,7 @@ from rtloop.commissioning import zdt_checks
 from rtloop.commissioning.finding import Finding, Verdict, braking_rev_s2
 from rtloop.commissioning.session import Bench, checks_of
 from rtloop.commissioning.zdt_talk import Ran, trial_of
+from rtloop.conversation import TalkFailed
 from rtloop.drives import zdt_talk
 from rtloop.power import Marks
 from shm.recording import now_at, read_on
@@ -242,6 +244,51 @@ def test_whatever_ends_a_move_early_stops_it(name: str, after_s: float) -> None:
     stood = trial.drive.position_counts
     trial.virtual.cycles(240)
     assert trial.drive.position_counts == stood and not trial.drive.moving
+
+
+@pytest.mark.parametrize(("after_s", "switches"), [(0.3, True), (2.0, True), (2.0, False)])
+def test_whatever_ends_a_power_cycle_early_puts_back_what_was_changed(after_s: float, switches: bool) -> None:
+    trial = Trial()
+    trial.switches = switches
+    before = trial.drive.settings, trial.drive.homing
+    ends_ns = trial.virtual.now_ns + round(after_s * 1e9)
+
+    def pause() -> None:
+        trial.virtual.cycle()
+        if trial.virtual.now_ns > ends_ns:
+            raise Cut
+
+    trial.bench._pause = pause
+    with suppress(Cut):  # one that is dark meanwhile is told of
+        trial.check("power cycle")
+    trial.virtual.cycles(600)  # it has power again
+    assert (trial.drive.settings, trial.drive.homing) == before
+
+
+@pytest.mark.parametrize("name", ["silence", "retarget", "stall"])
+def test_a_joint_whose_angle_is_known_is_not_turned_beyond_its_limits(name: str) -> None:
+    upper_rad = load_arm("episode1").joints[0].upper_rad
+    trial = Trial(start_rad=[upper_rad - 0.005, 0.0, 0.0, 0.0, 0.0, 0.0])
+    stood = trial.drive.position_counts
+    sign = 1 if load_arm("episode1").joints[0].direction > 0 else -1
+    refused = trial.check(name, sign)[0]
+    assert refused.verdict == Verdict.NOT_TRIED and "beyond its limits" in refused.came and "(`o`)" in refused.came
+    assert trial.drive.position_counts == stood
+    assert trial.check(name, -sign)[0].verdict == Verdict.AS_DOCUMENTED
+
+
+def test_a_joint_whose_angle_is_not_known_has_no_limits() -> None:
+    trial = Trial(homed=False, start_rad=[load_arm("episode1").joints[0].upper_rad, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert all(trial.check("retarget", sign)[0].verdict == Verdict.AS_DOCUMENTED for sign in (1, -1))
+
+
+def test_a_drive_is_seen_to_stand_and_to_hold_its_joint_at_the_end() -> None:
+    trial = Trial()
+    trial.bench.checks(0)
+    trial.bench.see_it_stand()
+    trial.drive.disable(trial.sim.now_ns)
+    with pytest.raises(TalkFailed, match="joint1 is limp"):
+        trial.bench.see_it_stand()
 
 
 def test_a_drive_that_keeps_its_power_tells_nothing_of_its_loss() -> None:
