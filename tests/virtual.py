@@ -202,9 +202,14 @@ class VirtualArm:
             self.gripper.poll(self.now_ns)
         if self.healing is not None:
             self._attend_healing(self.healing)
-        count = step(self.loop_address, self.state.address, self.now_ns)
-        if count:
-            self.write(self.loop[0]["tx"][:count].tobytes())
+        if data := self.step(self.now_ns):
+            self.write(data)
+
+    def step(self, now_ns: int) -> bytes:
+        """Run the cycle that is planned for a time: the bytes that it leaves for the wire."""
+        count = step(self.loop_address, self.state.address, now_ns)
+        sent: bytes = self.loop[0]["tx"][:count].tobytes()
+        return sent
 
     def write(self, data: bytes) -> None:
         """Hand the cycle's bytes to the wire, as `rtloop.run` does with one write."""

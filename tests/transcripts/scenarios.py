@@ -11,7 +11,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import virtual
 from bus_faults import FAULTS, GOES_ON, BusFault
 from bus_trials import run_trial
 from can_records import error_record
@@ -733,7 +732,7 @@ def hostile_memory(seed: int) -> None:
             now_ns += arena.arm.period_ns
             arena.arm.writer.beat(now_ns)
             goal = memory.write_hostile(loop, command, case % 3, goal, box)
-            virtual.step(loop, shared, now_ns)
+            arena.arm.step(now_ns)
             if core["bring_up_asked"] == 1:
                 memory.bring_up(loop, shared)
             if core["fault"] != 0 and cycle % 5 == 0:
@@ -745,7 +744,7 @@ def hostile_memory(seed: int) -> None:
 def hostile_wire(interface: str, seed: int) -> None:
     """As `fuzz.wire.run_case`, cycle by cycle: bytes of every kind from the adapter."""
     arena = WireArena(interface=interface)
-    loop, shared, fresh = arena.arm.loop[0], arena.arm.state.array[0], arena.arm.loop.copy()
+    loop, fresh = arena.arm.loop[0], arena.arm.loop.copy()
     out, box = np.zeros(wire.MOST_BYTES, np.uint8), np.zeros(1)
     memory.reseed(seed)
     for case in range(5):
@@ -763,7 +762,7 @@ def hostile_wire(interface: str, seed: int) -> None:
             if cycle % 3 == 0:
                 at = wire.spoil(out, at)
             wire.bring(loop, out, at, now_ns)
-            virtual.step(loop, shared, now_ns)
+            arena.arm.step(now_ns)
             arena.arm.core["tx_length"] = 0
     arena.close()
 

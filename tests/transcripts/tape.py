@@ -6,7 +6,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-import virtual
+from virtual import VirtualArm
 
 from transcripts.words import Published, Row, is_fast
 
@@ -52,24 +52,22 @@ CLOCKS = ("cycle", "monotonic_ns", "epoch_ns", "trajectory_clock_ns", "speed_sca
 
 
 class Tape:
-    """Stands where `virtual.step` does, and keeps what each cycle published and transmitted."""
+    """Keeps what each cycle of a virtual arm published and transmitted."""
 
     def __init__(self) -> None:
-        self._step = virtual.step
         self._published = Published()
         self._sent: list[bytes] = []
         self._told: list[Entry] = []
         self._listened_to = 0
 
-    def __call__(self, loop: Any, shared: Any, now_ns: int) -> int:
+    def keep(self, shared: Any, sent: bytes) -> None:
+        """A cycle has ended."""
         address = shared["events"].ctypes.data
         if self._listened_to not in (0, address):
             raise RuntimeError("a transcript is that of one arm")
         self._listened_to = address
-        count = int(self._step(loop, shared, now_ns))
         self._told += [(len(self._sent), table, row) for table, row in self._published.take(shared)]
-        self._sent.append(loop["tx"][:count].tobytes())
-        return count
+        self._sent.append(sent)
 
     def transcript(self, broke_off: str) -> Transcript:
         """Everything so far, with every word of every cycle."""
@@ -81,7 +79,14 @@ class Tape:
 def listen(play: Callable[[], None]) -> Transcript:
     """Run what plays one arm in virtual time; an exception ends the transcript and stands in `broke_off`."""
     tape, broke_off = Tape(), ""
-    with mock.patch.object(virtual, "step", tape):
+    step = VirtualArm.step
+
+    def kept(arm: VirtualArm, now_ns: int) -> bytes:
+        sent = step(arm, now_ns)
+        tape.keep(arm.state.array[0], sent)
+        return sent
+
+    with mock.patch.object(VirtualArm, "step", kept):
         try:
             play()
         except Exception as problem:
