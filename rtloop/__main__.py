@@ -16,6 +16,7 @@ for _number in STOP_SIGNALS:
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # numpy's threads have nothing to do here
 
 import argparse
+import errno
 import subprocess
 import sys
 import time
@@ -95,6 +96,9 @@ def compiled_cycle(stop_asked: StopAsked) -> compiled.CompiledCycle:
         ) from problem
 
 
+NOBODY_READS = (errno.EPIPE, errno.EIO, errno.ENXIO, errno.EBADF)
+
+
 def tell(sentence: str) -> None:
     """For people; where they have closed the terminal, or ended who listens, the arm is led and ended all the same."""
     say(f"rtloop: {sentence}", sys.stderr)
@@ -103,8 +107,11 @@ def tell(sentence: str) -> None:
 def say(line: str, stream: TextIO) -> None:
     try:
         print(line, file=stream, flush=True)
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # with what its buffer keeps
+    except OSError as problem:
+        if problem.errno in NOBODY_READS:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, stream.fileno())  # with what its buffer keeps
+            os.close(nowhere)
 
 
 if __name__ == "__main__":

@@ -37,10 +37,13 @@ class BringUp(Conversation):
         mock_positions_rad: list[float] | None = None,
         counts_before: Mapping[int, int] | None = None,
         lost_before: Mapping[int, Unreferenced] | None = None,
+        held_rad: dict[int, float] | None = None,
         heals: bool = False,
         forgive_silence: Callable[[int], None] = lambda joint: None,
     ) -> None:
         """`counts_before`: where drives counted when rtarm was ended, by the joints' numbers.
+
+        `held_rad`: where drives held their joints before a bring-up that has failed, likewise; kept up here.
 
         `lost_before`: joints whose angle was not known in an earlier process, and why. `forgive_silence` remembers
         beyond this one that a joint's angle is known although its drive was silent. `heals`: nobody has asked for this,
@@ -54,8 +57,10 @@ class BringUp(Conversation):
         self.clears_protection = clears_protection
         self._counts_before = counts_before or {}
         self.lost_before = lost_before or {}
-        # no clear moves a joint that stands, so a count that is another one behind it has begun anew
-        self._stood_rad = {n: port.measured_rad(n) for n in range(len(arm.joints)) if self._stood(n)}
+        self._held_rad = {} if held_rad is None else held_rad
+        self._note_who_is_held()
+        # where a flag for lost power tells nothing new and no mark tells more, only the joint's place can
+        self._flagged_rad = {n: port.measured_rad(n) for n in range(len(arm.joints)) if port.power_loss_known(n)}
         self.unasked_before = [port.unasked(n) for n in range(len(arm.joints))]
         silent_before = [self.lost_before.get(n) == Unreferenced.SILENT for n in range(len(arm.joints))]
         self.was_silent = [
@@ -86,19 +91,20 @@ class BringUp(Conversation):
             self.tell(f"{who}: power was there all through the silence, as the drive proves, so the angle is known.")
         return False
 
-    def _stood(self, joint: int) -> bool:
-        """Whether the joint's place of before must be its place of now, unless its drive has lost its count.
+    def _note_who_is_held(self) -> None:
+        """No bring-up moves a joint that its drive holds: a count that is another one behind it has begun anew.
 
-        Where a flag for lost power tells nothing new that is asked of every joint. Of any other only if its drive held
-        it where it was led: one that is limp, tripped or held off its place may move meanwhile.
+        One that is limp, tripped or held off its place may move meanwhile.
         """
-        if self.port.power_loss_known(joint):
-            return True
-        away_rad = abs(self.port.commanded_rad(joint) - self.port.measured_rad(joint))
-        held = (
-            self.port.referenced(joint) and self.port.holds(joint) and 2 * away_rad < self.arm.limits.position_jump_rad
-        )
-        return held and not self.arm.joints[joint].drive.knows_its_angle
+        near_rad = self.arm.limits.position_jump_rad / 2.0
+        for joint, config in enumerate(self.arm.joints):
+            measured_rad = self.port.measured_rad(joint)
+            knows_its_angle = config.drive.knows_its_angle
+            is_near = abs(self.port.commanded_rad(joint) - measured_rad) < near_rad
+            if self.port.is_loose(joint):
+                self._held_rad.pop(joint, None)
+            elif self.port.holds(joint) and self.port.referenced(joint) and is_near and not knows_its_angle:
+                self._held_rad[joint] = measured_rad
 
     def _adopt(self, joint: int, position_rad: float, reason: Unreferenced) -> None:
         self.post(ADOPT, joint=joint, value=position_rad, code=reason)
@@ -127,8 +133,9 @@ class BringUp(Conversation):
             reason = self._unknown[joint] = lost
         step = math.copysign(self.port.reading_step_rad(joint), per_rad)
         moved_rad = measured_rad + zero_rad - self._counts_before[joint] * step if joint in self._counts_before else 0.0
-        elsewhere_rad = abs(measured_rad - self._stood_rad.get(joint, measured_rad))
-        if elsewhere_rad > self.arm.limits.position_jump_rad:  # whatever its mark says, which its drive may store
+        stood_rad = measured_rad if found.kept_power else self._flagged_rad.get(joint, measured_rad)
+        stood_rad = self._held_rad.pop(joint, stood_rad)  # whatever its mark says, which its drive may store
+        if abs(measured_rad - stood_rad) > self.arm.limits.position_jump_rad:
             reason = self._unknown[joint] = Unreferenced.POWER_LOST
         if reason == Unreferenced.REFERENCED and abs(moved_rad) > self.arm.limits.position_jump_rad:
             reason = Unreferenced.MOVED

@@ -91,11 +91,6 @@ class Commissioned:
         return Commissioned(**{**values, **kept})
 
 
-_ASKED = (
-    ("position_command", "FD", "fast_targets", "take targets of FC for absolute ones"),
-    ("positions", "polled", "reports", "report its position as it was told"),
-)
-"""A setting of the bus, what asks nothing special of a drive, by which word it was found, and what it then does."""
 _TRUTHS = ("fast_targets", "reports", "retargets", "brakes_in_silence")
 
 
@@ -242,4 +237,6 @@ def _typed(values: object) -> Commissioned:
         if not right:
             raise ValueError(f"{name} is {value!r}")
     proof = known.get("power_proof")
-    return Commissioned(**{**known, "power_proof": None if proof is None else PowerProof(proof)})
+    if proof is not None:  # a word of another version's proves nothing to this one
+        proof = PowerProof(proof) if proof in set(PowerProof) else PowerProof.NONE
+    return Commissioned(**{**known, "power_proof": proof})

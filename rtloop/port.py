@@ -110,7 +110,13 @@ class ServicePort:
     def holds(self, joint: int) -> bool:
         """Whether the joint's drive has said last that it holds, and of no error."""
         status = int(self._record["axes"][joint]["status"])
+        if self.power_loss_known(joint):
+            status &= ~status_bits.POWER_LOST
         return status & status_bits.ENABLED != 0 and status & ~SOUND == 0
+
+    def is_loose(self, joint: int) -> bool:
+        """Whether it has said last that it does not, or of an error; False of one that has said nothing yet."""
+        return bool(self._record["axes"][joint]["status"]) and not self.holds(joint)
 
     def power_loss_known(self, joint: int) -> bool:
         """Whether a drive's flag for lost power means nothing, because a person said where the joint stands since."""

@@ -35,25 +35,27 @@ class Marks:
     ) -> None:
         """`known` are those of before, `keep` remembers them all whenever one changes.
 
-        `unproven`: joints whose drive keeps a mark over a loss of power, or takes none (`rtloop.commissioned`). They
-        get none, and what they had is forgotten: it would speak against their drives when they are proven again.
+        `unproven`: joints whose drive keeps a mark over a loss of power, or takes none (`rtloop.commissioned`). Theirs
+        proves nothing, and they get no other; one that is surely gone speaks against the angle all the same.
         """
         self._keep, self._unproven = keep, unproven
-        self._marks = {joint: mark for joint, mark in (known or {}).items() if joint not in unproven}
+        self._marks = dict(known or {})
         self._until_referenced: dict[int, str | None] = {}
-        if len(self._marks) != len(known or {}):
-            keep(self._marks)
 
     def takes(self, joint: int) -> bool:
-        """Whether a mark of the joint's drive would say anything."""
+        """Whether a mark of the joint's drive would prove anything."""
         return joint not in self._unproven
 
-    def __getitem__(self, joint: int) -> str | None:
+    def known(self, joint: int) -> str | None:
+        """What the joint's drive was marked with, whether or not that proves anything."""
         return self._marks.get(joint)
+
+    def __getitem__(self, joint: int) -> str | None:
+        return self.known(joint) if self.takes(joint) else None
 
     def __setitem__(self, joint: int, mark: str | None) -> None:
         self._until_referenced.pop(joint, None)
-        if mark == self[joint] or not self.takes(joint):
+        if mark == self.known(joint) or (mark is not None and not self.takes(joint)):
             return
         self._marks.pop(joint, None)
         if mark is not None:

@@ -96,6 +96,7 @@ class ControlProcess:
         self._claim = Claim()
         self._lost_references: dict[int, Unreferenced] = {}
         self._marks = commissioned.marks(arm, tell)
+        self._held_rad: dict[int, float] = {}
         self._dropped_before = self._unsent_before = 0
         self._brought_up = False
         self._next_try_s = self._next_lost_s = self._next_keep_s = 0.0
@@ -347,6 +348,7 @@ class ControlProcess:
             mock_positions_rad=known,
             counts_before=counts_before,
             lost_before=lost_before,
+            held_rad=self._held_rad,
             heals=heals,
             forgive_silence=self._forgive_silence,
         )
@@ -392,6 +394,7 @@ class ControlProcess:
             return self._bring_up(clears_protection=True)
         if int(core["release_asked"]) == 1:
             core["release_asked"] = 0  # taken back by the cycle when the drives are enabled meanwhile
+            self._held_rad.clear()
             return Release(self._arm, self._port, now_ns=now_ns)
         if not self._stop_asked.yes and (core["home_asked"] or core["reference_asked"]):
             return referencing_asked_for(

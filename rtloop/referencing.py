@@ -291,7 +291,7 @@ class Referencing(Conversation):
 
     def _lost_its_mark(self, joint: int) -> zdt_talk.Answered[bool]:
         """Whether the drive's mark is gone; its angle is then lost before another one takes that mark's place."""
-        if (yield from zdt_talk.has_mark(self.marks[joint])) is not False:
+        if (yield from zdt_talk.has_mark(self.marks.known(joint))) is not False:
             return False
         self._keep_lost(joint, Unreferenced.POWER_LOST)
         self.post(ADOPT, joint=joint, value=self.port.commanded_rad(joint), code=Unreferenced.POWER_LOST)

@@ -126,6 +126,7 @@ class VirtualArm:
         self.told: list[str] = []
         self.lost: dict[int, Unreferenced | None] = {}
         self.marks = Marks()
+        self.held_rad: dict[int, float] = {}
         self.front_alive = True
         self.goal = 0
         self.pending: list[Callable[[], None]] = []
@@ -265,7 +266,15 @@ class VirtualArm:
         return talk
 
     def _begin_bring_up(self, **known: Any) -> BringUp:
-        return BringUp(self.arm, self.port, now_ns=self.now_ns, tell=self.told.append, marks=self.marks, **known)
+        return BringUp(
+            self.arm,
+            self.port,
+            now_ns=self.now_ns,
+            tell=self.told.append,
+            marks=self.marks,
+            held_rad=self.held_rad,
+            **known,
+        )
 
     def clear_fault(self) -> BringUp:
         """Ask for a clear, which must be granted, and bring the drives up as the control process does then."""
@@ -304,6 +313,7 @@ class VirtualArm:
         """Run the conversation that lets the drives go; the request was made before."""
         self.until(lambda: bool(self.core["release_asked"]), at_most_s=1.0)
         self.core["release_asked"] = 0
+        self.held_rad.clear()
         talk = Release(self.arm, self.port, now_ns=self.now_ns)
         self.until(lambda: talk.poll(self.now_ns), at_most_s=at_most_s)
         return talk

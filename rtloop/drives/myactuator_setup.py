@@ -173,7 +173,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     if drive.knows_its_angle:
         host.marks[joint] = up.mark if up else None
         return Found(reading, held)
-    before = Uptime.of_mark(host.marks[joint])
+    before = Uptime.of_mark(host.marks.known(joint))
     if up is not None and before is not None and up.began_since(before):
         reason = Unreferenced.POWER_LOST
     kept = settle_mark(host, joint, _proves(up, host.marks[joint]), up.mark if up else None)

@@ -103,8 +103,10 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
     found = yield from _standing(host, joint, config, reason)
     # The last question, so that it speaks for all that was read before.
     had_power = yield from _had_power(host, joint)
-    if had_power is None and host.marks[joint] is not None:
+    if had_power is None and host.marks.known(joint) is not None:
         yield from zdt_talk.status_of(joint, config)  # it may be without power just now
+        had_power = yield from _had_power(host, joint)  # or was silent for a moment
+    if had_power is None and host.marks.known(joint) is not None:
         host.tell(
             f"{config.name}: its drive, which had a mark, does not tell its homing parameters (22), or tells others "
             "whenever it is asked, so nothing proves that it had power: it was exchanged, got other firmware, or the "
@@ -113,8 +115,8 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
         had_power = False
     elif had_power is False and reason != Unreferenced.POWER_LOST:  # its flag, where it has one, told no loss of power
         host.tell(
-            f"{config.name}: the mark of its drive, a homing time-out of {host.marks[joint]} ms, is gone: it lost "
-            "power, or something else has set it, such as another user, computer, container or program."
+            f"{config.name}: the mark of its drive, a homing time-out of {host.marks.known(joint)} ms, is gone: it "
+            "lost power, or something else has set it, such as another user, computer, container or program."
         )
     if had_power is False:
         return found._replace(reason=Unreferenced.POWER_LOST)
@@ -129,7 +131,7 @@ def kept_power(host: PowerHost, joint: int) -> Part[bool]:
 
 
 def _kept_power(host: PowerHost, joint: int) -> Answered[bool]:
-    return (yield from _had_power(host, joint)) is True
+    return host.marks[joint] is not None and (yield from _had_power(host, joint)) is True
 
 
 def _had_power(host: PowerHost, joint: int) -> Answered[bool | None]:
@@ -146,7 +148,7 @@ def _had_power(host: PowerHost, joint: int) -> Answered[bool | None]:
                 break
         else:
             return False
-    return (yield from zdt_talk.has_mark(host.marks[joint]))
+    return (yield from zdt_talk.has_mark(host.marks.known(joint)))
 
 
 def _clear_protection(host: Host, joint: int, config: JointConfig) -> Answered[int]:

@@ -100,7 +100,7 @@ def test_a_file_that_says_something_else_is_refused_in_a_sentence(arm: ArmConfig
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("number", True), ("number", "1"), ("reports", 1), ("power_proof", "surely"), ("firmware", None)],
+    [("number", True), ("number", "1"), ("reports", 1), ("power_proof", 1), ("firmware", None)],
 )
 def test_a_value_of_another_kind_is_refused(arm: ArmConfig, field: str, value: Any) -> None:
     commissioned.save(arm, 0, found_of(arm, 0))
@@ -121,6 +121,9 @@ def test_a_record_of_another_version_is_read_as_far_as_it_says_the_same(arm: Arm
     del record["brakes_in_silence"]
     path.write_text(json.dumps(kept))
     assert commissioned.load(arm) == {0: found_of(arm, 0, power_proof=PowerProof.FLAG)}
+    record["power_proof"] = "surely"
+    path.write_text(json.dumps(kept))
+    assert commissioned.load(arm) == {0: found_of(arm, 0, power_proof=PowerProof.NONE)}
 
 
 def test_nothing_is_kept_of_a_simulated_arm(arm: ArmConfig) -> None:
@@ -200,7 +203,7 @@ def test_a_drive_that_was_found_to_prove_no_power_gets_no_mark(arm: ArmConfig) -
     assert [marks[joint] for joint in range(3)] == ["10001", None, "10001"]
 
 
-def test_a_record_that_cannot_be_read_unlocks_nothing_takes_the_marks_and_is_told(arm: ArmConfig) -> None:
+def test_a_record_that_cannot_be_read_unlocks_nothing_lets_marks_prove_nothing_and_is_told(arm: ArmConfig) -> None:
     path = path_of(arm.name, "commissioned")
     path.parent.mkdir(parents=True)
     path.write_text("{", encoding="utf-8")
@@ -208,7 +211,7 @@ def test_a_record_that_cannot_be_read_unlocks_nothing_takes_the_marks_and_is_tol
     told: list[str] = []
     marks = commissioned.marks(arm, told.append)
     assert not commissioned.heals(arm) and not any(marks.takes(joint) for joint in range(6))
-    assert power_marks(arm) == {}
+    assert power_marks(arm) == {0: "10001", 3: "10002"} and marks[0] is None and marks.known(0) == "10001"
     assert len(told) == 1 and "none of it is believed: remove that file" in told[0]
 
 

@@ -448,6 +448,22 @@ runpy.run_module("rtloop", run_name="__main__")
 
 
 @pytest.mark.process
+def test_who_reads_late_misses_a_sentence_and_none_after_it():
+    """A terminal that is stopped by Ctrl-S, or a full pipe, of whom does not want to wait."""
+    program = "from rtloop.__main__ import tell\ntell('x' * 100_000)\nprint('told', flush=True)\ninput()\ntell('heard')"
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    command = [sys.executable, "-c", program]
+    with subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=writer) as process:
+        os.close(writer)
+        assert process.stdout.readline() == b"told\n"
+        with open(reader, "rb", buffering=0) as told:
+            assert 0 < len(told.read(1 << 20)) < 100_000
+            process.communicate(b"\n")
+            assert told.read().endswith(b"rtloop: heard\n")
+
+
+@pytest.mark.process
 def test_a_signal_while_the_cycle_is_compiled_ends_the_compiler_too(mock_arm, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with closing(Process("rtloop", str(mock_arm.file))) as process:

@@ -108,7 +108,7 @@ def test_old_firmware_without_a_flag_proves_it_too() -> None:
 
 
 def test_drives_of_which_nobody_can_tell_what_was_found_keep_their_angles_when_it_can_be_told_again() -> None:
-    """They get no mark meanwhile, and that of before, in whose place there may be another, is not held against them."""
+    """They get no mark meanwhile, and that of before proves nothing, but is kept."""
     arm = VirtualArm.brought_up("episode1")
     kept = [dict(arm.marks._marks)]
     arm = arm.next_process()
@@ -118,11 +118,23 @@ def test_drives_of_which_nobody_can_tell_what_was_found_keep_their_angles_when_i
     assert arm.ask(Request.REFERENCE, joint_mask=1 << 1, value=math.nan) == Answer.DONE
     assert arm.reference().failure is None
     assert [drive.homing for drive in drives_of(arm)] == before
-    drives_of(arm)[2].homing = replace(before[2], timeout_ms=10_000)
     arm = arm.next_process()
     arm.marks = Marks(kept[-1])
     assert arm.bring_up().failure is None
     assert all(referenced(arm))
+    arm.close()
+
+
+def test_a_mark_that_proves_nothing_speaks_against_an_angle_all_the_same() -> None:
+    arm = VirtualArm.brought_up("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    kept = dict(arm.marks._marks)
+    arm = arm.next_process()
+    arm.marks = Marks(kept, unproven=range(6))
+    drives_of(arm)[2].power_flag = "absent"
+    arm.sim.inject(PowerLoss("joint3", at_s=0.0, off_s=0.5), since_ns=arm.now_ns)
+    arm.now_ns += 1_500_000_000
+    assert arm.bring_up().failure is None
+    assert referenced(arm) == [joint != 2 for joint in range(6)]
     arm.close()
 
 
@@ -189,6 +201,49 @@ def test_a_count_that_is_another_one_behind_a_clear_is_no_angle_whatever_the_mar
     arm.clear_fault()
     assert referenced(arm) == [joint != 2 for joint in range(6)]
     assert arm.loop[0]["axes"][2]["unreferenced_reason"] == Unreferenced.POWER_LOST
+    arm.close()
+
+
+@pytest.mark.parametrize("seconds", [0.5, 2.0])
+def test_a_count_that_is_another_one_behind_a_clear_that_failed_is_no_angle_either(seconds: float) -> None:
+    """The loss of power that makes the first clear fail; or one behind it, while its joint is held all the same."""
+    arm = VirtualArm("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    drive = drives_of(arm)[2]
+    drive.power_flag, drive.stores_everything = "absent", True
+    arm.bring_up()
+    drives_of(arm)[0].trip(arm.now_ns, registers.STALLED)
+    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    begins_s = 0.0 if seconds < 1.0 else 1.0
+    if begins_s:
+        drive.unplug(arm.now_ns)
+    arm.sim.inject(PowerLoss("joint3", at_s=begins_s, off_s=seconds), since_ns=arm.now_ns)
+    arm.cycles(3)
+    assert arm.clear_fault().failure is not None
+    if begins_s:
+        drive.plug_in(arm.now_ns)
+    arm.cycles(500)
+    assert arm.clear_fault().failure is None
+    assert referenced(arm) == [joint != 2 for joint in range(6)]
+    arm.close()
+
+
+def test_a_joint_that_moves_while_it_is_enabled_keeps_its_angle_where_its_drive_proves_its_power() -> None:
+    """Its flag told a loss of power, then a person said its angle: from then on its mark speaks for it."""
+    arm = VirtualArm.brought_up("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
+    arm.sim.inject(PowerLoss("joint3", at_s=0.0, off_s=0.5), since_ns=arm.now_ns)
+    arm.cycles(300)
+    arm.clear_fault()
+    assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=0.4) == Answer.DONE
+    assert arm.reference().failure is None
+    assert arm.ask(Request.FREE) == Answer.DONE
+    arm.release()
+    before_rad = float(arm.loop[0]["axes"][2]["measured_rad"])
+    drives_of(arm)[2].lead(arm.now_ns, 10.0)  # a hand, until the bring-up has it hold again
+    assert arm.ask(Request.ENABLE) == Answer.DONE
+    arm.core["bring_up_asked"] = 0
+    assert arm.bring_up().failure is None
+    assert abs(arm.loop[0]["axes"][2]["measured_rad"] - before_rad) > 2.0 * arm.arm.limits.position_jump_rad
+    assert all(referenced(arm))
     arm.close()
 
 
@@ -263,6 +318,30 @@ def test_a_drive_that_is_silent_when_its_mark_is_asked_for_ends_the_bring_up(mon
     monkeypatch.setitem(drive._reads, 0x22, goes_silent)
     failure = arm.bring_up().failure
     assert failure is not None and "joint3 stopped answering while its status was read" in str(failure)
+    arm.close()
+
+
+def test_a_drive_that_is_silent_for_a_moment_when_its_mark_is_asked_for_keeps_its_angle(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    arm = VirtualArm.brought_up("episode1")
+    arm = arm.next_process()
+    drive = drives_of(arm)[2]
+    told, status = drive._reads[0x22], drive._reads[0x3A]
+    asked = itertools.count()
+
+    def told_late() -> bytes:
+        drive.reply_loss = float(next(asked) < zdt_talk.SURE_TRIES)
+        return told()
+
+    def is_heard_again() -> bytes:
+        drive.reply_loss = 0.0
+        return status()
+
+    monkeypatch.setitem(drive._reads, 0x22, told_late)
+    monkeypatch.setitem(drive._reads, 0x3A, is_heard_again)
+    assert arm.bring_up().failure is None
+    assert all(referenced(arm))
     arm.close()
 
 
