@@ -7,6 +7,7 @@ import pytest
 from machine_witness import Stalls
 
 pytest_plugins = ["pytester"]
+pytestmark = pytest.mark.process
 
 QUIET, STALLED = Stalls(0.0, 0.0), Stalls(0.12, 0.0)
 
