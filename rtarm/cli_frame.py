@@ -121,5 +121,10 @@ def sentences(as_json: Mapping[str, Any] | None = None) -> Iterator[None]:
         if as_json is not None:
             draw_json({**as_json, "problems": sentence.splitlines()})
         elif sentence:
-            typer.echo(sentence, err=True)
+            try:
+                typer.echo(sentence, err=True)
+            except OSError:  # a terminal that was closed: the exit code still tells
+                from rtarm.reporter import silence
+
+                silence(sys.stderr)
         raise typer.Exit(int(code)) from None

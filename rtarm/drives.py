@@ -80,6 +80,7 @@ class OfflineProcess:
                 found: Report = json.loads(rest)
                 return found
             if first == "refused":
+                self.refused = rest
                 raise Refusal(rest, ExitCode.LOOP_REFUSED)
             if first == "told":
                 told(rest)
@@ -108,7 +109,8 @@ class OfflineProcess:
         with self._process.stdout as unread:
             refused = [line.rstrip("\n").partition(" ")[2] for line in unread if line.startswith("refused ")]
         code = self._process.returncode
-        self.refused = refused[0] if refused else f"The control process ended {describe_end(code)}." if code else None
+        if refused or (code and self.refused is None):
+            self.refused = refused[0] if refused else f"The control process ended {describe_end(code)}."
 
 
 @contextmanager

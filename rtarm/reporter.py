@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TextIO
 
 from rich.console import Console
 from rich.text import Text
@@ -24,8 +25,13 @@ class LastingConsole(Console):
 
 def silence_stdout() -> None:
     """Let everything more that is written to standard output vanish."""
+    silence(sys.stdout)
+
+
+def silence(stream: TextIO) -> None:
+    """The same of a stream; what it has not written yet would fail again at the end, and change the exit code."""
     null = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, sys.stdout.fileno())
+    os.dup2(null, stream.fileno())
     os.close(null)
 
 

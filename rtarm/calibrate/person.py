@@ -7,10 +7,10 @@ import shutil
 import sys
 import termios
 import textwrap
-from contextlib import suppress
 from typing import Protocol
 
 from rtarm.errors import Refusal
+from rtarm.reporter import silence_stdout
 
 WIDEST = 110
 """Columns of running text."""
@@ -34,7 +34,10 @@ class Terminal:
     """The person at standard input and output."""
 
     def tell(self, text: str) -> None:
-        print(_wrapped(text), flush=True)
+        try:
+            print(_wrapped(text), flush=True)
+        except OSError:  # of a terminal that is gone: the next question ends it
+            silence_stdout()
 
     def answer(self, question: str) -> str:
         if sys.stdin is None or not sys.stdin.isatty():  # what comes through a pipe was not said in sight of the arm
@@ -46,8 +49,7 @@ class Terminal:
         except (OSError, termios.error):  # of a terminal that is gone
             typed = b""
         if not typed.endswith(b"\n"):  # a line that was not ended is no answer either
-            with suppress(OSError):
-                print(flush=True)
+            self.tell("")
             raise Quit("the input ended")
         line = typed.decode(errors="replace").strip()
         if line.lower() in ("q", "quit"):

@@ -42,7 +42,7 @@ class ProcessDrives:
     def __init__(self, process: OfflineProcess, person: Person) -> None:
         self._process = process
         self._person = person
-        drives = process.answer("ready")["drives"]
+        drives = process.answer("ready", person.tell)["drives"]
         self.found = {int(joint): Found(**found) for joint, found in drives.items()}
 
     def look(self, joint: int) -> DriveState:

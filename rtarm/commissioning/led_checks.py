@@ -55,7 +55,9 @@ SWITCH_PATIENCE_S = 180.0
 SILENT_S = 0.5
 """Without a reading: its plug is pulled, or its power off."""
 SAME_RAD = math.radians(2.0)
-"""A limp joint that a person holds may turn by so much while its power is off."""
+"""A limp joint that a person holds may turn by so much while its power is off; of more they are asked."""
+NO_LOSS = (Unreferenced.OUTSIDE_LIMITS, Unreferenced.POSITION_JUMP)
+"""A count that is not believed for where it is, and tells nothing of whether it was lost."""
 BOOTS_S = 10.0
 """From the y that its power is on to its first answer, if it gives any before it is brought up."""
 ENABLE_TRIES = 3
@@ -174,13 +176,15 @@ class LedBench:
         goal = self.led.go(there_rad, seconds, AT_EASE_RAD)
         self.led.let_pass(seconds / 2.0)
         before, after = self.led.say_nothing(SILENCE_S)
+        ended = self.led.end_of(goal, arm.patience.person_s).sentence
         if after is None:
+            self._go_back(start_rad)
             came = "it answers no more after the silence"
             return [Finding("silence", asked, documented, came, Verdict.DIFFERS)]
-        ended = self.led.end_of(goal, arm.patience.person_s).sentence
         stands, moving = self.led.joint(), before["joints"][0]
         speed_rad_s = abs(float(moving["commanded_velocity_rad_s"]))
         if speed_rad_s < 0.5 * FASTEST * way_rad / seconds:
+            self._go_back(start_rad)
             came = f"it did not move when the silence began: {ended or 'its goal was over'}"
             return [Finding("silence", asked, documented, came, Verdict.NOT_TRIED)]
         beyond_rad = sign * float(stands["measured_position_rad"] - moving["measured_position_rad"])
@@ -310,9 +314,19 @@ class LedBench:
             differs = lets_go or (heard and not isinstance(refused, Declined))
             verdict = Verdict.DIFFERS if differs else Verdict.NOT_TRIED
             return Silenced(replace(undone, came=refused.sentence + how, verdict=verdict))
-        known, away_rad = self.led.referenced, abs(self._stands_rad() - before_rad)
+        known, stands_rad = self.led.referenced, self._stands_rad()
+        away_rad = abs(stands_rad - before_rad)
+        unclear = verdict_of(False) if lets_go else Verdict.NOT_TRIED
+        reason = Unreferenced(int(self.led.joint()["unreferenced_reason"]))
+        if reason in NO_LOSS:
+            return Silenced(replace(undone, came=unreferenced_sentence(reason, self.name) + how, verdict=unclear))
         # a joint that was let go amid it may be elsewhere, and its encoder right
-        elsewhere = known and away_rad > SAME_RAD and not lets_go
+        elsewhere = known and keeps and away_rad > SAME_RAD and not lets_go
+        if elsewhere:  # it may have sunk in a hand
+            both = f"its encoder says {math.degrees(stands_rad):.1f}°, and said {math.degrees(before_rad):.1f}° before"
+            if not self._agrees(f"{self.name}: {both}. Did the joint itself stay where it was?"):
+                came = f"{both}, and nobody said that the joint stayed where it was{how}"
+                return Silenced(replace(undone, came=came, verdict=unclear))
         angle_right = known == keeps and not elsewhere
         finding = replace(
             undone,

@@ -94,7 +94,7 @@ class LedProcess:
         time.sleep(POLL_S)
         if self._process.poll() is not None:
             self._listener.join()
-            raise NotRunning(f"{self._how_it_ended()} {NOT_SEEN}")
+            raise NotRunning(self._how_it_ended())
 
     def _how_it_ended(self) -> str:
         code = self._process.returncode

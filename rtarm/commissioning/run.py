@@ -69,13 +69,17 @@ def commission(argument: str, name: str, output: Path | None, overrides: Mapping
                 _by_itself(argument, overrides, person, report, opened)
             else:
                 _led(person, report, opened)
-    except (Quit, Interrupted) as ended:
-        report.ended, code = _early(str(ended), opened)
+    except (Quit, Interrupted) as early:
+        stands = "; the drive stands" if opened and not opened[0].refused else ""
+        report.ended = f"Ended early ({early}){stands}."
     except Refusal as refused:
         report.ended, code = refused.sentence, refused.code
     except SharedMemoryError as problem:
         report.ended = str(problem)
         code = ExitCode.LOOP_DIED if isinstance(problem, NotRunning) else ExitCode.REFUSED
+    if opened and (unseen := opened[0].refused):  # however it ended
+        report.ended = _with_unseen(report.ended, unseen)
+        code = code if code is ExitCode.LOOP_DIED else ExitCode.LOOP_REFUSED
     if not report.findings:
         if report.made:  # never what was there before
             (folder / RECORDING).unlink(missing_ok=True)
@@ -102,13 +106,9 @@ def _require_at_rest(arm: ArmConfig) -> None:
     )
 
 
-def _early(why: str, opened: Sequence[OfflineProcess | LedProcess]) -> tuple[str, ExitCode]:
-    """The sentence and the exit code of an end that was asked for: it tells of the drive what was seen."""
-    if not opened:
-        return f"Ended early ({why}).", ExitCode.REFUSED
-    if refused := opened[0].refused:
-        return f"Ended early ({why}). {refused} {NOT_SEEN}", ExitCode.LOOP_REFUSED
-    return f"Ended early ({why}); the drive stands.", ExitCode.REFUSED
+def _with_unseen(ended: str, unseen: str) -> str:
+    """How it ended, and why its drive was not seen to stand, where that is not the same."""
+    return " ".join(sentence for sentence in (ended, "" if unseen in ended else unseen, NOT_SEEN) if sentence)
 
 
 # --- a ZDT drive, by dialogues of its own
@@ -123,14 +123,14 @@ def _by_itself(
 ) -> None:
     arm, joint = report.arm, report.joint
     with offline_process("rtloop.commissioning", argument, overrides) as process:
-        opened.append(process)
-        found = process.answer("ready")["drives"][str(joint)]
+        found = process.answer("ready", person.tell)["drives"][str(joint)]
         with _recorded(arm.name, report.folder / RECORDING):
             if found["problems"]:
                 _found(person, report, [asdict(_not_taken(found))], replace(report.record, firmware=found["firmware"]))
                 return
             process.order(f"checks {joint}")
             checks: Sequence[Sequence[Any]] = process.answer("checks")  # type: ignore[assignment]
+            opened.append(process)
             _hold(process, found, arm.joints[joint].name, person, joint)
             person.tell(INTRODUCTION)
 
@@ -180,6 +180,8 @@ def _led(person: Person, report: Report, opened: list[OfflineProcess | LedProces
         _forget_mark(arm, joint)
         with _recorded(arm.name, report.folder / RECORDING), led.stopped_by_any_end():
             refused = "" if process.brought_up() else "\n".join(process.told)
+            if refused:
+                opened.clear()  # nothing was led, and why stands in the finding
             if refused and not led.drive_refused():
                 raise Refusal(refused, ExitCode.LOOP_REFUSED)
             _found(person, report, [asdict(judge_answers(process.told, refused))], report.record)

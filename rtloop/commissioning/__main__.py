@@ -2,8 +2,8 @@
 
 Prints `ready {drives}`, then obeys lines on its standard input until that ends: `checks J` (answered by `checks […]`),
 `check J SIGN NAME` (by `found {…}`) and `hold J` (by `state {…}`), with joint numbers from 0. `told …` lines come
-meanwhile. At the end a drive whose checks were asked for must be seen to stand and hold its joint. What is refused, and
-how it ends, is as of `python -m rtloop.calibration`.
+meanwhile. At the end a drive whose checks were asked for must be seen to stand, and to hold its joint if it ever did.
+What is refused, and how it ends, is as of `python -m rtloop.calibration`.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy as np
 from config.schema import ArmConfig
 from config.serial_adapters import SERIAL_ADAPTERS
 from rtloop.beginning import byte_s
-from rtloop.calibration.session import NotDone, Session
+from rtloop.calibration.session import DriveState, NotDone, Session
 from rtloop.calibration.talk import Drive
 from rtloop.commissioned import Commissioned, PowerProof
 from rtloop.commissioning.finding import Check, Finding, Said, Verdict, beyond_limits, frames_of
@@ -54,6 +54,7 @@ class Bench(Session):
         self._recorded = recorded
         self._findings: dict[str, Finding] = {}
         self._at_bench: int | None = None
+        self._held: set[int] = set()
         self.power_proof: PowerProof | None = None
 
     def checks(self, joint: int) -> list[Check]:
@@ -61,10 +62,15 @@ class Bench(Session):
         self._at_bench = joint
         return checks_of(self.arm, joint)
 
+    def hold(self, joint: int) -> DriveState:
+        self._held.add(joint)
+        return super().hold(joint)
+
     def see_it_stand(self) -> None:
-        """Raise TalkFailed where the drive at the bench is not seen to stand and hold its joint."""
-        if self._at_bench is not None:
-            self._have_undisturbed(self._at_bench, Drive.stand_held)
+        """Raise TalkFailed where the drive at the bench is not seen to stand, and to hold its joint if it ever did."""
+        if (joint := self._at_bench) is not None:
+            held = joint in self._held or self.found[joint].enabled
+            self._have_undisturbed(joint, Drive.stand_held if held else Drive.stand)
 
     def check(self, name: str, joint: int, sign: int) -> list[Finding]:
         """Do one check; what could not be tried is a finding, too.

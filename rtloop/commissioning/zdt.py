@@ -180,7 +180,15 @@ def _stall(bench: Bench, joint: int, sign: int) -> list[Finding]:
 def _power_cycle(bench: Bench, joint: int, _: int) -> list[Finding]:
     bench.forget_mark(joint)
     changed = talk.Changed()
-    with bench.ending_with(joint, lambda drive: talk.put_back(drive, changed)):
-        cycle = bench.have(joint, lambda drive: talk.power_cycle(drive, changed, bench.tell, lambda: bench.lose(joint)))
+    cycle, beside = None, []
+    try:
+        with bench.ending_with(joint, lambda drive: talk.put_back(drive, changed)):
+            cycle = bench.have(
+                joint, lambda drive: talk.power_cycle(drive, changed, bench.tell, lambda: bench.lose(joint))
+            )
+    except TalkFailed as problem:
+        if cycle is None:
+            raise
+        beside = [checks.not_put_back(problem)]  # what was seen before is kept
     bench.power_proof = checks.power_proof(cycle)
-    return [checks.judge_power_flag(cycle), checks.judge_volatile(cycle)]
+    return [checks.judge_power_flag(cycle), checks.judge_volatile(cycle), *beside]

@@ -193,6 +193,12 @@ def judge_volatile(cycle: PowerCycle | None) -> Finding:
     return Finding("volatile settings", asked, documented, came, verdict_of(False not in found.values()))
 
 
+def not_put_back(problem: Exception) -> Finding:
+    """What was changed for that was not seen to be as before."""
+    asked = "both settings put back"
+    return Finding("put back", asked, "they are taken, and read so", str(problem), Verdict.NOT_TRIED)
+
+
 def power_proof(cycle: PowerCycle | None) -> PowerProof | None:
     """How this drive can prove that it has kept its power; None where that was not tried."""
     if cycle is None:

@@ -426,6 +426,82 @@ def test_a_silence_of_a_joint_that_does_not_move_is_none() -> None:
     assert rig.check("silence").verdict == Verdict.NOT_TRIED
 
 
+def stopped_amid_a_move(rig: Bench) -> None:
+    """By a person, before the silence begins."""
+    lived, began_deg = rig.pass_time, rig.true_deg()
+
+    def pass_time() -> None:
+        lived()
+        if abs(rig.true_deg() - began_deg) > 3.0:
+            rig.bench.led._pass_time = lived
+            rig.writer.stop()
+
+    rig.bench.led._pass_time = pass_time
+
+
+def not_heard_in_time(rig: Bench) -> None:
+    """It answers right after nobody waits for that any more."""
+    says_nothing = rig.bench.led.say_nothing
+    setattr(rig.bench.led, "say_nothing", lambda seconds: (says_nothing(seconds)[0], None))  # noqa: B010 (for mypy)
+
+
+@pytest.mark.parametrize(
+    ("befalls", "came"),
+    [(stopped_amid_a_move, "it did not move when the silence began"), (not_heard_in_time, "it answers no more")],
+)
+def test_a_silence_that_tells_nothing_ends_where_it_began(befalls: Callable[[Bench], None], came: str) -> None:
+    rig = Bench(one_joint("damiao6"))
+    began_deg = rig.true_deg()
+    befalls(rig)
+    assert rig.check("silence").came.startswith(came)
+    assert rig.true_deg() == pytest.approx(began_deg, abs=0.5)
+
+
+def sinks(rig: Bench, by_deg: float) -> None:
+    """As long as it has no power, in the hand of the person."""
+    assert rig.sim is not None
+    turns = by_deg / 360.0 * rig.arm.joints[0].ratio
+    lived, led_ns = rig.pass_time, [0, 0]
+
+    def pass_time() -> None:
+        lived()
+        if not rig.drive.powered and not led_ns[0]:
+            led_ns[0] = rig.now_ns
+            rig.drive.lead(rig.now_ns, turns)
+        elif led_ns[0] and not led_ns[1] and rig.now_ns - led_ns[0] >= 1_000_000_000:
+            led_ns[1] = rig.now_ns
+            rig.drive.lead(rig.now_ns, 0.0)
+
+    rig.bench.led._pass_time = pass_time
+
+
+@pytest.mark.parametrize("stayed", [True, False])
+def test_a_joint_that_sank_in_a_hand_makes_no_encoder_false(stayed: bool) -> None:
+    """A y to both angles does."""
+    rig = Bench(one_joint("damiao6"))
+    sinks(rig, -5.0)
+    rig.no = () if stayed else ("Did the joint itself stay",)
+    found = rig.check("power cycle")
+    asked = next(words for words in rig.questions if "Did the joint itself stay" in words)
+    assert found.verdict == (Verdict.DIFFERS if stayed else Verdict.NOT_TRIED), found.came
+    assert rig.bench.power_proof is (PowerProof.NONE if stayed else None)
+    after_deg, before_deg = (float(words.rpartition(" ")[2]) for words in asked.split("°")[:2])
+    assert after_deg - before_deg == pytest.approx(-5.0, abs=0.5)
+
+
+@pytest.mark.parametrize("encoder", ["absolute", "incremental"])
+def test_a_joint_that_sank_beyond_its_limits_proves_nothing_and_disproves_nothing(encoder: str) -> None:
+    arm = one_joint("damiao6", encoder)
+    rig = Bench(arm, start_deg=arm.joints[0].upper_deg - 20.0, homed=True)
+    sinks(rig, 15.0)
+    rig.check("power cycle")
+    if encoder == "absolute":
+        assert "outside its limits" in rig.bench.found["power cycle"].came
+        assert rig.bench.found["power cycle"].verdict == Verdict.NOT_TRIED and rig.bench.power_proof is None
+    else:  # it counts from where power came
+        assert rig.bench.power_proof == PowerProof.CANARY
+
+
 def test_a_fault_is_not_cleared_without_a_yes() -> None:
     rig = Bench(one_joint("damiao6"))
     rig.bench._agrees = lambda question: False

@@ -113,7 +113,8 @@ def test_whatever_ends_it_amid_a_move_stops_it_and_leaves_what_was_found(
 
 
 @pytest.mark.process
-def test_a_drive_that_falls_silent_amid_a_move_is_not_said_to_stand(bench: Stack, tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", ["Ctrl-C", "terminal gone"])
+def test_a_drive_that_falls_silent_amid_a_move_is_not_said_to_stand(bench: Stack, tmp_path: Path, how: str) -> None:
     with closing(rtarm_at_terminal("commission", str(bench.arm_file), "joint5", "-o", str(tmp_path / "report"))) as at:
         at.reply("Ask it?", "y")
         for question in ("Ask it?", "Try it?", "Try it?"):
@@ -121,9 +122,15 @@ def test_a_drive_that_falls_silent_amid_a_move_is_not_said_to_stand(bench: Stack
         at.reply("Turn it?", "y")
         until(lambda: abs(bench.truth()["joint5"].position_rad[-1]) > math.radians(1.0), patience_s=PATIENCE_S)
         bench.sim.say("silent:joint=joint5,at_s=0,until_s=30")
-        at.press(CTRL_C)
-        assert at.code() == 2
-        assert "use the switch in the power line" in flat(at) and "the drive stands" not in flat(at)
+        if how == "Ctrl-C":
+            at.press(CTRL_C)
+            assert at.code() == 2
+            assert "use the switch in the power line" in flat(at) and "the drive stands" not in flat(at)
+        else:
+            at.hang_up()
+            assert at.process.wait(PATIENCE_S) == 2
+    text = (tmp_path / "report" / "report.txt").read_text(encoding="utf-8")
+    assert "Ended early" in text and "use the switch in the power line" in text
 
 
 @pytest.mark.process
@@ -149,6 +156,18 @@ def test_what_is_refused_leaves_nothing_behind(bench: Stack, tmp_path: Path) -> 
 def test_a_joint_that_is_none_and_an_arm_without_a_bus() -> None:
     assert "has no joint 'elbow'; it has joint1" in run_rtarm("commission", "episode1", "elbow").stderr
     assert "has mock drives and no bus" in run_rtarm("commission", "mock", "joint1").stderr
+
+
+@pytest.mark.process
+def test_a_drive_that_was_limp_before_and_nobody_wanted_held_is_well_at_the_end(bench: Stack, tmp_path: Path) -> None:
+    bench.befall("disabled:joint=joint5,at_s=0")
+    with closing(rtarm_at_terminal("commission", str(bench.arm_file), "joint5", "-o", str(tmp_path / "report"))) as at:
+        at.reply("joint5 is limp", "n")
+        at.reply("Ask it?", "y")
+        at.read_until("answers: as documented.")
+        at.reply("Ask it?", "q")
+        assert at.code() == 1
+        assert "Ended early (you ended it); the drive stands." in flat(at) and "use the switch" not in flat(at)
 
 
 @pytest.fixture

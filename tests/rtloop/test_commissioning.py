@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -17,13 +17,17 @@ from virtual import VirtualArm
 from config.loader import load_arm
 from config.ramp import nearest_usable_acceleration_rad_s2
 from rtloop.calibration.session import NotDone
+from rtloop.calibration.talk import Drive
 from rtloop.commissioned import PowerProof
 from rtloop.commissioning import zdt_checks
+from rtloop.commissioning import zdt_talk as zdt_talk_of_the_bench
 from rtloop.commissioning.finding import Finding, Verdict, braking_rev_s2
 from rtloop.commissioning.session import Bench, checks_of
 from rtloop.commissioning.zdt_talk import Ran, trial_of
 from rtloop.conversation import TalkFailed
+from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
+from rtloop.drives.zdt_ask import Ask
 from rtloop.power import Marks
 from shm.recording import now_at, read_on
 from shm.words import Unreferenced
@@ -289,6 +293,31 @@ def test_a_drive_is_seen_to_stand_and_to_hold_its_joint_at_the_end() -> None:
     trial.drive.disable(trial.sim.now_ns)
     with pytest.raises(TalkFailed, match="joint1 is limp"):
         trial.bench.see_it_stand()
+
+
+def test_a_drive_that_never_held_its_joint_need_only_be_seen_to_stand() -> None:
+    trial = Trial(plant=lambda drive: drive.disable(0))
+    trial.bench.checks(0)
+    trial.bench.see_it_stand()
+    trial.bench.hold(0)
+    trial.bench.see_it_stand()
+    trial.drive.disable(trial.sim.now_ns)
+    with pytest.raises(TalkFailed, match="joint1 is limp"):
+        trial.bench.see_it_stand()
+
+
+def test_what_was_seen_of_a_power_cycle_is_kept_where_nothing_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    def put_back(drive: Drive, _: object) -> Iterator[Ask]:
+        yield Ask(registers.ASK_STATUS, (3,))
+        raise drive.fails("It is not put back.")
+
+    monkeypatch.setattr(zdt_talk_of_the_bench, "put_back", put_back)
+    trial = Trial(plant=PLANTED["no proof at all"][0])
+    found = trial.check("power cycle")
+    assert [finding.check for finding in found] == ["power flag", "volatile settings", "put back"]
+    assert (found[-1].came, found[-1].verdict) == ("It is not put back.", Verdict.NOT_TRIED)
+    record = trial.bench.record(0)
+    assert record.power_proof == PowerProof.NONE and "cleared, read 1" in record.power
 
 
 def test_a_drive_that_keeps_its_power_tells_nothing_of_its_loss() -> None:
