@@ -102,25 +102,34 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
         host.marks[joint] = yield from zdt_talk.mark(host.now_ns)
     found = yield from _standing(host, joint, config, reason)
     # The last question, so that it speaks for all that was read before.
-    had_power = yield from _had_power(host, joint)
-    if had_power is None and host.marks.known(joint) is not None:
+    had_power = yield from _decided_power(host, joint, config)
+    if had_power is False:
+        return found._replace(reason=Unreferenced.POWER_LOST)
+    return found._replace(kept_power=was_marked and had_power is True)  # a new one speaks for the time since
+
+
+def _decided_power(host: Host, joint: int, config: JointConfig) -> Answered[bool | None]:
+    """What `_had_power` says of a drive that is there: one with a mark must tell it. What its mark decides is said."""
+    flagged, marked = yield from _power_evidence(host, joint)
+    mark = host.marks.known(joint)
+    if mark is not None and not flagged and marked is None:
         yield from zdt_talk.status_of(joint, config)  # it may be without power just now
-        had_power = yield from _had_power(host, joint)  # or was silent for a moment
-    if had_power is None and host.marks.known(joint) is not None:
+        flagged, marked = yield from _power_evidence(host, joint)  # or was silent for a moment
+    if flagged:
+        return False
+    if mark is not None and marked is None:
         host.tell(
             f"{config.name}: its drive, which had a mark, does not tell its homing parameters (22), or tells others "
             "whenever it is asked, so nothing proves that it had power: it was exchanged, got other firmware, or the "
             "line garbles what it says."
         )
-        had_power = False
-    elif had_power is False and reason != Unreferenced.POWER_LOST:  # its flag, where it has one, told no loss of power
+        return False
+    if marked is False:
         host.tell(
-            f"{config.name}: the mark of its drive, a homing time-out of {host.marks.known(joint)} ms, is gone: it "
-            "lost power, or something else has set it, such as another user, computer, container or program."
+            f"{config.name}: the mark of its drive, a homing time-out of {mark} ms, is gone: it lost power, or "
+            "something else has set it, such as another user, computer, container or program."
         )
-    if had_power is False:
-        return found._replace(reason=Unreferenced.POWER_LOST)
-    return found._replace(kept_power=was_marked and had_power is True)  # a new one speaks for the time since
+    return marked
 
 
 def kept_power(host: PowerHost, joint: int) -> Part[bool]:
@@ -135,20 +144,26 @@ def _kept_power(host: PowerHost, joint: int) -> Answered[bool]:
 
 
 def _had_power(host: PowerHost, joint: int) -> Answered[bool | None]:
-    """Whether the drive has had power since it got its mark; None where nothing tells.
+    """Whether the drive has had power since it got its mark; None where nothing tells."""
+    flagged, marked = yield from _power_evidence(host, joint)
+    return False if flagged else marked
 
-    Its flag for lost power speaks against it, where that means something; without it the mark decides.
+
+def _power_evidence(host: PowerHost, joint: int) -> Answered[tuple[bool | None, bool | None]]:
+    """Whether its flag tells a loss of power, where that means something, and whether its mark is there.
+
+    None where the drive does not say; of one whose flag tells a loss, its mark is not asked.
     """
     if not host.port.power_loss_known(joint):
         for _ in range(zdt_talk.AGREEING):
             flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
             if flags is None:
-                return None
+                return None, None
             if not flags & registers.POWER_LOST:
                 break
         else:
-            return False
-    return (yield from zdt_talk.has_mark(host.marks.known(joint)))
+            return True, None
+    return False, (yield from zdt_talk.has_mark(host.marks.known(joint)))
 
 
 def _clear_protection(host: Host, joint: int, config: JointConfig) -> Answered[int]:

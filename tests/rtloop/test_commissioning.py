@@ -230,11 +230,9 @@ class Cut(Exception):
     """The person wants no more."""
 
 
-@pytest.mark.parametrize("name", ["silence", "retarget", "stall"])
-@pytest.mark.parametrize("after_s", [0.4, 1.0, 2.6])
-def test_whatever_ends_a_move_early_stops_it(name: str, after_s: float) -> None:
-    trial = Trial()
-    ends_ns = trial.virtual.now_ns + round(after_s * 1e9)
+def cut_after(trial: Trial, seconds: float) -> None:
+    """Let the person want no more after so long."""
+    ends_ns = trial.virtual.now_ns + round(seconds * 1e9)
 
     def pause() -> None:
         trial.virtual.cycle()
@@ -242,6 +240,13 @@ def test_whatever_ends_a_move_early_stops_it(name: str, after_s: float) -> None:
             raise Cut
 
     trial.bench._pause = pause
+
+
+@pytest.mark.parametrize("name", ["silence", "retarget", "stall"])
+@pytest.mark.parametrize("after_s", [0.4, 1.0, 2.6])
+def test_whatever_ends_a_move_early_stops_it(name: str, after_s: float) -> None:
+    trial = Trial()
+    cut_after(trial, after_s)
     with pytest.raises(Cut):
         trial.check(name)
     trial.virtual.cycles(5)
@@ -255,14 +260,7 @@ def test_whatever_ends_a_power_cycle_early_puts_back_what_was_changed(after_s: f
     trial = Trial()
     trial.switches = switches
     before = trial.drive.settings, trial.drive.homing
-    ends_ns = trial.virtual.now_ns + round(after_s * 1e9)
-
-    def pause() -> None:
-        trial.virtual.cycle()
-        if trial.virtual.now_ns > ends_ns:
-            raise Cut
-
-    trial.bench._pause = pause
+    cut_after(trial, after_s)
     with suppress(Cut):  # one that is dark meanwhile is told of
         trial.check("power cycle")
     trial.virtual.cycles(600)  # it has power again

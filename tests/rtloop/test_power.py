@@ -345,6 +345,24 @@ def test_a_drive_that_is_silent_for_a_moment_when_its_mark_is_asked_for_keeps_it
     arm.close()
 
 
+def test_a_flag_that_is_seen_last_is_not_told_as_a_mark_that_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A drive without a mark that loses its power right before the last question of its bring-up."""
+    arm = VirtualArm("episode1")
+    drive = drives_of(arm)[2]
+    drive.unknown = frozenset((0x4C,))  # it takes no mark
+    target = drive._reads[0x33]
+
+    def loses_power() -> bytes:
+        drive.power_lost = True
+        return target()
+
+    monkeypatch.setitem(drive._reads, 0x33, loses_power)
+    assert arm.bring_up().failure is None
+    assert arm.loop[0]["axes"][2]["unreferenced_reason"] == Unreferenced.POWER_LOST
+    assert not any("mark" in sentence for sentence in arm.told)
+    arm.close()
+
+
 @pytest.mark.parametrize("home", [False, True])
 def test_a_mark_that_is_gone_takes_the_angle_before_another_one_takes_its_place(home: bool) -> None:
     """A drive that lost its power unseen, and of whose homing run, or reference, nothing comes."""
