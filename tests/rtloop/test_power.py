@@ -19,7 +19,7 @@ from rtloop.saved import OUTLIVES_THE_PROCESS
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.drives.zdt import ZdtDrive
 from sim.drives.zdt_motion import PowerFlag
-from sim.faults import CorruptBytes, PowerLoss
+from sim.faults import CorruptBytes, PowerLoss, Silent
 
 KNOWN_WITHIN_RAD = 0.01
 FLAGS: tuple[PowerFlag, ...] = get_args(PowerFlag)
@@ -321,25 +321,21 @@ def test_a_drive_that_is_silent_when_its_mark_is_asked_for_ends_the_bring_up(mon
     arm.close()
 
 
+@pytest.mark.parametrize("seconds", [0.1, 0.8, 1.2])
 def test_a_drive_that_is_silent_for_a_moment_when_its_mark_is_asked_for_keeps_its_angle(
-    monkeypatch: pytest.MonkeyPatch,
+    seconds: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arm = VirtualArm.brought_up("episode1")
     arm = arm.next_process()
     drive = drives_of(arm)[2]
-    told, status = drive._reads[0x22], drive._reads[0x3A]
-    asked = itertools.count()
+    told, asked = drive._reads[0x22], itertools.count()
 
-    def told_late() -> bytes:
-        drive.reply_loss = float(next(asked) < zdt_talk.SURE_TRIES)
+    def falls_silent() -> bytes:
+        if next(asked) == 0:
+            arm.sim.inject(Silent("joint3", at_s=0.0, until_s=seconds), since_ns=arm.now_ns)
         return told()
 
-    def is_heard_again() -> bytes:
-        drive.reply_loss = 0.0
-        return status()
-
-    monkeypatch.setitem(drive._reads, 0x22, told_late)
-    monkeypatch.setitem(drive._reads, 0x3A, is_heard_again)
+    monkeypatch.setitem(drive._reads, 0x22, falls_silent)
     assert arm.bring_up().failure is None
     assert all(referenced(arm))
     arm.close()
