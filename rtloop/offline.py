@@ -16,7 +16,7 @@ from rtloop.conversation import TalkFailed
 from rtloop.port import ServicePort
 from rtloop.process import CannotStart, ControlProcess, StopAsked
 from rtloop.wire.refusal import WireRefused
-from shm.errors import AlreadyHeld, SharedMemoryError
+from shm.errors import AlreadyHeld, SharedMemoryError, led_already
 
 Serve = Callable[[ArmConfig, ServicePort, Callable[[], None]], None]
 """Works with an arm through a port, letting time pass with the function it is given."""
@@ -36,11 +36,7 @@ def run(
         process = ControlProcess(arm, compiled_cycle(stop_asked), tell, stop_asked)
         return process.serve_offline(lambda port, pause: serve(arm, port, pause))
     except AlreadyHeld as error:
-        say(
-            "refused",
-            f"{alone} by a control process of their own, and this arm has one already: end that first (Ctrl-C in its "
-            f"`rtarm up`), then run this again. ({error})",
-        )
+        say("refused", f"{led_already(alone)} ({error})")
     except (ConfigError, SharedMemoryError, CannotStart, WireRefused, TalkFailed, refuses) as error:
         say("refused", str(error))
     return 2

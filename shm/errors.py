@@ -13,6 +13,14 @@ class AlreadyHeld(SharedMemoryError):
     """Another process already owns this side of the arm."""
 
 
+def led_already(alone: str) -> str:
+    """Why what needs an arm's drives for itself cannot begin; `alone` says what that is, such as "Joints are set up"."""
+    return (
+        f"{alone} by a control process of their own, and this arm has one already: end that first (Ctrl-C in its "
+        "`rtarm up`), then run this again."
+    )
+
+
 class WrongLayout(SharedMemoryError):
     """The file was built by another version of rtarm, or is not one of ours at all."""
 

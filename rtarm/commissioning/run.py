@@ -30,7 +30,7 @@ from rtloop.commissioned import Commissioned, NotReadable, PowerProof
 from rtloop.commissioning.finding import Finding, Verdict
 from rtloop.commissioning.session import FAMILIES
 from shm import files
-from shm.errors import NotRunning, SharedMemoryError
+from shm.errors import NotRunning, SharedMemoryError, led_already
 
 INTRODUCTION = (
     "One drive is checked, and only after your y; each move is told before it is made. The joint must be free to turn "
@@ -99,11 +99,7 @@ def _require_at_rest(arm: ArmConfig) -> None:
         files.open_state(arm.name).close()
     except NotRunning:
         return
-    raise Refusal(
-        "Drives are checked by a control process of their own, and this arm has one already: end that first (Ctrl-C in "
-        "its `rtarm up`), then run this again.",
-        ExitCode.LOOP_REFUSED,
-    )
+    raise Refusal(led_already("Drives are checked"), ExitCode.LOOP_REFUSED)
 
 
 def _with_unseen(ended: str, unseen: str) -> str:
