@@ -14,7 +14,7 @@ class AlreadyHeld(SharedMemoryError):
 
 
 def led_already(alone: str) -> str:
-    """Why what needs an arm's drives for itself cannot begin; `alone` says what that is, such as "Joints are set up"."""
+    """Why what needs an arm's drives for itself cannot begin; `alone` says what that is: "Drives are checked"."""
     return (
         f"{alone} by a control process of their own, and this arm has one already: end that first (Ctrl-C in its "
         "`rtarm up`), then run this again."
