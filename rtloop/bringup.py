@@ -34,16 +34,16 @@ class BringUp(Conversation):
         clears_protection: bool,
         tell: Callable[[str], None],
         marks: Marks,
+        held_rad: dict[int, float],
         mock_positions_rad: list[float] | None = None,
         counts_before: Mapping[int, int] | None = None,
         lost_before: Mapping[int, Unreferenced] | None = None,
-        held_rad: dict[int, float] | None = None,
         heals: bool = False,
         forgive_silence: Callable[[int], None] = lambda joint: None,
     ) -> None:
-        """`counts_before`: where drives counted when rtarm was ended, by the joints' numbers.
+        """`held_rad`: where drives held their joints before a bring-up that has failed, by their numbers; kept up here.
 
-        `held_rad`: where drives held their joints before a bring-up that has failed, likewise; kept up here.
+        `counts_before`: where they counted when rtarm was ended, likewise.
 
         `lost_before`: joints whose angle was not known in an earlier process, and why. `forgive_silence` remembers
         beyond this one that a joint's angle is known although its drive was silent. `heals`: nobody has asked for this,
@@ -57,7 +57,7 @@ class BringUp(Conversation):
         self.clears_protection = clears_protection
         self._counts_before = counts_before or {}
         self.lost_before = lost_before or {}
-        self._held_rad = {} if held_rad is None else held_rad
+        self._held_rad = held_rad
         self._note_who_is_held()
         # where a flag for lost power tells nothing new and no mark tells more, only the joint's place can
         self._flagged_rad = {n: port.measured_rad(n) for n in range(len(arm.joints)) if port.power_loss_known(n)}

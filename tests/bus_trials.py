@@ -94,7 +94,7 @@ class TrialArm(VirtualArm):
                 angle_rad = self.sim.true_position_rad(joint, self.sim.now_ns)
                 assert self.ask(Request.REFERENCE, joint_mask=1 << joint, value=angle_rad) == Answer.DONE
                 assert self.reference().failure is None
-        self.sent.clear()  # no motion was led before, so the stop commands of that end none
+                self.sent.clear()  # no motion was led before, so the stop commands of that end none
 
     def unplug(self) -> None:
         """Pull the adapter out: the reader notices, and nothing reaches the drives any more."""
