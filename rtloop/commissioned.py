@@ -75,6 +75,11 @@ class Commissioned:
         proves = self.power_proof not in (None, PowerProof.NONE)
         return proves and self.brakes_in_silence is True and self.retargets is not False
 
+    @property
+    def tells(self) -> bool:
+        """Whether anything that is relied on was tried."""
+        return any(getattr(self, name) is not None for name in ("power_proof", *_TRUTHS))
+
     def after(self, before: Commissioned | None) -> Commissioned:
         """This with what an earlier test of the same drive and firmware has found and this one did not try.
 

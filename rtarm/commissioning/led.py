@@ -187,7 +187,7 @@ class Led(Connection):
         except TornRead:
             return f"What {self.name} did last is not known."
         joint = now["joints"][0]
-        if int(now["monotonic_ns"]) - int(joint["measured_ns"]) > FRESH_S * 1e9:
+        if silent_for_s(now) > FRESH_S:
             return f"The drive of {self.name} did not answer at the end."
         if self.is_limp():
             return f"The drive of {self.name} is limp."
@@ -258,6 +258,11 @@ class Led(Connection):
         if cause is Cause.ARRIVED:
             return End(cause)
         return End(cause, outcome_sentence(outcome, self.name, float(found["value"]), float(found["limit"])))
+
+
+def silent_for_s(snapshot: np.ndarray) -> float:
+    """For how long its drive has not been heard."""
+    return (int(snapshot["monotonic_ns"]) - int(snapshot["joints"][0]["measured_ns"])) * 1e-9
 
 
 def _at_fault(snapshot: np.ndarray) -> bool:

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from config.schema import ArmConfig
-from rtarm.commissioning.led import AT_EASE_RAD, DECIDED_S, FASTEST, Cause, End, Led, seconds_for
+from rtarm.commissioning.led import AT_EASE_RAD, DECIDED_S, FASTEST, Cause, End, Led, seconds_for, silent_for_s
 from rtarm.errors import Refusal
 from rtloop.commissioned import PowerProof
 from rtloop.commissioning.finding import (
@@ -294,7 +294,7 @@ class LedBench:
         """Have a person make it silent and end that; whether it `keeps` its angle and `holds` its joint, as told."""
         before_rad = self._stands_rad()
         self._tell(do)
-        if self.led.until(lambda now: _silent_for_ns(now) > SILENT_S * 1e9, SWITCH_PATIENCE_S) is None:
+        if self.led.until(lambda now: silent_for_s(now) > SILENT_S, SWITCH_PATIENCE_S) is None:
             return Silenced(undone)
         self._tell(then)
         if not self._agrees(question):
@@ -421,10 +421,6 @@ def judge_answers(told: Sequence[str], refused: str) -> Finding:
 
 def _verdict(end: End, documented: Cause) -> Verdict:
     return Verdict.NOT_TRIED if end.cause is Cause.ELSEWHERE else verdict_of(end.cause is documented)
-
-
-def _silent_for_ns(snapshot: Any) -> int:
-    return int(snapshot["monotonic_ns"]) - int(snapshot["joints"][0]["measured_ns"])
 
 
 def way_of(arm: ArmConfig) -> float:

@@ -27,10 +27,6 @@ RELIES: Mapping[str, str] = {
 }
 
 
-RELIED_ON = ("power_proof", "fast_targets", "reports", "retargets", "brakes_in_silence")
-"""Fields of a record."""
-
-
 class Report:
     """What was found of one drive so far; `before` is what an earlier test has found of it."""
 
@@ -72,7 +68,7 @@ class Report:
         self.findings += findings
         self.record = record
         # what tells neither its firmware nor what is relied on says nothing of the drive of before
-        if record.firmware or any(getattr(record, name) is not None for name in RELIED_ON):
+        if record.firmware or record.tells:
             self._keep(record.after(self._before))
         self.write()
 
