@@ -250,11 +250,12 @@ def test_a_protection_that_trips_at_the_clamp_is_cleared_after_a_yes_alone() -> 
     assert [words for words in rig.questions if "joint2 is limp, and is enabled where it stands" in words]
 
 
-@pytest.mark.parametrize("name", ARMS)
-@pytest.mark.parametrize("kind", ["silent", "limp"])
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [(name, kind) for name in ARMS for kind in ("silent", "limp") if (name, kind) != ("myactuator6", "limp")],
+)
 def test_a_stall_that_something_else_ended_is_none(name: str, kind: str) -> None:
-    if (name, kind) == ("myactuator6", "limp"):
-        return  # its next target enables it
+    """A MyActuator motor that is let go is not: its next target enables it."""
     rig = Bench(one_joint(name))
     assert rig.sim is not None
     fault = faults.Silent("joint2", 0.3, 1.5) if kind == "silent" else faults.Disabled("joint2", 0.3)
