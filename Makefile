@@ -9,6 +9,8 @@ SOURCES := config motion shm rtloop rosfront sim rtarm ros handbook bench tests
 
 # Set by the ROS wheels inside a Python of theirs: an inherited one would make ours skip its library path.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# Images of containers set it: each of some hundred processes would then compile every module that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 # Minutes that `make soak` takes, trials that `make trials` makes, inputs that `make fuzz` tries, mutants.
