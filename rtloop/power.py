@@ -67,6 +67,10 @@ class Marks:
         self[joint] = None
         self._until_referenced[joint] = mark
 
+    def borne(self, joint: int) -> str | None:
+        """What the joint's drive is marked with, also where that waits for a reference."""
+        return self[joint] or self._until_referenced.get(joint)
+
     def referenced(self, joint: int) -> None:
         """The joint's angle is known again."""
         if joint in self._until_referenced:

@@ -31,7 +31,7 @@ class Arming:
 
     def found(self, armed: bool) -> Part[bool]:
         """Whether the drive is armed, as it was just seen; of one that proves something by it, as two looks agree."""
-        if not self._host.was_silent[self._joint] or self._host.marks[self._joint] is None:
+        if not self._host.was_silent[self._joint] or self._host.marks.borne(self._joint) is None:
             return armed
         agreed = yield from surely(self._look)
         return armed if agreed is None else agreed
@@ -50,5 +50,7 @@ class Arming:
         host, joint = self._host, self._joint
         if self._anew:
             return settle_mark(host, joint, False, ARMED)
-        proof = host.was_silent[joint] and (yield from stayed_armed(host, joint, self._look))
-        return settle_mark(host, joint, proof, host.marks[joint])
+        if not host.was_silent[joint]:
+            return False
+        proof = yield from stayed_armed(host, joint, self._look)
+        return settle_mark(host, joint, proof, host.marks.borne(joint))

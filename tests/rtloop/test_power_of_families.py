@@ -203,6 +203,21 @@ def test_nor_where_the_first_bring_up_after_it_has_failed(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PROVING_ARMS)
+@pytest.mark.parametrize("also", [0, 3])
+def test_a_second_silence_before_the_reference_costs_no_proof_of_later(name: str, also: int) -> None:
+    """The mark that the drive of joint1 got when it was armed anew waits for the reference all the same."""
+    arm = endure(arm_of(name), Silence(frozenset((0,)), frozenset((0,))))
+    arm = endure(arm, Silence(frozenset((also, 2))))
+    assert referenced(arm) == [joint != 0 for joint in range(6)]
+    reference(arm)
+    arm = endure(arm, Silence(frozenset((0,))))
+    assert all(referenced(arm))
+    arm = endure(arm, Silence(frozenset((0, 1)), frozenset((0,))))
+    assert referenced(arm) == [joint != 0 for joint in range(6)]
+    arm.close()
+
+
+@pytest.mark.parametrize("name", PROVING_ARMS)
 def test_the_next_process_knows_no_angle_that_a_person_has_said_to_the_last(name: str) -> None:
     arm = endure(arm_of(name), Silence(frozenset((2,)), process_dies=True))
     assert not any(referenced(arm))
