@@ -12,29 +12,26 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Self
 
+import by_address
 import numpy as np
 
 from config.loader import load_arm
 from config.schema import ArmConfig
 from config.serial_adapters import SLCAN_BITRATES
-from rtloop import cycle, entries
+from rtloop import entries
 from rtloop.beginning import new_loop, show_drives, show_limits
 from rtloop.bringup import BringUp
 from rtloop.conversation import Conversation
-from rtloop.entries import record_at
 from rtloop.gripper import GripperTalk
 from rtloop.healing import Healing
 from rtloop.port import ServicePort
 from rtloop.power import Marks
 from rtloop.referencing import Referencing, referencing_asked_for
 from rtloop.release import Release
-from rtloop.state import LOOP
-from rtloop.wire import outgoing, received
 from shm import layout
 from shm.client import CommandWriter, StateReader, find
 from shm.errors import RingFull
 from shm.files import MemoryFile, name_bytes
-from shm.jit import jit
 from shm.recording import Recording, read_recording
 from shm.words import Answer, Entry, Mode, Outcome, Phase, Request, Slowed, Unreferenced
 from sim.arm import SimulatedArm
@@ -42,24 +39,6 @@ from sim.arm import SimulatedArm
 GOALS = Path(__file__).parent / "data" / "moveit"
 START_NS = 1_000_000_000
 STORES = (Request.STOP, Request.HOLD, Request.RESUME, Request.CANCEL, Request.SPEED_SCALE)
-
-
-@jit
-def step(loop_address: int, state_address: int, now_ns: int) -> int:
-    """`cycle.step` by address: to hand over a record of so many fields takes Python 33 µs, ten cycles' worth."""
-    return cycle.step(record_at(loop_address, LOOP), record_at(state_address, layout.STATE), now_ns)
-
-
-@jit
-def push(loop_address: int, time_ns: int, source: np.ndarray, count: int) -> None:
-    """`received.push` by address."""
-    received.push(record_at(loop_address, LOOP), time_ns, source, count)
-
-
-@jit
-def took(loop_address: int, state_address: int, count: int) -> None:
-    """`outgoing.took` by address."""
-    outgoing.took(record_at(loop_address, LOOP), record_at(state_address, layout.STATE), count)
 
 
 def private_file(dtype: np.dtype, arm: ArmConfig) -> MemoryFile:
@@ -184,7 +163,7 @@ class VirtualArm:
 
     def receive(self, time_ns: int, data: bytes) -> None:
         """Push bytes that came at a time into the receive ring."""
-        push(self.loop_address, time_ns, np.frombuffer(data, np.uint8), len(data))
+        by_address.push(self.loop_address, time_ns, np.frombuffer(data, np.uint8), len(data))
 
     def suspend(self, duration_s: float) -> None:
         """The machine sleeps between two cycles: the drives live on, the loop's clock stands still."""
@@ -208,7 +187,7 @@ class VirtualArm:
 
     def step(self, now_ns: int) -> bytes:
         """Run the cycle that is planned for a time: the bytes that it leaves for the wire."""
-        count = step(self.loop_address, self.state.address, now_ns)
+        count = by_address.step(self.loop_address, self.state.address, now_ns)
         sent: bytes = self.loop[0]["tx"][:count].tobytes()
         return sent
 
@@ -222,7 +201,7 @@ class VirtualArm:
 
     def taken(self, count: int) -> None:
         """The wire has taken so many bytes of the cycle's."""
-        took(self.loop_address, self.state.address, count)
+        by_address.took(self.loop_address, self.state.address, count)
 
     @property
     def running(self) -> np.void:

@@ -4,6 +4,7 @@ import errno
 import os
 import socket
 
+import by_address
 import numpy as np
 import pytest
 from can_records import unpacked
@@ -35,9 +36,9 @@ class Sender:
         self.is_serial = interface == "slcan"
 
     def fill(self, mark, frames=CYCLE):
-        outgoing.begin(self.loop[0], self.shared[0])
+        by_address.begin(self.loop.ctypes.data, self.shared.ctypes.data)
         for can_id, joined in frames:
-            assert outgoing.put(self.loop[0], can_id, True, 1, mark[0], joined)
+            assert by_address.put(self.loop.ctypes.data, can_id, True, 1, mark[0], joined)
             self.shared[0]["counters"]["frames_sent"] += 1
 
     @property
@@ -46,7 +47,7 @@ class Sender:
 
     def take(self, count):
         data = self.buffer[:count]
-        outgoing.took(self.loop[0], self.shared[0], count)
+        by_address.took(self.loop.ctypes.data, self.shared.ctypes.data, count)
         return data
 
     def frames(self, data):

@@ -2,6 +2,7 @@
 
 import io
 
+import by_address
 import can
 import numpy as np
 import pytest
@@ -13,9 +14,8 @@ from wires import SLCAN_GOLDEN
 
 from config.loader import load_arm
 from rtloop.beginning import new_loop
-from rtloop.measured import take_what_the_bus_brought
 from rtloop.state import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
-from rtloop.wire import received, slcan
+from rtloop.wire import slcan
 from shm import layout
 
 relaxed = settings(deadline=None)  # the first call loads the compiled cycle
@@ -78,8 +78,8 @@ def taken(loop, shared, data):
     before = shared[0]["counters"].copy()
     for at in range(0, len(data), RX_BYTES // 2):
         part = np.frombuffer(data[at : at + RX_BYTES // 2], np.uint8)
-        received.push(loop[0], 1_000, part, len(part))
-        take_what_the_bus_brought(loop[0], shared[0])
+        by_address.push(loop.ctypes.data, 1_000, part, len(part))
+        by_address.take(loop.ctypes.data, shared.ctypes.data)
     now = shared[0]["counters"]
     return tuple(int(now[name] - before[name]) for name in ("frames_received", "wire_errors"))
 
@@ -224,8 +224,8 @@ def test_no_bytes_whatever_hinder_the_next_frame(noise):
 def test_too_many_small_chunks_are_dropped_and_counted(loop, shared):
     one = np.frombuffer(b"\r", np.uint8)
     for _ in range(3000):
-        received.push(loop[0], 1, one, 1)
-    take_what_the_bus_brought(loop[0], shared[0])
+        by_address.push(loop.ctypes.data, 1, one, 1)
+    by_address.take(loop.ctypes.data, shared.ctypes.data)
     counters = shared[0]["counters"]
     assert counters["receive_overflows"] > 0
     assert counters["bytes_received"] + counters["receive_overflows"] == 3000

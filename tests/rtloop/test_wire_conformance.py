@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
+import by_address
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -22,7 +23,6 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from config.serial_adapters import SERIAL_ADAPTERS
 from rtloop.beginning import new_loop
-from rtloop.measured import take_what_the_bus_brought
 from rtloop.run import take_over_wire
 from rtloop.state import RX_BYTES, TX_FRAMES
 from rtloop.wire import outgoing, received
@@ -60,12 +60,14 @@ class Bench:
     def __init__(self, wire: Wire) -> None:
         self.wire = wire
         self.shared = np.zeros(1, layout.STATE)
-        self.loop = new_loop(arm_of(wire.name), self.shared.ctypes.data, 0)
+        self.shared_address: int = self.shared.ctypes.data
+        self.loop = new_loop(arm_of(wire.name), self.shared_address, 0)
+        self.loop_address: int = self.loop.ctypes.data
 
     def put(self, frame: Frame, joined: int = 0) -> bool:
         kind = (EXTENDED if frame.extended else STANDARD) | (REMOTE if frame.remote else 0)
         data = int.from_bytes(frame.data.ljust(8, b"\0"), "little", signed=True)
-        return bool(outgoing.put(self.loop[0], frame.can_id, kind, len(frame.data), data, joined))
+        return bool(by_address.put(self.loop_address, frame.can_id, kind, len(frame.data), data, joined))
 
     @property
     def buffer(self) -> bytes:
@@ -74,7 +76,7 @@ class Bench:
 
     def take(self, count: int) -> bytes:
         data = self.buffer[:count]
-        outgoing.took(self.loop[0], self.shared[0], count)
+        by_address.took(self.loop_address, self.shared_address, count)
         return data
 
     def hear(self, *pieces: bytes) -> tuple[int, int]:
@@ -84,8 +86,8 @@ class Bench:
         for piece in pieces:
             for at in range(0, len(piece), RX_BYTES // 2):
                 part = np.frombuffer(piece[at : at + RX_BYTES // 2], np.uint8)
-                received.push(self.loop[0], 1_000, part, len(part))
-                take_what_the_bus_brought(self.loop[0], self.shared[0])
+                by_address.push(self.loop_address, 1_000, part, len(part))
+                by_address.take(self.loop_address, self.shared_address)
         frames, errors = (int(counters[name] - before[name]) for name in ("frames_received", "wire_errors"))
         return frames, errors
 
@@ -224,8 +226,8 @@ def test_a_byte_too_many_or_a_wrong_one_costs_one_frame(wire: Wire) -> None:
 def test_a_ring_that_overflows_loses_what_it_has_no_room_for(bench: Bench, wire: Wire) -> None:
     spelt = wire.spell(READING)
     flood = np.frombuffer(spelt * (RX_BYTES // len(spelt) + 10), np.uint8)
-    received.push(bench.loop[0], 1, flood, len(flood))
-    take_what_the_bus_brought(bench.loop[0], bench.shared[0])
+    by_address.push(bench.loop_address, 1, flood, len(flood))
+    by_address.take(bench.loop_address, bench.shared_address)
     counters = bench.shared[0]["counters"]
     assert counters["receive_overflows"] == len(flood) - RX_BYTES
     assert counters["frames_received"] == RX_BYTES // len(spelt)
@@ -251,7 +253,7 @@ def test_whatever_it_takes_no_frame_is_cut_and_no_command_torn(wire: Wire, data:
     """Cycle after cycle with any part taken: what is half on its way goes first, and the rest is not sent late."""
     bench, arrived = Bench(wire), b""
     for number in range(data.draw(st.integers(1, 6)) + 1):
-        outgoing.begin(bench.loop[0], bench.shared[0])
+        by_address.begin(bench.loop_address, bench.shared_address)
         for can_id, joined in CYCLE:
             assert bench.put(Frame(can_id, bytes([number])), joined)
         whole = len(bench.buffer)
