@@ -7,6 +7,7 @@ no ramp (ZDT Emm_V5 manual, command FD; MKS SERVO42D/57D_CAN manual V1.0.6, 6.1)
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 RAMP_RPM_S = 20_000.0
 """Ramp of acc byte 255, in motor rpm per second; every smaller byte is a whole fraction of it."""
@@ -40,6 +41,7 @@ def smallest_acc_byte(ratio: float, acceleration_rad_s2: float) -> int | None:
     return None
 
 
+@lru_cache(maxsize=256)
 def nearest_silence_byte(ratio: float, acceleration_rad_s2: float, factor: float) -> int | None:
     """The acc byte that brakes nearest to `factor` times the acceleration limit.
 

@@ -166,14 +166,12 @@ class Bus:
             for node in self.nodes:
                 if node.wake_ns < event_ns:
                     event_ns, waker = node.wake_ns, node
-            if self._flying is not None:
-                if self._flying[0] <= event_ns:
-                    if self._flying[0] > now_ns:
-                        return
-                    self._deliver(*self._flying)
-                    continue
-            elif winner := self._arbitrate(min(event_ns, now_ns + 1)):
+            if self._flying is None and (winner := self._arbitrate(min(event_ns, now_ns + 1))):
                 self._start(*winner)
+            if self._flying is not None and self._flying[0] <= event_ns:
+                if self._flying[0] > now_ns:
+                    return
+                self._deliver(*self._flying)
                 continue
             if waker is None or event_ns > now_ns:
                 return
@@ -209,10 +207,12 @@ class Bus:
 
     def _arbitrate(self, before_ns: int) -> tuple[int, Node] | None:
         """The next frame to start on the free bus: when, and whose; None if not before `before_ns`."""
-        senders = [node for node in self.nodes if node.outbox and self._heard(node)]
-        if not senders:
-            return None
-        start_ns = max(min([node.outbox[0][0] for node in senders]), self._free_ns, self._clock_ns)
+        senders, earliest_ns = [], NEVER
+        for node in self.nodes:
+            if node.outbox and self._heard(node):
+                senders.append(node)
+                earliest_ns = min(earliest_ns, node.outbox[0][0])
+        start_ns = max(earliest_ns, self._free_ns, self._clock_ns)
         if start_ns >= before_ns:
             return None
         if len(senders) == 1:

@@ -306,7 +306,6 @@ class Servo:
         law: what is in charge; `obey` sets it.
         low, high: positions it cannot pass [rev]; None where nothing is in the way.
         pressed_ns: since when it has been pushed against something that does not give way, `NEVER` if it is not.
-        torque_nm: what the motor does now, friction included.
     """
 
     def __init__(self, start_ns: int, position: float, load: Load | None = None) -> None:
@@ -315,8 +314,8 @@ class Servo:
         self.low: float | None = None
         self.high: float | None = None
         self.pressed_ns = NEVER
-        self.torque_nm = 0.0
         self._step_ns = start_ns
+        self._last_step: tuple[Law, float, float, float, float] = (self.law, 0.0, 0.0, 0.0, self.load.torque_nm)
         self._idle = False
         self._from_ns, self._from, self._speed = start_ns, position, 0.0
         self._times = array("q", [start_ns])
@@ -337,14 +336,17 @@ class Servo:
             self._step_ns = step_ns + (now_ns - step_ns) // STEP_NS * STEP_NS + STEP_NS
             return
         law, load = self.law, self.load
+        walled = self.low is not None or self.high is not None
+        if not walled:
+            self.pressed_ns = NEVER
         while step_ns <= now_ns:
             speed = self._speed
             position = self._from + speed * ((step_ns - self._from_ns) * 1e-9)
             wanted = law.speed(load, step_ns, position, speed)
-            given = self._give_way(step_ns, position, wanted)
+            given = self._give_way(step_ns, position, wanted) if walled else wanted
             if given != speed:
                 self._append(step_ns, position, given)
-            self._feel(speed, given, wanted)
+            self._last_step = (law, speed, given, wanted, load.torque_nm)
             step_ns += STEP_NS
             if given == speed == wanted == 0.0 and law.rests:
                 self._idle = True
@@ -359,6 +361,21 @@ class Servo:
     def speed(self) -> float:
         """Speed now [rev/s]."""
         return self._speed
+
+    @property
+    def torque_nm(self) -> float:
+        """What the motor does now: what accelerates, what friction takes, and all there is against a stop."""
+        law, before, given, wanted, most_nm = self._last_step
+        if isinstance(law, Torque):
+            return law.made_nm
+        if given != wanted:
+            return math.copysign(most_nm, wanted)
+        if isinstance(law, Limp):
+            return 0.0
+        torque_nm = (given - before) * TURN_RAD * self.load.inertia_kg_m2 / STEP_S
+        if given != 0.0:
+            torque_nm += math.copysign(self.load.friction_nm, given)
+        return _within(torque_nm, most_nm)
 
     def block(self, time_ns: int) -> None:
         """Jam: from `time_ns` on the shaft cannot move."""
@@ -405,20 +422,6 @@ class Servo:
         elif self.pressed_ns == NEVER:
             self.pressed_ns = time_ns
         return given
-
-    def _feel(self, before: float, given: float, wanted: float) -> None:
-        """Note the torque of a step: what accelerates, what friction takes, and all there is against a stop."""
-        load = self.load
-        if isinstance(self.law, Torque):
-            self.torque_nm = self.law.made_nm
-            return
-        if given != wanted:
-            self.torque_nm = math.copysign(load.torque_nm, wanted)
-            return
-        torque_nm = (given - before) * TURN_RAD * load.inertia_kg_m2 / STEP_S
-        if given != 0.0:
-            torque_nm += math.copysign(load.friction_nm, given)
-        self.torque_nm = 0.0 if isinstance(self.law, Limp) else _within(torque_nm, load.torque_nm)
 
     def _append(self, time_ns: int, position: float, speed: float) -> None:
         self._from_ns, self._from, self._speed = time_ns, position, speed
