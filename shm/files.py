@@ -18,6 +18,7 @@ import struct
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -79,7 +80,7 @@ class MemoryFile:
     map: mmap.mmap
     array: np.ndarray = field(repr=False)
 
-    @property
+    @cached_property
     def address(self) -> int:
         return int(self.array.ctypes.data)
 

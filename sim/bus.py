@@ -101,7 +101,6 @@ _STUFF_TABLE = [_stuff(last, run, byte, 8) for last in (0, 1) for run in (1, 2, 
 _FIRST_BYTE = {idle: [_stuff(1, 0, byte, 8 - idle) for byte in range(1 << (8 - idle))] for idle in (1, 5)}
 
 
-@lru_cache(maxsize=4096)
 def frame_bits(frame: Frame) -> int:
     """Bits the frame occupies on the bus, stuff bits and interframe space included."""
     length = len(frame.data)
@@ -125,6 +124,7 @@ def frame_bits(frame: Frame) -> int:
     return len(content) * 8 - idle + 15 + stuffed + _TAIL_BITS
 
 
+@lru_cache(maxsize=4096)
 def frame_ns(frame: Frame, bitrate: int) -> int:
     """Time the frame occupies a bus."""
     return frame_bits(frame) * 1_000_000_000 // bitrate
@@ -163,10 +163,13 @@ class Bus:
         while True:
             waker: Node | None = None
             event_ns = NEVER
+            senders = []
             for node in self.nodes:
                 if node.wake_ns < event_ns:
                     event_ns, waker = node.wake_ns, node
-            if self._flying is None and (winner := self._arbitrate(min(event_ns, now_ns + 1))):
+                if node.outbox:
+                    senders.append(node)
+            if self._flying is None and senders and (winner := self._arbitrate(senders, min(event_ns, now_ns + 1))):
                 self._start(*winner)
             if self._flying is not None and self._flying[0] <= event_ns:
                 if self._flying[0] > now_ns:
@@ -205,19 +208,22 @@ class Bus:
                 return True
         return False
 
-    def _arbitrate(self, before_ns: int) -> tuple[int, Node] | None:
+    def _arbitrate(self, senders: list[Node], before_ns: int) -> tuple[int, Node] | None:
         """The next frame to start on the free bus: when, and whose; None if not before `before_ns`."""
-        senders, earliest_ns = [], NEVER
-        for node in self.nodes:
-            if node.outbox and self._heard(node):
-                senders.append(node)
-                earliest_ns = min(earliest_ns, node.outbox[0][0])
+        earliest_ns, first, alone = NEVER, None, True
+        for node in senders:
+            if self._heard(node):
+                alone = first is None
+                first = first or node
+                ready_ns = node.outbox[0][0]
+                if ready_ns < earliest_ns:
+                    earliest_ns = ready_ns
         start_ns = max(earliest_ns, self._free_ns, self._clock_ns)
-        if start_ns >= before_ns:
+        if first is None or start_ns >= before_ns:
             return None
-        if len(senders) == 1:
-            return start_ns, senders[0]
-        ready = [node for node in senders if node.outbox[0][0] <= start_ns]
+        if alone:
+            return start_ns, first
+        ready = [node for node in senders if node.outbox[0][0] <= start_ns and self._heard(node)]
         return start_ns, min(ready, key=_arbitration_rank)
 
     def _start(self, now_ns: int, winner: Node) -> None:

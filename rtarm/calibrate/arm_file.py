@@ -16,6 +16,7 @@ import yaml
 from config.errors import ConfigError
 from config.loader import arm_path, load_arm
 from config.schema import ArmConfig
+from config.yaml_text import value_of
 from rtarm.errors import Refusal
 
 Changes = Mapping[str, float]
@@ -60,10 +61,10 @@ class ArmFile:
     def require_own_values(self, joint: int, fields: Iterable[str]) -> None:
         """Raise Refusal where a field of a joint cannot be written without changing another place of the file."""
         for field in fields:
-            wanted = json.loads(json.dumps(yaml.safe_load(self._text)))  # nothing is shared in it
+            wanted = json.loads(json.dumps(value_of(self._text)))  # nothing is shared in it
             wanted["joints"][joint][field] = UNLIKELY
             try:
-                found = yaml.safe_load(with_value(self._text, joint, field, written(UNLIKELY)))
+                found = value_of(with_value(self._text, joint, field, written(UNLIKELY)))
             except yaml.YAMLError:  # an alias has lost its anchor
                 found = None
             if found != wanted:

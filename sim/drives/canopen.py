@@ -268,10 +268,12 @@ class CanopenNode(ServoDrive):
         bases = (EMERGENCY, *TPDO, *RPDO, SDO_REPLY, SDO_REQUEST, HEARTBEAT)
         return not frame.extended and frame.can_id & NODES == self.node and frame.can_id & ~NODES in bases
 
+    def concerns(self, frame: Frame) -> bool:
+        """Whether it may be: what its PDOs and its consumer of heartbeats listen for can be set to any identifier."""
+        return not frame.extended and not frame.remote and self.state != INITIALISING
+
     def take(self, frame: Frame) -> None:
         """Obey a frame for this node or for all."""
-        if frame.extended or frame.remote or self.state == INITIALISING:
-            return
         identifier = frame.can_id
         if identifier == NMT:
             self._order(frame.data)

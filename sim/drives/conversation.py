@@ -1,9 +1,9 @@
 """What all drives have in common on the bus, so that a family's file is its protocol and little else.
 
-A family derives from `ServoDrive` and writes: `take` (a frame that ended, any frame of anybody), `boot` (what it is
-like after power comes), `release` (let the shaft go), `owns`, `state_frame`, `twin` and `protect`. It sends with
-`reply` (an answer, after its reply delay) and `say` (now), and does things later or again and again with `after` and
-`every`. A family whose shaft is another one derives from `BusDrive`.
+A family derives from `ServoDrive` and writes: `concerns` (whether a frame is for it), `take` (such a frame that ended),
+`boot` (what it is like after power comes), `release` (let the shaft go), `owns`, `state_frame`, `twin` and `protect`. It
+sends with `reply` (an answer, after its reply delay) and `say` (now), and does things later or again and again with
+`after` and `every`. A family whose shaft is another one derives from `BusDrive`.
 """
 
 from __future__ import annotations
@@ -55,8 +55,12 @@ class BusDrive(ABC):
     # -- what a family says of itself ----------------------------------------------------------------
 
     @abstractmethod
+    def concerns(self, frame: Frame) -> bool:
+        """Whether a frame may be for this drive; it lives on unmoved by all others that come by."""
+
+    @abstractmethod
     def take(self, frame: Frame) -> None:
-        """Obey a frame, if it is for this drive; whatever else comes by is ignored."""
+        """Obey a frame that concerns it."""
 
     @abstractmethod
     def boot(self) -> None:
@@ -136,8 +140,9 @@ class BusDrive(ABC):
 
     def receive(self, now_ns: int, frame: Frame) -> None:
         """Take a frame that ended at `now_ns` from the bus."""
-        self.advance(now_ns)
-        self.take(frame)
+        if self.concerns(frame):
+            self.advance(now_ns)
+            self.take(frame)
 
     def sent(self, now_ns: int, frame: Frame) -> None:  # noqa: B027 (nothing that a family must say more about)
         """Nothing to do: what left is forgotten."""

@@ -261,13 +261,18 @@ class DamiaoDrive(ServoDrive):
 
     # -- the host's side -----------------------------------------------------------------------------
 
+    def concerns(self, frame: Frame) -> bool:
+        """Whether it has one of its IDs, or asks for registers of its own."""
+        if frame.extended or frame.remote:
+            return False
+        if frame.can_id == REGISTERS_ID:
+            return len(frame.data) >= 4 and frame.data[:2] == self._head
+        return self._mode_of(frame.can_id) is not None
+
     def take(self, frame: Frame) -> None:
         """Obey a frame for its IDs."""
-        if frame.extended or frame.remote:
-            return
         if frame.can_id == REGISTERS_ID:
-            if len(frame.data) >= 4 and frame.data[:2] == self._head:
-                self._take_register(frame.data)
+            self._take_register(frame.data)
             return
         mode = self._mode_of(frame.can_id)
         if mode is None or len(frame.data) not in (8, 4 if mode == VELOCITY else 8):

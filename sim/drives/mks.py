@@ -228,11 +228,13 @@ class MksDrive(BusDrive):
 
     # -- the bus's side ------------------------------------------------------------------------------
 
+    def concerns(self, frame: Frame) -> bool:
+        """Whether it is for it, for its group or for everybody."""
+        group = int.from_bytes(self.settings[0x8D], "big")
+        return not frame.extended and not frame.remote and frame.can_id in (0, self.can_id, group)
+
     def take(self, frame: Frame) -> None:
         """Obey a frame that is for it, and answer one that is for it alone."""
-        group = int.from_bytes(self.settings[0x8D], "big")
-        if frame.extended or frame.remote or frame.can_id not in (0, self.can_id, group):
-            return
         data = frame.data
         if len(data) < 2 or data[-1] != checksum(frame.can_id, data[:-1]):
             return

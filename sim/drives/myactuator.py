@@ -195,11 +195,13 @@ class MyactuatorDrive(ServoDrive):
 
     # -- the host's side -----------------------------------------------------------------------------
 
+    def concerns(self, frame: Frame) -> bool:
+        """Whether it is a whole request, of it or of all."""
+        whole = not frame.extended and not frame.remote and len(frame.data) == 8
+        return whole and frame.can_id in (REQUEST + self.settings.motor_id, ALL_MOTORS)
+
     def take(self, frame: Frame) -> None:
         """Obey a frame for it."""
-        whole = not frame.extended and not frame.remote and len(frame.data) == 8
-        if not whole or frame.can_id not in (REQUEST + self.settings.motor_id, ALL_MOTORS):
-            return
         self._feed_timeout()
         if not self.cause_lasts:
             self.error &= UNTIL_RESTART

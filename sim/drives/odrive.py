@@ -299,10 +299,12 @@ class OdriveDrive(ServoDrive):
 
     # -- the host's side -----------------------------------------------------------------------------
 
+    def concerns(self, frame: Frame) -> bool:
+        """Whether it is of its node."""
+        return self.owns(frame)
+
     def take(self, frame: Frame) -> None:
         """Obey a frame for its node."""
-        if not self.owns(frame):
-            return
         self._feed_watchdog()
         command = frame.can_id & ((1 << COMMAND_BITS) - 1)
         if command in self._reads:

@@ -213,12 +213,14 @@ class RobstrideDrive(ServoDrive):
 
     # -- the host's side -----------------------------------------------------------------------------
 
+    def concerns(self, frame: Frame) -> bool:
+        """Whether it is a whole one of a kind it knows, for it."""
+        whole = frame.extended and not frame.remote and len(frame.data) == 8
+        return whole and frame.can_id & 0xFF == self.settings.motor_id and frame.can_id >> TYPE_BIT in self._does
+
     def take(self, frame: Frame) -> None:
         """Obey a frame for it."""
         kind = frame.can_id >> TYPE_BIT
-        whole = frame.extended and not frame.remote and len(frame.data) == 8
-        if not whole or frame.can_id & 0xFF != self.settings.motor_id or kind not in self._does:
-            return
         data16 = frame.can_id >> 8 & 0xFFFF
         if kind != CONTROL:
             self._host_id = data16 & 0xFF

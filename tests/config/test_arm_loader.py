@@ -10,7 +10,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from config import ArmConfig, ConfigError, arm_hash, known_arms, load_arm
+from config import ArmConfig, ConfigError, arm_hash, known_arms, load_arm, yaml_text
 from config.joint import FAMILIES
 from config.loader import ABSENT, ARMS_FOLDER, differences, parse_overrides
 
@@ -196,7 +196,7 @@ def test_a_file_that_is_not_text(tmp_path: Path) -> None:
         ("# only a comment\n", None, "the file is empty"),
         ("name: 2001-99-99", None, "month must be in 1..12"),
         ("name: \x01", None, "unacceptable character"),
-        ("[" * 5000, None, "nested too deeply"),
+        ("[" * 100_000, None, "nested too deeply"),
         ("joints: &a [*a]", 1, "an alias contains itself"),
     ],
 )
@@ -413,6 +413,33 @@ def test_whatever_happens_to_a_file_the_answer_is_an_arm_or_a_sentence(tmp_path:
     file = tmp_path / "arm.yaml"
     file.write_text(EPISODE1[:start] + put + EPISODE1[end:], encoding="utf-8", newline="")
     assert_an_arm_or_sentences(file, None)
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_a_file_is_read_alike_with_libyaml_and_without(data: st.DataObject) -> None:
+    short = "a: [1, {b: 1.5e-3}]\nc:  # and\n- d: 'it''s'\n  e: \"x\\ty\"\n- 0x1F\nf: no\n"
+    text = data.draw(st.sampled_from([short, EPISODE1]), label="text")
+    start = data.draw(st.integers(0, len(text)), label="start")
+    end = data.draw(st.integers(start, min(len(text), start + 30)), label="end")
+    pieces = ["- ", "\n  ", "? ", ": ", " #", "---\n", "...\n", "%YAML 1.1\n", "!!str ", "&a ", "*a", "<<: "]
+    put = data.draw(
+        st.lists(st.sampled_from([*"abz019-+.:,{}[]()&*!|>'\"#%@`~?<=\n\t \r\\é\ufeff\x85", *pieces]), max_size=8)
+    )
+    text = text[:start] + "".join(put) + text[end:]
+    with pytest.MonkeyPatch.context() as patch:
+        fast = read_or_refused(text)
+        patch.setattr(yaml_text, "LIBYAML", None)
+        assert fast == read_or_refused(text)
+
+
+def read_or_refused(text: str) -> object:
+    """What a text says and where, None for a refusal."""
+    try:
+        root, values = yaml_text.parse(text, "arm.yaml")
+    except ConfigError:
+        return None
+    return repr(values), [*yaml_text.lines(root, ())] if "*" not in text else []
 
 
 @settings(max_examples=100, deadline=None)
