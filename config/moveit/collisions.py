@@ -76,10 +76,11 @@ def unchecked_pairs(arm: ArmConfig, kinematics: KinematicsConfig) -> list[Unchec
     pairs = []
     for first, second in combinations(range(len(links)), 2):
         one, other = links[first], links[second]
-        distances = distances_m(one, other, poses[:, first], poses[:, second])
         if second == first + 1:
-            reason = "Adjacent"
-        elif (distances < -TOUCHING_M).all():
+            pairs.append(Unchecked(one.name, other.name, "Adjacent"))
+            continue
+        distances = distances_m(one, other, poses[:, first], poses[:, second])
+        if (distances < -TOUCHING_M).all():
             reason = "Always"
         elif distances[0] <= TOUCHING_M:
             reason = "Default"
@@ -107,7 +108,7 @@ def _nearest_m(
     nearest = np.full(len(positions), np.inf)
     for turn in range(ROUNDS):
         reach = 0.25 * 0.5 ** (turn // 2) * (upper - lower)
-        steps = np.array([[chance.uniform(-1.0, 1.0) for _ in lower] for _ in range(8 * len(positions))])
+        steps = 2.0 * _drawn(chance, 8 * len(positions), len(lower)) - 1.0
         tried = np.clip(np.repeat(positions, 8, axis=0) + steps * reach, lower, upper)
         tried = np.concatenate([positions, tried])
         poses = poses_of(tried)
@@ -119,5 +120,8 @@ def _nearest_m(
 
 def _shares(chance: random.Random, poses: int, joints: int) -> Positions:
     """Random places between the limits, as shares of each joint's range."""
-    drawn = [chance.random() for _ in range(poses * joints)]
-    return np.clip(np.array(drawn).reshape(poses, joints) * (4.0 / 3.0) - 1.0 / 6.0, 0.0, 1.0)
+    return np.clip(_drawn(chance, poses, joints) * (4.0 / 3.0) - 1.0 / 6.0, 0.0, 1.0)
+
+
+def _drawn(chance: random.Random, poses: int, joints: int) -> Positions:
+    return np.array([chance.random() for _ in range(poses * joints)]).reshape(poses, joints)
