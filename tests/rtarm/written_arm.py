@@ -89,6 +89,7 @@ class WrittenArm:
                 self.publish()
 
         thread = threading.Thread(target=live)
+        self.publish()  # what a test has set before: whoever looks first must see it
         thread.start()
         try:
             yield
