@@ -1,4 +1,4 @@
-"""Commands about motions that are taught by hand."""
+"""Commands that move a running arm: to angles that are named, and along motions that are taught by hand."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import typer
 
 from rtarm import completion
 from rtarm.cli_frame import AsJson, draw, draw_json, sentences
-from rtarm.errors import exit_code_table, needs
+from rtarm.errors import ExitCode, Refusal, exit_code_table, needs
 
 motions_app = typer.Typer()
 """The commands, for `rtarm.cli` to add."""
@@ -27,6 +27,48 @@ Arm = Annotated[
         autocompletion=completion.running_arms,
     ),
 ]
+
+
+@motions_app.command(epilog="Exit codes:\n\n" + exit_code_table())
+def move(
+    targets: Annotated[
+        list[str],
+        typer.Argument(metavar="JOINT=DEGREES…", help="Where each joint is to go.", autocompletion=completion.joints),
+    ],
+    speed: Annotated[float, typer.Option(metavar="SHARE", help="Of the joints' limits, above 0 to 1.")] = 0.3,
+    relative: Annotated[
+        bool, typer.Option("--relative", help="From where the joints stand: joint1=-5 is 5° back.")
+    ] = False,
+    arm: Arm = None,
+    as_json: AsJson = False,
+) -> None:
+    """Move joints together, from rest to rest, and wait for the end; the joints that are not named stay.
+
+    Nothing sees what is in the arm's way. Ctrl-C stops the arm on its path.
+
+    Example: [bold]rtarm move joint1=15 joint2=-5[/bold]
+    """
+    with sentences({"arm": arm, "done": False} if as_json else None):
+        import math
+
+        from rtarm.arm import connect
+        from rtarm.interrupt import Interrupted, signals_raise
+        from rtarm.referencing import angles_said
+
+        angles = angles_said(targets)
+        if without := [joint for joint, angle in angles.items() if angle is None]:
+            raise Refusal(f"{without[0]} has no angle: write {without[0]}=15 (degrees).")
+        with connect(arm) as running:
+            try:
+                with signals_raise():
+                    targets_rad = {joint: math.radians(angle or 0.0) for joint, angle in angles.items()}
+                    said = running.move(targets_rad, speed=speed, relative=relative)
+            except Interrupted as signalled:
+                raise Refusal(f"Ended by {signalled}; arm {running.name} stands.", ExitCode.GOAL_FAILED) from None
+            if as_json:
+                draw_json({"arm": running.name, "done": True, "said": said})
+            else:
+                typer.echo(said)
 
 
 @motions_app.command()

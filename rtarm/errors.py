@@ -25,7 +25,7 @@ MEANINGS: dict[ExitCode, str] = {
     ExitCode.LOOP_REFUSED: "the control process refused to start (port, drives, already running, …); "
     "for `calibrate` and `commission`: a drive did not do as it was told, and was stopped, or was not seen to stand",
     ExitCode.LOOP_DIED: "the control process ended by itself; the drives have braked by their own ramp",
-    ExitCode.GOAL_FAILED: "a goal did not succeed (`demo`, `play`)",
+    ExitCode.GOAL_FAILED: "a goal did not succeed (`demo`, `play`, `move`)",
     ExitCode.UNHEALTHY: "`status`: running, but not fit to move; `doctor`: something to mend; `drives`: not as the "
     "file wants them; `scan`: no drive found; `commission`: something differs from the manual",
 }
@@ -37,12 +37,39 @@ def exit_code_table() -> str:
 
 
 class Refusal(Exception):
-    """A foreseeable end of a command: one sentence for a person, and an exit code."""
+    """What was asked for was refused, or not possible; nothing has moved.
 
-    def __init__(self, sentence: str, code: ExitCode = ExitCode.REFUSED) -> None:
+    Attributes:
+        sentence: what is wrong, what is allowed, and what to do, for a person.
+        code: with which a command ends.
+        joint, value, limit: which joint, what was too much, and how much is allowed, in SI units (rad, rad/s, …), where
+            it is about such a thing and this is known; else None.
+    """
+
+    def __init__(
+        self,
+        sentence: str,
+        code: ExitCode = ExitCode.REFUSED,
+        *,
+        joint: str | None = None,
+        value: float | None = None,
+        limit: float | None = None,
+    ) -> None:
         super().__init__(sentence)
         self.sentence = sentence
         self.code = code
+        self.joint = joint
+        self.value = value
+        self.limit = limit
+
+
+class GoalFailed(Refusal):
+    """A goal that the arm was given did not succeed; where it had begun, the arm has stopped on its path."""
+
+    def __init__(
+        self, sentence: str, *, joint: str | None = None, value: float | None = None, limit: float | None = None
+    ) -> None:
+        super().__init__(sentence, ExitCode.GOAL_FAILED, joint=joint, value=value, limit=limit)
 
 
 def needs(package: str, extra: str) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from rosfront.moves import Profile
 from rtarm.calibrate.person import Person
-from rtarm.errors import ExitCode, Refusal
+from rtarm.errors import GoalFailed, Refusal
 from rtarm.interrupt import Interrupted, undisturbed
 from rtarm.requests import Connection, stands
 from rtarm.sending import Sender, follow, goal_document
@@ -85,16 +85,20 @@ def go_slowly(connection: Connection, sender: Sender, target_rad: np.ndarray, pe
 
 
 def slow_move(
-    start_rad: np.ndarray, target_rad: np.ndarray, velocity_rad_s: np.ndarray, acceleration_rad_s2: np.ndarray
+    start_rad: np.ndarray,
+    target_rad: np.ndarray,
+    velocity_rad_s: np.ndarray,
+    acceleration_rad_s2: np.ndarray,
+    speed: float = SLOW,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """All joints together from rest to rest with `SLOW` of these limits, (joints,) each.
+    """All joints together from rest to rest with a share of these limits, (joints,) each.
 
     Returns times (n,), positions, velocities and accelerations (n, joints).
     """
     way_rad = target_rad - start_rad
     length_rad = np.maximum(np.abs(way_rad), ROUNDING_RAD)
     profile = Profile.fastest(
-        float((SLOW * velocity_rad_s / length_rad).min()), float((SLOW * acceleration_rad_s2 / length_rad).min())
+        float((speed * velocity_rad_s / length_rad).min()), float((speed * acceleration_rad_s2 / length_rad).min())
     )
     times_s = profile.times_s(KNOT_SHARE)
     share, rate, bend = (values[:, np.newaxis] for values in profile.at(times_s))
@@ -105,13 +109,14 @@ def run(connection: Connection, sender: Sender, goal: dict[str, Any]) -> str:
     """Send a goal and wait for its end: the sentence of its success. A signal cancels it, and the arm stands then.
 
     Raises:
-        Refusal: it did not succeed.
-        Interrupted: a signal came.
+        GoalFailed: it did not succeed.
+        Refusal: nothing is known of its end.
+        Interrupted, KeyboardInterrupt: a signal came.
     """
     try:
         outcome = follow(connection, sender, sender.send(goal), SILENT)
         assert outcome is not None
-    except Interrupted:
+    except (Interrupted, KeyboardInterrupt):
         with undisturbed():
             sender.cancel()
             connection.wait(
@@ -122,7 +127,7 @@ def run(connection: Connection, sender: Sender, goal: dict[str, Any]) -> str:
             )
         raise
     if not outcome.succeeded:
-        raise Refusal(outcome.sentence, ExitCode.GOAL_FAILED)
+        raise GoalFailed(outcome.sentence)
     return outcome.sentence
 
 

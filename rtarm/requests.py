@@ -106,6 +106,11 @@ class Connection:
         """Whether the joint's drive finds a stop when it is homed; any other passes at once."""
         return bool(self._reader.memory.record["limits"]["joints"]["homes"][self.index(joint)])
 
+    @property
+    def period_s(self) -> float:
+        """Of the control cycle."""
+        return int(self._reader.memory.record["header"]["period_ns"]) * 1e-9
+
     def limits(self) -> np.ndarray:
         """What the control process allows, dtype layout.LIMITS, no dimensions."""
         return np.array(self._reader.memory.record["limits"])

@@ -107,6 +107,15 @@ def goal_message(document: dict[str, Any]) -> Any:
     return message
 
 
+def trajectory_message(document: dict[str, Any]) -> Any:
+    """A trajectory as a JointTrajectory, field for field."""
+    from trajectory_msgs.msg import JointTrajectory
+
+    message = JointTrajectory()
+    fill(message, document)
+    return message
+
+
 def fill(message: Any, values: dict[str, Any]) -> None:
     """Set the fields of a ROS message from plain values, whatever its type.
 

@@ -13,7 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ from config.schema import ArmConfig
 from rtarm.errors import Refusal
 from rtarm.launcher import action_name, check_ros
 from rtarm.processes import READY, ros_environment
+from shm import files
 
 if TYPE_CHECKING:
     from rtarm.requests import Connection
@@ -102,6 +103,15 @@ class Sender:
             number = self._last
             self._say({"number": number, "goal": document})
         return number
+
+    def stream(self, document: dict[str, Any]) -> None:
+        """Publish a trajectory (`trajectory_msgs/JointTrajectory`, field for field) to the arm, which answers nothing.
+
+        Raises:
+            Refusal: the process that sends is gone.
+        """
+        with self._state:
+            self._say({"trajectory": document})
 
     def cancel(self) -> None:
         """Cancel what was sent and still runs: the arm stops on its path. What is gone needs no cancelling."""
@@ -231,6 +241,42 @@ def sending(arm: ArmConfig, namespace: str = "") -> Iterator[Sender]:
         sender.close()
 
 
+class LastingSender:
+    """The process that sends to an arm: it starts when it is first needed, and anew where it or the front has died.
+
+    ROS takes a server that was killed for alive for seconds, in which a goal to the next one is lost.
+    """
+
+    def __init__(self, arm: ArmConfig, namespace: str = "") -> None:
+        self._arm = arm
+        self._namespace = namespace
+        self._open = ExitStack()
+        self._sender: Sender | None = None
+        self._sends_to = 0
+
+    def ready(self) -> Sender:
+        """The sender, which may take a second or more to start; raises what `sending` does."""
+        front = files.front_of(self._arm.name)
+        restarted = front is None or front[0] != self._sends_to
+        if self._sender is not None and (restarted or not self._sender.alive):
+            self._sender.abandon()
+            self.close()
+        if self._sender is None:
+            self._sender = self._open.enter_context(sending(self._arm, self._namespace))
+            self._sends_to = front[0] if front is not None else 0
+        return self._sender
+
+    @property
+    def present(self) -> Sender | None:
+        """The sender that was started last; None where there is none."""
+        return self._sender
+
+    def close(self) -> None:
+        """End what was started; a goal that was sent and still runs is cancelled."""
+        self._sender = None
+        self._open.close()
+
+
 def goal_document(
     joint_names: Sequence[str],
     times_s: np.ndarray,
@@ -238,7 +284,7 @@ def goal_document(
     velocities_rad_s: np.ndarray | None = None,
     accelerations_rad_s2: np.ndarray | None = None,
 ) -> dict[str, Any]:
-    """A FollowJointTrajectory goal as `Sender.send` takes it.
+    """A FollowJointTrajectory goal as `Sender.send` takes it; its `trajectory` is what `Sender.stream` takes.
 
     Args:
         joint_names: N names.

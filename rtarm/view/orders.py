@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,8 +16,8 @@ import numpy as np
 from config.schema import ArmConfig
 from rtarm import referencing, requests
 from rtarm.errors import Refusal
+from rtarm.sending import LastingSender, follow, goal_document
 from rtarm.view.words import Words
-from shm import files
 from shm.errors import SharedMemoryError
 from shm.sentences import outcome_sentence
 from shm.words import Outcome
@@ -53,11 +53,8 @@ class Orders:
     def __init__(self, arm: ArmConfig, words: Words, namespace: str = "") -> None:
         self._arm = arm
         self._words = words
-        self._namespace = namespace
+        self._senders = LastingSender(arm, namespace)
         self._one_at_a_time = threading.Lock()
-        self._open = ExitStack()
-        self._sender: Sender | None = None
-        self._sends_to = 0
         self._stops = 0
 
     def hold(self) -> str:
@@ -84,7 +81,7 @@ class Orders:
         self._cancel()
 
     def _cancel(self) -> None:
-        if (sender := self._sender) is not None:
+        if (sender := self._senders.present) is not None:
             sender.cancel()
 
     def clear_fault(self) -> str:
@@ -112,8 +109,6 @@ class Orders:
 
         `on_the_way` is called with a sentence once the arm has begun.
         """
-        from rtarm.sending import follow
-
         with requests.connect(self._arm.name) as connection:
             with self._one_at_a_time:
                 takes_s, sender, number = self._send(connection, to_rad)
@@ -128,10 +123,8 @@ class Orders:
 
     def _send(self, connection: requests.Connection, to_rad: np.ndarray) -> tuple[float, Sender, int]:
         """Send it: how long it takes (s), who sent it, its number there."""
-        from rtarm.sending import goal_document
-
         stops = self._stops
-        sender = self._ready_sender()  # which may take seconds
+        sender = self._senders.ready()  # which may take seconds
         before = connection.snapshot()
         if self._stops != stops:
             raise Refusal(outcome_sentence(Outcome.REFUSED_HELD))
@@ -144,24 +137,6 @@ class Orders:
         number = sender.send(goal_document(names, np.array([takes_s]), to_rad[None], still, still))
         return takes_s / max(float(before["speed_scale_asked"]), SLOWEST), sender, number
 
-    def _ready_sender(self) -> Sender:
-        """The process that sends goals, which starts with the first one, and anew if it or the arm's front has died.
-
-        ROS takes a server that was killed for alive for seconds, in which a goal to the next one is lost.
-        """
-        from rtarm.sending import sending
-
-        front = files.front_of(self._arm.name)
-        restarted = front is None or front[0] != self._sends_to
-        if self._sender is not None and (restarted or not self._sender.alive):
-            self._sender.abandon()
-            self.close()
-        if self._sender is None:
-            self._sender = self._open.enter_context(sending(self._arm, self._namespace))
-            self._sends_to = front[0] if front is not None else 0
-        return self._sender
-
     def close(self) -> None:
         """End what was started; a goal that was sent and still runs is cancelled."""
-        self._sender = None
-        self._open.close()
+        self._senders.close()

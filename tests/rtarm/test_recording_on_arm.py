@@ -149,7 +149,7 @@ def test_slower_is_the_same_path_in_more_time(done: Recording, speed: float) -> 
         (("--arm", "mock"), "give --on-arm or --view too"),
         (("--yes",), "give --on-arm too"),
         (("--on-arm",), "No control process is running for arm 'nobody'"),
-        (("--view",), "Arm nobody is none of those that come with rtarm"),
+        (("--view",), "Arm nobody does not run, and is none of those that come with rtarm"),
         (("--view", "--speed", "0"), "a recording plays forward only"),
     ],
 )

@@ -418,7 +418,7 @@ def test_a_goal_whose_sender_was_still_starting_when_stop_was_pressed_is_not_sen
             return sender
 
         monkeypatch.setattr(requests, "stop", lambda _: "The arm stands.")
-        monkeypatch.setattr(orders, "_ready_sender", starts)
+        monkeypatch.setattr(orders._senders, "ready", starts)
         with pytest.raises(Refusal, match="A person has stopped or holds the arm"):
             orders.go(np.zeros(len(JOINTS)), lambda _: None)
         assert not sent

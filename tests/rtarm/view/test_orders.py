@@ -64,11 +64,11 @@ def test_a_ros_process_that_dies_amid_a_goal_is_told_and_the_next_goal_goes(stac
     with pytest.raises(Refusal, match="has not said how: see Machine"):
         orders.go(pose(1.0), kill)
     assert begun.is_set() and read_status(stack.name)["goal"] is None
-    assert orders._sender is not None
-    sent_to_the_dead_one = orders._sender.pid
+    assert orders._senders.present is not None
+    sent_to_the_dead_one = orders._senders.present.pid
     with closing(stack.start_front()):
         assert "Goal reached" in orders.go(pose(0.2), nothing)
-        assert orders._sender.pid != sent_to_the_dead_one
+        assert orders._senders.present.pid != sent_to_the_dead_one
 
 
 def test_a_goal_while_the_ros_process_is_away_goes_to_the_next_one(stack: Stack, orders: Orders) -> None:
@@ -76,9 +76,9 @@ def test_a_goal_while_the_ros_process_is_away_goes_to_the_next_one(stack: Stack,
     stack.front.process.wait()
     said: list[str] = []
     going = threading.Thread(target=lambda: said.append(orders.go(pose(0.3), nothing)))
-    before = orders._sender
+    before = orders._senders.present
     going.start()
-    until(lambda: orders._sender is not before, "a new sender on its way", PATIENCE_S)
+    until(lambda: orders._senders.present is not before, "a new sender on its way", PATIENCE_S)
     with closing(stack.start_front()):
         going.join(PATIENCE_S)
         assert said and "Goal reached" in said[0]
@@ -90,7 +90,7 @@ def test_a_goal_that_a_hanging_ros_process_gets_too_late_moves_nothing(stack: St
     with pytest.raises(Refusal, match="It is cancelled"):
         orders.go(pose(1.2), nothing)
     stack.front.process.send_signal(signal.SIGCONT)
-    sender = orders._sender
+    sender = orders._senders.present
     assert sender is not None
     ended = sender.ended(sender._last, PATIENCE_S)  # before the control process has heard of it, or after
     assert ended is not None and ended.sentence.startswith("Canceled")
@@ -114,7 +114,7 @@ def test_stop_ends_a_goal_that_the_ros_process_has_not_begun(
 
     going = threading.Thread(target=go)
     going.start()
-    sender = orders._sender
+    sender = orders._senders.present
     assert sender is not None
     while sender._last < 2:  # the second goal has been sent
         time.sleep(0.01)
@@ -129,8 +129,8 @@ def test_stop_ends_a_goal_that_the_ros_process_has_not_begun(
 
 def test_a_sender_that_was_killed_is_told_once_and_started_anew(stack: Stack, orders: Orders) -> None:
     def kill(_: str) -> None:
-        assert orders._sender is not None
-        orders._sender._process.kill()
+        assert orders._senders.present is not None
+        orders._senders.present._process.kill()
 
     with pytest.raises(Refusal, match="process that sends goals has ended"):
         orders.go(pose(1.0), kill)
