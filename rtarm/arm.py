@@ -14,9 +14,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -120,7 +120,8 @@ class Arm:
         limits: of its joints.
     """
 
-    def __init__(self, connection: Connection, senders: LastingSender) -> None:
+    def __init__(self, connection: Connection, senders: LastingSender, opened: ExitStack) -> None:
+        self._opened = opened
         self._connection = connection
         self._senders = senders
         self.name = connection.arm
@@ -128,6 +129,16 @@ class Arm:
         rows = connection.limits()["joints"][: len(self.joints)]
         names = ("lower_rad", "upper_rad", "max_velocity_rad_s", "max_acceleration_rad_s2")
         self.limits = Limits(*(rows[name].copy() for name in names))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End what was started; a motion that still runs is cancelled, and the arm stops on its path."""
+        self._opened.close()
 
     def state(self) -> State:
         """The arm at the newest control cycle.
@@ -344,9 +355,8 @@ class Arm:
         return target_rad
 
 
-@contextmanager
-def connect(arm: str | None = None, *, namespace: str = "") -> Iterator[Arm]:
-    """Connect to a running arm for the time of a `with` block; a motion that still runs at its end is cancelled.
+def connect(arm: str | None = None, *, namespace: str = "") -> Arm:
+    """Connect to a running arm: for the time of a `with` block, or until `Arm.close`.
 
     Args:
         arm: its name, or the path of its arm file; None: the only one that runs.
@@ -357,9 +367,8 @@ def connect(arm: str | None = None, *, namespace: str = "") -> Iterator[Arm]:
         NotRunning: it does not run.
     """
     name = resolve_arm(arm)
-    with requests.connect(name) as connection:
+    with ExitStack() as opened:
+        connection = opened.enter_context(requests.connect(name))
         senders = LastingSender(arm_file(arm, name, "rtarm.connect"), namespace)
-        try:
-            yield Arm(connection, senders)
-        finally:
-            senders.close()
+        opened.callback(senders.close)
+        return Arm(connection, senders, opened.pop_all())
