@@ -18,6 +18,7 @@ from config.derived import DerivedJoint, derived_table
 from config.errors import ConfigError
 from config.joint import JointConfig
 from config.schema import LOWEST_JOINT_STATES_HZ, ArmConfig
+from config.serial_adapters import SERIAL_ADAPTERS
 
 
 def render_check(arm: ArmConfig) -> RenderableType:
@@ -162,8 +163,9 @@ def budget_table(arm: ArmConfig, found: Budget) -> Table:
             f"{found.bus_load:.1%} of {found.bitrate} bit/s, limit {found.load_limit:.0%}"
             + _verdict(found.rate_hz <= found.bus_highest_rate_hz),
         )
-        table.add_row("serial a cycle", f"{found.chars_out_per_cycle} out, {found.chars_in_per_cycle} in")
-        table.add_row("serial load", _serial_words(found))
+        if arm.bus.interface in SERIAL_ADAPTERS:
+            table.add_row("serial a cycle", f"{found.chars_out_per_cycle} out, {found.chars_in_per_cycle} in")
+            table.add_row("serial load", _serial_words(found))
         table.add_row("highest rate", _highest_words(found))
     if found.rate_hz < LOWEST_JOINT_STATES_HZ:
         table.add_row(

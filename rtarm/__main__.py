@@ -1,5 +1,18 @@
-"""`python -m rtarm` is `rtarm`."""
+"""`rtarm`, and `python -m rtarm`."""
 
-from rtarm.cli import app
+from __future__ import annotations
 
-app(prog_name="rtarm")
+import signal
+
+
+def main() -> None:
+    """The command line. Until it has been imported there is nothing to end in order: Ctrl-C just ends it."""
+    interrupt = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from rtarm.cli import app
+
+    signal.signal(signal.SIGINT, interrupt)
+    app(prog_name="rtarm")
+
+
+if __name__ == "__main__":
+    main()

@@ -31,7 +31,7 @@ from rtarm.cli_motions import motions_app
 from rtarm.cli_orders import orders
 from rtarm.cli_recordings import recordings_app
 from rtarm.cli_view import view_app
-from rtarm.errors import ExitCode, Refusal, exit_code_table
+from rtarm.errors import ExitCode, Refusal
 
 if TYPE_CHECKING:
     from rtarm.reporter import Reporter
@@ -142,7 +142,7 @@ def demo(
         raise typer.Exit(run_demo(arm, goal, json_file, _reporter(), view=view))
 
 
-@app.command(epilog="Exit codes:\n\n" + exit_code_table())
+@app.command()
 def status(
     arm: RunningArm = None,
     as_json: AsJson = False,
@@ -182,7 +182,7 @@ def top(arm: RunningArm = None) -> None:
         run(resolve_arm(arm))
 
 
-@app.command(epilog="Exit codes:\n\n" + exit_code_table())
+@app.command()
 def doctor(
     arm: Annotated[
         str | None,

@@ -8,13 +8,12 @@ from typing import Annotated
 import typer
 
 from rtarm.cli_frame import ArmArgument, overrides_given, sentences
-from rtarm.errors import exit_code_table
 
 calibrate_app = typer.Typer()
 """The command, for `rtarm.cli` to add."""
 
 
-@calibrate_app.command(epilog="Exit codes:\n\n" + exit_code_table())
+@calibrate_app.command()
 def calibrate(
     arm: ArmArgument,
     joint: Annotated[

@@ -8,13 +8,13 @@ from typing import Annotated
 import typer
 
 from rtarm.cli_frame import ArmArgument, overrides_given, sentences
-from rtarm.errors import ExitCode, exit_code_table
+from rtarm.errors import ExitCode
 
 commission_app = typer.Typer()
 """The command, for `rtarm.cli` to add."""
 
 
-@commission_app.command(epilog="Exit codes:\n\n" + exit_code_table())
+@commission_app.command()
 def commission(
     arm: ArmArgument,
     joint: Annotated[str, typer.Argument(metavar="JOINT", help="Joint whose drive is tested.")],

@@ -7,13 +7,13 @@ from typing import Annotated, Any
 import typer
 
 from rtarm.cli_frame import ArmArgument, AsJson, draw, draw_json, overrides_given, sentences
-from rtarm.errors import ExitCode, Refusal, exit_code_table
+from rtarm.errors import ExitCode, Refusal
 
 drives_app = typer.Typer()
 """The commands, for `rtarm.cli` to add."""
 
 
-@drives_app.command(epilog="Exit codes:\n\n" + exit_code_table())
+@drives_app.command()
 def drives(
     arm: ArmArgument,
     write: Annotated[
@@ -64,7 +64,7 @@ def drives(
         raise typer.Exit(int(ExitCode.DONE if agrees(report) else ExitCode.UNHEALTHY))
 
 
-@drives_app.command(epilog="Exit codes:\n\n" + exit_code_table())
+@drives_app.command()
 def scan(
     port: Annotated[
         list[str] | None,

@@ -8,7 +8,7 @@ import typer
 
 from rtarm import completion
 from rtarm.cli_frame import AsJson, draw, draw_json, sentences
-from rtarm.errors import ExitCode, Refusal, exit_code_table, needs
+from rtarm.errors import ExitCode, Refusal, needs
 
 motions_app = typer.Typer()
 """The commands, for `rtarm.cli` to add."""
@@ -29,7 +29,7 @@ Arm = Annotated[
 ]
 
 
-@motions_app.command(epilog="Exit codes:\n\n" + exit_code_table())
+@motions_app.command()
 def move(
     targets: Annotated[
         list[str],
@@ -92,8 +92,8 @@ def teach(
     Example: [bold]rtarm teach wave[/bold]
     """
     with sentences():
-        needs("scipy", "teach")
-        needs("toppra", "teach")
+        needs("scipy")
+        needs("toppra")
 
         from rtarm.calibrate.person import Terminal
         from rtarm.status import resolve_arm
@@ -103,7 +103,7 @@ def teach(
         run(resolve_arm(arm), Wish(name, tolerance, seconds, yes, force), Terminal())
 
 
-@motions_app.command(epilog="Exit codes:\n\n" + exit_code_table())
+@motions_app.command()
 def play(
     name: Name,
     arm: Arm = None,
@@ -118,7 +118,7 @@ def play(
     Example: [bold]rtarm play wave --speed 0.5[/bold]
     """
     with sentences():
-        needs("scipy", "teach")
+        needs("scipy")
 
         from rtarm.calibrate.person import Terminal
         from rtarm.status import resolve_arm
@@ -134,7 +134,7 @@ def motions(as_json: AsJson = False) -> None:
     Example: [bold]rtarm motions --json[/bold]
     """
     with sentences({} if as_json else None):
-        needs("scipy", "teach")
+        needs("scipy")
 
         from rtarm.teach.file import folder
         from rtarm.teach.listing import motions as found

@@ -72,10 +72,10 @@ class GoalFailed(Refusal):
         super().__init__(sentence, ExitCode.GOAL_FAILED, joint=joint, value=value, limit=limit)
 
 
-def needs(package: str, extra: str) -> None:
-    """Refuse, with what to install, where an optional package (by its import name) is missing."""
+def needs(package: str) -> None:
+    """Refuse, with what to install, where an optional package is missing whose import name is its own."""
     if importlib.util.find_spec(package) is None:
-        raise Refusal(f"{package} is not installed, and this needs it: `pip install 'rtarm[{extra}]'`, then try again.")
+        raise Refusal(f"{package} is not installed, and this needs it: `pip install {package}`, then try again.")
 
 
 class AlreadySaid(Refusal):

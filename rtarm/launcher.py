@@ -29,6 +29,8 @@ from rtarm.processes import (
 from rtarm.recording.after_fault import FaultRecorder
 from rtarm.reporter import Reporter
 from rtarm.view.beside import PageBeside
+from shm import files
+from shm.errors import AlreadyHeld
 
 if TYPE_CHECKING:
     from config.schema import ArmConfig
@@ -153,7 +155,7 @@ def load_plan(
     check_budget(arm)
     check_ros()
     if view:
-        needs("viser", "view")
+        needs("viser")
     return Plan(
         arm=arm,
         arm_argument=arm_argument,
@@ -185,8 +187,8 @@ def check_ros() -> None:
     """Refuse, with what to install, where the ROS process could not start; at first use, make what can be made."""
     if not has_module("rclpy"):
         raise Refusal(
-            "rclpy is not installed, and the ROS process needs it: install the extra `rtarm[ros]`, or "
-            "source a ROS 2 installation, then start again."
+            "rclpy is not installed, and the ROS process needs it: run `make env` in a clone, install the wheel with "
+            "its extra `ros`, or source a ROS 2 installation, then start again."
         )
     if not generated_types() and not has_module("control_msgs"):
         raise Refusal(
@@ -261,6 +263,10 @@ class Launcher:
             Refusal: a process ended instead, or was not ready in time.
         """
         plan = self.plan
+        try:
+            files.require_not_running(plan.arm.name)
+        except AlreadyHeld as held:
+            raise Refusal(str(held), ExitCode.LOOP_REFUSED) from None
         overrides = plan.overrides
         if plan.simulated:
             overrides = _with_channel(overrides, plan.simulated_adapter, await self._start_sim())

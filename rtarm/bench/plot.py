@@ -39,7 +39,7 @@ def check(path: Path) -> None:
     """
     if not has_module("matplotlib"):
         raise Refusal(
-            "matplotlib is not installed, and --plot needs it: install the extra `rtarm[bench]`, or leave --plot out."
+            "matplotlib is not installed, and --plot needs it: `pip install matplotlib`, or leave --plot out."
         )
     if path.suffix not in FORMATS:
         raise Refusal(f"{path} is no name of a picture: let it end in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}.")

@@ -141,7 +141,7 @@ def absent() -> dict[str, str]:
     for who, modules in NEEDS.items():
         missing = [package for module, package in modules.items() if not has_module(module)]
         if missing:
-            found[who] = f"{who} is left out for want of {' and '.join(missing)}: the extra `rtarm[bench]` brings it."
+            found[who] = f"{who} is left out for want of {' and '.join(missing)}: `pip install {' '.join(missing)}`."
     return found
 
 

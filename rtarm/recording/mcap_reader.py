@@ -67,7 +67,7 @@ def read(path: Path, step: Step = lambda _: None) -> Loaded:
                 raise Refusal(f"{path} is no MCAP file: give one that `rtarm record` has written.")
             return _read(path, file, step)
     except FileNotFoundError:
-        raise Refusal(f"{path} is not there: `rtarm explain` without a file takes the newest recording.") from None
+        raise Refusal(f"{path} is not there: name a file that is, or none, which takes the newest recording.") from None
     except OSError as problem:
         raise Refusal(f"{path} cannot be read ({problem.strerror}): give a file that you may read.") from problem
 

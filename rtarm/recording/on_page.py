@@ -24,7 +24,7 @@ def show_on_page(
     Raises:
         Refusal, ConfigError: it cannot be drawn or served.
     """
-    needs("viser", "view")
+    needs("viser")
     from rtarm.view.gate import open_server
     from rtarm.view.run import serve
     from rtarm.view.source import RecordedArm

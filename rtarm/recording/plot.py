@@ -61,7 +61,7 @@ def plot(file: Path, output: Path | None, step: Step = lambda _: None) -> Path:
     Raises:
         Refusal: the recording cannot be read, or the picture not be written.
     """
-    needs("matplotlib", "plot")
+    needs("matplotlib")
     target = output if output is not None else file.with_suffix(FORMATS[0])
     if target.suffix.lower() not in FORMATS:
         raise Refusal(f"{target} is no name of a picture: let it end in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}.")

@@ -206,7 +206,7 @@ def _is_loopback(address: str) -> bool:
 
 def _quiet_server() -> type[ViserServer]:
     """viser's server, without lines of its own on standard output, and without a way out into the world."""
-    needs("viser", "view")
+    needs("viser")
     import viser
 
     class QuietServer(viser.ViserServer):

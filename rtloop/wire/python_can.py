@@ -43,7 +43,7 @@ def open_python_can(arm: ArmConfig) -> Bridge:
         import can
     except ImportError:
         raise WireRefused(
-            "python-can is not installed, and bus.interface python-can needs it: `pip install 'rtarm[python-can]'`."
+            "python-can is not installed, and bus.interface python-can needs it: `pip install python-can`."
         ) from None
     logging.getLogger("can").addHandler(logging.NullHandler())  # what matters of it becomes a sentence of ours
     logging.getLogger("can").propagate = False

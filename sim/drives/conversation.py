@@ -1,8 +1,8 @@
 """What all drives have in common on the bus, so that a family's file is its protocol and little else.
 
 A family derives from `ServoDrive` and writes: `concerns` (whether a frame is for it), `take` (such a frame that ended),
-`boot` (what it is like after power comes), `release` (let the shaft go), `owns`, `state_frame`, `twin` and `protect`. It
-sends with `reply` (an answer, after its reply delay) and `say` (now), and does things later or again and again with
+`boot` (what it is like after power comes), `release` (let the shaft go), `owns`, `state_frame`, `twin` and `protect`.
+It sends with `reply` (an answer, after its reply delay) and `say` (now), and does things later or again and again with
 `after` and `every`. A family whose shaft is another one derives from `BusDrive`.
 """
 

@@ -266,7 +266,7 @@ def test_missing_wheels_are_one_sentence(monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(build.BuildError) as error:
         build.check_wheels(build.CONTROL_MSGS)
     assert "(missing: ros-jazzy-" in one_sentence(error.value)
-    assert "rtarm[ros]" in str(error.value)
+    assert "make env" in str(error.value)
 
 
 def test_ros_installation_without_control_msgs_is_one_sentence(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -310,7 +310,7 @@ def test_command_without_wheels_exits_with_the_sentence(tmp_path: Path) -> None:
     assert result.returncode == 1
     assert result.stdout == ""
     assert result.stderr.count("\n") == 1
-    assert "pip install 'rtarm[ros]'" in result.stderr
+    assert "make env" in result.stderr
 
 
 def test_the_extra_ros_installs_what_the_build_needs() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -12,9 +13,11 @@ from typing import Any
 
 import pytest
 import typer
+import yaml
 from typer.testing import Result
 from written_arm import JOINTS, WrittenArm
 
+from config.loader import ARMS_FOLDER
 from rtarm import launcher
 from rtarm.cli import app
 from rtarm.errors import MEANINGS, ExitCode
@@ -48,10 +51,9 @@ def test_help_says_what_it_does_with_an_example(command: tuple[str, ...], rtarm:
 
 
 def test_the_exit_codes_are_in_the_help(rtarm: Rtarm) -> None:
-    for command in ((), ("status",), ("doctor",)):
-        text = " ".join(rtarm(*command, "--help").stdout.split())
-        for code in ExitCode:
-            assert f"{code.value} {MEANINGS[code]}" in text
+    text = " ".join(rtarm("--help").stdout.split())
+    for code in ExitCode:
+        assert f"{code.value} {MEANINGS[code]}" in text
 
 
 @pytest.mark.parametrize("command", SAY_JSON, ids=" ".join)
@@ -118,6 +120,21 @@ def test_help_loads_nothing_heavy() -> None:
     assert result.stdout.rstrip().endswith("[]")
 
 
+def test_ctrl_c_before_the_command_line_is_there_just_ends_it() -> None:
+    program = """
+import os, signal, sys
+class Slow:
+    def find_spec(self, name, path=None, target=None):
+        if name == "rtarm.cli":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Slow())
+from rtarm.__main__ import main
+main()
+"""
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout, result.stderr) == (-signal.SIGINT, "", "")
+
+
 def test_version(rtarm: Rtarm) -> None:
     result = rtarm("--version")
     assert (result.exit_code, result.stdout.split()[0]) == (0, "rtarm")
@@ -181,6 +198,16 @@ def test_config_check_prints_what_follows_from_an_arm(rtarm: Rtarm) -> None:
     assert "highest rate     123.1 Hz" in result.stdout
 
 
+def test_an_arm_without_a_serial_line_is_told_none_of_its_figures(tmp_path: Path, rtarm: Rtarm) -> None:
+    assert "serial load" in rtarm("config", "check", "episode1").stdout
+    values = yaml.safe_load((ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8"))
+    values["bus"] = {"interface": "socketcan", "channel": "can0", "bitrate": 500_000, "acknowledge": False}
+    file = tmp_path / "arm.yaml"
+    file.write_text(yaml.safe_dump(values), encoding="utf-8")
+    said = rtarm("config", "check", str(file))
+    assert said.exit_code == 0 and "bus load" in said.stdout and "serial" not in said.stdout
+
+
 def test_config_check_prints_every_error_with_its_line(arm_file: Path, rtarm: Rtarm) -> None:
     text = arm_file.read_text(encoding="utf-8").replace("ratio: 25", "ratio: -25")
     arm_file.write_text(text, encoding="utf-8")
@@ -202,9 +229,7 @@ def test_config_check_shows_the_budget_of_a_rate_that_does_not_fit(arm_file: Pat
     assert "the highest rate that fits is 123.1 Hz" in result.stderr
 
 
-@pytest.mark.parametrize(
-    ("missing", "remedy"), [("rclpy", "rtarm[ros]"), ("control_msgs", "rosfront.interfaces.build")]
-)
+@pytest.mark.parametrize(("missing", "remedy"), [("rclpy", "make env"), ("control_msgs", "rosfront.interfaces.build")])
 def test_missing_ros_is_said_before_anything_starts(
     missing: str, remedy: str, rtarm: Rtarm, monkeypatch: pytest.MonkeyPatch
 ) -> None:

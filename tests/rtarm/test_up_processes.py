@@ -142,6 +142,7 @@ def test_up_serves_restarts_the_front_and_ends_in_order(
     second = start("up", str(arm_file), "--sim")
     assert second.end() == 2
     assert second.errors.startswith("A control process for this arm is already running (pid")
+    assert (second.output, second.errors.count("\n")) == ("", 1)  # said once, and nothing was started for it
 
     os.kill(report["front"]["pid"], signal.SIGKILL)
     up.until("the ROS process ended by SIGKILL; starting it again")

@@ -119,7 +119,7 @@ def test_without_viser_nothing_is_started(mock_file: Path, arm_name: str) -> Non
         timeout=60,
     )
     assert done.returncode == 1
-    assert done.stderr == "viser is not installed, and this needs it: `pip install 'rtarm[view]'`, then try again.\n"
+    assert done.stderr == "viser is not installed, and this needs it: `pip install viser`, then try again.\n"
     assert done.stdout == ""
     assert not list(files.DIRECTORY.glob(f"rtarm.{arm_name}.*"))
 

@@ -451,6 +451,6 @@ def test_a_missing_viser_is_told_with_what_to_install() -> None:
         [sys.executable, "-c", program], env=os.environ, capture_output=True, text=True, check=False, timeout=60
     )
     assert (done.stdout, done.stderr) == (
-        "viser is not installed, and this needs it: `pip install 'rtarm[view]'`, then try again.\n",
+        "viser is not installed, and this needs it: `pip install viser`, then try again.\n",
         "",
     )
