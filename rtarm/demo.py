@@ -8,6 +8,7 @@ import json
 import math
 import os
 import secrets
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,7 +25,8 @@ from rich.text import Text
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rtarm.errors import ExitCode, Refusal
-from rtarm.goals import Goal, load_goal, tour
+from rtarm.goals import Goal, load_goal
+from rtarm.goals.made import goals_for
 from rtarm.interrupt import Interrupted
 from rtarm.launcher import Launcher, Plan, action_name, load_plan
 from rtarm.own_domain import own_domain
@@ -60,6 +62,8 @@ class Played:
     results: list[dict[str, Any]] = field(default_factory=list)
     joint_states: dict[str, Any] | None = None
     playing: str = ""
+    shown_s: float = 0.0
+    """How far the progress has come: for a moment the clock may still be that of the goal before."""
 
 
 def run_demo(
@@ -74,8 +78,12 @@ def run_demo(
     """
     if json_file is not None and not (json_file.absolute().parent.is_dir() and not json_file.is_dir()):
         raise Refusal(f"{json_file} cannot be written: name a file in a folder that exists.")
-    goals = tour() if goal_file is None else [load_goal(goal_file)]
-    plan = make_plan(arm_argument, goals, view=view)
+    with tempfile.TemporaryDirectory(prefix="rtarm-demo-") as folder:
+        goals = goals_for(load_arm(arm_argument), Path(folder)) if goal_file is None else [load_goal(goal_file)]
+        return _run(make_plan(arm_argument, goals, view=view), goals, json_file, reporter)
+
+
+def _run(plan: Plan, goals: Sequence[Goal], json_file: Path | None, reporter: Reporter) -> ExitCode:
     report: dict[str, Any] = {}
 
     def conclude(found: dict[str, Any]) -> None:
@@ -368,9 +376,10 @@ class Moment:
         now = next((goal for goal in goals if goal.name == played.playing), None)
         clock_s = float(snapshot["trajectory_clock_ns"]) * 1e-9 if now and int(snapshot["goal_id"]) else 0.0
         joints = snapshot["joints"][: len(names)]
+        played.shown_s = max(played.shown_s, done_s + (min(max(clock_s, 0.0), now.planned_s) if now else 0.0))
         return cls(
             goal=played.playing or ("done" if len(played.results) == len(goals) else "waiting"),
-            elapsed_s=done_s + (min(max(clock_s, 0.0), now.planned_s) if now else 0.0),
+            elapsed_s=played.shown_s,
             total_s=sum(goal.planned_s for goal in goals),
             names=names,
             position_rad=joints["measured_position_rad"],
