@@ -12,6 +12,7 @@ and works without ROS.
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -85,6 +86,7 @@ class Stream:
         self._arm = arm
         self._period_s = period_s
         self._last_rad: Reals | None = None
+        self._last_s = 0.0
 
     def send(self, target: Mapping[str, float] | ArrayLike, velocity_rad_s: ArrayLike | None = None) -> None:
         """Tell the arm where to be a moment from now.
@@ -104,8 +106,8 @@ class Stream:
         elif self._last_rad is None:
             velocity = np.zeros(len(target_rad))
         else:
-            velocity = (target_rad - self._last_rad) / self._period_s
-        self._last_rad = target_rad
+            velocity = (target_rad - self._last_rad) / max(self._period_s, time.monotonic() - self._last_s)
+        self._last_rad, self._last_s = target_rad, time.monotonic()
         ahead_s = np.array([AHEAD * self._period_s])
         goal = goal_document(self._arm.joints, ahead_s, target_rad[None], velocity[None])
         self._arm._senders.ready().stream(goal["trajectory"])
@@ -122,6 +124,7 @@ class Arm:
 
     def __init__(self, connection: Connection, senders: LastingSender, opened: ExitStack) -> None:
         self._opened = opened
+        self._one_at_a_time = threading.Lock()
         self._connection = connection
         self._senders = senders
         self.name = connection.arm
@@ -186,6 +189,7 @@ class Arm:
         """
         if not 0.0 < speed <= 1.0:
             raise Refusal(f"The speed is {speed:g}, but must be above 0 and at most 1, a share of the joints' limits.")
+        stops = self._stops()
         moves.refuse_unless_holding(self._connection)
         here_rad = self._newest()["joints"][: len(self.joints)]["commanded_position_rad"].copy()
         if relative:
@@ -195,7 +199,7 @@ class Arm:
             return f"Arm {self.name} stands there already."
         limits = self.limits
         times_s, *way = moves.slow_move(here_rad, target_rad, limits.velocity_rad_s, limits.acceleration_rad_s2, speed)
-        return self._run(goal_document(self.joints, times_s, *way))
+        return self._run(goal_document(self.joints, times_s, *way), stops)
 
     def follow(self, times_s: ArrayLike, positions_rad: ArrayLike, velocities_rad_s: ArrayLike | None = None) -> str:
         """Follow a trajectory of all joints, and wait for the end.
@@ -226,8 +230,9 @@ class Arm:
             raise Refusal("A time is no number: give seconds from the start.")
         for values in positions:
             self._target_rad(values, None)
+        stops = self._stops()
         moves.refuse_unless_holding(self._connection)
-        return self._run(goal_document(self.joints, times, positions, velocities))
+        return self._run(goal_document(self.joints, times, positions, velocities), stops)
 
     @contextmanager
     def stream(self, rate_hz: float = 50.0) -> Iterator[Stream]:
@@ -284,8 +289,21 @@ class Arm:
 
     # -- within ----------------------------------------------------------------------------------------
 
-    def _run(self, goal: dict[str, Any]) -> str:
-        return moves.run(self._connection, self._senders.ready(), goal)
+    def _stops(self) -> int:
+        return int(self._newest()["stops"])
+
+    def _run(self, goal: dict[str, Any], stops: int) -> str:
+        """Send a goal and wait for its end; never one that was asked for before a stop, nor in place of another."""
+        if not self._one_at_a_time.acquire(blocking=False):
+            raise Refusal(f"Another thread of this program moves arm {self.name}: wait for the end of that motion.")
+        try:
+            sender = self._senders.ready()  # which may take seconds
+            moves.refuse_unless_holding(self._connection)
+            if self._stops() != stops:
+                raise Refusal("The arm was stopped before the motion could begin; nothing has moved.")
+            return moves.run(self._connection, sender, goal)
+        finally:
+            self._one_at_a_time.release()
 
     def _newest(self) -> np.ndarray:
         while True:

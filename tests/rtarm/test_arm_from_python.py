@@ -186,6 +186,31 @@ def test_a_stop_ends_a_motion_and_needs_no_ros(moving: rtarm.Arm) -> None:
 
 
 @pytest.mark.process
+def test_a_motion_that_was_asked_for_before_a_stop_never_begins(stack: Stack) -> None:
+    """Also where the arm was told to take goals again before ROS, which takes a second to start, was there."""
+    with rtarm.connect(stack.name) as fresh:
+        here = fresh.state().commanded_rad[0]
+        thread, ends = in_background(lambda: fresh.move({"joint1": here + 0.3}, speed=0.5))
+        until(fresh._one_at_a_time.locked, "ROS on its way", PATIENCE_S)
+        fresh.stop()
+        fresh.resume()
+        thread.join(PATIENCE_S)
+        assert isinstance(ends[0], rtarm.Refusal) and "stopped before the motion could begin" in str(ends[0])
+        assert fresh.state().commanded_rad[0] == pytest.approx(here, abs=1e-3)
+
+
+@pytest.mark.process
+def test_two_threads_do_not_move_it_at_once(moving: rtarm.Arm) -> None:
+    here = moving.state().commanded_rad[0]
+    thread, ends = in_background(lambda: moving.move({"joint1": here - 0.1}, speed=0.3))
+    until(moving._one_at_a_time.locked, "the first on its way", PATIENCE_S)
+    with pytest.raises(rtarm.Refusal):
+        moving.move({"joint6": 0.1}, relative=True)
+    thread.join(PATIENCE_S)
+    assert "Goal reached" in ends[0]
+
+
+@pytest.mark.process
 def test_a_held_motion_goes_on_to_its_end(moving: rtarm.Arm) -> None:
     here = moving.state().commanded_rad[0]
     thread, ends = in_background(lambda: moving.move({"joint1": here - 0.3}, speed=0.3))
