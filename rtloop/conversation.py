@@ -118,13 +118,13 @@ class Conversation:
                 self._hear(frame)
             for joint in list(self._exchanges):
                 self._repeat_or_give_up(joint)
+            self._flush()
+            self.done = not self._dialogues and not self._outbox and not self._goes_on()
         except TalkFailed as failure:
             self.failure = failure
             self.done = True
             self.post(BRING_UP_FAILED, joint=failure.joint, code=self._fault)
             return True
-        self._flush()
-        self.done = not self._dialogues and not self._outbox and not self._goes_on()
         if self.done and self._last_order is not None:
             self.post(self._last_order)
         return self.done

@@ -30,7 +30,7 @@ class Arming:
         self._anew = False
 
     def found(self, armed: bool) -> Part[bool]:
-        """Whether the drive is armed, as it was just seen; of one that proves something by it, as two looks agree."""
+        """Whether the drive is armed, as it was just seen; of one that may prove by it, as two looks agree."""
         if not self._host.was_silent[self._joint] or self._host.marks.borne(self._joint) is None:
             return armed
         agreed = yield from surely(self._look)

@@ -217,6 +217,22 @@ def test_a_second_silence_before_the_reference_costs_no_proof_of_later(name: str
     arm.close()
 
 
+@pytest.mark.parametrize("name", [*PROVING_ARMS, *OTHER_ARMS])
+def test_a_reference_of_a_drive_that_is_silent_fails_and_ends_nothing(name: str) -> None:
+    """A joint without a reference is not watched for silence; what the process took for its own end was its first
+    look at a reading that is too old."""
+    arm = arm_of(name)
+    arm = endure(arm, Silence(frozenset((0,)), frozenset((0,))))
+    assert not referenced(arm)[0] and arm.core["mode"] == Mode.HOLDING
+    arm.sim.drives[0].unplug(arm.now_ns)
+    arm.cycles(60)
+    assert arm.ask(Request.REFERENCE, joint_mask=1, value=0.3) == Answer.DONE
+    failure = arm.reference().failure
+    assert failure is not None and failure.joint == 0 and "stopped answering" in str(failure)
+    arm.until(lambda: arm.core["fault"] == Fault.HOMING, at_most_s=1.0)
+    arm.close()
+
+
 @pytest.mark.parametrize("name", PROVING_ARMS)
 def test_the_next_process_knows_no_angle_that_a_person_has_said_to_the_last(name: str) -> None:
     arm = endure(arm_of(name), Silence(frozenset((2,)), process_dies=True))
