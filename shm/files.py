@@ -433,12 +433,17 @@ def _size_said(header: np.void, dtype: np.dtype) -> int:
 
 
 def require_not_running(arm: str) -> None:
-    """Raise AlreadyHeld where a control process drives an arm already; another may begin to in the next moment."""
-    with contextlib.suppress(NotRunning):
+    """Raise AlreadyHeld where a control process drives an arm already; another may begin to in the next moment.
+
+    What else is wrong with its memory files, the control process says that is started next.
+    """
+    try:
         state = open_state(arm)
-        pid = int(state.record["header"]["pid"])
-        state.close()
-        raise _already_running(pid, state.path)
+    except SharedMemoryError:
+        return
+    pid = int(state.record["header"]["pid"])
+    state.close()
+    raise _already_running(pid, state.path)
 
 
 def _already_running(pid: int, path: Path) -> AlreadyHeld:

@@ -121,7 +121,7 @@ def test_a_drive_that_falls_silent_amid_a_move_is_not_said_to_stand(bench: Stack
             at.reply(question, "")
         at.reply("Turn it?", "y")
         until(lambda: abs(bench.truth()["joint5"].position_rad[-1]) > math.radians(1.0), patience_s=PATIENCE_S)
-        bench.sim.say("silent:joint=joint5,at_s=0,until_s=30")
+        bench.befall("silent:joint=joint5,at_s=0,until_s=30")
         if how == "Ctrl-C":
             at.press(CTRL_C)
             assert at.code() == 2
