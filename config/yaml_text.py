@@ -19,7 +19,7 @@ MOST_ENTRIES = 10_000
 DEEPEST = 20
 LIBYAML = getattr(yaml, "CSafeLoader", None)
 """libyaml's loader, nine times as fast as PyYAML's own; not everywhere is it part of PyYAML."""
-COMMENT = re.compile(r"(?:^| )#.*", re.MULTILINE)
+COMMENT = re.compile(r"(?:^| )#[^\r\n\x85\u2028\u2029]*", re.MULTILINE)
 READ_DIFFERENTLY = re.compile(r"[\t?&*!|>%@`\\\ufeff\x7f-\x9f\u2028\u2029]|\r(?!\n)")
 """What libyaml takes in places where PyYAML does not, reads as something else, or has other words for."""
 UNREADABLE = (yaml.YAMLError, ValueError, IndexError, KeyError, AttributeError, TypeError)

@@ -24,10 +24,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtarm import moves, referencing, requests
 from rtarm.arm_file import arm_file
-from rtarm.errors import Refusal
+from rtarm.errors import GoalFailed, Refusal
 from rtarm.sending import LastingSender, goal_document
 from rtarm.status import STOPPED_BY_A_PERSON, resolve_arm
 from shm.errors import TornRead
+from shm.layout import SNAPSHOT
 from shm.words import Request
 
 if TYPE_CHECKING:
@@ -41,6 +42,11 @@ LOOK_S = 0.0005
 """Between two looks for a cycle that is late."""
 AHEAD = 2.0
 """In how many periods of a stream each of its points is to be reached: one that comes a period late is in time."""
+
+PAUSE_S = 1.0
+"""A stream that paused for longer has ended, whatever its points said: the arm must just stand and hold again."""
+ROUNDING_RAD = 1e-6
+"""So far beyond a limit is the limit: sums of angles are rounded."""
 
 
 @dataclass(frozen=True)
@@ -93,24 +99,32 @@ class Stream:
 
         Args:
             target: joint → angle (rad), or all joints (joints,); a joint that is not named stays.
-            velocity_rad_s: of all joints there (joints,); left out: what brought it there from the point before.
+            velocity_rad_s: of all joints there (joints,), with which the arm runs on where no point follows, until it
+                has stopped; zeros at the last point let it end there. Left out: what brought it there.
 
         Raises:
             Refusal: an angle lies beyond its limits or is none; a person has stopped the arm; a fault is latched; or
                 the ROS process is gone.
         """
+        paused_s = time.monotonic() - self._last_s
+        if paused_s > AHEAD * self._period_s:  # where the arm is told to be may be elsewhere by now
+            self._last_rad = None
+        sender = self._arm._senders.ready()
+        if self._last_s and paused_s > PAUSE_S:
+            moves.refuse_unless_holding(self._arm._connection)
+        else:
+            self._arm._refuse_what_moves_nothing()
         target_rad = self._arm._target_rad(target, self._last_rad)
-        self._arm._refuse_what_moves_nothing()
         if velocity_rad_s is not None:
             velocity = self._arm._all_joints(velocity_rad_s, "velocity")
         elif self._last_rad is None:
             velocity = np.zeros(len(target_rad))
         else:
-            velocity = (target_rad - self._last_rad) / max(self._period_s, time.monotonic() - self._last_s)
+            velocity = (target_rad - self._last_rad) / max(self._period_s, paused_s)
         self._last_rad, self._last_s = target_rad, time.monotonic()
         ahead_s = np.array([AHEAD * self._period_s])
         goal = goal_document(self._arm.joints, ahead_s, target_rad[None], velocity[None])
-        self._arm._senders.ready().stream(goal["trajectory"])
+        sender.stream(goal["trajectory"])
 
 
 class Arm:
@@ -251,16 +265,17 @@ class Arm:
                 f"The rate is {rate_hz:g} Hz, but must be 1 to 250: points are no faster than control cycles."
             )
         moves.refuse_unless_holding(self._connection)
-        self._senders.ready()
-        yield Stream(self, 1.0 / rate_hz)
+        with self._alone():
+            self._senders.ready()
+            yield Stream(self, 1.0 / rate_hz)
 
     def stop(self) -> str:
         """Stop on the path, end the goal, wait until the arm stands; it takes no goals before `resume`."""
         try:
             return requests.stop(self.name)
         finally:
-            if (sender := self._senders.present) is not None:
-                sender.cancel()
+            if (sender := self._senders.present) is not None:  # which may hang, as ROS may
+                threading.Thread(target=sender.cancel, daemon=True).start()
 
     def hold(self) -> str:
         """Stop on the path and wait until the arm stands; its goal goes on with `resume`."""
@@ -294,14 +309,27 @@ class Arm:
 
     def _run(self, goal: dict[str, Any], stops: int) -> str:
         """Send a goal and wait for its end; never one that was asked for before a stop, nor in place of another."""
-        if not self._one_at_a_time.acquire(blocking=False):
-            raise Refusal(f"Another thread of this program moves arm {self.name}: wait for the end of that motion.")
-        try:
+        with self._alone():
             sender = self._senders.ready()  # which may take seconds
             moves.refuse_unless_holding(self._connection)
             if self._stops() != stops:
                 raise Refusal("The arm was stopped before the motion could begin; nothing has moved.")
-            return moves.run(self._connection, sender, goal)
+            try:
+                return moves.run(self._connection, sender, goal)
+            except GoalFailed:
+                raise
+            except Refusal as unknown:  # nobody will say any more how it ends
+                if running := int(self._newest()["goal_id"]):
+                    self._connection.writer.cancel(running)
+                raise GoalFailed(unknown.sentence) from None
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """While this program moves the arm in one way, it does in no other."""
+        if not self._one_at_a_time.acquire(blocking=False):
+            raise Refusal(f"This program moves arm {self.name} already: wait for the end of that motion or stream.")
+        try:
+            yield
         finally:
             self._one_at_a_time.release()
 
@@ -309,7 +337,8 @@ class Arm:
         while True:
             try:
                 snapshot = self._connection.snapshot()
-            except TornRead:
+            except TornRead:  # also where the control process has died amid a write
+                self._connection.check_running(np.zeros(1, SNAPSHOT)[0])
                 continue
             self._connection.check_running(snapshot)
             return snapshot
@@ -359,6 +388,8 @@ class Arm:
                 target[index] = angle
         target_rad = self._all_joints(target, "angle")
         limits = self.limits
+        inside_rad = np.clip(target_rad, limits.lower_rad, limits.upper_rad)
+        target_rad = np.where(np.abs(inside_rad - target_rad) <= ROUNDING_RAD, inside_rad, target_rad)
         for joint, value, lower, upper in zip(self.joints, target_rad, limits.lower_rad, limits.upper_rad, strict=True):
             if not lower <= value <= upper:
                 limit = lower if value < lower else upper

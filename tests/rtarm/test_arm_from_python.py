@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import signal
 import subprocess
 import sys
@@ -76,6 +77,22 @@ def test_what_means_nothing_is_refused_before_ros_is_started(
     with pytest.raises(rtarm.Refusal, match=sentence):
         ask(python_arm)
     assert python_arm._senders.present is None
+
+
+def test_an_arm_a_rounding_beyond_a_limit_is_at_it(standing: WrittenArm, python_arm: rtarm.Arm) -> None:
+    standing.rows["commanded_position_rad"] = 0.1, 1.5 + 2.3e-16
+    standing.publish()
+    assert "stands there already" in python_arm.move({python_arm.joints[0]: 0.1})
+
+
+def test_a_control_process_that_died_amid_a_write_is_not_waited_for(
+    standing: WrittenArm, python_arm: rtarm.Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    standing.state["snapshot_sequence"][0] += 1
+    monkeypatch.setattr("shm.files.is_held", lambda _: False)
+    with pytest.raises(rtarm.NotRunning):
+        python_arm.state()
+    standing.state["snapshot_sequence"][0] += 1
 
 
 def test_an_arm_that_is_there_already_is_not_sent_there(python_arm: rtarm.Arm) -> None:
@@ -242,6 +259,35 @@ def test_a_loop_of_fifty_hertz_leads_the_arm_and_sees_it(moving: rtarm.Arm) -> N
     until(lambda: not moving.state().moves, "the arm at rest", PATIENCE_S)
     assert moving.state().commanded_rad[5] == pytest.approx(here, abs=0.01)
     assert moving.state().fault == ""
+
+
+@pytest.mark.process
+def test_a_stream_that_paused_moves_only_what_it_names(moving: rtarm.Arm) -> None:
+    here = moving.state().commanded_rad
+    with rtarm.connect(moving.name) as other, moving.stream(rate_hz=50.0) as stream:
+        stream.send({"joint1": here[0]})
+        until(lambda: not moving.state().moves, "the arm at rest", PATIENCE_S)
+        with pytest.raises(rtarm.Refusal, match="already"):
+            moving.move({"joint6": here[5] + 0.05})
+        other.move({"joint6": 0.08}, relative=True)
+        stream.send({"joint1": here[0]}, np.zeros(6))
+        time.sleep(0.2)
+        assert moving.state().commanded_rad[5] == pytest.approx(here[5] + 0.08, abs=1e-3)
+        until(lambda: not moving.state().moves, "the arm at rest", PATIENCE_S)
+
+
+@pytest.mark.process
+def test_a_motion_whose_sender_dies_is_ended_and_told_to_have_failed(moving: rtarm.Arm) -> None:
+    here = moving.state().commanded_rad[0]
+    thread, ends = in_background(lambda: moving.move({"joint1": here + 0.6}, speed=0.1))
+    until(lambda: moving.state().moves, "the arm on its way", PATIENCE_S)
+    sender = moving._senders.present
+    assert sender is not None
+    os.kill(sender.pid, signal.SIGKILL)
+    thread.join(PATIENCE_S)
+    assert isinstance(ends[0], rtarm.GoalFailed)
+    until(lambda: not moving.state().moves, "the arm at rest", PATIENCE_S)
+    assert moving.state().commanded_rad[0] < here + 0.5
 
 
 @pytest.mark.process
