@@ -6,13 +6,15 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rtarm.arm import Arm, Limits, State, Stream, connect
+    from rtarm.arm import Arm, State, Stream, connect
     from rtarm.errors import GoalFailed, Refusal
+    from rtarm.limits import Limits
     from shm.errors import NotRunning
 
 _HOMES = {
-    "rtarm.arm": ("Arm", "Limits", "State", "Stream", "connect"),
+    "rtarm.arm": ("Arm", "State", "Stream", "connect"),
     "rtarm.errors": ("GoalFailed", "Refusal"),
+    "rtarm.limits": ("Limits",),
     "shm.errors": ("NotRunning",),
 }
 """Where each name is, which is imported when it is first used: the command line must start quickly."""

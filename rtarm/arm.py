@@ -20,11 +20,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rtarm import moves, referencing, requests
 from rtarm.arm_file import arm_file
 from rtarm.errors import GoalFailed, Refusal
+from rtarm.limits import Reals, limits_of
 from rtarm.sending import LastingSender, goal_document
 from rtarm.status import STOPPED_BY_A_PERSON, resolve_arm
 from shm.errors import TornRead
@@ -33,8 +34,6 @@ from shm.words import Request
 
 if TYPE_CHECKING:
     from rtarm.requests import Connection
-
-Reals = NDArray[np.float64]
 
 AFTER_CYCLE_S = 0.0015
 """After the planned time of a cycle its snapshot is there."""
@@ -47,16 +46,6 @@ PAUSE_S = 1.0
 """A stream that paused for longer has ended, whatever its points said: the arm must just stand and hold again."""
 ROUNDING_RAD = 1e-6
 """So far beyond a limit is the limit: sums of angles are rounded."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What the control process allows each joint; arrays (joints,) in the order of `Arm.joints`."""
-
-    lower_rad: Reals
-    upper_rad: Reals
-    velocity_rad_s: Reals
-    acceleration_rad_s2: Reals
 
 
 @dataclass(frozen=True)
@@ -143,9 +132,7 @@ class Arm:
         self._senders = senders
         self.name = connection.arm
         self.joints = connection.joints
-        rows = connection.limits()["joints"][: len(self.joints)]
-        names = ("lower_rad", "upper_rad", "max_velocity_rad_s", "max_acceleration_rad_s2")
-        self.limits = Limits(*(rows[name].copy() for name in names))
+        self.limits = limits_of(connection.joints, connection.limits())
 
     def __enter__(self) -> Self:
         return self

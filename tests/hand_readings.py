@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from config.loader import load_arm
+from rtarm.limits import Limits
 from rtarm.teach.making import Readings
-from rtarm.teach.motion import Limits
 
 RATE_HZ = 120.0
 ENCODER_RAD = 2.0 * np.pi / 65536.0

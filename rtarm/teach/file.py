@@ -15,8 +15,9 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from rtarm.errors import Refusal
+from rtarm.limits import Limits
 from rtarm.status import is_path
-from rtarm.teach.motion import Limits, Motion
+from rtarm.teach.motion import Motion
 
 FORMAT = 1
 LONGEST_FILE_BYTES = 50_000_000

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from rtarm.errors import Refusal
-from rtarm.teach.motion import Limits, Motion, Reals, curve, peaks
+from rtarm.limits import Limits
+from rtarm.teach.motion import Motion, Reals, curve, peaks
 from rtarm.teach.smoothing import FEWEST_READINGS, moving_part, smoothed
 from rtarm.teach.timing import FINER, Timing, timed
 

@@ -11,11 +11,11 @@ from rtarm.arm_file import arm_file
 from rtarm.calibrate.person import Person, require_yes
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, signals_raise
+from rtarm.limits import Limits, limits_of
 from rtarm.requests import Connection, connect
 from rtarm.sending import goal_document, sending
 from rtarm.teach.file import load, motion_path
-from rtarm.teach.motion import Limits, Motion, Reals
-from rtarm.teach.recording import limits_of
+from rtarm.teach.motion import Motion, Reals
 
 ROUNDED = 1e-5
 """What a factor may be above the largest allowed, which is calculated from rounded angles."""

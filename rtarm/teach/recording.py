@@ -8,22 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from rtarm.teach.making import Readings
-from rtarm.teach.motion import Limits
 from shm.files import MemoryFile
 from shm.recording import now_at, read_on
 from shm.words import Fault, Mode
-
-
-def limits_of(joints: tuple[str, ...], limits: np.ndarray) -> Limits:
-    """What an arm's control process allows its joints, from its state file's limits (dtype layout.LIMITS)."""
-    rows = limits["joints"][: len(joints)]
-    return Limits(
-        joints,
-        *(
-            rows[name].astype(float)
-            for name in ("lower_rad", "upper_rad", "max_velocity_rad_s", "max_acceleration_rad_s2")
-        ),
-    )
 
 
 class FreeMotion:

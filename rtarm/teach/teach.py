@@ -19,12 +19,12 @@ import numpy as np
 from rtarm.calibrate.person import Person, Quit, agrees
 from rtarm.errors import Refusal
 from rtarm.interrupt import Interrupted, signals_raise, undisturbed
+from rtarm.limits import Limits, limits_of
 from rtarm.moves import refuse_unsound
 from rtarm.requests import connect, enable, let_go, stands
 from rtarm.teach.file import motion_path, require_free, save
 from rtarm.teach.making import Taught, make
-from rtarm.teach.motion import Limits
-from rtarm.teach.recording import FreeMotion, limits_of
+from rtarm.teach.recording import FreeMotion
 from shm import files
 from shm.client import StateReader
 from shm.errors import SharedMemoryError

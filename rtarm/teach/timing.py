@@ -14,7 +14,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from rtarm.errors import Refusal
-from rtarm.teach.motion import Limits, Reals
+from rtarm.limits import Limits
+from rtarm.teach.motion import Reals
 
 QUICKEST_CHANGE = 10.0
 """How fast the pace may change (1/s²), where no joint's acceleration says less: from rest to the hand's in 0.1 s."""
