@@ -113,7 +113,7 @@ class Stream:
         self._last_rad, self._last_s = target_rad, time.monotonic()
         ahead_s = np.array([AHEAD * self._period_s])
         goal = goal_document(self._arm.joints, ahead_s, target_rad[None], velocity[None])
-        sender.stream(goal["trajectory"])
+        sender.stream(goal)
 
 
 class Arm:
@@ -261,8 +261,8 @@ class Arm:
         try:
             return requests.stop(self.name)
         finally:
-            if (sender := self._senders.present) is not None:  # which may hang, as ROS may
-                threading.Thread(target=sender.cancel, daemon=True).start()
+            if (sender := self._senders.present) is not None:
+                sender.cancel()
 
     def hold(self) -> str:
         """Stop on the path and wait until the arm stands; its goal goes on with `resume`."""
@@ -405,6 +405,6 @@ def connect(arm: str | None = None, *, namespace: str = "") -> Arm:
     name = resolve_arm(arm)
     with ExitStack() as opened:
         connection = opened.enter_context(requests.connect(name))
-        senders = LastingSender(arm_file(arm, name, "rtarm.connect"), namespace)
+        senders = LastingSender(name, lambda: arm_file(arm, name, "rtarm.connect"), namespace)
         opened.callback(senders.close)
         return Arm(connection, senders, opened.pop_all())

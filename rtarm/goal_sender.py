@@ -3,9 +3,10 @@
 """`python -m rtarm.goal_sender ACTION SECONDS`: sends goals for a process that speaks no ROS (`rtarm.sending`).
 
 Prints `ready` once the action has a server, then obeys every line on standard input: `{"number": …, "goal": …}` sends
-a goal, `{}` cancels the one that runs, `{"trajectory": …}` publishes a trajectory, which nothing answers. Reports what
-becomes of each goal: `{"event": "result", "number": …, "succeeded": …, "code": …, "sentence": …}`. When its standard
-input ends, so that nobody waits any more, it cancels what still runs and waits so many seconds for its end.
+a goal, `{}` cancels the one that runs, `{"stream": …}` publishes the trajectory of a goal, which nothing answers.
+Reports what becomes of each goal that was sent: `{"event": "result", "number": …, "succeeded": …, "code": …,
+"sentence": …}`. When its standard input ends, so that nobody waits any more, it cancels what still runs and waits so
+many seconds for its end.
 """
 
 from __future__ import annotations
@@ -14,25 +15,21 @@ import json
 import os
 import sys
 import threading
-import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from rtarm.demo_client import INVALID_GOAL, report
 from rtarm.errors import Refusal
 from rtarm.processes import READY
-from rtarm.ros_client import goal_message, has_server, served_node, trajectory_message
+from rtarm.ros_client import goal_message, has_server, has_subscriber, served_node
 
 if TYPE_CHECKING:
     from rclpy.action.client import ClientGoalHandle
-    from rclpy.node import Node
-    from rclpy.publisher import Publisher
     from rclpy.task import Future
 
     from rosfront.action_client import ActionClient
 
 SERVER_PATIENCE_S = 10.0
-LOOK_S = 0.02
 
 
 class GoalSender:
@@ -100,41 +97,31 @@ def run(action: str, canceled_s: float) -> None:
         Refusal: the action has no server.
     """
     from control_msgs.action import FollowJointTrajectory
+    from trajectory_msgs.msg import JointTrajectory
 
     from rosfront.action_client import ActionClient
 
-    trajectories: Publisher | None = None
     with served_node("rtarm_sender") as node:
         client = ActionClient(node, FollowJointTrajectory, action)
+        stream = node.create_publisher(JointTrajectory, f"{action.rpartition('/')[0]}/joint_trajectory", 10)
         if not has_server(client, SERVER_PATIENCE_S):
             raise Refusal(
                 f"No ROS process serves {action} in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}: look at "
                 "`rtarm status`, and set ROS_DOMAIN_ID as where the arm was started."
             )
+        has_subscriber(stream, SERVER_PATIENCE_S)  # of the same node: where it never comes, goals go all the same
         sender = GoalSender(client)
         print(READY, flush=True)
         for line in sys.stdin:
             asked = json.loads(line)
             if "goal" in asked:
                 sender.send(asked["number"], asked["goal"])
-            elif "trajectory" in asked:
-                trajectories = trajectories or _publisher(node, action)
-                trajectories.publish(trajectory_message(asked["trajectory"]))
+            elif "stream" in asked:
+                stream.publish(goal_message(asked["stream"]).trajectory)
             else:
                 sender.cancel()
         sender.cancel()
         sender.wait_idle(canceled_s)
-
-
-def _publisher(node: Node, action: str) -> Publisher:
-    """Of the topic beside an action, once the arm listens there: what is published before is lost."""
-    from trajectory_msgs.msg import JointTrajectory
-
-    publisher: Publisher = node.create_publisher(JointTrajectory, f"{action.rpartition('/')[0]}/joint_trajectory", 10)
-    until_s = time.monotonic() + SERVER_PATIENCE_S
-    while not publisher.get_subscription_count() and time.monotonic() < until_s:
-        time.sleep(LOOK_S)
-    return publisher
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -17,10 +17,12 @@ from rtarm.errors import Refusal
 if TYPE_CHECKING:
     from rclpy.executors import Executor
     from rclpy.node import Node
+    from rclpy.publisher import Publisher
 
     from rosfront.action_client import ActionClient
 
 PATIENCE_S = 10.0
+LOOK_S = 0.01
 MUTUAL_S = 0.3
 """For the server to find the client too, without which its answer is lost: only the other direction can be seen."""
 
@@ -98,20 +100,21 @@ def has_server(client: ActionClient, patience_s: float) -> bool:
     return True
 
 
+def has_subscriber(publisher: Publisher, patience_s: float) -> bool:
+    """Whether somebody listens to a topic within some time: what is published before is lost."""
+    until_s = time.monotonic() + patience_s
+    while not publisher.get_subscription_count():
+        if time.monotonic() > until_s:
+            return False
+        time.sleep(LOOK_S)
+    return True
+
+
 def goal_message(document: dict[str, Any]) -> Any:
     """The recorded goal as a FollowJointTrajectory.Goal, field for field."""
     from control_msgs.action import FollowJointTrajectory
 
     message = FollowJointTrajectory.Goal()
-    fill(message, document)
-    return message
-
-
-def trajectory_message(document: dict[str, Any]) -> Any:
-    """A trajectory as a JointTrajectory, field for field."""
-    from trajectory_msgs.msg import JointTrajectory
-
-    message = JointTrajectory()
     fill(message, document)
     return message
 

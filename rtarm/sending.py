@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
@@ -45,7 +45,10 @@ class Outcome(NamedTuple):
 
 
 class Sender:
-    """Sends goals and hears how they end; all methods may be called from any thread."""
+    """Sends goals and hears how they end; all methods may be called from any thread.
+
+    What is said to the other process is written by a thread of its own: should that one hang, nobody here does.
+    """
 
     def __init__(self, process: subprocess.Popen[str], canceled_s: float) -> None:
         """`canceled_s`: how long that process waits for the end of what it has canceled."""
@@ -55,16 +58,19 @@ class Sender:
         self._outcomes: dict[int, Outcome] = {}
         self._errors: deque[str] = deque(maxlen=LAST_LINES)
         self._last = 0
+        self._to_say: deque[dict[str, Any]] = deque()
         self._ready = False
         self._ended = False
+        self._closes = False
         self._abandoned = False
-        assert process.stdout is not None and process.stderr is not None
+        assert process.stdin is not None and process.stdout is not None and process.stderr is not None
         self._listeners = (
             threading.Thread(target=self._hear, args=(process.stdout,), name="goal results", daemon=True),
             threading.Thread(target=self._errors.extend, args=(process.stderr,), name="goal sender", daemon=True),
         )
-        for listener in self._listeners:
-            listener.start()
+        self._speaker = threading.Thread(target=self._speak, args=(process.stdin,), name="goals", daemon=True)
+        for thread in (*self._listeners, self._speaker):
+            thread.start()
 
     @property
     def pid(self) -> int:
@@ -105,13 +111,15 @@ class Sender:
         return number
 
     def stream(self, document: dict[str, Any]) -> None:
-        """Publish a trajectory (`trajectory_msgs/JointTrajectory`, field for field) to the arm, which answers nothing.
+        """Publish the trajectory of a goal to the arm, which answers nothing; one that still waits is never sent.
 
         Raises:
             Refusal: the process that sends is gone.
         """
         with self._state:
-            self._say({"trajectory": document})
+            for late in [said for said in self._to_say if "stream" in said]:
+                self._to_say.remove(late)
+            self._say({"stream": document})
 
     def cancel(self) -> None:
         """Cancel what was sent and still runs: the arm stops on its path. What is gone needs no cancelling."""
@@ -139,29 +147,37 @@ class Sender:
 
     def close(self) -> None:
         """End; what still runs is cancelled."""
-        assert self._process.stdin is not None
-        with suppress(OSError), self._state:
-            self._process.stdin.close()
+        with self._state:
+            self._closes = True
+            self._state.notify_all()
         try:
             self._process.wait(self._end_patience_s)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        for listener in self._listeners:
-            listener.join()
+        for thread in (*self._listeners, self._speaker):
+            thread.join()
         for stream in (self._process.stdout, self._process.stderr):
             assert stream is not None
             stream.close()
 
     def _say(self, what: dict[str, Any]) -> None:
-        assert self._process.stdin is not None
-        if self._ended:  # its end of the pipe may be open for a moment longer than the other one was
+        if self._ended:
             raise self._gone()
-        try:
-            self._process.stdin.write(json.dumps(what) + "\n")
-            self._process.stdin.flush()
-        except (OSError, ValueError):
-            raise self._gone() from None
+        self._to_say.append(what)
+        self._state.notify_all()
+
+    def _speak(self, pipe: IO[str]) -> None:
+        """Write what there is to say, to the end of this or of the other process."""
+        with suppress(OSError), pipe:
+            while True:
+                with self._state:
+                    self._state.wait_for(lambda: self._to_say or self._closes or self._ended)
+                    if self._ended or not self._to_say:
+                        return
+                    what = self._to_say.popleft()
+                pipe.write(json.dumps(what) + "\n")
+                pipe.flush()
 
     def _hear(self, lines: IO[str]) -> None:
         for line in lines:
@@ -247,8 +263,10 @@ class LastingSender:
     ROS takes a server that was killed for alive for seconds, in which a goal to the next one is lost.
     """
 
-    def __init__(self, arm: ArmConfig, namespace: str = "") -> None:
+    def __init__(self, arm: str, config: Callable[[], ArmConfig], namespace: str = "") -> None:
+        """`config` of the arm of this name is asked for when a sender starts, so that nothing else needs it."""
         self._arm = arm
+        self._config = config
         self._namespace = namespace
         self._open = ExitStack()
         self._sender: Sender | None = None
@@ -256,13 +274,13 @@ class LastingSender:
 
     def ready(self) -> Sender:
         """The sender, which may take a second or more to start; raises what `sending` does."""
-        front = files.front_of(self._arm.name)
+        front = files.front_of(self._arm)
         restarted = front is None or front[0] != self._sends_to
         if self._sender is not None and (restarted or not self._sender.alive):
             self._sender.abandon()
             self.close()
         if self._sender is None:
-            self._sender = self._open.enter_context(sending(self._arm, self._namespace))
+            self._sender = self._open.enter_context(sending(self._config(), self._namespace))
             self._sends_to = front[0] if front is not None else 0
         return self._sender
 
@@ -284,7 +302,7 @@ def goal_document(
     velocities_rad_s: np.ndarray | None = None,
     accelerations_rad_s2: np.ndarray | None = None,
 ) -> dict[str, Any]:
-    """A FollowJointTrajectory goal as `Sender.send` takes it; its `trajectory` is what `Sender.stream` takes.
+    """A FollowJointTrajectory goal as `Sender.send` and `Sender.stream` take it.
 
     Args:
         joint_names: N names.

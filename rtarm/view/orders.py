@@ -9,21 +9,17 @@ import math
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from config.schema import ArmConfig
 from rtarm import referencing, requests
 from rtarm.errors import Refusal
-from rtarm.sending import LastingSender, follow, goal_document
+from rtarm.sending import LastingSender, Sender, follow, goal_document
 from rtarm.view.words import Words
 from shm.errors import SharedMemoryError
 from shm.sentences import outcome_sentence
 from shm.words import Outcome
-
-if TYPE_CHECKING:
-    from rtarm.sending import Sender
 
 GENTLY = 0.3
 """The share of a joint's velocity and acceleration limits that the page's motions use."""
@@ -53,7 +49,7 @@ class Orders:
     def __init__(self, arm: ArmConfig, words: Words, namespace: str = "") -> None:
         self._arm = arm
         self._words = words
-        self._senders = LastingSender(arm, namespace)
+        self._senders = LastingSender(arm.name, lambda: arm, namespace)
         self._one_at_a_time = threading.Lock()
         self._stops = 0
 

@@ -203,6 +203,28 @@ def test_a_stop_ends_a_motion_and_needs_no_ros(moving: rtarm.Arm) -> None:
 
 
 @pytest.mark.process
+@pytest.mark.parametrize("streams", [False, True])
+def test_a_stop_reaches_the_arm_where_the_process_that_speaks_ros_hangs(moving: rtarm.Arm, streams: bool) -> None:
+    here = moving.state().commanded_rad
+    assert "Goal reached" in moving.move({"joint1": here[0] + 0.05})
+    sender = moving._senders.present
+    assert sender is not None
+    os.kill(sender.pid, signal.SIGSTOP)
+    try:
+        if streams:  # far more than a pipe holds
+            with moving.stream(rate_hz=50.0) as stream:
+                for _ in range(1000):
+                    stream.send({"joint1": here[0] + 0.05})
+        stopped, ends = in_background(moving.stop)
+        stopped.join(PATIENCE_S)
+        assert "Arm" in ends[0] and moving.state().held
+    finally:
+        os.kill(sender.pid, signal.SIGCONT)
+    moving.resume()
+    until(lambda: not moving.state().moves, "the arm at rest", PATIENCE_S)
+
+
+@pytest.mark.process
 def test_a_motion_that_was_asked_for_before_a_stop_never_begins(stack: Stack) -> None:
     """Also where the arm was told to take goals again before ROS, which takes a second to start, was there."""
     with rtarm.connect(stack.name) as fresh:
