@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import yaml
@@ -17,7 +18,7 @@ Location = tuple[str | int, ...]
 
 MOST_ENTRIES = 10_000
 DEEPEST = 20
-LIBYAML = getattr(yaml, "CSafeLoader", None)
+LIBYAML: type[yaml.SafeLoader] | None = getattr(yaml, "CSafeLoader", None)
 """libyaml's loader, nine times as fast as PyYAML's own; not everywhere is it part of PyYAML."""
 COMMENT = re.compile(r"(?:^| )#[^\r\n\x85\u2028\u2029]*", re.MULTILINE)
 READ_DIFFERENTLY = re.compile(r"[\t?&*!|>%@`\\\ufeff\x7f-\x9f\u2028\u2029]|\r(?!\n)")
@@ -71,21 +72,23 @@ def parse(text: str, file: str) -> tuple[yaml.Node, dict[str, Any]]:
 
 def _loader(text: str) -> yaml.SafeLoader:
     """libyaml's, for a text that both read alike; PyYAML's own for all others, and for its words of what is wrong."""
-    alike = LIBYAML and not READ_DIFFERENTLY.search(COMMENT.sub("", text)) and _is_shallow(text, LIBYAML)
-    return LIBYAML(text) if LIBYAML and alike else yaml.SafeLoader(text)
+    with suppress(*UNREADABLE):
+        if LIBYAML and not READ_DIFFERENTLY.search(COMMENT.sub("", text)) and is_flat(text, LIBYAML, DEEPEST):
+            return LIBYAML(text)
+    return yaml.SafeLoader(text)
 
 
-def _is_shallow(text: str, loader: type) -> bool:
-    """Whether a text is YAML that is not nested deeply: at such a one libyaml's composer, which calls itself, ends the
-    process; its parser, which looks here, does not."""
+def is_flat(text: str, loader: type, deepest: int, *, aliases: bool = True) -> bool:
+    """Whether a YAML text is nested no deeper than this, and has no alias where there must be none.
+
+    At a deeper one libyaml's composer, which calls itself, ends the process; its parser, which looks here, does not.
+    Raises what the parser does, at a text that is no YAML.
+    """
     depth = 0
-    try:
-        for event in yaml.parse(text, loader):
-            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if depth > DEEPEST:
-                return False
-    except UNREADABLE:
-        return False
+    for event in yaml.parse(text, loader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > deepest or (isinstance(event, yaml.AliasEvent) and not aliases):
+            return False
     return True
 
 

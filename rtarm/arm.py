@@ -24,28 +24,22 @@ from numpy.typing import ArrayLike
 
 from rtarm import moves, referencing, requests
 from rtarm.arm_file import arm_file
-from rtarm.errors import GoalFailed, Refusal
+from rtarm.errors import Refusal
 from rtarm.limits import Reals, limits_of
 from rtarm.sending import LastingSender, goal_document
 from rtarm.status import STOPPED_BY_A_PERSON, resolve_arm
-from shm.errors import TornRead
-from shm.layout import SNAPSHOT
+from rtarm.tracking import AFTER_CYCLE_S
 from shm.words import Request
 
 if TYPE_CHECKING:
     from rtarm.requests import Connection
 
-AFTER_CYCLE_S = 0.0015
-"""After the planned time of a cycle its snapshot is there."""
 LOOK_S = 0.0005
 """Between two looks for a cycle that is late."""
 AHEAD = 2.0
 """In how many periods of a stream each of its points is to be reached: one that comes a period late is in time."""
-
 PAUSE_S = 1.0
 """A stream that paused for longer has ended, whatever its points said: the arm must just stand and hold again."""
-ROUNDING_RAD = 1e-6
-"""So far beyond a limit is the limit: sums of angles are rounded."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +75,7 @@ class Stream:
         self._arm = arm
         self._period_s = period_s
         self._last_rad: Reals | None = None
-        self._last_s = 0.0
+        self._last_s = time.monotonic()
 
     def send(self, target: Mapping[str, float] | ArrayLike, velocity_rad_s: ArrayLike | None = None) -> None:
         """Tell the arm where to be a moment from now.
@@ -96,20 +90,20 @@ class Stream:
                 the ROS process is gone.
         """
         paused_s = time.monotonic() - self._last_s
-        if paused_s > AHEAD * self._period_s:  # where the arm is told to be may be elsewhere by now
-            self._last_rad = None
+        in_time = paused_s <= AHEAD * self._period_s
+        before_rad = self._last_rad if in_time else None  # where the arm is told to be may be elsewhere by now
         sender = self._arm._senders.ready()
-        if self._last_s and paused_s > PAUSE_S:
+        if paused_s > PAUSE_S:
             moves.refuse_unless_holding(self._arm._connection)
         else:
             self._arm._refuse_what_moves_nothing()
-        target_rad = self._arm._target_rad(target, self._last_rad)
+        target_rad = self._arm._target_rad(target, before_rad)
         if velocity_rad_s is not None:
             velocity = self._arm._all_joints(velocity_rad_s, "velocity")
-        elif self._last_rad is None:
+        elif before_rad is None:
             velocity = np.zeros(len(target_rad))
         else:
-            velocity = (target_rad - self._last_rad) / max(self._period_s, paused_s)
+            velocity = (target_rad - before_rad) / max(self._period_s, paused_s)
         self._last_rad, self._last_s = target_rad, time.monotonic()
         ahead_s = np.array([AHEAD * self._period_s])
         goal = goal_document(self._arm.joints, ahead_s, target_rad[None], velocity[None])
@@ -301,14 +295,7 @@ class Arm:
             moves.refuse_unless_holding(self._connection)
             if self._stops() != stops:
                 raise Refusal("The arm was stopped before the motion could begin; nothing has moved.")
-            try:
-                return moves.run(self._connection, sender, goal)
-            except GoalFailed:
-                raise
-            except Refusal as unknown:  # nobody will say any more how it ends
-                if running := int(self._newest()["goal_id"]):
-                    self._connection.writer.cancel(running)
-                raise GoalFailed(unknown.sentence) from None
+            return moves.run(self._connection, sender, goal)
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
@@ -321,14 +308,9 @@ class Arm:
             self._one_at_a_time.release()
 
     def _newest(self) -> np.ndarray:
-        while True:
-            try:
-                snapshot = self._connection.snapshot()
-            except TornRead:  # also where the control process has died amid a write
-                self._connection.check_running(np.zeros(1, SNAPSHOT)[0])
-                continue
-            self._connection.check_running(snapshot)
-            return snapshot
+        snapshot = self._connection.snapshot()
+        self._connection.check_running()
+        return snapshot
 
     def _state(self, snapshot: np.ndarray) -> State:
         rows = snapshot["joints"][: len(self.joints)]
@@ -376,7 +358,7 @@ class Arm:
         target_rad = self._all_joints(target, "angle")
         limits = self.limits
         inside_rad = np.clip(target_rad, limits.lower_rad, limits.upper_rad)
-        target_rad = np.where(np.abs(inside_rad - target_rad) <= ROUNDING_RAD, inside_rad, target_rad)
+        target_rad = np.where(np.abs(inside_rad - target_rad) <= moves.ROUNDING_RAD, inside_rad, target_rad)
         for joint, value, lower, upper in zip(self.joints, target_rad, limits.lower_rad, limits.upper_rad, strict=True):
             if not lower <= value <= upper:
                 limit = lower if value < lower else upper

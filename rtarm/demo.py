@@ -62,7 +62,6 @@ class Played:
     results: list[dict[str, Any]] = field(default_factory=list)
     joint_states: dict[str, Any] | None = None
     playing: str = ""
-    shown_s: float = 0.0
     """How far the progress has come: for a moment the clock may still be that of the goal before."""
 
 
@@ -328,8 +327,13 @@ async def _show_progress(
     """Draw until the client has ended: a bar and the joints on a terminal, a line a second elsewhere."""
     names = [joint.name for joint in arm.joints]
 
+    shown_s = 0.0
+
     def moment() -> Moment:
-        return Moment.of(goals, played, tracker.latest, names)
+        nonlocal shown_s
+        now = Moment.of(goals, played, tracker.latest, names, shown_s)
+        shown_s = now.elapsed_s
+        return now
 
     if reporter.console.is_terminal:
         with Live(moment().drawn(), console=reporter.console, auto_refresh=False, transient=True) as live:
@@ -370,16 +374,18 @@ class Moment:
     error_rad: np.ndarray
 
     @classmethod
-    def of(cls, goals: Sequence[Goal], played: Played, snapshot: np.ndarray, names: Sequence[str]) -> Moment:
-        """From the client's report so far and the newest snapshot."""
+    def of(
+        cls, goals: Sequence[Goal], played: Played, snapshot: np.ndarray, names: Sequence[str], least_s: float
+    ) -> Moment:
+        """From the client's report so far and the newest snapshot; `least_s` of the way has been shown already."""
         done_s = sum(result["planned_s"] for result in played.results)
         now = next((goal for goal in goals if goal.name == played.playing), None)
         clock_s = float(snapshot["trajectory_clock_ns"]) * 1e-9 if now and int(snapshot["goal_id"]) else 0.0
         joints = snapshot["joints"][: len(names)]
-        played.shown_s = max(played.shown_s, done_s + (min(max(clock_s, 0.0), now.planned_s) if now else 0.0))
+        on_the_way_s = min(max(clock_s, 0.0), now.planned_s) if now else 0.0
         return cls(
             goal=played.playing or ("done" if len(played.results) == len(goals) else "waiting"),
-            elapsed_s=played.shown_s,
+            elapsed_s=max(least_s, done_s + on_the_way_s),
             total_s=sum(goal.planned_s for goal in goals),
             names=names,
             position_rad=joints["measured_position_rad"],

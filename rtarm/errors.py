@@ -37,7 +37,7 @@ def exit_code_table() -> str:
 
 
 class Refusal(Exception):
-    """What was asked for was refused, or not possible; nothing has moved.
+    """What was asked for was refused, or not possible; only where the sentence says so has anything moved.
 
     Attributes:
         sentence: what is wrong, what is allowed, and what to do, for a person.
@@ -64,7 +64,10 @@ class Refusal(Exception):
 
 
 class GoalFailed(Refusal):
-    """A goal that the arm was given did not succeed; where it had begun, the arm has stopped on its path."""
+    """A goal that the arm was given did not succeed; where it had begun, the arm has stopped on its path.
+
+    `joint`, `value` and `limit` are there where the control process decided by them, such as a path tolerance.
+    """
 
     def __init__(
         self, sentence: str, *, joint: str | None = None, value: float | None = None, limit: float | None = None

@@ -7,6 +7,7 @@ before the command ends.
 from __future__ import annotations
 
 import math
+import time
 from typing import Any
 
 import numpy as np
@@ -106,29 +107,54 @@ def slow_move(
 
 
 def run(connection: Connection, sender: Sender, goal: dict[str, Any]) -> str:
-    """Send a goal and wait for its end: the sentence of its success. A signal cancels it, and the arm stands then.
+    """Send a goal and wait for its end: the sentence of its success.
 
     Raises:
-        GoalFailed: it did not succeed.
-        Refusal: nothing is known of its end.
-        Interrupted, KeyboardInterrupt: a signal came.
+        GoalFailed: it did not succeed, or nobody will say how it ended and it was cancelled.
+        Interrupted, KeyboardInterrupt: a signal came; the goal was cancelled and the arm stands.
+        Refusal: the arm still moves after that.
     """
+    sent_ns = time.monotonic_ns()
     try:
         outcome = follow(connection, sender, sender.send(goal), SILENT)
         assert outcome is not None
     except (Interrupted, KeyboardInterrupt):
         with undisturbed():
-            sender.cancel()
-            connection.wait(
-                stands,
-                connection.patience.person_s,
-                f"Arm {connection.arm} still moves {connection.patience.person_s:.1f} s after its goal was "
-                "cancelled: use the emergency stop, then look at `rtarm status`.",
-            )
+            _cancel(connection, sender)
         raise
+    except Refusal as unknown:
+        _cancel(connection, sender)
+        raise GoalFailed(unknown.sentence) from None
     if not outcome.succeeded:
-        raise GoalFailed(outcome.sentence)
+        raise GoalFailed(outcome.sentence, **_what_decided(connection, sent_ns))
     return outcome.sentence
+
+
+def _cancel(connection: Connection, sender: Sender) -> None:
+    """End the goal that runs, also where the process that sent it is gone or hangs, and wait until the arm stands."""
+    sender.cancel()
+    connection.writer.cancel_all()
+    connection.wait(
+        stands,
+        connection.patience.person_s,
+        f"Arm {connection.arm} still moves {connection.patience.person_s:.1f} s after its goal was cancelled: use "
+        "the emergency stop, then look at `rtarm status`.",
+    )
+
+
+def _what_decided(connection: Connection, since_ns: int) -> dict[str, Any]:
+    """Joint, value and limit that the control process' newest decision is about; none that is older, or of the front.
+
+    `since_ns` as CLOCK_MONOTONIC counts.
+    """
+    results = connection.snapshot()["results"]
+    newest = results[int(np.argmax(results["monotonic_ns"]))]
+    if int(newest["monotonic_ns"]) < since_ns or int(newest["joint"]) < 0:
+        return {}
+    joint = connection.joints[int(newest["joint"])]
+    if not newest["limit"]:  # it is about the joint alone, such as one whose angle is not known
+        return {"joint": joint}
+    return {"joint": joint, "value": float(newest["value"]), "limit": float(newest["limit"])}
 
 
 def _stands_at_rad(connection: Connection) -> np.ndarray:

@@ -15,7 +15,7 @@ from rtarm.interrupt import signals_to
 from rtarm.status import MOVING_MODES, STOPPED_BY_A_PERSON
 from shm import files
 from shm.client import CommandWriter, StateReader, find
-from shm.errors import NotRunning
+from shm.errors import NotRunning, TornRead
 from shm.sentences import (
     answer_sentence,
     latched_sentence,
@@ -46,8 +46,20 @@ class Connection:
         self._writer = writer
 
     def snapshot(self) -> np.ndarray:
-        """The newest snapshot."""
-        return self._reader.snapshot()
+        """The newest snapshot.
+
+        Raises:
+            NotRunning: the control process ended amid writing one.
+            TornRead: it has hung amid writing one.
+        """
+        deadline = time.monotonic() + ANSWER_PATIENCE_S
+        while True:
+            try:
+                return self._reader.snapshot()
+            except TornRead:
+                self.check_running()
+                if time.monotonic() > deadline:
+                    raise
 
     @property
     def writer(self) -> CommandWriter:
@@ -147,20 +159,19 @@ class Connection:
         """
         deadline = time.monotonic() + patience_s
         while not condition(snapshot := self.snapshot()):
-            self.check_running(snapshot)
+            self.check_running()
             if time.monotonic() > deadline:
                 raise Refusal(too_long)
             time.sleep(POLL_S)
         return snapshot
 
-    def check_running(self, snapshot: np.ndarray) -> None:
-        """Raise NotRunning where the control process, of which `snapshot` is the newest, has ended."""
+    def check_running(self) -> None:
+        """Raise NotRunning where the control process has ended."""
         if files.is_held(self._reader.memory.fd):
             return
-        homes = int(snapshot["mode"]) == Mode.REFERENCING
-        fate = "a drive amid its homing run goes on" if homes else "the drives have braked by themselves"
         raise NotRunning(
-            f"The control process of arm '{self.arm}' ended meanwhile; {fate}: start it again with "
+            f"The control process of arm '{self.arm}' ended meanwhile; the drives have braked by themselves, but one "
+            f"amid its homing run goes on: start it again with "
             f"{files.start_again(self._reader.memory.record['header'])}."
         )
 

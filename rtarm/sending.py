@@ -215,7 +215,7 @@ def follow(connection: Connection, sender: Sender, number: int, silent: str, *, 
     quiet_since_s = time.monotonic()
     while (ended := sender.ended(number, LOOK_S)) is None:
         now = connection.snapshot()
-        connection.check_running(now)
+        connection.check_running()
         if int(now["goal_id"]):
             if begun:
                 return None

@@ -47,10 +47,10 @@ def fits(goal: Goal, arm: ArmConfig) -> bool:
 def made_for(arm: ArmConfig, folder: Path) -> list[Goal]:
     """Four goals, each of which starts where the one before ended: a little, one joint, far, and back."""
     start_rad, way_rad = start_and_way(arm)
-    alone_rad = np.where(np.arange(len(way_rad)) == 0, way_rad, 0.0)
+    a_little_rad = start_rad + SMALL * way_rad
     places = {
-        "small": start_rad + SMALL * way_rad,
-        "single_joint": start_rad + SMALL * way_rad + (1.0 - SMALL) * alone_rad,
+        "small": a_little_rad,
+        "single_joint": np.append(start_rad[0] + way_rad[0], a_little_rad[1:]),
         "large": start_rad + way_rad,
         "large_back": start_rad,
     }

@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from config.yaml_text import LIBYAML, is_flat
 from rtarm.errors import Refusal
 from rtarm.limits import Limits
 from rtarm.status import is_path
@@ -25,8 +26,7 @@ MOST_POINTS = 200_000
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 SUFFIX = ".yaml"
 DEEPEST = 5
-LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""libyaml's where it is there, which is ten times as fast."""
+LOADER = LIBYAML or yaml.SafeLoader
 
 LEAST_STEP_S = 1e-4
 """Between two points."""
@@ -205,7 +205,7 @@ def _values(path: Path) -> Any:
         raise _no_motion(path, f"it has more than {LONGEST_FILE_BYTES} bytes")
     try:
         text = data.decode()
-        if not _is_flat(text):
+        if not is_flat(text, LOADER, DEEPEST, aliases=False):
             raise _no_motion(path, "it is nested too deep, or refers to itself")
         return yaml.load(text, Loader=LOADER)
     except UnicodeDecodeError:
@@ -215,16 +215,6 @@ def _values(path: Path) -> Any:
         raise _no_motion(path, f"it is no YAML{line}, or it was cut off") from None
     except (yaml.YAMLError, ValueError):
         raise _no_motion(path, "it is no YAML") from None
-
-
-def _is_flat(text: str) -> bool:
-    """Whether YAML is nested no deeper than a motion is; of a deep one libyaml's loader would die."""
-    depth = 0
-    for event in yaml.parse(text, Loader=LOADER):
-        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > DEEPEST or isinstance(event, yaml.AliasEvent):
-            return False
-    return True
 
 
 def _document(path: Path, values: Any) -> _Document:

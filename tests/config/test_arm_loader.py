@@ -424,9 +424,17 @@ def test_a_file_is_read_alike_with_libyaml_and_without(data: st.DataObject) -> N
     end = data.draw(st.integers(start, min(len(text), start + 30)), label="end")
     pieces = ["- ", "\n  ", "? ", ": ", " #", "---\n", "...\n", "%YAML 1.1\n", "!!str ", "&a ", "*a", "<<: "]
     put = data.draw(
-        st.lists(st.sampled_from([*"abz019-+.:,{}[]()&*!|>'\"#%@`~?<=\n\t \r\\é\ufeff\x85", *pieces]), max_size=8)
+        st.lists(st.sampled_from([*"abz019-+.:,{}[]()&*!|>'\"#%@`~?<=\n\t \r\\é\ufeff\x85\u2028", *pieces]), max_size=8)
     )
-    text = text[:start] + "".join(put) + text[end:]
+    assert_read_alike(text[:start] + "".join(put) + text[end:])
+
+
+@pytest.mark.parametrize("text", ["#null.inf\u2028\ufeff😀:", " #\x85a中\t", "a: 1 # b\u2028c: 2\n"])
+def test_a_line_that_ends_as_only_unicode_has_it_is_read_alike(text: str) -> None:
+    assert_read_alike(text)
+
+
+def assert_read_alike(text: str) -> None:
     with pytest.MonkeyPatch.context() as patch:
         fast = read_or_refused(text)
         patch.setattr(yaml_text, "LIBYAML", None)

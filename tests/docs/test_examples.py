@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import re
@@ -9,15 +10,17 @@ import signal
 import struct
 import subprocess
 import sys
-import time
+import termios
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pages import sections
 from stack import ROOT, Stack
+from waiting import until
 
 import rtarm
 
@@ -90,15 +93,13 @@ def test_gamepad(stack: Stack, arm: rtarm.Arm, tmp_path: Path) -> None:
     try:
         happens(32767, 2, 0)  # a stick alone moves nothing
         assert process.stdout is not None and "use the sticks" in process.stdout.readline()
-        time.sleep(0.5)
-        assert arm.state().commanded_rad == pytest.approx(np.zeros(6), abs=1e-3)
+        until(lambda: not unread(hand), "the stick's event read", PATIENCE_S)
+        for state in islice(arm.states(), 60):
+            assert state.commanded_rad == pytest.approx(np.zeros(6), abs=1e-3)
         happens(1, 1, 4)
-        deadline_s = time.monotonic() + PATIENCE_S
-        while arm.state().position_rad[0] < 0.05:
-            assert time.monotonic() < deadline_s
+        until(lambda: arm.state().position_rad[0] > 0.05, "the arm on its way", PATIENCE_S)
         happens(0, 1, 4)  # the button is let go: the arm stops by itself
-        while arm.state().moves:
-            assert time.monotonic() < deadline_s
+        until(lambda: not arm.state().moves, "the arm at rest", PATIENCE_S)
         assert arm.state().position_rad[1:] == pytest.approx(np.zeros(5), abs=0.01)
         assert arm.state().fault == ""
         process.send_signal(signal.SIGINT)
@@ -109,6 +110,11 @@ def test_gamepad(stack: Stack, arm: rtarm.Arm, tmp_path: Path) -> None:
         os.close(hand)
         assert process.stdout is not None
         process.stdout.close()
+
+
+def unread(pipe: int) -> int:
+    """How many bytes of a pipe nobody has read yet."""
+    return int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), sys.byteorder)
 
 
 def test_first_steps(stack: Stack, arm: rtarm.Arm) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,9 +16,10 @@ from written_arm import WrittenArm
 
 from rtarm import moves
 from rtarm.arm_file import arm_file as file_of
-from rtarm.errors import ExitCode, Refusal
+from rtarm.errors import ExitCode, GoalFailed, Refusal
 from rtarm.requests import connect
 from rtarm.sending import Outcome, Sender
+from shm import words as state
 from shm.words import Fault, Mode
 
 LIMITS = limits()
@@ -89,6 +91,33 @@ def test_the_arm_goes_exactly_to_where_a_motion_begins(standing: WrittenArm, awa
         points = goal["trajectory"]["points"]
         assert points[0]["positions"] == [0.1, -0.2] and points[-1]["positions"] == pytest.approx(there)
         assert np.abs([point["velocities"] for point in points]).max() <= 0.25
+
+
+@pytest.mark.parametrize(
+    ("decided_s", "joint", "limit_rad", "told"),
+    [
+        (1, 1, 0.1, ("elbow", 0.3, 0.1)),
+        (1, 1, 0.0, ("elbow", None, None)),
+        (1, -1, 0.1, (None, None, None)),
+        (-1, 1, 0.1, (None, None, None)),
+    ],
+)
+def test_a_failure_tells_what_the_control_process_decided_by(
+    standing: WrittenArm, decided_s: int, joint: int, limit_rad: float, told: tuple[str | float | None, ...]
+) -> None:
+    """Unless that is about no joint, or was decided before."""
+
+    class Deciding(Answering):
+        def send(self, goal: dict[str, Any]) -> int:
+            decided_ns = time.monotonic_ns() + decided_s * 10**9
+            standing.snapshot["results"][3] = 4, state.Outcome.PATH_TOLERANCE, joint, 0.3, limit_rad, decided_ns
+            standing.publish()
+            return super().send(goal)
+
+    action = Deciding(Outcome(False, -4, "elbow lags."))
+    with connect(standing.name) as connection, pytest.raises(GoalFailed, match="elbow lags") as failed:
+        moves.run(connection, cast(Sender, action), {})
+    assert (failed.value.joint, failed.value.value, failed.value.limit) == told
 
 
 def test_a_goal_that_fails_ends_it_with_its_sentence(standing: WrittenArm) -> None:
