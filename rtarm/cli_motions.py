@@ -72,6 +72,23 @@ def move(
 
 
 @motions_app.command()
+def jog(
+    speed: Annotated[float, typer.Option(metavar="SHARE", help="Of the joints' limits, above 0 to 1.")] = 0.3,
+    arm: Arm = None,
+) -> None:
+    """Move joints step by step with the keys of this terminal: one key, one step, which ends by itself.
+
+    Nothing sees what is in the arm's way. q ends; Ctrl-C stops a step on its path and ends.
+
+    Example: [bold]rtarm jog --speed 0.1[/bold]
+    """
+    with sentences():
+        from rtarm.jog import jog as run
+
+        run(arm, speed, typer.echo)
+
+
+@motions_app.command()
 def teach(
     name: Name,
     arm: Arm = None,

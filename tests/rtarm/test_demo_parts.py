@@ -274,8 +274,12 @@ def test_progress_in_a_line_and_as_a_bar(arm: WrittenArm) -> None:
     arm.snapshot["goal_id"], arm.snapshot["trajectory_clock_ns"] = 1, 0.25e9
     arm.rows["measured_position_rad"] = (math.radians(10.0), 0.0)
     arm.rows["reference_position_rad"] = (math.radians(10.5), 0.0)
-    moment = demo.Moment.of(tour(), demo.Played(playing="small"), arm.snapshot, JOINTS)
-    assert moment.elapsed_s == 0.25
+
+    def moment_after(least_s: float) -> demo.Moment:
+        return demo.Moment.of(tour(), demo.Played(playing="small"), arm.snapshot, JOINTS, least_s)
+
+    moment = moment_after(0.0)
+    assert moment.elapsed_s == 0.25 and moment_after(1.5).elapsed_s == 1.5
     assert moment.line() == "small: 0.2 of 8.9 s, joints at 10.0 0.0 °, largest error 0.500°"
     out = io.StringIO()
     Console(file=out, width=80).print(moment.drawn())
