@@ -1,12 +1,7 @@
 """What an arm is: the schema, the YAML arm files, and every figure that follows from them.
 
-This package imports nothing else of rtarm. `load_arm` is the one way from a name or a file to a
-validated, frozen `ArmConfig`; `check_budget` then says whether the bus can carry it.
+This package imports nothing else of rtarm. `loader.load_arm` is the one way from a name or a file to
+a validated, frozen `schema.ArmConfig`; `budget.check_budget` then says whether the bus can carry it.
+
+Nothing is imported here: who needs a figure of `stopping` does not wait for the schema.
 """
-
-from config.budget import check_budget
-from config.errors import ConfigError
-from config.loader import arm_hash, known_arms, load_arm
-from config.schema import ArmConfig
-
-__all__ = ["ArmConfig", "ConfigError", "arm_hash", "check_budget", "known_arms", "load_arm"]

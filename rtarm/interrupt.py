@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import select
 import signal
@@ -97,6 +96,8 @@ async def interruptible(
     Raises:
         Interrupted: a signal came, and the work has ended.
     """
+    import asyncio  # here, for the commands that need it not and are to be quick
+
     loop = asyncio.get_running_loop()
     task = asyncio.ensure_future(work)
     received: list[str] = []

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
 import stat
+import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import IntEnum
 from pathlib import Path
@@ -48,6 +50,11 @@ from rtarm.recording.mcap_format import (
 from shm import layout
 from shm.recording import EXTENDED, LENGTH_SHIFT, REMOTE, SENT, Recording, record_dtype
 from shm.words import Slowed
+
+RECORD = struct.Struct("<BQ")
+"""Of the MCAP specification: a record's opcode, and the length of what follows."""
+MESSAGE = struct.Struct("<HIQQ")
+"""Channel, sequence, log time and publish time, before the data of a message."""
 
 
 def read(path: Path, step: Step = lambda _: None) -> Loaded:
@@ -138,7 +145,7 @@ def _topics(file: IO[bytes]) -> dict[int, str]:
 def _whole_records(file: IO[bytes], damage: _Damage, step: Step) -> Iterator[Any]:
     """A file's records one by one, those of chunks too, and before each chunk None; what is spoilt is left out."""
     from mcap.records import Chunk, Footer
-    from mcap.stream_reader import StreamReader, breakup_chunk
+    from mcap.stream_reader import StreamReader
 
     size = max(os.fstat(file.fileno()).st_size, 1)
     file.seek(0)
@@ -159,11 +166,36 @@ def _whole_records(file: IO[bytes], damage: _Damage, step: Step) -> Iterator[Any
         step(file.tell() / size)
         yield None
         try:
-            inner = breakup_chunk(record, validate_crc=True)
+            inner = [*_inside(record)]
         except Exception:  # the same, and of decompression; the next chunk may be whole
             damage.spoilt += 1
             continue
         yield from inner
+
+
+def _inside(chunk: Any) -> Iterator[Any]:
+    """Channels and messages of a chunk.
+
+    `mcap.stream_reader.breakup_chunk` reads each field by itself, which takes four times as long.
+    """
+    from mcap.data_stream import ReadDataStream
+    from mcap.opcode import Opcode
+    from mcap.records import Channel, Message
+    from mcap.stream_reader import get_chunk_data_stream
+
+    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    data = stream.read(size)
+    at = 0
+    while at < size:
+        kind, length = RECORD.unpack_from(data, at)
+        begin, at = at + RECORD.size, at + RECORD.size + length
+        if at > size:
+            raise ValueError(f"a record of {length} bytes, beyond the end of its chunk")
+        if kind == Opcode.MESSAGE:
+            channel, sequence, log_ns, publish_ns = MESSAGE.unpack_from(data, begin)
+            yield Message(channel, log_ns, data[begin + MESSAGE.size : at], publish_ns, sequence)
+        elif kind == Opcode.CHANNEL:
+            yield Channel.read(ReadDataStream(io.BytesIO(data[begin:at])))
 
 
 def _head(records: Iterator[Any]) -> dict[str, dict[str, str]]:
@@ -180,15 +212,18 @@ def _head(records: Iterator[Any]) -> dict[str, dict[str, str]]:
 
 
 class _Table:
-    """Messages of a channel as an array, made of a batch at a time: as Python's objects all would take gigabytes."""
+    """Messages of a channel as an array, made of a batch at a time: as Python's objects all would take gigabytes.
+
+    A batch is one JSON text, which is read in half the time that its messages take one by one.
+    """
 
     def __init__(self, made: Callable[[list[dict[str, Any]]], np.ndarray]) -> None:
         self._made = made
-        self._pending: list[dict[str, Any]] = []
+        self._pending: list[bytes] = []
         self._parts: list[np.ndarray] = []
 
-    def add(self, row: dict[str, Any]) -> None:
-        self._pending.append(row)
+    def add(self, message: bytes) -> None:
+        self._pending.append(message)
         if len(self._pending) == BATCH:
             self._take()
 
@@ -197,7 +232,10 @@ class _Table:
         return np.concatenate(self._parts)
 
     def _take(self) -> None:
-        self._parts.append(self._made(self._pending))
+        rows = json.loads(b"[%b]" % b",".join(self._pending))
+        if len(rows) != len(self._pending):
+            raise ValueError("a message that is no JSON object")
+        self._parts.append(self._made(rows))
         self._pending = []
 
 
@@ -213,7 +251,7 @@ def _tables(records: Iterator[Any], topics: dict[int, str], joints: Sequence[str
         elif isinstance(record, Message):
             table = tables.get(topics.get(record.channel_id, ""))
             if table is not None:
-                table.add(json.loads(record.data))
+                table.add(record.data)
     return {topic: table.array() for topic, table in tables.items()}
 
 
@@ -353,13 +391,16 @@ def _histogram_of(values: dict[str, Any]) -> np.ndarray:
 
 def _frames_of(rows: list[dict[str, Any]]) -> np.ndarray:
     made = np.zeros(len(rows), layout.BUS_FRAME)
-    for frame, row in zip(made, rows, strict=True):
-        data = bytes.fromhex(row["data"])
-        if len(data) > 8:
-            raise ValueError(f"a frame of {len(data)} bytes")
-        marks = (SENT if row["sent"] else 0) | (EXTENDED if row["extended"] else 0)
-        marks |= REMOTE if row.get("remote") else 0  # files of before have none
-        frame["monotonic_ns"] = row["monotonic_ns"]
-        frame["head"] = row["id"] | len(data) << LENGTH_SHIFT | marks
-        frame["data"] = int.from_bytes(data.ljust(8, b"\0"), "little", signed=True)
+    data = [bytes.fromhex(row["data"]) for row in rows]
+    if (longest := max(map(len, data), default=0)) > 8:
+        raise ValueError(f"a frame of {longest} bytes")
+    made["monotonic_ns"] = [row["monotonic_ns"] for row in rows]
+    made["head"] = [_head_of(row, len(inside)) for row, inside in zip(rows, data, strict=True)]
+    made["data"] = np.frombuffer(b"".join(inside.ljust(8, b"\0") for inside in data), "<i8")
     return made
+
+
+def _head_of(row: dict[str, Any], length: int) -> int:
+    """The word of a frame that has all but its data and time; files of before have no `remote`."""
+    marks = (SENT if row["sent"] else 0) | (EXTENDED if row["extended"] else 0) | (REMOTE if row.get("remote") else 0)
+    return int(row["id"]) | length << LENGTH_SHIFT | marks

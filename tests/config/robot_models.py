@@ -14,9 +14,9 @@ import yaml
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from config import ArmConfig
 from config.geometry import KinematicsConfig
 from config.moveit import package_files
+from config.schema import ArmConfig
 
 Positions = NDArray[np.float64]
 

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from config import ConfigError, check_budget, load_arm
-from config.budget import Budget, budget, cycle_of, shown_rate
+from config.budget import Budget, budget, check_budget, cycle_of, shown_rate
 from config.bus import BusConfig
 from config.drives.zdt import ZdtDrive
+from config.errors import ConfigError
 from config.frames import CycleFrames, frame_bits, slcan_chars
+from config.loader import load_arm
 
 
 def zdt_cycle(

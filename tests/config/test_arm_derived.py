@@ -10,10 +10,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from config import ArmConfig, ConfigError, load_arm
 from config.check import render_check, render_errors
 from config.derived import acc_byte, braking_deceleration_rad_s2, derived_table, silence_acc_byte
-from config.loader import ARMS_FOLDER
+from config.errors import ConfigError
+from config.loader import ARMS_FOLDER, load_arm
 from config.ramp import (
     coast_rad,
     nearest_silence_byte,
@@ -23,6 +23,7 @@ from config.ramp import (
     smallest_acc_byte,
     stop_time_s,
 )
+from config.schema import ArmConfig
 
 
 def test_ramps_of_the_manual() -> None:

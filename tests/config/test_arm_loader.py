@@ -10,9 +10,11 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from config import ArmConfig, ConfigError, arm_hash, known_arms, load_arm, yaml_text
+from config import yaml_text
+from config.errors import ConfigError
 from config.joint import FAMILIES
-from config.loader import ABSENT, ARMS_FOLDER, differences, parse_overrides
+from config.loader import ABSENT, ARMS_FOLDER, arm_hash, differences, known_arms, load_arm, parse_overrides
+from config.schema import ArmConfig
 
 EPISODE1 = (ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8")
 

@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
-from config import load_arm
 from config.bus import SERIAL_BAUDS, BusConfig
 from config.drives.mock import MockDrive
 from config.drives.zdt import ZdtDrive
 from config.errors import ConfigError
 from config.geometry import DhRow, KinematicsConfig
 from config.joint import JointConfig
+from config.loader import load_arm
 from config.schema import (
     ArmConfig,
     ControlConfig,

@@ -12,10 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from robot_models import Pinocchio, Positions, arm_of, arms, files_of, geometry
 
-from config import ArmConfig, load_arm
 from config.kinematics import link_poses
+from config.loader import load_arm
 from config.moveit.collisions import home_rad, unchecked_pairs
 from config.moveit.shapes import distances_m, link_shapes, segment_distances_m
+from config.schema import ArmConfig
 
 Pairs = set[frozenset[str]]
 

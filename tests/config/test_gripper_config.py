@@ -9,10 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from config import ArmConfig, ConfigError, check_budget, load_arm
-from config.budget import budget
+from config.budget import budget, check_budget
+from config.errors import ConfigError
 from config.frames import frame_bits
+from config.loader import load_arm
 from config.ramp import ramp_rpm_s
+from config.schema import ArmConfig
 
 SERVO = {"hook": "servo", "servo": {"address": 7}}
 

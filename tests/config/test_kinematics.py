@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from robot_models import Pinocchio, Positions, arm_of, arms, geometry
 
-from config import ArmConfig, load_arm
 from config.geometry import KinematicsConfig
 from config.kinematics import flange_pose, joint_origins, link_poses, matrix, tip_link
+from config.loader import load_arm
+from config.schema import ArmConfig
 
 # Facts of the Episode1 arm: joint angles in degrees, flange in mm.
 FLANGE = [

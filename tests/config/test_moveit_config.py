@@ -14,10 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from robot_models import arm_of, arms, content, files_of, geometry, robot_model
 
-from config import ArmConfig, load_arm
 from config.kinematics import tip_link
+from config.loader import load_arm
 from config.moveit.parameters import moveit_controllers
 from config.moveit.text import floored, number
+from config.schema import ArmConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 JOINTS = [f"joint{number}" for number in range(1, 7)]

@@ -10,9 +10,11 @@ from typing import Any
 
 import pytest
 
-from config import ArmConfig, ConfigError, load_arm
+from config.errors import ConfigError
 from config.geometry import KinematicsConfig
+from config.loader import load_arm
 from config.moveit import package_files, write_package, writer
+from config.schema import ArmConfig
 
 Edit = Callable[[Path], None]
 

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 import yaml
 
-from config import ConfigError, check_budget, load_arm
-from config.budget import budget
-from config.loader import ARMS_FOLDER
+from config.budget import budget, check_budget
+from config.errors import ConfigError
+from config.loader import ARMS_FOLDER, load_arm
 from config.serial_adapters import SERIAL_ADAPTERS, at_bytes, seeed_bytes
 
 

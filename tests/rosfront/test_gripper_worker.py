@@ -18,8 +18,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from waiting import until
 
-from config import ConfigError, load_arm
+from config.errors import ConfigError
 from config.gripper import GripperConfig
+from config.loader import load_arm
 from motion.gripping import Grip
 from rosfront.gripper import servo as servo_module
 from rosfront.gripper import worker as worker_module

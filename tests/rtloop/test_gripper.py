@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
 
-from config import load_arm
 from config.budget import budget
+from config.loader import load_arm
 from motion.gripping import Grip, GripJudge, stall_ns
 from rtloop.conversation import Conversation
 from rtloop.drives import zdt_registers as registers
