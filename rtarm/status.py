@@ -52,19 +52,19 @@ POLICIES = {0: "other", 1: "fifo", 2: "rr"}
 
 
 def resolve_arm(argument: str | None) -> str:
-    """Name of the arm meant: a name, the path of an arm file, or None for the only one that runs.
+    """Name of the arm meant: a name, the path of an arm file, or None for the only one that runs or has died.
 
     Raises:
-        Refusal: none or several run, or the argument can be no arm's name.
+        Refusal: there is none, there are several, or the argument can be no arm's name.
         ConfigError: the arm file cannot be read.
     """
     if argument is None:
-        running = files.running_arms()
-        if not running:
+        arms = files.running_arms() or [arm for arm in files.arms_left_behind() if files.died_with(arm)]
+        if not arms:
             raise Refusal("No arm is running here: start one with `rtarm up ARM`, or try `rtarm demo`.")
-        if len(running) > 1:
-            raise Refusal(f"Several arms are running ({', '.join(running)}): name the one you mean.")
-        return running[0]
+        if len(arms) > 1:
+            raise Refusal(f"There are several arms ({', '.join(arms)}): name the one you mean.")
+        return arms[0]
     if is_path(argument):
         from config.loader import load_arm
 

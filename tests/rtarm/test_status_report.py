@@ -234,11 +234,23 @@ def test_without_a_name_the_only_running_arm_is_meant(arm: WrittenArm, monkeypat
     monkeypatch.setattr(status.files, "running_arms", lambda: [arm.name])
     assert status.resolve_arm(None) == arm.name
     monkeypatch.setattr(status.files, "running_arms", lambda: [])
+    monkeypatch.setattr(status.files, "arms_left_behind", lambda: [arm.name])  # it lives, so it has not died
     with pytest.raises(Refusal, match="No arm is running here: start one"):
         status.resolve_arm(None)
     monkeypatch.setattr(status.files, "running_arms", lambda: ["left", "right"])
-    with pytest.raises(Refusal, match=r"Several arms are running \(left, right\): name the one"):
+    with pytest.raises(Refusal, match=r"There are several arms \(left, right\): name the one"):
         status.resolve_arm(None)
+
+
+def test_without_a_name_an_arm_that_has_died_is_told_of(
+    arm: WrittenArm, rtarm: Rtarm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(status.files, "running_arms", lambda: [])
+    monkeypatch.setattr(status.files, "arms_left_behind", lambda: [arm.name])
+    monkeypatch.setattr(status.files, "is_held", lambda _: False)
+    result = rtarm("status")
+    assert result.exit_code == 1
+    assert f"The control process of arm '{arm.name}'" in result.stderr and "is gone without an orderly" in result.stderr
 
 
 def test_an_arm_file_names_its_arm(arm_file: object, arm_name: str) -> None:
