@@ -15,8 +15,8 @@ import pytest
 from can.interfaces.slcan import slcanBus
 
 from config.loader import load_arm
-from rtloop.beginning import new_loop
 from rtloop.drives import zdt
+from rtloop.process.beginning import new_loop
 from rtloop.wire import slcan
 from shm.jit import jit
 

@@ -24,8 +24,8 @@ from config.budget import check_budget
 from config.loader import ARMS_FOLDER, load_arm
 from config.schema import ArmConfig
 from rtloop.cycle import step
-from rtloop.phases import running_goal
-from rtloop.run import monotonic_ns, record
+from rtloop.process.run import monotonic_ns, record
+from rtloop.trajectory.phases import running_goal
 from shm.atomics import store_relaxed
 from shm.errors import RingFull
 from shm.histogram import upper_ns

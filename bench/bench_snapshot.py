@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from virtual import VirtualArm
 
-from rtloop.state import offset_of
+from rtloop.memory.state import offset_of
 from shm import layout
 from shm.jit import jit
 from shm.seqlock import read

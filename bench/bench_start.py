@@ -34,14 +34,15 @@ import os, signal, sys, time
 marks = {"interpreter": time.monotonic_ns()}
 def mark(what):
     marks[what] = time.monotonic_ns()
-import rtloop.__main__ as program
+import rtloop.__main__
+from rtloop.process import program
 mark("imports")
 """
 """What follows is the program's own way (`rtloop.__main__.main`), with a look at the clock in between."""
 PROBE += """
 import json
 from config.loader import load_arm
-from rtloop import compiled, process
+from rtloop.process import compiled, control_process
 from shm import cache
 from shm.client import StateReader
 from shm.files import open_state
@@ -51,7 +52,7 @@ cache.key()
 mark("hash of sources")
 cycle = compiled.load()
 mark("compiled cycle")
-control = process.ControlProcess(arm, cycle, program.tell, process.StopAsked([signal.SIGTERM]))
+control = control_process.ControlProcess(arm, cycle, program.tell, control_process.StopAsked([signal.SIGTERM]))
 mark("memory files, wire, locking")
 def ready():
     now_ns = time.monotonic_ns()

@@ -10,11 +10,11 @@ from live import NS, LiveStack
 
 from config.loader import load_arm
 from config.schema import RealtimeConfig
-from rtloop import realtime
-from rtloop.beginning import new_loop
-from rtloop.libc import CLOCK_MONOTONIC, TIMER_ABSTIME, clock_nanosleep
-from rtloop.run import monotonic_ns
-from rtloop.state import offset_of
+from rtloop.memory.state import offset_of
+from rtloop.process.beginning import new_loop
+from rtloop.process.run import monotonic_ns
+from rtloop.system import realtime
+from rtloop.system.libc import CLOCK_MONOTONIC, TIMER_ABSTIME, clock_nanosleep
 from shm import layout, seqlock
 from shm.atomics import load_acquire, store_relaxed
 from shm.jit import jit

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from rtloop import realtime
-from rtloop.libc import CLOCK_MONOTONIC, TIMER_ABSTIME, clock_nanosleep
-from rtloop.run import monotonic_ns
-from rtloop.state import offset_of
+from rtloop.memory.state import offset_of
+from rtloop.process.run import monotonic_ns
+from rtloop.system import realtime
+from rtloop.system.libc import CLOCK_MONOTONIC, TIMER_ABSTIME, clock_nanosleep
 from shm import layout
 from shm.atomics import load_relaxed, store_relaxed
 from shm.jit import jit

@@ -1,6 +1,6 @@
 """`rtarm drives`: the settings of an arm's drives beside those the arm file names, and writing them when told.
 
-A control process of its own reads them (`python -m rtloop.settings`): nothing else opens the bus.
+A control process of its own reads them (`python -m rtloop.offline.settings`): nothing else opens the bus.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ def run(
         raise Refusal(f"Arm {arm.name} has mock drives and no bus, so there are no settings to read.")
     if not zdt_joints(arm):
         raise Refusal(f"Arm {arm.name} has no ZDT drive, and only their settings are known here: {not_read(arm)}")
-    with offline_process("rtloop.settings", argument, overrides) as process:
+    with offline_process("rtloop.offline.settings", argument, overrides) as process:
         report = process.answer("ready")
         if not write or not plan(report):
             show(report)

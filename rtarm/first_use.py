@@ -20,7 +20,7 @@ def cycle_compiled_beside() -> Iterator[None]:
 
     What goes wrong with it the control process says, which compiles it when it finds none.
     """
-    from rtloop import compiled
+    from rtloop.process import compiled
 
     if compiled.path().exists():
         yield

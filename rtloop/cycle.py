@@ -2,23 +2,27 @@
 
 `step(loop, shared, now_ns)` is one cycle as a function of its inputs: the state, the time and what the wire
 brought (in the state's receive ring); its output stands in the state's transmit buffer. It sleeps for
-nothing, asks the system for nothing and allocates nothing. `rtloop.run` calls it in real time, tests in
+nothing, asks the system for nothing and allocates nothing. `rtloop.process.run` calls it in real time, tests in
 virtual time.
 """
 
 from typing import Any
 
-from rtloop import commands, frames, goals, guard, intake, measured, orders, setpoints
-from rtloop.correction import ERROR_SHARE_1_S
-from rtloop.events import record_event
-from rtloop.phases import runs
+from rtloop import setpoints
+from rtloop.bus import frames, measured
+from rtloop.commands import intake, orders, people
+from rtloop.memory.events import record_event
+from rtloop.memory.state import HISTORY_SLOTS
+from rtloop.safety import guard
 from rtloop.show import show
-from rtloop.state import HISTORY_SLOTS
+from rtloop.trajectory import goals
+from rtloop.trajectory.correction import ERROR_SHARE_1_S
+from rtloop.trajectory.phases import runs
 from shm.jit import jit
 from shm.layout import MAX_JOINTS
 from shm.words import Event, Outcome
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 GAP_NS = 100_000_000
@@ -32,7 +36,7 @@ def step(loop: Loop, shared: Shared, now_ns: int) -> int:
     measured.take_what_the_bus_brought(loop, shared)
     orders.take_service_orders(loop, shared)
     intake.hear_the_front(loop)
-    commands.obey_commands(loop, shared)
+    people.obey_commands(loop, shared)
     intake.take_requests(loop, shared)
     intake.take_setpoints(loop, shared)
     guard.check_measured(loop, shared)
@@ -83,7 +87,7 @@ def stand_where_the_drives_stopped(loop: Loop, shared: Shared, gap_ns: int) -> N
     """After a gap longer than the drives' look-ahead: the goal is over, the arm is where it came to rest."""
     core = loop.core
     record_event(loop, shared, Event.OVERRUN, -1, gap_ns, gap_ns * 1e-9, GAP_NS * 1e-9)
-    commands.raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)  # what waited meanwhile moves nothing
+    people.raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)  # what waited meanwhile moves nothing
     if not runs(loop) and core.own_brake == 0:
         return
     goals.finish_running(loop, shared, Outcome.CLOCK_GAP, -1, gap_ns * 1e-9, GAP_NS * 1e-9)

@@ -3,18 +3,19 @@
 import math
 from typing import Any
 
-from rtloop import guard
-from rtloop.clock import advance_clock, along
-from rtloop.faults import path_is_trusted
-from rtloop.modes import is_limp
-from rtloop.orders import adopt
-from rtloop.path import find_knot, sample
-from rtloop.phases import runs
-from rtloop.state import FAMILY_MOCK
+from rtloop.commands.orders import adopt
+from rtloop.memory.modes import is_limp
+from rtloop.memory.state import FAMILY_MOCK
+from rtloop.safety import guard
+from rtloop.safety.faults import path_is_trusted
+from rtloop.trajectory.clock import advance_clock, along
+from rtloop.trajectory.limits import hardest_rad_s2
+from rtloop.trajectory.path import find_knot, sample
+from rtloop.trajectory.phases import runs
 from shm.jit import jit
 from shm.words import Unreferenced
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 STILL_SHARE = 0.002
@@ -117,7 +118,7 @@ def brake_each_joint(loop: Loop) -> None:
         braking = loop.params.braking_factor * row.max_acceleration_rad_s2
         stop = axis.position_rad + guard.way_to_rest(v, braking, period_s)
         if stop > row.upper_rad + row.slack_rad or stop < row.lower_rad - row.slack_rad:
-            braking = guard.hardest_rad_s2(loop, joint)
+            braking = hardest_rad_s2(loop, joint)
         most = braking * period_s
         slower = 0.0 if abs(v) <= most else v - math.copysign(most, v)
         axis.next_position_rad = axis.position_rad + slower * period_s

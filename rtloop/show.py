@@ -3,15 +3,15 @@
 import math
 from typing import Any
 
-from rtloop.path import end_s
-from rtloop.phases import incoming, running_goal, runs
-from rtloop.recorder import record_cycle
-from rtloop.state import LOOP, offset_of
+from rtloop.memory.recorder import record_cycle
+from rtloop.memory.state import LOOP, offset_of
+from rtloop.trajectory.path import end_s
+from rtloop.trajectory.phases import incoming, running_goal, runs
 from shm import layout
 from shm.jit import jit
 from shm.seqlock import crc32_at, publish
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 _SNAPSHOT = offset_of(LOOP, "snapshot")

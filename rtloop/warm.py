@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import llvmlite.binding as llvm
 
-from rtloop import compiled
+from rtloop.process import compiled
 from shm import cache
 
 KEPT_S = 24 * 3600.0
@@ -22,13 +22,13 @@ CODE_OPTIMISATION = 3
 
 
 def compile_object() -> bytes:
-    """Compile `rtloop.entries` and all it calls into one object file; raises NotLoadable when it wants too much.
+    """Compile `process.entries` and all it calls into one object file; raises NotLoadable when it wants too much.
 
-    Only in a process that has not imported them: see `rtloop.lowered`.
+    Only in a process that has not imported them: see `rtloop.process.lowered`.
     """
     from numba.core.registry import cpu_target
 
-    from rtloop.lowered import lower
+    from rtloop.process.lowered import lower
 
     module = lower()
     triple, processor, features = cpu_target.target_context.codegen().magic_tuple()

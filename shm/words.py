@@ -8,7 +8,7 @@ from enum import IntEnum, IntFlag
 
 
 class Mode(IntEnum):
-    """What the control process is doing; allowed changes stand in `rtloop.modes`."""
+    """What the control process is doing; allowed changes stand in `rtloop.memory.modes`."""
 
     OFFLINE = 0
     BRINGING_UP = 1
@@ -22,7 +22,7 @@ class Mode(IntEnum):
 
 
 class Phase(IntEnum):
-    """Where a goal stands; allowed changes stand in `rtloop.phases`."""
+    """Where a goal stands; allowed changes stand in `rtloop.trajectory.phases`."""
 
     NONE = 0
     WAITING = 1  # its points come, its start lies ahead, or the arm stops to make way for it

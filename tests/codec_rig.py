@@ -18,12 +18,12 @@ import yaml
 
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop import status
-from rtloop.beginning import new_loop
-from rtloop.measured import take_frame
-from rtloop.port import Frame
-from rtloop.power import Marks
-from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
+from rtloop.bus.measured import take_frame
+from rtloop.drives.power import Marks
+from rtloop.memory import status
+from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
+from rtloop.process.beginning import new_loop
+from rtloop.service.port import Frame
 from shm import layout
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -158,7 +158,7 @@ class Rig:
 
 
 def status_of(names: Iterable[str]) -> int:
-    """Status bits by their names in `rtloop.status`; a drive that has told its status has answered."""
+    """Status bits by their names in `rtloop.memory.status`; a drive that has told its status has answered."""
     found = status.ANSWERED
     for name in names:
         found |= getattr(status, name.upper())

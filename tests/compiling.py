@@ -10,7 +10,7 @@ from pathlib import Path
 
 from numba import cfunc
 
-from rtloop.entries import ENTRIES
+from rtloop.process.entries import ENTRIES
 from shm.jit import ERROR_MODEL
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -23,7 +23,7 @@ def compile_functions() -> None:
 
 
 def make_object() -> None:
-    """Make the object that the control process loads, unless it is there; in a process of its own (rtloop.lowered)."""
+    """Make the object that the control process loads, unless it is there; in a process of its own (`lowered`)."""
     subprocess.run([sys.executable, "-m", "rtloop.warm"], cwd=ROOT, check=True)
 
 

@@ -35,7 +35,7 @@ from observer import (
 from process_trials import begin_again, own_ros_domain, small_home, spread
 
 from config.loader import load_arm
-from rtloop.healing import DECIDED_WITHIN_NS
+from rtloop.dialogues.healing import DECIDED_WITHIN_NS
 from shm.words import Fault, Mode
 
 STANDS_WITHIN_S = 3.0

@@ -10,8 +10,8 @@ import numpy as np
 from virtual import VirtualArm
 
 from rtloop.cycle import step
-from rtloop.run import monotonic_ns
-from rtloop.state import offset_of
+from rtloop.memory.state import offset_of
+from rtloop.process.run import monotonic_ns
 from rtloop.wire import received
 from shm import layout
 from shm.atomics import store_relaxed

@@ -24,6 +24,17 @@ ALLOWED_IMPORTS = {
     "rtarm": {"config", "motion", "shm", "rtloop", "rosfront", "sim"},
     "handbook": {"config", "shm", "rtloop", "rosfront", "rtarm"},
 }
+ROOMS_OF_RTLOOP = (
+    ("memory", "system"),
+    ("wire", "trajectory"),
+    ("safety", "service"),
+    ("drives",),
+    ("bus", "commands", "kept"),
+    ("cycle", "dialogues", "setpoints", "show"),
+    ("process",),
+    ("__main__", "offline", "warm"),
+)
+"""From the ground up: a room imports from those on the floors below it alone; the files of the cycle stand together."""
 FORBIDDEN_IMPORTS = {
     "rtloop": {"rclpy", "control_msgs", "sensor_msgs", "trajectory_msgs", "std_msgs", "std_srvs"},
     "rosfront": {"numba", "llvmlite", "can"},
@@ -44,6 +55,14 @@ def imported_modules(path: Path) -> Iterator[tuple[int, str]]:
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else ()
             yield node.lineno, ".".join([*base, *(node.module or "").split(".")]).strip(".")
+
+
+def imported_names(path: Path, line: int) -> list[str]:
+    """What the import in a line takes out of its module."""
+    tree = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return [
+        name.name for node in tree if isinstance(node, ast.ImportFrom) and node.lineno == line for name in node.names
+    ]
 
 
 def module_names(folder: str) -> list[str]:
@@ -89,6 +108,24 @@ def test_packages_import_only_what_the_layout_allows(folder: str) -> None:
     assert offences == []
 
 
+def test_no_room_of_the_control_process_imports_from_its_own_floor_or_above() -> None:
+    floor = {room: number for number, rooms in enumerate(ROOMS_OF_RTLOOP) for room in rooms}
+    offences = []
+    for path in (ROOT / "rtloop").rglob("*.py"):
+        here = path.relative_to(ROOT / "rtloop").with_suffix("").parts[0]
+        if here == "__init__":
+            continue
+        for line, module in imported_modules(path):
+            package, *parts = module.split(".")
+            if package != "rtloop":
+                continue
+            for room in parts[:1] or imported_names(path, line):
+                together = here == room or {here, room} <= {"cycle", "setpoints", "show"}
+                if not together and floor[room] >= floor[here]:
+                    offences.append(f"{path.relative_to(ROOT)}:{line} imports from {room}")
+    assert offences == []
+
+
 def test_motion_depends_on_nothing_but_numpy() -> None:
     offences = [
         f"{path.relative_to(ROOT)}:{line} imports {module}"
@@ -104,7 +141,11 @@ def test_motion_depends_on_nothing_but_numpy() -> None:
     [
         pytest.param(module_names("rosfront"), {"numba", "llvmlite", "can"}, id="rosfront"),
         pytest.param(module_names("rtloop"), {"rclpy"}, id="rtloop"),
-        pytest.param(["rtloop.process", "rtloop.compiled"], {"numba", "rclpy", "can"}, id="control process"),
+        pytest.param(
+            ["rtloop.process.control_process", "rtloop.process.compiled"],
+            {"numba", "rclpy", "can"},
+            id="control process",
+        ),
         pytest.param(module_names("rtarm"), {"numba", "rclpy", "can"}, id="rtarm"),
     ],
 )

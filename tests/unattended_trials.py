@@ -25,7 +25,7 @@ import guardian
 import numpy as np
 from process_trials import begin_again, own_ros_domain, small_home
 
-from rtloop.healing import DECIDED_WITHIN_NS
+from rtloop.dialogues.healing import DECIDED_WITHIN_NS
 from shm.sentences import latched_sentence
 from shm.words import Mode
 

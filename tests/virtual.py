@@ -18,16 +18,16 @@ import numpy as np
 from config.loader import load_arm
 from config.schema import ArmConfig
 from config.serial_adapters import SLCAN_BITRATES
-from rtloop import entries
-from rtloop.beginning import new_loop, show_drives, show_limits
-from rtloop.bringup import BringUp
-from rtloop.conversation import Conversation
-from rtloop.gripper import GripperTalk
-from rtloop.healing import Healing
-from rtloop.port import ServicePort
-from rtloop.power import Marks
-from rtloop.referencing import Referencing, referencing_asked_for
-from rtloop.release import Release
+from rtloop.dialogues.bringup import BringUp
+from rtloop.dialogues.gripper import GripperTalk
+from rtloop.dialogues.healing import Healing
+from rtloop.dialogues.referencing import Referencing, referencing_asked_for
+from rtloop.dialogues.release import Release
+from rtloop.drives.power import Marks
+from rtloop.process import entries
+from rtloop.process.beginning import new_loop, show_drives, show_limits
+from rtloop.service.conversation import Conversation
+from rtloop.service.port import ServicePort
 from shm import layout
 from shm.client import CommandWriter, StateReader, find
 from shm.errors import RingFull
@@ -192,7 +192,7 @@ class VirtualArm:
         return sent
 
     def write(self, data: bytes) -> None:
-        """Hand the cycle's bytes to the wire, as `rtloop.run` does with one write."""
+        """Hand the cycle's bytes to the wire, as `rtloop.process.run` does with one write."""
         self.taken(len(data))
         self.sent.append((self.now_ns, data))
         if self.sim is not None:

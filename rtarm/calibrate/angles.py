@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION
-from rtloop.calibration.session import MOST_COUNTS, MOST_RPM
+from rtloop.offline.calibration.session import MOST_COUNTS, MOST_RPM
 
 SLOW_DEG_S = 2.0
 """Speed of the joint, as far as whole motor rpm allow it."""

@@ -23,7 +23,7 @@ from rtarm.calibrate.angles import (
 from rtarm.calibrate.person import Person, agrees, as_number, chosen, number
 from rtarm.calibrate.words import positive_in_words
 from rtarm.errors import Refusal
-from rtloop.calibration.session import DriveState, Found, NotDone
+from rtloop.offline.calibration.session import DriveState, Found, NotDone
 
 RATIO_DIGITS = 4
 AT_STOP_DEG = 0.5

@@ -1,7 +1,7 @@
 """`rtarm calibrate`: the process that turns the drives, the person, and the arm file, brought together.
 
-A control process of its own turns the drives (`python -m rtloop.calibration`): nothing else opens the bus. It stops
-whatever moves when this process interrupts it or ends, however that happens.
+A control process of its own turns the drives (`python -m rtloop.offline.calibration`): nothing else opens the bus. It
+stops whatever moves when this process interrupts it or ends, however that happens.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rtarm.drives import OfflineProcess, offline_process
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, signals_raise
 from rtarm.zdt_joints import other_drives, zdt_joints
-from rtloop.calibration.session import DriveState, Found, NotDone
+from rtloop.offline.calibration.session import DriveState, Found, NotDone
 
 FIELDS = ("direction", "ratio", "zero_deg", "lower_deg", "upper_deg")
 """What may be written of a joint."""
@@ -100,7 +100,7 @@ def calibrate(
     written: list[str] = []
     beside: list[OfflineProcess] = []
     try:
-        with signals_raise(), offline_process("rtloop.calibration", argument, overrides) as process:
+        with signals_raise(), offline_process("rtloop.offline.calibration", argument, overrides) as process:
             beside.append(process)
             drives = ProcessDrives(process, person)
             problems = [problem for joint in joints for problem in drives.found[joint].problems]

@@ -18,7 +18,7 @@ from config.schema import ArmConfig
 from rtarm.errors import Refusal
 from rtarm.requests import Condition, Connection, cleared
 from rtarm.status import STOPPED_BY_A_PERSON
-from rtloop.commissioning.finding import Said, frames_of
+from rtloop.offline.commissioning.finding import Said, frames_of
 from shm.client import CommandWriter, StateReader, find
 from shm.errors import TornRead
 from shm.recording import Position, now_at, read_on

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 from config.schema import ArmConfig
 from rtarm.commissioning.led import AT_EASE_RAD, DECIDED_S, FASTEST, Cause, End, Led, seconds_for, silent_for_s
 from rtarm.errors import Refusal
-from rtloop.commissioned import PowerProof
-from rtloop.commissioning.finding import (
+from rtloop.drives.setup import power_proof_of
+from rtloop.kept.commissioned import PowerProof
+from rtloop.offline.commissioning.finding import (
     Check,
     Finding,
     Said,
@@ -26,8 +27,7 @@ from rtloop.commissioning.finding import (
     reply_delays_s,
     verdict_of,
 )
-from rtloop.commissioning.session import wire_s
-from rtloop.drives.setup import power_proof_of
+from rtloop.offline.commissioning.session import wire_s
 from shm.sentences import unreferenced_sentence
 from shm.words import Unreferenced
 

@@ -15,9 +15,9 @@ from typing import Any
 
 from config.schema import ArmConfig
 from rtarm.errors import Refusal
-from rtloop import commissioned
-from rtloop.commissioned import Commissioned, NotReadable, PowerProof
-from rtloop.saved import PSEUDO_TERMINALS, NotSaved, channel_of, is_simulated
+from rtloop.kept import commissioned
+from rtloop.kept.commissioned import Commissioned, NotReadable, PowerProof
+from rtloop.kept.saved import PSEUDO_TERMINALS, NotSaved, channel_of, is_simulated
 
 RELIES: Mapping[str, str] = {
     "proof of power": "a silent drive keeps its reference",

@@ -1,7 +1,7 @@
 """`rtarm commission`: the process that checks one drive, the person beside it, and the report of what was found.
 
-A ZDT drive is asked by a control process that brings nothing up (`python -m rtloop.commissioning`), as for `rtarm
-calibrate`. A drive of another family is brought up alone and led by the control process of every day.
+A ZDT drive is asked by a control process that brings nothing up (`python -m rtloop.offline.commissioning`), as for
+`rtarm calibrate`. A drive of another family is brought up alone and led by the control process of every day.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, signals_raise
 from rtarm.niceness import nice_thread
 from rtarm.recording.follow import LOOK_S, Follower
-from rtloop import commissioned, saved
-from rtloop.commissioned import Commissioned, NotReadable, PowerProof
-from rtloop.commissioning.finding import Finding, Verdict
-from rtloop.commissioning.session import FAMILIES
+from rtloop.kept import commissioned, saved
+from rtloop.kept.commissioned import Commissioned, NotReadable, PowerProof
+from rtloop.offline.commissioning.finding import Finding, Verdict
+from rtloop.offline.commissioning.session import FAMILIES
 from shm import files
 from shm.errors import NotRunning, SharedMemoryError, led_already
 
@@ -118,7 +118,7 @@ def _by_itself(
     opened: list[OfflineProcess | LedProcess],
 ) -> None:
     arm, joint = report.arm, report.joint
-    with offline_process("rtloop.commissioning", argument, overrides) as process:
+    with offline_process("rtloop.offline.commissioning", argument, overrides) as process:
         found = process.answer("ready", person.tell)["drives"][str(joint)]
         with _recorded(arm.name, report.folder / RECORDING):
             if found["problems"]:

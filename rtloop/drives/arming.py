@@ -1,4 +1,4 @@
-"""Proof of power (`rtloop.power`) for drives that a command arms, and power does not.
+"""Proof of power (`rtloop.drives.power`) for drives that a command arms, and power does not.
 
 The mark of such a drive says that rtarm has armed it, having found it otherwise: it does not do so by itself. It is
 taken away before a drive is armed anew, so one that has it and is armed has not been without power since.
@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from rtloop.conversation import Part
 from rtloop.drives.asking import surely
 from rtloop.drives.setup import Host, PowerHost, require_may_enable, settle_mark
+from rtloop.service.conversation import Part
 
 ARMED = "armed by rtarm"
 Look = Callable[[], Part[bool | None]]

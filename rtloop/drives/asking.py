@@ -4,13 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from rtloop.conversation import TRIES, Packet, Part, Value
-from rtloop.port import Frame
+from rtloop.service.conversation import TRIES, Packet, Part, Value
+from rtloop.service.port import Frame
 
 
 @dataclass(frozen=True)
 class AskFrames:
-    """Frames that leave together, and how to know the answer; `rtloop.conversation.Question`.
+    """Frames that leave together, and how to know the answer; `rtloop.service.conversation.Question`.
 
     With no frames it is a question what the drive says by itself.
     """

@@ -9,9 +9,7 @@ Emergencies (080) hold an error code, heartbeats (700) the node's state.
 
 from typing import Any
 
-from rtloop import following, guard, hearing
-from rtloop import status as status_bits
-from rtloop.drives import words
+from rtloop.drives import following, hearing, words
 from rtloop.drives.cia402_setup import (
     BOOT_UP,
     EMERGENCY,
@@ -29,12 +27,14 @@ from rtloop.drives.cia402_setup import (
     SYNC,
     TPDO1,
 )
+from rtloop.memory import status as status_bits
+from rtloop.memory.frame_words import STANDARD
+from rtloop.safety import guard
 from rtloop.wire import outgoing
-from rtloop.wire.frame_words import STANDARD
 from shm.jit import jit
 from shm.words import Unreferenced
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 

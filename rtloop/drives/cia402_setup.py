@@ -34,14 +34,14 @@ from config.drives.cia402 import (
 from config.frames import CycleFrames
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.conversation import Dialogue, Part, TalkFailed
 from rtloop.drives import pdo
 from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.sdo import ABORT, Aborted, Node, Object, abort_words, reading, value_in
 from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, PowerHost
-from rtloop.port import Frame
-from rtloop.wire.frame_words import STANDARD
+from rtloop.memory.frame_words import STANDARD
+from rtloop.service.conversation import Dialogue, Part, TalkFailed
+from rtloop.service.port import Frame
 from shm.words import Unreferenced
 
 __all__ = ["EMERGENCY", "HEARTBEAT", "HIGHEST_COUNT", "RPDO1", "RPDO1_BYTES", "SYNC", "TPDO1"]

@@ -12,10 +12,7 @@ import math
 from typing import Any
 
 from config.drives.damiao import HIGHEST_KD, HIGHEST_KP, POSITION_VELOCITY_OFFSET, REGISTERS_ID
-from rtloop import following, guard, hearing, leading
-from rtloop import status as status_bits
-from rtloop.correction import ERROR_SPEED_SHARE
-from rtloop.drives import words
+from rtloop.drives import following, hearing, leading, words
 from rtloop.drives.damiao_setup import (
     ENABLED,
     FEEDBACK,
@@ -30,13 +27,16 @@ from rtloop.drives.damiao_setup import (
     UNDER_VOLTAGE,
     WRITE,
 )
+from rtloop.memory import status as status_bits
+from rtloop.memory.frame_words import STANDARD
+from rtloop.safety import guard
+from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.wire import outgoing
-from rtloop.wire.frame_words import STANDARD
 from shm.jit import jit
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
-Row = Any  # record of dtype rtloop.state.JOINT_PARAMS
+Row = Any  # record of dtype rtloop.memory.state.JOINT_PARAMS
 
 
 @jit

@@ -35,14 +35,14 @@ from config.drives.damiao import (
 )
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
-from rtloop.correction import ERROR_SPEED_SHARE
 from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.fields import field, of_field
 from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, PowerHost
-from rtloop.port import Frame
-from rtloop.wire.frame_words import STANDARD
+from rtloop.memory.frame_words import STANDARD
+from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.service.port import Frame
+from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from shm.words import Unreferenced
 
 READ, WRITE, STORE, FEEDBACK = 0x33, 0x55, 0xAA, 0xCC

@@ -10,10 +10,10 @@ from typing import Any
 
 from config.joint import FAMILIES
 from rtloop.drives import mock
-from rtloop.state import FAMILY_MOCK
+from rtloop.memory.state import FAMILY_MOCK
 from shm.jit import jit
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 
 
 AT_ONCE = 4

@@ -9,15 +9,13 @@ the last byte is the sum of the identifier and all bytes before it. 16384 counts
 - results are `F5 code`: 0 refused, 1 begun, 2 done, 3 stopped at a limit, 5 waits for others.
 A request and its answer differ in length for every function that is heard here, which tells an answer from an echo.
 
-Streaming: a target ahead, and a speed that sets the pace (`rtloop.leading`), as with ZDT drives.
+Streaming: a target ahead, and a speed that sets the pace (`rtloop.drives.leading`), as with ZDT drives.
 """
 
 from typing import Any
 
 from config.drives.mks import FARTHEST_COUNTS
-from rtloop import hearing, leading
-from rtloop import status as status_bits
-from rtloop.drives import words
+from rtloop.drives import hearing, leading, words
 from rtloop.drives.mks_setup import (
     EMERGENCY_STOP,
     HIGHEST_RPM,
@@ -28,12 +26,13 @@ from rtloop.drives.mks_setup import (
     REFUSED,
     STOPPED_AT_LIMIT,
 )
+from rtloop.memory import status as status_bits
+from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.wire import outgoing
-from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
 from shm.jit import jit
 from shm.words import Unreferenced
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 

@@ -18,11 +18,11 @@ from config.derived import braking_deceleration_rad_s2, silence_acc_byte
 from config.drives.mks import COUNTS_PER_REVOLUTION, MksDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.drives.asking import AskFrames
 from rtloop.drives.setup import ERROR_AT_START, Found, HomingHost, Host
-from rtloop.port import HOLDS_STALLED, Frame
-from rtloop.wire.frame_words import STANDARD
+from rtloop.memory.frame_words import STANDARD
+from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.service.port import HOLDS_STALLED, Frame
 from shm.sentences import unreferenced_sentence
 from shm.words import Unreferenced
 

@@ -1,10 +1,10 @@
-"""No drive: nothing is sent and nothing heard; `rtloop.frames.mirror` measures what is commanded."""
+"""No drive: nothing is sent and nothing heard; `rtloop.bus.frames.mirror` measures what is commanded."""
 
 from typing import Any
 
 from shm.jit import jit
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 

@@ -16,15 +16,14 @@ since it was told to let go (80), and does not say that its brake is locked afte
 
 from typing import Any
 
-from rtloop import hearing, leading
-from rtloop import status as status_bits
-from rtloop.drives import words
+from rtloop.drives import hearing, leading, words
 from rtloop.drives.myactuator_setup import ANGLE, FEEDBACK, SHUTDOWN, STATUS, STOP, TARGET
+from rtloop.memory import status as status_bits
+from rtloop.memory.frame_words import STANDARD
 from rtloop.wire import outgoing
-from rtloop.wire.frame_words import STANDARD
 from shm.jit import jit
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 REQUEST_BASE = 0x140

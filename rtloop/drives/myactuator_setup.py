@@ -27,7 +27,6 @@ import numpy as np
 from config.drives.myactuator import RAMP_DPS_S, REPLY, REQUEST, MyactuatorDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.setup import (
     ERROR_AT_START,
@@ -37,8 +36,9 @@ from rtloop.drives.setup import (
     PowerHost,
     settle_mark,
 )
-from rtloop.port import Frame
-from rtloop.wire.frame_words import STANDARD
+from rtloop.memory.frame_words import STANDARD
+from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.service.port import Frame
 from shm.words import Unreferenced
 
 READ_RAMP, WRITE_RAMP, RESET, RELEASE_BRAKE = 0x42, 0x43, 0x76, 0x77

@@ -15,9 +15,7 @@ odriverobotics/ODrive reads what start_closed_loop_control in axis.cpp connects)
 import math
 from typing import Any
 
-from rtloop import following, guard, hearing
-from rtloop import status as status_bits
-from rtloop.drives import words
+from rtloop.drives import following, hearing, words
 from rtloop.drives.odrive_setup import (
     ANSWER_BYTES,
     BUS,
@@ -30,11 +28,13 @@ from rtloop.drives.odrive_setup import (
     INPUT_POSITION,
     VERSION,
 )
+from rtloop.memory import status as status_bits
+from rtloop.memory.frame_words import REMOTE, STANDARD
+from rtloop.safety import guard
 from rtloop.wire import outgoing
-from rtloop.wire.frame_words import REMOTE, STANDARD
 from shm.jit import jit
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 AHEAD_PER_UNIT = 1000.0
@@ -155,7 +155,7 @@ def tells_zeros(loop: Loop, joint: int, position_rad: float) -> bool:
 
 @jit
 def common_status(firmware: int, error: int, state: int) -> int:
-    """The heartbeat's error word and axis state in common bits; `firmware` as in `rtloop.state.AXIS`."""
+    """The heartbeat's error word and axis state in common bits; `firmware` as in `rtloop.memory.state.AXIS`."""
     enabled = status_bits.ENABLED if state == CLOSED_LOOP else 0
     if firmware >= FIRMWARE_0_6:
         return words.meaning(error, ERRORS_0_6) | enabled

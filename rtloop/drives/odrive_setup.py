@@ -18,11 +18,11 @@ import numpy as np
 from config.drives.odrive import OdriveDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, answer_patience_s, silent_amid
 from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, require_may_enable
-from rtloop.port import Frame
-from rtloop.wire.frame_words import REMOTE, STANDARD
+from rtloop.memory.frame_words import REMOTE, STANDARD
+from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed, answer_patience_s, silent_amid
+from rtloop.service.port import Frame
 from shm.words import Unreferenced
 
 COMMANDS = 32

@@ -6,8 +6,8 @@ it. It is mapped anew while it is off: number of objects 0, each object, their n
 
 from __future__ import annotations
 
-from rtloop.conversation import Part
 from rtloop.drives.sdo import Node, Object
+from rtloop.service.conversation import Part
 
 RECEIVED, TOLD = 0x1400, 0x1800
 """First objects of the PDOs that a drive hears and says; where they are mapped stands `MAPPED` further on."""

@@ -24,10 +24,7 @@ import math
 from typing import Any
 
 from config.drives.robstride import CONTROL, READ, TYPE_BIT, WRITE
-from rtloop import following, guard, hearing, leading
-from rtloop import status as status_bits
-from rtloop.correction import ERROR_SPEED_SHARE
-from rtloop.drives import words
+from rtloop.drives import following, hearing, leading, words
 from rtloop.drives.robstride_setup import (
     FAULT,
     FAULT_BIT,
@@ -41,11 +38,14 @@ from rtloop.drives.robstride_setup import (
     VELOCITY,
     VOLTAGE,
 )
+from rtloop.memory import status as status_bits
+from rtloop.memory.frame_words import EXTENDED
+from rtloop.safety import guard
+from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.wire import outgoing
-from rtloop.wire.frame_words import EXTENDED
 from shm.jit import jit
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 BITS = 16

@@ -20,13 +20,13 @@ import numpy as np
 from config.drives.robstride import CONTROL, ENABLE, FIELD_STEPS, READ, STOP, TYPE_BIT, WRITE, RobstrideDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
-from rtloop.correction import ERROR_SPEED_SHARE
 from rtloop.drives import fields
 from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, PowerHost
-from rtloop.port import Frame
+from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.service.port import Frame
+from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from shm.words import Unreferenced
 
 FEEDBACK, FAULT = 2, 21

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 from config.drives.cia402 import SDO_REPLY, SDO_REQUEST
 from config.joint import JointConfig
-from rtloop.conversation import Part, TalkFailed, silent_amid
 from rtloop.drives.asking import AskFrames
-from rtloop.port import Frame
-from rtloop.wire.frame_words import STANDARD
+from rtloop.memory.frame_words import STANDARD
+from rtloop.service.conversation import Part, TalkFailed, silent_amid
+from rtloop.service.port import Frame
 
 READ, WRITTEN, ABORT = 0x40, 0x60, 0x80
 WRITE = {1: 0x2F, 2: 0x2B, 3: 0x27, 4: 0x23}

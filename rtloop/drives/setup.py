@@ -11,9 +11,9 @@ from config.drives.drive import Drive
 from config.drives.zdt import ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.conversation import Dialogue, Part, TalkFailed
-from rtloop.port import ServicePort
-from rtloop.power import Marks
+from rtloop.drives.power import Marks
+from rtloop.service.conversation import Dialogue, Part, TalkFailed
+from rtloop.service.port import ServicePort
 from shm.words import Unreferenced
 
 SAME_PLACE_RAD = 0.02
@@ -30,7 +30,7 @@ class Found(NamedTuple):
     reason: Unreferenced = Unreferenced.REFERENCED
     """Why its count is not known to mean an angle."""
     kept_power: bool = False
-    """Whether it proves that it has had power since a bring-up before (`rtloop.power`)."""
+    """Whether it proves that it has had power since a bring-up before (`rtloop.drives.power`)."""
 
 
 ERROR_AT_START = "then start again with `rtarm up … --clear-fault`, which clears it"
@@ -46,7 +46,7 @@ class Host(Protocol):
     clears_protection: bool
     """Whether a person has asked for it, so that a drive's latched error may be cleared."""
     heals: bool
-    """Whether nobody has asked for it (`rtloop.healing`), so that no drive may be enabled."""
+    """Whether nobody has asked for it (`rtloop.dialogues.healing`), so that no drive may be enabled."""
     marks: Marks
     was_silent: list[bool]
     """Whether each joint's angle was given up because its drive was silent, and is known again if that cost nothing."""
@@ -64,7 +64,7 @@ class Setup(Protocol):
     """The functions of such a file."""
 
     def fill(self, row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
-        """Put the numbers of the codec into a row of dtype rtloop.state.JOINT_PARAMS; the common ones are there."""
+        """Put the numbers of the codec into a row of dtype memory.state.JOINT_PARAMS; the common ones are there."""
 
     def bring_up(self, host: Host, joint: int) -> Part[Found]:
         """See that the drive answers, is what the arm file says, and holds where it stands; raises TalkFailed.
@@ -86,7 +86,7 @@ class PowerHost(Protocol):
 
 
 class PowerProof(Protocol):
-    """What such a file has besides where its drives can prove that they had power (`rtloop.power`)."""
+    """What such a file has besides where its drives can prove that they had power (`rtloop.drives.power`)."""
 
     def kept_power(self, host: PowerHost, joint: int) -> Part[bool]:
         """Whether the drive has had power since it was given its mark; changes nothing, raises nothing."""
@@ -175,7 +175,7 @@ def homing_of(drive: Drive) -> Homes | None:
 
 
 def homes_by_a_run(drive: Drive) -> bool:
-    """Whether its drives find a stop when they are homed (`rtloop.referencing` says how ZDT's do)."""
+    """Whether its drives find a stop when they are homed (`rtloop.dialogues.referencing` says how ZDT's do)."""
     return isinstance(drive, ZdtDrive) or (bool(drive.identifiers) and homing_of(drive) is not None)
 
 

@@ -44,7 +44,7 @@ def bounded(value: float, most: int) -> int:
 
 @jit
 def meaning(bits: int, table: tuple[tuple[int, int], ...]) -> int:
-    """What an error word's bits are in common bits (`rtloop.status`); `table` has pairs of its bits and theirs."""
+    """What an error word's bits are in common bits (`memory.status`); `table` has pairs of its bits and theirs."""
     found = 0
     for theirs, common in table:
         if bits & theirs:

@@ -11,25 +11,25 @@ with the sign in a byte of its own):
 Requests and replies share their ids; they differ in length for every function used here, which is how a
 reply is told from an echo of one's own request.
 
-Streaming: a target ahead, and a speed that sets the pace (`rtloop.leading`).
+Streaming: a target ahead, and a speed that sets the pace (`rtloop.drives.leading`).
 
 `FC int32` sends such a target alone, in one packet; speed, ramp and mode stand in the drive since `F1`
-(`rtloop.fast_targets`). It is led by how far ahead its targets lie (`fast_command`).
+(`rtloop.drives.zdt_fast_targets`). It is led by how far ahead its targets lie (`fast_command`).
 """
 
 import math
 from typing import Any
 
-from rtloop import hearing, leading
-from rtloop import status as status_bits
-from rtloop.agreed import steady_error_rad
-from rtloop.correction import ERROR_SHARE_1_S
+from rtloop.drives import hearing, leading
+from rtloop.memory import status as status_bits
+from rtloop.memory.frame_words import EXTENDED
+from rtloop.safety.agreed import steady_error_rad
+from rtloop.trajectory.correction import ERROR_SHARE_1_S
 from rtloop.wire import outgoing
-from rtloop.wire.frame_words import EXTENDED
 from shm.jit import jit
 from shm.words import Unreferenced
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 FAST_OFFSET_SHARE = 0.25

@@ -6,8 +6,8 @@ from typing import cast
 
 from config.drives.zdt import ZdtDrive
 from config.schema import ArmConfig
-from rtloop.conversation import Again, Packet, Part, Value
-from rtloop.port import Frame
+from rtloop.service.conversation import Again, Packet, Part, Value
+from rtloop.service.port import Frame
 
 NOT_UNDERSTOOD = b"\x00\xee\x6b"
 """What a drive answers to a command that is none to it (zdt-emm-v5.md)."""

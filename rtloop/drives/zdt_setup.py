@@ -3,7 +3,7 @@
 What it is asked (init_mode 1, nothing moves): firmware, status, configuration block (response mode turned off in
 volatile memory when it differs and the firmware is one whose block we know), position and target until the two agree.
 Where the arm file says so, it is told to send its position by itself, and must; and what it makes of FC is found out
-(`rtloop.fast_targets`). A drive that is on its way somewhere, or has lost power, is stopped first.
+(`rtloop.drives.zdt_fast_targets`). A drive that is on its way somewhere, or has lost power, is stopped first.
 """
 
 from dataclasses import replace
@@ -15,15 +15,14 @@ from config.derived import braking_deceleration_rad_s2, silence_acc_byte
 from config.drives.zdt import ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop import fast_targets, reports
-from rtloop.conversation import TRIES, Dialogue, Part, TalkFailed
+from rtloop.drives import zdt_fast_targets, zdt_reports, zdt_talk
 from rtloop.drives import zdt_registers as registers
-from rtloop.drives import zdt_talk
 from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost, require_may_enable
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
 from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
-from rtloop.port import FAST_READY
+from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed
+from rtloop.service.port import FAST_READY
 from shm.sentences import unreferenced_sentence
 from shm.words import Unreferenced
 
@@ -95,7 +94,7 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
                 "and at the En setting in its menu.",
             )
     if host.arm.bus.fast_targets:
-        yield from fast_targets.prepare(host.arm, joint, drive, version)
+        yield from zdt_fast_targets.prepare(host.arm, joint, drive, version)
         host.post(FAST_READY, joint=joint)
     was_marked = host.marks[joint] is not None
     if not was_marked and not host.was_silent[joint] and host.marks.takes(joint):
@@ -257,11 +256,11 @@ def _settle_reports(host: Host, joint: int, config: JointConfig, version: Versio
     A control process that was killed leaves its drives reporting; they are told to cease only where they do.
     """
     if not host.arm.bus.reported:
-        by_itself = host.port.unasked(joint) - host.unasked_before[joint] >= reports.REPORTS_TO_BELIEVE
+        by_itself = host.port.unasked(joint) - host.unasked_before[joint] >= zdt_reports.REPORTS_TO_BELIEVE
         if by_itself and (yield from zdt_talk.set_reports(0)):
             host.tell(f"{config.name}: its drive sent its position by itself, which was ended.")
         return
-    yield from reports.begin(host.arm, host.port, joint, version)
+    yield from zdt_reports.begin(host.arm, host.port, joint, version)
 
 
 def _require_budget_with_acknowledgements(host: Host, joint: int, config: JointConfig, version: Version) -> None:

@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import TypeVar
 
 from config.joint import JointConfig
-from rtloop.conversation import TRIES, TalkFailed, silent_amid
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_ask import Ask
 from rtloop.drives.zdt_registers import Block, HomingParameters
+from rtloop.service.conversation import TRIES, TalkFailed, silent_amid
 
 AGREEING = 2
 """Answers in a row that say the same: one alone may be garbled."""
@@ -108,7 +108,7 @@ def set_homing_timeout(timeout_ms: int) -> Answered[bool]:
 
 
 def has_mark(mark: str | None) -> Answered[bool | None]:
-    """Whether the drive still has the homing time-out that `mark` has given it (`rtloop.power`); None: nobody knows."""
+    """Whether the drive still has the homing time-out that `mark` has given it (`drives.power`); None: nobody knows."""
     parameters = None if mark is None else (yield from surely(read_homing))
     return None if parameters is None else str(parameters.timeout_ms) == mark
 

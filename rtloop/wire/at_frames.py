@@ -7,13 +7,13 @@ so others are neither sent nor taken.
 
 from typing import Any
 
-from rtloop.state import TX_BYTES
+from rtloop.memory.frame_words import EXTENDED
+from rtloop.memory.state import TX_BYTES
 from rtloop.wire import framed
 from rtloop.wire.found import FRAME, NOTHING
-from rtloop.wire.frame_words import EXTENDED
 from shm.jit import jit
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 LONGEST_FRAME_BYTES = 17
@@ -29,7 +29,7 @@ _EXTENDED = 4
 def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
     """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest.
 
-    `kind` is bits of `rtloop.wire.frame_words`. False when full, and for any kind but EXTENDED.
+    `kind` is bits of `rtloop.memory.frame_words`. False when full, and for any kind but EXTENDED.
     """
     core, tx = loop.core, loop.tx
     at = core.tx_length

@@ -6,10 +6,10 @@ u32 id with its flags in the machine's byte order (little-endian on all that run
 
 from typing import Any
 
-from rtloop.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN
+from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
+from rtloop.memory.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN
 from rtloop.wire.can_words import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from rtloop.wire.found import CONTROLLER_ERROR, FRAME, NOTHING
-from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
 from shm.jit import jit
 
 Loop = Any
@@ -37,7 +37,7 @@ def is_carried_by(wire: int) -> bool:
 def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
     """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full.
 
-    `kind` is bits of `rtloop.wire.frame_words`.
+    `kind` is bits of `rtloop.memory.frame_words`.
     """
     core, tx = loop.core, loop.tx
     at = core.tx_length

@@ -7,7 +7,7 @@ many, costs that frame alone. Loss is counted once until the next sound frame, h
 
 from typing import Any
 
-from rtloop.state import RX_BYTES
+from rtloop.memory.state import RX_BYTES
 from shm.jit import jit
 
 Loop = Any

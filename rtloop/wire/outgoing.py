@@ -8,14 +8,14 @@ but a frame that is half on its way, and the rest of a command that a drive has 
 from typing import Any
 
 from config.frames import unchecked_frame_bits
-from rtloop.recorder import SENT, marks_of, record_frame
-from rtloop.state import CAN_FRAME_BYTES, SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_PYTHON_CAN
+from rtloop.memory.frame_words import EXTENDED, REMOTE
+from rtloop.memory.recorder import SENT, marks_of, record_frame
+from rtloop.memory.state import CAN_FRAME_BYTES, SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_PYTHON_CAN
 from rtloop.wire import can_frame, wires
 from rtloop.wire.can_words import JOINED, STOP
-from rtloop.wire.frame_words import EXTENDED, REMOTE
 from shm.jit import jit
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 LONGEST_FRAME_BYTES = SLCAN_LONGEST_LINE

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from config.budget import cycle_frames
 from config.python_can import PythonCan
 from config.schema import ArmConfig
-from rtloop import realtime
+from rtloop.system import realtime
 from rtloop.wire.bridge import Bridge, Traffic
 from rtloop.wire.refusal import WireRefused
 

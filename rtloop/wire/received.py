@@ -6,7 +6,7 @@ bytes and counts them; the SLCAN parser finds the next line by itself, and CAN f
 
 from typing import Any
 
-from rtloop.state import LOOP, RX_BYTES, RX_CHUNKS, offset_of
+from rtloop.memory.state import LOOP, RX_BYTES, RX_CHUNKS, offset_of
 from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
 from shm.jit import jit
 

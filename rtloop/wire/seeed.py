@@ -8,13 +8,13 @@ are asked for, they are skipped.
 
 from typing import Any
 
-from rtloop.state import TX_BYTES
+from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
+from rtloop.memory.state import TX_BYTES
 from rtloop.wire import framed
 from rtloop.wire.found import FRAME, NOTHING
-from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
 from shm.jit import jit
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 START, END = 0xAA, 0x55
@@ -32,7 +32,7 @@ _LENGTH_BITS = 0x0F
 def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
     """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full.
 
-    `kind` is bits of `rtloop.wire.frame_words`.
+    `kind` is bits of `rtloop.memory.frame_words`.
     """
     core, tx = loop.core, loop.tx
     at = core.tx_length

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from rtloop.state import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
+from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
+from rtloop.memory.state import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
 from rtloop.wire.found import FRAME, NOTHING
-from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
 from shm.jit import jit
 
 Loop = Any
@@ -45,7 +45,7 @@ def hex_value(code: int) -> int:
 def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
     """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full.
 
-    `kind` is bits of `rtloop.wire.frame_words`.
+    `kind` is bits of `rtloop.memory.frame_words`.
     """
     core, tx = loop.core, loop.tx
     at = core.tx_length

@@ -5,12 +5,12 @@ A wire's file has these functions for its own bytes.
 
 from typing import Any
 
-from rtloop.state import WIRE_AT, WIRE_SEEED, WIRE_SLCAN
+from rtloop.memory.state import WIRE_AT, WIRE_SEEED, WIRE_SLCAN
 from rtloop.wire import at_frames, can_frame, seeed, slcan
 from rtloop.wire.found import NOTHING
 from shm.jit import jit
 
-Loop = Any  # record of dtype rtloop.state.LOOP
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
 Shared = Any  # record of dtype shm.layout.STATE
 
 

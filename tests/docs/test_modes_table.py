@@ -1,9 +1,9 @@
-"""The table of modes in docs/architecture.md is that of rtloop.modes."""
+"""The table of modes in docs/architecture.md is that of rtloop.memory.modes."""
 
 import re
 from pathlib import Path
 
-from rtloop.modes import ALLOWED
+from rtloop.memory.modes import ALLOWED
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "architecture.md"
 

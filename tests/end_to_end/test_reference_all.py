@@ -11,7 +11,7 @@ from stack import PATIENCE_S, Process
 
 from config.loader import load_arm
 from rtarm.status import read_status
-from rtloop import saved
+from rtloop.kept import saved
 from shm.words import Mode, Unreferenced
 
 pytestmark = pytest.mark.process

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from rtloop.state import WIRE_AT, WIRE_SEEED
+from rtloop.memory.state import WIRE_AT, WIRE_SEEED
 from shm.jit import jit
 
 Loop = Any

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from rtloop import orders
+from rtloop.commands import orders
 from rtloop.cycle import step
-from rtloop.modes import change_mode
-from rtloop.phases import runs, waits
-from rtloop.state import LOOP, offset_of
+from rtloop.memory.modes import change_mode
+from rtloop.memory.state import LOOP, offset_of
+from rtloop.trajectory.phases import runs, waits
 from shm import layout
 from shm.atomics import load_relaxed, store_relaxed
 from shm.jit import jit

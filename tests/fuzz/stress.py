@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from config.loader import load_arm
-from rtloop import service
-from rtloop.beginning import new_loop
-from rtloop.events import record_event
-from rtloop.port import IN, TAKEN, WRITTEN
-from rtloop.state import LOOP, RX_BYTES, RX_CHUNKS, SERVICE_SLOTS, offset_of
+from rtloop.memory.events import record_event
+from rtloop.memory.state import LOOP, RX_BYTES, RX_CHUNKS, SERVICE_SLOTS, offset_of
+from rtloop.process.beginning import new_loop
+from rtloop.service import rings
+from rtloop.service.port import IN, TAKEN, WRITTEN
 from rtloop.wire import received
 from shm import layout
 from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
@@ -137,11 +137,11 @@ def obey_orders(table: int, loop: Loop, count: int) -> int:
     """Take `count` orders as the cycle does; how many were wrong."""
     wrong = done = 0
     while done < count:
-        if service.inbox(loop) > 0:
-            order = loop.service_in.records[service.inbox_slot(loop)]
+        if rings.inbox(loop) > 0:
+            order = loop.service_in.records[rings.inbox_slot(loop)]
             right = order.kind == done and order.id == done * 3 and order.data == done * 5 and order.code == done * 7
             wrong += 0 if right else 1
-            service.inbox_done(loop)
+            rings.inbox_done(loop)
             done += 1
     store_relaxed(table, 1)
     return wrong

@@ -12,12 +12,12 @@ import numpy as np
 from fuzz import memory
 from fuzz.framing import put_byte, put_frame, read_frame
 from fuzz.memory import SOUND, UNKNOWN_WORD
+from rtloop.bus.measured import whose
 from rtloop.cycle import step
-from rtloop.measured import whose
-from rtloop.port import OUT, TAKEN, WRITTEN
-from rtloop.state import WIRE_SLCAN
+from rtloop.memory.frame_words import EXTENDED
+from rtloop.memory.state import WIRE_SLCAN
+from rtloop.service.port import OUT, TAKEN, WRITTEN
 from rtloop.wire import received
-from rtloop.wire.frame_words import EXTENDED
 from shm.atomics import store_relaxed
 from shm.jit import jit
 

@@ -33,12 +33,14 @@ LEAVES = (
     Leaf("motion/gripping.py", ("tests/rtloop/test_gripper.py",)),
     Leaf("shm/seqlock.py", ("tests/shm/test_seqlock.py", "tests/shm/test_memory_order.py")),
     Leaf("shm/histogram.py", ("tests/shm/test_histogram.py",)),
-    Leaf("rtloop/path.py", ("tests/rtloop/test_path.py",)),
-    Leaf("rtloop/clock.py", ("tests/rtloop/test_clock.py",)),
-    Leaf("rtloop/entry.py", ("tests/rtloop/test_path.py",), ("due_s", "lay_bridge", "lay_run_up", "lay_blend")),
-    Leaf("rtloop/guard.py", ("tests/rtloop/test_limits.py",), LIMITS),
-    Leaf("rtloop/leading.py", ("tests/rtloop/test_leading.py",)),
-    Leaf("rtloop/following.py", ("tests/rtloop/test_following.py",)),
+    Leaf("rtloop/trajectory/path.py", ("tests/rtloop/test_path.py",)),
+    Leaf("rtloop/trajectory/clock.py", ("tests/rtloop/test_clock.py",)),
+    Leaf(
+        "rtloop/trajectory/entry.py", ("tests/rtloop/test_path.py",), ("due_s", "lay_bridge", "lay_run_up", "lay_blend")
+    ),
+    Leaf("rtloop/safety/guard.py", ("tests/rtloop/test_limits.py",), LIMITS),
+    Leaf("rtloop/drives/leading.py", ("tests/rtloop/test_leading.py",)),
+    Leaf("rtloop/drives/following.py", ("tests/rtloop/test_following.py",)),
     Leaf("rtloop/wire/slcan.py", ("tests/rtloop/test_slcan_codec.py", WIRES, "-k", "slcan")),
     Leaf("rtloop/wire/can_frame.py", ("tests/rtloop/test_can_frames.py",)),
     Leaf("rtloop/wire/can_errors.py", ("tests/rtloop/test_can_frames.py",)),
@@ -58,7 +60,7 @@ LEAVES = (
 )
 
 _STOPS_INSIDE = (
-    "rtloop/guard.py check_next_setpoint: "
+    "rtloop/safety/guard.py check_next_setpoint: "
     "if (velocity > 0.0 and stop > high + BESIDE_RAD) or (velocity < 0.0 and stop < low - BESIDE_RAD): → "
     "if (velocity > 0.0 and stop {} high + BESIDE_RAD) or (velocity < 0.0 and stop {} low - BESIDE_RAD):"
 )

@@ -32,8 +32,8 @@ from rtarm.calibrate.guide import Guide, Values
 from rtarm.calibrate.person import Quit, agrees, number
 from rtarm.calibrate.words import positive_in_words
 from rtarm.errors import Refusal
-from rtloop.calibration.session import MOST_COUNTS, MOST_RPM, Session
-from rtloop.power import Marks
+from rtloop.drives.power import Marks
+from rtloop.offline.calibration.session import MOST_COUNTS, MOST_RPM, Session
 from sim.arm import SimulatedArm
 
 # --- arithmetic -------------------------------------------------------------------------------------------------

@@ -15,10 +15,10 @@ from config.schema import ArmConfig
 from rtarm.commissioning import led_checks
 from rtarm.commissioning.led import Led, alone
 from rtarm.commissioning.led_checks import LedBench, checks_of, judge_answers, way_of
-from rtloop.commissioned import PowerProof
-from rtloop.commissioning.finding import Finding, Verdict
-from rtloop.conversation import Conversation
-from rtloop.referencing import referencing_asked_for
+from rtloop.dialogues.referencing import referencing_asked_for
+from rtloop.kept.commissioned import PowerProof
+from rtloop.offline.commissioning.finding import Finding, Verdict
+from rtloop.service.conversation import Conversation
 from shm.words import Mode, Request
 from sim import faults
 from sim.drives.servo import Hold

@@ -9,8 +9,8 @@ import pytest
 
 from config.loader import load_arm
 from rtarm.commissioning.report import Report
-from rtloop import commissioned
-from rtloop.commissioned import PowerProof
+from rtloop.kept import commissioned
+from rtloop.kept.commissioned import PowerProof
 
 
 @pytest.fixture

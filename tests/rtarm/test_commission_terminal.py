@@ -20,8 +20,8 @@ from waiting import until
 
 from config.loader import load_arm
 from rtarm.recording.mcap_reader import read
-from rtloop import commissioned
-from rtloop.commissioned import PowerProof
+from rtloop.kept import commissioned
+from rtloop.kept.commissioned import PowerProof
 from shm import files
 from shm.files import DIRECTORY
 

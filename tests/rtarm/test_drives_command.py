@@ -79,7 +79,7 @@ def test_a_session_from_reading_to_flash(simulated: Stack) -> None:
 
 @pytest.mark.process
 def test_an_adapter_that_goes_away_between_reading_and_writing(simulated: Stack) -> None:
-    with closing(Process("rtloop.settings", str(simulated.arm_file))) as process:
+    with closing(Process("rtloop.offline.settings", str(simulated.arm_file))) as process:
         process.line_with("ready")
         simulated.unplug()
         process.line_with(f"refused The adapter at {simulated.link} is gone")
@@ -113,7 +113,7 @@ def test_the_wrong_bit_rate_is_a_bus_without_drives(simulated: Stack) -> None:
 
 @pytest.mark.process
 def test_a_signal_ends_it_in_order(simulated: Stack) -> None:
-    with closing(Process("rtloop.settings", str(simulated.arm_file))) as process:
+    with closing(Process("rtloop.offline.settings", str(simulated.arm_file))) as process:
         process.line_with("ready")
         process.process.terminate()
         assert process.code() == 0

@@ -25,11 +25,11 @@ from rtarm.recording.mcap_format import Reason
 from rtarm.recording.story import tell
 from rtarm.status import of_cycle
 from rtarm.zdt_joints import other_drives, zdt_joints
-from rtloop.beginning import show_drives
-from rtloop.calibration.session import Session as Calibration
-from rtloop.power import Marks
-from rtloop.settings.compare import as_json
-from rtloop.settings.session import Session
+from rtloop.drives.power import Marks
+from rtloop.offline.calibration.session import Session as Calibration
+from rtloop.offline.settings.compare import as_json
+from rtloop.offline.settings.session import Session
+from rtloop.process.beginning import show_drives
 from shm import layout
 from shm.recording import read_recording
 from shm.words import Fault

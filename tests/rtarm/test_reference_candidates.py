@@ -13,7 +13,7 @@ from written_arm import JOINTS, WrittenArm
 from rtarm import referencing
 from rtarm.calibrate.person import Quit, Terminal
 from rtarm.errors import Refusal
-from rtloop.saved import COUNTS_FROM_NOWHERE
+from rtloop.kept.saved import COUNTS_FROM_NOWHERE
 from shm.layout import REQUEST_SLOTS
 from shm.words import Answer, Fault, Mode, Request, Unreferenced
 

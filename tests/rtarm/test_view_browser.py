@@ -20,7 +20,7 @@ from working_threads import niceness_at_work
 from config.loader import load_arm
 from rtarm import requests
 from rtarm.status import Report, read_status
-from rtloop import saved
+from rtloop.kept import saved
 from shm.words import Request, Unreferenced
 
 pytestmark = [

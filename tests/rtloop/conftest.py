@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from virtual import VirtualArm, recorded_goal
 
-from rtloop import realtime
+from rtloop.system import realtime
 
 
 @pytest.fixture

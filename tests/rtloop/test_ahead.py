@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from virtual import VirtualArm
 
 from config.loader import load_arm
-from rtloop import ahead, entry, guard, path
+from rtloop.trajectory import ahead, entry, limits, path
 from shm.words import Fault, Outcome
 
 trials = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -58,9 +58,9 @@ def differences_keep_limits(arm: VirtualArm, index: int, rate: float) -> bool:
             positions.append(path.sample(loop, index, joint, clock_s, knot)[0])
         velocity = np.diff(positions) / period_s
         acceleration = np.diff(velocity, prepend=0.0) / period_s
-        if np.max(np.abs(velocity)) > guard.highest_rad_s(loop, joint):
+        if np.max(np.abs(velocity)) > limits.highest_rad_s(loop, joint):
             return False
-        if np.max(np.abs(acceleration)) > guard.hardest_rad_s2(loop, joint):
+        if np.max(np.abs(acceleration)) > limits.hardest_rad_s2(loop, joint):
             return False
     return True
 

@@ -20,9 +20,10 @@ from can_records import EXTENDED, REMOTE, error_record, record, unpacked
 from waiting import until
 
 from config.loader import load_arm
-from rtloop.beginning import new_loop
-from rtloop.measured import take_what_the_bus_brought
-from rtloop.state import CAN_FRAME_BYTES
+from rtloop.bus.measured import take_what_the_bus_brought
+from rtloop.memory.frame_words import EXTENDED as EXTENDED_KIND
+from rtloop.memory.state import CAN_FRAME_BYTES
+from rtloop.process.beginning import new_loop
 from rtloop.wire import bridge as bridge_module
 from rtloop.wire import can_words, outgoing, received
 from rtloop.wire.bridge import (
@@ -35,7 +36,6 @@ from rtloop.wire.bridge import (
     is_gone,
     record_of,
 )
-from rtloop.wire.frame_words import EXTENDED as EXTENDED_KIND
 from rtloop.wire.python_can import all_options, known_options, open_python_can
 from rtloop.wire.refusal import WireRefused
 from shm import layout

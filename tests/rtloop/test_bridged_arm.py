@@ -17,8 +17,8 @@ from observer import judge, life_violations, motion_violations, truth_of
 from stack import PATIENCE_S, Stack
 
 from config.loader import load_arm
-from rtloop import compiled
-from rtloop.process import ControlProcess, StopAsked
+from rtloop.process import compiled
+from rtloop.process.control_process import ControlProcess, StopAsked
 from shm.words import Outcome
 from sim.arm import SimulatedArm
 from sim.python_can_host import PythonCanServer

@@ -246,7 +246,7 @@ def test_a_scan_leaves_a_claimed_interface_alone(bus, tmp_path, monkeypatch):
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("module", ["rtloop", "rtloop.settings"])
+@pytest.mark.parametrize("module", ["rtloop", "rtloop.offline.settings"])
 def test_what_leads_drives_of_another_is_refused_before_it_opens_anything(module, bus, arm_name, tmp_path):
     """The interface is not there: what comes so far as to open it says so."""
     with process_that_claims(on_can(bus, "left", tmp_path)) as other:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from observer import command_violations, frames_sent, motion_frames, motion_violations, truth_of
 from virtual import START_NS, VirtualArm
 
-from rtloop.state import RX_BYTES
+from rtloop.memory.state import RX_BYTES
 from rtloop.wire import received
 from shm.words import Fault, Mode, Outcome, Slowed, Unreferenced
 from sim.faults import CountSlip, ReceiveStall, Silent, Stall, WrongValues

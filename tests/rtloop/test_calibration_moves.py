@@ -15,11 +15,11 @@ from virtual import VirtualArm
 from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.calibration.session import MOST_COUNTS, MOST_RPM, NotDone, Session
-from rtloop.conversation import TalkFailed
 from rtloop.drives import zdt
 from rtloop.drives import zdt_registers as registers
-from rtloop.power import Marks
+from rtloop.drives.power import Marks
+from rtloop.offline.calibration.session import MOST_COUNTS, MOST_RPM, NotDone, Session
+from rtloop.service.conversation import TalkFailed
 from shm.words import Mode, Unreferenced
 from sim import faults
 

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from config.loader import load_arm
-from rtloop.beginning import new_loop
-from rtloop.measured import take_what_the_bus_brought
-from rtloop.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN
+from rtloop.bus.measured import take_what_the_bus_brought
+from rtloop.memory.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN
+from rtloop.process.beginning import new_loop
 from rtloop.wire import can_frame, can_words, received
 from shm import layout
 from shm.words import BusState, Fault, Mode

@@ -9,7 +9,7 @@ from motion_figures import sampled_truth
 from virtual import VirtualArm
 
 from config.loader import load_arm
-from rtloop.correction import ERROR_SPEED_SHARE
+from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from shm.words import Answer, Mode, Request
 from sim.drives import canopen, cia402
 from sim.drives.cia402 import Cia402Drive

@@ -17,11 +17,11 @@ from virtual import VirtualArm
 from config.budget import budget
 from config.errors import ConfigError
 from config.loader import load_arm
-from rtloop import status
-from rtloop.beginning import new_loop
 from rtloop.drives import cia402, cia402_setup, sdo
-from rtloop.port import Frame
-from rtloop.wire.frame_words import STANDARD
+from rtloop.memory import status
+from rtloop.memory.frame_words import STANDARD
+from rtloop.process.beginning import new_loop
+from rtloop.service.port import Frame
 from shm.words import Mode, Unreferenced
 
 relaxed = settings(deadline=None)

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from config.loader import load_arm
 from motion.stopping import ORDERLY, STOP_FRACTIONS
-from rtloop import clock
-from rtloop.beginning import new_loop
+from rtloop.process.beginning import new_loop
+from rtloop.trajectory import clock
 
 ARM = load_arm("mock")
 PERIOD_S = ARM.control.period_ns * 1e-9

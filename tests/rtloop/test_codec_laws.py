@@ -11,9 +11,9 @@ from codec_rig import Rig, families, frame_of, golden
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtloop import status
-from rtloop.state import TX_BYTES
-from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
+from rtloop.memory import status
+from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
+from rtloop.memory.state import TX_BYTES
 
 relaxed = settings(deadline=None, max_examples=60)  # of each of nine drives
 KNOWN_STATUS = sum(value for name, value in vars(status).items() if name.isupper())

@@ -16,19 +16,19 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from config.ramp import nearest_usable_acceleration_rad_s2
-from rtloop.calibration.session import NotDone
-from rtloop.calibration.talk import Drive
-from rtloop.commissioned import PowerProof
-from rtloop.commissioning import zdt_checks
-from rtloop.commissioning import zdt_talk as zdt_talk_of_the_bench
-from rtloop.commissioning.finding import Finding, Verdict, braking_rev_s2
-from rtloop.commissioning.session import Bench, checks_of
-from rtloop.commissioning.zdt_talk import Ran, trial_of
-from rtloop.conversation import TalkFailed
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
+from rtloop.drives.power import Marks
 from rtloop.drives.zdt_ask import Ask
-from rtloop.power import Marks
+from rtloop.kept.commissioned import PowerProof
+from rtloop.offline.calibration.session import NotDone
+from rtloop.offline.calibration.talk import Drive
+from rtloop.offline.commissioning import zdt_checks
+from rtloop.offline.commissioning import zdt_talk as zdt_talk_of_the_bench
+from rtloop.offline.commissioning.finding import Finding, Verdict, braking_rev_s2
+from rtloop.offline.commissioning.session import Bench, checks_of
+from rtloop.offline.commissioning.zdt_talk import Ran, trial_of
+from rtloop.service.conversation import TalkFailed
 from shm.recording import now_at, read_on
 from shm.words import Unreferenced
 from sim import faults
@@ -388,7 +388,7 @@ def test_a_family_without_checks_says_so() -> None:
 
 
 def test_a_drive_that_lost_its_power_does_not_get_a_mark_of_before_back() -> None:
-    """With it the next control process would believe an angle that is gone (`rtloop.power`)."""
+    """With it the next control process would believe an angle that is gone (`rtloop.drives.power`)."""
     trial = Trial(0)
     mark = trial.bench.have(0, lambda drive: zdt_talk.mark(drive.now_ns()))
     trial.check("power cycle")

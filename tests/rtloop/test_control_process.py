@@ -25,9 +25,11 @@ from stack import PATIENCE_S, Process
 from waiting import until
 
 from config.loader import load_arm
-from rtloop import compiled, realtime, saved
-from rtloop.port import ServicePort
-from rtloop.process import ControlProcess, StopAsked
+from rtloop.kept import saved
+from rtloop.process import compiled
+from rtloop.process.control_process import ControlProcess, StopAsked
+from rtloop.service.port import ServicePort
+from rtloop.system import realtime
 from shm import cache
 from shm.client import StateReader
 from shm.errors import NotRunning
@@ -56,10 +58,10 @@ def copy_of_the_sources(folder: Path) -> Path:
 
 def test_copies_of_the_same_sources_share_what_was_compiled(tmp_path):
     make_object()
-    program = "from rtloop import compiled; compiled.load(); print(compiled.path(), compiled.__file__)"
+    program = "from rtloop.process import compiled; compiled.load(); print(compiled.path(), compiled.__file__)"
     first, second = (copy_of_the_sources(tmp_path / name) for name in ("first", "second"))
     for copy in (first, second):
-        assert python_in(copy, program).split() == [str(compiled.path()), str(copy / "rtloop/compiled.py")]
+        assert python_in(copy, program).split() == [str(compiled.path()), str(copy / "rtloop/process/compiled.py")]
 
 
 @pytest.mark.parametrize("source", ["config/budget.py", "motion/segment.py", "shm/layout.py", "rtloop/drives/zdt.py"])
@@ -226,7 +228,7 @@ def test_memory_is_locked_under_a_limit_and_later_allocations_still_succeed():
     """What the cycle uses counts, not what else the process holds or will hold."""
     program = """
 import numpy as np
-from rtloop import realtime
+from rtloop.system import realtime
 
 used = np.ones(1 << 20, np.uint8)
 obtained = realtime.prepare_process([(used.ctypes.data, used.nbytes)])
@@ -239,7 +241,7 @@ print(len(bytearray(64 << 20)) >> 20)
 
 MAPPING = """
 import ctypes, mmap, re
-from rtloop import realtime
+from rtloop.system import realtime
 
 def mapping(address):
     found = None
@@ -410,7 +412,7 @@ def test_an_arm_in_motion_stops_on_its_path_though_nobody_reads_any_more_what_it
     """Its own terminal is closed, and it has something to say in each look at whether it stands."""
     program = """
 import fcntl, runpy, termios
-from rtloop.process import ControlProcess
+from rtloop.process.control_process import ControlProcess
 
 fcntl.ioctl(0, termios.TIOCSCTTY)
 stands = ControlProcess._stands
@@ -450,7 +452,8 @@ runpy.run_module("rtloop", run_name="__main__")
 @pytest.mark.process
 def test_who_reads_late_misses_a_sentence_and_none_after_it():
     """A terminal that is stopped by Ctrl-S, or a full pipe, of whom does not want to wait."""
-    program = "from rtloop.__main__ import tell\ntell('x' * 100_000)\nprint('told', flush=True)\ninput()\ntell('heard')"
+    program = "from rtloop.process.program import tell\n"
+    program += "tell('x' * 100_000)\nprint('told', flush=True)\ninput()\ntell('heard')"
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     command = [sys.executable, "-c", program]

@@ -13,13 +13,13 @@ from codec_rig import Host
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.beginning import new_loop
-from rtloop.conversation import TalkFailed
 from rtloop.drives import damiao_setup as setup
 from rtloop.drives import fields
 from rtloop.drives.damiao_setup import bring_up, let_go, setpoint_bytes
-from rtloop.port import Frame
-from rtloop.wire.frame_words import STANDARD
+from rtloop.memory.frame_words import STANDARD
+from rtloop.process.beginning import new_loop
+from rtloop.service.conversation import TalkFailed
+from rtloop.service.port import Frame
 from shm.words import Unreferenced
 
 ARM, PLANNING = load_arm("damiao6"), load_arm("damiao6_pv")

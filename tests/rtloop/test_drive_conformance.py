@@ -15,7 +15,7 @@ from virtual import VirtualArm, recorded_goal
 
 from config.budget import budget
 from config.loader import load_arm
-from rtloop import status as status_bits
+from rtloop.memory import status as status_bits
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.faults import Disabled, PowerLoss, Protection, Silent
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from config.loader import load_arm
-from rtloop.beginning import new_loop
-from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
+from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
+from rtloop.process.beginning import new_loop
 from shm import layout
 from shm.words import Unreferenced
 

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm, recorded_goal
 
-from rtloop.release import Release
+from rtloop.dialogues.release import Release
 from shm.words import Answer, Fault, Mode, Outcome, Phase, Request
 from sim.faults import CountSlip, PowerLoss, Stall
 

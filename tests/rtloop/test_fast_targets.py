@@ -12,8 +12,7 @@ from true_motion import commanded_until_end, largest_acceleration_ratio, moving,
 from virtual import VirtualArm, recorded_goal
 
 from config.loader import load_arm
-from rtloop import fast_targets
-from rtloop.drives import zdt_registers
+from rtloop.drives import zdt_fast_targets, zdt_registers
 from shm.words import Fault, Mode, Outcome
 from sim.bus import Frame
 from sim.faults import PowerLoss
@@ -101,7 +100,7 @@ def test_a_drive_that_says_absolute_and_goes_elsewhere_is_stopped() -> None:
     def what_it_was_told() -> bytes:
         if drive._fast is None or not arm.sent:
             return before()
-        pulses = fast_targets.beside(round((0.5 + drive_zero) * per_rad))
+        pulses = zdt_fast_targets.beside(round((0.5 + drive_zero) * per_rad))
         return drive._signed(0x33, round(pulses * 20.48), 4)
 
     config = arm.arm.joints[1]

@@ -8,7 +8,7 @@ from virtual import VirtualArm, recorded_goal
 from config.frames import frame_bits
 from rtloop.cycle import step
 from rtloop.drives.zdt_ask import split_packets
-from rtloop.port import SEND
+from rtloop.service.port import SEND
 from rtloop.wire import outgoing, received
 from shm.recording import SENT, read_recording
 from shm.words import Answer, DriveStatus, Fault, Mode, Outcome, Request, Slowed, Unreferenced

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from config.loader import load_arm
-from rtloop import following
-from rtloop.beginning import new_loop
-from rtloop.state import NOT_LED
+from rtloop.drives import following
+from rtloop.memory.state import NOT_LED
+from rtloop.process.beginning import new_loop
 
 
 @pytest.fixture

@@ -21,8 +21,8 @@ from typing import Any
 import pytest
 from codec_rig import Rig, data_of, families, frame_of, golden, meant, text_of, word
 
-from rtloop import status
-from rtloop.wire.frame_words import EXTENDED, REMOTE
+from rtloop.memory import status
+from rtloop.memory.frame_words import EXTENDED, REMOTE
 from shm.words import Unreferenced
 
 KINDS = {"does": {"at", "turn", "frames", "questions", "noted", "is_stop"}, "packs": {"row", "of", "bytes"}}

@@ -17,11 +17,11 @@ from virtual import VirtualArm
 from config.budget import budget
 from config.loader import load_arm
 from motion.gripping import Grip, GripJudge, stall_ns
-from rtloop.conversation import Conversation
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_ask import split_packets
-from rtloop.port import SEND, Frame
+from rtloop.service.conversation import Conversation
+from rtloop.service.port import SEND, Frame
 from shm.gripper import read_gripper
 from shm.words import Answer, Fault, GripTrouble, Mode, Outcome, Request
 from sim import faults

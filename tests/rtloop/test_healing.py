@@ -7,7 +7,7 @@ import pytest
 from observer import frames_sent, motion_frames
 from virtual import VirtualArm
 
-from rtloop.healing import ENDED_WITHIN_NS, MOST_HEALED, WITHIN_NS
+from rtloop.dialogues.healing import ENDED_WITHIN_NS, MOST_HEALED, WITHIN_NS
 from shm.words import Answer, Event, Fault, Mode, Outcome, Request, Unreferenced
 from sim.drives.zdt import ZdtDrive
 

@@ -12,8 +12,8 @@ from virtual import VirtualArm
 
 from config.joint import JointConfig
 from config.loader import load_arm
+from rtloop.dialogues.healing import DECIDED_WITHIN_NS, REST_NS, Healing
 from rtloop.drives import myactuator_setup, zdt_registers
-from rtloop.healing import DECIDED_WITHIN_NS, REST_NS, Healing
 from rtloop.wire import received
 from shm.words import Answer, BusState, Fault, Mode, Outcome, Request, Unreferenced
 from sim.faults import ReceiveStall, Silent
@@ -255,7 +255,7 @@ def test_what_happens_while_the_drives_are_asked_for_their_power_counts(
 def test_a_controller_that_left_the_bus_under_the_fault_keeps_it(moving: VirtualArm) -> None:
     """Bus-off by itself would wait for a person, too; only the first fault stands in the snapshot."""
     goes_silent(moving)
-    moving.core["silenced"] = 1  # what `rtloop.measured.take_error` does with it
+    moving.core["silenced"] = 1  # what `rtloop.bus.measured.take_error` does with it
     moving.state.record["counters"]["bus_state"] = BusState.BUS_OFF
     is_heard(moving)
     wait(moving)

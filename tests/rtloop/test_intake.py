@@ -15,7 +15,7 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.intake import CYCLES_TO_BECOME_VISIBLE, records_a_cycle
+from rtloop.commands.intake import CYCLES_TO_BECOME_VISIBLE, records_a_cycle
 from shm import layout
 from shm.errors import RingFull
 from shm.words import Answer, Fault, Mode, Outcome, Request, Setpoint

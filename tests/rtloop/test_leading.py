@@ -5,8 +5,8 @@ import pytest
 
 from config.derived import LEAD_PERIODS
 from config.loader import load_arm
-from rtloop import leading
-from rtloop.beginning import new_loop
+from rtloop.drives import leading
+from rtloop.process.beginning import new_loop
 
 JOINT = 2
 DELAY_S, RAMP = 0.002, 3.0

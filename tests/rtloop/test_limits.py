@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from config.loader import load_arm
-from rtloop import guard
-from rtloop.beginning import new_loop
+from rtloop.process.beginning import new_loop
+from rtloop.safety import guard
 from shm import layout
 from shm.words import Fault, Mode
 

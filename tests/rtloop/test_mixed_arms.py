@@ -9,7 +9,7 @@ from virtual import VirtualArm
 
 from config.errors import ConfigError
 from config.loader import known_arms, load_arm
-from rtloop.state import LISTENERS
+from rtloop.memory.state import LISTENERS
 from shm.layout import MAX_JOINTS
 from shm.words import Answer, Fault, Mode, Outcome, Request
 from sim.faults import Protection, Silent

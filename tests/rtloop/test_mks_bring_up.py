@@ -8,10 +8,10 @@ from bring_up_rig import failure_of, farthest, tell, way
 from virtual import VirtualArm
 
 from config.loader import load_arm
-from rtloop import status
 from rtloop.drives.mks_setup import _told
-from rtloop.port import Frame as PortFrame
-from rtloop.wire.frame_words import STANDARD
+from rtloop.memory import status
+from rtloop.memory.frame_words import STANDARD
+from rtloop.service.port import Frame as PortFrame
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.drives.mks import MksDrive, checksum
 from sim.faults import Disabled, PowerLoss, Silent

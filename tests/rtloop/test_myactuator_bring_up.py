@@ -8,8 +8,8 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop import status as status_bits
 from rtloop.drives.myactuator_setup import ramp_dps_s
+from rtloop.memory import status as status_bits
 from shm.words import Mode, Unreferenced
 from sim.drives.myactuator import OFF, POSITION
 from sim.faults import Disabled, Protection

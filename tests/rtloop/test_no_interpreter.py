@@ -22,9 +22,11 @@ from virtual import VirtualArm
 import rtloop
 import shm
 from config.loader import load_arm
-from rtloop import cycle, entries, realtime
-from rtloop.run import run
-from rtloop.state import offset_of
+from rtloop import cycle
+from rtloop.memory.state import offset_of
+from rtloop.process import entries
+from rtloop.process.run import run
+from rtloop.system import realtime
 from shm import cache
 from shm.jit import jit
 from shm.words import Mode, Outcome

@@ -16,10 +16,10 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.conversation import TalkFailed
 from rtloop.drives.odrive_setup import ESTIMATES, HEARTBEAT, VERSION, Firmware, bring_up, error_words, let_go
-from rtloop.port import Frame
-from rtloop.wire.frame_words import STANDARD
+from rtloop.memory.frame_words import STANDARD
+from rtloop.service.conversation import TalkFailed
+from rtloop.service.port import Frame
 from shm.words import Answer, Mode, Request
 
 ARM = load_arm("odrive6")

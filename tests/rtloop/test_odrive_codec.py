@@ -7,8 +7,8 @@ from codec_rig import Rig, word
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtloop import status
 from rtloop.drives import odrive
+from rtloop.memory import status
 
 
 @settings(deadline=None)  # some of it is compiled on the way

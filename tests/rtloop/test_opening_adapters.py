@@ -18,8 +18,8 @@ from waiting import until
 from wires import WIRES, Wire
 
 from config.loader import load_arm
+from rtloop.process.opening import close_wire, open_wire
 from rtloop.wire import tty
-from rtloop.wire.opening import close_wire, open_wire
 from rtloop.wire.refusal import WireRefused
 from sim.arm import SimulatedArm
 from sim.bus import Frame

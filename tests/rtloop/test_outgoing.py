@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from config.loader import load_arm
-from rtloop import run
-from rtloop.beginning import new_loop
-from rtloop.state import CAN_FRAME_BYTES, TX_FRAMES
+from rtloop.memory.state import CAN_FRAME_BYTES, TX_FRAMES
+from rtloop.process import run
+from rtloop.process.beginning import new_loop
 from rtloop.wire import outgoing, received
 from shm import layout
 

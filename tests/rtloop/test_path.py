@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
 from config.loader import load_arm
-from rtloop import entry, path
-from rtloop.beginning import new_loop
-from rtloop.state import WINDOW_KNOTS
+from rtloop.memory.state import WINDOW_KNOTS
+from rtloop.process.beginning import new_loop
+from rtloop.trajectory import entry, path
 
 LOOP = new_loop(load_arm("mock"), 0, 0)
 KNOTS = st.lists(st.integers(1, 10**9), min_size=1, max_size=40).map(np.cumsum)

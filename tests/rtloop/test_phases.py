@@ -8,8 +8,8 @@ import pytest
 from test_stop_hold_cancel import NS, new_arm
 from virtual import VirtualArm
 
-from rtloop.faults import latch_fault
-from rtloop.phases import ALLOWED, change_phase
+from rtloop.safety.faults import latch_fault
+from rtloop.trajectory.phases import ALLOWED, change_phase
 from shm.words import Fault, Outcome, Phase
 
 

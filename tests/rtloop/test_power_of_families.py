@@ -19,13 +19,13 @@ from virtual import START_NS, VirtualArm
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.conversation import TRIES, Conversation, Dialogue
 from rtloop.drives import cia402_setup, damiao_setup, myactuator_setup, robstride_setup
 from rtloop.drives.arming import ARMED, Arming, stayed_armed
 from rtloop.drives.myactuator_setup import CLOCK_TOLERANCE, Uptime
+from rtloop.drives.power import Marks
 from rtloop.drives.setup import setup_of
-from rtloop.power import Marks
-from rtloop.saved import OUTLIVES_THE_PROCESS
+from rtloop.kept.saved import OUTLIVES_THE_PROCESS
+from rtloop.service.conversation import TRIES, Conversation, Dialogue
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.drives.myactuator import MyactuatorDrive
 

@@ -9,9 +9,9 @@ from observer import command_violations, frames_sent, motion_after, motion_frame
 from virtual import VirtualArm
 
 from config.loader import load_arm
-from rtloop.port import HOME_ALL
-from rtloop.referencing import referencing_asked_for
-from rtloop.saved import NotSaved
+from rtloop.dialogues.referencing import referencing_asked_for
+from rtloop.kept.saved import NotSaved
+from rtloop.service.port import HOME_ALL
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.faults import PowerLoss, Protection, Silent
 

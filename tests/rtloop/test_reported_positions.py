@@ -11,11 +11,11 @@ from virtual import VirtualArm, recorded_goal
 
 from config.budget import budget
 from config.loader import load_arm
-from rtloop.calibration.talk import Drive, OneDrive
+from rtloop.dialogues.farewell import Farewell
 from rtloop.drives import zdt_registers
 from rtloop.drives.zdt_ask import addressed
-from rtloop.farewell import Farewell
-from rtloop.settings.session import Session
+from rtloop.offline.calibration.talk import Drive, OneDrive
+from rtloop.offline.settings.session import Session
 from shm.words import Answer, Fault, Mode, Outcome, Request, Slowed
 from sim.bus import Frame
 from sim.faults import DuplicateReplies, LateReplies, LostReplies, PowerLoss, SerialBlocked, Silent

@@ -13,7 +13,7 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from rtloop.drives import fields
 from rtloop.drives.robstride_setup import CREEP_RAD_S, _hold_as_it_is
-from rtloop.port import Frame as PortFrame
+from rtloop.service.port import Frame as PortFrame
 from shm.words import Answer, Mode, Request
 from sim.drives.robstride import RESET, RUN
 from sim.faults import Disabled, Protection

@@ -15,7 +15,7 @@ from config.errors import ConfigError
 from config.schema import ArmConfig
 from rtloop.drives import robstride_setup
 from rtloop.drives.robstride_setup import RUN_MODES
-from rtloop.port import Frame
+from rtloop.service.port import Frame
 
 CONTROL, POSITION = (golden("robstride")["joints"][name]["drive"] for name in ("control", "position"))
 

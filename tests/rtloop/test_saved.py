@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from virtual import VirtualArm
 
 from config.loader import load_arm
-from rtloop import saved
-from rtloop.beginning import new_loop
-from rtloop.bringup import MADE_GOOD_BY_ABSOLUTE
-from rtloop.guard import outlives_a_clear
+from rtloop.dialogues.bringup import MADE_GOOD_BY_ABSOLUTE
+from rtloop.kept import saved
+from rtloop.process.beginning import new_loop
+from rtloop.safety.guard import outlives_a_clear
 from shm.words import Answer, Fault, Mode, Request, Unreferenced
 
 COUNTS = st.dictionaries(st.integers(0, 5), st.integers(-(2**40), 2**40))

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from wires import SLCAN_GOLDEN
 
 from config.loader import load_arm
-from rtloop.beginning import new_loop
-from rtloop.state import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
+from rtloop.memory.state import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
+from rtloop.process.beginning import new_loop
 from rtloop.wire import slcan
 from shm import layout
 

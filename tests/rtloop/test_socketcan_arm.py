@@ -7,8 +7,8 @@ from observer import command_violations, frames_sent, motion_after, motion_frame
 from virtual import START_NS, VirtualArm, recorded_goal
 
 from config.loader import load_arm
-from rtloop.port import SEND, Frame
-from rtloop.run import take_over_wire
+from rtloop.process.run import take_over_wire
+from rtloop.service.port import SEND, Frame
 from rtloop.wire import can_words, outgoing, received
 from shm.words import Answer, BusState, Event, Fault, Mode, Outcome, Request
 from sim.faults import LostReplies, PowerLoss, Silent

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
 
-from rtloop.faults import latch_fault
+from rtloop.safety.faults import latch_fault
 from shm import layout
 from shm.errors import RingFull
 from shm.recording import newest_events

@@ -11,8 +11,8 @@ from motion_figures import sampled_truth
 from virtual import VirtualArm
 
 from config.loader import load_arm
-from rtloop.beginning import new_loop
 from rtloop.drives import families
+from rtloop.process.beginning import new_loop
 from shm import layout
 from shm.words import Answer, Mode, Request
 from sim.bus import Frame

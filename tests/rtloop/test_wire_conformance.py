@@ -22,12 +22,12 @@ from config.budget import budget
 from config.loader import load_arm
 from config.schema import ArmConfig
 from config.serial_adapters import SERIAL_ADAPTERS
-from rtloop.beginning import new_loop
-from rtloop.run import take_over_wire
-from rtloop.state import RX_BYTES, TX_FRAMES
+from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
+from rtloop.memory.state import RX_BYTES, TX_FRAMES
+from rtloop.process.beginning import new_loop
+from rtloop.process.run import take_over_wire
 from rtloop.wire import outgoing, received
 from rtloop.wire.binary_adapters import EXTENDED_ONLY, NORMAL, set_up_frame
-from rtloop.wire.frame_words import EXTENDED, REMOTE, STANDARD
 from shm import layout
 from shm.words import Answer, Fault, Mode, Outcome, Request
 from sim.bus import Frame

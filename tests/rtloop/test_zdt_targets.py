@@ -6,8 +6,8 @@ import pytest
 from codec_rig import data_of
 
 from config.loader import load_arm
-from rtloop.beginning import new_loop
 from rtloop.drives import zdt
+from rtloop.process.beginning import new_loop
 
 ARM = load_arm("episode1")
 

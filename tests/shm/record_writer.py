@@ -9,9 +9,9 @@ import threading
 from typing import Any
 
 from config.loader import load_arm
-from rtloop.beginning import new_loop
-from rtloop.recorder import record_cycle, record_frame
-from rtloop.state import LOOP, offset_of
+from rtloop.memory.recorder import record_cycle, record_frame
+from rtloop.memory.state import LOOP, offset_of
+from rtloop.process.beginning import new_loop
 from shm import files, layout
 from shm.atomics import store_relaxed
 from shm.jit import jit

@@ -13,8 +13,9 @@ from dataclasses import replace
 import pytest
 from memory_model import ACQUIRE, RELAXED, RELEASE, Explorer, Fence, Load, Operation, Registers, Store
 
-from rtloop import intake, service
-from rtloop.port import ServicePort
+from rtloop.commands import intake
+from rtloop.service import rings
+from rtloop.service.port import ServicePort
 from rtloop.wire import received
 from shm import seqlock
 
@@ -68,7 +69,7 @@ def test_a_branch_holds_back_stores_but_no_loads() -> None:
 
 
 def producer(records: int, words: int = 1) -> Thread:
-    """Look for room, write the record, publish it (`received.push`, `service.hand_out`, `ServicePort.post`)."""
+    """Look for room, write the record, publish it (`received.push`, `rings.hand_out`, `ServicePort.post`)."""
     thread: list[Operation] = []
     for k in range(records):
         thread.append(Load("taken", f"room{k}", ACQUIRE, guard=lambda taken, k=k: k - taken < SLOTS))
@@ -263,9 +264,9 @@ CODE = {
     seqlock.copy_words: ("load_relaxed", "store_relaxed"),
     received.chunks_arrived: ("load_acquire",),
     received.taken: ("store_release", "store_release"),
-    service.pass_on: ("load_relaxed", "store_release"),
-    service.waiting: ("load_acquire", "load_relaxed"),
-    service.room: ("load_relaxed", "load_acquire"),
+    rings.pass_on: ("load_relaxed", "store_release"),
+    rings.waiting: ("load_acquire", "load_relaxed"),
+    rings.room: ("load_relaxed", "load_acquire"),
     ServicePort.post: ("store_word",),
     ServicePort.received: ("store_word",),
 }

@@ -11,9 +11,8 @@ from virtual import private_file
 from waiting import ready_process
 
 from config.loader import load_arm
-from rtloop import recorder
-from rtloop.beginning import new_loop
-from rtloop.wire import frame_words
+from rtloop.memory import frame_words, recorder
+from rtloop.process.beginning import new_loop
 from shm import files, layout, recording
 from shm.recording import frame_check, read_recording
 

@@ -18,7 +18,7 @@ from third_party.conftest import on_python_can
 from waiting import until
 
 from rtloop.drives import cia402_setup, pdo, sdo
-from rtloop.port import Frame
+from rtloop.service.port import Frame
 from sim.faults import Protection
 
 NODE = 2

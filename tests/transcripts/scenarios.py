@@ -22,7 +22,7 @@ from servo import Servo, SinglePoints, Way, waves
 from virtual import GOALS, VirtualArm, recorded_goal
 
 from config.loader import known_arms, load_arm
-from rtloop.run import take_over_wire
+from rtloop.process.run import take_over_wire
 from rtloop.wire import can_words, received
 from shm.words import Mode, Outcome, Request
 from sim.faults import PowerLoss, Protection, Silent, Stall, Thing

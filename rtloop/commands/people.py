@@ -1,0 +1,122 @@
+"""What people ask at any moment: stop, hold and resume, the speed scale, cancels.
+
+Each is one store in the command file of which the newest counts, so none can be lost, and none waits behind another.
+"""
+
+from typing import Any
+
+from rtloop.memory.events import record_event
+from rtloop.memory.state import LOOP, offset_of
+from rtloop.trajectory.phases import (
+    end_waiting,
+    incoming,
+    pause_running,
+    resume_paused,
+    running_goal,
+    runs,
+    stop_running,
+    waits,
+)
+from shm import layout
+from shm.atomics import load_acquire
+from shm.jit import jit
+from shm.seqlock import copy_words
+from shm.words import Event, Mode, Outcome, Request
+
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+_STOP = offset_of(layout.COMMAND, "stop_ns")
+_HOLD = offset_of(layout.COMMAND, "hold_ns")
+_RESUME = offset_of(layout.COMMAND, "resume_ns")
+_SPEED_SCALE = offset_of(layout.COMMAND, "speed_scale")
+_CANCELED_THROUGH = offset_of(layout.COMMAND, "canceled_through")
+_CANCELED_GOALS = offset_of(layout.COMMAND, "canceled_goals")
+_SCRATCH_SCALE = offset_of(LOOP, "scratch_scale")
+_WORD = 8
+
+GOALS_AHEAD = 1_000_000
+"""Goal ids rise by one; a word that is this far ahead was not written by a front."""
+
+
+@jit
+def obey_commands(loop: Loop, shared: Shared) -> None:
+    """Obey the newest of each."""
+    command = loop.params.command_address
+    if command == 0:
+        return
+    obey_stop_and_hold(loop, shared, command)
+    take_speed_scale(loop, shared, command)
+    if waits(loop) and is_canceled(loop, loop.paths[incoming(loop)].goal_id):
+        end_waiting(loop, shared, Outcome.CANCELED, -1, 0.0, 0.0)
+    if runs(loop) and is_canceled(loop, running_goal(loop)):
+        stop_running(loop, Outcome.CANCELED, -1, 0.0, 0.0)
+
+
+@jit
+def obey_stop_and_hold(loop: Loop, shared: Shared, command: int) -> None:
+    """A stop or a hold leaves the arm held until a resume that was asked for later; a stop also ends what moves it."""
+    core = loop.core
+    stop_ns, hold_ns = load_acquire(command + _STOP), load_acquire(command + _HOLD)
+    resume_ns = load_acquire(command + _RESUME)
+    stopped, held, resumed = stop_ns != core.stop_ns, hold_ns != core.hold_ns, resume_ns != core.resume_ns
+    core.stop_ns, core.hold_ns, core.resume_ns = stop_ns, hold_ns, resume_ns
+    if stopped:
+        core.stops += 1
+        note(loop, shared, Request.STOP, _STOP)
+    if held:
+        note(loop, shared, Request.HOLD, _HOLD)
+    if stopped or held:
+        core.held = 1
+        core.grip_halted = core.grip_sequence
+        core.pose_due_ns = 0
+        raise_epoch(loop, shared, Outcome.REFUSED_HELD)
+        if core.mode == Mode.REFERENCING:
+            core.referencing_ends = 1
+        # A stream keeps its own time, which a pause would take from it.
+        if stopped or loop.paths[core.active].stream == 1:
+            stop_running(loop, Outcome.STOPPED, -1, 0.0, 0.0)
+        pause_running(loop)
+    if core.held == 1 and resumed and resume_ns > max(stop_ns, hold_ns):
+        core.held = 0
+        resume_paused(loop)
+        raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)  # what was sent meanwhile is not begun by this
+        note(loop, shared, Request.RESUME, _RESUME)
+
+
+@jit
+def note(loop: Loop, shared: Shared, kind: int, offset: int) -> None:
+    """An event that says what was asked, and by which process."""
+    who = load_acquire(loop.params.command_address + offset + _WORD)
+    record_event(loop, shared, Event.COMMAND, -1, kind, float(who), 0.0)
+
+
+@jit
+def raise_epoch(loop: Loop, shared: Shared, outcome: int) -> None:
+    """What arrived before this never begins; the goal that waits ends with the outcome."""
+    loop.core.epoch += 1
+    end_waiting(loop, shared, outcome, -1, 0.0, 0.0)
+
+
+@jit
+def take_speed_scale(loop: Loop, shared: Shared, command: int) -> None:
+    """A number that is no share of a speed is passed over."""
+    core = loop.core
+    if load_acquire(command + _SPEED_SCALE) == 0:
+        return
+    copy_words(loop.params.address + _SCRATCH_SCALE, command + _SPEED_SCALE, 1)
+    scale = loop.scratch_scale
+    if scale >= 0.0 and scale <= 1.0 and scale != core.speed_scale:
+        core.speed_scale = abs(scale)
+        record_event(loop, shared, Event.COMMAND, -1, Request.SPEED_SCALE, core.speed_scale, 0.0)
+
+
+@jit
+def is_canceled(loop: Loop, goal_id: int) -> bool:
+    """Whether its client no longer wants it."""
+    command = loop.params.command_address
+    if command == 0:
+        return False
+    slot = command + _CANCELED_GOALS + _WORD * (goal_id & (layout.CANCELED_SLOTS - 1))
+    through = load_acquire(command + _CANCELED_THROUGH)
+    return goal_id == load_acquire(slot) or goal_id <= through <= loop.core.announced_goal

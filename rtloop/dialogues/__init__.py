@@ -1,0 +1,1 @@
+"""Conversations with the drives: bring-up, homing, letting go, going on after a stall, the gripper."""

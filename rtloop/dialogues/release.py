@@ -1,0 +1,18 @@
+"""Letting the drives go: the conversation after which a standing arm is limp.
+
+The cycle has stopped leading the drives before this begins, and follows where they are from then on.
+"""
+
+from config.schema import ArmConfig
+from rtloop.drives.setup import joints_on_the_bus, setup_of
+from rtloop.service.conversation import Conversation
+from rtloop.service.port import ServicePort
+from shm.words import Fault
+
+
+class Release(Conversation):
+    """One release of a whole arm; a drive that stays enabled is a latched fault."""
+
+    def __init__(self, arm: ArmConfig, port: ServicePort, *, now_ns: int) -> None:
+        super().__init__(arm, port, now_ns, fault=Fault.RELEASE)
+        self.begin({joint: setup_of(arm.joints[joint].drive).let_go(arm, joint) for joint in joints_on_the_bus(arm)})

@@ -1,0 +1,52 @@
+"""Leading a drive that follows set-points: it goes where each one says, as hard as it can, and plans nothing itself."""
+
+from typing import Any
+
+from rtloop.memory.state import NOT_LED
+from rtloop.trajectory.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
+
+STANDS_AFTER_CYCLES = 3
+"""Without a target a drive ends its line in the next cycle, and has come to rest soon after."""
+
+
+@jit
+def setpoint(loop: Loop, joint: int) -> tuple[float, float]:
+    """Position (rad) and velocity (rad/s) of the joint in the middle of the time for which this cycle's frame counts.
+
+    It arrives `command_delay_s` into the cycle and holds for a period: what is right in the middle of that is early by
+    as much as it becomes late, so the drive is on time in the mean.
+    """
+    row, axis = loop.joints[joint], loop.axes[joint]
+    share = row.command_delay_s / (loop.params.period_ns * 1e-9) + 0.5
+    position = axis.position_rad + share * (axis.next_position_rad - axis.position_rad)
+    velocity = axis.velocity_rad_s + share * (axis.next_velocity_rad_s - axis.velocity_rad_s)
+    return min(max(position, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad), velocity
+
+
+@jit
+def still_behind_rad(loop: Loop, joint: int, setpoint_rad: float) -> float:
+    """How far what a drive is told stays behind the setpoint, because it was not led for a while.
+
+    It has stood at its last target meanwhile, and would jump to a new one within a period. So it begins at rest from
+    where it is, with the joint's acceleration limit, and makes good what it is behind at a share of its highest speed;
+    `behind_rad_s` of the axis is the change of what is returned. Once in each cycle in which the drive is led.
+
+    For drives whose own loop leaves no error at rest: one that carries a load by being off its target would let it sag.
+    """
+    core, row, axis = loop.core, loop.joints[joint], loop.axes[joint]
+    period_s = loop.params.period_ns * 1e-9
+    if axis.led_cycle == NOT_LED:  # it holds what is commanded, by as much off that as its load makes
+        axis.behind_rad = axis.behind_rad_s = 0.0
+    elif core.cycle - axis.led_cycle > STANDS_AFTER_CYCLES:
+        axis.behind_rad = setpoint_rad - axis.measured_rad
+        axis.behind_rad_s = axis.next_velocity_rad_s
+    axis.led_cycle = core.cycle
+    most = ERROR_SPEED_SHARE * row.max_velocity_rad_s
+    wanted_rad_s = -min(max(ERROR_SHARE_1_S * axis.behind_rad, -most), most)
+    change = row.max_acceleration_rad_s2 * period_s
+    axis.behind_rad_s += min(max(wanted_rad_s - axis.behind_rad_s, -change), change)
+    axis.behind_rad += axis.behind_rad_s * period_s
+    return float(axis.behind_rad)

@@ -1,0 +1,59 @@
+"""Leading a drive that plans its own ramp to whatever target it heard last: a target ahead, a speed that sets the pace.
+
+A target at the setpoint would make it sprint and stop in every cycle. So the target lies ahead of the setpoint by one
+period of motion plus the braking distance of the drive's ramp, and the speed alone sets the pace: the planned mean
+velocity of the coming period plus a small share of the measured error. Since the ramp is 1.5 to 2 times the joint's
+acceleration limit, a drive that hears nothing more brakes by itself, bounded, on the target's last word.
+"""
+
+import math
+from typing import Any
+
+from config.derived import LEAD_PERIODS
+from rtloop.safety.agreed import steady_error_rad
+from rtloop.trajectory.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
+
+
+@jit
+def target_ahead(loop: Loop, joint: int, coarse_rad_s: float) -> tuple[float, float]:
+    """Target (rad) and signed speed (rad/s) that lead a drive through the coming period.
+
+    `coarse_rad_s` is by how much the speed it is told may be off for a period because it is a whole number of something
+    (whose remainder the caller carries over): to correct the error of that would only add to it.
+    """
+    row, axis = loop.joints[joint], loop.axes[joint]
+    period_s = loop.params.period_ns * 1e-9
+    planned = (axis.next_position_rad - axis.position_rad) / period_s
+    # the frame arrives command_delay_s into the cycle and is in force for one period from there
+    speed = planned + axis.next_acceleration_rad_s2 * row.command_delay_s
+    most = ERROR_SPEED_SHARE * row.max_velocity_rad_s
+    rounding_rad = coarse_rad_s * period_s
+    error_rad = steady_error_rad(axis, 2.0 * row.slack_rad)
+    error_rad -= min(max(error_rad, -rounding_rad), rounding_rad)
+    speed += min(max(ERROR_SHARE_1_S * error_rad, -most), most)
+    most = loop.params.velocity_margin * row.max_velocity_rad_s
+    speed = min(max(speed, -most), most)
+    lead = period_s * LEAD_PERIODS + row.command_delay_s
+    brake = speed * speed / (2.0 * row.silence_deceleration_rad_s2)
+    target = axis.next_position_rad
+    standing = axis.velocity_rad_s == 0.0 and axis.next_velocity_rad_s == 0.0
+    if not standing:
+        target += speed * lead + math.copysign(brake, speed)
+        target = min(max(target, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad)
+    return target, speed
+
+
+@jit
+def whole_rpm(loop: Loop, joint: int, speed_rad_s: float, most_rpm: int) -> int:
+    """The speed as a whole number of motor rpm, 1 at the least, so that the last step is reached.
+
+    What rounding leaves out is carried over to the next period.
+    """
+    row, axis = loop.joints[joint], loop.axes[joint]
+    wanted_rpm = abs(speed_rad_s) * row.rpm_per_rad_s + axis.rpm_remainder
+    rpm = round(wanted_rpm)
+    axis.rpm_remainder = min(max(wanted_rpm - rpm, -1.0), 1.0)
+    return min(max(rpm, 1), most_rpm)

@@ -1,0 +1,65 @@
+"""Drives that send their positions by themselves: told to, and seen to do so at the rate they were told.
+
+Reports go with the power of a drive, like all that stands in its volatile memory.
+"""
+
+from config.schema import ArmConfig
+from rtloop.drives import zdt_talk
+from rtloop.drives.zdt_ask import ZdtDialogue
+from rtloop.drives.zdt_registers import Version
+from rtloop.drives.zdt_talk import Answered
+from rtloop.service.conversation import TalkFailed
+from rtloop.service.port import ServicePort
+
+REPORTS_TO_BELIEVE = 3
+REPORTS_TO_JUDGE = 8
+REPORT_LOOKS = 20
+"""Statuses read, each a cycle or two apart, until so many reports must have come."""
+TRIES = 3
+"""Times that the spacing of reports is looked at: some may be lost, or be those of a rate told before."""
+SPACING = (0.75, 1.35)
+"""Mean spacing of reports beside what the drive was told; faster ones than that need more of the bus than is reckoned
+with (`config.budget`), and slower ones are missing too often (`rtloop.safety.guard`)."""
+
+
+def begin(arm: ArmConfig, port: ServicePort, joint: int, version: Version) -> ZdtDialogue:
+    """Have a drive report its position, and see that it does; raises TalkFailed.
+
+    Whether `11` is acknowledged by a drive whose acknowledgements are off is not documented, so silence is no refusal.
+    """
+    name, period_ms = arm.joints[joint].name, arm.control.report_period_ms
+    if not (yield from zdt_talk.set_reports(period_ms)):
+        raise TalkFailed(
+            joint,
+            f"The drive of {name} (firmware {version}) does not send its position by itself, which "
+            "bus.positions: reported asks for and only drives of the X42S and Y42 generation can: set "
+            "bus.positions to polled.",
+        )
+    spacing_ms: float | None = None
+    for _ in range(TRIES):
+        spacing_ms = yield from _spacing_ms(arm, port, joint)
+        if spacing_ms is not None and SPACING[0] <= spacing_ms / period_ms <= SPACING[1]:
+            return
+    found = (
+        f"was told to send its position every {period_ms} ms, but none comes"
+        if spacing_ms is None
+        else f"sends its position every {spacing_ms:.1f} ms, although it was told to every {period_ms} ms"
+    )
+    raise TalkFailed(joint, f"The drive of {name} (firmware {version}) {found}: set bus.positions to polled.")
+
+
+def _spacing_ms(arm: ArmConfig, port: ServicePort, joint: int) -> Answered[float | None]:
+    """Mean time between reports that come while the drive is asked for its status; None for hardly any."""
+    before = port.unasked(joint)
+    reports: list[tuple[int, int]] = []
+    for _ in range(REPORT_LOOKS):
+        yield from zdt_talk.status_of(joint, arm.joints[joint])
+        count = port.unasked(joint) - before
+        if count > 0:  # the reading of before was perhaps no report
+            reports.append((count, port.measured_ns(joint)))
+            if count - reports[0][0] >= REPORTS_TO_JUDGE:
+                break
+    if not reports or reports[-1][0] - reports[0][0] < REPORTS_TO_BELIEVE - 1:
+        return None
+    (first, first_ns), (last, last_ns) = reports[0], reports[-1]
+    return (last_ns - first_ns) * 1e-6 / (last - first)

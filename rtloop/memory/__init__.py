@@ -1,0 +1,1 @@
+"""What the cycle remembers (`state`) and what it tells of itself: modes, events, the flight recorder."""

@@ -1,0 +1,49 @@
+"""The modes of the control process and the one table of allowed changes.
+
+offline → bringing_up → holding ⇄ executing → stopping → holding
+holding → disabled ⇄ free → bringing_up (being enabled brings the drives up again)
+holding ⇄ referencing
+any of them → fault → bringing_up (an explicit clear does too)
+"""
+
+from typing import Any
+
+from rtloop.memory.events import record_event
+from shm.jit import jit
+from shm.words import Event, Mode
+
+Loop = Any
+Shared = Any
+
+ALLOWED = {
+    Mode.OFFLINE: (Mode.BRINGING_UP, Mode.FAULT),
+    Mode.BRINGING_UP: (Mode.HOLDING, Mode.FAULT),
+    Mode.HOLDING: (Mode.EXECUTING, Mode.DISABLED, Mode.FREE, Mode.REFERENCING, Mode.FAULT),
+    Mode.EXECUTING: (Mode.STOPPING, Mode.HOLDING, Mode.FAULT),
+    Mode.STOPPING: (Mode.HOLDING, Mode.EXECUTING, Mode.FAULT),
+    Mode.FAULT: (Mode.BRINGING_UP,),
+    Mode.DISABLED: (Mode.FREE, Mode.BRINGING_UP, Mode.FAULT),
+    Mode.FREE: (Mode.DISABLED, Mode.BRINGING_UP, Mode.FAULT),
+    Mode.REFERENCING: (Mode.HOLDING, Mode.FAULT),
+}
+
+_ALLOWED_BITS = tuple(sum(1 << int(to) for to in ALLOWED[mode]) for mode in Mode)
+
+
+@jit
+def is_limp(mode: int) -> bool:
+    """Whether the drives were let go."""
+    return mode == Mode.DISABLED or mode == Mode.FREE
+
+
+@jit
+def change_mode(loop: Loop, shared: Shared, mode: int) -> bool:
+    """Go to a mode if the table allows it; says whether it did."""
+    core = loop.core
+    if (_ALLOWED_BITS[core.mode] >> mode) & 1 == 0:
+        return False
+    core.mode = mode
+    if mode != Mode.REFERENCING and mode != Mode.HOLDING:
+        core.pose_due_ns = 0
+    record_event(loop, shared, Event.MODE, -1, mode, 0.0, 0.0)
+    return True

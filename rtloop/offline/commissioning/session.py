@@ -1,0 +1,154 @@
+"""The order of a bench test: one check after another of one drive, each ending in what it has found."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, cast
+
+import numpy as np
+
+from config.schema import ArmConfig
+from config.serial_adapters import SERIAL_ADAPTERS
+from rtloop.drives.zdt_talk import Answered
+from rtloop.kept.commissioned import Commissioned, PowerProof
+from rtloop.kept.saved import NotSaved, channel_of
+from rtloop.offline.calibration.session import DriveState, NotDone, Session
+from rtloop.offline.calibration.talk import Drive
+from rtloop.offline.commissioning.finding import Check, Finding, Said, Verdict, beyond_limits, frames_of
+from rtloop.process.beginning import byte_s
+from rtloop.service.conversation import TalkFailed
+from shm.words import Unreferenced
+
+FAMILIES = ("zdt",)
+"""Those that a file of this folder has checks for."""
+
+
+def checks_of(arm: ArmConfig, joint: int) -> list[Check]:
+    """The checks of a joint's drive in their order; raises NotDone for a family without."""
+    drive = arm.joints[joint].drive
+    if drive.family not in FAMILIES:
+        raise NotDone(
+            f"{arm.joints[joint].name} has {drive.called}, and there are no checks for its family yet: "
+            "docs/drive-families.md says what is unproven of it."
+        )
+    family = importlib.import_module(f"rtloop.offline.commissioning.{drive.family}")
+    return cast(list[Check], family.checks_of(arm, joint))
+
+
+def wire_s(arm: ArmConfig, joint: int) -> float:
+    """Time that the question for a joint's position and its answer take on bus and serial line."""
+    adapter = SERIAL_ADAPTERS.get(arm.bus.interface, SERIAL_ADAPTERS["slcan"])
+    frames = arm.joints[joint].drive.readings(arm.bus)
+    return sum(one.bits / arm.bus.bitrate + byte_s(arm) * adapter.bytes_of(one) for one in frames)
+
+
+class Bench(Session):
+    """A session in which one drive is checked; `recorded` gives the frames (layout.BUS_FRAME) since it last did."""
+
+    def __init__(self, *arguments: Any, recorded: Callable[[], np.ndarray], **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._recorded = recorded
+        self._findings: dict[str, Finding] = {}
+        self._at_bench: int | None = None
+        self._held: set[int] = set()
+        self.power_proof: PowerProof | None = None
+
+    def checks(self, joint: int) -> list[Check]:
+        """The checks of a joint's drive, which is at the bench from now on; raises NotDone for a family without."""
+        self._at_bench = joint
+        return checks_of(self.arm, joint)
+
+    def hold(self, joint: int) -> DriveState:
+        self._held.add(joint)
+        return super().hold(joint)
+
+    def see_it_stand(self) -> None:
+        """Raise TalkFailed where the drive at the bench is not seen to stand, and to hold its joint if it ever did."""
+        if (joint := self._at_bench) is not None:
+            held = joint in self._held or self.found[joint].enabled
+            self._have_undisturbed(joint, Drive.stand_held if held else Drive.stand)
+
+    def check(self, name: str, joint: int, sign: int) -> list[Finding]:
+        """Do one check; what could not be tried is a finding, too.
+
+        Raises TalkFailed where a drive that may move does not say that it stands.
+        """
+        check = next((check for check in checks_of(self.arm, joint) if check.name == name), None)
+        if check is None or sign not in (1, -1):
+            raise NotDone(f"There is no check {name!r} of {self.arm.joints[joint].name}.")
+        self.frames()
+        try:
+            found = check.ask(self, joint, sign)
+        except (TalkFailed, NotSaved) as problem:
+            if check.moves:
+                self.have(joint, Drive.stand)
+            found = [Finding(name, check.explains, "", str(problem), Verdict.NOT_TRIED)]
+        self._findings |= {finding.check: finding for finding in found}
+        return found
+
+    def record(self, joint: int) -> Commissioned:
+        """What the checks so far say that the control process may rely on."""
+        drive = self.arm.joints[joint].drive
+        good = {name: finding.good for name, finding in self._findings.items()}
+        return Commissioned(
+            channel=channel_of(self.arm),
+            family=drive.family,
+            number=drive.number,
+            firmware=self.found[joint].firmware,
+            when=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            power_proof=self.power_proof,
+            power=self._findings["power flag"].came if self.power_proof is not None else "",
+            fast_targets=good.get("fast targets"),
+            reports=good.get("reports"),
+            retargets=good.get("retarget"),
+            brakes_in_silence=good.get("silence"),
+        )
+
+    def frames(self) -> list[Said]:
+        """What was said on the bus since the last look."""
+        return frames_of(self._recorded())
+
+    def say_nothing(self, joint: int, for_ns: int) -> None:
+        """Leave the bus in silence; a drive that moves is stopped by what ends this early."""
+        until_ns = self._clock_ns() + for_ns
+        with self._stopping(joint):
+            while self._clock_ns() < until_ns:
+                self._pause()
+
+    def require_room(self, joint: int, by_counts: int) -> None:
+        """Raise TalkFailed where a joint's angle is known, and such a turn of its motor would end beyond its limits."""
+        state, config = self.look(joint), self.arm.joints[joint]
+        here_rad, there_rad = (
+            counts / self.port.reading_per_rad(joint) - self.port.zero_rad(joint)
+            for counts in (state.counts, state.counts + by_counts)
+        )
+        if state.doubt is None and not config.lower_rad <= there_rad <= config.upper_rad:
+            raise TalkFailed(joint, beyond_limits(config, math.degrees(here_rad), math.degrees(there_rad)))
+
+    @contextmanager
+    def ending_with(self, joint: int, dialogue: Callable[[Drive], Answered[object]]) -> Iterator[None]:
+        """A dialogue is had at the end, however that comes about; raises TalkFailed."""
+        try:
+            yield
+        finally:
+            self._have_undisturbed(joint, dialogue)
+
+    def _have_undisturbed(self, joint: int, dialogue: Callable[[Drive], Answered[object]]) -> None:
+        """Have a dialogue that nothing ends early."""
+        pause, self._pause = self._pause, self._rest
+        try:
+            self.have(joint, dialogue)
+        finally:
+            self._pause = pause
+
+    def forget_mark(self, joint: int) -> None:
+        """What the drive has is about to be another one, and its power to be switched off."""
+        self._marks[joint] = None
+
+    def lose(self, joint: int) -> None:
+        """Remember that the drive has lost its power; raises NotSaved."""
+        self._remember(joint, Unreferenced.POWER_LOST)

@@ -1,0 +1,319 @@
+"""What a bench test says to one ZDT (Emm_V5) drive: dialogues, each of which leaves it standing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from config.derived import silence_acc_byte
+from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION as TURN
+from config.ramp import RAMP_RPM_S, ramp_rpm_s
+from config.schema import ArmConfig
+from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_talk
+from rtloop.drives.zdt_ask import Ask
+from rtloop.drives.zdt_registers import Block, Version
+from rtloop.drives.zdt_talk import Answered
+from rtloop.offline.calibration.talk import AGREEING, AWAY_COUNTS, LATE_NS, Drive
+from rtloop.service.conversation import silent_amid
+
+MOST_RPM = 60
+MOST_TURNS = 2.0
+MOST_JOINT_DEG = 15.0
+"""No single move is longer, by the arm file's ratio."""
+BRAKES_S = 0.3
+"""So long a motor brakes, that enough readings tell how hard; less where the move is too short for that."""
+RAMPS_SHARE = 0.6
+"""Of a move, at most: the rest is at the full speed."""
+FLAGS_EACH = 5
+"""Positions that are read for each status."""
+PRESS_COUNTS = TURN // 12
+"""30° of the motor, which is held."""
+PRESS_RPM = 5
+SWITCH_PATIENCE_NS = 180_000_000_000
+POSITIONS = 30
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The move with which one motor is tried."""
+
+    counts: int
+    rpm: int
+    acc_byte: int
+
+    @property
+    def ramp_rpm_s(self) -> float:
+        """What the ramp byte means, by the manual."""
+        return ramp_rpm_s(self.acc_byte)
+
+    @property
+    def turns(self) -> float:
+        """Its way (motor revolutions)."""
+        return self.counts / TURN
+
+    @property
+    def lasts_ns(self) -> int:
+        """From the command to standstill, by the manual, with a ramp to spare."""
+        return round((60.0 * self.turns / self.rpm + 2.0 * self.rpm / self.ramp_rpm_s) * 1e9)
+
+
+def trial_of(arm: ArmConfig, joint: int) -> Trial:
+    """A move of the joint that tells its motor's ramp, by a quarter of the joint's range at most."""
+    config = arm.joints[joint]
+    turns = min(
+        MOST_TURNS,
+        config.ratio * min(MOST_JOINT_DEG, (config.upper_deg - config.lower_deg) / 4.0) / 360.0,
+    )
+    way = RAMPS_SHARE * 60.0 * turns
+    speed = max(way / BRAKES_S, (way * ramp_rpm_s(registers.GENTLEST_RAMP)) ** 0.5)
+    rpm = max(1, int(min(MOST_RPM, config.motor_rpm, speed)))
+    byte = round(256 - RAMP_RPM_S * BRAKES_S / rpm)
+    acc_byte = max(registers.GENTLEST_RAMP, min(byte, silence_acc_byte(config, arm.limits)))
+    return Trial(round(turns * TURN), rpm, acc_byte)
+
+
+def ask_all(questions: Mapping[str, Ask]) -> Answered[dict[str, bytes | None]]:
+    """What a drive answers to each question, packets joined."""
+    answers = {}
+    for name, ask in questions.items():
+        answers[name] = yield ask
+    return answers
+
+
+def ask_positions() -> Answered[int]:
+    """Read its position over and over; how often it answered."""
+    answered = 0
+    for _ in range(POSITIONS):
+        answered += (yield from zdt_talk.read_counts(registers.ASK_POSITION)) is not None
+    return answered
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What came of a move."""
+
+    start: int
+    stands: int
+    problem: str | None
+    """Why it was stopped early, after the drive's name."""
+
+
+def run(drive: Drive, trial: Trial, legs: Sequence[tuple[int, int]]) -> Answered[Ran]:
+    """Send a motor to places (counts from where it stands), to each once it has come as far as stands before it.
+
+    It is watched all the way, stopped at any doubt, and seen to stand.
+    """
+    yield from drive.require_held()
+    start = yield from drive.standing_on_target()
+    ends_ns = drive.now_ns() + trial.lasts_ns + LATE_NS
+    sign = 1 if legs[0][1] >= 0 else -1
+    most = max(abs(goal) for _, goal in legs)
+    left = list(legs)
+    done = looks = silent = 0
+    problem = None
+    while problem is None and drive.now_ns() < ends_ns:
+        due: tuple[bytes, ...] = ()
+        if left and abs(done) >= abs(left[0][0]):
+            due = (drive.move_to(start + left.pop(0)[1], trial.rpm, trial.acc_byte)[0],)
+        answer = yield Ask(registers.ASK_POSITION, (7,), before=due)
+        counts = registers.signed_of(answer, registers.ASK_POSITION, 4)
+        looks += 1
+        silent, done = (silent + 1, done) if counts is None else (0, counts - start)
+        if silent >= AGREEING:
+            problem = "fell silent while it moved"
+        elif not -AWAY_COUNTS <= sign * done <= most + AWAY_COUNTS:
+            problem = "turned farther than it was told"
+        elif looks % FLAGS_EACH == 0:
+            problem = yield from _held_up()
+    return Ran(start, (yield from drive.stand()), problem)
+
+
+def send(drive: Drive, trial: Trial, by_counts: int) -> Answered[int]:
+    """Send a motor on its way and leave it alone; where it began."""
+    yield from drive.require_held()
+    start = yield from drive.standing_on_target()
+    yield Ask(drive.move_to(start + by_counts, trial.rpm, trial.acc_byte)[0], (3,), answered=False)
+    return start
+
+
+def _held_up() -> Answered[str | None]:
+    flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
+    if flags is None:
+        return None  # its next positions tell
+    if flags & (registers.PROTECTED | registers.STALLED):
+        return "was held up (it says that it stalls)"
+    return None if flags & registers.ENABLED else "was let go or lost its power while it moved"
+
+
+@dataclass(frozen=True)
+class Pressed:
+    """What came of pushing a shaft that is held."""
+
+    moved: int
+    """Farthest from where it stood (counts)."""
+    seconds: float
+    """Until the drive said so, or was stopped."""
+    flags: int
+    """Of `3A`, the last while it pushed."""
+    cleared: bool
+    """Whether a protection that tripped was cleared."""
+    problem: str | None
+
+
+def press(drive: Drive, sign: int, patience_ns: int, wanted: int) -> Answered[Pressed]:
+    """Push until the flags have all of `wanted`, the shaft gives way, or time is over; then stand."""
+    yield from drive.require_held()
+    start = yield from drive.standing_on_target()
+    command, _ = drive.move_to(start + sign * PRESS_COUNTS, PRESS_RPM, registers.GENTLEST_RAMP)
+    began_ns = drive.now_ns()
+    yield Ask(command, (3,), answered=False)
+    moved = flags = silent = 0
+    while flags & wanted != wanted and moved <= AWAY_COUNTS and drive.now_ns() - began_ns < patience_ns:
+        counts = yield from zdt_talk.read_counts(registers.ASK_POSITION)
+        now = yield from zdt_talk.read_flags(registers.ASK_STATUS)
+        if counts is None or now is None:
+            silent += 1
+            if silent >= AGREEING:
+                break
+            continue
+        silent, flags, moved = 0, now, max(moved, abs(counts - start))
+    seconds = (drive.now_ns() - began_ns) * 1e-9
+    cleared = False
+    if flags & registers.PROTECTED:
+        yield Ask(registers.CLEAR_PROTECTION, (3,), answered=False)
+        cleared = not (yield from drive.flags()) & registers.PROTECTED
+    if cleared:
+        yield from drive.hold()
+    elif not flags & registers.PROTECTED:
+        yield from drive.stand()
+    return Pressed(moved, seconds, flags, cleared, "fell silent" if silent >= AGREEING else None)
+
+
+@dataclass(frozen=True)
+class PowerCycle:
+    """What a drive said before and after its power was switched off and on; None for what it did not say."""
+
+    firmware: Version
+    flag_before: bool | None
+    """Its flag for lost power once it was cleared."""
+    flag_after: bool | None
+    flag_cleared: bool | None
+    silent_s: float
+    counts_before: int
+    counts_after: int
+    homing_forgotten: bool | None
+    """Whether a homing time-out that was written to volatile memory is gone; None where it was not to be had."""
+    block_forgotten: bool | None
+    """The same of its configuration block."""
+
+
+@dataclass
+class Changed:
+    """What is changed in volatile memory to see it forgotten, noted before it is: what was there, and what comes."""
+
+    homing_ms: tuple[int, int] | None = None
+    block: tuple[Block, Block] | None = None
+
+
+def put_back(drive: Drive, changed: Changed) -> Answered[None]:
+    """Give a drive that has not forgotten what was there before; raises TalkFailed where that is not seen."""
+    # one that has forgotten keeps what it has stored: what it had before may be a mark that proves its power
+    if changed.homing_ms is not None:
+        before_ms, now_ms = changed.homing_ms
+        homing = yield from zdt_talk.surely(zdt_talk.read_homing)
+        if homing is None or (homing.timeout_ms == now_ms and not (yield from zdt_talk.set_homing_timeout(before_ms))):
+            raise drive.fails(_not_put_back(drive))
+    if changed.block is not None:
+        before, now = changed.block
+        block = yield from zdt_talk.surely(zdt_talk.read_block)
+        if block == now:
+            yield Ask(registers.write_block(before, store=False), (3,), answered=False)
+            block = yield from zdt_talk.surely(zdt_talk.read_block)
+        if block is None or block == now:
+            raise drive.fails(_not_put_back(drive))
+
+
+def _not_put_back(drive: Drive) -> str:
+    return (
+        f"Whether the drive of {drive.config.name} has its homing time-out and its stall time of before is not known: "
+        "switch its power off and on, which brings back what it has stored."
+    )
+
+
+def power_cycle(
+    drive: Drive, changed: Changed, tell: Callable[[str], None], lost: Callable[[], None]
+) -> Answered[PowerCycle | None]:
+    """Watch a person switch its power off and on; None where it was never silent. What is put back is in `changed`.
+
+    `lost` remembers that its count means nothing: as soon as that is so, and before any flag is cleared that says it.
+    """
+    version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
+    if version is None:
+        raise drive.fails(silent_amid(drive.config, "firmware"))
+    if (yield from drive.flags()) & registers.POWER_LOST:
+        lost()
+    flag_before = yield from _clear_power_lost()
+    before = yield from drive.counts()
+    homing = yield from zdt_talk.surely(zdt_talk.read_homing)
+    mark_ms = 0 if homing is None else zdt_talk.homing_mark_ms(homing.timeout_ms, drive.now_ns())
+    changed.homing_ms = None if homing is None else (homing.timeout_ms, mark_ms)
+    marked = homing is not None and (yield from zdt_talk.set_homing_timeout(mark_ms))
+    block = (yield from zdt_talk.surely(zdt_talk.read_block)) if version.known else None
+    taken = False
+    if block is not None:
+        other = replace(block, stall_time_ms=block.stall_time_ms ^ 1)
+        changed.block = block, other
+        yield Ask(registers.write_block(other, store=False), (3,), answered=False)
+        taken = (yield from zdt_talk.surely(zdt_talk.read_block)) == other
+    tell(f"Switch the power of {drive.config.name}'s drive off now; it is watched until it falls silent.")
+    silent_ns = answers_ns = yield from _wait_for(drive, answers=False)
+    if silent_ns is not None:
+        lost()
+        tell("It is silent. Wait until its display is dark, then switch it on again.")
+        answers_ns = yield from _wait_for(drive, answers=True)
+        if answers_ns is None:
+            raise drive.fails(silent_amid(drive.config, "status"))
+    flags = yield from drive.flags()
+    if flags & registers.POWER_LOST:
+        lost()  # whether or not it was seen silent
+    after = yield from drive.counts()
+    homing_after = yield from zdt_talk.surely(zdt_talk.read_homing)
+    block_after = (yield from zdt_talk.surely(zdt_talk.read_block)) if taken else None
+    flag_cleared = yield from _clear_power_lost()
+    if silent_ns is None or answers_ns is None:
+        return None
+    return PowerCycle(
+        firmware=version,
+        flag_before=flag_before,
+        flag_after=bool(flags & registers.POWER_LOST),
+        flag_cleared=flag_cleared,
+        silent_s=(answers_ns - silent_ns) * 1e-9,
+        counts_before=before,
+        counts_after=after,
+        homing_forgotten=None if not marked or homing_after is None else homing_after.timeout_ms != mark_ms,
+        block_forgotten=None if block_after is None else block_after == block,
+    )
+
+
+def _clear_power_lost() -> Answered[bool | None]:
+    """Clear the flag for lost power; what it is then."""
+    flags = yield from zdt_talk.read_flags(registers.ASK_STATUS, before=(registers.CLEAR_POWER_LOST,))
+    return None if flags is None else bool(flags & registers.POWER_LOST)
+
+
+def _wait_for(drive: Drive, *, answers: bool) -> Answered[int | None]:
+    """When (ns) the drive was first heard, or not heard, twice in a row; None after `SWITCH_PATIENCE_NS`."""
+    began_ns = drive.now_ns()
+    since_ns, agreeing = began_ns, 0
+    while agreeing < AGREEING:
+        if drive.now_ns() - began_ns > SWITCH_PATIENCE_NS:
+            return None
+        now_ns = drive.now_ns()
+        flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
+        if (flags is not None) != answers:
+            agreeing = 0
+            continue
+        since_ns = since_ns if agreeing else now_ns
+        agreeing += 1
+    return since_ns

@@ -1,0 +1,129 @@
+"""Reading, and on request writing, the settings of all drives of an arm: the order of the conversations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from config.schema import ArmConfig
+from rtloop.offline.settings.compare import DriveReport, has_moved, report_of, wanted_block
+from rtloop.offline.settings.talk import Reading, ReadSettings, WriteSettings
+from rtloop.service.conversation import Conversation
+from rtloop.service.port import ServicePort
+
+
+class NotWritten(Exception):
+    """Nothing was written; the text is the sentence people read."""
+
+
+@dataclass
+class Written:
+    """What came of an order to write."""
+
+    joints: list[str]
+    """Those whose drive has what it was told, as it said itself."""
+    failure: str | None
+    """What ended it, a sentence; later drives were not written to."""
+
+
+class Session:
+    """All conversations about settings; `pause` lets time pass between two looks at a conversation.
+
+    `pause` may raise to end it.
+    """
+
+    def __init__(
+        self, arm: ArmConfig, port: ServicePort, clock_ns: Callable[[], int], pause: Callable[[], None]
+    ) -> None:
+        self._arm = arm
+        self._port = port
+        self._clock_ns = clock_ns
+        self._pause = pause
+        self._readings: dict[int, Reading] = {}
+        self.reports: dict[int, DriveReport] = {}
+
+    def read(self) -> None:
+        """Ask every drive; `reports` then compares each with the arm file, by joint."""
+        talk = ReadSettings(self._arm, self._port, now_ns=self._clock_ns())
+        self._hold(talk)
+        self._readings = talk.found
+        shared = next((joint for joint, found in talk.found.items() if found.shared_address), None)
+        self.reports = {joint: report_of(self._arm, joint, found, shared) for joint, found in talk.found.items()}
+
+    def write(
+        self,
+        *,
+        store: bool,
+        told: Callable[[str], None] = lambda _: None,
+        ends: Callable[[], bool] = lambda: False,
+    ) -> Written:
+        """Write what differs, drive by drive, then read everything again; no other drive is begun once it `ends`.
+
+        What was read before must still be so: raises NotWritten if an arm moves, or its drives have changed meanwhile.
+        """
+        before, shown = self._readings, self.reports
+        self.read()
+        self._require_standing(before)
+        # All fields go back into a drive, and a serial line may garble any of them unseen: whole blocks must agree.
+        if any(
+            shown[joint].to_write != report.to_write
+            or (report.to_write and self._readings[joint].block != before[joint].block)
+            for joint, report in self.reports.items()
+        ):
+            raise NotWritten(
+                "The drives differ from what was shown a moment ago, so nothing was written: run it again, look anew."
+            )
+        written = Written([], None)
+        for joint, report in self.reports.items():
+            if not report.to_write:
+                continue
+            if ends():
+                left = [r.joint for r in self.reports.values() if r.to_write and r.joint not in written.joints]
+                written.failure = f"Ended as asked: nothing was written to the drives of {', '.join(left)}."
+                break
+            problem = self._write_one(joint, report, store)
+            if problem is not None:
+                written.failure = (
+                    f"The drive of {report.joint} (address {report.address}) {problem}; the drives after it were not "
+                    "written to. See what it has with `rtarm drives`, and check its cable and its supply."
+                )
+                break
+            written.joints.append(report.joint)
+            told(f"{report.joint}: written and read back")
+        self.read()
+        return written
+
+    def _write_one(self, joint: int, report: DriveReport, store: bool) -> str | None:
+        block = self._readings[joint].block
+        assert block is not None  # a drive without one is left alone
+        names = {setting.name: setting for setting in report.to_write}
+        watchdog = names.pop("watchdog_ms", None)
+        talk = WriteSettings(
+            self._arm,
+            self._port,
+            now_ns=self._clock_ns(),
+            joint=joint,
+            block=wanted_block(block, list(names.values())) if names else None,
+            watchdog_ms=None if watchdog is None else int(watchdog.wanted or 0),
+            store=store,
+        )
+        self._hold(talk)
+        return talk.problem
+
+    def _require_standing(self, before: dict[int, Reading]) -> None:
+        for joint, found in self._readings.items():
+            if found.shared_address:
+                raise NotWritten(f"{self.reports[joint].left_alone[0]} Until then nothing is written to any drive.")
+            if found.version is None:
+                continue  # it is left alone, and hears nothing that could move it
+            if found.rpm or has_moved(before[joint], found):
+                raise NotWritten(
+                    f"{self._arm.joints[joint].name} moves, or does not say that it stands, so nothing was written: "
+                    "settings are only written while the whole arm stands."
+                )
+
+    def _hold(self, talk: Conversation) -> None:
+        while not talk.poll(self._clock_ns()):
+            self._pause()
+        if talk.failure is not None:
+            raise talk.failure

@@ -1,0 +1,1 @@
+"""The control process around the cycle: its beginning, its threads, its wire, its end."""

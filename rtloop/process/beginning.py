@@ -1,0 +1,168 @@
+"""The state of a control process that has not run a cycle yet, made from the arm's configuration."""
+
+import math
+import os
+import time
+
+import numpy as np
+
+from config.budget import UART_BITS_PER_CHARACTER
+from config.bus import BusConfig
+from config.frames import Identifiers
+from config.joint import FAMILIES, JointConfig
+from config.schema import ArmConfig
+from config.serial_adapters import SERIAL_ADAPTERS
+from rtloop.drives.setup import homes_by_a_run, setup_of
+from rtloop.kept.saved import PSEUDO_TERMINALS
+from rtloop.memory.frame_words import EXTENDED, STANDARD
+from rtloop.memory.state import (
+    CAN_FRAME_BYTES,
+    GRIPPER,
+    LISTENERS,
+    LOOP,
+    PARAMS,
+    PART,
+    WIRES,
+)
+from shm import layout
+from shm.words import Mode, Unreferenced
+
+
+def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.ndarray:
+    """The state of a control process that has not run a cycle yet, shape (1,), dtype LOOP.
+
+    The addresses are those of mapped memory of dtypes layout.STATE and layout.COMMAND, which must outlive it.
+    """
+    loop = np.zeros(1, LOOP)
+    params, core = loop[0]["params"], loop[0]["core"]
+    params["address"] = loop.ctypes.data
+    params["state_address"] = state_address
+    params["command_address"] = command_address
+    _fill_params(params, arm)
+    loop[0]["wire"]["fd"] = loop[0]["wire"]["fd_in_use"] = -1
+    lay_out_messages(loop[0]["tx_messages"], loop[0]["tx_parts"], loop[0]["tx"])
+    reader = loop[0]["reader"]
+    lay_out_messages(reader["messages"], reader["parts"], reader["bytes"])
+    if arm.gripper is not None and arm.gripper.servo is not None:
+        params["has_gripper"] = 1
+        params["gripper_lower_rad"], params["gripper_upper_rad"] = arm.gripper.lower_rad, arm.gripper.upper_rad
+    heard = listeners(arm)
+    assert len(heard) <= LISTENERS  # a test adds up what each family says
+    params["listener_count"] = len(heard)
+    for row, (identifiers, whose) in zip(loop[0]["listeners"], heard, strict=False):
+        row["match"], row["mask"], row["joint"] = identifiers.match, identifiers.mask, whose
+        row["kind"] = EXTENDED if identifiers.extended else STANDARD
+    for index, joint in enumerate(arm.joints):
+        _fill_joint(loop[0]["joints"][index], joint, arm, index)
+        axis = loop[0]["axes"][index]
+        axis["unreferenced_reason"] = Unreferenced.NOT_BROUGHT_UP
+        axis["measured_rad"] = math.nan
+        axis["reference_rad"] = math.nan
+        for measured in ("told_velocity_rad_s", "effort_nm", "temperature_c", "voltage_v"):
+            axis[measured] = math.nan
+    core["mode"] = Mode.OFFLINE
+    core["epoch"] = time.monotonic_ns()  # no other control process begins with the same
+    core["fault_joint"] = core["referencing_joint"] = -1
+    core["rate"] = core["rate_target"] = core["speed_scale"] = core["entry_rate"] = 1.0
+    return loop
+
+
+def show_limits(limits: np.void, loop: np.ndarray) -> None:
+    """Say in the state file (a record of dtype layout.LIMITS) what the arm may do."""
+    params, joints = loop[0]["params"], loop[0]["joints"]
+    for name in layout.LIMITS.names or ():
+        if name in (PARAMS.names or ()):
+            limits[name] = params[name]
+    for name in ("lower_rad", "upper_rad", "max_velocity_rad_s", "max_acceleration_rad_s2"):
+        limits["joints"][name] = joints[name]
+
+
+def show_drives(state: np.void, arm: ArmConfig) -> None:
+    """Say in the state file (a record of dtype layout.STATE) whose frames are whose, and which joints home by a run."""
+    for joint, config in enumerate(arm.joints):
+        state["limits"]["joints"]["homes"][joint] = homes_by_a_run(config.drive)
+    used = [(one, joint) for joint, config in enumerate(arm.joints) for one in config.drive.identifiers]
+    rows = [(one.match, one.mask, one.extended, joint) for one, joint in used if not one.shared]
+    table = state["identifiers"]
+    table[: len(rows)] = rows[: len(table)]
+
+
+def lay_out_messages(messages: np.ndarray, parts: np.ndarray, data: np.ndarray) -> None:
+    """Prepare a batch of messages once: the only part of each is its CAN frame in `data`."""
+    parts["address"] = data.ctypes.data + CAN_FRAME_BYTES * np.arange(len(parts))
+    parts["length"] = CAN_FRAME_BYTES
+    messages["parts"] = parts.ctypes.data + PART.itemsize * np.arange(len(parts))
+    messages["part_count"] = 1
+
+
+def _fill_params(params: np.void, arm: ArmConfig) -> None:
+    limits = arm.limits
+    period_ns = arm.control.period_ns
+    params["joint_count"] = len(arm.joints)
+    params["period_ns"] = period_ns
+    params["homing_mask"] = sum(1 << joint for joint in arm.homing_order)
+    params["wire"] = WIRES[arm.bus.interface]
+    params["simulated"] = os.path.realpath(arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)
+    for name in ("start_tolerance_rad", "velocity_margin", "acceleration_margin", "braking_factor"):
+        params[name] = getattr(limits, name)
+    params["following_error_rad"] = limits.following_error_rad
+    params["position_jump_rad"] = limits.position_jump_rad
+    reported = arm.bus.reported
+    reading_ns = arm.control.report_period_ms * 1_000_000 if reported else period_ns
+    params["stale_brake_ns"] = max(round(limits.stale_brake_s * 1e9), 3 * reading_ns)
+    params["stale_fault_ns"] = max(round(limits.stale_fault_s * 1e9), 4 * reading_ns)
+    params["reported"] = reported
+    params["fast_targets"] = arm.bus.fast_targets
+    params["reading_ns"] = reading_ns
+    params["report_overdue_ns"] = max(2 * period_ns, reading_ns + period_ns // 2)
+    params["front_timeout_ns"] = round(limits.front_timeout_s * 1e9)
+    params["longest_stop_s"] = arm.longest_stop_s
+    params["drives_patience_ns"] = round(arm.patience.drives_s * 1e9)
+    params["service_bits"] = round(arm.bus.bitrate * period_ns * 1e-9 * 0.95)
+
+
+def _fill_joint(row: np.void, joint: JointConfig, arm: ArmConfig, index: int) -> None:
+    """What every family needs; a family's own file puts in, or replaces, what its codec needs."""
+    drive = joint.drive
+    row["family"] = FAMILIES.index(drive.family)
+    row["address"] = drive.number
+    row["knows_its_angle"] = drive.knows_its_angle
+    row["zero_rad"] = joint.zero_rad
+    row["lower_rad"], row["upper_rad"] = joint.lower_rad, joint.upper_rad
+    row["slack_rad"] = joint.command_pulse_rad + joint.encoder_count_rad
+    row["max_velocity_rad_s"] = joint.max_velocity_rad_s
+    row["max_acceleration_rad_s2"] = joint.max_acceleration_rad_s2
+    row["silence_deceleration_rad_s2"] = joint.max_acceleration_rad_s2 * arm.limits.silence_brake_factor
+    row["rpm_per_rad_s"] = joint.ratio * 60.0 / (2.0 * math.pi)
+    row["command_per_rad"] = joint.direction * joint.command_pulses_per_rad
+    row["reading_per_rad"] = joint.direction * joint.encoder_counts_per_rad
+    row["reading_step_rad"] = joint.encoder_count_rad
+    adapter = SERIAL_ADAPTERS.get(arm.bus.interface, SERIAL_ADAPTERS["slcan"])
+    character_s = byte_s(arm)
+    bit_s = 1.0 / arm.bus.bitrate
+    command_bits = sum(_bits_from_host(before, arm.bus) for before in arm.joints[: index + 1])
+    row["command_delay_s"] = command_bits * bit_s + character_s * adapter.frame_bytes(True, 8)
+    replies = [frames for frames in drive.readings(arm.bus) if not frames.from_host]
+    for reply in replies[-1:]:
+        reply_s = reply.bits * bit_s + character_s * adapter.bytes_of(reply)
+        row["report_delay_ns"] = round(reply_s * 1e9)
+        row["reply_delay_ns"] = round((reply_s + drive.processing_s) * 1e9)
+    setup_of(drive).fill(row, joint, arm)
+
+
+def _bits_from_host(joint: JointConfig, bus: BusConfig) -> int:
+    return sum(frames.bits for frames in joint.drive.commands(bus) if frames.from_host)
+
+
+def listeners(arm: ArmConfig) -> list[tuple[Identifiers, int]]:
+    """Which frames are heard, and whose drive says them: a joint's number, or GRIPPER."""
+    found = [(used, number) for number, joint in enumerate(arm.joints) for used in joint.drive.identifiers]
+    if arm.gripper is not None and arm.gripper.servo is not None:
+        found += [(used, GRIPPER) for used in arm.gripper.servo.identifiers]
+    return [(used, whose) for used, whose in found if used.from_drive]
+
+
+def byte_s(arm: ArmConfig) -> float:
+    """Time of one byte on the serial line; a USB device's is not worth counting, and a socket has none."""
+    baud = arm.bus.serial_baud
+    return 0.0 if baud == "cdc" else UART_BITS_PER_CHARACTER / float(baud)

@@ -1,0 +1,492 @@
+"""The control process around the cycle: memory files, wire, threads, bring-up, orderly end."""
+
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+
+import numpy as np
+
+from config.budget import check_budget
+from config.loader import arm_hash
+from config.schema import ArmConfig
+from rtloop.dialogues.bringup import BringUp
+from rtloop.dialogues.farewell import Farewell
+from rtloop.dialogues.gripper import GripperTalk
+from rtloop.dialogues.healing import Healing
+from rtloop.dialogues.referencing import Referencing, referencing_asked_for
+from rtloop.dialogues.release import Release
+from rtloop.kept import commissioned, saved
+from rtloop.memory.state import offset_of
+from rtloop.process.beginning import new_loop, show_drives, show_limits
+from rtloop.process.compiled import CompiledCycle
+from rtloop.process.opening import OpenWire, close_wire, keeps_frames, lost_bytes, open_wire, unsent_bytes
+from rtloop.service.conversation import Conversation, TalkFailed
+from rtloop.service.port import HOME_ALL, ServicePort
+from rtloop.system import realtime
+from rtloop.wire.claim import Claim, claim_for_arm
+from rtloop.wire.refusal import WireRefused
+from shm import files
+from shm.sentences import HEALED, STILL_QUEUED, WIRE_IS_BACK
+from shm.words import Mode, Phase, Unreferenced
+
+BUSY_POLL_S = 0.004
+IDLE_POLL_S = 0.05
+FIRST_CYCLE_POLL_S = 0.001
+REOPEN_EVERY_S = 0.5
+LOST_EVERY_S = 1.0
+KEEP_AGAIN_S = 1.0
+THREAD_PATIENCE_S = 5.0
+STAND_PATIENCE_S = 5.0
+"""For a drive amid its homing run to say that it has ended it."""
+
+
+class CannotStart(Exception):
+    """The control process refuses to start; the text is the sentence people read."""
+
+
+class Ended(Exception):
+    """Work beside an offline cycle cannot go on: a signal asked for the end, or the cycle is gone."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+class StopAsked:
+    """Whether a signal has asked for the end; the signals are taken over from now on."""
+
+    def __init__(self, signals: Iterable[signal.Signals]) -> None:
+        self.yes = False  # an Event has a lock, on which a second signal would wait for the first
+        for number in signals:
+            signal.signal(number, self._take)
+
+    def _take(self, *_: object) -> None:
+        self.yes = True
+
+
+class ControlProcess:
+    """One arm's control process, from opening the wire to closing it.
+
+    `tell` gets every sentence for people. Raises CannotStart, WireRefused, SharedMemoryError or ConfigError
+    before anything has moved.
+    """
+
+    def __init__(
+        self, arm: ArmConfig, compiled: CompiledCycle, tell: Callable[[str], None], stop_asked: StopAsked
+    ) -> None:
+        check_budget(arm)
+        self._arm = arm
+        self._compiled = compiled
+        self._tell = tell
+        self._stop_asked = stop_asked
+        identity = files.Identity(
+            arm.name,
+            tuple(joint.name for joint in arm.joints),
+            arm_hash(arm),
+            arm.control.period_ns,
+            arm.bus.bitrate if arm.bus.interface != "mock" else 0,
+            arm_file=arm.file_argument,
+            arm_file_hash=arm.source.file_hash if arm.source else 0,
+            options=arm.has_options,
+        )
+        self._files = files.create(identity)
+        self._wire: OpenWire | None = None
+        self._claim = Claim()
+        self._lost_references: dict[int, Unreferenced] = {}
+        self._marks = commissioned.marks(arm, tell)
+        self._held_rad: dict[int, float] = {}
+        self._dropped_before = self._unsent_before = 0
+        self._brought_up = False
+        self._next_try_s = self._next_lost_s = self._next_keep_s = 0.0
+        self._told_of_wire = self._told_of_lost = ""
+        try:
+            self._claim = claim_for_arm(arm)
+            self._loop = new_loop(arm, self._files.state.address, self._files.command.address)
+            self._open_wire()
+            self._port = ServicePort(self._loop, compiled)
+            self._gripper: GripperTalk | None = None
+            show_limits(self._files.state.record["limits"], self._loop)
+            show_drives(self._files.state.record, arm)
+            arrays = (self._loop, self._files.state.array, self._files.command.array)
+            used = [(array.ctypes.data, array.nbytes) for array in arrays]
+            self._obtained = realtime.prepare_process([*used, *compiled.memory])
+            self._cycle = threading.Thread(target=self._run_cycle, name="cycle", daemon=True)
+            self._reader: threading.Thread | None = None
+            self._prepared = threading.Event()
+        except BaseException:
+            self._release()
+            raise
+
+    def serve(self, ready: Callable[[], None], *, clears_protection: bool = False) -> int:
+        """Run until asked to stop.
+
+        `clears_protection`: a person has asked that an error which a drive has at the start be cleared.
+
+        The exit code: 0 orderly, 2 a conversation failed at the start or amid the end, 3 the cycle ended by itself.
+        """
+        try:
+            self._start_threads()
+            code = self._supervise(ready, clears_protection)
+            self._say_farewell()
+        except TalkFailed as failure:  # an order that the cycle does not take any more
+            self._tell(str(failure))
+            return 3
+        finally:
+            self._end_threads()
+            self._next_keep_s = 0.0
+            self._keep_newly_lost()  # what the cycle has found since it was last looked at
+            self._release()
+        if code == 0 and self._brought_up:  # those of before stand until they were compared
+            self._save_positions()
+        return code
+
+    def _save_positions(self) -> None:
+        """After an orderly end: the drives hold the arm, or it is limp and may be moved."""
+        axes = self._loop[0]["axes"]
+        counts = {
+            joint: self._steps(joint)
+            for joint in range(len(self._arm.joints))
+            if axes[joint]["referenced"] == 1 and axes[joint]["readings"] > 0
+        }
+        try:
+            saved.save(self._arm, counts)
+        except saved.NotSaved as problem:
+            self._tell(str(problem))
+
+    def _steps(self, joint: int) -> int:
+        """Where the joint stands, in steps of what its drive tells."""
+        row, axis = self._loop[0]["joints"][joint], self._loop[0]["axes"][joint]
+        step_rad = math.copysign(row["reading_step_rad"], row["reading_per_rad"])
+        return round(float((axis["measured_rad"] + row["zero_rad"]) / step_rad))
+
+    def serve_offline(self, work: Callable[[ServicePort, Callable[[], None]], None]) -> int:
+        """Do `work` beside a cycle that stays offline: nothing is brought up, and the cycle itself moves nothing.
+
+        `work` holds its conversations through the port it is given and lets time pass with the function it is given,
+        which ends it when that must be. Exit code 0, or 3 when the cycle ended by itself; raises WireRefused when the
+        adapter went away.
+        """
+        try:
+            self._start_threads()
+            work(self._port, self._pause_offline)
+        except Ended as ended:
+            return ended.code
+        finally:
+            self._end_threads()
+            self._release()
+        return 0
+
+    def _pause_offline(self) -> None:
+        time.sleep(BUSY_POLL_S)
+        if self._stop_asked.yes:
+            raise Ended(0)
+        if not self._cycle.is_alive():
+            raise Ended(3)
+        if self._wire is not None and self._load("received", "arrived", "closed") != 0:
+            raise WireRefused(
+                f"The adapter at {self._arm.bus.resolved_channel} is gone in the middle of a conversation, so what a "
+                "drive was told last may have arrived or not: plug it in again and read what the drives have."
+            )
+
+    # --- threads
+
+    def _start_threads(self) -> None:
+        threading.stack_size(realtime.THREAD_STACK_BYTES)
+        if self._wire is not None:
+            self._start_reader()
+        self._start(self._cycle)  # the last: it publishes what both were given
+        while int(self._core["cycle"]) == 0 and self._cycle.is_alive():
+            time.sleep(FIRST_CYCLE_POLL_S)  # compiled code is being loaded; no conversation may count that time
+        for complaint in self._obtained.complaints:
+            self._tell(complaint)
+        if self._arm.realtime.require and self._obtained.priority == 0:
+            raise CannotStart(
+                "realtime.require is true and no real-time priority was given: give the permission named above, or set "
+                "realtime.require to false."
+            )
+
+    def _start_reader(self) -> None:
+        self._reader = threading.Thread(target=self._run_reader, name="reader", daemon=True)
+        self._start(self._reader)
+
+    def _start(self, thread: threading.Thread) -> None:
+        self._prepared.clear()
+        thread.start()
+        while not self._prepared.wait(FIRST_CYCLE_POLL_S) and thread.is_alive():
+            pass
+
+    def _run_cycle(self) -> None:
+        realtime.prepare_thread(self._arm.realtime, self._obtained)
+        realtime.lock_recorder(self._files.state.rings, self._obtained)  # last, after what no cycle can do without
+        words = self._files.state.record["scheduling"]
+        words["policy"], words["priority"] = self._obtained.policy, self._obtained.priority
+        words["memory_locked"], words["cpu"] = self._obtained.memory_locked, self._obtained.cpu
+        words["dma_latency_held"] = self._obtained.dma_latency_fd >= 0
+        self._prepared.set()
+        kept = self._loop, self._files.state.array, self._files.command.array  # mapped for as long as this runs
+        if self._compiled.run(kept[0].ctypes.data, kept[1].ctypes.data) != 0:
+            self._tell("The control cycle ended by an exception, which is a defect of rtarm: please report it.")
+
+    def _run_reader(self) -> None:
+        realtime.prepare_thread(self._arm.realtime, self._obtained, below=10)
+        self._prepared.set()
+        kept = self._loop
+        self._compiled.read_wire(kept.ctypes.data)
+
+    def _end_threads(self) -> None:
+        self._store(1, "stop")
+        for thread in (self._cycle, self._reader):
+            if thread is not None and thread.ident is not None:
+                thread.join(THREAD_PATIENCE_S)
+
+    def _release(self) -> None:
+        if self._wire is not None:
+            if keeps_frames(self._arm, self._wire):
+                self._tell(STILL_QUEUED.sentence.format(channel=self._arm.bus.resolved_channel))
+            self._close_wire(self._wire)
+        self._claim.close()  # the last frames have left
+        self._files.remove(as_before=not self._brought_up)
+
+    def _store(self, value: int, *word: str) -> None:
+        """Publish a word of the loop's record to the threads."""
+        self._compiled.store_word(self._loop.ctypes.data + offset_of(self._loop.dtype, *word), value)
+
+    def _load(self, *word: str) -> int:
+        found: int = self._compiled.load_word(self._loop.ctypes.data + offset_of(self._loop.dtype, *word))
+        return found
+
+    # --- the wire
+
+    def _open_wire(self) -> None:
+        """Open the wire and give it to the threads; raises WireRefused."""
+        wire = open_wire(self._arm)
+        if wire is None:
+            return
+        for complaint in wire.complaints:
+            self._tell(complaint)
+        self._wire = wire
+        self._dropped_before = self._load("received", "arrived", "dropped")
+        self._unsent_before = self._load("received", "arrived", "unsent")
+        self._store(wire.fd, "wire", "fd")
+        self._store(0, "received", "arrived", "closed")  # the last: the cycle makes frames from here on
+
+    def _attend_wire(self) -> None:
+        """Notice that the adapter is gone, and that it is back; what moves the arm again is a person's clear."""
+        if self._arm.bus.interface == "mock":
+            return
+        now_s = time.monotonic()
+        if self._wire is None:
+            if now_s >= self._next_try_s:
+                self._next_try_s = now_s + REOPEN_EVERY_S
+                self._try_again()
+        elif self._load("received", "arrived", "closed") != 0:
+            self._let_wire_go(self._wire)
+            self._next_try_s = now_s
+        elif now_s >= self._next_lost_s:
+            self._next_lost_s = now_s + LOST_EVERY_S
+            self._count_lost(self._wire)
+
+    def _count_lost(self, wire: OpenWire) -> None:
+        """Let the cycle know what ordinary Python alone can find out."""
+        self._store(self._dropped_before + lost_bytes(self._arm, wire), "received", "arrived", "dropped")
+        self._store(self._unsent_before + unsent_bytes(wire), "received", "arrived", "unsent")
+
+    def _close_wire(self, wire: OpenWire) -> None:
+        for complaint in close_wire(self._arm, wire):
+            self._tell(complaint)
+        self._wire = None
+
+    def _let_wire_go(self, wire: OpenWire) -> None:
+        """Close what is gone, once neither thread uses it any more."""
+        self._store(-1, "wire", "fd")
+        while self._load("wire", "fd_in_use") != -1 and self._cycle.is_alive():
+            time.sleep(FIRST_CYCLE_POLL_S)
+        if self._reader is not None:
+            self._reader.join()
+            self._reader = None
+        self._close_wire(wire)
+        self._store(self._unsent_before + unsent_bytes(wire), "received", "arrived", "unsent")
+        self._told_of_wire = ""
+
+    def _try_again(self) -> None:
+        try:
+            self._open_wire()
+        except WireRefused as refused:
+            if str(refused) != self._told_of_wire:
+                self._tell(str(refused))
+            self._told_of_wire = str(refused)
+            return
+        self._start_reader()
+        self._tell(WIRE_IS_BACK)
+
+    # --- supervision
+
+    @property
+    def _core(self) -> np.void:
+        core: np.void = self._loop[0]["core"]
+        return core
+
+    def _bring_up(
+        self,
+        *,
+        clears_protection: bool,
+        counts_before: Mapping[int, int] | None = None,
+        lost_before: Mapping[int, Unreferenced] | None = None,
+        heals: bool = False,
+    ) -> BringUp:
+        measured = self._loop[0]["axes"]["measured_rad"][: len(self._arm.joints)]
+        known = [0.0 if np.isnan(position) else float(position) for position in measured]
+        return BringUp(
+            self._arm,
+            self._port,
+            now_ns=time.monotonic_ns(),
+            clears_protection=clears_protection,
+            tell=self._tell,
+            marks=self._marks,
+            mock_positions_rad=known,
+            counts_before=counts_before,
+            lost_before=lost_before,
+            held_rad=self._held_rad,
+            heals=heals,
+            forgive_silence=self._forgive_silence,
+        )
+
+    def _forgive_silence(self, joint: int) -> None:
+        """The next process is to know; where it cannot be told, it will ask the drive."""
+        with suppress(saved.NotSaved):
+            saved.forgive_silence(self._arm, joint)
+
+    def _keep_lost(self, joint: int, reason: Unreferenced | None) -> None:
+        """For who homes and references; what the cycle says of the joint until it is told is no news then."""
+        saved.keep_lost_reference(self._arm, joint, reason)
+        self._lost_references[joint] = Unreferenced(self._loop[0]["axes"][joint]["unreferenced_reason"])
+
+    def _keep_newly_lost(self) -> None:
+        """The next process is to know of each reference that is lost, however this one ends."""
+        axes = self._loop[0]["axes"][: len(self._arm.joints)]
+        words = enumerate(zip(axes["referenced"], axes["unreferenced_reason"], strict=True))
+        lost = {
+            joint: Unreferenced(reason)
+            for joint, (referenced, reason) in words
+            if not referenced and reason in saved.OUTLIVES_THE_PROCESS
+        }
+        kept = {joint: reason for joint, reason in self._lost_references.items() if lost.get(joint) == reason}
+        self._lost_references = kept  # once: what was told of it since stands in the file
+        news = {joint: reason for joint, reason in lost.items() if joint not in kept}
+        if not news or time.monotonic() < self._next_keep_s:
+            return
+        try:
+            saved.keep_lost_references(self._arm, news)
+            kept.update(news)
+        except saved.NotSaved as problem:
+            self._next_keep_s = time.monotonic() + KEEP_AGAIN_S
+            if str(problem) != self._told_of_lost:
+                self._told_of_lost = str(problem)
+                self._tell(str(problem))
+
+    def _asked_for(self) -> Conversation | None:
+        """The conversation that the cycle asks for next, begun; None where it asks for none."""
+        core, now_ns = self._core, time.monotonic_ns()
+        if int(core["bring_up_asked"]) == 1:
+            core["bring_up_asked"] = 0
+            return self._bring_up(clears_protection=True)
+        if int(core["release_asked"]) == 1:
+            core["release_asked"] = 0  # taken back by the cycle when the drives are enabled meanwhile
+            self._held_rad.clear()
+            return Release(self._arm, self._port, now_ns=now_ns)
+        if not self._stop_asked.yes and (core["home_asked"] or core["reference_asked"]):
+            return referencing_asked_for(
+                self._arm, self._loop, self._port, now_ns, self._tell, self._keep_lost, self._marks
+            )
+        return None
+
+    def _supervise(self, ready: Callable[[], None], clears_protection: bool) -> int:
+        # fresh rings have room for its beginning
+        talk: Conversation | None = self._bring_up(
+            clears_protection=clears_protection,
+            counts_before=saved.counts_before(self._arm),
+            lost_before=saved.lost_references(self._arm, self._tell),
+        )
+        unlocked = bool(self._loop[0]["params"]["simulated"]) or commissioned.heals(self._arm)
+        healing = Healing(self._arm, self._loop, self._port, self._marks, unlocked=unlocked)
+        first = True
+        closing_until_s = 0.0
+        while True:
+            time.sleep(BUSY_POLL_S if talk or first or closing_until_s or self._gripper_is_busy() else IDLE_POLL_S)
+            now_s = time.monotonic()
+            self._attend_wire()
+            self._keep_newly_lost()
+            if self._gripper is not None:
+                self._gripper.poll(time.monotonic_ns())
+            if talk is not None and talk.poll(time.monotonic_ns()):
+                if talk.failure is not None:
+                    self._tell(str(talk.failure))
+                    if first or self._stop_asked.yes:
+                        return 2
+                elif first and self._arm.control.init_mode == 0:
+                    self._port.post(HOME_ALL)
+                elif isinstance(talk, BringUp) and talk.heals:
+                    self._tell(HEALED)
+                healed = healing.succeeded(talk, time.monotonic_ns())
+                talk = self._bring_up(clears_protection=False, heals=True) if healed else None
+            # a fault before the end of the first bring-up, such as a wire that went, becomes its failure
+            if first and talk is None and int(self._core["mode"]) not in (Mode.OFFLINE, Mode.BRINGING_UP):
+                self._keep_newly_lost()  # before that is gone by which it was found
+                saved.forget_counts(self._arm)
+                self._brought_up = True
+                ready()
+                first = False
+                self._begin_with_gripper()
+            if talk is None:
+                talk = self._asked_for()
+            if talk is None and not first and not self._stop_asked.yes:
+                talk = healing.begin(time.monotonic_ns())
+            if isinstance(talk, Referencing) and (self._stop_asked.yes or int(self._core["referencing_ends"]) == 1):
+                talk.end()
+            if not self._cycle.is_alive():
+                return 3
+            if self._stop_asked.yes:
+                if closing_until_s == 0.0:
+                    self._core["closing"] = 1
+                    if self._gripper is not None and self._gripper.moves:
+                        self._gripper.stop()
+                    closing_until_s = now_s + self._arm.patience.shutdown_s
+                    if isinstance(talk, Referencing):
+                        closing_until_s += STAND_PATIENCE_S
+                stands = self._stands() and not isinstance(talk, Referencing) and not self._gripper_is_busy()
+                if stands or now_s > closing_until_s:
+                    return 0
+                time.sleep(BUSY_POLL_S)
+
+    def _say_farewell(self) -> None:
+        """Let drives that report their positions cease; until the end they are asked again."""
+        if not self._arm.bus.reported:
+            return
+        self._store(0, "params", "reported")
+        talk = Farewell(self._arm, self._port, now_ns=time.monotonic_ns())
+        while self._cycle.is_alive() and not talk.poll(time.monotonic_ns()):
+            time.sleep(BUSY_POLL_S)
+
+    def _begin_with_gripper(self) -> None:
+        """After the first bring-up of the joints, which it must not delay; then beside whatever is said to them."""
+        if self._arm.gripper is not None and self._arm.gripper.servo is not None:
+            self._gripper = GripperTalk(
+                self._arm,
+                self._loop,
+                self._port,
+                self._files.state.array,
+                now_ns=time.monotonic_ns(),
+                tell=self._tell,
+            )
+
+    def _gripper_is_busy(self) -> bool:
+        return self._gripper is not None and (self._gripper.busy or self._gripper.moves)
+
+    def _stands(self) -> bool:
+        """Whether nothing is commanded to move any more."""
+        axes = self._loop[0]["axes"][: len(self._arm.joints)]
+        moving = bool(np.any(axes["velocity_rad_s"] != 0.0))
+        return not moving and int(self._loop[0]["paths"][int(self._core["active"])]["phase"]) == Phase.NONE

@@ -1,0 +1,225 @@
+"""The two threads of the control process that run without the interpreter: the cycle and the wire's reader.
+
+Deadlines are absolute; after an overrun the phase is kept, what was missed is counted and never made up.
+The reader exists because a read of a tty can block for milliseconds even when it is non-blocking (it takes
+locks that an ordinary-priority kernel worker may hold); the cycle only looks at the ring the reader fills.
+"""
+
+from typing import Any
+
+from rtloop.cycle import step
+from rtloop.memory.events import record_event
+from rtloop.memory.state import CAN_FRAME_BYTES, LOOP, READ_BYTES, RX_FRAMES, WIRE_SOCKETCAN, offset_of
+from rtloop.system.libc import (
+    CLOCK_BOOTTIME,
+    CLOCK_MONOTONIC,
+    CLOCK_REALTIME,
+    EAGAIN,
+    EINTR,
+    ENOBUFS,
+    MSG_DONTWAIT,
+    POLLIN,
+    TIMER_ABSTIME,
+    clock_gettime,
+    clock_nanosleep,
+    errno_location,
+    load_int32,
+    poll,
+    read,
+    recvmmsg,
+    sendmmsg,
+    write,
+)
+from rtloop.wire import outgoing, received, wires
+from shm import histogram
+from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
+from shm.jit import jit
+from shm.words import BusState, Event
+
+Loop = Any
+Shared = Any
+
+_TX = offset_of(LOOP, "tx")
+_STOP = offset_of(LOOP, "stop")
+_WAKE_UP = offset_of(LOOP, "wake_up")
+_CLOCK = offset_of(LOOP, "clock")
+_TX_MESSAGES = offset_of(LOOP, "tx_messages")
+_FD = offset_of(LOOP, "wire", "fd")
+_FD_IN_USE = offset_of(LOOP, "wire", "fd_in_use")
+_READER_CLOCK = offset_of(LOOP, "received", "arrived", "clock")
+_READER_POLL = offset_of(LOOP, "reader", "poll")
+_READER_BYTES = offset_of(LOOP, "reader", "bytes")
+_READER_MESSAGES = offset_of(LOOP, "reader", "messages")
+
+POLL_MS = 20
+"""A reader that has not gone round for several of these was kept from it."""
+EPOCH_WITHIN_NS = 20_000
+"""Three looks at clocks take a hundred ns; the rest is for slow ones."""
+
+bucket = jit(histogram.bucket)
+
+
+@jit
+def clock_ns(clock: int, timespec_address: int) -> int:
+    """A clock of the system, through a timespec at the given address."""
+    clock_gettime(clock, timespec_address)
+    return load_relaxed(timespec_address) * 1_000_000_000 + load_relaxed(timespec_address + 8)
+
+
+@jit
+def monotonic_ns(timespec_address: int) -> int:
+    """CLOCK_MONOTONIC, through a timespec at the given address."""
+    return clock_ns(CLOCK_MONOTONIC, timespec_address)
+
+
+@jit
+def suspended_ns(timespec_address: int) -> int:
+    """For how long the machine has been suspended since it was started: CLOCK_MONOTONIC stands still meanwhile.
+
+    In this order a pause between the two looks can only make it less, which the next look makes good.
+    """
+    boot_ns = clock_ns(CLOCK_BOOTTIME, timespec_address)
+    return boot_ns - monotonic_ns(timespec_address)
+
+
+@jit
+def record(histogram_record: Any, value_ns: int) -> None:
+    """Count a duration."""
+    value_ns = max(value_ns, 0)
+    histogram_record.buckets[bucket(value_ns)] += 1
+    histogram_record.count += 1
+    histogram_record.sum_ns += value_ns
+    histogram_record.max_ns = max(histogram_record.max_ns, value_ns)
+
+
+@jit
+def sleep_until(loop: Loop, deadline_ns: int) -> None:
+    """Sleep to an absolute deadline; signals do not shorten it."""
+    wake_up = loop.params.address + _WAKE_UP
+    store_relaxed(wake_up, deadline_ns // 1_000_000_000)
+    store_relaxed(wake_up + 8, deadline_ns % 1_000_000_000)
+    while clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, wake_up, 0) == EINTR:
+        pass
+
+
+@jit
+def take_over_wire(loop: Loop, shared: Shared) -> int:
+    """The descriptor that is open in this cycle; whatever was meant for another one is forgotten."""
+    base = loop.params.address
+    fd = load_acquire(base + _FD)
+    if fd != load_relaxed(base + _FD_IN_USE):
+        outgoing.forget(loop, shared)
+        wires.forget_half_frames(loop)
+        if fd >= 0 and loop.core.cycle > 0:
+            shared.counters.bus_state = BusState.ACTIVE
+            record_event(loop, shared, Event.WIRE, -1, 0, 0.0, 0.0)
+        store_release(base + _FD_IN_USE, fd)
+    return fd
+
+
+@jit
+def send_bytes(loop: Loop, shared: Shared, fd: int) -> None:
+    """Give the transmit buffer to the wire at once: characters in one write, CAN frames in one batch.
+
+    A batch that ends early does not say why; the next cycle's will, if the reason lasts.
+    """
+    base, core = loop.params.address, loop.core
+    if loop.params.wire == WIRE_SOCKETCAN:
+        sent = sendmmsg(fd, base + _TX_MESSAGES, core.tx_frames, MSG_DONTWAIT)
+        taken = sent * CAN_FRAME_BYTES
+    else:
+        sent = write(fd, base + _TX, core.tx_length)
+        taken = sent
+    if sent < 0:
+        error = load_int32(errno_location())
+        taken = 0
+        if error != EAGAIN and error != ENOBUFS and error != EINTR:
+            received.close(loop, error)
+            outgoing.forget(loop, shared)
+    outgoing.took(loop, shared, taken)
+
+
+@jit
+def follow_epoch(loop: Loop, woke_ns: int) -> None:
+    """What CLOCK_REALTIME is ahead of CLOCK_MONOTONIC: somebody may have set it since the last cycle.
+
+    Stamps follow the system's clock, motion never does. The looks at the other clock before and after say how far this
+    one may be off: where this thread was away in between, the last cycle's offset stands unless it is surely wrong.
+    """
+    clock = loop.params.address + _CLOCK
+    epoch_ns = clock_ns(CLOCK_REALTIME, clock)
+    after_ns = monotonic_ns(clock)
+    offset_ns = epoch_ns - (woke_ns + after_ns) // 2
+    doubt_ns = after_ns - woke_ns
+    if doubt_ns < EPOCH_WITHIN_NS or abs(offset_ns - loop.core.epoch_offset_ns) > doubt_ns:
+        loop.core.epoch_offset_ns = offset_ns
+
+
+@jit
+def run(loop: Loop, shared: Shared) -> None:
+    """Run cycles until the stop word is set, on whatever wire is open."""
+    params = loop.params
+    clock = params.address + _CLOCK
+    period_ns = params.period_ns
+    deadline_ns = monotonic_ns(clock) + period_ns
+    suspended_before_ns = suspended_ns(clock)
+    while load_acquire(params.address + _STOP) == 0:
+        sleep_until(loop, deadline_ns)
+        woke_ns = monotonic_ns(clock)
+        follow_epoch(loop, woke_ns)
+        lateness_ns = woke_ns - deadline_ns
+        record(shared.lateness, lateness_ns)
+        loop.core.lateness_ns = lateness_ns
+        if lateness_ns >= period_ns:
+            missed = lateness_ns // period_ns
+            shared.counters.overruns += missed
+            deadline_ns += missed * period_ns
+        suspended_now_ns = suspended_ns(clock)
+        if suspended_now_ns - suspended_before_ns > period_ns:
+            loop.core.suspended_ns = suspended_now_ns - suspended_before_ns
+            suspended_before_ns = suspended_now_ns
+        fd = take_over_wire(loop, shared)
+        count = step(loop, shared, deadline_ns)
+        if fd < 0:
+            outgoing.forget(loop, shared)
+        elif count > 0:
+            send_bytes(loop, shared, fd)
+        loop.core.cycle_time_ns = monotonic_ns(clock) - woke_ns
+        record(shared.cycle_time, loop.core.cycle_time_ns)
+        deadline_ns += period_ns
+
+
+@jit
+def read_some(loop: Loop, fd: int) -> int:
+    """Read what is there into the reader's own buffer; the bytes read, 0 at the end of a tty, -1 with errno."""
+    base = loop.params.address
+    if loop.params.wire == WIRE_SOCKETCAN:
+        frames = recvmmsg(fd, base + _READER_MESSAGES, RX_FRAMES, MSG_DONTWAIT, 0)
+        return frames * CAN_FRAME_BYTES if frames > 0 else -1
+    return int(read(fd, base + _READER_BYTES, READ_BYTES))
+
+
+@jit
+def read_wire(loop: Loop) -> None:
+    """Fill the receive ring from the wire that is open now, until it is gone or the stop word is set.
+
+    CAN frames are read by this thread too, although the cycle's own reads would not block on a socket: what counts of
+    a reading is when it came, and the kernel's stamps are of a clock that can be set.
+    """
+    base = loop.params.address
+    clock, request = base + _READER_CLOCK, base + _READER_POLL
+    fd = load_acquire(base + _FD)
+    while load_acquire(base + _STOP) == 0 and received.closed(loop) == 0:
+        received.awake(loop, monotonic_ns(clock))
+        store_relaxed(request, fd | (POLLIN << 32))
+        ready = poll(request, 1, POLL_MS)
+        if ready == 0:
+            continue
+        count = read_some(loop, fd) if ready > 0 else -1
+        if count > 0:
+            received.push(loop, monotonic_ns(clock), loop.reader.bytes, count)
+            continue
+        error = load_int32(errno_location()) if count < 0 else 0
+        if count == 0 or (error != EAGAIN and error != EINTR):
+            received.close(loop, error)
+            return

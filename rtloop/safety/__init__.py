@@ -1,0 +1,1 @@
+"""What is commanded and measured against the limits, and what happens where they are not kept."""

@@ -1,0 +1,73 @@
+"""What wire and machine did while no drive was heard: the facts behind the sentence of a silence.
+
+They are for people. Nothing in the cycle is decided by them.
+"""
+
+from typing import Any
+
+from rtloop.wire import received
+from shm.jit import jit
+from shm.words import BusState, Evidence
+
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
+Shared = Any  # record of dtype shm.layout.STATE
+
+# numba adds up no members of an enumeration, so they are plain integers here.
+_HEARD, _ADAPTER_ANSWERS, _ADAPTER_MUTE = int(Evidence.HEARD), int(Evidence.ADAPTER_ANSWERS), int(Evidence.ADAPTER_MUTE)
+_NOT_TAKEN, _UNACKNOWLEDGED = int(Evidence.NOT_TAKEN), int(Evidence.UNACKNOWLEDGED)
+_BUS_ERRORS, _BABBLE = int(Evidence.BUS_ERRORS), int(Evidence.BABBLE)
+_CYCLE_LATE, _READER_LATE = int(Evidence.CYCLE_LATE), int(Evidence.READER_LATE)
+_SIMULATED = int(Evidence.SIMULATED)
+
+
+@jit
+def follow(loop: Loop, shared: Shared) -> None:
+    """Once a cycle, behind all that the bus brought: note what speaks, and count anew from where a drive was heard."""
+    quiet, counters = loop.quiet, shared.counters
+    if quiet.adapter_words != quiet.adapter_words_before:
+        quiet.adapter_words_before = quiet.adapter_words
+        quiet.adapter_ns = loop.core.now_ns
+    if quiet.heard_ns != quiet.heard_before_ns:
+        quiet.heard_before_ns = quiet.heard_ns
+        quiet.away_ns = 0
+        quiet.bytes_unsent = counters.bytes_unsent
+        quiet.unacknowledged = counters.unacknowledged
+        quiet.error_frames = counters.error_frames
+        quiet.frames_received = counters.frames_received
+
+
+@jit
+def evidence(loop: Loop, shared: Shared) -> int:
+    """Bits of shm.words.Evidence since a drive was last heard."""
+    core, params, quiet, counters = loop.core, loop.params, loop.quiet, shared.counters
+    found = 0
+    if core.now_ns - quiet.heard_ns <= params.stale_brake_ns:
+        found |= _HEARD
+    if quiet.adapter_ns != 0 and core.now_ns - quiet.adapter_ns <= params.stale_brake_ns:
+        found |= _ADAPTER_ANSWERS
+    elif is_mute(loop):
+        found |= _ADAPTER_MUTE
+    if counters.bytes_unsent > quiet.bytes_unsent:
+        found |= _NOT_TAKEN
+    if counters.unacknowledged > quiet.unacknowledged:
+        found |= _UNACKNOWLEDGED
+    elif counters.error_frames > quiet.error_frames or counters.bus_state != BusState.ACTIVE:
+        found |= _BUS_ERRORS
+    strange = counters.frames_received - quiet.frames_received
+    if strange * params.period_ns >= params.joint_count * params.stale_fault_ns:
+        found |= _BABBLE
+    if quiet.away_ns >= params.stale_brake_ns:
+        found |= _CYCLE_LATE
+    if received.woke_ns(loop) != 0 and core.now_ns - received.woke_ns(loop) > params.stale_fault_ns // 2:
+        found |= _READER_LATE
+    if params.simulated == 1:
+        found |= _SIMULATED
+    return found
+
+
+@jit
+def is_mute(loop: Loop) -> bool:
+    """Whether an adapter that answered until the drives fell silent was asked since, and has not answered."""
+    quiet, patience_ns = loop.quiet, loop.params.stale_brake_ns
+    answered_till_then = quiet.adapter_ns != 0 and quiet.adapter_ns >= quiet.heard_ns - patience_ns
+    return bool(answered_till_then and quiet.spoke_ns - quiet.adapter_ns > patience_ns)

@@ -1,0 +1,193 @@
+"""Conversations with the drives in ordinary Python, beside the cycle and through its service rings.
+
+Every drive has a dialogue of its own, a generator that yields what it wants to ask and gets the answer; all
+dialogues advance together. `poll(now_ns)` is called from time to time and never waits, so the same
+conversation works at start, at run time, and in tests in virtual time.
+"""
+
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+from config.joint import JointConfig
+from config.schema import ArmConfig
+from rtloop.service.port import BRING_UP_FAILED, SEND, Frame, ServicePort
+from shm.words import Fault
+
+ANSWER_PATIENCE_NS = 60_000_000
+ANSWER_PERIODS = 3
+"""A question waits for the next cycle and its answer for the one after; at low rates that is what lasts."""
+TRIES = 5
+
+
+def answer_patience_s(arm: ArmConfig) -> float:
+    """How long one try waits for an answer, or for what a drive says by itself."""
+    return max(ANSWER_PATIENCE_NS, ANSWER_PERIODS * arm.control.period_ns) * 1e-9
+
+
+class TalkFailed(Exception):
+    """A conversation cannot go on; the text is the sentence people read."""
+
+    def __init__(self, joint: int, sentence: str) -> None:
+        super().__init__(sentence)
+        self.joint = joint
+
+
+class Again:
+    """What a question makes of a frame that shows that it must be asked again."""
+
+
+Packet = tuple[Frame, bool]
+"""A frame, and whether the next one belongs to the same command."""
+
+
+class Question(Protocol):
+    """Something to ask a drive, in the form of its family."""
+
+    @property
+    def answered(self) -> bool:
+        """Whether an answer is to be waited for, however often it must be asked."""
+
+    def packets(self, first: bool) -> list[Packet]:
+        """What is said, the first time or again."""
+
+    def hear(self, frame: Frame, last_try: bool) -> Any | Again | None:
+        """What is the answer, if this frame of the drive's makes it whole."""
+
+
+def silent_amid(config: JointConfig, what: str) -> str:
+    """The sentence about a drive that has answered before."""
+    return (
+        f"The drive of {config.name} stopped answering while its {what} was read: check its power and the CAN wires, "
+        "then `rtarm clear-fault`, or `rtarm up` where it has ended."
+    )
+
+
+Dialogue = Generator[Question, Any, None]
+"""What is said to one drive; a question that stays without an answer gets None."""
+Value = TypeVar("Value")
+Part = Generator[Question, Any, Value]
+"""Part of a dialogue that ends in a value."""
+
+
+@dataclass
+class _Exchange:
+    """A running question to one drive."""
+
+    question: Question
+    sent_ns: int
+    tries: int
+
+
+class Conversation:
+    """One exchange of questions and answers with the drives of an arm, from its beginning to `done`.
+
+    `failure` says why it could not go on, and the cycle is then told to latch `fault`; an orderly end is told to it by
+    `last_order`, if there is one.
+    """
+
+    def __init__(
+        self, arm: ArmConfig, port: ServicePort, now_ns: int, *, fault: Fault, last_order: int | None = None
+    ) -> None:
+        self.arm = arm
+        self.now_ns = now_ns
+        self.done = False
+        self.failure: TalkFailed | None = None
+        self.port = port
+        self._patience_ns = round(answer_patience_s(arm) * 1e9)
+        self._fault = fault
+        self._last_order = last_order
+        self._dialogues: dict[int, Dialogue] = {}
+        self._exchanges: dict[int, _Exchange] = {}
+        self._outbox: list[tuple[Frame, bool]] = []
+        self._received()  # what was said before this conversation does not belong to it
+
+    def begin(self, dialogues: Mapping[int, Dialogue]) -> None:
+        """Let every joint's dialogue ask its first question."""
+        self._dialogues.update(dialogues)
+        for joint in dialogues:
+            self._advance(joint, None)
+
+    def poll(self, now_ns: int) -> bool:
+        """Take answers, ask on; True once the conversation is over (see `failure`)."""
+        self.now_ns = now_ns
+        if self.done:
+            return True
+        try:
+            for frame in self._received():
+                self._hear(frame)
+            for joint in list(self._exchanges):
+                self._repeat_or_give_up(joint)
+            self._flush()
+            self.done = not self._dialogues and not self._outbox and not self._goes_on()
+        except TalkFailed as failure:
+            self.failure = failure
+            self.done = True
+            self.post(BRING_UP_FAILED, joint=failure.joint, code=self._fault)
+            return True
+        if self.done and self._last_order is not None:
+            self.post(self._last_order)
+        return self.done
+
+    def _received(self) -> list[Frame]:
+        """What the drives of this conversation have said since the last look."""
+        return self.port.received()
+
+    def _goes_on(self) -> bool:
+        """Begin what follows when every dialogue is over; whether there is something."""
+        return False
+
+    def post(self, kind: int, joint: int = -1, value: float = 0.0, code: int = 0) -> None:
+        """Tell the cycle a decision."""
+        if not self.port.post(kind, joint=joint, value=value, code=code):
+            raise TalkFailed(joint, "The control cycle takes no orders: it has stopped; start rtarm again.")
+
+    def _flush(self) -> None:
+        """Put commands in as far as there is room, each as a whole: another conversation may speak after it."""
+        while self._outbox:
+            frames = 1 + next(number for number, (_, joined) in enumerate(self._outbox) if not joined)
+            if self.port.room() < frames:
+                return
+            for frame, joined in self._outbox[:frames]:
+                self.port.post(SEND, frame=frame, joined=joined)
+            del self._outbox[:frames]
+
+    def _advance(self, joint: int, answer: Any) -> None:
+        self._exchanges.pop(joint, None)
+        try:
+            question = self._dialogues[joint].send(answer)
+        except StopIteration:
+            del self._dialogues[joint]
+            return
+        self._exchanges[joint] = _Exchange(question, self.now_ns, 1)
+        self._say(joint, question)
+
+    def _say(self, joint: int, question: Question) -> None:
+        told_once = self._exchanges[joint].tries == 1
+        self._outbox += [(frame._replace(joint=joint), joined) for frame, joined in question.packets(told_once)]
+        self._flush()
+
+    def _hear(self, frame: Frame) -> None:
+        exchange = self._exchanges.get(frame.joint)
+        if exchange is None or frame.time_ns < exchange.sent_ns:
+            return  # nobody has asked, or it is the late answer to an earlier question
+        answer = exchange.question.hear(frame, exchange.tries >= TRIES)
+        if isinstance(answer, Again):
+            self._repeat(frame.joint)
+        elif answer is not None:
+            self._advance(frame.joint, answer)
+
+    def _repeat_or_give_up(self, joint: int) -> None:
+        exchange = self._exchanges[joint]
+        if self.now_ns - exchange.sent_ns < self._patience_ns:
+            return
+        if not exchange.question.answered or exchange.tries >= TRIES:
+            self._advance(joint, None)
+            return
+        self._repeat(joint)
+
+    def _repeat(self, joint: int) -> None:
+        exchange = self._exchanges[joint]
+        exchange.tries += 1
+        exchange.sent_ns = self.now_ns
+        self._say(joint, exchange.question)

@@ -1,0 +1,1 @@
+"""A goal on its way: its path, its clock, how it is entered, how it ends, and which limits it keeps."""

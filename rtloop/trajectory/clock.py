@@ -1,0 +1,208 @@
+"""The trajectory clock: how fast the arm runs along its path.
+
+Whatever slows the arm down (cancel, pause, speed scale, starvation …) only lowers the clock's rate, so the arm stays
+on its path. A change of rate is a ramp, chosen once when another rate is wanted: ramps from short to long are sampled
+at a fixed number of instants, and the first that keeps the limits is taken.
+"""
+
+import math
+from typing import Any
+
+from motion import scaling, stopping
+from motion.stopping import PLAN_SHARE, STOP_FRACTIONS
+from rtloop.memory.state import BLEND_SAMPLES
+from rtloop.trajectory.ahead import look_from_here, may_look, next_keeps_limits
+from rtloop.trajectory.path import end_s, find_knot, goes_on_past_end, sample
+from shm.jit import jit
+
+Loop = Any  # record of dtype rtloop.memory.state.LOOP
+
+ramp = jit(scaling.ramp)
+along = jit(scaling.along)
+way_s = jit(stopping.way_s)
+
+IMPOSSIBLE = 1e9
+NO_PATH = 100.0
+BREAKS_A_LIMIT = 10.0
+"""Added to the strain of a ramp that the last line of defence would not let pass."""
+RESERVE_PERIODS = 3.0
+ROUNDING = 1.0 + 1e-9
+HEADROOM = 0.9
+"""Candidates are sampled, so they stay this far below the bound at which the last defence would stop the arm."""
+
+
+@jit
+def advance_clock(loop: Loop) -> None:
+    """Move the trajectory clock by one period at the present rate, along the running ramp if there is one."""
+    core = loop.core
+    period_s = loop.params.period_ns * 1e-9
+    if core.ramp_s <= 0.0:
+        core.clock_s += core.rate * period_s
+        return
+    before_s = core.ramp_elapsed_s
+    after_s = min(before_s + period_s, core.ramp_s)
+    _, _, advance_before = ramp(core.rate_start, core.slope_start, core.rate_target, core.ramp_s, before_s)
+    rate, slope, advance_after = ramp(core.rate_start, core.slope_start, core.rate_target, core.ramp_s, after_s)
+    core.clock_s += advance_after - advance_before
+    core.ramp_elapsed_s = after_s
+    core.rate, core.slope = rate, slope
+    if after_s >= core.ramp_s:
+        core.clock_s += core.rate_target * (before_s + period_s - after_s)
+        core.rate, core.slope, core.ramp_s = core.rate_target, 0.0, 0.0
+
+
+@jit
+def allowed_acceleration(loop: Loop, joint: int, planned_rad_s2: float, factor: float, share: float) -> float:
+    """What a change of rate or a blend may bring the joint's acceleration to (rad/s²).
+
+    `factor` times its limit, `share` of it more than the plan where that asks for as much, and what it has already.
+    """
+    limit = loop.joints[joint].max_acceleration_rad_s2
+    beside_plan = min(abs(planned_rad_s2) + share * limit, HEADROOM * loop.params.acceleration_margin * limit)
+    return max(factor * limit, beside_plan, ROUNDING * abs(loop.axes[joint].acceleration_rad_s2))
+
+
+@jit
+def ramp_strain(loop: Loop, target: float, duration_s: float, factor: float) -> float:
+    """Largest ratio of acceleration to what is allowed along a candidate ramp; ≤ 1 keeps the limits.
+
+    What the plan asks for is taken at the higher of both rates: a stop may push as hard as the plan did without it.
+
+    IMPOSSIBLE for a ramp on which the clock would run backwards or faster than it ever should; NO_PATH and
+    more for one that needs path which is not known yet.
+    """
+    core = loop.core
+    active = core.active
+    worst = 0.0
+    knot = loop.paths[active].segment
+    known_s = end_s(loop, active)
+    goes_on = goes_on_past_end(loop, active)
+    highest_rate = max(core.rate, target, core.rate_target) + 1e-6
+    full = max(core.rate, target)
+    for i in range(1, BLEND_SAMPLES + 1):
+        rate, slope, advance = ramp(core.rate, core.slope, target, duration_s, duration_s * i / BLEND_SAMPLES)
+        clock_s = core.clock_s + advance
+        if rate < -1e-9 or rate > highest_rate:
+            return IMPOSSIBLE
+        if clock_s > known_s and not goes_on:
+            worst = max(worst, NO_PATH + clock_s - known_s)
+        knot = find_knot(loop, active, clock_s, knot)
+        for joint in range(loop.params.joint_count):
+            _, v, a = sample(loop, active, joint, clock_s, knot)
+            _, acceleration = along(rate, slope, v, a)
+            allowed = allowed_acceleration(loop, joint, full * full * a, factor, PLAN_SHARE)
+            worst = max(worst, abs(acceleration) / allowed)
+    return worst
+
+
+@jit
+def is_rough(loop: Loop, duration_s: float) -> bool:
+    """Whether the running path may bend between the instants at which a ramp of a duration is sampled."""
+    sampled_s = max(duration_s / BLEND_SAMPLES, loop.params.period_ns * 1e-9)
+    return bool(loop.paths[loop.core.active].closest_ns * 1e-9 <= sampled_s)
+
+
+@jit
+def ramp_keeps_limits(loop: Loop, target: float, duration_s: float) -> bool:
+    """Whether the setpoints on a candidate ramp and shortly after it keep the limits.
+
+    When no more may be looked at in this cycle a lower rate is believed to keep them, since a stop cannot wait; a
+    higher one is not.
+    """
+    core = loop.core
+    active = core.active
+    period_s = loop.params.period_ns * 1e-9
+    knot = loop.paths[active].segment
+    look_from_here(loop)
+    for i in range(1, math.ceil(duration_s / period_s) + 2):
+        if not may_look(loop):
+            return bool(target <= core.rate)
+        past_s = max(i * period_s - duration_s, 0.0)
+        _, _, advance = ramp(core.rate, core.slope, target, duration_s, min(i * period_s, duration_s))
+        clock_s = core.clock_s + advance + target * past_s
+        knot = find_knot(loop, active, clock_s, knot)
+        if not next_keeps_limits(loop, active, clock_s, knot):
+            return False
+    return True
+
+
+@jit
+def ramp_duration(loop: Loop, target: float, factor: float) -> tuple[float, float]:
+    """The shortest candidate in which the rate reaches `target` inside the limits, else the gentlest.
+
+    `factor` is the share of the acceleration limits that the ramp may use: ORDERLY, or that of an urgent stop.
+
+    Where points are closer than the instants at which a candidate is sampled, its setpoints are looked at too.
+
+    Duration and strain; the duration is 0 if no candidate is possible at all.
+    """
+    best_s, best_strain = 0.0, IMPOSSIBLE
+    for fraction in STOP_FRACTIONS:
+        duration_s = fraction * loop.params.longest_stop_s
+        strain = ramp_strain(loop, target, duration_s, factor)
+        if strain < NO_PATH and is_rough(loop, duration_s) and not ramp_keeps_limits(loop, target, duration_s):
+            strain += BREAKS_A_LIMIT
+        if strain <= 1.0:
+            return duration_s, strain
+        if strain < best_strain:
+            best_strain, best_s = strain, duration_s
+    return best_s, best_strain
+
+
+@jit
+def steer_rate(loop: Loop, target: float, factor: float) -> None:
+    """Let the rate go to `target`; a ramp that already goes there runs on, unless a harder one is there sooner.
+
+    Turning a ramp round in its steepest part can be impossible, without the clock running backwards or the
+    joints being pushed too hard. The running ramp then goes on and the question is asked again in the next
+    cycle. From a steady rate a stop is begun at once, as gently as can be; a higher rate can wait on a rough path.
+    """
+    core = loop.core
+    on_its_way = target == core.rate_target
+    if on_its_way and (core.ramp_s <= 0.0 or factor <= core.ramp_factor):
+        return
+    duration_s, strain = ramp_duration(loop, target, factor)
+    can_wait = target > core.rate > 0.0 and is_rough(loop, loop.params.longest_stop_s)
+    if duration_s <= 0.0 or (strain > 1.0 and (core.ramp_s > 0.0 or can_wait)):
+        return
+    if on_its_way and duration_s >= core.ramp_s - core.ramp_elapsed_s:
+        return
+    core.arriving = 0
+    begin_ramp(loop, target, duration_s, factor)
+
+
+@jit
+def begin_ramp(loop: Loop, target: float, duration_s: float, factor: float) -> None:
+    core = loop.core
+    core.ramp_factor = factor
+    core.rate_target = target
+    core.rate_start, core.slope_start = core.rate, core.slope
+    core.ramp_s, core.ramp_elapsed_s = duration_s, 0.0
+
+
+@jit
+def set_rate(loop: Loop, rate: float) -> None:
+    """Run at a rate from now on, without a ramp: for an arm at rest or a path made for that rate."""
+    core = loop.core
+    core.rate = core.rate_target = rate
+    core.slope = core.ramp_s = 0.0
+
+
+@jit
+def must_brake_for_lack_of_path(loop: Loop, braking_already: bool) -> bool:
+    """Whether the knots that are left last no longer than stopping takes, and no END is among them.
+
+    Once braking has begun for that reason it ends only when there is ample path again.
+    """
+    core = loop.core
+    active = core.active
+    if loop.paths[active].ended == 1:
+        return False
+    longest_s = way_s(loop.params.longest_stop_s) * max(core.rate, core.speed_scale)
+    left_s = end_s(loop, active) - core.clock_s - RESERVE_PERIODS * loop.params.period_ns * 1e-9
+    if left_s > longest_s:
+        return False
+    if braking_already or core.rate_target == 0.0:
+        return True
+    duration_s, _ = ramp_duration(loop, 0.0, loop.params.braking_factor)
+    return left_s <= 0.5 * core.rate * duration_s
