@@ -88,7 +88,7 @@ def plan_stream(
 
 
 def plan_move(trajectory: Any, arm: ArmConfig, present: Present, settings: Settings) -> GoalPlan:
-    """Check a motion of our own making (`rosfront.moves`) and translate it into knots; raises GoalRefused.
+    """Check a motion of our own making (`rosfront.full_node.moves`) and translate it into knots; raises GoalRefused.
 
     It is judged like a goal, with the default tolerances; its points are joined as they are meant to be, whatever
     the arm file says about those of others.

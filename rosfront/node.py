@@ -40,7 +40,7 @@ from rosfront.serving import Serving
 from rosfront.state_topics import STATE_QOS, Feedback, Progress, StateTopics, joint_state_bytes
 
 if TYPE_CHECKING:
-    from rosfront.full_node import FullNode
+    from rosfront.full_node.node import FullNode
 
 ACTION = "~/follow_joint_trajectory"
 GRIPPER_STOP_S = 1.0
@@ -127,7 +127,7 @@ class FrontNode:
             )
             return None
         try:
-            from rosfront.full_node import FullNode
+            from rosfront.full_node.node import FullNode
         except ModuleNotFoundError as problem:
             if (problem.name or "").partition(".")[0] != "robot_arm_interfaces":
                 raise

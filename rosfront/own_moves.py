@@ -10,8 +10,8 @@ import numpy as np
 
 from config.homing import ParkingConfig, PoseMove
 from config.schema import ArmConfig
+from rosfront.full_node.moves import joint_move
 from rosfront.goal import plan_move
-from rosfront.moves import joint_move
 from rosfront.plan import GoalPlan
 from rosfront.refusals import GoalRefused, InMotion, ParkingTooLong
 from rosfront.serving import Serving

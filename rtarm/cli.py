@@ -273,7 +273,7 @@ def moveit_config(
     """
     with sentences():
         from config.loader import load_arm
-        from config.moveit import write_package
+        from rtarm.moveit import write_package
 
         if not output:  # a shell variable that is not set, rather than the folder one happens to stand in
             raise Refusal(

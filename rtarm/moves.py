@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rosfront.moves import Profile
+from rosfront.full_node.moves import Profile
 from rtarm.calibrate.person import Person
 from rtarm.errors import GoalFailed, Refusal
 from rtarm.interrupt import Interrupted, undisturbed

@@ -1,6 +1,6 @@
 """What stands in space: the arm where it is measured, a ghost where it is commanded, a wish, and the goal's path.
 
-Links and joints are those of the robot model that `config.moveit.robot` writes (its URDF), made from the same
+Links and joints are those of the robot model that `rtarm.moveit.robot` writes (its URDF), made from the same
 functions: each joint is a node at its origin that turns about its own z, so a moved arm is one message a joint.
 """
 
@@ -14,9 +14,9 @@ import numpy as np
 
 from config.geometry import KinematicsConfig
 from config.kinematics import Origin, flange_origin, flange_pose, joint_origins, matrix
-from config.moveit.robot import MATERIALS
-from config.moveit.shapes import Link, gripper_shape, link_shapes
 from config.schema import ArmConfig
+from rtarm.moveit.robot import MATERIALS
+from rtarm.moveit.shapes import Link, gripper_shape, link_shapes
 
 if TYPE_CHECKING:
     import trimesh

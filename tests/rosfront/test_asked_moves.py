@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from config.kinematics import flange_pose
 from config.loader import load_arm
-from rosfront.asked_moves import SLOWEST_RATIO, Moves, position_and_rotation, step_of
+from rosfront.full_node.asked import SLOWEST_RATIO, Moves, position_and_rotation, step_of
 from rosfront.refusals import GoalRefused
 from rosfront.settings import Settings
 

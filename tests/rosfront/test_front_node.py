@@ -639,7 +639,7 @@ def test_what_keeps_the_process_from_serving_is_one_sentence(arm_file, loop, sta
 def test_without_robot_arm_interfaces_the_arm_has_everything_else(arm_name, monkeypatch, capfd):
     for name in ("robot_arm_interfaces", "robot_arm_interfaces.action"):
         monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.delitem(sys.modules, "rosfront.full_node", raising=False)
+    monkeypatch.delitem(sys.modules, "rosfront.full_node.node", raising=False)
     with serving_alone(arm_name) as (_, front, client, _):
         assert client.run(goal())[0] == SUCCEEDED
         assert front._full_node is None
@@ -648,7 +648,7 @@ def test_without_robot_arm_interfaces_the_arm_has_everything_else(arm_name, monk
 
 def test_motor_angles_become_a_message_only_for_whoever_listens(arm_name, monkeypatch):
     interfaces = pytest.importorskip("robot_arm_interfaces.msg")
-    from rosfront import full_node
+    from rosfront.full_node import node as full_node
 
     with serving_alone(arm_name) as (_, front, _, _):
         built = []

@@ -22,7 +22,7 @@ from waiting import until
 from config.kinematics import flange_pose
 from config.loader import load_arm
 from rosfront.action_client import ActionClient
-from rosfront.asked_moves import position_and_rotation
+from rosfront.full_node.asked import position_and_rotation
 
 pytestmark = pytest.mark.process
 ARM = load_arm("episode1")

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from plain_messages import present
 from virtual import VirtualArm
 
-from config.inverse import Inverse
 from config.kinematics import flange_pose
 from config.loader import load_arm
-from config.rotations import matrix_of, turn_of
 from rosfront import refusals
+from rosfront.full_node.inverse import Inverse
+from rosfront.full_node.moves import Line, Profile, joint_move
+from rosfront.full_node.rotations import matrix_of, turn_of
 from rosfront.goal import plan_move
-from rosfront.moves import Line, Profile, joint_move
 from rosfront.path import PlannedPath
 from rosfront.settings import Settings
 from shm.words import Outcome

@@ -22,11 +22,11 @@ from written_arm import JOINTS, WrittenArm
 
 from config.kinematics import Origin, joint_origins, link_poses, matrix
 from config.loader import load_arm
-from config.moveit.robot import model_parts
-from config.moveit.shapes import link_shapes
 from motion.segment import evaluate, quintic
 from rtarm import requests
 from rtarm.errors import Refusal
+from rtarm.moveit.robot import model_parts
+from rtarm.moveit.shapes import link_shapes
 from rtarm.status import report_of
 from rtarm.top.events import Happening
 from rtarm.top.watch import Look

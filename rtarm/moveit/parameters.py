@@ -11,9 +11,9 @@ from typing import Any
 
 from config.geometry import KinematicsConfig
 from config.gripper import GROUP
-from config.moveit.collisions import home_positions_rad
-from config.moveit.text import floored, yaml_text
 from config.schema import ArmConfig
+from rtarm.moveit.collisions import home_positions_rad
+from rtarm.moveit.text import floored, yaml_text
 
 ACTION = "follow_joint_trajectory"
 GRIPPER_ACTION = "gripper_cmd"

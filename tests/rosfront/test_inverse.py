@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from robot_models import Pinocchio, Positions, arm_of
 from scipy.spatial.transform import Rotation
 
-from config.inverse import Inverse, OtherGeometry, OutOfReach, OutsideLimits
 from config.kinematics import flange_pose
 from config.loader import load_arm
-from config.rotations import ORDERS, angles_of, matrix_of, turn_of, turned
 from config.schema import ArmConfig
+from rosfront.full_node.inverse import Inverse, OtherGeometry, OutOfReach, OutsideLimits
+from rosfront.full_node.rotations import ORDERS, angles_of, matrix_of, turn_of, turned
 
 EPISODE1 = load_arm("episode1")
 LOWER = np.array([joint.lower_rad for joint in EPISODE1.joints])

@@ -24,8 +24,8 @@ from robot_arm_interfaces.srv import ReadMotorAngles, SetFreeMode
 
 from rosfront.action import GoalServer
 from rosfront.action_goals import ActionGoals
-from rosfront.asked_moves import Move, Moves, position_and_rotation, step_of
 from rosfront.diagnostics import Counts
+from rosfront.full_node.asked import Move, Moves, position_and_rotation, step_of
 from rosfront.plan import NS, GoalPlan
 from rosfront.services import Services
 from rosfront.serving import Execution, Serving

@@ -16,10 +16,10 @@ from robot_models import Pinocchio, arm_of, arms, content, files_of, robot_model
 from config.errors import ConfigError
 from config.kinematics import flange_pose, tip_link
 from config.loader import load_arm
-from config.moveit import collisions
-from config.moveit.collisions import unchecked_pairs
-from config.moveit.shapes import distances_m
 from config.schema import ArmConfig
+from rtarm.moveit import collisions
+from rtarm.moveit.collisions import unchecked_pairs
+from rtarm.moveit.shapes import distances_m
 
 SERVO = {"hook": "servo", "servo": {"address": 7}, "lower_deg": 5.0, "closed_deg": 10.0, "speed_deg_s": 60.0}
 

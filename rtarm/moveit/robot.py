@@ -8,10 +8,10 @@ from config.geometry import DhRow, KinematicsConfig
 from config.gripper import GROUP, LINK, GripperConfig
 from config.joint import JointConfig
 from config.kinematics import Origin, flange_origin, joint_origins, tip_link
-from config.moveit.collisions import home_positions_rad, home_rad, unchecked_pairs
-from config.moveit.shapes import Bone, Link, Xyz, gripper_shape, link_shapes
-from config.moveit.text import angles, floored, number, numbers, xml_text
 from config.schema import ArmConfig
+from rtarm.moveit.collisions import home_positions_rad, home_rad, unchecked_pairs
+from rtarm.moveit.shapes import Bone, Link, Xyz, gripper_shape, link_shapes
+from rtarm.moveit.text import angles, floored, number, numbers, xml_text
 
 EFFORT_NM = 10.0
 """A nominal effort limit (N·m). A robot model must state one; rtarm and MoveIt's planners use none."""

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from config.inverse import Inverse, NoWay, OtherGeometry
 from config.kinematics import Poses, flange_pose
-from config.rotations import ORDERS, angles_of, matrix_of
 from config.schema import ArmConfig
+from rosfront.full_node.inverse import Inverse, NoWay, OtherGeometry
+from rosfront.full_node.moves import Line, joint_move
+from rosfront.full_node.rotations import ORDERS, angles_of, matrix_of
 from rosfront.goal import plan_move
-from rosfront.moves import Line, joint_move
 from rosfront.plan import GoalPlan, Present
 from rosfront.refusals import (
     BadSpeedRatio,

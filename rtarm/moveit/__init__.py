@@ -4,7 +4,7 @@
 model follows from the section `kinematics`, limits and names from the rest, and nothing is set by hand in between.
 """
 
-from config.moveit.package import package_files, package_name
-from config.moveit.writer import Written, write_package
+from rtarm.moveit.package import package_files, package_name
+from rtarm.moveit.writer import Written, write_package
 
 __all__ = ["Written", "package_files", "package_name", "write_package"]

@@ -14,10 +14,10 @@ from pathlib import Path, PurePosixPath
 from config.errors import ConfigError
 from config.geometry import KinematicsConfig
 from config.loader import known_arms
-from config.moveit.collisions import Unchecked, unchecked_pairs
-from config.moveit.package import package_files, package_name
-from config.moveit.text import origin_sentence
 from config.schema import ArmConfig
+from rtarm.moveit.collisions import Unchecked, unchecked_pairs
+from rtarm.moveit.package import package_files, package_name
+from rtarm.moveit.text import origin_sentence
 
 MANIFEST = ".rtarm"
 

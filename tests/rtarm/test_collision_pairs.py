@@ -14,9 +14,9 @@ from robot_models import Pinocchio, Positions, arm_of, arms, files_of, geometry
 
 from config.kinematics import link_poses
 from config.loader import load_arm
-from config.moveit.collisions import home_rad, unchecked_pairs
-from config.moveit.shapes import distances_m, link_shapes, segment_distances_m
 from config.schema import ArmConfig
+from rtarm.moveit.collisions import home_rad, unchecked_pairs
+from rtarm.moveit.shapes import distances_m, link_shapes, segment_distances_m
 
 Pairs = set[frozenset[str]]
 

@@ -6,8 +6,8 @@ everybody's and follow MoveIt's next versions. Ours are only the two that put rt
 
 from __future__ import annotations
 
-from config.moveit.text import origin_sentence
 from config.schema import ArmConfig
+from rtarm.moveit.text import origin_sentence
 
 GENERATED = {
     "rsp": "robot_state_publisher: the robot description and, from /joint_states, TF.",

@@ -16,9 +16,9 @@ from robot_models import arm_of, arms, content, files_of, geometry, robot_model
 
 from config.kinematics import tip_link
 from config.loader import load_arm
-from config.moveit.parameters import moveit_controllers
-from config.moveit.text import floored, number
 from config.schema import ArmConfig
+from rtarm.moveit.parameters import moveit_controllers
+from rtarm.moveit.text import floored, number
 
 ROOT = Path(__file__).resolve().parents[2]
 JOINTS = [f"joint{number}" for number in range(1, 7)]

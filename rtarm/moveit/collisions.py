@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from config.geometry import KinematicsConfig
 from config.kinematics import Poses, flange_pose, link_poses
-from config.moveit.shapes import Link, distances_m, gripper_shape, link_shapes
 from config.schema import ArmConfig
+from rtarm.moveit.shapes import Link, distances_m, gripper_shape, link_shapes
 
 SAMPLES = 10_000
 """Poses that every pair is looked at in, all joints at random; a quarter of all angles are limits, where arms fold."""

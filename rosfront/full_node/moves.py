@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from config.inverse import Inverse, NoWay
 from config.kinematics import Poses, flange_pose
-from config.rotations import turn_of, turned
 from config.schema import ArmConfig
+from rosfront.full_node.inverse import Inverse, NoWay
+from rosfront.full_node.rotations import turn_of, turned
 from rosfront.plan import NS
 from rosfront.points import Columns, Rows
 from rosfront.refusals import OffTheLine, OutOfLimits, Singular, Unreachable

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from config.geometry import KinematicsConfig
-from config.moveit import parameters, robot, rviz
-from config.moveit.launch_files import launch_files
-from config.moveit.text import origin_sentence, xml_text, yaml_text
 from config.schema import ArmConfig
+from rtarm.moveit import parameters, robot, rviz
+from rtarm.moveit.launch_files import launch_files
+from rtarm.moveit.text import origin_sentence, xml_text, yaml_text
 
 RUN_WITH = (
     "controller_manager",

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from config.geometry import KinematicsConfig
-from config.moveit import package_files
 from config.schema import ArmConfig
+from rtarm.moveit import package_files
 
 Positions = NDArray[np.float64]
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from config.geometry import KinematicsConfig
-from config.moveit.text import yaml_text
 from config.schema import ArmConfig
+from rtarm.moveit.text import yaml_text
 
 FIRST_SCALING = 0.1
 """Share of velocity and acceleration limits at which the sliders of MoveIt's panel start."""

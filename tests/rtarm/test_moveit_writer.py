@@ -13,8 +13,8 @@ import pytest
 from config.errors import ConfigError
 from config.geometry import KinematicsConfig
 from config.loader import load_arm
-from config.moveit import package_files, write_package, writer
 from config.schema import ArmConfig
+from rtarm.moveit import package_files, write_package, writer
 
 Edit = Callable[[Path], None]
 
