@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import os
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
@@ -34,6 +35,7 @@ from shm.errors import AlreadyHeld
 
 if TYPE_CHECKING:
     from config.schema import ArmConfig
+    from rtloop.wire.claim import Claim
 
 SIMULATED_CHANNEL = "simulated"
 """Stands for a pseudo-terminal that does not exist yet, so that an arm file without adapter loads."""
@@ -253,6 +255,7 @@ class Launcher:
         self._sim: Child | None = None
         self._loop: Child | None = None
         self._front: Child | None = None
+        self._action: Claim | None = None
         self._recorder = FaultRecorder(plan.arm.name, reporter.say)
         self.page = PageBeside(reporter) if plan.view else None
 
@@ -260,13 +263,14 @@ class Launcher:
         """Start everything and return when it is ready.
 
         Raises:
-            Refusal: a process ended instead, or was not ready in time.
+            Refusal: the arm or its action has a server already, a process ended instead, or was not ready in time.
         """
         plan = self.plan
         try:
             files.require_not_running(plan.arm.name)
         except AlreadyHeld as held:
             raise Refusal(str(held), ExitCode.LOOP_REFUSED) from None
+        self._action = self._claim_action()
         overrides = plan.overrides
         if plan.simulated:
             overrides = _with_channel(overrides, plan.simulated_adapter, await self._start_sim())
@@ -321,6 +325,8 @@ class Launcher:
         if self.page is not None:
             await self.page.stop()  # last: it shows the end, and the arm waits for no page
         await self._recorder.close(died=self._loop is not None and bool(self._loop.code))
+        if self._action is not None:
+            self._action.close()
 
     def say_stopping(self, why: str) -> None:
         """The line between a signal and the end."""
@@ -346,6 +352,18 @@ class Launcher:
 
     # --- starting ---------------------------------------------------------------------------------------
 
+    def _claim_action(self) -> Claim:
+        """Make sure, before anything moves, that no other arm of this machine takes the same goals; raises Refusal."""
+        from rtarm.served_action import claim_action, namespace_of
+
+        plan = self.plan
+        domain = {**os.environ, **plan.front_environment}.get("ROS_DOMAIN_ID", "")
+        return claim_action(action_name(plan.arm, namespace_of(self._ros_arguments)), domain, plan.arm.name)
+
+    @property
+    def _ros_arguments(self) -> list[str]:
+        return [*namespace_arguments(self.plan.namespace), *self.plan.front_arguments]
+
     async def _start_sim(self) -> str:
         """Start the simulated arm; returns the terminal it listens at."""
         overrides = _with_channel(self.plan.overrides, self.plan.simulated_adapter, SIMULATED_CHANNEL)
@@ -365,7 +383,7 @@ class Launcher:
             **ros_environment(),
             **self.plan.front_environment,
         }
-        arguments = [*self._arguments, *namespace_arguments(self.plan.namespace), *self.plan.front_arguments]
+        arguments = [*self._arguments, *self._ros_arguments]
         if self.plan.simulated:
             arguments += parameter_arguments({"sim": True})
         return await self._spawn("front", "rosfront", arguments, environment)

@@ -127,11 +127,11 @@ def check_sed(words: list[str]) -> None:
 
 
 def check_ros2(words: list[str]) -> None:
-    if words[0] == "launch":  # the packages that `rtarm moveit-config` makes have the files that Episode1's has
-        package = re.sub(r"\w+_moveit_config", "episode1_moveit_config", words[1])
+    if words[0] == "launch":  # the packages that `rtarm moveit-config` makes, and the tutorial's, have Episode1's files
+        package = re.sub(r"\w+_moveit(_config)?$", "episode1_moveit_config", words[1])
         assert (ROOT / "ros" / package / "launch" / words[2]).is_file()
-    if words[:2] == ["run", "rtarm"]:
-        assert words[2] in (ROOT / "ros" / "rtarm" / "CMakeLists.txt").read_text(encoding="utf-8")
+    if words[0] == "run":
+        assert words[2] in (ROOT / "ros" / words[1] / "CMakeLists.txt").read_text(encoding="utf-8")
 
 
 def check_python(words: list[str]) -> None:
