@@ -71,7 +71,7 @@ def drive_part(model: type[BaseModel]) -> list[str]:
     family = get_args(model.model_fields["family"].annotation)[0]
     parts = [f"## `joints[].drive` with `family: {family}`", summary(model), table(HEADS, map(row, keys(model)))]
     for path, below in sections_below("joints[].drive.", model):
-        if path:
+        if below is not model:
             parts += part(path, below)
     return parts
 

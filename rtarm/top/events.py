@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rtarm.status import key
 from shm.sentences import (
     HEALED,
     WIRE_IS_BACK,
@@ -19,7 +20,7 @@ from shm.sentences import (
     unreferenced_sentence,
     unreferenced_sentences,
 )
-from shm.words import Event, Outcome
+from shm.words import Event, Outcome, Request
 
 GOOD, BAD, ODD, PLAIN = "green", "red", "yellow", ""
 """How a happening is coloured."""
@@ -66,6 +67,12 @@ def happenings(events: Iterable[np.void], joints: Sequence[str]) -> list[tuple[H
     return found
 
 
+def _request(number: float, kind: float) -> str:
+    """What was asked for; events of before do not say it."""
+    known = kind in set(Request)
+    return f"Request {number:.0f}{f' ({key(Request, int(kind))})' if known else ''}".replace("_", " ")
+
+
 def _told(kind: int, code: int, joint: str, value: float, limit: float) -> tuple[str, str]:
     if kind == Event.MODE:
         return f"Mode: {mode_name(code)}.", PLAIN
@@ -74,7 +81,7 @@ def _told(kind: int, code: int, joint: str, value: float, limit: float) -> tuple
     if kind == Event.RESULT:
         return outcome_sentence(code, joint, value, limit), GOOD if code == Outcome.SUCCEEDED else ODD
     if kind == Event.REQUEST:
-        return f"Request {value:.0f}: {answer_sentence(code)}", PLAIN
+        return f"{_request(value, limit)}: {answer_sentence(code)}", PLAIN
     if kind == Event.COMMAND:
         return command_sentence(code, value), PLAIN
     if kind == Event.OVERRUN:

@@ -353,7 +353,7 @@ def take_requests(loop: Loop, shared: Shared) -> None:
             break
         core.request_waits = 0
         core.requests_taken += 1
-        answer_request(loop, shared, request.sequence, _obey(loop, shared))
+        answer_request(loop, shared, request.sequence, request.kind, _obey(loop, shared))
     store_release(loop.params.state_address + _CONSUMED_REQUESTS, core.requests_taken)
 
 

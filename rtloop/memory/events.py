@@ -57,9 +57,10 @@ def set_result(loop: Loop, shared: Shared, goal_id: int, outcome: int, joint: in
 
 
 @jit
-def answer_request(loop: Loop, shared: Shared, sequence: int, answer: int) -> None:
+def answer_request(loop: Loop, shared: Shared, sequence: int, kind: int, answer: int) -> None:
+    """Answer the request of a number; its event says too what was asked (`kind`, shm.words.Request)."""
     row = loop.snapshot.answers[sequence & (layout.ANSWER_SLOTS - 1)]
     row.sequence = sequence
     row.answer = answer
     loop.core.decisions_shown = 0
-    record_event(loop, shared, Event.REQUEST, -1, answer, float(sequence), 0.0)
+    record_event(loop, shared, Event.REQUEST, -1, answer, float(sequence), float(kind))

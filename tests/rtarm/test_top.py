@@ -36,7 +36,7 @@ from rtarm.top.watch import BINS, HAPPENINGS, RECENT_S, Look, Timing, Watch, spe
 from shm import files, histogram, layout
 from shm.errors import NotRunning
 from shm.recording import newest_events
-from shm.words import Answer, Event, Fault, Mode, Outcome, Phase, Unreferenced
+from shm.words import Answer, Event, Fault, Mode, Outcome, Phase, Request, Unreferenced
 
 PATIENCE_S = 60.0
 
@@ -86,6 +86,10 @@ def event(kind: int, joint: int = -1, code: int = 0, value: float = 0.0, limit: 
         (event(Event.MODE, code=Mode.BRINGING_UP), "Mode: bringing up."),
         (event(Event.GOAL, code=12), "Goal 12 was announced."),
         (event(Event.REQUEST, code=Answer.DONE, value=7.0), "Request 7: Done."),
+        (
+            event(Event.REQUEST, code=Answer.DONE, value=7.0, limit=Request.HOME),
+            "Request 7 (home): Done.",
+        ),
         (event(Event.FAULT, 1, Fault.FOLLOWING_ERROR, 0.15, 0.1), "elbow was 0.1500 rad from where"),
         (
             event(Event.RESULT, 0, Outcome.SUCCEEDED, 0.001, 0.01),
