@@ -85,7 +85,7 @@ def test_files_outside_docs_are_shown_and_led_to() -> None:
     text = "[a](../config/arms/mock.yaml) [b](homing.md#x) [c](https://example.org) [d](../README.md) [e](../nowhere)\n"
     led_to = sources_led_to(ROOT, "docs/faults/a.md", text.replace("](../", "](../../"))
     assert led_to == {"config/arms/mock.yaml"}
-    places = {"docs/a.md": "a.md", "README.md": "index.md", "docs/guides/homing.md": "homing.md"}
+    places = {"docs/a.md": "a.md", "README.md": "index.md", "docs/homing.md": "homing.md"}
     places["config/arms/mock.yaml"] = source_place("config/arms/mock.yaml")
     assert rewritten("docs/a.md", text, places) == (
         "[a](source/config/arms/mock_yaml.md) [b](homing.md#x) [c](https://example.org) [d](index.md) [e](../nowhere)\n"
