@@ -70,7 +70,7 @@ test-live: env $(STAMPS)/colcon
 
 test-all: test transcripts test-live test-vm test-dist
 
-# `python -m transcripts --record SCENARIO …` with the same path records anew what is meant to change (docs/testing.md).
+# `python -m transcripts --record SCENARIO …` with the same path records anew what is meant to change (docs/explanation/testing.md).
 transcripts: env
 	PYTHONPATH=tests $(BIN)/python -m transcripts --jobs 2
 

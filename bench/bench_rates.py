@@ -64,7 +64,7 @@ def reached_hz(name: str, computed_hz: float) -> float:
 
 @pytest.mark.timeout(1800)
 def test_highest_rates(capsys: pytest.CaptureFixture[str]) -> None:
-    """A row of the table in docs/drive-families.md for each arm."""
+    """A row of the table in docs/hardware/drive-families.md for each arm."""
     with capsys.disabled():
         print("\n| arm | bus | bits a cycle, worst case | computed at 85 % | computed at 100 % | reached |")
         print("|---|---|---|---|---|---|")

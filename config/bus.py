@@ -78,7 +78,7 @@ class BusConfig(Section):
         default="FD",
         description="How targets are sent: FD carries speed, ramp and target in two frames; FC (firmware 2.0.0 and "
         "newer) the target alone in one, with a speed and a ramp that were set before. Rougher, and only where "
-        "bring-up finds that a drive takes FC as absolute: see docs/streaming.md.",
+        "bring-up finds that a drive takes FC as absolute: see docs/hardware/streaming.md.",
     )
 
     python_can: PythonCan | None = Field(

@@ -88,7 +88,7 @@ class GripperConfig(Section):
     hook: str = Field(
         pattern=r"^(simulated|servo|.+\.py:[A-Za-z_][A-Za-z0-9_]*)$",
         description="What moves the gripper: simulated is none at all, servo a ZDT drive on the arm's bus, and "
-        "my_gripper.py:MyGripper a class of your own (docs/gripper.md), its file beside the arm file.",
+        "my_gripper.py:MyGripper a class of your own (docs/hardware/gripper.md), its file beside the arm file.",
     )
     joint: str = Field(
         default="gripper_joint",

@@ -21,8 +21,8 @@ An arm has two files: `/dev/shm/rtarm.<arm>.state`, which the control process al
 `/dev/shm/rtarm.<arm>.command`, which the ROS process writes (and, for requests, any command that holds the producers'
 lock). Every field is a multiple of 8 bytes, little-endian, 8-byte aligned. A hash of these tables stands in both
 headers, so that processes built from different ones refuse each other. There is room for {layout.MAX_JOINTS} joints;
-records with joints end with the last one in use. [Memory order](../memory-order.md) says why no reader is misled,
-[architecture](../architecture.md) what the files are for."""
+records with joints end with the last one in use. [Memory order](../explanation/memory-order.md) says why no reader is
+misled, [architecture](../explanation/architecture.md) what the files are for."""
 
 
 def build() -> str:

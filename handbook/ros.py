@@ -58,8 +58,8 @@ NOBODYS = "handbook"
 INTRODUCTION = """\
 What the node of an arm offers; `~/` stands for its name, `/episode_arm_controller` unless the arm file says
 otherwise. Those of the full node are there for six joints, those of the gripper where the arm file has one. [ROS
-interfaces](../ros-interfaces.md) says what each does case by case, [full node](../full-node.md) and
-[gripper](../gripper.md) the same of theirs."""
+interfaces](../guides/ros-interfaces.md) says what each does case by case, [full node](../guides/full-node.md) and
+[gripper](../hardware/gripper.md) the same of theirs."""
 
 
 class Offer(NamedTuple):

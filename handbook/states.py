@@ -15,7 +15,7 @@ INTRODUCTION = """\
 The arm is in one mode, and each of its two goals, the one that runs and the one that waits to take over, in one phase.
 Both change in one place each, by the tables below, and every other change is refused. Each change of a phase is a test
 (`tests/rtloop/test_phases.py`)."""
-MODES = "[What each is](../architecture.md#modes). The file is `rtloop/memory/modes.py`."
+MODES = "[What each is](../explanation/architecture.md#modes). The file is `rtloop/memory/modes.py`."
 PHASES = """\
 The file is `rtloop/trajectory/phases.py`. A goal that stops has a reason, which becomes its outcome when the arm
 stands: the first one stands, but a fault comes before all, and everything before lack of a stream's next message.

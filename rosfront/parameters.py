@@ -221,7 +221,7 @@ class CheckedNode(Node):
             if not self.has_parameter(name) and not name.startswith("qos_overrides."):
                 self.get_logger().warning(
                     f"Parameter {name} is not known here and has no effect: correct its name or leave it out "
-                    "(docs/ros-interfaces.md names those there are)."
+                    "(docs/guides/ros-interfaces.md names those there are)."
                 )
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:

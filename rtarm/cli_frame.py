@@ -49,7 +49,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
-    help="Drives a robot arm of CAN servo drives from MoveIt 2.\n\nExample: [bold]rtarm demo[/bold] plays a "
+    help="Connects MoveIt 2 to robot arms with CAN servo drives.\n\nExample: [bold]rtarm demo[/bold] plays a "
     "recorded MoveIt goal on a simulated arm; [bold]rtarm up episode1 --sim[/bold] keeps one running.",
     epilog="Exit codes:\n\n" + exit_code_table(),
 )

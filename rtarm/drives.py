@@ -134,8 +134,8 @@ def not_read(arm: ArmConfig) -> str:
     if not others:
         return ""
     return (
-        f"what is set in the drives of {others} is neither read nor written; docs/drive-families.md says what must be "
-        "set there, with their maker's tool."
+        f"what is set in the drives of {others} is neither read nor written; docs/hardware/drive-families.md says what "
+        "must be set there, with their maker's tool."
     )
 
 

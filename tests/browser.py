@@ -27,6 +27,9 @@ OPTIONS = (
     "--force-device-scale-factor=1",
 )
 
+FILM_SIZE, FILM_FRAMES, FILM_REST_MS = (800, 500), 60, 2000
+"""A moving picture's size in pixels, the most frames that it has, and how long its last one is seen."""
+
 
 class Browser:
     """One tab, or several."""
@@ -156,6 +159,20 @@ class Browser:
             # The driver scrolls to what it presses.
             self.driver.execute_script("for (const e of document.querySelectorAll('*')) e.scrollLeft = e.scrollTop = 0")
             self.driver.save_screenshot(str(Path(folder, f"{name}.png")))
+
+    def film(self, path: Path, going_on: Callable[[], bool], speed: float) -> None:
+        """Save as a moving picture, at full speed, what is seen while something goes on at this factor of its speed."""
+        from PIL import Image
+
+        frames, times_ms = [], []
+        while going_on():
+            times_ms.append(time.monotonic() * 1000.0)
+            picture = Image.open(io.BytesIO(self.driver.get_screenshot_as_png())).convert("RGB")
+            frames.append(picture.resize(FILM_SIZE, Image.Resampling.LANCZOS))
+        chosen = np.unique(np.linspace(0, len(frames) - 1, FILM_FRAMES).round().astype(int))
+        durations = [*(np.diff(np.array(times_ms)[chosen]) * speed).round().astype(int).tolist(), FILM_REST_MS]
+        first, *others = (frames[index] for index in chosen)
+        first.save(path, save_all=True, append_images=others, duration=durations, loop=0, quality=60, method=6)
 
     def plotted(self, title: str) -> list[list[float]]:
         """The figures of a plot that is shown, a row a series, times first."""

@@ -1,4 +1,4 @@
-"""What can go wrong on the bus of an arm, and what may come of it: the rows of docs/safety.md.
+"""What can go wrong on the bus of an arm, and what may come of it: the rows of docs/explanation/safety.md.
 
 `bus_trials` runs them in virtual time, `live_bus_trials` with real processes.
 """

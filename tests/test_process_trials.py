@@ -1,4 +1,4 @@
-"""A sample of the trials of process faults; `docs/testing.md` tells the long run."""
+"""A sample of the trials of process faults; `docs/explanation/testing.md` tells the long run."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A sample of the trials that kill ROS processes; `make ros-trials` is the long run, `docs/testing.md` tells it."""
+"""A sample of the trials that kill ROS processes; the long run is `make ros-trials` (docs/explanation/testing.md)."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""docs/troubleshooting.md has every sentence with which the control process ends a goal or latches a fault."""
+"""docs/guides/troubleshooting.md has every sentence with which the control process ends a goal or latches a fault."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from shm.sentences import (
 )
 from shm.words import BusState, Fault, GripTrouble, Outcome, Unreferenced
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "troubleshooting.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "guides" / "troubleshooting.md"
 TABLES = (
     (OUTCOMES, {Outcome.NONE, Outcome.SUCCEEDED}),
     (FAULTS, {Fault.NONE}),
@@ -48,4 +48,4 @@ def rows() -> Iterator[str]:
 def test_every_sentence_stands_on_the_page() -> None:
     page = PAGE.read_text(encoding="utf-8").splitlines()
     missing = [wanted for wanted in rows() if wanted not in page]
-    assert not missing, "\n".join(["These rows belong into docs/troubleshooting.md:", *missing])
+    assert not missing, "\n".join(["These rows belong into docs/guides/troubleshooting.md:", *missing])

@@ -1,7 +1,8 @@
 """The hook: what a gripper must be able to do, so that everything else can be done for it.
 
-`simulated.py` and `servo.py` are such hooks, and an arm file may name another one (docs/gripper.md). All its methods
-are called from one thread, one after the other; none may wait for a motion to end, though each may take its time.
+`simulated.py` and `servo.py` are such hooks, and an arm file may name another one (docs/hardware/gripper.md). All its
+methods are called from one thread, one after the other; none may wait for a motion to end, though each may take its
+time.
 """
 
 from __future__ import annotations

@@ -60,6 +60,7 @@ def load_class(path: Path, name: str) -> Callable[[GripperConfig], Any]:
     missing = [method for method in METHODS if not callable(getattr(kind, method, None))]
     if missing:
         raise CannotServe(
-            f"The gripper's class {name} in {path} has no {' and no '.join(missing)}: add it (docs/gripper.md)."
+            f"The gripper's class {name} in {path} has no {' and no '.join(missing)}: add it "
+            "(docs/hardware/gripper.md)."
         )
     return kind

@@ -273,7 +273,7 @@ class GripperWorker(threading.Thread):
         except (TypeError, ValueError, OverflowError) as problem:
             raise GripperTrouble(
                 f"The gripper's hook {self._config.hook} returns {found!r} from `read`, which is no Reading of numbers "
-                "(docs/gripper.md): mend it."
+                "(docs/hardware/gripper.md): mend it."
             ) from problem
 
     def _follow(self, hook: Gripper, reading: Reading) -> None:

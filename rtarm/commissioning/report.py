@@ -115,7 +115,7 @@ class Report:
             raise Refusal(f"The report {self.folder} cannot be written ({problem.strerror}).") from None
 
     def text(self) -> str:
-        """For people; its last lines are those of docs/hardware-status.md."""
+        """For people; its last lines are those of docs/hardware/hardware-status.md."""
         record, config = self.record, self.arm.joints[self.joint]
         lines = [
             f"{self.arm.name}, {config.name}: {config.drive.called}, number {record.number}, firmware "

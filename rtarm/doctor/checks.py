@@ -13,7 +13,7 @@ from rtarm.doctor.machine import Machine, settled
 
 @dataclass(frozen=True)
 class Check:
-    """A check; `why` is one sentence for people, and stands in docs/doctor.md."""
+    """A check; `why` is one sentence for people, and stands in docs/guides/doctor.md."""
 
     name: str
     why: str

@@ -19,8 +19,10 @@ UNKNOWN = {
 
 
 UNHEARD_OF = {
-    "odrive": "Whether an ODrive's encoder is absolute is not overheard: docs/drive-families.md says what to fill in.",
-    "cia402": "A CANopen node need not be a drive. counts_per_revolution is not overheard: docs/drive-families.md.",
+    "odrive": "Whether an ODrive's encoder is absolute is not overheard: docs/hardware/drive-families.md says what to "
+    "fill in.",
+    "cia402": "A CANopen node need not be a drive. counts_per_revolution is not overheard: "
+    "docs/hardware/drive-families.md.",
 }
 """What a family's arm file needs beside what is overheard of a drive."""
 

@@ -138,5 +138,5 @@ def _try_serial(adapter: Adapter) -> tuple[Outcome, int | str]:
     raise WireRefused(
         f"It has not answered as an SLCAN adapter at any of {', '.join(map(str, bauds))} baud, so no bit rate was "
         "tried: give it power. An adapter of another kind (USB-CAN-A, AT) is not recognised here: its arm file says "
-        "bus.interface seeedstudio or ch340-at (docs/adapters.md)."
+        "bus.interface seeedstudio or ch340-at (docs/hardware/adapters.md)."
     )

@@ -59,7 +59,8 @@ def _verdict(entry: Report, outcome: Report) -> str:
     return (
         f"no ZDT drive answers (asked at {rates} bit/s{baud}), and no heartbeat of an ODrive or a CANopen drive was "
         "heard: check the drives' power, the two CAN wires, 120 Ω at both ends, and that the port in a ZDT drive's "
-        "menu is set to CAN; drives of other families are not asked, name them in an arm file (docs/drive-families.md)"
+        "menu is set to CAN; drives of other families are not asked, name them in an arm file "
+        "(docs/hardware/drive-families.md)"
     )
 
 

@@ -26,7 +26,7 @@ def view_arm(argument: str | None, host: str, port: int | None, language: str, t
     if page.reachable_from_elsewhere:
         tell(
             "Other machines can connect, and nothing on the way is encrypted: whoever has or overhears this address "
-            "moves the arm. `ssh -L` needs no --host (docs/security.md)."
+            "moves the arm. `ssh -L` needs no --host (docs/explanation/security.md)."
         )
     tell(f"{page.url} shows {arm.name}; Ctrl-C ends the page, and the arm goes on.")
     serve(page.server, arm, source, Orders(arm, words), words)

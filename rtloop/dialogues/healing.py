@@ -17,7 +17,7 @@ nothing to find. So it is cleared here, without clearing any error of a drive, w
 
 What speaks against going on is looked for again once the drives have proven their power.
 
-Why it was silent is never asked: that is told to people alone. The hazards of this stand in docs/safety.md.
+Why it was silent is never asked: that is told to people alone. The hazards of this stand in docs/explanation/safety.md.
 """
 
 from collections import deque

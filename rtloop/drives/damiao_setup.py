@@ -11,7 +11,7 @@ people have read (umeow0716/damiao_firmware, app/src/motor_control.c) goes at KP
 and takes ACC and DEC for rad/s of the rotor in a millisecond. Written for the manuals' law they are no ramp to it, and
 what brakes a joint in silence is the distance that grows small; written for that firmware's they would be a hundredth
 of the ramp to the others (GR / 1000), which then run far past their targets. So the manuals' number is the safe one
-under both; that firmware's motors lag behind their setpoints (docs/drive-families.md has the figures).
+under both; that firmware's motors lag behind their setpoints (docs/hardware/drive-families.md has the figures).
 
 Its alarm time (register 9) lets the motor go when it hears no command for so long, and a released arm falls; what asks
 for feedback does not count as one (as far as is known), so it would let go before the first goal. Without it a motor

@@ -106,7 +106,7 @@ RUN: dict[str, Run] = {
     "rtarm home joint2 joint5": Run(ARM, "Homed"),
 }
 
-FILES = {"goal.py": ("docs/first-run.md", "my_first_goal")}
+FILES = {"goal.py": ("docs/start/first-run.md", "my_first_goal")}
 """Files that a page shows for its reader to write: the page, and a word of the block."""
 
 NOT_RUN: dict[str, str] = {

@@ -1,4 +1,4 @@
-"""Each example, and each block of docs/python.md, beside a simulated arm of a name of its own."""
+"""Each example, and each block of docs/guides/python.md, beside a simulated arm of a name of its own."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_first_steps(stack: Stack, arm: rtarm.Arm) -> None:
     assert arm.state().position_rad == pytest.approx(np.zeros(6), abs=0.01)
 
 
-@pytest.mark.parametrize("page", ["python.md", "python.zh.md"])
+@pytest.mark.parametrize("page", ["guides/python.md", "guides/python.zh.md"])
 def test_every_block_of_the_page(stack: Stack, arm: rtarm.Arm, page: str) -> None:
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
     blocks = [block for part in sections(text) for block in part.blocks if block.info == "python"]

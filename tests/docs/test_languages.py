@@ -19,7 +19,7 @@ from handbook.links import anchors, leads_elsewhere, slug, targets
 
 COMMENT = re.compile(r"(?:^|(?<=\s))#(?!!).*$")
 PICTURE_MARKS = set("┌└▼▲")
-TRANSLATED_SECTIONS = ("Start", "Tasks")
+TRANSLATED_SECTIONS = ("Start", "Guides", "Hardware")
 """The parts of the site's navigation of which every page has a Chinese twin."""
 
 

@@ -1,11 +1,11 @@
-"""The table of modes in docs/architecture.md is that of rtloop.memory.modes."""
+"""The table of modes in docs/explanation/architecture.md is that of rtloop.memory.modes."""
 
 import re
 from pathlib import Path
 
 from rtloop.memory.modes import ALLOWED
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "architecture.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "architecture.md"
 
 
 def test_the_table_of_modes_is_that_of_the_code() -> None:

@@ -18,7 +18,7 @@ from handbook.ros import actions_of, node_of
 
 pytestmark = pytest.mark.process  # a real node
 
-PAGES = pytest.mark.parametrize("page", ["security.md", "security.zh.md"])
+PAGES = pytest.mark.parametrize("page", ["explanation/security.md", "explanation/security.zh.md"])
 NODE = "episode_arm_controller"
 KINDS = ("actions execute", "services reply", "topics subscribe", "topics publish")
 PATIENCE_S = 10.0

@@ -76,8 +76,8 @@ def test_the_site_has_both_languages_and_the_readme_is_its_entry(site: Path) -> 
     english, chinese = ((site / place).read_text(encoding="utf-8") for place in ("index.html", "zh/index.html"))
     assert 'lang="en"' in english and 'lang="zh"' in chinese
     assert "Read this before a motor has power" in english
-    assert (site / "zh" / "homing" / "index.html").read_text(encoding="utf-8") != (
-        site / "homing" / "index.html"
+    assert (site / "zh" / "guides" / "homing" / "index.html").read_text(encoding="utf-8") != (
+        site / "guides" / "homing" / "index.html"
     ).read_text(encoding="utf-8")
 
 
@@ -128,7 +128,7 @@ def address(site: Path) -> Iterator[str]:
     [
         ("", "bus-off", "/faults/bus_off/"),
         ("", "silence_brake_factor", "/reference/configuration/"),
-        ("zh/", "停放", "/zh/homing/"),
+        ("zh/", "停放", "/zh/guides/homing/"),
     ],
 )
 def test_search_finds_what_people_look_for(address: str, page: str, words: str, found: str) -> None:

@@ -34,7 +34,7 @@ LED_S = 5.0
 AT_MOST_DEG = 0.5
 """What a motion may be beside the hand by default."""
 PLAYED_DEG = 0.25
-"""How far the simulated arm is beside the motion that it plays, in place; docs/teaching.md says what is typical."""
+"""How far the simulated arm is beside the motion that it plays, in place; typical values: docs/guides/teaching.md."""
 
 
 def hands_way(times_s: np.ndarray) -> np.ndarray:

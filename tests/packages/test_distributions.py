@@ -104,7 +104,13 @@ def test_a_wheel_of_the_source_tree_is_the_same(wheel: Path, tree: Path, tmp_pat
 def test_the_source_distribution_is_the_repository(sdist: Path) -> None:
     with tarfile.open(sdist) as archive:
         held = {member.name.partition("/")[2] for member in archive.getmembers() if member.isfile()}
-    for kept in ("tests/packages/test_distributions.py", "docs/install.md", "bench/conftest.py", ".ci/run", "Makefile"):
+    for kept in (
+        "tests/packages/test_distributions.py",
+        "docs/start/install.md",
+        "bench/conftest.py",
+        ".ci/run",
+        "Makefile",
+    ):
         assert kept in held
     if not (ROOT / ".git").exists():
         return

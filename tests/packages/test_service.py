@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGING = ROOT / "packaging"
 UNIT = PACKAGING / "systemd" / "rtarm@.service"
 RULES = PACKAGING / "udev" / "70-rtarm.rules"
-INSTALL = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
+INSTALL = (ROOT / "docs" / "start" / "install.md").read_text(encoding="utf-8")
 LONGEST_PARKING_S = next(m.le for m in ParkingConfig.model_fields["timeout_s"].metadata if hasattr(m, "le"))
 UNITS_S = {"": 1, "min": 60}
 
@@ -144,14 +144,14 @@ def test_the_rules_do_what_doctor_asks_for() -> None:
     (latency,) = re.findall(r"echo '([^']+)'", LATENCY_RULE)
     assert latency in text
     assert f'ATTR{{tx_queue_len}}="{QUEUE}"' in text
-    for page in ("adapters.md", "socketcan.md"):
+    for page in ("hardware/adapters.md", "hardware/socketcan.md"):
         for shown in re.findall(r"^SUBSYSTEM.*$", (ROOT / "docs" / page).read_text(encoding="utf-8"), re.MULTILINE):
             assert shown in text.splitlines(), page
 
 
 def test_the_network_file_is_the_one_that_the_page_shows() -> None:
     shown = (PACKAGING / "systemd" / "80-can.network").read_text(encoding="utf-8")
-    assert f"```\n{shown}```" in (ROOT / "docs" / "socketcan.md").read_text(encoding="utf-8")
+    assert f"```\n{shown}```" in (ROOT / "docs" / "hardware" / "socketcan.md").read_text(encoding="utf-8")
 
 
 def test_rules_stand_between_what_they_need_and_what_needs_them() -> None:

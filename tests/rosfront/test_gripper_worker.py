@@ -519,7 +519,7 @@ class Line:
 
 def test_the_example_of_the_page_is_a_hook(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "serial", types.SimpleNamespace(Serial=Line))
-    page = Path(__file__).resolve().parents[2] / "docs" / "gripper.md"
+    page = Path(__file__).resolve().parents[2] / "docs" / "hardware" / "gripper.md"
     code = page.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
     assert len(code.splitlines()) <= 40
     namespace: dict[str, Any] = {}

@@ -201,7 +201,7 @@ def test_a_line_that_leads_a_joint_out_of_its_limits_is_refused():
     ("way_mm", "turn_deg"), [((0, 200, 0), (0, 0, 0)), ((-60, 40, 120), (0, 0, 40)), ((0, 0, 0.5), (30, 0, 0))]
 )
 def test_the_simulated_arm_moves_its_flange_straight(way_mm, turn_deg):
-    """True joint angles of the simulated drives, in virtual time; the figures of docs/full-node.md."""
+    """True joint angles of the simulated drives, in virtual time; the figures of docs/guides/full-node.md."""
     pose = moved(OVER_THE_TABLE, way_mm, turn_deg)
     with closing(VirtualArm(start_rad=OVER_THE_TABLE)) as arm:
         assert arm.bring_up().failure is None

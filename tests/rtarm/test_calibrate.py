@@ -352,7 +352,7 @@ def test_who_never_sees_it_move_keeps_the_direction_of_the_file() -> None:
 @pytest.mark.parametrize(
     ("truth", "in_file", "limits", "sentence"),
     [
-        (  # as in docs/calibration.md: the stop is farther out than the file says
+        (  # as in docs/guides/calibration.md: the stop is farther out than the file says
             Values(1, 4.0, 112.5),
             Values(1, 4.0, 110.0),
             {"lower_deg": -112.5},

@@ -695,7 +695,7 @@ def test_json_has_all_that_is_shown(tmp_path: Path) -> None:
 
 
 def test_the_page_has_every_check_and_every_level() -> None:
-    page = (ROOT / "docs" / "doctor.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "guides" / "doctor.md").read_text(encoding="utf-8")
     for check in CHECKS:
         assert f"| {check.name} | {check.why} |" in page
     for level, meaning in LEVEL_MEANINGS.items():

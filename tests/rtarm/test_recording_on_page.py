@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +27,12 @@ pytestmark = [
 ]
 
 
+PICTURES = os.environ.get("RTARM_PICTURES")
+SPEED, FILM_SPEED = 0.02, 0.012
+"""So slow that a busy machine's browser shows the goal in many pictures."""
+FILM_BYTES = 600_000
+
+
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A goal of episode1 from its beginning to its end, without what was before: the page plays it very slowly."""
@@ -40,12 +47,28 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@contextmanager
+def playing(recording: Path, speed: float) -> Iterator[str]:
+    """The address of a page that plays a recording."""
+    with closing(Process("rtarm", "replay", str(recording), "--view", "--speed", str(speed))) as replay:
+        yield re.search(r"http://\S+", replay.line_with("plays the recording of episode1")).group()
+
+
 @pytest.fixture
 def page(recorded: Path) -> Iterator[str]:
     """The address of the page that plays it."""
-    replay = Process("rtarm", "replay", str(recorded), "--view", "--speed", "0.02")
-    yield re.search(r"http://\S+", replay.line_with("plays the recording of episode1")).group()
-    replay.close()
+    with playing(recorded, SPEED) as address:
+        yield address
+
+
+@pytest.mark.skipif(PICTURES is None, reason="only with RTARM_PICTURES=docs/pictures")
+def test_the_moving_picture_of_the_readme(recorded: Path) -> None:
+    path = Path(str(PICTURES), "goal.webp")
+    with closing(Browser()) as browser, playing(recorded, FILM_SPEED) as address:
+        browser.open(address)
+        browser.until(lambda: browser.text("#rt-mode") == "executing")
+        browser.film(path, lambda: browser.text("#rt-mode") == "executing", FILM_SPEED)
+    assert path.stat().st_size < FILM_BYTES
 
 
 def test_a_recording_plays_in_the_browser_and_nothing_there_moves_an_arm(page: str, recorded: Path) -> None:

@@ -199,7 +199,7 @@ def with_a_gain(gear: float | None) -> VirtualArm:
 
 
 def test_motors_whose_speed_is_a_gain_lag_and_arrive() -> None:
-    """The figures of docs/drive-families.md; with the law of the manuals it is 0.03 degrees."""
+    """The figures of docs/hardware/drive-families.md; with the law of the manuals it is 0.03 degrees."""
     arm = with_a_gain(10.0)
     goal = arm.play("large")
     times_ns, commanded_rad = commanded_until_end(arm, goal)

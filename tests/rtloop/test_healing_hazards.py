@@ -1,4 +1,4 @@
-"""What could hurt where an arm clears its own fault: the trials of "Going on after a stall" in docs/safety.md."""
+"""What could hurt where an arm clears its own fault: "Going on after a stall" in docs/explanation/safety.md."""
 
 from collections.abc import Callable, Iterator
 from typing import Any

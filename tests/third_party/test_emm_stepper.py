@@ -391,7 +391,7 @@ def test_a_mark_for_lost_power_that_it_writes_as_one_is_refused(bus, motor, driv
     """It knows two generations: V1 boots with the mark 1 and clears it with 0, V2 may boot with 0 and be marked with 1.
 
     Ours boots with 1, whatever its firmware, and takes 0 alone (facts, section 6). What a V2 drive does is unproven, so
-    a bit that is 0 after bring-up must not be all that tells of a drive that was away: see docs/safety.md.
+    a bit that is 0 after bring-up must not be all that tells of a drive that was away: see docs/explanation/safety.md.
     """
     bus.arm.inject(PowerLoss("joint2", at_s=0.0, off_s=0.2), since_ns=bus.now_ns)
     bus.wait(1.0)

@@ -1,4 +1,4 @@
-"""Comparing and recording transcripts, see docs/testing.md.
+"""Comparing and recording transcripts, see docs/explanation/testing.md.
 
 PYTHONPATH=tests python -m transcripts --jobs 2
 PYTHONPATH=tests python -m transcripts --record pause cancel

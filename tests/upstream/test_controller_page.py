@@ -1,4 +1,4 @@
-"""docs/controller.md and the tests beside this file say the same of every case."""
+"""docs/explanation/controller.md and the tests beside this file say the same of every case."""
 
 import re
 from collections.abc import Iterator
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from upstream_cases import CASES, VERDICTS, in_order, marks
 
-PAGE = Path(__file__).parents[2] / "docs" / "controller.md"
+PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "controller.md"
 ROW = re.compile(r"\| (?P<cases>A?\d[^|]*) \|[^|]+\|[^|]+\| \*\*(?P<verdict>\w+)\*\*(: (?P<why>[^|]+))? \|")
 
 

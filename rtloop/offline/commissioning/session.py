@@ -33,7 +33,7 @@ def checks_of(arm: ArmConfig, joint: int) -> list[Check]:
     if drive.family not in FAMILIES:
         raise NotDone(
             f"{arm.joints[joint].name} has {drive.called}, and there are no checks for its family yet: "
-            "docs/drive-families.md says what is unproven of it."
+            "docs/hardware/drive-families.md says what is unproven of it."
         )
     family = importlib.import_module(f"rtloop.offline.commissioning.{drive.family}")
     return cast(list[Check], family.checks_of(arm, joint))
