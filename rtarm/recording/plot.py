@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import stat
 import tempfile
@@ -41,7 +42,7 @@ MODES = {
 }
 MOST_POINTS = 4000
 """Of a line; a picture has fewer columns, and of more points the lowest and highest of each stretch are drawn."""
-LEAST_SPAN_RAD = 0.002
+LEAST_SPAN_DEG = 0.1
 """Of a joint's axis; the position of one that stands is a line then, and its error is seen to be small."""
 LEAST_SPAN_US = 10.0
 COLUMNS_FROM = 9
@@ -180,23 +181,23 @@ def _draw_joint(
 ) -> None:
     rows = recording.records["joints"][:, index]
     led = ~np.isin(recording.records["mode"], UNLED)  # nobody commands a joint that is limp, homed or brought up
-    at, commanded = _thinned(times.seconds, np.where(led, rows["commanded_position_rad"], np.nan))
+    at, commanded = _thinned(times.seconds, np.degrees(np.where(led, rows["commanded_position_rad"], np.nan)))
     position.plot(at, commanded, color=COMMANDED, linewidth=1.6, label="commanded")
     read_s, measured, errors = _readings(rows, led, times)
-    position.plot(*_thinned(read_s, measured), color=MEASURED, linewidth=0.9, label="measured")
-    position.set_ylabel(f"{_plain(name)}\n(rad)", fontsize=8)
-    error.plot(*_thinned(read_s, errors * 1e3), color=ERROR, linewidth=0.8)
-    error.set_ylabel("error\n(mrad)", fontsize=8)
-    _at_least(position, LEAST_SPAN_RAD)
-    _at_least(error, LEAST_SPAN_RAD * 1e3)
+    position.plot(*_thinned(read_s, np.degrees(measured)), color=MEASURED, linewidth=0.9, label="measured")
+    position.set_ylabel(f"{_plain(name)}\n(°)", fontsize=8)
+    error.plot(*_thinned(read_s, np.degrees(errors)), color=ERROR, linewidth=0.8)
+    error.set_ylabel("error\n(°)", fontsize=8)
+    for axes in (position, error):
+        _at_least(axes, LEAST_SPAN_DEG)
     for axes in (position, error):
         _style(axes, last)
         if last:
             axes.set_xlabel("time (s)", fontsize=8)
     if first:
         position.legend(fontsize=7, frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 0.98), borderpad=0)
-        allowed = float(recording.limits["following_error_rad"]) * 1e3
-        error.set_title(f"measured less commanded, of the same instant; {allowed:g} mrad are allowed", fontsize=7)
+        allowed = math.degrees(recording.limits["following_error_rad"])
+        error.set_title(f"measured less commanded, of the same instant; {allowed:.3g}° are allowed", fontsize=7)
 
 
 def _readings(rows: np.ndarray, led: np.ndarray, times: Times) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -22,6 +22,7 @@ from rtarm.view.limits import Side, nearness
 from rtarm.view.orders import Orders, duration_s
 from rtarm.view.panels import (
     STYLE,
+    Answered,
     answer_html,
     events_html,
     joints_html,
@@ -49,6 +50,7 @@ STEP_DEG = 0.1
 LET_GO_S = 1.0
 """A speed slider that nobody has moved for so long follows the arm again."""
 LIMP = ("disabled", "free")
+MOVING = ("executing", "stopping", "referencing")
 
 
 class Page:
@@ -180,7 +182,7 @@ class Controls:
         self._server, self._arm, self._orders, self._words, self._scene = server, arm, orders, words, scene
         self._lock = threading.RLock()
         self._under_way: dict[str, object] = {}
-        self._answers: dict[object, tuple[str, bool]] = {}
+        self._answers: dict[object, Answered] = {}
         self._stands_rad = np.zeros(len(arm.joints))
         self._wished_rad: dict[int, float] = {}  # of the joints whose sliders were touched; the others follow the arm
         self._speed_wish: float | None = None
@@ -243,6 +245,10 @@ class Controls:
         """Offer the buttons that mean something now."""
         report = look.report if look.trouble is None else None
         with self._lock:
+            if report is not None:
+                moves = report["goal"] is not None or report["mode"] in MOVING
+                _enable(self._hold, moves and not report["held"])
+                _enable(self._resume, report["held"])
             _show(self._clear, report is not None and report["fault"] is not None)
             _show(self._enable, report is not None and report["fault"] is None and report["mode"] in LIMP)
             _show(self._reference, report is not None and report["mode"] == "holding" and _lacks_a_reference(report))
@@ -315,7 +321,7 @@ class Controls:
     def _answered(self, given: object, sentence: str, done: bool) -> None:
         with self._lock:
             self._answers.pop(given, None)
-            self._answers[given] = sentence, done
+            self._answers[given] = Answered(time.time(), sentence, done)
             for old in list(self._answers)[:-ANSWERS]:
                 del self._answers[old]
             _set(self._answer, answer_html([*reversed(self._answers.values())]))
@@ -424,6 +430,11 @@ def _number(value: Any, low: float, high: float) -> float:
 
 def _lacks_a_reference(report: dict[str, Any]) -> bool:
     return not all(joint["referenced"] for joint in report["joints"])
+
+
+def _enable(button: viser.GuiButtonHandle, enabled: bool) -> None:
+    if button.disabled == enabled:
+        button.disabled = not enabled
 
 
 def _show(button: viser.GuiButtonHandle, shown: bool) -> None:

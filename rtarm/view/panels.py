@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any
+from typing import Any, NamedTuple
 
 from config.joint import JointConfig
 from config.schema import ArmConfig
@@ -25,7 +26,8 @@ STYLE = """<style>
 .rt {font-size: 13px; line-height: 1.4; padding: 4px 10px; color: #1f2933}
 .rt b.mode {font-size: 17px; margin-right: 8px}
 .rt .tag {display: inline-block; border-radius: 10px; padding: 0 8px; font-size: 12px; color: #fff; background: #2b8a3e}
-.rt .tag.bad {background: #c92a2a}
+.rt .tag.bad {background: #c92a2a} .rt .tag.wait {background: #b35c00}
+.rt code {font-size: 12px; background: #f1f3f5; border-radius: 3px; padding: 0 3px}
 .rt .say {border-left: 4px solid #e67700; background: #fff4e6; padding: 4px 8px; margin-top: 5px; border-radius: 3px}
 .rt .say.bad {border-color: #c92a2a; background: #fff0f0}
 .rt .say.good {border-color: #2b8a3e; background: #ebfbee}
@@ -56,10 +58,12 @@ def state_html(look: Look, words: Words) -> str:
     if report is None or look.trouble is not None:
         said = "" if look.trouble is None else _say(look.trouble, "bad", "trouble") + OF_THE_PAST
         return _page(f'<b class="mode" id="rt-mode">{escape(words.waiting)}</b>{said}')
-    mode = words.modes.get(report["mode"], report["mode"].replace("_", " "))
-    tag = f'<span class="tag">{escape(words.fit)}</span>'
-    if not report["healthy"]:
-        tag = f'<span class="tag bad">{escape(words.unfit)}</span>'
+    held = report["held"] and report["mode"] in ("holding", "executing")
+    mode = words.held if held else words.modes.get(report["mode"], report["mode"].replace("_", " "))
+    kind, told = ("", words.fit) if report["healthy"] else (" bad", words.unfit)
+    if held:
+        kind, told = " wait", words.held_tag
+    tag = f'<span class="tag{kind}">{escape(told)}</span>'
     goal = f"{words.goal}: {goal_words(report, words)}, {words.speed_now.format(scale=report['speed_scale'])}"
     return _page(
         f'<div><b class="mode" id="rt-mode" data-mode="{escape(report["mode"])}">{escape(mode)}</b>{tag}</div>'
@@ -79,7 +83,7 @@ def problems_html(look: Look, arm: ArmConfig, words: Words) -> str:
     ]
     if report["goal"] is None and last is not None:
         told = words.last_result.format(id=last["goal_id"], sentence=last["sentence"])
-        lines.append(f'<div class="dim" id="rt-result">{escape(told)}</div>')
+        lines.append(f'<div class="dim" id="rt-result">{_legible(told)}</div>')
     if arm.kinematics is None:
         lines.append(f'<div class="dim">{escape(words.no_geometry)}</div>')
     return _page(f'<div class="box">{"".join(lines)}</div>', now=True)
@@ -156,7 +160,7 @@ def events_html(look: Look, words: Words) -> str:
 def _event(one: Happening, epoch_offset_ns: int) -> str:
     clock = time.strftime("%H:%M:%S", time.localtime((one.monotonic_ns + epoch_offset_ns) * 1e-9))
     kind = _CLASSES.get(one.style, "")
-    return f'<tr><td class="dim" valign="top">{clock}</td><td class="text {kind}">{escape(one.sentence)}</td></tr>'
+    return f'<tr><td class="dim" valign="top">{clock}</td><td class="text {kind}">{_legible(one.sentence)}</td></tr>'
 
 
 def machine_html(look: Look, words: Words) -> str:
@@ -224,14 +228,31 @@ def readings_html(found: Sequence[Reading], words: Words) -> str:
     return _page(f"<table><tr>{head}</tr>{rows}</table>{_say(said, '', 'no_angle') if left else ''}")
 
 
-def answer_html(sentences: Sequence[tuple[str, bool]]) -> str:
-    """What came of the buttons that were pressed last; True with what was done."""
-    said = (_say(sentence, "good" if good else "bad", "answer") for sentence, good in sentences)
+class Answered(NamedTuple):
+    """What came of a button: when it was said (seconds since 1970), the sentence, whether it was done."""
+
+    at_s: float
+    sentence: str
+    done: bool
+
+
+def answer_html(answers: Sequence[Answered]) -> str:
+    """What came of the buttons that were pressed last."""
+    said = (
+        _say(one.sentence, "good" if one.done else "bad", "answer", time.strftime("%H:%M:%S", time.localtime(one.at_s)))
+        for one in answers
+    )
     return _page("".join(said))
 
 
-def _say(sentence: str, kind: str, what: str) -> str:
-    return f'<div class="say {kind}" data-say="{what}">{escape(sentence)}</div>'
+def _say(sentence: str, kind: str, what: str, clock: str = "") -> str:
+    at = f'<span class="dim">{clock}</span> ' if clock else ""
+    return f'<div class="say {kind}">{at}<span data-say="{what}">{_legible(sentence)}</span></div>'
+
+
+def _legible(sentence: str) -> str:
+    """A sentence as HTML; what it has in backticks, as commands stand in it, is code."""
+    return re.sub("`([^`]+)`", r"<code>\1</code>", escape(sentence))
 
 
 def _page(body: str, *, now: bool = False) -> str:

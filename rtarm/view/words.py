@@ -18,6 +18,8 @@ class Words:
     waiting: str
     fit: str
     unfit: str
+    held: str
+    held_tag: str
     modes: dict[str, str]
     goal: str
     no_goal: str
@@ -107,6 +109,8 @@ ENGLISH = Words(
     waiting="waiting",
     fit="ready to move",
     unfit="not fit to move",
+    held="held",
+    held_tag="waits for Resume",
     modes={},
     goal="Goal",
     no_goal="none",
@@ -151,7 +155,7 @@ ENGLISH = Words(
     gripper="gripper",
     move="Move",
     move_help="Move the sliders: the green arm shows where they would take it. Nothing moves before you press Go. "
-    "Nobody checks for collisions on this way: look at the arm.",
+    "Nothing checks for collisions on this way: look at the arm.",
     go="Go there: the arm moves for {duration:.1f} s",
     go_nowhere="Go there",
     go_hint="Sends one goal to the arm's ordinary action, which checks it. A goal that runs is never replaced.",
@@ -202,6 +206,8 @@ CHINESE = Words(
     waiting="等待中",
     fit="可以运动",
     unfit="不能运动",
+    held="已暂停",
+    held_tag="等待“继续”",
     modes={
         "offline": "离线",
         "bringing_up": "正在启动",
@@ -241,7 +247,7 @@ CHINESE = Words(
     enable_warning="驱动器将使机械臂保持在当前位置。手和物品请离开它的运动范围。",
     enable_yes="使能驱动器",
     reference="按读数确认关节位置 …",
-    reference_hint="没有参考的关节：显示每个关节将被认为所在的位置，然后询问。什么都不会动。",
+    reference_hint="未建立参考点的关节：显示每个关节将被认为所在的位置，然后询问。什么都不会动。",
     reference_question="请看 {arm}，看两遍：各关节是否就在这些位置？之后的每个目标都会相信它。",
     stands_at="角度 °",
     no_angle="{joints} 的计数不是角度：{ways}。",
@@ -259,7 +265,7 @@ CHINESE = Words(
     beyond="{joint} 超出限位（{limit:g}°）{distance:.1f}°",
     gripper="夹爪",
     move="运动",
-    move_help="拖动滑块：绿色的机械臂显示将要到达的位置。按下“前往”之前什么都不会动。这段路没有人检查碰撞：请看着机械臂。",
+    move_help="拖动滑块：绿色的机械臂显示将要到达的位置。按下“前往”之前什么都不会动。这段路不做碰撞检测：请看着机械臂。",
     go="前往：机械臂将运动 {duration:.1f} s",
     go_nowhere="前往",
     go_hint="向机械臂的普通 action 发送一个目标，由它检查。正在运行的目标绝不会被替换。",

@@ -63,8 +63,9 @@ def test_what_is_drawn_is_what_was_commanded_and_measured(moving: Recording) -> 
     rows = moving.records["joints"][:, 1]
     led = ~np.isin(moving.records["mode"], UNLED)
     assert led.any() and not led.all()
-    assert np.array_equal(commanded.get_ydata(), np.where(led, rows["commanded_position_rad"], np.nan), equal_nan=True)
-    assert set(measured.get_ydata()) <= set(rows["measured_position_rad"])
+    ought_deg = np.degrees(np.where(led, rows["commanded_position_rad"], np.nan))
+    assert np.array_equal(commanded.get_ydata(), ought_deg, equal_nan=True)
+    assert set(measured.get_ydata()) <= set(np.degrees(rows["measured_position_rad"]))
 
 
 def test_modes_and_faults_are_marked(moving: Recording) -> None:

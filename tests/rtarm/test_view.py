@@ -7,6 +7,7 @@ import io
 import math
 import string
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -34,7 +35,16 @@ from rtarm.view.history import COLUMN_NS, COLUMNS, History
 from rtarm.view.limits import Side, nearness, share
 from rtarm.view.orders import GENTLY, SHORTEST_S, Orders, duration_s
 from rtarm.view.page import Controls, _number, marks
-from rtarm.view.panels import degrees, events_html, joints_html, machine_html, problems_html, state_html
+from rtarm.view.panels import (
+    Answered,
+    answer_html,
+    degrees,
+    events_html,
+    joints_html,
+    machine_html,
+    problems_html,
+    state_html,
+)
 from rtarm.view.path import POINTS, GoalPath, sampled, thinned
 from rtarm.view.scene import BROKEN, NEAR, body, quaternion
 from rtarm.view.source import LiveArm, RecordedArm
@@ -270,6 +280,19 @@ def test_everything_from_outside_is_escaped(arm: WrittenArm) -> None:
         ]
         assert sum("&lt;script&gt;" in page for page in pages) == 5
         assert not any("<script" in page for page in pages)
+
+
+def test_a_held_arm_is_not_called_ready_to_move(arm: WrittenArm) -> None:
+    arm.snapshot["held"] = 1
+    arm.publish()
+    shown = state_html(look_of(arm), ENGLISH)
+    assert ">held<" in shown and ENGLISH.held_tag in shown and ENGLISH.fit not in shown
+
+
+def test_an_answer_says_when_and_shows_commands_as_such() -> None:
+    shown = answer_html([Answered(1000.0, "It stands; `rtarm resume` <lets> it go on.", True)])
+    clock = time.strftime("%H:%M:%S", time.localtime(1000.0))
+    assert clock in shown and "<code>rtarm resume</code> &lt;lets&gt;" in shown and "`" not in shown
 
 
 def test_the_joint_that_the_fault_names_and_one_near_its_limit_are_marked(arm: WrittenArm) -> None:
