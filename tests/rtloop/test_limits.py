@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from config.loader import load_arm
 from rtloop.process.beginning import new_loop
 from rtloop.safety import guard
+from rtloop.trajectory.limits import ROUNDING
 from shm import layout
 from shm.words import Fault, Mode
 
@@ -134,7 +135,7 @@ def test_room_to_stop(arm: Setpoint, joint: int, upper: bool, beyond_rad: float,
     """At an even speed towards a limit, from where all that may be commanded just stops it, and just does not."""
     config, sign = ARM.joints[joint], 1.0 if upper else -1.0
     limit = config.upper_rad + arm.slack_rad(joint) if upper else config.lower_rad - arm.slack_rad(joint)
-    braking = ARM.limits.acceleration_margin * config.max_acceleration_rad_s2 * guard.ROUNDING
+    braking = ARM.limits.acceleration_margin * config.max_acceleration_rad_s2 * ROUNDING
     velocity = 0.8 * config.max_velocity_rad_s
     next_rad = limit - sign * (way_rad(velocity, braking) - beyond_rad)
     arm.choose(joint, next_rad - sign * velocity * PERIOD_S, next_rad, sign * velocity)

@@ -42,7 +42,7 @@ def dispatchers():
     found = {}
     for package in (rtloop, shm):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            if module.name.endswith(("__main__", ".offline")):  # programs: the first thing they do is take the signals
+            if module.name.endswith(("__main__", ".program")):  # programs: the first thing they do is take the signals
                 continue
             for name, value in vars(importlib.import_module(module.name)).items():
                 if isinstance(value, CPUDispatcher):
