@@ -105,17 +105,21 @@ class Guide:
                 tell(f"{self._name} is left out.")
                 return
             self._drives.hold(self._joint)
-        self._find_direction()
+        seen = self._find_direction()
         self._find_ratio()
+        if not seen and self.values.ratio > self.before.ratio:
+            tell("With this ratio the joint may turn farther than what could not be seen.")
+            self._find_direction()
         if not self._find_zero() and self.changes:
             self._warn_of_zero()
 
     # --- 1: direction
 
-    def _find_direction(self) -> None:
+    def _find_direction(self) -> bool:
+        """False where even the farthest turn was too little to be seen, as with a ratio that is far too small."""
         tell = self._person.tell
         tell(f"1. Direction. {positive_in_words(self._arm, self._joint)}")
-        moves = nudges(self._config.ratio, self._config.motor_rpm)
+        moves = nudges(self.values.ratio, self._config.motor_rpm)
         sign, farther = 1, 0
         while farther < len(moves):
             move = moves[farther]
@@ -141,8 +145,9 @@ class Guide:
                 continue
             self.values.direction = sign if seen == "p" else -sign
             tell(f"direction: {self.values.direction}{self._beside_file('direction')}")
-            return
+            return True
         tell(f"direction stays {self.values.direction}.")
+        return farther < len(moves)
 
     # --- 2: ratio
 

@@ -255,6 +255,7 @@ IN_FILES = st.builds(Values, BITS, st.integers(1, 40).map(float), st.integers(-1
 @settings(max_examples=12, deadline=None, phases=(Phase.explicit, Phase.generate))
 @given(truth=TRUTHS, in_file=IN_FILES, misreads_deg=st.floats(-0.9, 0.9), joint=st.integers(0, 5))
 @example(Values(-1, 20.0, 170.0), Values(1, 25.0, 180.0), 0.5, 0)
+@example(Values(1, 38.0, 28.0), Values(-1, 1.0, 131.0), 0.72, 3)  # no turn of this ratio is seen
 @example(Values(-1, 1.0, 5.0), Values(-1, 17.0, -116.0), 0.0, 3)  # 30° towards a stop that is 39° away
 def test_whatever_is_true_is_what_is_found(truth: Values, in_file: Values, misreads_deg: float, joint: int) -> None:
     scene = Scene(truth, in_file, joint, homed=False)
