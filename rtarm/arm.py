@@ -178,12 +178,11 @@ class Arm:
             How it ended, in a sentence.
 
         Raises:
-            Refusal: nothing has moved: a joint that is none, an angle beyond its limits, an arm that does not just
-                stand and hold, no ROS process.
+            Refusal: it did not begin: a joint that is none, an angle beyond its limits, an arm that does not just
+                stand and hold, no ROS process. Or it was cancelled and the arm still moves, which the sentence says.
             GoalFailed: it did not succeed; where it had begun, the arm has stopped on its path.
         """
-        if not 0.0 < speed <= 1.0:
-            raise Refusal(f"The speed is {speed:g}, but must be above 0 and at most 1, a share of the joints' limits.")
+        refuse_speed(speed)
         stops = self._stops()
         moves.refuse_unless_holding(self._connection)
         here_rad = self._newest()["joints"][: len(self.joints)]["commanded_position_rad"].copy()
@@ -373,6 +372,12 @@ class Arm:
         return target_rad
 
 
+def refuse_speed(speed: float) -> None:
+    """Raise Refusal where it is no share of the joints' limits."""
+    if not 0.0 < speed <= 1.0:
+        raise Refusal(f"The speed is {speed:g}, but must be above 0 and at most 1, a share of the joints' limits.")
+
+
 def connect(arm: str | None = None, *, namespace: str = "") -> Arm:
     """Connect to a running arm: for the time of a `with` block, or until `Arm.close`.
 
@@ -382,7 +387,7 @@ def connect(arm: str | None = None, *, namespace: str = "") -> Arm:
 
     Raises:
         Refusal: no arm runs, or several do and none was named.
-        NotRunning: it does not run.
+        NotRunning: it does not run, or has died.
     """
     name = resolve_arm(arm)
     with ExitStack() as opened:

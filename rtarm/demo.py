@@ -62,7 +62,6 @@ class Played:
     results: list[dict[str, Any]] = field(default_factory=list)
     joint_states: dict[str, Any] | None = None
     playing: str = ""
-    """How far the progress has come: for a moment the clock may still be that of the goal before."""
 
 
 def run_demo(
@@ -377,7 +376,10 @@ class Moment:
     def of(
         cls, goals: Sequence[Goal], played: Played, snapshot: np.ndarray, names: Sequence[str], least_s: float
     ) -> Moment:
-        """From the client's report so far and the newest snapshot; `least_s` of the way has been shown already."""
+        """From the client's report so far and the newest snapshot.
+
+        `least_s` of the way has been shown already: for a moment the clock may still be that of the goal before.
+        """
         done_s = sum(result["planned_s"] for result in played.results)
         now = next((goal for goal in goals if goal.name == played.playing), None)
         clock_s = float(snapshot["trajectory_clock_ns"]) * 1e-9 if now and int(snapshot["goal_id"]) else 0.0

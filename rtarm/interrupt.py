@@ -35,7 +35,13 @@ def signals_to(handler: Callable[[int, FrameType | None], object] | signal.Handl
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """What has to be put in order at the end is not cut short by whoever asks for the end once more."""
+    """What has to be put in order at the end is not cut short by whoever asks for the end once more.
+
+    Signals come to the main thread alone: in another one this changes nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     with signals_to(signal.SIG_IGN):
         yield
 

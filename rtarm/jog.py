@@ -11,16 +11,16 @@ import sys
 import termios
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
-from rtarm.arm import Arm, connect
+from rtarm.arm import Arm, connect, refuse_speed
 from rtarm.errors import ExitCode, Refusal
 from rtarm.interrupt import Interrupted, signals_raise
 
 STEPS_DEG = (0.1, 0.5, 1.0, 2.0, 5.0)
 UP, DOWN = (b"\x1b[C", b"\x1b[A", b"+", b"="), (b"\x1b[D", b"\x1b[B", b"-")
 """Right, up; left, down."""
-LARGER, SMALLER, END = b".", b",", (b"q", b"Q", b"\x04", b"")
+LARGER, SMALLER, NEXT, END = b".", b",", b"\t", (b"q", b"Q", b"\x04", b"")
 
 
 class Jog:
@@ -34,32 +34,34 @@ class Jog:
         self._step = STEPS_DEG.index(1.0)
 
     def obey(self, key: bytes) -> None:
-        """Do what a key means; one that means nothing does nothing."""
+        """Do what a key means; one that means nothing does nothing. What was typed meanwhile is forgotten."""
         if key in UP:
             self._go(STEPS_DEG[self._step])
         elif key in DOWN:
             self._go(-STEPS_DEG[self._step])
         elif key in (LARGER, SMALLER):
             self._step = min(max(self._step + (1 if key == LARGER else -1), 0), len(STEPS_DEG) - 1)
-            self.show()
+        elif key == NEXT:
+            self._joint = (self._joint + 1) % len(self._arm.joints)
         elif key.isdigit() and 1 <= int(key) <= len(self._arm.joints):
             self._joint = int(key) - 1
-            self.show()
+        self.show()
 
     def show(self) -> None:
-        """Say which joint the keys move, where it is told to be, and the step."""
-        angle_deg = math.degrees(self._arm.state().commanded_rad[self._joint])
+        """Say which joint the keys move, where it is told to be, and the step; keys that were typed before are none."""
+        _forget_typed()
+        angle_deg = round(math.degrees(self._arm.state().commanded_rad[self._joint]), 2) + 0.0  # never -0
         self._tell(f"{self._arm.joints[self._joint]}  {angle_deg:8.2f}°   step {STEPS_DEG[self._step]:g}°")
 
     def _go(self, step_deg: float) -> None:
         try:
             self._arm.move({self._arm.joints[self._joint]: math.radians(step_deg)}, speed=self._speed, relative=True)
         except Refusal as refused:
-            termios.tcflush(sys.stdin, termios.TCIFLUSH)
             self._tell(refused.sentence)
-        else:
-            termios.tcflush(sys.stdin, termios.TCIFLUSH)  # before it is said that the next one may come
-            self.show()
+
+
+def _forget_typed() -> None:
+    termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
 def jog(arm: str | None, speed: float, tell: Callable[[str], None]) -> None:
@@ -73,9 +75,13 @@ def jog(arm: str | None, speed: float, tell: Callable[[str], None]) -> None:
         raise Refusal(
             "`rtarm jog` takes keys from a terminal and this is none: use `rtarm move JOINT=DEGREES --relative`."
         )
+    refuse_speed(speed)
     with connect(arm) as connected:
         keys = ", ".join(f"{number} {joint}" for number, joint in enumerate(connected.joints[:9], 1))
-        tell(f"{keys}; arrows or + and - make a step, . and , make it larger and smaller, q ends; Ctrl-C stops a step.")
+        tell(
+            f"{keys}; Tab the next; arrows or + and - make a step, . and , make it larger and smaller, q ends; Ctrl-C "
+            "stops a step."
+        )
         jogged = Jog(connected, speed, tell)
         try:
             with signals_raise(), keys_at_once() as next_key:
@@ -103,4 +109,5 @@ def keys_at_once() -> Iterator[Callable[[], bytes]]:
         tty.setcbreak(keyboard, termios.TCSANOW)
         yield next_key
     finally:
-        termios.tcsetattr(keyboard, termios.TCSANOW, before)
+        with suppress(termios.error):  # the terminal was closed
+            termios.tcsetattr(keyboard, termios.TCSANOW, before)

@@ -322,11 +322,11 @@ class Launcher:
                 continue
             if not await child.stop(patience_s):
                 self._say(child, f"did not end within {patience_s:g} s and was killed", style="bold red")
+        if self._action is not None:
+            self._action.close()
         if self.page is not None:
             await self.page.stop()  # last: it shows the end, and the arm waits for no page
         await self._recorder.close(died=self._loop is not None and bool(self._loop.code))
-        if self._action is not None:
-            self._action.close()
 
     def say_stopping(self, why: str) -> None:
         """The line between a signal and the end."""

@@ -7,7 +7,7 @@ before the command ends.
 from __future__ import annotations
 
 import math
-import time
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,8 @@ from rtarm.interrupt import Interrupted, undisturbed
 from rtarm.requests import Connection, stands
 from rtarm.sending import Sender, follow, goal_document
 from rtarm.status import STOPPED_BY_A_PERSON
-from shm.words import Mode
+from shm.sentences import outcome_sentence
+from shm.words import Mode, Outcome
 
 SLOW = 0.25
 """Share of the limits that the way to the beginning uses."""
@@ -112,49 +113,59 @@ def run(connection: Connection, sender: Sender, goal: dict[str, Any]) -> str:
     Raises:
         GoalFailed: it did not succeed, or nobody will say how it ended and it was cancelled.
         Interrupted, KeyboardInterrupt: a signal came; the goal was cancelled and the arm stands.
-        Refusal: the arm still moves after that.
+        Refusal: it could not be sent; or the arm still moves after it was cancelled, which the sentence says.
     """
-    sent_ns = time.monotonic_ns()
+    number = None
     try:
-        outcome = follow(connection, sender, sender.send(goal), SILENT)
+        number = sender.send(goal)
+        outcome = follow(connection, sender, number, SILENT)
         assert outcome is not None
     except (Interrupted, KeyboardInterrupt):
         with undisturbed():
             _cancel(connection, sender)
         raise
     except Refusal as unknown:
-        _cancel(connection, sender)
+        if number is None:
+            raise
+        with undisturbed():
+            _cancel(connection, sender)
         raise GoalFailed(unknown.sentence) from None
     if not outcome.succeeded:
-        raise GoalFailed(outcome.sentence, **_what_decided(connection, sent_ns))
+        raise GoalFailed(outcome.sentence, **_what_decided(connection, outcome.sentence))
     return outcome.sentence
 
 
 def _cancel(connection: Connection, sender: Sender) -> None:
-    """End the goal that runs, also where the process that sent it is gone or hangs, and wait until the arm stands."""
+    """Cancel what was sent, and wait until the arm stands.
+
+    Where the process that sent it is gone or hangs, every goal of the arm is ended through shared memory.
+    """
     sender.cancel()
+    patience_s = connection.patience.person_s
+    if sender.alive:
+        with suppress(Refusal):
+            connection.wait(stands, patience_s, "")
+            return
     connection.writer.cancel_all()
     connection.wait(
         stands,
-        connection.patience.person_s,
-        f"Arm {connection.arm} still moves {connection.patience.person_s:.1f} s after its goal was cancelled: use "
-        "the emergency stop, then look at `rtarm status`.",
+        patience_s,
+        f"Arm {connection.arm} still moves {patience_s:.1f} s after its goal was cancelled: use the emergency stop, "
+        "then look at `rtarm status`.",
     )
 
 
-def _what_decided(connection: Connection, since_ns: int) -> dict[str, Any]:
-    """Joint, value and limit that the control process' newest decision is about; none that is older, or of the front.
-
-    `since_ns` as CLOCK_MONOTONIC counts.
-    """
-    results = connection.snapshot()["results"]
-    newest = results[int(np.argmax(results["monotonic_ns"]))]
-    if int(newest["monotonic_ns"]) < since_ns or int(newest["joint"]) < 0:
-        return {}
-    joint = connection.joints[int(newest["joint"])]
-    if not newest["limit"]:  # it is about the joint alone, such as one whose angle is not known
-        return {"joint": joint}
-    return {"joint": joint, "value": float(newest["value"]), "limit": float(newest["limit"])}
+def _what_decided(connection: Connection, sentence: str) -> dict[str, Any]:
+    """Joint, value and limit of the control process' decision that a sentence tells; none where the front decided."""
+    for row in connection.snapshot()["results"]:
+        outcome, joint, value, limit = int(row["outcome"]), int(row["joint"]), float(row["value"]), float(row["limit"])
+        if outcome == Outcome.NONE or joint < 0:
+            continue
+        name = connection.joints[joint]
+        if outcome_sentence(outcome, name, value, limit) in sentence:
+            # Without a limit it is about the joint alone, such as one whose angle is not known.
+            return {"joint": name, "value": value, "limit": limit} if limit else {"joint": name}
+    return {}
 
 
 def _stands_at_rad(connection: Connection) -> np.ndarray:

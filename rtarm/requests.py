@@ -60,6 +60,7 @@ class Connection:
                 self.check_running()
                 if time.monotonic() > deadline:
                     raise
+                time.sleep(POLL_S)
 
     @property
     def writer(self) -> CommandWriter:

@@ -38,7 +38,9 @@ def claim_action(action: str, domain: str, arm: str) -> Claim:
     except OSError as problem:
         claim.close()
         if problem.errno != errno.EADDRINUSE:
-            raise
+            raise Refusal(
+                f"The action {action} cannot be claimed here ({problem.strerror}): allow Unix sockets."
+            ) from None
         raise Refusal(
             f"{_owner(name)} serves {action} in ROS domain {domain} already, and every goal would move both arms, so "
             "nothing was started: end that one (Ctrl-C in its terminal), or start this one with another "

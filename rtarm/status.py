@@ -63,7 +63,8 @@ def resolve_arm(argument: str | None) -> str:
         if not arms:
             raise Refusal("No arm is running here: start one with `rtarm up ARM`, or try `rtarm demo`.")
         if len(arms) > 1:
-            raise Refusal(f"There are several arms ({', '.join(arms)}): name the one you mean.")
+            what = "Several arms are running" if files.running_arms() else "No arm is running here; several have died"
+            raise Refusal(f"{what} ({', '.join(arms)}): name the one you mean.")
         return arms[0]
     if is_path(argument):
         from config.loader import load_arm

@@ -189,8 +189,8 @@ def _inside(chunk: Any) -> Iterator[Any]:
     while at < size:
         kind, length = RECORD.unpack_from(data, at)
         begin, at = at + RECORD.size, at + RECORD.size + length
-        if at > size:
-            raise ValueError(f"a record of {length} bytes, beyond the end of its chunk")
+        if at > size or (kind == Opcode.MESSAGE and length < MESSAGE.size):
+            raise ValueError(f"a record of {length} bytes, which cannot be")
         if kind == Opcode.MESSAGE:
             channel, sequence, log_ns, publish_ns = MESSAGE.unpack_from(data, begin)
             yield Message(channel, log_ns, data[begin + MESSAGE.size : at], publish_ns, sequence)

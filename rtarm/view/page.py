@@ -50,7 +50,6 @@ STEP_DEG = 0.1
 LET_GO_S = 1.0
 """A speed slider that nobody has moved for so long follows the arm again."""
 LIMP = ("disabled", "free")
-MOVING = ("executing", "stopping", "referencing")
 
 
 class Page:
@@ -246,8 +245,7 @@ class Controls:
         report = look.report if look.trouble is None else None
         with self._lock:
             if report is not None:
-                moves = report["goal"] is not None or report["mode"] in MOVING
-                _enable(self._hold, moves and not report["held"])
+                _enable(self._hold, not report["held"])  # of an arm that stands: it keeps what comes from beginning
                 _enable(self._resume, report["held"])
             _show(self._clear, report is not None and report["fault"] is not None)
             _show(self._enable, report is not None and report["fault"] is None and report["mode"] in LIMP)

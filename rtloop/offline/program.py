@@ -5,6 +5,9 @@ Importing this takes the signals over first, as `rtloop.process.program` does.
 
 from __future__ import annotations
 
+from rtloop.process.program import STOP_SIGNALS, arm_of, arm_parser, compiled_cycle, tell
+
+# isort: split
 import select
 import sys
 from collections.abc import Callable
@@ -12,7 +15,6 @@ from collections.abc import Callable
 from config.errors import ConfigError
 from config.schema import ArmConfig
 from rtloop.process.control_process import CannotStart, ControlProcess, StopAsked
-from rtloop.process.program import STOP_SIGNALS, arm_of, arm_parser, compiled_cycle, tell
 from rtloop.service.conversation import TalkFailed
 from rtloop.service.port import ServicePort
 from rtloop.wire.refusal import WireRefused

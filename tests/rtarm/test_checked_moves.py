@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,9 +17,10 @@ from rtarm import moves
 from rtarm.arm_file import arm_file as file_of
 from rtarm.errors import ExitCode, GoalFailed, Refusal
 from rtarm.requests import connect
-from rtarm.sending import Outcome, Sender
-from shm import words as state
-from shm.words import Fault, Mode
+from rtarm.sending import Outcome as Ended
+from rtarm.sending import Sender
+from shm.sentences import outcome_sentence
+from shm.words import Fault, Mode, Outcome
 
 LIMITS = limits()
 
@@ -42,7 +42,7 @@ def test_the_move_to_the_beginning_is_slow_and_ends_there(shares: list[float]) -
 class Answering:
     """What takes goals for the action, and a person who is told of them."""
 
-    def __init__(self, outcome: Outcome) -> None:
+    def __init__(self, outcome: Ended) -> None:
         self.goals: list[dict[str, Any]] = []
         self.told: list[str] = []
         self._outcome = outcome
@@ -51,7 +51,7 @@ class Answering:
         self.goals.append(goal)
         return len(self.goals)
 
-    def ended(self, number: int, patience_s: float) -> Outcome:
+    def ended(self, number: int, patience_s: float) -> Ended:
         assert number == len(self.goals)
         return self._outcome
 
@@ -82,7 +82,7 @@ def standing(arm: WrittenArm) -> WrittenArm:
 )
 def test_the_arm_goes_exactly_to_where_a_motion_begins(standing: WrittenArm, away_rad: float, told: list[str]) -> None:
     there = np.array([0.1, -0.2 + away_rad])
-    action = Answering(Outcome(True, 0, "Goal reached."))
+    action = Answering(Ended(True, 0, "Goal reached."))
     with connect(standing.name) as connection:
         moves.go_slowly(connection, cast(Sender, action), there, action)
     assert action.told == told
@@ -94,34 +94,29 @@ def test_the_arm_goes_exactly_to_where_a_motion_begins(standing: WrittenArm, awa
 
 
 @pytest.mark.parametrize(
-    ("decided_s", "joint", "limit_rad", "told"),
+    ("outcome", "joint", "limit_rad", "told"),
     [
-        (1, 1, 0.1, ("elbow", 0.3, 0.1)),
-        (1, 1, 0.0, ("elbow", None, None)),
-        (1, -1, 0.1, (None, None, None)),
-        (-1, 1, 0.1, (None, None, None)),
+        (Outcome.PATH_TOLERANCE, 1, 0.1, ("elbow", 0.3, 0.1)),
+        (Outcome.REFUSED_UNREFERENCED, 1, 0.0, ("elbow", None, None)),
+        (Outcome.REFUSED_LIMITS, -1, 0.0, (None, None, None)),
     ],
 )
 def test_a_failure_tells_what_the_control_process_decided_by(
-    standing: WrittenArm, decided_s: int, joint: int, limit_rad: float, told: tuple[str | float | None, ...]
+    standing: WrittenArm, outcome: Outcome, joint: int, limit_rad: float, told: tuple[str | float | None, ...]
 ) -> None:
-    """Unless that is about no joint, or was decided before."""
-
-    class Deciding(Answering):
-        def send(self, goal: dict[str, Any]) -> int:
-            decided_ns = time.monotonic_ns() + decided_s * 10**9
-            standing.snapshot["results"][3] = 4, state.Outcome.PATH_TOLERANCE, joint, 0.3, limit_rad, decided_ns
-            standing.publish()
-            return super().send(goal)
-
-    action = Deciding(Outcome(False, -4, "elbow lags."))
-    with connect(standing.name) as connection, pytest.raises(GoalFailed, match="elbow lags") as failed:
+    """Not what it decided about others: another goal of another client, say."""
+    standing.snapshot["results"][2] = 3, Outcome.PATH_TOLERANCE, 0, 0.7, 0.2, 5
+    standing.snapshot["results"][3] = 4, outcome, joint, 0.3, limit_rad, 6
+    standing.publish()
+    sentence = outcome_sentence(outcome, "elbow" if joint == 1 else "", 0.3, limit_rad)
+    action = Answering(Ended(False, -4, sentence))
+    with connect(standing.name) as connection, pytest.raises(GoalFailed) as failed:
         moves.run(connection, cast(Sender, action), {})
     assert (failed.value.joint, failed.value.value, failed.value.limit) == told
 
 
 def test_a_goal_that_fails_ends_it_with_its_sentence(standing: WrittenArm) -> None:
-    action = Answering(Outcome(False, -5, "elbow is not there."))
+    action = Answering(Ended(False, -5, "elbow is not there."))
     with connect(standing.name) as connection, pytest.raises(Refusal, match="elbow is not there") as refused:
         moves.go_slowly(connection, cast(Sender, action), np.zeros(2), action)
     assert refused.value.code == ExitCode.GOAL_FAILED

@@ -52,7 +52,9 @@ def test_a_key_is_a_step(at: Terminal, arm: rtarm.Arm) -> None:
         (RIGHT, "joint1 1.00° step 1°"),
         (".", "joint1 1.00° step 2°"),
         ("-", "joint1 -1.00° step 2°"),
-        ("6", "step 2°"),
+        ("6", "joint6 0.00° step 2°"),
+        ("\t", "joint1 -1.00° step 2°"),
+        ("6", "joint6 0.00° step 2°"),
         (",", "step 1°"),
         (",", "step 0.5°"),
         (LEFT, "joint6 -0.50° step 0.5°"),
@@ -77,6 +79,7 @@ def test_beyond_a_limit_nothing_moves_and_the_keys_go_on(at: Terminal, arm: rtar
     arm.move({joint: upper - 0.001}, speed=1.0)
     at.press("+")
     at.read_until("joint1 would have to go to")
+    at.read_until("step 1°")
     at.press("-")
     at.read_until("step 1°")
     at.press("q")

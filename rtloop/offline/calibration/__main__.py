@@ -9,6 +9,9 @@ at the end. Exit codes as of `python -m rtloop`.
 
 from __future__ import annotations
 
+from rtloop.offline import program
+
+# isort: split
 import json
 import sys
 import time
@@ -17,7 +20,6 @@ from dataclasses import asdict
 
 from config.schema import ArmConfig
 from rtloop.kept import commissioned, saved
-from rtloop.offline import program
 from rtloop.offline.calibration.session import DriveState, NotDone, Session
 from rtloop.offline.program import heard_more, next_line, say
 from rtloop.process.control_process import BUSY_POLL_S, Ended

@@ -8,6 +8,9 @@ What is refused, and how it ends, is as of `python -m rtloop.offline.calibration
 
 from __future__ import annotations
 
+from rtloop.offline import program
+
+# isort: split
 import json
 import sys
 import time
@@ -19,7 +22,6 @@ import numpy as np
 
 from config.schema import ArmConfig
 from rtloop.kept import commissioned, saved
-from rtloop.offline import program
 from rtloop.offline.calibration.session import NotDone
 from rtloop.offline.commissioning.session import Bench
 from rtloop.offline.program import heard_more, next_line, say

@@ -8,6 +8,9 @@ begun. What it refuses it prints as
 
 from __future__ import annotations
 
+from rtloop.offline import program
+
+# isort: split
 import json
 import sys
 import time
@@ -15,7 +18,6 @@ from collections.abc import Callable
 from dataclasses import asdict
 
 from config.schema import ArmConfig
-from rtloop.offline import program
 from rtloop.offline.program import heard_more, next_line, say
 from rtloop.offline.settings.compare import as_json
 from rtloop.offline.settings.session import NotWritten, Session
