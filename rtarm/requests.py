@@ -170,9 +170,13 @@ class Connection:
         """Raise NotRunning where the control process has ended."""
         if files.is_held(self._reader.memory.fd):
             return
+        try:
+            homes = int(self._reader.snapshot()["mode"]) == Mode.REFERENCING
+        except TornRead:
+            homes = True  # for all that is known
+        fate = "a drive amid its homing run goes on" if homes else "the drives have braked by themselves"
         raise NotRunning(
-            f"The control process of arm '{self.arm}' ended meanwhile; the drives have braked by themselves, but one "
-            f"amid its homing run goes on: start it again with "
+            f"The control process of arm '{self.arm}' ended meanwhile; {fate}: start it again with "
             f"{files.start_again(self._reader.memory.record['header'])}."
         )
 

@@ -13,7 +13,6 @@ class Leaf:
 
 
 WIRES = "tests/rtloop/test_wire_conformance.py"
-LIMITS = ("highest_rad_s", "hardest_rad_s2", "check_next_setpoint", "way_to_rest")
 OF_ALL_FAMILIES = tuple(f"tests/rtloop/test_{name}.py" for name in ("drive_frames", "golden_frames", "codec_laws"))
 OF_ONE_FAMILY = {"zdt": ("tests/rtloop/test_zdt_targets.py",)}
 
@@ -38,7 +37,8 @@ LEAVES = (
     Leaf(
         "rtloop/trajectory/entry.py", ("tests/rtloop/test_path.py",), ("due_s", "lay_bridge", "lay_run_up", "lay_blend")
     ),
-    Leaf("rtloop/safety/guard.py", ("tests/rtloop/test_limits.py",), LIMITS),
+    Leaf("rtloop/trajectory/limits.py", ("tests/rtloop/test_limits.py",), ("highest_rad_s", "hardest_rad_s2")),
+    Leaf("rtloop/safety/guard.py", ("tests/rtloop/test_limits.py",), ("check_next_setpoint", "way_to_rest")),
     Leaf("rtloop/drives/leading.py", ("tests/rtloop/test_leading.py",)),
     Leaf("rtloop/drives/following.py", ("tests/rtloop/test_following.py",)),
     Leaf("rtloop/wire/slcan.py", ("tests/rtloop/test_slcan_codec.py", WIRES, "-k", "slcan")),
