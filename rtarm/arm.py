@@ -109,6 +109,22 @@ class Stream:
         goal = goal_document(self._arm.joints, ahead_s, target_rad[None], velocity[None])
         sender.stream(goal)
 
+    def _rest(self) -> None:
+        """Wait until the arm stands, after the last point.
+
+        Raises:
+            Refusal: it still moves after the longest stop that it may take.
+        """
+        reached_s = self._last_s + AHEAD * self._period_s
+        time.sleep(max(0.0, reached_s - time.monotonic()))
+        connection = self._arm._connection
+        connection.wait(
+            requests.stands,
+            connection.patience.person_s,
+            f"Arm {self._arm.name} still moves {connection.patience.person_s:.1f} s after the end of the stream: use "
+            "the emergency stop, then look at `rtarm status`.",
+        )
+
 
 class Arm:
     """A running arm; made by `connect`.
@@ -232,7 +248,8 @@ class Arm:
     def stream(self, rate_hz: float = 50.0) -> Iterator[Stream]:
         """For a loop that decides some 20 to 100 times a second where the arm is to be, as a policy does.
 
-        The arm follows as closely as its limits allow, and stops by itself where no point comes any more.
+        The arm follows as closely as its limits allow, and stops by itself where no point comes any more. The end of
+        the block waits until it stands.
 
             with arm.stream(rate_hz=50.0) as stream:
                 stream.send({"joint1": 0.1})
@@ -247,7 +264,9 @@ class Arm:
         moves.refuse_unless_holding(self._connection)
         with self._alone():
             self._senders.ready()
-            yield Stream(self, 1.0 / rate_hz)
+            stream = Stream(self, 1.0 / rate_hz)
+            yield stream
+            stream._rest()
 
     def stop(self) -> str:
         """Stop on the path, end the goal, wait until the arm stands; it takes no goals before `resume`."""
