@@ -25,6 +25,11 @@ UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 class Commands(TyperGroup):
     """The commands, with the exit code of our table for wrong usage."""
 
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        for command in self.commands.values():
+            command.help = _flowing(command.help or "")
+
     def make_context(self, *args: Any, **kwargs: Any) -> Any:
         with _usage_is_refused():
             return super().make_context(*args, **kwargs)
@@ -32,6 +37,11 @@ class Commands(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         with _usage_is_refused():
             return super().invoke(ctx)
+
+
+def _flowing(text: str) -> str:
+    """A text without the line ends of its docstring, which typer would keep from the second paragraph on."""
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
 
 
 @contextmanager

@@ -429,8 +429,14 @@ class Launcher:
     async def _loop_refusal(self, child: Child) -> Refusal:
         """Why the control process ended while everything was starting."""
         code = await child.ended()
-        if child.was_ready or code not in (1, 2):
+        if child.was_ready:
             return self._loop_died(code)
+        if code not in (1, 2):
+            return Refusal(
+                f"The control process ended {describe_end(code)} before it was ready, so no motion had begun: see the "
+                f"lines above, then start again with `{self.plan.again}`.",
+                ExitCode.LOOP_DIED,
+            )
         if child.last_line:
             return AlreadySaid(_sentence(child), ExitCode.LOOP_REFUSED)
         return Refusal(

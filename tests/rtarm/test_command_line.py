@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,8 @@ SAY_JSON = [
 """Commands whose answer a script would want to read."""
 
 Rtarm = Callable[..., Result]
+WIDTH = 200
+"""Of the terminal that the fixture pretends."""
 
 
 @pytest.mark.parametrize("command", [(), *COMMANDS], ids=" ".join)
@@ -48,6 +51,15 @@ def test_help_says_what_it_does_with_an_example(command: tuple[str, ...], rtarm:
     result = rtarm(*command, "--help")
     assert result.exit_code == 0
     assert f"Example: rtarm {' '.join(command) or 'demo'}" in " ".join(result.stdout.split())
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help_is_wrapped_where_the_terminal_ends_alone(command: tuple[str, ...], rtarm: Rtarm) -> None:
+    """A line that could have taken the first word of the next one is ragged."""
+    about = rtarm(*command, "--help").stdout.partition("Example:")[0].partition("Usage:")[2].splitlines()[2:]
+    for line, following in pairwise(line.strip() for line in about):
+        if line and following:
+            assert len(line) + 1 + len(following.split()[0]) > WIDTH - 2, f"{line!r} ends early"
 
 
 def test_the_exit_codes_are_in_the_help(rtarm: Rtarm) -> None:

@@ -15,6 +15,7 @@ from rich.console import Console
 
 from config.loader import load_arm, parse_overrides
 from rtarm import processes
+from rtarm.errors import ExitCode
 from rtarm.launcher import Launcher, action_name, describe_bus, load_plan, override_arguments
 from rtarm.processes import WHEELS_GUARD, describe_end, plain_environment, ros_environment
 from rtarm.reporter import Reporter
@@ -115,3 +116,24 @@ def test_no_process_is_killed_while_its_arm_brakes_as_it_should(braking_factor: 
     arm = plan.arm.patience
     assert front.patience_s > arm.goals_s > arm.longest_stop_s
     assert loop.patience_s > arm.shutdown_s > arm.longest_stop_s
+
+
+class Ended:
+    """In place of a control process that ended."""
+
+    last_line = ""
+
+    def __init__(self, *, was_ready: bool) -> None:
+        self.was_ready = was_ready
+
+    async def ended(self) -> int:
+        return -9
+
+
+@pytest.mark.parametrize("was_ready", [False, True])
+def test_drives_have_braked_only_where_an_arm_had_begun(was_ready: bool) -> None:
+    launcher = Launcher(load_plan("mock", {}, simulated=False), Reporter(Console(file=io.StringIO())))
+    refusal = asyncio.run(launcher._loop_refusal(Ended(was_ready=was_ready)))  # type: ignore[arg-type]
+    assert refusal.code == ExitCode.LOOP_DIED and "ended by SIGKILL" in refusal.sentence
+    assert ("have braked" in refusal.sentence) == was_ready
+    assert ("no motion had begun" in refusal.sentence) != was_ready
