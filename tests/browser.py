@@ -9,6 +9,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -60,6 +61,33 @@ class Browser:
         for notice in self._all("#webgl-software-rendering button"):
             notice.click()
         self.until(lambda: not self._all("#webgl-software-rendering"))
+
+    @contextmanager
+    def phone(self) -> Iterator[None]:
+        """Meanwhile the tab is as large as a phone's."""
+        size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        try:
+            self.until(lambda: self.driver.execute_script("return innerWidth") == size["width"])
+            yield
+        finally:
+            self.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+    def scroll_to_end(self) -> None:
+        """Scroll down whatever can be scrolled."""
+        self.driver.execute_script(
+            "for (const e of document.querySelectorAll('*')) if (e.scrollHeight > e.clientHeight) e.scrollTop = 1e6"
+        )
+
+    def can_press(self, label: str) -> bool:
+        """Whether a finger at the middle of that button meets it."""
+        script = """for (const one of document.querySelectorAll('button')) {
+            if (one.textContent.trim() !== arguments[0]) continue
+            const at = one.getBoundingClientRect()
+            const met = document.elementFromPoint((at.left + at.right) / 2, (at.top + at.bottom) / 2)
+            return met !== null && one.contains(met)
+        } return false"""
+        return bool(self.driver.execute_script(script, label))
 
     def open_beside(self, url: str) -> None:
         """Open a page in one more tab, which is then the one that is looked at."""

@@ -21,6 +21,7 @@ from rtarm.view.history import History
 from rtarm.view.limits import Side, nearness
 from rtarm.view.orders import Orders, duration_s
 from rtarm.view.panels import (
+    STOP_FOLLOWS,
     STYLE,
     Answered,
     answer_html,
@@ -189,6 +190,7 @@ class Controls:
         gui = server.gui
         self._hold = self._button(words.hold, words.hold_hint, orders.hold, "orange")
         self._resume = self._button(words.resume, words.resume_hint, orders.resume, "blue")
+        gui.add_html(STOP_FOLLOWS)
         self._stop = gui.add_button(words.stop, hint=words.stop_hint, color="red")
         self._stop.on_click(lambda _: self._stop_pressed())
         self._clear = self._button(words.clear_fault, words.clear_fault_hint, orders.clear_fault, "green")

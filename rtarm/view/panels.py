@@ -31,7 +31,7 @@ STYLE = """<style>
 .rt .say {border-left: 4px solid #e67700; background: #fff4e6; padding: 4px 8px; margin-top: 5px; border-radius: 3px}
 .rt .say.bad {border-color: #c92a2a; background: #fff0f0}
 .rt .say.good {border-color: #2b8a3e; background: #ebfbee}
-.rt .box {max-height: 190px; overflow-y: auto}
+.rt .box {max-height: 190px; overflow-y: auto; margin-bottom: 6px}
 .rt .dim {color: #7b8794}
 .rt table {border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums}
 .rt th {font-weight: 500; color: #7b8794; text-align: right; padding: 1px 0 1px 6px}
@@ -44,8 +44,13 @@ STYLE = """<style>
 .rt .bar i.is {background: #3e4c59} .rt .bar i.ought {background: #2878dc; opacity: .5}
 .rt .near .bar i.is {background: #e67700} .rt .bad .bar i.is {background: #c92a2a}
 .rt .GOOD {color: #2b8a3e} .rt .BAD {color: #c92a2a} .rt .ODD {color: #b35c00}
+@media (max-width: 36em) {
+  div:has(> .rt-stop) + div {position: fixed; top: 8px; left: 0; right: 0}
+}
 .u-legend .u-value, .u-legend tr:first-child {display: none} .u-legend th::after {content: "" !important}
 </style>"""
+STOP_FOLLOWS = '<span class="rt-stop"></span>'
+"""Stands before the button that stops the arm, which on a phone is at the top of the screen wherever the page is."""
 OF_THE_PAST = "<style>canvas {filter: grayscale(1); opacity: .3} .rt.now {opacity: .4}</style>"
 """What is shown is not of now."""
 
