@@ -69,6 +69,7 @@ class Browser:
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         try:
             self.until(lambda: self.driver.execute_script("return innerWidth") == size["width"])
+            self.until(lambda: not self._all(".u-title"))  # its plots are folded
             yield
         finally:
             self.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
@@ -78,6 +79,17 @@ class Browser:
         self.driver.execute_script(
             "for (const e of document.querySelectorAll('*')) if (e.scrollHeight > e.clientHeight) e.scrollTop = 1e6"
         )
+
+    def tap(self, text: str) -> None:
+        """Put a finger on the first text that begins so, whatever takes it."""
+        script = """const found = document.evaluate(`//*[starts-with(normalize-space(text()), '${arguments[0]}')]`,
+                document, null, XPathResult.FIRST_ORDERED_NODE_TYPE).singleNodeValue
+            const at = found === null ? null : found.getBoundingClientRect()
+            return at && [(at.left + at.right) / 2, (at.top + at.bottom) / 2]"""
+        x, y = self.until(lambda: self.driver.execute_script(script, text))
+        for kind in ("mousePressed", "mouseReleased"):
+            event = {"type": kind, "x": x, "y": y, "button": "left", "clickCount": 1}
+            self.driver.execute_cdp_cmd("Input.dispatchMouseEvent", event)
 
     def can_press(self, label: str) -> bool:
         """Whether a finger at the middle of that button meets it."""

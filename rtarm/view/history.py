@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rtarm.recording.story import UNLED
+
 COLUMN_NS = 100_000_000
 COLUMNS = 300
 """Half a minute."""
@@ -74,7 +76,8 @@ def column_of(records: np.ndarray) -> Column:
     """Some cycles of one tenth of a second."""
     joints = records["joints"]
     read = joints["measured_ns"] != 0
-    errors = np.where(read, joints["measured_position_rad"] - joints["reference_position_rad"], 0.0)
+    led = ~np.isin(records["mode"], UNLED)
+    errors = np.where(read & led[:, None], joints["measured_position_rad"] - joints["reference_position_rad"], 0.0)
     worst = np.abs(np.nan_to_num(errors)).argmax(axis=0)
     last = joints[-1]
     return Column(

@@ -46,11 +46,14 @@ STYLE = """<style>
 .rt .GOOD {color: #2b8a3e} .rt .BAD {color: #c92a2a} .rt .ODD {color: #b35c00}
 @media (max-width: 36em) {
   div:has(> .rt-stop) + div {position: fixed; top: 8px; left: 0; right: 0}
+  div:has(+ div div .rt-stop) {pointer-events: none}
+  div:has(+ div div .rt-stop) > :last-child {pointer-events: auto}
 }
 .u-legend .u-value, .u-legend tr:first-child {display: none} .u-legend th::after {content: "" !important}
 </style>"""
 STOP_FOLLOWS = '<span class="rt-stop"></span>'
-"""Stands before the button that stops the arm, which on a phone is at the top of the screen wherever the page is."""
+"""Stands before the button that stops the arm, which on a phone is at the top of the screen. The head of
+the sheet takes no taps there, its last icon excepted: browsers take none of a button in a sheet that is folded up."""
 OF_THE_PAST = "<style>canvas {filter: grayscale(1); opacity: .3} .rt.now {opacity: .4}</style>"
 """What is shown is not of now."""
 
@@ -69,7 +72,7 @@ def state_html(look: Look, words: Words) -> str:
     if held:
         kind, told = " wait", words.held_tag
     tag = f'<span class="tag{kind}">{escape(told)}</span>'
-    goal = f"{words.goal}: {goal_words(report, words)}, {words.speed_now.format(scale=report['speed_scale'])}"
+    goal = words.goal.format(goal=goal_words(report, words), scale=report["speed_scale"])
     return _page(
         f'<div><b class="mode" id="rt-mode" data-mode="{escape(report["mode"])}">{escape(mode)}</b>{tag}</div>'
         f'<div id="rt-goal">{escape(goal)}</div>'
@@ -173,6 +176,7 @@ def machine_html(look: Look, words: Words) -> str:
     report, recent = look.report, look.recent
     if report is None or recent is None:
         return _page("", now=True)
+    span = words.span.format(seconds=max(1, round(look.recent_s)))
     rows = [
         (
             words.cycles,
@@ -183,14 +187,13 @@ def machine_html(look: Look, words: Words) -> str:
         ),
         (
             words.overruns,
-            words.overruns_told.format(all=report["overruns"], recent=recent["overruns"], span=look.recent_span),
+            words.overruns_told.format(all=report["overruns"], recent=recent["overruns"], span=span),
             "BAD" if recent["overruns"] else "",
         ),
     ]
     names = {"lateness": words.lateness, "cycle": words.cycle_time}
     rows += [
-        (names[timing.what], words.percentiles.format(**timing.figures, span=timing.span), "")
-        for timing in look.timings[::2]
+        (names[timing.what], words.percentiles.format(**timing.figures, span=span), "") for timing in look.timings[::2]
     ]
     bus = recent["bus"]
     seconds = look.recent_s

@@ -27,7 +27,6 @@ class Words:
     goal_endless: str
     phases: dict[str, str]
     last_result: str
-    speed_now: str
     no_geometry: str
     hold: str
     hold_hint: str
@@ -92,6 +91,7 @@ class Words:
     lateness: str
     cycle_time: str
     percentiles: str
+    span: str
     bus: str
     bus_told: str
     no_bus: str
@@ -112,13 +112,12 @@ ENGLISH = Words(
     held="held",
     held_tag="waits for Resume",
     modes={},
-    goal="Goal",
+    goal="Goal: {goal}, speed {scale:.0%}",
     no_goal="none",
     goal_of="{id} {phase}, {clock:.1f} of {duration:.1f} s",
     goal_endless="{id} {phase}, {clock:.1f} s",
     phases={},
     last_result="Last goal ({id}): {sentence}",
-    speed_now="speed {scale:.0%}",
     no_geometry="The arm file has no section kinematics, so there is no picture of the arm; everything else works.",
     hold="Hold",
     hold_hint="Stops the arm on its path; its goal waits, and none begins before Resume. No emergency stop: that is "
@@ -185,10 +184,11 @@ ENGLISH = Words(
     cycles="cycles",
     cycles_told="{cycles} at {rate:g} Hz, up {uptime}",
     overruns="overruns",
-    overruns_told="{all} since the start, {recent} in the {span}",
+    overruns_told="{all} since the start, {recent} in {span}",
     lateness="lateness",
     cycle_time="cycle time",
-    percentiles="p50 {p50:.0f}, p99 {p99:.0f}, worst {max:.0f} µs in the {span}",
+    percentiles="p50 {p50:.0f}, p99 {p99:.0f}, worst {max:.0f} µs in {span}",
+    span="the last {seconds} s",
     bus="bus",
     bus_told="load {load:.0%}, {sent:.0f} frames/s sent, {received:.0f} received",
     no_bus="no bus",
@@ -219,7 +219,7 @@ CHINESE = Words(
         "referencing": "正在回零",
         "free": "自由拖动",
     },
-    goal="目标",
+    goal="目标：{goal}，速度 {scale:.0%}",
     no_goal="无",
     goal_of="{id} {phase}，{clock:.1f} / {duration:.1f} s",
     goal_endless="{id} {phase}，{clock:.1f} s",
@@ -231,7 +231,6 @@ CHINESE = Words(
         "paused": "已暂停",
     },
     last_result="上一个目标（{id}）：{sentence}",
-    speed_now="速度 {scale:.0%}",
     no_geometry="机械臂文件没有 kinematics 一节，所以没有三维画面；其余功能照常。",
     hold="暂停",
     hold_hint="让机械臂在路径上停下，目标等待继续；按“继续”之前不接受新目标。这不是急停：急停是电源线上的开关。",
@@ -297,6 +296,7 @@ CHINESE = Words(
     lateness="唤醒延迟",
     cycle_time="周期用时",
     percentiles="p50 {p50:.0f}，p99 {p99:.0f}，最大 {max:.0f} µs（{span}）",
+    span="最近 {seconds} s",
     bus="总线",
     bus_told="负载 {load:.0%}，每秒发送 {sent:.0f} 帧，接收 {received:.0f} 帧",
     no_bus="没有总线",

@@ -52,7 +52,7 @@ from rtarm.view.words import CHINESE, ENGLISH, words_of
 from shm import files, layout
 from shm.client import CommandWriter, StateReader
 from shm.recording import Recording, record_dtype
-from shm.words import Entry, Fault
+from shm.words import Entry, Fault, Mode
 
 EPISODE1 = load_arm("episode1", overrides={"bus": {"channel": "simulated"}})
 TWO_JOINTS = EPISODE1.model_copy(
@@ -173,8 +173,9 @@ def test_whatever_a_browser_sends_is_a_number_within_its_limits(sent: Any, taken
 
 
 def cycles(first_ns: int, count: int, period_ns: int = 10_000_000) -> np.ndarray:
-    """Cycles of a two-joint arm that was read in each of them."""
+    """Cycles of a two-joint arm that holds and was read in each of them."""
     records = np.zeros(count, record_dtype(2))
+    records["mode"] = Mode.HOLDING
     records["monotonic_ns"] = first_ns + period_ns * np.arange(count)
     records["joints"]["measured_ns"] = records["monotonic_ns"][:, None]
     return records
@@ -195,6 +196,16 @@ def test_no_late_cycle_and_no_error_is_lost_between_two_points_of_a_plot() -> No
         [math.degrees(-0.1) if number == 5 else 0.0 for number in range(20)]
     )
     assert not curves.measured_deg.any()
+
+
+def test_an_arm_that_is_brought_up_has_no_error_before_it_is_commanded_anywhere() -> None:
+    history = History(2)
+    records = cycles(0, 20)
+    records["mode"][:10] = Mode.BRINGING_UP
+    records["joints"]["measured_position_rad"] = 1.0
+    records["joints"]["reference_position_rad"][10:] = 1.0
+    history.add(records)
+    assert not history.curves().error_deg.any()
 
 
 def test_plots_go_back_half_a_minute_and_a_joint_that_was_never_read_is_a_gap() -> None:

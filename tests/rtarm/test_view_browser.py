@@ -242,15 +242,16 @@ def test_a_joint_near_its_limit_is_told(arm: ViewedArm, browser: Browser) -> Non
     browser.keep("view_limit")
 
 
-def test_on_a_phone_stop_is_there_however_far_the_page_is_scrolled(arm: ViewedArm, browser: Browser) -> None:
+def test_on_a_phone_stop_is_there_however_the_sheet_is_scrolled_and_tapped(arm: ViewedArm, browser: Browser) -> None:
     stop = "Stop and end the goal"
     with browser.phone():
-        browser.tab("Events")
-        browser.until(lambda: browser.can_press(stop))
-        assert browser.can_press("Hold")
-        browser.scroll_to_end()
-        browser.until(lambda: not browser.can_press("Hold"))
-        assert browser.can_press(stop)
+        browser.until(lambda: browser.can_press(stop) and browser.can_press("Hold"))
+        browser.tap("rtarm")  # on the sheet's head, which would fold it with all that is in it
+        browser.tap("Plots")
+        browser.until(lambda: browser.texts(".u-title"))
+        browser.until(lambda: browser.scroll_to_end() or not browser.can_press("Hold"))
+        browser.press(stop)
+        arm.until(lambda report: report["held"])
 
 
 def test_two_tabs_show_one_page(arm: ViewedArm, browser: Browser) -> None:
