@@ -9,7 +9,7 @@ from typing import Any
 
 from handbook.markdown import code, page, table
 from shm import sentences
-from shm.sentences import Meaning
+from shm.meaning import Meaning
 from shm.words import Fault
 
 INTRODUCTION = """\

@@ -18,6 +18,7 @@ from rtarm.cli_drives import drives_app
 from rtarm.cli_frame import (
     ArmArgument,
     AsJson,
+    LanguageOption,
     RunningArm,
     again,
     app,
@@ -146,6 +147,7 @@ def demo(
 def status(
     arm: RunningArm = None,
     as_json: AsJson = False,
+    language: LanguageOption = "en",
 ) -> None:
     """Show what a running arm does, from its shared memory alone.
 
@@ -154,20 +156,22 @@ def status(
 
     Example: [bold]rtarm status --json[/bold]
     """
-    with sentences({"arm": arm, "running": False, "healthy": False} if as_json else None):
+    with sentences({"arm": arm, "running": False, "healthy": False} if as_json else None, language):
+        from rtarm.language import language_of
         from rtarm.status import read_status, resolve_arm
         from rtarm.status_tables import render_status
 
-        report = read_status(resolve_arm(arm))
+        spoken = "en" if as_json else language_of(language)
+        report = read_status(resolve_arm(arm, spoken), spoken)
         if as_json:
             draw_json(report)
         else:
-            draw(render_status(report))
+            draw(render_status(report, spoken))
         raise typer.Exit(int(ExitCode.DONE if report["healthy"] else ExitCode.UNHEALTHY))
 
 
 @app.command()
-def top(arm: RunningArm = None) -> None:
+def top(arm: RunningArm = None, language: LanguageOption = "en") -> None:
     """Show live what a running arm does, until q or Ctrl-C.
 
     Mode, goal, joints, lateness and cycle time of the last seconds and since the start, bus load, and what happened,
@@ -175,11 +179,13 @@ def top(arm: RunningArm = None) -> None:
 
     Example: [bold]rtarm top episode1[/bold]
     """
-    with sentences():
+    with sentences(language=language):
+        from rtarm.language import language_of
         from rtarm.status import resolve_arm
         from rtarm.top.terminal import run
 
-        run(resolve_arm(arm))
+        spoken = language_of(language)
+        run(resolve_arm(arm, spoken), spoken)
 
 
 @app.command()

@@ -87,6 +87,9 @@ RunningArm = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+LanguageOption = Annotated[
+    str, typer.Option("--language", metavar="en|zh", help="Language of what is said; JSON stays English.")
+]
 
 
 def overrides_given(options: dict[str, dict[str, Any]]) -> dict[str, Any]:
@@ -115,16 +118,16 @@ def draw_json(what: Mapping[str, Any]) -> None:
 
 
 @contextmanager
-def sentences(as_json: Mapping[str, Any] | None = None) -> Iterator[None]:
+def sentences(as_json: Mapping[str, Any] | None = None, language: str = "en") -> Iterator[None]:
     """Foreseeable errors end as their sentence on standard error and an exit code, never as a traceback.
 
     With `as_json` they end as that object with the sentences as its `problems`, on standard output, since a script
-    that asked for JSON gets JSON.
+    that asked for JSON gets JSON, in English. `language` is what was given for it, whether or not there is such a one.
     """
     try:
         yield
     except Exception as error:
-        told = foreseen(error)
+        told = foreseen(error, "zh" if language == "zh" and as_json is None else "en")
         if told is None:
             raise
         sentence, code = told

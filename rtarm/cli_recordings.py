@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rtarm import completion
-from rtarm.cli_frame import AsJson, draw, draw_json, sentences
+from rtarm.cli_frame import AsJson, LanguageOption, draw, draw_json, sentences
 from rtarm.errors import Refusal
 
 recordings_app = typer.Typer()
@@ -69,18 +69,20 @@ def record(
 
 
 @recordings_app.command()
-def explain(file: Recorded = None, as_json: AsJson = False) -> None:
+def explain(file: Recorded = None, as_json: AsJson = False, language: LanguageOption = "en") -> None:
     """Tell what a recording shows: what happened first, which limit, which joint, and what the arm did then.
 
     Example: [bold]rtarm explain[/bold]
     """
     with sentences({} if as_json else None):
+        from rtarm.language import language_of
         from rtarm.recording import shown
         from rtarm.recording.explain import explanation, plain
         from rtarm.recording.folder import newest
 
+        spoken = "en" if as_json else language_of(language)
         with shown.share("reading") as step:
-            told = explanation(file or newest(), step)
+            told = explanation(file or newest(), step, spoken)
         if as_json:
             draw_json(plain(told))
         else:
@@ -125,7 +127,7 @@ def replay(
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="With --on-arm: do not ask before the arm moves.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Play it in a page in the browser.")] = False,
-    language: Annotated[str, typer.Option(metavar="en|zh", help="With --view: language of the page.")] = "en",
+    language: LanguageOption = "en",
 ) -> None:
     """Play a recording in the terminal as `rtarm top` would have shown it, until q or Ctrl-C.
 
@@ -136,10 +138,12 @@ def replay(
     Example: [bold]rtarm replay --speed 0.2[/bold], [bold]rtarm replay FILE --on-arm --speed 0.5[/bold]
     """
     with sentences():
+        from rtarm.language import language_of
         from rtarm.recording import shown
         from rtarm.recording.folder import newest
         from rtarm.recording.mcap_reader import read
 
+        spoken = language_of(language)
         _refuse_what_does_not_fit(on_arm=on_arm, view=view, arm=arm, yes=yes)
         path = file or newest()
         with shown.share("reading") as step:
@@ -152,11 +156,11 @@ def replay(
         elif view:
             from rtarm.recording.on_page import show_on_page
 
-            show_on_page(recording, arm, speed, language, typer.echo)
+            show_on_page(recording, arm, speed, spoken, typer.echo)
         else:
             from rtarm.recording.replay import play
 
-            play(recording, speed)
+            play(recording, speed, spoken)
 
 
 def _refuse_what_does_not_fit(*, on_arm: bool, view: bool, arm: str | None, yes: bool) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from rtarm.cli_frame import RunningArm, sentences
+from rtarm.cli_frame import LanguageOption, RunningArm, sentences
 
 view_app = typer.Typer()
 """The command, for `rtarm.cli` to add."""
@@ -23,7 +23,7 @@ def view(
         int | None,
         typer.Option(metavar="N", min=0, max=65535, help="Port; left out: 8460, or a free one if it is taken; 0: any."),
     ] = None,
-    language: Annotated[str, typer.Option(metavar="en|zh", help="Language of the page.")] = "en",
+    language: LanguageOption = "en",
 ) -> None:
     """Show a running arm in a browser, and move it from there, until Ctrl-C.
 
@@ -33,7 +33,8 @@ def view(
 
     Example: [bold]rtarm view episode1[/bold]
     """
-    with sentences():
+    with sentences(language=language):
+        from rtarm.language import language_of
         from rtarm.view.start import view_arm
 
-        view_arm(arm, host, port, language, typer.echo)
+        view_arm(arm, host, port, language_of(language), typer.echo)

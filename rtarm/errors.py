@@ -6,6 +6,9 @@ import importlib.util
 import sys
 from enum import IntEnum
 
+from shm.errors import SharedMemoryError
+from shm.meaning import Language
+
 
 class ExitCode(IntEnum):
     """Exit codes of every `rtarm` command; `MEANINGS` says them to people."""
@@ -85,11 +88,7 @@ class AlreadySaid(Refusal):
     """A refusal whose sentence a process of the arm has already spoken."""
 
 
-SENTENCES_OF_OTHERS = (("shm.errors", "SharedMemoryError"), ("rosfront.program", "CannotServe"))
-"""Errors whose text is a sentence for a person; where their module was not imported, they cannot have come up."""
-
-
-def foreseen(error: Exception) -> tuple[str, ExitCode] | None:
+def foreseen(error: Exception, language: Language = "en") -> tuple[str, ExitCode] | None:
     """What a person is told of a foreseeable error ("" if it has just been read), and the exit code.
 
     None for anything else: a defect shows its traceback.
@@ -101,7 +100,10 @@ def foreseen(error: Exception) -> tuple[str, ExitCode] | None:
         return "" if heard else error.sentence, error.code
     if isinstance(error, ConfigError):
         return "\n".join(str(problem) for problem in error.errors), ExitCode.REFUSED
-    for module, name in SENTENCES_OF_OTHERS:
-        if module in sys.modules and isinstance(error, getattr(sys.modules[module], name)):
-            return str(error), ExitCode.REFUSED
+    if isinstance(error, SharedMemoryError):
+        from rtarm.language import told
+
+        return told(error, language), ExitCode.REFUSED
+    if "rosfront.program" in sys.modules and isinstance(error, sys.modules["rosfront.program"].CannotServe):
+        return str(error), ExitCode.REFUSED  # where its module was not imported, it cannot have come up
     return None

@@ -8,8 +8,10 @@ from contextlib import suppress
 from typing import NamedTuple
 
 from rtarm.errors import Refusal
+from rtarm.language import said
 from rtarm.requests import Connection, connect, see_to_the_end, stands_at
 from shm.errors import SharedMemoryError
+from shm.meaning import Language
 from shm.sentences import answer_sentence, unreferenced_cause, unreferenced_sentence
 from shm.words import Answer, Mode, Request, Unreferenced
 
@@ -58,55 +60,71 @@ def reference(arm: str, said_deg: Mapping[str, float | None]) -> str:
             try:
                 taken.append(_take(connection, joint, angle_deg))
             except Refusal as refused:
-                said = f" Before that was taken: {', '.join(taken)}." if taken else ""
-                raise Refusal(f"{refused}{said}") from None
+                before = f" Before that was taken: {', '.join(taken)}." if taken else ""
+                raise Refusal(f"{refused}{before}") from None
         why_lost = connection.why_lost(connection.snapshot())
     return " ".join([f"Taken: {', '.join(taken)}.", *why_lost])
 
 
-def readings(arm: str) -> list[Reading]:
+def readings(arm: str, language: Language = "en") -> list[Reading]:
     """What the joints without a reference read, in the arm's order.
 
     Raises:
         Refusal: they cannot be given one just now.
         SharedMemoryError: the arm is not running.
     """
-    with connect(arm) as connection:
+    with connect(arm, language) as connection:
         _refuse_amid_a_fault(connection)
         found = _readings(connection)
         if found and int(connection.snapshot()["mode"]) != Mode.HOLDING:
-            raise Refusal(answer_sentence(Answer.REFUSED_MODE))
+            raise Refusal(answer_sentence(Answer.REFUSED_MODE, language))
     return found
 
 
-def take(arm: str, shown: Sequence[Reading]) -> str:
+def take(arm: str, shown: Sequence[Reading], language: Language = "en") -> str:
     """Take joints to stand where a person who was shown these readings has seen them.
 
     Raises:
         Refusal: not all of them have a reference then; a line for what was taken and for each that was not.
         SharedMemoryError: the arm is not running.
     """
+    all_have_one = said(language, "All joints of arm {arm} are referenced.", arm=arm)
     if not shown:
-        return f"All joints of arm {arm} are referenced."
+        return all_have_one
     offered = [reading for reading in shown if reading.stands_deg is not None]
     taken: list[str] = []
     refused: list[str] = []
-    with connect(arm) as connection:
+    with connect(arm, language) as connection:
         for number, reading in enumerate(offered, start=1):
             try:
                 if _lacks_a_reference_as_shown(connection, reading):
                     taken.append(_take(connection, reading.joint, None))
             except Refusal as refusal:
-                refused.append(f"{reading.joint} was not taken: {refusal}")
+                refused.append(
+                    said(language, "{joint} was not taken: {why}", joint=reading.joint, why=refusal.sentence)
+                )
                 if connection.fault(connection.snapshot()):
-                    refused += [f"{after.joint} was not tried after that." for after in offered[number:]]
+                    refused += [
+                        said(language, "{joint} was not tried after that.", joint=after.joint)
+                        for after in offered[number:]
+                    ]
                     break
-    lines = [f"Taken: {', '.join(taken)}."] if taken else []
+    lines = [said(language, "Taken: {joints}.", joints=", ".join(taken))] if taken else []
     if left := [reading for reading in shown if reading.stands_deg is None]:
-        refused.append(f"The count of {_names(left)} is no angle: {next_commands(left)}.")
+        refused.append(no_angle_words(left, language))
     if refused:
         raise Refusal("\n".join([*lines, *refused]))
-    return " ".join(lines) or f"All joints of arm {arm} are referenced."
+    return " ".join(lines) or all_have_one
+
+
+def no_angle_words(left: Sequence[Reading], language: Language = "en") -> str:
+    """That what these joints count is not to be believed, and what else gives them a reference."""
+    return said(
+        language,
+        "The count of {joints} is no angle: {ways}.",
+        joints=_names(left),
+        ways=next_commands(left, language),
+    )
 
 
 def question(shown: Sequence[Reading]) -> str:
@@ -127,18 +145,18 @@ def lacking_words(found: Sequence[Reading]) -> str:
     return f"{_names(found)} {'has' if len(found) == 1 else 'have'} no reference"
 
 
-def next_commands(found: Sequence[Reading]) -> str:
+def next_commands(found: Sequence[Reading], language: Language = "en") -> str:
     """The commands that give these joints a reference, in the order in which to think of them."""
     homed = [reading.joint for reading in found if reading.homes]
-    told = [f"{reading.joint}=DEGREES" for reading in found if reading.stands_deg is None]
+    to_tell = [f"{reading.joint}=DEGREES" for reading in found if reading.stands_deg is None]
     ways: list[str] = []
-    if len(told) < len(found):
-        ways.append("`rtarm reference --all` if the arm stands where `rtarm status` says")
+    if len(to_tell) < len(found):
+        ways.append(said(language, "`rtarm reference --all` if the arm stands where `rtarm status` says"))
     if homed:
         ways.append(f"`rtarm home {' '.join(homed)}`")
-    if told:
-        ways.append(f"`rtarm reference {' '.join(told)}` if you can tell the angle")
-    return ", or ".join(ways)
+    if to_tell:
+        ways.append(said(language, "`rtarm reference {joints}` if you can tell the angle", joints=" ".join(to_tell)))
+    return said(language, ", or ").join(ways)
 
 
 def _names(found: Sequence[Reading]) -> str:
@@ -153,7 +171,8 @@ def _readings(connection: Connection) -> list[Reading]:
         reason = int(row["unreferenced_reason"]) or Unreferenced.NOT_BROUGHT_UP
         believable = reason in MAY_STAND_WHERE_READ and int(row["measured_ns"]) != 0
         stands_deg = math.degrees(row["measured_position_rad"]) if believable else None
-        found.append(Reading(joint, stands_deg, unreferenced_cause(reason, joint), connection.homes(joint)))
+        cause = unreferenced_cause(reason, joint, connection.language)
+        found.append(Reading(joint, stands_deg, cause, connection.homes(joint)))
     return found
 
 
@@ -163,11 +182,16 @@ def _lacks_a_reference_as_shown(connection: Connection, shown: Reading) -> bool:
     if now is None:
         return False
     if now.stands_deg is None:
-        raise Refusal(f"{now.cause}.")
+        raise Refusal(said(connection.language, "{cause}.", cause=now.cause))
     assert shown.stands_deg is not None
     if abs(now.stands_deg - shown.stands_deg) > AS_SHOWN_DEG:
         raise Refusal(
-            f"it reads {now.stands_deg:.2f}°, and read {shown.stands_deg:.2f}° when you were asked: try again."
+            said(
+                connection.language,
+                "it reads {now:.2f}°, and read {then:.2f}° when you were asked: try again.",
+                now=now.stands_deg,
+                then=shown.stands_deg,
+            )
         )
     return True
 
@@ -185,13 +209,13 @@ def _take(connection: Connection, joint: str, angle_deg: float | None) -> str:
     if sentence := connection.fault(after):
         raise Refusal(sentence)
     if joint in (lost := connection.lost(after)):
-        raise Refusal(unreferenced_sentence(lost[joint], joint))
+        raise Refusal(unreferenced_sentence(lost[joint], joint, connection.language))
     return stands_at(after, index, joint)
 
 
 def _refuse_amid_a_fault(connection: Connection) -> None:
     if sentence := connection.fault(connection.snapshot()):
-        raise Refusal(f"A fault is latched, clear it first: {sentence}")
+        raise Refusal(said(connection.language, "A fault is latched, clear it first: {fault}", fault=sentence))
 
 
 def _refuse_angle(connection: Connection, joint: str, angle_deg: float | None) -> None:

@@ -12,10 +12,12 @@ import numpy as np
 from config.stopping import Patience
 from rtarm.errors import Refusal
 from rtarm.interrupt import signals_to
+from rtarm.language import said
 from rtarm.status import MOVING_MODES, STOPPED_BY_A_PERSON
 from shm import files
 from shm.client import CommandWriter, StateReader, find
 from shm.errors import NotRunning, TornRead
+from shm.meaning import Language
 from shm.sentences import (
     answer_sentence,
     latched_sentence,
@@ -33,14 +35,24 @@ POLL_S = 0.005
 HEARD_CYCLES = 100
 """Within so many, every request of a full ring is answered."""
 
+_ENDED = (
+    "The control process of arm '{arm}' ended meanwhile; the drives have braked by themselves: start it again with "
+    "{again}{options}."
+)
+_ENDED_HOMING = (
+    "The control process of arm '{arm}' ended meanwhile; a drive amid its homing run goes on: start it again with "
+    "{again}{options}."
+)
+
 Condition = Callable[[np.ndarray], bool]
 
 
 class Connection:
-    """Both memory files of a running arm, for as long as a request takes."""
+    """Both memory files of a running arm, for as long as a request takes, and the language of what is said of it."""
 
-    def __init__(self, arm: str, reader: StateReader, writer: CommandWriter) -> None:
+    def __init__(self, arm: str, reader: StateReader, writer: CommandWriter, language: Language = "en") -> None:
         self.arm = arm
+        self.language = language
         self.joints = files.joint_names(reader.memory.record["header"])
         self._reader = reader
         self._writer = writer
@@ -91,18 +103,24 @@ class Connection:
         now = self.wait(
             lambda now: condition(now) or int(now["cycle"]) > asked + HEARD_CYCLES,
             ANSWER_PATIENCE_S,
-            f"The control process of {self.arm} has not answered for {ANSWER_PATIENCE_S:g} s, so it hangs: "
-            "end it, then start it again; the drives brake by themselves when it is gone.",
+            said(
+                self.language,
+                "The control process of {arm} has not answered for {seconds:g} s, so it hangs: end it, then start it "
+                "again; the drives brake by themselves when it is gone.",
+                arm=self.arm,
+                seconds=ANSWER_PATIENCE_S,
+            ),
         )
         if not condition(now):
-            raise Refusal(f"Somebody has asked something else of arm {self.arm} meanwhile: see `rtarm status`.")
+            else_asked = "Somebody has asked something else of arm {arm} meanwhile: see `rtarm status`."
+            raise Refusal(said(self.language, else_asked, arm=self.arm))
         return now
 
     def order(self, kind: Request, *, joint_mask: int = 0, value: float = 0.0) -> None:
         """Make a request; raises Refusal with the sentence where it is refused."""
         answer = self.ask(kind, joint_mask=joint_mask, value=value)
         if answer != Answer.DONE:
-            raise Refusal(answer_sentence(answer))
+            raise Refusal(answer_sentence(answer, self.language))
 
     @property
     def patience(self) -> Patience:
@@ -141,7 +159,7 @@ class Connection:
         """The latched fault in a sentence, "" where there is none."""
         if int(snapshot["fault"]) == Fault.NONE:
             return ""
-        return latched_sentence(snapshot, self.joints)
+        return latched_sentence(snapshot, self.joints, self.language)
 
     def lost(self, snapshot: np.ndarray) -> dict[str, int]:
         """The joints that have no reference, and why (shm.words.Unreferenced)."""
@@ -149,7 +167,7 @@ class Connection:
 
     def why_lost(self, snapshot: np.ndarray) -> list[str]:
         """The same in sentences, one for each reason."""
-        return unreferenced_sentences(self.lost(snapshot))
+        return unreferenced_sentences(self.lost(snapshot), self.language)
 
     def wait(self, condition: Condition, patience_s: float, too_long: str) -> np.ndarray:
         """The first snapshot that fulfils a condition.
@@ -174,16 +192,16 @@ class Connection:
             homes = int(self._reader.snapshot()["mode"]) == Mode.REFERENCING
         except TornRead:
             homes = True  # for all that is known
-        fate = "a drive amid its homing run goes on" if homes else "the drives have braked by themselves"
         raise NotRunning(
-            f"The control process of arm '{self.arm}' ended meanwhile; {fate}: start it again with "
-            f"{files.start_again(self._reader.memory.record['header'])}."
+            _ENDED_HOMING if homes else _ENDED,
+            arm=self.arm,
+            **files.again(self._reader.memory.record["header"]),
         )
 
 
 @contextmanager
-def connect(arm: str) -> Iterator[Connection]:
-    """Open the memory files of a running arm.
+def connect(arm: str, language: Language = "en") -> Iterator[Connection]:
+    """Open the memory files of a running arm; what is said of it is in a language.
 
     Raises:
         SharedMemoryError: it is not running, or its files are not what they should be.
@@ -192,16 +210,16 @@ def connect(arm: str) -> Iterator[Connection]:
     try:
         writer = CommandWriter(files.open_command(arm))
         try:
-            yield Connection(arm, reader, writer)
+            yield Connection(arm, reader, writer, language)
         finally:
             writer.close()
     finally:
         reader.close()
 
 
-def stop(arm: str) -> str:
+def stop(arm: str, language: Language = "en") -> str:
     """Stop the arm on its path, wait until it stands, and say so; it takes no goals before a resume."""
-    with connect(arm) as connection:
+    with connect(arm, language) as connection:
         before = connection.snapshot()
         had_goal = int(before["goal_id"]) != 0 or int(before["goal_phase"]) == Phase.WAITING
         connection.writer.stop()
@@ -209,13 +227,23 @@ def stop(arm: str) -> str:
         after = connection.wait(
             stands,
             connection.patience.person_s,
-            f"Arm {arm} still moves {connection.patience.person_s:.1f} s after the stop was accepted: use the "
-            "emergency stop, then look at `rtarm status`.",
+            said(
+                language,
+                "Arm {arm} still moves {seconds:.1f} s after the stop was accepted: use the emergency stop, then look "
+                "at `rtarm status`.",
+                arm=arm,
+                seconds=connection.patience.person_s,
+            ),
         )
         if int(after["fault"]) == Fault.HOMING:
             raise Refusal(connection.fault(after))
-    how = "stopped on its path and stands; its goal has ended" if had_goal else "stands; no goal was running"
-    return f"Arm {arm} {how}. It takes no goals before `rtarm resume`."
+    if had_goal:
+        return said(
+            language,
+            "Arm {arm} stopped on its path and stands; its goal has ended. It takes no goals before `rtarm resume`.",
+            arm=arm,
+        )
+    return said(language, "Arm {arm} stands; no goal was running. It takes no goals before `rtarm resume`.", arm=arm)
 
 
 def stop_again(arm: str) -> None:
@@ -237,14 +265,15 @@ def stands(snapshot: np.ndarray) -> bool:
     )
 
 
-def clear_fault(arm: str) -> str:
+def clear_fault(arm: str, language: Language = "en") -> str:
     """Clear the latched fault, wait until the drives are brought up again, and say how it went."""
-    with connect(arm) as connection:
+    with connect(arm, language) as connection:
         after = cleared(connection)
         if after is None:
-            return f"Arm {arm} has no latched fault, so there is nothing to clear."
+            return said(language, "Arm {arm} has no latched fault, so there is nothing to clear.", arm=arm)
         why_lost = connection.why_lost(after)
-    return " ".join([f"The fault is cleared; arm {arm} holds where it stands.", *_held_words(after), *why_lost])
+    done = said(language, "The fault is cleared; arm {arm} holds where it stands.", arm=arm)
+    return " ".join([done, *_held_words(after, language), *why_lost])
 
 
 def cleared(connection: Connection) -> np.ndarray | None:
@@ -266,11 +295,16 @@ def cleared(connection: Connection) -> np.ndarray | None:
     after = connection.wait(
         decided,
         connection.patience.bring_up_s,
-        f"The drives of {arm} are not brought up {connection.patience.bring_up_s:.1f} s after the fault was "
-        "cleared: look at the lines of the control process and at `rtarm status`.",
+        said(
+            connection.language,
+            "The drives of {arm} are not brought up {seconds:.1f} s after the fault was cleared: look at the lines of "
+            "the control process and at `rtarm status`.",
+            arm=arm,
+            seconds=connection.patience.bring_up_s,
+        ),
     )
     if sentence := connection.fault(after):
-        raise Refusal(f"The fault was cleared and came back. {sentence}")
+        raise Refusal(said(connection.language, "The fault was cleared and came back. {fault}", fault=sentence))
     return after
 
 
@@ -343,7 +377,7 @@ def see_to_the_end(connection: Connection, on_joint: Callable[[str], None]) -> n
         now = connection.wait(
             news,
             HOMING_PATIENCE_S,
-            "A joint has been on its way to its stop for an hour: end it with `rtarm stop`.",
+            said(connection.language, "A joint has been on its way to its stop for an hour: end it with `rtarm stop`."),
         )
         if _is_over(now):
             return now
@@ -356,27 +390,33 @@ def stands_at(snapshot: np.ndarray, index: int, joint: str) -> str:
     return f"{joint} {math.degrees(snapshot['joints'][index]['measured_position_rad']):.2f}°"
 
 
-def enable(arm: str) -> str:
+def enable(arm: str, language: Language = "en") -> str:
     """Enable limp drives, wait until the arm holds, and say so."""
-    with connect(arm) as connection:
+    with connect(arm, language) as connection:
         if sentence := connection.fault(connection.snapshot()):
-            raise Refusal(f"A fault is latched; `rtarm clear-fault` clears it and enables the drives. {sentence}")
+            latched = "A fault is latched; `rtarm clear-fault` clears it and enables the drives. {fault}"
+            raise Refusal(said(language, latched, fault=sentence))
         connection.order(Request.ENABLE)
         after = connection.wait(
             lambda now: int(now["mode"]) in (Mode.HOLDING, Mode.EXECUTING, Mode.FAULT),
             connection.patience.bring_up_s,
-            f"The drives of {arm} are not enabled after {connection.patience.bring_up_s:.1f} s: see `rtarm status`.",
+            said(
+                language,
+                "The drives of {arm} are not enabled after {seconds:.1f} s: see `rtarm status`.",
+                arm=arm,
+                seconds=connection.patience.bring_up_s,
+            ),
         )
         if sentence := connection.fault(after):
             raise Refusal(sentence)
         why_lost = connection.why_lost(after)
-    held = _held_words(after)
-    return " ".join([f"The drives of {arm} are enabled; the arm holds where it stands.", *held, *why_lost])
+    done = said(language, "The drives of {arm} are enabled; the arm holds where it stands.", arm=arm)
+    return " ".join([done, *_held_words(after, language), *why_lost])
 
 
-def _held_words(snapshot: np.ndarray) -> list[str]:
+def _held_words(snapshot: np.ndarray, language: Language) -> list[str]:
     """What else keeps the arm from taking goals: that a person has stopped it."""
-    return [STOPPED_BY_A_PERSON] if snapshot["held"] else []
+    return [said(language, STOPPED_BY_A_PERSON)] if snapshot["held"] else []
 
 
 def let_go(arm: str, kind: Request) -> str:
@@ -400,41 +440,50 @@ def _is_limp(snapshot: np.ndarray) -> bool:
     return not np.any(snapshot["joints"]["drive_status"] & DriveStatus.ENABLED)
 
 
-def hold(arm: str) -> str:
+def hold(arm: str, language: Language = "en") -> str:
     """Stop on the path, wait until the arm stands, and say so; the goal is kept, and none begins before a resume."""
-    with connect(arm) as connection:
+    with connect(arm, language) as connection:
         connection.writer.hold()
         connection.wait_heard(lambda now: bool(now["held"]))
         after = connection.wait(
             lambda now: _is_over(now) and not np.any(now["joints"]["commanded_velocity_rad_s"]),
             connection.patience.person_s,
-            f"Arm {arm} still moves {connection.patience.person_s:.1f} s after the hold was accepted: use the "
-            "emergency stop, then look at `rtarm status`.",
+            said(
+                language,
+                "Arm {arm} still moves {seconds:.1f} s after the hold was accepted: use the emergency stop, then look "
+                "at `rtarm status`.",
+                arm=arm,
+                seconds=connection.patience.person_s,
+            ),
         )
         if int(after["fault"]) == Fault.HOMING:
             raise Refusal(connection.fault(after))
     if int(after["goal_phase"]) != Phase.PAUSED:
-        return f"Arm {arm} stands and takes no goals before `rtarm resume`."
-    return f"Arm {arm} stands on its path; its goal goes on with `rtarm resume` or ends with `rtarm stop`."
+        return said(language, "Arm {arm} stands and takes no goals before `rtarm resume`.", arm=arm)
+    on_its_path = "Arm {arm} stands on its path; its goal goes on with `rtarm resume` or ends with `rtarm stop`."
+    return said(language, on_its_path, arm=arm)
 
 
-def resume(arm: str) -> str:
+def resume(arm: str, language: Language = "en") -> str:
     """Let a paused goal go on, and a held or stopped arm take goals again; say so."""
-    with connect(arm) as connection:
+    with connect(arm, language) as connection:
         before = connection.snapshot()
         connection.writer.resume()
         after = connection.wait_heard(lambda now: not now["held"])
     if not before["held"]:
-        return f"Arm {arm} is not held: goals and streams may begin."
+        return said(language, "Arm {arm} is not held: goals and streams may begin.", arm=arm)
     goes_on = int(before["goal_phase"]) == Phase.PAUSED and int(after["goal_id"]) == int(before["goal_id"])
-    return f"The goal of {arm} goes on." if goes_on else f"Arm {arm} takes goals again."
+    if goes_on:
+        return said(language, "The goal of {arm} goes on.", arm=arm)
+    return said(language, "Arm {arm} takes goals again.", arm=arm)
 
 
-def speed(arm: str, scale: float) -> str:
+def speed(arm: str, scale: float, language: Language = "en") -> str:
     """Set the speed scale, 0 (stands still) to 1, at which every goal runs on its path; say so."""
     if not 0.0 <= scale <= 1.0:
-        raise Refusal(f"The speed scale is {scale:g}, but goals run at 0 to 1 of their own speed: choose one of these.")
-    with connect(arm) as connection:
+        outside = "The speed scale is {scale:g}, but goals run at 0 to 1 of their own speed: choose one of these."
+        raise Refusal(said(language, outside, scale=scale))
+    with connect(arm, language) as connection:
         connection.writer.scale(scale)
         connection.wait_heard(lambda now: float(now["speed_scale_asked"]) == scale)
-    return f"Goals of {arm} run at {scale:.0%} of their speed."
+    return said(language, "Goals of {arm} run at {scale:.0%} of their speed.", arm=arm, scale=scale)

@@ -12,13 +12,16 @@ from typing import Any
 import numpy as np
 
 from motion.gripping import Grip
+from rtarm.chinese import MODES
 from rtarm.errors import Refusal
+from rtarm.language import named, said
 from shm import files, histogram
 from shm.client import StateReader
-from shm.drive_words import WORDS, troubles_of, words_of
+from shm.drive_words import listed, troubles_of, words_of
 from shm.files import MemoryFile
 from shm.gripper import read_gripper
 from shm.layout import BUS_TROUBLE
+from shm.meaning import Language
 from shm.sentences import (
     bus_state_sentence,
     grip_trouble_sentence,
@@ -32,7 +35,7 @@ from shm.sentences import (
 from shm.words import BusState, DriveStatus, Fault, Mode, Outcome, Phase, Unreferenced
 
 Report = dict[str, Any]
-"""What `--json` prints; keys carry their units."""
+"""What `--json` prints, in English; keys carry their units."""
 
 MOVING_MODES = (Mode.EXECUTING, Mode.STOPPING)
 FIT_MODES = (Mode.HOLDING, *MOVING_MODES)
@@ -51,7 +54,7 @@ PERCENTS = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9}
 POLICIES = {0: "other", 1: "fifo", 2: "rr"}
 
 
-def resolve_arm(argument: str | None) -> str:
+def resolve_arm(argument: str | None, language: Language = "en") -> str:
     """Name of the arm meant: a name, the path of an arm file, or None for the only one that runs or has died.
 
     Raises:
@@ -61,10 +64,14 @@ def resolve_arm(argument: str | None) -> str:
     if argument is None:
         arms = files.running_arms() or [arm for arm in files.arms_left_behind() if files.died_with(arm)]
         if not arms:
-            raise Refusal("No arm is running here: start one with `rtarm up ARM`, or try `rtarm demo`.")
+            raise Refusal(said(language, "No arm is running here: start one with `rtarm up ARM`, or try `rtarm demo`."))
         if len(arms) > 1:
-            what = "Several arms are running" if files.running_arms() else "No arm is running here; several have died"
-            raise Refusal(f"{what} ({', '.join(arms)}): name the one you mean.")
+            names = ", ".join(arms)
+            if files.running_arms():
+                raise Refusal(said(language, "Several arms are running ({arms}): name the one you mean.", arms=names))
+            raise Refusal(
+                said(language, "No arm is running here; several have died ({arms}): name the one you mean.", arms=names)
+            )
         return arms[0]
     if is_path(argument):
         from config.loader import load_arm
@@ -72,8 +79,12 @@ def resolve_arm(argument: str | None) -> str:
         return load_arm(argument).name
     if re.fullmatch(r"[a-z][a-z0-9_]{0,31}", argument) is None:
         raise Refusal(
-            f"{argument!r} is no name of an arm, which has small letters, digits and _ (at most 32); give "
-            "such a name, or the path of an arm file."
+            said(
+                language,
+                "{argument!r} is no name of an arm, which has small letters, digits and _ (at most 32); give such a "
+                "name, or the path of an arm file.",
+                argument=argument,
+            )
         )
     return argument
 
@@ -83,20 +94,20 @@ def is_path(argument: str) -> bool:
     return "/" in argument or argument.endswith((".yaml", ".yml"))
 
 
-def read_status(arm: str) -> Report:
-    """Everything `status` tells about a running arm.
+def read_status(arm: str, language: Language = "en") -> Report:
+    """Everything `status` tells about a running arm, its sentences in a language.
 
     Raises:
         SharedMemoryError: it is not running, or its files are not what they should be.
     """
     reader = StateReader(files.open_state(arm))
     try:
-        return report_of(arm, reader)
+        return report_of(arm, reader, language)
     finally:
         reader.close()
 
 
-def report_of(arm: str, reader: StateReader) -> Report:
+def report_of(arm: str, reader: StateReader, language: Language = "en") -> Report:
     """The same, from a state file that is mapped already.
 
     Raises:
@@ -111,9 +122,9 @@ def report_of(arm: str, reader: StateReader) -> Report:
     report: Report = {
         "arm": arm,
         "running": True,
-        **of_cycle(snapshot, joints, now_ns),
-        "gripper": _gripper(reader.memory, now_ns),
-        "last_result": _last_result(snapshot, joints),
+        **of_cycle(snapshot, joints, now_ns, language),
+        "gripper": _gripper(reader.memory, now_ns, language),
+        "last_result": _last_result(snapshot, joints, language),
         "rate_hz": 1e9 / int(header["period_ns"]),
         "uptime_s": (now_ns - int(header["start_monotonic_ns"])) * 1e-9,
         "cycle_age_ms": (now_ns - int(snapshot["monotonic_ns"])) * 1e-6,
@@ -127,12 +138,12 @@ def report_of(arm: str, reader: StateReader) -> Report:
         "scheduling": scheduling(record["scheduling"]),
         **counters(record["counters"], int(header["bitrate"]), now_ns - int(header["start_monotonic_ns"])),
     }
-    report["problems"] = problems(report)
+    report["problems"] = problems(report, language)
     report["healthy"] = not report["problems"]
     return report
 
 
-def _gripper(memory: MemoryFile, now_ns: int) -> Report | None:
+def _gripper(memory: MemoryFile, now_ns: int, language: Language) -> Report | None:
     """The gripper on the arm's bus; None where there is none, and for one that the ROS process moves."""
     record = read_gripper(memory)
     if record is None:
@@ -145,20 +156,20 @@ def _gripper(memory: MemoryFile, now_ns: int) -> Report | None:
         "target_rad": _finite(float(record["target_rad"])),
         "effort_nm": _finite(float(record["measured_effort"])),
         "age_ms": (now_ns - measured_ns) * 1e-6 if known else None,
-        "trouble": grip_trouble_sentence(trouble, float(record["trouble_value"])) if trouble else None,
+        "trouble": grip_trouble_sentence(trouble, float(record["trouble_value"]), language) if trouble else None,
     }
 
 
-def of_cycle(cycle: Any, joints: Sequence[str], now_ns: int) -> Report:
+def of_cycle(cycle: Any, joints: Sequence[str], now_ns: int, language: Language = "en") -> Report:
     """What a snapshot tells, or the flight recorder's record of a cycle, whose words have the same names."""
     return {
         "mode": key(Mode, int(cycle["mode"])),
         "held": bool(cycle["held"]),
-        "fault": _fault(cycle, joints, now_ns),
+        "fault": _fault(cycle, joints, now_ns, language),
         "goal": _goal(cycle),
         "speed_scale": float(cycle["speed_scale"]),
-        "joints": [_joint(name, cycle["joints"][index], now_ns) for index, name in enumerate(joints)],
-        "unreferenced": unreferenced_sentences(_why_unreferenced(cycle, joints)),
+        "joints": [_joint(name, cycle["joints"][index], now_ns, language) for index, name in enumerate(joints)],
+        "unreferenced": unreferenced_sentences(_why_unreferenced(cycle, joints), language),
     }
 
 
@@ -182,14 +193,16 @@ def scheduling(record: Any) -> Report:
     }
 
 
-def describe_scheduling(found: Mapping[str, Any]) -> str:
+def describe_scheduling(found: Mapping[str, Any], language: Language = "en") -> str:
     """The same in words."""
     policy = found["policy"]
-    words = [f"SCHED_{policy.upper()} {found['priority']}" if policy != "other" else "no real-time priority"]
-    words.append("memory locked" if found["memory_locked"] else "memory not locked")
-    words.append("any CPU" if found["cpu"] is None else f"CPU {found['cpu']}")
-    words.append("CPU latency held low" if found["dma_latency_held"] else "CPU latency not held")
-    return ", ".join(words)
+    words = [
+        f"SCHED_{policy.upper()} {found['priority']}" if policy != "other" else said(language, "no real-time priority"),
+        said(language, "memory locked") if found["memory_locked"] else said(language, "memory not locked"),
+        said(language, "any CPU") if found["cpu"] is None else f"CPU {found['cpu']}",
+        said(language, "CPU latency held low") if found["dma_latency_held"] else said(language, "CPU latency not held"),
+    ]
+    return said(language, ", ").join(words)
 
 
 def percentiles_us(record: np.void) -> Report:
@@ -216,58 +229,74 @@ def counters(record: Any, bitrate: int, elapsed_ns: int) -> Report:
     }
 
 
-def problems(report: Mapping[str, Any]) -> list[str]:
+def problems(report: Mapping[str, Any], language: Language = "en") -> list[str]:
     """Why the arm is not fit to move, a sentence each; empty when it is healthy."""
     found: list[str] = []
+    mode = named(language, MODES, report["mode"])
     if report["fault"] is not None:
         found.append(report["fault"]["sentence"])
     elif report["mode"] in {key(Mode, mode) for mode in LIMP_MODES}:
         found.append(
-            f"The drives are limp ({report['mode']}): clear the arm's surroundings, then `rtarm enable` (or "
-            "~/enable), and the arm holds where it stands."
+            said(
+                language,
+                "The drives are limp ({mode}): clear the arm's surroundings, then `rtarm enable` (or ~/enable), and "
+                "the arm holds where it stands.",
+                mode=mode,
+            )
         )
     elif report["mode"] not in {key(Mode, mode) for mode in FIT_MODES}:
-        found.append(f"The control process is {report['mode'].replace('_', ' ')}: wait until it is holding.")
+        found.append(said(language, "The control process is {mode}: wait until it is holding.", mode=mode))
     if report["held"]:
-        found.append(STOPPED_BY_A_PERSON)
+        found.append(said(language, STOPPED_BY_A_PERSON))
     if report["cycle_age_ms"] > CYCLE_OVERDUE_S * 1e3:
         found.append(
-            f"The last control cycle was {report['cycle_age_ms'] / 1e3:.1f} s ago, so the control process "
-            "hangs: stop it and start it again."
+            said(
+                language,
+                "The last control cycle was {age:.1f} s ago, so the control process hangs: stop it and start it again.",
+                age=report["cycle_age_ms"] / 1e3,
+            )
         )
     if report["bus"]["state"] in DOUBTFUL_BUS:
-        found.append(bus_state_sentence(DOUBTFUL_BUS[report["bus"]["state"]]))
+        found.append(bus_state_sentence(DOUBTFUL_BUS[report["bus"]["state"]], language))
     found += report["unreferenced"]
-    found += [_drive_problem(joint) for joint in report["joints"] if _is_told_of_the_drive_alone(joint, report)]
+    (protected,) = troubles_of(DriveStatus.PROTECTED, language)
+    for joint in report["joints"]:
+        blamed = report["fault"] is not None and report["fault"]["joint"] == joint["name"]
+        if protected in joint["drive_trouble"] and not blamed:  # no fault speaks of it where a reference is lost
+            found.append(_drive_problem(joint, language))
     front = report["front"]
     if front["pid"] is None:
-        found.append("No ROS process serves the arm, so it takes no goals: `rtarm up` starts one and keeps it alive.")
+        found.append(
+            said(
+                language,
+                "No ROS process serves the arm, so it takes no goals: `rtarm up` starts one and keeps it alive.",
+            )
+        )
     elif front["heartbeat_age_ms"] is None or front["heartbeat_age_ms"] > FRONT_SILENT_S * 1e3:
-        found.append(f"The ROS process (pid {front['pid']}) gives no sign of life: look at its log.")
+        found.append(
+            said(language, "The ROS process (pid {pid}) gives no sign of life: look at its log.", pid=front["pid"])
+        )
     return found
 
 
-def _is_told_of_the_drive_alone(joint: Mapping[str, Any], report: Mapping[str, Any]) -> bool:
-    """Whether a drive has an error that no fault speaks of, as where its joint is not referenced."""
-    blamed = report["fault"] is not None and report["fault"]["joint"] == joint["name"]
-    return WORDS[DriveStatus.PROTECTED] in joint["drive_trouble"] and not blamed
-
-
-def _drive_problem(joint: Mapping[str, Any]) -> str:
-    return (
-        f"The drive of {joint['name']} has an error ({', '.join(joint['drive_trouble'])}) and may hold nothing: remove "
-        "the cause, then `rtarm clear-fault`."
+def _drive_problem(joint: Mapping[str, Any], language: Language) -> str:
+    return said(
+        language,
+        "The drive of {joint} has an error ({trouble}) and may hold nothing: remove the cause, then "
+        "`rtarm clear-fault`.",
+        joint=joint["name"],
+        trouble=listed(joint["drive_trouble"], language),
     )
 
 
-def _fault(snapshot: np.ndarray, joints: Sequence[str], now_ns: int) -> Report | None:
+def _fault(snapshot: np.ndarray, joints: Sequence[str], now_ns: int, language: Language) -> Report | None:
     number = int(snapshot["fault"])
     if number == Fault.NONE:
         return None
     joint = int(snapshot["fault_joint"])
     return {
         "name": key(Fault, number),
-        "sentence": latched_sentence(snapshot, joints),
+        "sentence": latched_sentence(snapshot, joints, language),
         "joint": joints[joint] if 0 <= joint < len(joints) else None,
         "value": _finite(float(snapshot["fault_value"])),
         "limit": _finite(float(snapshot["fault_limit"])),
@@ -294,7 +323,7 @@ def _goal(snapshot: np.ndarray) -> Report | None:
     }
 
 
-def _last_result(snapshot: np.ndarray, joints: Sequence[str]) -> Report | None:
+def _last_result(snapshot: np.ndarray, joints: Sequence[str], language: Language) -> Report | None:
     results = snapshot["results"]
     newest = results["monotonic_ns"] == results["monotonic_ns"].max()  # one, or neighbours that go round
     last = results[np.argmax(newest & ~np.roll(newest, -1))]
@@ -305,12 +334,16 @@ def _last_result(snapshot: np.ndarray, joints: Sequence[str]) -> Report | None:
         "goal_id": int(last["goal_id"]),
         "outcome": key(Outcome, outcome),
         "sentence": outcome_sentence(
-            outcome, joint_name(int(last["joint"]), joints), float(last["value"]), float(last["limit"])
+            outcome,
+            joint_name(int(last["joint"]), joints, language),
+            float(last["value"]),
+            float(last["limit"]),
+            language,
         ),
     }
 
 
-def _joint(name: str, record: np.void, now_ns: int) -> Report:
+def _joint(name: str, record: np.void, now_ns: int, language: Language) -> Report:
     measured_ns, referenced = int(record["measured_ns"]), bool(record["referenced"])
     read = measured_ns != 0
     reason, status = int(record["unreferenced_reason"]), int(record["drive_status"])
@@ -326,10 +359,12 @@ def _joint(name: str, record: np.void, now_ns: int) -> Report:
         "effort_nm": _finite(float(record["measured_effort"])),
         "temperature_c": _finite(float(record["drive_temperature_c"])),
         "voltage_v": _finite(float(record["drive_voltage_v"])),
-        "drive": words_of(status),
-        "drive_trouble": troubles_of(status),
+        "drive": words_of(status, language),
+        "drive_trouble": troubles_of(status, language),
         "referenced": referenced,
-        "unreferenced": None if referenced else unreferenced_sentence(reason or Unreferenced.NOT_BROUGHT_UP, name),
+        "unreferenced": None
+        if referenced
+        else unreferenced_sentence(reason or Unreferenced.NOT_BROUGHT_UP, name, language),
     }
 
 

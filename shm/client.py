@@ -69,8 +69,10 @@ class StateReader:
             if attempt > 10:
                 time.sleep(0)
         raise TornRead(
-            f"No consistent snapshot in {self.memory.path} after {READ_TRIES} tries: the control process "
-            "died or hangs in mid-write; look at `rtarm status`, then start it again."
+            "No consistent snapshot in {path} after {tries} tries: the control process died or hangs in mid-write; "
+            "look at `rtarm status`, then start it again.",
+            path=self.memory.path,
+            tries=READ_TRIES,
         )
 
     def setpoints_consumed(self) -> int:
@@ -213,7 +215,10 @@ class CommandWriter:
             if not 0 <= written <= MOST_WRITTEN:
                 written = 0  # nobody asks so much: the loop says that the ring is corrupt, and then goes on from here
             if written - consumed >= layout.REQUEST_SLOTS - 1:
-                raise RingFull(f"{written - consumed} requests wait for the control process: try again in a moment.")
+                raise RingFull(
+                    "{waiting} requests wait for the control process: try again in a moment.",
+                    waiting=written - consumed,
+                )
             packed = _REQUEST.pack(0, written + 1, kind, value, time.monotonic_ns(), joint_mask, epoch, effort)
             at = _REQUESTS_AT + (written % layout.REQUEST_SLOTS) * layout.REQUEST.itemsize
             crc = zlib.crc32(packed[8:]).to_bytes(8, "little")

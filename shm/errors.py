@@ -2,7 +2,17 @@
 
 
 class SharedMemoryError(Exception):
-    """Root of everything that can go wrong with an arm's memory files."""
+    """Root of everything that can go wrong with an arm's memory files.
+
+    Attributes:
+        template: its sentence, with braces for the values that it is given with.
+        values: what stands for them, so that it can be said in another language too.
+    """
+
+    def __init__(self, template: str, **values: object) -> None:
+        super().__init__(template.format(**values) if values else template)
+        self.template = template
+        self.values = values
 
 
 class NotRunning(SharedMemoryError):

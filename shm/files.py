@@ -146,15 +146,24 @@ def arm_file(header: np.void) -> str:
     return os.fsdecode(bytes(header["arm_file"]).rstrip(b"\0"))
 
 
+WITH_OPTIONS = " (with the options it had)"
+"""What a sentence says behind the command that starts an arm which had options."""
+
+
 def start_command(arm: str, arm_file: str, options: bool) -> str:
     """The command that starts an arm, for a sentence: by its file, which may not be that of a known arm of its name."""
-    with_options = " (with the options it had)" if options else ""
-    return f"`rtarm up {shlex.quote(arm_file or arm)}`{with_options}"
+    return f"`rtarm up {shlex.quote(arm_file or arm)}`{WITH_OPTIONS if options else ''}"
 
 
 def start_again(header: np.void) -> str:
     """The command that starts the arm of a header again, for a sentence."""
     return start_command(arm_name(header), arm_file(header), bool(header["options"]))
+
+
+def again(header: np.void) -> dict[str, object]:
+    """The same as values of an error: {again}{options}."""
+    command = start_command(arm_name(header), arm_file(header), False)
+    return {"again": command, "options": WITH_OPTIONS if header["options"] else ""}
 
 
 def arm_name(header: np.void) -> str:
@@ -387,8 +396,10 @@ def _open(path: Path, dtype: np.dtype, arm: str, arm_hash: int | None, *, writab
         fd = os.open(path, flags)
     except FileNotFoundError as problem:
         raise NotRunning(
-            f"No control process is running for arm '{arm}' ({path} is not there): start it with `rtarm up` and the "
-            "name or the path of its arm file."
+            "No control process is running for arm '{arm}' ({path} is not there): start it with `rtarm up` and the "
+            "name or the path of its arm file.",
+            arm=arm,
+            path=path,
         ) from problem
     except OSError as problem:
         raise _not_ours(path, problem) from problem
@@ -458,12 +469,15 @@ def open_state(arm: str, arm_hash: int | None = None) -> MemoryFile:
     memory = _open(state_path(arm), layout.STATE, arm, None, writable=False)
     if not is_held(memory.fd):  # before its configuration: whoever starts the arm again may have changed the file
         header = memory.record["header"]
-        sentence = (
-            f"The control process of arm '{arm}' (pid {int(header['pid'])}) is gone without an orderly end: start it "
-            f"again with {start_again(header)}."
+        gone = NotRunning(
+            "The control process of arm '{arm}' (pid {pid}) is gone without an orderly end: start it again with "
+            "{again}{options}.",
+            arm=arm,
+            pid=int(header["pid"]),
+            **again(header),
         )
         memory.close()
-        raise NotRunning(sentence)
+        raise gone
     try:
         _require_hash(arm, int(memory.record["header"]["arm_hash"]), arm_hash)
     except WrongArm:

@@ -4,38 +4,18 @@ Every outcome, fault, answer, bus state and reason has a `Meaning`: the sentence
 allowed; what to do), why the check exists, and the ways out. Placeholders in a sentence are `{joint}`,
 `{value}` and `{limit}`; `{value:mode}` writes the value as the name of a mode, `{value:drive}` what is wrong by the
 status bits of a drive.
+
+The English tables stand here, the Chinese ones in `shm.sentences_zh`, with the same keys and placeholders. English is
+what is said wherever no `language` is asked for: logs, recordings, JSON and ROS messages stay the same for programs.
 """
 
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
-from typing import Any, NamedTuple, TypeVar
+from typing import Any
 
-from shm import drive_words
+from shm import drive_words, sentences_zh
+from shm.meaning import Language, Meaning, Phrases, Silence
 from shm.words import Answer, BusState, Evidence, Fault, GripTrouble, Mode, Outcome, Request, Unreferenced
-
-Key = TypeVar("Key", bound=IntEnum)
-
-
-class Meaning(NamedTuple):
-    """One row of the table."""
-
-    sentence: str
-    reason: str
-    """Why this exists."""
-    remedy: str
-    """The ways out, in the order in which to try them."""
-
-
-class _Value(float):
-    """A number that can be written as the name of a mode, or as what is wrong with a drive."""
-
-    def __format__(self, spec: str) -> str:
-        if spec == "mode":
-            return mode_name(int(self)) if self.is_integer() else f"in unknown mode {float(self)}"
-        if spec == "drive":
-            return drive_words.fault_words(int(self)) if self.is_integer() else f"unknown status {float(self)}"
-        return super().__format__(spec)
-
 
 OUTCOMES: dict[Outcome, Meaning] = {
     Outcome.NONE: Meaning(
@@ -289,22 +269,6 @@ FAULTS: dict[Fault, Meaning] = {
         "Look at the drive's display; clear the fault, which brings all drives up again.",
     ),
 }
-
-
-class Silence(IntEnum):
-    """Whose silence it probably is where more than one drive is silent at once; `whose_silence` says which."""
-
-    SEVERAL_DRIVES = 1
-    NOT_BELIEVED = 2
-    NOT_ACKNOWLEDGED = 3
-    BABBLE = 4
-    BUS = 5
-    MACHINE = 6
-    SIMULATED_ARM = 7
-    NOT_TAKEN = 8
-    ADAPTER = 9
-    SUPPLY_OR_CABLE = 10
-    SUPPLY = 11
 
 
 _NO_DRIVE = "No drive has given a believable answer for {value:.3f} s and {limit:.3f} s are allowed"
@@ -600,40 +564,120 @@ HEALED = (
 WIRE_IS_BACK = "The adapter is back: `rtarm clear-fault` brings the drives up again."
 
 
-def mode_name(mode: int) -> str:
+ENGLISH = Phrases(
+    modes={mode: mode.name.lower().replace("_", " ") for mode in Mode},
+    unknown_mode="in unknown mode {mode}",
+    unknown_status="unknown status {status}",
+    unknown="Unknown {kind} {number}: start all processes from one installation.",
+    no_joint="no joint",
+    between=", ",
+    before_last=" and ",
+    each_of="each of {joints}",
+    so=", so ",
+    healed=HEALED,
+    wire_is_back=WIRE_IS_BACK,
+    asked={Request.STOP: "Stop", Request.HOLD: "Hold", Request.RESUME: "Resume"},
+    asked_by="{what} was asked for by process {process:.0f}.",
+    speed_asked="Speed scale {scale:.0%} was asked for.",
+    unknown_command="Unknown command {kind}",
+)
+
+PHRASES: dict[Language, Phrases] = {"en": ENGLISH, "zh": sentences_zh.PHRASES}
+TABLES: dict[Language, dict[type[IntEnum], Mapping[Any, Meaning]]] = {
+    "en": {
+        Outcome: OUTCOMES,
+        Fault: FAULTS,
+        Silence: SILENCES,
+        BusState: BUS_STATES,
+        Unreferenced: UNREFERENCED,
+        Answer: ANSWERS,
+        GripTrouble: GRIP_TROUBLES,
+    },
+    "zh": {
+        Outcome: sentences_zh.OUTCOMES,
+        Fault: sentences_zh.FAULTS,
+        Silence: sentences_zh.SILENCES,
+        BusState: sentences_zh.BUS_STATES,
+        Unreferenced: sentences_zh.UNREFERENCED,
+        Answer: sentences_zh.ANSWERS,
+        GripTrouble: sentences_zh.GRIP_TROUBLES,
+    },
+}
+
+
+class _Value(float):
+    """A number that can be written as the name of a mode, or as what is wrong with a drive."""
+
+    language: Language
+
+    def __new__(cls, value: float, language: Language) -> "_Value":
+        made = super().__new__(cls, value)
+        made.language = language
+        return made
+
+    def __format__(self, spec: str) -> str:
+        whole = self.is_integer()
+        phrases = PHRASES[self.language]
+        if spec == "mode":
+            return mode_name(int(self), self.language) if whole else phrases.unknown_mode.format(mode=float(self))
+        if spec == "drive":
+            if whole:
+                return drive_words.fault_words(int(self), self.language)
+            return phrases.unknown_status.format(status=float(self))
+        return super().__format__(spec)
+
+
+def mode_name(mode: int, language: Language = "en") -> str:
     """A mode as people read it."""
+    phrases = PHRASES[language]
     try:
-        return Mode(mode).name.lower().replace("_", " ")
+        return phrases.modes[Mode(mode)]
     except ValueError:
-        return f"in unknown mode {mode}"
+        return phrases.unknown_mode.format(mode=mode)
 
 
-def joint_name(joint: int, joints: Sequence[str]) -> str:
+def joint_name(joint: int, joints: Sequence[str], language: Language = "en") -> str:
     """The name of the joint a record is about, "no joint" where it is about none."""
-    return joints[joint] if 0 <= joint < len(joints) else "no joint"
+    return joints[joint] if 0 <= joint < len(joints) else PHRASES[language].no_joint
 
 
-def joint_names(joints: Sequence[str]) -> str:
+def joint_names(joints: Sequence[str], language: Language = "en") -> str:
     """The names of joints as a sentence lists them."""
-    return " and ".join(filter(None, (", ".join(joints[:-1]), *joints[-1:])))
+    phrases = PHRASES[language]
+    return phrases.before_last.join(filter(None, (phrases.between.join(joints[:-1]), *joints[-1:])))
 
 
-def _say(table: Mapping[Key, Meaning], kind: type[Key], number: int, joint: str, value: float, limit: float) -> str:
+def meaning(member: IntEnum, language: Language = "en") -> Meaning:
+    """The row of an outcome, a fault, a silence, a bus state, a reason, an answer or a gripper's trouble."""
+    return TABLES[language][type(member)][member]
+
+
+def _say(
+    kind: type[IntEnum], number: int, language: Language, joint: str = "", value: float = 0.0, limit: float = 0.0
+) -> str:
     try:
-        meaning = table[kind(number)]
+        member = kind(number)
     except ValueError:
-        return f"Unknown {kind.__name__.lower()} {number}: start all processes from one installation."
-    return meaning.sentence.format(joint=joint, value=_Value(value), limit=_Value(limit))
+        return PHRASES[language].unknown.format(kind=kind.__name__.lower(), number=number)
+    return _filled(meaning(member, language), language, joint, value, limit)
 
 
-def outcome_sentence(outcome: int, joint: str = "", value: float = 0.0, limit: float = 0.0) -> str:
+def _filled(row: Meaning, language: Language, joint: str, value: float, limit: float) -> str:
+    return row.sentence.format(joint=joint, value=_Value(value, language), limit=_Value(limit, language))
+
+
+def outcome_sentence(
+    outcome: int, joint: str = "", value: float = 0.0, limit: float = 0.0, language: Language = "en"
+) -> str:
     """How a goal ended."""
-    return _say(OUTCOMES, Outcome, outcome, joint, value, limit)
+    return _say(Outcome, outcome, language, joint, value, limit)
 
 
-def fault_sentence(fault: int, joint: str = "", value: float = 0.0, limit: float = 0.0) -> str:
+def fault_sentence(
+    fault: int, joint: str = "", value: float = 0.0, limit: float = 0.0, language: Language = "en"
+) -> str:
     """What a latched fault says."""
-    return _say(FAULTS, Fault, fault, joint, value, limit)
+    return _say(Fault, fault, language, joint, value, limit)
 
 
 def whose_silence(joint: int, silent: int, evidence: int) -> Silence | None:
@@ -668,38 +712,45 @@ _SPEAKS_FOR = (
 )
 
 
-def latched_sentence(cycle: Any, joints: Sequence[str]) -> str:
+def latched_sentence(cycle: Any, joints: Sequence[str], language: Language = "en") -> str:
     """What the latched fault says of a snapshot, or of the flight recorder's record of a cycle."""
     number, joint = int(cycle["fault"]), int(cycle["fault_joint"])
     value, limit = float(cycle["fault_value"]), float(cycle["fault_limit"])
     silent, evidence = int(cycle["fault_silent"]), int(cycle["fault_evidence"])
-    return fault_told(number, joint, value, limit, silent, evidence, joints)
+    return fault_told(number, joint, value, limit, silent, evidence, joints, language)
 
 
 def fault_told(
-    fault: int, joint: int, value: float, limit: float, silent: int, evidence: int, joints: Sequence[str]
+    fault: int,
+    joint: int,
+    value: float,
+    limit: float,
+    silent: int,
+    evidence: int,
+    joints: Sequence[str],
+    language: Language = "en",
 ) -> str:
     """What a fault says by all that is known of it, whoever tells it."""
     whose = whose_silence(joint, silent, evidence) if fault == Fault.STALE_READING else None
     if whose is None:
-        return fault_sentence(fault, joint_name(joint, joints), value, limit)
-    named = joint_names([name for number, name in enumerate(joints) if silent >> number & 1])
-    return SILENCES[whose].sentence.format(joint=named, value=_Value(value), limit=_Value(limit))
+        return fault_sentence(fault, joint_name(joint, joints, language), value, limit, language)
+    named = joint_names([name for number, name in enumerate(joints) if silent >> number & 1], language)
+    return _filled(meaning(whose, language), language, named, value, limit)
 
 
-def bus_state_sentence(state: int) -> str:
+def bus_state_sentence(state: int, language: Language = "en") -> str:
     """What the CAN controller thinks of its bus."""
-    return _say(BUS_STATES, BusState, state, "", 0.0, 0.0)
+    return _say(BusState, state, language)
 
 
-def unreferenced_sentence(reason: int, joint: str) -> str:
+def unreferenced_sentence(reason: int, joint: str, language: Language = "en") -> str:
     """Why a joint's count does not mean an angle."""
-    return _say(UNREFERENCED, Unreferenced, reason, joint, 0.0, 0.0)
+    return _say(Unreferenced, reason, language, joint)
 
 
-def unreferenced_cause(reason: int, joint: str) -> str:
+def unreferenced_cause(reason: int, joint: str, language: Language = "en") -> str:
     """What has happened to a joint's count: the same without what follows from it, and without a full stop."""
-    return unreferenced_sentence(reason, joint).partition(", so ")[0]
+    return unreferenced_sentence(reason, joint, language).partition(PHRASES[language].so)[0]
 
 
 def reasons_unreferenced(cycle: Any, joints: Sequence[str]) -> dict[str, int]:
@@ -712,35 +763,37 @@ def reasons_unreferenced(cycle: Any, joints: Sequence[str]) -> dict[str, int]:
     }
 
 
-def unreferenced_sentences(reasons: Mapping[str, int]) -> list[str]:
+def unreferenced_sentences(reasons: Mapping[str, int], language: Language = "en") -> list[str]:
     """Why counts do not mean angles, once for all joints with the same reason: by the joints' names, in their order."""
     joints: dict[int, list[str]] = {}
     for name, reason in reasons.items():
         joints.setdefault(reason, []).append(name)
-    return [_of_each(reason, names) for reason, names in joints.items()]
+    return [_of_each(reason, names, language) for reason, names in joints.items()]
 
 
-def _of_each(reason: int, joints: Sequence[str]) -> str:
+def _of_each(reason: int, joints: Sequence[str], language: Language) -> str:
     if len(joints) == 1:
-        return unreferenced_sentence(reason, joints[0])
-    sentence = unreferenced_sentence(reason, f"each of {joint_names(joints)}")
-    return sentence[:1].upper() + sentence[1:]
+        return unreferenced_sentence(reason, joints[0], language)
+    each = PHRASES[language].each_of.format(joints=joint_names(joints, language))
+    sentence = unreferenced_sentence(reason, each, language)
+    return sentence if sentence.startswith(joints[0]) else sentence[:1].upper() + sentence[1:]  # a name stays as it is
 
 
-def grip_trouble_sentence(trouble: int, value: float) -> str:
+def grip_trouble_sentence(trouble: int, value: float, language: Language = "en") -> str:
     """Why the gripper on the bus cannot do what it is told."""
-    return _say(GRIP_TROUBLES, GripTrouble, trouble, "", value, 0.0)
+    return _say(GripTrouble, trouble, language, value=value)
 
 
-def command_sentence(kind: int, value: float) -> str:
+def command_sentence(kind: int, value: float, language: Language = "en") -> str:
     """What was asked by a store: of a speed scale the scale, of all others by which process."""
+    phrases = PHRASES[language]
     if kind == Request.SPEED_SCALE:
-        return f"Speed scale {value:.0%} was asked for."
-    names: dict[int, str] = {Request.STOP: "Stop", Request.HOLD: "Hold", Request.RESUME: "Resume"}
-    asked = names.get(kind, f"Unknown command {kind}")
-    return f"{asked} was asked for by process {value:.0f}."
+        return phrases.speed_asked.format(scale=value)
+    known = kind in set(phrases.asked)
+    what = phrases.asked[Request(kind)] if known else phrases.unknown_command.format(kind=kind)
+    return phrases.asked_by.format(what=what, process=value)
 
 
-def answer_sentence(answer: int) -> str:
+def answer_sentence(answer: int, language: Language = "en") -> str:
     """How a request was answered."""
-    return _say(ANSWERS, Answer, answer, "", 0.0, 0.0)
+    return _say(Answer, answer, language)

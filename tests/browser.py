@@ -159,6 +159,14 @@ class Browser:
         path = f"//*[@role='tab' and normalize-space(.)='{label}']"
         self.until(lambda: self.driver.find_elements("xpath", path))[0].click()
 
+    def selected_tab(self) -> str:
+        """The tab beside the arm that is shown."""
+        return self.texts("[role=tab][aria-selected=true]")[-1]
+
+    def page_text(self) -> str:
+        """Everything that can be read on the page."""
+        return str(self.driver.execute_script("return document.body.innerText"))
+
     def slide(self, label: str, value: float) -> None:
         """Type a number into the field of a slider."""
         from selenium.webdriver.common.keys import Keys

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from shm.meaning import Meaning
 from shm.sentences import (
     BUS_STATES,
     FAULTS,
@@ -15,7 +16,6 @@ from shm.sentences import (
     SILENCES,
     STILL_QUEUED,
     UNREFERENCED,
-    Meaning,
 )
 from shm.words import BusState, Fault, GripTrouble, Outcome, Unreferenced
 

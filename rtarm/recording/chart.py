@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rtarm.language import said
+from shm.meaning import Language
 from shm.recording import Recording
 
 LABEL = 10
@@ -64,7 +66,7 @@ def _times(span_s: tuple[float, float], columns: int) -> str:
     return " " * (LABEL + 2) + line
 
 
-def joint_charts(recording: Recording, joint: int, zero_ns: int, width: int) -> list[str]:
+def joint_charts(recording: Recording, joint: int, zero_ns: int, width: int, language: Language = "en") -> list[str]:
     """Position commanded and measured of a joint around an instant, and below it the error."""
     records = recording.records
     times_s = (records["monotonic_ns"] - zero_ns) * 1e-9
@@ -83,6 +85,6 @@ def joint_charts(recording: Recording, joint: int, zero_ns: int, width: int) -> 
     allowed = float(recording.limits["following_error_rad"])
     drawn = chart([commanded, measured], span_s, width, 12)
     below = chart([error], span_s, width, 7)
-    head = [f"Position of {name} (rad): · commanded, ● measured"] if drawn else []
-    between = ["", f"Its error (rad; {allowed:.4f} are allowed)"] if below else []
+    head = [said(language, "Position of {joint} (rad): · commanded, ● measured", joint=name)] if drawn else []
+    between = ["", said(language, "Its error (rad; {allowed:.4f} are allowed)", allowed=allowed)] if below else []
     return [*head, *drawn, *between, *below]

@@ -10,12 +10,15 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from rtarm.language import said
 from rtarm.recording.chart import joint_charts
 from rtarm.recording.folding import folded
 from rtarm.recording.mcap_format import Loaded, Step
 from rtarm.recording.mcap_reader import read
 from rtarm.recording.story import Line, guilty_joint, since, tell
 from rtarm.status import key
+from rtarm.wrapping import Sentence
+from shm.meaning import Language
 from shm.sentences import joint_name
 from shm.words import Fault
 
@@ -25,24 +28,35 @@ WIDEST_CHART = 110
 class Explanation:
     """What rich prints of a recording."""
 
-    def __init__(self, loaded: Loaded) -> None:
+    def __init__(self, loaded: Loaded, language: Language = "en") -> None:
         self.loaded = loaded
-        self.story = tell(loaded.recording, loaded.reason)
+        self.story = tell(loaded.recording, loaded.reason, language)
+        self._language = language
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         story, recording = self.story, self.loaded.recording
         yield Text(story.heading, style="bold")
         if self.loaded.damage:
-            yield Text(f"The file is damaged ({self.loaded.damage}); what follows is what could be read.", style="red")
+            damaged = said(
+                self._language,
+                "The file is damaged ({damage}); what follows is what could be read.",
+                damage=self.loaded.damage,
+            )
+            yield Sentence(Text(damaged, style="red"))
         for sentence in story.verdict:
-            yield Text(sentence)
+            yield Sentence(Text(sentence))
         if story.first is not None:
             came = self._since(story.first.monotonic_ns)
-            yield Text.assemble(("First of all: ", "bold"), f"{story.first.sentence} ({came})")
+            first = said(self._language, "First of all: ")
+            yield Sentence(Text.assemble((first, "bold"), f"{story.first.sentence} ({came})"))
         yield Text()
         yield self._table()
         drawn = joint_charts(
-            recording, guilty_joint(recording, story), story.zero_ns, min(options.max_width, WIDEST_CHART)
+            recording,
+            guilty_joint(recording, story),
+            story.zero_ns,
+            min(options.max_width, WIDEST_CHART),
+            self._language,
         )
         if drawn:
             yield Padding(Text("\n".join(drawn), no_wrap=True, overflow="crop"), (1, 0, 0, 0))
@@ -53,14 +67,14 @@ class Explanation:
         table.add_column()
         for line in self._folded():
             style = "bold " + line.style if line is self.story.first else line.style
-            table.add_row(self._since(line.monotonic_ns), Text(line.sentence, style=style))
+            table.add_row(self._since(line.monotonic_ns), Sentence(Text(line.sentence, style=style)))
         return table
 
     def _folded(self) -> list[Line]:
         """The story's lines, repeats in one; what came first and the fault stand by themselves."""
         story = self.story
         apart = [story.zero_ns] if story.first is None else [story.zero_ns, story.first.monotonic_ns]
-        return folded(story.lines, apart, self._since)
+        return folded(story.lines, apart, self._since, self._language)
 
     def _since(self, line_ns: int) -> str:
         return since(line_ns, self.story.zero_ns).strip()
@@ -91,10 +105,10 @@ def plain(told: Explanation) -> dict[str, Any]:
     }
 
 
-def explanation(path: Path, step: Step = lambda _: None) -> Explanation:
-    """The story of a file.
+def explanation(path: Path, step: Step = lambda _: None, language: Language = "en") -> Explanation:
+    """The story of a file in a language.
 
     Raises:
         Refusal: it is no recording that can be read.
     """
-    return Explanation(read(path, step))
+    return Explanation(read(path, step), language)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 
+from rtarm.language import said
 from rtarm.recording.story import Line
+from shm.meaning import Language
 
 WITHIN_S = 2.0
 """Lines of a kind that follow each other within this are repeats."""
@@ -15,7 +17,9 @@ _VALUE = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?![\w.]*\w)")
 """A number in a sentence that is no part of a name."""
 
 
-def folded(lines: Sequence[Line], apart: Sequence[int], when: Callable[[int], str]) -> list[Line]:
+def folded(
+    lines: Sequence[Line], apart: Sequence[int], when: Callable[[int], str], language: Language = "en"
+) -> list[Line]:
     """The lines, a run of repeats in the place of its first one.
 
     A repeat says the same as the one before of its kind, but for its values. Nothing else disappears, and what is told
@@ -25,10 +29,11 @@ def folded(lines: Sequence[Line], apart: Sequence[int], when: Callable[[int], st
         lines: in the order of their times.
         apart: instants (ns), such as a fault's, whose lines stay as they are and which no run goes beyond.
         when: an instant (ns) in words.
+        language: of the lines.
     """
     runs = _runs(lines, apart)
     return [
-        _as_one(run, when) if len(run) >= FEWEST else line
+        _as_one(run, when, language) if len(run) >= FEWEST else line
         for line, run in zip(lines, runs, strict=True)
         if len(run) < FEWEST or line is run[0]
     ]
@@ -52,15 +57,14 @@ def _runs(lines: Sequence[Line], apart: Sequence[int]) -> list[list[Line]]:
     return runs
 
 
-def _as_one(run: Sequence[Line], when: Callable[[int], str]) -> Line:
+def _as_one(run: Sequence[Line], when: Callable[[int], str], language: Language) -> Line:
     values = iter(zip(*(_VALUE.findall(line.sentence) for line in run), strict=True))
-    sentence = _VALUE.sub(lambda _: _range(next(values)), run[0].sentence)
+    sentence = _VALUE.sub(lambda _: _range(next(values), language), run[0].sentence)
     last_ns = run[-1].monotonic_ns
-    return run[0]._replace(
-        sentence=f"{len(run)} times until {when(last_ns)}: {sentence}", end_ns=max(last_ns, run[-1].end_ns)
-    )
+    once = said(language, "{n} times until {when}: {sentence}", n=len(run), when=when(last_ns), sentence=sentence)
+    return run[0]._replace(sentence=once, end_ns=max(last_ns, run[-1].end_ns))
 
 
-def _range(values: Sequence[str]) -> str:
+def _range(values: Sequence[str], language: Language) -> str:
     least, most = min(values, key=float), max(values, key=float)
-    return least if least == most else f"{least} to {most}"
+    return least if least == most else said(language, "{least} to {most}", least=least, most=most)

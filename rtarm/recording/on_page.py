@@ -7,11 +7,12 @@ from collections.abc import Callable
 
 from rtarm.arm_file import arm_file
 from rtarm.errors import Refusal, needs
+from shm.meaning import Language
 from shm.recording import Recording
 
 
 def show_on_page(
-    recording: Recording, argument: str | None, speed: float, language: str, tell: Callable[[str], None]
+    recording: Recording, argument: str | None, speed: float, language: Language, tell: Callable[[str], None]
 ) -> None:
     """Serve the page of a recording until a signal.
 
@@ -28,11 +29,10 @@ def show_on_page(
     from rtarm.view.gate import open_server
     from rtarm.view.run import serve
     from rtarm.view.source import RecordedArm
-    from rtarm.view.words import words_of
+    from rtarm.view.words import WORDS
 
     if not (math.isfinite(speed) and speed > 0):
         raise Refusal(f"--speed is {speed:g}, but a recording plays forward only: give a factor above 0, such as 0.5.")
-    words = words_of(language)
     arm = arm_file(argument, recording.arm)
     joints = tuple(joint.name for joint in arm.joints)
     if joints != recording.joints:
@@ -42,4 +42,4 @@ def show_on_page(
         )
     opened = open_server()
     tell(f"{opened.url} plays the recording of {recording.arm}; Ctrl-C ends the page.")
-    serve(opened.server, arm, RecordedArm(recording, speed), None, words)
+    serve(opened.server, arm, RecordedArm(recording, speed, language=language), None, WORDS[language])

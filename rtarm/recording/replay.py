@@ -9,28 +9,36 @@ from collections.abc import Callable
 import numpy as np
 
 from rtarm.errors import Refusal
+from rtarm.language import said
 from rtarm.status import PERCENTS, Report, counters, key, of_cycle, problems, scheduling
 from rtarm.top.events import Happening, happenings
 from rtarm.top.terminal import show
-from rtarm.top.watch import HAPPENINGS, RECENT_S, Look, Timing, spectrum_of
+from rtarm.top.watch import HAPPENINGS, RECENT_S, Look, Timing, span_words, spectrum_of
 from shm.layout import COUNTED
+from shm.meaning import Language
 from shm.recording import Recording
 from shm.sentences import joint_name, outcome_sentence
 from shm.words import Event, Outcome
 
 NS = 1_000_000_000
-UNKNOWN_PID = "not recorded"
 
 
 class Replay:
     """Looks at a recording, ever later in it."""
 
-    def __init__(self, recording: Recording, speed: float, clock: Callable[[], int] = time.monotonic_ns) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        speed: float,
+        clock: Callable[[], int] = time.monotonic_ns,
+        language: Language = "en",
+    ) -> None:
         self._recording = recording
+        self._language = language
         self._speed = speed
         self._clock = clock
         self._began_ns = clock()
-        self._happenings = [told for told, _ in happenings(recording.events, recording.joints)]
+        self._happenings = [told for told, _ in happenings(recording.events, recording.joints, language)]
         self._instants = recording.records["monotonic_ns"]
 
     def close(self) -> None:
@@ -45,7 +53,8 @@ class Replay:
         record = self._recording.records[at]
         report = self._report(at, now_ns)
         if now_ns >= end_ns:
-            report["problems"].insert(0, f"The recording ends here, after {(end_ns - start_ns) / NS:.1f} s.")
+            ends = said(self._language, "The recording ends here, after {s:.1f} s.", s=(end_ns - start_ns) / NS)
+            report["problems"].insert(0, ends)
         recent_s = (now_ns - int(self._instants[since])) / NS
         return Look(
             arm=self._recording.arm,
@@ -55,10 +64,14 @@ class Replay:
             timings=[
                 self._timing(what, span, name, first, at)
                 for what, name in (("lateness", "lateness_ns"), ("cycle", "cycle_time_ns"))
-                for span, first in ((f"last {max(1, round(recent_s))} s", since), ("all along", 0))
+                for span, first in (
+                    (span_words(recent_s, self._language), since),
+                    (said(self._language, "all along"), 0),
+                )
             ],
             happenings=self._until(now_ns),
             epoch_offset_ns=int(record["epoch_ns"]) - int(record["monotonic_ns"]),
+            language=self._language,
         )
 
     def reached(self) -> int:
@@ -81,20 +94,20 @@ class Replay:
         report: Report = {
             "arm": recording.arm,
             "running": True,
-            **of_cycle(record, recording.joints, now_ns),
+            **of_cycle(record, recording.joints, now_ns, self._language),
             "last_result": self._last_result(at, now_ns),
             "rate_hz": NS / recording.period_ns,
             "uptime_s": int(record["cycle"]) * recording.period_ns / NS,
             "cycle_age_ms": (now_ns - int(record["monotonic_ns"])) * 1e-6,
             "loop": {"pid": recording.pid},
             "front": {
-                "pid": UNKNOWN_PID,
+                "pid": said(self._language, "not recorded"),
                 "heartbeat_age_ms": (now_ns - heartbeat_ns) * 1e-6 if heartbeat_ns else None,
             },
             "scheduling": scheduling(recording.scheduling),
             **self._counted(None, at),
         }
-        report["problems"] = problems(report)
+        report["problems"] = problems(report, self._language)
         report["healthy"] = not report["problems"]
         return report
 
@@ -127,23 +140,33 @@ class Replay:
         if len(decided) == 0:
             return None
         last = decided[-1]
-        joint = joint_name(int(last["joint"]), self._recording.joints)
+        joint = joint_name(int(last["joint"]), self._recording.joints, self._language)
         before = self._recording.records[: at + 1]
         goals = before["goal_id"][(before["goal_id"] != 0) & (before["monotonic_ns"] <= last["monotonic_ns"])]
         return {
             "goal_id": int(goals[-1]) if len(goals) else 0,
             "outcome": key(Outcome, int(last["code"])),
-            "sentence": outcome_sentence(int(last["code"]), joint, float(last["value"]), float(last["limit"])),
+            "sentence": outcome_sentence(
+                int(last["code"]), joint, float(last["value"]), float(last["limit"]), self._language
+            ),
         }
 
 
-def play(recording: Recording, speed: float) -> None:
+def play(recording: Recording, speed: float, language: Language = "en") -> None:
     """Show a recording until somebody ends it.
 
     Raises:
         Refusal: the speed is none, or there is no terminal.
     """
     if not (math.isfinite(speed) and speed > 0):
-        raise Refusal(f"--speed is {speed:g}, but a recording plays forward only: give a factor above 0, such as 0.5.")
-    no_terminal = "`rtarm replay` draws on a terminal and this is none: use `rtarm explain` for a recording in words."
-    show(lambda: Replay(recording, speed), no_terminal)
+        raise Refusal(
+            said(
+                language,
+                "--speed is {speed:g}, but a recording plays forward only: give a factor above 0, such as 0.5.",
+                speed=speed,
+            )
+        )
+    no_terminal = said(
+        language, "`rtarm replay` draws on a terminal and this is none: use `rtarm explain` for a recording in words."
+    )
+    show(lambda: Replay(recording, speed, language=language), no_terminal)

@@ -7,10 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rtarm.chinese import REQUESTS
+from rtarm.language import named, said
 from rtarm.status import key
+from shm.meaning import Language
 from shm.sentences import (
-    HEALED,
-    WIRE_IS_BACK,
+    PHRASES,
     answer_sentence,
     command_sentence,
     fault_told,
@@ -34,19 +36,22 @@ class Happening(NamedTuple):
     style: str = PLAIN
 
 
-def happening(event: np.void, joints: Sequence[str]) -> Happening:
+def happening(event: np.void, joints: Sequence[str], language: Language = "en") -> Happening:
     """An event in words; whatever stands in it, there are some."""
     kind, code = int(event["kind"]), int(event["code"])
     value, limit = float(event["value"]), float(event["limit"])
     if kind == Event.FAULT:
         silent, evidence = int(event["silent"]), int(event["evidence"])
-        sentence, style = fault_told(code, int(event["joint"]), value, limit, silent, evidence, joints), BAD
+        sentence, style = fault_told(code, int(event["joint"]), value, limit, silent, evidence, joints, language), BAD
     else:
-        sentence, style = _told(kind, code, joint_name(int(event["joint"]), joints), value, limit)
+        joint = joint_name(int(event["joint"]), joints, language)
+        sentence, style = _told(kind, code, joint, value, limit, language)
     return Happening(int(event["monotonic_ns"]), sentence, style)
 
 
-def happenings(events: Iterable[np.void], joints: Sequence[str]) -> list[tuple[Happening, np.void]]:
+def happenings(
+    events: Iterable[np.void], joints: Sequence[str], language: Language = "en"
+) -> list[tuple[Happening, np.void]]:
     """Events in words, each with its record, in their order; what befell several joints at one instant is said once.
 
     That is a lost reference, with the same reason: it stands where the first of them does.
@@ -58,38 +63,40 @@ def happenings(events: Iterable[np.void], joints: Sequence[str]) -> list[tuple[H
             together = int(event["monotonic_ns"]), int(event["code"])
             if together in lost:
                 at, names = lost[together]
-                names.append(joint_name(int(event["joint"]), joints))
-                (sentence,) = unreferenced_sentences(dict.fromkeys(names, together[1]))
+                names.append(joint_name(int(event["joint"]), joints, language))
+                (sentence,) = unreferenced_sentences(dict.fromkeys(names, together[1]), language)
                 found[at] = found[at][0]._replace(sentence=sentence), found[at][1]
                 continue
-            lost[together] = len(found), [joint_name(int(event["joint"]), joints)]
-        found.append((happening(event, joints), event))
+            lost[together] = len(found), [joint_name(int(event["joint"]), joints, language)]
+        found.append((happening(event, joints, language), event))
     return found
 
 
-def _request(number: float, kind: float) -> str:
-    """What was asked for; events of before do not say it."""
-    known = kind in set(Request)
-    return f"Request {number:.0f}{f' ({key(Request, int(kind))})' if known else ''}".replace("_", " ")
+def _request(number: float, kind: float, answer: str, language: Language) -> str:
+    """What was asked for, which events of before do not say, and the answer."""
+    if kind not in set(Request):
+        return said(language, "Request {number:.0f}: {answer}", number=number, answer=answer)
+    what = named(language, REQUESTS, key(Request, int(kind)))
+    return said(language, "Request {number:.0f} ({what}): {answer}", number=number, what=what, answer=answer)
 
 
-def _told(kind: int, code: int, joint: str, value: float, limit: float) -> tuple[str, str]:
+def _told(kind: int, code: int, joint: str, value: float, limit: float, language: Language) -> tuple[str, str]:
     if kind == Event.MODE:
-        return f"Mode: {mode_name(code)}.", PLAIN
+        return said(language, "Mode: {mode}.", mode=mode_name(code, language)), PLAIN
     if kind == Event.GOAL:
-        return f"Goal {code} was announced.", PLAIN
+        return said(language, "Goal {id} was announced.", id=code), PLAIN
     if kind == Event.RESULT:
-        return outcome_sentence(code, joint, value, limit), GOOD if code == Outcome.SUCCEEDED else ODD
+        return outcome_sentence(code, joint, value, limit, language), GOOD if code == Outcome.SUCCEEDED else ODD
     if kind == Event.REQUEST:
-        return f"{_request(value, limit)}: {answer_sentence(code)}", PLAIN
+        return _request(value, limit, answer_sentence(code, language), language), PLAIN
     if kind == Event.COMMAND:
-        return command_sentence(code, value), PLAIN
+        return command_sentence(code, value, language), PLAIN
     if kind == Event.OVERRUN:
-        return outcome_sentence(Outcome.CLOCK_GAP, joint, value, limit), BAD
+        return outcome_sentence(Outcome.CLOCK_GAP, joint, value, limit, language), BAD
     if kind == Event.REFERENCE:
-        return unreferenced_sentence(code, joint), BAD
+        return unreferenced_sentence(code, joint, language), BAD
     if kind == Event.WIRE:
-        return WIRE_IS_BACK, GOOD
+        return PHRASES[language].wire_is_back, GOOD
     if kind == Event.HEALED:
-        return HEALED, GOOD
-    return f"Unknown event {kind}: start all processes from one installation.", ODD
+        return PHRASES[language].healed, GOOD
+    return said(language, "Unknown event {kind}: start all processes from one installation.", kind=kind), ODD

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from textwrap import wrap
 from typing import Any, NamedTuple
 
 from rich.cells import cell_len
@@ -14,9 +13,14 @@ from rich.segment import Segment
 from rich.style import Style
 from rich.text import Text
 
+from rtarm.chinese import TIMINGS
+from rtarm.language import named, said
 from rtarm.status import describe_scheduling
 from rtarm.status_tables import DRIVE_COLUMNS, DriveColumn, duration_words, goal_words, heading, shown, trouble_words
-from rtarm.top.watch import BINS, BINS_A_DECADE, Look, Timing
+from rtarm.top.watch import BINS, BINS_A_DECADE, Look
+from rtarm.wrapping import wrapped
+from shm.drive_words import listed
+from shm.meaning import Language
 
 GAP = 1
 """Blank columns between columns."""
@@ -46,6 +50,27 @@ class Column(NamedTuple):
     cell: Callable[[Any], str]
 
 
+def _joint_columns(language: Language) -> tuple[Column, ...]:
+    def referenced(joint: Mapping[str, Any]) -> str:
+        return said(language, "yes") if joint["referenced"] else said(language, "NO")
+
+    return (
+        Column(said(language, "measured °"), 10, 0, lambda joint: shown(joint["position_rad"], 3, degrees=True)),
+        Column(said(language, "commanded °"), 11, 2, lambda joint: shown(joint["commanded_rad"], 3, degrees=True)),
+        Column("°/s", 8, 3, lambda joint: shown(joint["velocity_rad_s"], 2, degrees=True)),
+        Column(said(language, "error °"), 9, 1, lambda joint: shown(joint["error_rad"], 4, degrees=True)),
+        Column(said(language, "age ms"), 9, 4, lambda joint: shown(joint["age_ms"], 1)),
+        Column(said(language, "referenced"), 10, 5, referenced),
+    )
+
+
+def _trouble_column(language: Language) -> Column:
+    """While a drive has trouble."""
+    return Column(
+        said(language, "drive says"), 24, 6, lambda joint: _cut_off(listed(joint["drive_trouble"], language), 24)
+    )
+
+
 def _measured_column(number: int, measured: DriveColumn) -> Column:
     def cell(joint: Mapping[str, Any]) -> str:
         return shown(joint[measured.key], measured.digits)
@@ -53,18 +78,8 @@ def _measured_column(number: int, measured: DriveColumn) -> Column:
     return Column(measured.heading, 7, 7 + number, cell)
 
 
-JOINT_COLUMNS = (
-    Column("measured °", 10, 0, lambda joint: shown(joint["position_rad"], 3, degrees=True)),
-    Column("commanded °", 11, 2, lambda joint: shown(joint["commanded_rad"], 3, degrees=True)),
-    Column("°/s", 8, 3, lambda joint: shown(joint["velocity_rad_s"], 2, degrees=True)),
-    Column("error °", 9, 1, lambda joint: shown(joint["error_rad"], 4, degrees=True)),
-    Column("age ms", 9, 4, lambda joint: shown(joint["age_ms"], 1)),
-    Column("referenced", 10, 5, lambda joint: "yes" if joint["referenced"] else "NO"),
-)
 MEASURED_COLUMNS = tuple(_measured_column(number, one) for number, one in enumerate(DRIVE_COLUMNS))
 """What only some drives measure, in the order of `DRIVE_COLUMNS`: for arms that have such."""
-TROUBLE_COLUMN = Column("drive says", 24, 6, lambda joint: _cut_off(", ".join(joint["drive_trouble"]), 24))
-"""While a drive has trouble."""
 TIMING_COLUMNS = (
     Column("p50", 7, 3, lambda timing: shown(timing.figures["p50"], 1)),
     Column("p99", 7, 1, lambda timing: shown(timing.figures["p99"], 1)),
@@ -75,7 +90,9 @@ TIMING_COLUMNS = (
 
 
 def _cut_off(words: str, width: int) -> str:
-    return words if len(words) <= width else f"{words[: width - 1]}…"
+    text = Text(words)
+    text.truncate(width, overflow="ellipsis")
+    return text.plain
 
 
 class Picture:
@@ -103,8 +120,8 @@ def _lines(look: Look, width: int, height: int, drawn: Callable[[Sequence[Text]]
     if report is None:
         return head + events
     head = head[: max(1, height // 2)]
-    facts, timing = drawn(_facts(look, width)), drawn(_timing(look.timings, width))
-    joints = _joints(report["joints"], width)
+    facts, timing = drawn(_facts(look, width)), drawn(_timing(look, width))
+    joints = _joints(report["joints"], width, look.language)
     for_joints, for_facts, for_timing, for_events = share(
         height - len(head),
         [
@@ -114,7 +131,9 @@ def _lines(look: Look, width: int, height: int, drawn: Callable[[Sequence[Text]]
             (min(len(events), EVENTS_AT_LEAST), len(events)),
         ],
     )
-    body = facts[:for_facts] + drawn(_cut(joints, for_joints)) + timing[:for_timing] + events[:for_events]
+    body = (
+        facts[:for_facts] + drawn(_cut(joints, for_joints, look.language)) + timing[:for_timing] + events[:for_events]
+    )
     if look.trouble is not None:
         body = [list(Segment.apply_style(line, OF_THE_PAST)) for line in body]
     return head + body
@@ -131,12 +150,13 @@ def share(room: int, wants: Sequence[tuple[int, int]]) -> list[int]:
     return given
 
 
-def _cut(joints: Sequence[Text], room: int) -> list[Text]:
+def _cut(joints: Sequence[Text], room: int, language: Language) -> list[Text]:
     """The table of joints in so many lines; the last one says what is missing."""
     if room >= len(joints) or room < 2:
         return list(joints[:room])
     missing = len(joints) - room + 1
-    return [*joints[: room - 1], _line(Text(f"… {missing} more: make the terminal higher", style="dim"))]
+    more = said(language, "… {missing} more: make the terminal higher", missing=missing)
+    return [*joints[: room - 1], _line(Text(more, style="dim"))]
 
 
 def _line(text: Text) -> Text:
@@ -147,8 +167,14 @@ def _line(text: Text) -> Text:
 
 def _hanging(label: str, words: str, style: str, width: int, label_style: str = "dim") -> Text:
     """A label, and words wrapped beside it."""
-    lines = wrap(words, max(1, width - len(label)))
-    return _line(Text.assemble((label, label_style), (("\n" + " " * len(label)).join(lines), style)))
+    lines = wrapped(words, max(1, width - cell_len(label)))
+    return _line(Text.assemble((label, label_style), (("\n" + " " * cell_len(label)).join(lines), style)))
+
+
+def _padded(words: str, width: int, *, right: bool = False) -> str:
+    """So many columns wide, of which a Chinese character takes two."""
+    space = " " * (width - cell_len(words))
+    return space + words if right else words + space
 
 
 # --- head -----------------------------------------------------------------------------------------------
@@ -156,11 +182,11 @@ def _hanging(label: str, words: str, style: str, width: int, label_style: str = 
 
 def _title(look: Look, width: int) -> Text:
     if look.report is None or look.trouble is not None:
-        title = Text.assemble((f"{look.arm}: ", "bold"), ("waiting", "bold red"))
+        title = Text.assemble((f"{look.arm}: ", "bold"), (said(look.language, "waiting"), "bold red"))
     else:
-        title = heading(look.report)
-    hint = "q ends"
-    space = width - cell_len(title.plain) - len(hint)
+        title = heading(look.report, look.language)
+    hint = said(look.language, "q ends")
+    space = width - cell_len(title.plain) - cell_len(hint)
     if space > 0:
         title.append(" " * space + hint, style="dim")
     return _line(title)
@@ -169,7 +195,8 @@ def _title(look: Look, width: int) -> Text:
 def _complaints(look: Look, width: int) -> list[Text]:
     """Why the arm is not fit to move, or why what is shown is not of now."""
     if look.trouble is not None:
-        told = [look.trouble] if look.report is None else [look.trouble, "Waiting; below are the last figures."]
+        last = said(look.language, "Waiting; below are the last figures.")
+        told = [look.trouble] if look.report is None else [look.trouble, last]
     else:
         told = [] if look.report is None else look.report["problems"]
     return [_hanging("- ", sentence, "yellow", width, "yellow") for sentence in told]
@@ -181,48 +208,79 @@ def _complaints(look: Look, width: int) -> list[Text]:
 def _facts(look: Look, width: int) -> list[Text]:
     report, recent = look.report, look.recent
     assert report is not None and recent is not None
-    span = f"in the {look.recent_span}"
-    overruns = f"{report['overruns']} overruns ({recent['overruns']} {span})"
+    language = look.language
     rows = (
-        ("goal", f"{goal_words(report)}; speed scale {report['speed_scale']:.2f}", ""),
         (
-            "cycles",
-            f"{report['cycles']} at {report['rate_hz']:g} Hz, {overruns}",
+            said(language, "goal"),
+            said(
+                language,
+                "{goal}; speed scale {scale:.2f}",
+                goal=goal_words(report, language),
+                scale=report["speed_scale"],
+            ),
+            "",
+        ),
+        (
+            said(language, "cycles"),
+            said(
+                language,
+                "{cycles} at {rate:g} Hz, {overruns} overruns ({recent} in the {span})",
+                cycles=report["cycles"],
+                rate=report["rate_hz"],
+                overruns=report["overruns"],
+                recent=recent["overruns"],
+                span=look.recent_span,
+            ),
             "red" if recent["overruns"] else "",
         ),
-        ("bus", *_bus(report["bus"], recent["bus"], look.recent_s, span)),
-        ("ROS", *_front(report["front"])),
+        (said(language, "bus"), *_bus(report["bus"], recent["bus"], look)),
+        ("ROS", *_front(report["front"], language)),
         (
-            "control",
-            f"pid {report['loop']['pid']}, up {duration_words(report['uptime_s'])}, "
-            f"{describe_scheduling(report['scheduling'])}",
+            said(language, "control"),
+            said(
+                language,
+                "pid {pid}, up {uptime}, {scheduling}",
+                pid=report["loop"]["pid"],
+                uptime=duration_words(report["uptime_s"]),
+                scheduling=describe_scheduling(report["scheduling"], language),
+            ),
             "",
         ),
     )
-    return [_hanging(f"{name:<{FACT_WIDTH}}", words, style, width) for name, words, style in rows]
+    return [_hanging(_padded(name, FACT_WIDTH), words, style, width) for name, words, style in rows]
 
 
-def _bus(total: Mapping[str, Any], recent: Mapping[str, Any], seconds: float, span: str) -> tuple[str, str]:
+def _bus(total: Mapping[str, Any], recent: Mapping[str, Any], look: Look) -> tuple[str, str]:
     """Load and frames of the last seconds, and everything that ever went wrong."""
+    language, seconds = look.language, look.recent_s
     if recent["load"] is None:
-        words = ["no bus"]
+        words = [said(language, "no bus")]
     elif seconds < SHORTEST_S:
-        words = ["being measured"]
+        words = [said(language, "being measured")]
     else:
-        sent, received = recent["frames_tx"] / seconds, recent["frames_rx"] / seconds
-        words = [f"load {recent['load']:.1%}", f"{sent:.0f} frames/s sent", f"{received:.0f} received"]
-    trouble, new_trouble = trouble_words(total), trouble_words(recent)
-    if trouble:
-        words.append(trouble + (f" ({new_trouble} {span})" if new_trouble else ""))
-    return ", ".join(words), "red" if new_trouble else ""
+        words = [
+            said(language, "load {load:.1%}", load=recent["load"]),
+            said(language, "{sent:.0f} frames/s sent", sent=recent["frames_tx"] / seconds),
+            said(language, "{received:.0f} received", received=recent["frames_rx"] / seconds),
+        ]
+    trouble, new_trouble = trouble_words(total, language), trouble_words(recent, language)
+    if trouble and new_trouble:
+        words.append(
+            said(language, "{all} ({recent} in the {span})", all=trouble, recent=new_trouble, span=look.recent_span)
+        )
+    elif trouble:
+        words.append(trouble)
+    return said(language, ", ").join(words), "red" if new_trouble else ""
 
 
-def _front(front: Mapping[str, Any]) -> tuple[str, str]:
+def _front(front: Mapping[str, Any], language: Language) -> tuple[str, str]:
     """Whether a ROS process serves the arm."""
-    if front["pid"] is None:
-        return "no process serves the arm", "red"
-    age_ms = front["heartbeat_age_ms"]
-    return f"pid {front['pid']}, " + ("no sign of life yet" if age_ms is None else f"alive {age_ms:.0f} ms ago"), ""
+    pid, age_ms = front["pid"], front["heartbeat_age_ms"]
+    if pid is None:
+        return said(language, "no process serves the arm"), "red"
+    if age_ms is None:
+        return said(language, "pid {pid}, no sign of life yet", pid=pid), ""
+    return said(language, "pid {pid}, alive {age:.0f} ms ago", pid=pid, age=age_ms), ""
 
 
 # --- tables ---------------------------------------------------------------------------------------------
@@ -249,32 +307,33 @@ def _table(
         text = Text(label, style=style)
         text.truncate(first_width, overflow="ellipsis", pad=True)
         for column, cell in zip(columns, cells, strict=True):
-            text.append(f"{'':{GAP}}{cell:>{column.width}}")
+            text.append(" " * GAP + _padded(cell, column.width, right=True))
         return _line(text)
 
     head = line(first, [column.heading for column in columns], "dim")
     return [head, *(line(label, [column.cell(row) for column in columns], style) for label, row, style in rows)]
 
 
-def joint_columns(joints: Sequence[Mapping[str, Any]]) -> list[Column]:
+def joint_columns(joints: Sequence[Mapping[str, Any]], language: Language = "en") -> list[Column]:
     """The columns that have something to show."""
     measured = zip(DRIVE_COLUMNS, MEASURED_COLUMNS, strict=True)
     columns = [column for one, column in measured if any(joint[one.key] is not None for joint in joints)]
     troubled = any(joint["drive_trouble"] for joint in joints)
-    return [*JOINT_COLUMNS, *columns, *([TROUBLE_COLUMN] if troubled else [])]
+    return [*_joint_columns(language), *columns, *([_trouble_column(language)] if troubled else [])]
 
 
-def _joints(joints: Sequence[Mapping[str, Any]], width: int) -> list[Text]:
+def _joints(joints: Sequence[Mapping[str, Any]], width: int, language: Language) -> list[Text]:
     rows = [(joint["name"], joint, "" if joint["referenced"] else "red") for joint in joints]
-    longest = max(cell_len(name) for name in ("joint", *(name for name, _, _ in rows)))
-    columns = joint_columns(joints)
+    head = said(language, "joint")
+    longest = max(cell_len(name) for name in (head, *(name for name, _, _ in rows)))
+    columns = joint_columns(joints, language)
     spare = width - sum(column.width + GAP for column in columns)
-    return _table("joint", min(longest, max(NAME_WIDTH, spare)), columns, rows, width)
+    return _table(head, min(longest, max(NAME_WIDTH, spare)), columns, rows, width)
 
 
-def _timing(timings: Sequence[Timing], width: int) -> list[Text]:
-    rows = [(f"{timing.what} {timing.span}", timing, "") for timing in timings]
-    longest = max((len(label) for label, _, _ in rows), default=0)
+def _timing(look: Look, width: int) -> list[Text]:
+    rows = [(f"{named(look.language, TIMINGS, one.what)} {one.span}", one, "") for one in look.timings]
+    longest = max((cell_len(label) for label, _, _ in rows), default=0)
     return _table("µs", longest, TIMING_COLUMNS, rows, width)
 
 

@@ -19,10 +19,12 @@ from rich.console import Console
 from rich.live import Live
 
 from rtarm.errors import Refusal
+from rtarm.language import said
 from rtarm.niceness import nice_thread
 from rtarm.reporter import silence_stdout
 from rtarm.top.picture import Picture
 from rtarm.top.watch import Look, Watch
+from shm.meaning import Language
 
 REFRESH_S = 0.2
 ENDING_KEYS = b"qQ\x03\x04"
@@ -51,14 +53,17 @@ class Watched(Protocol):
         """Nobody will look any more."""
 
 
-def run(arm: str) -> None:
+def run(arm: str, language: Language = "en") -> None:
     """Show the arm until somebody ends it.
 
     Raises:
         Refusal: there is no terminal.
         SharedMemoryError: the arm is not running, or its files are not what they should be.
     """
-    show(lambda: Watch(arm), "`rtarm top` draws on a terminal and this is none: use `rtarm status --json` for scripts.")
+    no_terminal = said(
+        language, "`rtarm top` draws on a terminal and this is none: use `rtarm status --json` for scripts."
+    )
+    show(lambda: Watch(arm, language), no_terminal)
 
 
 def show(watched: Callable[[], Watched], no_terminal: str) -> None:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rtarm.language import said, told
 from rtarm.status import Report, counters, percentiles_us, report_of
 from rtarm.top.events import BAD, GOOD, Happening, happenings
 from rtarm.tracking import Window
@@ -23,6 +24,7 @@ from shm.client import StateReader
 from shm.errors import SharedMemoryError
 from shm.histogram import upper_ns
 from shm.layout import HISTOGRAM_BUCKETS
+from shm.meaning import Language
 from shm.recording import newest_events
 
 NS = 1_000_000_000
@@ -59,6 +61,7 @@ class Look:
         happenings: newest first.
         epoch_offset_ns: CLOCK_REALTIME minus CLOCK_MONOTONIC.
         trouble: why all this is not of now; None when it is.
+        language: of all its sentences.
     """
 
     arm: str
@@ -69,11 +72,12 @@ class Look:
     happenings: Sequence[Happening] = ()
     epoch_offset_ns: int = 0
     trouble: str | None = None
+    language: Language = "en"
 
     @property
     def recent_span(self) -> str:
         """The last seconds in words."""
-        return _span(self.recent_s)
+        return span_words(self.recent_s, self.language)
 
 
 class Watch:
@@ -83,8 +87,9 @@ class Watch:
         SharedMemoryError: no control process of that arm runs now, or its files are not what they should be.
     """
 
-    def __init__(self, arm: str) -> None:
-        self._last = Look(arm)
+    def __init__(self, arm: str, language: Language = "en") -> None:
+        self._language = language
+        self._last = Look(arm, language=language)
         self._past: deque[Happening] = deque(maxlen=HAPPENINGS)
         self._windows: deque[tuple[float, Window]] = deque()
         self._front: int | None = None
@@ -106,14 +111,14 @@ class Watch:
                 self._attach()
             self._last = self._look()
         except SharedMemoryError as problem:
-            self._last = replace(self._last, trouble=str(problem))
+            self._last = replace(self._last, trouble=told(problem, self._language))
         return self._last
 
     def _attach(self) -> None:
         self._reader = StateReader(files.open_state(self._last.arm))
         pid = int(self._reader.memory.record["header"]["pid"])
         if self._pid:
-            self._say(f"Another control process runs (pid {pid}).", GOOD)
+            self._say(said(self._language, "Another control process runs (pid {pid}).", pid=pid), GOOD)
         self._pid = pid
 
     def _look(self) -> Look:
@@ -125,7 +130,7 @@ class Watch:
         with contextlib.suppress(SharedMemoryError):  # it may have died in mid-write
             look = self._read(reader)  # its last words
         self._past.extend(self._happenings(reader))
-        self._say(f"The control process (pid {self._pid}) has ended.", BAD)
+        self._say(said(self._language, "The control process (pid {pid}) has ended.", pid=self._pid), BAD)
         self.close()
         return replace(look, happenings=self._newest_first(()), trouble=self._absence())
 
@@ -134,14 +139,14 @@ class Watch:
         try:
             files.open_state(self._last.arm).close()
         except SharedMemoryError as problem:
-            return str(problem)
+            return told(problem, self._language)
         return None
 
     def _read(self, reader: StateReader) -> Look:
         if int(reader.memory.record["snapshot_sequence"][0]) == 0:
-            waiting = f"The control process (pid {self._pid}) has not run a cycle yet."
+            waiting = said(self._language, "The control process (pid {pid}) has not run a cycle yet.", pid=self._pid)
             return replace(self._last, happenings=self._newest_first(()), trouble=waiting)
-        report = report_of(self._last.arm, reader)
+        report = report_of(self._last.arm, reader, self._language)
         self._follow_front(report["front"]["pid"])
         window = self._window(reader)
         since, bitrate, elapsed_ns = window.counters()
@@ -150,7 +155,10 @@ class Watch:
         timings = [
             Timing(what, span, percentiles_us(histogram), spectrum(histogram["buckets"]))
             for what, name in (("lateness", "lateness"), ("cycle", "cycle_time"))
-            for span, histogram in ((_span(seconds), window.histogram(name)), ("all along", record[name]))
+            for span, histogram in (
+                (span_words(seconds, self._language), window.histogram(name)),
+                (said(self._language, "all along"), record[name]),
+            )
         ]
         return Look(
             arm=self._last.arm,
@@ -160,6 +168,7 @@ class Watch:
             timings=timings,
             happenings=self._newest_first(self._happenings(reader)),
             epoch_offset_ns=time.time_ns() - time.monotonic_ns(),
+            language=self._language,
         )
 
     def _window(self, reader: StateReader) -> Window:
@@ -172,9 +181,10 @@ class Watch:
 
     def _follow_front(self, pid: int | None) -> None:
         if pid is not None and pid != self._front:
-            self._say(f"A ROS process serves the arm (pid {pid}).")
+            self._say(said(self._language, "A ROS process serves the arm (pid {pid}).", pid=pid))
         elif pid is None and self._front is not None:
-            self._say(f"The ROS process (pid {self._front}) no longer serves the arm.", BAD)
+            gone = said(self._language, "The ROS process (pid {pid}) no longer serves the arm.", pid=self._front)
+            self._say(gone, BAD)
         self._front = pid
 
     def _say(self, sentence: str, style: str = "") -> None:
@@ -183,15 +193,16 @@ class Watch:
     def _happenings(self, reader: StateReader) -> list[Happening]:
         record = reader.memory.record
         joints = files.joint_names(record["header"])
-        return [told for told, _ in happenings(newest_events(record, HAPPENINGS), joints)]
+        return [one for one, _ in happenings(newest_events(record, HAPPENINGS), joints, self._language)]
 
     def _newest_first(self, of_now: Sequence[Happening]) -> list[Happening]:
         found = sorted((*self._past, *of_now), key=lambda one: one.monotonic_ns)
         return found[: -HAPPENINGS - 1 : -1]
 
 
-def _span(seconds: float) -> str:
-    return f"last {max(1, round(seconds))} s"
+def span_words(seconds: float, language: Language) -> str:
+    """The last seconds in words."""
+    return said(language, "last {seconds} s", seconds=max(1, round(seconds)))
 
 
 def spectrum_of(values_ns: np.ndarray) -> tuple[int, ...]:

@@ -16,7 +16,7 @@ from rtarm.view.gate import open_server
 from rtarm.view.orders import Orders
 from rtarm.view.run import serve
 from rtarm.view.source import LiveArm
-from rtarm.view.words import words_of
+from rtarm.view.words import ENGLISH
 from shm.errors import SharedMemoryError
 
 
@@ -27,7 +27,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change a setting")
     parser.add_argument("--namespace", default="", metavar="/NAME", help="where ROS has its action")
     options = parser.parse_args(arguments)
-    words = words_of("en")
     try:
         arm = load_arm(options.arm, overrides=parse_overrides(options.set))
         source = LiveArm(arm)
@@ -37,7 +36,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     page.server.on_client_connect(lambda _: print("opened", flush=True))
     print("ready", page.url, flush=True)
-    serve(page.server, arm, source, Orders(arm, words, options.namespace), words)
+    serve(page.server, arm, source, Orders(arm, ENGLISH, options.namespace), ENGLISH)
     return 0
 
 

@@ -6,6 +6,7 @@ Each function waits until it is done and says so in a sentence, or raises Refusa
 from __future__ import annotations
 
 import math
+import re
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -15,10 +16,12 @@ import numpy as np
 from config.schema import ArmConfig
 from rtarm import referencing, requests
 from rtarm.errors import Refusal
+from rtarm.language import said
 from rtarm.sending import LastingSender, Sender, follow, goal_document
 from rtarm.view.words import Words
 from shm.errors import SharedMemoryError
-from shm.sentences import outcome_sentence
+from shm.meaning import Language
+from shm.sentences import joint_name, latched_sentence, outcome_sentence
 from shm.words import Outcome
 
 GENTLY = 0.3
@@ -55,17 +58,17 @@ class Orders:
 
     def hold(self) -> str:
         """Pause the running goal."""
-        return requests.hold(self._arm.name)
+        return requests.hold(self._arm.name, self._words.language)
 
     def resume(self) -> str:
         """Let a held goal go on, and a held or stopped arm take goals again."""
-        return requests.resume(self._arm.name)
+        return requests.resume(self._arm.name, self._words.language)
 
     def stop(self) -> str:
         """Stop on the path, end the goal, also one from here that has not begun yet, and take none before a resume."""
         self._stops += 1
         try:
-            return requests.stop(self._arm.name)
+            return requests.stop(self._arm.name, self._words.language)
         finally:
             self._cancel()
 
@@ -82,40 +85,41 @@ class Orders:
 
     def clear_fault(self) -> str:
         """Clear the latched fault and bring the drives up again."""
-        return requests.clear_fault(self._arm.name)
+        return requests.clear_fault(self._arm.name, self._words.language)
 
     def enable(self) -> str:
         """Let the drives take hold of a limp arm."""
-        return requests.enable(self._arm.name)
+        return requests.enable(self._arm.name, self._words.language)
 
     def readings(self) -> list[referencing.Reading]:
         """What the joints without a reference read."""
-        return referencing.readings(self._arm.name)
+        return referencing.readings(self._arm.name, self._words.language)
 
     def reference(self, shown: Sequence[referencing.Reading]) -> str:
         """Take joints to stand where a person was shown them and has seen them."""
-        return referencing.take(self._arm.name, shown)
+        return referencing.take(self._arm.name, shown, self._words.language)
 
     def speed(self, scale: float) -> str:
         """Set the speed scale, 0 to 1."""
-        return requests.speed(self._arm.name, scale)
+        return requests.speed(self._arm.name, scale, self._words.language)
 
     def go(self, to_rad: np.ndarray, on_the_way: Callable[[str], None]) -> str:
         """Send one goal to these joint angles and wait for its end; never replaces a running goal.
 
         `on_the_way` is called with a sentence once the arm has begun.
         """
-        with requests.connect(self._arm.name) as connection:
+        with requests.connect(self._arm.name, self._words.language) as connection:
             with self._one_at_a_time:
                 takes_s, sender, number = self._send(connection, to_rad)
                 ended = follow(connection, sender, number, self._words.no_answer, begun=True)
             if ended is None:
                 on_the_way(self._words.on_the_way.format(duration=takes_s))
                 ended = follow(connection, sender, number, self._words.no_result)
-        assert ended is not None
+            assert ended is not None
+            sentence = end_told(ended.sentence, connection)
         if not ended.succeeded:
-            raise Refusal(ended.sentence)
-        return ended.sentence
+            raise Refusal(sentence)
+        return sentence
 
     def _send(self, connection: requests.Connection, to_rad: np.ndarray) -> tuple[float, Sender, int]:
         """Send it: how long it takes (s), who sent it, its number there."""
@@ -123,7 +127,7 @@ class Orders:
         sender = self._senders.ready()  # which may take seconds
         before = connection.snapshot()
         if self._stops != stops:
-            raise Refusal(outcome_sentence(Outcome.REFUSED_HELD))
+            raise Refusal(outcome_sentence(Outcome.REFUSED_HELD, language=self._words.language))
         if running := int(before["goal_id"]):
             raise Refusal(self._words.goal_runs.format(id=running))
         stands_rad = before["joints"]["commanded_position_rad"][: len(to_rad)]
@@ -136,3 +140,41 @@ class Orders:
     def close(self) -> None:
         """End what was started; a goal that was sent and still runs is cancelled."""
         self._senders.close()
+
+
+_FINAL_ERROR = re.compile(r"; (\S+) is ([\d.]+) rad from its target\.$")
+"""What the ROS process adds to the end of a goal that had begun."""
+
+
+def end_told(sentence: str, connection: requests.Connection) -> str:
+    """How a goal ended in the connection's language; the ROS process says it in English.
+
+    What the control process decided is among its newest results, or is its fault. What the ROS process refused before
+    the control process heard of it stays English.
+    """
+    added = _FINAL_ERROR.search(sentence)
+    decided = sentence if added is None else f"{sentence[: added.start()]}."
+    language = connection.language
+    now, joints = connection.snapshot(), connection.joints
+    for english, other in zip(_ends(now, joints, "en"), _ends(now, joints, language), strict=True):
+        if english == decided and added is not None:
+            end = said(language, "; {joint} is {error} rad from its target.", joint=added[1], error=added[2])
+            return other[:-1] + end
+        if english == decided:
+            return other
+    return sentence
+
+
+def _ends(now: np.ndarray, joints: Sequence[str], language: Language) -> list[str]:
+    """What a snapshot tells of the newest results and of the fault."""
+    results = (
+        outcome_sentence(
+            int(one["outcome"]),
+            joint_name(int(one["joint"]), joints, language),
+            float(one["value"]),
+            float(one["limit"]),
+            language,
+        )
+        for one in now["results"]
+    )
+    return [latched_sentence(now, joints, language), *results]

@@ -16,6 +16,7 @@ import numpy as np
 
 from config.schema import ArmConfig
 from rtarm.errors import Refusal
+from rtarm.language import told
 from rtarm.top.watch import Look
 from rtarm.view.history import History
 from rtarm.view.limits import Side, nearness
@@ -307,7 +308,7 @@ class Controls:
         try:
             sentence, done = order(given), True
         except (Refusal, SharedMemoryError) as refused:
-            sentence, done = str(refused), False
+            sentence, done = _why(refused, self._words), False
         finally:
             self._over(what, given)
             self._answered(given, sentence, done)
@@ -342,7 +343,7 @@ class Controls:
         try:
             shown = self._orders.readings()
         except (Refusal, SharedMemoryError) as refused:
-            self._answered(object(), str(refused), False)
+            self._answered(object(), _why(refused, self._words), False)
             return
         if not shown:  # somebody else was faster
             return
@@ -417,6 +418,10 @@ class Controls:
             self._answered(given, sentence, True)
 
         return self._orders.go(target_rad, on_the_way)
+
+
+def _why(refused: Refusal | SharedMemoryError, words: Words) -> str:
+    return refused.sentence if isinstance(refused, Refusal) else told(refused, words.language)
 
 
 def _number(value: Any, low: float, high: float) -> float:

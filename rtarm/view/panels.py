@@ -11,13 +11,16 @@ from typing import Any, NamedTuple
 
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtarm.referencing import Reading, next_commands
+from rtarm.chinese import MODES, PHASES
+from rtarm.language import named
+from rtarm.referencing import Reading, no_angle_words
 from rtarm.status import describe_scheduling
 from rtarm.status_tables import duration_words, gripper_words, trouble_words
 from rtarm.top.events import BAD, GOOD, ODD, Happening
 from rtarm.top.watch import Look
 from rtarm.view.limits import Nearness, Side, nearness, share
 from rtarm.view.words import Words
+from shm.drive_words import listed
 
 EVENTS = 24
 """So many are shown, newest first."""
@@ -67,12 +70,12 @@ def state_html(look: Look, words: Words) -> str:
         said = "" if look.trouble is None else _say(look.trouble, "bad", "trouble") + OF_THE_PAST
         return _page(f'<b class="mode" id="rt-mode">{escape(words.waiting)}</b>{said}')
     held = report["held"] and report["mode"] in ("holding", "executing")
-    mode = words.held if held else words.modes.get(report["mode"], report["mode"].replace("_", " "))
+    mode = words.held if held else named(words.language, MODES, report["mode"])
     kind, told = ("", words.fit) if report["healthy"] else (" bad", words.unfit)
     if held:
         kind, told = " wait", words.held_tag
     tag = f'<span class="tag{kind}">{escape(told)}</span>'
-    goal = words.goal.format(goal=goal_words(report, words), scale=report["speed_scale"])
+    goal = words.goal.format(stands=goal_words(report, words), scale=report["speed_scale"])
     return _page(
         f'<div><b class="mode" id="rt-mode" data-mode="{escape(report["mode"])}">{escape(mode)}</b>{tag}</div>'
         f'<div id="rt-goal">{escape(goal)}</div>'
@@ -102,7 +105,7 @@ def goal_words(report: Mapping[str, Any], words: Words) -> str:
     goal = report["goal"]
     if goal is None:
         return words.no_goal
-    phase = words.phases.get(goal["phase"], goal["phase"])
+    phase = named(words.language, PHASES, goal["phase"])
     text = words.goal_endless if goal["duration_s"] is None else words.goal_of
     return text.format(id=goal["id"], phase=phase, clock=goal["clock_s"] or 0.0, duration=goal["duration_s"])
 
@@ -119,9 +122,11 @@ def joints_html(look: Look, arm: ArmConfig, words: Words) -> str:
         if close is not None:
             near.append(_say(near_words(config.name, close, words), "bad" if close.side is Side.BEYOND else "", "near"))
         if joint["drive_trouble"]:
-            near.append(_say(f"{config.name}: {', '.join(joint['drive_trouble'])}", "bad", "drive"))
+            near.append(_say(f"{config.name}: {listed(joint['drive_trouble'], words.language)}", "bad", "drive"))
     gripper = look.report.get("gripper")
-    held = "" if gripper is None else f"<div>{escape(words.gripper)}: {escape(gripper_words(gripper))}</div>"
+    held = ""
+    if gripper is not None:
+        held = f"<div>{_legible(words.gripper.format(does=gripper_words(gripper, words.language)))}</div>"
     return _page(f"<table><tr>{head}</tr>{''.join(rows)}</table>{held}{''.join(near)}", now=True)
 
 
@@ -176,7 +181,6 @@ def machine_html(look: Look, words: Words) -> str:
     report, recent = look.report, look.recent
     if report is None or recent is None:
         return _page("", now=True)
-    span = words.span.format(seconds=max(1, round(look.recent_s)))
     rows = [
         (
             words.cycles,
@@ -187,13 +191,14 @@ def machine_html(look: Look, words: Words) -> str:
         ),
         (
             words.overruns,
-            words.overruns_told.format(all=report["overruns"], recent=recent["overruns"], span=span),
+            words.overruns_told.format(all=report["overruns"], recent=recent["overruns"], span=look.recent_span),
             "BAD" if recent["overruns"] else "",
         ),
     ]
     names = {"lateness": words.lateness, "cycle": words.cycle_time}
     rows += [
-        (names[timing.what], words.percentiles.format(**timing.figures, span=span), "") for timing in look.timings[::2]
+        (names[timing.what], words.percentiles.format(**timing.figures, span=timing.span), "")
+        for timing in look.timings[::2]
     ]
     bus = recent["bus"]
     seconds = look.recent_s
@@ -204,14 +209,15 @@ def machine_html(look: Look, words: Words) -> str:
             load=bus["load"], sent=bus["frames_tx"] / seconds, received=bus["frames_rx"] / seconds
         )
         rows.append((words.bus, told, ""))
-    if trouble := trouble_words(report["bus"]):
+    if trouble := trouble_words(report["bus"], words.language):
         rows.append((words.bus_trouble, trouble, "BAD" if trouble_words(bus) else ""))
     front = report["front"]["pid"]
+    scheduling = describe_scheduling(report["scheduling"], words.language)
     rows += [
         (words.ros, words.ros_none if front is None else words.ros_told.format(pid=front), ""),
         (
             words.control,
-            words.control_told.format(pid=report["loop"]["pid"], scheduling=describe_scheduling(report["scheduling"])),
+            words.control_told.format(pid=report["loop"]["pid"], scheduling=scheduling),
             "",
         ),
     ]
@@ -232,8 +238,8 @@ def readings_html(found: Sequence[Reading], words: Words) -> str:
         for one in found
     )
     left = [one for one in found if one.stands_deg is None]
-    said = words.no_angle.format(joints=", ".join(one.joint for one in left), ways=next_commands(left))
-    return _page(f"<table><tr>{head}</tr>{rows}</table>{_say(said, '', 'no_angle') if left else ''}")
+    said = _say(no_angle_words(left, words.language), "", "no_angle") if left else ""
+    return _page(f"<table><tr>{head}</tr>{rows}</table>{said}")
 
 
 class Answered(NamedTuple):

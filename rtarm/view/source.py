@@ -11,12 +11,14 @@ from typing import Protocol
 import numpy as np
 
 from config.schema import ArmConfig
+from rtarm.language import said
 from rtarm.recording.replay import Replay
 from rtarm.top.watch import Look, Watch
 from rtarm.view.path import GoalPath, thinned
 from shm import files, layout
 from shm.errors import SharedMemoryError
 from shm.files import MemoryFile
+from shm.meaning import Language
 from shm.recording import Recording, is_whole, record_dtype
 
 NS = 1_000_000_000
@@ -54,9 +56,9 @@ class LiveArm:
         SharedMemoryError: no control process of that arm runs now, or its files are not what they should be.
     """
 
-    def __init__(self, arm: ArmConfig) -> None:
+    def __init__(self, arm: ArmConfig, language: Language = "en") -> None:
         self.joints = tuple(joint.name for joint in arm.joints)
-        self._watch = Watch(arm.name)
+        self._watch = Watch(arm.name, language)
         self._recorder = FollowedRecorder(arm.name)
         self._path = GoalPath(arm.name, len(self.joints))
         self._goal_id = 0
@@ -67,7 +69,7 @@ class LiveArm:
         look = self._watch.look()
         found = () if look.report is None else tuple(joint["name"] for joint in look.report["joints"])
         if look.trouble is None and found and found != self.joints:
-            return replace(look, report=None, trouble=_another_arm(look.arm, found))
+            return replace(look, report=None, trouble=_another_arm(look, found))
         return look
 
     def cycles(self) -> np.ndarray:
@@ -91,10 +93,13 @@ class LiveArm:
         self._path.close()
 
 
-def _another_arm(arm: str, joints: tuple[str, ...]) -> str:
-    return (
-        f"Another arm of the name {arm} runs now, with joints {', '.join(joints)}: end this page and start "
-        "`rtarm view` again with its arm file."
+def _another_arm(look: Look, joints: tuple[str, ...]) -> str:
+    return said(
+        look.language,
+        "Another arm of the name {arm} runs now, with joints {joints}: end this page and start `rtarm view` again with "
+        "its arm file.",
+        arm=look.arm,
+        joints=", ".join(joints),
     )
 
 
@@ -144,9 +149,15 @@ class FollowedRecorder:
 class RecordedArm:
     """A recording, played in its own time or slower or quicker."""
 
-    def __init__(self, recording: Recording, speed: float, clock: Callable[[], int] = time.monotonic_ns) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        speed: float,
+        clock: Callable[[], int] = time.monotonic_ns,
+        language: Language = "en",
+    ) -> None:
         self.joints = recording.joints
-        self._replay = Replay(recording, speed, clock)
+        self._replay = Replay(recording, speed, clock, language)
         self._records = recording.records
         self._next = 0
 

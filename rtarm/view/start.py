@@ -10,18 +10,21 @@ from rtarm.view.gate import open_server
 from rtarm.view.orders import Orders
 from rtarm.view.run import serve
 from rtarm.view.source import LiveArm
-from rtarm.view.words import words_of
+from rtarm.view.words import WORDS
+from shm.meaning import Language
 
 
-def view_arm(argument: str | None, host: str, port: int | None, language: str, tell: Callable[[str], None]) -> None:
+def view_arm(
+    argument: str | None, host: str, port: int | None, language: Language, tell: Callable[[str], None]
+) -> None:
     """Serve the page of a running arm until a signal (`host` and `port` as in `gate.open_server`).
 
     Raises:
         Refusal, ConfigError, SharedMemoryError: no such arm runs, or its page cannot be served.
     """
-    words = words_of(language)
+    words = WORDS[language]
     arm = arm_file(argument, resolve_arm(argument), "rtarm view")
-    source = LiveArm(arm)
+    source = LiveArm(arm, language)
     page = open_server(host, port)
     if page.reachable_from_elsewhere:
         tell(

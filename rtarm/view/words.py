@@ -1,31 +1,31 @@
-"""Every word of the page, in English and in Simplified Chinese.
+"""Every word that stands on the page alone, in English and in Simplified Chinese.
 
-Sentences about faults, goals and requests come from `shm.sentences`, which are the same in every tool, and in English.
+Sentences about faults, goals and requests come from `shm.sentences`; what other tools say too comes from where they say
+it (`rtarm.language`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rtarm.errors import Refusal
+from shm.meaning import Language
 
 
 @dataclass(frozen=True)
 class Words:
     """The page in one language; braces stand for figures and names."""
 
+    language: Language
     title: str
     waiting: str
     fit: str
     unfit: str
     held: str
     held_tag: str
-    modes: dict[str, str]
     goal: str
     no_goal: str
     goal_of: str
     goal_endless: str
-    phases: dict[str, str]
     last_result: str
     no_geometry: str
     hold: str
@@ -45,7 +45,6 @@ class Words:
     reference_hint: str
     reference_question: str
     stands_at: str
-    no_angle: str
     reference_yes: str
     no: str
     speed: str
@@ -91,7 +90,6 @@ class Words:
     lateness: str
     cycle_time: str
     percentiles: str
-    span: str
     bus: str
     bus_told: str
     no_bus: str
@@ -105,18 +103,17 @@ class Words:
 
 
 ENGLISH = Words(
+    language="en",
     title="rtarm: {arm}",
     waiting="waiting",
     fit="ready to move",
     unfit="not fit to move",
     held="held",
     held_tag="waits for Resume",
-    modes={},
-    goal="Goal: {goal}, speed {scale:.0%}",
+    goal="Goal: {stands}, speed {scale:.0%}",
     no_goal="none",
     goal_of="{id} {phase}, {clock:.1f} of {duration:.1f} s",
     goal_endless="{id} {phase}, {clock:.1f} s",
-    phases={},
     last_result="Last goal ({id}): {sentence}",
     no_geometry="The arm file has no section kinematics, so there is no picture of the arm; everything else works.",
     hold="Hold",
@@ -138,7 +135,6 @@ ENGLISH = Words(
     reference_hint="Joints without a reference: shows where each would stand, and asks. Nothing moves.",
     reference_question="Look at {arm}, twice: do its joints stand there? Every goal will believe it.",
     stands_at="angle °",
-    no_angle="The count of {joints} is no angle: {ways}.",
     reference_yes="They stand there",
     no="Leave it as it is",
     speed="Speed %",
@@ -151,7 +147,7 @@ ENGLISH = Words(
     near_lower="{joint} is {distance:.1f}° from its lower limit ({limit:g}°)",
     near_upper="{joint} is {distance:.1f}° from its upper limit ({limit:g}°)",
     beyond="{joint} is {distance:.1f}° beyond its limit ({limit:g}°)",
-    gripper="gripper",
+    gripper="gripper: {does}",
     move="Move",
     move_help="Move the sliders: the green arm shows where they would take it. Nothing moves before you press Go. "
     "Nothing checks for collisions on this way: look at the arm.",
@@ -184,11 +180,10 @@ ENGLISH = Words(
     cycles="cycles",
     cycles_told="{cycles} at {rate:g} Hz, up {uptime}",
     overruns="overruns",
-    overruns_told="{all} since the start, {recent} in {span}",
+    overruns_told="{all} since the start, {recent} in the {span}",
     lateness="lateness",
     cycle_time="cycle time",
-    percentiles="p50 {p50:.0f}, p99 {p99:.0f}, worst {max:.0f} µs in {span}",
-    span="the last {seconds} s",
+    percentiles="p50 {p50:.0f}, p99 {p99:.0f}, worst {max:.0f} µs in the {span}",
     bus="bus",
     bus_told="load {load:.0%}, {sent:.0f} frames/s sent, {received:.0f} received",
     no_bus="no bus",
@@ -202,34 +197,17 @@ ENGLISH = Words(
 )
 
 CHINESE = Words(
+    language="zh",
     title="rtarm：{arm}",
     waiting="等待中",
     fit="可以运动",
     unfit="不能运动",
     held="已暂停",
     held_tag="等待“继续”",
-    modes={
-        "offline": "离线",
-        "bringing_up": "正在启动",
-        "holding": "保持",
-        "executing": "执行中",
-        "stopping": "正在停止",
-        "fault": "故障",
-        "disabled": "已失能",
-        "referencing": "正在回零",
-        "free": "自由拖动",
-    },
-    goal="目标：{goal}，速度 {scale:.0%}",
+    goal="目标：{stands}，速度 {scale:.0%}",
     no_goal="无",
     goal_of="{id} {phase}，{clock:.1f} / {duration:.1f} s",
     goal_endless="{id} {phase}，{clock:.1f} s",
-    phases={
-        "waiting": "等待开始",
-        "running": "执行中",
-        "settling": "正在到位",
-        "stopping": "正在停止",
-        "paused": "已暂停",
-    },
     last_result="上一个目标（{id}）：{sentence}",
     no_geometry="机械臂文件没有 kinematics 一节，所以没有三维画面；其余功能照常。",
     hold="暂停",
@@ -249,20 +227,19 @@ CHINESE = Words(
     reference_hint="未建立参考点的关节：显示每个关节将被认为所在的位置，然后询问。什么都不会动。",
     reference_question="请看 {arm}，看两遍：各关节是否就在这些位置？之后的每个目标都会相信它。",
     stands_at="角度 °",
-    no_angle="{joints} 的计数不是角度：{ways}。",
     reference_yes="就在这些位置",
     no="保持现状",
     speed="速度 %",
     speed_hint="让所有目标（不论来自谁）在路径上变慢；0 为静止。",
     joints="关节",
     joint="关节",
-    measured="测量 °",
+    measured="实测 °",
     commanded="指令 °",
     error="误差 °",
     near_lower="{joint} 距下限（{limit:g}°）{distance:.1f}°",
     near_upper="{joint} 距上限（{limit:g}°）{distance:.1f}°",
     beyond="{joint} 超出限位（{limit:g}°）{distance:.1f}°",
-    gripper="夹爪",
+    gripper="夹爪：{does}",
     move="运动",
     move_help="拖动滑块：绿色的机械臂显示将要到达的位置。按下“前往”之前什么都不会动。这段路不做碰撞检测：请看着机械臂。",
     go="前往：机械臂将运动 {duration:.1f} s",
@@ -282,7 +259,7 @@ CHINESE = Words(
     which_joint="关节",
     all_joints="所有关节",
     position_plot="位置 °",
-    error_plot="误差 °（测量 − 指令）",
+    error_plot="误差 °（实测 − 指令）",
     lateness_plot="唤醒延迟 µs（每 0.1 s 的最大值）",
     seconds="s",
     late="延迟",
@@ -291,12 +268,11 @@ CHINESE = Words(
     machine="机器",
     cycles="周期",
     cycles_told="{cycles}，{rate:g} Hz，已运行 {uptime}",
-    overruns="超时",
-    overruns_told="启动以来 {all}，{span}内 {recent}",
+    overruns="漏掉",
+    overruns_told="启动以来 {all}，{span} 内 {recent}",
     lateness="唤醒延迟",
     cycle_time="周期用时",
     percentiles="p50 {p50:.0f}，p99 {p99:.0f}，最大 {max:.0f} µs（{span}）",
-    span="最近 {seconds} s",
     bus="总线",
     bus_told="负载 {load:.0%}，每秒发送 {sent:.0f} 帧，接收 {received:.0f} 帧",
     no_bus="没有总线",
@@ -309,11 +285,4 @@ CHINESE = Words(
     recording="这是一段记录：只能观看。",
 )
 
-LANGUAGES = {"en": ENGLISH, "zh": CHINESE}
-
-
-def words_of(language: str) -> Words:
-    """The page's words; raises Refusal where it does not speak that language."""
-    if language not in LANGUAGES:
-        raise Refusal(f"--language is {language!r}, but the page speaks {' and '.join(LANGUAGES)} only: choose one.")
-    return LANGUAGES[language]
+WORDS: dict[Language, Words] = {"en": ENGLISH, "zh": CHINESE}

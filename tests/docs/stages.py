@@ -73,6 +73,7 @@ RUN: dict[str, Run] = {
     "rtarm up ./my_arm.yaml": Run(ADAPTER, "ended in order", talk=RUNS),
     # an arm runs
     "rtarm status": Run(ARM, "lateness"),
+    "rtarm status --language zh": Run(ARM, "唤醒延迟"),
     "rtarm top": Run(ARM, talk=(("lateness all along", "q"),)),
     "rtarm top episode1": Run(ARM, talk=(("lateness all along", "q"),)),
     "rtarm record": Run(ARM, ".mcap"),

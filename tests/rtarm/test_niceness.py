@@ -134,12 +134,12 @@ def test_a_page_in_the_browser(worked_at: Callable[..., list[int]]) -> None:
     from rtarm.view.gate import open_server
     from rtarm.view.page import Page
     from rtarm.view.run import serve
-    from rtarm.view.words import words_of
+    from rtarm.view.words import ENGLISH
 
     arm = load_arm("mock")
     threads_of_server = worked_at(WebsockServer, "_background_worker")
     levels = worked_at(Page, "__init__", lambda: to_this_thread(signal.SIGTERM))
     source = SimpleNamespace(joints=tuple(joint.name for joint in arm.joints), close=lambda: None)
     with signals_to(signal.SIG_DFL):  # a page that has been ended lets nobody end its process once more
-        serve(open_server().server, arm, source, None, words_of("en"))
+        serve(open_server().server, arm, source, None, ENGLISH)
     assert threads_of_server == levels == [LOWEST]

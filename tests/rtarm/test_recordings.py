@@ -11,14 +11,17 @@ import signal
 import stat
 import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from in_chinese import english_in
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from mixed_arm import mixed
+from rich.cells import cell_len
 from rich.console import Console
 from typer.testing import Result
 from virtual import VirtualArm, recorded_goal, recording_of
@@ -528,6 +531,38 @@ def test_an_explanation_fits_its_terminal(a_file: Path, width: int) -> None:
     assert "First of all: joint2" in " ".join(text.split())
     assert "Position of joint2 (rad): · commanded" in text
     assert "┊" in text and "●" in text
+
+
+@pytest.mark.parametrize("width", [40, 80, 200])
+def test_an_explanation_in_chinese_fits_its_terminal_and_has_no_english(a_file: Path, width: int) -> None:
+    console = Console(file=io.StringIO(), width=width, color_system=None)
+    console.print(explanation(a_file, language="zh"))
+    text = console.file.getvalue()
+    assert max(map(cell_len, text.splitlines())) <= width
+    assert english_in(text) == set() and "…" not in text
+    once = "".join(text.split())
+    assert "最先：joint2从这里开始没有读数。" in once
+    assert "joint2已有" in once and "没有给出可信的应答，允许0.100s：检查驱动器的供电、插头和电缆" in once
+    assert "怎么处理：检查驱动器的供电、插头和电缆；清除故障。" in once
+
+
+def test_a_replay_in_chinese_says_so(power_loss: Recording) -> None:
+    clock = [0]
+    with closing(Replay(power_loss, 1.0, lambda: clock[0], "zh")) as replay:
+        clock[0] = 60_000_000_000
+        last = replay.look()
+    console = Console(file=io.StringIO(), width=100, height=40, color_system=None)
+    console.print(Picture(last))
+    text = console.file.getvalue()
+    assert english_in(text) == set()
+    assert "录制到此结束" in text and "episode1：故障，不能运动" in text
+
+
+@pytest.mark.parametrize("language", ["en", "zh"])
+def test_what_programs_read_of_a_recording_is_english(rtarm: Rtarm, a_file: Path, language: str) -> None:
+    result = rtarm("explain", str(a_file), "--json", "--language", language)
+    assert result.exit_code == 0
+    assert json.loads(result.stdout)["first"]["sentence"].startswith("joint2 gives no readings")
 
 
 def test_a_chart_puts_values_where_they_belong() -> None:

@@ -30,7 +30,7 @@ from written_arm import JOINTS, WrittenArm
 from rtarm.errors import Refusal
 from rtarm.top import watch as watching
 from rtarm.top.events import Happening, happening
-from rtarm.top.picture import JOINT_COLUMNS, TIMING_COLUMNS, Picture, bars, fitting, share
+from rtarm.top.picture import TIMING_COLUMNS, Picture, bars, fitting, joint_columns, share
 from rtarm.top.terminal import run
 from rtarm.top.watch import BINS, HAPPENINGS, RECENT_S, Look, Timing, Watch, spectrum
 from shm import files, histogram, layout
@@ -446,9 +446,10 @@ def test_many_joints_in_a_small_terminal() -> None:
 
 
 def test_what_is_left_out_in_a_narrow_terminal() -> None:
-    assert [column.heading for column in fitting(JOINT_COLUMNS, 28)] == ["measured °", "error °"]
+    assert [column.heading for column in fitting(joint_columns([]), 28)] == ["measured °", "error °"]
     assert [column.heading for column in fitting(TIMING_COLUMNS, 36)] == ["p50", "p99", "p99.9", "max"]
-    assert fitting(JOINT_COLUMNS, 200) == list(JOINT_COLUMNS)
+    columns = joint_columns([])
+    assert fitting(columns, 200) == columns
 
 
 def test_what_some_drives_measure_has_columns_where_there_is_room() -> None:

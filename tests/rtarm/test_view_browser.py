@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from arm_files import edited, known_arm
 from browser import CHROMIUM, DRIVER, Browser, host_of
+from in_chinese import english_in
 from stack import PATIENT, Process, Stack
 from working_threads import niceness_at_work
 
@@ -296,6 +297,39 @@ def test_a_fault_is_told_with_what_to_do(browser: Browser, new_arm_name: Callabl
         browser.press("Clear fault")
         browser.until(lambda: "is cleared" in browser.said("answer"))
         arm.until(lambda report: report["fault"] is None)
+
+
+def test_a_chinese_page_says_nothing_in_english(
+    browser: Browser, new_arm_name: Callable[[], str], tmp_path: Path
+) -> None:
+    with closing(ViewedArm(new_arm_name(), tmp_path)) as arm:
+        arm.start_sim()
+        arm.start_loop()
+        arm.start_front()
+        arm.start_view("--language", "zh")
+        browser.open(arm.url)
+        browser.until(lambda: browser.text("#rt-mode") == "保持")
+        browser.tab("运动")
+        browser.slide("joint1 °", 20.0)
+        browser.press("前往：机械臂将运动")
+        browser.until(lambda: "目标已到达：最大误差是" in browser.said("answer"))
+        browser.press("暂停")
+        browser.until(lambda: "静止" in browser.said("answer") and browser.text("#rt-mode") == "已暂停")
+        browser.press("继续")
+        browser.until(lambda: "重新接受目标" in browser.said("answer"))
+        arm.sim.process.send_signal(signal.SIGSTOP)  # silent drives
+        browser.until(lambda: browser.text("#rt-mode") == "故障")
+        assert "仿真机械臂没有一个驱动器应答" in browser.said("problem")
+        for tab in ("运动", "关节", "事件", "机器"):
+            browser.tab(tab)
+            browser.until(lambda: browser.selected_tab() == tab)  # noqa: B023
+            assert english_in(browser.page_text()) == set(), tab
+        arm.sim.process.send_signal(signal.SIGCONT)
+        browser.press("清除故障")
+        browser.until(lambda: "故障已清除" in browser.said("answer"))
+        arm.loop.process.send_signal(signal.SIGKILL)
+        arm.loop.process.wait()
+        browser.until(lambda: "没有正常结束就不在了" in browser.said("trouble"))
 
 
 def test_joints_are_taken_where_they_read_only_after_the_angles_were_shown(

@@ -21,7 +21,7 @@ def test_every_member_has_a_row(kind):
 
 @pytest.mark.parametrize("member", [m for kind in TABLES for m in kind], ids=lambda m: f"{type(m).__name__}.{m.name}")
 def test_each_sentence_is_one_and_fills_in(member):
-    text = sentences._say(TABLES[type(member)], type(member), int(member), "joint2", 0.1312, 0.1)
+    text = sentences._say(type(member), int(member), "en", "joint2", 0.1312, 0.1)
     assert text.endswith(".") and ". " not in text and "{" not in text
     bad_news = member not in (Outcome.NONE, Fault.NONE, Answer.NONE, Answer.DONE, Unreferenced.REFERENCED)
     if bad_news:
