@@ -483,7 +483,7 @@ def starting(arm: str, pid: int) -> str:
 def gone(arm: ArmConfig, pid: int) -> str:
     """The sentence about a control process that has ended."""
     return (
-        f"The control process of arm '{arm.name}' (pid {pid}) has ended and the drives brake by their own ramps: "
+        f"The control process of arm '{arm.name}' (pid {pid}) has ended and the drives stop by themselves: "
         f"find out why, then start it again with {_start_command(arm)}."
     )
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,14 +12,17 @@ from rtarm import completion
 from rtarm.cli_frame import AsJson, LanguageOption, draw, draw_json, sentences
 from rtarm.errors import Refusal
 
+if TYPE_CHECKING:
+    from shm.meaning import Language
+
 recordings_app = typer.Typer()
 """The commands, for `rtarm.cli` to add."""
 
 Recorded = Annotated[
-    Path | None,
+    str | None,
     typer.Argument(
         metavar="FILE",
-        help="A recording; left out: the newest one there is.",
+        help="A recording, or an arm's name for its newest; left out: the newest one there is.",
         autocompletion=completion.recordings,
     ),
 ]
@@ -78,13 +82,13 @@ def explain(file: Recorded = None, as_json: AsJson = False, language: LanguageOp
         from rtarm.language import language_of
         from rtarm.recording import shown
         from rtarm.recording.explain import explanation, plain
-        from rtarm.recording.folder import newest
 
         spoken = "en" if as_json else language_of(language)
+        path = _chosen(file, spoken)
         with shown.share("reading") as step:
-            told = explanation(file or newest(), step, spoken)
+            told = explanation(path, step, spoken)
         if as_json:
-            draw_json(plain(told))
+            draw_json({"file": str(path), **plain(told)})
         else:
             draw(told)
 
@@ -103,11 +107,11 @@ def plot(
     """
     with sentences():
         from rtarm.recording import shown
-        from rtarm.recording.folder import newest
         from rtarm.recording.plot import plot as draw_picture
 
+        path = _chosen(file)
         with shown.share("drawing") as step:
-            picture = draw_picture(file or newest(), output, step)
+            picture = draw_picture(path, output, step)
         typer.echo(str(picture))
 
 
@@ -140,12 +144,11 @@ def replay(
     with sentences():
         from rtarm.language import language_of
         from rtarm.recording import shown
-        from rtarm.recording.folder import newest
         from rtarm.recording.mcap_reader import read
 
         spoken = language_of(language)
         _refuse_what_does_not_fit(on_arm=on_arm, view=view, arm=arm, yes=yes)
-        path = file or newest()
+        path = _chosen(file, spoken)
         with shown.share("reading") as step:
             recording = read(path, step).recording
         if on_arm:
@@ -161,6 +164,21 @@ def replay(
             from rtarm.recording.replay import play
 
             play(recording, speed, spoken)
+
+
+def _chosen(given: str | None, language: Language = "en") -> Path:
+    """The recording that is meant; standard error says which it is where its file was not named."""
+    from rtarm.language import said
+    from rtarm.recording import folder
+    from rtarm.status_tables import duration_words
+
+    path = folder.chosen(given)
+    if path != Path(given or ""):
+        age = duration_words(max(0.0, time.time() - path.stat().st_mtime))
+        typer.echo(said(language, "{path}, written {age} ago", path=path, age=age), err=True)
+        if folder.is_another_being_written():
+            typer.echo(said(language, "Another recording is being written just now: ask again for it."), err=True)
+    return path
 
 
 def _refuse_what_does_not_fit(*, on_arm: bool, view: bool, arm: str | None, yes: bool) -> None:

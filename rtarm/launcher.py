@@ -345,7 +345,7 @@ class Launcher:
             return
         end = describe_end(loop.code)
         raise Refusal(
-            f"The control process ended {end} instead of in order; the drives have braked by themselves: "
+            f"The control process ended {end} instead of in order; the drives have stopped by themselves: "
             f"look at the arm and at the lines above before you start again with `{self.plan.again}`.",
             ExitCode.LOOP_DIED,
         )
@@ -453,7 +453,7 @@ class Launcher:
 
     def _loop_died(self, code: int) -> Refusal:
         return Refusal(
-            f"The control process ended {describe_end(code)}; the drives have braked by themselves; look at "
+            f"The control process ended {describe_end(code)}; the drives have stopped by themselves; look at "
             f"the arm, then start again with `{self.plan.again}`.",
             ExitCode.LOOP_DIED,
         )

@@ -36,7 +36,7 @@ HEARD_CYCLES = 100
 """Within so many, every request of a full ring is answered."""
 
 _ENDED = (
-    "The control process of arm '{arm}' ended meanwhile; the drives have braked by themselves: start it again with "
+    "The control process of arm '{arm}' ended meanwhile; the drives have stopped by themselves: start it again with "
     "{again}{options}."
 )
 _ENDED_HOMING = (
@@ -106,7 +106,7 @@ class Connection:
             said(
                 self.language,
                 "The control process of {arm} has not answered for {seconds:g} s, so it hangs: end it, then start it "
-                "again; the drives brake by themselves when it is gone.",
+                "again; the drives stop by themselves when it is gone.",
                 arm=self.arm,
                 seconds=ANSWER_PATIENCE_S,
             ),

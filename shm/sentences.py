@@ -132,8 +132,8 @@ OUTCOMES: dict[Outcome, Meaning] = {
         "Restart both processes from one installation; if it happens again, report it with the goal.",
     ),
     Outcome.RAN_DRY: Meaning(
-        "The stream of points ended while the arm moved, so it came to rest in a straight line beyond the last "
-        "point: end a stream with a point at rest.",
+        "The next point of the stream did not come in time while the arm moved, so it came to rest in a straight line "
+        "beyond the last point: send points earlier, and end a stream with a point at rest.",
         "What the sender meant to do next is not known; straight on is the least surprising way to stop.",
         "Nothing to do when the stream ended on purpose; otherwise look for what delays its sender.",
     ),

@@ -102,7 +102,7 @@ class Outcome(IntEnum):
     REFUSED_LIMITS = 14  # no way onto the trajectory inside the limits
     REFUSED_CORRUPT = 15  # a knot that is not finite, out of order or out of limits
     CLOCK_GAP = 16  # the cycle was away for longer than the drives' look-ahead
-    RAN_DRY = 17  # a stream of points ended in motion: stopped in a straight line
+    RAN_DRY = 17  # a stream of points ended or was late in motion: stopped in a straight line
     PATH_VELOCITY = 18
     PATH_ACCELERATION = 19
     GOAL_VELOCITY = 20

@@ -68,11 +68,16 @@ class Browser:
         size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         try:
-            self.until(lambda: self.driver.execute_script("return innerWidth") == size["width"])
-            self.until(lambda: not self._all(".u-title"))  # its plots are folded
+            self.until(lambda: self._lies_within(size["width"]))
             yield
         finally:
             self.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+    def _lies_within(self, width_px: int) -> bool:
+        """Whether the page is laid out for that width: there are buttons, and none beyond it."""
+        script = "return [...document.querySelectorAll('button')].map(e => e.getBoundingClientRect().right)"
+        ends_px = self.driver.execute_script(script)
+        return any(ends_px) and max(ends_px) <= width_px
 
     def scroll_to_end(self) -> None:
         """Scroll down whatever can be scrolled."""
@@ -80,16 +85,13 @@ class Browser:
             "for (const e of document.querySelectorAll('*')) if (e.scrollHeight > e.clientHeight) e.scrollTop = 1e6"
         )
 
-    def tap(self, text: str) -> None:
-        """Put a finger on the first text that begins so, whatever takes it."""
-        script = """const found = document.evaluate(`//*[starts-with(normalize-space(text()), '${arguments[0]}')]`,
-                document, null, XPathResult.FIRST_ORDERED_NODE_TYPE).singleNodeValue
-            const at = found === null ? null : found.getBoundingClientRect()
-            return at && [(at.left + at.right) / 2, (at.top + at.bottom) / 2]"""
-        x, y = self.until(lambda: self.driver.execute_script(script, text))
-        for kind in ("mousePressed", "mouseReleased"):
-            event = {"type": kind, "x": x, "y": y, "button": "left", "clickCount": 1}
-            self.driver.execute_cdp_cmd("Input.dispatchMouseEvent", event)
+    def takes_taps(self, text: str) -> bool:
+        """Whether a finger at the middle of the first text that begins so meets it."""
+        script = """const which = `//body//*[starts-with(normalize-space(text()), '${arguments[0]}')]`
+            const found = document.evaluate(which, document, null, XPathResult.FIRST_ORDERED_NODE_TYPE).singleNodeValue
+            const at = found.getBoundingClientRect()
+            return found.contains(document.elementFromPoint((at.left + at.right) / 2, (at.top + at.bottom) / 2))"""
+        return bool(self.driver.execute_script(script, text))
 
     def can_press(self, label: str) -> bool:
         """Whether a finger at the middle of that button meets it."""

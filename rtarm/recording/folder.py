@@ -21,6 +21,8 @@ KEPT_BYTES = 1 << 30
 SUFFIX = ".mcap"
 OWN_NAME = re.compile(r"[^-]+-\d{8}T\d{6}Z-\w+(-\d+)?" + re.escape(SUFFIX))
 """What `new_path` makes: the name of an arm has no hyphen."""
+_NAME = re.compile(r"[a-z0-9_]+")
+"""Of an arm."""
 LONG = "long"
 """What a recording that went on is named after: somebody asked for it, so it is never removed to make room."""
 ABANDONED_S = 600.0
@@ -102,16 +104,33 @@ def _found() -> list[tuple[int, int, Path]]:
     return sorted(found, reverse=True)
 
 
-def newest() -> Path:
-    """The newest recording.
+def is_another_being_written() -> bool:
+    """Whether one more will be here soon, such as that of an arm which has died just now."""
+    return any(folder().glob(f"{ASIDE_PREFIX}*{ASIDE_SUFFIX}"))
+
+
+def newest(arm: str | None = None) -> Path:
+    """The newest recording, of an arm or of all.
 
     Raises:
         Refusal: there is none.
     """
-    found = recordings()
+    found = recordings(arm)
     if not found:
+        of_it = "" if arm is None else f" of an arm '{arm}'"
         raise Refusal(
-            f"There is no recording in {folder()}: `rtarm record` makes one of a running arm, and `rtarm up` one after "
-            "each latched fault."
+            f"There is no recording{of_it} in {folder()}: `rtarm record` makes one of a running arm, and `rtarm up` "
+            "one after each latched fault."
         )
     return found[0]
+
+
+def chosen(given: str | None) -> Path:
+    """The recording that a person means: a file, the newest of the arm of that name, or else the newest.
+
+    Raises:
+        Refusal: there is none of that arm, or none at all.
+    """
+    if given is None or (_NAME.fullmatch(given) and not Path(given).exists()):
+        return newest(given)
+    return Path(given)

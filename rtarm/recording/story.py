@@ -463,7 +463,7 @@ def _left_alone(recording: Recording, language: Language) -> str:
         return said(language, "it had no bus, and so no drives")
     if not np.any(recording.records["joints"]["commanded_velocity_rad_s"][-1] != 0.0):
         return said(language, "no joint was commanded to move then")
-    return said(language, "the drives went on for two cycles and braked by their own ramp")
+    return said(language, "the drives went on for a moment and stopped by themselves")
 
 
 def _known_fault(number: int) -> Fault:

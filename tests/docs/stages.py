@@ -89,6 +89,7 @@ RUN: dict[str, Run] = {
     "rtarm hold": Run(ARM, "stands and takes no goals before `rtarm resume`"),
     "rtarm resume": Run(ARM, "is not held"),
     "rtarm move joint1=15 joint2=-5": Run(ARM, "Goal reached"),
+    "rtarm move joint6=5 --relative --speed 0.1": Run(ARM, "Goal reached"),
     "rtarm stop": Run(ARM, "no goal was running"),
     "rtarm clear-fault": Run(ARM, "fault"),
     "python goal.py": Run(ARM, "Goal reached: the largest error is"),

@@ -94,7 +94,7 @@ def test_recorded_goals_cancel_replacement_and_a_killed_loop(processes):
     loop.kill()
     killed = time.monotonic()
     status, _, words = client.result(running)
-    assert status == ABORTED and "has ended and the drives brake by their own ramps" in words
+    assert status == ABORTED and "has ended and the drives stop by themselves" in words
     assert time.monotonic() - killed < 0.5
 
 

@@ -191,7 +191,7 @@ def test_a_dead_loop_aborts_the_goal_and_a_new_one_is_found(stage):
     died = time.monotonic()
     status, code, words = stage.client.result(handle)
     assert time.monotonic() - died < 0.5
-    assert (status, code) == (ABORTED, -1) and "has ended and the drives brake by their own ramps" in words
+    assert (status, code) == (ABORTED, -1) and "has ended and the drives stop by themselves" in words
     stage.client.states.clear()
     assert "has ended" in stage.client.run(goal())[2]
     stage.new_loop()

@@ -268,7 +268,7 @@ def test_without_a_control_process_the_last_angles_stay_and_are_no_success(arm):
     arm.stack.loop.process.kill()
     try:
         status, result = arm.client.ended(running)
-        assert status == ABORTED and "has ended and the drives brake by their own ramps" in result.message
+        assert status == ABORTED and "has ended and the drives stop by themselves" in result.message
         until(lambda: not heard[-1].success, "a message that says so")
         assert "has ended and the drives brake" in heard[-1].message
         assert 150.0 < heard[-1].angles[0] < 180.5

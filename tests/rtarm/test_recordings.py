@@ -10,6 +10,7 @@ import random
 import signal
 import stat
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -500,7 +501,7 @@ def test_a_fault_without_a_joint_comes_first_but_for_what_went_wrong_just_before
 @pytest.mark.parametrize(
     ("bitrate", "velocity_rad_s", "then"),
     [
-        (500_000, 0.1, "the drives went on for two cycles and braked by their own ramp."),
+        (500_000, 0.1, "the drives went on for a moment and stopped by themselves."),
         (500_000, 0.0, "no joint was commanded to move then."),
         (0, 0.1, "it had no bus, and so no drives."),
     ],
@@ -840,6 +841,24 @@ def test_without_recordings_explain_says_how_to_make_one(rtarm: Rtarm, state_hom
     result = rtarm("explain")
     assert result.exit_code == 1
     assert f"There is no recording in {state_home}" in result.stderr
+
+
+def test_the_newest_recording_of_an_arm_is_taken_by_its_name_and_told_with_its_age(
+    rtarm: Rtarm, power_loss: Recording, state_home: Path
+) -> None:
+    left, right = (state_home / f"{arm}-20260101T000000Z-wire.mcap" for arm in ("left", "right"))
+    for age_s, path in ((200.0, left), (100.0, right)):
+        mcap_writer.write(power_loss, NOW, path)
+        os.utime(path, (time.time() - age_s, time.time() - age_s))
+    assert rtarm("explain").stderr.startswith(f"{right}, written 1 min 4")
+    result = rtarm("explain", "left", "--json")
+    assert json.loads(result.stdout)["file"] == str(left)
+    assert f"{left}, written 3 min 2" in result.stderr and "being written" not in result.stderr
+    (state_home / f"{mcap_writer.ASIDE_PREFIX}1{mcap_writer.ASIDE_SUFFIX}").touch()
+    assert "Another recording is being written just now" in rtarm("explain", "left").stderr
+    assert rtarm("explain", str(left)).stderr == ""
+    missing = rtarm("explain", "middle")
+    assert missing.exit_code == 1 and "There is no recording of an arm 'middle' in" in missing.stderr
 
 
 # --- on demand ----------------------------------------------------------------------------------------------

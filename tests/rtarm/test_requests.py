@@ -116,7 +116,7 @@ def test_stop_notices_the_end_of_the_control_process(arm: WrittenArm, rtarm: Rta
     with arm.answering(obey):
         result = rtarm("stop", arm.name)
     assert result.exit_code == 1
-    assert "ended meanwhile; the drives have braked by themselves" in result.stderr
+    assert "ended meanwhile; the drives have stopped by themselves" in result.stderr
 
 
 def faulty(arm: WrittenArm) -> None:

@@ -245,14 +245,13 @@ def test_a_joint_near_its_limit_is_told(arm: ViewedArm, browser: Browser) -> Non
 
 def test_on_a_phone_stop_is_there_however_the_sheet_is_scrolled_and_tapped(arm: ViewedArm, browser: Browser) -> None:
     stop = "Stop and end the goal"
+
     with browser.phone():
         browser.until(lambda: browser.can_press(stop) and browser.can_press("Hold"))
-        browser.tap("rtarm")  # on the sheet's head, which would fold it with all that is in it
-        browser.tap("Plots")
-        browser.until(lambda: browser.texts(".u-title"))
-        browser.until(lambda: browser.scroll_to_end() or not browser.can_press("Hold"))
-        browser.press(stop)
-        arm.until(lambda report: report["held"])
+        browser.until(lambda: not browser.takes_taps("rtarm: "))  # which would fold the sheet, and Stop with it
+        assert browser.takes_taps("Events")
+        browser.scroll_to_end()
+        assert browser.can_press(stop)
 
 
 def test_two_tabs_show_one_page(arm: ViewedArm, browser: Browser) -> None:

@@ -156,7 +156,7 @@ def test_what_ends_in_motion_comes_to_rest(stage_for):
     stage = stage_for(gentle=True)
     sent = stage.publish(trajectory(point(0.5, away(0.1), [0.5, 0.5, 0.5])))
     stage.until(lambda: sent.ended, 3.0)
-    assert sent.outcome == (ABORTED, -1) and "The stream of points ended while the arm moved" in sent.sentence
+    assert sent.outcome == (ABORTED, -1) and "The next point of the stream did not come in time" in sent.sentence
     moved = stage.commanded - START
     assert moved == pytest.approx([moved[0]] * 3, abs=1e-9) and moved[0] > 0.1
     stage.assert_stands()
