@@ -247,9 +247,9 @@ class Controls:
         """Offer the buttons that mean something now."""
         report = look.report if look.trouble is None else None
         with self._lock:
-            if report is not None:
-                _enable(self._hold, not report["held"])  # of an arm that stands: it keeps what comes from beginning
-                _enable(self._resume, report["held"])
+            held = report is not None and report["held"]
+            _enable(self._hold, not held)  # also of an arm that stands: it keeps what comes from beginning
+            _enable(self._resume, held)
             _show(self._clear, report is not None and report["fault"] is not None)
             _show(self._enable, report is not None and report["fault"] is None and report["mode"] in LIMP)
             _show(self._reference, report is not None and report["mode"] == "holding" and _lacks_a_reference(report))

@@ -48,7 +48,7 @@ STYLE = """<style>
 .rt .near .bar i.is {background: #e67700} .rt .bad .bar i.is {background: #c92a2a}
 .rt .GOOD {color: #2b8a3e} .rt .BAD {color: #c92a2a} .rt .ODD {color: #b35c00}
 @media (max-width: 36em) {
-  div:has(> .rt-stop) + div {position: fixed; top: 8px; left: 0; right: 0}
+  div:has(> .rt-stop) + div {position: fixed; top: 8px; left: 0; right: 0; z-index: 1000}
   div:has(+ div div .rt-stop) {pointer-events: none}
   div:has(+ div div .rt-stop) > :last-child {pointer-events: auto}
 }
