@@ -85,8 +85,19 @@ def draw(loaded: Loaded) -> Figure:
     count = len(recording.joints)
     columns = 2 if count >= COLUMNS_FROM else 1
     rows = -(-count // columns)
-    figure = Figure(figsize=(11.0 * columns**0.5, 2.2 + 1.55 * rows), layout="constrained")
-    grid = figure.add_gridspec(rows + 2, 2 * columns, height_ratios=[0.28, *[1.0] * rows, 0.8])
+    width_in, height_in = 11.0 * columns**0.5, 2.2 + 1.55 * rows
+    figure = Figure(figsize=(width_in, height_in))
+    grid = figure.add_gridspec(  # places of our own: to measure every label for them takes as long as to read the file
+        rows + 3,
+        2 * columns,
+        height_ratios=[0.28, *[1.0] * rows, 0.1, 0.8],
+        left=0.8 / width_in,
+        right=1.0 - 0.1 / width_in,
+        bottom=0.5 / height_in,
+        top=1.0 - 0.85 / height_in,
+        wspace=0.2,
+        hspace=0.17,
+    )
     mode = figure.add_subplot(grid[0, :])
     _draw_modes(mode, recording, times)
     for index, name in enumerate(recording.joints):
@@ -102,7 +113,7 @@ def draw(loaded: Loaded) -> Figure:
             first=index == 0,
             last=last,
         )
-    lateness = figure.add_subplot(grid[rows + 1, :], sharex=mode)
+    lateness = figure.add_subplot(grid[rows + 2, :], sharex=mode)
     _draw_lateness(lateness, recording, times)
     for axes in figure.axes:
         _mark_faults(axes, recording, times)
@@ -112,7 +123,7 @@ def draw(loaded: Loaded) -> Figure:
         heading.append(_plain(_shortened(story.verdict[0])))
     if loaded.damage:
         heading.append(_plain(_shortened(f"The file is damaged: {loaded.damage}")))
-    figure.suptitle("\n".join(heading), fontsize=10, x=0.01, ha="left")
+    figure.suptitle("\n".join(heading), fontsize=10, x=0.01, y=1.0 - 0.1 / height_in, ha="left", va="top")
     return figure
 
 
