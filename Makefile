@@ -20,7 +20,7 @@ CASES ?= 1000000
 COUNT ?= 80
 SEED ?= 1
 
-.PHONY: help env tools lock demo test test-live test-all test-vm transcripts mutants check docs reference bench trials ros-trials bus-trials bus-trials-live stop-trials soak fuzz dist test-dist clean
+.PHONY: help env tools lock demo test test-live test-all test-vm transcripts mutants check docs reference names keep bench trials ros-trials bus-trials bus-trials-live stop-trials soak fuzz dist test-dist clean
 
 help:
 	@echo 'make demo     play a recorded MoveIt goal on a simulated arm, VIEW=1 to watch and move it in a browser'
@@ -33,6 +33,8 @@ help:
 	@echo 'make check    ruff and mypy'
 	@echo 'make docs     build the documentation into build/site'
 	@echo 'make reference  make the pages of docs/reference anew from the code'
+	@echo 'make names    add new names that users build on to the lists of stable names'
+	@echo 'make keep     at a release: keep files of this version, which later ones must go on reading'
 	@echo 'make bench    run the benchmarks'
 	@echo 'make trials   hurt the processes of an arm in motion, TRIALS=200 times'
 	@echo 'make ros-trials  kill ROS processes beside an arm, TRIALS=200 times'
@@ -91,6 +93,13 @@ docs: tools
 
 reference: tools
 	$(BIN)/python -m handbook docs/reference
+
+names: tools
+	PYTHONPATH=.:tests:tests/rtarm $(BIN)/python -m stable_names
+	$(MAKE) reference
+
+keep: env
+	PYTHONPATH=.:tests $(BIN)/python -m keep
 
 bench: env
 	$(BIN)/rtarm bench

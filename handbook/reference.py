@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from handbook import commands, configuration, faults, memory, ros, states
+from handbook import commands, configuration, faults, memory, ros, stability, states
 
 PAGES: dict[str, Callable[[], str]] = {
     "commands.md": commands.build,
@@ -10,5 +10,6 @@ PAGES: dict[str, Callable[[], str]] = {
     "faults.md": faults.build,
     "memory.md": memory.build,
     "ros.md": ros.build,
+    "stability.md": stability.build,
     "states.md": states.build,
 }

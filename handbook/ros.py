@@ -237,3 +237,22 @@ def parameters(arm: ArmConfig) -> Iterator[tuple[str, ...]]:
 
 
 TYPES = {str: "string", bool: "bool", int: "integer", float: "double", list: "string[]"}
+
+
+def stable() -> list[str]:
+    """What is offered as lines of names and types, with the parameters and the fields of our own types."""
+    arm = load_arm("mock", overrides={"name": NOBODYS, "gripper": {"hook": "simulated"}})
+    kinds = zip(("action", "topic published", "topic listened to", "service"), offered(arm), strict=True)
+    offers = [f"{kind} {offer.name} {offer.type}" for kind, found in kinds for offer in found]
+    taken = [f"parameter {name.strip('`')}: {kind}" for name, kind, *_ in parameters(arm)]
+    return [*offers, *taken, *(field for path in definitions() for field in fields_of(path))]
+
+
+PARTS = {".msg": ("",), ".srv": ("request ", "response "), ".action": ("goal ", "result ", "feedback ")}
+
+
+def fields_of(path: Path) -> Iterator[str]:
+    """The fields of a type, each with the part it is in."""
+    parts = path.read_text(encoding="utf-8").split("---\n")
+    for part, text in zip(PARTS[path.suffix], parts, strict=True):
+        yield from (f"{path.stem} {part}{line}" for line in text.splitlines() if line and not line.startswith("#"))

@@ -1,0 +1,196 @@
+"""What each command prints with `--json`, of arms that nobody leads; full, so that no key of it is missing."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, fields
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from hand_readings import limits
+from recorded import a_recording
+from typer.testing import CliRunner
+from written_arm import WrittenArm
+
+from config.loader import load_arm
+from motion.gripping import Grip
+from rtarm.cli import app
+from rtarm.doctor.checks import Check
+from rtarm.doctor.finding import ok
+from rtarm.doctor.repair import Change, Repairs
+from rtarm.scan.adapters import Adapter
+from rtarm.scan.overheard import Overheard
+from rtarm.scan.search import FoundDrive
+from rtarm.scan.search import Outcome as Searched
+from rtarm.teach.file import motion_path, require_free, save
+from rtarm.teach.motion import Motion
+from rtloop.drives.zdt_registers import Block, HomingParameters, Trip, Version
+from rtloop.offline.settings import compare
+from rtloop.offline.settings.session import Written
+from rtloop.offline.settings.talk import Reading
+from shm import layout
+from shm.gripper import show_gripper
+from shm.words import Fault, Outcome, Phase
+
+Reports = list[Any]
+
+NOWHERE = "none_of_this_name"
+ORDERS = {
+    "rtarm stop": "rtarm.requests.stop",
+    "rtarm clear-fault": "rtarm.requests.clear_fault",
+    "rtarm hold": "rtarm.requests.hold",
+    "rtarm resume": "rtarm.requests.resume",
+    "rtarm enable": "rtarm.requests.enable",
+    "rtarm disable": "rtarm.requests.let_go",
+    "rtarm free": "rtarm.requests.let_go",
+    "rtarm home": "rtarm.requests.home",
+    "rtarm reference": "rtarm.referencing.reference",
+}
+"""Commands that ask a running arm for something, and what does it."""
+
+
+def keys_of(value: Any, place: str = "") -> Iterator[str]:
+    """The places of all keys of nested values, such as `joints[].name`."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            here = f"{place}.{key}" if place else key
+            yield here
+            yield from keys_of(inner, here)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from keys_of(inner, f"{place}[]")
+
+
+def printed(*arguments: str) -> Any:
+    """What a command prints with `--json`, without a process."""
+    result = CliRunner().invoke(app, [*arguments, "--json"])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return json.loads(result.stdout)
+
+
+def of_status() -> Reports:
+    """Of an arm with a goal, a result, a latched fault and a gripper; and of none."""
+    arm = WrittenArm(f"names_{os.getpid()}")
+    try:
+        now_ns = time.monotonic_ns()
+        arm.snapshot["goal_id"], arm.snapshot["goal_phase"] = 2, Phase.RUNNING
+        arm.snapshot["fault"], arm.snapshot["fault_ns"] = Fault.FOLLOWING_ERROR, now_ns
+        result = arm.snapshot["results"][0]
+        result["goal_id"], result["outcome"], result["monotonic_ns"] = 1, Outcome.SUCCEEDED, now_ns
+        gripper = np.zeros((), layout.GRIPPER)
+        gripper["written"], gripper["grip"] = 1, Grip.STALLED
+        show_gripper(arm.files.state.array, gripper)
+        arm.publish()
+        return [printed("status", arm.name), printed("status", NOWHERE)]
+    finally:
+        arm.files.remove()
+
+
+def of_doctor() -> Reports:
+    """Of one check, and of one value that was changed; nothing here is looked at, nor changed."""
+    repaired = Repairs([Change("/sys/nothing", "0", "1")], ["It may not be written."])
+    with (
+        patch("rtarm.doctor.report.CHECKS", (Check("a check", "It matters.", lambda *_: ok("fine")),)),
+        patch("rtarm.doctor.report.repair", lambda *_: repaired),
+    ):
+        return [printed("doctor", "--fix"), printed("doctor", NOWHERE)]
+
+
+def of_config_check() -> Reports:
+    return [printed("config", "check", "episode1"), printed("config", "check", NOWHERE)]
+
+
+def of_explain() -> Reports:
+    """Of a recording that ends in a fault, and of a file that is none."""
+    with a_recording() as path:
+        return [printed("explain", str(path)), printed("explain", NOWHERE)]
+
+
+def of_order(command: str) -> Reports:
+    """Of what is done, and of an arm that does not run."""
+    words = command.split()[1:]
+    words += ["joint1", "--arm", NOWHERE] if command == "rtarm reference" else [NOWHERE]
+    with patch("rtarm.status.resolve_arm", lambda _: "an_arm"), patch(ORDERS[command], lambda *_: "It is done."):
+        done = printed(*words)
+    return [done, printed(*words)]
+
+
+def of_drives() -> Reports:
+    """Of a drive that has told everything, after a write; and of none."""
+    arm = load_arm("episode1")
+    reading = Reading(
+        version=Version(200, 1, newer=True),
+        block=Block(*(0 for _ in fields(Block))),
+        homing=HomingParameters(*(0 for _ in fields(HomingParameters))),
+        trip=Trip(90, 3000, 1000),
+        supply_mv=24_000,
+    )
+    report = {
+        "drives": [compare.as_json(compare.report_of(arm, 0, reading))],
+        **asdict(Written(["joint1"], "It ended.")),
+    }
+
+    def run(*_: object, show: Callable[[Any], None], **__: object) -> Any:
+        show(report)
+        return report
+
+    with patch("rtarm.drives.run", run):
+        return [printed("drives", "episode1"), printed("drives", NOWHERE)]
+
+
+def of_scan() -> Reports:
+    """Of an adapter behind which a drive has answered and another was overheard; and of none."""
+    outcome = Searched(500_000, [FoundDrive(1)], [Overheard("odrive", "ODrive", 2, "idle")])
+    adapter = Adapter("/dev/nowhere", "slcan", "an adapter")
+    with (
+        patch("rtarm.scan.run._named", lambda *_: adapter),
+        patch("rtarm.scan.run._try_serial", lambda _: (outcome, 1_000_000)),
+    ):
+        found = printed("scan", "--port", "/dev/nowhere")
+    return [found, printed("scan", "--port", "/dev/none/of/this/name")]
+
+
+def of_move() -> Reports:
+    """Of a motion that came to its end, and of an arm that does not run."""
+
+    class Connected(SimpleNamespace):
+        def __enter__(self) -> Any:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            """Nothing is open."""
+
+    with patch("rtarm.arm.connect", lambda _: Connected(name="an_arm", move=lambda *_, **__: "It is there.")):
+        done = printed("move", "joint1=1")
+    return [done, printed("move", "joint1=1", "--arm", NOWHERE)]
+
+
+def of_motions() -> Reports:
+    """Of one that can be played, and of one that cannot."""
+    times_s, positions_rad = np.array([0.0, 1.0]), np.zeros((2, 6))
+    with tempfile.TemporaryDirectory() as home, patch.dict(os.environ, {"XDG_DATA_HOME": home}):
+        require_free(motion_path("wave"), force=False)
+        save(Motion("episode1", limits(), "today", 0.01, 0.0, times_s, positions_rad), motion_path("wave"), force=False)
+        Path(motion_path("broken")).write_text("format: 0\n", encoding="utf-8")
+        return [printed("motions")]
+
+
+REPORTS: dict[str, Callable[[], Reports]] = {
+    "rtarm status": of_status,
+    "rtarm doctor": of_doctor,
+    "rtarm config check": of_config_check,
+    "rtarm explain": of_explain,
+    **{command: lambda command=command: of_order(command) for command in ORDERS},  # type: ignore[misc]
+    "rtarm drives": of_drives,
+    "rtarm scan": of_scan,
+    "rtarm move": of_move,
+    "rtarm motions": of_motions,
+}
+"""Every command that has `--json`, as a choice between text and one JSON object."""
