@@ -241,11 +241,14 @@ TYPES = {str: "string", bool: "bool", int: "integer", float: "double", list: "st
 
 def stable() -> list[str]:
     """What is offered as lines of names and types, with the parameters and the fields of our own types."""
+    from rosfront.state_topics import INTERFACES
+
     arm = load_arm("mock", overrides={"name": NOBODYS, "gripper": {"hook": "simulated"}})
     kinds = zip(("action", "topic published", "topic listened to", "service"), offered(arm), strict=True)
     offers = [f"{kind} {offer.name} {offer.type}" for kind, found in kinds for offer in found]
     taken = [f"parameter {name.strip('`')}: {kind}" for name, kind, *_ in parameters(arm)]
-    return [*offers, *taken, *(field for path in definitions() for field in fields_of(path))]
+    told = [f"/dynamic_joint_states: {name}" for name in INTERFACES]
+    return [*offers, *taken, *told, *(field for path in definitions() for field in fields_of(path))]
 
 
 PARTS = {".msg": ("",), ".srv": ("request ", "response "), ".action": ("goal ", "result ", "feedback ")}

@@ -35,7 +35,8 @@ KINDS = """\
 - **ROS**: [topics, services, actions and parameters](ros.md), and the fields of `robot_arm_interfaces`.
 - **Recordings**: channels, fields and metadata of the MCAP files, [below](#recordings).
 - **Words and numbers** of modes, faults, outcomes and the like in both: [numbers by name](memory.md#numbers-by-name).
-- **Python**: what `import rtarm` gives, [below](#python)."""
+- **Python**: what `import rtarm` gives, and what [a gripper of your own](../hardware/gripper.md) is made with,
+  [below](#python)."""
 GROWTH = """\
 Every version may bring new names: keys, fields, options and parameters with a default, words such as a new fault or
 mode. A program ignores what it does not know, and takes `null` for a value that is not known just then. The default of
@@ -59,10 +60,10 @@ NOT_STABLE = """\
 - The wording of sentences, tables, help and logs, in any language. A program reads exit codes, names and numbers.
 - [Words in shared memory](memory.md) and their places: processes of two versions refuse each other. Read
   `rtarm status --json`, or use `rtarm.connect`.
-- Modules, functions and classes that are not in `rtarm.__all__`, and every name that begins with `_`.
+- Modules, functions and classes that are not [listed below](#python), and every name that begins with `_`.
 - The order of keys in JSON, the figures that `rtarm demo --json FILE` and `rtarm bench --json FILE` write, and the
   report of `rtarm commission`.
-- Keys and texts in `/diagnostics`, which are for people.
+- Keys and texts in `/diagnostics`, which are for people, and texts in results of ROS.
 - The page of `rtarm view`, its addresses and what it exchanges with the browser; pictures of `rtarm plot`.
 - Files that `rtarm moveit-config` makes. Names of ROS in them are stable as above.
 - CAN frames and their timing."""
@@ -92,7 +93,7 @@ def build() -> str:
         table(("channel", "fields"), together("recordings")),
         "## Python",
         "[How they are used](../guides/python.md). A parameter behind `*` is given by its name alone.",
-        table(("name", "with"), members()),
+        table(("name", "with"), together("python")),
     )
 
 
@@ -112,13 +113,3 @@ def together(kind: str) -> Iterator[tuple[str, str]]:
     for place, names in inside.items():
         places.setdefault(", ".join(names), []).append(code(place))
     yield from ((", ".join(same), names) for names, same in places.items())
-
-
-def members() -> Iterator[tuple[str, str]]:
-    """A row for each exported name of Python: what it is, and what it has."""
-    inside: dict[str, list[str]] = {}
-    for line in listed("python"):
-        name = line.partition("(")[0].partition(" ")[0].partition(".")[0]
-        inside.setdefault(name, []).append(line.removeprefix(name).lstrip(". "))
-    for name, parts in inside.items():
-        yield code(name), ", ".join(code(part) for part in parts if part)

@@ -20,6 +20,7 @@ from json_reports import REPORTS, keys_of
 from mcap.reader import make_reader
 from recorded import a_recording
 
+import rosfront.gripper.hook
 import rtarm
 from config.joint import Drives
 from config.schema import ArmConfig
@@ -43,6 +44,9 @@ PUBLIC_NUMBERS = (
     Grip,
 )
 """Enumerations that stand in JSON and in recordings, by name or by number."""
+PUBLIC_MODULES = (rtarm, rosfront.gripper.hook)
+"""Modules whose `__all__` is for users: the arm from Python, and what a gripper of one's own is made with."""
+PUBLIC = {getattr(module, name) for module in PUBLIC_MODULES for name in module.__all__}
 
 
 def of_configuration() -> Iterator[str]:
@@ -57,12 +61,10 @@ def of_configuration() -> Iterator[str]:
 
 
 def of_commands() -> Iterator[str]:
-    """Commands, their arguments and options, those that the help hides left out."""
+    """Commands, their arguments and options."""
     for command in commands.commands():
         yield command.name
         for given in command.command.params:
-            if getattr(given, "hidden", False):
-                continue
             spellings = given.opts if given.param_type_name == "option" else [given.metavar or given.name]
             for spelling in (*spellings, *given.secondary_opts):
                 yield f"{command.name} {spelling}"
@@ -103,39 +105,40 @@ def of_exit_codes() -> Iterator[str]:
 
 
 def of_python() -> Iterator[str]:
-    """What `rtarm` exports, with methods, attributes and parameters; a default belongs to its parameter."""
-    for name in rtarm.__all__:
-        thing = getattr(rtarm, name)
-        yield name
-        if inspect.isclass(thing):
-            yield from (f"{name} is: {base.__name__}" for base in thing.__mro__[1:] if exported(base))
-            yield from (f"{name}.{attribute}" for attribute in attributes(thing))
-            if hasattr(thing, "__enter__"):
-                yield f"{name} is: a context manager"
-            for method, function in inspect.getmembers(thing, inspect.isfunction):
-                if not method.startswith("_"):
-                    yield from signature(f"{name}.{method}", function)
-        else:
-            yield from signature(name, thing)
+    """What modules export: bases, attributes, methods and parameters; a default belongs to its parameter."""
+    for module in PUBLIC_MODULES:
+        for name in module.__all__:
+            thing = getattr(module, name)
+            of_thing = of_class(thing) if inspect.isclass(thing) else signature("", thing)
+            yield from (f"{module.__name__}.{name}: {what}" for what in of_thing)
 
 
-def exported(kind: type) -> bool:
-    """Whether users know a class by name, as one of ours or of Python's."""
-    return kind.__name__ in rtarm.__all__ or kind is Exception
+def of_class(kind: type) -> Iterator[str]:
+    """What a class is and has; the attributes and methods that it got from a base of ours are told there too."""
+    yield from (f"is {base.__name__}" for base in kind.__mro__[1:] if base is Exception or base in PUBLIC)
+    if hasattr(kind, "__enter__"):
+        yield "is a context manager"
+    if issubclass(kind, tuple):
+        yield from signature("", kind)
+    yield from attributes(kind)
+    for method, function in inspect.getmembers(kind, inspect.isfunction):
+        if not method.startswith("_"):
+            yield from signature(method, function)
 
 
 def attributes(kind: type) -> set[str]:
-    """The attributes that a class' docstring tells of; those of its bases are theirs."""
+    """The attributes that a class' docstring tells of, and what is made of a dataclass or an enumeration."""
     _, _, told = inspect.cleandoc(kind.__doc__ or "").partition("Attributes:\n")
     heads = (line.partition(":")[0] for line in told.splitlines() if re.match(r"    \w[\w, ]*:", line))
     told_of = {name.strip() for head in heads for name in head.split(",")}
-    return told_of | set(getattr(kind, "__dataclass_fields__", ()))
+    return told_of.union(getattr(kind, "__dataclass_fields__", ()), getattr(kind, "__members__", ()))
 
 
 def signature(name: str, function: Callable[..., Any]) -> Iterator[str]:
     """A function and each of its parameters, so that another one beside them changes none."""
     found = inspect.signature(function)
-    yield f"{name}() -> {found.return_annotation}"
+    result = "" if inspect.isclass(function) else f" -> {found.return_annotation}"
+    yield f"{name}(){result}"
     for given in found.parameters.values():
         if given.name != "self":
             named = "*, " if given.kind is given.KEYWORD_ONLY else ""
