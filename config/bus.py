@@ -96,6 +96,17 @@ class BusConfig(Section):
                 return {"serial_baud": adapter.serial_baud, **values}
         return values
 
+    @field_validator("interface", mode="before")
+    @classmethod
+    def _kind_rather_than_name(cls, value: Any) -> Any:
+        if isinstance(value, str) and re.fullmatch(r"v?can\d*", value):
+            raise refuse(
+                "",
+                f"interface is {value}, but CAN interfaces of the system are reached by socketcan: set interface to "
+                "socketcan, and channel to its name, such as can0.",
+            )
+        return value
+
     @field_validator("serial_baud", mode="before")
     @classmethod
     def _known_baud(cls, value: Any) -> Any:

@@ -41,7 +41,35 @@ def render_check(arm: ArmConfig) -> RenderableType:
         parts.append(settings_table(arm.joints))
     parts.append(Text(f"Every stop on the path ends within {arm.longest_stop_s:.1f} s.\n"))
     parts.append(budget_table(arm, budget(arm)))
+    parts += [Text(note, style="yellow") for note in notes(arm)]
     return Group(*parts)
+
+
+def notes(arm: ArmConfig) -> list[str]:
+    """What is allowed and yet may surprise, a sentence each."""
+    found = [
+        f"{joint.name}'s range is {joint.upper_deg - joint.lower_deg:.2g}°: limits are in degrees; did you give "
+        "radians?"
+        for joint in arm.joints
+        if max(-joint.lower_deg, joint.upper_deg) <= 2.0 * math.pi
+    ]
+    if counting_anew := [_counting_anew(joint) for joint in arm.joints if counts_anew(joint)]:
+        found.append(
+            "After each start a reference is needed (`rtarm reference`, or `rtarm home` where the drive finds a stop) "
+            f"by {', '.join(counting_anew)}."
+        )
+    return found
+
+
+def counts_anew(joint: JointConfig) -> bool:
+    """Whether nothing proves, when rtarm starts, that what the drive counts still means an angle; ZDT drives do."""
+    return joint.drive.family not in ("zdt", "mock") and not joint.knows_its_angle
+
+
+def _counting_anew(joint: JointConfig) -> str:
+    if joint.drive.knows_its_angle:
+        return f"{joint.name} (its range is {joint.range_turns:.2f} motor turns, of which its encoder sees one)"
+    return f"{joint.name} (no absolute encoder)"
 
 
 def figures(arm: ArmConfig) -> dict[str, Any]:
@@ -58,6 +86,7 @@ def figures(arm: ArmConfig) -> dict[str, Any]:
         "serial_load": found.serial_load,
         "frames_per_cycle": found.frames_per_cycle,
         "longest_stop_s": arm.longest_stop_s,
+        "notes": notes(arm),
         "joints": [asdict(joint) for joint in derived_table(arm)],
     }
 
@@ -195,7 +224,8 @@ def _verdict(fits: bool) -> str:
 
 
 def _table(first: str, *columns: str) -> Table:
-    table = Table(first, box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column(first, overflow="fold")
     for column in columns:
         table.add_column(column, justify="right", no_wrap=True)
     return table

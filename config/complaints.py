@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, get_args
 
@@ -10,9 +10,10 @@ import yaml
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
-from config.errors import ConfigError
+from config.errors import ConfigError, did_you_mean
 from config.joint import JointConfig
 from config.schema import ArmConfig
+from config.section import ordinal
 from config.yaml_text import Location, find_line, parts_of, text_of
 
 _DERIVED_FIELDS = {
@@ -31,7 +32,7 @@ def complaint(
     context = details.get("ctx", {})
     if details["type"] == "arm_config":
         location = (*location, *parts_of(str(context["field"])))
-        problem = str(context["sentence"])
+        problem = _with_its_joint(str(context["sentence"]), location, values)
     else:
         problem = _sentence(details, location, model, _subject(location, values))
     text = text_of(location)
@@ -77,19 +78,38 @@ def _family(model: type[BaseModel]) -> str:
     return str(get_args(model.model_fields["family"].annotation)[0])
 
 
+def _with_its_joint(sentence: str, location: Location, values: Mapping[str, Any]) -> str:
+    """A sentence that begins with its field, with the joint whose field it is, which a drive's section cannot know."""
+    joint = _joint_of(location, values)
+    begins = f"{location[-1]} is " if location else ""
+    if joint is None or not sentence.startswith(begins) or joint in sentence:
+        return sentence
+    return f"{_subject(location, values)} is {sentence.removeprefix(begins)}"
+
+
+def _joint_of(location: Location, values: Mapping[str, Any]) -> str | None:
+    """The joint that a location is about, by its name if it has one; None where it is about none."""
+    match location:
+        case ("joints", int(index), *_) | ("kinematics", "dh", int(index), *_) | (*_, "joints_deg", int(index)):
+            joints = values.get("joints")
+            joint = joints[index] if isinstance(joints, list) and index < len(joints) else None
+            name = joint.get("name") if isinstance(joint, dict) else None
+            is_named = isinstance(name, str) and name and location != ("joints", index, "name")
+            return str(name) if is_named else f"the {ordinal(index)} joint"
+    return None
+
+
 def _subject(location: Location, values: Mapping[str, Any]) -> str:
     """How the sentence names the field: `ratio of joint3`, `rate_hz`, `the file`."""
-    if not location:
-        return "the file"
-    last = location[-1]
-    name = f"entry {last}" if isinstance(last, int) else str(last)
-    if len(location) < 2 or location[0] != "joints" or not isinstance(location[1], int):
-        return name
-    joints = values.get("joints")
-    joint = joints[location[1]] if isinstance(joints, list) and location[1] < len(joints) else None
-    joint_name = joint.get("name") if isinstance(joint, dict) else None
-    whose = joint_name if isinstance(joint_name, str) and last != "name" else f"joints[{location[1]}]"
-    return whose if len(location) == 2 else f"{name} of {whose}"
+    joint = _joint_of(location, values)
+    match location:
+        case ():
+            return "the file"
+        case ("joints", int()):
+            return str(joint)
+        case (*_, str(inside), int(index)):
+            return f"the {ordinal(index)} entry of {inside}{f' ({joint})' if joint else ''}"
+    return f"{location[-1]} of {joint}" if joint else str(location[-1])
 
 
 _WANTED = {
@@ -110,18 +130,21 @@ def _sentence(details: ErrorDetails, location: Location, model: type[BaseModel],
     kind, context = details["type"], details.get("ctx", {})
     value = _shown(details["input"])
     if kind == "extra_forbidden":
-        return _unknown_field(str(location[-1]), model, subject)
+        return _unknown_field(location, model, subject)
     if kind == "missing":
         return f"{subject} is missing; add it: {_meaning(location, model)}"
     if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
         return f"{subject} is {value}, but must be {_bounds(location, model)}; correct it."
     if kind == "literal_error":
-        return f"{subject} is {value}, but must be {context['expected']}; choose one."
+        hint = did_you_mean(str(details["input"]), re.findall("'([^']+)'", context["expected"]))
+        return f"{subject} is {value}{hint}, but must be {context['expected']}; choose one."
     if kind in ("union_tag_invalid", "union_tag_not_found"):
-        families = ", ".join(_family(found) for found in _models_in(JointConfig.model_fields["drive"].annotation))
+        known = [_family(found) for found in _models_in(JointConfig.model_fields["drive"].annotation)]
+        families = ", ".join(known)
         if kind == "union_tag_not_found":
             return f"{subject} does not say its family; add family, one of {families}."
-        return f"family in {subject} is {context['tag']!r}, but the known families are {families}; choose one."
+        hint = did_you_mean(str(context["tag"]), known)
+        return f"family in {subject} is {context['tag']!r}{hint}, but the known families are {families}; choose one."
     if kind == "string_pattern_mismatch":
         return f"{subject} is {value}, which is not allowed; {_meaning(location, model)}"
     if kind == "string_too_short":
@@ -180,10 +203,13 @@ def _bounds(location: Location, model: type[BaseModel]) -> str:
     return " and ".join(words)
 
 
-def _unknown_field(name: str, model: type[BaseModel], subject: str) -> str:
+def _unknown_field(location: Location, model: type[BaseModel], subject: str) -> str:
+    name = str(location[-1])
     if model is JointConfig and name in _DERIVED_FIELDS:
         return f"{subject} is not a field; {_DERIVED_FIELDS[name]}."
+    section = f" of {location[-2]}" if len(location) > 1 and isinstance(location[-2], str) else ""
     known = list(model.model_fields)
-    guess = difflib.get_close_matches(name, known, n=1)
-    hint = f" (did you mean {guess[0]}?)" if guess else ""
-    return f"{subject} is not a field{hint}; known here are {', '.join(known)}; correct or remove it."
+    return (
+        f"{subject} is not a field{section}{did_you_mean(name, known)}; known here are {', '.join(known)}; correct or "
+        "remove it."
+    )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+from collections.abc import Iterable, Sequence
 
 
 def legible(text: str, most: int | None = None) -> str:
@@ -13,6 +14,13 @@ def legible(text: str, most: int | None = None) -> str:
     if most is not None and len(text) > most:
         text = text[: most - 1] + "…"
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def did_you_mean(given: str, known: Iterable[str]) -> str:
+    """What follows a name that is none of the known ones: ` (did you mean joint2?)`, "" where none is like it."""
+    called = {name.lower(): name for name in known}
+    likely = difflib.get_close_matches(given.lower(), called, n=1)
+    return f" (did you mean {called[likely[0]]}?)" if likely else ""
 
 
 class ConfigError(Exception):
@@ -60,10 +68,14 @@ class ConfigError(Exception):
         )
 
     def __str__(self) -> str:
-        """The sentence, led by its place: `my_arm.yaml:14: joints[2].lower_deg: …`."""
+        """The sentence, led by its place: `my_arm.yaml:14: control.rate_hz: …`.
+
+        One about a joint names it, and lists of joints are not counted for people, who may count from 1.
+        """
         parts: list[str] = []
         if self.file is not None:
             parts.append(self.file if self.line is None else f"{self.file}:{self.line}")
-        if self.location is not None:
+        named = self.line is not None and self.location is not None and self.location.startswith("joints[")
+        if self.location is not None and not named:
             parts.append(f"{self.location} (overridden)" if self.overridden else self.location)
         return ": ".join([*parts, self.problem])

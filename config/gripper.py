@@ -93,12 +93,14 @@ class GripperConfig(Section):
     joint: str = Field(
         default="gripper_joint",
         pattern=r"^[A-Za-z_][A-Za-z0-9_./-]{0,62}$",
-        description="Name of its joint, exactly as in the URDF.",
+        description="Name of its joint, exactly as in the URDF: a letter or _, then letters, digits, _, ., / and -, at "
+        "most 63.",
     )
     controller_name: str = Field(
         default="gripper_controller",
         pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$",
-        description="First part of its actions' names, as in MoveIt's moveit_controllers.yaml.",
+        description="First part of its actions' names, as in MoveIt's moveit_controllers.yaml: a letter, then letters, "
+        "digits and _, at most 63.",
     )
     lower_deg: float = Field(default=0.0, ge=-360, le=360, description="Lowest angle (degrees).")
     upper_deg: float = Field(default=110.0, ge=-360, le=360, description="Highest angle (degrees).")

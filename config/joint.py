@@ -29,7 +29,11 @@ FAMILIES: tuple[str, ...] = tuple(
 class JointConfig(Section):
     """One joint: its drive, its gear and its limits."""
 
-    name: str = Field(pattern=r"^[A-Za-z_][A-Za-z0-9_./-]{0,62}$", description="Joint name exactly as in the URDF.")
+    name: str = Field(
+        pattern=r"^[A-Za-z_][A-Za-z0-9_./-]{0,62}$",
+        description="Joint name exactly as in the URDF: a letter or _, then letters, digits, _, ., / and -, at most "
+        "63.",
+    )
     drive: DriveConfig = Field(description="The drive that moves the joint.")
     ratio: float = Field(ge=1e-3, le=1e6, description="Gear ratio: motor turns for one turn of the joint.")
     direction: Annotated[Literal[1, -1], NoBool] = Field(
@@ -81,6 +85,16 @@ class JointConfig(Section):
     def max_velocity_rad_s(self) -> float:
         """Highest joint velocity, from the motor's rpm and the ratio (rad/s)."""
         return self.motor_rpm / self.ratio * 2.0 * math.pi / 60.0
+
+    @property
+    def range_turns(self) -> float:
+        """Motor turns from its lowest to its highest angle."""
+        return (self.upper_deg - self.lower_deg) * self.ratio / 360.0
+
+    @property
+    def knows_its_angle(self) -> bool:
+        """Whether what its drive counts means an angle of the joint as soon as it has power, wherever that stands."""
+        return self.drive.knows_its_angle_within(self.range_turns)
 
     @property
     def slowness_s(self) -> float:

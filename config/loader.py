@@ -6,7 +6,6 @@ constructor makes plain values of it, overrides are merged in, and the schema ju
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 import re
@@ -17,7 +16,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from config.complaints import complaint
-from config.errors import ConfigError
+from config.errors import ConfigError, did_you_mean
 from config.schema import ArmConfig, Source
 from config.serial_adapters import SERIAL_ADAPTERS
 from config.yaml_text import UNREADABLE, Location, lines, parse, text_of, value_of
@@ -121,11 +120,9 @@ def arm_path(name_or_path: str | Path) -> Path:
     known = known_arms()
     if name_or_path in known:
         return ARMS_FOLDER / f"{name_or_path}.yaml"
-    guess = difflib.get_close_matches(name_or_path, known, n=1)
-    hint = f" (did you mean {guess[0]}?)" if guess else ""
     raise ConfigError(
-        f"no arm is called {name_or_path!r}{hint}; the known arms are {', '.join(known)}; use one of them, "
-        "or the path of your own arm file (such as ./my_arm.yaml)."
+        f"no arm is called {name_or_path!r}{did_you_mean(name_or_path, known)}; the known arms are "
+        f"{', '.join(known)}; use one of them, or the path of your own arm file (such as ./my_arm.yaml)."
     )
 
 

@@ -20,11 +20,12 @@ from pydantic import (
 
 from config.bus import BusConfig
 from config.drives.together import check_adapter, check_drives
+from config.errors import did_you_mean
 from config.geometry import KinematicsConfig
 from config.gripper import GROUP, LINK, GripperConfig
 from config.homing import HomingConfig, ParkingConfig
 from config.joint import JointConfig
-from config.section import KEYS_BESIDE_CONTROLLERS, NoBool, Section, refuse, refuse_name
+from config.section import KEYS_BESIDE_CONTROLLERS, NoBool, Section, ordinal, refuse, refuse_name
 from config.stopping import LONGEST_ALLOWED_S, Patience, longest_stop_s
 
 FIXED_JOINTS = ("virtual_joint", "flange_joint")
@@ -197,7 +198,8 @@ class FrontConfig(Section):
     controller_name: str = Field(
         default="episode_arm_controller",
         pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$",
-        description="Name of the ROS node, as in MoveIt's moveit_controllers.yaml.",
+        description="Name of the ROS node, as in MoveIt's moveit_controllers.yaml: a letter, then letters, digits "
+        "and _, at most 63.",
     )
     joint_states_hz: float | None = Field(
         default=None,
@@ -322,8 +324,8 @@ class ArmConfig(Section):
             if joint.name in first_with_name:
                 raise refuse(
                     f"joints[{index}].name",
-                    f"name {joint.name} is used by joints[{first_with_name[joint.name]}] and "
-                    f"joints[{index}]; every joint needs a name of its own: rename one.",
+                    f"name {joint.name} is used by the {ordinal(first_with_name[joint.name])} and the {ordinal(index)} "
+                    "joint; every joint needs a name of its own: rename one.",
                 )
             first_with_name[joint.name] = index
         return self
@@ -383,7 +385,8 @@ class ArmConfig(Section):
             if name not in names:
                 raise refuse(
                     f"homing.order[{index}]",
-                    f"order names {name}, which is no joint of the arm; its joints are {', '.join(names)}.",
+                    f"order names {name}, which is no joint of the arm{did_you_mean(name, names)}; its joints are "
+                    f"{', '.join(names)}.",
                 )
             if name in (self.homing.order or ())[:index]:
                 raise refuse(f"homing.order[{index}]", f"order names {name} twice; a joint is homed once: remove one.")
@@ -429,8 +432,8 @@ class ArmConfig(Section):
             if joint.name in FIXED_JOINTS:
                 raise refuse(
                     f"joints[{index}].name",
-                    f"name of joints[{index}] is {joint.name}, which the robot model calls a fixed joint of its own; "
-                    "choose another, or remove the section kinematics.",
+                    f"name of the {ordinal(index)} joint is {joint.name}, which the robot model calls a fixed joint of "
+                    "its own; choose another, or remove the section kinematics.",
                 )
         return self
 

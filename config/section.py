@@ -13,6 +13,15 @@ def refuse(field: str, sentence: str) -> PydanticCustomError:
     return PydanticCustomError("arm_config", "{sentence}", {"field": field, "sentence": sentence})
 
 
+_ENDINGS = {1: "st", 2: "nd", 3: "rd"}
+
+
+def ordinal(index: int) -> str:
+    """An index, counted from 0, as people count: 0 is "1st"."""
+    number, last_two = index + 1, (index + 1) % 100
+    return f"{number}{_ENDINGS.get(last_two if last_two < 20 else last_two % 10, 'th')}"
+
+
 YAML_WORDS = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null", "nan", "inf"))
 """Names that some reader of YAML takes for a truth value, for nothing or for a number; ROS has one of its own."""
 KEYS_BESIDE_GROUPS = frozenset(("planner_configs", "planning_plugins", "request_adapters", "response_adapters"))

@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 
 from config.errors import ConfigError
+from config.yaml_syntax import syntax_error
 
 Location = tuple[str | int, ...]
 
@@ -52,16 +53,12 @@ def parse(text: str, file: str) -> tuple[yaml.Node, dict[str, Any]]:
         finally:
             loader.dispose()
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        raise ConfigError(
-            f"this is not valid YAML ({_yaml_reason(error)}); correct this line or the "
-            "one before it, and indent with spaces only.",
-            file=file,
-            line=None if mark is None else mark.line + 1,
-        ) from None
+        raise syntax_error(error, text, file) from None
     except UNREADABLE as error:
         # A forbidden character, or a scalar that looks like a date and is none.
-        raise ConfigError(f"this is not valid YAML ({_one_line(str(error))}); correct the file.", file=file) from None
+        raise ConfigError(
+            f"this is not valid YAML ({' '.join(str(error).split())}); correct the file.", file=file
+        ) from None
     except RecursionError:
         raise ConfigError(
             "the file is nested too deeply; an arm file has four levels at most: correct its brackets.",
@@ -90,19 +87,6 @@ def is_flat(text: str, loader: type, deepest: int, *, aliases: bool = True) -> b
         if depth > deepest or (isinstance(event, yaml.AliasEvent) and not aliases):
             return False
     return True
-
-
-def _yaml_reason(error: yaml.MarkedYAMLError) -> str:
-    """PyYAML's own words in one line, with the line of an opening that was never closed."""
-    reason = error.problem or "unreadable"
-    if error.context:
-        begun = f" begun on line {error.context_mark.line + 1}" if error.context_mark else ""
-        reason = f"{error.context}{begun}: {reason}"
-    return _one_line(reason)
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
 
 
 def _refuse_duplicates(node: yaml.Node, file: str, seen: set[int]) -> None:

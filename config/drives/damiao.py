@@ -161,6 +161,13 @@ class DamiaoDrive(Drive):
         """With an encoder at the output shaft, within a turn of it."""
         return self.encoder == "absolute"
 
+    def knows_its_angle_within(self, turns: float) -> bool:
+        """After a loss of power it may count a turn elsewhere.
+
+        A joint that turns less than that then reads outside its limits, which bring-up notices.
+        """
+        return self.knows_its_angle and turns < 1.0
+
     @property
     def plans_its_motion(self) -> bool:
         """In mode position_velocity."""

@@ -34,6 +34,10 @@ class Drive(Section, ABC):
         """Whether what it counts means an angle as soon as it has power, without homing."""
         return False
 
+    def knows_its_angle_within(self, turns: float) -> bool:
+        """The same for a joint whose range is so many motor turns."""
+        return self.knows_its_angle
+
     @property
     def within_a_turn(self) -> str | None:
         """What to do where one that knows its angle within a motor turn alone counts a turn off; None of others."""

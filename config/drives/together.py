@@ -102,11 +102,10 @@ def _reach_the_whole_range(joints: Sequence[JointConfig]) -> None:
 
 def _know_their_angle(joints: Sequence[JointConfig]) -> None:
     for index, joint in enumerate(joints):
-        turns = (joint.upper_deg - joint.lower_deg) * joint.ratio / 360.0
-        if joint.drive.within_a_turn is not None and turns >= 1.0:
+        if joint.drive.within_a_turn is not None and joint.range_turns >= 1.0:
             raise refuse(
                 f"joints[{index}].drive.encoder",
-                f"encoder of {joint.name} is absolute, but its range is {turns:.2f} motor turns and "
+                f"encoder of {joint.name} is absolute, but its range is {joint.range_turns:.2f} motor turns and "
                 f"{joint.drive.called} knows its angle within one turn only: remove encoder (a person then says where "
                 "the joint stands), or narrow the range to less than a turn.",
             )

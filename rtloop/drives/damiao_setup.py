@@ -92,16 +92,7 @@ def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
     row["range_rad"], row["range_rad_s"], row["range_nm"] = drive.ranges
     row["stiffness_nm_rad"], row["damping_nm_s_rad"] = drive.kp or 0.0, drive.kd or 0.0
     row["plans_its_motion"] = drive.plans_its_motion
-    row["knows_its_angle"] = knows_its_angle(joint)
-
-
-def knows_its_angle(joint: JointConfig) -> bool:
-    """Whether what the motor tells means one angle of the joint: after a loss of power it may count a turn elsewhere.
-
-    A joint that turns less than that then reads outside its limits, which bring-up notices.
-    """
-    turns = (joint.upper_deg - joint.lower_deg) * joint.ratio / 360.0
-    return joint.drive.knows_its_angle and turns < 1.0
+    row["knows_its_angle"] = joint.knows_its_angle
 
 
 def bring_up(host: Host, joint: int) -> Part[Found]:
@@ -132,7 +123,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
             "it has ended.",
         )
     held_rad = _held_rad(config, found, host.arm.limits.following_error_rad * config.ratio)
-    if knows_its_angle(config):
+    if config.knows_its_angle:
         return Found(found.rad, held_rad)
     return Found(found.rad, held_rad, Unreferenced.INCREMENTAL, kept_power=(yield from arming.kept_power()))
 

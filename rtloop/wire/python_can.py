@@ -1,7 +1,6 @@
 """Opening a bus of python-can: any of its interfaces, as the section `bus.python_can` says, or a sentence why not."""
 
 import contextlib
-import difflib
 import importlib
 import inspect
 import logging
@@ -9,6 +8,7 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from config.budget import cycle_frames
+from config.errors import did_you_mean
 from config.python_can import PythonCan
 from config.schema import ArmConfig
 from rtloop.system import realtime
@@ -79,11 +79,9 @@ def _bus_class(interface: str) -> "type[can.BusABC]":
     from can.interfaces import BACKENDS
 
     if interface not in BACKENDS:
-        guess = difflib.get_close_matches(interface, BACKENDS, n=1)
-        hint = f" (did you mean {guess[0]}?)" if guess else ""
         raise WireRefused(
-            f"bus.python_can.interface is {interface}, which python-can does not know{hint}: it knows "
-            f"{', '.join(sorted(BACKENDS))}."
+            f"bus.python_can.interface is {interface}, which python-can does not know"
+            f"{did_you_mean(interface, BACKENDS)}: it knows {', '.join(sorted(BACKENDS))}."
         )
     module, name = BACKENDS[interface]
     try:

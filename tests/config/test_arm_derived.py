@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from config.check import render_check, render_errors
+from config.check import figures, notes, render_check, render_errors
 from config.derived import acc_byte, braking_deceleration_rad_s2, derived_table, silence_acc_byte
 from config.errors import ConfigError
 from config.loader import ARMS_FOLDER, load_arm
@@ -136,6 +137,58 @@ def test_check_of_mock_and_of_a_slow_cycle() -> None:
     text = printed(load_arm("mock", overrides={"control": {"rate_hz": 20.0}}))
     assert "no limit on the rate" in text
     assert "MoveIt asks for 50 or more" in text
+
+
+LONG = "the_turntable_at_the_very_bottom_of_the_whole_arm"
+
+
+def test_names_are_folded_rather_than_cut(tmp_path: Path) -> None:
+    text = (ARMS_FOLDER / "episode1.yaml").read_text(encoding="utf-8").replace("joint1", LONG)
+    file = tmp_path / "arm.yaml"
+    file.write_text(text, encoding="utf-8")
+    shown = printed(load_arm(file))
+    first_column = "".join(
+        line.split()[0] for line in shown.partition("Resolution")[0].splitlines()[3:] if line.split()
+    )
+    assert "…" not in shown and LONG in first_column and max(map(len, shown.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    ("lower_deg", "upper_deg", "shown"),
+    [(-1.57, 1.57, "3.1"), (0.0, 6.28, "6.3"), (-3.14, 2.44, "5.6"), (-7.0, 1.0, None), (-1.57, 90.0, None)],
+)
+def test_limits_that_look_like_radians_are_told(lower_deg: float, upper_deg: float, shown: str | None) -> None:
+    arm = with_joint1(load_arm("damiao6"), lower_deg=lower_deg, upper_deg=upper_deg)
+    told = [] if shown is None else [f"joint1's range is {shown}°: limits are in degrees; did you give radians?"]
+    assert notes(arm) == figures(arm)["notes"] == told
+    assert all(note in " ".join(printed(arm).split()) for note in told)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "why"),
+    [
+        ("damiao6", {}, None),
+        ("damiao6", {"ratio": 1.5}, "joint1 (its range is 1.33 motor turns, of which its encoder sees one)."),
+        ("odrive6", {}, None),
+        ("odrive6", {"drive": {"family": "odrive", "node_id": 1}}, "joint1 (no absolute encoder)."),
+        ("mks6", {}, "joint1 (no absolute encoder), joint2 (no absolute encoder), "),
+        ("episode1", {}, None),
+        ("mock", {}, None),
+    ],
+)
+def test_joints_that_need_a_reference_after_each_start_are_told(name: str, changes: dict, why: str | None) -> None:
+    told = notes(with_joint1(load_arm(name), **changes))
+    if why is None:
+        assert not told
+    else:
+        (note,) = told
+        assert note.startswith("After each start a reference is needed (`rtarm reference`, or ") and why in note
+
+
+def with_joint1(arm: ArmConfig, **changes: object) -> ArmConfig:
+    values = arm.model_dump()
+    values["joints"][0].update(changes)
+    return ArmConfig.model_validate(values)
 
 
 def test_errors_are_one_a_line() -> None:

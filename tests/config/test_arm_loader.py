@@ -183,11 +183,20 @@ def test_a_file_that_is_not_text(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "line", "words"),
     [
-        ("name: x\ncontrol: [1\n", 3, "while parsing a flow sequence begun on line 2"),
-        ("name: x\n\tdescription: 1", 2, r"found character '\t' that cannot start any token"),
-        ('name: "unclosed\n', 2, "while scanning a quoted scalar begun on line 1"),
+        ("name: x\ncontrol: [1\n", 2, "the [ in column 10 is not closed, or a comma is missing behind it."),
+        ("name: x\ncontrol: {rate_hz: 1\n", 2, "the { in column 10 is not closed, or a comma is missing behind it."),
+        ("name: x\n\tdescription: 1", 2, "the line is indented with a tab, and YAML takes spaces only: put spaces"),
+        ("bus:\n  \tinterface: mock", 2, "the line is indented with a tab, and YAML takes spaces only: put spaces"),
+        ("name:\tx", 1, "column 6 is a tab, and YAML takes spaces only: put a space there."),
+        ('name: "unclosed\n', 1, "the quote in column 7 is not closed: add the other one."),
+        ('name: "a\\q"', 1, "in double quotes the backslash before column 10 has a meaning of its own"),
+        ("name: %x", 1, "no value begins with the character in column 7: put the value in quotes."),
+        ("name: a: b", 1, "the colon in column 8 stands where no field can begin: give each field a line of its own"),
+        ("name: - a", 1, "the dash in column 7 stands where no list can begin"),
+        ("bus: {}\nname x\ncontrol: {}", 2, "what begins in column 1 is no field: write name: value, with a space"),
+        ("bus:\n    a: 1\n  b: 2", 3, "what begins in column 3 does not go with the lines above it: indent it"),
         ("name: x\nname: y", 2, "name is given twice, here and on line 1"),
-        ("a: 1\n---\nb: 2", 2, "found another document"),
+        ("a: 1\n---\nb: 2", 2, "another document begins, but a file is one arm: remove what follows."),
         ("name: !!python/object/apply:os.system [ls]", 1, "could not determine a constructor"),
         ("? [a]\n: b", 1, "found unhashable key"),
         ("name: *nowhere", 1, "found undefined alias"),
@@ -242,7 +251,18 @@ def test_malformed_yaml(tmp_path: Path, text: str, line: int | None, words: str)
         ("usb_index: 1", "#", "bus.interface", "interface slcan needs the adapter's device"),
         ("usb_index: 1", 'channel: ""', "bus.channel", "channel is empty"),
         ("usb_index: 1", "usb_index: -1", "bus.usb_index", "usb_index is -1, but must be at least 0"),
-        ("interface: slcan", "interface: can0", "bus.interface", "'socketcan', 'python-can' or 'mock'; choose one"),
+        (
+            "interface: slcan",
+            "interface: can0",
+            "bus.interface",
+            "set interface to socketcan, and channel to its name, such as can0.",
+        ),
+        (
+            "interface: slcan",
+            "interface: SLCAN",
+            "bus.interface",
+            "'SLCAN' (did you mean slcan?), but must be 'slcan', ",
+        ),
         ("interface: slcan", "interface: mock", "bus.usb_index", "interface mock opens no device"),
         ("bitrate: 500000", "bitrate: 800000", "bus.bitrate", "S7 is 800000 in some adapters and 750000"),
         ("bitrate: 500000", "bitrate: 750000", "bus.bitrate", "S7 is 800000 in some adapters and 750000"),
@@ -250,17 +270,18 @@ def test_malformed_yaml(tmp_path: Path, text: str, line: int | None, words: str)
         ("serial_baud: 1000000", "serial_baud: 12345", "bus.serial_baud", "a serial line knows 9600"),
         ("serial_baud: 1000000", "serial_baud: usb", "bus.serial_baud", "serial_baud is 'usb'"),
         ("load_limit: 0.85", "load_limit: 1.5", "bus.load_limit", "must be above 0 and at most 1"),
-        ("name: joint2", "name: joint1", "joints[1].name", "used by joints[0] and joints[1]"),
-        ("name: joint2", "name: joint 2", "joints[1].name", "joint name exactly as in the URDF"),
+        ("name: joint2", "name: joint1", "joints[1].name", "name joint1 is used by the 1st and the 2nd joint; "),
+        ("name: joint2", "name: joint 2", "joints[1].name", "name of the 2nd joint is the text 'joint 2', which is"),
+        ("name: joint2", "name: joint 2", "joints[1].name", "a letter or _, then letters, digits, _, ., / and -"),
         ("address: 2", "address: 1", "joints[1].drive.address", "address 1 is used by joint1 and joint2"),
         ("address: 2", "address: 256", "joints[1].drive.address", "address of joint2 is 256"),
         ("address: 2,", "", "joints[1].drive.address", "address of joint2 is missing; add it"),
         ("address: 2", "adress: 2", "joints[1].drive.address", "address of joint2 is missing"),
         (
             "family: zdt, address: 3",
-            "family: zdx, address: 3",
+            "family: ZTD, address: 3",
             "joints[2].drive",
-            f"families are {KNOWN}; choose one",
+            f"is 'ZTD' (did you mean zdt?), but the known families are {KNOWN}; choose one",
         ),
         ("family: zdt, address: 3", "address: 3", "joints[2].drive", "does not say its family"),
         (
@@ -271,17 +292,37 @@ def test_malformed_yaml(tmp_path: Path, text: str, line: int | None, words: str)
         ),
         ("{family: zdt, address: 3, microsteps: 16}", "zdt", "joints[2].drive", "must be a group of fields"),
         ("ratio: 20", "ratio: 0", "joints[1].ratio", "ratio of joint2 is 0, but must be at least 0.001"),
-        ("name: joint2", "name: y", "joints[1].name", "name is y, which YAML readers take for a value"),
-        ("name: joint2", "name: 'NaN'", "joints[1].name", "name is NaN, which YAML readers take for a value"),
+        (
+            "name: joint2",
+            "name: y",
+            "joints[1].name",
+            "name of the 2nd joint is y, which YAML readers take for a value",
+        ),
+        (
+            "name: joint2",
+            "name: 'NaN'",
+            "joints[1].name",
+            "name of the 2nd joint is NaN, which YAML readers take for a value",
+        ),
         ("episode_arm_controller", "controller_names", "front.controller_name", "has a meaning of its own in MoveIt"),
         ("episode_arm_controller", "'Off'", "front.controller_name", "YAML readers take for a value"),
         ("group: episode_arm", "group: planner_configs", "kinematics.group", "has a meaning of its own in MoveIt"),
         ("base_link: base_link", "base_link: 'null'", "kinematics.base_link", "YAML readers take for a value"),
-        ("sign: -1", "sign: 0", "kinematics.dh[1].sign", "sign is 0, but must be 1 or -1; choose one"),
-        ("sign: -1", "sign: true", "kinematics.dh[1].sign", "sign is true, but must be a number"),
-        ("radius_mm: 35", "radius_mm: 0", "kinematics.dh[1].radius_mm", "radius_mm is 0, but must be above 0"),
+        ("sign: -1", "sign: 0", "kinematics.dh[1].sign", "sign of joint2 is 0, but must be 1 or -1; choose one"),
+        ("sign: -1", "sign: true", "kinematics.dh[1].sign", "sign of joint2 is true, but must be a number"),
+        (
+            "radius_mm: 35",
+            "radius_mm: 0",
+            "kinematics.dh[1].radius_mm",
+            "radius_mm of joint2 is 0, but must be above 0",
+        ),
         ("alpha_deg: -90", "alpha_deg: 900", "kinematics.dh[3].alpha_deg", "must be at least -360 and at most 360"),
-        ("d_mm: 192", "d: 192", "kinematics.dh[3].d", "d is not a field; known here are d_mm, a_mm, alpha_deg"),
+        (
+            "d_mm: 192",
+            "d: 192",
+            "kinematics.dh[3].d",
+            "d of joint4 is not a field; known here are d_mm, a_mm, alpha_deg",
+        ),
         ("group: episode_arm", "group: the arm", "kinematics.group", "a letter, then letters, digits and _"),
         (
             "base_link: base_link",
@@ -298,7 +339,12 @@ def test_malformed_yaml(tmp_path: Path, text: str, line: int | None, words: str)
         ),
         ("    ratio: 20\n", "", "joints[1].ratio", "gear ratio: motor turns for one turn of the joint"),
         ("direction: 1\n", "direction: 2\n", "joints[0].direction", "must be 1 or -1"),
-        ("motor_rpm: 60", "motor_rpm: 6000", "joints[1].motor_rpm", "must be at least 0.01 and at most 3000"),
+        (
+            "motor_rpm: 60",
+            "motor_rpm: 6000",
+            "joints[1].motor_rpm",
+            "motor_rpm of joint2 is 6000, but must be at least 0.01 and at most 3000",
+        ),
         # above 0, and a velocity of 0 with the ratio
         ("motor_rpm: 60", "motor_rpm: 5.0e-324", "joints[1].motor_rpm", "must be at least 0.01"),
         (
@@ -313,6 +359,21 @@ def test_malformed_yaml(tmp_path: Path, text: str, line: int | None, words: str)
             "joints[1].max_acceleration_rad_s2",
             "no ramp that brakes at 1.5 to 2 times that limit when it hears nothing more; the nearest limit "
             "that has one is 69.81.",
+        ),
+        ("episode_arm_controller", "arm-controller", "front.controller_name", "a letter, then letters, digits and _"),
+        ("- name: joint2", "- nmae: joint2", "joints[1].name", "name of the 2nd joint is missing; add it"),
+        ("ratio: 20", "ratio: yes", "joints[1].ratio", "ratio of joint2 is true, but must be a number"),
+        (
+            "[0, 0, 0, 0, 0, 0]",
+            "[0, 0, a, 0, 0, 0]",
+            "homing.then.joints_deg[2]",
+            "the 3rd entry of joints_deg (joint3)",
+        ),
+        (
+            "{family: zdt, address: 3, ",
+            "{family: zdt, drive: 3, address: 3, ",
+            "joints[2].drive.drive",
+            "drive of joint3 is not a field of drive; known here are family, address",
         ),
         ("name: episode1", "name: Episode-1", "name", "small letters, digits and _, at most 32"),
         ("name: episode1", "name: on", "name", "put the text in quotes"),
@@ -336,7 +397,7 @@ def test_each_bad_value_has_its_sentence_and_its_line(
     assert error.location == location
     assert sentence in error.problem
     assert error.problem.endswith(".")
-    assert "\n" not in str(error)
+    assert "\n" not in str(error) and "joints[" not in str(error)
     if old.strip().split(":")[0] in ("lower_deg", "rate_hz", "ratio", "motor_rpm") and new:
         assert error.line == line_of(text, new.partition("\n")[0])
 
@@ -344,7 +405,7 @@ def test_each_bad_value_has_its_sentence_and_its_line(
 @pytest.mark.parametrize(
     ("old", "new", "location", "sentence"),
     [
-        ("rate_hz: 120", "rate: 120", "control.rate", "rate is not a field (did you mean rate_hz?)"),
+        ("rate_hz: 120", "rate: 120", "control.rate", "rate is not a field of control (did you mean rate_hz?)"),
         ("ratio: 20", "ratoi: 20", "joints[1].ratoi", "ratoi of joint2 is not a field (did you mean ratio?)"),
         ("microsteps: 16}", "microstep: 16}", "joints[0].drive.microstep", "(did you mean microsteps?)"),
         ("front:", "trajectorie: {}\nfront:", "trajectorie", "(did you mean trajectory?)"),

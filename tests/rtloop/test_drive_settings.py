@@ -305,7 +305,8 @@ def test_bad_values_are_refused_where_they_stand(tmp_path, field: str, value: An
     path.write_text(text.replace("address: 3,", f"address: 3, {field}: {str(value).lower()},"), encoding="utf-8")
     with pytest.raises(ConfigError) as refused:
         load_arm(path)
-    assert f"joints[2].drive.{field}" in str(refused.value) and refused.value.line
+    assert refused.value.location == f"joints[2].drive.{field}" and refused.value.line
+    assert f"{field} of joint3 is " in str(refused.value)
 
 
 @pytest.mark.parametrize("value", [1, 299])

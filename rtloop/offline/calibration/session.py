@@ -147,7 +147,7 @@ class Session:
         config = self.arm.joints[joint]
         here = self.have(joint, Drive.counts)
         centre = self._centre.setdefault(joint, here)
-        most = (config.upper_deg - config.lower_deg) * config.ratio / 360.0 * ENCODER_COUNTS_PER_REVOLUTION
+        most = config.range_turns * ENCODER_COUNTS_PER_REVOLUTION
         if abs(here + by_counts - centre) > most:
             raise NotDone(
                 f"{config.name} would get farther from where it began than its range in the arm file, "
