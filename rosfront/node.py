@@ -122,7 +122,7 @@ class FrontNode:
         """The full node's interfaces, where their types are installed and the arm is one they fit."""
         joints = len(self.arm.joints)
         if joints != SIX:
-            self.node.get_logger().info(
+            self.node.get_logger().debug(
                 f"The full node's interfaces are for six joints; not offered, as there are {joints}."
             )
             return None

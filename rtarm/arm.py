@@ -197,6 +197,7 @@ class Arm:
             Refusal: it did not begin: a joint that is none, an angle beyond its limits, an arm that does not just
                 stand and hold, no ROS process. Or it was cancelled and the arm still moves, which the sentence says.
             GoalFailed: it did not succeed; where it had begun, the arm has stopped on its path.
+            NotRunning: the control process has ended meanwhile.
         """
         refuse_speed(speed)
         stops = self._stops()
@@ -225,7 +226,7 @@ class Arm:
             How it ended, in a sentence.
 
         Raises:
-            Refusal, GoalFailed: as for `move`.
+            Refusal, GoalFailed, NotRunning: as for `move`.
         """
         times, positions = np.asarray(times_s, float), np.asarray(positions_rad, float)
         velocities = None if velocities_rad_s is None else np.asarray(velocities_rad_s, float)

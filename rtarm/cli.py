@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rtarm import completion
 from rtarm.cli_calibrate import calibrate_app
 from rtarm.cli_commission import commission_app
 from rtarm.cli_drives import drives_app
@@ -19,12 +20,14 @@ from rtarm.cli_frame import (
     ArmArgument,
     AsJson,
     LanguageOption,
+    NamedArm,
     RunningArm,
     again,
     app,
     config_app,
     draw,
     draw_json,
+    one_arm,
     overrides_given,
     sentences,
 )
@@ -36,6 +39,9 @@ from rtarm.errors import ExitCode, Refusal
 
 if TYPE_CHECKING:
     from rtarm.reporter import Reporter
+
+
+SIMULATED_ARM_HELP = "Name or file of the arm to simulate; left out: episode1."
 
 
 def _show_version(wanted: bool) -> None:
@@ -117,7 +123,21 @@ def up(
 
 @app.command()
 def demo(
-    arm: Annotated[str, typer.Option(metavar="ARM", help="Name or file of the arm to simulate.")] = "episode1",
+    arm: Annotated[
+        str | None,
+        typer.Argument(metavar="ARM", help=SIMULATED_ARM_HELP, callback=one_arm, autocompletion=completion.known_arms),
+    ] = None,
+    named: Annotated[
+        str | None,
+        typer.Option(
+            "--arm",
+            "-a",
+            metavar="ARM",
+            help=SIMULATED_ARM_HELP,
+            is_eager=True,
+            autocompletion=completion.known_arms,
+        ),
+    ] = None,
     goal: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Recorded FollowJointTrajectory goal (JSON); left out: a tour of four."),
@@ -140,12 +160,13 @@ def demo(
     with sentences():
         from rtarm.demo import run_demo
 
-        raise typer.Exit(run_demo(arm, goal, json_file, _reporter(), view=view))
+        raise typer.Exit(run_demo(arm or "episode1", goal, json_file, _reporter(), view=view))
 
 
 @app.command()
 def status(
     arm: RunningArm = None,
+    named: NamedArm = None,
     as_json: AsJson = False,
     language: LanguageOption = "en",
 ) -> None:
@@ -171,7 +192,7 @@ def status(
 
 
 @app.command()
-def top(arm: RunningArm = None, language: LanguageOption = "en") -> None:
+def top(arm: RunningArm = None, named: NamedArm = None, language: LanguageOption = "en") -> None:
     """Show live what a running arm does, until q or Ctrl-C.
 
     Mode, goal, joints, lateness and cycle time of the last seconds and since the start, bus load, and what happened,

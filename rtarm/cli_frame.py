@@ -78,11 +78,30 @@ ArmArgument = Annotated[
         autocompletion=completion.known_arms,
     ),
 ]
+
+
+def one_arm(context: typer.Context, argument: str | None) -> str | None:
+    """The arm that a command is about, whose argument and option both name it; refused where they name two."""
+    option: str | None = context.params.get("named")
+    if argument is not None and option is not None and argument != option:
+        raise typer.BadParameter(f"it is {argument}, but --arm is {option}: name one arm.")
+    return argument if option is None else option
+
+
+RUNNING_ARM_HELP = "Name or file of a running arm; left out: the only one that runs."
 RunningArm = Annotated[
     str | None,
-    typer.Argument(
+    typer.Argument(metavar="ARM", help=RUNNING_ARM_HELP, callback=one_arm, autocompletion=completion.running_arms),
+]
+"""Of a command that takes nothing else; such a one has a `NamedArm` called `named` besides, with the same meaning."""
+NamedArm = Annotated[
+    str | None,
+    typer.Option(
+        "--arm",
+        "-a",
         metavar="ARM",
-        help="Name or file of a running arm; left out: the only one that runs.",
+        help=RUNNING_ARM_HELP,
+        is_eager=True,  # `one_arm` looks for it
         autocompletion=completion.running_arms,
     ),
 ]

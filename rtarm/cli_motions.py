@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from rtarm import completion
-from rtarm.cli_frame import AsJson, draw, draw_json, sentences
+from rtarm.cli_frame import AsJson, NamedArm, draw, draw_json, sentences
 from rtarm.errors import ExitCode, Refusal, needs
 
 motions_app = typer.Typer()
@@ -17,14 +17,6 @@ Name = Annotated[
     str,
     typer.Argument(
         metavar="NAME", help="Name of a motion, or path of its file (./wave.yaml).", autocompletion=completion.motions
-    ),
-]
-Arm = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ARM",
-        help="Name or file of a running arm; left out: the only one that runs.",
-        autocompletion=completion.running_arms,
     ),
 ]
 
@@ -39,7 +31,7 @@ def move(
     relative: Annotated[
         bool, typer.Option("--relative", help="From where the joints stand: joint1=-5 is 5° back.")
     ] = False,
-    arm: Arm = None,
+    arm: NamedArm = None,
     as_json: AsJson = False,
 ) -> None:
     """Move joints together, from rest to rest, and wait for the end; the joints that are not named stay.
@@ -56,9 +48,10 @@ def move(
         from rtarm.referencing import angles_said
 
         angles = angles_said(targets)
-        if without := [joint for joint, angle in angles.items() if angle is None]:
-            raise Refusal(f"{without[0]} has no angle: write {without[0]}=15 (degrees).")
         with connect(arm) as running:
+            if without := [joint for joint, angle in angles.items() if angle is None]:
+                joint = without[0] if without[0] in running.joints else running.joints[0]
+                raise Refusal(f"{without[0]} is no joint with an angle: write JOINT=DEGREES, such as {joint}=15.")
             try:
                 with signals_raise():
                     targets_rad = {joint: math.radians(angle or 0.0) for joint, angle in angles.items()}
@@ -74,7 +67,7 @@ def move(
 @motions_app.command()
 def jog(
     speed: Annotated[float, typer.Option(metavar="SHARE", help="Of the joints' limits, above 0 to 1.")] = 0.3,
-    arm: Arm = None,
+    arm: NamedArm = None,
 ) -> None:
     """Move joints step by step with the keys of this terminal: one key, one step, which ends by itself.
 
@@ -91,7 +84,7 @@ def jog(
 @motions_app.command()
 def teach(
     name: Name,
-    arm: Arm = None,
+    arm: NamedArm = None,
     tolerance: Annotated[
         float, typer.Option(metavar="DEG", help="How far the motion may be beside what you led.")
     ] = 0.5,
@@ -123,7 +116,7 @@ def teach(
 @motions_app.command()
 def play(
     name: Name,
-    arm: Arm = None,
+    arm: NamedArm = None,
     speed: Annotated[float, typer.Option(metavar="FACTOR", help="1 is as it was taught, 0.5 half as fast.")] = 1.0,
     loop: Annotated[bool, typer.Option("--loop", help="Again and again until Ctrl-C, which stops the arm.")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the arm moves to where it begins.")] = False,

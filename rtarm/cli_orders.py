@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from rtarm import completion
-from rtarm.cli_frame import AsJson, RunningArm, draw, draw_json, sentences
+from rtarm.cli_frame import AsJson, NamedArm, RunningArm, draw, draw_json, sentences
 from rtarm.errors import Refusal
 
 orders = typer.Typer()
@@ -27,7 +27,7 @@ def _done(arm: str, sentence: str, as_json: bool) -> None:
 
 
 @orders.command()
-def stop(arm: RunningArm = None, as_json: AsJson = False) -> None:
+def stop(arm: RunningArm = None, named: NamedArm = None, as_json: AsJson = False) -> None:
     """Stop a running arm on its path and wait until it stands; works without the ROS process.
 
     The arm takes no goals and no streams before [bold]rtarm resume[/bold], whoever sends them again.
@@ -43,7 +43,7 @@ def stop(arm: RunningArm = None, as_json: AsJson = False) -> None:
 
 
 @orders.command("clear-fault")
-def clear_fault(arm: RunningArm = None, as_json: AsJson = False) -> None:
+def clear_fault(arm: RunningArm = None, named: NamedArm = None, as_json: AsJson = False) -> None:
     """Clear a latched fault, once its cause is removed, and bring the drives up again.
 
     Example: [bold]rtarm clear-fault episode1[/bold]
@@ -57,7 +57,7 @@ def clear_fault(arm: RunningArm = None, as_json: AsJson = False) -> None:
 
 
 @orders.command()
-def hold(arm: RunningArm = None, as_json: AsJson = False) -> None:
+def hold(arm: RunningArm = None, named: NamedArm = None, as_json: AsJson = False) -> None:
     """Stop on the path and keep the goal; none begins before `rtarm resume`, which lets the kept one go on.
 
     Example: [bold]rtarm hold[/bold]
@@ -71,7 +71,7 @@ def hold(arm: RunningArm = None, as_json: AsJson = False) -> None:
 
 
 @orders.command()
-def resume(arm: RunningArm = None, as_json: AsJson = False) -> None:
+def resume(arm: RunningArm = None, named: NamedArm = None, as_json: AsJson = False) -> None:
     """Let a held goal go on, and an arm that was held or stopped take goals again.
 
     Example: [bold]rtarm resume[/bold]
@@ -85,7 +85,7 @@ def resume(arm: RunningArm = None, as_json: AsJson = False) -> None:
 
 
 @orders.command()
-def enable(arm: RunningArm = None, as_json: AsJson = False) -> None:
+def enable(arm: RunningArm = None, named: NamedArm = None, as_json: AsJson = False) -> None:
     """Enable the drives of a limp arm, which then holds where it stands.
 
     Example: [bold]rtarm enable[/bold]
@@ -99,7 +99,7 @@ def enable(arm: RunningArm = None, as_json: AsJson = False) -> None:
 
 
 @orders.command()
-def disable(arm: RunningArm = None, as_json: AsJson = False) -> None:
+def disable(arm: RunningArm = None, named: NamedArm = None, as_json: AsJson = False) -> None:
     """Let the drives of a standing arm go limp and take it out of service: it falls where gravity pulls it.
 
     Example: [bold]rtarm disable[/bold]
@@ -114,7 +114,7 @@ def disable(arm: RunningArm = None, as_json: AsJson = False) -> None:
 
 
 @orders.command()
-def free(arm: RunningArm = None, as_json: AsJson = False) -> None:
+def free(arm: RunningArm = None, named: NamedArm = None, as_json: AsJson = False) -> None:
     """Let the drives of a standing arm go limp, to lead it by hand: hold it, it falls where gravity pulls it.
 
     Example: [bold]rtarm free[/bold]
@@ -126,17 +126,6 @@ def free(arm: RunningArm = None, as_json: AsJson = False) -> None:
 
         name = resolve_arm(arm)
         _done(name, requests.let_go(name, Request.FREE), as_json)
-
-
-NamedArm = Annotated[
-    str | None,
-    typer.Option(
-        "--arm",
-        metavar="ARM",
-        help="Name of the arm or its file; left out: the one that runs.",
-        autocompletion=completion.running_arms,
-    ),
-]
 
 
 @orders.command()

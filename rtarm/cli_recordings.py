@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rtarm import completion
-from rtarm.cli_frame import AsJson, LanguageOption, draw, draw_json, sentences
+from rtarm.cli_frame import AsJson, LanguageOption, NamedArm, RunningArm, draw, draw_json, sentences
 from rtarm.errors import Refusal
 
 if TYPE_CHECKING:
@@ -30,9 +30,8 @@ Recorded = Annotated[
 
 @recordings_app.command()
 def record(
-    arm: Annotated[
-        str | None, typer.Argument(metavar="ARM", help="Name or file of an arm; left out: the only one there is.")
-    ] = None,
+    arm: RunningArm = None,
+    named: NamedArm = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="Left out: a new one among the recordings.")
     ] = None,
@@ -62,10 +61,9 @@ def record(
             typer.echo(str(path))
             return
         from rtarm.recording.follow import follow as go_on
-        from rtarm.status import resolve_arm
-        from shm import files
+        from rtarm.status import open_running, resolve_arm
 
-        memory = files.open_state(resolve_arm(arm))
+        memory = open_running(resolve_arm(arm))
         with shown.growing(seconds) as told:
             path, how = go_on(memory, output, past=follow, span_s=seconds, step=told)
         typer.echo(f"recorded: {how}", err=True)
@@ -124,6 +122,7 @@ def replay(
         str | None,
         typer.Option(
             "--arm",
+            "-a",
             metavar="ARM",
             help="With --on-arm the running arm, with --view the one to draw: name or file; left out: as recorded.",
             autocompletion=completion.running_arms,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from rtarm.cli_frame import LanguageOption, RunningArm, sentences
+from rtarm.cli_frame import LanguageOption, NamedArm, RunningArm, sentences
 
 view_app = typer.Typer()
 """The command, for `rtarm.cli` to add."""
@@ -15,6 +15,7 @@ view_app = typer.Typer()
 @view_app.command()
 def view(
     arm: RunningArm = None,
+    named: NamedArm = None,
     host: Annotated[
         str,
         typer.Option(metavar="ADDRESS", help="Address of this machine to serve at; other machines may then connect."),

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import sys
 from enum import IntEnum
 
-from shm.errors import SharedMemoryError
+from shm.errors import EndedMeanwhile, SharedMemoryError
 from shm.meaning import Language
 
 
@@ -28,7 +29,7 @@ MEANINGS: dict[ExitCode, str] = {
     ExitCode.LOOP_REFUSED: "the control process refused to start (port, drives, already running, …); "
     "for `calibrate` and `commission`: a drive did not do as it was told, and was stopped, or was not seen to stand",
     ExitCode.LOOP_DIED: "the control process ended by itself; drives in motion have stopped by themselves",
-    ExitCode.GOAL_FAILED: "a goal did not succeed (`demo`, `play`, `move`)",
+    ExitCode.GOAL_FAILED: "a goal did not succeed (`demo`, `play`, `move`), and not because the control process ended",
     ExitCode.UNHEALTHY: "`status`: running, but not fit to move; `doctor`: something to mend; `drives`: not as the "
     "file wants them; `scan`: no drive found; `commission`: something differs from the manual",
 }
@@ -88,6 +89,14 @@ class AlreadySaid(Refusal):
     """A refusal whose sentence a process of the arm has already spoken."""
 
 
+def _one_place() -> bool:
+    """Whether standard output and standard error go to the same terminal, file or pipe."""
+    try:
+        return os.path.sameopenfile(sys.stdout.fileno(), sys.stderr.fileno())
+    except (OSError, ValueError):  # closed, or replaced by what is no file
+        return False
+
+
 def foreseen(error: Exception, language: Language = "en") -> tuple[str, ExitCode] | None:
     """What a person is told of a foreseeable error ("" if it has just been read), and the exit code.
 
@@ -96,14 +105,14 @@ def foreseen(error: Exception, language: Language = "en") -> tuple[str, ExitCode
     from config.errors import ConfigError
 
     if isinstance(error, Refusal):
-        heard = isinstance(error, AlreadySaid) and sys.stdout.isatty()
+        heard = isinstance(error, AlreadySaid) and _one_place()
         return "" if heard else error.sentence, error.code
     if isinstance(error, ConfigError):
         return "\n".join(str(problem) for problem in error.errors), ExitCode.REFUSED
     if isinstance(error, SharedMemoryError):
         from rtarm.language import told
 
-        return told(error, language), ExitCode.REFUSED
+        return told(error, language), ExitCode.LOOP_DIED if isinstance(error, EndedMeanwhile) else ExitCode.REFUSED
     if "rosfront.program" in sys.modules and isinstance(error, sys.modules["rosfront.program"].CannotServe):
         return str(error), ExitCode.REFUSED  # where its module was not imported, it cannot have come up
     return None

@@ -112,6 +112,7 @@ def run(connection: Connection, sender: Sender, goal: dict[str, Any]) -> str:
 
     Raises:
         GoalFailed: it did not succeed, or nobody will say how it ended and it was cancelled.
+        NotRunning: the control process has ended, which is why it did not, whoever says so first.
         Interrupted, KeyboardInterrupt: a signal came; the goal was cancelled and the arm stands.
         Refusal: it could not be sent; or the arm still moves after it was cancelled, which the sentence says.
     """
@@ -129,8 +130,10 @@ def run(connection: Connection, sender: Sender, goal: dict[str, Any]) -> str:
             raise
         with undisturbed():
             _cancel(connection, sender)
+        connection.check_running()
         raise GoalFailed(unknown.sentence) from None
     if not outcome.succeeded:
+        connection.check_running()
         raise GoalFailed(outcome.sentence, **_what_decided(connection, outcome.sentence))
     return outcome.sentence
 

@@ -40,12 +40,17 @@ def angles_said(words: Sequence[str]) -> dict[str, float | None]:
     said: dict[str, float | None] = {}
     for word in words:
         joint, equals, angle = word.partition("=")
+        if joint in said:
+            raise Refusal(f"{joint} is named twice: give it one angle.", joint=joint)
         try:
             said[joint] = float(angle) if equals else None
         except ValueError:
             said[joint] = math.nan
         if not math.isfinite(said[joint] or 0.0):
-            raise Refusal(f"The angle of {joint} is {angle!r}, which is no number of degrees: write {joint}=-12.5.")
+            raise Refusal(
+                f"The angle of {joint} is {angle!r}, which is no number: write degrees without a unit, such as "
+                f"{joint}=-12.5."
+            )
     return said
 
 

@@ -9,14 +9,15 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
+from config.errors import did_you_mean
 from config.stopping import Patience
 from rtarm.errors import Refusal
 from rtarm.interrupt import signals_to
 from rtarm.language import said
-from rtarm.status import MOVING_MODES, STOPPED_BY_A_PERSON
+from rtarm.status import MOVING_MODES, STOPPED_BY_A_PERSON, open_running
 from shm import files
 from shm.client import CommandWriter, StateReader, find
-from shm.errors import NotRunning, TornRead
+from shm.errors import EndedMeanwhile, TornRead
 from shm.meaning import Language
 from shm.sentences import (
     answer_sentence,
@@ -43,6 +44,12 @@ _ENDED_HOMING = (
     "The control process of arm '{arm}' ended meanwhile; a drive amid its homing run goes on: start it again with "
     "{again}{options}."
 )
+
+TOO_EARLY_TO_CLEAR = {
+    Answer.REFUSED_MOVING: "The arm is still braking after the fault, which takes {seconds:.1f} s at most: wait until "
+    "it stands, then `rtarm clear-fault` again.",
+    Answer.REFUSED_MODE: "The fault is being cleared already: wait until `rtarm status` says holding, or fault again.",
+}
 
 Condition = Callable[[np.ndarray], bool]
 
@@ -130,7 +137,11 @@ class Connection:
     def index(self, joint: str) -> int:
         """Number of a joint; raises Refusal where the arm has none of that name."""
         if joint not in self.joints:
-            raise Refusal(f"Arm {self.arm} has no joint {joint!r}; its joints are {', '.join(self.joints)}.")
+            raise Refusal(
+                f"Arm {self.arm} has no joint {joint!r}{did_you_mean(joint, self.joints)}; its joints are "
+                f"{', '.join(self.joints)}.",
+                joint=joint,
+            )
         return self.joints.index(joint)
 
     def homes(self, joint: str) -> bool:
@@ -185,14 +196,14 @@ class Connection:
         return snapshot
 
     def check_running(self) -> None:
-        """Raise NotRunning where the control process has ended."""
+        """Raise EndedMeanwhile where the control process has ended."""
         if files.is_held(self._reader.memory.fd):
             return
         try:
             homes = int(self._reader.snapshot()["mode"]) == Mode.REFERENCING
         except TornRead:
             homes = True  # for all that is known
-        raise NotRunning(
+        raise EndedMeanwhile(
             _ENDED_HOMING if homes else _ENDED,
             arm=self.arm,
             **files.again(self._reader.memory.record["header"]),
@@ -206,7 +217,7 @@ def connect(arm: str, language: Language = "en") -> Iterator[Connection]:
     Raises:
         SharedMemoryError: it is not running, or its files are not what they should be.
     """
-    reader = StateReader(files.open_state(arm))
+    reader = StateReader(open_running(arm))
     try:
         writer = CommandWriter(files.open_command(arm))
         try:
@@ -285,7 +296,13 @@ def cleared(connection: Connection) -> np.ndarray | None:
     arm, before = connection.arm, connection.snapshot()
     if int(before["fault"]) == Fault.NONE:
         return None
-    connection.order(Request.CLEAR_FAULT)
+    answer = connection.ask(Request.CLEAR_FAULT)
+    if answer != Answer.DONE:
+        language, longest_s = connection.language, connection.patience.longest_stop_s
+        too_early = TOO_EARLY_TO_CLEAR.get(answer)
+        raise Refusal(
+            answer_sentence(answer, language) if too_early is None else said(language, too_early, seconds=longest_s)
+        )
     latched_ns = int(before["fault_ns"])
 
     def decided(now: np.ndarray) -> bool:

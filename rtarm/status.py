@@ -18,6 +18,7 @@ from rtarm.language import named, said
 from shm import files, histogram
 from shm.client import StateReader
 from shm.drive_words import listed, troubles_of, words_of
+from shm.errors import NotRunning
 from shm.files import MemoryFile
 from shm.gripper import read_gripper
 from shm.layout import BUS_TROUBLE
@@ -66,12 +67,12 @@ def resolve_arm(argument: str | None, language: Language = "en") -> str:
         if not arms:
             raise Refusal(said(language, "No arm is running here: start one with `rtarm up ARM`, or try `rtarm demo`."))
         if len(arms) > 1:
-            names = ", ".join(arms)
+            meant: dict[str, object] = {"arms": ", ".join(arms), "first": arms[0]}
             if files.running_arms():
-                raise Refusal(said(language, "Several arms are running ({arms}): name the one you mean.", arms=names))
-            raise Refusal(
-                said(language, "No arm is running here; several have died ({arms}): name the one you mean.", arms=names)
-            )
+                several = "Several arms are running ({arms}): name the one you mean, such as `--arm {first}`."
+                raise Refusal(said(language, several, **meant))
+            died = "No arm is running here; several have died ({arms}): name the one you mean, such as `--arm {first}`."
+            raise Refusal(said(language, died, **meant))
         return arms[0]
     if is_path(argument):
         from config.loader import load_arm
@@ -94,13 +95,33 @@ def is_path(argument: str) -> bool:
     return "/" in argument or argument.endswith((".yaml", ".yml"))
 
 
+def open_running(arm: str) -> MemoryFile:
+    """The state file of an arm.
+
+    Raises:
+        SharedMemoryError: as `shm.files.open_state`; where others run instead, the sentence names them.
+    """
+    try:
+        return files.open_state(arm)
+    except NotRunning:
+        others = ", ".join(files.running_arms())
+        if not others or files.state_path(arm).exists():
+            raise
+        raise NotRunning(
+            "No control process is running for arm '{arm}', but for {arms}: name that arm, or start this one with "
+            "`rtarm up` and the name or the path of its arm file.",
+            arm=arm,
+            arms=others,
+        ) from None
+
+
 def read_status(arm: str, language: Language = "en") -> Report:
     """Everything `status` tells about a running arm, its sentences in a language.
 
     Raises:
         SharedMemoryError: it is not running, or its files are not what they should be.
     """
-    reader = StateReader(files.open_state(arm))
+    reader = StateReader(open_running(arm))
     try:
         return report_of(arm, reader, language)
     finally:

@@ -19,6 +19,10 @@ class NotRunning(SharedMemoryError):
     """No control process holds the arm's memory files."""
 
 
+class EndedMeanwhile(NotRunning):
+    """It did when somebody began to speak to it, and has ended since."""
+
+
 class AlreadyHeld(SharedMemoryError):
     """Another process already owns this side of the arm."""
 

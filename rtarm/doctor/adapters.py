@@ -16,6 +16,7 @@ from config.schema import ArmConfig
 from rtarm.doctor.finding import Found, Write, bad, note, ok, together, warn
 from rtarm.doctor.machine import Machine, Unknown, settled
 from rtarm.doctor.permissions import REAL_TIME_POLICIES
+from shm import files
 
 SERIAL_PREFIXES = ("ttyUSB", "ttyACM")
 ARPHRD_CAN = 280
@@ -126,15 +127,18 @@ def port(machine: Machine, arm: ArmConfig | None) -> Found:
         return ok(f"{device}, a CAN interface")
     if _by_library(arm):
         return ok(f"{device}, which python-can alone can look for")
+    is_there = arm.bus.interface != "socketcan" and machine.exists(device)
+    if not is_there and arm.name in files.running_arms():
+        return ok(f"{device} is not there, but {arm.name} runs: it is simulated, or reached through another adapter")
     if arm.bus.interface == "socketcan":
         there = ", ".join(can_interfaces(machine)) or "none"
         return bad(
             f"there is no CAN interface {device} (found: {there})",
             "ip -brief link show   # then name it as bus.channel",
         )
-    if not machine.exists(device):
+    if not is_there:
         return bad(
-            f"{device} is not there",
+            f"{device} is not there, which a simulated arm (`rtarm up --sim`) can do without",
             "ls /dev/serial/by-id/ /dev/ttyUSB* /dev/ttyACM*   # then name it as bus.channel",
         )
     target = machine.real(device)

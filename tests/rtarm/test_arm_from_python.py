@@ -24,6 +24,9 @@ from waiting import until
 from written_arm import WrittenArm
 
 import rtarm
+from rtarm import moves
+from rtarm.errors import ExitCode, foreseen
+from rtarm.sending import Outcome
 from shm.words import Mode
 
 PATIENCE_S = 30.0
@@ -62,6 +65,7 @@ def test_an_angle_beyond_its_limits_is_refused_with_joint_value_and_limit(python
     ("ask", "sentence"),
     [
         (lambda arm: arm.move({"nose": 0.1}), "has no joint 'nose'; its joints are"),
+        (lambda arm: arm.move({"elbwo": 0.1}), r"has no joint 'elbwo' \(did you mean elbow\?\); its joints are"),
         (lambda arm: arm.move({arm.joints[0]: math.nan}), "is no number"),
         (lambda arm: arm.move({arm.joints[0]: 0.2}, speed=0.0), "speed is 0, but must be above 0"),
         (lambda arm: arm.move({arm.joints[0]: 0.2}, speed=1.5), "speed is 1.5, but must be"),
@@ -78,6 +82,12 @@ def test_what_means_nothing_is_refused_before_ros_is_started(
     with pytest.raises(rtarm.Refusal, match=sentence):
         ask(python_arm)
     assert python_arm._senders.present is None
+
+
+def test_a_refusal_of_a_joint_names_it(python_arm: rtarm.Arm) -> None:
+    with pytest.raises(rtarm.Refusal) as refused:
+        python_arm.move({"elbwo": 0.1})
+    assert refused.value.joint == "elbwo"
 
 
 def test_an_arm_a_rounding_beyond_a_limit_is_at_it(standing: WrittenArm, python_arm: rtarm.Arm) -> None:
@@ -109,6 +119,39 @@ def test_an_arm_that_does_not_just_hold_is_not_moved(standing: WrittenArm, pytho
         python_arm.move({python_arm.joints[0]: 0.2})
 
 
+class Told:
+    """A sender whose goal ended, or that is gone itself."""
+
+    alive = False
+
+    def __init__(self, outcome: Outcome | None) -> None:
+        self.outcome = outcome
+
+    def send(self, goal: dict[str, Any]) -> int:
+        return 1
+
+    def cancel(self) -> None: ...
+
+    def ended(self, number: int, patience_s: float = 0.0) -> Outcome | None:
+        if self.outcome is None:
+            raise rtarm.Refusal("The process that sends goals has ended.")
+        return self.outcome
+
+
+@pytest.mark.parametrize("outcome", [Outcome(False, -6, "The control process is gone."), None], ids=["front", "sender"])
+def test_a_motion_that_ends_with_the_control_process_says_so_whoever_noticed_first(
+    python_arm: rtarm.Arm, monkeypatch: pytest.MonkeyPatch, outcome: Outcome | None
+) -> None:
+    connection = python_arm._connection
+    with pytest.raises(rtarm.GoalFailed):
+        moves.run(connection, Told(outcome), {})  # type: ignore[arg-type]
+    monkeypatch.setattr("shm.files.is_held", lambda _: False)
+    with pytest.raises(rtarm.NotRunning, match="ended meanwhile") as ended:
+        moves.run(connection, Told(outcome), {})  # type: ignore[arg-type]
+    told = foreseen(ended.value)
+    assert told is not None and told[1] == ExitCode.LOOP_DIED
+
+
 def test_no_arm_of_that_name(arm_name: str) -> None:
     with pytest.raises(rtarm.NotRunning, match=arm_name), rtarm.connect(arm_name):
         pass
@@ -117,8 +160,11 @@ def test_no_arm_of_that_name(arm_name: str) -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("joint1",), "joint1 has no angle"),
-        (("joint1=much",), "no number of degrees"),
+        (("elbow",), "elbow is no joint with an angle: write JOINT=DEGREES, such as elbow=15."),
+        (("20",), "20 is no joint with an angle: write JOINT=DEGREES, such as shoulder=15."),
+        (("elbow=much",), "'much', which is no number"),
+        (("elbow=0.3rad",), "'0.3rad', which is no number: write degrees without a unit, such as elbow=-12.5."),
+        (("elbow=20", "elbow=30"), "elbow is named twice: give it one angle."),
         (("nose=1",), "has no joint 'nose'"),
     ],
 )

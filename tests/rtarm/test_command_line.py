@@ -42,6 +42,12 @@ SAY_JSON = [
 ]
 """Commands whose answer a script would want to read."""
 
+NOT_OF_ONE_ARM = [
+    *(("up",), ("doctor",), ("bench",), ("moveit-config",), ("config", "check"), ("explain",), ("plot",), ("drives",)),
+    *(("scan",), ("calibrate",), ("commission",), ("motions",)),
+]
+"""Commands about files and machines, or that start an arm."""
+
 Rtarm = Callable[..., Result]
 WIDTH = 200
 """Of the terminal that the fixture pretends."""
@@ -185,7 +191,7 @@ REFUSED = [
     (("demo", "--json", "nowhere/figures.json"), "nowhere/figures.json cannot be written"),
     (("status", "Big"), "'Big' is no name of an arm"),
     (("status", "t_nobody_runs_me"), "No control process is running for arm 't_nobody_runs_me'"),
-    (("stop", "t_nobody_runs_me"), "start it with `rtarm up` and the name or the path of its arm file"),
+    (("stop", "t_nobody_runs_me"), "with `rtarm up` and the name or the path of its arm file"),
     (("clear-fault", "t_nobody_runs_me"), "No control process is running"),
 ]
 
@@ -196,6 +202,48 @@ def test_a_refusal_is_a_sentence_and_exit_code_1(arguments: tuple[str, ...], sai
     assert (result.exit_code, result.stdout) == (1, "")
     assert said in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_an_arm_that_does_not_run_is_told_with_those_that_do(arm: WrittenArm, rtarm: Rtarm) -> None:
+    for command in (("status", "t_nobody"), ("stop", "t_nobody"), ("move", "elbow=1", "--arm", "t_nobody")):
+        result = rtarm(*command)
+        assert result.exit_code == 1
+        said = re.fullmatch(r"No control process .* 't_nobody', but for (.*): name that arm, .*\.\n", result.stderr)
+        assert said and arm.name in said[1].split(", ")
+
+
+def of_a_running_arm() -> Iterator[tuple[str, ...]]:
+    """Commands whose only argument is an arm that may be left out."""
+    for command in COMMANDS:
+        found: Any = typer.main.get_command(app)
+        for word in command:
+            found = found.commands[word]
+        arguments = [(one.name, one.required) for one in found.params if one.param_type_name == "argument"]
+        if arguments == [("arm", False)]:
+            yield command
+
+
+@pytest.mark.parametrize("command", sorted(set(of_a_running_arm()) - {("doctor",)}), ids=" ".join)
+def test_an_arm_is_named_as_the_argument_or_by_its_option(command: tuple[str, ...], rtarm: Rtarm) -> None:
+    for words in (["Big"], ["--arm", "Big"], ["-a", "Big"], ["Big", "--arm", "Big"]):
+        result = rtarm(*command, *words)
+        assert result.exit_code == 1 and "'Big'" in result.stderr, words
+    two = rtarm(*command, "left", "--arm", "right")
+    assert two.exit_code == 1 and "it is left, but --arm is right: name one arm." in " ".join(two.stderr.split())
+
+
+@pytest.mark.parametrize("command", [command for command in COMMANDS if command not in NOT_OF_ONE_ARM], ids=" ".join)
+def test_every_command_to_a_running_arm_takes_its_option(command: tuple[str, ...], rtarm: Rtarm) -> None:
+    assert re.search(r"--arm +-a +ARM", rtarm(*command, "--help").stdout)
+
+
+def test_what_a_process_has_said_is_said_once_where_both_outputs_are_one() -> None:
+    program = "from rtarm.errors import *; print(*foreseen(AlreadySaid('no')))"
+    for together, said in ((subprocess.STDOUT, " 1"), (subprocess.PIPE, "no 1")):
+        ended = subprocess.run(
+            [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=together, text=True, check=True
+        )
+        assert ended.stdout.rstrip("\n") == said
 
 
 def test_status_in_json_stays_json_when_nothing_runs(rtarm: Rtarm) -> None:

@@ -438,6 +438,16 @@ def test_a_brisk_arm_wants_more_of_the_kernel(tmp_path: Path) -> None:
     assert run("preemption", machine, brisk).level == Level.WARN
 
 
+@pytest.mark.parametrize("bus", [{}, {"interface": "socketcan", "usb_index": 7}], ids=["serial", "CAN"])
+def test_a_simulated_arm_that_runs_lacks_no_port(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bus: dict[str, Any]
+) -> None:
+    monkeypatch.setattr("shm.files.running_arms", lambda: ["episode1"])
+    machine = build(tmp_path, {"/dev/ttyUSB1": None})
+    found = run("adapter's port", machine, load_arm("episode1", overrides={"bus": bus}))
+    assert found.level == Level.OK and "is not there, but episode1 runs: it is simulated" in found.found
+
+
 def test_the_port_of_the_arm(tmp_path: Path) -> None:
     port, arm = "adapter's port", episode1()
     assert "/dev/ttyUSB1 may be opened" in run(port, build(tmp_path / "there"), arm).found
@@ -453,7 +463,7 @@ def test_the_port_of_the_arm(tmp_path: Path) -> None:
     assert (gone.level, gone.found) == (Level.BAD, "there is no CAN interface can1 (found: can0)")
 
     gone = run(port, build(tmp_path / "gone", {"/dev/ttyUSB1": None}), arm)
-    assert (gone.level, gone.found) == (Level.BAD, "/dev/ttyUSB1 is not there")
+    assert gone.level == Level.BAD and gone.found.startswith("/dev/ttyUSB1 is not there, which a simulated arm (")
     for name in ("latency timer", "USB power"):
         said = run(name, build(tmp_path / name, {"/dev/ttyUSB1": None}), arm)
         assert said == Found(Level.NOTE, "unknown: /dev/ttyUSB1 is not there")

@@ -27,6 +27,7 @@ from rtarm import chinese, requests
 from rtarm.errors import Refusal
 from rtarm.language import language_of, named, said, told
 from rtarm.recording.story import COUNTED, SLOWED, STATUS
+from rtarm.requests import TOO_EARLY_TO_CLEAR
 from rtarm.status import STOPPED_BY_A_PERSON, key, read_status
 from rtarm.status_tables import render_status
 from rtarm.top.picture import Picture
@@ -44,6 +45,7 @@ from shm.words import BusState, DriveStatus, Fault, Mode, Outcome, Phase, Reques
 
 ROOT = Path(rtarm.__file__).parent
 FROM_TABLES = {*COUNTED.values(), *STATUS.values(), *(sentence for sentence, _ in SLOWED.values()), STOPPED_BY_A_PERSON}
+FROM_TABLES |= set(TOO_EARLY_TO_CLEAR.values())
 FROM_MEMORY = {
     "No control process is running",
     "The control process of arm '{arm}' (pid",

@@ -11,6 +11,7 @@ from written_arm import WrittenArm
 
 from config.stopping import Patience
 from rtarm import requests
+from rtarm.errors import ExitCode
 from shm.words import Answer, Fault, Mode, Phase, Request, Unreferenced
 
 Rtarm = Callable[..., Result]
@@ -115,7 +116,7 @@ def test_stop_notices_the_end_of_the_control_process(arm: WrittenArm, rtarm: Rta
 
     with arm.answering(obey):
         result = rtarm("stop", arm.name)
-    assert result.exit_code == 1
+    assert result.exit_code == ExitCode.LOOP_DIED
     assert "ended meanwhile; the drives have stopped by themselves" in result.stderr
 
 
@@ -162,12 +163,24 @@ def test_a_fault_that_comes_back_is_said(arm: WrittenArm, rtarm: Rtarm) -> None:
     assert "The fault was cleared and came back. The CAN adapter is gone or refuses" in result.stderr
 
 
-def test_a_refused_clear_is_said(arm: WrittenArm, rtarm: Rtarm) -> None:
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (Answer.REFUSED_MODE, "is being cleared already: wait until `rtarm status` says holding, or fault again."),
+        (
+            Answer.REFUSED_MOVING,
+            "braking after the fault, which takes 1.5 s at most: wait until it stands, then",
+        ),
+        (Answer.REFUSED_WIRE, "The CAN adapter is not there"),
+    ],
+)
+def test_a_refused_clear_says_what_to_wait_for(arm: WrittenArm, rtarm: Rtarm, answer: Answer, said: str) -> None:
+    arm.state["limits"]["longest_stop_s"] = 1.5
     faulty(arm)
-    with arm.answering(lambda _arm, _kind: Answer.REFUSED_MODE):
+    with arm.answering(lambda _arm, _kind: answer):
         result = rtarm("clear-fault", arm.name)
     assert result.exit_code == 1
-    assert "cannot do this in its present mode" in result.stderr
+    assert said in result.stderr
 
 
 def homed(arm: WrittenArm, rtarm: Rtarm, *joints: str) -> Result:

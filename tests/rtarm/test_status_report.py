@@ -238,7 +238,7 @@ def test_without_a_name_the_only_running_arm_is_meant(arm: WrittenArm, monkeypat
     with pytest.raises(Refusal, match="No arm is running here: start one"):
         status.resolve_arm(None)
     monkeypatch.setattr(status.files, "running_arms", lambda: ["left", "right"])
-    with pytest.raises(Refusal, match=r"Several arms are running \(left, right\): name the one"):
+    with pytest.raises(Refusal, match=r"\(left, right\): name the one you mean, such as `--arm left`\."):
         status.resolve_arm(None)
 
 
