@@ -34,7 +34,7 @@ def complaint(
         location = (*location, *parts_of(str(context["field"])))
         problem = _with_its_joint(str(context["sentence"]), location, values)
     else:
-        problem = _sentence(details, location, model, _subject(location, values))
+        problem = _sentence(details, location, model, subject(location, values))
     text = text_of(location)
     from_override = text in overridden
     return ConfigError(
@@ -84,7 +84,7 @@ def _with_its_joint(sentence: str, location: Location, values: Mapping[str, Any]
     begins = f"{location[-1]} is " if location else ""
     if joint is None or not sentence.startswith(begins) or joint in sentence:
         return sentence
-    return f"{_subject(location, values)} is {sentence.removeprefix(begins)}"
+    return f"{subject(location, values)} is {sentence.removeprefix(begins)}"
 
 
 def _joint_of(location: Location, values: Mapping[str, Any]) -> str | None:
@@ -99,7 +99,7 @@ def _joint_of(location: Location, values: Mapping[str, Any]) -> str | None:
     return None
 
 
-def _subject(location: Location, values: Mapping[str, Any]) -> str:
+def subject(location: Location, values: Mapping[str, Any]) -> str:
     """How the sentence names the field: `ratio of joint3`, `rate_hz`, `the file`."""
     joint = _joint_of(location, values)
     match location:

@@ -15,7 +15,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from config.complaints import complaint
+from config.complaints import complaint, subject
 from config.errors import ConfigError, did_you_mean
 from config.schema import ArmConfig, Source
 from config.serial_adapters import SERIAL_ADAPTERS
@@ -73,19 +73,23 @@ def load_arm(name_or_path: str | Path, *, overrides: Mapping[str, Any] | None = 
 
 
 def differences(one: str | Path, other: str | Path) -> list[tuple[str, Any, Any]]:
-    """What two arm files say differently: location, value of the one, value of the other (ABSENT: it says nothing).
+    """What two arm files say differently: place, value of the one, value of the other (ABSENT: it says nothing).
 
     Raises:
         ConfigError: one of them cannot be read.
     """
-    said = []
+    values = []
     for name_or_path in (one, other):
         path = arm_path(name_or_path)
         file = _display_name(path)
-        said.append(dict(_leaves(parse(_read(path, file), file)[1], ())))
-    first, second = said
+        values.append(parse(_read(path, file), file)[1])
+    first, second = (dict(_leaves(what, ())) for what in values)
     pairs = ((where, first.get(where, ABSENT), second.get(where, ABSENT)) for where in {**first, **second})
-    return [(text_of(where), ours, theirs) for where, ours, theirs in pairs if ours != theirs]
+    return [
+        (subject(where, values[1]) if where[0] == "joints" else text_of(where), ours, theirs)
+        for where, ours, theirs in pairs
+        if ours != theirs
+    ]
 
 
 def arm_hash(arm: ArmConfig) -> int:

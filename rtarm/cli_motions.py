@@ -51,7 +51,7 @@ def move(
         with connect(arm) as running:
             if without := [joint for joint, angle in angles.items() if angle is None]:
                 joint = without[0] if without[0] in running.joints else running.joints[0]
-                raise Refusal(f"{without[0]} is no joint with an angle: write JOINT=DEGREES, such as {joint}=15.")
+                raise Refusal(f"{without[0]!r} gives no joint an angle: write JOINT=DEGREES, such as {joint}=15.")
             try:
                 with signals_raise():
                     targets_rad = {joint: math.radians(angle or 0.0) for joint, angle in angles.items()}

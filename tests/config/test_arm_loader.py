@@ -605,7 +605,7 @@ def test_differences_of_two_arm_files_name_the_place_and_both_values(tmp_path: P
     del values["front"]["controller_name"]
     other.write_text(yaml.safe_dump(values), encoding="utf-8")
     found = {where: (before, now) for where, before, now in differences(one, other)}
-    assert found["joints[1].upper_deg"] == (yaml.safe_load(text)["joints"][1]["upper_deg"], 12.5)
+    assert found["upper_deg of joint2"] == (yaml.safe_load(text)["joints"][1]["upper_deg"], 12.5)
     assert found["parking.target_deg[0]"] == (ABSENT, 0.0)
     assert found["front.controller_name"][1] is ABSENT
 

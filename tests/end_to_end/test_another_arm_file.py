@@ -78,8 +78,8 @@ def test_another_file_of_the_name_is_refused_with_what_differs(arm_name, file_in
     assert refused.code() == 2
     sentence = refused.lines[-1]
     assert f"it ran another arm file than {other}: {own}, which differs in " in sentence
-    assert "joints[0].zero_deg (170.0 there, 160.0 here)" in sentence
-    assert "joints[0].lower_deg" in sentence
+    assert "zero_deg of joint1 (170.0 there, 160.0 here)" in sentence
+    assert "lower_deg of joint1" in sentence
     assert f"start that one with `rtarm up {shlex.quote(str(own))}`, or, if this one is right" in sentence
     assert str(own) in status(arm_name), "a start that is refused changes nothing"
 
@@ -108,7 +108,7 @@ def test_a_link_that_points_to_another_file_is_that_file(file_in, started, tmp_p
     link.symlink_to(other)
     refused = started(link)
     assert refused.code() == 2
-    assert f"it ran another arm file than {other}: {own}, which differs in joints[0].zero_deg" in refused.lines[-1]
+    assert f"it ran another arm file than {other}: {own}, which differs in zero_deg of joint1" in refused.lines[-1]
 
 
 def test_a_file_that_was_edited_or_moved_is_no_other_one(arm_name, file_in, started) -> None:

@@ -160,8 +160,8 @@ def test_no_arm_of_that_name(arm_name: str) -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("elbow",), "elbow is no joint with an angle: write JOINT=DEGREES, such as elbow=15."),
-        (("20",), "20 is no joint with an angle: write JOINT=DEGREES, such as shoulder=15."),
+        (("elbow",), "'elbow' gives no joint an angle: write JOINT=DEGREES, such as elbow=15."),
+        (("20",), "'20' gives no joint an angle: write JOINT=DEGREES, such as shoulder=15."),
         (("elbow=much",), "'much', which is no number"),
         (("elbow=0.3rad",), "'0.3rad', which is no number: write degrees without a unit, such as elbow=-12.5."),
         (("elbow=20", "elbow=30"), "elbow is named twice: give it one angle."),

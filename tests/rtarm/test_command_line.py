@@ -187,6 +187,7 @@ REFUSED = [
     (("up", "episode1", "--sim", "--channel", "/dev/ttyACM0"), "--sim brings its own adapter"),
     (("config", "check", "epi"), "no arm is called 'epi'"),
     (("demo", "--arm", "nobody"), "no arm is called 'nobody'"),
+    (("demo", "nobody"), "no arm is called 'nobody'"),
     (("demo", "--goal", "nowhere.json"), "nowhere.json cannot be read (No such file or directory)"),
     (("demo", "--json", "nowhere/figures.json"), "nowhere/figures.json cannot be written"),
     (("status", "Big"), "'Big' is no name of an arm"),
