@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
+import stable_names
 from json_reports import REPORTS
 from stable_names import KINDS, now
 
+from handbook import stability
 from handbook.commands import commands
 from handbook.stability import listed, path_of
 
@@ -39,6 +43,18 @@ def test_each_command_that_prints_json_is_in_the_list() -> None:
         if "--json" in given.opts and given.is_flag
     }
     assert switches == REPORTS.keys()
+
+
+def test_a_deprecated_name_keeps_its_remark_and_is_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "exit-codes.txt"
+    path.write_text("0 done  # deprecated since 0.2.0: use 7\n9 gone\n", encoding="utf-8")
+    monkeypatch.setattr(stability, "path_of", lambda kind: tmp_path / f"{kind}.txt")
+    monkeypatch.setattr(stable_names, "KINDS", {"exit-codes": stable_names.of_exit_codes})
+    stable_names.add_new_names()
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert lines[:2] == ["0 done  # deprecated since 0.2.0: use 7", "1 refused"]
+    assert lines[-1] == "9 gone", "which a person must see"
+    assert "| `0 done` | deprecated since 0.2.0: use 7 |" in stability.build()
 
 
 def test_a_list_is_in_order_and_names_nothing_twice() -> None:
