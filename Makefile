@@ -70,6 +70,7 @@ test: env
 test-live: env $(STAMPS)/colcon
 	$(PYTEST) -m 'process and not smoke'
 
+test-all: export RTARM_EXAMPLES := all
 test-all: test transcripts test-live test-vm test-dist
 
 # `python -m transcripts --record SCENARIO …` with the same path records anew what is meant to change (docs/explanation/testing.md).
@@ -77,7 +78,7 @@ transcripts: env
 	PYTHONPATH=tests $(BIN)/python -m transcripts --jobs 2
 
 mutants: env
-	PYTHONPATH=tests $(BIN)/python -m mutants --count $(COUNT) --seed $(SEED) --jobs 2
+	RTARM_EXAMPLES=all PYTHONPATH=tests $(BIN)/python -m mutants --count $(COUNT) --seed $(SEED) --jobs 2
 
 test-vm: tools
 	$(BIN)/python tests/vm/boot.py

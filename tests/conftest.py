@@ -20,6 +20,7 @@ import leaks
 import pytest
 import verdicts
 from carriers import Hurried
+from depth import examples
 from hypothesis import HealthCheck, settings
 
 from rosfront.transport import FAST_DDS, choose_udp
@@ -43,7 +44,11 @@ def pytest_configure(config: pytest.Config) -> None:
     for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
         if signal.getsignal(number) is signal.SIG_IGN:  # in the background of a shell; what is started inherits it
             signal.signal(number, usual)
-    settings.register_profile("untimed", settings.default, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    slow = [HealthCheck.too_slow]
+    count = examples(settings.default.max_examples)
+    settings.register_profile(
+        "untimed", settings.default, max_examples=count, deadline=None, suppress_health_check=slow
+    )
     settings.load_profile("untimed")
     os.environ.update(own_domain())
     _CLAIM.bind(("127.0.0.1", ports_of(int(os.environ["ROS_DOMAIN_ID"]))[-1]))

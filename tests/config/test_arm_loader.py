@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import yaml
+from depth import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -466,7 +467,7 @@ def assert_an_arm_or_sentences(file: Path, overrides: dict[str, Any] | None) -> 
         assert "\n" not in sentence
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_whatever_happens_to_a_file_the_answer_is_an_arm_or_a_sentence(tmp_path: Path, data: st.DataObject) -> None:
     start = data.draw(st.integers(0, len(EPISODE1)), label="start")
@@ -478,7 +479,7 @@ def test_whatever_happens_to_a_file_the_answer_is_an_arm_or_a_sentence(tmp_path:
     assert_an_arm_or_sentences(file, None)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(data=st.data())
 def test_a_file_is_read_alike_with_libyaml_and_without(data: st.DataObject) -> None:
     short = "a: [1, {b: 1.5e-3}]\nc:  # and\n- d: 'it''s'\n  e: \"x\\ty\"\n- 0x1F\nf: no\n"
@@ -513,7 +514,7 @@ def read_or_refused(text: str) -> object:
     return repr(values), [*yaml_text.lines(root, ())] if "*" not in text else []
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(
     overrides=st.recursive(
         st.dictionaries(

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from robot_models import Pinocchio, Positions, arm_of, arms, geometry
@@ -66,7 +67,7 @@ def test_the_flange_is_the_product_of_the_table(arm: ArmConfig, share: float) ->
     assert flange_pose(geometry(arm), positions) == pytest.approx(expected, abs=1e-12)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(arm=arms(most_joints=4), share=st.floats(0, 1))
 def test_pinocchio_sees_the_same_arm(arm: ArmConfig, share: float) -> None:
     """Through the generated files and the real xacro; lengths are written to the nanometre."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from compiling import bounds_checked
+from depth import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from plain_messages import point, present, trajectory
@@ -25,7 +26,7 @@ from shm.words import Answer, Fault, Outcome
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 20_261_121
 
-sample = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+sample = settings(max_examples=examples(60), deadline=None, suppress_health_check=list(HealthCheck), database=None)
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import plain_messages
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -143,7 +144,7 @@ def test_an_arm_of_another_geometry_is_told_why():
     assert refused(moves.to_pose, *DEMO, "xyz", 1.0).startswith("Row 4 of this arm's kinematics.dh does not fit")
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=examples(200))
 @given(
     st.lists(st.floats(), min_size=3, max_size=3),
     st.lists(st.floats(), min_size=3, max_size=3),

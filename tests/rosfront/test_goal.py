@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plain_messages import duration, goal_of, point, present, trajectory
@@ -358,7 +359,7 @@ def test_the_way_to_a_first_point_that_is_still_ahead_gets_the_time_that_is_left
         planned(goal([point(2, [0.2])], ["joint1"], NOW_S - 1.5))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(st.floats(0.0, 2.9))
 def test_an_entry_is_always_near_the_arm_and_never_late_without_need(late_s):
     plan = planned(slow_way(NOW_S - late_s))
@@ -591,7 +592,7 @@ def some_points(seed):
     return times_ns, positions, velocities
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(st.integers(0, 10**9))
 def test_second_differences_are_judged_exactly(seed):
     """Accepted or refused as dense sampling by scipy says, for setpoints that are any time up to a cycle apart."""
@@ -611,7 +612,7 @@ def test_second_differences_are_judged_exactly(seed):
         assert refused.value / 4.0 <= 1.05 * share
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(st.integers(0, 10**9), st.floats(0.05, 1.0), st.floats(0.0, 1.0))
 def test_what_is_accepted_keeps_the_limit_at_any_phase_and_rate(seed, rate, phase):
     """The second difference of setpoints a cycle apart, while the trajectory clock runs at a rate of at most 1."""
@@ -698,7 +699,7 @@ def test_densified_times_rise_and_keep_the_given_knots(gaps_ns, factor):
         assert (dense[dense_times.tolist().index(at)][:, :2] == value[:, :2]).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 10**6))
 def test_whatever_is_accepted_keeps_the_limits_everywhere(seed):
     """Random quintic goals: an accepted one, sampled finely by scipy, is inside the limits."""

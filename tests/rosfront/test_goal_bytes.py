@@ -4,6 +4,7 @@ import contextlib
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -51,7 +52,7 @@ def requests(draw):
     return request
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(request=requests())
 def test_what_is_read_is_what_the_request_holds(request):
     data = as_bytes(request)

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from robot_models import Pinocchio, Positions, arm_of
@@ -67,7 +68,7 @@ def wrist_arms(draw: st.DrawFn) -> ArmConfig:
     return arm_of(rows)
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(arm=wrist_arms(), share=shares)
 def test_every_way_that_is_found_leads_to_the_pose(arm: ArmConfig, share: Positions) -> None:
     """And the one the pose was made with is among them."""
@@ -83,7 +84,7 @@ def test_every_way_that_is_found_leads_to_the_pose(arm: ArmConfig, share: Positi
     assert np.abs(ways - angles).max(axis=1).min() < 1e-6
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(share=shares, seed_share=shares)
 def test_forward_after_inverse_is_the_pose_and_inside_the_limits(share: Positions, seed_share: Positions) -> None:
     pose = flange(EPISODE1, LOWER + share * (UPPER - LOWER))
@@ -93,7 +94,7 @@ def test_forward_after_inverse_is_the_pose_and_inside_the_limits(share: Position
     assert (angles >= LOWER - 1e-3).all() and (angles <= UPPER + 1e-3).all()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(share=shares)
 def test_from_where_the_arm_stands_it_need_not_move(share: Positions) -> None:
     angles = LOWER + share * (UPPER - LOWER)
@@ -184,7 +185,7 @@ def test_a_straight_wrist_shares_its_turn_within_the_limits() -> None:
     assert np.degrees(angles) == pytest.approx([0, 0, 0, 40, 0, 60], abs=1e-5)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=examples(100))
 @given(arm=st.one_of(st.just(EPISODE1), wrist_arms()), share=shares, seed_share=shares, over=st.booleans())
 def test_a_pose_of_a_straight_wrist_is_in_reach_from_everywhere(
     arm: ArmConfig, share: Positions, seed_share: Positions, over: bool

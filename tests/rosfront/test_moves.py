@@ -4,6 +4,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from plain_messages import present
@@ -78,7 +79,7 @@ def test_a_profile_covers_its_way_within_speed_and_acceleration(speed, accelerat
     assert (np.diff(knots) >= 0).all() and np.diff(profile.at(knots)[0]).max() <= widest * (1 + 1e-9)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(start=shares, target=shares, ratio=st.floats(0.01, 1.0), arm=st.sampled_from([ARM, LINEAR]))
 def test_a_move_of_the_joints_keeps_its_share_of_every_limit(start, target, ratio, arm):
     """And one of them at least is used up: no slower than need be."""
@@ -100,7 +101,7 @@ def test_a_move_to_where_the_arm_stands_is_over_at_once():
     assert planned(line.trajectory(8e-3), OVER_THE_TABLE).duration_s < 0.5
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(near=shares, way_mm=ways_mm, turn_deg=turns_deg, step_mm=st.sampled_from([0.5, 8.0, 1e6]))
 def test_a_line_is_straight_between_its_knots_too(near, way_mm, turn_deg, step_mm):
     """Better than a micrometre and 0.001° through the curves that the control process follows, within every limit."""
@@ -120,7 +121,7 @@ def test_a_line_is_straight_between_its_knots_too(near, way_mm, turn_deg, step_m
     assert fast.max() < 1.02 and hard.max() < 1.1
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=examples(100))
 @given(share=shares, way_mm=st.lists(st.floats(-600, 600), min_size=3, max_size=3), turn_deg=turns_deg)
 def test_a_refused_line_says_where_and_why(share, way_mm, turn_deg):
     start = LOWER + share * (UPPER - LOWER)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from streamed import NS, SERVO_POSE_RAD, FollowedArm, Message, recorded_servo
@@ -70,7 +71,7 @@ def states(draw: st.DrawFn) -> np.ndarray:
     return np.stack([position, random.uniform(-1, 1, 6) * fastest * draw(st.sampled_from([0.0, 0.5, 1.0]))], axis=1)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(
     states(),
     st.integers(0, 2**32 - 1),
@@ -108,7 +109,7 @@ def test_whatever_a_message_asks_for_is_followed_within_the_limits(
         assert (plan.joints[-1, :, 1] == 0.0).all()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.2), st.floats(0.0, 0.7))
 def test_the_lag_decays_when_the_stream_can_be_followed(seed: int, lag_rad: float, share: float) -> None:
     """A target at a steady speed, some way off: the arm is on it before long, and stays."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from arm_files import known_arm
+from depth import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
@@ -23,7 +24,7 @@ POINT_S = 0.1
 CRUISE_S = 20.0
 WAYS = ("cancel", "stop", "hold", "scale", "silence")
 
-trials = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+trials = settings(max_examples=examples(15), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def slow_arm(slowness_s: float, **limits: float) -> ArmConfig:

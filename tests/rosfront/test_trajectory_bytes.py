@@ -6,6 +6,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -61,7 +62,7 @@ def same(found, message):
     return True
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(
     points=st.integers(1, 20),
     width=st.integers(1, 9),
@@ -84,7 +85,7 @@ def test_what_is_read_is_what_the_message_holds(points, width, velocities, accel
 ROWS = st.lists(st.floats(-1e3, 1e3), max_size=3)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(
     rows=st.lists(st.tuples(ROWS, ROWS, ROWS, ROWS), max_size=6),
     first=st.none() | st.tuples(ROWS, ROWS, ROWS, ROWS),

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import Phase, assume, example, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -252,7 +253,7 @@ TRUTHS = st.builds(Values, BITS, st.integers(1, 40).map(float), st.integers(5, 1
 IN_FILES = st.builds(Values, BITS, st.integers(1, 40).map(float), st.integers(-180, 180).map(float))
 
 
-@settings(max_examples=12, deadline=None, phases=(Phase.explicit, Phase.generate))
+@settings(max_examples=examples(12), deadline=None, phases=(Phase.explicit, Phase.generate))
 @given(truth=TRUTHS, in_file=IN_FILES, misreads_deg=st.floats(-0.9, 0.9), joint=st.integers(0, 5))
 @example(Values(-1, 20.0, 170.0), Values(1, 25.0, 180.0), 0.5, 0)
 @example(Values(1, 38.0, 28.0), Values(-1, 1.0, 131.0), 0.72, 3)  # no turn of this ratio is seen

@@ -8,6 +8,7 @@ from itertools import combinations, pairwise
 import coal
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from robot_models import Pinocchio, Positions, arm_of, arms, files_of, geometry
@@ -83,7 +84,7 @@ def test_segments_that_meet_or_run_beside_each_other(
     assert float(segment_distances_m(p0, p1, p0 + beside, p1 + beside)) == expected
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(arm=arms(most_joints=5), seed=st.integers(0, 1000))
 def test_links_touch_where_the_distance_says(arm: ArmConfig, seed: int) -> None:
     """Ours is computed from bones, coal's from the cylinders and spheres of the generated robot model."""
@@ -118,7 +119,7 @@ def test_the_pairs_of_episode1_hold_in_thousands_of_poses() -> None:
     judge(load_arm("episode1"), poses=4000, seed=1)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=examples(10), deadline=None)
 @given(arm=arms(), seed=st.integers(0, 1000))
 def test_the_pairs_of_any_arm_hold(arm: ArmConfig, seed: int) -> None:
     judge(arm, poses=150, seed=seed)

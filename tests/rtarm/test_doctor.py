@@ -13,6 +13,7 @@ from typing import Any
 
 import fake_machine
 import pytest
+from depth import examples
 from fake_machine import CPU, USB, Content, build, can_link, good_machine, place, refused, room, stat
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -563,7 +564,7 @@ JSON = st.recursive(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(garbage=st.dictionaries(st.sampled_from(sorted(good_machine())), GARBAGE, min_size=1, max_size=4), links=JSON)
 def test_garbage_in_any_file_is_no_crash(garbage: dict[str, bytes], links: Any) -> None:
     files: dict[str, Content] = {

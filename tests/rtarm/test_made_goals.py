@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from depth import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from stack import run_rtarm
@@ -57,7 +58,7 @@ def test_every_arm_has_goals_that_fit_it(name: str, tmp_path: Path) -> None:
     assert all(fits(goal, arm) for goal in goals_for(arm, tmp_path))
 
 
-@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(deadline=None, max_examples=examples(40), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     lower=st.floats(-340.0, 340.0),
     room=st.floats(0.5, 600.0),

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import yaml
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from robot_models import arm_of, arms, content, files_of, geometry, robot_model
@@ -174,7 +175,7 @@ def test_the_allowances_follow_the_arm_file(goal_time_s: float, start_tolerance_
 # --- what every arm's package has -----------------------------------------------------------------------
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=examples(10), deadline=None)
 @given(arm=arms())
 def test_doubles_are_written_as_doubles(arm: ArmConfig) -> None:
     """With a point and without exponent, whatever YAML reader comes along."""
@@ -200,7 +201,7 @@ def test_a_limit_is_never_rounded_up(value: float) -> None:
     assert value * (1 - 1e-9) <= floored(value) <= value
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=examples(10), deadline=None)
 @given(arm=arms())
 def test_names_and_limits_agree_everywhere(arm: ArmConfig) -> None:
     files = files_of(arm)

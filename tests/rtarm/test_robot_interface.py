@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -92,7 +93,7 @@ def test_what_the_tutorials_program_would_do_otherwise_is_said() -> None:
 # --- what the arm's node is told ---
 
 
-@settings(deadline=None, max_examples=25)  # each joins the ROS network and leaves it
+@settings(deadline=None, max_examples=examples(25))  # each joins the ROS network and leaves it
 @given(st.dictionaries(names, values | st.lists(integers, min_size=1) | st.lists(floats, min_size=1), max_size=20))
 def test_parameters_reach_the_node_as_they_were(parameters: dict[str, Any]) -> None:
     reached = read_given(parameter_arguments(parameters))

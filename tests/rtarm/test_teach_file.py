@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from depth import examples
 from hand_readings import limits
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -159,7 +160,7 @@ def test_a_file_cut_off_anywhere_is_a_motion_or_refused(tmp_path: Path, length: 
         assert len(read.times_s) >= 2
 
 
-@settings(deadline=None, max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(deadline=None, max_examples=examples(200), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, len(as_text(motion())) - 1), st.binary(min_size=1, max_size=4))
 def test_a_file_with_foreign_bytes_is_a_motion_or_refused(tmp_path: Path, at: int, foreign: bytes) -> None:
     path = tmp_path / "m.yaml"

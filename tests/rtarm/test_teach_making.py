@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from depth import examples
 from hand_readings import ENCODER_RAD, Way, limits, readings
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -87,7 +88,7 @@ def taught(ways: list[Way], seconds: float, *, seed: int = 0, tremor_rad: float 
     return make("episode1", LIMITS, "2026-11-22T12:00:00+00:00", read, TOLERANCE_RAD)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=examples(25))
 @given(hand_ways(), st.floats(2.0, 8.0), st.integers(0, 1000), st.sampled_from([0.0, 0.1]), st.sampled_from([0.0, 0.4]))
 @example(FAST_WRIST, 2.0, 0, 0.0, 0.0)
 @example(FAST_WRIST, 2.0, 0, 0.0, 0.4)

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
@@ -151,7 +152,7 @@ def test_the_newest_events_are_whole_and_in_order(written: int, count: int, mean
 durations = st.lists(st.integers(0, 10**9), max_size=30)
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(before=durations, after=durations)
 def test_the_last_seconds_are_the_difference_of_two_histograms(before: list[int], after: list[int]) -> None:
     arm = WrittenArm(f"top_{os.getpid()}")
@@ -485,7 +486,7 @@ def test_room_is_shared_out_and_never_exceeded(room: int, wants: list[tuple[int,
             assert not any(given_lines[index + 1 :])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     width=st.integers(40, 200),
     height=st.integers(4, 70),

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import Result
@@ -108,7 +109,7 @@ def test_a_quaternion_is_the_turn_of_its_origin(rpy_rad: tuple[float, float, flo
     assert np.allclose(turned(quaternion(origin)), matrix(origin)[:3, :3], atol=1e-12)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=examples(10), deadline=None)
 @given(positions)
 def test_the_arm_fills_the_same_space_as_its_urdf(positions_rad: np.ndarray) -> None:
     """As somebody else's reader of robot models has it, of the model that is generated for MoveIt and RViz."""

@@ -1,6 +1,7 @@
 """Looking ahead: the answer is that of differencing every setpoint, and no cycle looks at more than it may."""
 
 import numpy as np
+from depth import examples
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
@@ -9,7 +10,7 @@ from config.loader import load_arm
 from rtloop.trajectory import ahead, entry, limits, path
 from shm.words import Fault, Outcome
 
-trials = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+trials = settings(max_examples=examples(30), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 ENOUGH = 10**6
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from bus_faults import FAULTS, BusFault
 from bus_trials import TrialArm, run_trial
+from depth import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from observer import command_violations, frames_sent, motion_frames, motion_violations, truth_of
@@ -213,7 +214,7 @@ _EVENTS = st.one_of(
 )
 
 
-@settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=examples(10), deadline=None, suppress_health_check=list(HealthCheck))
 @given(events=st.lists(_EVENTS, min_size=3, max_size=40), start=st.integers(5, 120))
 def test_no_sequence_of_answers_moves_an_arm_beyond_its_limits(events: list, start: int) -> None:
     """True motion and command bytes stay inside the limits, time runs forwards, and every goal ends."""

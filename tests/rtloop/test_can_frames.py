@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from can_records import EXTENDED, REMOTE, error_record, record, unpacked
 from codec_rig import data_of, word
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,7 +22,7 @@ identifiers = st.one_of(
     st.tuples(st.integers(0, 0x1FFFFFFF), st.just(True)),
     st.tuples(st.integers(0, 0x7FF), st.just(False)),
 )
-relaxed = settings(deadline=None, max_examples=200)
+relaxed = settings(deadline=None, max_examples=examples(200))
 
 
 @pytest.fixture

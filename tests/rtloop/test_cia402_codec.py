@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from codec_rig import Rig
+from depth import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
@@ -276,7 +277,7 @@ hostile = st.lists(
 )
 
 
-@settings(deadline=None, max_examples=15, suppress_health_check=[HealthCheck.too_slow])
+@settings(deadline=None, max_examples=examples(15), suppress_health_check=[HealthCheck.too_slow])
 @given(hostile, st.booleans())
 def test_frames_of_others_move_nothing(frames, twice):
     """Whatever comes on a standing drive's identifiers, its shaft stays where it is and targets stay inside limits."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from codec_drives import DRIVES, RPM, Drive
 from codec_rig import Rig, families, frame_of, golden
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,7 +16,7 @@ from rtloop.memory import status
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.state import TX_BYTES
 
-relaxed = settings(deadline=None, max_examples=60)  # of each of nine drives
+relaxed = settings(deadline=None, max_examples=examples(60))  # of each of nine drives
 KNOWN_STATUS = sum(value for name, value in vars(status).items() if name.isupper())
 every_drive = pytest.mark.parametrize("kind", DRIVES, ids="-".join)
 Kind = tuple[str, str]
@@ -134,7 +135,7 @@ def test_a_joint_that_stands_is_told_where_it_stands(kind: Kind, mount: Mount, p
 
 
 @chosen(lambda drive: drive.rounds)
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=examples(25))
 @given(mounts, st.floats(0.01, 1))
 def test_the_rounding_of_the_speed_is_carried_over(kind: Kind, mount: Mount, pace: float) -> None:
     """The mean of the whole numbers that are sent is the speed that was meant."""
@@ -242,7 +243,7 @@ def spoilt(draw: st.DrawFn, family: str) -> tuple[int, bytes]:
 
 
 @every_drive
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=examples(200))
 @given(data=st.data(), form=st.sampled_from([STANDARD, EXTENDED, EXTENDED, STANDARD | REMOTE, EXTENDED | REMOTE]))
 def test_whatever_comes_only_a_position_is_taken_for_one_and_no_number_is_none(
     kind: Kind, data: st.DataObject, form: int

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from commanded import CommandedArm
+from depth import examples
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm, recorded_goal
@@ -13,7 +14,7 @@ from rtloop.dialogues.release import Release
 from shm.words import Answer, Fault, Mode, Outcome, Phase, Request
 from sim.faults import CountSlip, PowerLoss, Stall
 
-trials = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+trials = settings(max_examples=examples(15), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def recorded_at(arm: VirtualArm, name: str, elapsed_s: float, **options) -> int:

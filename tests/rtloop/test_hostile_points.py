@@ -7,6 +7,7 @@ arm, through the real checks of the front and the real cycle, with the start at 
 from types import SimpleNamespace
 
 import numpy as np
+from depth import examples
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from plain_messages import goal_of, point, trajectory
@@ -19,7 +20,7 @@ from rosfront.refusals import GoalRefused
 from rosfront.settings import Settings
 from shm.words import Fault, Mode, Outcome
 
-trials = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+trials = settings(max_examples=examples(30), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 REFUSALS = (Outcome.REFUSED_START, Outcome.REFUSED_LIMITS)
 
 

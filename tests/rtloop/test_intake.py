@@ -9,6 +9,7 @@ import zlib
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
@@ -24,7 +25,7 @@ BODY_AT = layout.COMMAND.fields["front_pid"][1]
 GOAL_S = 4.0
 
 trials = settings(
-    max_examples=25,
+    max_examples=examples(25),
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.large_base_example],
 )
@@ -536,7 +537,7 @@ records = st.fixed_dictionaries(
 
 
 @pytest.mark.parametrize("moving", [False, True], ids=["holding", "executing"])
-@settings(trials, max_examples=60)
+@settings(trials, max_examples=examples(60))
 @given(stream=st.lists(records, max_size=12), announced=st.one_of(st.integers(0, 4), words))
 def test_whole_records_that_say_anything(moving, stream, announced):
     arm = Judged()

@@ -7,6 +7,7 @@ drives would allow (they have their own in test_true_motion.py).
 import numpy as np
 import pytest
 from commanded import CommandedArm, acceleration_ratios
+from depth import examples
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from virtual import recorded_goal
@@ -85,7 +86,7 @@ def test_an_undisturbed_goal_for_comparison(name: str) -> None:
     arm.close()
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(40), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.sampled_from(MOVING), st.integers(2, 150), actions)
 @example("large", 51, [(180, "resume"), (13, "stamped"), (6, 0.0078125)])  # a bridge too fast between two samples
 @example("large", 101, [(19, 0.0), (11, "stamped"), (10, 0.015625)])  # entered while almost standing: slow for ever

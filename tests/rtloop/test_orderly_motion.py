@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from streamed import NS, SERVO_POSE_RAD, Message, StreamedArm, recorded_servo
@@ -180,7 +181,7 @@ def test_the_recorded_servo_is_followed_within_the_limits(late_ns: int) -> None:
     arm.close()
 
 
-@settings(trials, max_examples=15)
+@settings(trials, max_examples=examples(15))
 @given(st.integers(0, 2**32 - 1), st.sampled_from([20, 50, 100]), st.floats(0.5, 6.0), st.booleans())
 @example(seed=0, rate_hz=20, speed=1.0, velocities=False).via(
     "the way from rest was left to a blend that took 1.38 x the limit"

@@ -8,6 +8,7 @@ import by_address
 import numpy as np
 import pytest
 from can_records import unpacked
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -90,7 +91,7 @@ def test_only_what_is_owed_is_sent_late(interface, share):
 
 
 @pytest.mark.parametrize("interface", INTERFACES)
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(data=st.data())
 def test_whatever_a_wire_takes_no_command_is_torn(interface, data):
     """Cycle after cycle with any part taken: frames arrive whole, and every first packet is followed by its second."""

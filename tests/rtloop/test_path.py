@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ def knot_of(times_ns: NDArray[np.int64], clock_s: float, first: int) -> int:
     return max(first, int(np.searchsorted(times_ns * 1e-9, clock_s, side="right")) - 1)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=examples(300))
 @given(KNOTS, st.integers(0, 10**7), st.integers(0, 1), st.data())
 def test_the_segment_that_contains_a_path_time_is_found(
     times_ns: NDArray[np.int64], dropped: int, index: int, data: st.DataObject
@@ -81,7 +82,7 @@ class Way:
 
 
 seeds = st.integers(0, 10_000)
-relaxed = settings(deadline=None, max_examples=60)
+relaxed = settings(deadline=None, max_examples=examples(60))
 
 
 @relaxed

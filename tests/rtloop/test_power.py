@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
@@ -425,7 +426,7 @@ SILENCES = st.builds(
 )
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(st.tuples(*[st.sampled_from(FLAGS)] * 6), st.lists(SILENCES, min_size=1, max_size=4))
 def test_no_angle_is_kept_over_a_loss_of_power_and_none_is_lost_that_is_proven(
     flags: tuple[PowerFlag, ...], silences: list[Silence]

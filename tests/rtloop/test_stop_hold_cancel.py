@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
@@ -310,7 +311,7 @@ def watched(arm: VirtualArm, cycles: int) -> None:
             assert arm.waiting_goal == 0
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(st.lists(st.tuples(st.sampled_from(sorted(COMMANDS)), st.integers(0, 60)), min_size=1, max_size=12))
 def test_after_a_stop_the_arm_rests_in_time_and_stays_whatever_else_comes(asked: list[tuple[str, int]]) -> None:
     """From any state; while it is held nothing moves it, and every goal that was taken has one end."""

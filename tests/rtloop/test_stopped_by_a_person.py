@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from servo import Servo, SinglePoints, waves
@@ -11,7 +12,7 @@ from virtual import VirtualArm
 
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 
-trials = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+trials = settings(max_examples=examples(12), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 JOINT1 = 1
 
 

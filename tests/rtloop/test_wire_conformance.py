@@ -12,6 +12,7 @@ from typing import Any
 import by_address
 import numpy as np
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from observer import WireFrame, command_violations, motion_after, motion_frames, motion_violations, truth_of
@@ -33,7 +34,7 @@ from shm.words import Answer, Fault, Mode, Outcome, Request
 from sim.bus import Frame
 from sim.faults import LostReplies, Silent
 
-relaxed = settings(deadline=None, max_examples=60)
+relaxed = settings(deadline=None, max_examples=examples(60))
 every_wire = pytest.mark.parametrize("wire", WIRES, ids=str)
 every_divisible_wire = pytest.mark.parametrize("wire", [wire for wire in WIRES if wire.unit == 1], ids=str)
 

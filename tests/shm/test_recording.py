@@ -5,6 +5,7 @@ import contextlib
 import numpy as np
 import pytest
 import record_writer
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from virtual import private_file
@@ -43,7 +44,7 @@ def numbers(found):
     return found.records["number"].tolist()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 @given(st.lists(st.integers(0, 2 * SLOTS + 1), min_size=1, max_size=4))
 def test_the_newest_cycles_are_read_in_order_however_often_the_ring_has_gone_round(batches):
     with pytest.MonkeyPatch.context() as patch:
@@ -64,7 +65,7 @@ def test_the_newest_cycles_are_read_in_order_however_often_the_ring_has_gone_rou
         command.close()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(data=st.data())
 def test_a_spoilt_word_anywhere_in_a_record_is_noticed(data):
     with pytest.MonkeyPatch.context() as patch:
@@ -98,7 +99,7 @@ def test_a_half_overwritten_record_is_left_out_and_counted(small):
     assert (numbers(found), found.lost) == ([3, 4, 5], 1)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=examples(200))
 @given(words=st.lists(WORDS, min_size=4, max_size=4), at=st.integers(0, 3), change=st.integers(1, 2**64 - 1))
 def test_a_spoilt_word_of_a_frame_is_noticed(words, at, change):
     def check(values):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -71,7 +72,7 @@ retargets = st.lists(st.tuples(st.integers(0, 60_000_000), targets, st.integers(
 
 
 @given(retargets, targets)
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 def test_retargeting_never_jumps_and_still_ends_on_the_last_target(commands, last):
     recorder = Recorder()
     now_ns = 0

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from depth import examples
 from drive_bench import MILLISECOND, frame, text
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -177,7 +178,7 @@ def test_a_target_is_reached_and_no_limit_passed_on_the_way(family: Family, turn
 
 
 @each()
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=examples(10), deadline=None)
 @given(st.lists(st.tuples(st.floats(-1.5, 1.5), st.integers(0, 700)), min_size=1, max_size=5))
 def test_of_many_targets_the_last_is_where_it_ends(make: Make, targets: list[tuple[float, int]]) -> None:
     family = make(1)
@@ -381,7 +382,7 @@ def test_frames_that_are_cut_off_are_no_commands(family: Family) -> None:
 
 
 @each()
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(st.data())
 def test_no_frames_break_it_or_make_it_jump(make: Make, data: st.DataObject) -> None:
     family = make(1)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from damiao_motor import DaMiaoController, DaMiaoMotor
 from damiao_motor.core.motor import MOTOR_TYPE_PRESETS, REGISTER_TABLE
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -147,7 +148,7 @@ class Recorder:
 
 THEIRS = DaMiaoMotor(1, 0x11, Recorder(), motor_type="4340")
 ROW = new_loop(load_arm("damiao6"), 0, 0)[0]["joints"][0]
-relaxed = settings(deadline=None, max_examples=100)
+relaxed = settings(deadline=None, max_examples=examples(100))
 
 
 @relaxed

@@ -13,6 +13,7 @@ import time
 
 import can
 import pytest
+from depth import examples
 from emm_stepper import EmmDevice
 from emm_stepper.configs import Code, Direction, HomingDirection, HomingMode, MotionMode, ResponseMode
 from emm_stepper.parameters import FastPositionParams, HomingParams, PIDParams, PositionParams
@@ -350,7 +351,7 @@ def test_it_gives_a_motor_another_address(bus, motor, drive):
 # --- the same bytes -------------------------------------------------------------------------------------------
 
 
-relaxed = settings(deadline=None, max_examples=100)
+relaxed = settings(deadline=None, max_examples=examples(100))
 
 
 @relaxed

@@ -10,6 +10,7 @@ from contextlib import ExitStack
 
 import can
 import pytest
+from depth import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mksact import Actuator, ActuatorError
@@ -141,7 +142,7 @@ class Recorder:
         self.sent.append(message)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=examples(100))
 @given(st.integers(1, 2047), st.integers(-(2**23) + 1, 2**23 - 1), st.integers(0, 3000), st.integers(0, 255))
 def test_our_targets_are_theirs(can_id, counts, rpm, acc):
     theirs = Actuator(can_id=can_id, verbose=False)
