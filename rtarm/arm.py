@@ -194,7 +194,7 @@ class Arm:
             How it ended, in a sentence.
 
         Raises:
-            Refusal: it did not begin: a joint that is none, an angle beyond its limits, an arm that does not just
+            Refusal: it did not begin: an unknown joint, an angle beyond its limits, an arm that does not just
                 stand and hold, no ROS process. Or it was cancelled and the arm still moves, which the sentence says.
             GoalFailed: it did not succeed; where it had begun, the arm has stopped on its path.
             NotRunning: the control process has ended meanwhile.

@@ -124,7 +124,7 @@ SENTENCES = {
     "none; the last one ({id}): {sentence}": "无；上一个（{id}）：{sentence}",
     "… {missing} more: make the terminal higher": "… 还有 {missing} 个：把终端拉高",
     # --- why an arm is not fit to move
-    "A person has stopped or holds the arm, so it takes no goals: see that it may move, then `rtarm resume` (or ~/resume).": "有人停下或暂停了机械臂，所以它不接受目标：确认它可以运动，然后 `rtarm resume`（或 ~/resume）。",
+    "A person has stopped or holds the arm, so it takes no goals: make sure that it may move, then `rtarm resume` (or ~/resume).": "有人停下或暂停了机械臂，所以它不接受目标：确认它可以运动，然后 `rtarm resume`（或 ~/resume）。",
     "The drives are limp ({mode}): clear the arm's surroundings, then `rtarm enable` (or ~/enable), and the arm holds where it stands.": "驱动器是松开的（{mode}）：清空机械臂周围，然后 `rtarm enable`（或 ~/enable），机械臂会保持在原处。",
     "The control process is {mode}: wait until it is holding.": "控制进程的状态是“{mode}”：等到它成为“保持”。",
     "The last control cycle was {age:.1f} s ago, so the control process hangs: stop it and start it again.": "最后一个控制周期是 {age:.1f} s 之前，控制进程卡住了：结束它，再重新启动。",
@@ -146,7 +146,7 @@ SENTENCES = {
     "{waiting} requests wait for the control process: try again in a moment.": "有 {waiting} 个请求在等控制进程：稍后再试。",
     "Another process that asks something of this arm stands still in the middle of it: end that one.": "另一个向这台机械臂提出请求的进程停在了半途：结束那个进程。",
     "Another arm of the name {arm} runs now, with joints {joints}: end this page and start `rtarm view` again with its arm file.": "现在运行的是另一台名为 {arm} 的机械臂，它的关节是 {joints}：结束这个页面，用它的机械臂文件重新启动 `rtarm view`。",
-    "`rtarm top` draws on a terminal and this is none: use `rtarm status --json` for scripts.": "`rtarm top` 要在终端上画图，而这不是终端：脚本请用 `rtarm status --json`。",
+    "`rtarm top` draws on a terminal, and this is not one: use `rtarm status --json` for scripts.": "`rtarm top` 要在终端上画图，而这不是终端：脚本请用 `rtarm status --json`。",
     # --- what happened
     "Mode: {mode}.": "状态：{mode}。",
     "Goal {id} was announced.": "目标 {id} 已宣布。",
@@ -194,7 +194,7 @@ SENTENCES = {
     "`rtarm reference {joints}` if you can tell the angle": "能说出角度就用 `rtarm reference {joints}`",
     "; {joint} is {error} rad from its target.": "；{joint} 离目标位置 {error} rad。",
     # --- what a recording shows
-    "`rtarm replay` draws on a terminal and this is none: use `rtarm explain` for a recording in words.": "`rtarm replay` 要在终端上画图，而这不是终端：用 `rtarm explain` 以文字讲解录制。",
+    "`rtarm replay` draws on a terminal, and this is not one: use `rtarm explain` for a recording in words.": "`rtarm replay` 要在终端上画图，而这不是终端：用 `rtarm explain` 以文字讲解录制。",
     "--speed is {speed:g}, but a recording plays forward only: give a factor above 0, such as 0.5.": "--speed 是 {speed:g}，但录制只能向前播放：请给出大于 0 的倍数，例如 0.5。",
     "The recording ends here, after {s:.1f} s.": "录制到此结束，共 {s:.1f} s。",
     "{arm}, {length:.1f} s at {rate:g} Hz; times from {moment}": "{arm}，{length:.1f} s，{rate:g} Hz；时间从 {moment} 算起",

@@ -73,7 +73,7 @@ def jog(arm: str | None, speed: float, tell: Callable[[str], None]) -> None:
     """
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise Refusal(
-            "`rtarm jog` takes keys from a terminal and this is none: use `rtarm move JOINT=DEGREES --relative`."
+            "`rtarm jog` takes keys from a terminal, and this is not one: use `rtarm move JOINT=DEGREES --relative`."
         )
     refuse_speed(speed)
     with connect(arm) as connected:

@@ -52,7 +52,9 @@ def refuse_unless_holding(connection: Connection) -> None:
     if snapshot["held"]:
         raise Refusal(STOPPED_BY_A_PERSON)
     if int(snapshot["mode"]) != Mode.HOLDING:
-        raise Refusal(f"Arm {connection.arm} does not stand and hold just now: see `rtarm status`, then try again.")
+        raise Refusal(
+            f"Arm {connection.arm} does not stand still and hold at the moment: see `rtarm status`, then try again."
+        )
 
 
 def is_near(connection: Connection, target_rad: np.ndarray) -> bool:

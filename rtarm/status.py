@@ -47,7 +47,7 @@ CYCLE_OVERDUE_S = 0.5
 FRONT_SILENT_S = 1.0
 
 STOPPED_BY_A_PERSON = (
-    "A person has stopped or holds the arm, so it takes no goals: see that it may move, then `rtarm resume` "
+    "A person has stopped or holds the arm, so it takes no goals: make sure that it may move, then `rtarm resume` "
     "(or ~/resume)."
 )
 

@@ -167,6 +167,7 @@ def play(recording: Recording, speed: float, language: Language = "en") -> None:
             )
         )
     no_terminal = said(
-        language, "`rtarm replay` draws on a terminal and this is none: use `rtarm explain` for a recording in words."
+        language,
+        "`rtarm replay` draws on a terminal, and this is not one: use `rtarm explain` for a recording in words.",
     )
     show(lambda: Replay(recording, speed, language=language), no_terminal)

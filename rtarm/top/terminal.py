@@ -61,7 +61,7 @@ def run(arm: str, language: Language = "en") -> None:
         SharedMemoryError: the arm is not running, or its files are not what they should be.
     """
     no_terminal = said(
-        language, "`rtarm top` draws on a terminal and this is none: use `rtarm status --json` for scripts."
+        language, "`rtarm top` draws on a terminal, and this is not one: use `rtarm status --json` for scripts."
     )
     show(lambda: Watch(arm, language), no_terminal)
 

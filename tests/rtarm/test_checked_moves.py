@@ -125,8 +125,8 @@ def test_a_goal_that_fails_ends_it_with_its_sentence(standing: WrittenArm) -> No
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ({"mode": Mode.FREE}, "does not stand and hold just now"),
-        ({"mode": Mode.EXECUTING, "goal_id": 4}, "does not stand and hold just now"),
+        ({"mode": Mode.FREE}, "does not stand still and hold at the moment"),
+        ({"mode": Mode.EXECUTING, "goal_id": 4}, "does not stand still and hold at the moment"),
         ({"mode": Mode.FAULT, "fault": Fault.WIRE}, "A fault is latched, clear it first"),
     ],
 )

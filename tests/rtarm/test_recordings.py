@@ -608,7 +608,10 @@ def test_a_replay_shows_what_was_to_be_seen_then(power_loss: Recording) -> None:
 
 def test_a_replay_needs_a_terminal_and_a_speed(rtarm: Rtarm, a_file: Path) -> None:
     result = rtarm("replay", str(a_file))
-    assert (result.exit_code, "draws on a terminal and this is none: use `rtarm explain`" in result.stderr) == (1, True)
+    assert (result.exit_code, "draws on a terminal, and this is not one: use `rtarm explain`" in result.stderr) == (
+        1,
+        True,
+    )
     for speed in ("0", "-1", "nan"):
         result = rtarm("replay", str(a_file), "--speed", speed)
         assert (result.exit_code, "give a factor above 0" in result.stderr) == (1, True)

@@ -347,7 +347,7 @@ def test_joints_are_taken_where_they_read_only_after_the_angles_were_shown(
         arm.until(lambda report: report["fault"] is not None and report["joints"][4]["age_ms"] < 100.0)
         assert not any(label.startswith("Take joints") for label in browser.buttons())
         browser.press("Clear fault")
-        browser.press("Take joints where they read")
+        browser.press("Confirm where the joints stand")
         browser.until(lambda: "Leave it as it is" in browser.buttons())
         silent, dark = browser.texts("[data-say=reading]")
         assert silent.startswith("joint2-20.0") and "was silent for too long" in silent
@@ -357,11 +357,11 @@ def test_joints_are_taken_where_they_read_only_after_the_angles_were_shown(
         browser.press("Leave it as it is")
         browser.until(lambda: "Leave it as it is" not in browser.buttons())
         assert [joint["referenced"] for joint in arm.status()["joints"]] == [True, False, True, True, False, True]
-        browser.press("Take joints where they read")
+        browser.press("Confirm where the joints stand")
         browser.press("They stand there")
         browser.until(lambda: "Taken: joint2 -20.0" in browser.said("answer"))
         assert [joint["referenced"] for joint in arm.status()["joints"]] == [True, True, True, True, False, True]
-        browser.press("Take joints where they read")
+        browser.press("Confirm where the joints stand")
         browser.until(lambda: "Leave it as it is" in browser.buttons())
         assert "They stand there" not in browser.buttons(), "what counts from nowhere can only be told"
         requests.let_go(arm.name, Request.FREE)
