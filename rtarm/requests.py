@@ -332,8 +332,14 @@ def home(arm: str, joints: Sequence[str], tell: Callable[[str], None]) -> str:
     """
     with connect(arm) as connection, signals_to(_interrupt):
         mask = sum(1 << connection.index(joint) for joint in dict.fromkeys(joints))
-        if sentence := connection.fault(connection.snapshot()):
+        before = connection.snapshot()
+        if sentence := connection.fault(before):
             raise Refusal(f"A fault is latched, clear it first: {sentence}")
+        if unable := [joint for joint in joints if joint in connection.lost(before) and not connection.homes(joint)]:
+            raise Refusal(
+                f"The drive of {unable[0]} has no homing run: say where the joint stands with `rtarm reference "
+                f"{unable[0]}=DEGREES`."
+            )
         begun: list[str] = []
 
         def on_joint(joint: str) -> None:

@@ -386,8 +386,9 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
         "Check encoder and supply; home the joint, or look at it and say where it stands.",
     ),
     Unreferenced.SILENT: Meaning(
-        "The drive of {joint} was silent for too long, so its angle is not known: see whether the joint stands where "
-        "`rtarm status` says, then take that with `rtarm reference`, or home it.",
+        "The drive of {joint} was silent for too long, so its angle is not known: where `rtarm clear-fault` does not "
+        "bring it back, see whether the joint stands where `rtarm status` says, then take that with `rtarm reference`, "
+        "or home it.",
         "A drive that was away may have been switched off and moved meanwhile.",
         "Look at the joint; `rtarm reference` it if it stands where it reads, home it if not.",
     ),
@@ -410,9 +411,10 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
         "Look at the joint; `rtarm reference` it if it stands where it reads, home it if not.",
     ),
     Unreferenced.INCREMENTAL: Meaning(
-        "The drive of {joint} counts from where it was switched on, so its angle is not known: say where it stands "
+        "The drive of {joint} cannot tell where it was switched on, so its angle is not known: say where it stands "
         "with `rtarm reference`, or home it where its drive can.",
-        "An incremental encoder knows how far it has turned, not where it is.",
+        "An incremental encoder knows how far it has turned, not where it is; an absolute one knows it within its own "
+        "range alone.",
         "Look at the joint and say its angle (`rtarm reference JOINT=DEGREES`), or `rtarm home` it.",
     ),
     Unreferenced.OUTSIDE_LIMITS: Meaning(

@@ -323,7 +323,7 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
         "检查编码器和供电；让关节回零，或者看清它、说明它的位置。",
     ),
     Unreferenced.SILENT: Meaning(
-        "{joint} 的驱动器沉默太久，因此角度未知：看关节是否在 `rtarm status` 所说的位置，是就用 `rtarm reference` 确认，否则回零。",
+        "{joint} 的驱动器沉默太久，因此角度未知：如果 `rtarm clear-fault` 没有恢复它，看关节是否在 `rtarm status` 所说的位置，是就用 `rtarm reference` 确认，否则回零。",
         "断了联系的驱动器，这期间可能断过电、被移动过。",
         "看看关节；与读数相符就用 `rtarm reference`，不相符就回零。",
     ),
@@ -343,8 +343,8 @@ UNREFERENCED: dict[Unreferenced, Meaning] = {
         "看清关节；与读数相符就用 `rtarm reference`，不相符就回零。",
     ),
     Unreferenced.INCREMENTAL: Meaning(
-        "{joint} 的驱动器从上电时的位置开始计数，因此角度未知：用 `rtarm reference` 说明它的位置，驱动器能回零的话也可以回零。",
-        "增量编码器知道自己转了多少，不知道自己在哪里。",
+        "{joint} 的驱动器不知道上电时在什么位置，因此角度未知：用 `rtarm reference` 说明它的位置，驱动器能回零的话也可以回零。",
+        "增量编码器知道自己转了多少，不知道自己在哪里；绝对编码器也只在自己的量程之内知道。",
         "看清关节，说明它的角度（`rtarm reference JOINT=DEGREES`），或者 `rtarm home`。",
     ),
     Unreferenced.OUTSIDE_LIMITS: Meaning(

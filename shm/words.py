@@ -145,7 +145,7 @@ class Unreferenced(IntEnum):
     OUTSIDE_LIMITS = 6
     NOT_HOMED = 7  # its homing run has not ended, or not where it should
     MOVED = 8  # it does not stand where it stood when rtarm was ended
-    INCREMENTAL = 9  # its drive counts from where it was switched on, and nobody has said where that is
+    INCREMENTAL = 9  # its drive cannot tell where it was switched on, and nobody has said
 
 
 class DriveStatus(IntFlag):

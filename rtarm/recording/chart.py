@@ -26,6 +26,10 @@ class Series(NamedTuple):
     values: np.ndarray
 
 
+LEAST_MARGIN = 1e-4
+"""Above and below what hardly changes: as much as its labels can tell."""
+
+
 def chart(series: Sequence[Series], span_s: tuple[float, float], width: int, height: int) -> list[str]:
     """Lines of text: later series over earlier ones, a mark at the time 0, the times below."""
     columns = max(width - LABEL - 2, 10)
@@ -35,7 +39,7 @@ def chart(series: Sequence[Series], span_s: tuple[float, float], width: int, hei
     if len(shown) == 0:
         return []
     low, high = float(shown.min()), float(shown.max())
-    margin = max(0.05 * (high - low), 1e-6)
+    margin = max(0.05 * (high - low), LEAST_MARGIN)
     low, high = low - margin, high + margin
     grid = [[" "] * columns for _ in range(height)]
 

@@ -215,7 +215,7 @@ def _facts(look: Look, width: int) -> list[Text]:
             said(
                 language,
                 "{goal}; speed scale {scale:.2f}",
-                goal=goal_words(report, language),
+                goal=goal_words(report, language).rstrip(".。"),
                 scale=report["speed_scale"],
             ),
             "",

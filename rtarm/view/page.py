@@ -49,6 +49,8 @@ ANSWERS = 2
 PANEL_PX = 400
 PLOTS_PX = 340
 STEP_DEG = 0.1
+YOUNG_S = 2.0
+"""An answer of so long ago may be that to what is seen to have happened just now."""
 LET_GO_S = 1.0
 """A speed slider that nobody has moved for so long follows the arm again."""
 LIMP = ("disabled", "free")
@@ -184,6 +186,7 @@ class Controls:
         self._lock = threading.RLock()
         self._under_way: dict[str, object] = {}
         self._answers: dict[object, Answered] = {}
+        self._held = False
         self._stands_rad = np.zeros(len(arm.joints))
         self._wished_rad: dict[int, float] = {}  # of the joints whose sliders were touched; the others follow the arm
         self._speed_wish: float | None = None
@@ -248,12 +251,21 @@ class Controls:
         report = look.report if look.trouble is None else None
         with self._lock:
             held = report is not None and report["held"]
+            if self._held and not held:
+                self._forget_answers()
+            self._held = held
             _enable(self._hold, not held)  # also of an arm that stands: it keeps what comes from beginning
             _enable(self._resume, held)
             _show(self._clear, report is not None and report["fault"] is not None)
             _show(self._enable, report is not None and report["fault"] is None and report["mode"] in LIMP)
             _show(self._reference, report is not None and report["mode"] == "holding" and _lacks_a_reference(report))
             self._offer_go()
+
+    def _forget_answers(self) -> None:
+        """What was said of a hold is over with it; an answer as young as this is that to the resume."""
+        now_s = time.time()
+        self._answers = {given: one for given, one in self._answers.items() if now_s - one.at_s < YOUNG_S}
+        _set(self._answer, answer_html([*reversed(self._answers.values())]))
 
     def _offer_go(self) -> None:
         words = self._words

@@ -127,20 +127,17 @@ class Referencing(Conversation):
         return True
 
     def _home(self, joint: int) -> Dialogue:
-        """Let the drive find its stop; one whose encoder is absolute need not."""
+        """Let the drive find its stop; one that has no run for that keeps the reference that it has or lacks."""
         config = self.arm.joints[joint]
         if isinstance(config.drive, ZdtDrive):
             return (yield from addressed(config.drive.address, self._home_zdt(joint)))
         homes = homing_of(config.drive)
         if homes is not None:
             return (yield from self._home_by(homes, joint))
-        if not config.drive.knows_its_angle:
-            raise TalkFailed(
-                joint,
-                f"The drive of {config.name} has no homing run of its own: look where the joint stands, `rtarm "
-                "clear-fault`, and say its angle with `rtarm reference`.",
-            )
-        self._tell(f"{config.name}: its drive knows its angle, so there is nothing to home.")
+        if config.knows_its_angle:
+            self._tell(f"{config.name}: its drive knows its angle, so there is nothing to home.")
+        else:
+            self._tell(f"{config.name}: its drive has no homing run, so `rtarm reference` says where it stands.")
 
     def _place(self, joint: int, angle_rad: float) -> Dialogue:
         """Take a person's word for where the joint stands, or NaN for what it reads."""

@@ -199,7 +199,10 @@ def test_joints_whose_drives_know_their_angle_need_no_homing(arm: WrittenArm, rt
     arm.rows["referenced"][1] = 0
     arm.rows["unreferenced_reason"][1] = Unreferenced.INCREMENTAL
     result = homed(arm, rtarm, "elbow")
-    assert result.exit_code == 1 and "counts from where it was switched on" in result.output
+    assert (
+        result.exit_code == 1
+        and "elbow has no homing run: say where the joint stands with `rtarm reference elbow=DEGREES`" in result.stderr
+    )
 
 
 def test_a_run_that_never_began_is_told_of_joints_that_home(arm: WrittenArm, rtarm: Rtarm) -> None:

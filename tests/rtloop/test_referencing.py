@@ -561,3 +561,20 @@ def test_a_run_that_a_stop_need_not_end_is_ended_when_its_drive_is_heard_again()
     arm.cycles(round(5.0e9 / arm.period_ns))
     assert not drive.homing_now
     arm.close()
+
+
+@pytest.mark.parametrize("encoder", ["incremental", "absolute"])
+def test_a_joint_whose_drive_has_no_homing_run_is_passed_by_without_a_fault(encoder):
+    """Whoever homes an arm of ODrives has it as it was before, whether its joints are referenced or not."""
+    shipped = load_arm("odrive6")
+    joints = [
+        joint.model_copy(update={"drive": joint.drive.model_copy(update={"encoder": encoder})})
+        for joint in shipped.joints
+    ]
+    arm = VirtualArm.brought_up(shipped.model_copy(update={"joints": joints}))
+    for homed in (0, JOINT2):
+        assert arm.ask(Request.HOME, joint_mask=homed) == Answer.DONE
+        assert arm.reference().failure is None
+        assert (arm.core["mode"], arm.core["fault"]) == (Mode.HOLDING, Fault.NONE)
+        assert set(arm.loop[0]["axes"]["referenced"][:6]) == {int(encoder == "absolute")}
+    arm.close()
