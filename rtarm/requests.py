@@ -127,7 +127,12 @@ class Connection:
         """Make a request; raises Refusal with the sentence where it is refused."""
         answer = self.ask(kind, joint_mask=joint_mask, value=value)
         if answer != Answer.DONE:
-            raise Refusal(answer_sentence(answer, self.language))
+            raise Refusal(self._why_refused(kind, answer))
+
+    def _why_refused(self, kind: Request, answer: Answer) -> str:
+        if kind == Request.CLEAR_FAULT and answer in TOO_EARLY_TO_CLEAR:
+            return said(self.language, TOO_EARLY_TO_CLEAR[answer], seconds=self.patience.longest_stop_s)
+        return answer_sentence(answer, self.language)
 
     @property
     def patience(self) -> Patience:
@@ -296,13 +301,7 @@ def cleared(connection: Connection) -> np.ndarray | None:
     arm, before = connection.arm, connection.snapshot()
     if int(before["fault"]) == Fault.NONE:
         return None
-    answer = connection.ask(Request.CLEAR_FAULT)
-    if answer != Answer.DONE:
-        language, longest_s = connection.language, connection.patience.longest_stop_s
-        too_early = TOO_EARLY_TO_CLEAR.get(answer)
-        raise Refusal(
-            answer_sentence(answer, language) if too_early is None else said(language, too_early, seconds=longest_s)
-        )
+    connection.order(Request.CLEAR_FAULT)
     latched_ns = int(before["fault_ns"])
 
     def decided(now: np.ndarray) -> bool:

@@ -106,7 +106,7 @@ def _found() -> list[tuple[int, int, Path]]:
 
 def is_another_being_written() -> bool:
     """Whether one more will be here soon, such as that of an arm which has died just now."""
-    return any(folder().glob(f"{ASIDE_PREFIX}*{ASIDE_SUFFIX}"))
+    return bool(set(folder().glob(f"{ASIDE_PREFIX}*{ASIDE_SUFFIX}")) - set(_abandoned()))
 
 
 def newest(arm: str | None = None) -> Path:
@@ -131,6 +131,6 @@ def chosen(given: str | None) -> Path:
     Raises:
         Refusal: there is none of that arm, or none at all.
     """
-    if given is None or (_NAME.fullmatch(given) and not Path(given).exists()):
+    if given is None or (_NAME.fullmatch(given) and not Path(given).is_file()):
         return newest(given)
     return Path(given)

@@ -270,7 +270,7 @@ def test_without_a_control_process_the_last_angles_stay_and_are_no_success(arm):
         status, result = arm.client.ended(running)
         assert status == ABORTED and "has ended and the drives stop by themselves" in result.message
         until(lambda: not heard[-1].success, "a message that says so")
-        assert "has ended and the drives brake" in heard[-1].message
+        assert "has ended and the drives stop by themselves" in heard[-1].message
         assert 150.0 < heard[-1].angles[0] < 180.5
         read = arm.client.call(ReadMotorAngles, "read_motor_angles")
         assert not read.success and list(read.angles) == list(heard[-1].angles)

@@ -859,6 +859,8 @@ def test_the_newest_recording_of_an_arm_is_taken_by_its_name_and_told_with_its_a
     assert f"{left}, written 3 min 2" in result.stderr and "being written" not in result.stderr
     (state_home / f"{mcap_writer.ASIDE_PREFIX}1{mcap_writer.ASIDE_SUFFIX}").touch()
     assert "Another recording is being written just now" in rtarm("explain", "left").stderr
+    os.utime(state_home / f"{mcap_writer.ASIDE_PREFIX}1{mcap_writer.ASIDE_SUFFIX}", (0.0, 0.0))
+    assert "being written" not in rtarm("explain", "left").stderr, "its writer was killed long ago"
     assert rtarm("explain", str(left)).stderr == ""
     missing = rtarm("explain", "middle")
     assert missing.exit_code == 1 and "There is no recording of an arm 'middle' in" in missing.stderr
