@@ -117,7 +117,7 @@ class Serving:
         with self._lock:
             self._link = link
             with suppress(TornRead):  # the next look tells
-                self._epoch = int(link.reader.snapshot()["epoch"])
+                self._epoch, self._looked_ns = int(link.reader.snapshot()["epoch"]), time.monotonic_ns()
         self.ever_attached.set()
 
     def lost(self, reason: str) -> None:

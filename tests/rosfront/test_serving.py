@@ -395,6 +395,17 @@ def test_what_came_while_the_process_stood_still_counts_as_come_before_the_stop_
         assert stage.serving.start(plan(), lambda verdict: None, arrival=came)
 
 
+def test_what_comes_before_the_first_look_is_judged_by_the_arm_as_it_is_then(stage):
+    """Bring-up has ended meanwhile; the park that somebody asked for at once was refused as older than that."""
+    fresh = Serving(stage.arm)
+    fresh.attached(stage.link)
+    stage.loop.command["stop_ns"], stage.loop.command["resume_ns"] = 1, 2
+    stage.step(look=False)
+    came = fresh.arrival()
+    assert came.epoch == int(stage.link.reader.snapshot()["epoch"]) > 0
+    fresh.refuse_outdated(came)
+
+
 def test_what_came_earlier_does_not_replace_what_has_begun(stage):
     first, second, third = (stage.serving.arrival() for _ in range(3))
     stage.serving.start(plan(seconds=3), lambda verdict: None, arrival=second)
