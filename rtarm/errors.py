@@ -28,8 +28,8 @@ MEANINGS: dict[ExitCode, str] = {
     ExitCode.REFUSED: "refused or not possible: usage, configuration, arm not running, request refused",
     ExitCode.LOOP_REFUSED: "the control process refused to start (port, drives, already running, …); "
     "for `calibrate` and `commission`: a drive did not do as it was told, and was stopped, or was not seen to stand",
-    ExitCode.LOOP_DIED: "the control process ended by itself; drives in motion have stopped by themselves",
-    ExitCode.GOAL_FAILED: "a goal did not succeed (`demo`, `play`, `move`), and not because the control process ended",
+    ExitCode.LOOP_DIED: "the control process ended by itself; the drives stop by themselves, but a homing run goes on",
+    ExitCode.GOAL_FAILED: "a goal did not succeed (`demo`, `play`, `move`)",
     ExitCode.UNHEALTHY: "`status`: running, but not fit to move; `doctor`: something to mend; `drives`: not as the "
     "file wants them; `scan`: no drive found; `commission`: something differs from the manual",
 }

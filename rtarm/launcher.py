@@ -345,8 +345,8 @@ class Launcher:
             return
         end = describe_end(loop.code)
         raise Refusal(
-            f"The control process ended {end} instead of in order; the drives have stopped by themselves: "
-            f"look at the arm and at the lines above before you start again with `{self.plan.again}`.",
+            f"The control process ended {end} instead of in order; the drives stop by themselves, but a homing run "
+            f"goes on: look at the arm and at the lines above before you start again with `{self.plan.again}`.",
             ExitCode.LOOP_DIED,
         )
 
@@ -452,9 +452,12 @@ class Launcher:
         raise self._loop_died(await self._loop.ended())
 
     def _loop_died(self, code: int) -> Refusal:
+        if code == 0:
+            how = "has ended in order, although nobody asked `rtarm up` for it; the arm stands"
+        else:
+            how = f"ended {describe_end(code)}; the drives stop by themselves, but a homing run goes on"
         return Refusal(
-            f"The control process ended {describe_end(code)}; the drives have stopped by themselves; look at "
-            f"the arm, then start again with `{self.plan.again}`.",
+            f"The control process {how}: look at the arm, then start again with `{self.plan.again}`.",
             ExitCode.LOOP_DIED,
         )
 

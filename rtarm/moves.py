@@ -14,13 +14,14 @@ import numpy as np
 
 from rosfront.full_node.moves import Profile
 from rtarm.calibrate.person import Person
+from rtarm.decisions import decision
 from rtarm.errors import GoalFailed, Refusal
 from rtarm.interrupt import Interrupted, undisturbed
 from rtarm.requests import Connection, stands
 from rtarm.sending import Sender, follow, goal_document
 from rtarm.status import STOPPED_BY_A_PERSON
-from shm.sentences import outcome_sentence
-from shm.words import Mode, Outcome
+from shm.errors import EndedMeanwhile, NotRunning
+from shm.words import Mode
 
 SLOW = 0.25
 """Share of the limits that the way to the beginning uses."""
@@ -114,10 +115,19 @@ def run(connection: Connection, sender: Sender, goal: dict[str, Any]) -> str:
 
     Raises:
         GoalFailed: it did not succeed, or nobody will say how it ended and it was cancelled.
-        NotRunning: the control process has ended, which is why it did not, whoever says so first.
+        EndedMeanwhile: the control process has died, which is why it did not, whoever says so first.
         Interrupted, KeyboardInterrupt: a signal came; the goal was cancelled and the arm stands.
         Refusal: it could not be sent; or the arm still moves after it was cancelled, which the sentence says.
     """
+    try:
+        return _run(connection, sender, goal)
+    except EndedMeanwhile:
+        raise
+    except NotRunning as ended:  # in order, which is no death
+        raise GoalFailed(str(ended)) from None
+
+
+def _run(connection: Connection, sender: Sender, goal: dict[str, Any]) -> str:
     number = None
     try:
         number = sender.send(goal)
@@ -134,10 +144,12 @@ def run(connection: Connection, sender: Sender, goal: dict[str, Any]) -> str:
             _cancel(connection, sender)
         connection.check_running()
         raise GoalFailed(unknown.sentence) from None
-    if not outcome.succeeded:
+    if outcome.succeeded:
+        return outcome.sentence
+    decided = decision(connection, outcome.sentence)
+    if decided is None:  # what the control process decided is how it ended, also where it has ended in order since
         connection.check_running()
-        raise GoalFailed(outcome.sentence, **_what_decided(connection, outcome.sentence))
-    return outcome.sentence
+    raise GoalFailed(outcome.sentence, **({} if decided is None else decided.details()))
 
 
 def _cancel(connection: Connection, sender: Sender) -> None:
@@ -158,19 +170,6 @@ def _cancel(connection: Connection, sender: Sender) -> None:
         f"Arm {connection.arm} still moves {patience_s:.1f} s after its goal was cancelled: use the emergency stop, "
         "then look at `rtarm status`.",
     )
-
-
-def _what_decided(connection: Connection, sentence: str) -> dict[str, Any]:
-    """Joint, value and limit of the control process' decision that a sentence tells; none where the front decided."""
-    for row in connection.snapshot()["results"]:
-        outcome, joint, value, limit = int(row["outcome"]), int(row["joint"]), float(row["value"]), float(row["limit"])
-        if outcome == Outcome.NONE or joint < 0:
-            continue
-        name = connection.joints[joint]
-        if outcome_sentence(outcome, name, value, limit) in sentence:
-            # Without a limit it is about the joint alone, such as one whose angle is not known.
-            return {"joint": name, "value": value, "limit": limit} if limit else {"joint": name}
-    return {}
 
 
 def _stands_at_rad(connection: Connection) -> np.ndarray:

@@ -17,7 +17,7 @@ from rtarm.language import said
 from rtarm.status import MOVING_MODES, STOPPED_BY_A_PERSON, open_running
 from shm import files
 from shm.client import CommandWriter, StateReader, find
-from shm.errors import EndedMeanwhile, TornRead
+from shm.errors import EndedMeanwhile, NotRunning, TornRead
 from shm.meaning import Language
 from shm.sentences import (
     answer_sentence,
@@ -36,13 +36,12 @@ POLL_S = 0.005
 HEARD_CYCLES = 100
 """Within so many, every request of a full ring is answered."""
 
-_ENDED = (
-    "The control process of arm '{arm}' ended meanwhile; the drives have stopped by themselves: start it again with "
-    "{again}{options}."
+_DIED = (
+    "The control process of arm '{arm}' has died; the drives stop by themselves, but a homing run goes on: look at the "
+    "arm, then start it again with {again}{options}."
 )
-_ENDED_HOMING = (
-    "The control process of arm '{arm}' ended meanwhile; a drive amid its homing run goes on: start it again with "
-    "{again}{options}."
+_ENDED = (
+    "The control process of arm '{arm}' has ended in order, so the arm stands: start it again with {again}{options}."
 )
 
 TOO_EARLY_TO_CLEAR = {
@@ -113,7 +112,7 @@ class Connection:
             said(
                 self.language,
                 "The control process of {arm} has not answered for {seconds:g} s, so it hangs: end it, then start it "
-                "again; the drives stop by themselves when it is gone.",
+                "again; the drives stop by themselves when it is gone, but a homing run goes on.",
                 arm=self.arm,
                 seconds=ANSWER_PATIENCE_S,
             ),
@@ -201,18 +200,14 @@ class Connection:
         return snapshot
 
     def check_running(self) -> None:
-        """Raise EndedMeanwhile where the control process has ended."""
-        if files.is_held(self._reader.memory.fd):
+        """Raise EndedMeanwhile where the control process has died, NotRunning where it has ended in order."""
+        memory = self._reader.memory
+        if files.is_held(memory.fd):
             return
-        try:
-            homes = int(self._reader.snapshot()["mode"]) == Mode.REFERENCING
-        except TornRead:
-            homes = True  # for all that is known
-        raise EndedMeanwhile(
-            _ENDED_HOMING if homes else _ENDED,
-            arm=self.arm,
-            **files.again(self._reader.memory.record["header"]),
-        )
+        words = {"arm": self.arm, **files.again(memory.record["header"])}
+        if files.was_removed(memory.fd):
+            raise NotRunning(_ENDED, **words)
+        raise EndedMeanwhile(_DIED, **words)
 
 
 @contextmanager

@@ -20,7 +20,7 @@ class NotRunning(SharedMemoryError):
 
 
 class EndedMeanwhile(NotRunning):
-    """It did when somebody began to speak to it, and has ended since."""
+    """It did when somebody began to speak to it, and has died since."""
 
 
 class AlreadyHeld(SharedMemoryError):

@@ -529,6 +529,11 @@ def inherited_state(fd: int, arm: str) -> MemoryFile:
     return _attach(state_path(arm), fd, layout.STATE, arm, None, writable=False)
 
 
+def was_removed(fd: int) -> bool:
+    """Whether the file of a control process that has ended lost its name before: its end was in order."""
+    return os.fstat(fd).st_nlink == 0
+
+
 def arms_left_behind() -> list[str]:
     """Names of this user's arms of whose control process there is a state file, whether or not it lives, sorted."""
     arms = set()

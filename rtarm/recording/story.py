@@ -461,6 +461,8 @@ def _left_alone(recording: Recording, language: Language) -> str:
     """What the drives did when the control process had died."""
     if recording.bitrate == 0:
         return said(language, "it had no bus, and so no drives")
+    if recording.records["mode"][-1] == Mode.REFERENCING:
+        return said(language, "a drive amid its homing run goes on")
     if not np.any(recording.records["joints"]["commanded_velocity_rad_s"][-1] != 0.0):
         return said(language, "no joint was commanded to move then")
     return said(language, "the drives went on for a moment and stopped by themselves")

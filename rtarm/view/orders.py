@@ -6,7 +6,6 @@ Each function waits until it is done and says so in a sentence, or raises Refusa
 from __future__ import annotations
 
 import math
-import re
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -15,13 +14,12 @@ import numpy as np
 
 from config.schema import ArmConfig
 from rtarm import referencing, requests
+from rtarm.decisions import end_told
 from rtarm.errors import Refusal
-from rtarm.language import said
 from rtarm.sending import LastingSender, Sender, follow, goal_document
 from rtarm.view.words import Words
 from shm.errors import SharedMemoryError
-from shm.meaning import Language
-from shm.sentences import joint_name, latched_sentence, outcome_sentence
+from shm.sentences import outcome_sentence
 from shm.words import Outcome
 
 GENTLY = 0.3
@@ -116,7 +114,7 @@ class Orders:
                 on_the_way(self._words.on_the_way.format(duration=takes_s))
                 ended = follow(connection, sender, number, self._words.no_result)
             assert ended is not None
-            sentence = end_told(ended.sentence, connection)
+            sentence = end_told(connection, ended.sentence)
         if not ended.succeeded:
             raise Refusal(sentence)
         return sentence
@@ -140,41 +138,3 @@ class Orders:
     def close(self) -> None:
         """End what was started; a goal that was sent and still runs is cancelled."""
         self._senders.close()
-
-
-_FINAL_ERROR = re.compile(r"; (\S+) is ([\d.]+) rad from its target\.$")
-"""What the ROS process adds to the end of a goal that had begun."""
-
-
-def end_told(sentence: str, connection: requests.Connection) -> str:
-    """How a goal ended in the connection's language; the ROS process says it in English.
-
-    What the control process decided is among its newest results, or is its fault. What the ROS process refused before
-    the control process heard of it stays English.
-    """
-    added = _FINAL_ERROR.search(sentence)
-    decided = sentence if added is None else f"{sentence[: added.start()]}."
-    language = connection.language
-    now, joints = connection.snapshot(), connection.joints
-    for english, other in zip(_ends(now, joints, "en"), _ends(now, joints, language), strict=True):
-        if english == decided and added is not None:
-            end = said(language, "; {joint} is {error} rad from its target.", joint=added[1], error=added[2])
-            return other[:-1] + end
-        if english == decided:
-            return other
-    return sentence
-
-
-def _ends(now: np.ndarray, joints: Sequence[str], language: Language) -> list[str]:
-    """What a snapshot tells of the newest results and of the fault."""
-    results = (
-        outcome_sentence(
-            int(one["outcome"]),
-            joint_name(int(one["joint"]), joints, language),
-            float(one["value"]),
-            float(one["limit"]),
-            language,
-        )
-        for one in now["results"]
-    )
-    return [latched_sentence(now, joints, language), *results]

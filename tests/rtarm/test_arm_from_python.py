@@ -146,10 +146,20 @@ def test_a_motion_that_ends_with_the_control_process_says_so_whoever_noticed_fir
     with pytest.raises(rtarm.GoalFailed):
         moves.run(connection, Told(outcome), {})  # type: ignore[arg-type]
     monkeypatch.setattr("shm.files.is_held", lambda _: False)
-    with pytest.raises(rtarm.NotRunning, match="ended meanwhile") as ended:
+    with pytest.raises(rtarm.NotRunning, match="has died") as ended:
         moves.run(connection, Told(outcome), {})  # type: ignore[arg-type]
     told = foreseen(ended.value)
     assert told is not None and told[1] == ExitCode.LOOP_DIED
+
+
+def test_a_motion_that_an_orderly_end_cut_short_did_not_succeed(
+    python_arm: rtarm.Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However soon it is noticed: by the front's word, or before it."""
+    monkeypatch.setattr("shm.files.is_held", lambda _: False)
+    monkeypatch.setattr("shm.files.was_removed", lambda _: True)
+    with pytest.raises(rtarm.GoalFailed, match="has ended in order, so the arm stands"):
+        moves.run(python_arm._connection, Told(Outcome(False, -6, "The control process is gone.")), {})  # type: ignore[arg-type]
 
 
 def test_no_arm_of_that_name(arm_name: str) -> None:

@@ -13,13 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from written_arm import WrittenArm
 
+from rosfront.verdict import judge
 from rtarm import moves
 from rtarm.arm_file import arm_file as file_of
 from rtarm.errors import ExitCode, GoalFailed, Refusal
 from rtarm.requests import connect
 from rtarm.sending import Outcome as Ended
 from rtarm.sending import Sender
-from shm.sentences import outcome_sentence
 from shm.words import Fault, Mode, Outcome
 
 LIMITS = limits()
@@ -108,8 +108,9 @@ def test_a_failure_tells_what_the_control_process_decided_by(
     standing.snapshot["results"][2] = 3, Outcome.PATH_TOLERANCE, 0, 0.7, 0.2, 5
     standing.snapshot["results"][3] = 4, outcome, joint, 0.3, limit_rad, 6
     standing.publish()
-    sentence = outcome_sentence(outcome, "elbow" if joint == 1 else "", 0.3, limit_rad)
-    action = Answering(Ended(False, -4, sentence))
+    verdict = judge(outcome, joint, 0.3, limit_rad, standing.snapshot, np.zeros(2), 0b11, ("shoulder", "elbow"))
+    assert (" rad from its target" in verdict.sentence) == (outcome == Outcome.PATH_TOLERANCE)
+    action = Answering(Ended(False, -4, verdict.sentence))
     with connect(standing.name) as connection, pytest.raises(GoalFailed) as failed:
         moves.run(connection, cast(Sender, action), {})
     assert (failed.value.joint, failed.value.value, failed.value.limit) == told

@@ -24,6 +24,7 @@ import rtarm
 from config.loader import load_arm
 from motion.gripping import Grip
 from rtarm import chinese, requests
+from rtarm.decisions import end_told
 from rtarm.errors import Refusal
 from rtarm.language import language_of, named, said, told
 from rtarm.recording.story import COUNTED, SLOWED, STATUS
@@ -32,7 +33,6 @@ from rtarm.status import STOPPED_BY_A_PERSON, key, read_status
 from rtarm.status_tables import render_status
 from rtarm.top.picture import Picture
 from rtarm.top.watch import Watch
-from rtarm.view.orders import end_told
 from rtarm.view.panels import events_html, joints_html, machine_html, problems_html, state_html
 from rtarm.view.words import CHINESE
 from rtarm.wrapping import wrapped
@@ -47,9 +47,10 @@ ROOT = Path(rtarm.__file__).parent
 FROM_TABLES = {*COUNTED.values(), *STATUS.values(), *(sentence for sentence, _ in SLOWED.values()), STOPPED_BY_A_PERSON}
 FROM_TABLES |= set(TOO_EARLY_TO_CLEAR.values())
 FROM_MEMORY = {
+    "The control process of arm '{arm}' has died",
+    "The control process of arm '{arm}' has ended in order",
     "No control process is running",
     "The control process of arm '{arm}' (pid",
-    "The control process of arm '{arm}' ended meanwhile",
     " (with the options it had)",
     "No consistent snapshot",
     "{waiting} requests wait",
@@ -276,11 +277,11 @@ def test_how_a_goal_ended_is_told_in_the_language_of_who_asks(arm: WrittenArm) -
     english = outcome_sentence(Outcome.PATH_TOLERANCE, "elbow", 0.15, 0.1)
     far = english.removesuffix(".") + "; shoulder is 0.4954 rad from its target."
     with requests.connect(arm.name, "zh") as connection:
-        assert end_told(english, connection).startswith("elbow 离设定点 0.1500 rad，允许 0.1000 rad")
-        assert end_told(far, connection).endswith("或者放宽 path_tolerance；shoulder 离目标位置 0.4954 rad。")
-        assert end_told("The goal leaves out elbow.", connection) == "The goal leaves out elbow."
+        assert end_told(connection, english).startswith("elbow 离设定点 0.1500 rad，允许 0.1000 rad")
+        assert end_told(connection, far).endswith("或者放宽 path_tolerance；shoulder 离目标位置 0.4954 rad。")
+        assert end_told(connection, "The goal leaves out elbow.") == "The goal leaves out elbow."
     with requests.connect(arm.name) as connection:
-        assert end_told(far, connection) == far
+        assert end_told(connection, far) == far
 
 
 def test_chinese_breaks_between_characters_and_not_before_punctuation() -> None:

@@ -135,5 +135,5 @@ def test_drives_have_braked_only_where_an_arm_had_begun(was_ready: bool) -> None
     launcher = Launcher(load_plan("mock", {}, simulated=False), Reporter(Console(file=io.StringIO())))
     refusal = asyncio.run(launcher._loop_refusal(Ended(was_ready=was_ready)))  # type: ignore[arg-type]
     assert refusal.code == ExitCode.LOOP_DIED and "ended by SIGKILL" in refusal.sentence
-    assert ("have stopped by themselves" in refusal.sentence) == was_ready
+    assert ("the drives stop by themselves, but a homing run goes on" in refusal.sentence) == was_ready
     assert ("no motion had begun" in refusal.sentence) != was_ready

@@ -44,7 +44,7 @@ from rtarm.top.picture import Picture
 from rtloop.wire.slcan import BEL
 from shm import files, layout
 from shm.recording import Recording
-from shm.words import BusState, DriveStatus, Event, Fault, Outcome
+from shm.words import BusState, DriveStatus, Event, Fault, Mode, Outcome
 from sim.faults import PowerLoss, Stall
 
 Rtarm = Callable[..., Result]
@@ -496,6 +496,14 @@ def test_a_fault_without_a_joint_comes_first_but_for_what_went_wrong_just_before
         assert found.first.sentence == found.verdict[0]
     else:
         assert found.first.sentence.startswith(first)
+
+
+def test_a_homing_run_goes_on_after_a_death(power_loss: Recording) -> None:
+    records = power_loss.records[power_loss.records["fault"] == Fault.NONE].copy()
+    records["joints"]["commanded_velocity_rad_s"][-1] = 0.0
+    records["mode"][-1] = Mode.REFERENCING
+    found = told(Recording(**{**vars(power_loss), "records": records}), Reason("death", "It died."))
+    assert found.verdict[0].endswith("; a drive amid its homing run goes on.")
 
 
 @pytest.mark.parametrize(

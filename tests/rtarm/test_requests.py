@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import os
 from collections.abc import Callable
 
 import pytest
@@ -117,7 +118,21 @@ def test_stop_notices_the_end_of_the_control_process(arm: WrittenArm, rtarm: Rta
     with arm.answering(obey):
         result = rtarm("stop", arm.name)
     assert result.exit_code == ExitCode.LOOP_DIED
-    assert "ended meanwhile; the drives have stopped by themselves" in result.stderr
+    assert "has died; the drives stop by themselves, but a homing run goes on" in result.stderr
+
+
+def test_stop_tells_an_orderly_end_from_a_death(arm: WrittenArm, rtarm: Rtarm) -> None:
+    moving(arm)
+
+    def obey(arm: WrittenArm, _kind: int) -> int:
+        os.unlink(arm.files.state.path)
+        fcntl.flock(arm.files.state.fd, fcntl.LOCK_UN)
+        return Answer.DONE
+
+    with arm.answering(obey):
+        result = rtarm("stop", arm.name)
+    assert result.exit_code == ExitCode.REFUSED
+    assert "has ended in order, so the arm stands: start it again with" in result.stderr
 
 
 def faulty(arm: WrittenArm) -> None:

@@ -174,8 +174,8 @@ def test_a_dead_control_process_ends_everything_with_code_3(
     os.kill(report["loop"]["pid"], signal.SIGKILL)
     assert up.end() == 3
     assert up.errors == (
-        "The control process ended by SIGKILL; the drives have stopped by themselves; look at the arm, then "
-        f"start again with `rtarm up {arm_file} --sim`.\n"
+        "The control process ended by SIGKILL; the drives stop by themselves, but a homing run goes on: look at the "
+        f"arm, then start again with `rtarm up {arm_file} --sim`.\n"
     )
     assert ended([report["front"]["pid"]])
     gone = status(arm_name)
