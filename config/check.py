@@ -48,7 +48,7 @@ def render_check(arm: ArmConfig) -> RenderableType:
 def notes(arm: ArmConfig) -> list[str]:
     """What is allowed and yet may surprise, a sentence each."""
     found = [
-        f"{joint.name}'s range is {joint.upper_deg - joint.lower_deg:.2g}°: limits are in degrees; did you give "
+        f"{joint.name}'s range is {joint.upper_deg - joint.lower_deg:.3g}°: limits are in degrees; did you give "
         "radians?"
         for joint in arm.joints
         if max(-joint.lower_deg, joint.upper_deg) <= 2.0 * math.pi
@@ -62,8 +62,8 @@ def notes(arm: ArmConfig) -> list[str]:
 
 
 def counts_anew(joint: JointConfig) -> bool:
-    """Whether nothing proves, when rtarm starts, that what the drive counts still means an angle; ZDT drives do."""
-    return joint.drive.family not in ("zdt", "mock") and not joint.knows_its_angle
+    """Whether nothing tells, when rtarm starts, that what the drive counts means an angle."""
+    return not joint.drive.counts_on and not joint.knows_its_angle
 
 
 def _counting_anew(joint: JointConfig) -> str:

@@ -31,8 +31,9 @@ def complaint(
     location, model = _place(details["loc"])
     context = details.get("ctx", {})
     if details["type"] == "arm_config":
+        of_section = bool(location)  # which knows of no joint, as the whole arm does
         location = (*location, *parts_of(str(context["field"])))
-        problem = _with_its_joint(str(context["sentence"]), location, values)
+        problem = _with_its_joint(str(context["sentence"]), location, values, of_section=of_section)
     else:
         problem = _sentence(details, location, model, subject(location, values))
     text = text_of(location)
@@ -78,11 +79,13 @@ def _family(model: type[BaseModel]) -> str:
     return str(get_args(model.model_fields["family"].annotation)[0])
 
 
-def _with_its_joint(sentence: str, location: Location, values: Mapping[str, Any]) -> str:
-    """A sentence that begins with its field, with the joint whose field it is, which a drive's section cannot know."""
+def _with_its_joint(sentence: str, location: Location, values: Mapping[str, Any], *, of_section: bool) -> str:
+    """A sentence that begins with its field, with the joint whose field it is where it does not name it."""
     joint = _joint_of(location, values)
     begins = f"{location[-1]} is " if location else ""
-    if joint is None or not sentence.startswith(begins) or joint in sentence:
+    if joint is None or not sentence.startswith(begins):
+        return sentence
+    if not of_section and re.search(rf"\b{re.escape(joint)}\b", sentence):
         return sentence
     return f"{subject(location, values)} is {sentence.removeprefix(begins)}"
 

@@ -21,6 +21,9 @@ class Drive(Section, ABC):
     stepper_ramp: ClassVar[bool] = False
     """Whether its ramp is a byte of each command, as in `config.ramp`."""
 
+    counts_on: ClassVar[bool] = False
+    """Whether the next start can tell that what it counts means the angle that it meant before."""
+
     number_field: ClassVar[str] = "address"
     """The field that holds its number."""
 

@@ -15,6 +15,7 @@ class MockDrive(Drive):
 
     family: Literal["mock"] = Field(description="Drive family.")
     called: ClassVar[str] = "a mock drive"
+    counts_on: ClassVar[bool] = True
     highest_motor_rpm: ClassVar[float] = 3000.0
 
     @property

@@ -30,6 +30,7 @@ class ZdtDrive(Drive):
     """A ZDT closed-loop stepper with Emm_V5 firmware on the CAN bus."""
 
     family: Literal["zdt"] = Field(description="Drive family.")
+    counts_on: ClassVar[bool] = True
     address: int = Field(ge=1, le=255, description="Address set in the drive's menu (1 to 255).")
     microsteps: int = Field(
         default=16,

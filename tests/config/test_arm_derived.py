@@ -155,7 +155,7 @@ def test_names_are_folded_rather_than_cut(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("lower_deg", "upper_deg", "shown"),
-    [(-1.57, 1.57, "3.1"), (0.0, 6.28, "6.3"), (-3.14, 2.44, "5.6"), (-7.0, 1.0, None), (-1.57, 90.0, None)],
+    [(-1.57, 1.57, "3.14"), (0.0, 6.28, "6.28"), (-3.14, 2.44, "5.58"), (-7.0, 1.0, None), (-1.57, 90.0, None)],
 )
 def test_limits_that_look_like_radians_are_told(lower_deg: float, upper_deg: float, shown: str | None) -> None:
     arm = with_joint1(load_arm("damiao6"), lower_deg=lower_deg, upper_deg=upper_deg)

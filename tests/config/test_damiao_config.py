@@ -100,6 +100,13 @@ def test_everybodys_registers_are_shared_by_damiao_motors_alone() -> None:
         load_arm("damiao6", overrides=with_drives(GOOD, odrive))
 
 
+def test_a_complaint_names_a_joint_whose_name_is_a_word_of_it() -> None:
+    joints = with_drives(GOOD | {"motor_id": 16})["joints"]
+    named = [joint | {"name": "a" if number == 0 else joint["name"]} for number, joint in enumerate(joints)]
+    with pytest.raises(ConfigError, match=r"motor_id of a is 16 \(0x10\), but must be"):
+        load_arm("damiao6", overrides={"joints": named, "kinematics": None})
+
+
 def test_a_range_that_the_position_field_does_not_reach_is_refused() -> None:
     """±12.5 rad are 716°, and a joint behind a gear of 5 needs more for 160°."""
     with pytest.raises(ConfigError, match=r"lower_deg of joint1 is -180, 2.2 motor turns .* commanded within 1\.989"):
