@@ -63,9 +63,9 @@ class Browser:
         self.until(lambda: not self._all("#webgl-software-rendering"))
 
     @contextmanager
-    def phone(self) -> Iterator[None]:
-        """Meanwhile the tab is as large as a phone's."""
-        size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    def phone(self, height_px: int = 844) -> Iterator[None]:
+        """Meanwhile the tab is as wide as a phone's."""
+        size = {"width": 390, "height": height_px, "deviceScaleFactor": 1, "mobile": True}
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         try:
             self.until(lambda: self._lies_within(size["width"]))
@@ -79,19 +79,21 @@ class Browser:
         ends_px = self.driver.execute_script(script)
         return any(ends_px) and max(ends_px) <= width_px
 
-    def scroll_to_end(self) -> None:
-        """Scroll down whatever can be scrolled."""
-        self.driver.execute_script(
-            "for (const e of document.querySelectorAll('*')) if (e.scrollHeight > e.clientHeight) e.scrollTop = 1e6"
-        )
+    def scroll(self, to_px: float) -> None:
+        """Scroll whatever can be scrolled."""
+        script = "for (const e of document.querySelectorAll('*')) e.scrollTop = arguments[0]"
+        self.driver.execute_script(script, to_px)
 
-    def takes_taps(self, text: str) -> bool:
-        """Whether a finger at the middle of the first text that begins so meets it."""
+    def tap(self, text: str) -> None:
+        """Put a finger where the first text is that begins so, whatever takes it."""
         script = """const which = `//body//*[starts-with(normalize-space(text()), '${arguments[0]}')]`
             const found = document.evaluate(which, document, null, XPathResult.FIRST_ORDERED_NODE_TYPE).singleNodeValue
             const at = found.getBoundingClientRect()
-            return found.contains(document.elementFromPoint((at.left + at.right) / 2, (at.top + at.bottom) / 2))"""
-        return bool(self.driver.execute_script(script, text))
+            return [(at.left + at.right) / 2, (at.top + at.bottom) / 2]"""
+        x, y = self.driver.execute_script(script, text)
+        for kind in ("mousePressed", "mouseReleased"):
+            event = {"type": kind, "x": x, "y": y, "button": "left", "clickCount": 1}
+            self.driver.execute_cdp_cmd("Input.dispatchMouseEvent", event)
 
     def can_press(self, label: str) -> bool:
         """Whether a finger at the middle of that button meets it."""

@@ -26,6 +26,13 @@ RECORDINGS = [path for version in VERSIONS for path in sorted((version / "record
 LARGEST_BYTES, LARGEST_VERSION_BYTES = 100_000, 400_000
 
 
+def test_the_first_version_is_found_with_its_recordings() -> None:
+    """Where nothing is found, nothing is tried."""
+    first = KEPT / "v0.1.0"
+    assert first in VERSIONS
+    assert {path.name for path in RECORDINGS if path.parent.parent == first} == {"goal.mcap", "fault.mcap"}
+
+
 def name_of(path: Path) -> str:
     return path.relative_to(KEPT).as_posix()
 
