@@ -26,6 +26,7 @@ def show_on_page(
         Refusal, ConfigError: it cannot be drawn or served.
     """
     needs("viser")
+    from rtarm.recording.replay import Replay
     from rtarm.view.gate import open_server
     from rtarm.view.run import serve
     from rtarm.view.source import RecordedArm
@@ -42,4 +43,5 @@ def show_on_page(
         )
     opened = open_server()
     tell(f"{opened.url} plays the recording of {recording.arm}; Ctrl-C ends the page.")
-    serve(opened.server, arm, RecordedArm(recording, speed, language=language), None, WORDS[language])
+    shown = RecordedArm(recording, Replay(recording, speed, language=language))
+    serve(opened.server, arm, shown, None, WORDS[language])

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
@@ -149,15 +147,10 @@ class FollowedRecorder:
 class RecordedArm:
     """A recording, played in its own time or slower or quicker."""
 
-    def __init__(
-        self,
-        recording: Recording,
-        speed: float,
-        clock: Callable[[], int] = time.monotonic_ns,
-        language: Language = "en",
-    ) -> None:
+    def __init__(self, recording: Recording, replay: Replay) -> None:
+        """`replay` is of that recording."""
         self.joints = recording.joints
-        self._replay = Replay(recording, speed, clock, language)
+        self._replay = replay
         self._records = recording.records
         self._next = 0
 
