@@ -62,6 +62,7 @@ class Identifiers:
     """CAN identifiers that a drive uses: all with the bits of `match` where `mask` has ones.
 
     `shared`: drives of the same family use them together, and what they mean to whom stands in the data.
+    `field`: what says them in the drive's section of an arm file, where that is not the drive's number.
     """
 
     match: int
@@ -69,6 +70,7 @@ class Identifiers:
     extended: bool
     from_drive: bool
     shared: bool = False
+    field: str | None = None
 
     def meets(self, other: Identifiers) -> bool:
         """Whether there is an identifier that belongs to both."""
@@ -82,9 +84,11 @@ STANDARD_MASK = 0x7FF
 EXTENDED_MASK = 0x1FFFFFFF
 
 
-def standard(identifier: int, *, from_drive: bool, mask: int = STANDARD_MASK, shared: bool = False) -> Identifiers:
+def standard(
+    identifier: int, *, from_drive: bool, mask: int = STANDARD_MASK, shared: bool = False, field: str | None = None
+) -> Identifiers:
     """Standard identifiers (11 bits)."""
-    return Identifiers(identifier, mask, extended=False, from_drive=from_drive, shared=shared)
+    return Identifiers(identifier, mask, extended=False, from_drive=from_drive, shared=shared, field=field)
 
 
 def extended(identifier: int, *, from_drive: bool, mask: int = EXTENDED_MASK, shared: bool = False) -> Identifiers:

@@ -21,18 +21,21 @@ class _Mistake(NamedTuple):
 
 
 _TABBED = re.compile(r" *\t")
+_BARE = re.compile(r"\s*[^\s:#-][^:#]*")
+"""A line that is neither field nor entry nor comment: what follows it goes on with its text, says YAML."""
+_FIELD_WITHIN_TEXT = _Mistake(
+    "mapping values are not allowed",
+    False,
+    "the colon in column {column} stands where no field can begin: give each field a line of its own, indented as "
+    "the fields around it, and put a text with a colon in quotes.",
+)
 _MISTAKES = (
+    _FIELD_WITHIN_TEXT,
     _Mistake(r"character '\t'", False, "column {column} is a tab, and YAML takes spaces only: put a space there."),
     _Mistake(
         "that cannot start any token",
         False,
         "no value begins with the character in column {column}: put the value in quotes.",
-    ),
-    _Mistake(
-        "mapping values are not allowed",
-        False,
-        "the colon in column {column} stands where no field can begin: give each field a line of its own, indented as "
-        "the fields around it, and put a text with a colon in quotes.",
     ),
     _Mistake(
         "sequence entries are not allowed",
@@ -70,8 +73,12 @@ def syntax_error(error: yaml.MarkedYAMLError, text: str, file: str) -> ConfigErr
     if lost is None or begun is None:
         return ConfigError(f"this is not valid YAML ({words}); correct the file.", file=file)
     mark = begun if found is not None and found.begins else lost
+    above = text.splitlines()[mark.line - 1] if mark.line else ""
     if _TABBED.match("".join(text.splitlines()[mark.line : mark.line + 1])):
         problem = "the line is indented with a tab, and YAML takes spaces only: put spaces in its place."
+    elif found is _FIELD_WITHIN_TEXT and _BARE.fullmatch(above):
+        problem = f"{above.strip()!r} is no field: write name: value, with a space behind the colon."
+        return ConfigError(problem, file=file, line=mark.line)
     elif found is not None:
         problem = found.sentence.format(column=mark.column + 1, begun=begun.line + 1)
     else:

@@ -178,7 +178,7 @@ SENTENCES = {
     "The fault is cleared; arm {arm} holds where it stands.": "故障已清除；机械臂 {arm} 在原处保持。",
     "The fault was cleared and came back. {fault}": "故障清除后又回来了。{fault}",
     "The arm is still braking after the fault, which takes {seconds:.1f} s at most: wait until it stands, then `rtarm clear-fault` again.": "故障之后机械臂还在制动，最多需要 {seconds:.1f} s：等它静止，然后再 `rtarm clear-fault`。",
-    "The fault is being cleared already: wait until `rtarm status` says holding, or fault again.": "故障已经在清除中：等到 `rtarm status` 显示“保持”，或者又显示“故障”。",
+    "The fault is being cleared already: wait until `rtarm status` says holding, or fault again.": "故障已经在清除中：等到 `rtarm status` 显示 holding（保持），或者又显示 fault（故障）。",
     "The drives of {arm} are not brought up {seconds:.1f} s after the fault was cleared: look at the lines of the control process and at `rtarm status`.": "清除故障已有 {seconds:.1f} s，{arm} 的驱动器还没有启动：看控制进程的消息和 `rtarm status`。",
     "A fault is latched; `rtarm clear-fault` clears it and enables the drives. {fault}": "有锁存的故障；`rtarm clear-fault` 会清除它并使能驱动器。{fault}",
     "A fault is latched, clear it first: {fault}": "有锁存的故障，请先清除：{fault}",

@@ -84,7 +84,7 @@ def one_arm(context: typer.Context, argument: str | None) -> str | None:
     """The arm that a command is about, whose argument and option both name it; refused where they name two."""
     option: str | None = context.params.get("named")
     if argument is not None and option is not None and argument != option:
-        raise typer.BadParameter(f"it is {argument}, but --arm is {option}: name one arm.")
+        raise typer.BadParameter(f"it is {argument}, but --arm is {option}: give one of the two.")
     return argument if option is None else option
 
 

@@ -192,7 +192,7 @@ class DamiaoDrive(Drive):
     def identifiers(self) -> tuple[Identifiers, ...]:
         """Its master ID; its number in all its modes; that of everybody's registers."""
         return (
-            standard(self.master_id, from_drive=True),
+            standard(self.master_id, from_drive=True, field="master_id"),
             standard(self.motor_id, mask=COMMAND_MASK, from_drive=False),
             standard(REGISTERS_ID, from_drive=False, shared=True),
         )

@@ -37,13 +37,20 @@ def check_drives(joints: Sequence[JointConfig], bus: BusConfig, limits: Limits) 
     _brake_in_silence(joints, limits)
 
 
-def common_identifier(one: Drive, other: Drive) -> int | None:
-    """A CAN identifier that could be of either drive, beside those that a family's drives have in common; or None."""
+def common_identifiers(one: Drive, other: Drive) -> tuple[Identifiers, Identifiers] | None:
+    """Identifiers of each of which one is the same, beside those that a family's drives have in common; or None."""
     alike = one.family == other.family
     for mine, theirs in product(one.identifiers, other.identifiers):
         if mine.meets(theirs) and not (alike and mine.shared and theirs.shared):
-            return mine.match & mine.mask | theirs.match & theirs.mask
+            return mine, theirs
     return None
+
+
+def _whose(used: Identifiers, joint: JointConfig) -> str:
+    """What gives a drive these identifiers, which joint's and what it is."""
+    drive = joint.drive
+    given = f"{drive.number_field} {drive.number}" if used.field is None else f"{used.field} {used.match:#x}"
+    return f"{given} of {joint.name} ({drive.called})"
 
 
 def _article(noun: str) -> str:
@@ -53,24 +60,23 @@ def _article(noun: str) -> str:
 def _are_told_apart(joints: Sequence[JointConfig]) -> None:
     for index, joint in enumerate(joints):
         for other in joints[:index]:
-            common = common_identifier(joint.drive, other.drive)
+            common = common_identifiers(joint.drive, other.drive)
             if common is None:
                 continue
+            mine, theirs = common
             field = joint.drive.number_field
-            place = f"joints[{index}].drive.{field}"
             number = joint.drive.number
             if other.drive.family == joint.drive.family and other.drive.number == number:
                 raise refuse(
-                    place,
+                    f"joints[{index}].drive.{field}",
                     f"{field} {number} is used by {other.name} and {joint.name}; every drive on the bus needs "
                     f"{_article(field)} of its own: change one, in its menu and here.",
                 )
             raise refuse(
-                place,
-                f"{field} {number} of {joint.name} ({joint.drive.called}) uses CAN identifiers that "
-                f"{other.drive.number_field} {other.drive.number} of {other.name} ({other.drive.called}) uses too, "
-                f"{common:#x} among them, so neither could be told from the other: change one of the two, in the "
-                "drive and here.",
+                f"joints[{index}].drive.{mine.field or field}",
+                f"{_whose(mine, joint)} uses CAN identifiers that {_whose(theirs, other)} uses too, "
+                f"{mine.match & mine.mask | theirs.match & theirs.mask:#x} among them, so neither could be told from "
+                "the other: change one of the two, in the drive and here.",
             )
 
 

@@ -193,6 +193,7 @@ def test_a_file_that_is_not_text(tmp_path: Path) -> None:
         ('name: "a\\q"', 1, "in double quotes the backslash before column 10 has a meaning of its own"),
         ("name: %x", 1, "no value begins with the character in column 7: put the value in quotes."),
         ("name: a: b", 1, "the colon in column 8 stands where no field can begin: give each field a line of its own"),
+        ("name\njoints: 3", 1, "'name' is no field: write name: value, with a space behind the colon."),
         ("name: - a", 1, "the dash in column 7 stands where no list can begin"),
         ("bus: {}\nname x\ncontrol: {}", 2, "what begins in column 1 is no field: write name: value, with a space"),
         ("bus:\n    a: 1\n  b: 2", 3, "what begins in column 3 does not go with the lines above it: indent it"),

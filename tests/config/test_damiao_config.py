@@ -86,9 +86,9 @@ def test_two_motors_that_could_be_taken_for_each_other_are_refused(other: dict) 
 
 
 def test_it_is_said_which_identifier_two_motors_have_in_common() -> None:
-    """Whoever gave two motors one master ID finds it in the sentence, which names the motors by their motor IDs."""
+    """Whoever gave two motors one master ID is told of that, and not of their motor IDs, which differ."""
     second = GOOD | {"motor_id": 2, "master_id": 0x11}
-    with pytest.raises(ConfigError, match=r"motor_id 1 of joint1 .* uses too, 0x11 among them, so neither"):
+    with pytest.raises(ConfigError, match=r"master_id 0x11 of joint2 .* that master_id 0x11 of joint1 .* so neither"):
         load_arm("damiao6", overrides=with_drives(GOOD, second))
 
 

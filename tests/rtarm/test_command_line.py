@@ -230,7 +230,7 @@ def test_an_arm_is_named_as_the_argument_or_by_its_option(command: tuple[str, ..
         result = rtarm(*command, *words)
         assert result.exit_code == 1 and "'Big'" in result.stderr, words
     two = rtarm(*command, "left", "--arm", "right")
-    assert two.exit_code == 1 and "it is left, but --arm is right: name one arm." in " ".join(two.stderr.split())
+    assert two.exit_code == 1 and "it is left, but --arm is right: give one of the two." in " ".join(two.stderr.split())
 
 
 @pytest.mark.parametrize("command", [command for command in COMMANDS if command not in NOT_OF_ONE_ARM], ids=" ".join)

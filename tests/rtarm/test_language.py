@@ -58,7 +58,8 @@ FROM_MEMORY = {
 }
 """What errors about memory files begin with: told under their own words."""
 PLURALS = {"lines", "bytes", "commands", "errors"}
-NAMES = re.compile(r"CAN|ROS|CPU|Hz|MCAP|rad|ms|µs|s|pid|q|~/\w+|--speed|SCHED_\w+")
+# What stays as it is: units, names, and two modes as plain `rtarm status` says them.
+NAMES = re.compile(r"CAN|ROS|CPU|Hz|MCAP|rad|ms|µs|s|pid|q|~/\w+|--speed|SCHED_\w+|holding|fault")
 
 
 def templates() -> Iterator[tuple[str, str]]:
