@@ -39,7 +39,7 @@ def our_cycles(loop, rpm, acc, pulses, replies, counts, cycles):
     """
     status = 0
     for left in range(cycles - 1, -1, -1):
-        loop.core.tx_length = 0
+        loop.outgoing.length = 0
         for joint in range(len(rpm)):
             first, second = zdt.pack_target(rpm[joint], acc[joint], pulses[joint] - left)
             slcan.encode_frame(loop, (joint + 1) << 8, True, 8, first)
@@ -55,7 +55,7 @@ def our_cycles(loop, rpm, acc, pulses, replies, counts, cycles):
                     counts[(frame_id >> 8) - 1] = value
                 elif kind == zdt.STATUS:
                     status = value
-                loop.core.line_length = 0
+                loop.parser.line_length = 0
     return status
 
 
@@ -104,7 +104,7 @@ def test_our_codec(benchmark, figures):
     replies, counts = np.frombuffer(REPLIES, np.uint8), np.zeros(6, np.int64)
     status = benchmark(our_cycles, loop[0], RPM, ACC, PULSES, replies, counts, CYCLES)
     assert counts.tolist() == COUNTS.tolist() and status & 3 == 3
-    sent = loop[0]["tx"][: int(loop[0]["core"]["tx_length"])].tobytes()
+    sent = loop[0]["outgoing"]["bytes"][: int(loop[0]["outgoing"]["length"])].tobytes()
     figures["ours"] = {"seconds": benchmark.stats.stats.median / CYCLES, "bytes": sent}
 
 

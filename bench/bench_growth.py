@@ -74,7 +74,7 @@ def recorded_swing(arm: RecordingArm) -> Recording:
     shape = 0.05 * np.stack([1 - np.cos(w * t), w * np.sin(w * t), w * w * np.cos(w * t)], axis=-1)
     shape[-1, 1:] = 0.0
     joints = np.repeat(shape[:, None, :], len(arm.arm.joints), axis=1)
-    joints[:, :, 0] += arm.loop[0]["axes"]["next_position_rad"][: len(arm.arm.joints)]
+    joints[:, :, 0] += arm.loop[0]["axes"]["commanded"]["next_position_rad"][: len(arm.arm.joints)]
     return Recording(arm, arm.send_goal((t * 1e9).astype(int), joints))
 
 
@@ -131,7 +131,7 @@ def timed_cycles(
         before_ns = monotonic_ns(clock)
         step(loop, shared, now_ns)
         durations_ns[i] = monotonic_ns(clock) - before_ns if running_goal(loop) == goal else -1
-        loop.core.tx_length = 0
+        loop.outgoing.length = 0
     return now_ns
 
 
@@ -156,7 +156,7 @@ def play_knots(arm: VirtualArm, count: int, kept: np.ndarray) -> int:
     The computing time (ns) of each cycle that executed it goes to `kept`, which is long enough; how many there were.
     """
     clock, durations, filled = np.zeros(2, np.int64), np.zeros(BATCH, np.int64), 0
-    home = arm.loop[0]["axes"]["next_position_rad"][:6].copy()
+    home = arm.loop[0]["axes"]["commanded"]["next_position_rad"][:6].copy()
     goal, none, consumed = arm.writer.announced_goal + 1, np.zeros((6, 3)), arm.reader.setpoints_consumed
     arm.writer.announce(goal)
     arm.writer.begin(
@@ -165,7 +165,7 @@ def play_knots(arm: VirtualArm, count: int, kept: np.ndarray) -> int:
         joint_mask=63,
         goal_time_s=0.4,
         entry=Entry(0),
-        epoch=int(arm.core["epoch"]),
+        epoch=int(arm.memory["people"]["epoch"]),
         tolerances=none,
         consumed=consumed(),
     )
@@ -274,7 +274,7 @@ def cycles_recorded(
         if recording == 1:
             record(shared.lateness, value_ns)
         step(loop, shared, now_ns)
-        loop.core.tx_length = 0
+        loop.outgoing.length = 0
         if recording == 1:
             record(shared.cycle_time, value_ns)
     return monotonic_ns(clock) - before_ns

@@ -35,17 +35,17 @@ def carries(name: str, rate_hz: float) -> bool:
     try:
         if arm.bring_up().failure is not None:
             return False
-        unknown = sum(1 << n for n in range(6) if not arm.loop[0]["axes"][n]["referenced"])
+        unknown = sum(1 << n for n in range(6) if not arm.loop[0]["axes"][n]["reference"]["referenced"])
         if unknown and (arm.ask(Request.REFERENCE, joint_mask=unknown, value=math.nan) != Answer.DONE):
             return False
         if unknown:
             arm.reference()
-        goal, started = arm.play(GOAL), arm.loop[0]["axes"]["readings"][:6].copy()
+        goal, started = arm.play(GOAL), arm.loop[0]["axes"]["measured"]["readings"][:6].copy()
         cycles = 0
         while arm.outcome(goal) == Outcome.NONE:
             arm.cycle()
             cycles += 1
-        fresh = arm.loop[0]["axes"]["readings"][:6] - started
+        fresh = arm.loop[0]["axes"]["measured"]["readings"][:6] - started
         return arm.outcome(goal) == Outcome.SUCCEEDED and bool(np.all(fresh >= cycles - 2))
     except AssertionError:  # not within the time that everything has in virtual time
         return False

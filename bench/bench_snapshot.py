@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from virtual import VirtualArm
 
-from rtloop.memory.state import offset_of
+from rtloop.memory.record import offset_of
 from shm import layout
 from shm.jit import jit
 from shm.seqlock import read
@@ -36,7 +36,7 @@ def test_compiled_read(benchmark, holding, report):
     state = holding.state.address
     arguments = (state + SEQUENCE, state + SNAPSHOT, target.ctypes.data, words, READS)
     assert benchmark(read_many, *arguments) == READS
-    assert target[1] == holding.core["cycle"]
+    assert target[1] == holding.memory["timing"]["cycle"]
     each_ns = benchmark.stats.stats.median / READS * 1e9
     benchmark.extra_info["read_ns"] = each_ns
     report("snapshot of 6 joints read by compiled code (aim ≤ 200 ns)", f"{each_ns:.0f} ns")
@@ -44,6 +44,6 @@ def test_compiled_read(benchmark, holding, report):
 
 def test_python_read(benchmark, holding, report):
     record = benchmark(holding.reader.snapshot)
-    assert record["cycle"] == holding.core["cycle"]
+    assert record["cycle"] == holding.memory["timing"]["cycle"]
     each_us = benchmark.stats.stats.median * 1e6
     report("snapshot of 6 joints read by plain Python (aim ≤ 10 µs)", f"{each_us:.2f} µs")

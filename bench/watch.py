@@ -10,7 +10,7 @@ from live import NS, LiveStack
 
 from config.loader import load_arm
 from config.schema import RealtimeConfig
-from rtloop.memory.state import offset_of
+from rtloop.memory.record import offset_of
 from rtloop.process.beginning import new_loop
 from rtloop.process.run import monotonic_ns
 from rtloop.system import realtime

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from rtloop.memory.state import offset_of
+from rtloop.memory.record import offset_of
 from rtloop.process.run import monotonic_ns
 from rtloop.system import realtime
 from rtloop.system.libc import CLOCK_MONOTONIC, TIMER_ABSTIME, clock_nanosleep

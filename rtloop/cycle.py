@@ -6,24 +6,19 @@ nothing, asks the system for nothing and allocates nothing. `rtloop.process.run`
 virtual time.
 """
 
-from typing import Any
-
 from rtloop import setpoints
 from rtloop.bus import frames, measured
 from rtloop.commands import intake, orders, people
 from rtloop.memory.events import record_event
-from rtloop.memory.state import HISTORY_SLOTS
+from rtloop.memory.state import HISTORY_SLOTS, Loop, Shared
 from rtloop.safety import guard
 from rtloop.show import show
 from rtloop.trajectory import goals
 from rtloop.trajectory.correction import ERROR_SHARE_1_S
-from rtloop.trajectory.phases import runs
+from rtloop.trajectory.phases import raise_epoch, runs
 from shm.jit import jit
 from shm.layout import MAX_JOINTS
 from shm.words import Event, Outcome
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 GAP_NS = 100_000_000
 """A cycle later than this finds drives that have braked by themselves: the goal is over."""
@@ -31,7 +26,7 @@ GAP_NS = 100_000_000
 
 @jit
 def step(loop: Loop, shared: Shared, now_ns: int) -> int:
-    """Run one cycle whose planned time is now_ns; returns the bytes to write, which stand in `loop.tx`."""
+    """Run one cycle whose planned time is now_ns; returns the bytes to write, which stand in `loop.outgoing.bytes`."""
     begin_cycle(loop, shared, now_ns)
     measured.take_what_the_bus_brought(loop, shared)
     orders.take_service_orders(loop, shared)
@@ -46,38 +41,41 @@ def step(loop: Loop, shared: Shared, now_ns: int) -> int:
     goals.judge_goal(loop, shared)
     frames.encode(loop, shared)
     show(loop, shared)
-    return int(loop.core.tx_length)
+    return int(loop.outgoing.length)
 
 
 @jit
 def begin_cycle(loop: Loop, shared: Shared, now_ns: int) -> None:
     """The setpoint that was sent for this instant becomes the present one; a long gap ends the goal."""
-    core = loop.core
-    waited_ns = now_ns - core.now_ns if core.cycle > 0 else 0
-    gap_ns = waited_ns + core.suspended_ns
-    core.suspended_ns = 0
-    core.now_ns = now_ns
-    core.cycle += 1
+    timing = loop.timing
+    waited_ns = now_ns - timing.now_ns if timing.cycle > 0 else 0
+    gap_ns = waited_ns + timing.suspended_ns
+    timing.suspended_ns = 0
+    timing.now_ns = now_ns
+    timing.cycle += 1
     loop.quiet.away_ns += max(waited_ns - loop.params.period_ns, 0)
     period_s = loop.params.period_ns * 1e-9
-    slot = core.history_next & (HISTORY_SLOTS - 1)
-    loop.history_ns[slot] = now_ns
-    if core.unheeded_since_ns != 0:
-        core.unheeded_since_ns += max(waited_ns - loop.params.period_ns, 0)
+    slot = loop.history.next & (HISTORY_SLOTS - 1)
+    loop.history.time_ns[slot] = now_ns
+    if loop.bus.unacknowledged_since_ns != 0:
+        loop.bus.unacknowledged_since_ns += max(waited_ns - loop.params.period_ns, 0)
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
-        axis.difference_velocity_rad_s = (axis.next_position_rad - axis.position_rad) / period_s
-        axis.position_rad = axis.next_position_rad
-        axis.velocity_rad_s = axis.next_velocity_rad_s
-        axis.acceleration_rad_s2 = axis.next_acceleration_rad_s2
+        commanded = axis.commanded
+        commanded.difference_velocity_rad_s = (commanded.next_position_rad - commanded.position_rad) / period_s
+        commanded.position_rad = commanded.next_position_rad
+        commanded.velocity_rad_s = commanded.next_velocity_rad_s
+        commanded.acceleration_rad_s2 = commanded.next_acceleration_rad_s2
         away_ns = min(max(gap_ns - loop.params.period_ns, 0), GAP_NS)
-        if axis.unanswered_since_ns != 0:
-            axis.unanswered_since_ns += max(waited_ns - loop.params.period_ns, 0)  # the loop was away, not the drive
-        axis.slip_rad *= 1.0 - min(ERROR_SHARE_1_S * period_s, 1.0)
-        axis.slip_rad += abs(axis.velocity_rad_s) * away_ns * 1e-9
-        loop.history_rad[slot * MAX_JOINTS + joint] = axis.position_rad
-    core.history_next += 1
-    shared.counters.cycles = core.cycle
+        if axis.reply.unanswered_since_ns != 0:
+            axis.reply.unanswered_since_ns += max(
+                waited_ns - loop.params.period_ns, 0
+            )  # the loop was away, not the drive
+        axis.tracking.slip_rad *= 1.0 - min(ERROR_SHARE_1_S * period_s, 1.0)
+        axis.tracking.slip_rad += abs(commanded.velocity_rad_s) * away_ns * 1e-9
+        loop.history.position_rad[slot * MAX_JOINTS + joint] = commanded.position_rad
+    loop.history.next += 1
+    shared.counters.cycles = timing.cycle
     if gap_ns > GAP_NS:
         stand_where_the_drives_stopped(loop, shared, gap_ns)
 
@@ -85,10 +83,9 @@ def begin_cycle(loop: Loop, shared: Shared, now_ns: int) -> None:
 @jit
 def stand_where_the_drives_stopped(loop: Loop, shared: Shared, gap_ns: int) -> None:
     """After a gap longer than the drives' look-ahead: the goal is over, the arm is where it came to rest."""
-    core = loop.core
     record_event(loop, shared, Event.OVERRUN, -1, gap_ns, gap_ns * 1e-9, GAP_NS * 1e-9)
-    people.raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)  # what waited meanwhile moves nothing
-    if not runs(loop) and core.own_brake == 0:
+    raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)  # what waited meanwhile moves nothing
+    if not runs(loop) and loop.motion.per_joint_stop == 0:
         return
     goals.finish_running(loop, shared, Outcome.CLOCK_GAP, -1, gap_ns * 1e-9, GAP_NS * 1e-9)
-    core.rebase_ns = core.now_ns
+    loop.motion.resync_ns = loop.timing.now_ns

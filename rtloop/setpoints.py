@@ -1,11 +1,11 @@
 """Making the next setpoint: along the path, standing, braking joint by joint, or where the drives came to rest."""
 
 import math
-from typing import Any
 
 from rtloop.commands.orders import adopt
+from rtloop.memory.axis import FAMILY_MOCK
 from rtloop.memory.modes import is_limp
-from rtloop.memory.state import FAMILY_MOCK
+from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
 from rtloop.safety.faults import path_is_trusted
 from rtloop.trajectory.clock import advance_clock, along
@@ -15,9 +15,6 @@ from rtloop.trajectory.phases import runs
 from shm.jit import jit
 from shm.words import Unreferenced
 
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
-
 STILL_SHARE = 0.002
 STILL_COUNTS = 3.0
 """Below this share of its highest velocity, or this many encoder counts a cycle, a joint stands after a gap."""
@@ -26,21 +23,21 @@ STILL_COUNTS = 3.0
 @jit
 def move(loop: Loop, shared: Shared) -> None:
     """Make the next setpoint; one that breaks a limit is replaced by braking from the present one."""
-    core = loop.core
-    if core.rebase_ns != 0:
+    motion = loop.motion
+    if motion.resync_ns != 0:
         hold_measured(loop)
         return
-    if is_limp(core.mode):
+    if is_limp(loop.mode):
         follow_by_hand(loop)
         return
-    if core.own_brake == 0:
+    if motion.per_joint_stop == 0:
         if runs(loop):
             follow_path(loop)
         else:
             hold(loop)
-        if not guard.check_next_setpoint(loop, shared) and path_is_trusted(core.fault):
-            core.own_brake = 1
-    if core.own_brake == 1:
+        if not guard.check_next_setpoint(loop, shared) and path_is_trusted(loop.fault.code):
+            motion.per_joint_stop = 1
+    if motion.per_joint_stop == 1:
         brake_each_joint(loop)
 
 
@@ -48,9 +45,9 @@ def move(loop: Loop, shared: Shared) -> None:
 def hold(loop: Loop) -> None:
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
-        axis.next_position_rad = axis.position_rad
-        axis.next_velocity_rad_s = 0.0
-        axis.next_acceleration_rad_s2 = 0.0
+        axis.commanded.next_position_rad = axis.commanded.position_rad
+        axis.commanded.next_velocity_rad_s = 0.0
+        axis.commanded.next_acceleration_rad_s2 = 0.0
 
 
 @jit
@@ -58,10 +55,13 @@ def follow_by_hand(loop: Loop) -> None:
     """Limp joints are commanded to be where they are, so that nothing pulls when the drives are enabled again."""
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
-        if axis.referenced == 1 and axis.readings > 0:
-            axis.position_rad = axis.measured_rad
-            axis.reference_rad, axis.reference_velocity_rad_s = axis.measured_rad, axis.measured_velocity_rad_s
-            axis.difference_velocity_rad_s = axis.error_acceleration_rad_s2 = 0.0
+        if axis.reference.referenced == 1 and axis.measured.readings > 0:
+            axis.commanded.position_rad = axis.measured.position_rad
+            axis.tracking.reference_rad, axis.tracking.reference_velocity_rad_s = (
+                axis.measured.position_rad,
+                axis.measured.velocity_rad_s,
+            )
+            axis.commanded.difference_velocity_rad_s = axis.tracking.error_acceleration_rad_s2 = 0.0
     hold(loop)
 
 
@@ -72,36 +72,38 @@ def hold_measured(loop: Loop) -> None:
     Until then no motion frame leaves, since the last commanded positions lie behind them. After `drives_patience_ns`
     they stand, whatever their readings look like.
     """
-    core = loop.core
+    motion = loop.motion
     hold(loop)
     for joint in range(loop.params.joint_count):
         axis, row = loop.axes[joint], loop.joints[joint]
-        if axis.referenced == 1 and row.family != FAMILY_MOCK:
+        if axis.reference.referenced == 1 and row.family != FAMILY_MOCK:
             dither = STILL_COUNTS * row.reading_step_rad / (loop.params.period_ns * 1e-9)
-            still = abs(axis.measured_velocity_rad_s) < max(STILL_SHARE * row.max_velocity_rad_s, dither)
-            seen = axis.measured_ns >= core.rebase_ns + 2 * loop.params.period_ns
-            if not (seen and still) and core.now_ns - core.rebase_ns < loop.params.drives_patience_ns:
+            still = abs(axis.measured.velocity_rad_s) < max(STILL_SHARE * row.max_velocity_rad_s, dither)
+            seen = axis.measured.time_ns >= motion.resync_ns + 2 * loop.params.period_ns
+            if not (seen and still) and loop.timing.now_ns - motion.resync_ns < loop.params.drives_patience_ns:
                 return
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
-        if axis.referenced == 1:
-            adopt(loop, joint, axis.measured_rad, Unreferenced.REFERENCED)
-    core.rebase_ns = 0
-    core.own_brake = 0
+        if axis.reference.referenced == 1:
+            adopt(loop, joint, axis.measured.position_rad, Unreferenced.REFERENCED)
+    motion.resync_ns = 0
+    motion.per_joint_stop = 0
 
 
 @jit
 def follow_path(loop: Loop) -> None:
     """Advance the clock by a period at its rate and sample the path there."""
-    core = loop.core
+    goals, clock = loop.goals, loop.clock
     advance_clock(loop)
-    running = loop.paths[core.active]
-    running.segment = find_knot(loop, core.active, core.clock_s, running.segment)
+    running = loop.paths[goals.active]
+    running.segment = find_knot(loop, goals.active, clock.time_s, running.segment)
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
-        p, v, a = sample(loop, core.active, joint, core.clock_s, running.segment)
-        axis.next_position_rad = p
-        axis.next_velocity_rad_s, axis.next_acceleration_rad_s2 = along(core.rate, core.slope, v, a)
+        p, v, a = sample(loop, goals.active, joint, clock.time_s, running.segment)
+        axis.commanded.next_position_rad = p
+        axis.commanded.next_velocity_rad_s, axis.commanded.next_acceleration_rad_s2 = along(
+            clock.rate, clock.slope, v, a
+        )
 
 
 @jit
@@ -114,13 +116,14 @@ def brake_each_joint(loop: Loop) -> None:
     period_s = loop.params.period_ns * 1e-9
     for joint in range(loop.params.joint_count):
         axis, row = loop.axes[joint], loop.joints[joint]
-        v = axis.difference_velocity_rad_s
+        commanded = axis.commanded
+        v = commanded.difference_velocity_rad_s
         braking = loop.params.braking_factor * row.max_acceleration_rad_s2
-        stop = axis.position_rad + guard.way_to_rest(v, braking, period_s)
+        stop = commanded.position_rad + guard.way_to_rest(v, braking, period_s)
         if stop > row.upper_rad + row.slack_rad or stop < row.lower_rad - row.slack_rad:
             braking = hardest_rad_s2(loop, joint)
         most = braking * period_s
         slower = 0.0 if abs(v) <= most else v - math.copysign(most, v)
-        axis.next_position_rad = axis.position_rad + slower * period_s
-        axis.next_velocity_rad_s = slower
-        axis.next_acceleration_rad_s2 = (slower - v) / period_s if slower != 0.0 else 0.0
+        commanded.next_position_rad = commanded.position_rad + slower * period_s
+        commanded.next_velocity_rad_s = slower
+        commanded.next_acceleration_rad_s2 = (slower - v) / period_s if slower != 0.0 else 0.0

@@ -90,7 +90,7 @@ class TrialArm(VirtualArm):
         """A person says where the joints stand whose drives' flags for lost power are stuck."""
         assert self.sim is not None
         for joint in range(len(self.arm.joints)):
-            if not self.loop[0]["axes"][joint]["referenced"]:
+            if not self.loop[0]["axes"][joint]["reference"]["referenced"]:
                 angle_rad = self.sim.true_position_rad(joint, self.sim.now_ns)
                 assert self.ask(Request.REFERENCE, joint_mask=1 << joint, value=angle_rad) == Answer.DONE
                 assert self.reference().failure is None
@@ -182,7 +182,7 @@ class _Trial:
         self.let_it_end(goal)
         arm.cycles(round((HEALING_S if self.fault.heals else STANDING_S) * 1e9 / arm.period_ns))
         self.judge(goal)
-        if arm.core["mode"] == Mode.FAULT and not self.fault.unplugs:
+        if arm.memory["mode"] == Mode.FAULT and not self.fault.unplugs:
             self.come_back()
         elif found.latched == Fault.STALE_READING.name:  # and healed
             self.judge_references(dict.fromkeys(range(6), Unreferenced.SILENT))
@@ -196,7 +196,7 @@ class _Trial:
         arm = self.arm
         within_ns = int(self.random.integers(0, arm.period_ns))
         self.fault_ns = arm.now_ns + within_ns
-        away_rad = abs(float(arm.loop[0]["axes"][self.joint]["measured_rad"]) + self.config.zero_rad)
+        away_rad = abs(float(arm.loop[0]["axes"][self.joint]["measured"]["position_rad"]) + self.config.zero_rad)
         drive = self.sim.drives[self.joint]
         assert isinstance(drive, ZdtDrive)
         self.blind = self.fault.is_blind(away_rad, drive.power_flag)
@@ -208,18 +208,22 @@ class _Trial:
 
     def let_it_end(self, goal: int) -> None:
         """Cycle until goal and motion are over, and note when the loop reacts."""
-        arm, found, core = self.arm, self.found, self.arm.core
+        arm, found, memory = self.arm, self.found, self.arm.memory
         until_ns = arm.now_ns + round(PATIENCE_S * 1e9)
         axes = arm.loop[0]["axes"]
         while arm.now_ns < until_ns:
             arm.cycle()
             since_ms = (arm.now_ns - self.fault_ns) * 1e-6
-            reacts = arm.is_slowed(Slowed.LATE_DRIVE) or core["fault"]
+            reacts = arm.is_slowed(Slowed.LATE_DRIVE) or memory["fault"]["code"]
             if math.isnan(found.reaction_ms) and reacts and since_ms >= 0.0:
                 found.reaction_ms = since_ms
-            if core["fault"] and not found.latched:
-                found.latched, found.latched_ms = Fault(int(core["fault"])).name, since_ms
-            if arm.outcome(goal) != Outcome.NONE and arm.running_goal == 0 and not np.any(axes["velocity_rad_s"]):
+            if memory["fault"]["code"] and not found.latched:
+                found.latched, found.latched_ms = Fault(int(memory["fault"]["code"])).name, since_ms
+            if (
+                arm.outcome(goal) != Outcome.NONE
+                and arm.running_goal == 0
+                and not np.any(axes["commanded"]["velocity_rad_s"])
+            ):
                 break
         else:
             self.wrong(f"the goal has no end after {PATIENCE_S:g} s")
@@ -236,7 +240,7 @@ class _Trial:
         if latched == Fault.NONE and outcome == Outcome.FAULT:
             self.wrong(f"the goal ended as {outcome.name} while {latched.name} was latched")
         thrown = {name} if fault.throws else set()
-        thrown |= {arm.arm.joints[j].name for j in range(6) if arm.loop[0]["axes"][j]["stop_frames_due"] > 0}
+        thrown |= {arm.arm.joints[j].name for j in range(6) if arm.loop[0]["axes"][j]["sent"]["stop_frames_due"] > 0}
         frames = frames_sent(arm.sent)
         thrown |= stopped_joints(arm.arm, frames)
         found.violations += motion_violations(arm.arm, truth, self.began_ns, arm.now_ns, thrown=thrown)
@@ -244,15 +248,17 @@ class _Trial:
         found.violations += led_after_its_stop(arm.arm, frames)
         if latched != Fault.NONE:
             self.judge_standstill(truth)
-        if arm.core["fault"]:
+        if arm.memory["fault"]["code"]:
             self.judge_sentence()
         if fault.heals and latched == Fault.STALE_READING:
-            heals, holds = not any(self.lost_power(joint) for joint in range(6)), arm.core["mode"] == Mode.HOLDING
+            heals, holds = not any(self.lost_power(joint) for joint in range(6)), arm.memory["mode"] == Mode.HOLDING
             if holds and not heals:
                 self.wrong("the arm went on although power was lost")
-            elif heals and not holds and arm.core["fault_joint"] == -1:  # else some were heard again as it was latched
+            elif (
+                heals and not holds and arm.memory["fault"]["joint"] == -1
+            ):  # else some were heard again as it was latched
                 self.wrong("the arm did not go on by itself")
-        if fault.loses and not self.blind and arm.loop[0]["axes"][self.joint]["referenced"]:
+        if fault.loses and not self.blind and arm.loop[0]["axes"][self.joint]["reference"]["referenced"]:
             self.wrong(f"{name} is still referenced")
 
     def judge_standstill(self, truth: Any) -> None:
@@ -266,10 +272,10 @@ class _Trial:
         found.violations += motion_after(truth, end_ns - 100_000_000, end_ns)
 
     def judge_sentence(self) -> None:
-        core = self.arm.core
-        joint = int(core["fault_joint"])
+        memory = self.arm.memory
+        joint = int(memory["fault"]["joint"])
         named = self.arm.arm.joints[joint].name if joint >= 0 else ""
-        sentence = latched_sentence(core, [config.name for config in self.arm.arm.joints])
+        sentence = latched_sentence(memory["snapshot"], [config.name for config in self.arm.arm.joints])
         self.found.sentences.append(sentence)
         if named not in sentence or "{" in sentence or "nan" in sentence:
             self.wrong(f"the sentence is {sentence!r}")
@@ -278,7 +284,9 @@ class _Trial:
 
     def come_back(self) -> None:
         arm, fault = self.arm, self.fault
-        before = {joint: Unreferenced(arm.loop[0]["axes"][joint]["unreferenced_reason"]) for joint in range(6)}
+        before = {
+            joint: Unreferenced(arm.loop[0]["axes"][joint]["reference"]["unreferenced_reason"]) for joint in range(6)
+        }
         since = len(arm.sent)
         if fault.mend is not None:
             told = self.clear()  # the cause is still there
@@ -288,17 +296,18 @@ class _Trial:
             fault.mend(arm, self.joint)
             arm.cycles(30)
         for _ in range(3):
-            if arm.core["mode"] == Mode.FAULT:
+            if arm.memory["mode"] == Mode.FAULT:
                 self.clear()
-        if arm.core["mode"] != Mode.HOLDING:
+        if arm.memory["mode"] != Mode.HOLDING:
             self.wrong(
-                f"after the clear the arm is {Mode(int(arm.core['mode'])).name}, {Fault(int(arm.core['fault'])).name}"
+                f"after the clear the arm is {Mode(int(arm.memory['mode'])).name}, "
+                f"{Fault(int(arm.memory['fault']['code'])).name}"
             )
             return
         self.judge_references(before)
         if motion_frames(frames_sent(arm.sent[since:]), self.config.drive.address, 0):  # type: ignore[union-attr]
             self.wrong("the clear moved the arm")
-        sound = bool(np.all(arm.loop[0]["axes"]["referenced"][:6]))
+        sound = bool(np.all(arm.loop[0]["axes"]["reference"]["referenced"][:6]))
         self.move_again(Outcome.SUCCEEDED if sound else Outcome.REFUSED_UNREFERENCED)
 
     def judge_references(self, before: Mapping[int, Unreferenced]) -> None:
@@ -306,12 +315,12 @@ class _Trial:
         arm = self.arm
         for joint, reason in before.items():
             axis, name = arm.loop[0]["axes"][joint], arm.arm.joints[joint].name
-            off_rad = float(axis["measured_rad"]) - self.sim.true_position_rad(joint, self.sim.now_ns)
-            if axis["referenced"] and reason in (Unreferenced.POWER_LOST, Unreferenced.POSITION_JUMP):
+            off_rad = float(axis["measured"]["position_rad"]) - self.sim.true_position_rad(joint, self.sim.now_ns)
+            if axis["reference"]["referenced"] and reason in (Unreferenced.POWER_LOST, Unreferenced.POSITION_JUMP):
                 self.wrong(f"the clear referenced {name}")
-            elif axis["referenced"] and abs(off_rad) > KNOWN_WITHIN_RAD:
+            elif axis["reference"]["referenced"] and abs(off_rad) > KNOWN_WITHIN_RAD:
                 self.wrong(f"{name} is referenced, and {off_rad:+.3f} rad from where it reads")
-            elif not axis["referenced"] and reason == Unreferenced.SILENT and not self.lost_power(joint):
+            elif not axis["reference"]["referenced"] and reason == Unreferenced.SILENT and not self.lost_power(joint):
                 self.wrong(f"{name} has lost its reference although its drive has kept its power")
 
     def lost_power(self, joint: int) -> bool:
@@ -328,14 +337,14 @@ class _Trial:
         if answer != Answer.DONE:
             self.wrong(f"the clear was answered {Answer(int(answer)).name}")
             return ""
-        arm.core["bring_up_asked"] = 0
+        arm.memory["dialogue"]["bring_up_asked"] = 0
         failure = arm.bring_up(clears_protection=True).failure
         return "" if failure is None else str(failure)
 
     def move_again(self, wanted: Outcome) -> None:
         """A small goal from where the arm stands, towards the middle of every joint."""
         arm = self.arm
-        here = arm.loop[0]["axes"]["position_rad"][:6].copy()
+        here = arm.loop[0]["axes"]["commanded"]["position_rad"][:6].copy()
         there = np.array(
             [
                 p + math.copysign(0.01, (j.lower_rad + j.upper_rad) / 2 - p)
@@ -356,11 +365,11 @@ class _Trial:
             sentence = outcome_sentence(
                 outcome, str(int(result["joint"])), float(result["value"]), float(result["limit"])
             )
-            latched = Fault(int(arm.core["fault"])).name
+            latched = Fault(int(arm.memory["fault"]["code"])).name
             self.wrong(f"the goal afterwards ended as {outcome.name} ({sentence} {latched}), not {wanted.name}")
         elif wanted == Outcome.REFUSED_UNREFERENCED:
             joint = int(arm.result(goal)["joint"])
-            reason = int(arm.loop[0]["axes"][joint]["unreferenced_reason"])
+            reason = int(arm.loop[0]["axes"][joint]["reference"]["unreferenced_reason"])
             self.found.sentences.append(unreferenced_sentence(reason, arm.arm.joints[joint].name))
 
 

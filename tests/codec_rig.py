@@ -30,13 +30,8 @@ GOLDEN = Path(__file__).parent / "golden"
 JOINT = {"ratio": 1, "lower_deg": -170, "upper_deg": 170, "motor_rpm": 60, "max_acceleration_rad_s2": 5.0}
 """What a joint is unless it is said."""
 NOW_NS = 1_000_000_000
-MEASURED = {
-    "velocity_rad_s": "told_velocity_rad_s",
-    "effort_nm": "effort_nm",
-    "temperature_c": "temperature_c",
-    "voltage_v": "voltage_v",
-}
-"""Words of an axis that are no number until its drive has told them."""
+MEASURED = ("velocity_rad_s", "effort_nm", "temperature_c", "voltage_v")
+"""Words of a drive's state that are no number until its drive has told them."""
 
 
 @cache
@@ -94,9 +89,9 @@ class Rig:
         self.codec: ModuleType = importlib.import_module(f"rtloop.drives.{drive['family']}")
         self.shared = np.zeros(1, layout.STATE)
         self.loop = new_loop(self.arm, self.shared.ctypes.data, 0)
-        self.record, self.core = self.loop[0], self.loop[0]["core"]
+        self.record = self.loop[0]
         self.axis, self.row = self.loop[0]["axes"][0], self.loop[0]["joints"][0]
-        self.core["cycle"] = self.core["shown_cycle"] = 10
+        self.record["timing"]["cycle"] = self.record["published"]["cycle"] = 10
 
     @classmethod
     def named(cls, family: str, joint: str | None = None, **changes: Any) -> "Rig":
@@ -115,20 +110,23 @@ class Rig:
     def stands(self, position_rad: float, velocity_rad_s: float = 0.0) -> "Rig":
         """Command the joint to move evenly, and measure it there."""
         axis = self.axis
-        axis["position_rad"] = axis["measured_rad"] = axis["reference_rad"] = position_rad
-        axis["velocity_rad_s"] = axis["next_velocity_rad_s"] = velocity_rad_s
-        axis["next_position_rad"] = position_rad + velocity_rad_s * self.period_s
-        axis["led_cycle"] = self.core["cycle"] - 1
+        axis["commanded"]["position_rad"] = axis["measured"]["position_rad"] = axis["tracking"]["reference_rad"] = (
+            position_rad
+        )
+        axis["commanded"]["velocity_rad_s"] = axis["commanded"]["next_velocity_rad_s"] = velocity_rad_s
+        axis["commanded"]["next_position_rad"] = position_rad + velocity_rad_s * self.period_s
+        axis["sent"]["led_cycle"] = self.record["timing"]["cycle"] - 1
         return self
 
     def sends(self, function: str) -> list[str]:
         """The frames that one of the family's functions sends."""
-        self.core["tx_frames"] = self.core["tx_length"] = 0
+        self.record["outgoing"]["frames"] = self.record["outgoing"]["length"] = 0
         getattr(self.codec, function)(self.record, 0, self.shared[0])
         found = []
-        for number in range(self.core["tx_frames"]):
-            frame_id, kind, size = (int(self.record[name][number]) for name in ("tx_ids", "tx_kinds", "tx_sizes"))
-            data = data_of(self.record["tx_data"][number])
+        outgoing = self.record["outgoing"]
+        for number in range(outgoing["frames"]):
+            frame_id, kind, size = (int(outgoing[name][number]) for name in ("ids", "kinds", "sizes"))
+            data = data_of(outgoing["data"][number])
             assert not any(data[size:])
             found.append(text_of(frame_id, kind, data[:size], size))
         return found
@@ -146,13 +144,14 @@ class Rig:
         return self.told()
 
     def told(self) -> dict[str, Any]:
-        axis = self.axis
-        found = {name: float(axis[kept]) for name, kept in MEASURED.items() if not math.isnan(axis[kept])}
-        if axis["heard"]:
-            found["position_rad"] = float(axis["heard_rad"])
-        if axis["status_readings"]:
-            found["status"] = int(axis["status"])
-        counted = {name: int(axis[name]) for name in ("refusals", "bad_statuses", "error_code")}
+        axis, drive = self.axis, self.axis["drive"]
+        found = {name: float(drive[name]) for name in MEASURED if not math.isnan(drive[name])}
+        if axis["reply"]["is_new"]:
+            found["position_rad"] = float(axis["reply"]["position_rad"])
+        if drive["status_readings"]:
+            found["status"] = int(drive["status"])
+        counted = {name: int(axis["checks"][name]) for name in ("refusals", "bad_statuses")}
+        counted["error_code"] = int(drive["error_code"])
         counted["drive_errors"] = int(self.shared[0]["counters"]["drive_errors"])
         return found | {name: count for name, count in counted.items() if count}
 

@@ -21,7 +21,7 @@ class CommandedArm(VirtualArm):
         self.positions, self.times = [self.commanded()], [self.now_ns]
 
     def commanded(self) -> np.ndarray:
-        return self.loop[0]["axes"]["position_rad"][: len(self.arm.joints)].copy()
+        return self.loop[0]["axes"]["commanded"]["position_rad"][: len(self.arm.joints)].copy()
 
     def cycle(self, periods: int = 1) -> None:
         super().cycle(periods)

@@ -170,7 +170,7 @@ def keep_recordings(folder: Path) -> None:
     arm.cycles(30)
     assert arm.sim is not None
     arm.sim.inject(Stall("elbow", at_s=0.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["fault"] != Fault.NONE)
+    arm.until(lambda: arm.memory["fault"]["code"] != Fault.NONE)
     arm.cycles(20)
     write(arm, Reason("fault", "elbow is stuck."), folder / "recordings" / "fault.mcap")
 
@@ -178,7 +178,7 @@ def keep_recordings(folder: Path) -> None:
 def small_arm(folder: Path) -> VirtualArm:
     """The small arm in virtual time, brought up."""
     arm = VirtualArm.brought_up(load_arm(folder / "arms" / f"{SMALL}.yaml"), start_rad=[0.0, 0.0])
-    arm.core["epoch_offset_ns"] = EPOCH_NS
+    arm.memory["timing"]["epoch_offset_ns"] = EPOCH_NS
     return arm
 
 

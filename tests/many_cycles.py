@@ -10,7 +10,7 @@ import numpy as np
 from virtual import VirtualArm
 
 from rtloop.cycle import step
-from rtloop.memory.state import offset_of
+from rtloop.memory.record import offset_of
 from rtloop.process.run import monotonic_ns
 from rtloop.wire import received
 from shm import layout
@@ -31,7 +31,7 @@ def run_cycles(loop: Any, shared: Any, start_ns: int, count: int, heartbeat: int
         now_ns += loop.params.period_ns
         store_relaxed(heartbeat, now_ns)
         step(loop, shared, now_ns)
-        loop.core.tx_length = 0
+        loop.outgoing.length = 0
     return now_ns
 
 
@@ -46,10 +46,10 @@ def swing(arm: VirtualArm, duration_s: float, spacing_s: float = 0.1) -> int:
     w = 2 * np.pi / 4.0
     shape = np.stack([1 - np.cos(w * times), w * np.sin(w * times), w * w * np.cos(w * times)], axis=-1)
     joints = 0.05 * shape[:, None, :] * np.ones((1, len(arm.arm.joints), 1))
-    joints[:, :, 0] += arm.loop[0]["axes"]["next_position_rad"][: len(arm.arm.joints)]
+    joints[:, :, 0] += arm.loop[0]["axes"]["commanded"]["next_position_rad"][: len(arm.arm.joints)]
     goal = arm.send_goal((times * 1e9).astype(int), joints, tolerances=(0.0, 0.0, 0.0))
     arm.until(lambda: not arm.pending and arm.running_goal == goal)
-    arm.until(lambda: arm.loop[0]["paths"][int(arm.core["active"])]["taken"] == len(times))
+    arm.until(lambda: arm.loop[0]["paths"][int(arm.memory["goals"]["active"])]["taken"] == len(times))
     return goal
 
 
@@ -104,7 +104,7 @@ def replay(
         before_ns = monotonic_ns(clock)
         sent += step(loop, shared, now_ns)
         durations_ns[i] = monotonic_ns(clock) - before_ns
-        loop.core.tx_length = 0
+        loop.outgoing.length = 0
     return sent
 
 

@@ -10,7 +10,7 @@ LATENCY_NS = 100_000_000
 
 def waves(arm: VirtualArm, share: float, seed: int) -> Way:
     """`waves_from` where an arm is commanded to be."""
-    here = arm.loop[0]["axes"]["position_rad"][: len(arm.arm.joints)].copy()
+    here = arm.loop[0]["axes"]["commanded"]["position_rad"][: len(arm.arm.joints)].copy()
     return waves_from(arm.arm.joints, here, share, seed)
 
 

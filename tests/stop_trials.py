@@ -62,7 +62,7 @@ class Client:
 
     def here(self) -> np.ndarray:
         """Where the arm is commanded to be, (joints,)."""
-        here: np.ndarray = self.arm.loop[0]["axes"]["position_rad"][: len(self.arm.arm.joints)].copy()
+        here: np.ndarray = self.arm.loop[0]["axes"]["commanded"]["position_rad"][: len(self.arm.arm.joints)].copy()
         return here
 
     def send(self, start_ns: int = 0, origin: np.ndarray | None = None, moving: float = 0.0) -> tuple[int, np.ndarray]:
@@ -74,7 +74,7 @@ class Client:
         seconds = self.random.uniform(SHORTEST_GOAL_S, LONGEST_GOAL_S)
         joints = np.zeros((2, len(origin), 3))
         joints[:, :, 0] = origin, origin + random_way(self.arm.arm.joints, origin, seconds, self.random)
-        joints[0, :, 1] = moving * self.arm.loop[0]["axes"]["velocity_rad_s"][: len(origin)]
+        joints[0, :, 1] = moving * self.arm.loop[0]["axes"]["commanded"]["velocity_rad_s"][: len(origin)]
         self.sent = np.array([0, round(seconds * NS)]), joints
         self.goal = self.arm.send_goal(*self.sent, start_ns=start_ns)
         return round(seconds * NS), joints[1, :, 0]
@@ -244,7 +244,7 @@ class _Trial:
     def press(self) -> None:
         """At any moment between two cycles."""
         arm, found = self.arm, self.found
-        velocity_rad_s = arm.loop[0]["axes"]["velocity_rad_s"][: len(arm.arm.joints)]
+        velocity_rad_s = arm.loop[0]["axes"]["commanded"]["velocity_rad_s"][: len(arm.arm.joints)]
         found.moved = bool(np.any(velocity_rad_s))
         found.shortest_ms = 1e3 * shortest_stop_s(arm.arm.joints, velocity_rad_s)
         found.bound_ms = 1e3 * float(arm.loop[0]["params"]["longest_stop_s"])
@@ -258,14 +258,14 @@ class _Trial:
         axes, count = arm.loop[0]["axes"], len(arm.arm.joints)
         rested = False
         while arm.now_ns < bound_ns + STANDS_S * NS:
-            before_rad = axes["position_rad"][:count].copy()
+            before_rad = axes["commanded"]["position_rad"][:count].copy()
             self.cycle(sender)
-            if (axes["position_rad"][:count] != before_rad).any():
+            if (axes["commanded"]["position_rad"][:count] != before_rad).any():
                 if rested:
                     self.wrong(f"commanded to move again {(arm.now_ns - self.pressed_ns) * 1e-6:.0f} ms after the stop")
                     return
                 self.rest_ns = arm.now_ns
-            rested = rested or not np.any(axes["velocity_rad_s"][:count])
+            rested = rested or not np.any(axes["commanded"]["velocity_rad_s"][:count])
         found.rest_ms = max(self.rest_ns - self.pressed_ns, 0) * 1e-6
         if self.rest_ns > bound_ns:
             self.wrong(
@@ -273,11 +273,11 @@ class _Trial:
             )
 
     def judge(self) -> None:
-        arm, core = self.arm, self.arm.core
-        if core["fault"] != Fault.NONE or core["mode"] != Mode.HOLDING or core["held"] != 1:
+        arm, memory = self.arm, self.arm.memory
+        if memory["fault"]["code"] != Fault.NONE or memory["mode"] != Mode.HOLDING or memory["people"]["held"] != 1:
             self.wrong(
-                f"after the stop it is {Mode(int(core['mode'])).name}, {Fault(int(core['fault'])).name}, "
-                f"held {int(core['held'])}"
+                f"after the stop it is {Mode(int(memory['mode'])).name}, {Fault(int(memory['fault']['code'])).name}, "
+                f"held {int(memory['people']['held'])}"
             )
         if outlived := arm.running_goal or arm.waiting_goal:
             self.wrong(f"goal {outlived} outlived the stop")
@@ -298,9 +298,9 @@ class _Trial:
         arm = self.arm
         arm.writer.scale(1.0)
         arm.resume()
-        stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
+        stood_rad = arm.loop[0]["axes"]["commanded"]["position_rad"].copy()
         arm.cycles(round(FOLLOWS_S * NS / arm.period_ns))
-        if (arm.loop[0]["axes"]["position_rad"] != stood_rad).any():
+        if (arm.loop[0]["axes"]["commanded"]["position_rad"] != stood_rad).any():
             self.wrong("the resume moved the arm")
         goal = arm.send_shift(0.01, duration_s=0.3)
         with suppress(AssertionError):

@@ -133,11 +133,9 @@ class StreamedArm(CommandedArm):
 
     def take(self, message: Message) -> GoalPlan:
         """Judge a message now and hand it to the control process."""
-        axes = self.loop[0]["axes"][: len(self.arm.joints)]
-        commanded = np.stack(
-            [axes[f"{what}"] for what in ("position_rad", "velocity_rad_s", "acceleration_rad_s2")], axis=1
-        )
-        standing = self.core["mode"] == Mode.HOLDING
+        now = self.loop[0]["axes"]["commanded"][: len(self.arm.joints)]
+        commanded = np.stack([now[what] for what in ("position_rad", "velocity_rad_s", "acceleration_rad_s2")], axis=1)
+        standing = self.memory["mode"] == Mode.HOLDING
         over = not self.streams or self.outcome(self.streams[-1]) != Outcome.NONE
         plan = self.front.judge(message, commanded, self.now_ns, standing=standing, over=over)
         goal = self.send_goal(

@@ -32,7 +32,7 @@ def commanded_until_end(arm: VirtualArm, goal: int) -> tuple[np.ndarray, np.ndar
 
     def over() -> bool:
         times_ns.append(arm.now_ns)
-        position_rad.append(arm.loop[0]["axes"]["position_rad"][: len(arm.arm.joints)].copy())
+        position_rad.append(arm.loop[0]["axes"]["commanded"]["position_rad"][: len(arm.arm.joints)].copy())
         return arm.outcome(goal) != Outcome.NONE
 
     arm.until(over)
@@ -54,7 +54,7 @@ def velocity_ripple(arm: VirtualArm, joint: int, speed_rad_s: float, cruise_s: f
     way_rad, cruise_rad = speed_rad_s * speed_up_s / 2, speed_rad_s * cruise_s
     times_s = np.array([0.0, speed_up_s, speed_up_s + cruise_s, 2 * speed_up_s + cruise_s])
     joints = np.zeros((4, len(arm.arm.joints), 3))
-    joints[:, :, 0] = arm.loop[0]["axes"]["position_rad"][: len(arm.arm.joints)]
+    joints[:, :, 0] = arm.loop[0]["axes"]["commanded"]["position_rad"][: len(arm.arm.joints)]
     joints[:, joint, 0] += [0.0, way_rad, way_rad + cruise_rad, 2 * way_rad + cruise_rad]
     joints[1:3, joint, 1] = speed_rad_s
     steady_ns = arm.now_ns + round((speed_up_s + settles_s) * 1e9)

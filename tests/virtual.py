@@ -97,7 +97,7 @@ class VirtualArm:
         self.healing: Healing | None = None
         self._healing_talk: Conversation | None = None
         self.now_ns = START_NS
-        self.core["epoch"] = START_NS  # which is the real time of its start otherwise
+        self.memory["goals"]["epoch"] = START_NS  # which is the real time of its start otherwise
         self.suspended_ns = 0
         self.random = np.random.default_rng(seed)
         self.jitter_ns = jitter_ns
@@ -142,12 +142,13 @@ class VirtualArm:
         made = cls.at_start_of(name, **options)
         made.goal = made.play(name)
         made.cycles(cycles)
-        assert made.core["mode"] == Mode.EXECUTING
+        assert made.memory["mode"] == Mode.EXECUTING
         return made
 
     @property
-    def core(self) -> np.void:
-        return self.loop[0]["core"]
+    def memory(self) -> np.void:
+        """What the cycle remembers, `rtloop.memory.state.LOOP`."""
+        return self.loop[0]
 
     @property
     def period_ns(self) -> int:
@@ -168,7 +169,7 @@ class VirtualArm:
     def suspend(self, duration_s: float) -> None:
         """The machine sleeps between two cycles: the drives live on, the loop's clock stands still."""
         self.suspended_ns += round(duration_s * 1e9)
-        self.core["suspended_ns"] = round(duration_s * 1e9)
+        self.memory["timing"]["suspended_ns"] = round(duration_s * 1e9)
 
     def cycle(self, periods: int = 1) -> None:
         """Let `periods` periods pass and run one cycle at the end of them."""
@@ -188,7 +189,7 @@ class VirtualArm:
     def step(self, now_ns: int) -> bytes:
         """Run the cycle that is planned for a time: the bytes that it leaves for the wire."""
         count = by_address.step(self.loop_address, self.state.address, now_ns)
-        sent: bytes = self.loop[0]["tx"][:count].tobytes()
+        sent: bytes = self.loop[0]["outgoing"]["bytes"][:count].tobytes()
         return sent
 
     def write(self, data: bytes) -> None:
@@ -206,7 +207,7 @@ class VirtualArm:
     @property
     def running(self) -> np.void:
         """The path that is active, with its goal's phase."""
-        found: np.void = self.loop[0]["paths"][int(self.core["active"])]
+        found: np.void = self.loop[0]["paths"][int(self.memory["goals"]["active"])]
         return found
 
     @property
@@ -217,12 +218,12 @@ class VirtualArm:
     @property
     def waiting_goal(self) -> int:
         """Id of the goal that waits to take over, 0 none."""
-        newer = self.loop[0]["paths"][1 - int(self.core["active"])]
+        newer = self.loop[0]["paths"][1 - int(self.memory["goals"]["active"])]
         return int(newer["goal_id"]) if newer["phase"] == Phase.WAITING else 0
 
     def is_slowed(self, why: Slowed) -> bool:
         """Whether this is among the reasons for which the clock is slowed down."""
-        return bool(int(self.core["slowed"]) & why)
+        return bool(int(self.memory["goals"]["slowed"]) & why)
 
     def cycles(self, count: int) -> None:
         for _ in range(count):
@@ -234,14 +235,14 @@ class VirtualArm:
             if condition():
                 return
             self.cycle()
-        raise AssertionError(f"not within {at_most_s} virtual seconds; mode {Mode(int(self.core['mode'])).name}")
+        raise AssertionError(f"not within {at_most_s} virtual seconds; mode {Mode(int(self.memory['mode'])).name}")
 
     def bring_up(self, *, clears_protection: bool = False, at_most_s: float = 10.0, **known: Any) -> BringUp:
         """Run the conversation that brings the drives up; `known`: what the control process knows beforehand."""
         talk = self._begin_bring_up(clears_protection=clears_protection, **known)
         self.until(lambda: talk.poll(self.now_ns), at_most_s=at_most_s)
         self.cycles(2)
-        self.until(lambda: self.core["mode"] != Mode.BRINGING_UP, at_most_s=1.0)
+        self.until(lambda: self.memory["mode"] != Mode.BRINGING_UP, at_most_s=1.0)
         return talk
 
     def _begin_bring_up(self, **known: Any) -> BringUp:
@@ -258,8 +259,8 @@ class VirtualArm:
     def clear_fault(self) -> BringUp:
         """Ask for a clear, which must be granted, and bring the drives up as the control process does then."""
         assert self.ask(Request.CLEAR_FAULT) == Answer.DONE
-        self.until(lambda: bool(self.core["bring_up_asked"]), at_most_s=1.0)
-        self.core["bring_up_asked"] = 0
+        self.until(lambda: bool(self.memory["dialogue"]["bring_up_asked"]), at_most_s=1.0)
+        self.memory["dialogue"]["bring_up_asked"] = 0
         return self.bring_up(clears_protection=True)
 
     def heal_by_itself(self, *, unlocked: bool = True) -> None:
@@ -290,8 +291,8 @@ class VirtualArm:
 
     def release(self, *, at_most_s: float = 10.0) -> Release:
         """Run the conversation that lets the drives go; the request was made before."""
-        self.until(lambda: bool(self.core["release_asked"]), at_most_s=1.0)
-        self.core["release_asked"] = 0
+        self.until(lambda: bool(self.memory["dialogue"]["release_asked"]), at_most_s=1.0)
+        self.memory["dialogue"]["release_asked"] = 0
         self.held_rad.clear()
         talk = Release(self.arm, self.port, now_ns=self.now_ns)
         self.until(lambda: talk.poll(self.now_ns), at_most_s=at_most_s)
@@ -325,7 +326,7 @@ class VirtualArm:
     def request(self, kind: Request, **options: Any) -> int:
         """Make a request; its number."""
         assert kind not in STORES, "which are the writer's methods"
-        options = {"consumed": self.reader.requests_consumed(), "epoch": int(self.core["epoch"]), **options}
+        options = {"consumed": self.reader.requests_consumed(), "epoch": int(self.memory["goals"]["epoch"]), **options}
         return self.writer.request(kind, **options)
 
     def ask(self, kind: Request, **options: Any) -> Answer:
@@ -344,7 +345,7 @@ class VirtualArm:
 
         def over() -> bool:
             each_cycle()
-            if self.core["referencing_ends"] == 1:
+            if self.memory["dialogue"]["referencing_ends"] == 1:
                 talk.end()
             return talk.poll(self.now_ns)
 
@@ -386,7 +387,7 @@ class VirtualArm:
         entry = (Entry.BRIDGE if bridge else 0) | (Entry.STREAM if stream else 0)
         mask = (1 << count) - 1 if joint_mask is None else joint_mask
 
-        arrived = int(self.core["epoch"])
+        arrived = int(self.memory["goals"]["epoch"])
 
         def consumed() -> int:
             return self.reader.setpoints_consumed()
@@ -415,7 +416,7 @@ class VirtualArm:
 
     def send_shift(self, by_rad: float = 0.05, duration_s: float = 2.0, **options: Any) -> int:
         """A goal that moves every joint by so much from where it is commanded to be, from rest to rest."""
-        here = self.loop[0]["axes"]["position_rad"][: len(self.arm.joints)]
+        here = self.loop[0]["axes"]["commanded"]["position_rad"][: len(self.arm.joints)]
         joints = np.zeros((2, len(here), 3))
         joints[:, :, 0] = here, here + by_rad
         return self.send_goal(np.array([0, round(duration_s * 1e9)]), joints, **options)

@@ -4,11 +4,10 @@ A reading is stamped with the time at which the encoder was read (the arrival of
 compared with what was commanded at that very instant.
 """
 
-from typing import Any
-
 from rtloop.drives import families
+from rtloop.memory.link import GRIPPER, NOBODY, RX_CHUNKS, WIRE_MOCK
 from rtloop.memory.recorder import marks_of, record_frame
-from rtloop.memory.state import GRIPPER, HISTORY_SLOTS, NOBODY, RX_CHUNKS, WIRE_MOCK
+from rtloop.memory.state import HISTORY_SLOTS, Loop, Shared
 from rtloop.safety import guard, silence
 from rtloop.safety.faults import latch_fault
 from rtloop.service import rings
@@ -18,9 +17,6 @@ from rtloop.wire.outgoing import frame_bits
 from shm.jit import jit
 from shm.layout import MAX_JOINTS
 from shm.words import BusState, Fault, Mode
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 SHORTEST_SHARE = 0.25
 """Two readings nearer than this share of a period say nothing about a velocity."""
@@ -32,25 +28,25 @@ SMOOTHING_S = 0.1
 @jit
 def take_what_the_bus_brought(loop: Loop, shared: Shared) -> None:
     """Decode every byte that has come since the last cycle into measured state."""
-    core = loop.core
+    parser = loop.parser
     if loop.params.wire == WIRE_MOCK:
         return
     chunks = received.chunks_arrived(loop)
-    while core.rx_chunks_taken < chunks:
-        chunk = loop.received.chunks[core.rx_chunks_taken & (RX_CHUNKS - 1)]
+    while parser.chunks_taken < chunks:
+        chunk = loop.received.chunks[parser.chunks_taken & (RX_CHUNKS - 1)]
         time_ns, end = chunk.time_ns, chunk.end
-        shared.counters.bytes_received += end - core.rx_taken
+        shared.counters.bytes_received += end - parser.bytes_taken
         take_frames(loop, shared, end, time_ns)
-        core.rx_chunks_taken += 1
-    received.taken(loop, core.rx_taken, core.rx_chunks_taken)
+        parser.chunks_taken += 1
+    received.taken(loop, parser.bytes_taken, parser.chunks_taken)
     take_positions(loop, shared)
     shared.counters.receive_overflows = received.lost(loop)
     outgoing.take_back(loop, shared, received.unsent(loop))
     silence.follow(loop, shared)
     error = received.closed(loop) - 1
     if error >= 0:
-        core.silenced = 1
-        if core.mode != Mode.OFFLINE:
+        loop.bus.transmit_inhibited = 1
+        if loop.mode != Mode.OFFLINE:
             latch_fault(loop, shared, Fault.LINK_DOWN if error == ENETDOWN else Fault.WIRE, -1, float(error), 0.0)
 
 
@@ -78,8 +74,8 @@ def take_error(loop: Loop, shared: Shared, error_class: int, data: int) -> None:
         counters.unacknowledged += 1
     before = counters.bus_state
     counters.bus_state = can_errors.state_after(before, error_class, data)
-    if counters.bus_state == BusState.BUS_OFF and loop.core.silenced == 0:
-        loop.core.silenced = 1
+    if counters.bus_state == BusState.BUS_OFF and loop.bus.transmit_inhibited == 0:
+        loop.bus.transmit_inhibited = 1
         latch_fault(loop, shared, Fault.BUS_OFF, -1, float(error_class), 0.0)
 
 
@@ -90,14 +86,13 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, kind: int, length: int
     Adapters may echo what they send. A question is never as long as its answer and no answer begins as a command does,
     so an echo says nothing here.
     """
-    core = loop.core
     shared.counters.frames_received += 1
     shared.counters.bits_on_bus += frame_bits(kind, length)
     record_frame(loop, shared, time_ns, frame_id, marks_of(kind), length, data)
     joint = whose(loop, frame_id, kind)
     if joint == NOBODY:
         return
-    core.unheard_frames = 0
+    loop.bus.unheard_frames = 0
     loop.quiet.heard_ns = time_ns
     rings.hand_out(loop, joint, frame_id, kind, length, data, time_ns)
     if joint != GRIPPER:
@@ -119,58 +114,62 @@ def take_positions(loop: Loop, shared: Shared) -> None:
     """Measure every joint by the last position that came from its drive since the last cycle."""
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
-        if axis.heard == 1:
-            axis.heard = 0
-            take_position(loop, shared, joint, axis.heard_rad, max(axis.heard_ns, axis.measured_ns))
-            axis.heard_unasked = 0
+        reply = axis.reply
+        if reply.is_new == 1:
+            reply.is_new = 0
+            take_position(loop, shared, joint, reply.position_rad, max(reply.time_ns, axis.measured.time_ns))
+            reply.has_report = 0
 
 
 @jit
 def take_position(loop: Loop, shared: Shared, joint: int, position_rad: float, read_ns: int) -> None:
     axis, params = loop.axes[joint], loop.params
+    measured, tracking = axis.measured, axis.tracking
     reference_rad = commanded_at(loop, joint, read_ns)
     if not guard.believable(loop, shared, joint, position_rad, read_ns, reference_rad):
         return
-    waited_ns = read_ns - axis.unanswered_since_ns if axis.unanswered_since_ns != 0 else 0
+    waited_ns = read_ns - axis.reply.unanswered_since_ns if axis.reply.unanswered_since_ns != 0 else 0
     if params.reported == 1:
-        waited_ns = read_ns - axis.measured_ns if axis.readings > 0 else 0
+        waited_ns = read_ns - measured.time_ns if measured.readings > 0 else 0
     guard.stop_if_it_was_away(loop, joint, waited_ns)
-    if params.reported == 0 or axis.heard_unasked == 1:  # an answer tells where it is, not that it reports
-        axis.unanswered_since_ns = 0
+    if params.reported == 0 or axis.reply.has_report == 1:  # an answer tells where it is, not that it reports
+        axis.reply.unanswered_since_ns = 0
     # nothing in an answer says which question it answers: it may be as old as the oldest one
-    axis.lag_ns = max(waited_ns - params.reading_ns, axis.lag_ns - (read_ns - axis.measured_ns), 0)
-    axis.lag_rad = abs(reference_rad - commanded_at(loop, joint, read_ns - axis.lag_ns)) if axis.lag_ns > 0 else 0.0
-    axis.error_before_rad = axis.reference_rad - axis.measured_rad
-    axis.velocity_error_before_rad_s = axis.reference_velocity_rad_s - axis.measured_velocity_rad_s
-    axis.error_acceleration_before_rad_s2 = axis.error_acceleration_rad_s2
-    since_s = (read_ns - axis.measured_ns) * 1e-9
-    if axis.readings > 0 and since_s > SHORTEST_SHARE * params.period_ns * 1e-9:
-        axis.measured_velocity_rad_s = (position_rad - axis.measured_rad) / since_s
-        axis.reference_velocity_rad_s = (reference_rad - axis.reference_rad) / since_s
-        velocity_error = axis.reference_velocity_rad_s - axis.measured_velocity_rad_s
-        change = (velocity_error - axis.velocity_error_before_rad_s) / since_s
+    tracking.lag_ns = max(waited_ns - params.reading_ns, tracking.lag_ns - (read_ns - measured.time_ns), 0)
+    tracking.lag_rad = (
+        abs(reference_rad - commanded_at(loop, joint, read_ns - tracking.lag_ns)) if tracking.lag_ns > 0 else 0.0
+    )
+    tracking.error_before_rad = tracking.reference_rad - measured.position_rad
+    tracking.velocity_error_before_rad_s = tracking.reference_velocity_rad_s - measured.velocity_rad_s
+    tracking.error_acceleration_before_rad_s2 = tracking.error_acceleration_rad_s2
+    since_s = (read_ns - measured.time_ns) * 1e-9
+    if measured.readings > 0 and since_s > SHORTEST_SHARE * params.period_ns * 1e-9:
+        measured.velocity_rad_s = (position_rad - measured.position_rad) / since_s
+        tracking.reference_velocity_rad_s = (reference_rad - tracking.reference_rad) / since_s
+        velocity_error = tracking.reference_velocity_rad_s - measured.velocity_rad_s
+        change = (velocity_error - tracking.velocity_error_before_rad_s) / since_s
         share = since_s / (since_s + SMOOTHING_S)
-        axis.error_acceleration_rad_s2 += share * (change - axis.error_acceleration_rad_s2)
-    axis.measured_rad = position_rad
-    axis.reference_rad = reference_rad
-    axis.measured_ns = read_ns
-    axis.readings += 1
+        tracking.error_acceleration_rad_s2 += share * (change - tracking.error_acceleration_rad_s2)
+    measured.position_rad = position_rad
+    tracking.reference_rad = reference_rad
+    measured.time_ns = read_ns
+    measured.readings += 1
 
 
 @jit
 def commanded_at(loop: Loop, joint: int, time_ns: int) -> float:
     """Commanded position at an instant of the recent past, between the cycles' own."""
-    core, axis = loop.core, loop.axes[joint]
-    newest = core.history_next - 1
-    later_ns = core.now_ns + loop.params.period_ns
-    later = axis.next_position_rad
-    if core.cycle == core.shown_cycle + 1:  # this cycle's next setpoint is not made yet
-        later_ns = core.now_ns
-        later = axis.position_rad
-    for back in range(min(HISTORY_SLOTS, core.history_next)):
+    timing, axis = loop.timing, loop.axes[joint]
+    newest = loop.history.next - 1
+    later_ns = timing.now_ns + loop.params.period_ns
+    later = axis.commanded.next_position_rad
+    if timing.cycle == loop.published.cycle + 1:  # this cycle's next setpoint is not made yet
+        later_ns = timing.now_ns
+        later = axis.commanded.position_rad
+    for back in range(min(HISTORY_SLOTS, loop.history.next)):
         slot = (newest - back) & (HISTORY_SLOTS - 1)
-        at_ns = loop.history_ns[slot]
-        here = loop.history_rad[slot * MAX_JOINTS + joint]
+        at_ns = loop.history.time_ns[slot]
+        here = loop.history.position_rad[slot * MAX_JOINTS + joint]
         if at_ns <= time_ns:
             if later_ns <= at_ns or time_ns >= later_ns:
                 return later

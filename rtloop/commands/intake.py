@@ -10,17 +10,21 @@ before it counts as corrupt.
 import math
 from typing import Any
 
-from rtloop.commands.people import GOALS_AHEAD, is_canceled, raise_epoch
+from rtloop.commands.people import GOALS_AHEAD, is_canceled
 from rtloop.memory.events import answer_request, record_event, set_result
 from rtloop.memory.modes import change_mode, is_limp
-from rtloop.memory.state import LOOP, WINDOW_KNOTS, offset_of
+from rtloop.memory.motion import WINDOW_KNOTS
+from rtloop.memory.record import offset_of
+from rtloop.memory.state import LOOP, Loop, Shared
 from rtloop.safety.faults import latch_fault
+from rtloop.trajectory.entry import forget_search
 from rtloop.trajectory.limits import at_rest
 from rtloop.trajectory.path import leaves_a_joint_moving, slot
 from rtloop.trajectory.phases import (
     change_phase,
     end_waiting,
     incoming,
+    raise_epoch,
     running_goal,
     runs,
     stop_running,
@@ -32,9 +36,6 @@ from shm.atomics import load_acquire, store_release
 from shm.jit import jit
 from shm.seqlock import copy_words, crc32_at
 from shm.words import Answer, Entry, Event, Fault, Mode, Outcome, Phase, Request, Setpoint, Unreferenced
-
-Loop = Any
-Shared = Any
 
 ROWS_A_CYCLE = 1440
 """Rows of joints in the records that are taken in one cycle: 160 records of six joints, 41 of 32."""
@@ -74,19 +75,18 @@ def hear_the_front(loop: Loop) -> None:
 
     A heartbeat from the far future is no sign of life: nothing read in the command file is believed.
     """
-    core = loop.core
     if loop.params.command_address != 0:
         heartbeat_ns = max(load_acquire(loop.params.command_address + _HEARTBEAT), 0)  # so that nothing overflows
-        core.front_age_ns = abs(core.now_ns - heartbeat_ns)
+        loop.front.age_ns = abs(loop.timing.now_ns - heartbeat_ns)
 
 
 @jit
 def leave_corrupt_records(loop: Loop) -> None:
     """After a corrupt setpoint ring was cleared: begin again with what the front writes from now on."""
     command = loop.params.command_address
-    loop.core.setpoints_taken = load_acquire(command + _SETPOINTS_WRITTEN)
-    loop.core.announced_goal = loop.core.newest_goal
-    loop.core.setpoint_waits = 0
+    loop.front.setpoints_taken = load_acquire(command + _SETPOINTS_WRITTEN)
+    loop.front.announced_goal = loop.front.newest_goal
+    loop.front.setpoint_waits = 0
 
 
 @jit
@@ -98,42 +98,42 @@ def records_a_cycle(joint_count: int, period_ns: int) -> int:
 @jit
 def take_setpoints(loop: Loop, shared: Shared) -> None:
     """Take a bounded batch of records from the setpoint ring."""
-    core = loop.core
+    front = loop.front
     command = loop.params.command_address
-    if command == 0 or core.fault == Fault.COMMAND_RING:
+    if command == 0 or loop.fault.code == Fault.COMMAND_RING:
         return
     written = load_acquire(command + _SETPOINTS_WRITTEN)
-    waiting = written - core.setpoints_taken
+    waiting = written - front.setpoints_taken
     if waiting < 0 or waiting > layout.SETPOINT_SLOTS:
         latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(waiting), float(layout.SETPOINT_SLOTS))
         return
     announced = load_acquire(command + _ANNOUNCED)
-    if announced > max(core.announced_goal, core.newest_goal) + GOALS_AHEAD:
-        latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(announced), float(core.newest_goal + GOALS_AHEAD))
+    if announced > max(front.announced_goal, front.newest_goal) + GOALS_AHEAD:
+        latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(announced), float(front.newest_goal + GOALS_AHEAD))
         return
-    core.announced_goal = max(core.announced_goal, announced)
+    front.announced_goal = max(front.announced_goal, announced)
     words = _SETPOINT_HEAD_WORDS + loop.params.joint_count * _SETPOINT_JOINT_WORDS
     for _ in range(min(waiting, records_a_cycle(loop.params.joint_count, loop.params.period_ns))):
-        source = command + _SETPOINTS + (core.setpoints_taken & (layout.SETPOINT_SLOTS - 1)) * _SETPOINT_BYTES
+        source = command + _SETPOINTS + (front.setpoints_taken & (layout.SETPOINT_SLOTS - 1)) * _SETPOINT_BYTES
         scratch = loop.params.address + _SCRATCH
         copy_words(scratch, source, words)
         record = loop.scratch
-        if record.crc != crc32_at(scratch + 8, words - 1) or record.sequence != core.setpoints_taken:
-            core.setpoint_waits += 1
-            if core.setpoint_waits > CYCLES_TO_BECOME_VISIBLE:
-                latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(core.setpoints_taken), 0.0)
+        if record.crc != crc32_at(scratch + 8, words - 1) or record.sequence != front.setpoints_taken:
+            front.setpoint_waits += 1
+            if front.setpoint_waits > CYCLES_TO_BECOME_VISIBLE:
+                latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(front.setpoints_taken), 0.0)
             break
-        core.setpoint_waits = 0
+        front.setpoint_waits = 0
         if not _take_record(loop, shared, words):
             break
-        core.setpoints_taken += 1
-    store_release(loop.params.state_address + _CONSUMED_SETPOINTS, core.setpoints_taken)
+        front.setpoints_taken += 1
+    store_release(loop.params.state_address + _CONSUMED_SETPOINTS, front.setpoints_taken)
 
 
 @jit
 def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
     """Use the record in the scratch; False leaves it in the ring because its window is full."""
-    core, params = loop.core, loop.params
+    params = loop.params
     record = loop.scratch
     if record.kind == Setpoint.BEGIN:
         copy_words(params.address + _SCRATCH_BEGIN, params.address + _SCRATCH, words)
@@ -143,7 +143,7 @@ def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
     if waits(loop) and record.goal_id == loop.paths[incoming(loop)].goal_id:
         path_index = incoming(loop)
     elif runs(loop) and record.goal_id == running_goal(loop):
-        path_index = core.active
+        path_index = loop.goals.active
     else:
         return True  # of a goal that has ended
     path = loop.paths[path_index]
@@ -156,7 +156,7 @@ def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
         _end_goal(loop, shared, path_index)
         return True
     if path.taken - path.segment >= WINDOW_KNOTS - 1:
-        if record.goal_id == core.announced_goal:
+        if record.goal_id == loop.front.announced_goal:
             return False
         # A newer goal must not wait behind old knots. The running one has a whole window left, and it matters
         # only if the newer one is refused: then it ends at the tear by lack of path.
@@ -170,8 +170,8 @@ def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
             gap_ns = record.time_ns - loop.knots[slot(path_index, path.taken - 1)].time_ns
             path.closest_ns = min(path.closest_ns, gap_ns)
         path.taken += 1
-        if path_index != core.active:
-            core.incoming_ns = core.now_ns
+        if path_index != loop.goals.active:
+            loop.front.newest_record_ns = loop.timing.now_ns
         shared.counters.knots_taken += 1
         return True
     _refuse_knot(loop, shared, joint, value, limit)
@@ -238,33 +238,33 @@ def _refuse_knot(loop: Loop, shared: Shared, joint: int, value: float, limit: fl
     """A knot that cannot be used ends its goal; what came before it is still a path to stop on."""
     if waits(loop) and loop.scratch.goal_id == loop.paths[incoming(loop)].goal_id:
         end_waiting(loop, shared, Outcome.REFUSED_CORRUPT, joint, value, limit)
-    elif loop.paths[loop.core.active].phase != Phase.STOPPING:
+    elif loop.paths[loop.goals.active].phase != Phase.STOPPING:
         stop_running(loop, Outcome.REFUSED_CORRUPT, joint, value, limit)
 
 
 @jit
 def _begin_goal(loop: Loop, shared: Shared) -> None:
-    core = loop.core
+    front = loop.front
     begin = loop.scratch_begin
     goal_id = begin.goal_id
-    if goal_id <= core.newest_goal:
+    if goal_id <= front.newest_goal:
         return  # taken before: a goal is never run twice
-    farthest = max(core.announced_goal, core.newest_goal) + GOALS_AHEAD
+    farthest = max(front.announced_goal, front.newest_goal) + GOALS_AHEAD
     if goal_id > farthest:  # taken, it would make the loop deaf for every goal of a front
         latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(goal_id), float(farthest))
         return
-    core.newest_goal = goal_id
+    front.newest_goal = goal_id
     end_waiting(loop, shared, Outcome.REPLACED, -1, 0.0, 0.0)
-    core.ways_tried = core.judged_ahead = 0
+    forget_search(loop)
     record_event(loop, shared, Event.GOAL, -1, goal_id, 0.0, 0.0)
     if is_canceled(loop, goal_id):
         set_result(loop, shared, goal_id, Outcome.CANCELED, -1, 0.0, 0.0)
         return
     outcome, joint = _wrong_begin(loop)
     if outcome != Outcome.NONE:
-        set_result(loop, shared, goal_id, outcome, joint, float(core.mode), 0.0)
+        set_result(loop, shared, goal_id, outcome, joint, float(loop.mode), 0.0)
         return
-    core.incoming_ns = core.now_ns
+    front.newest_record_ns = loop.timing.now_ns
     path = loop.paths[incoming(loop)]
     change_phase(loop, incoming(loop), Phase.WAITING)
     path.goal_id = goal_id
@@ -295,19 +295,19 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
 @jit
 def _wrong_begin(loop: Loop) -> tuple[int, int]:
     """Why a goal cannot be begun now: outcome (NONE when it can) and joint."""
-    core, begin = loop.core, loop.scratch_begin
-    if core.mode != Mode.HOLDING and core.mode != Mode.EXECUTING and core.mode != Mode.STOPPING:
+    people, begin = loop.people, loop.scratch_begin
+    if loop.mode != Mode.HOLDING and loop.mode != Mode.EXECUTING and loop.mode != Mode.STOPPING:
         return Outcome.REFUSED_MODE, -1
-    if core.closing == 1:
+    if loop.motion.closing == 1:
         return Outcome.SHUTDOWN, -1
-    if core.held == 1:
+    if people.held == 1:
         return Outcome.REFUSED_HELD, -1
-    if begin.epoch != core.epoch:
+    if begin.epoch != loop.goals.epoch:
         return Outcome.REFUSED_OUTDATED, -1
-    if begin.entry & _STREAM and core.healed_ns > core.resume_ns:
+    if begin.entry & _STREAM and loop.dialogue.healed_ns > people.resume_ns:
         return Outcome.REFUSED_STREAM, -1
     for joint in range(loop.params.joint_count):
-        if loop.axes[joint].referenced == 0:
+        if loop.axes[joint].reference.referenced == 0:
             return Outcome.REFUSED_UNREFERENCED, joint
         row = begin.joints[joint]
         if not _finite(row):
@@ -327,66 +327,68 @@ def _wrong_begin(loop: Loop) -> tuple[int, int]:
 @jit
 def take_requests(loop: Loop, shared: Shared) -> None:
     """Take and answer a bounded batch of requests."""
-    core = loop.core
+    front = loop.front
     command = loop.params.command_address
     if command == 0:
         return
     written = load_acquire(command + _REQUESTS_WRITTEN)
-    waiting = written - core.requests_taken
+    waiting = written - front.requests_taken
     if waiting < 0 or waiting > layout.REQUEST_SLOTS:
         latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(waiting), float(layout.REQUEST_SLOTS))
-        core.requests_taken = written
+        front.requests_taken = written
         waiting = 0
     scratch = loop.params.address + _SCRATCH_REQUEST
     for _ in range(min(waiting, REQUESTS_A_CYCLE)):
-        source = command + _REQUESTS + (core.requests_taken & (layout.REQUEST_SLOTS - 1)) * _REQUEST_BYTES
+        source = command + _REQUESTS + (front.requests_taken & (layout.REQUEST_SLOTS - 1)) * _REQUEST_BYTES
         copy_words(scratch, source, _REQUEST_BYTES // 8)
         request = loop.scratch_request
         if request.crc != crc32_at(scratch + 8, _REQUEST_BYTES // 8 - 1) or (
-            request.sequence != core.requests_taken + 1
+            request.sequence != front.requests_taken + 1
         ):
-            core.request_waits += 1
-            if core.request_waits > CYCLES_TO_BECOME_VISIBLE:
-                latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(core.requests_taken), 0.0)
-                core.requests_taken = written
-                core.request_waits = 0
+            front.request_waits += 1
+            if front.request_waits > CYCLES_TO_BECOME_VISIBLE:
+                latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(front.requests_taken), 0.0)
+                front.requests_taken = written
+                front.request_waits = 0
             break
-        core.request_waits = 0
-        core.requests_taken += 1
+        front.request_waits = 0
+        front.requests_taken += 1
         answer_request(loop, shared, request.sequence, request.kind, _obey(loop, shared))
-    store_release(loop.params.state_address + _CONSUMED_REQUESTS, core.requests_taken)
+    store_release(loop.params.state_address + _CONSUMED_REQUESTS, front.requests_taken)
 
 
 @jit
 def _obey(loop: Loop, shared: Shared) -> int:
-    core, request = loop.core, loop.scratch_request
+    dialogue, request = loop.dialogue, loop.scratch_request
     kind = request.kind
-    if request.epoch != core.epoch and (kind == Request.HOME or kind == Request.GRIP or kind == Request.GRIP_HOME):
+    if request.epoch != loop.goals.epoch and (
+        kind == Request.HOME or kind == Request.GRIP or kind == Request.GRIP_HOME
+    ):
         return Answer.REFUSED_OUTDATED
     if kind == Request.GRIP or kind == Request.GRIP_STOP or kind == Request.GRIP_HOME:
         return _pass_to_gripper(loop)
-    core.pose_due_ns = 0
+    dialogue.pose_due_ns = 0
     if kind == Request.CLEAR_FAULT:
-        if core.mode != Mode.FAULT:
+        if loop.mode != Mode.FAULT:
             return Answer.REFUSED_MODE
         if received.closed(loop) != 0:
             return Answer.REFUSED_WIRE
         if runs(loop) or not at_rest(loop):
             return Answer.REFUSED_MOVING
-        core.bring_up_asked = 1
+        dialogue.bring_up_asked = 1
         return Answer.DONE
     if kind == Request.ENABLE:
-        if not is_limp(core.mode):
-            return Answer.DONE if core.mode == Mode.HOLDING or core.mode == Mode.EXECUTING else Answer.REFUSED_MODE
-        core.bring_up_asked = 1
-        core.release_asked = 0
+        if not is_limp(loop.mode):
+            return Answer.DONE if loop.mode == Mode.HOLDING or loop.mode == Mode.EXECUTING else Answer.REFUSED_MODE
+        dialogue.bring_up_asked = 1
+        dialogue.release_asked = 0
         return Answer.DONE
     if kind == Request.DISABLE or kind == Request.FREE:
         return _let_go(loop, shared, Mode.DISABLED if kind == Request.DISABLE else Mode.FREE)
     if kind == Request.HOME_STOP:
-        if core.mode != Mode.REFERENCING:
+        if loop.mode != Mode.REFERENCING:
             return Answer.REFUSED_MODE
-        core.referencing_ends = 1
+        dialogue.referencing_ends = 1
         return Answer.DONE
     if kind == Request.HOME or kind == Request.REFERENCE:
         return begin_referencing(loop, shared, kind, request.joint_mask, request.value)
@@ -396,51 +398,50 @@ def _obey(loop: Loop, shared: Shared) -> int:
 @jit
 def _pass_to_gripper(loop: Loop) -> int:
     """Leave a request for the gripper's conversation, whatever the arm is doing: a newer one replaces an older one."""
-    core, params, request = loop.core, loop.params, loop.scratch_request
+    gripper, params, request = loop.gripper, loop.params, loop.scratch_request
     if params.has_gripper == 0:
         return Answer.REFUSED_UNKNOWN
-    if core.mode == Mode.OFFLINE:
+    if loop.mode == Mode.OFFLINE:
         return Answer.REFUSED_MODE
     if received.closed(loop) != 0:
         return Answer.REFUSED_WIRE
-    if core.held == 1 and request.kind != Request.GRIP_STOP:
+    if loop.people.held == 1 and request.kind != Request.GRIP_STOP:
         return Answer.REFUSED_HELD
     if request.kind == Request.GRIP:
         inside = request.value >= params.gripper_lower_rad and request.value <= params.gripper_upper_rad
         if not (inside and request.most_effort >= 0.0 and math.isfinite(request.most_effort)):
             return Answer.REFUSED_VALUE
-    core.grip_kind = request.kind
-    core.grip_rad = request.value
-    core.grip_effort = request.most_effort
-    core.grip_sequence = request.sequence  # the last: the other thread looks for it
+    gripper.kind = request.kind
+    gripper.position_rad = request.value
+    gripper.effort = request.most_effort
+    gripper.sequence = request.sequence  # the last: the other thread looks for it
     return Answer.DONE
 
 
 @jit
 def _let_go(loop: Loop, shared: Shared, mode: int) -> int:
     """Let the drives of a standing arm go limp; nothing else ever does."""
-    core = loop.core
-    if core.mode == mode:
+    if loop.mode == mode:
         return Answer.DONE
-    if core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING or waits(loop) or core.rebase_ns != 0:
+    if loop.mode == Mode.EXECUTING or loop.mode == Mode.STOPPING or waits(loop) or loop.motion.resync_ns != 0:
         return Answer.REFUSED_MOVING
-    if core.bring_up_asked == 1:
+    if loop.dialogue.bring_up_asked == 1:
         return Answer.REFUSED_MODE
-    limp_already = is_limp(core.mode)
+    limp_already = is_limp(loop.mode)
     if not change_mode(loop, shared, mode):
         return Answer.REFUSED_MODE
     raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)
-    core.motion_started = 0
+    loop.motion.started = 0
     if not limp_already:
-        core.release_asked = 1
+        loop.dialogue.release_asked = 1
     return Answer.DONE
 
 
 @jit
 def begin_referencing(loop: Loop, shared: Shared, kind: int, joint_mask: int, angle_rad: float) -> int:
     """Let joints of a standing arm be homed, or be where a person says."""
-    core, count = loop.core, loop.params.joint_count
-    if kind == Request.HOME and core.held == 1:
+    dialogue, count = loop.dialogue, loop.params.joint_count
+    if kind == Request.HOME and loop.people.held == 1:
         return Answer.REFUSED_HELD
     if joint_mask == 0 and kind == Request.HOME:
         joint_mask = loop.params.homing_mask
@@ -449,17 +450,17 @@ def begin_referencing(loop: Loop, shared: Shared, kind: int, joint_mask: int, an
     for joint in range(count):
         if (joint_mask >> joint) & 1 and kind == Request.REFERENCE and not _may_stand_at(loop, joint, angle_rad):
             return Answer.REFUSED_VALUE
-    if core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING or waits(loop) or core.rebase_ns != 0:
+    if loop.mode == Mode.EXECUTING or loop.mode == Mode.STOPPING or waits(loop) or loop.motion.resync_ns != 0:
         return Answer.REFUSED_MOVING
-    if core.bring_up_asked == 1 or not change_mode(loop, shared, Mode.REFERENCING):
+    if dialogue.bring_up_asked == 1 or not change_mode(loop, shared, Mode.REFERENCING):
         return Answer.REFUSED_MODE
     raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)
-    core.referencing_ends = 0
+    dialogue.referencing_ends = 0
     for joint in range(count):
         if (joint_mask >> joint) & 1:
-            loop.axes[joint].asked_rad = angle_rad
-    core.home_asked = joint_mask if kind == Request.HOME else 0  # the last: the other thread looks for them
-    core.reference_asked = joint_mask if kind == Request.REFERENCE else 0
+            loop.axes[joint].reference.asked_rad = angle_rad
+    dialogue.home_asked = joint_mask if kind == Request.HOME else 0  # the last: the other thread looks for them
+    dialogue.reference_asked = joint_mask if kind == Request.REFERENCE else 0
     return Answer.DONE
 
 
@@ -467,7 +468,7 @@ def begin_referencing(loop: Loop, shared: Shared, kind: int, joint_mask: int, an
 def _may_stand_at(loop: Loop, joint: int, angle_rad: float) -> bool:
     """Whether a person may say so: no joint is outside its limits, and some counts are from nowhere."""
     if math.isnan(angle_rad):
-        reason = loop.axes[joint].unreferenced_reason
+        reason = loop.axes[joint].reference.unreferenced_reason
         return bool(reason != Unreferenced.POWER_LOST and reason != Unreferenced.NOT_HOMED)
     row = loop.joints[joint]
     return bool(row.lower_rad <= angle_rad <= row.upper_rad)

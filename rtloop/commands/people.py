@@ -3,14 +3,14 @@
 Each is one store in the command file of which the newest counts, so none can be lost, and none waits behind another.
 """
 
-from typing import Any
-
 from rtloop.memory.events import record_event
-from rtloop.memory.state import LOOP, offset_of
+from rtloop.memory.record import offset_of
+from rtloop.memory.state import LOOP, Loop, Shared
 from rtloop.trajectory.phases import (
     end_waiting,
     incoming,
     pause_running,
+    raise_epoch,
     resume_paused,
     running_goal,
     runs,
@@ -22,9 +22,6 @@ from shm.atomics import load_acquire
 from shm.jit import jit
 from shm.seqlock import copy_words
 from shm.words import Event, Mode, Outcome, Request
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 _STOP = offset_of(layout.COMMAND, "stop_ns")
 _HOLD = offset_of(layout.COMMAND, "hold_ns")
@@ -56,29 +53,29 @@ def obey_commands(loop: Loop, shared: Shared) -> None:
 @jit
 def obey_stop_and_hold(loop: Loop, shared: Shared, command: int) -> None:
     """A stop or a hold leaves the arm held until a resume that was asked for later; a stop also ends what moves it."""
-    core = loop.core
+    people = loop.people
     stop_ns, hold_ns = load_acquire(command + _STOP), load_acquire(command + _HOLD)
     resume_ns = load_acquire(command + _RESUME)
-    stopped, held, resumed = stop_ns != core.stop_ns, hold_ns != core.hold_ns, resume_ns != core.resume_ns
-    core.stop_ns, core.hold_ns, core.resume_ns = stop_ns, hold_ns, resume_ns
+    stopped, held, resumed = stop_ns != people.stop_ns, hold_ns != people.hold_ns, resume_ns != people.resume_ns
+    people.stop_ns, people.hold_ns, people.resume_ns = stop_ns, hold_ns, resume_ns
     if stopped:
-        core.stops += 1
+        people.stops += 1
         note(loop, shared, Request.STOP, _STOP)
     if held:
         note(loop, shared, Request.HOLD, _HOLD)
     if stopped or held:
-        core.held = 1
-        core.grip_halted = core.grip_sequence
-        core.pose_due_ns = 0
+        people.held = 1
+        loop.gripper.halted = loop.gripper.sequence
+        loop.dialogue.pose_due_ns = 0
         raise_epoch(loop, shared, Outcome.REFUSED_HELD)
-        if core.mode == Mode.REFERENCING:
-            core.referencing_ends = 1
+        if loop.mode == Mode.REFERENCING:
+            loop.dialogue.referencing_ends = 1
         # A stream keeps its own time, which a pause would take from it.
-        if stopped or loop.paths[core.active].stream == 1:
+        if stopped or loop.paths[loop.goals.active].stream == 1:
             stop_running(loop, Outcome.STOPPED, -1, 0.0, 0.0)
         pause_running(loop)
-    if core.held == 1 and resumed and resume_ns > max(stop_ns, hold_ns):
-        core.held = 0
+    if people.held == 1 and resumed and resume_ns > max(stop_ns, hold_ns):
+        people.held = 0
         resume_paused(loop)
         raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)  # what was sent meanwhile is not begun by this
         note(loop, shared, Request.RESUME, _RESUME)
@@ -92,23 +89,16 @@ def note(loop: Loop, shared: Shared, kind: int, offset: int) -> None:
 
 
 @jit
-def raise_epoch(loop: Loop, shared: Shared, outcome: int) -> None:
-    """What arrived before this never begins; the goal that waits ends with the outcome."""
-    loop.core.epoch += 1
-    end_waiting(loop, shared, outcome, -1, 0.0, 0.0)
-
-
-@jit
 def take_speed_scale(loop: Loop, shared: Shared, command: int) -> None:
     """A number that is no share of a speed is passed over."""
-    core = loop.core
+    people = loop.people
     if load_acquire(command + _SPEED_SCALE) == 0:
         return
     copy_words(loop.params.address + _SCRATCH_SCALE, command + _SPEED_SCALE, 1)
     scale = loop.scratch_scale
-    if scale >= 0.0 and scale <= 1.0 and scale != core.speed_scale:
-        core.speed_scale = abs(scale)
-        record_event(loop, shared, Event.COMMAND, -1, Request.SPEED_SCALE, core.speed_scale, 0.0)
+    if scale >= 0.0 and scale <= 1.0 and scale != people.speed_scale:
+        people.speed_scale = abs(scale)
+        record_event(loop, shared, Event.COMMAND, -1, Request.SPEED_SCALE, people.speed_scale, 0.0)
 
 
 @jit
@@ -119,4 +109,4 @@ def is_canceled(loop: Loop, goal_id: int) -> bool:
         return False
     slot = command + _CANCELED_GOALS + _WORD * (goal_id & (layout.CANCELED_SLOTS - 1))
     through = load_acquire(command + _CANCELED_THROUGH)
-    return goal_id == load_acquire(slot) or goal_id <= through <= loop.core.announced_goal
+    return goal_id == load_acquire(slot) or goal_id <= through <= loop.front.announced_goal

@@ -24,7 +24,7 @@ from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
 from rtloop.drives.zdt_talk import AGREEING, Answered
-from rtloop.memory.state import GRIPPER
+from rtloop.memory.link import GRIPPER
 from rtloop.service.conversation import TRIES, Conversation
 from rtloop.service.port import Frame, ServicePort
 from shm import layout
@@ -80,14 +80,14 @@ class GripperTalk(Conversation):
         assert arm.gripper is not None and arm.gripper.servo is not None
         self._gripper, self._servo = arm.gripper, arm.gripper.servo
         super().__init__(arm, port, now_ns, fault=Fault.NONE)
-        self._core = loop[0]["core"]
+        self._asked, self._people = loop[0]["gripper"], loop[0]["people"]
         self._state = state
         self._tell = tell
         self._shown = np.zeros((), layout.GRIPPER)
         self._shown["position_rad"] = self._shown["velocity_rad_s"] = math.nan
         self._shown["measured_effort"] = self._shown["target_rad"] = math.nan
         self._known = False
-        self._taken = int(self._core["grip_sequence"])
+        self._taken = int(self._asked["sequence"])
         self._halts = self._counted_halts()
         self._obeying = self._halting = False
         self._judge: GripJudge | None = None
@@ -124,13 +124,13 @@ class GripperTalk(Conversation):
 
     def _counted_halts(self) -> tuple[int, int]:
         """Changes with every stop and hold."""
-        return int(self._core["stop_ns"]), int(self._core["hold_ns"])
+        return int(self._people["stop_ns"]), int(self._people["hold_ns"])
 
     # --- orders
 
     @property
     def _waits(self) -> bool:
-        return self._halting or int(self._core["grip_sequence"]) != self._taken
+        return self._halting or int(self._asked["sequence"]) != self._taken
 
     def stop(self) -> None:
         """Let it stop, as by an order: a person has stopped the arm, or the control process is about to end."""
@@ -144,14 +144,12 @@ class GripperTalk(Conversation):
         """
         if not self._waits:
             return None
-        core = self._core
+        asked = self._asked
         if self._halting:  # in the place of what was asked for before, and before what was asked for since
             self._halting = False
-            self._taken = max(self._taken, int(core["grip_halted"]))
+            self._taken = max(self._taken, int(asked["halted"]))
             return Order(self._taken, Request.GRIP_STOP, 0.0, 0.0)
-        order = Order(
-            int(core["grip_sequence"]), int(core["grip_kind"]), float(core["grip_rad"]), float(core["grip_effort"])
-        )
+        order = Order(int(asked["sequence"]), int(asked["kind"]), float(asked["position_rad"]), float(asked["effort"]))
         self._taken = order.sequence
         if order.kind == Request.GRIP and not self._gripper.lower_rad <= order.angle_rad <= self._gripper.upper_rad:
             return None

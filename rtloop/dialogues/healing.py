@@ -27,7 +27,7 @@ import numpy as np
 from config.schema import ArmConfig
 from rtloop.drives.power import Marks
 from rtloop.drives.setup import joints_on_the_bus, must_prove_power, power_proof_of
-from rtloop.memory.state import FRESH_READINGS
+from rtloop.memory.axis import FRESH_READINGS
 from rtloop.service.conversation import Conversation, Dialogue
 from rtloop.service.port import ServicePort
 from shm.words import Fault, Mode, Unreferenced
@@ -76,9 +76,9 @@ class Healing:
 
     def begin(self, now_ns: int) -> PowerCheck | None:
         """Called from time to time: the questions for power, once nothing else speaks against going on."""
-        core = self._loop[0]["core"]
-        fault_ns = int(core["fault_ns"])
-        if not self._unlocked or int(core["mode"]) != Mode.FAULT or fault_ns == self._given_up_ns:
+        memory = self._loop[0]
+        fault_ns = int(memory["fault"]["latched_ns"])
+        if not self._unlocked or int(memory["mode"]) != Mode.FAULT or fault_ns == self._given_up_ns:
             return None
         if fault_ns != self._watched_ns:
             self._watched_ns, self._stood_rad = fault_ns, []  # where it stood in another fault says nothing of this one
@@ -96,13 +96,17 @@ class Healing:
 
         Any other that ends in a fault was asked for by a person, who is to see what became of it.
         """
-        core = self._loop[0]["core"]
+        memory = self._loop[0]
         if talk is not self._check or self._check is None:
-            if int(core["mode"]) == Mode.FAULT:
-                self._given_up_ns = int(core["fault_ns"])
+            if int(memory["mode"]) == Mode.FAULT:
+                self._given_up_ns = int(memory["fault"]["latched_ns"])
             return False
-        asked = int(core["bring_up_asked"]) == 1  # a person's clear is a person's
-        if asked or self._check.proven != set(self._joints) or not self._may_heal(now_ns, int(core["fault_ns"])):
+        asked = int(memory["dialogue"]["bring_up_asked"]) == 1  # a person's clear is a person's
+        if (
+            asked
+            or self._check.proven != set(self._joints)
+            or not self._may_heal(now_ns, int(memory["fault"]["latched_ns"]))
+        ):
             return False
         if not self._is_still() or not self._hold():
             return False
@@ -110,17 +114,21 @@ class Healing:
         return True
 
     def _may_heal(self, now_ns: int, fault_ns: int) -> bool:
-        core, axes = self._loop[0]["core"], self._loop[0]["axes"]
-        if int(core["fault"]) != Fault.STALE_READING or int(core["fault_joint"]) != -1 or int(core["closing"]) == 1:
+        memory, fault, axes = self._loop[0], self._loop[0]["fault"], self._loop[0]["axes"]
+        if (
+            int(fault["code"]) != Fault.STALE_READING
+            or int(fault["joint"]) != -1
+            or int(memory["motion"]["closing"]) == 1
+        ):
             return False
-        if int(core["silenced"]) == 1:
+        if int(memory["bus"]["transmit_inhibited"]) == 1:
             return False  # the wire went, or the controller left the bus, under this fault
         if len(self._healed_ns) == MOST_HEALED and now_ns - self._healed_ns[0] < WITHIN_NS:
             return False
-        lost = {Unreferenced(axes[joint]["unreferenced_reason"]) for joint in range(len(self._arm.joints))}
+        lost = {Unreferenced(axes[joint]["reference"]["unreferenced_reason"]) for joint in range(len(self._arm.joints))}
         if not lost <= {Unreferenced.REFERENCED, Unreferenced.SILENT}:
             return False
-        heard_ns = min(int(axes[joint]["measured_ns"]) for joint in self._joints)
+        heard_ns = min(int(axes[joint]["measured"]["time_ns"]) for joint in self._joints)
         if heard_ns < fault_ns and now_ns - fault_ns > ENDED_WITHIN_NS:
             return False
         return now_ns - fault_ns <= DECIDED_WITHIN_NS
@@ -128,7 +136,7 @@ class Healing:
     def _stands(self, now_ns: int) -> bool:
         """Whether every joint has stood for long enough where it may, and its drive holds it."""
         axes = self._loop[0]["axes"]
-        led = np.any(axes[: len(self._arm.joints)]["velocity_rad_s"] != 0.0)
+        led = np.any(axes[: len(self._arm.joints)]["commanded"]["velocity_rad_s"] != 0.0)
         if led or not self._is_still() or not all(self._is_fresh(joint, now_ns) for joint in self._joints):
             self._stood_rad, self._rest_since_ns = self._stand_rad(), now_ns
             return False
@@ -136,7 +144,7 @@ class Healing:
         return rested and all(self._is_on_its_way(joint) for joint in self._joints)
 
     def _stand_rad(self) -> list[float]:
-        return [float(self._loop[0]["axes"][joint]["measured_rad"]) for joint in self._joints]
+        return [float(self._loop[0]["axes"][joint]["measured"]["position_rad"]) for joint in self._joints]
 
     def _is_still(self) -> bool:
         """Whether every joint stands where it stood when its rest began."""
@@ -152,21 +160,22 @@ class Healing:
         """Whether each drive has said since the rest began that it holds, and of no error."""
         axes = self._loop[0]["axes"]
         return all(
-            self._port.holds(joint) and int(axes[joint]["status_ns"]) > self._rest_since_ns for joint in self._joints
+            self._port.holds(joint) and int(axes[joint]["drive"]["status_ns"]) > self._rest_since_ns
+            for joint in self._joints
         )
 
     def _is_fresh(self, joint: int, now_ns: int) -> bool:
         """Whether the last reading is new, and no answer can be older than the question before its own."""
         axis, reading_ns = self._loop[0]["axes"][joint], int(self._loop[0]["params"]["reading_ns"])
-        age_ns = now_ns - int(axis["measured_ns"])
-        return age_ns <= FRESH_READINGS * reading_ns and int(axis["lag_ns"]) <= reading_ns
+        age_ns = now_ns - int(axis["measured"]["time_ns"])
+        return age_ns <= FRESH_READINGS * reading_ns and int(axis["tracking"]["lag_ns"]) <= reading_ns
 
     def _is_on_its_way(self, joint: int) -> bool:
         """Whether a joint stands between its last reading before the silence and where it was led."""
         axis = self._loop[0]["axes"][joint]
-        if int(axis["referenced"]) == 1:  # no following error is latched beside another fault
-            away_rad = abs(float(axis["position_rad"]) - float(axis["measured_rad"]))
+        if int(axis["reference"]["referenced"]) == 1:  # no following error is latched beside another fault
+            away_rad = abs(float(axis["commanded"]["position_rad"]) - float(axis["measured"]["position_rad"]))
             return away_rad <= self._arm.limits.following_error_rad
-        ends = float(axis["lost_at_rad"]), float(axis["position_rad"])
+        ends = float(axis["reference"]["lost_at_rad"]), float(axis["commanded"]["position_rad"])
         beside_rad = self._arm.limits.position_jump_rad
-        return min(ends) - beside_rad <= float(axis["measured_rad"]) <= max(ends) + beside_rad
+        return min(ends) - beside_rad <= float(axis["measured"]["position_rad"]) <= max(ends) + beside_rad

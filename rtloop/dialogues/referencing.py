@@ -50,16 +50,16 @@ def referencing_asked_for(
     marks: Marks,
 ) -> Referencing:
     """Take up what the cycle was asked for (HOME or REFERENCE), joints to be homed in the arm file's order."""
-    core, axes = loop[0]["core"], loop[0]["axes"]
-    homed, placed = int(core["home_asked"]), int(core["reference_asked"])
-    core["home_asked"] = core["reference_asked"] = 0
+    dialogue, axes = loop[0]["dialogue"], loop[0]["axes"]
+    homed, placed = int(dialogue["home_asked"]), int(dialogue["reference_asked"])
+    dialogue["home_asked"] = dialogue["reference_asked"] = 0
     order = list(dict.fromkeys([*arm.homing_order, *range(len(arm.joints))]))
     return Referencing(
         arm,
         port,
         now_ns=now_ns,
         homed=[joint for joint in order if homed >> joint & 1],
-        placed={joint: float(axes[joint]["asked_rad"]) for joint in order if placed >> joint & 1},
+        placed={joint: float(axes[joint]["reference"]["asked_rad"]) for joint in order if placed >> joint & 1},
         tell=tell,
         keep_lost=keep_lost,
         marks=marks,

@@ -7,8 +7,6 @@ as long after its SYNC as its interpolation time says (60C2, the cycle's period)
 Emergencies (080) hold an error code, heartbeats (700) the node's state.
 """
 
-from typing import Any
-
 from rtloop.drives import following, hearing, words
 from rtloop.drives.cia402_setup import (
     BOOT_UP,
@@ -29,13 +27,11 @@ from rtloop.drives.cia402_setup import (
 )
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import STANDARD
+from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
 from rtloop.wire import outgoing
 from shm.jit import jit
 from shm.words import Unreferenced
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 
 @jit
@@ -52,8 +48,10 @@ def setpoint_rad(loop: Loop, joint: int) -> float:
     """
     row, axis = loop.joints[joint], loop.axes[joint]
     behind_s = row.command_delay_s
-    position = axis.next_position_rad
-    position += behind_s * (axis.next_velocity_rad_s + 0.5 * behind_s * axis.next_acceleration_rad_s2)
+    position = axis.commanded.next_position_rad
+    position += behind_s * (
+        axis.commanded.next_velocity_rad_s + 0.5 * behind_s * axis.commanded.next_acceleration_rad_s2
+    )
     return min(max(position, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad)
 
 
@@ -79,21 +77,20 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
     since it would jump there, nor to one that has said that it holds nothing, since every target enables.
     """
     axis = loop.axes[joint]
-    limp = axis.status & status_bits.ANSWERED != 0 and axis.status & status_bits.ENABLED == 0
-    doubtful = axis.referenced == 0 and axis.unreferenced_reason == Unreferenced.POSITION_JUMP
+    limp = axis.drive.status & status_bits.ANSWERED != 0 and axis.drive.status & status_bits.ENABLED == 0
+    doubtful = axis.reference.referenced == 0 and axis.reference.unreferenced_reason == Unreferenced.POSITION_JUMP
     if limp or doubtful or not guard.knows_where_it_stands(loop, joint):
         return True
-    return send_target(loop, joint, shared, axis.measured_rad, joint)
+    return send_target(loop, joint, shared, axis.measured.position_rad, joint)
 
 
 @jit
 def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
     """One SYNC a cycle asks all drives of the family, led or not."""
-    core = loop.core
-    if core.sync_cycle != core.cycle:
+    if loop.bus.sync_cycle != loop.timing.cycle:
         if not outgoing.send(loop, shared, SYNC, STANDARD, 0, 0):
             return
-        core.sync_cycle = core.cycle
+        loop.bus.sync_cycle = loop.timing.cycle
     hearing.note_question(loop, joint)
 
 
@@ -121,13 +118,17 @@ def hear(
     base = frame_id - row.address
     if base == TPDO1 and length == row.position_bytes:
         hearing.hear_position(loop, joint, words.signed(data, 2, 4) / row.reading_per_rad - row.zero_rad, time_ns)
-        hearing.hear_status(loop, joint, common_status(words.unsigned(data, 0, 2), axis.error_code))
+        hearing.hear_status(loop, joint, common_status(words.unsigned(data, 0, 2), axis.drive.error_code))
         if row.effort_per_unit != 0.0:
             hearing.hear_effort(loop, joint, words.signed(data, 6, 2) * row.effort_per_unit)
     elif base == EMERGENCY and length == 8:
-        axis.error_code = words.unsigned(data, 0, 2)
+        axis.drive.error_code = words.unsigned(data, 0, 2)
     elif base == HEARTBEAT and length == 1 and words.unsigned(data, 0, 1) != OPERATIONAL:
-        lost = status_bits.POWER_LOST if words.unsigned(data, 0, 1) == BOOT_UP else axis.status & status_bits.POWER_LOST
+        lost = (
+            status_bits.POWER_LOST
+            if words.unsigned(data, 0, 1) == BOOT_UP
+            else axis.drive.status & status_bits.POWER_LOST
+        )
         hearing.hear_status(loop, joint, status_bits.COMMUNICATION | lost)
 
 

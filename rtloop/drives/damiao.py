@@ -9,7 +9,6 @@ for the same feedback and moves nothing), register, value; answers come on the m
 """
 
 import math
-from typing import Any
 
 from config.drives.damiao import HIGHEST_KD, HIGHEST_KP, POSITION_VELOCITY_OFFSET, REGISTERS_ID
 from rtloop.drives import following, hearing, leading, words
@@ -28,19 +27,17 @@ from rtloop.drives.damiao_setup import (
     WRITE,
 )
 from rtloop.memory import status as status_bits
+from rtloop.memory.axis import JointParams
 from rtloop.memory.frame_words import STANDARD
+from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.wire import outgoing
 from shm.jit import jit
 
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
-Row = Any  # record of dtype rtloop.memory.state.JOINT_PARAMS
-
 
 @jit
-def setpoint_data(row: Row, rad: float, rad_s: float, nm: float) -> int:
+def setpoint_data(row: JointParams, rad: float, rad_s: float, nm: float) -> int:
     """Data of a command of mode mit, in terms of the motor's shaft; `row` has ranges, stiffness and damping."""
     packed = words.field(rad, row.range_rad, 16) << 48
     packed |= words.field(rad_s, row.range_rad_s, 12) << 36
@@ -59,7 +56,7 @@ def target_data(rad: float, rad_s: float) -> int:
 
 
 @jit
-def following_data(row: Row, rad: float, rad_s: float) -> int:
+def following_data(row: JointParams, rad: float, rad_s: float) -> int:
     """A set-point with what its fields cut off put into the torque field, whose steps are finer than stiffness × one.
 
     What position and velocity lose by being cut off to whole steps would tug at the joint at every step.
@@ -78,14 +75,14 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
         command(loop, joint, shared, row.address, following_data(row, rad, rad_s), -1)
         return
     target_rad, speed_rad_s = leading.target_ahead(loop, joint, 0.0)
-    if axis.velocity_rad_s == 0.0 and axis.next_velocity_rad_s == 0.0:
+    if axis.commanded.velocity_rad_s == 0.0 and axis.commanded.next_velocity_rad_s == 0.0:
         speed_rad_s = holding_rad_s(row)
     rad, rad_s = (target_rad + row.zero_rad) * row.command_per_rad, abs(speed_rad_s * row.command_per_rad)
     command(loop, joint, shared, row.address + POSITION_VELOCITY_OFFSET, target_data(rad, rad_s), -1)
 
 
 @jit
-def holding_rad_s(row: Row) -> float:
+def holding_rad_s(row: JointParams) -> float:
     """Speed at which a standing joint comes back that was pushed away; with none it would let itself be pushed."""
     return float(ERROR_SPEED_SHARE * row.max_velocity_rad_s)
 
@@ -100,13 +97,13 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
     if not guard.knows_where_it_stands(loop, joint):
         return True
     if row.plans_its_motion == 0:
-        rad = (axis.measured_rad + row.zero_rad) * row.command_per_rad
+        rad = (axis.measured.position_rad + row.zero_rad) * row.command_per_rad
         return command(loop, joint, shared, row.address, following_data(row, rad, 0.0), joint)
-    told_rad_s = axis.told_velocity_rad_s if math.isfinite(axis.told_velocity_rad_s) else 0.0
+    told_rad_s = axis.drive.velocity_rad_s if math.isfinite(axis.drive.velocity_rad_s) else 0.0
     speed_rad_s = min(abs(told_rad_s), row.max_velocity_rad_s)
     way_rad = speed_rad_s * speed_rad_s / (2.0 * row.silence_deceleration_rad_s2)
     way_rad += speed_rad_s * loop.params.period_ns * 1e-9  # since it was measured
-    target_rad = axis.measured_rad + math.copysign(way_rad, told_rad_s)
+    target_rad = axis.measured.position_rad + math.copysign(way_rad, told_rad_s)
     rad = (target_rad + row.zero_rad) * row.command_per_rad
     rad_s = abs(max(speed_rad_s, holding_rad_s(row)) * row.command_per_rad)
     data = target_data(rad, rad_s)
@@ -118,14 +115,14 @@ def command(loop: Loop, joint: int, shared: Shared, frame_id: int, data: int, st
     """Send a frame that the drive obeys and answers with its feedback; False when there is no room."""
     if not outgoing.send(loop, shared, frame_id, STANDARD, 8, data, 0, stops):
         return False
-    loop.axes[joint].asked_cycle = loop.core.cycle
+    loop.axes[joint].sent.asked_cycle = loop.timing.cycle
     hearing.note_question(loop, joint)
     return True
 
 
 @jit
 def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
-    if loop.axes[joint].asked_cycle == loop.core.cycle:
+    if loop.axes[joint].sent.asked_cycle == loop.timing.cycle:
         return
     data = loop.joints[joint].address | FEEDBACK << 16
     if outgoing.send(loop, shared, REGISTERS_ID, STANDARD, 8, data):

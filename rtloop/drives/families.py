@@ -10,11 +10,9 @@ from typing import Any
 
 from config.joint import FAMILIES
 from rtloop.drives import mock
-from rtloop.memory.state import FAMILY_MOCK
+from rtloop.memory.axis import FAMILY_MOCK
+from rtloop.memory.state import Loop
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-
 
 AT_ONCE = 4
 """Families that one function chooses among: each more function costs compiling, each more family in one does not."""

@@ -1,12 +1,9 @@
 """Leading a drive that follows set-points: it goes where each one says, as hard as it can, and plans nothing itself."""
 
-from typing import Any
-
-from rtloop.memory.state import NOT_LED
+from rtloop.memory.axis import NOT_LED
+from rtloop.memory.state import Loop
 from rtloop.trajectory.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
 
 STANDS_AFTER_CYCLES = 3
 """Without a target a drive ends its line in the next cycle, and has come to rest soon after."""
@@ -20,9 +17,10 @@ def setpoint(loop: Loop, joint: int) -> tuple[float, float]:
     as much as it becomes late, so the drive is on time in the mean.
     """
     row, axis = loop.joints[joint], loop.axes[joint]
+    commanded = axis.commanded
     share = row.command_delay_s / (loop.params.period_ns * 1e-9) + 0.5
-    position = axis.position_rad + share * (axis.next_position_rad - axis.position_rad)
-    velocity = axis.velocity_rad_s + share * (axis.next_velocity_rad_s - axis.velocity_rad_s)
+    position = commanded.position_rad + share * (commanded.next_position_rad - commanded.position_rad)
+    velocity = commanded.velocity_rad_s + share * (commanded.next_velocity_rad_s - commanded.velocity_rad_s)
     return min(max(position, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad), velocity
 
 
@@ -36,17 +34,18 @@ def still_behind_rad(loop: Loop, joint: int, setpoint_rad: float) -> float:
 
     For drives whose own loop leaves no error at rest: one that carries a load by being off its target would let it sag.
     """
-    core, row, axis = loop.core, loop.joints[joint], loop.axes[joint]
+    row, axis = loop.joints[joint], loop.axes[joint]
+    sent = axis.sent
     period_s = loop.params.period_ns * 1e-9
-    if axis.led_cycle == NOT_LED:  # it holds what is commanded, by as much off that as its load makes
-        axis.behind_rad = axis.behind_rad_s = 0.0
-    elif core.cycle - axis.led_cycle > STANDS_AFTER_CYCLES:
-        axis.behind_rad = setpoint_rad - axis.measured_rad
-        axis.behind_rad_s = axis.next_velocity_rad_s
-    axis.led_cycle = core.cycle
+    if sent.led_cycle == NOT_LED:  # it holds what is commanded, by as much off that as its load makes
+        sent.behind_rad = sent.behind_rad_s = 0.0
+    elif loop.timing.cycle - sent.led_cycle > STANDS_AFTER_CYCLES:
+        sent.behind_rad = setpoint_rad - axis.measured.position_rad
+        sent.behind_rad_s = axis.commanded.next_velocity_rad_s
+    sent.led_cycle = loop.timing.cycle
     most = ERROR_SPEED_SHARE * row.max_velocity_rad_s
-    wanted_rad_s = -min(max(ERROR_SHARE_1_S * axis.behind_rad, -most), most)
+    wanted_rad_s = -min(max(ERROR_SHARE_1_S * sent.behind_rad, -most), most)
     change = row.max_acceleration_rad_s2 * period_s
-    axis.behind_rad_s += min(max(wanted_rad_s - axis.behind_rad_s, -change), change)
-    axis.behind_rad += axis.behind_rad_s * period_s
-    return float(axis.behind_rad)
+    sent.behind_rad_s += min(max(wanted_rad_s - sent.behind_rad_s, -change), change)
+    sent.behind_rad += sent.behind_rad_s * period_s
+    return float(sent.behind_rad)

@@ -7,14 +7,12 @@ acceleration limit, a drive that hears nothing more brakes by itself, bounded, o
 """
 
 import math
-from typing import Any
 
 from config.derived import LEAD_PERIODS
+from rtloop.memory.state import Loop
 from rtloop.safety.agreed import steady_error_rad
 from rtloop.trajectory.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
 
 
 @jit
@@ -25,10 +23,11 @@ def target_ahead(loop: Loop, joint: int, coarse_rad_s: float) -> tuple[float, fl
     (whose remainder the caller carries over): to correct the error of that would only add to it.
     """
     row, axis = loop.joints[joint], loop.axes[joint]
+    commanded = axis.commanded
     period_s = loop.params.period_ns * 1e-9
-    planned = (axis.next_position_rad - axis.position_rad) / period_s
+    planned = (commanded.next_position_rad - commanded.position_rad) / period_s
     # the frame arrives command_delay_s into the cycle and is in force for one period from there
-    speed = planned + axis.next_acceleration_rad_s2 * row.command_delay_s
+    speed = planned + commanded.next_acceleration_rad_s2 * row.command_delay_s
     most = ERROR_SPEED_SHARE * row.max_velocity_rad_s
     rounding_rad = coarse_rad_s * period_s
     error_rad = steady_error_rad(axis, 2.0 * row.slack_rad)
@@ -38,8 +37,8 @@ def target_ahead(loop: Loop, joint: int, coarse_rad_s: float) -> tuple[float, fl
     speed = min(max(speed, -most), most)
     lead = period_s * LEAD_PERIODS + row.command_delay_s
     brake = speed * speed / (2.0 * row.silence_deceleration_rad_s2)
-    target = axis.next_position_rad
-    standing = axis.velocity_rad_s == 0.0 and axis.next_velocity_rad_s == 0.0
+    target = commanded.next_position_rad
+    standing = commanded.velocity_rad_s == 0.0 and commanded.next_velocity_rad_s == 0.0
     if not standing:
         target += speed * lead + math.copysign(brake, speed)
         target = min(max(target, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad)
@@ -53,7 +52,7 @@ def whole_rpm(loop: Loop, joint: int, speed_rad_s: float, most_rpm: int) -> int:
     What rounding leaves out is carried over to the next period.
     """
     row, axis = loop.joints[joint], loop.axes[joint]
-    wanted_rpm = abs(speed_rad_s) * row.rpm_per_rad_s + axis.rpm_remainder
+    wanted_rpm = abs(speed_rad_s) * row.rpm_per_rad_s + axis.sent.rpm_remainder
     rpm = round(wanted_rpm)
-    axis.rpm_remainder = min(max(wanted_rpm - rpm, -1.0), 1.0)
+    axis.sent.rpm_remainder = min(max(wanted_rpm - rpm, -1.0), 1.0)
     return min(max(rpm, 1), most_rpm)

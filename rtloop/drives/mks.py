@@ -12,8 +12,6 @@ A request and its answer differ in length for every function that is heard here,
 Streaming: a target ahead, and a speed that sets the pace (`rtloop.drives.leading`), as with ZDT drives.
 """
 
-from typing import Any
-
 from config.drives.mks import FARTHEST_COUNTS
 from rtloop.drives import hearing, leading, words
 from rtloop.drives.mks_setup import (
@@ -28,12 +26,10 @@ from rtloop.drives.mks_setup import (
 )
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
+from rtloop.memory.state import Loop, Shared
 from rtloop.wire import outgoing
 from shm.jit import jit
 from shm.words import Unreferenced
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 
 @jit
@@ -109,7 +105,7 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
 @jit
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
     """Halt along the ramp and hold there; `F7` is not recommended above 1000 rpm, but alone ends homing runs."""
-    if loop.axes[joint].unreferenced_reason == Unreferenced.NOT_HOMED:
+    if loop.axes[joint].reference.unreferenced_reason == Unreferenced.NOT_HOMED:
         send(loop, shared, joint, EMERGENCY_STOP, 1)
     return send(loop, shared, joint, halt(loop, joint), 7, joint)
 
@@ -124,9 +120,9 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
 def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
     """Whether it is enabled and whether it has stalled, in turn; again what was bad the last time."""
     axis = loop.axes[joint]
-    asked = READ_STALLED if (loop.core.cycle // loop.params.joint_count) & 1 else READ_ENABLED
-    if axis.bad_statuses > 0:
-        asked = READ_STALLED if axis.status & status_bits.PROTECTED else READ_ENABLED
+    asked = READ_STALLED if (loop.timing.cycle // loop.params.joint_count) & 1 else READ_ENABLED
+    if axis.checks.bad_statuses > 0:
+        asked = READ_STALLED if axis.drive.status & status_bits.PROTECTED else READ_ENABLED
     send(loop, shared, joint, asked, 1)
 
 
@@ -154,10 +150,10 @@ def hear(
     if length == 8 and code == READ_POSITION:
         hearing.hear_position(loop, joint, counts_of(data) / row.reading_per_rad - row.zero_rad, time_ns)
     elif length == 3 and code == READ_ENABLED and value <= 1:
-        hearing.hear_status(loop, joint, axis.status & PROTECTION | value * status_bits.ENABLED)
-    elif length == 3 and code == READ_STALLED and value <= 1 and axis.status & status_bits.ANSWERED != 0:
-        stalled = status_bits.STALLED if axis.holds_stalled == 1 else PROTECTION
-        hearing.hear_status(loop, joint, axis.status & status_bits.ENABLED | value * stalled)
+        hearing.hear_status(loop, joint, axis.drive.status & PROTECTION | value * status_bits.ENABLED)
+    elif length == 3 and code == READ_STALLED and value <= 1 and axis.drive.status & status_bits.ANSWERED != 0:
+        stalled = status_bits.STALLED if axis.drive.holds_stalled == 1 else PROTECTION
+        hearing.hear_status(loop, joint, axis.drive.status & status_bits.ENABLED | value * stalled)
     elif length == 3 and code == MOVE and value in (REFUSED, STOPPED_AT_LIMIT):
         hearing.hear_refusal(loop, shared, joint, True)
 

@@ -1,11 +1,7 @@
 """No drive: nothing is sent and nothing heard; `rtloop.bus.frames.mirror` measures what is commanded."""
 
-from typing import Any
-
+from rtloop.memory.state import Loop, Shared
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 
 @jit

@@ -14,17 +14,14 @@ since it was told to let go (80), and does not say that its brake is locked afte
 (motors without a brake may say either).
 """
 
-from typing import Any
-
 from rtloop.drives import hearing, leading, words
 from rtloop.drives.myactuator_setup import ANGLE, FEEDBACK, SHUTDOWN, STATUS, STOP, TARGET
 from rtloop.memory import status as status_bits
+from rtloop.memory.axis import Axis
 from rtloop.memory.frame_words import STANDARD
+from rtloop.memory.state import Loop, Shared
 from rtloop.wire import outgoing
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 REQUEST_BASE = 0x140
 HIGHEST_SPEED_DPS = 0xFFFF
@@ -65,9 +62,9 @@ def command(loop: Loop, joint: int) -> int:
     row, axis = loop.joints[joint], loop.axes[joint]
     dps_per_rad_s = abs(row.command_per_rad) / STEPS_PER_DEGREE
     target, speed = leading.target_ahead(loop, joint, 0.5 / dps_per_rad_s)
-    wanted_dps = abs(speed) * dps_per_rad_s + axis.rpm_remainder * DPS_PER_RPM
+    wanted_dps = abs(speed) * dps_per_rad_s + axis.sent.rpm_remainder * DPS_PER_RPM
     speed_dps = round(wanted_dps)
-    axis.rpm_remainder = min(max(wanted_dps - speed_dps, -1.0), 1.0) / DPS_PER_RPM
+    axis.sent.rpm_remainder = min(max(wanted_dps - speed_dps, -1.0), 1.0) / DPS_PER_RPM
     angle = words.bounded((target + row.zero_rad) * row.command_per_rad, HIGHEST_ANGLE)
     return target_with_speed(angle, min(max(speed_dps, 1), HIGHEST_SPEED_DPS))
 
@@ -75,7 +72,7 @@ def command(loop: Loop, joint: int) -> int:
 @jit
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
     if outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, command(loop, joint)):
-        loop.axes[joint].led_cycle = loop.core.cycle
+        loop.axes[joint].sent.led_cycle = loop.timing.cycle
 
 
 @jit
@@ -93,8 +90,8 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
 def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
     """One that is led tells its speed and current by that; one that is not is asked for them every other time."""
     axis = loop.axes[joint]
-    turn = loop.core.cycle // loop.params.joint_count
-    silent = axis.led_cycle != loop.core.cycle and axis.bad_statuses == 0
+    turn = loop.timing.cycle // loop.params.joint_count
+    silent = axis.sent.led_cycle != loop.timing.cycle and axis.checks.bad_statuses == 0
     what = FEEDBACK if silent and turn & 1 else STATUS
     outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, what)
 
@@ -126,7 +123,7 @@ def hear(
             hearing.hear_effort(loop, joint, words.signed(data, 2, 2) * row.effort_per_unit)
         hearing.hear_velocity(loop, joint, words.signed(data, 4, 2) * STEPS_PER_DEGREE / row.reading_per_rad)
         if said == TARGET:
-            axis.let_go = 0
+            axis.drive.is_disabled = 0
     elif said == STATUS:
         hearing.hear_temperature(loop, joint, float(words.signed(data, 1, 1)))
         hearing.hear_voltage(loop, joint, words.unsigned(data, 4, 2) * VOLT_PER_STEP)
@@ -134,15 +131,15 @@ def hear(
             loop, joint, common_status(holds(axis, words.unsigned(data, 3, 1)), words.unsigned(data, 6, 2))
         )
     elif said == SHUTDOWN:
-        axis.let_go = 1
+        axis.drive.is_disabled = 1
 
 
 @jit
-def holds(axis: Any, brake: int) -> bool:
+def holds(axis: Axis, brake: int) -> bool:
     """Whether a motor that says so of its brake holds its shaft; see the head of this file."""
     if brake != 0:
-        axis.brake_released = 1
-    return bool(axis.let_go == 0 and (brake != 0 or axis.brake_released == 0))
+        axis.drive.brake_released = 1
+    return bool(axis.drive.is_disabled == 0 and (brake != 0 or axis.drive.brake_released == 0))
 
 
 @jit

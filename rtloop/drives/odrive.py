@@ -13,7 +13,6 @@ odriverobotics/ODrive reads what start_closed_loop_control in axis.cpp connects)
 """
 
 import math
-from typing import Any
 
 from rtloop.drives import following, hearing, words
 from rtloop.drives.odrive_setup import (
@@ -30,12 +29,10 @@ from rtloop.drives.odrive_setup import (
 )
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import REMOTE, STANDARD
+from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
 from rtloop.wire import outgoing
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 AHEAD_PER_UNIT = 1000.0
 MOST_AHEAD = 32_767
@@ -74,7 +71,7 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
     row, axis = loop.joints[joint], loop.axes[joint]
     position_rad, velocity_rad_s = following.setpoint(loop, joint)
     position_rad -= following.still_behind_rad(loop, joint, position_rad)
-    velocity_rad_s -= axis.behind_rad_s
+    velocity_rad_s -= axis.sent.behind_rad_s
     data = input_position((position_rad + row.zero_rad) * row.command_per_rad, velocity_rad_s * row.command_per_rad)
     outgoing.send(loop, shared, identifier(loop, joint, INPUT_POSITION), STANDARD, 8, data)
 
@@ -85,7 +82,7 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
     row, axis = loop.joints[joint], loop.axes[joint]
     if not guard.knows_where_it_stands(loop, joint):
         return True
-    data = input_position((axis.measured_rad + row.zero_rad) * row.command_per_rad, 0.0)
+    data = input_position((axis.measured.position_rad + row.zero_rad) * row.command_per_rad, 0.0)
     return bool(outgoing.send(loop, shared, identifier(loop, joint, INPUT_POSITION), STANDARD, 8, data, 0, joint))
 
 
@@ -98,7 +95,7 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
 @jit
 def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
     """Its status comes by itself; what else it measures is asked for in turn."""
-    turn = loop.core.cycle // loop.params.joint_count
+    turn = loop.timing.cycle // loop.params.joint_count
     what = CURRENT if turn & 1 and loop.joints[joint].effort_per_unit != 0.0 else BUS
     outgoing.send(loop, shared, identifier(loop, joint, what), REMOTE, ANSWER_BYTES, 0)
 
@@ -134,9 +131,9 @@ def hear(
         hearing.hear_effort(loop, joint, second * row.effort_per_unit)
     elif command == HEARTBEAT:
         error, state = words.unsigned(data, 0, 4), words.unsigned(data, 4, 1)
-        hearing.hear_status(loop, joint, common_status(loop.axes[joint].firmware, error, state))
+        hearing.hear_status(loop, joint, common_status(loop.axes[joint].drive.firmware, error, state))
     elif command == VERSION:
-        loop.axes[joint].firmware = words.unsigned(data, 4, 1) << 8 | words.unsigned(data, 5, 1)
+        loop.axes[joint].drive.firmware = words.unsigned(data, 4, 1) << 8 | words.unsigned(data, 5, 1)
 
 
 @jit
@@ -146,16 +143,16 @@ def tells_zeros(loop: Loop, joint: int, position_rad: float) -> bool:
     They are if the axis was just measured there, or has said since it was measured last that its loop is closed.
     """
     axis = loop.axes[joint]
-    if axis.firmware >= FIRMWARE_0_6:
+    if axis.drive.firmware >= FIRMWARE_0_6:
         return True
     if guard.knows_where_it_stands(loop, joint):
-        return bool(abs(position_rad - axis.measured_rad) <= loop.params.position_jump_rad)
-    return bool(axis.status & status_bits.ENABLED != 0 and axis.status_ns >= axis.measured_ns)
+        return bool(abs(position_rad - axis.measured.position_rad) <= loop.params.position_jump_rad)
+    return bool(axis.drive.status & status_bits.ENABLED != 0 and axis.drive.status_ns >= axis.measured.time_ns)
 
 
 @jit
 def common_status(firmware: int, error: int, state: int) -> int:
-    """The heartbeat's error word and axis state in common bits; `firmware` as in `rtloop.memory.state.AXIS`."""
+    """The heartbeat's error word and axis state in common bits; `firmware` as in `rtloop.memory.axis.DriveState`."""
     enabled = status_bits.ENABLED if state == CLOSED_LOOP else 0
     if firmware >= FIRMWARE_0_6:
         return words.meaning(error, ERRORS_0_6) | enabled

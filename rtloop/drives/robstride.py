@@ -21,7 +21,6 @@ that long and stops on the target, not faster than with speed × gain.
 """
 
 import math
-from typing import Any
 
 from config.drives.robstride import CONTROL, READ, TYPE_BIT, WRITE
 from rtloop.drives import following, hearing, leading, words
@@ -40,13 +39,11 @@ from rtloop.drives.robstride_setup import (
 )
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import EXTENDED
+from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.wire import outgoing
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 BITS = 16
 NO_TORQUE = 0x7FFF
@@ -118,7 +115,7 @@ def send_target(loop: Loop, joint: int, shared: Shared, speed: float, target: fl
 def told(loop: Loop, joint: int, sent: bool) -> bool:
     """What was sent is answered with its position."""
     if sent:
-        loop.axes[joint].asked_cycle = loop.core.cycle
+        loop.axes[joint].sent.asked_cycle = loop.timing.cycle
         hearing.note_question(loop, joint)
     return sent
 
@@ -128,7 +125,7 @@ def target_ahead(loop: Loop, joint: int) -> tuple[float, float]:
     """Target (rad) and speed limit (rad/s) of the joint for its own position loop; see the head of this file."""
     row, axis = loop.joints[joint], loop.axes[joint]
     target, speed = leading.target_ahead(loop, joint, 0.0)
-    if axis.velocity_rad_s == 0.0 and axis.next_velocity_rad_s == 0.0:
+    if axis.commanded.velocity_rad_s == 0.0 and axis.commanded.next_velocity_rad_s == 0.0:
         return target, ERROR_SPEED_SHARE * row.max_velocity_rad_s
     target += speed / row.position_gain_1_s
     return min(max(target, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad), abs(speed)
@@ -153,7 +150,7 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
     row, axis = loop.joints[joint], loop.axes[joint]
     if not guard.knows_where_it_stands(loop, joint):
         return True
-    here = (axis.measured_rad + row.zero_rad) * row.command_per_rad
+    here = (axis.measured.position_rad + row.zero_rad) * row.command_per_rad
     if row.position_gain_1_s == 0.0:
         return send_set_point(loop, joint, shared, here, 0.0, joint)
     speed = ERROR_SPEED_SHARE * row.max_velocity_rad_s * abs(row.command_per_rad)
@@ -162,7 +159,7 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
 
 @jit
 def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
-    if loop.axes[joint].asked_cycle == loop.core.cycle:
+    if loop.axes[joint].sent.asked_cycle == loop.timing.cycle:
         return
     frame_id = identifier(loop, joint, READ, loop.joints[joint].host_id)
     if outgoing.send(loop, shared, frame_id, EXTENDED, 8, POSITION):
@@ -176,8 +173,8 @@ def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
     That is to set the target of its speed mode, to rest.
     """
     host_id = loop.joints[joint].host_id
-    turn = loop.core.cycle // loop.params.joint_count
-    if loop.axes[joint].asked_cycle == loop.core.cycle or turn & 1:
+    turn = loop.timing.cycle // loop.params.joint_count
+    if loop.axes[joint].sent.asked_cycle == loop.timing.cycle or turn & 1:
         outgoing.send(loop, shared, identifier(loop, joint, READ, host_id), EXTENDED, 8, VOLTAGE)
     elif outgoing.send(
         loop, shared, identifier(loop, joint, WRITE, host_id), EXTENDED, 8, parameter(SPEED_TARGET, 0.0)
@@ -237,8 +234,8 @@ def beyond_its_field(loop: Loop, joint: int, angle_rad: float) -> float:
     """
     axis, row = loop.axes[joint], loop.joints[joint]
     field_rad = 2.0 * row.range_rad / abs(row.reading_per_rad)
-    jump_rad = angle_rad - axis.measured_rad
-    if axis.readings == 0 or abs(jump_rad) <= FIELD_SHARE * field_rad:
+    jump_rad = angle_rad - axis.measured.position_rad
+    if axis.measured.readings == 0 or abs(jump_rad) <= FIELD_SHARE * field_rad:
         return angle_rad
     return angle_rad - math.copysign(field_rad, jump_rad)
 

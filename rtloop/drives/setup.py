@@ -64,7 +64,7 @@ class Setup(Protocol):
     """The functions of such a file."""
 
     def fill(self, row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
-        """Put the numbers of the codec into a row of dtype memory.state.JOINT_PARAMS; the common ones are there."""
+        """Put the numbers of the codec into a row of `memory.axis.JointParams`; the common ones are there."""
 
     def bring_up(self, host: Host, joint: int) -> Part[Found]:
         """See that the drive answers, is what the arm file says, and holds where it stands; raises TalkFailed.

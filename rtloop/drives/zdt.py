@@ -18,19 +18,16 @@ Streaming: a target ahead, and a speed that sets the pace (`rtloop.drives.leadin
 """
 
 import math
-from typing import Any
 
 from rtloop.drives import hearing, leading
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import EXTENDED
+from rtloop.memory.state import Loop, Shared
 from rtloop.safety.agreed import steady_error_rad
 from rtloop.trajectory.correction import ERROR_SHARE_1_S
 from rtloop.wire import outgoing
 from shm.jit import jit
 from shm.words import Unreferenced
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 FAST_OFFSET_SHARE = 0.25
 """With FC the error moves the target, by no more than this share of what it is ahead of the setpoint."""
@@ -122,23 +119,24 @@ def fast_command(loop: Loop, joint: int) -> int:
     half of that below it: the target lies ahead of the plan by the way in which that speed is braked.
     """
     row, axis = loop.joints[joint], loop.axes[joint]
+    commanded, sent = axis.commanded, axis.sent
     period_s = loop.params.period_ns * 1e-9
     ramp = row.silence_deceleration_rad_s2
-    acceleration = axis.next_acceleration_rad_s2
+    acceleration = commanded.next_acceleration_rad_s2
     # the frame arrives command_delay_s into the cycle and is in force for one period from there
-    velocity = axis.next_velocity_rad_s + acceleration * row.command_delay_s
-    target = axis.next_position_rad
-    if axis.velocity_rad_s != 0.0 or axis.next_velocity_rad_s != 0.0:
+    velocity = commanded.next_velocity_rad_s + acceleration * row.command_delay_s
+    target = commanded.next_position_rad
+    if commanded.velocity_rad_s != 0.0 or commanded.next_velocity_rad_s != 0.0:
         share = min(abs(acceleration) / ramp, 1.0)
         speed = max(abs(velocity) - (1.0 - share * share) * ramp * period_s / 4.0, 0.0)
         brake = speed * speed / (2.0 * ramp)
         most = FAST_OFFSET_SHARE * (brake + abs(velocity) * period_s)
-        axis.fast_offset_rad += ERROR_SHARE_1_S * period_s * steady_error_rad(axis, 2.0 * row.slack_rad)
-        axis.fast_offset_rad = min(max(axis.fast_offset_rad, -most), most)
-        target += velocity * row.command_delay_s + math.copysign(brake, velocity) + axis.fast_offset_rad
+        sent.fast_offset_rad += ERROR_SHARE_1_S * period_s * steady_error_rad(axis, 2.0 * row.slack_rad)
+        sent.fast_offset_rad = min(max(sent.fast_offset_rad, -most), most)
+        target += velocity * row.command_delay_s + math.copysign(brake, velocity) + sent.fast_offset_rad
         target = min(max(target, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad)
     else:
-        axis.fast_offset_rad = 0.0
+        sent.fast_offset_rad = 0.0
     return pack_fast_target(to_pulses(loop, joint, target))
 
 
@@ -217,7 +215,7 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
     """Tell a drive to stop where it is; False when there is no room for that."""
     frame_id = loop.joints[joint].address << 8
-    if loop.axes[joint].unreferenced_reason == Unreferenced.NOT_HOMED:
+    if loop.axes[joint].reference.unreferenced_reason == Unreferenced.NOT_HOMED:
         # it may be amid a run, which a stop need not end
         outgoing.send(loop, shared, frame_id, EXTENDED, 3, END_HOMING)
     return bool(outgoing.send(loop, shared, frame_id, EXTENDED, 4, STOP, 0, joint))
@@ -232,7 +230,7 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
 @jit
 def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
     """Why its protection has tripped is asked first, so that it is known when its status is believed."""
-    if loop.axes[joint].status & status_bits.PROTECTED:
+    if loop.axes[joint].drive.status & status_bits.PROTECTED:
         outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_CAUSE)
     outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_STATUS)
 
@@ -261,9 +259,9 @@ def hear(
     elif kind == STATUS:
         axis = loop.axes[joint]
         if value & status_bits.PROTECTED == 0:
-            axis.error_code = 0
-        hearing.hear_status(loop, joint, value | axis.error_code)
+            axis.drive.error_code = 0
+        hearing.hear_status(loop, joint, value | axis.drive.error_code)
     elif kind == CAUSE:
-        loop.axes[joint].error_code = value
+        loop.axes[joint].drive.error_code = value
     elif kind == REFUSED:
         hearing.hear_refusal(loop, shared, joint, value in (MOVE, FAST_MOVE))

@@ -1,15 +1,11 @@
 """Writing to the event ring and to the tables of results and answers."""
 
-from typing import Any
-
-from rtloop.memory.state import offset_of
+from rtloop.memory.record import offset_of
+from rtloop.memory.state import Loop, Shared
 from shm import layout
 from shm.atomics import load_relaxed, store_release
 from shm.jit import jit
 from shm.words import Event
-
-Loop = Any
-Shared = Any  # record of dtype shm.layout.STATE
 
 _EVENTS_WRITTEN_AT = offset_of(layout.STATE, "events_written")
 
@@ -30,7 +26,7 @@ def record_event(
     head = loop.params.state_address + _EVENTS_WRITTEN_AT
     written = load_relaxed(head)
     event = shared.events[written & (layout.EVENT_SLOTS - 1)]
-    event.monotonic_ns = loop.core.now_ns
+    event.monotonic_ns = loop.timing.now_ns
     event.kind = kind
     event.joint = joint
     event.code = code
@@ -44,15 +40,15 @@ def record_event(
 @jit
 def set_result(loop: Loop, shared: Shared, goal_id: int, outcome: int, joint: int, value: float, limit: float) -> None:
     """Append to the table of results; the oldest decision is overwritten, whichever goal's it is."""
-    result = loop.snapshot.results[loop.core.results_decided & (layout.RESULT_SLOTS - 1)]
-    loop.core.results_decided += 1
+    result = loop.snapshot.results[loop.published.results_decided & (layout.RESULT_SLOTS - 1)]
+    loop.published.results_decided += 1
     result.goal_id = goal_id
     result.outcome = outcome
     result.joint = joint
     result.value = value
     result.limit = limit
-    result.monotonic_ns = loop.core.now_ns
-    loop.core.decisions_shown = 0
+    result.monotonic_ns = loop.timing.now_ns
+    loop.published.decisions_shown = 0
     record_event(loop, shared, Event.RESULT, joint, outcome, value, limit)
 
 
@@ -62,5 +58,5 @@ def answer_request(loop: Loop, shared: Shared, sequence: int, kind: int, answer:
     row = loop.snapshot.answers[sequence & (layout.ANSWER_SLOTS - 1)]
     row.sequence = sequence
     row.answer = answer
-    loop.core.decisions_shown = 0
+    loop.published.decisions_shown = 0
     record_event(loop, shared, Event.REQUEST, -1, answer, float(sequence), float(kind))

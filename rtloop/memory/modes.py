@@ -6,14 +6,10 @@ holding ⇄ referencing
 any of them → fault → bringing_up (an explicit clear does too)
 """
 
-from typing import Any
-
 from rtloop.memory.events import record_event
+from rtloop.memory.state import Loop, Shared
 from shm.jit import jit
 from shm.words import Event, Mode
-
-Loop = Any
-Shared = Any
 
 ALLOWED = {
     Mode.OFFLINE: (Mode.BRINGING_UP, Mode.FAULT),
@@ -39,11 +35,10 @@ def is_limp(mode: int) -> bool:
 @jit
 def change_mode(loop: Loop, shared: Shared, mode: int) -> bool:
     """Go to a mode if the table allows it; says whether it did."""
-    core = loop.core
-    if (_ALLOWED_BITS[core.mode] >> mode) & 1 == 0:
+    if (_ALLOWED_BITS[loop.mode] >> mode) & 1 == 0:
         return False
-    core.mode = mode
+    loop.mode = mode
     if mode != Mode.REFERENCING and mode != Mode.HOLDING:
-        core.pose_due_ns = 0
+        loop.dialogue.pose_due_ns = 0
     record_event(loop, shared, Event.MODE, -1, mode, 0.0, 0.0)
     return True

@@ -6,18 +6,14 @@ its writer died, by its check sum, whatever order their processor reads in. The 
 that only the recorder's few words are summed again.
 """
 
-from typing import Any
-
 from rtloop.memory.frame_words import EXTENDED, REMOTE
-from rtloop.memory.state import LOOP, offset_of
+from rtloop.memory.record import offset_of
+from rtloop.memory.state import LOOP, Loop, Shared
 from shm import layout, recording
 from shm.atomics import load_relaxed, store_relaxed, store_release
 from shm.jit import jit
 from shm.seqlock import copy_words, crc32_at
 from shm.words import Outcome, Phase, Slowed
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 SENT = recording.SENT
 
@@ -45,13 +41,12 @@ frame_check = jit(recording.frame_check)
 @jit
 def slowed(loop: Loop) -> int:
     """Why the arm is slowed down or stopped, as bits of shm.words.Slowed."""
-    core = loop.core
-    why = core.slowed
-    if loop.paths[core.active].phase == Phase.PAUSED:
+    why = loop.goals.slowed
+    if loop.paths[loop.goals.active].phase == Phase.PAUSED:
         why |= _HELD
-    if core.closing == 1:
+    if loop.motion.closing == 1:
         why |= _CLOSING
-    if core.own_brake == 1:
+    if loop.motion.per_joint_stop == 1:
         why |= _OWN_BRAKE
     return why
 
@@ -59,20 +54,20 @@ def slowed(loop: Loop) -> int:
 @jit
 def record_cycle(loop: Loop, shared: Shared) -> None:
     """Keep this cycle, whose snapshot has just been made and summed; allocates nothing, waits for nobody."""
-    core, params, record = loop.core, loop.params, loop.record
+    params, record = loop.params, loop.record
     slots = shared.recorder.record_slots
     if slots == 0:
         return
     head = params.state_address + _RECORDS_WRITTEN
     number = load_relaxed(head)
     record.number = number
-    record.lateness_ns = core.lateness_ns
-    record.cycle_time_ns = core.cycle_time_ns
+    record.lateness_ns = loop.timing.lateness_ns
+    record.cycle_time_ns = loop.timing.cycle_time_ns
     record.heartbeat_ns = load_relaxed(params.command_address + _HEARTBEAT)
     record.slowed = slowed(loop)
-    running = loop.paths[core.active]
+    running = loop.paths[loop.goals.active]
     record.ending = running.reason if running.phase == Phase.STOPPING else Outcome.NONE
-    record.decisions_crc = core.decisions_crc
+    record.decisions_crc = loop.published.decisions_crc
     own = params.address + _RECORD
     copy_words(own + _OWN_COUNTED, params.state_address + _COUNTED, _COUNTED_WORDS)
     record.crc = crc32_at(own + _NUMBER, _OWN_WORDS, loop.snapshot.crc)

@@ -15,15 +15,8 @@ from config.serial_adapters import SERIAL_ADAPTERS
 from rtloop.drives.setup import homes_by_a_run, setup_of
 from rtloop.kept.saved import PSEUDO_TERMINALS
 from rtloop.memory.frame_words import EXTENDED, STANDARD
-from rtloop.memory.state import (
-    CAN_FRAME_BYTES,
-    GRIPPER,
-    LISTENERS,
-    LOOP,
-    PARAMS,
-    PART,
-    WIRES,
-)
+from rtloop.memory.link import CAN_FRAME_BYTES, GRIPPER, LISTENERS, WIRES, Part
+from rtloop.memory.state import LOOP, Params
 from shm import layout
 from shm.words import Mode, Unreferenced
 
@@ -34,13 +27,13 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
     The addresses are those of mapped memory of dtypes layout.STATE and layout.COMMAND, which must outlive it.
     """
     loop = np.zeros(1, LOOP)
-    params, core = loop[0]["params"], loop[0]["core"]
+    memory, params = loop[0], loop[0]["params"]
     params["address"] = loop.ctypes.data
     params["state_address"] = state_address
     params["command_address"] = command_address
     _fill_params(params, arm)
     loop[0]["wire"]["fd"] = loop[0]["wire"]["fd_in_use"] = -1
-    lay_out_messages(loop[0]["tx_messages"], loop[0]["tx_parts"], loop[0]["tx"])
+    lay_out_messages(loop[0]["outgoing"]["messages"], loop[0]["outgoing"]["parts"], loop[0]["outgoing"]["bytes"])
     reader = loop[0]["reader"]
     lay_out_messages(reader["messages"], reader["parts"], reader["bytes"])
     if arm.gripper is not None and arm.gripper.servo is not None:
@@ -55,15 +48,16 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
     for index, joint in enumerate(arm.joints):
         _fill_joint(loop[0]["joints"][index], joint, arm, index)
         axis = loop[0]["axes"][index]
-        axis["unreferenced_reason"] = Unreferenced.NOT_BROUGHT_UP
-        axis["measured_rad"] = math.nan
-        axis["reference_rad"] = math.nan
-        for measured in ("told_velocity_rad_s", "effort_nm", "temperature_c", "voltage_v"):
-            axis[measured] = math.nan
-    core["mode"] = Mode.OFFLINE
-    core["epoch"] = time.monotonic_ns()  # no other control process begins with the same
-    core["fault_joint"] = core["referencing_joint"] = -1
-    core["rate"] = core["rate_target"] = core["speed_scale"] = core["entry_rate"] = 1.0
+        axis["reference"]["unreferenced_reason"] = Unreferenced.NOT_BROUGHT_UP
+        axis["measured"]["position_rad"] = math.nan
+        axis["tracking"]["reference_rad"] = math.nan
+        for measured in ("velocity_rad_s", "effort_nm", "temperature_c", "voltage_v"):
+            axis["drive"][measured] = math.nan
+    memory["mode"] = Mode.OFFLINE
+    memory["goals"]["epoch"] = time.monotonic_ns()  # no other control process begins with the same
+    memory["fault"]["joint"] = memory["dialogue"]["referencing_joint"] = -1
+    memory["clock"]["rate"] = memory["clock"]["rate_target"] = memory["goals"]["entry_rate"] = 1.0
+    memory["people"]["speed_scale"] = 1.0
     return loop
 
 
@@ -71,7 +65,7 @@ def show_limits(limits: np.void, loop: np.ndarray) -> None:
     """Say in the state file (a record of dtype layout.LIMITS) what the arm may do."""
     params, joints = loop[0]["params"], loop[0]["joints"]
     for name in layout.LIMITS.names or ():
-        if name in (PARAMS.names or ()):
+        if name in (Params.dtype.names or ()):
             limits[name] = params[name]
     for name in ("lower_rad", "upper_rad", "max_velocity_rad_s", "max_acceleration_rad_s2"):
         limits["joints"][name] = joints[name]
@@ -91,7 +85,7 @@ def lay_out_messages(messages: np.ndarray, parts: np.ndarray, data: np.ndarray) 
     """Prepare a batch of messages once: the only part of each is its CAN frame in `data`."""
     parts["address"] = data.ctypes.data + CAN_FRAME_BYTES * np.arange(len(parts))
     parts["length"] = CAN_FRAME_BYTES
-    messages["parts"] = parts.ctypes.data + PART.itemsize * np.arange(len(parts))
+    messages["parts"] = parts.ctypes.data + Part.dtype.itemsize * np.arange(len(parts))
     messages["part_count"] = 1
 
 

@@ -19,7 +19,7 @@ from rtloop.dialogues.healing import Healing
 from rtloop.dialogues.referencing import Referencing, referencing_asked_for
 from rtloop.dialogues.release import Release
 from rtloop.kept import commissioned, saved
-from rtloop.memory.state import offset_of
+from rtloop.memory.record import offset_of
 from rtloop.process.beginning import new_loop, show_drives, show_limits
 from rtloop.process.compiled import CompiledCycle
 from rtloop.process.opening import OpenWire, close_wire, keeps_frames, lost_bytes, open_wire, unsent_bytes
@@ -149,7 +149,7 @@ class ControlProcess:
         counts = {
             joint: self._steps(joint)
             for joint in range(len(self._arm.joints))
-            if axes[joint]["referenced"] == 1 and axes[joint]["readings"] > 0
+            if axes[joint]["reference"]["referenced"] == 1 and axes[joint]["measured"]["readings"] > 0
         }
         try:
             saved.save(self._arm, counts)
@@ -160,7 +160,7 @@ class ControlProcess:
         """Where the joint stands, in steps of what its drive tells."""
         row, axis = self._loop[0]["joints"][joint], self._loop[0]["axes"][joint]
         step_rad = math.copysign(row["reading_step_rad"], row["reading_per_rad"])
-        return round(float((axis["measured_rad"] + row["zero_rad"]) / step_rad))
+        return round(float((axis["measured"]["position_rad"] + row["zero_rad"]) / step_rad))
 
     def serve_offline(self, work: Callable[[ServicePort, Callable[[], None]], None]) -> int:
         """Do `work` beside a cycle that stays offline: nothing is brought up, and the cycle itself moves nothing.
@@ -198,7 +198,7 @@ class ControlProcess:
         if self._wire is not None:
             self._start_reader()
         self._start(self._cycle)  # the last: it publishes what both were given
-        while int(self._core["cycle"]) == 0 and self._cycle.is_alive():
+        while int(self._memory["timing"]["cycle"]) == 0 and self._cycle.is_alive():
             time.sleep(FIRST_CYCLE_POLL_S)  # compiled code is being loaded; no conversation may count that time
         for complaint in self._obtained.complaints:
             self._tell(complaint)
@@ -325,9 +325,9 @@ class ControlProcess:
     # --- supervision
 
     @property
-    def _core(self) -> np.void:
-        core: np.void = self._loop[0]["core"]
-        return core
+    def _memory(self) -> np.void:
+        memory: np.void = self._loop[0]
+        return memory
 
     def _bring_up(
         self,
@@ -337,7 +337,7 @@ class ControlProcess:
         lost_before: Mapping[int, Unreferenced] | None = None,
         heals: bool = False,
     ) -> BringUp:
-        measured = self._loop[0]["axes"]["measured_rad"][: len(self._arm.joints)]
+        measured = self._loop[0]["axes"]["measured"]["position_rad"][: len(self._arm.joints)]
         known = [0.0 if np.isnan(position) else float(position) for position in measured]
         return BringUp(
             self._arm,
@@ -362,12 +362,12 @@ class ControlProcess:
     def _keep_lost(self, joint: int, reason: Unreferenced | None) -> None:
         """For who homes and references; what the cycle says of the joint until it is told is no news then."""
         saved.keep_lost_reference(self._arm, joint, reason)
-        self._lost_references[joint] = Unreferenced(self._loop[0]["axes"][joint]["unreferenced_reason"])
+        self._lost_references[joint] = Unreferenced(self._loop[0]["axes"][joint]["reference"]["unreferenced_reason"])
 
     def _keep_newly_lost(self) -> None:
         """The next process is to know of each reference that is lost, however this one ends."""
         axes = self._loop[0]["axes"][: len(self._arm.joints)]
-        words = enumerate(zip(axes["referenced"], axes["unreferenced_reason"], strict=True))
+        words = enumerate(zip(axes["reference"]["referenced"], axes["reference"]["unreferenced_reason"], strict=True))
         lost = {
             joint: Unreferenced(reason)
             for joint, (referenced, reason) in words
@@ -389,15 +389,15 @@ class ControlProcess:
 
     def _asked_for(self) -> Conversation | None:
         """The conversation that the cycle asks for next, begun; None where it asks for none."""
-        core, now_ns = self._core, time.monotonic_ns()
-        if int(core["bring_up_asked"]) == 1:
-            core["bring_up_asked"] = 0
+        dialogue, now_ns = self._memory["dialogue"], time.monotonic_ns()
+        if int(dialogue["bring_up_asked"]) == 1:
+            dialogue["bring_up_asked"] = 0
             return self._bring_up(clears_protection=True)
-        if int(core["release_asked"]) == 1:
-            core["release_asked"] = 0  # taken back by the cycle when the drives are enabled meanwhile
+        if int(dialogue["release_asked"]) == 1:
+            dialogue["release_asked"] = 0  # taken back by the cycle when the drives are enabled meanwhile
             self._held_rad.clear()
             return Release(self._arm, self._port, now_ns=now_ns)
-        if not self._stop_asked.yes and (core["home_asked"] or core["reference_asked"]):
+        if not self._stop_asked.yes and (dialogue["home_asked"] or dialogue["reference_asked"]):
             return referencing_asked_for(
                 self._arm, self._loop, self._port, now_ns, self._tell, self._keep_lost, self._marks
             )
@@ -433,7 +433,7 @@ class ControlProcess:
                 healed = healing.succeeded(talk, time.monotonic_ns())
                 talk = self._bring_up(clears_protection=False, heals=True) if healed else None
             # a fault before the end of the first bring-up, such as a wire that went, becomes its failure
-            if first and talk is None and int(self._core["mode"]) not in (Mode.OFFLINE, Mode.BRINGING_UP):
+            if first and talk is None and int(self._memory["mode"]) not in (Mode.OFFLINE, Mode.BRINGING_UP):
                 self._keep_newly_lost()  # before that is gone by which it was found
                 saved.forget_counts(self._arm)
                 self._brought_up = True
@@ -444,13 +444,15 @@ class ControlProcess:
                 talk = self._asked_for()
             if talk is None and not first and not self._stop_asked.yes:
                 talk = healing.begin(time.monotonic_ns())
-            if isinstance(talk, Referencing) and (self._stop_asked.yes or int(self._core["referencing_ends"]) == 1):
+            if isinstance(talk, Referencing) and (
+                self._stop_asked.yes or int(self._memory["dialogue"]["referencing_ends"]) == 1
+            ):
                 talk.end()
             if not self._cycle.is_alive():
                 return 3
             if self._stop_asked.yes:
                 if closing_until_s == 0.0:
-                    self._core["closing"] = 1
+                    self._memory["motion"]["closing"] = 1
                     if self._gripper is not None and self._gripper.moves:
                         self._gripper.stop()
                     closing_until_s = now_s + self._arm.patience.shutdown_s
@@ -488,5 +490,5 @@ class ControlProcess:
     def _stands(self) -> bool:
         """Whether nothing is commanded to move any more."""
         axes = self._loop[0]["axes"][: len(self._arm.joints)]
-        moving = bool(np.any(axes["velocity_rad_s"] != 0.0))
-        return not moving and int(self._loop[0]["paths"][int(self._core["active"])]["phase"]) == Phase.NONE
+        moving = bool(np.any(axes["commanded"]["velocity_rad_s"] != 0.0))
+        return not moving and int(self._memory["paths"][int(self._memory["goals"]["active"])]["phase"]) == Phase.NONE

@@ -9,7 +9,9 @@ from typing import Any
 
 from rtloop.cycle import step
 from rtloop.memory.events import record_event
-from rtloop.memory.state import CAN_FRAME_BYTES, LOOP, READ_BYTES, RX_FRAMES, WIRE_SOCKETCAN, offset_of
+from rtloop.memory.link import CAN_FRAME_BYTES, READ_BYTES, RX_FRAMES, WIRE_SOCKETCAN
+from rtloop.memory.record import offset_of
+from rtloop.memory.state import LOOP, Loop, Shared
 from rtloop.system.libc import (
     CLOCK_BOOTTIME,
     CLOCK_MONOTONIC,
@@ -36,14 +38,11 @@ from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
 from shm.jit import jit
 from shm.words import BusState, Event
 
-Loop = Any
-Shared = Any
-
-_TX = offset_of(LOOP, "tx")
+_TX = offset_of(LOOP, "outgoing", "bytes")
 _STOP = offset_of(LOOP, "stop")
 _WAKE_UP = offset_of(LOOP, "wake_up")
-_CLOCK = offset_of(LOOP, "clock")
-_TX_MESSAGES = offset_of(LOOP, "tx_messages")
+_CLOCK = offset_of(LOOP, "clock_read")
+_TX_MESSAGES = offset_of(LOOP, "outgoing", "messages")
 _FD = offset_of(LOOP, "wire", "fd")
 _FD_IN_USE = offset_of(LOOP, "wire", "fd_in_use")
 _READER_CLOCK = offset_of(LOOP, "received", "arrived", "clock")
@@ -110,7 +109,7 @@ def take_over_wire(loop: Loop, shared: Shared) -> int:
     if fd != load_relaxed(base + _FD_IN_USE):
         outgoing.forget(loop, shared)
         wires.forget_half_frames(loop)
-        if fd >= 0 and loop.core.cycle > 0:
+        if fd >= 0 and loop.timing.cycle > 0:
             shared.counters.bus_state = BusState.ACTIVE
             record_event(loop, shared, Event.WIRE, -1, 0, 0.0, 0.0)
         store_release(base + _FD_IN_USE, fd)
@@ -123,12 +122,12 @@ def send_bytes(loop: Loop, shared: Shared, fd: int) -> None:
 
     A batch that ends early does not say why; the next cycle's will, if the reason lasts.
     """
-    base, core = loop.params.address, loop.core
+    base = loop.params.address
     if loop.params.wire == WIRE_SOCKETCAN:
-        sent = sendmmsg(fd, base + _TX_MESSAGES, core.tx_frames, MSG_DONTWAIT)
+        sent = sendmmsg(fd, base + _TX_MESSAGES, loop.outgoing.frames, MSG_DONTWAIT)
         taken = sent * CAN_FRAME_BYTES
     else:
-        sent = write(fd, base + _TX, core.tx_length)
+        sent = write(fd, base + _TX, loop.outgoing.length)
         taken = sent
     if sent < 0:
         error = load_int32(errno_location())
@@ -151,8 +150,8 @@ def follow_epoch(loop: Loop, woke_ns: int) -> None:
     after_ns = monotonic_ns(clock)
     offset_ns = epoch_ns - (woke_ns + after_ns) // 2
     doubt_ns = after_ns - woke_ns
-    if doubt_ns < EPOCH_WITHIN_NS or abs(offset_ns - loop.core.epoch_offset_ns) > doubt_ns:
-        loop.core.epoch_offset_ns = offset_ns
+    if doubt_ns < EPOCH_WITHIN_NS or abs(offset_ns - loop.timing.epoch_offset_ns) > doubt_ns:
+        loop.timing.epoch_offset_ns = offset_ns
 
 
 @jit
@@ -169,14 +168,14 @@ def run(loop: Loop, shared: Shared) -> None:
         follow_epoch(loop, woke_ns)
         lateness_ns = woke_ns - deadline_ns
         record(shared.lateness, lateness_ns)
-        loop.core.lateness_ns = lateness_ns
+        loop.timing.lateness_ns = lateness_ns
         if lateness_ns >= period_ns:
             missed = lateness_ns // period_ns
             shared.counters.overruns += missed
             deadline_ns += missed * period_ns
         suspended_now_ns = suspended_ns(clock)
         if suspended_now_ns - suspended_before_ns > period_ns:
-            loop.core.suspended_ns = suspended_now_ns - suspended_before_ns
+            loop.timing.suspended_ns = suspended_now_ns - suspended_before_ns
             suspended_before_ns = suspended_now_ns
         fd = take_over_wire(loop, shared)
         count = step(loop, shared, deadline_ns)
@@ -184,8 +183,8 @@ def run(loop: Loop, shared: Shared) -> None:
             outgoing.forget(loop, shared)
         elif count > 0:
             send_bytes(loop, shared, fd)
-        loop.core.cycle_time_ns = monotonic_ns(clock) - woke_ns
-        record(shared.cycle_time, loop.core.cycle_time_ns)
+        loop.timing.cycle_time_ns = monotonic_ns(clock) - woke_ns
+        record(shared.cycle_time, loop.timing.cycle_time_ns)
         deadline_ns += period_ns
 
 

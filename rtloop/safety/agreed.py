@@ -1,8 +1,8 @@
 """What two readings say together: the serial line has no checksum, so one alone may be garbled."""
 
 import math
-from typing import Any
 
+from rtloop.memory.axis import Axis
 from shm.jit import jit
 
 
@@ -15,29 +15,29 @@ def agreed(now: float, before: float) -> float:
 
 
 @jit
-def agreed_error_rad(axis: Any) -> float:
+def agreed_error_rad(axis: Axis) -> float:
     """How far the joint is from its setpoint as the last two readings agree."""
-    return float(agreed(axis.reference_rad - axis.measured_rad, axis.error_before_rad))
+    return float(agreed(axis.tracking.reference_rad - axis.measured.position_rad, axis.tracking.error_before_rad))
 
 
 @jit
-def steady_error_rad(axis: Any, noise_rad: float) -> float:
+def steady_error_rad(axis: Axis, noise_rad: float) -> float:
     """The error to correct: the last one, or what two readings agree on if they differ by more than their noise.
 
     Agreement alone would leave a joint that swings about its setpoint to itself, and roughen slow motion.
     """
-    now_rad = float(axis.reference_rad - axis.measured_rad)
-    return now_rad if abs(now_rad - axis.error_before_rad) <= noise_rad else float(agreed_error_rad(axis))
+    now_rad = float(axis.tracking.reference_rad - axis.measured.position_rad)
+    return now_rad if abs(now_rad - axis.tracking.error_before_rad) <= noise_rad else float(agreed_error_rad(axis))
 
 
 @jit
-def agreed_error_rad_s(axis: Any) -> float:
+def agreed_error_rad_s(axis: Axis) -> float:
     """The same of its velocity."""
-    now = axis.reference_velocity_rad_s - axis.measured_velocity_rad_s
-    return float(agreed(now, axis.velocity_error_before_rad_s))
+    now = axis.tracking.reference_velocity_rad_s - axis.measured.velocity_rad_s
+    return float(agreed(now, axis.tracking.velocity_error_before_rad_s))
 
 
 @jit
-def agreed_error_rad_s2(axis: Any) -> float:
+def agreed_error_rad_s2(axis: Axis) -> float:
     """The same of its acceleration, which is smoothed."""
-    return float(agreed(axis.error_acceleration_rad_s2, axis.error_acceleration_before_rad_s2))
+    return float(agreed(axis.tracking.error_acceleration_rad_s2, axis.tracking.error_acceleration_before_rad_s2))

@@ -1,15 +1,11 @@
 """Latching a fault: the first one stands until it is cleared, and the arm brakes."""
 
-from typing import Any
-
 from rtloop.memory.events import record_event
 from rtloop.memory.modes import change_mode
-from rtloop.trajectory.phases import end_waiting, runs, stop_running, tell_why_it_stops
+from rtloop.memory.state import Loop, Shared
+from rtloop.trajectory.phases import raise_epoch, runs, stop_running, tell_why_it_stops
 from shm.jit import jit
 from shm.words import Event, Fault, Mode, Outcome
-
-Loop = Any
-Shared = Any
 
 
 @jit
@@ -32,23 +28,31 @@ def latch_fault(
 
     `silent` (bit n: joint n) and `evidence` (bits of shm.words.Evidence) are for its sentence, where drives are silent.
     """
-    core = loop.core
-    if core.fault != Fault.NONE:
+    if loop.fault.code != Fault.NONE:
         return
-    core.fault = fault
-    core.fault_joint = joint
-    core.fault_value = value
-    core.fault_limit = limit
-    core.fault_ns = core.now_ns
-    core.fault_silent = silent
-    core.fault_evidence = evidence
-    core.referencing_ends = 1
+    loop.fault.code = fault
+    loop.fault.joint = joint
+    loop.fault.value = value
+    loop.fault.limit = limit
+    loop.fault.latched_ns = loop.timing.now_ns
+    loop.fault.silent = silent
+    loop.fault.evidence = evidence
+    loop.dialogue.referencing_ends = 1
     record_event(loop, shared, Event.FAULT, joint, fault, value, limit, silent, evidence)
     change_mode(loop, shared, Mode.FAULT)
     if not path_is_trusted(fault):
-        core.own_brake = 1
-    core.epoch += 1
-    end_waiting(loop, shared, Outcome.FAULT, joint, value, limit)
+        loop.motion.per_joint_stop = 1
+    raise_epoch(loop, shared, Outcome.FAULT, joint, value, limit)
     stop_running(loop, Outcome.FAULT, joint, value, limit)
     if runs(loop):
         tell_why_it_stops(loop, shared)
+
+
+@jit
+def forget_fault(loop: Loop) -> None:
+    """It is cleared."""
+    fault = loop.fault
+    fault.code = Fault.NONE
+    fault.joint = -1
+    fault.value = fault.limit = 0.0
+    fault.silent = fault.evidence = 0

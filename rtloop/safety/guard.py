@@ -5,25 +5,22 @@ last good one.
 """
 
 import math
-from typing import Any
 
 from config.frames import ADAPTER_FRAMES
 from rtloop.memory import status as status_bits
+from rtloop.memory.axis import FAMILY_MOCK, FRESH_READINGS
 from rtloop.memory.events import record_event
 from rtloop.memory.modes import is_limp
-from rtloop.memory.state import FAMILY_MOCK, FRESH_READINGS
+from rtloop.memory.state import Loop, Shared
 from rtloop.safety import silence
 from rtloop.safety.agreed import agreed_error_rad, agreed_error_rad_s, agreed_error_rad_s2
 from rtloop.safety.faults import latch_fault
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.trajectory.limits import at_rest, hardest_rad_s2, highest_rad_s
 from rtloop.trajectory.path import in_goal
-from rtloop.trajectory.phases import stop_running
+from rtloop.trajectory.phases import slow_down, stop_running
 from shm.jit import jit
 from shm.words import Event, Fault, Mode, Outcome, Phase, Slowed, Unreferenced
-
-Loop = Any
-Shared = Any
 
 _LATE_DRIVE = int(Slowed.LATE_DRIVE)
 
@@ -50,16 +47,17 @@ def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
     period_s = params.period_ns * 1e-9
     for joint in range(params.joint_count):
         row, axis = loop.joints[joint], loop.axes[joint]
-        p = axis.next_position_rad
-        if not (math.isfinite(p) and math.isfinite(axis.next_velocity_rad_s)):
+        commanded = axis.commanded
+        p = commanded.next_position_rad
+        if not (math.isfinite(p) and math.isfinite(commanded.next_velocity_rad_s)):
             latch_fault(loop, shared, Fault.NOT_FINITE, joint, p, 0.0)
             return False
         low, high = row.lower_rad - row.slack_rad, row.upper_rad + row.slack_rad
         # a joint that was found outside may move in
-        if (p < low and p < axis.position_rad) or (p > high and p > axis.position_rad):
+        if (p < low and p < commanded.position_rad) or (p > high and p > commanded.position_rad):
             latch_fault(loop, shared, Fault.POSITION_LIMIT, joint, p, low if p < low else high)
             return False
-        velocity = (p - axis.position_rad) / period_s
+        velocity = (p - commanded.position_rad) / period_s
         stop = p + way_to_rest(velocity, hardest_rad_s2(loop, joint), period_s)
         if (velocity > 0.0 and stop > high + BESIDE_RAD) or (velocity < 0.0 and stop < low - BESIDE_RAD):
             latch_fault(loop, shared, Fault.POSITION_LIMIT, joint, stop, low if velocity < 0.0 else high)
@@ -68,7 +66,7 @@ def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
         if abs(velocity) > limit:
             latch_fault(loop, shared, Fault.VELOCITY_LIMIT, joint, velocity, limit)
             return False
-        acceleration = (velocity - axis.difference_velocity_rad_s) / period_s
+        acceleration = (velocity - commanded.difference_velocity_rad_s) / period_s
         limit = hardest_rad_s2(loop, joint)
         # one step of a position in double precision, differenced twice, is not an acceleration
         if abs(acceleration) > limit + 1e-15 / (period_s * period_s):
@@ -96,38 +94,39 @@ def check_measured(loop: Loop, shared: Shared) -> None:
     A drive that ran on while the loop was away is not to blame for the distance (`slip_rad`): the error share
     in the speed field takes it back at the rate at which that allowance decays.
     """
-    core, params = loop.core, loop.params
-    core.slowed &= ~_LATE_DRIVE
+    params = loop.params
+    slow_down(loop, _LATE_DRIVE, False)
     for joint in range(params.joint_count):
         axis = loop.axes[joint]
-        if axis.referenced == 0:
+        drive = axis.drive
+        if axis.reference.referenced == 0:
             continue
         age_ns = silent_ns(loop, joint)
         if age_ns > params.stale_brake_ns:
-            core.slowed |= _LATE_DRIVE
+            slow_down(loop, _LATE_DRIVE, True)
             shared.counters.stale_reads += 1
         if age_ns > params.stale_fault_ns:
             lose_reference(loop, shared, joint, Unreferenced.SILENT)
             latch_silence(loop, shared, joint, age_ns)
             continue
-        if axis.bad_statuses >= STATUSES_TO_BELIEVE and not let_go_on_purpose(loop, axis.status):
-            if axis.status & status_bits.POWER_LOST:
+        if axis.checks.bad_statuses >= STATUSES_TO_BELIEVE and not let_go_on_purpose(loop, drive.status):
+            if drive.status & status_bits.POWER_LOST:
                 lose_reference(loop, shared, joint, Unreferenced.POWER_LOST)
                 latch_fault(loop, shared, Fault.REFERENCE_LOST, joint, 0.0, 0.0)
                 continue
-            latch_fault(loop, shared, Fault.DRIVE_FAULT, joint, float(axis.status), 0.0)
+            latch_fault(loop, shared, Fault.DRIVE_FAULT, joint, float(drive.status), 0.0)
         timeout_ns = loop.joints[joint].status_timeout_ns
-        if timeout_ns > 0 and core.now_ns - axis.status_ns > timeout_ns:
-            axis.status |= status_bits.COMMUNICATION
-            latch_fault(loop, shared, Fault.DRIVE_FAULT, joint, float(axis.status), 0.0)
-        if axis.refusals >= REFUSALS_TO_BELIEVE:
-            latch_fault(loop, shared, Fault.DRIVE_FAULT, joint, float(axis.status), 0.0)
+        if timeout_ns > 0 and loop.timing.now_ns - drive.status_ns > timeout_ns:
+            drive.status |= status_bits.COMMUNICATION
+            latch_fault(loop, shared, Fault.DRIVE_FAULT, joint, float(drive.status), 0.0)
+        if axis.checks.refusals >= REFUSALS_TO_BELIEVE:
+            latch_fault(loop, shared, Fault.DRIVE_FAULT, joint, float(drive.status), 0.0)
         error = agreed_error_rad(axis)
         judge_way(loop, joint)
         if (
-            core.motion_started == 1
-            and core.rebase_ns == 0
-            and (abs(error) > params.following_error_rad + axis.slip_rad + axis.lag_rad)
+            loop.motion.started == 1
+            and loop.motion.resync_ns == 0
+            and (abs(error) > params.following_error_rad + axis.tracking.slip_rad + axis.tracking.lag_rad)
         ):
             latch_fault(loop, shared, Fault.FOLLOWING_ERROR, joint, error, params.following_error_rad)
 
@@ -149,20 +148,23 @@ def latch_silence(loop: Loop, shared: Shared, joint: int, age_ns: int) -> None:
 @jit
 def let_go_on_purpose(loop: Loop, status: int) -> bool:
     """Whether all that is wrong with a drive is that it holds nothing, as it was told."""
-    return is_limp(loop.core.mode) and status & (status_bits.PROTECTED | status_bits.POWER_LOST) == 0
+    return is_limp(loop.mode) and status & (status_bits.PROTECTED | status_bits.POWER_LOST) == 0
 
 
 @jit
 def judge_way(loop: Loop, joint: int) -> None:
     """End a goal whose joint is too far from its setpoint; once the last point is commanded its end is judged."""
-    axis, running = loop.axes[joint], loop.paths[loop.core.active]
+    axis, running = loop.axes[joint], loop.paths[loop.goals.active]
     on_its_way = running.phase == Phase.RUNNING or (running.phase == Phase.PAUSED and running.settle_ns == 0)
-    if not on_its_way or not in_goal(loop, loop.core.active, joint):
+    if not on_its_way or not in_goal(loop, loop.goals.active, joint):
         return
     allowed = running.tolerances[joint]
     error = agreed_error_rad(axis)
     velocity_error, acceleration_error = agreed_error_rad_s(axis), agreed_error_rad_s2(axis)
-    if allowed.position_rad > 0.0 and abs(error) > allowed.position_rad + axis.slip_rad + axis.lag_rad:
+    if (
+        allowed.position_rad > 0.0
+        and abs(error) > allowed.position_rad + axis.tracking.slip_rad + axis.tracking.lag_rad
+    ):
         stop_running(loop, Outcome.PATH_TOLERANCE, joint, error, allowed.position_rad)
     elif allowed.velocity_rad_s > 0.0 and abs(velocity_error) > allowed.velocity_rad_s:
         stop_running(loop, Outcome.PATH_VELOCITY, joint, velocity_error, allowed.velocity_rad_s)
@@ -174,15 +176,15 @@ def judge_way(loop: Loop, joint: int) -> None:
 def take_status(loop: Loop, joint: int, status: int) -> None:
     """Believe a bad status when it comes twice: the serial line has no checksum, one garbled digit is enough."""
     axis = loop.axes[joint]
-    if axis.power_loss_known == 1:
+    if axis.reference.power_loss_known == 1:
         status &= ~status_bits.POWER_LOST
-    axis.status = status | status_bits.ANSWERED
-    axis.status_ns = loop.core.now_ns
-    axis.status_readings += 1
+    axis.drive.status = status | status_bits.ANSWERED
+    axis.drive.status_ns = loop.timing.now_ns
+    axis.drive.status_readings += 1
     bad = status & (status_bits.PROTECTED | status_bits.POWER_LOST) != 0 or status & status_bits.ENABLED == 0
-    axis.bad_statuses = axis.bad_statuses + 1 if bad else 0
+    axis.checks.bad_statuses = axis.checks.bad_statuses + 1 if bad else 0
     if not bad:
-        axis.refusals = 0
+        axis.checks.refusals = 0
 
 
 @jit
@@ -193,21 +195,22 @@ def knows_where_it_stands(loop: Loop, joint: int) -> bool:
     was counted from another zero, would move it away from there.
     """
     axis = loop.axes[joint]
-    if axis.readings == 0 or axis.doubted == 1:
+    if axis.measured.readings == 0 or axis.checks.suspect == 1:
         return False
-    return bool(loop.core.now_ns - axis.measured_ns <= FRESH_READINGS * loop.params.reading_ns)
+    return bool(loop.timing.now_ns - axis.measured.time_ns <= FRESH_READINGS * loop.params.reading_ns)
 
 
 @jit
 def lose_reference(loop: Loop, shared: Shared, joint: int, reason: int) -> None:
     """The drive's count means nothing any more: stop command, then no motion frame until it is referenced."""
     axis = loop.axes[joint]
-    if axis.referenced == 1:
+    reference = axis.reference
+    if reference.referenced == 1:
         record_event(loop, shared, Event.REFERENCE, joint, reason, 0.0, 0.0)
-        axis.lost_at_rad = axis.measured_rad
-    axis.referenced = axis.power_loss_known = axis.fast_ready = 0
-    axis.unreferenced_reason = reason
-    axis.stop_frames_due = STOP_FRAMES
+        reference.lost_at_rad = axis.measured.position_rad
+    reference.referenced = reference.power_loss_known = axis.sent.fast_ready = 0
+    reference.unreferenced_reason = reason
+    axis.sent.stop_frames_due = STOP_FRAMES
 
 
 @jit
@@ -217,10 +220,10 @@ def stop_if_it_was_away(loop: Loop, joint: int, waited_ns: int) -> None:
     A bring-up that somebody has asked for meanwhile has forgotten how long the drive was away: then its first reading.
     """
     axis = loop.axes[joint]
-    lost = loop.core.mode == Mode.FAULT or outlives_a_clear(loop, joint)
-    away = axis.readings == 0 or waited_ns > loop.params.stale_fault_ns
-    if axis.referenced == 0 and lost and away:
-        axis.stop_frames_due = STOP_FRAMES
+    lost = loop.mode == Mode.FAULT or outlives_a_clear(loop, joint)
+    away = axis.measured.readings == 0 or waited_ns > loop.params.stale_fault_ns
+    if axis.reference.referenced == 0 and lost and away:
+        axis.sent.stop_frames_due = STOP_FRAMES
 
 
 @jit
@@ -229,7 +232,7 @@ def outlives_a_clear(loop: Loop, joint: int) -> bool:
 
     What an absolute encoder tells means an angle whatever happened, unless its readings themselves were in doubt.
     """
-    reason = loop.axes[joint].unreferenced_reason
+    reason = loop.axes[joint].reference.unreferenced_reason
     if reason == Unreferenced.POSITION_JUMP or reason == Unreferenced.NOT_HOMED or reason == Unreferenced.INCREMENTAL:
         return True
     if loop.joints[joint].knows_its_angle == 1:
@@ -245,30 +248,31 @@ def believable(loop: Loop, shared: Shared, joint: int, position_rad: float, read
     truly jumped, unless both go on from the reading before the last: then it was the last one that was garbled.
     """
     axis = loop.axes[joint]
-    jump, moved_rad = position_rad - axis.measured_rad, reference_rad - axis.reference_rad
-    possible = possible_rad(loop, joint, read_ns - axis.measured_ns)
+    checks = axis.checks
+    jump, moved_rad = position_rad - axis.measured.position_rad, reference_rad - axis.tracking.reference_rad
+    possible = possible_rad(loop, joint, read_ns - axis.measured.time_ns)
     as_commanded = min(moved_rad, 0.0) - possible <= jump <= max(moved_rad, 0.0) + possible
-    if axis.readings == 0 or axis.referenced == 0 or as_commanded:
-        axis.doubted = 0
+    if axis.measured.readings == 0 or axis.reference.referenced == 0 or as_commanded:
+        checks.suspect = 0
         return True
-    if axis.doubted == 1 and abs(position_rad - axis.doubted_rad) <= abs(moved_rad) + possible:
-        axis.doubted = 0
-        if abs(reference_rad - position_rad - axis.error_before_rad) <= loop.params.position_jump_rad:
+    if checks.suspect == 1 and abs(position_rad - checks.suspect_rad) <= abs(moved_rad) + possible:
+        checks.suspect = 0
+        if abs(reference_rad - position_rad - axis.tracking.error_before_rad) <= loop.params.position_jump_rad:
             return True
         lose_reference(loop, shared, joint, Unreferenced.POSITION_JUMP)
         latch_fault(loop, shared, Fault.REFERENCE_LOST, joint, jump, loop.params.position_jump_rad)
         return True
-    axis.doubted = 1
-    axis.doubted_rad = position_rad
+    checks.suspect = 1
+    checks.suspect_rad = position_rad
     return False
 
 
 @jit
 def stays_limp(loop: Loop, joint: int) -> bool:
     """Whether a drive was let go before a fault was latched: it holds nothing until it is brought up again."""
-    status = loop.axes[joint].status
+    status = loop.axes[joint].drive.status
     answered = status & status_bits.ANSWERED != 0
-    return bool(loop.core.mode == Mode.FAULT and answered and status & status_bits.ENABLED == 0)
+    return bool(loop.mode == Mode.FAULT and answered and status & status_bits.ENABLED == 0)
 
 
 @jit
@@ -279,9 +283,14 @@ def possible_rad(loop: Loop, joint: int, since_ns: int) -> float:
     reading was late; a limp one as fast as a hand can lead it.
     """
     axis, row = loop.axes[joint], loop.joints[joint]
-    by_hand = is_limp(loop.core.mode) or stays_limp(loop, joint)
+    by_hand = is_limp(loop.mode) or stays_limp(loop, joint)
     speed_rad_s = row.max_velocity_rad_s * (HAND_SHARE if by_hand else ERROR_SPEED_SHARE)
-    possible = loop.params.position_jump_rad + speed_rad_s * max(since_ns, 0) * 1e-9 + axis.slip_rad + axis.lag_rad
+    possible = (
+        loop.params.position_jump_rad
+        + speed_rad_s * max(since_ns, 0) * 1e-9
+        + axis.tracking.slip_rad
+        + axis.tracking.lag_rad
+    )
     return float(possible)
 
 
@@ -293,9 +302,9 @@ def may_be_led(loop: Loop, joint: int) -> bool:
     a blocked wire besides arrives when the arm has long been stopped. Without frames a drive brakes by itself.
     """
     axis = loop.axes[joint]
-    if axis.referenced == 0 or axis.bad_statuses > 0 or axis.doubted == 1:
+    if axis.reference.referenced == 0 or axis.checks.bad_statuses > 0 or axis.checks.suspect == 1:
         return False
-    if loop.params.fast_targets == 1 and axis.fast_ready == 0:
+    if loop.params.fast_targets == 1 and axis.sent.fast_ready == 0:
         return False
     return bool(silent_ns(loop, joint) <= loop.params.stale_brake_ns)
 
@@ -307,10 +316,10 @@ def silent_ns(loop: Loop, joint: int) -> int:
     Reports come whether or not the drives hear anything; that they do only answers tell, of which each cycle expects
     one from some drive. While there is none the drives are as good as silent.
     """
-    core, axis = loop.core, loop.axes[joint]
-    age_ns = core.now_ns - axis.unanswered_since_ns if axis.unanswered_since_ns != 0 else 0
-    if loop.params.reported == 1 and core.unheeded_since_ns != 0:
-        age_ns = max(age_ns, core.now_ns - core.unheeded_since_ns)
+    axis = loop.axes[joint]
+    age_ns = loop.timing.now_ns - axis.reply.unanswered_since_ns if axis.reply.unanswered_since_ns != 0 else 0
+    if loop.params.reported == 1 and loop.bus.unacknowledged_since_ns != 0:
+        age_ns = max(age_ns, loop.timing.now_ns - loop.bus.unacknowledged_since_ns)
     return int(age_ns)
 
 
@@ -322,9 +331,12 @@ def report_is_asked_for(loop: Loop, joint: int) -> bool:
     place; its answer tells at once. Every other cycle, so that asking takes less of the bus than the reports it stands
     in for. What it answers does not make it younger: a drive that has ceased to report ends as a silent one.
     """
-    core, axis = loop.core, loop.axes[joint]
-    overdue = axis.unanswered_since_ns != 0 and core.now_ns - axis.unanswered_since_ns >= loop.params.report_overdue_ns
-    return bool(overdue and (core.cycle + joint) & 1 == 0)
+    axis = loop.axes[joint]
+    overdue = (
+        axis.reply.unanswered_since_ns != 0
+        and loop.timing.now_ns - axis.reply.unanswered_since_ns >= loop.params.report_overdue_ns
+    )
+    return bool(overdue and (loop.timing.cycle + joint) & 1 == 0)
 
 
 @jit
@@ -335,21 +347,21 @@ def somebody_listens(loop: Loop) -> bool:
     power returns: they boot enabled, count from zero, and would go to targets that mean something else. So what is
     kept is bounded by what leaves room for each drive's stop command: the last word is a stop.
     """
-    core, joints = loop.core, loop.params.joint_count
+    joints = loop.params.joint_count
     cycle_frames = 3 * joints + 1
-    return core.unheard_frames == 0 or core.unheard_frames + cycle_frames + PROBES + joints <= ADAPTER_FRAMES
+    return loop.bus.unheard_frames == 0 or loop.bus.unheard_frames + cycle_frames + PROBES + joints <= ADAPTER_FRAMES
 
 
 @jit
 def may_probe(loop: Loop) -> bool:
     """Whether it is time to ask a silent bus again, and no stop command could lose its room by that."""
-    core, params = loop.core, loop.params
-    if core.now_ns - core.probed_ns < params.stale_fault_ns // PROBES:
+    params = loop.params
+    if loop.timing.now_ns - loop.bus.probed_ns < params.stale_fault_ns // PROBES:
         return False
     stops_to_come = 0
     for joint in range(params.joint_count):
-        stops_to_come += loop.axes[joint].referenced
-    return bool(stops_to_come == 0 or core.unheard_frames + stops_to_come < ADAPTER_FRAMES)
+        stops_to_come += loop.axes[joint].reference.referenced
+    return bool(stops_to_come == 0 or loop.bus.unheard_frames + stops_to_come < ADAPTER_FRAMES)
 
 
 @jit
@@ -359,13 +371,12 @@ def drives_are_led(loop: Loop) -> bool:
     In a latched fault only until the arm stands: what moved it away afterwards must not be followed up, and the
     drives hold their last target by themselves. Drives that were out of reach have come to rest elsewhere.
     """
-    core = loop.core
-    if core.motion_started == 0 or core.rebase_ns != 0 or core.silenced == 1:
+    if loop.motion.started == 0 or loop.motion.resync_ns != 0 or loop.bus.transmit_inhibited == 1:
         return False
-    if core.mode == Mode.FAULT:
+    if loop.mode == Mode.FAULT:
         return not at_rest(loop)
-    standing = core.mode == Mode.HOLDING or core.mode == Mode.REFERENCING
-    return standing or core.mode == Mode.EXECUTING or core.mode == Mode.STOPPING
+    standing = loop.mode == Mode.HOLDING or loop.mode == Mode.REFERENCING
+    return standing or loop.mode == Mode.EXECUTING or loop.mode == Mode.STOPPING
 
 
 @jit
@@ -374,11 +385,14 @@ def stop_who_is_elsewhere(loop: Loop) -> None:
 
     It would go on towards its last target, or push against what holds it.
     """
-    core = loop.core
-    if core.mode != Mode.FAULT or core.rested == 1 or core.silenced == 1 or not at_rest(loop):
+    motion = loop.motion
+    if loop.mode != Mode.FAULT or motion.rested == 1 or loop.bus.transmit_inhibited == 1 or not at_rest(loop):
         return
-    core.rested = 1
+    motion.rested = 1
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
-        if core.motion_started == 1 and abs(axis.position_rad - axis.measured_rad) > 2.0 * loop.joints[joint].slack_rad:
-            axis.stop_frames_due = STOP_FRAMES
+        if (
+            motion.started == 1
+            and abs(axis.commanded.position_rad - axis.measured.position_rad) > 2.0 * loop.joints[joint].slack_rad
+        ):
+            axis.sent.stop_frames_due = STOP_FRAMES

@@ -3,14 +3,10 @@
 They are for people. Nothing in the cycle is decided by them.
 """
 
-from typing import Any
-
+from rtloop.memory.state import Loop, Shared
 from rtloop.wire import received
 from shm.jit import jit
 from shm.words import BusState, Evidence
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 # numba adds up no members of an enumeration, so they are plain integers here.
 _HEARD, _ADAPTER_ANSWERS, _ADAPTER_MUTE = int(Evidence.HEARD), int(Evidence.ADAPTER_ANSWERS), int(Evidence.ADAPTER_MUTE)
@@ -26,7 +22,7 @@ def follow(loop: Loop, shared: Shared) -> None:
     quiet, counters = loop.quiet, shared.counters
     if quiet.adapter_words != quiet.adapter_words_before:
         quiet.adapter_words_before = quiet.adapter_words
-        quiet.adapter_ns = loop.core.now_ns
+        quiet.adapter_ns = loop.timing.now_ns
     if quiet.heard_ns != quiet.heard_before_ns:
         quiet.heard_before_ns = quiet.heard_ns
         quiet.away_ns = 0
@@ -39,11 +35,11 @@ def follow(loop: Loop, shared: Shared) -> None:
 @jit
 def evidence(loop: Loop, shared: Shared) -> int:
     """Bits of shm.words.Evidence since a drive was last heard."""
-    core, params, quiet, counters = loop.core, loop.params, loop.quiet, shared.counters
+    timing, params, quiet, counters = loop.timing, loop.params, loop.quiet, shared.counters
     found = 0
-    if core.now_ns - quiet.heard_ns <= params.stale_brake_ns:
+    if timing.now_ns - quiet.heard_ns <= params.stale_brake_ns:
         found |= _HEARD
-    if quiet.adapter_ns != 0 and core.now_ns - quiet.adapter_ns <= params.stale_brake_ns:
+    if quiet.adapter_ns != 0 and timing.now_ns - quiet.adapter_ns <= params.stale_brake_ns:
         found |= _ADAPTER_ANSWERS
     elif is_mute(loop):
         found |= _ADAPTER_MUTE
@@ -58,7 +54,7 @@ def evidence(loop: Loop, shared: Shared) -> int:
         found |= _BABBLE
     if quiet.away_ns >= params.stale_brake_ns:
         found |= _CYCLE_LATE
-    if received.woke_ns(loop) != 0 and core.now_ns - received.woke_ns(loop) > params.stale_fault_ns // 2:
+    if received.woke_ns(loop) != 0 and timing.now_ns - received.woke_ns(loop) > params.stale_fault_ns // 2:
         found |= _READER_LATE
     if params.simulated == 1:
         found |= _SIMULATED

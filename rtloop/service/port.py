@@ -12,7 +12,9 @@ import numpy as np
 
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import EXTENDED
-from rtloop.memory.state import GRIPPER, LOOP, NOBODY, SERVICE_SLOTS, offset_of
+from rtloop.memory.link import GRIPPER, NOBODY, SERVICE_SLOTS
+from rtloop.memory.record import offset_of
+from rtloop.memory.state import LOOP
 from shm.words import Unreferenced
 
 SEND = 1  # send a CAN frame
@@ -85,42 +87,42 @@ class ServicePort:
 
     def referenced(self, joint: int) -> bool:
         """Whether the joint's count is known to mean an angle."""
-        return bool(self._record["axes"][joint]["referenced"])
+        return bool(self._record["axes"][joint]["reference"]["referenced"])
 
     def unreferenced_reason(self, joint: int) -> Unreferenced:
         """Why it is not."""
-        return Unreferenced(self._record["axes"][joint]["unreferenced_reason"])
+        return Unreferenced(self._record["axes"][joint]["reference"]["unreferenced_reason"])
 
     def measured_rad(self, joint: int) -> float:
         """The joint's last reading."""
-        return float(self._record["axes"][joint]["measured_rad"])
+        return float(self._record["axes"][joint]["measured"]["position_rad"])
 
     def measured_ns(self, joint: int) -> int:
         """When the joint's last reading was taken."""
-        return int(self._record["axes"][joint]["measured_ns"])
+        return int(self._record["axes"][joint]["measured"]["time_ns"])
 
     def unasked(self, joint: int) -> int:
         """Positions that have come from the joint's drive although nobody asked: its reports."""
-        return int(self._record["axes"][joint]["unasked"])
+        return int(self._record["axes"][joint]["reply"]["reports"])
 
     def commanded_rad(self, joint: int) -> float:
         """Where the joint is commanded to be."""
-        return float(self._record["axes"][joint]["position_rad"])
+        return float(self._record["axes"][joint]["commanded"]["position_rad"])
 
     def holds(self, joint: int) -> bool:
         """Whether the joint's drive has said last that it holds, and of no error."""
-        status = int(self._record["axes"][joint]["status"])
+        status = int(self._record["axes"][joint]["drive"]["status"])
         if self.power_loss_known(joint):
             status &= ~status_bits.POWER_LOST
         return status & status_bits.ENABLED != 0 and status & ~SOUND == 0
 
     def is_loose(self, joint: int) -> bool:
         """Whether it has said last that it does not, or of an error; False of one that has said nothing yet."""
-        return bool(self._record["axes"][joint]["status"]) and not self.holds(joint)
+        return bool(self._record["axes"][joint]["drive"]["status"]) and not self.holds(joint)
 
     def power_loss_known(self, joint: int) -> bool:
         """Whether a drive's flag for lost power means nothing, because a person said where the joint stands since."""
-        return bool(self._record["axes"][joint]["power_loss_known"])
+        return bool(self._record["axes"][joint]["reference"]["power_loss_known"])
 
     def post(
         self,

@@ -7,15 +7,13 @@ will be commanded. What a cycle may look at is bounded by `looks_left`; what it 
 """
 
 import math
-from typing import Any
 
 from motion import segment
-from rtloop.memory.state import BLEND_SAMPLES
+from rtloop.memory.motion import BLEND_SAMPLES
+from rtloop.memory.state import Loop
 from rtloop.trajectory.limits import hardest_rad_s2, highest_rad_s
 from rtloop.trajectory.path import end_s, fade, find_knot, goes_on_past_end, in_goal, plan_coefficients, sample, slot
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
 
 evaluate = jit(segment.evaluate)
 
@@ -27,8 +25,8 @@ CYCLES_AFTER_BLEND = 2
 @jit
 def may_look(loop: Loop) -> bool:
     """Take one look from what the cycle may look at; False when nothing is left, and `looks_left` is -1 then."""
-    loop.core.looks_left = max(loop.core.looks_left - 1, -1)
-    return bool(loop.core.looks_left >= 0)
+    loop.search.checks_left = max(loop.search.checks_left - 1, -1)
+    return bool(loop.search.checks_left >= 0)
 
 
 @jit
@@ -36,7 +34,10 @@ def look_from_here(loop: Loop) -> None:
     """Let the setpoint that is judged next be the one after the commanded one."""
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
-        axis.ahead_rad, axis.ahead_rad_s = axis.position_rad, axis.difference_velocity_rad_s
+        axis.ahead.position_rad, axis.ahead.velocity_rad_s = (
+            axis.commanded.position_rad,
+            axis.commanded.difference_velocity_rad_s,
+        )
 
 
 @jit
@@ -52,7 +53,7 @@ def look_from(loop: Loop, path_index: int, clock_s: float, step_s: float, first:
         axis = loop.axes[joint]
         p0, _, _ = sample(loop, path_index, joint, clock_s - step_s, before)
         p, _, _ = sample(loop, path_index, joint, clock_s, knot)
-        axis.ahead_rad, axis.ahead_rad_s = p, (p - p0) / period_s
+        axis.ahead.position_rad, axis.ahead.velocity_rad_s = p, (p - p0) / period_s
 
 
 @jit
@@ -62,11 +63,11 @@ def next_keeps_limits(loop: Loop, path_index: int, clock_s: float, knot: int) ->
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
         p, _, _ = sample(loop, path_index, joint, clock_s, knot)
-        v = (p - axis.ahead_rad) / period_s
-        a = (v - axis.ahead_rad_s) / period_s
+        v = (p - axis.ahead.position_rad) / period_s
+        a = (v - axis.ahead.velocity_rad_s) / period_s
         if not (abs(v) <= highest_rad_s(loop, joint) and abs(a) <= hardest_rad_s2(loop, joint)):
             return False  # or not a number
-        axis.ahead_rad, axis.ahead_rad_s = p, v
+        axis.ahead.position_rad, axis.ahead.velocity_rad_s = p, v
     return True
 
 
@@ -150,19 +151,19 @@ def blend_motion(loop: Loop, path_index: int, joint: int, clock_s: float, from_s
 def blend_keeps_limits(loop: Loop, path_index: int, rate: float) -> bool:
     """Whether the setpoints from the next one to shortly after the blend keep the limits, entered now at `rate`.
 
-    Goes on after the first `core.judged_ahead` of them. When no more may be looked at, the answer is no and
-    `core.judged_ahead`, `core.span_ahead_s` say how far it got.
+    Goes on after the first `loop.search.judged` of them. When no more may be looked at, the answer is no and
+    `loop.search.judged`, `loop.search.span_s` say how far it got.
     """
-    core, path = loop.core, loop.paths[path_index]
+    search, path = loop.search, loop.paths[path_index]
     step_s = rate * loop.params.period_ns * 1e-9
     until_s = path.entry_s + path.blend_s
     count = math.ceil(path.blend_s / step_s) + CYCLES_AFTER_BLEND
     if not goes_on_past_end(loop, path_index):
         count = min(count, math.floor((end_s(loop, path_index) - path.entry_s) / step_s))
-    judged = core.judged_ahead
+    judged = search.judged
     span_knot = knot = path.segment
     if judged > 0:
-        span_s, last = core.span_ahead_s, judged
+        span_s, last = search.span_s, judged
         look_from(loop, path_index, path.entry_s + judged * step_s, step_s, knot)
     else:
         span_s, last = path.entry_s, 1  # the first one leaves the old path
@@ -175,7 +176,7 @@ def blend_keeps_limits(loop: Loop, path_index: int, rate: float) -> bool:
             look_from(loop, path_index, path.entry_s + judged * step_s, step_s, knot)
         while judged < last:
             if not may_look(loop):
-                core.judged_ahead, core.span_ahead_s = judged, span_s
+                search.judged, search.span_s = judged, span_s
                 return False
             clock_s = path.entry_s + (judged + 1) * step_s
             knot = find_knot(loop, path_index, clock_s, knot)
@@ -190,7 +191,7 @@ def blend_keeps_limits(loop: Loop, path_index: int, rate: float) -> bool:
         span_until_s = span_end_s(loop, path_index, span_s, span_knot)
         if span_until_s - span_s >= step_s:
             if not may_look(loop):
-                core.judged_ahead, core.span_ahead_s = judged, span_s
+                search.judged, search.span_s = judged, span_s
                 return False
             if span_keeps_limits(loop, path_index, rate, span_s, span_until_s, span_knot):
                 continue

@@ -6,16 +6,14 @@ at a fixed number of instants, and the first that keeps the limits is taken.
 """
 
 import math
-from typing import Any
 
 from motion import scaling, stopping
 from motion.stopping import PLAN_SHARE, STOP_FRACTIONS
-from rtloop.memory.state import BLEND_SAMPLES
+from rtloop.memory.motion import BLEND_SAMPLES
+from rtloop.memory.state import Loop
 from rtloop.trajectory.ahead import look_from_here, may_look, next_keeps_limits
 from rtloop.trajectory.path import end_s, find_knot, goes_on_past_end, sample
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
 
 ramp = jit(scaling.ramp)
 along = jit(scaling.along)
@@ -34,21 +32,21 @@ HEADROOM = 0.9
 @jit
 def advance_clock(loop: Loop) -> None:
     """Move the trajectory clock by one period at the present rate, along the running ramp if there is one."""
-    core = loop.core
+    clock = loop.clock
     period_s = loop.params.period_ns * 1e-9
-    if core.ramp_s <= 0.0:
-        core.clock_s += core.rate * period_s
+    if clock.ramp_s <= 0.0:
+        clock.time_s += clock.rate * period_s
         return
-    before_s = core.ramp_elapsed_s
-    after_s = min(before_s + period_s, core.ramp_s)
-    _, _, advance_before = ramp(core.rate_start, core.slope_start, core.rate_target, core.ramp_s, before_s)
-    rate, slope, advance_after = ramp(core.rate_start, core.slope_start, core.rate_target, core.ramp_s, after_s)
-    core.clock_s += advance_after - advance_before
-    core.ramp_elapsed_s = after_s
-    core.rate, core.slope = rate, slope
-    if after_s >= core.ramp_s:
-        core.clock_s += core.rate_target * (before_s + period_s - after_s)
-        core.rate, core.slope, core.ramp_s = core.rate_target, 0.0, 0.0
+    before_s = clock.ramp_elapsed_s
+    after_s = min(before_s + period_s, clock.ramp_s)
+    _, _, advance_before = ramp(clock.rate_start, clock.slope_start, clock.rate_target, clock.ramp_s, before_s)
+    rate, slope, advance_after = ramp(clock.rate_start, clock.slope_start, clock.rate_target, clock.ramp_s, after_s)
+    clock.time_s += advance_after - advance_before
+    clock.ramp_elapsed_s = after_s
+    clock.rate, clock.slope = rate, slope
+    if after_s >= clock.ramp_s:
+        clock.time_s += clock.rate_target * (before_s + period_s - after_s)
+        clock.rate, clock.slope, clock.ramp_s = clock.rate_target, 0.0, 0.0
 
 
 @jit
@@ -59,7 +57,7 @@ def allowed_acceleration(loop: Loop, joint: int, planned_rad_s2: float, factor: 
     """
     limit = loop.joints[joint].max_acceleration_rad_s2
     beside_plan = min(abs(planned_rad_s2) + share * limit, HEADROOM * loop.params.acceleration_margin * limit)
-    return max(factor * limit, beside_plan, ROUNDING * abs(loop.axes[joint].acceleration_rad_s2))
+    return max(factor * limit, beside_plan, ROUNDING * abs(loop.axes[joint].commanded.acceleration_rad_s2))
 
 
 @jit
@@ -71,17 +69,17 @@ def ramp_strain(loop: Loop, target: float, duration_s: float, factor: float) -> 
     IMPOSSIBLE for a ramp on which the clock would run backwards or faster than it ever should; NO_PATH and
     more for one that needs path which is not known yet.
     """
-    core = loop.core
-    active = core.active
+    clock = loop.clock
+    active = loop.goals.active
     worst = 0.0
     knot = loop.paths[active].segment
     known_s = end_s(loop, active)
     goes_on = goes_on_past_end(loop, active)
-    highest_rate = max(core.rate, target, core.rate_target) + 1e-6
-    full = max(core.rate, target)
+    highest_rate = max(clock.rate, target, clock.rate_target) + 1e-6
+    full = max(clock.rate, target)
     for i in range(1, BLEND_SAMPLES + 1):
-        rate, slope, advance = ramp(core.rate, core.slope, target, duration_s, duration_s * i / BLEND_SAMPLES)
-        clock_s = core.clock_s + advance
+        rate, slope, advance = ramp(clock.rate, clock.slope, target, duration_s, duration_s * i / BLEND_SAMPLES)
+        clock_s = clock.time_s + advance
         if rate < -1e-9 or rate > highest_rate:
             return IMPOSSIBLE
         if clock_s > known_s and not goes_on:
@@ -99,7 +97,7 @@ def ramp_strain(loop: Loop, target: float, duration_s: float, factor: float) -> 
 def is_rough(loop: Loop, duration_s: float) -> bool:
     """Whether the running path may bend between the instants at which a ramp of a duration is sampled."""
     sampled_s = max(duration_s / BLEND_SAMPLES, loop.params.period_ns * 1e-9)
-    return bool(loop.paths[loop.core.active].closest_ns * 1e-9 <= sampled_s)
+    return bool(loop.paths[loop.goals.active].closest_ns * 1e-9 <= sampled_s)
 
 
 @jit
@@ -109,17 +107,17 @@ def ramp_keeps_limits(loop: Loop, target: float, duration_s: float) -> bool:
     When no more may be looked at in this cycle a lower rate is believed to keep them, since a stop cannot wait; a
     higher one is not.
     """
-    core = loop.core
-    active = core.active
+    clock = loop.clock
+    active = loop.goals.active
     period_s = loop.params.period_ns * 1e-9
     knot = loop.paths[active].segment
     look_from_here(loop)
     for i in range(1, math.ceil(duration_s / period_s) + 2):
         if not may_look(loop):
-            return bool(target <= core.rate)
+            return bool(target <= clock.rate)
         past_s = max(i * period_s - duration_s, 0.0)
-        _, _, advance = ramp(core.rate, core.slope, target, duration_s, min(i * period_s, duration_s))
-        clock_s = core.clock_s + advance + target * past_s
+        _, _, advance = ramp(clock.rate, clock.slope, target, duration_s, min(i * period_s, duration_s))
+        clock_s = clock.time_s + advance + target * past_s
         knot = find_knot(loop, active, clock_s, knot)
         if not next_keeps_limits(loop, active, clock_s, knot):
             return False
@@ -157,35 +155,35 @@ def steer_rate(loop: Loop, target: float, factor: float) -> None:
     joints being pushed too hard. The running ramp then goes on and the question is asked again in the next
     cycle. From a steady rate a stop is begun at once, as gently as can be; a higher rate can wait on a rough path.
     """
-    core = loop.core
-    on_its_way = target == core.rate_target
-    if on_its_way and (core.ramp_s <= 0.0 or factor <= core.ramp_factor):
+    clock = loop.clock
+    on_its_way = target == clock.rate_target
+    if on_its_way and (clock.ramp_s <= 0.0 or factor <= clock.ramp_factor):
         return
     duration_s, strain = ramp_duration(loop, target, factor)
-    can_wait = target > core.rate > 0.0 and is_rough(loop, loop.params.longest_stop_s)
-    if duration_s <= 0.0 or (strain > 1.0 and (core.ramp_s > 0.0 or can_wait)):
+    can_wait = target > clock.rate > 0.0 and is_rough(loop, loop.params.longest_stop_s)
+    if duration_s <= 0.0 or (strain > 1.0 and (clock.ramp_s > 0.0 or can_wait)):
         return
-    if on_its_way and duration_s >= core.ramp_s - core.ramp_elapsed_s:
+    if on_its_way and duration_s >= clock.ramp_s - clock.ramp_elapsed_s:
         return
-    core.arriving = 0
+    loop.goals.arriving = 0
     begin_ramp(loop, target, duration_s, factor)
 
 
 @jit
 def begin_ramp(loop: Loop, target: float, duration_s: float, factor: float) -> None:
-    core = loop.core
-    core.ramp_factor = factor
-    core.rate_target = target
-    core.rate_start, core.slope_start = core.rate, core.slope
-    core.ramp_s, core.ramp_elapsed_s = duration_s, 0.0
+    clock = loop.clock
+    clock.ramp_factor = factor
+    clock.rate_target = target
+    clock.rate_start, clock.slope_start = clock.rate, clock.slope
+    clock.ramp_s, clock.ramp_elapsed_s = duration_s, 0.0
 
 
 @jit
 def set_rate(loop: Loop, rate: float) -> None:
     """Run at a rate from now on, without a ramp: for an arm at rest or a path made for that rate."""
-    core = loop.core
-    core.rate = core.rate_target = rate
-    core.slope = core.ramp_s = 0.0
+    clock = loop.clock
+    clock.rate = clock.rate_target = rate
+    clock.slope = clock.ramp_s = 0.0
 
 
 @jit
@@ -194,15 +192,15 @@ def must_brake_for_lack_of_path(loop: Loop, braking_already: bool) -> bool:
 
     Once braking has begun for that reason it ends only when there is ample path again.
     """
-    core = loop.core
-    active = core.active
+    clock = loop.clock
+    active = loop.goals.active
     if loop.paths[active].ended == 1:
         return False
-    longest_s = way_s(loop.params.longest_stop_s) * max(core.rate, core.speed_scale)
-    left_s = end_s(loop, active) - core.clock_s - RESERVE_PERIODS * loop.params.period_ns * 1e-9
+    longest_s = way_s(loop.params.longest_stop_s) * max(clock.rate, loop.people.speed_scale)
+    left_s = end_s(loop, active) - clock.time_s - RESERVE_PERIODS * loop.params.period_ns * 1e-9
     if left_s > longest_s:
         return False
-    if braking_already or core.rate_target == 0.0:
+    if braking_already or clock.rate_target == 0.0:
         return True
     duration_s, _ = ramp_duration(loop, 0.0, loop.params.braking_factor)
-    return left_s <= 0.5 * core.rate * duration_s
+    return left_s <= 0.5 * clock.rate * duration_s

@@ -7,10 +7,9 @@ instants, and those that keep the limits there are looked at from knot to knot o
 the search then goes on in the next one.
 """
 
-from typing import Any
-
 from motion import segment, stopping
-from rtloop.memory.state import BLEND_SAMPLES
+from rtloop.memory.motion import BLEND_SAMPLES
+from rtloop.memory.state import Loop
 from rtloop.trajectory.ahead import LOOKS_A_CYCLE, blend_keeps_limits, rest_keeps_limits
 from rtloop.trajectory.clock import IMPOSSIBLE, allowed_acceleration, set_rate
 from rtloop.trajectory.limits import at_rest
@@ -28,8 +27,6 @@ from rtloop.trajectory.path import (
 )
 from rtloop.trajectory.phases import runs
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
 
 decay = jit(segment.decay)
 reach_s = jit(stopping.reach_s)
@@ -51,21 +48,27 @@ SPEED_HEADROOM = 0.99
 
 
 @jit
+def forget_search(loop: Loop) -> None:
+    """What was found out about ways is of another goal."""
+    loop.search.ways_tried = loop.search.judged = 0
+
+
+@jit
 def due_s(loop: Loop, path_index: int) -> float:
     """Path time at which a path would be entered now: its beginning, or where its start time says it is due."""
     path = loop.paths[path_index]
     if path.start_ns == 0:
         return 0.0
-    due = max((loop.core.now_ns - path.start_ns) * 1e-9, 0.0)
+    due = max((loop.timing.now_ns - path.start_ns) * 1e-9, 0.0)
     return min(due, end_s(loop, path_index)) if path.ended == 1 else due
 
 
 @jit
 def asked_rate(loop: Loop, path_index: int) -> float:
     """The rate people asked for; a stream keeps its own time, which nothing but a factor of 0 stops."""
-    if loop.paths[path_index].stream == 1 and loop.core.speed_scale > 0.0:
+    if loop.paths[path_index].stream == 1 and loop.people.speed_scale > 0.0:
         return 1.0
-    return float(loop.core.speed_scale)
+    return float(loop.people.speed_scale)
 
 
 @jit
@@ -84,7 +87,7 @@ def entry_distance(loop: Loop, path_index: int, entry_s: float) -> tuple[int, fl
     for joint in range(loop.params.joint_count):
         if in_goal(loop, path_index, joint):
             p, _, _ = plan(loop, path_index, joint, entry_s, knot)
-            distance = abs(p - loop.axes[joint].position_rad)
+            distance = abs(p - loop.axes[joint].commanded.position_rad)
             if distance >= worst:
                 worst_joint, worst = joint, distance
     return worst_joint, worst
@@ -102,32 +105,32 @@ def enter(loop: Loop, path_index: int, entry_s: float) -> int:
     which is `entry_s` unless that took several cycles, and runs at a rate that may differ from the wanted one for as
     long as the blend lasts, see `rate_while_blending`.
     """
-    core = loop.core
+    search = loop.search
     wanted = max(asked_rate(loop, path_index), SLOWEST_ENTRY)
     if runs(loop):
-        wanted = max(wanted, core.rate, SLOWEST_ENTRY_IN_MOTION)
+        wanted = max(wanted, loop.clock.rate, SLOWEST_ENTRY_IN_MOTION)
     stays = at_rest(loop)
-    core.looks_left = LOOKS_A_CYCLE
-    while core.ways_tried < len(ENTRY_RATES) * WAYS:
-        rate = wanted * ENTRY_RATES[core.ways_tried // WAYS]
-        if stays and core.judged_ahead > 0 and core.rate_ahead == rate:
+    search.checks_left = LOOKS_A_CYCLE
+    while search.ways_tried < len(ENTRY_RATES) * WAYS:
+        rate = wanted * ENTRY_RATES[search.ways_tried // WAYS]
+        if stays and search.judged > 0 and search.rate == rate:
             from_s = float(loop.paths[path_index].entry_s)  # what was judged began there
         else:
-            from_s, core.judged_ahead = entry_s, 0
-        core.rate_ahead = rate
-        duration_s = lay_way(loop, path_index, rate, from_s, core.ways_tried % WAYS)
+            from_s, search.judged = entry_s, 0
+        search.rate = rate
+        duration_s = lay_way(loop, path_index, rate, from_s, search.ways_tried % WAYS)
         if duration_s > 0.0:
-            untouched = core.looks_left == LOOKS_A_CYCLE
+            untouched = search.checks_left == LOOKS_A_CYCLE
             if blends_within_limits(loop, path_index, rate, from_s, duration_s):
-                core.ways_tried = core.judged_ahead = 0
+                search.ways_tried = search.judged = 0
                 begin_path(loop, path_index, rate)
                 return ON_ITS_WAY
-            if core.looks_left < 0:
-                core.ways_tried += 1 if untouched and not stays else 0
+            if search.checks_left < 0:
+                search.ways_tried += 1 if untouched and not stays else 0
                 return NOT_YET_KNOWN
-        core.ways_tried += 1
-        core.judged_ahead = 0
-    core.ways_tried = 0
+        search.ways_tried += 1
+        search.judged = 0
+    search.ways_tried = 0
     return NO_WAY
 
 
@@ -167,9 +170,9 @@ def lay_bridge(loop: Loop, path_index: int, rate: float, entry_s: float) -> None
     first.time_ns = round(entry_s * 1e9)
     for joint in range(loop.params.joint_count):
         axis, row = loop.axes[joint], first.joints[joint]
-        row.position_rad = axis.position_rad
-        row.velocity_rad_s = axis.velocity_rad_s / rate
-        row.acceleration_rad_s2 = axis.acceleration_rad_s2 / (rate * rate)
+        row.position_rad = axis.commanded.position_rad
+        row.velocity_rad_s = axis.commanded.velocity_rad_s / rate
+        row.acceleration_rad_s2 = axis.commanded.acceleration_rad_s2 / (rate * rate)
 
 
 @jit
@@ -200,15 +203,15 @@ def lay_blend(loop: Loop, path_index: int, rate: float, entry_s: float, duration
     knot = find_knot(loop, path_index, entry_s, 0)
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
-        v, a = axis.velocity_rad_s / rate, axis.acceleration_rad_s2 / (rate * rate)
+        v, a = axis.commanded.velocity_rad_s / rate, axis.commanded.acceleration_rad_s2 / (rate * rate)
         b = path.blends[joint]
         if not in_goal(loop, path_index, joint):
             # comes to rest half a blend's way ahead
-            b.held_rad = axis.position_rad + 0.5 * v * duration_s
+            b.held_rad = axis.commanded.position_rad + 0.5 * v * duration_s
         p0, v0, a0 = plan(loop, path_index, joint, entry_s, knot)
         b.faded = a - a0
         fp, fv, _ = fade(b.faded, path.fade_s, 0.0)
-        b.c0, b.c1, b.c2, b.c3, b.c4, b.c5 = decay(axis.position_rad - p0 - fp, v - v0 - fv, 0.0, duration_s)
+        b.c0, b.c1, b.c2, b.c3, b.c4, b.c5 = decay(axis.commanded.position_rad - p0 - fp, v - v0 - fv, 0.0, duration_s)
 
 
 @jit
@@ -244,7 +247,7 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
             row = loop.joints[joint]
             _, planned_speed, planned = plan(loop, path_index, joint, clock_s, knot)
             p, v, a = sample(loop, path_index, joint, clock_s, knot)
-            here = loop.axes[joint].position_rad  # a joint that was found outside may move in
+            here = loop.axes[joint].commanded.position_rad  # a joint that was found outside may move in
             low = min(row.lower_rad - row.slack_rad, here)
             high = max(row.upper_rad + row.slack_rad, here)
             if clock_s > stands_s and in_goal(loop, path_index, joint):  # the arm will have stopped there
@@ -287,11 +290,11 @@ def stop_reach_s(loop: Loop, path_index: int) -> float:
 @jit
 def begin_path(loop: Loop, path_index: int, rate: float) -> None:
     """Run this path from now on, from where it was entered."""
-    core = loop.core
-    core.active = path_index
-    core.clock_s = loop.paths[path_index].entry_s
-    core.entry_rate = rate
-    core.arriving = 0
+    goals = loop.goals
+    goals.active = path_index
+    loop.clock.time_s = loop.paths[path_index].entry_s
+    goals.entry_rate = rate
+    goals.arriving = 0
     loop.paths[path_index].segment = 0
     set_rate(loop, rate)
 
@@ -302,12 +305,12 @@ def rate_while_blending(loop: Loop, wanted: float) -> float:
 
     A blend that begins in motion carries the joints' velocity divided by the rate, so it is made for its rate.
     """
-    core = loop.core
-    entered = loop.paths[core.active]
-    blending = core.clock_s < entered.entry_s + entered.blend_s
-    if not blending or wanted <= core.entry_rate:
+    goals, clock = loop.goals, loop.clock
+    entered = loop.paths[goals.active]
+    blending = clock.time_s < entered.entry_s + entered.blend_s
+    if not blending or wanted <= goals.entry_rate:
         return wanted
-    keeps = blend_strain(loop, core.active, wanted, core.clock_s) <= 1.0
-    if keeps and rest_keeps_limits(loop, core.active, wanted, core.clock_s):
+    keeps = blend_strain(loop, goals.active, wanted, clock.time_s) <= 1.0
+    if keeps and rest_keeps_limits(loop, goals.active, wanted, clock.time_s):
         return wanted
-    return float(core.entry_rate)
+    return float(goals.entry_rate)

@@ -1,10 +1,7 @@
 """The limits that setpoints keep, as everybody judges them who lays, looks ahead at, or last checks a motion."""
 
-from typing import Any
-
+from rtloop.memory.state import Loop
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
 
 ROUNDING = 1.0 + 1e-6
 
@@ -26,6 +23,10 @@ def at_rest(loop: Loop) -> bool:
     """Whether nothing is commanded to move, now and next."""
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
-        if axis.velocity_rad_s != 0.0 or axis.acceleration_rad_s2 != 0.0 or axis.next_velocity_rad_s != 0.0:
+        if (
+            axis.commanded.velocity_rad_s != 0.0
+            or axis.commanded.acceleration_rad_s2 != 0.0
+            or axis.commanded.next_velocity_rad_s != 0.0
+        ):
             return False
     return True

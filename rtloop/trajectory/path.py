@@ -8,10 +8,9 @@ trajectory clock shows (`rtloop.trajectory.clock`). How a blend is chosen is tol
 from typing import Any
 
 from motion import segment, stopping
-from rtloop.memory.state import WINDOW_KNOTS
+from rtloop.memory.motion import WINDOW_KNOTS
+from rtloop.memory.state import Loop
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
 
 linear = jit(segment.linear)
 cubic = jit(segment.cubic)

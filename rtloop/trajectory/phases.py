@@ -8,14 +8,10 @@ running, paused, settling → stopping → none
 each of them → none: refused, replaced, or the drives have stopped the arm by themselves
 """
 
-from typing import Any
-
 from rtloop.memory.events import set_result
+from rtloop.memory.state import Loop, Shared
 from shm.jit import jit
 from shm.words import Outcome, Phase, Slowed
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 ALLOWED = {
     Phase.NONE: (Phase.WAITING,),
@@ -43,7 +39,7 @@ def change_phase(loop: Loop, path_index: int, phase: int) -> bool:
 @jit
 def incoming(loop: Loop) -> int:
     """The path that a newer goal has or would have."""
-    return int(1 - loop.core.active)
+    return int(1 - loop.goals.active)
 
 
 @jit
@@ -55,13 +51,13 @@ def waits(loop: Loop) -> bool:
 @jit
 def runs(loop: Loop) -> bool:
     """Whether a goal moves or pauses the arm."""
-    return bool(loop.paths[loop.core.active].phase != Phase.NONE)
+    return bool(loop.paths[loop.goals.active].phase != Phase.NONE)
 
 
 @jit
 def running_goal(loop: Loop) -> int:
     """Id of the goal that runs, 0 none."""
-    return int(loop.paths[loop.core.active].goal_id) if runs(loop) else 0
+    return int(loop.paths[loop.goals.active].goal_id) if runs(loop) else 0
 
 
 @jit
@@ -77,10 +73,10 @@ def stop_running(loop: Loop, outcome: int, joint: int, value: float, limit: floa
 
     The first reason stands, but a fault comes before all, and everything before lack of a stream's next message.
     """
-    running = loop.paths[loop.core.active]
-    if running.phase == Phase.NONE or (stops_for_good(loop, loop.core.active) and outcome != Outcome.FAULT):
+    running = loop.paths[loop.goals.active]
+    if running.phase == Phase.NONE or (stops_for_good(loop, loop.goals.active) and outcome != Outcome.FAULT):
         return
-    change_phase(loop, loop.core.active, Phase.STOPPING)
+    change_phase(loop, loop.goals.active, Phase.STOPPING)
     running.reason, running.reason_joint = outcome, joint
     running.reason_value, running.reason_limit = value, limit
 
@@ -99,9 +95,9 @@ def tell_result(
 @jit
 def tell_why_it_stops(loop: Loop, shared: Shared) -> None:
     """Decide the goal that stops with the reason for which it does, before the arm stands."""
-    running = loop.paths[loop.core.active]
+    running = loop.paths[loop.goals.active]
     joint, value, limit = running.reason_joint, running.reason_value, running.reason_limit
-    tell_result(loop, shared, loop.core.active, running.reason, joint, value, limit)
+    tell_result(loop, shared, loop.goals.active, running.reason, joint, value, limit)
 
 
 @jit
@@ -114,19 +110,34 @@ def end_goal(loop: Loop, shared: Shared, path_index: int, outcome: int, joint: i
 @jit
 def end_waiting(loop: Loop, shared: Shared, outcome: int, joint: int, value: float, limit: float) -> None:
     """Let the goal that waits, if there is one, not be begun."""
-    loop.core.slowed &= ~_MAKING_WAY
+    slow_down(loop, _MAKING_WAY, False)
     end_goal(loop, shared, incoming(loop), outcome, joint, value, limit)
+
+
+@jit
+def raise_epoch(
+    loop: Loop, shared: Shared, outcome: int, joint: int = -1, value: float = 0.0, limit: float = 0.0
+) -> None:
+    """What arrived before this never begins; the goal that waits ends with the outcome."""
+    loop.goals.epoch += 1
+    end_waiting(loop, shared, outcome, joint, value, limit)
+
+
+@jit
+def slow_down(loop: Loop, why: int, yes: bool) -> None:
+    """Let the clock run slower or stand for a reason (bits of shm.words.Slowed), or no longer."""
+    loop.goals.slowed = loop.goals.slowed | why if yes else loop.goals.slowed & ~why
 
 
 @jit
 def pause_running(loop: Loop) -> None:
     """Keep the goal that runs, and its place on its path."""
-    change_phase(loop, loop.core.active, Phase.PAUSED)
+    change_phase(loop, loop.goals.active, Phase.PAUSED)
 
 
 @jit
 def resume_paused(loop: Loop) -> None:
     """Let a paused goal go on with what it did."""
-    running = loop.paths[loop.core.active]
+    running = loop.paths[loop.goals.active]
     if running.phase == Phase.PAUSED:
-        change_phase(loop, loop.core.active, Phase.RUNNING if running.settle_ns == 0 else Phase.SETTLING)
+        change_phase(loop, loop.goals.active, Phase.RUNNING if running.settle_ns == 0 else Phase.SETTLING)

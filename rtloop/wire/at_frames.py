@@ -5,16 +5,12 @@ section 3). The low three bits say what kind of frame it is, and 4 is extended; 
 so others are neither sent nor taken.
 """
 
-from typing import Any
-
 from rtloop.memory.frame_words import EXTENDED
-from rtloop.memory.state import TX_BYTES
+from rtloop.memory.link import TX_BYTES
+from rtloop.memory.state import Loop, Shared
 from rtloop.wire import framed
 from rtloop.wire.found import FRAME, NOTHING
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 LONGEST_FRAME_BYTES = 17
 SHORTEST_FRAME_BYTES = 9
@@ -31,8 +27,8 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
 
     `kind` is bits of `rtloop.memory.frame_words`. False when full, and for any kind but EXTENDED.
     """
-    core, tx = loop.core, loop.tx
-    at = core.tx_length
+    tx = loop.outgoing.bytes
+    at = loop.outgoing.length
     if at + LONGEST_FRAME_BYTES > TX_BYTES or kind != EXTENDED:
         return False
     word = frame_id << 3 | _EXTENDED
@@ -47,7 +43,7 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
         at += 1
     tx[at] = _CR
     tx[at + 1] = _LF
-    core.tx_length = at + 2
+    loop.outgoing.length = at + 2
     return True
 
 
@@ -72,14 +68,14 @@ def look(loop: Loop) -> tuple[int, int, int, int]:
 
     Unless there must be MORE of them it is taken out.
     """
-    core, line = loop.core, loop.line
-    if core.line_length < SHORTEST_FRAME_BYTES:
+    line = loop.parser.line
+    if loop.parser.line_length < SHORTEST_FRAME_BYTES:
         return framed.wait_for(loop, SHORTEST_FRAME_BYTES), 0, 0, 0
     length = int(line[_DATA_AT - 1])
     if line[0] != _A or line[1] != _T or length > LONGEST_DATA:
         return framed.resynchronise(loop, _A, SHORTEST_FRAME_BYTES), 0, 0, 0
     end = _DATA_AT + length
-    if core.line_length < end + 2:
+    if loop.parser.line_length < end + 2:
         return framed.wait_for(loop, end + 2), 0, 0, 0
     if line[end] != _CR or line[end + 1] != _LF:
         return framed.resynchronise(loop, _A, SHORTEST_FRAME_BYTES), 0, 0, 0

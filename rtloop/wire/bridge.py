@@ -22,7 +22,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
-from rtloop.memory.state import CAN_FRAME_BYTES, TX_BYTES
+from rtloop.memory.link import CAN_FRAME_BYTES, TX_BYTES
 from rtloop.wire.can_words import (
     BUS_ERROR,
     ERROR_FLAG,

@@ -4,16 +4,12 @@ u32 id with its flags in the machine's byte order (little-endian on all that run
 8 bytes of data. A frame with the error flag was made by the controller's driver: `rtloop.wire.can_errors`.
 """
 
-from typing import Any
-
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
-from rtloop.memory.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN
+from rtloop.memory.link import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN
+from rtloop.memory.state import Loop, Shared
 from rtloop.wire.can_words import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from rtloop.wire.found import CONTROLLER_ERROR, FRAME, NOTHING
 from shm.jit import jit
-
-Loop = Any
-Shared = Any
 
 LONGEST_DATA = 8
 _LENGTH_AT = 4
@@ -39,8 +35,8 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
 
     `kind` is bits of `rtloop.memory.frame_words`.
     """
-    core, tx = loop.core, loop.tx
-    at = core.tx_length
+    tx = loop.outgoing.bytes
+    at = loop.outgoing.length
     if at + CAN_FRAME_BYTES > TX_BYTES:
         return False
     word = frame_id | EXTENDED_FLAG if kind & EXTENDED else frame_id
@@ -55,7 +51,7 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
     tx[at + _LENGTH_AT] = length
     for i in range(LONGEST_DATA):
         tx[at + _DATA_AT + i] = (data >> (8 * i)) & 255 if i < held else 0
-    core.tx_length = at + CAN_FRAME_BYTES
+    loop.outgoing.length = at + CAN_FRAME_BYTES
     return True
 
 
@@ -65,10 +61,10 @@ def mark(loop: Loop, marks: int) -> None:
 
     For `rtloop.wire.bridge`, which sends no set-point that is old.
     """
-    at, made_ms = loop.core.tx_length - CAN_FRAME_BYTES, loop.core.now_ns // 1_000_000
-    loop.tx[at + _MARKS_AT] = marks
-    loop.tx[at + _MADE_AT] = made_ms & 255
-    loop.tx[at + _MADE_AT + 1] = (made_ms >> 8) & 255
+    at, made_ms = loop.outgoing.length - CAN_FRAME_BYTES, loop.timing.now_ns // 1_000_000
+    loop.outgoing.bytes[at + _MARKS_AT] = marks
+    loop.outgoing.bytes[at + _MADE_AT] = made_ms & 255
+    loop.outgoing.bytes[at + _MADE_AT + 1] = (made_ms >> 8) & 255
 
 
 @jit
@@ -106,10 +102,10 @@ def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int
 
     The records before it are taken; garbled ones are counted.
     """
-    core = loop.core
-    while core.rx_taken < end:
-        record, frame_id, kind, length, data = decode_record(loop, core.rx_taken)
-        core.rx_taken += CAN_FRAME_BYTES
+    parser = loop.parser
+    while parser.bytes_taken < end:
+        record, frame_id, kind, length, data = decode_record(loop, parser.bytes_taken)
+        parser.bytes_taken += CAN_FRAME_BYTES
         if record == RECORD_FRAME:
             return FRAME, frame_id, kind, length, data
         if record == RECORD_ERROR:

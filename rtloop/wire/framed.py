@@ -5,12 +5,9 @@ first byte, and the rest is looked at again from the next byte that could begin 
 many, costs that frame alone. Loss is counted once until the next sound frame, however many bytes it takes.
 """
 
-from typing import Any
-
-from rtloop.memory.state import RX_BYTES
+from rtloop.memory.link import RX_BYTES
+from rtloop.memory.state import Loop
 from shm.jit import jit
-
-Loop = Any
 
 MORE = 0
 SOUND = 1
@@ -21,50 +18,50 @@ WRONG = 3
 @jit
 def collect(loop: Loop, end: int) -> bool:
     """Take bytes of the receive ring up to `end`; True when there are enough to look at (`wait_for` says how many)."""
-    core, ring, line = loop.core, loop.received.bytes, loop.line
-    needed = max(core.line_needed, 1)
-    have, at = core.line_length, core.rx_taken
+    parser, ring, line = loop.parser, loop.received.bytes, loop.parser.line
+    needed = max(parser.line_needed, 1)
+    have, at = parser.line_length, parser.bytes_taken
     while have < needed and at < end:
         line[have] = ring[at & (RX_BYTES - 1)]
         have += 1
         at += 1
-    core.line_length, core.rx_taken = have, at
+    parser.line_length, parser.bytes_taken = have, at
     return bool(have >= needed)
 
 
 @jit
 def wait_for(loop: Loop, count: int) -> int:
     """No look before so many bytes are there, LINE_BYTES at most."""
-    loop.core.line_needed = count
+    loop.parser.line_needed = count
     return MORE
 
 
 @jit
 def take_out(loop: Loop, count: int, shortest: int) -> None:
     """Forget the first bytes; the next frame has `shortest` bytes at the least."""
-    core, line = loop.core, loop.line
-    left = core.line_length - count
+    parser, line = loop.parser, loop.parser.line
+    left = parser.line_length - count
     for i in range(left):
         line[i] = line[count + i]
-    core.line_length = left
-    core.line_needed = shortest
+    parser.line_length = left
+    parser.line_needed = shortest
 
 
 @jit
 def found_sound(loop: Loop, count: int, shortest: int) -> None:
     """The first bytes were a frame."""
     take_out(loop, count, shortest)
-    loop.core.line_spoilt = 0
+    loop.parser.line_spoilt = 0
 
 
 @jit
 def resynchronise(loop: Loop, start: int, shortest: int) -> int:
     """The first byte begins no frame: forget it, and all up to the next `start`. WRONG the first time, then OTHER."""
-    core, line = loop.core, loop.line
+    parser, line = loop.parser, loop.parser.line
     at = 1
-    while at < core.line_length and line[at] != start:
+    while at < parser.line_length and line[at] != start:
         at += 1
     take_out(loop, at, shortest)
-    before = core.line_spoilt
-    core.line_spoilt = 1
+    before = parser.line_spoilt
+    parser.line_spoilt = 1
     return OTHER if before == 1 else WRONG

@@ -5,18 +5,14 @@ it did not take is not sent late, because newer frames say it better and a drive
 but a frame that is half on its way, and the rest of a command that a drive has the first packet of, still go first.
 """
 
-from typing import Any
-
 from config.frames import unchecked_frame_bits
 from rtloop.memory.frame_words import EXTENDED, REMOTE
+from rtloop.memory.link import CAN_FRAME_BYTES, SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_PYTHON_CAN
 from rtloop.memory.recorder import SENT, marks_of, record_frame
-from rtloop.memory.state import CAN_FRAME_BYTES, SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_PYTHON_CAN
+from rtloop.memory.state import Loop, Shared
 from rtloop.wire import can_frame, wires
 from rtloop.wire.can_words import JOINED, STOP
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 LONGEST_FRAME_BYTES = SLCAN_LONGEST_LINE
 """No wire needs more for a frame."""
@@ -43,10 +39,10 @@ def send(
     if not put(loop, int(frame_id), int(kind), int(length), int(data), int(joined), int(stops)):
         return False
     bits = frame_bits(kind, length)
-    loop.core.tx_bits += bits
+    loop.outgoing.bits += bits
     shared.counters.bits_on_bus += bits
     shared.counters.frames_sent += 1
-    loop.core.unheard_frames += 1
+    loop.bus.unheard_frames += 1
     return True
 
 
@@ -57,51 +53,53 @@ def put(loop: Loop, frame_id: int, kind: int, length: int, data: int, joined: in
     `kind` is bits of `frame_words`; `data` holds the bytes, the first lowest; `joined` is 1 where the next frame
     belongs to the same command; `stops` is the joint whose stop command it is, -1 for none.
     """
-    core = loop.core
+    outgoing = loop.outgoing
     if not has_room(loop, 1) or not wires.encode_frame(loop, frame_id, kind, length, data):
         return False
     if loop.params.wire == WIRE_PYTHON_CAN:
         can_frame.mark(loop, (STOP if stops >= 0 else 0) | (JOINED if joined else 0))
-    loop.tx_ends[core.tx_frames] = core.tx_length
-    loop.tx_joined[core.tx_frames] = joined
-    loop.tx_ids[core.tx_frames] = frame_id
-    loop.tx_kinds[core.tx_frames] = kind
-    loop.tx_stops[core.tx_frames] = stops
-    loop.tx_sizes[core.tx_frames] = length
-    loop.tx_data[core.tx_frames] = data
-    core.tx_frames += 1
+    outgoing.ends[outgoing.frames] = outgoing.length
+    outgoing.joined[outgoing.frames] = joined
+    outgoing.ids[outgoing.frames] = frame_id
+    outgoing.kinds[outgoing.frames] = kind
+    outgoing.stops[outgoing.frames] = stops
+    outgoing.sizes[outgoing.frames] = length
+    outgoing.data[outgoing.frames] = data
+    outgoing.frames += 1
     return True
 
 
 @jit
 def has_room(loop: Loop, frames: int) -> bool:
     """Whether so many frames fit, however long they are."""
-    core = loop.core
-    return core.tx_frames + frames <= TX_FRAMES and core.tx_length + frames * LONGEST_FRAME_BYTES <= TX_BYTES
+    outgoing = loop.outgoing
+    return outgoing.frames + frames <= TX_FRAMES and outgoing.length + frames * LONGEST_FRAME_BYTES <= TX_BYTES
 
 
 @jit
 def begin(loop: Loop, shared: Shared) -> None:
     """Make room for a cycle's frames: of what is left over, only what is owed to a drive stays."""
-    core = loop.core
-    if core.tx_length == 0:  # whoever took it all need not know more
-        core.tx_frames = 0
-    keep(loop, shared, 0, 0, min(core.tx_owed, core.tx_frames))
+    outgoing = loop.outgoing
+    outgoing.bits = 0
+    if outgoing.length == 0:  # whoever took it all need not know more
+        outgoing.frames = 0
+    keep(loop, shared, 0, 0, min(outgoing.owed, outgoing.frames))
 
 
 @jit
 def took(loop: Loop, shared: Shared, sent: int) -> None:
     """The wire has taken the first `sent` bytes: what is owed of the rest leads the next cycle's; no more is kept."""
-    core, ends, joined = loop.core, loop.tx_ends, loop.tx_joined
+    outgoing = loop.outgoing
+    ends, joined = outgoing.ends, outgoing.joined
     shared.counters.bytes_sent += sent
     gone = 0
-    while gone < core.tx_frames and ends[gone] <= sent:
+    while gone < outgoing.frames and ends[gone] <= sent:
         gone += 1
-    owed = max(core.tx_owed, gone)
+    owed = max(outgoing.owed, gone)
     begins = ends[gone - 1] if gone > 0 else 0
-    if gone < core.tx_frames and (sent > begins or (gone > 0 and joined[gone - 1] == 1)):
+    if gone < outgoing.frames and (sent > begins or (gone > 0 and joined[gone - 1] == 1)):
         last = gone
-        while joined[last] == 1 and last + 1 < core.tx_frames:
+        while joined[last] == 1 and last + 1 < outgoing.frames:
             last += 1
         owed = max(owed, last + 1)
     keep(loop, shared, sent, gone, owed)
@@ -114,39 +112,47 @@ def keep(loop: Loop, shared: Shared, sent: int, first: int, end: int) -> None:
     Those before were sent, which is recorded; those behind are dropped, which is counted, and a stop command among them
     is still due.
     """
-    core, ends = loop.core, loop.tx_ends
+    outgoing = loop.outgoing
+    ends = outgoing.ends
     left = ends[end - 1] - sent if end > first else 0
-    shared.counters.bytes_unsent += core.tx_length - sent - left
-    shared.counters.frames_sent -= core.tx_frames - end
-    core.unheard_frames -= core.tx_frames - end
+    shared.counters.bytes_unsent += outgoing.length - sent - left
+    shared.counters.frames_sent -= outgoing.frames - end
+    loop.bus.unheard_frames -= outgoing.frames - end
     for frame in range(first):
-        marks = SENT | marks_of(loop.tx_kinds[frame])
-        record_frame(loop, shared, core.now_ns, loop.tx_ids[frame], marks, loop.tx_sizes[frame], loop.tx_data[frame])
-    for frame in range(end, core.tx_frames):
-        shared.counters.bits_on_bus -= frame_bits(loop.tx_kinds[frame], loop.tx_sizes[frame])
-        if loop.tx_stops[frame] >= 0:
-            loop.axes[loop.tx_stops[frame]].stop_frames_due += 1
+        marks = SENT | marks_of(outgoing.kinds[frame])
+        record_frame(
+            loop,
+            shared,
+            loop.timing.now_ns,
+            outgoing.ids[frame],
+            marks,
+            outgoing.sizes[frame],
+            outgoing.data[frame],
+        )
+    for frame in range(end, outgoing.frames):
+        shared.counters.bits_on_bus -= frame_bits(outgoing.kinds[frame], outgoing.sizes[frame])
+        if outgoing.stops[frame] >= 0:
+            loop.axes[outgoing.stops[frame]].sent.stop_frames_due += 1
     if sent > 0:
         for i in range(left):
-            loop.tx[i] = loop.tx[sent + i]
+            outgoing.bytes[i] = outgoing.bytes[sent + i]
         for frame in range(first, end):
             ends[frame - first] = ends[frame] - sent
-            loop.tx_joined[frame - first] = loop.tx_joined[frame]
-            loop.tx_ids[frame - first] = loop.tx_ids[frame]
-            loop.tx_kinds[frame - first] = loop.tx_kinds[frame]
-            loop.tx_stops[frame - first] = loop.tx_stops[frame]
-            loop.tx_sizes[frame - first] = loop.tx_sizes[frame]
-            loop.tx_data[frame - first] = loop.tx_data[frame]
-    core.tx_length = left
-    core.tx_frames = core.tx_owed = end - first
+            outgoing.joined[frame - first] = outgoing.joined[frame]
+            outgoing.ids[frame - first] = outgoing.ids[frame]
+            outgoing.kinds[frame - first] = outgoing.kinds[frame]
+            outgoing.stops[frame - first] = outgoing.stops[frame]
+            outgoing.sizes[frame - first] = outgoing.sizes[frame]
+            outgoing.data[frame - first] = outgoing.data[frame]
+    outgoing.length = left
+    outgoing.frames = outgoing.owed = end - first
 
 
 @jit
 def take_back(loop: Loop, shared: Shared, unsent: int) -> None:
     """Of the bytes that the wire took, so many were not sent after all, in all since the start: whole CAN frames."""
-    core = loop.core
-    more = unsent - core.unsent_taken_back
-    core.unsent_taken_back = unsent
+    more = unsent - loop.outgoing.unsent_taken_back
+    loop.outgoing.unsent_taken_back = unsent
     shared.counters.bytes_unsent += more
     shared.counters.bytes_sent -= more
     shared.counters.frames_sent -= more // CAN_FRAME_BYTES
@@ -155,7 +161,6 @@ def take_back(loop: Loop, shared: Shared, unsent: int) -> None:
 @jit
 def forget(loop: Loop, shared: Shared) -> None:
     """There is no wire, or another one: nothing of before is sent."""
-    core = loop.core
-    core.tx_owed = 0
+    loop.outgoing.owed = 0
     begin(loop, shared)
-    core.unheard_frames = 0
+    loop.bus.unheard_frames = 0

@@ -6,11 +6,11 @@ bytes and counts them; the SLCAN parser finds the next line by itself, and CAN f
 
 from typing import Any
 
-from rtloop.memory.state import LOOP, RX_BYTES, RX_CHUNKS, offset_of
+from rtloop.memory.link import RX_BYTES, RX_CHUNKS
+from rtloop.memory.record import offset_of
+from rtloop.memory.state import LOOP, Loop
 from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
 from shm.jit import jit
-
-Loop = Any
 
 _ARRIVED = offset_of(LOOP, "received", "arrived", "bytes")
 _CHUNKS_ARRIVED = offset_of(LOOP, "received", "arrived", "chunks")
@@ -66,7 +66,7 @@ def woke_ns(loop: Loop) -> int:
 
 @jit
 def chunks_arrived(loop: Loop) -> int:
-    """Consumer: number of chunks ever written (compare with core.rx_chunks_taken)."""
+    """Consumer: number of chunks ever written (compare with loop.parser.chunks_taken)."""
     return load_acquire(loop.params.address + _CHUNKS_ARRIVED)
 
 

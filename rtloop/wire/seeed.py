@@ -6,16 +6,12 @@ framing that an adapter uses before it is set up. A remote frame has no data; sh
 are asked for, they are skipped.
 """
 
-from typing import Any
-
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
-from rtloop.memory.state import TX_BYTES
+from rtloop.memory.link import TX_BYTES
+from rtloop.memory.state import Loop, Shared
 from rtloop.wire import framed
 from rtloop.wire.found import FRAME, NOTHING
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 START, END = 0xAA, 0x55
 LONGEST_FRAME_BYTES = 15
@@ -34,8 +30,8 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
 
     `kind` is bits of `rtloop.memory.frame_words`.
     """
-    core, tx = loop.core, loop.tx
-    at = core.tx_length
+    tx = loop.outgoing.bytes
+    at = loop.outgoing.length
     if at + LONGEST_FRAME_BYTES > TX_BYTES:
         return False
     tx[at] = START
@@ -48,7 +44,7 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
         tx[at] = (data >> (8 * i)) & 255
         at += 1
     tx[at] = END
-    core.tx_length = at + 1
+    loop.outgoing.length = at + 1
     return True
 
 
@@ -73,9 +69,9 @@ def look(loop: Loop) -> tuple[int, int, int, int, int]:
 
     Unless there must be MORE of them it is taken out.
     """
-    core, line = loop.core, loop.line
+    parser, line = loop.parser, loop.parser.line
     head = int(line[1])
-    if core.line_length < SHORTEST_FRAME_BYTES:
+    if parser.line_length < SHORTEST_FRAME_BYTES:
         return framed.wait_for(loop, SHORTEST_FRAME_BYTES), 0, 0, 0, 0
     if line[0] == START and head == END:
         return look_at_fixed(loop), 0, 0, 0, 0
@@ -85,9 +81,9 @@ def look(loop: Loop) -> tuple[int, int, int, int, int]:
     kind = EXTENDED if head & _EXTENDED_BIT else STANDARD
     begin = 6 if kind == EXTENDED else 4
     end = begin
-    if head & _REMOTE_BIT == 0 or (core.line_length > end and line[end] != END):
+    if head & _REMOTE_BIT == 0 or (parser.line_length > end and line[end] != END):
         end += length
-    if core.line_length <= end:
+    if parser.line_length <= end:
         return framed.wait_for(loop, end + 1), 0, 0, 0, 0
     frame_id = 0
     for i in range(2, begin):
@@ -107,8 +103,8 @@ def look(loop: Loop) -> tuple[int, int, int, int, int]:
 @jit
 def look_at_fixed(loop: Loop) -> int:
     """framed.… of what begins with `AA 55`: whole and sound it is skipped."""
-    core, line = loop.core, loop.line
-    if core.line_length < FIXED_BYTES:
+    line = loop.parser.line
+    if loop.parser.line_length < FIXED_BYTES:
         return framed.wait_for(loop, FIXED_BYTES)
     total = 0
     for i in range(2, FIXED_BYTES - 1):

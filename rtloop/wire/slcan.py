@@ -7,17 +7,14 @@ after the data (`Z1`, `Z2`) is ignored because the length digit says where the d
 """
 
 from string import hexdigits
-from typing import Any
 
 import numpy as np
 
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
-from rtloop.memory.state import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
+from rtloop.memory.link import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
+from rtloop.memory.state import Loop, Shared
 from rtloop.wire.found import FRAME, NOTHING
 from shm.jit import jit
-
-Loop = Any
-Shared = Any
 
 CR = 13
 BEL = 7
@@ -47,8 +44,8 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
 
     `kind` is bits of `rtloop.memory.frame_words`.
     """
-    core, tx = loop.core, loop.tx
-    at = core.tx_length
+    tx = loop.outgoing.bytes
+    at = loop.outgoing.length
     if at + SLCAN_LONGEST_LINE > TX_BYTES:
         return False
     digits = 8 if kind & EXTENDED else 3
@@ -68,7 +65,7 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
         tx[at + 1] = hex_digit(byte & 15)
         at += 2
     tx[at] = CR
-    core.tx_length = at + 1
+    loop.outgoing.length = at + 1
     return True
 
 
@@ -79,8 +76,8 @@ LINE_WRONG = 2
 
 @jit
 def decode_line(loop: Loop) -> tuple[int, int, int, int, int]:
-    """(LINE_…, id, kind, length, data) of the line collected in `loop.line`; remote frames are nothing to us."""
-    line, count = loop.line, loop.core.line_length
+    """(LINE_…, id, kind, length, data) of the line collected in `loop.parser.line`; remote frames are nothing to us."""
+    line, count = loop.parser.line, loop.parser.line_length
     if count == 0 or (line[0] != _T_EXTENDED and line[0] != _T_STANDARD):
         return LINE_OTHER, 0, 0, 0, 0
     kind = EXTENDED if line[0] == _T_EXTENDED else STANDARD
@@ -110,14 +107,14 @@ def decode_line(loop: Loop) -> tuple[int, int, int, int, int]:
 @jit
 def collect(loop: Loop, byte: int) -> bool:
     """Add a received byte to the line; True when it completes one (an overlong line is spoilt, not kept)."""
-    core = loop.core
+    parser = loop.parser
     if byte == CR:
         return True
-    if core.line_length < LINE_BYTES:
-        loop.line[core.line_length] = byte
-        core.line_length += 1
+    if parser.line_length < LINE_BYTES:
+        loop.parser.line[parser.line_length] = byte
+        parser.line_length += 1
     else:
-        core.line_spoilt = 1
+        parser.line_spoilt = 1
     return False
 
 
@@ -127,24 +124,24 @@ def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int
 
     The characters before it are taken; refusals (BEL) and garbled lines are counted.
     """
-    core, ring = loop.core, loop.received.bytes
-    for at in range(core.rx_taken, end):
+    parser, ring = loop.parser, loop.received.bytes
+    for at in range(parser.bytes_taken, end):
         byte = ring[at & (RX_BYTES - 1)]
         if byte == BEL:
             shared.counters.wire_errors += 1
             loop.quiet.adapter_words += 1
-            core.line_length = core.line_spoilt = 0
+            parser.line_length = parser.line_spoilt = 0
         elif collect(loop, byte):
             line, frame_id, kind, length, data = decode_line(loop)
-            if core.line_spoilt == 1:
+            if parser.line_spoilt == 1:
                 line = LINE_WRONG
-            core.line_length = core.line_spoilt = 0
+            parser.line_length = parser.line_spoilt = 0
             if line == LINE_FRAME:
-                core.rx_taken = at + 1
+                parser.bytes_taken = at + 1
                 return FRAME, frame_id, kind, length, data
             if line == LINE_WRONG:
                 shared.counters.wire_errors += 1
             else:
                 loop.quiet.adapter_words += 1
-    core.rx_taken = end
+    parser.bytes_taken = end
     return NOTHING, 0, 0, 0, 0

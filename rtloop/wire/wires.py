@@ -3,15 +3,11 @@
 A wire's file has these functions for its own bytes.
 """
 
-from typing import Any
-
-from rtloop.memory.state import WIRE_AT, WIRE_SEEED, WIRE_SLCAN
+from rtloop.memory.link import WIRE_AT, WIRE_SEEED, WIRE_SLCAN
+from rtloop.memory.state import Loop, Shared
 from rtloop.wire import at_frames, can_frame, seeed, slcan
 from rtloop.wire.found import NOTHING
 from shm.jit import jit
-
-Loop = Any  # record of dtype rtloop.memory.state.LOOP
-Shared = Any  # record of dtype shm.layout.STATE
 
 
 @jit
@@ -53,5 +49,5 @@ def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int
 @jit
 def forget_half_frames(loop: Loop) -> None:
     """What has come so far belongs to no frame of what comes now."""
-    core = loop.core
-    core.line_length = core.line_spoilt = core.line_needed = 0
+    parser = loop.parser
+    parser.line_length = parser.line_spoilt = parser.line_needed = 0

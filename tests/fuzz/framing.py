@@ -1,13 +1,10 @@
 """Frames on a serial adapter of any kind, spelt and read by the fuzzers themselves: all compiled."""
 
-from typing import Any
-
 import numpy as np
 
-from rtloop.memory.state import WIRE_AT, WIRE_SEEED
+from rtloop.memory.link import WIRE_AT, WIRE_SEEED
+from rtloop.memory.state import Loop
 from shm.jit import jit
-
-Loop = Any
 
 CR, LF = 13, 10
 _HEX = np.frombuffer(b"0123456789ABCDEF", np.uint8)
@@ -99,10 +96,10 @@ def read_frame(loop: Loop, at: int, count: int) -> tuple[int, int, int]:
     -1 for what is no extended data frame, or is not whole within `count` bytes.
     """
     if loop.params.wire == WIRE_SEEED:
-        return read_seeed(loop.tx, at, count)
+        return read_seeed(loop.outgoing.bytes, at, count)
     if loop.params.wire == WIRE_AT:
-        return read_at(loop.tx, at, count)
-    return read_line(loop.tx, at, count)
+        return read_at(loop.outgoing.bytes, at, count)
+    return read_line(loop.outgoing.bytes, at, count)
 
 
 @jit

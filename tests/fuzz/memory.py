@@ -7,23 +7,20 @@ mock arm is where it stands, and differences that by itself.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
 from rtloop.commands import orders
 from rtloop.cycle import step
 from rtloop.memory.modes import change_mode
-from rtloop.memory.state import LOOP, offset_of
+from rtloop.memory.record import offset_of
+from rtloop.memory.state import LOOP, Loop, Shared
 from rtloop.trajectory.phases import runs, waits
 from shm import layout
 from shm.atomics import load_relaxed, store_relaxed
 from shm.jit import jit
 from shm.seqlock import copy_words, crc32_at
 from shm.words import Answer, Fault, Mode, Outcome, Request, Setpoint
-
-Loop = Any
-Shared = Any
 
 ARM = "mock"
 RATE_HZ = 100.0
@@ -58,7 +55,7 @@ _REQUEST_BYTES = layout.REQUEST.itemsize
 _REQUEST_EPOCH = offset_of(layout.REQUEST, "epoch")
 _HEAD_WORDS = offset_of(layout.SETPOINT, "joints") // 8
 _COMMAND_WORDS = _COMMAND.itemsize // 8
-_KNOTS, _HISTORY = offset_of(LOOP, "knots"), offset_of(LOOP, "history_ns")
+_KNOTS, _HISTORY = offset_of(LOOP, "knots"), offset_of(LOOP, "history")
 _LAST = offset_of(LOOP, "service_in")
 _KNOT = int(Setpoint.KNOT)
 _CASE_RECORDS = 1 << 16
@@ -150,7 +147,7 @@ def put_goal(loop: Loop, command: int, goal: int, wild: float, box: np.ndarray) 
     store_relaxed(command + _ANNOUNCED, goal)
     start_ns = 0
     if np.random.random() < 0.4:
-        start_ns = loop.core.now_ns + int(np.random.randint(-40, 20)) * period_ns // 4
+        start_ns = loop.timing.now_ns + int(np.random.randint(-40, 20)) * period_ns // 4
     mask = int(np.random.randint(1, 1 << count))
     patience = np.random.random() * 0.5
     entry = int(np.random.randint(0, 4))
@@ -162,7 +159,7 @@ def put_goal(loop: Loop, command: int, goal: int, wild: float, box: np.ndarray) 
         patience = hostile_number()
     if np.random.random() < wild:
         entry = hostile_word()
-    record = put_head(command, Setpoint.BEGIN, goal, start_ns, mask, 0, entry, loop.core.epoch)
+    record = put_head(command, Setpoint.BEGIN, goal, start_ns, mask, 0, entry, loop.goals.epoch)
     store_number(record + 48, patience, box)
     for joint in range(count):
         for column in range(3):
@@ -208,7 +205,7 @@ def put_knots(loop: Loop, command: int, goal: int, wild: float, box: np.ndarray)
             row, axis = loop.joints[joint], loop.axes[joint]
             v = np.random.uniform(-share, share) * row.max_velocity_rad_s
             a = np.random.uniform(-2.0, 2.0) * row.max_acceleration_rad_s2
-            p = float(axis.position_rad)
+            p = float(axis.commanded.position_rad)
             if style == 0:  # a smooth way out and on, with the limit in sight
                 v = share * row.max_velocity_rad_s
                 p += v * time_ns * 1e-9
@@ -267,7 +264,7 @@ def put_request(loop: Loop, command: int, wild: float, box: np.ndarray) -> None:
     for word in range(4, _REQUEST_BYTES // 8):
         store_relaxed(record + 8 * word, hostile_word())
     if np.random.random() >= wild:
-        store_relaxed(record + _REQUEST_EPOCH, loop.core.epoch)
+        store_relaxed(record + _REQUEST_EPOCH, loop.goals.epoch)
     store_relaxed(record, crc32_at(record + 8, _REQUEST_BYTES // 8 - 1))
     store_relaxed(command + _REQUESTS_WRITTEN, written + 1)
 
@@ -325,9 +322,9 @@ def write_hostile(loop: Loop, command: int, how: int, goal: int, box: np.ndarray
 def bring_up(loop: Loop, shared: Shared) -> None:
     """What the conversation in ordinary Python does for a mock arm."""
     orders.begin_bring_up(loop, shared)
-    if loop.core.mode == Mode.BRINGING_UP:
+    if loop.mode == Mode.BRINGING_UP:
         for joint in range(loop.params.joint_count):
-            orders.adopt(loop, joint, loop.axes[joint].measured_rad, 0)
+            orders.adopt(loop, joint, loop.axes[joint].measured.position_rad, 0)
         change_mode(loop, shared, Mode.HOLDING)
 
 
@@ -339,7 +336,9 @@ def place(loop: Loop) -> None:
         p = np.random.uniform(row.lower_rad, row.upper_rad)
         if np.random.random() < 0.3:
             p = float(row.upper_rad if np.random.random() < 0.5 else row.lower_rad)
-        axis.position_rad = axis.next_position_rad = axis.measured_rad = axis.reference_rad = p
+        axis.commanded.position_rad = axis.commanded.next_position_rad = axis.measured.position_rad = (
+            axis.tracking.reference_rad
+        ) = p
 
 
 @jit
@@ -348,7 +347,7 @@ def judge(loop: Loop, before: np.ndarray, verdict: np.ndarray) -> int:
     period_s = loop.params.period_ns * 1e-9
     guilt = SOUND
     for joint in range(loop.params.joint_count):
-        row, p = loop.joints[joint], loop.axes[joint].position_rad
+        row, p = loop.joints[joint], loop.axes[joint].commanded.position_rad
         v = (p - before[joint, 0]) / period_s
         a = (v - before[joint, 1]) / period_s
         before[joint, 0], before[joint, 1] = p, v
@@ -385,7 +384,7 @@ _MODES, _FAULTS, _OUTCOMES, _ANSWERS = (int(max(words)) for words in (Mode, Faul
 @jit
 def words_known(loop: Loop, shared: Shared, seen: np.ndarray) -> bool:
     """Whether everything the loop has decided has a name; notes what it was."""
-    known = word_seen(loop.core.mode, _MODES, seen, 0) and word_seen(loop.core.fault, _FAULTS, seen, 1)
+    known = word_seen(loop.mode, _MODES, seen, 0) and word_seen(loop.fault.code, _FAULTS, seen, 1)
     for i in range(layout.RESULT_SLOTS):
         known = known and word_seen(loop.snapshot.results[i].outcome, _OUTCOMES, seen, 2)
     for i in range(layout.ANSWER_SLOTS):
@@ -400,7 +399,7 @@ def refresh(loop: Loop, fresh: int, case: int) -> None:
     copy_words(address, fresh, _KNOTS // 8)
     copy_words(address + _HISTORY, fresh + _HISTORY, (_LAST - _HISTORY) // 8)
     first = (case & 0xFFFF_FFFF) * _CASE_RECORDS
-    loop.core.setpoints_taken = loop.core.requests_taken = first
+    loop.front.setpoints_taken = loop.front.requests_taken = first
     for word in (_ANNOUNCED, HEARTBEAT):
         store_relaxed(command + word, 0)
     for word in (_WRITTEN, _REQUESTS_WRITTEN):
@@ -412,7 +411,7 @@ def standing(loop: Loop) -> np.ndarray:
     """What `judge` keeps from cycle to cycle, of an arm at rest."""
     before = np.zeros((loop.params.joint_count, 2))
     for joint in range(loop.params.joint_count):
-        before[joint, 0] = loop.axes[joint].position_rad
+        before[joint, 0] = loop.axes[joint].commanded.position_rad
     return before
 
 
@@ -428,7 +427,7 @@ def run_case(
     place(loop)
     how = int(np.random.randint(0, 3))
     before = standing(loop)
-    now_ns, goal, guilt = int(loop.core.now_ns), 0, SOUND
+    now_ns, goal, guilt = int(loop.timing.now_ns), 0, SOUND
     for cycle in range(CYCLES):
         now_ns += loop.params.period_ns
         if how != WHOLE_FILE or np.random.random() < 0.9:
@@ -439,13 +438,13 @@ def run_case(
         if guilt == SOUND and not words_known(loop, shared, seen):
             guilt = UNKNOWN_WORD
         if guilt != SOUND:
-            verdict[4], verdict[5], verdict[6] = cycle, how, loop.core.fault
+            verdict[4], verdict[5], verdict[6] = cycle, how, loop.fault.code
             return guilt
-        if loop.core.bring_up_asked == 1:
+        if loop.dialogue.bring_up_asked == 1:
             bring_up(loop, shared)
             for joint in range(loop.params.joint_count):
-                before[joint, 0], before[joint, 1] = loop.axes[joint].position_rad, 0.0
-        if loop.core.fault != Fault.NONE and np.random.random() < 0.2:
+                before[joint, 0], before[joint, 1] = loop.axes[joint].commanded.position_rad, 0.0
+        if loop.fault.code != Fault.NONE and np.random.random() < 0.2:
             put_request(loop, command, 0.0, box)
             if np.random.random() < 0.5:
                 clear_fault(command)
@@ -477,7 +476,7 @@ def run_cases(
     for number in range(count):
         if run_case(loop, shared, fresh, seed, first + number, seen, verdict) != SOUND:
             return number + 1
-        faults[loop.core.fault] += 1
+        faults[loop.fault.code] += 1
     return count
 
 
@@ -494,6 +493,6 @@ def follow(loop: Loop, shared: Shared, start_ns: int, most_cycles: int, verdict:
         if guilt != SOUND:
             verdict[4] = cycle
             return guilt
-        if cycle > 2 and not runs(loop) and not waits(loop) and loop.core.own_brake == 0:
+        if cycle > 2 and not runs(loop) and not waits(loop) and loop.motion.per_joint_stop == 0:
             return SOUND
     return LEFT_EARLY

@@ -220,18 +220,21 @@ class Messages:
         """Play it on the mock arm, compiled; no setpoint may break a limit, and no last line of defence be needed."""
         arm = self.arena.arm
         arm.loop[:] = self._begun
-        for word in ("position_rad", "next_position_rad", "measured_rad", "reference_rad"):
-            arm.loop[0]["axes"][word][: len(here)] = here
+        axes = arm.loop[0]["axes"][: len(here)]
+        axes["commanded"]["position_rad"] = axes["commanded"]["next_position_rad"] = here
+        axes["measured"]["position_rad"] = axes["tracking"]["reference_rad"] = here
         for word in ("setpoints_written", "requests_written", "announced_goal"):
             arm.command.record[word][0] = 0
-        start_ns = int(arm.core["now_ns"])
+        start_ns = int(arm.memory["timing"]["now_ns"])
         self._write(plan)
         verdict = self.arena.verdict
         cycles = round((plan.duration_s + 65.0) / (arm.period_ns * 1e-9))
         guilt = memory.follow(arm.loop[0], arm.state.array[0], start_ns, cycles, verdict)
-        assert arm.core["fault"] == Fault.NONE, f"the last line of defence: {Fault(int(arm.core['fault'])).name}"
+        assert arm.memory["fault"]["code"] == Fault.NONE, (
+            f"the last line of defence: {Fault(int(arm.memory['fault']['code'])).name}"
+        )
         assert guilt == memory.SOUND, f"{memory.GUILT[guilt]}: {verdict[:5]}"
-        assert arm.core["mode"] == Mode.HOLDING
+        assert arm.memory["mode"] == Mode.HOLDING
         assert arm.outcome(1) in (
             *(Outcome.SUCCEEDED, Outcome.RAN_DRY, Outcome.REFUSED_START, Outcome.REFUSED_LIMITS),
             *(Outcome.GOAL_TOLERANCE, Outcome.PATH_TOLERANCE, Outcome.PATH_VELOCITY, Outcome.PATH_ACCELERATION),
@@ -249,7 +252,7 @@ class Messages:
             entry=int(plan.entry),
             tolerances=plan.terms.path_tolerances,
             consumed=0,
-            epoch=int(self.arena.arm.core["epoch"]),
+            epoch=int(self.arena.arm.memory["goals"]["epoch"]),
         )
         for time_ns, order, joints in zip(plan.times_ns, plan.orders, plan.joints, strict=True):
             writer.knot(1, int(time_ns), int(order), joints, 0)

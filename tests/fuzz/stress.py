@@ -12,13 +12,15 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from config.loader import load_arm
 from rtloop.memory.events import record_event
-from rtloop.memory.state import LOOP, RX_BYTES, RX_CHUNKS, SERVICE_SLOTS, offset_of
+from rtloop.memory.link import RX_BYTES, RX_CHUNKS, SERVICE_SLOTS
+from rtloop.memory.record import offset_of
+from rtloop.memory.state import LOOP, Loop, Shared
 from rtloop.process.beginning import new_loop
 from rtloop.service import rings
 from rtloop.service.port import IN, TAKEN, WRITTEN
@@ -27,10 +29,6 @@ from shm import layout
 from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
 from shm.jit import jit
 from shm.seqlock import copy_words, publish, read
-
-Loop = Any
-Shared = Any
-
 
 _EVENTS_WRITTEN = offset_of(layout.STATE, "events_written")
 _EVENTS = offset_of(layout.STATE, "events")
@@ -62,14 +60,17 @@ def read_snapshots(table: int, shared: int, target: int, words: int, count: int)
     """Read `count` complete snapshots; how many of them were torn or older than the one before."""
     wrong = last = done = 0
     while done < count:
-        if read(shared, shared + 128, target, words):
-            number = load_relaxed(target)
-            whole = number >= last
-            for word in range(1, words):
-                whole = whole and (number == 0 or load_relaxed(target + 8 * word) == number * 31 + word)
-            wrong += 0 if whole else 1
-            last = number
-            done += 1
+        if not read(shared, shared + 128, target, words):
+            continue
+        number = load_relaxed(target)
+        if number == 0:
+            continue  # the other thread has not begun
+        whole = number >= last
+        for word in range(1, words):
+            whole = whole and load_relaxed(target + 8 * word) == number * 31 + word
+        wrong += 0 if whole else 1
+        last = number
+        done += 1
     store_relaxed(table, 1)
     return wrong
 

@@ -75,7 +75,7 @@ def test_the_judge_of_motion_finds_what_is_there(hostile_memory: MemoryArena) ->
     loop = hostile_memory.arm.loop
     before = memory.standing(loop[0])
     axis, row = loop[0]["axes"][0], loop[0]["joints"][0]
-    place = float(axis["position_rad"])
+    place = float(axis["commanded"]["position_rad"])
     for position, guilt in (
         (np.nan, memory.NOT_FINITE),
         (row["upper_rad"] + 0.01, memory.OUTSIDE),
@@ -83,9 +83,9 @@ def test_the_judge_of_motion_finds_what_is_there(hostile_memory: MemoryArena) ->
         (place + 2.1e-4 * row["max_acceleration_rad_s2"], memory.TOO_HARD),
         (place + 1.9e-4 * row["max_acceleration_rad_s2"], memory.SOUND),
     ):
-        axis["position_rad"] = position
+        axis["commanded"]["position_rad"] = position
         assert memory.judge(loop[0], before.copy(), hostile_memory.verdict) == guilt
-    axis["position_rad"] = place
+    axis["commanded"]["position_rad"] = place
 
 
 def try_cases(target: Messages | Texts) -> None:

@@ -30,8 +30,8 @@ class Truth:
                 if cycle > 20:
                     goal = memory.write_hostile(arm.loop[0], arm.command.address, how, goal, box)
                 arm.cycle()
-                if arm.core["bring_up_asked"]:
-                    arm.core["bring_up_asked"] = 0
+                if arm.memory["dialogue"]["bring_up_asked"]:
+                    arm.memory["dialogue"]["bring_up_asked"] = 0
                     arm.bring_up(clears_protection=True)
             arm.writer.stop()
             arm.cycles(AFTERWARDS)

@@ -5,8 +5,6 @@ and a writer who knows the grammar of its frames, or does not care for it, puts 
 what the cycle sends by itself.
 """
 
-from typing import Any
-
 import numpy as np
 
 from fuzz import memory
@@ -15,14 +13,12 @@ from fuzz.memory import SOUND, UNKNOWN_WORD
 from rtloop.bus.measured import whose
 from rtloop.cycle import step
 from rtloop.memory.frame_words import EXTENDED
-from rtloop.memory.state import WIRE_SLCAN
+from rtloop.memory.link import WIRE_SLCAN
+from rtloop.memory.state import Loop, Shared
 from rtloop.service.port import OUT, TAKEN, WRITTEN
 from rtloop.wire import received
 from shm.atomics import store_relaxed
 from shm.jit import jit
-
-Loop = Any
-Shared = Any
 
 CYCLES = 40
 MOST_BYTES = 2048
@@ -69,7 +65,7 @@ _FUNCTIONS = np.array([0x36, 0x3A, 0xFD, 0xFE, 0xF3, 0x00, 0xE2, 0xEE, 0x35])
 def position_reply(loop: Loop, joint: int, off_rad: float) -> int:
     """`36 sign counts32 6B` of a joint that is where it is commanded, but for an error."""
     row = loop.joints[joint]
-    counts = round((loop.axes[joint].position_rad + off_rad + row.zero_rad) * row.reading_per_rad)
+    counts = round((loop.axes[joint].commanded.position_rad + off_rad + row.zero_rad) * row.reading_per_rad)
     size = min(abs(counts), 0xFFFFFFFF)
     data = 0x36 | ((1 if counts < 0 else 0) << 8) | (0x6B << 48)
     for i in range(4):
@@ -177,7 +173,7 @@ def judge_bytes(loop: Loop, count: int, verdict: np.ndarray) -> int:
         if joint < 0:
             return BAD_LINE
         if data & 255 == 0xFD:
-            if loop.axes[joint].referenced == 0:
+            if loop.axes[joint].reference.referenced == 0:
                 verdict[0] = joint
                 return LED_BLIND
             if frame_id & 255 == 0:
@@ -210,7 +206,7 @@ def run_case(
     box, before = np.zeros(1), memory.standing(loop)
     silence = 0.0 if np.random.random() < 0.7 else np.random.random()
     calm = np.random.random() < 0.5
-    now_ns, guilt = int(loop.core.now_ns), SOUND
+    now_ns, guilt = int(loop.timing.now_ns), SOUND
     for cycle in range(CYCLES):
         now_ns += loop.params.period_ns
         store_relaxed(command + memory.HEARTBEAT, now_ns)
@@ -229,9 +225,9 @@ def run_case(
         if guilt == SOUND and not memory.words_known(loop, shared, seen):
             guilt = UNKNOWN_WORD
         if guilt != SOUND:
-            verdict[4], verdict[5], verdict[6] = cycle, calm, loop.core.fault
+            verdict[4], verdict[5], verdict[6] = cycle, calm, loop.fault.code
             return guilt
-        loop.core.tx_length = 0
+        loop.outgoing.length = 0
     return SOUND
 
 
@@ -252,5 +248,5 @@ def run_cases(
     for number in range(count):
         if run_case(loop, shared, fresh, seed, first + number, seen, verdict, out) != SOUND:
             return number + 1
-        faults[loop.core.fault] += 1
+        faults[loop.fault.code] += 1
     return count

@@ -69,10 +69,10 @@ _BESIDE = "BESIDE_RAD is what arithmetic may be off by: nobody can say on which 
 EQUIVALENT: dict[str, str] = {
     _STOPS_INSIDE.format(">=", "<"): _BESIDE,
     _STOPS_INSIDE.format(">", "<="): _BESIDE,
-    "rtloop/wire/framed.py collect: needed = max(core.line_needed, 1) → needed = max(core.line_needed, 2)": (
+    "rtloop/wire/framed.py collect: needed = max(parser.line_needed, 1) → needed = max(parser.line_needed, 2)": (
         "only before a wire's first look is nothing needed, and that look waits for a whole frame of 5 bytes or more"
     ),
-    "rtloop/wire/framed.py found_sound: loop.core.line_spoilt = 0 → loop.core.line_spoilt = (-1)": (
+    "rtloop/wire/framed.py found_sound: loop.parser.line_spoilt = 0 → loop.parser.line_spoilt = (-1)": (
         "the word is only asked whether it is 1"
     ),
 }

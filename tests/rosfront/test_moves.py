@@ -206,14 +206,14 @@ def test_the_simulated_arm_moves_its_flange_straight(way_mm, turn_deg):
     pose = moved(OVER_THE_TABLE, way_mm, turn_deg)
     with closing(VirtualArm(start_rad=OVER_THE_TABLE)) as arm:
         assert arm.bring_up().failure is None
-        commanded_rad = arm.loop[0]["axes"]["position_rad"][:6].copy()
+        commanded_rad = arm.loop[0]["axes"]["commanded"]["position_rad"][:6].copy()
         plan = planned(Line(ARM, INVERSE, commanded_rad, pose).trajectory(8e-3), commanded_rad)
         begun_ns = arm.now_ns
         goal = arm.send_goal(plan.times_ns, plan.joints)
         commanded = []
         while arm.outcome(goal) == Outcome.NONE:
             arm.cycle()
-            commanded.append(arm.loop[0]["axes"]["position_rad"][:6].copy())
+            commanded.append(arm.loop[0]["axes"]["commanded"]["position_rad"][:6].copy())
         assert arm.outcome(goal) == Outcome.SUCCEEDED
         times_ns = np.arange(begun_ns, arm.now_ns, 2_000_000)
         true = np.stack([arm.sim.truth(joint, times_ns)[0] for joint in range(6)], axis=1)

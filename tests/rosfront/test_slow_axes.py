@@ -70,7 +70,7 @@ class ServedArm(VirtualArm):
         orders = np.full(len(times_ns), 3)
         plan = GoalPlan(times_ns, orders, knots, (1 << rows) - 1, terms, 0, 0, Entry(0), knots[0])
         goal = self.writer.announced_goal + 1
-        self.streamer = Streamer(goal, plan, int(self.core["epoch"]), horizon_s(self.arm))
+        self.streamer = Streamer(goal, plan, int(self.memory["goals"]["epoch"]), horizon_s(self.arm))
         return goal
 
     def _feed_ring(self) -> None:
@@ -101,15 +101,15 @@ def stops_well(slowness_s: float, way: str, share: float, ripple: float = 0.0) -
     def cycles(count: int) -> None:
         for _ in range(count):
             arm.cycle()
-            positions.append(float(arm.loop[0]["axes"]["position_rad"][0]))
+            positions.append(float(arm.loop[0]["axes"]["commanded"]["position_rad"][0]))
 
     cycles(max(3, round(share * times_ns[-1] / arm.period_ns)))
-    assert arm.core["mode"] == Mode.EXECUTING
+    assert arm.memory["mode"] == Mode.EXECUTING
     arm.end_by(way, goal)
     noticed_s = arm.arm.limits.front_timeout_s if way == "silence" else 0.0
     cycles(math.ceil((noticed_s + arm.arm.longest_stop_s) * NS / arm.period_ns) + 3)
-    assert arm.core["fault"] == Fault.NONE
-    assert not np.any(arm.loop[0]["axes"]["velocity_rad_s"])
+    assert arm.memory["fault"]["code"] == Fault.NONE
+    assert not np.any(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"])
     ended = {"cancel": Outcome.CANCELED, "stop": Outcome.STOPPED, "silence": Outcome.FRONT_LOST}
     kept = (Outcome.NONE, Outcome.SUCCEEDED)  # an end that is nearer than the stop is arrived at
     assert arm.outcome(goal) == ended[way] if way in ended else arm.outcome(goal) in kept

@@ -96,10 +96,10 @@ class Bench(VirtualArm):
         self.cycle()
         if self._talk is not None:
             self._talk = None if self._talk.poll(self.now_ns) else self._talk
-        elif self.core["bring_up_asked"]:
-            self.core["bring_up_asked"] = 0
+        elif self.memory["dialogue"]["bring_up_asked"]:
+            self.memory["dialogue"]["bring_up_asked"] = 0
             self._talk = self._begin_bring_up(clears_protection=True)
-        elif self.core["reference_asked"]:
+        elif self.memory["dialogue"]["reference_asked"]:
             self._talk = referencing_asked_for(
                 self.arm, self.loop, self.port, self.now_ns, self.told.append, self.lost.__setitem__, self.marks
             )
@@ -401,7 +401,7 @@ def test_a_fault_that_somebody_else_clears_is_no_angle_that_was_lost() -> None:
             rig.until(lambda: rig.sim is not None and rig.drive.powered)
             rig.cycles(round(0.6e9 / rig.period_ns))
             rig.request(Request.CLEAR_FAULT)
-            while rig.core["mode"] != Mode.BRINGING_UP:
+            while rig.record["mode"] != Mode.BRINGING_UP:
                 rig.pass_time()
         return True
 
@@ -507,7 +507,7 @@ def test_a_fault_is_not_cleared_without_a_yes() -> None:
     rig = Bench(one_joint("damiao6"))
     rig.bench._agrees = lambda question: False
     rig.drive.disable(rig.now_ns)
-    rig.until(lambda: rig.core["mode"] == Mode.FAULT)
+    rig.until(lambda: rig.record["mode"] == Mode.FAULT)
     assert rig.check("retarget").verdict == Verdict.NOT_TRIED
     assert not rig.drive.enabled
 

@@ -106,7 +106,7 @@ def test_why_a_drive_has_an_error_reaches_people() -> None:
     virtual = VirtualArm.brought_up(mixed())
     assert virtual.sim is not None
     virtual.sim.inject(Protection("joint2", 0.0, cause="temperature"), since_ns=virtual.now_ns)
-    virtual.until(lambda: virtual.core["fault"] != Fault.NONE)
+    virtual.until(lambda: virtual.memory["fault"]["code"] != Fault.NONE)
     virtual.cycles(5)
     found = of_cycle(virtual.reader.snapshot(), [joint.name for joint in virtual.arm.joints], virtual.now_ns)
     assert found["fault"]["name"] == "drive_fault"

@@ -34,7 +34,7 @@ PICTURES = os.environ.get("RTARM_PICTURES")
 def paused() -> Recording:
     """A goal that a person pauses and lets go on, and that a drive's loss of power ends."""
     arm = VirtualArm("episode1", start_rad=recorded_goal(GOAL)["joints"][0, :, 0])
-    arm.core["epoch_offset_ns"] = EPOCH_NS
+    arm.memory["timing"]["epoch_offset_ns"] = EPOCH_NS
     assert arm.bring_up().failure is None
     arm.play(GOAL)
     arm.cycles(60)

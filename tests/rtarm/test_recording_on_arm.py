@@ -39,7 +39,7 @@ def paused() -> Recording:
     arm.writer.resume()
     arm.cycles(90)
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=60.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["fault"] != Fault.NONE)
+    arm.until(lambda: arm.memory["fault"]["code"] != Fault.NONE)
     arm.cycles(120)
     return recording_of(arm)
 

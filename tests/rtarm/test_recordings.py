@@ -57,7 +57,7 @@ EPOCH_NS = 1_700_000_000_000_000_000
 def executing(cycles: int = 120) -> VirtualArm:
     """The arm amid a recorded goal."""
     arm = VirtualArm("episode1", start_rad=recorded_goal(GOAL)["joints"][0, :, 0])
-    arm.core["epoch_offset_ns"] = EPOCH_NS
+    arm.memory["timing"]["epoch_offset_ns"] = EPOCH_NS
     assert arm.bring_up().failure is None
     arm.play(GOAL)
     arm.cycles(cycles)
@@ -71,7 +71,7 @@ def power_loss() -> Recording:
     arm.receive(arm.now_ns, bytes([BEL]))
     arm.cycles(120)
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=60.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["fault"] != Fault.NONE)
+    arm.until(lambda: arm.memory["fault"]["code"] != Fault.NONE)
     arm.cycles(240)
     return recording_of(arm)
 
@@ -80,7 +80,7 @@ def power_loss() -> Recording:
 def stalled() -> Recording:
     arm = executing()
     arm.sim.inject(Stall("joint3", at_s=0.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["fault"] != Fault.NONE)
+    arm.until(lambda: arm.memory["fault"]["code"] != Fault.NONE)
     arm.cycles(120)
     return recording_of(arm)
 

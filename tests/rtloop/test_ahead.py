@@ -18,7 +18,7 @@ def arm_with_blend(seed: int, rate_hz: float) -> tuple[VirtualArm, int, float]:
     """An arm at rest, a goal that lies in the path not running with a blend onto it, and the rate it is entered at."""
     random = np.random.default_rng(seed)
     arm = VirtualArm.brought_up(load_arm("mock", overrides={"control": {"rate_hz": rate_hz}}))
-    arm.core["speed_scale"] = 0.0  # nothing starts
+    arm.memory["people"]["speed_scale"] = 0.0  # nothing starts
     joints = arm.arm.joints
     gap_s = random.choice([0.2, 0.7, 1.0, 1.7, 10.0, 60.0]) / rate_hz
     count = int(random.uniform(0.5, 1.2) / gap_s) + 2
@@ -38,7 +38,7 @@ def arm_with_blend(seed: int, rate_hz: float) -> tuple[VirtualArm, int, float]:
     arm.cycles(25)  # until all of it is taken
     assume(arm.waiting_goal != 0)  # it was not refused for a knot beyond its limits
     rate = float(random.choice([1.0, 0.5, 0.3]))
-    index = 1 - int(arm.core["active"])
+    index = 1 - int(arm.memory["goals"]["active"])
     entry.lay_blend(arm.loop[0], index, rate, 0.0, float(random.choice([0.1, 0.3, 0.45])))
     return arm, index, rate
 
@@ -53,7 +53,7 @@ def differences_keep_limits(arm: VirtualArm, index: int, rate: float) -> bool:
     clocks_s = [way["entry_s"] + i * rate * period_s for i in range(1, count + 1)]
     assume(path.goes_on_past_end(loop, index) or clocks_s[-1] <= known_s)  # else the clock stops before
     for joint in range(len(arm.arm.joints)):
-        positions = [float(loop["axes"][joint]["position_rad"])]
+        positions = [float(loop["axes"][joint]["commanded"]["position_rad"])]
         for clock_s in clocks_s:
             knot = path.find_knot(loop, index, clock_s, 0)
             positions.append(path.sample(loop, index, joint, clock_s, knot)[0])
@@ -70,7 +70,7 @@ def differences_keep_limits(arm: VirtualArm, index: int, rate: float) -> bool:
 @given(st.integers(0, 10**9), st.sampled_from([50.0, 120.0, 500.0, 1000.0]))
 def test_spans_and_setpoints_say_what_every_setpoint_says(seed: int, rate_hz: float) -> None:
     arm, index, rate = arm_with_blend(seed, rate_hz)
-    arm.core["looks_left"] = ENOUGH
+    arm.loop["search"]["checks_left"] = ENOUGH
     keeps = ahead.blend_keeps_limits(arm.loop[0], index, rate)
     assert keeps == differences_keep_limits(arm, index, rate)
     arm.close()
@@ -80,19 +80,19 @@ def test_spans_and_setpoints_say_what_every_setpoint_says(seed: int, rate_hz: fl
 @given(st.integers(0, 10**9), st.integers(3, 50))
 def test_a_search_over_several_cycles_says_what_one_says(seed: int, looks: int) -> None:
     arm, index, rate = arm_with_blend(seed, 500.0)
-    loop, core = arm.loop[0], arm.core
-    core["looks_left"] = ENOUGH
+    loop = arm.loop[0]
+    loop["search"]["checks_left"] = ENOUGH
     at_once = ahead.blend_keeps_limits(loop, index, rate)
-    needed = ENOUGH - int(core["looks_left"])
+    needed = ENOUGH - int(loop["search"]["checks_left"])
     keeps, cycles = False, 0
-    core["looks_left"] = -1
-    while not keeps and core["looks_left"] < 0:
-        before = int(core["judged_ahead"])
-        core["looks_left"] = looks
+    loop["search"]["checks_left"] = -1
+    while not keeps and loop["search"]["checks_left"] < 0:
+        before = int(loop["search"]["judged"])
+        loop["search"]["checks_left"] = looks
         keeps = ahead.blend_keeps_limits(loop, index, rate)
         cycles += 1
         assert cycles <= needed
-        assert core["judged_ahead"] >= before
+        assert loop["search"]["judged"] >= before
     assert keeps == at_once
     assert cycles >= needed / looks
     arm.close()
@@ -105,8 +105,10 @@ def test_a_bump_that_every_way_meets_is_found_over_several_cycles() -> None:
     knots[295, :, 0] = [10.0 * joint.max_acceleration_rad_s2 * 1e-6 for joint in arm.arm.joints]
     goal = arm.send_goal((times_s * 1e9).astype(int), knots, order=3)
     arm.until(lambda: arm.waiting_goal == goal)
-    begun = int(arm.core["cycle"])
+    begun = int(arm.memory["timing"]["cycle"])
     assert arm.end_of(goal) == Outcome.REFUSED_LIMITS
-    assert arm.core["fault"] == Fault.NONE
-    assert int(arm.core["cycle"]) - begun > 5  # hundreds of setpoints lie before the bump, on each of a dozen ways
+    assert arm.memory["fault"]["code"] == Fault.NONE
+    assert (
+        int(arm.memory["timing"]["cycle"]) - begun > 5
+    )  # hundreds of setpoints lie before the bump, on each of a dozen ways
     arm.close()

@@ -22,7 +22,7 @@ from waiting import until
 from config.loader import load_arm
 from rtloop.bus.measured import take_what_the_bus_brought
 from rtloop.memory.frame_words import EXTENDED as EXTENDED_KIND
-from rtloop.memory.state import CAN_FRAME_BYTES
+from rtloop.memory.link import CAN_FRAME_BYTES
 from rtloop.process.beginning import new_loop
 from rtloop.wire import bridge as bridge_module
 from rtloop.wire import can_words, outgoing, received
@@ -506,12 +506,12 @@ def cycle():
 def test_the_cycle_says_of_each_frame_when_it_was_made_and_what_it_is(cycle):
     """Bytes that a raw CAN socket does not use, in the form in which the bridge reads them."""
     loop = cycle.loop[0]
-    loop["core"]["now_ns"] = 123_456_789_012_999_999
+    loop["timing"]["now_ns"] = 123_456_789_012_999_999
     outgoing.put(loop, 0x100, EXTENDED_KIND, 8, 0x0807060504030201, 1)
     outgoing.put(loop, 0x101, EXTENDED_KIND, 1, 0x09, 0)
     outgoing.put(loop, 0x200, EXTENDED_KIND, 2, 0x0201, 0, 3)
     made = 123_456_789_012 & 0xFFFF
-    assert list(bridge_module.RECORD.iter_unpack(loop["tx"][: 3 * CAN_FRAME_BYTES].tobytes())) == [
+    assert list(bridge_module.RECORD.iter_unpack(loop["outgoing"]["bytes"][: 3 * CAN_FRAME_BYTES].tobytes())) == [
         (0x100 | EXTENDED, 8, can_words.JOINED, made, bytes(range(1, 9))),
         (0x101 | EXTENDED, 1, 0, made, b"\x09" + bytes(7)),
         (0x200 | EXTENDED, 2, can_words.STOP, made, b"\x01\x02" + bytes(6)),

@@ -26,7 +26,7 @@ def test_a_drive_that_is_not_there_is_said(name: str) -> None:
     arm.sim.drives[2].power_off(arm.sim.now_ns)
     failed = failure_of(arm)
     assert f"joint3 ({NUMBER[name]}) does not answer" in failed and f"{arm.arm.bus.bitrate} bit/s" in failed
-    assert arm.core["mode"] == Mode.FAULT
+    assert arm.memory["mode"] == Mode.FAULT
     for joint, config in enumerate(arm.arm.joints):
         assert way(arm, joint) <= config.encoder_count_rad + config.command_pulse_rad
     arm.close()

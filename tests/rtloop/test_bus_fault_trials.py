@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from observer import command_violations, frames_sent, motion_frames, motion_violations, truth_of
 from virtual import START_NS, VirtualArm
 
-from rtloop.memory.state import RX_BYTES
+from rtloop.memory.link import RX_BYTES
 from rtloop.wire import received
 from shm.words import Fault, Mode, Outcome, Slowed, Unreferenced
 from sim.faults import CountSlip, ReceiveStall, Silent, Stall, WrongValues
@@ -44,7 +44,9 @@ def say(arm: VirtualArm, *lines: bytes) -> None:
 def position_line(arm: VirtualArm, joint: int, off_rad: float = 0.0) -> bytes:
     """The answer of a drive that stands `off_rad` from where it was last measured."""
     row, axis = arm.loop[0]["joints"][joint], arm.loop[0]["axes"][joint]
-    counts = round((float(axis["measured_rad"]) + off_rad + float(row["zero_rad"])) * float(row["reading_per_rad"]))
+    counts = round(
+        (float(axis["measured"]["position_rad"]) + off_rad + float(row["zero_rad"])) * float(row["reading_per_rad"])
+    )
     return b"T%08X736%02X%08X6B" % (int(row["address"]) << 8, counts < 0, abs(counts))
 
 
@@ -64,7 +66,7 @@ def test_one_wrong_reading_of_any_size_is_no_fault() -> None:
         for joint in range(6):
             late_in_the_cycle(arm, position_line(arm, joint, off_rad))
             arm.cycles(5)
-    assert arm.core["mode"] == Mode.EXECUTING
+    assert arm.memory["mode"] == Mode.EXECUTING
     assert arm.end_of(arm.goal) == Outcome.SUCCEEDED
     arm.close()
 
@@ -105,17 +107,17 @@ def test_a_jump_that_grows_possible_with_time_is_still_a_jump(moving: TrialArm, 
     once_rad = 0.05 + 2.0 * config.max_velocity_rad_s * moving.period_ns * 1e-9
     moving.sim.inject(CountSlip(config.name, 0.0, deg=np.degrees(share * once_rad)), since_ns=moving.now_ns)
     moving.cycles(4)
-    assert (moving.core["fault"], moving.core["fault_joint"]) == (Fault.REFERENCE_LOST, 5)
-    assert moving.loop[0]["axes"][5]["referenced"] == 0
-    assert moving.loop[0]["axes"][5]["unreferenced_reason"] == Unreferenced.POSITION_JUMP
+    assert (moving.memory["fault"]["code"], moving.memory["fault"]["joint"]) == (Fault.REFERENCE_LOST, 5)
+    assert moving.loop[0]["axes"][5]["reference"]["referenced"] == 0
+    assert moving.loop[0]["axes"][5]["reference"]["unreferenced_reason"] == Unreferenced.POSITION_JUMP
 
 
 def test_nonsense_is_no_answer(moving: TrialArm) -> None:
     """Found by these trials: readings that never agreed were put aside for ever, while the arm moved on blindly."""
     moving.sim.inject(WrongValues(1.0, 300.0, joint="joint1"), since_ns=moving.now_ns)
-    moving.until(lambda: moving.core["mode"] == Mode.FAULT, at_most_s=0.5)
-    assert moving.core["fault_joint"] == 0
-    assert moving.loop[0]["axes"][0]["referenced"] == 0
+    moving.until(lambda: moving.memory["mode"] == Mode.FAULT, at_most_s=0.5)
+    assert moving.memory["fault"]["joint"] == 0
+    assert moving.loop[0]["axes"][0]["reference"]["referenced"] == 0
 
 
 def test_a_drive_in_doubt_is_not_led(moving: TrialArm) -> None:
@@ -140,7 +142,7 @@ def test_a_silent_drive_is_led_no_longer_than_the_arm_runs_on(moving: TrialArm) 
 
 def test_a_drive_that_is_heard_again_gets_its_stop_command(moving: TrialArm) -> None:
     moving.sim.inject(Silent("joint2", 0.0, until_s=0.9), since_ns=moving.now_ns)
-    moving.until(lambda: moving.core["mode"] == Mode.FAULT)
+    moving.until(lambda: moving.memory["mode"] == Mode.FAULT)
     moving.cycles(70)  # the stop commands it did not hear
     since = len(moving.sent)
     moving.cycles(60)
@@ -169,13 +171,16 @@ def test_the_same_answer_again_changes_nothing(moving: TrialArm) -> None:
         known, known_to_twin = moving.loop[0]["axes"], twin.loop[0]["axes"]
         different = [
             name
-            for name in known.dtype.names
-            if not np.array_equal(known[name], known_to_twin[name], equal_nan=known[name].dtype.kind == "f")
+            for part in known.dtype.names
+            for name in known[part].dtype.names
+            if not np.array_equal(
+                known[part][name], known_to_twin[part][name], equal_nan=known[part][name].dtype.kind == "f"
+            )
         ]
-        assert different == ["unasked"]
-        assert (known["unasked"] - known_to_twin["unasked"])[:6].tolist() == [5 * (cycle + 1)] * 6
+        assert different == ["reports"]
+        assert (known["reply"]["reports"] - known_to_twin["reply"]["reports"])[:6].tolist() == [5 * (cycle + 1)] * 6
     assert moving.sent == twin.sent
-    assert moving.core["mode"] == Mode.EXECUTING
+    assert moving.memory["mode"] == Mode.EXECUTING
     twin.close()
 
 
@@ -191,14 +196,14 @@ def test_babble_fills_the_ring_and_the_cycle_goes_on(moving: TrialArm) -> None:
 
 def test_an_answer_of_another_function_is_no_position(moving: TrialArm) -> None:
     """33, 34 and 37 have the length of 36, and a sign is 00 or 01."""
-    before = moving.loop[0]["axes"][0]["readings"]
+    before = moving.loop[0]["axes"][0]["measured"]["readings"]
     line = position_line(moving, 0, 0.02)
     moving.sim.inject(Silent("joint1", 0.0), since_ns=moving.now_ns)
     moving.cycle()
     for wrong in (line.replace(b"736", b"733"), line.replace(b"736", b"737"), line[:12] + b"02" + line[14:]):
         say(moving, wrong)
         moving.cycle()
-    assert moving.loop[0]["axes"][0]["readings"] <= before + 1
+    assert moving.loop[0]["axes"][0]["measured"]["readings"] <= before + 1
 
 
 # --- any sequence of answers
@@ -220,7 +225,7 @@ def test_no_sequence_of_answers_moves_an_arm_beyond_its_limits(events: list, sta
     """True motion and command bytes stay inside the limits, time runs forwards, and every goal ends."""
     arm = TrialArm.amid("scale_1_0", start)
     spoken: list[bytes] = [position_line(arm, joint) for joint in range(6)]
-    measured_ns = arm.loop[0]["axes"]["measured_ns"][:6].copy()
+    measured_ns = arm.loop[0]["axes"]["measured"]["time_ns"][:6].copy()
     for kind, *values in events:
         if kind == "cycle":
             arm.cycles(values[0])
@@ -237,7 +242,7 @@ def test_no_sequence_of_answers_moves_an_arm_beyond_its_limits(events: list, sta
             say(arm, values[0])
         else:
             say(arm, b"T%08X%d%s" % (values[0], len(values[1]), values[1].hex().upper().encode()))
-        now_ns = arm.loop[0]["axes"]["measured_ns"][:6]
+        now_ns = arm.loop[0]["axes"]["measured"]["time_ns"][:6]
         assert np.all(now_ns >= measured_ns)
         measured_ns = now_ns.copy()
     arm.until(lambda: arm.outcome(arm.goal) != Outcome.NONE and arm.running_goal == 0)
@@ -250,15 +255,15 @@ def test_no_sequence_of_answers_moves_an_arm_beyond_its_limits(events: list, sta
     for drive in stopped:
         first_ns = min(f.time_ns for f in frames if f.drive == drive and f.data[:2] == b"\xfe\x98")
         assert motion_frames(frames, drive, first_ns - 1) == 0
-    assert np.all(np.abs(arm.loop[0]["axes"]["measured_velocity_rad_s"][:6]) < 1e3)
+    assert np.all(np.abs(arm.loop[0]["axes"]["measured"]["velocity_rad_s"][:6]) < 1e3)
     arm.close()
 
 
 def test_once_the_arm_stands_in_a_fault_nobody_goes_on_or_pushes(moving: TrialArm) -> None:
     """Found by these trials: a held joint was pushed on, and one that lagged crept to its last target."""
     moving.sim.inject(Stall("joint1", 0.0), since_ns=moving.now_ns)
-    moving.until(lambda: moving.core["mode"] == Mode.FAULT)
-    moving.until(lambda: bool(moving.core["rested"]))
+    moving.until(lambda: moving.memory["mode"] == Mode.FAULT)
+    moving.until(lambda: bool(moving.memory["motion"]["rested"]))
     moving.cycles(6)
     moving.sim.run_until(moving.sim.now_ns + 1_000_000)
     drive = moving.sim.drives[0]

@@ -148,7 +148,7 @@ def test_a_motor_turns_as_far_as_told_slowly_and_stands(by: int, acknowledged: b
     assert bench.turned() == pytest.approx(by / TURN, abs=1 / 3200)
     assert bench.virtual.now_ns - began_ns >= abs(by) / TURN / MOST_RPM * 60e9
     bench.require_standing()
-    assert bench.virtual.core["mode"] == Mode.OFFLINE
+    assert bench.virtual.memory["mode"] == Mode.OFFLINE
     assert all(len(drive.shaft.changes_ns()) == 1 for drive in bench.drives[1:])
 
 
@@ -446,6 +446,6 @@ def test_cut_short_at_any_moment_it_stands_and_holds(order: str, after: int):
 def test_the_session_asks_for_no_time_it_does_not_need():
     """A look is a handful of cycles, so a person is not kept waiting."""
     bench = Bench()
-    began = int(bench.virtual.core["cycle"])
+    began = int(bench.virtual.memory["timing"]["cycle"])
     bench.session.look(0)
-    assert int(bench.virtual.core["cycle"]) - began <= 8
+    assert int(bench.virtual.memory["timing"]["cycle"]) - began <= 8

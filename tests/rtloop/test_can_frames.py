@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from config.loader import load_arm
 from rtloop.bus.measured import take_what_the_bus_brought
-from rtloop.memory.state import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN
+from rtloop.memory.link import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN
 from rtloop.process.beginning import new_loop
 from rtloop.wire import can_frame, can_words, received
 from shm import layout
@@ -56,10 +56,10 @@ def brought(loop, shared, *records):
 @given(identifiers, st.binary(max_size=8))
 def test_what_is_encoded_is_what_a_raw_socket_takes(identifier, data):
     loop = new_loop(ARM, 0, 0)
-    loop[0]["tx"] = 0xAA
+    loop[0]["outgoing"]["bytes"] = 0xAA
     frame_id, extended = identifier
     assert can_frame.encode_frame(loop[0], frame_id, extended, len(data), word(data))
-    sent = loop[0]["tx"][: int(loop[0]["core"]["tx_length"])].tobytes()
+    sent = loop[0]["outgoing"]["bytes"][: int(loop[0]["outgoing"]["length"])].tobytes()
     assert sent == record(frame_id, data, flags=EXTENDED if extended else 0)
 
 
@@ -91,20 +91,20 @@ def test_any_record_is_a_frame_or_refused(data):
 
 
 def test_a_full_transmit_buffer_takes_no_half_frames(loop):
-    core = loop[0]["core"]
-    core["tx_length"] = TX_BYTES - CAN_FRAME_BYTES + 1
+    memory = loop[0]
+    memory["outgoing"]["length"] = TX_BYTES - CAN_FRAME_BYTES + 1
     assert not can_frame.encode_frame(loop[0], 0x100, True, 2, 0x6B36)
-    assert core["tx_length"] == TX_BYTES - CAN_FRAME_BYTES + 1
+    assert memory["outgoing"]["length"] == TX_BYTES - CAN_FRAME_BYTES + 1
 
 
 @pytest.mark.parametrize("now_ms", [0, 0x1234, 0xFEDC, 0x12345])
 def test_our_own_marks_stand_in_the_unused_bytes_of_the_last_frame(loop, now_ms):
     """And when it was made: milliseconds, 16 bits."""
-    loop[0]["core"]["now_ns"] = now_ms * 1_000_000 + 999_999
+    loop[0]["timing"]["now_ns"] = now_ms * 1_000_000 + 999_999
     for _ in range(2):
         assert can_frame.encode_frame(loop[0], 0x100, True, 8, -1)
     can_frame.mark(loop[0], can_words.STOP)
-    first, last = (loop[0]["tx"][at : at + CAN_FRAME_BYTES].tobytes() for at in (0, CAN_FRAME_BYTES))
+    first, last = (loop[0]["outgoing"]["bytes"][at : at + CAN_FRAME_BYTES].tobytes() for at in (0, CAN_FRAME_BYTES))
     assert first == record(0x100, b"\xff" * 8)
     assert last == first[:5] + bytes((can_words.STOP, now_ms & 255, now_ms >> 8 & 255)) + first[8:]
 
@@ -129,8 +129,8 @@ def test_replies_become_readings_and_everything_else_does_not(loop, shared):
         record(0x600, reading[:6] + b"\x6c"),
         RECORD_TOO_LONG,
     )
-    assert list(loop[0]["axes"]["readings"][:6]) == [1, 0, 0, 0, 0, 0]
-    assert loop[0]["axes"]["status_readings"].sum() == 0
+    assert list(loop[0]["axes"]["measured"]["readings"][:6]) == [1, 0, 0, 0, 0, 0]
+    assert loop[0]["axes"]["drive"]["status_readings"].sum() == 0
     assert (shared[0]["counters"]["frames_received"], shared[0]["counters"]["wire_errors"]) == (5, 1)
 
 
@@ -148,7 +148,7 @@ def test_a_full_ring_loses_whole_frames(loop, shared):
     assert counters["receive_overflows"] % CAN_FRAME_BYTES == 0
     assert (counters["frames_received"], counters["wire_errors"]) == (RX_BYTES // CAN_FRAME_BYTES, 0)
     brought(loop, shared, record(0x200, reading))
-    assert loop[0]["axes"]["readings"][1] == 1
+    assert loop[0]["axes"]["measured"]["readings"][1] == 1
 
 
 # --- error frames -------------------------------------------------------------------------------------------
@@ -179,12 +179,16 @@ def test_error_frames_are_counted_and_say_how_the_bus_is(loop, shared, errors, s
     assert (counters["bus_state"], counters["unacknowledged"]) == (state, unacknowledged)
     assert (counters["frames_received"], counters["wire_errors"]) == (0, 0)
     if not any(kind == can_words.BUS_OFF for kind, _ in errors):
-        assert loop[0]["core"]["fault"] == Fault.NONE
+        assert loop[0]["fault"]["code"] == Fault.NONE
 
 
 def test_bus_off_is_a_latched_fault(loop, shared):
-    loop[0]["core"]["mode"] = Mode.HOLDING
+    loop[0]["mode"] = Mode.HOLDING
     brought(loop, shared, error_record(can_words.BUS_OFF))
-    core = loop[0]["core"]
-    assert (core["fault"], core["fault_value"], core["mode"]) == (Fault.BUS_OFF, float(can_words.BUS_OFF), Mode.FAULT)
+    memory = loop[0]
+    assert (memory["fault"]["code"], memory["fault"]["value"], memory["mode"]) == (
+        Fault.BUS_OFF,
+        float(can_words.BUS_OFF),
+        Mode.FAULT,
+    )
     assert shared[0]["counters"]["bus_state"] == BusState.BUS_OFF

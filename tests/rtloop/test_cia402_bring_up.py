@@ -105,7 +105,7 @@ def test_a_drive_that_holds_is_told_nothing_that_it_knows() -> None:
     assert powers == set() and drive.power == cia402.OPERATION_ENABLED
     assert {data[0] for frame_id, data in frames if frame_id > 0x600} == {0x40}
     assert {data[0] for frame_id, data in frames if frame_id == 0} == {canopen.START}
-    assert arm.core["mode"] == Mode.HOLDING and stood(arm, since_ns)
+    assert arm.memory["mode"] == Mode.HOLDING and stood(arm, since_ns)
     arm.close()
 
 
@@ -122,7 +122,7 @@ def test_a_drive_that_holds_is_mapped_anew_without_being_let_go(at_lost_connecti
     assert talk[0].failure is None, arm.told
     assert powers == set() and drive.power == cia402.OPERATION_ENABLED
     arm.cycles(40)
-    assert arm.core["mode"] == Mode.HOLDING and stood(arm, since_ns)
+    assert arm.memory["mode"] == Mode.HOLDING and stood(arm, since_ns)
     assert drive.number(0x6007) == 0, "it would let go when the host is silent"
     arm.close()
 
@@ -251,7 +251,7 @@ def test_what_hinders_is_said_and_nothing_moves(break_it: Callable[[Cia402Drive]
     assert failure is not None and failure.joint == JOINT
     for words in (" joint2 ", *said):
         assert words in str(failure), str(failure)
-    assert arm.core["mode"] == Mode.FAULT and stood(arm, arm.sim.start_ns)
+    assert arm.memory["mode"] == Mode.FAULT and stood(arm, arm.sim.start_ns)
     arm.close()
 
 
@@ -328,12 +328,12 @@ def test_a_drive_that_was_not_led_for_a_while_is_not_rushed_to_the_setpoint() ->
     """Away for less than what is a fault: the setpoint has gone on, and the drive would be there within a period."""
     arm = VirtualArm.amid("large", 400, arm="cia402_6")
     joint, drive = 3, drive_of(arm, 3)
-    since_ns, goes_rad_s = arm.sim.now_ns, abs(arm.loop[0]["axes"][joint]["velocity_rad_s"])
+    since_ns, goes_rad_s = arm.sim.now_ns, abs(arm.loop[0]["axes"][joint]["commanded"]["velocity_rad_s"])
     drive.unplug(since_ns)
     arm.cycles(15)
     drive.plug_in(arm.sim.now_ns)
     arm.cycles(100)
-    assert arm.core["mode"] == Mode.EXECUTING
+    assert arm.memory["mode"] == Mode.EXECUTING
     _, _, velocity_rad_s = sampled_truth(arm.sim, joint, since_ns, arm.sim.now_ns)
     most = goes_rad_s + ERROR_SPEED_SHARE * arm.arm.joints[joint].max_velocity_rad_s
     assert np.abs(velocity_rad_s).max() <= 1.2 * most
@@ -347,7 +347,7 @@ def test_a_drive_whose_answers_are_lost_stands_at_its_last_target() -> None:
     drive.reply_loss = 1.0
     arm.sent.clear()
     arm.cycles(200)
-    assert arm.core["mode"] == Mode.FAULT
+    assert arm.memory["mode"] == Mode.FAULT
     targets = [int.from_bytes(data[2:], "little", signed=True) for frame_id, data in told(arm) if frame_id == 0x204]
     assert targets == sorted(targets), "never back"
     assert abs(drive._position() - targets[-1]) <= 1

@@ -197,12 +197,12 @@ def test_a_target_is_where_the_joint_is_due_a_period_after_the_sync_and_within_i
     made = new_loop(ARM, 0, 0)
     axis, row = made[0]["axes"][0], made[0]["joints"][0]
     row["command_delay_s"] = 0.002
-    axis["next_position_rad"], axis["next_velocity_rad_s"] = sign * 0.1, sign * 0.5
-    axis["next_acceleration_rad_s2"] = -sign * 3.0
+    axis["commanded"]["next_position_rad"], axis["commanded"]["next_velocity_rad_s"] = sign * 0.1, sign * 0.5
+    axis["commanded"]["next_acceleration_rad_s2"] = -sign * 3.0
     assert cia402.setpoint_rad(made[0], 0) == pytest.approx(sign * (0.1 + 0.5 * 0.002 - 3.0 * 0.002**2 / 2))
     end_rad = row["upper_rad"] + row["slack_rad"] if sign > 0.0 else row["lower_rad"] - row["slack_rad"]
-    axis["next_position_rad"] = end_rad
-    axis["next_acceleration_rad_s2"] = 0.0
+    axis["commanded"]["next_position_rad"] = end_rad
+    axis["commanded"]["next_acceleration_rad_s2"] = 0.0
     assert cia402.setpoint_rad(made[0], 0) == end_rad
 
 
@@ -292,7 +292,7 @@ def test_frames_of_others_move_nothing(frames, twice):
         arm.receive(arm.sim.now_ns, text)
         arm.cycle()
     arm.cycles(40)
-    assert arm.core["mode"] in (Mode.HOLDING, Mode.FAULT)
+    assert arm.memory["mode"] in (Mode.HOLDING, Mode.FAULT)
     moved = abs(arm.sim.true_position_rad(0, arm.sim.now_ns) - at_rest_rad)
     assert moved <= 2 * arm.arm.joints[0].encoder_count_rad
     arm.close()
@@ -309,7 +309,7 @@ def test_a_reading_that_jumps_twice_does_not_pull_the_joint_there():
         arm.receive(arm.sim.now_ns, b"t1818" + struct.pack("<Hih", 0x1637, 12_345, 0).hex().upper().encode() + b"\r")
         arm.cycle()
     arm.cycles(10)
-    assert arm.core["mode"] == Mode.FAULT
-    assert arm.loop[0]["axes"][0]["unreferenced_reason"] == Unreferenced.POSITION_JUMP
+    assert arm.memory["mode"] == Mode.FAULT
+    assert arm.loop[0]["axes"][0]["reference"]["unreferenced_reason"] == Unreferenced.POSITION_JUMP
     assert abs(arm.sim.true_position_rad(0, arm.sim.now_ns) - at_rest_rad) <= 2 * arm.arm.joints[0].encoder_count_rad
     arm.close()

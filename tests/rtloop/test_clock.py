@@ -24,9 +24,9 @@ class Clock:
         self, *, speed_share: float = 0.5, path_s: float = 60.0, at_s: float = 20.0, gap_s: float = 1.0
     ) -> None:
         self.loop = new_loop(ARM, 0, 0)[0]
-        self.core, self.path = self.loop["core"], self.loop["paths"][0]
-        self.core["active"], self.core["clock_s"] = 0, at_s
-        self.core["looks_left"] = 10**6
+        self.path = self.loop["paths"][0]
+        self.loop["goals"]["active"], self.loop["clock"]["time_s"] = 0, at_s
+        self.loop["search"]["checks_left"] = 10**6
         self.longest_s = float(self.loop["params"]["longest_stop_s"])
         count = round(path_s / gap_s) + 1
         self.path["taken"], self.path["joint_mask"] = count, (1 << len(ARM.joints)) - 1
@@ -40,19 +40,21 @@ class Clock:
             knots["joints"]["velocity_rad_s"][:, index] = velocity
             knots["joints"]["position_rad"][:, index] = velocity * (np.arange(count) * gap_s - at_s)
             axis = self.loop["axes"][index]
-            axis["position_rad"], axis["velocity_rad_s"] = 0.0, velocity
-            axis["difference_velocity_rad_s"] = velocity
+            axis["commanded"]["position_rad"], axis["commanded"]["velocity_rad_s"] = 0.0, velocity
+            axis["commanded"]["difference_velocity_rad_s"] = velocity
 
     def bend(self, joint: int, acceleration_rad_s2: float) -> None:
         """Let a joint accelerate all along instead, with the path's other words as they are."""
-        times_s = self.loop["knots"]["time_ns"][: self.path["taken"]] * 1e-9 - self.core["clock_s"]
+        times_s = self.loop["knots"]["time_ns"][: self.path["taken"]] * 1e-9 - self.loop["clock"]["time_s"]
         row = self.loop["knots"]["joints"][: self.path["taken"], joint]
         row["velocity_rad_s"] = acceleration_rad_s2 * times_s
         row["position_rad"] = 0.5 * acceleration_rad_s2 * times_s**2
 
     def slowest_s(self) -> float:
         """The largest ratio of velocity to acceleration limit among the joints, along the line."""
-        ratios = self.loop["axes"]["velocity_rad_s"][:6] / [joint.max_acceleration_rad_s2 for joint in ARM.joints]
+        ratios = self.loop["axes"]["commanded"]["velocity_rad_s"][:6] / [
+            joint.max_acceleration_rad_s2 for joint in ARM.joints
+        ]
         return float(ratios.max())
 
 
@@ -65,32 +67,37 @@ def test_a_ramp_leads_to_its_rate_and_the_clock_goes_as_far_as_its_integral(
 ) -> None:
     """The integral of a cubic from its ends: T (s₀ + s₁) / 2 + u T² / 12; then the clock runs at the new rate."""
     it = Clock()
-    it.core["rate"], it.core["slope"], it.core["clock_s"] = rate, slope, 0.0
+    it.loop["clock"]["rate"], it.loop["clock"]["slope"], it.loop["clock"]["time_s"] = rate, slope, 0.0
     clock.begin_ramp(it.loop, target, duration, ORDERLY)
     cycles = int(np.ceil(duration / PERIOD_S)) + 3
     for number in range(1, cycles + 1):
-        before = float(it.core["clock_s"])
+        before = float(it.loop["clock"]["time_s"])
         clock.advance_clock(it.loop)
         if number * PERIOD_S < duration:
-            mean = (float(it.core["clock_s"]) - before) / PERIOD_S
+            mean = (float(it.loop["clock"]["time_s"]) - before) / PERIOD_S
             shares = (np.array([number - 1.0, number - 0.5, number]) * PERIOD_S / duration)[:, np.newaxis]
             hermite = np.hstack(
                 [1 - 3 * shares**2 + 2 * shares**3, shares * (1 - shares) ** 2, 3 * shares**2 - 2 * shares**3]
             )
             rates = hermite @ [rate, slope * duration, target]
             assert mean == pytest.approx(rates @ [1 / 6, 4 / 6, 1 / 6], abs=1e-9)
-            assert it.core["rate"] == pytest.approx(rates[-1], abs=1e-9)
+            assert it.loop["clock"]["rate"] == pytest.approx(rates[-1], abs=1e-9)
     way = duration * (rate + target) / 2.0 + slope * duration**2 / 12.0 + (cycles * PERIOD_S - duration) * target
-    assert it.core["clock_s"] == pytest.approx(way, abs=1e-9)
-    assert (it.core["rate"], it.core["slope"], it.core["ramp_s"]) == (target, 0.0, 0.0)
+    assert it.loop["clock"]["time_s"] == pytest.approx(way, abs=1e-9)
+    assert (it.loop["clock"]["rate"], it.loop["clock"]["slope"], it.loop["clock"]["ramp_s"]) == (target, 0.0, 0.0)
 
 
 def test_a_steady_clock_goes_on_at_its_rate() -> None:
     it = Clock()
     clock.set_rate(it.loop, 0.25)
-    assert (it.core["rate"], it.core["rate_target"], it.core["slope"], it.core["ramp_s"]) == (0.25, 0.25, 0.0, 0.0)
+    assert (
+        it.loop["clock"]["rate"],
+        it.loop["clock"]["rate_target"],
+        it.loop["clock"]["slope"],
+        it.loop["clock"]["ramp_s"],
+    ) == (0.25, 0.25, 0.0, 0.0)
     clock.advance_clock(it.loop)
-    assert it.core["clock_s"] - 20.0 == pytest.approx(0.25 * PERIOD_S)
+    assert it.loop["clock"]["time_s"] - 20.0 == pytest.approx(0.25 * PERIOD_S)
 
 
 # --- which ramp -----------------------------------------------------------------------------------------------
@@ -133,7 +140,7 @@ def test_where_the_plan_asks_for_much_a_ramp_may_add_to_that(
     """0.05 more than the plan, nine tenths of a margin of 2 at the most, and what the joint has already."""
     it = Clock()
     limit = ARM.joints[2].max_acceleration_rad_s2
-    it.loop["axes"][2]["acceleration_rad_s2"] = present_share * limit
+    it.loop["axes"][2]["commanded"]["acceleration_rad_s2"] = present_share * limit
     allowed = clock.allowed_acceleration(it.loop, 2, planned_share * limit, factor, 0.05)
     assert allowed == pytest.approx(allowed_share * limit)
 
@@ -160,11 +167,11 @@ def test_what_the_plan_itself_asks_for_is_part_of_the_strain() -> None:
 def test_a_clock_that_would_run_backwards_or_too_fast_is_impossible() -> None:
     it = Clock(speed_share=0.0)
     clock.set_rate(it.loop, 0.5)
-    it.core["slope"] = -20.0
+    it.loop["clock"]["slope"] = -20.0
     assert clock.ramp_strain(it.loop, 0.0, 1.0, ORDERLY) == clock.IMPOSSIBLE
-    it.core["slope"] = 20.0
+    it.loop["clock"]["slope"] = 20.0
     assert clock.ramp_strain(it.loop, 0.0, 1.0, ORDERLY) == clock.IMPOSSIBLE
-    it.core["slope"] = 0.0
+    it.loop["clock"]["slope"] = 0.0
     assert clock.ramp_strain(it.loop, 0.0, 1.0, ORDERLY) == 0.0
 
 
@@ -196,10 +203,10 @@ def test_a_bump_on_the_way_or_just_behind_it_is_seen_setpoint_by_setpoint(target
     assert clock.ramp_keeps_limits(it.loop, target, 0.7)
     it.loop["knots"]["joints"]["position_rad"][1030, 3] += 0.01
     assert not clock.ramp_keeps_limits(it.loop, target, 0.7)
-    it.core["looks_left"] = 3
+    it.loop["search"]["checks_left"] = 3
     assert clock.ramp_keeps_limits(it.loop, target, 0.7), "a lower rate cannot wait"
     clock.set_rate(it.loop, 0.2)
-    it.core["looks_left"] = 3
+    it.loop["search"]["checks_left"] = 3
     assert not clock.ramp_keeps_limits(it.loop, 0.5, 0.7), "a higher one can"
 
 
@@ -209,42 +216,46 @@ def test_a_bump_on_the_way_or_just_behind_it_is_seen_setpoint_by_setpoint(target
 def test_a_ramp_is_begun_when_another_rate_is_wanted_and_then_runs_on() -> None:
     it = Clock()
     clock.steer_rate(it.loop, 1.0, ORDERLY)
-    assert it.core["ramp_s"] == 0.0, "it has that rate"
-    it.core["arriving"] = 1
+    assert it.loop["clock"]["ramp_s"] == 0.0, "it has that rate"
+    it.loop["goals"]["arriving"] = 1
     clock.steer_rate(it.loop, 0.0, ORDERLY)
-    duration = float(it.core["ramp_s"])
+    duration = float(it.loop["clock"]["ramp_s"])
     assert duration == pytest.approx(clock.ramp_duration(it.loop, 0.0, ORDERLY)[0])
-    assert (it.core["rate_target"], it.core["rate_start"], it.core["arriving"]) == (0.0, 1.0, 0)
+    assert (it.loop["clock"]["rate_target"], it.loop["clock"]["rate_start"], it.loop["goals"]["arriving"]) == (
+        0.0,
+        1.0,
+        0,
+    )
     clock.advance_clock(it.loop)
     clock.steer_rate(it.loop, 0.0, ORDERLY)
-    assert it.core["ramp_elapsed_s"] == pytest.approx(PERIOD_S), "it is not begun anew"
+    assert it.loop["clock"]["ramp_elapsed_s"] == pytest.approx(PERIOD_S), "it is not begun anew"
 
 
 def test_an_urgent_stop_cuts_an_orderly_one_short_and_none_is_made_longer() -> None:
     it = Clock(speed_share=1.0)
     clock.steer_rate(it.loop, 0.0, ORDERLY)
     clock.advance_clock(it.loop)
-    left_s = float(it.core["ramp_s"]) - PERIOD_S
+    left_s = float(it.loop["clock"]["ramp_s"]) - PERIOD_S
     clock.steer_rate(it.loop, 0.0, BRAKING)
-    assert it.core["ramp_s"] < left_s and it.core["ramp_elapsed_s"] == 0.0
+    assert it.loop["clock"]["ramp_s"] < left_s and it.loop["clock"]["ramp_elapsed_s"] == 0.0
     clock.advance_clock(it.loop)
-    urgent_s = float(it.core["ramp_s"])
+    urgent_s = float(it.loop["clock"]["ramp_s"])
     clock.steer_rate(it.loop, 0.0, ORDERLY)
-    assert (it.core["ramp_s"], it.core["ramp_elapsed_s"]) == (urgent_s, pytest.approx(PERIOD_S))
-    while it.core["ramp_s"] > 0.0:
+    assert (it.loop["clock"]["ramp_s"], it.loop["clock"]["ramp_elapsed_s"]) == (urgent_s, pytest.approx(PERIOD_S))
+    while it.loop["clock"]["ramp_s"] > 0.0:
         clock.steer_rate(it.loop, 0.0, BRAKING)
         clock.advance_clock(it.loop)
-        assert it.core["ramp_s"] in (urgent_s, 0.0), "a stop that is nearly over is not begun anew"
+        assert it.loop["clock"]["ramp_s"] in (urgent_s, 0.0), "a stop that is nearly over is not begun anew"
 
 
 def test_a_running_ramp_that_cannot_be_turned_round_runs_on() -> None:
     """At six times the joints' highest velocity no ramp keeps the limits; from a steady rate one is begun at once."""
     it = Clock(speed_share=6.0)
     clock.steer_rate(it.loop, 0.0, ORDERLY)
-    assert it.core["ramp_s"] == pytest.approx(it.longest_s), "as gently as can be"
+    assert it.loop["clock"]["ramp_s"] == pytest.approx(it.longest_s), "as gently as can be"
     clock.begin_ramp(it.loop, 0.5, it.longest_s, ORDERLY)
     clock.steer_rate(it.loop, 0.0, ORDERLY)
-    assert it.core["rate_target"] == 0.5
+    assert it.loop["clock"]["rate_target"] == 0.5
 
 
 @pytest.mark.parametrize(
@@ -273,9 +284,9 @@ def test_braking_begins_when_the_stop_just_fits(rate: float) -> None:
         clock.set_rate(it.loop, rate)
         duration, _ = clock.ramp_duration(it.loop, 0.0, BRAKING)
         assert duration < it.longest_s
-        it.core["clock_s"] = 60.0 - 0.5 * rate * duration - 3.0 * PERIOD_S - beside_s
+        it.loop["clock"]["time_s"] = 60.0 - 0.5 * rate * duration - 3.0 * PERIOD_S - beside_s
         assert clock.must_brake_for_lack_of_path(it.loop, False) == (beside_s < 0.0)
         assert clock.must_brake_for_lack_of_path(it.loop, True)
-        it.core["speed_scale"] = rate
-        it.core["clock_s"] = 60.0 - 0.5 * rate * it.longest_s - 3.0 * PERIOD_S - beside_s
+        it.loop["people"]["speed_scale"] = rate
+        it.loop["clock"]["time_s"] = 60.0 - 0.5 * rate * it.longest_s - 3.0 * PERIOD_S - beside_s
         assert clock.must_brake_for_lack_of_path(it.loop, True) == (beside_s < 0.0)

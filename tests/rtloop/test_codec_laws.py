@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from rtloop.memory import status
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
-from rtloop.memory.state import TX_BYTES
+from rtloop.memory.link import TX_BYTES
 
 relaxed = settings(deadline=None, max_examples=examples(60))  # of each of nine drives
 KNOWN_STATUS = sum(value for name, value in vars(status).items() if name.isupper())
@@ -49,7 +49,7 @@ def moving(kind: Kind, mount: Mount, place: float, pace: float, error_rad: float
     config = rig.config
     position = config.lower_rad + place * (config.upper_rad - config.lower_rad)
     rig.stands(position, pace * config.max_velocity_rad_s)
-    rig.axis["measured_rad"], rig.axis["error_before_rad"] = position - error_rad, error_rad
+    rig.axis["measured"]["position_rad"], rig.axis["tracking"]["error_before_rad"] = position - error_rad, error_rad
     return rig
 
 
@@ -95,13 +95,13 @@ def test_a_target_lies_so_far_ahead_that_the_speed_alone_sets_the_pace(
     rig, drive = moving(kind, mount, place, pace, error_rad), DRIVES[kind]
     target, speed = command(rig, drive)
     config, axis = rig.config, rig.axis
-    ahead = target - axis["next_position_rad"]
+    ahead = target - axis["commanded"]["next_position_rad"]
     if pace == 0.0 or not config.lower_rad < target < config.upper_rad:
         return
     sure = max(speed - drive.step_rad_s / config.ratio, 0.0)
     brakes = sure**2 / (2 * 2.1 * config.max_acceleration_rad_s2) if drive.loop_s == 0.0 else sure * drive.loop_s
     assert abs(ahead) >= sure * rig.period_s + brakes - drive.off_rad / config.ratio
-    if error_rad == 0.0 and abs(axis["velocity_rad_s"]) * rig.period_s > 2 * config.command_pulse_rad:
+    if error_rad == 0.0 and abs(axis["commanded"]["velocity_rad_s"]) * rig.period_s > 2 * config.command_pulse_rad:
         assert ahead * pace > 0
 
 
@@ -112,7 +112,11 @@ def test_a_setpoint_is_read_as_it_was_meant(kind: Kind, mount: Mount, place: flo
     """Within a step of its fields: where the joint is in this period or the next, and how fast."""
     rig, drive = moving(kind, mount, place, pace), DRIVES[kind]
     target, speed = command(rig, drive)
-    position, velocity, step = rig.axis["position_rad"], rig.axis["velocity_rad_s"], drive.off_rad / rig.config.ratio
+    position, velocity, step = (
+        rig.axis["commanded"]["position_rad"],
+        rig.axis["commanded"]["velocity_rad_s"],
+        drive.off_rad / rig.config.ratio,
+    )
     way = velocity * rig.period_s
     assert min(0, 2 * way) - step <= target - position <= max(0, 2 * way) + step
     assert abs(target - position) >= 0.5 * abs(way) - step
@@ -127,7 +131,7 @@ def test_a_joint_that_stands_is_told_where_it_stands(kind: Kind, mount: Mount, p
     """With a speed, where there is one: with none it would be no limit at all, or nothing would be led."""
     rig, drive = moving(kind, mount, place, 0.0), DRIVES[kind]
     target, speed = command(rig, drive)
-    assert target == pytest.approx(rig.axis["position_rad"], abs=1.01 * drive.off_rad / rig.config.ratio)
+    assert target == pytest.approx(rig.axis["commanded"]["position_rad"], abs=1.01 * drive.off_rad / rig.config.ratio)
     if drive.rounds:
         assert speed == pytest.approx(drive.step_rad_s / rig.config.ratio)
     elif drive.plans:
@@ -185,12 +189,12 @@ def test_what_is_no_number_never_becomes_one_on_the_wire(kind: Kind) -> None:
 @every_drive
 def test_where_there_is_no_room_nothing_is_said(kind: Kind) -> None:
     rig = Rig.named(*kind).stands(0.0)
-    rig.axis["readings"] = 1
-    rig.core["tx_length"] = TX_BYTES - 1
+    rig.axis["measured"]["readings"] = 1
+    rig.record["outgoing"]["length"] = TX_BYTES - 1
     for function in ("lead", "ask_position", "ask_status"):
         getattr(rig.codec, function)(rig.record, 0, rig.shared[0])
     assert not rig.codec.stop(rig.record, 0, rig.shared[0])
-    assert (rig.core["tx_frames"], rig.axis["questions"]) == (0, 0)
+    assert (rig.record["outgoing"]["frames"], rig.axis["reply"]["questions"]) == (0, 0)
     assert len(rig.sends("ask_position")) == 1, "it has not been asked yet"
 
 
@@ -198,7 +202,7 @@ def test_where_there_is_no_room_nothing_is_said(kind: Kind) -> None:
 def test_an_echo_of_what_was_sent_tells_nothing(kind: Kind) -> None:
     """Every frame comes back, as adapters with local echo do."""
     rig = Rig.named(*kind).stands(0.5)
-    rig.axis["readings"] = 1
+    rig.axis["measured"]["readings"] = 1
     sent = [text for function in ("lead", "ask_position", "ask_status", "stop") for text in rig.sends(function)]
     assert sent
     before = rig.axis.tobytes()

@@ -104,7 +104,7 @@ def test_an_alarm_time_is_taken_away_and_said_before_it_can_let_go(name: str) ->
     assert arm.bring_up().failure is None, arm.told
     assert sum("alarm time from 500 ms to none" in sentence for sentence in arm.told) == 6
     arm.cycles(int(2e9 / arm.period_ns))
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
     assert set(said_to_motors(arm, len(arm.sent) - 100)) == {EVERYBODY}  # nothing that the alarm would count
     assert all(drive.enabled for drive in arm.sim.drives)
     arm.close()
@@ -140,7 +140,7 @@ def test_a_motor_that_is_not_what_the_file_says_is_left_alone(
     began_ns = arm.sim.now_ns
     failure = arm.bring_up().failure
     assert failure is not None and sentence in str(failure) and "joint3" in str(failure)
-    assert arm.core["fault"] == Fault.BRING_UP
+    assert arm.memory["fault"]["code"] == Fault.BRING_UP
     assert (drive.enabled, drive.registers[register]) == (enabled, value)
     assert stands(arm, began_ns)
     arm.close()
@@ -156,7 +156,7 @@ def test_an_id_that_spoils_the_status_brings_up_nothing(name: str, motor_id: int
     arm = VirtualArm(config.model_copy(update={"joints": [joint, *config.joints[1:]]}), start_rad=START_RAD)
     failure = arm.bring_up().failure
     assert failure is not None and f"joint1 (motor_id {motor_id:#x}) does not answer" in str(failure)
-    assert arm.core["fault"] == Fault.BRING_UP
+    assert arm.memory["fault"]["code"] == Fault.BRING_UP
     assert not arm.sim.drives[0].enabled
     arm.close()
 
@@ -166,9 +166,9 @@ def test_a_motor_that_somebody_lets_go_is_a_fault(name: str) -> None:
     arm = holding(name)
     arm.cycles(20)
     arm.sim.inject(Disabled("joint4", 0.0), since_ns=arm.sim.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=0.1)
-    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.DRIVE_FAULT, 3)
-    assert not arm.loop[0]["axes"][3]["status"] & DriveStatus.ENABLED
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT, at_most_s=0.1)
+    assert (arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (Fault.DRIVE_FAULT, 3)
+    assert not arm.loop[0]["axes"][3]["drive"]["status"] & DriveStatus.ENABLED
     assert all(drive.enabled for number, drive in enumerate(arm.sim.drives) if number != 3)
     arm.close()
 
@@ -178,7 +178,7 @@ def test_silence_of_the_host_ends_a_little_behind_the_last_set_point() -> None:
     arm = holding(MIT)
     arm.play_part("large", 0.4)
     died_ns = arm.sim.now_ns
-    speeds = np.abs(arm.loop[0]["axes"]["velocity_rad_s"][:6])
+    speeds = np.abs(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"][:6])
     assert speeds.max() > 0.4
     arm.sim.run_until(died_ns + 1_000_000_000)
     for joint, speed in enumerate(speeds):
@@ -216,7 +216,7 @@ def test_motors_whose_speed_is_a_gain_end_gently_in_silence() -> None:
     arm = with_a_gain(10.0)
     arm.play_part("large", 0.4)
     died_ns = arm.sim.now_ns
-    speeds = np.abs(arm.loop[0]["axes"]["velocity_rad_s"][:6])
+    speeds = np.abs(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"][:6])
     arm.sim.run_until(died_ns + 3_000_000_000)
     for joint, config in enumerate(arm.arm.joints):
         times_ns, position_rad, velocity_rad_s = sampled_truth(arm.sim, joint, died_ns, arm.sim.now_ns)
@@ -231,7 +231,7 @@ def test_motors_too_slow_for_a_goal_are_stopped_by_the_following_error() -> None
     arm = with_a_gain(None)
     goal = arm.play("large")
     assert arm.end_of(goal) == Outcome.FAULT
-    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.FOLLOWING_ERROR, 0)
+    assert (arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (Fault.FOLLOWING_ERROR, 0)
     arm.cycles(1000)
     assert stands(arm, arm.sim.now_ns - 500_000_000)
     arm.close()
@@ -245,7 +245,7 @@ def test_slow_motion_is_even_although_positions_are_coarse(name: str, ripple: fl
     sign = -1.0 if START_RAD[joint] > 0.0 else 1.0
     times_s = np.array([0.0, 0.2, 0.2 + lasts_s, 0.4 + lasts_s])
     joints = np.zeros((4, 6, 3))
-    joints[:, :, 0] = arm.loop[0]["axes"]["position_rad"][:6]
+    joints[:, :, 0] = arm.loop[0]["axes"]["commanded"]["position_rad"][:6]
     joints[:, joint, 0] += sign * speed * np.array([0.0, 0.1, 0.1 + lasts_s, 0.2 + lasts_s])
     joints[1:3, joint, 1] = sign * speed
     began_ns = arm.now_ns

@@ -72,8 +72,8 @@ def test_a_drive_that_was_led_is_not_asked_as_well(joint: str, identifier: str) 
     rig = Rig.named("damiao", joint).stands(0.0)
     (sent,) = rig.sends("lead")
     assert sent.startswith(identifier) and rig.sends("ask_position") == []
-    assert rig.axis["questions"] == 1  # its feedback is an answer
-    rig.core["cycle"] += 1
+    assert rig.axis["reply"]["questions"] == 1  # its feedback is an answer
+    rig.record["timing"]["cycle"] += 1
     assert rig.sends("ask_position") == ["7FF# 01 00 CC 00 00 00 00 00"]
 
 
@@ -81,7 +81,11 @@ def test_a_drive_that_was_led_is_not_asked_as_well(joint: str, identifier: str) 
 def test_a_stop_is_a_hold_and_never_lets_go(joint: str) -> None:
     """In mode mit where it is measured; with a ramp of its own where that ramp ends, at the speed that it has."""
     rig = Rig.named("damiao", joint, max_acceleration_rad_s2=1.0)
-    rig.axis["measured_rad"], rig.axis["readings"], rig.axis["told_velocity_rad_s"] = 0.5, 1, -3.0
+    rig.axis["measured"]["position_rad"], rig.axis["measured"]["readings"], rig.axis["drive"]["velocity_rad_s"] = (
+        0.5,
+        1,
+        -3.0,
+    )
     (sent,) = rig.sends("stop")
     data = frame_of(sent)[0].data
     if joint == "mit":
@@ -91,7 +95,7 @@ def test_a_stop_is_a_hold_and_never_lets_go(joint: str) -> None:
         way = 3.0**2 / (2.0 * rig.row["silence_deceleration_rad_s2"]) + 3.0 * rig.period_s
         assert target == pytest.approx(0.5 - way)
         assert speed == pytest.approx(3.0)
-        rig.axis["told_velocity_rad_s"] = math.nan
+        rig.axis["drive"]["velocity_rad_s"] = math.nan
         target, speed = struct.unpack("<ff", frame_of(*rig.sends("stop"))[0].data)
         assert (target, speed) == (0.5, pytest.approx(0.25 * rig.config.max_velocity_rad_s))
 

@@ -96,33 +96,34 @@ def brought_up(family: Family, *, name: str = "large", **options: object) -> Vir
 def reference_what_is_not(arm: VirtualArm) -> None:
     """A person sees that the joints stand where they read, where a drive does not know it."""
     axes = arm.loop[0]["axes"][: len(arm.arm.joints)]
-    unknown = sum(1 << joint for joint, known in enumerate(axes["referenced"]) if not known)
+    unknown = sum(1 << joint for joint, known in enumerate(axes["reference"]["referenced"]) if not known)
     if unknown:
         assert arm.ask(Request.REFERENCE, joint_mask=unknown, value=math.nan) == Answer.DONE
         assert arm.reference().failure is None
-    assert np.all(axes["referenced"] == 1)
+    assert np.all(axes["reference"]["referenced"] == 1)
 
 
 def amid_goal(family: Family, share: float = 0.4, **options: object) -> VirtualArm:
     """An arm somewhere in a recorded goal."""
     arm = brought_up(family, **options)
     arm.play_part("large", share)
-    assert np.abs(arm.loop[0]["axes"]["velocity_rad_s"][:6]).max() > 0.0
+    assert np.abs(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"][:6]).max() > 0.0
     return arm
 
 
 def test_bring_up_moves_nothing_and_tells_the_angles(family: Family) -> None:
     start_rad = recorded_goal("large")["joints"][0, :, 0]
     arm = VirtualArm.brought_up(family.arm, start_rad=start_rad)
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
     arm.cycles(20)
     assert stands_since(arm, arm.sim.start_ns)
     for joint, config in enumerate(arm.arm.joints):
         axis = arm.loop[0]["axes"][joint]
         assert (
-            abs(axis["measured_rad"] - arm.sim.true_position_rad(joint, arm.sim.now_ns)) < 2 * config.encoder_count_rad
+            abs(axis["measured"]["position_rad"] - arm.sim.true_position_rad(joint, arm.sim.now_ns))
+            < 2 * config.encoder_count_rad
         )
-        assert axis["status"] & status_bits.ENABLED
+        assert axis["drive"]["status"] & status_bits.ENABLED
     arm.close()
 
 
@@ -133,7 +134,7 @@ def test_drives_that_are_limp_are_enabled_where_they_stand(family: Family) -> No
     assert arm.bring_up().failure is None, arm.told
     arm.cycles(20)
     assert stands_since(arm, began_ns)
-    assert all(axis["status"] & status_bits.ENABLED for axis in arm.loop[0]["axes"][:6])
+    assert all(axis["drive"]["status"] & status_bits.ENABLED for axis in arm.loop[0]["axes"][:6])
     arm.close()
 
 
@@ -165,7 +166,7 @@ def test_constant_speed_is_even(family: Family, joint: int) -> None:
     """
     arm = brought_up(family)
     config = arm.arm.joints[joint]
-    above_middle = arm.loop[0]["axes"]["position_rad"][joint] > (config.lower_rad + config.upper_rad) / 2
+    above_middle = arm.loop[0]["axes"]["commanded"]["position_rad"][joint] > (config.lower_rad + config.upper_rad) / 2
     speed_rad_s = math.copysign(config.max_velocity_rad_s, -1.0 if above_middle else 1.0)
     whole_rpm = 0.5 / config.motor_rpm if config.drive.stepper_ramp else 0.0
     assert velocity_ripple(arm, joint, speed_rad_s, 1.0, 0.4) <= whole_rpm + family.ripple
@@ -188,16 +189,18 @@ def test_silence_of_the_host_ends_in_rest(family: Family) -> None:
 def test_a_drive_that_falls_silent_stops_the_arm(family: Family) -> None:
     arm = amid_goal(family)
     arm.sim.inject(Silent("joint2", 0.0, 1.0), since_ns=arm.sim.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=0.5)
-    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.STALE_READING, 1)
-    assert arm.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.SILENT
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT, at_most_s=0.5)
+    assert (arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (Fault.STALE_READING, 1)
+    assert arm.loop[0]["axes"][1]["reference"]["unreferenced_reason"] == Unreferenced.SILENT
     arm.cycles(int(2e9 / arm.period_ns))
     stood_ns = arm.sim.now_ns
     arm.cycles(50)
     assert stands_since(arm, stood_ns)
     assert arm.clear_fault().failure is None, arm.told
     proves_power = arm.marks[1] is not None
-    assert bool(arm.loop[0]["axes"][1]["referenced"]) == (arm.arm.joints[1].drive.knows_its_angle or proves_power)
+    assert bool(arm.loop[0]["axes"][1]["reference"]["referenced"]) == (
+        arm.arm.joints[1].drive.knows_its_angle or proves_power
+    )
     reference_what_is_not(arm)
     assert stands_since(arm, stood_ns)
     arm.close()
@@ -206,32 +209,34 @@ def test_a_drive_that_falls_silent_stops_the_arm(family: Family) -> None:
 def test_an_error_of_a_drive_is_a_latched_fault_and_only_a_person_clears_it(family: Family) -> None:
     arm = amid_goal(family)
     arm.sim.inject(Protection("joint3", 0.0, 2.0), since_ns=arm.sim.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=0.5)
-    assert arm.core["fault_joint"] == 2
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT, at_most_s=0.5)
+    assert arm.memory["fault"]["joint"] == 2
     arm.cycles(int(0.5e9 / arm.period_ns))
     failed = arm.clear_fault().failure
     assert failed is not None and "joint3" in str(failed)  # what tripped it is still there
     arm.cycles(int(2e9 / arm.period_ns))
     assert arm.clear_fault().failure is None, arm.told
-    assert arm.core["mode"] == Mode.HOLDING
-    assert all(axis["status"] & status_bits.ENABLED for axis in arm.loop[0]["axes"][:6])
+    assert arm.memory["mode"] == Mode.HOLDING
+    assert all(axis["drive"]["status"] & status_bits.ENABLED for axis in arm.loop[0]["axes"][:6])
     arm.close()
 
 
 def test_a_drive_that_lost_its_power_is_believed_only_where_its_encoder_is_absolute(family: Family) -> None:
     arm = amid_goal(family)
     arm.sim.inject(PowerLoss("joint1", 0.0, 0.5), since_ns=arm.sim.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=1.0)
-    assert arm.core["fault_joint"] == 0
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT, at_most_s=1.0)
+    assert arm.memory["fault"]["joint"] == 0
     arm.cycles(int(2e9 / arm.period_ns))
     assert arm.clear_fault().failure is None, arm.told
-    assert bool(arm.loop[0]["axes"][0]["referenced"]) == arm.arm.joints[0].drive.knows_its_angle
+    assert bool(arm.loop[0]["axes"][0]["reference"]["referenced"]) == arm.arm.joints[0].drive.knows_its_angle
     stood_ns = arm.sim.now_ns
     arm.cycles(20)
     assert stands_since(arm, stood_ns)
     if arm.arm.joints[0].drive.knows_its_angle:
         true_rad = arm.sim.true_position_rad(0, arm.sim.now_ns)
-        assert abs(arm.loop[0]["axes"][0]["measured_rad"] - true_rad) < 2 * arm.arm.joints[0].encoder_count_rad
+        assert (
+            abs(arm.loop[0]["axes"][0]["measured"]["position_rad"] - true_rad) < 2 * arm.arm.joints[0].encoder_count_rad
+        )
     arm.close()
 
 
@@ -240,23 +245,23 @@ def test_drives_are_let_go_and_enabled_again(family: Family) -> None:
     assert arm.ask(Request.DISABLE) == Answer.DONE
     assert arm.release().failure is None, arm.told
     arm.cycles(40)
-    assert not any(axis["status"] & status_bits.ENABLED for axis in arm.loop[0]["axes"][:6])
+    assert not any(axis["drive"]["status"] & status_bits.ENABLED for axis in arm.loop[0]["axes"][:6])
     assert arm.ask(Request.ENABLE) == Answer.DONE
-    arm.until(lambda: bool(arm.core["bring_up_asked"]), at_most_s=1.0)
-    arm.core["bring_up_asked"] = 0
+    arm.until(lambda: bool(arm.memory["dialogue"]["bring_up_asked"]), at_most_s=1.0)
+    arm.memory["dialogue"]["bring_up_asked"] = 0
     assert arm.bring_up(clears_protection=True).failure is None, arm.told
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
     arm.close()
 
 
 def test_a_person_says_where_a_joint_stands(family: Family) -> None:
     arm = brought_up(family)
     stands_ns = arm.sim.now_ns
-    said_rad = float(arm.loop[0]["axes"][1]["measured_rad"]) + 0.1
+    said_rad = float(arm.loop[0]["axes"][1]["measured"]["position_rad"]) + 0.1
     assert arm.ask(Request.REFERENCE, joint_mask=0b10, value=said_rad) == Answer.DONE
     assert arm.reference().failure is None
     arm.cycles(5)
-    assert abs(arm.loop[0]["axes"][1]["measured_rad"] - said_rad) < 3 * arm.arm.joints[1].encoder_count_rad
+    assert abs(arm.loop[0]["axes"][1]["measured"]["position_rad"] - said_rad) < 3 * arm.arm.joints[1].encoder_count_rad
     assert stands_since(arm, stands_ns)
     arm.close()
 

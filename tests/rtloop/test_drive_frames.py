@@ -108,26 +108,29 @@ class Drive:
         self.module = importlib.import_module(f"rtloop.drives.{family}")
         arm = load_arm(FILES.get(name, f"{family}6"), overrides=ARMS[name])
         self.loop, self.shared = new_loop(arm, 0, 0), np.zeros(1, layout.STATE)
-        self.core, self.axis = self.loop[0]["core"], self.loop[0]["axes"][JOINT]
-        self.core["now_ns"], self.core["cycle"] = NOW_NS, 12
-        for word in ("position_rad", "next_position_rad", "measured_rad", "reference_rad"):
-            self.axis[word] = 0.5
-        self.axis["readings"], self.axis["measured_ns"] = 3, NOW_NS
-        self.axis["asked_cycle"] = self.axis["led_cycle"] = 11
-        self.core["sync_cycle"] = 11
-        self.axis["unreferenced_reason"] = Unreferenced.NOT_BROUGHT_UP
+        self.memory, self.axis = self.loop[0], self.loop[0]["axes"][JOINT]
+        self.memory["timing"]["now_ns"], self.memory["timing"]["cycle"] = NOW_NS, 12
+        self.axis["commanded"]["position_rad"] = self.axis["commanded"]["next_position_rad"] = 0.5
+        self.axis["measured"]["position_rad"] = self.axis["tracking"]["reference_rad"] = 0.5
+        self.axis["measured"]["readings"], self.axis["measured"]["time_ns"] = 3, NOW_NS
+        self.axis["sent"]["asked_cycle"] = self.axis["sent"]["led_cycle"] = 11
+        self.memory["bus"]["sync_cycle"] = 11
+        self.axis["reference"]["unreferenced_reason"] = Unreferenced.NOT_BROUGHT_UP
 
     def sends(self, function: str) -> list[Frame]:
-        self.core["tx_frames"] = self.core["tx_length"] = 0
+        self.memory["outgoing"]["frames"] = self.memory["outgoing"]["length"] = 0
         getattr(self.module, function)(self.loop[0], JOINT, self.shared[0])
-        words = ("tx_ids", "tx_kinds", "tx_sizes", "tx_joined", "tx_stops")
-        return [tuple(int(self.loop[0][word][number]) for word in words) for number in range(self.core["tx_frames"])]
+        words = ("ids", "kinds", "sizes", "joined", "stops")
+        return [
+            tuple(int(self.memory["outgoing"][word][number]) for word in words)
+            for number in range(self.memory["outgoing"]["frames"])
+        ]
 
     def said(self) -> str:
         """Data of the last frame that was sent."""
-        last = int(self.core["tx_frames"]) - 1
-        size = 0 if self.loop[0]["tx_kinds"][last] & REMOTE else int(self.loop[0]["tx_sizes"][last])
-        return self.loop[0]["tx_data"][last].tobytes()[:size].hex(" ").upper()
+        last = int(self.memory["outgoing"]["frames"]) - 1
+        size = 0 if self.loop[0]["outgoing"]["kinds"][last] & REMOTE else int(self.loop[0]["outgoing"]["sizes"][last])
+        return self.loop[0]["outgoing"]["data"][last].tobytes()[:size].hex(" ").upper()
 
 
 @every_arm
@@ -139,7 +142,7 @@ def test_what_leads_a_drive_is_one_command_and_no_stop(name: str) -> None:
 def test_a_stop_is_known_as_that_of_its_joint(name: str) -> None:
     drive = Drive(name)
     assert drive.sends("stop") == STOPS[name]
-    drive.axis["unreferenced_reason"] = Unreferenced.NOT_HOMED
+    drive.axis["reference"]["unreferenced_reason"] = Unreferenced.NOT_HOMED
     homing = {"zdt": [(0x200, EXTENDED, 3, 0, NOBODY)], "mks": [(2, STANDARD, 2, 0, NOBODY)]}.get(
         name.split(maxsplit=1)[0], []
     )
@@ -151,8 +154,8 @@ def test_a_stop_without_room_is_said_to_be_none(name: str) -> None:
     drive = Drive(name)
     stop = drive.module.stop
     assert stop(drive.loop[0], JOINT, drive.shared[0]) is True
-    drive.core["tx_length"] = len(drive.loop[0]["tx"]) - 1
-    drive.core["tx_frames"] = len(drive.loop[0]["tx_ids"])
+    drive.memory["outgoing"]["length"] = len(drive.loop[0]["outgoing"]["bytes"]) - 1
+    drive.memory["outgoing"]["frames"] = len(drive.loop[0]["outgoing"]["ids"])
     assert stop(drive.loop[0], JOINT, drive.shared[0]) is False
 
 
@@ -161,12 +164,12 @@ def test_a_question_for_the_position_is_noted_where_it_is_sent(name: str) -> Non
     frames, data = ASKS_POSITION[name]
     drive = Drive(name)
     assert (drive.sends("ask_position"), drive.said()) == (frames, data)
-    assert drive.axis["questions"] == 1
-    drive.core["cycle"] += 1
-    drive.core["tx_length"] = len(drive.loop[0]["tx"]) - 1
-    drive.core["tx_frames"] = len(drive.loop[0]["tx_ids"])
+    assert drive.axis["reply"]["questions"] == 1
+    drive.memory["timing"]["cycle"] += 1
+    drive.memory["outgoing"]["length"] = len(drive.loop[0]["outgoing"]["bytes"]) - 1
+    drive.memory["outgoing"]["frames"] = len(drive.loop[0]["outgoing"]["ids"])
     drive.module.ask_position(drive.loop[0], JOINT, drive.shared[0])
-    assert drive.axis["questions"] == 1
+    assert drive.axis["reply"]["questions"] == 1
 
 
 @pytest.mark.parametrize("name", ASKS_STATUS)
@@ -174,6 +177,6 @@ def test_questions_for_the_status_take_turns(name: str) -> None:
     drive = Drive(name)
     said = []
     for cycle in (12, 18):  # of six joints, each of which is asked in its turn
-        drive.core["cycle"] = cycle
+        drive.memory["timing"]["cycle"] = cycle
         said += [(frame_id, drive.said()) for frame_id, *_ in drive.sends("ask_status")]
     assert said == ASKS_STATUS[name]

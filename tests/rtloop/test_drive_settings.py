@@ -177,7 +177,7 @@ def test_every_drive_is_read_and_nothing_moves(interface: str):
         found = {setting.name: setting.found for setting in report.settings}
         assert (found["address"], found["bitrate"], found["microsteps"]) == (joint + 1, 500_000, 16)
         assert [setting.name for setting in report.to_write] == ["response"]
-    assert virtual.core["mode"] == Mode.OFFLINE
+    assert virtual.memory["mode"] == Mode.OFFLINE
     assert all(not drive.moving and drive.enabled for drive in virtual.sim.drives)
     virtual.sim.run_until(virtual.now_ns + 1)
     assert all(len(drive.shaft.changes_ns()) == 1 for drive in virtual.sim.drives)

@@ -46,7 +46,7 @@ def powered_arm(interface: str, motion: str, seed: int) -> VirtualArm:
         arm.cycles(5)
     else:
         arm.cycles(round(0.5 * times_ns[-1] / arm.period_ns))
-        assert arm.core["mode"] == Mode.EXECUTING
+        assert arm.memory["mode"] == Mode.EXECUTING
     return arm
 
 
@@ -70,7 +70,7 @@ def cut_and_return(arm: VirtualArm, meanwhile: str, seed: int) -> tuple[np.ndarr
             arm.cycle()
 
     cycles_until(cut_ns + 300_000_000)
-    assert arm.core["fault"] == Fault.STALE_READING
+    assert arm.memory["fault"]["code"] == Fault.STALE_READING
     if meanwhile == "nothing":
         cycles_until(end_ns)
     elif meanwhile == "a clear":
@@ -80,7 +80,7 @@ def cut_and_return(arm: VirtualArm, meanwhile: str, seed: int) -> tuple[np.ndarr
     elif meanwhile == "a clear just before":
         cycles_until(back_ns - 100_000_000)
         assert arm.clear_fault().failure is None
-        assert not np.any(arm.loop[0]["axes"]["referenced"][:6])
+        assert not np.any(arm.loop[0]["axes"]["reference"]["referenced"][:6])
         cycles_until(end_ns)
     elif meanwhile == "an orderly end" and arm.arm.bus.interface == "slcan":
         arm.sim.feed(arm.sim.now_ns, CLOSING)

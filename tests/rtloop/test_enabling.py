@@ -42,15 +42,15 @@ def test_an_arm_that_was_led_by_hand_is_held_where_it_is(enabling, kind, acknowl
     assert np.all(np.abs(led_rad - 0.1) > 0.2)
     began_ns = arm.now_ns
     assert arm.ask(Request.ENABLE) == Answer.DONE
-    arm.core["bring_up_asked"] = 0
+    arm.memory["dialogue"]["bring_up_asked"] = 0
     assert arm.bring_up(clears_protection=True).failure is None
     arm.cycles(60)
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
     for config, truth in zip(arm.arm.joints, truth_of(arm.sim).values(), strict=True):
         times_ns = np.arange(began_ns, arm.now_ns, 100_000)
         assert np.ptp(truth.position_at(times_ns)) * config.ratio / (2 * math.pi) < STIRS_TURNS
-    assert arm.loop[0]["axes"]["referenced"][:6].all()
-    wanted_rad = arm.loop[0]["axes"]["position_rad"][:6] + 0.02
+    assert arm.loop[0]["axes"]["reference"]["referenced"][:6].all()
+    wanted_rad = arm.loop[0]["axes"]["commanded"]["position_rad"][:6] + 0.02
     assert arm.end_of(arm.send_shift(0.02, 1.0)) == Outcome.SUCCEEDED
     there_rad = [arm.sim.true_position_rad(joint, arm.sim.now_ns) for joint in range(6)]
     assert np.allclose(there_rad, wanted_rad, atol=math.radians(0.2))
@@ -64,5 +64,5 @@ def test_what_answers_without_a_version_is_not_brought_up(answer):
     failure = arm.bring_up().failure
     assert failure.joint == 2
     assert f"answers the question for its firmware with {answer.hex(' ')} 6b, which no ZDT drive" in str(failure)
-    assert arm.core["mode"] == Mode.FAULT
+    assert arm.memory["mode"] == Mode.FAULT
     arm.close()

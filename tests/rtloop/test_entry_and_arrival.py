@@ -106,7 +106,7 @@ def test_an_end_in_motion_is_reached_at_rest_exactly_there(seconds: float, speed
     goal = arm.send_goal(times, joints)
     assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.commanded() == pytest.approx(joints[-1, :, 0], abs=1e-9)
-    assert arm.acceleration_ratio() <= 1.9 and arm.core["fault"] == Fault.NONE
+    assert arm.acceleration_ratio() <= 1.9 and arm.memory["fault"]["code"] == Fault.NONE
     # on the path, never beyond the point and back
     assert (np.array(arm.positions) <= joints[-1, :, 0] + 1e-9).all()
     arm.close()
@@ -125,7 +125,7 @@ def test_a_pause_on_the_way_to_such_an_end_does_not_miss_it(moment: float, cycle
     arm.writer.resume()
     assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.commanded() == pytest.approx(joints[-1, :, 0], abs=1e-9)
-    assert arm.acceleration_ratio() <= 1.99 and arm.core["fault"] == Fault.NONE
+    assert arm.acceleration_ratio() <= 1.99 and arm.memory["fault"]["code"] == Fault.NONE
     arm.close()
 
 
@@ -172,7 +172,7 @@ def test_the_path_tolerance_ends_where_the_path_does(virtual_arm) -> None:
     goal = arm.play("small", tolerances=(0.004, 0.0, 0.0), goal_tolerances=(1e-6, 0.0, 0.0), goal_time_s=0.5)
     arm.until(lambda: arm.running["settle_ns"] != 0)
     arm.sim.inject(Stall(joint="joint1", at_s=0.0), since_ns=arm.now_ns)
-    arm.loop[0]["axes"][0]["measured_rad"] += 0.02  # as if something had pushed it
+    arm.loop[0]["axes"][0]["measured"]["position_rad"] += 0.02  # as if something had pushed it
     assert arm.end_of(goal) == Outcome.GOAL_TOLERANCE
 
 
@@ -183,7 +183,7 @@ def test_a_joint_that_still_moves_has_not_arrived(virtual_arm) -> None:
     goal = arm.send_goal(np.array([10**9]), joints, bridge=True, goal_tolerances=(0.0, 0.01, 0.0), goal_time_s=0.3)
     arm.until(lambda: arm.running["settle_ns"] != 0)
     for _ in range(200):
-        arm.loop[0]["axes"][2]["measured_velocity_rad_s"] = 0.5
+        arm.loop[0]["axes"][2]["measured"]["velocity_rad_s"] = 0.5
         arm.cycle()
         if arm.outcome(goal) != Outcome.NONE:
             break
@@ -206,20 +206,20 @@ def ask(arm: VirtualArm, kind: Request) -> Answer:
 def test_limp_drives_are_followed_and_hold_where_they_are_when_enabled(virtual_arm, request_, mode) -> None:
     arm = virtual_arm(start_rad=[0.3, 0.2, -0.1, 1.0, 0.5, 2.0])
     assert ask(arm, request_) == Answer.DONE
-    assert arm.core["mode"] == mode
+    assert arm.memory["mode"] == mode
     assert arm.release().failure is None
     assert not any(drive.enabled for drive in arm.sim.drives)
     arm.cycles(30)
-    assert arm.core["fault"] == Fault.NONE and arm.core["mode"] == mode
+    assert arm.memory["fault"]["code"] == Fault.NONE and arm.memory["mode"] == mode
     goal = arm.play("small")
     arm.cycles(3)
     assert arm.outcome(goal) == Outcome.REFUSED_MODE
     arm.pending.clear()
     assert ask(arm, Request.ENABLE) == Answer.DONE
-    assert arm.core["bring_up_asked"] == 1
-    arm.core["bring_up_asked"] = 0
+    assert arm.memory["dialogue"]["bring_up_asked"] == 1
+    arm.memory["dialogue"]["bring_up_asked"] = 0
     assert arm.bring_up().failure is None
-    assert arm.core["mode"] == Mode.HOLDING and all(drive.enabled for drive in arm.sim.drives)
+    assert arm.memory["mode"] == Mode.HOLDING and all(drive.enabled for drive in arm.sim.drives)
     arm.cycles(60)
     for joint, angle in enumerate([0.3, 0.2, -0.1, 1.0, 0.5, 2.0]):
         assert arm.sim.true_position_rad(joint, arm.now_ns - 1) == pytest.approx(angle, abs=1e-3)
@@ -244,7 +244,7 @@ def test_a_drive_that_does_not_let_go_is_a_fault_with_its_name(virtual_arm) -> N
         arm.cycle()
     arm.cycles(2)
     assert talk.failure is not None and "joint3 stays enabled" in str(talk.failure)
-    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.RELEASE, 2)
+    assert (arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (Fault.RELEASE, 2)
 
 
 def test_losing_power_while_limp_still_loses_the_reference(virtual_arm) -> None:
@@ -252,9 +252,9 @@ def test_losing_power_while_limp_still_loses_the_reference(virtual_arm) -> None:
     assert ask(arm, Request.FREE) == Answer.DONE
     assert arm.release().failure is None
     arm.sim.inject(PowerLoss(joint="joint4", at_s=0.1), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["fault"] != Fault.NONE, at_most_s=3.0)
-    assert arm.core["fault"] in (Fault.REFERENCE_LOST, Fault.STALE_READING)
-    assert math.isfinite(arm.loop[0]["axes"][3]["position_rad"])
+    arm.until(lambda: arm.memory["fault"]["code"] != Fault.NONE, at_most_s=3.0)
+    assert arm.memory["fault"]["code"] in (Fault.REFERENCE_LOST, Fault.STALE_READING)
+    assert math.isfinite(arm.loop[0]["axes"][3]["commanded"]["position_rad"])
 
 
 def test_after_a_fault_a_limp_joint_may_still_be_led_by_hand(virtual_arm) -> None:
@@ -264,12 +264,12 @@ def test_after_a_fault_a_limp_joint_may_still_be_led_by_hand(virtual_arm) -> Non
     assert arm.release().failure is None
     arm.cycles(20)
     arm.sim.inject(PowerLoss(joint="joint4", at_s=0.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=3.0)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT, at_most_s=3.0)
     row, params = arm.loop[0]["joints"][0], arm.loop[0]["params"]
     step_rad = float(params["position_jump_rad"] + row["max_velocity_rad_s"] * arm.period_ns * 1e-9)
     arm.sim.inject(CountSlip("joint1", 0.0, deg=math.degrees(step_rad)), since_ns=arm.now_ns)
     arm.cycles(10)
-    assert arm.loop[0]["axes"][0]["referenced"] == 1
+    assert arm.loop[0]["axes"][0]["reference"]["referenced"] == 1
     arm.close()
 
 
@@ -279,9 +279,9 @@ def test_enabling_at_once_takes_a_release_back(virtual_arm) -> None:
     assert ask(arm, Request.FREE) == Answer.DONE
     assert ask(arm, Request.DISABLE) == Answer.DONE
     assert ask(arm, Request.ENABLE) == Answer.DONE
-    assert (arm.core["release_asked"], arm.core["bring_up_asked"]) == (0, 1)
+    assert (arm.memory["dialogue"]["release_asked"], arm.memory["dialogue"]["bring_up_asked"]) == (0, 1)
     assert arm.bring_up().failure is None
-    assert arm.core["release_asked"] == 0 and all(drive.enabled for drive in arm.sim.drives)
+    assert arm.memory["dialogue"]["release_asked"] == 0 and all(drive.enabled for drive in arm.sim.drives)
 
 
 # --- goals that wait ------------------------------------------------------------------------------------

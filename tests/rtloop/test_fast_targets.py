@@ -62,7 +62,7 @@ def test_a_drive_that_takes_fc_as_absolute_is_set_up(stands: str, acknowledge: b
     arm = VirtualArm(config, start_rad=start, homed=stands != "counts from here")
     began_ns = arm.now_ns
     assert arm.bring_up().failure is None
-    assert arm.loop[0]["axes"]["fast_ready"][:6].all()
+    assert arm.loop[0]["axes"]["sent"]["fast_ready"][:6].all()
     for joint, drive in enumerate(arm.sim.drives):
         row = arm.loop[0]["joints"][joint]
         assert drive._fast == (math.ceil(1.05 * config.joints[joint].motor_rpm), int(row["acc_byte"]), 1)
@@ -86,7 +86,7 @@ def test_a_drive_that_takes_fc_for_amounts_is_refused_and_does_not_move(start: l
     arm.cycles(200)
     for joint in range(6):
         assert turned_pulses(arm, joint, began_ns) < 0.5
-    assert not arm.loop[0]["axes"]["fast_ready"][:6].any()
+    assert not arm.loop[0]["axes"]["sent"]["fast_ready"][:6].any()
     arm.close()
 
 
@@ -195,7 +195,11 @@ def test_a_shaft_behind_its_ramp_is_led_further_ahead() -> None:
     behind_rad = []
     for _ in range(300):
         arm.cycle()
-        behind_rad.append(float(arm.loop[0]["axes"]["reference_rad"][0] - arm.loop[0]["axes"]["measured_rad"][0]))
+        behind_rad.append(
+            float(
+                arm.loop[0]["axes"]["tracking"]["reference_rad"][0] - arm.loop[0]["axes"]["measured"]["position_rad"][0]
+            )
+        )
     lag_rad = 0.01 * arm.arm.joints[0].max_velocity_rad_s
     assert rms(np.array(behind_rad[120:240])) < 0.6 * lag_rad
     arm.close()
@@ -223,7 +227,7 @@ def test_pause_resume_and_cancel_never_step(moment: tuple[str, float], pause: in
     arm.writer.cancel(goal_id)
     arm.end_of(goal_id)
     arm.cycles(40)
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     assert largest_acceleration_ratio(arm, started_ns) <= 2.0
     arm.close()
 
@@ -234,7 +238,7 @@ def test_a_long_gap_ends_the_goal_where_the_drives_stopped(moment: tuple[str, fl
     arm, _, started_ns = moving(*moment, FAST)
     arm.cycle(periods)
     arm.cycles(123)
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     assert largest_acceleration_ratio(arm, started_ns) <= 2.2
     arm.close()
 
@@ -249,15 +253,15 @@ def test_a_drive_that_lost_power_gets_no_fc_before_it_is_set_up_again(overrides:
     arm.play("large")
     arm.cycles(120)
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=0.02), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
-    assert arm.core["fault_joint"] == 1
-    assert arm.loop[0]["axes"][1]["fast_ready"] == 0
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
+    assert arm.memory["fault"]["joint"] == 1
+    assert arm.loop[0]["axes"][1]["sent"]["fast_ready"] == 0
     since = len(arm.sent)
     arm.cycles(200)
     assert fast_frames(arm, 2, since) == 0
     assert arm.clear_fault().failure is None
-    assert arm.loop[0]["axes"][1]["fast_ready"] == 1
-    assert arm.loop[0]["axes"][1]["referenced"] == 0
+    assert arm.loop[0]["axes"][1]["sent"]["fast_ready"] == 1
+    assert arm.loop[0]["axes"][1]["reference"]["referenced"] == 0
     arm.close()
 
 

@@ -30,16 +30,16 @@ def test_a_silent_drive_is_braked_then_latched() -> None:
     began_ns = arm.now_ns
     arm.until(lambda: arm.is_slowed(Slowed.LATE_DRIVE))
     assert arm.now_ns - began_ns <= 6 * arm.period_ns
-    assert arm.core["mode"] == Mode.EXECUTING
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    assert arm.memory["mode"] == Mode.EXECUTING
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     assert arm.now_ns - began_ns <= 150_000_000
-    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.STALE_READING, 1)
+    assert (arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (Fault.STALE_READING, 1)
     assert arm.outcome(arm.goal) == Outcome.FAULT
-    assert arm.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.SILENT
+    assert arm.loop[0]["axes"][1]["reference"]["unreferenced_reason"] == Unreferenced.SILENT
     since = len(arm.sent)
     arm.cycles(200)
     assert motion_frames(arm, 2, since) == 0
-    assert not np.any(arm.loop[0]["axes"]["velocity_rad_s"])
+    assert not np.any(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"])
     arm.close()
 
 
@@ -57,11 +57,12 @@ def test_the_fault_of_a_drive_that_trips_names_the_cause(cause: str, named: Driv
     question = b"T0000040023B6B\r"
     assert not any(question in data for _, data in arm.sent[-40:])
     arm.sim.inject(Protection("joint4", 0.0, cause=cause), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
-    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.DRIVE_FAULT, 3)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
+    assert (arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (Fault.DRIVE_FAULT, 3)
     reasons = DriveStatus.STALLED | DriveStatus.OVER_TEMPERATURE | DriveStatus.OVER_CURRENT
     assert (
-        DriveStatus(int(arm.core["fault_value"])) & (reasons | DriveStatus.PROTECTED) == named | DriveStatus.PROTECTED
+        DriveStatus(int(arm.memory["fault"]["value"])) & (reasons | DriveStatus.PROTECTED)
+        == named | DriveStatus.PROTECTED
     )
     assert sum(question in data for _, data in arm.sent) > 0
     arm.close()
@@ -95,10 +96,10 @@ def test_a_drive_that_lost_power_gets_its_stop_and_no_motion_frame() -> None:
     """It boots enabled and counts from zero: the next absolute target would be many turns away."""
     arm = VirtualArm.amid("large")
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=0.03), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     since = len(arm.sent)
-    assert arm.core["fault_joint"] == 1
-    assert arm.loop[0]["axes"][1]["referenced"] == 0
+    assert arm.memory["fault"]["joint"] == 1
+    assert arm.loop[0]["axes"][1]["reference"]["referenced"] == 0
     arm.cycles(300)
     assert motion_frames(arm, 2, since) == 0
     assert any(b"T000002004FE98006B" in data for _, data in arm.sent)
@@ -109,7 +110,7 @@ def test_a_drive_that_lost_power_gets_its_stop_and_no_motion_frame() -> None:
     # clearing the fault brings the arm up again, but never references
     assert arm.clear_fault().failure is None
     assert any("The drive of joint2 may have lost power" in sentence for sentence in arm.told)
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
     goal = arm.play("large")
     assert arm.end_of(goal) == Outcome.REFUSED_UNREFERENCED
     assert arm.result(goal)["joint"] == 1
@@ -120,13 +121,13 @@ def test_a_drive_that_lost_power_gets_its_stop_and_no_motion_frame() -> None:
 def test_a_drive_that_reports_a_fault_of_its_own_is_named_and_not_led(flags: int) -> None:
     """Twice in a row, since one garbled digit is no report."""
     arm = VirtualArm.amid("large")
-    while arm.core["status_turn"] != 5:  # joint3's own answer is not due then
+    while arm.memory["bus"]["status_turn"] != 5:  # joint3's own answer is not due then
         arm.cycle()
     since = len(arm.sent)
     line = f"T0000030033A{flags:02X}6B\r".encode()
     received.push(arm.loop[0], arm.now_ns, np.frombuffer(line * 2, np.uint8), 2 * len(line))
     arm.cycle()
-    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.DRIVE_FAULT, 2)
+    assert (arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (Fault.DRIVE_FAULT, 2)
     assert arm.outcome(arm.goal) == Outcome.FAULT
     assert motion_frames(arm, 3, since) == 0
     arm.close()
@@ -135,9 +136,9 @@ def test_a_drive_that_reports_a_fault_of_its_own_is_named_and_not_led(flags: int
 def test_a_held_shaft_is_a_following_error() -> None:
     arm = VirtualArm.amid("large")
     arm.sim.inject(Stall("joint1", at_s=0.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
-    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.FOLLOWING_ERROR, 0)
-    assert abs(arm.core["fault_value"]) > arm.core["fault_limit"]
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
+    assert (arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (Fault.FOLLOWING_ERROR, 0)
+    assert abs(arm.memory["fault"]["value"]) > arm.memory["fault"]["limit"]
     arm.close()
 
 
@@ -145,7 +146,7 @@ def test_a_vanished_wire_is_a_fault() -> None:
     arm = VirtualArm.amid("large")
     received.close(arm.loop[0], 5)
     arm.cycle()
-    assert (arm.core["fault"], arm.core["fault_value"]) == (Fault.WIRE, 5.0)
+    assert (arm.memory["fault"]["code"], arm.memory["fault"]["value"]) == (Fault.WIRE, 5.0)
     assert arm.outcome(arm.goal) == Outcome.FAULT
     arm.close()
 
@@ -168,7 +169,7 @@ def test_a_drive_that_does_not_answer_is_named() -> None:
     assert failure is not None
     assert failure.joint == 3
     assert "joint4 (address 4) does not answer" in str(failure)
-    assert arm.core["fault"] == Fault.BRING_UP
+    assert arm.memory["fault"]["code"] == Fault.BRING_UP
     arm.close()
 
 
@@ -179,7 +180,7 @@ def test_old_firmware_is_told_apart() -> None:
 def carries_out_a_goal(arm: VirtualArm) -> None:
     """Bring it up, play a small goal, close it."""
     assert arm.bring_up().failure is None
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
     goal = arm.play("small")
     assert arm.end_of(goal) == Outcome.SUCCEEDED
     arm.close()
@@ -189,12 +190,12 @@ def test_old_firmware_that_lost_power_stays_unreferenced_when_the_fault_is_clear
     """It has no flag for lost power: what the loop noticed itself must not be forgotten by a clear."""
     arm = VirtualArm.amid("large", firmware="old")
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=0.03), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     arm.until(lambda: arm.running_goal == 0)
     arm.cycles(60)
     assert arm.clear_fault().failure is None
-    assert arm.core["mode"] == Mode.HOLDING
-    assert arm.loop[0]["axes"][1]["referenced"] == 0
+    assert arm.memory["mode"] == Mode.HOLDING
+    assert arm.loop[0]["axes"][1]["reference"]["referenced"] == 0
     newer = arm.play("large")
     assert arm.end_of(newer) == Outcome.REFUSED_UNREFERENCED
     arm.close()
@@ -205,17 +206,17 @@ def test_a_fault_is_not_cleared_while_the_arm_still_moves(after: int) -> None:
     arm = VirtualArm.amid("large")
     arm.writer.announce(2**60)  # a corrupt word: latched, the arm stops on its path
     arm.cycles(after)
-    assert arm.core["fault"] == Fault.COMMAND_RING
+    assert arm.memory["fault"]["code"] == Fault.COMMAND_RING
     arm.writer.announce(arm.goal)
     sequence = arm.request(Request.CLEAR_FAULT)
     arm.cycle()
-    moving = bool(np.any(arm.loop[0]["axes"]["velocity_rad_s"]))
+    moving = bool(np.any(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"]))
     answer = arm.reader.snapshot()["answers"][sequence % 16]["answer"]
     assert answer == (Answer.REFUSED_MOVING if moving else Answer.DONE)
-    arm.until(lambda: not np.any(arm.loop[0]["axes"]["velocity_rad_s"]) and arm.running_goal == 0)
+    arm.until(lambda: not np.any(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"]) and arm.running_goal == 0)
     assert arm.clear_fault().failure is None
-    assert arm.core["mode"] == Mode.HOLDING
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["mode"] == Mode.HOLDING
+    assert arm.memory["fault"]["code"] == Fault.NONE
     arm.close()
 
 
@@ -223,8 +224,8 @@ def test_a_held_joint_is_not_rushed_at_when_it_comes_free() -> None:
     """The error's part of the speed is limited, and a faulted arm at rest is not led at all."""
     arm = VirtualArm.amid("large")
     arm.sim.inject(Stall("joint1", at_s=0.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
-    arm.until(lambda: not np.any(arm.loop[0]["axes"]["velocity_rad_s"]))
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
+    arm.until(lambda: not np.any(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"]))
     limit = arm.arm.joints[0].motor_rpm
     speeds = [
         int(frame[14:18], 16)
@@ -243,12 +244,12 @@ def test_a_held_joint_is_not_rushed_at_when_it_comes_free() -> None:
 def test_one_garbled_digit_neither_faults_nor_is_published() -> None:
     arm = VirtualArm.amid("large")
     for line in (b"T00000100736002FFFFFFF6B\r", b"T000001003" + b"3A" + b"08" + b"6B\r"):
-        before = arm.loop[0]["axes"][0]["measured_rad"]
+        before = arm.loop[0]["axes"][0]["measured"]["position_rad"]
         data = np.frombuffer(line, np.uint8)
         received.push(arm.loop[0], arm.now_ns, data, len(data))
         arm.cycle()
-        assert arm.core["fault"] == Fault.NONE
-        assert abs(arm.loop[0]["axes"][0]["measured_rad"] - before) < 0.05
+        assert arm.memory["fault"]["code"] == Fault.NONE
+        assert abs(arm.loop[0]["axes"][0]["measured"]["position_rad"] - before) < 0.05
     assert arm.end_of(arm.goal) == Outcome.SUCCEEDED
     arm.close()
 
@@ -265,8 +266,8 @@ def test_a_count_that_truly_jumps_loses_the_reference() -> None:
     arm = VirtualArm.amid("large")
     arm.sim.inject(CountSlip("joint1", 0.0, deg=40.0), since_ns=arm.now_ns)
     arm.cycles(3)
-    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.REFERENCE_LOST, 0)
-    assert arm.loop[0]["axes"][0]["unreferenced_reason"] == Unreferenced.POSITION_JUMP
+    assert (arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (Fault.REFERENCE_LOST, 0)
+    assert arm.loop[0]["axes"][0]["reference"]["unreferenced_reason"] == Unreferenced.POSITION_JUMP
     arm.close()
 
 
@@ -277,17 +278,17 @@ def test_frames_the_wire_did_not_take_are_not_sent_late() -> None:
     arm.listen(arm.now_ns)
     arm.writer.beat(arm.now_ns)
     step(arm.loop[0], arm.state.array[0], arm.now_ns)  # a cycle of whose first line five characters are taken
-    stuck = int(arm.core["tx_length"])
+    stuck = int(arm.memory["outgoing"]["length"])
     outgoing.took(arm.loop[0], arm.state.array[0], 5)
     arm.now_ns += arm.period_ns
     arm.listen(arm.now_ns)
     arm.writer.beat(arm.now_ns)
     count = step(arm.loop[0], arm.state.array[0], arm.now_ns)
-    lines = arm.loop[0]["tx"][:count].tobytes().split(b"\r")
+    lines = arm.loop[0]["outgoing"]["bytes"][:count].tobytes().split(b"\r")
     firsts = [line for line in lines if line.startswith(b"T000002008FD")]
     assert len(firsts) == 1
     assert 0 < arm.state.record["counters"]["bytes_unsent"] < stuck
-    arm.core["tx_length"] = 0
+    arm.memory["outgoing"]["length"] = 0
     arm.close()
 
 
@@ -308,11 +309,11 @@ class Deaf(VirtualArm):
 def test_a_stop_command_the_wire_does_not_take_is_given_again(cycles: int) -> None:
     arm = Deaf.amid("large", 60)
     arm.sim.inject(CountSlip("joint3", 0.0, deg=20.0), since_ns=arm.now_ns)
-    arm.until(lambda: bool(arm.loop[0]["axes"][2]["doubted"]), at_most_s=0.1)
+    arm.until(lambda: bool(arm.loop[0]["axes"][2]["checks"]["suspect"]), at_most_s=0.1)
     since = len(arm.sent)
     arm.deaf_cycles = cycles
     arm.cycles(30)
-    assert arm.core["fault"] == Fault.REFERENCE_LOST
+    assert arm.memory["fault"]["code"] == Fault.REFERENCE_LOST
     stops = [frame for frame in frames_sent(arm.sent[since:]) if frame.data[:2] == b"\xfe\x98"]
     assert [frame.drive for frame in stops[:3]] == [3, 3, 3]  # more follow once the arm stands
     arm.close()
@@ -341,9 +342,9 @@ def test_only_what_the_wire_took_is_recorded_as_sent() -> None:
 def test_the_slip_allowance_after_a_long_gap_is_bounded_and_forgotten() -> None:
     arm = VirtualArm.amid("large")
     arm.cycle(1200)
-    assert arm.loop[0]["axes"]["slip_rad"][:6].max() <= 0.1 * 10.5
-    arm.until(lambda: arm.core["rebase_ns"] == 0)
-    assert not np.any(arm.loop[0]["axes"]["slip_rad"][:6])
+    assert arm.loop[0]["axes"]["tracking"]["slip_rad"][:6].max() <= 0.1 * 10.5
+    arm.until(lambda: arm.memory["motion"]["resync_ns"] == 0)
+    assert not np.any(arm.loop[0]["axes"]["tracking"]["slip_rad"][:6])
     arm.close()
 
 
@@ -353,7 +354,7 @@ def test_acknowledgements_are_turned_off_in_volatile_memory_only() -> None:
     assert writes
     assert all(b"848D100" in data for data in writes)
     before = len(arm.sent)
-    arm.core["mode"] = Mode.FAULT
+    arm.memory["mode"] = Mode.FAULT
     arm.bring_up()  # nothing differs any more, so nothing is written
     assert not any(b"848D1" in data for _, data in arm.sent[before:])
     arm.close()
@@ -389,9 +390,9 @@ def test_the_drives_wait_for_a_coasting_arm_to_stand() -> None:
     assert again.bring_up().failure is None
     again.cycles(60)
     for joint, config in enumerate(arm.arm.joints):
-        commanded = again.loop[0]["axes"][joint]["position_rad"]
+        commanded = again.loop[0]["axes"][joint]["commanded"]["position_rad"]
         assert commanded == pytest.approx(again.sim.true_position_rad(joint, again.sim.now_ns - 1), abs=1e-3)
-        assert again.loop[0]["axes"][joint]["referenced"] == 1
+        assert again.loop[0]["axes"][joint]["reference"]["referenced"] == 1
         assert config.lower_rad <= commanded <= config.upper_rad
     arm.close()
 

@@ -21,7 +21,7 @@ def switched_off_again(overrides: dict[str, Any]) -> VirtualArm:
     after_power_loss(arm)
     arm.sim.inject(PowerLoss("joint2", 0.0, off_s=1.0), since_ns=arm.now_ns)
     arm.cycles(240)
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
     assert arm.sim.drives[1]._fast is None
     return arm
 
@@ -33,7 +33,7 @@ def test_a_drive_is_set_up_anew_before_it_is_led(overrides: dict[str, Any], way:
     value = math.nan if way == Request.HOME else true_rad(arm, 1)
     assert arm.ask(way, joint_mask=JOINT2, value=value) == Answer.DONE
     assert arm.reference().failure is None
-    assert arm.loop[0]["axes"][1]["referenced"] == 1
+    assert arm.loop[0]["axes"][1]["reference"]["referenced"] == 1
     if overrides is not REPORTED:
         assert arm.sim.drives[1]._fast is not None
         assert arm.sim.drives[1]._fast[2] == 1
@@ -52,7 +52,7 @@ def test_a_drive_that_has_become_another_is_not_led() -> None:
     assert failure is not None
     assert failure.joint == 1
     assert "set bus.position_command to FD" in str(failure)
-    assert arm.loop[0]["axes"][1]["fast_ready"] == 0
+    assert arm.loop[0]["axes"][1]["sent"]["fast_ready"] == 0
     told = sum(data.count(b"T000002006FC") for _, data in arm.sent[since:])
     arm.cycles(100)
     assert sum(data.count(b"T000002006FC") for _, data in arm.sent[since:]) == told <= 3

@@ -23,7 +23,7 @@ def test_one_point_is_reached_from_where_the_arm_stands(virtual_arm, arm_name: s
     target = [0.1, -0.05, 0.1, 0.2, -0.2, 0.3]
     goal = straight(arm, target, 2.0)
     assert arm.end_of(goal) == Outcome.SUCCEEDED
-    assert arm.loop[0]["axes"]["position_rad"][:6] == pytest.approx(target)
+    assert arm.loop[0]["axes"]["commanded"]["position_rad"][:6] == pytest.approx(target)
 
 
 def test_no_motion_frame_before_the_first_goal(virtual_arm) -> None:
@@ -41,7 +41,7 @@ def test_the_commanded_position_is_the_drives_own_target(virtual_arm) -> None:
     for joint, drive in enumerate(arm.sim.drives):
         config = arm.arm.joints[joint]
         target = config.direction * drive.target_counts / config.encoder_counts_per_rad - config.zero_rad
-        assert arm.loop[0]["axes"][joint]["position_rad"] == pytest.approx(target, abs=1e-12)
+        assert arm.loop[0]["axes"][joint]["commanded"]["position_rad"] == pytest.approx(target, abs=1e-12)
 
 
 def test_a_start_in_the_future_waits_at_rest(virtual_arm) -> None:
@@ -50,7 +50,7 @@ def test_a_start_in_the_future_waits_at_rest(virtual_arm) -> None:
     goal = straight(arm, [0.1] * 6, 1.0, start_ns=due_ns)
     while arm.now_ns + 2 * arm.period_ns < due_ns:
         arm.cycle()
-        assert not np.any(arm.loop[0]["axes"]["next_position_rad"])
+        assert not np.any(arm.loop[0]["axes"]["commanded"]["next_position_rad"])
     assert arm.reader.snapshot()["goal_phase"] == Phase.WAITING
     assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.now_ns >= due_ns + 1_000_000_000
@@ -62,7 +62,7 @@ def test_joints_outside_the_goal_hold(virtual_arm) -> None:
     joints[0, 2] = [0.2, 0.0, 0.0]
     goal = arm.send_goal(np.array([1_000_000_000]), joints, bridge=True, joint_mask=0b100)
     assert arm.end_of(goal) == Outcome.SUCCEEDED
-    assert arm.loop[0]["axes"]["position_rad"][:6] == pytest.approx([0, 0, 0.2, 0, 0, 0])
+    assert arm.loop[0]["axes"]["commanded"]["position_rad"][:6] == pytest.approx([0, 0, 0.2, 0, 0, 0])
 
 
 def test_joints_left_out_of_a_replacement_come_to_rest(virtual_arm) -> None:
@@ -75,10 +75,10 @@ def test_joints_left_out_of_a_replacement_come_to_rest(virtual_arm) -> None:
     assert arm.end_of(second) == Outcome.SUCCEEDED
     assert arm.outcome(first) == Outcome.REPLACED
     axes = arm.loop[0]["axes"][:6]
-    assert axes["position_rad"][0] == pytest.approx(0.1)
-    assert np.all(axes["position_rad"][1:] > 0.1)
-    assert np.all(axes["position_rad"][1:] < 0.45)
-    assert not np.any(axes["velocity_rad_s"])
+    assert axes["commanded"]["position_rad"][0] == pytest.approx(0.1)
+    assert np.all(axes["commanded"]["position_rad"][1:] > 0.1)
+    assert np.all(axes["commanded"]["position_rad"][1:] < 0.45)
+    assert not np.any(axes["commanded"]["velocity_rad_s"])
 
 
 def test_a_first_point_too_far_away_is_refused_by_name(virtual_arm) -> None:
@@ -89,7 +89,7 @@ def test_a_first_point_too_far_away_is_refused_by_name(virtual_arm) -> None:
     assert arm.end_of(goal) == Outcome.REFUSED_START
     result = arm.result(goal)
     assert (result["joint"], result["value"], result["limit"]) == (3, pytest.approx(0.2), pytest.approx(0.05))
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
 
 
 def test_a_bad_newer_goal_leaves_the_running_one_alone(virtual_arm) -> None:
@@ -152,7 +152,7 @@ def test_a_speed_scale_out_of_range_is_passed_over(virtual_arm, value: float) ->
     arm = virtual_arm("mock")
     arm.scale(0.5)
     arm.scale(value)
-    assert arm.core["speed_scale"] == 0.5
+    assert arm.memory["people"]["speed_scale"] == 0.5
 
 
 def test_a_canceled_waiting_goal_never_moves(virtual_arm) -> None:
@@ -162,7 +162,7 @@ def test_a_canceled_waiting_goal_never_moves(virtual_arm) -> None:
     arm.writer.cancel(goal)
     assert arm.end_of(goal) == Outcome.CANCELED
     arm.cycles(150)
-    assert not np.any(arm.loop[0]["axes"]["position_rad"])
+    assert not np.any(arm.loop[0]["axes"]["commanded"]["position_rad"])
 
 
 def test_a_stop_by_a_person_ends_the_goal(virtual_arm) -> None:
@@ -171,17 +171,17 @@ def test_a_stop_by_a_person_ends_the_goal(virtual_arm) -> None:
     arm.cycles(60)
     arm.writer.stop()
     assert arm.end_of(goal) == Outcome.STOPPED
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
 
 
 def test_a_shutdown_stops_the_arm_first(virtual_arm) -> None:
     arm = virtual_arm("mock")
     goal = straight(arm, [0.4] * 6, 2.0)
     arm.cycles(60)
-    arm.core["closing"] = 1
+    arm.memory["motion"]["closing"] = 1
     assert arm.end_of(goal) == Outcome.SHUTDOWN
     arm.until(lambda: arm.running_goal == 0)
-    assert not np.any(arm.loop[0]["axes"]["velocity_rad_s"])
+    assert not np.any(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"])
 
 
 def test_a_goal_of_more_knots_than_the_window_runs_to_its_end(virtual_arm) -> None:
@@ -195,8 +195,8 @@ def test_a_goal_of_more_knots_than_the_window_runs_to_its_end(virtual_arm) -> No
     joints[:, :, 1] = (0.1 * np.sin(phase) * np.pi / (times[-1] * 1e-9))[:, None]
     goal = arm.send_goal(times, joints, order=3)
     assert arm.end_of(goal) == Outcome.SUCCEEDED
-    assert arm.loop[0]["axes"]["position_rad"][:6] == pytest.approx([0.2] * 6, abs=1e-6)
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.loop[0]["axes"]["commanded"]["position_rad"][:6] == pytest.approx([0.2] * 6, abs=1e-6)
+    assert arm.memory["fault"]["code"] == Fault.NONE
 
 
 def mock_arm_with(lower_deg: float, upper_deg: float, joint: int = 2):
@@ -218,14 +218,18 @@ def test_limits_that_do_not_straddle_zero_are_kept(virtual_arm, lower: float, up
     goal = arm.send_goal(np.array([0, 1_500_000_000]), joints, order=3)
     for _ in range(300):
         arm.cycle()
-        assert config.lower_rad - 0.01 <= arm.loop[0]["axes"][2]["next_position_rad"] <= config.upper_rad + 0.01
+        assert (
+            config.lower_rad - 0.01
+            <= arm.loop[0]["axes"][2]["commanded"]["next_position_rad"]
+            <= config.upper_rad + 0.01
+        )
     assert arm.outcome(goal) in (Outcome.FAULT, Outcome.REFUSED_LIMITS)
 
 
 def test_a_joint_found_just_outside_its_limit_may_move_in(virtual_arm) -> None:
     outside = load_arm("episode1").joints[2].lower_rad - 0.01
     arm = virtual_arm(start_rad=[0.0, 0.0, outside, 0.0, 0.0, 0.0])
-    assert arm.loop[0]["axes"][2]["referenced"] == 1
+    assert arm.loop[0]["axes"][2]["reference"]["referenced"] == 1
     goal = straight(arm, [0.0, 0.0, outside + 0.2, 0.0, 0.0, 0.0], 2.0)
     assert arm.end_of(goal) == Outcome.SUCCEEDED
     goal = straight(arm, [0.1, 0.0, outside + 0.2, 0.0, 0.0, 0.0], 2.0)
@@ -238,7 +242,7 @@ def test_nothing_moves_at_speed_scale_zero(virtual_arm) -> None:
     arm.cycle()
     goal = straight(arm, [0.1] * 6, 1.0)
     arm.cycles(200)
-    assert not np.any(arm.loop[0]["axes"]["next_position_rad"])
+    assert not np.any(arm.loop[0]["axes"]["commanded"]["next_position_rad"])
     arm.writer.scale(1.0)
     assert arm.end_of(goal) == Outcome.SUCCEEDED
 
@@ -261,7 +265,7 @@ def test_goal_ids_are_never_taken_twice(virtual_arm) -> None:
     straight(arm, [0.3] * 6, 0.8, goal_id=first)
     arm.cycles(60)
     assert int(arm.state.record["counters"]["knots_taken"]) == taken
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
 
 
 def test_the_same_inputs_give_the_same_bytes() -> None:
@@ -282,7 +286,7 @@ def test_a_cancel_that_overtakes_its_goal_keeps_it_from_starting(virtual_arm) ->
     goal = straight(arm, [0.1] * 6, 1.0)
     assert arm.end_of(goal) == Outcome.CANCELED
     arm.cycles(20)
-    assert not np.any(arm.loop[0]["axes"]["position_rad"][:6])
+    assert not np.any(arm.loop[0]["axes"]["commanded"]["position_rad"][:6])
     assert arm.end_of(straight(arm, [0.1] * 6, 1.0)) == Outcome.SUCCEEDED
 
 
@@ -301,7 +305,7 @@ def test_cancels_that_overtake_their_goals_keep_all_of_them_from_starting(virtua
         arm.cycles(3)
         assert arm.outcome(goal) == Outcome.CANCELED
     arm.cycles(20)
-    assert not np.any(arm.loop[0]["axes"]["position_rad"][:6])
+    assert not np.any(arm.loop[0]["axes"]["commanded"]["position_rad"][:6])
     assert arm.end_of(straight(arm, [0.1] * 6, 1.0)) == Outcome.SUCCEEDED
 
 
@@ -331,7 +335,7 @@ def test_what_a_goal_was_told_before_it_stands_is_not_told_again(virtual_arm) ->
     arm = virtual_arm("mock")
     first = arm.send_shift(0.3)
     arm.cycles(100)
-    arm.core["closing"] = 1
+    arm.memory["motion"]["closing"] = 1
     arm.cycles(2)
     assert arm.outcome(first) == Outcome.SHUTDOWN and arm.running_goal == first
     while arm.running_goal == first:

@@ -57,10 +57,10 @@ def put(rig: Rig, at: dict[str, Any]) -> None:
     """Bring the joint into the state of a vector."""
     at = {name.replace("_deg", "_rad"): math.radians(value) if "_deg" in name else value for name, value in at.items()}
     rig.stands(at.pop("position_rad", 0.0), at.pop("velocity_rad_s", 0.0))
-    rig.axis["unreferenced_reason"] = Unreferenced[at.pop("unreferenced", "REFERENCED")]
-    rig.axis["status"] = sum(getattr(status, word.upper()) for word in at.pop("status", ()))
+    rig.axis["reference"]["unreferenced_reason"] = Unreferenced[at.pop("unreferenced", "REFERENCED")]
+    rig.axis["drive"]["status"] = sum(getattr(status, word.upper()) for word in at.pop("status", ()))
     if "measured_rad" in at:
-        rig.axis["measured_rad"], rig.axis["readings"] = at.pop("measured_rad"), 1
+        rig.axis["measured"]["position_rad"], rig.axis["measured"]["readings"] = at.pop("measured_rad"), 1
     assert not at
 
 
@@ -77,15 +77,15 @@ def test_files_have_only_what_is_tried(family: str) -> None:
 def test_what_is_said(family: str, vector: dict[str, Any]) -> None:
     rig, does = rig_of(family, vector), vector["does"]
     put(rig, dict(vector.get("at", {})))
-    rig.core["cycle"] += vector.get("turn", 0)
+    rig.record["timing"]["cycle"] += vector.get("turn", 0)
     sent = rig.sends(does)
     assert sent == [text_of_vector(text) for text in vector["frames"]]
-    assert rig.axis["questions"] == vector.get("questions", int(does == "ask_position"))
+    assert rig.axis["reply"]["questions"] == vector.get("questions", int(does == "ask_position"))
     last = len(sent) - 1
-    stops = [int(rig.record["tx_stops"][number]) for number in range(len(sent))]
+    stops = [int(rig.record["outgoing"]["stops"][number]) for number in range(len(sent))]
     assert stops == [0 if does == "stop" and number == last else -1 for number in range(len(sent))]
     if does == "lead":
-        assert [int(rig.record["tx_joined"][number]) for number in range(len(sent))] == [1] * last + [0]
+        assert [int(rig.record["outgoing"]["joined"][number]) for number in range(len(sent))] == [1] * last + [0]
 
 
 @pytest.mark.parametrize(("family", "vector"), vectors("does"))
@@ -94,7 +94,7 @@ def test_what_a_conversation_says_is_noted(family: str, vector: dict[str, Any]) 
     frames = [frame_of(text)[0] for text in vector["frames"]]
     for frame in frames:
         rig.codec.note_what_was_said(rig.record, 0, frame.id, word(frame.data))
-    assert rig.axis["questions"] == vector.get("noted", vector.get("questions", int(does == "ask_position")))
+    assert rig.axis["reply"]["questions"] == vector.get("noted", vector.get("questions", int(does == "ask_position")))
     stops = [bool(rig.codec.is_stop(rig.record, 0, frame.id, word(frame.data))) for frame in frames]
     assert stops == [vector.get("is_stop", False) and frame == frames[-1] for frame in frames]
 

@@ -68,7 +68,7 @@ class Stage:
     def ask(self, kind: Request, **values: Any) -> int:
         """The sequence of a request that was taken."""
         assert self.arm.ask(kind, **values) == Answer.DONE
-        return int(self.arm.core["grip_sequence"])
+        return int(self.arm.memory["gripper"]["sequence"])
 
     def over(self, sequence: int, *, at_most_s: float = 10.0) -> Grip:
         """What an order has come to."""
@@ -91,7 +91,7 @@ def stage() -> Iterator[Stage]:
     stage = Stage()
     stage.known()
     yield stage
-    assert stage.arm.core["mode"] == Mode.HOLDING, "the gripper's trouble is none of the arm's"
+    assert stage.arm.memory["mode"] == Mode.HOLDING, "the gripper's trouble is none of the arm's"
     stage.arm.close()
 
 
@@ -318,7 +318,7 @@ def test_a_drive_that_is_not_there_is_said_once_and_taken_up_when_it_is() -> Non
     assert len([line for line in stage.arm.told if "address 7" in line]) == 1
     stage.arm.until(lambda: stage.trouble == GripTrouble.NONE)
     assert stage.go(0.5) == Grip.REACHED
-    assert stage.arm.core["mode"] == Mode.HOLDING
+    assert stage.arm.memory["mode"] == Mode.HOLDING
     stage.arm.close()
 
 
@@ -505,7 +505,7 @@ def test_a_drive_that_would_go_elsewhere_is_not_moved(wrong: Callable[[Any], Any
     assert stage.go(0.5) == Grip.TROUBLE
     stage.run(1.0)
     assert stage.true_rad == pytest.approx(OPEN_RAD, abs=0.002)
-    assert stage.arm.core["mode"] == Mode.HOLDING
+    assert stage.arm.memory["mode"] == Mode.HOLDING
     stage.arm.close()
 
 
@@ -536,7 +536,7 @@ def test_it_moves_while_the_arm_does(stage: Stage) -> None:
 
 def test_it_goes_on_during_a_bring_up_and_in_a_fault(stage: Stage) -> None:
     stage.inject(faults.Disabled("joint3", 0.0))
-    stage.arm.until(lambda: stage.arm.core["mode"] == Mode.FAULT)
+    stage.arm.until(lambda: stage.arm.memory["mode"] == Mode.FAULT)
     assert stage.go(0.4) == Grip.REACHED
     sequence = stage.ask(Request.GRIP, value=1.6)
     assert stage.arm.bring_up(clears_protection=True).failure is None

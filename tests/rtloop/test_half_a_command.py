@@ -12,5 +12,5 @@ def test_half_a_position_command_before_the_bring_up(drive: int) -> None:
     arm.sim.feed(arm.sim.now_ns, b"T%06X008FD0A0BB8FF000000\r" % drive)
     talk = arm.bring_up()
     assert talk.failure is None, str(talk.failure)
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
     arm.close()

@@ -45,12 +45,12 @@ def wait(arm: VirtualArm, seconds: float = 4.0) -> None:
 
 def healed(arm: VirtualArm) -> bool:
     """Whether the arm holds, and knows all its angles."""
-    holds = arm.core["mode"] == Mode.HOLDING and arm.core["fault"] == Fault.NONE
-    return bool(holds and np.all(arm.loop[0]["axes"]["referenced"][:6]))
+    holds = arm.memory["mode"] == Mode.HOLDING and arm.memory["fault"]["code"] == Fault.NONE
+    return bool(holds and np.all(arm.loop[0]["axes"]["reference"]["referenced"][:6]))
 
 
 def still_faulted(arm: VirtualArm) -> bool:
-    return bool(arm.core["mode"] == Mode.FAULT and arm.core["fault"] == Fault.STALE_READING)
+    return bool(arm.memory["mode"] == Mode.FAULT and arm.memory["fault"]["code"] == Fault.STALE_READING)
 
 
 @pytest.mark.parametrize("seconds", [0.12, 0.3, 0.9])
@@ -114,12 +114,12 @@ def is_let_go(arm: VirtualArm) -> None:
 
 
 def ends(arm: VirtualArm) -> None:
-    arm.core["closing"] = 1
+    arm.memory["motion"]["closing"] = 1
 
 
 def is_not_referenced(arm: VirtualArm) -> None:
-    arm.loop[0]["axes"][4]["referenced"] = 0
-    arm.loop[0]["axes"][4]["unreferenced_reason"] = Unreferenced.MOVED
+    arm.loop[0]["axes"][4]["reference"]["referenced"] = 0
+    arm.loop[0]["axes"][4]["reference"]["unreferenced_reason"] = Unreferenced.MOVED
 
 
 def refuses_its_mark(arm: VirtualArm) -> None:
@@ -158,9 +158,9 @@ def test_a_joint_that_was_moved_meanwhile_stays_a_fault(moving: VirtualArm) -> N
     for joint in ALL:
         drive_of(moving, joint).unplug(moving.now_ns)
     moving.until(lambda: still_faulted(moving))
-    moving.loop[0]["axes"][3]["lost_at_rad"] += 0.5
-    moving.loop[0]["axes"][3]["position_rad"] += 0.5
-    moving.loop[0]["axes"][3]["next_position_rad"] += 0.5
+    moving.loop[0]["axes"][3]["reference"]["lost_at_rad"] += 0.5
+    moving.loop[0]["axes"][3]["commanded"]["position_rad"] += 0.5
+    moving.loop[0]["axes"][3]["commanded"]["next_position_rad"] += 0.5
     for joint in ALL:
         drive_of(moving, joint).plug_in(moving.now_ns)
     wait(moving)
@@ -205,16 +205,16 @@ def test_a_persons_clear_comes_first(moving: VirtualArm) -> None:
     assert moving.ask(Request.CLEAR_FAULT) == Answer.DONE
     wait(moving)
     assert still_faulted(moving)
-    assert moving.core["bring_up_asked"] == 1
+    assert moving.memory["dialogue"]["bring_up_asked"] == 1
 
 
 def test_a_drive_that_is_let_go_as_it_is_brought_up_stays_limp(moving: VirtualArm) -> None:
     """Nobody has asked for its being enabled."""
     silence(moving)
-    moving.until(lambda: moving.core["mode"] == Mode.BRINGING_UP, at_most_s=3.0)
+    moving.until(lambda: moving.memory["mode"] == Mode.BRINGING_UP, at_most_s=3.0)
     drive_of(moving, 2).disable(moving.now_ns)
     wait(moving)
-    assert (moving.core["mode"], moving.core["fault"]) == (Mode.FAULT, Fault.BRING_UP)
+    assert (moving.memory["mode"], moving.memory["fault"]["code"]) == (Mode.FAULT, Fault.BRING_UP)
     assert not drive_of(moving, 2).enabled
     moving.healing = None
     moving.clear_fault()

@@ -61,7 +61,7 @@ def nothing_moved(arm: VirtualArm, since: int) -> bool:
 
 
 @pytest.mark.parametrize("person", [VirtualArm.stop, VirtualArm.hold])
-@pytest.mark.parametrize("when", [still_faulted, asks_for_power, lambda arm: arm.core["mode"] == Mode.BRINGING_UP])
+@pytest.mark.parametrize("when", [still_faulted, asks_for_power, lambda arm: arm.memory["mode"] == Mode.BRINGING_UP])
 def test_a_persons_stop_holds_the_arm_at_whatever_moment(
     moving: VirtualArm, person: Callable[[VirtualArm], None], when: Callable[[VirtualArm], bool]
 ) -> None:
@@ -70,7 +70,7 @@ def test_a_persons_stop_holds_the_arm_at_whatever_moment(
     moving.until(lambda: when(moving))
     person(moving)
     wait(moving, 2.0)
-    assert moving.core["held"] == 1
+    assert moving.memory["people"]["held"] == 1
     assert moving.end_of(moving.send_shift(0.01)) == Outcome.REFUSED_HELD
 
 
@@ -83,8 +83,12 @@ def test_what_a_person_asks_of_an_arm_in_its_fault_is_refused_and_not_done_later
     assert moving.ask(request_, **options) not in (Answer.DONE, Answer.NONE)
     is_heard(moving)
     moving.until(lambda: healed(moving), at_most_s=3.0)
-    core = moving.core
-    assert not core["release_asked"] and not core["home_asked"] and not core["reference_asked"]
+    memory = moving.memory
+    assert (
+        not memory["dialogue"]["release_asked"]
+        and not memory["dialogue"]["home_asked"]
+        and not memory["dialogue"]["reference_asked"]
+    )
 
 
 def test_an_arm_that_was_to_be_let_go_does_not_hold_again() -> None:
@@ -121,7 +125,7 @@ def test_what_a_person_asked_for_and_the_silence_has_ended_keeps_the_fault(reque
     arm.healing = healing
     since = len(arm.sent)
     wait(arm)
-    assert arm.core["mode"] == Mode.FAULT
+    assert arm.memory["mode"] == Mode.FAULT
     assert nothing_moved(arm, since)
     arm.close()
 
@@ -133,7 +137,7 @@ def test_an_arm_that_hangs_limp_is_not_enabled() -> None:
     arm.heal_by_itself()
     silence(arm)
     wait(arm)
-    assert arm.core["mode"] == Mode.FAULT
+    assert arm.memory["mode"] == Mode.FAULT
     assert not any(drive_of(arm, joint).enabled for joint in ALL)
     arm.close()
 
@@ -155,7 +159,7 @@ def is_off_for_a_moment(arm: VirtualArm) -> None:
 
 def lost_its_angle_before(arm: VirtualArm) -> None:
     """In an earlier silence, without a proof; that it can give one for this silence says nothing of that one."""
-    arm.loop[0]["axes"][1]["unreferenced_reason"] = Unreferenced.POSITION_JUMP
+    arm.loop[0]["axes"][1]["reference"]["unreferenced_reason"] = Unreferenced.POSITION_JUMP
 
 
 @pytest.mark.parametrize("what", [stalls, is_off_for_a_moment, lost_its_angle_before])
@@ -175,8 +179,8 @@ def test_a_drive_is_waited_for_that_has_not_told_yet_that_it_holds(moving: Virtu
     """What it said before it stood counts for nothing: it may have gone limp since."""
     goes_silent(moving)
     is_heard(moving)
-    while moving.now_ns < int(moving.core["fault_ns"]) + late_s * 1e9:
-        moving.loop[0]["axes"][2]["status_ns"] = int(moving.core["fault_ns"])
+    while moving.now_ns < int(moving.memory["fault"]["latched_ns"]) + late_s * 1e9:
+        moving.loop[0]["axes"][2]["drive"]["status_ns"] = int(moving.memory["fault"]["latched_ns"])
         moving.cycle()
         assert moving._healing_talk is None
     wait(moving, 2.0)
@@ -191,11 +195,11 @@ def test_a_joint_that_kept_its_reference_and_was_pushed_away_keeps_the_fault(mov
     drive_of(moving, 3).unplug(moving.now_ns)
     moving.until(lambda: still_faulted(moving))
     is_heard(moving)
-    assert moving.core["fault_joint"] == -1
+    assert moving.memory["fault"]["joint"] == -1
     for _ in range(30):
         push(moving, 3, 0.01)
         moving.cycle()
-    assert moving.loop[0]["axes"][3]["referenced"] == 1
+    assert moving.loop[0]["axes"][3]["reference"]["referenced"] == 1
     wait(moving)
     assert still_faulted(moving)
 
@@ -221,7 +225,7 @@ def moves_on(arm: VirtualArm) -> None:
 
 
 def is_to_end(arm: VirtualArm) -> None:
-    arm.core["closing"] = 1
+    arm.memory["motion"]["closing"] = 1
 
 
 def is_let_go(arm: VirtualArm) -> None:
@@ -229,7 +233,7 @@ def is_let_go(arm: VirtualArm) -> None:
 
 
 def loses_its_angle(arm: VirtualArm) -> None:
-    arm.loop[0]["axes"][1]["unreferenced_reason"] = Unreferenced.POSITION_JUMP
+    arm.loop[0]["axes"][1]["reference"]["unreferenced_reason"] = Unreferenced.POSITION_JUMP
 
 
 @pytest.mark.parametrize("what", [moves_on, is_to_end, is_let_go, loses_its_angle])
@@ -255,7 +259,7 @@ def test_what_happens_while_the_drives_are_asked_for_their_power_counts(
 def test_a_controller_that_left_the_bus_under_the_fault_keeps_it(moving: VirtualArm) -> None:
     """Bus-off by itself would wait for a person, too; only the first fault stands in the snapshot."""
     goes_silent(moving)
-    moving.core["silenced"] = 1  # what `rtloop.bus.measured.take_error` does with it
+    moving.memory["bus"]["transmit_inhibited"] = 1  # what `rtloop.bus.measured.take_error` does with it
     moving.state.record["counters"]["bus_state"] = BusState.BUS_OFF
     is_heard(moving)
     wait(moving)
@@ -287,7 +291,7 @@ def test_a_second_silence_is_waited_out(moving: VirtualArm) -> None:
     """A loose plug: it is asked for power once, and not amid a silence."""
     silence(moving, 0.3)
     moving.cycles(3)  # the first answers tell how old they may be
-    moving.until(lambda: int(max(moving.loop[0]["axes"]["lag_ns"][:6])) == 0)
+    moving.until(lambda: int(max(moving.loop[0]["axes"]["tracking"]["lag_ns"][:6])) == 0)
     moving.cycles(round(0.55 * REST_NS / moving.period_ns))
     silence(moving, 0.7)
     moving.until(lambda: healed(moving), at_most_s=3.0)
@@ -296,7 +300,7 @@ def test_a_second_silence_is_waited_out(moving: VirtualArm) -> None:
 def test_silences_that_go_on_keep_the_fault(moving: VirtualArm) -> None:
     """Though each is short, and the drives were heard in time."""
     silence(moving, 0.3)
-    while moving.now_ns < int(moving.core["fault_ns"]) + DECIDED_WITHIN_NS + 200_000_000:
+    while moving.now_ns < int(moving.memory["fault"]["latched_ns"]) + DECIDED_WITHIN_NS + 200_000_000:
         moving.cycles(round(0.1e9 / moving.period_ns))
         silence(moving, 0.3)
     wait(moving)
@@ -340,7 +344,7 @@ def test_it_stands_by_what_is_commanded_too() -> None:
     wait(arm, 1.75)
     silence(arm, 0.15)
     arm.until(lambda: asks_for_power(arm), at_most_s=4.0)
-    assert not np.any(arm.loop[0]["axes"]["velocity_rad_s"][:6])
+    assert not np.any(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"][:6])
     arm.close()
 
 
@@ -348,17 +352,17 @@ def test_it_stands_by_what_is_commanded_too() -> None:
 
 
 def test_no_goal_of_before_or_of_the_fault_begins(moving: VirtualArm) -> None:
-    epoch = int(moving.core["epoch"])
+    epoch = int(moving.memory["goals"]["epoch"])
     goes_silent(moving)
     in_fault = moving.send_shift(0.02)
     assert moving.end_of(in_fault) == Outcome.REFUSED_MODE
-    fault_epoch = int(moving.core["epoch"])
+    fault_epoch = int(moving.memory["goals"]["epoch"])
     is_heard(moving)
     moving.until(lambda: healed(moving), at_most_s=3.0)
     since = len(moving.sent)
     for before in (epoch, fault_epoch):
         assert moving.end_of(moving.send_shift(0.02, epoch=before)) == Outcome.REFUSED_OUTDATED
-    assert moving.core["pose_due_ns"] == 0
+    assert moving.memory["dialogue"]["pose_due_ns"] == 0
     assert nothing_moved(moving, since)
 
 
@@ -367,9 +371,9 @@ def test_a_corrupt_ring_is_a_fault_again_after_it(moving: VirtualArm) -> None:
     goes_silent(moving)
     moving.command.record["setpoints_written"][0] += 100
     is_heard(moving)
-    moving.until(lambda: moving.core["fault"] == Fault.COMMAND_RING, at_most_s=4.0)
+    moving.until(lambda: moving.memory["fault"]["code"] == Fault.COMMAND_RING, at_most_s=4.0)
     wait(moving)
-    assert (moving.core["mode"], moving.core["fault"]) == (Mode.FAULT, Fault.COMMAND_RING)
+    assert (moving.memory["mode"], moving.memory["fault"]["code"]) == (Mode.FAULT, Fault.COMMAND_RING)
 
 
 def test_no_other_fault_is_cleared() -> None:
@@ -377,16 +381,16 @@ def test_no_other_fault_is_cleared() -> None:
     arm.heal_by_itself()
     arm.command.record["setpoints_written"][0] += 100
     wait(arm, 2.0)
-    assert (arm.core["mode"], arm.core["fault"]) == (Mode.FAULT, Fault.COMMAND_RING)
+    assert (arm.memory["mode"], arm.memory["fault"]["code"]) == (Mode.FAULT, Fault.COMMAND_RING)
     arm.close()
 
 
 def test_silence_amid_its_own_bring_up_is_a_fault_that_stays(moving: VirtualArm) -> None:
     silence(moving)
-    moving.until(lambda: moving.core["mode"] == Mode.BRINGING_UP, at_most_s=3.0)
+    moving.until(lambda: moving.memory["mode"] == Mode.BRINGING_UP, at_most_s=3.0)
     silence(moving, 1.0)
     wait(moving)
-    assert moving.core["mode"] == Mode.FAULT
+    assert moving.memory["mode"] == Mode.FAULT
 
 
 def test_a_machine_that_was_away_as_well_moves_nothing(moving: VirtualArm) -> None:
@@ -404,7 +408,9 @@ def test_a_machine_that_was_away_as_well_moves_nothing(moving: VirtualArm) -> No
     for joint in ALL:
         axis = moving.loop[0]["axes"][joint]
         true_rad = moving.sim.true_position_rad(joint, moving.sim.now_ns)
-        assert not axis["referenced"] or abs(axis["measured_rad"] - true_rad) < KNOWN_WITHIN_RAD
+        assert (
+            not axis["reference"]["referenced"] or abs(axis["measured"]["position_rad"] - true_rad) < KNOWN_WITHIN_RAD
+        )
 
 
 # --- other arms
@@ -433,8 +439,8 @@ def test_an_arm_of_drives_that_prove_their_power_or_need_not(drives: list[dict[s
     config = arm_of([{**drive, number[drive["family"]]: n} for n, drive in enumerate(drives, 1)], rate_hz=100)
     arm = VirtualArm.brought_up(config)
     silent_arm(arm)
-    assert (arm.core["mode"] == Mode.HOLDING) == goes_on
-    assert goes_on or arm.core["fault"] == Fault.STALE_READING
+    assert (arm.memory["mode"] == Mode.HOLDING) == goes_on
+    assert goes_on or arm.memory["fault"]["code"] == Fault.STALE_READING
     arm.close()
 
 

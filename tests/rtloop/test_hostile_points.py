@@ -34,10 +34,10 @@ class Hostile:
 
     def present(self) -> Present:
         """Where the arm is commanded now; ROS time is the time of the loop."""
-        axes = self.arm.loop[0]["axes"][: len(self.arm.arm.joints)]
+        now = self.arm.loop[0]["axes"]["commanded"][: len(self.arm.arm.joints)]
         words = ("position_rad", "velocity_rad_s", "acceleration_rad_s2")
-        commanded = np.stack([axes[word] for word in words], axis=1)
-        standing = int(self.arm.core["mode"]) == Mode.HOLDING
+        commanded = np.stack([now[word] for word in words], axis=1)
+        standing = int(self.arm.memory["mode"]) == Mode.HOLDING
         return Present(commanded, standing, self.arm.now_ns, self.arm.now_ns)
 
     def message(self, *, ends_at_rest: bool) -> SimpleNamespace:
@@ -61,7 +61,7 @@ class Hostile:
 
     def way(self, joint: int, times_s: np.ndarray, *, ends_at_rest: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A smooth way from where the joint is, with a ripple that changes the velocity by what a cycle allows."""
-        random, config, axis = self.random, self.arm.arm.joints[joint], self.arm.loop[0]["axes"][joint]
+        random, config, now = self.random, self.arm.arm.joints[joint], self.arm.loop[0]["axes"][joint]["commanded"]
         period_s, count = self.arm.period_ns * 1e-9, len(times_s)
         hardest = self.arm.arm.limits.acceleration_margin * config.max_acceleration_rad_s2
         at = np.arange(count)
@@ -71,14 +71,14 @@ class Hostile:
             np.sin(2.0 * np.pi * times_s / period_s * random.choice([0.5, 1.0, 1.0, 2.0]) + random.uniform(0.0, 6.0)),
         ][int(random.integers(3))]
         growing = np.minimum(1.0, at * random.uniform(0.02, 2.0))
-        velocity = float(axis["velocity_rad_s"]) + hardest * (
+        velocity = float(now["velocity_rad_s"]) + hardest * (
             period_s * random.uniform(0.1, 0.7) * growing * ripple + random.uniform(-0.7, 0.7) * times_s
         )
         velocity = np.clip(velocity, -config.max_velocity_rad_s, config.max_velocity_rad_s)
         if ends_at_rest:
             velocity[-1] = 0.0
         gaps_s = np.diff(times_s, prepend=times_s[0])
-        position = float(axis["position_rad"]) + random.normal(0.0, 1e-4)
+        position = float(now["position_rad"]) + random.normal(0.0, 1e-4)
         position = position + np.cumsum(gaps_s * 0.5 * (velocity + np.roll(velocity, 1)))
         if random.random() < 0.3:
             position += random.normal(0.0, 0.1 * hardest * period_s, count) * gaps_s
@@ -178,7 +178,7 @@ def test_a_hostile_goal_is_refused_or_succeeds(seed: int, rate_hz: float) -> Non
     arm = hostile.arm
     goal = hostile.send(plan)
     arm.end_of(goal)
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     assert arm.outcome(goal) in (Outcome.SUCCEEDED, *REFUSALS)
     arm.close()
 
@@ -199,8 +199,8 @@ def test_hostile_messages_of_a_stream_are_refused_or_followed(seed: int, rate_hz
             continue
         hostile.send(plan)
         arm.cycles(int(hostile.random.integers(1, 12)))
-    arm.until(lambda: arm.core["mode"] != Mode.EXECUTING, at_most_s=5.0)
-    assert arm.core["fault"] == Fault.NONE
+    arm.until(lambda: arm.memory["mode"] != Mode.EXECUTING, at_most_s=5.0)
+    assert arm.memory["fault"]["code"] == Fault.NONE
     arm.close()
 
 
@@ -235,6 +235,6 @@ def test_what_the_front_just_accepts_is_followed_whatever_the_clock_does(seed: i
         arm.cycles(round(0.05 * rate_hz))
         arm.writer.scale(1.0)
     arm.end_of(goal, at_most_s=60.0)
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     assert arm.outcome(goal) in (Outcome.CANCELED if who == "cancel" else Outcome.SUCCEEDED, *REFUSALS)
     arm.close()

@@ -52,7 +52,7 @@ class Judged(VirtualArm):
         self.positions = [self.commanded()] * 2
 
     def commanded(self):
-        return self.loop[0]["axes"]["next_position_rad"][: len(self.arm.joints)].copy()
+        return self.loop[0]["axes"]["commanded"]["next_position_rad"][: len(self.arm.joints)].copy()
 
     def cycle(self, periods=1):
         super().cycle(periods)
@@ -67,17 +67,17 @@ class Judged(VirtualArm):
         v = np.diff(self.positions, axis=0) / period_s
         assert (np.abs(v[-1]) <= 1.0501 * velocity).all()
         assert (np.abs(v[-1] - v[-2]) / period_s <= 2.0001 * acceleration + 1e-9).all()
-        mode, fault = int(self.core["mode"]), int(self.core["fault"])
+        mode, fault = int(self.memory["mode"]), int(self.memory["fault"]["code"])
         assert mode in list(Mode) and fault in list(Fault)
         assert (mode == Mode.FAULT) == (fault != Fault.NONE)
 
     @property
     def fault(self):
-        return Fault(int(self.core["fault"]))
+        return Fault(int(self.memory["fault"]["code"]))
 
     @property
     def mode(self):
-        return Mode(int(self.core["mode"]))
+        return Mode(int(self.memory["mode"]))
 
     def wave(self, points=81, **options):
         """A goal of some seconds, gently there and back; its id."""
@@ -119,7 +119,7 @@ class Judged(VirtualArm):
         self.put(
             Setpoint.BEGIN,
             goal_id=goal_id,
-            words=(start_ns, mask, float(goal_time_s), entry, int(self.core["epoch"])),
+            words=(start_ns, mask, float(goal_time_s), entry, int(self.memory["goals"]["epoch"])),
             numbers=rows,
         )
 
@@ -173,7 +173,7 @@ def test_a_goal_of_many_joints_does_not_starve_beside_a_full_ring_in_slow_cycles
     w = 2 * np.pi / 6.0
     shape = np.stack([1 - np.cos(w * times), w * np.sin(w * times), w * w * np.cos(w * times)], axis=-1)
     joints = 0.05 * np.repeat(shape[:, None, :], 32, axis=1)
-    joints[:, :, 0] += arm.loop[0]["axes"]["next_position_rad"][:32]
+    joints[:, :, 0] += arm.loop[0]["axes"]["commanded"]["next_position_rad"][:32]
     goal = arm.send_goal(np.arange(6001) * 1_000_000, joints)
     assert arm.end_of(goal) == Outcome.SUCCEEDED
     arm.close()
@@ -342,8 +342,8 @@ def test_a_way_that_leads_through_a_limit_is_left_while_there_is_room_to_stop(ar
     here = arm.commanded()
     rise_s = abs(speed) / config.max_acceleration_rad_s2
     here[joint] = limit - 0.6 * speed * rise_s
-    for word in ("position_rad", "next_position_rad"):
-        arm.loop[0]["axes"][word][: len(here)] = here
+    commanded = arm.loop[0]["axes"]["commanded"][: len(here)]
+    commanded["position_rad"] = commanded["next_position_rad"] = here
     arm.positions = [here] * 3
     at_limit, velocity = here.copy(), np.zeros(len(here))
     at_limit[joint], velocity[joint] = limit - 1e-3 * side, speed
@@ -360,9 +360,9 @@ def test_a_way_that_leads_through_a_limit_is_left_while_there_is_room_to_stop(ar
 
 def test_a_brake_begins_with_the_velocity_there_is_and_not_with_one_that_was_claimed(arm):
     goal = arm.executing()
-    arm.loop[0]["axes"]["next_velocity_rad_s"][:6] = [joint.max_velocity_rad_s for joint in arm.arm.joints]
-    arm.core["own_brake"] = 1
-    arm.core["fault"], arm.core["mode"] = Fault.FOLLOWING_ERROR, Mode.FAULT
+    arm.loop[0]["axes"]["commanded"]["next_velocity_rad_s"][:6] = [joint.max_velocity_rad_s for joint in arm.arm.joints]
+    arm.memory["motion"]["per_joint_stop"] = 1
+    arm.memory["fault"]["code"], arm.memory["mode"] = Fault.FOLLOWING_ERROR, Mode.FAULT
     comes_to_rest(arm)
     assert arm.outcome(goal) == Outcome.NONE  # finished by hand: only its motion is judged, cycle by cycle
 
@@ -593,7 +593,7 @@ def test_a_loop_that_was_frozen_takes_the_requests_that_found_room(arm):
             arm.request(Request.CLEAR_FAULT)
     arm.cycles(20)
     assert arm.fault == Fault.NONE
-    assert arm.core["requests_taken"] == layout.REQUEST_SLOTS - 1
+    assert arm.memory["front"]["requests_taken"] == layout.REQUEST_SLOTS - 1
 
 
 def test_a_start_far_ahead_leaves_the_running_goal_alone(arm):

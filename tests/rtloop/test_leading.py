@@ -20,9 +20,9 @@ def loop() -> np.void:
     loop = new_loop(ARM, 0, 0)[0]
     axis, row = loop["axes"][JOINT], loop["joints"][JOINT]
     row["command_delay_s"], row["silence_deceleration_rad_s2"] = DELAY_S, RAMP
-    axis["reference_rad"] = axis["measured_rad"] = 0.0
-    axis["velocity_rad_s"] = axis["next_velocity_rad_s"] = 0.1
-    axis["next_position_rad"] = 0.1 * PERIOD_S
+    axis["tracking"]["reference_rad"] = axis["measured"]["position_rad"] = 0.0
+    axis["commanded"]["velocity_rad_s"] = axis["commanded"]["next_velocity_rad_s"] = 0.1
+    axis["commanded"]["next_position_rad"] = 0.1 * PERIOD_S
     return loop
 
 
@@ -34,11 +34,13 @@ def test_the_pace_is_that_of_the_plan_when_the_frame_arrives_and_the_target_lies
     """By the way of the periods for which it must last, and by that on which the drive brakes."""
     axis = loop["axes"][JOINT]
     for word in ("velocity_rad_s", "next_velocity_rad_s", "next_position_rad"):
-        axis[word] *= direction
-    axis["next_acceleration_rad_s2"] = acceleration
+        axis["commanded"][word] *= direction
+    axis["commanded"]["next_acceleration_rad_s2"] = acceleration
     speed = direction * 0.1 + acceleration * DELAY_S
     ahead = speed * (LEAD_PERIODS * PERIOD_S + DELAY_S) + direction * speed * speed / (2.0 * RAMP)
-    assert leading.target_ahead(loop, JOINT, 0.0) == pytest.approx((axis["next_position_rad"] + ahead, speed))
+    assert leading.target_ahead(loop, JOINT, 0.0) == pytest.approx(
+        (axis["commanded"]["next_position_rad"] + ahead, speed)
+    )
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -47,7 +49,7 @@ def test_an_error_is_made_good_within_an_eighth_of_a_second_but_without_a_rush(
     loop: np.void, sign: float, error_rad: float, share: float | None
 ) -> None:
     axis, most = loop["axes"][JOINT], 0.25 * ARM.joints[JOINT].max_velocity_rad_s
-    axis["reference_rad"] = axis["error_before_rad"] = sign * error_rad
+    axis["tracking"]["reference_rad"] = axis["tracking"]["error_before_rad"] = sign * error_rad
     _, speed = leading.target_ahead(loop, JOINT, 0.0)
     assert speed - 0.1 == pytest.approx(sign * (share * error_rad if share else most))
 
@@ -57,7 +59,7 @@ def test_an_error_is_made_good_within_an_eighth_of_a_second_but_without_a_rush(
 )
 def test_what_a_coarse_speed_explains_is_not_corrected(loop: np.void, error_rad: float, corrected_rad: float) -> None:
     axis = loop["axes"][JOINT]
-    axis["reference_rad"] = axis["error_before_rad"] = error_rad
+    axis["tracking"]["reference_rad"] = axis["tracking"]["error_before_rad"] = error_rad
     _, speed = leading.target_ahead(loop, JOINT, 0.001 / PERIOD_S)
     assert speed - 0.1 == pytest.approx(8.0 * corrected_rad)
 
@@ -65,35 +67,35 @@ def test_what_a_coarse_speed_explains_is_not_corrected(loop: np.void, error_rad:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_no_speed_is_told_beyond_the_margin_and_no_target_beyond_the_limits(loop: np.void, sign: float) -> None:
     axis, row, config = loop["axes"][JOINT], loop["joints"][JOINT], ARM.joints[JOINT]
-    axis["next_position_rad"] = sign * 10.0 * config.max_velocity_rad_s * PERIOD_S
+    axis["commanded"]["next_position_rad"] = sign * 10.0 * config.max_velocity_rad_s * PERIOD_S
     _, speed = leading.target_ahead(loop, JOINT, 0.0)
     assert speed == pytest.approx(sign * ARM.limits.velocity_margin * config.max_velocity_rad_s)
     end_rad = row["upper_rad"] + row["slack_rad"] if sign > 0.0 else row["lower_rad"] - row["slack_rad"]
-    axis["position_rad"] = end_rad - sign * 0.001
-    axis["next_position_rad"] = end_rad
+    axis["commanded"]["position_rad"] = end_rad - sign * 0.001
+    axis["commanded"]["next_position_rad"] = end_rad
     assert leading.target_ahead(loop, JOINT, 0.0)[0] == end_rad
 
 
 def test_a_joint_that_stands_is_led_to_where_it_is_due_whatever_its_error(loop: np.void) -> None:
     axis = loop["axes"][JOINT]
-    axis["velocity_rad_s"] = axis["next_velocity_rad_s"] = 0.0
-    axis["next_position_rad"] = axis["position_rad"] = 0.25
-    axis["reference_rad"] = axis["error_before_rad"] = 0.01
+    axis["commanded"]["velocity_rad_s"] = axis["commanded"]["next_velocity_rad_s"] = 0.0
+    axis["commanded"]["next_position_rad"] = axis["commanded"]["position_rad"] = 0.25
+    axis["tracking"]["reference_rad"] = axis["tracking"]["error_before_rad"] = 0.01
     assert leading.target_ahead(loop, JOINT, 0.0)[0] == 0.25
     for word in ("velocity_rad_s", "next_velocity_rad_s"):  # it sets off, or comes to rest
-        axis[word] = 0.1
+        axis["commanded"][word] = 0.1
         assert leading.target_ahead(loop, JOINT, 0.0)[0] > 0.25
-        axis[word] = 0.0
+        axis["commanded"][word] = 0.0
 
 
 def test_whole_rpm_carry_over_what_they_leave_out(loop: np.void) -> None:
     axis, rpm_per_rad_s = loop["axes"][JOINT], loop["joints"][JOINT]["rpm_per_rad_s"]
     told = [leading.whole_rpm(loop, JOINT, -10.25 / rpm_per_rad_s, 3000) for _ in range(8)]
     assert (set(told), sum(told)) == ({10, 11}, 82)
-    axis["rpm_remainder"] = 0.0
+    axis["sent"]["rpm_remainder"] = 0.0
     assert leading.whole_rpm(loop, JOINT, 0.0, 3000) == 1
     assert leading.whole_rpm(loop, JOINT, 5000.0 / rpm_per_rad_s, 3000) == 3000
     for beyond, carried in ((5.0, 1.0), (-5.0, -1.0)):
-        axis["rpm_remainder"] = beyond
+        axis["sent"]["rpm_remainder"] = beyond
         leading.whole_rpm(loop, JOINT, 10.0 / rpm_per_rad_s, 3000)
-        assert abs(axis["rpm_remainder"]) <= abs(carried)
+        assert abs(axis["sent"]["rpm_remainder"]) <= abs(carried)

@@ -32,25 +32,25 @@ class Setpoint:
     def __init__(self) -> None:
         self.shared = np.zeros(1, layout.STATE)
         self.loop = new_loop(ARM, self.shared.ctypes.data, 0)
-        self.core = self.loop[0]["core"]
-        self.core["mode"] = Mode.EXECUTING
+        self.memory = self.loop[0]
+        self.memory["mode"] = Mode.EXECUTING
         for joint, config in enumerate(ARM.joints):
             middle_rad = 0.5 * (config.lower_rad + config.upper_rad)
             self.choose(joint, middle_rad, middle_rad)
 
     def choose(self, joint: int, position_rad: float, next_rad: float, before_rad_s: float = 0.0) -> None:
         axis = self.loop[0]["axes"][joint]
-        axis["position_rad"], axis["next_position_rad"] = position_rad, next_rad
-        axis["difference_velocity_rad_s"] = before_rad_s
+        axis["commanded"]["position_rad"], axis["commanded"]["next_position_rad"] = position_rad, next_rad
+        axis["commanded"]["difference_velocity_rad_s"] = before_rad_s
 
     def verdict(self) -> tuple[Fault, int]:
         """The fault that is latched, and its joint (-1: none)."""
         passed = guard.check_next_setpoint(self.loop[0], self.shared[0])
-        assert passed == (self.core["fault"] == Fault.NONE)
-        return Fault(self.core["fault"]), int(self.core["fault_joint"])
+        assert passed == (self.memory["fault"]["code"] == Fault.NONE)
+        return Fault(self.memory["fault"]["code"]), int(self.memory["fault"]["joint"])
 
     def said(self) -> tuple[float, float]:
-        return float(self.core["fault_value"]), float(self.core["fault_limit"])
+        return float(self.memory["fault"]["value"]), float(self.memory["fault"]["limit"])
 
     def slack_rad(self, joint: int) -> float:
         return float(self.loop[0]["joints"][joint]["slack_rad"])
@@ -159,13 +159,13 @@ def test_away_from_a_limit_needs_no_room(arm: Setpoint, joint: int, upper: bool)
 @pytest.mark.parametrize("word", ["next_position_rad", "next_velocity_rad_s"])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number(arm: Setpoint, joint: int, word: str, value: float) -> None:
-    arm.loop[0]["axes"][joint][word] = value
+    arm.loop[0]["axes"][joint]["commanded"][word] = value
     assert arm.verdict() == (Fault.NOT_FINITE, joint)
 
 
 def test_the_first_joint_that_breaks_a_limit_is_the_one_that_is_named(arm: Setpoint) -> None:
     for joint in (2, 4):
-        arm.loop[0]["axes"][joint]["next_position_rad"] += 1.0
+        arm.loop[0]["axes"][joint]["commanded"]["next_position_rad"] += 1.0
     assert arm.verdict()[1] == 2
 
 

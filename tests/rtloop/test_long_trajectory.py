@@ -27,7 +27,7 @@ def test_a_million_knots_in_flat_memory() -> None:
     arm = VirtualArm.brought_up("mock")
     none = np.zeros((6, 3))
     arm.writer.announce(1)
-    epoch = int(arm.core["epoch"])
+    epoch = int(arm.memory["goals"]["epoch"])
     arm.writer.begin(
         1, start_ns=0, joint_mask=63, goal_time_s=0.4, entry=Entry(0), epoch=epoch, tolerances=none, consumed=0
     )
@@ -52,7 +52,7 @@ def test_a_million_knots_in_flat_memory() -> None:
             break
         except RingFull:
             arm.cycle()
-    assert arm.end_of(1) == Outcome.SUCCEEDED and arm.core["fault"] == Fault.NONE
+    assert arm.end_of(1) == Outcome.SUCCEEDED and arm.memory["fault"]["code"] == Fault.NONE
     assert (arm.now_ns - begun_ns) * 1e-9 < KNOTS * SPACING_NS * 1e-9 + 1.0  # it never waited for knots
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak_kb < GROWTH_KB
     arm.close()

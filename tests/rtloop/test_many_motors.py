@@ -19,10 +19,10 @@ def goes_there(arm: ArmConfig, by_rad: float = 0.1) -> None:
     """All joints go to a place within a second."""
     virtual = VirtualArm(arm)
     assert virtual.bring_up(at_most_s=60.0).failure is None, virtual.told
-    virtual.until(lambda: virtual.core["mode"] == Mode.HOLDING, at_most_s=5.0)
+    virtual.until(lambda: virtual.memory["mode"] == Mode.HOLDING, at_most_s=5.0)
     count = len(arm.joints)
     joints = np.zeros((2, count, 3))
-    joints[:, :, 0] = virtual.loop[0]["axes"]["position_rad"][:count]
+    joints[:, :, 0] = virtual.loop[0]["axes"]["commanded"]["position_rad"][:count]
     joints[1, :, 0] += by_rad
     goal = virtual.send_goal(np.array([0, 1_000_000_000]), joints, order=3)
     assert virtual.end_of(goal) == Outcome.SUCCEEDED

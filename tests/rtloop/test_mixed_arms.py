@@ -9,7 +9,7 @@ from virtual import VirtualArm
 
 from config.errors import ConfigError
 from config.loader import known_arms, load_arm
-from rtloop.memory.state import LISTENERS
+from rtloop.memory.link import LISTENERS
 from shm.layout import MAX_JOINTS
 from shm.words import Answer, Fault, Mode, Outcome, Request
 from sim.faults import Protection, Silent
@@ -19,7 +19,7 @@ def there_and_back(arm: VirtualArm, by_rad: float = 0.1) -> int:
     """A goal of all joints: away and back in two seconds."""
     count = len(arm.arm.joints)
     joints = np.zeros((3, count, 3))
-    joints[:, :, 0] = arm.loop[0]["axes"]["position_rad"][:count]
+    joints[:, :, 0] = arm.loop[0]["axes"]["commanded"]["position_rad"][:count]
     joints[1, :, 0] += by_rad
     return arm.send_goal(np.array([0, 1_000_000_000, 2_000_000_000]), joints, order=3)
 
@@ -47,8 +47,8 @@ def test_trouble_of_one_family_stops_all_of_them(trouble: Any, joint: int, fault
     there_and_back(arm)
     arm.cycles(60)
     arm.sim.inject(trouble, since_ns=arm.sim.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=0.5)
-    assert (arm.core["fault"], arm.core["fault_joint"]) == (fault, joint)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT, at_most_s=0.5)
+    assert (arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (fault, joint)
     arm.cycles(300)
     for other in set(range(6)) - {joint}:
         assert arm.sim.true_velocity_rad_s(other, arm.sim.now_ns) == pytest.approx(0.0, abs=1e-4)
@@ -62,7 +62,7 @@ def test_arms_have_one_to_32_joints(drive: dict[str, Any], number: str, rate_hz:
     drives = [{**drive, number: n + 1} for n in range(count)]
     arm = VirtualArm(arm_of(drives, rate_hz=rate_hz, interface="slcan" if count <= 21 else "socketcan"))
     assert arm.bring_up(at_most_s=60.0).failure is None, arm.told
-    arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=5.0)  # the ring still holds what was said last
+    arm.until(lambda: arm.memory["mode"] == Mode.HOLDING, at_most_s=5.0)  # the ring still holds what was said last
     goal = there_and_back(arm)
     assert arm.end_of(goal) == Outcome.SUCCEEDED
     arm.close()

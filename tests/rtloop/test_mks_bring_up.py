@@ -157,7 +157,7 @@ def test_a_homing_run_that_somebody_left_is_ended():
     arm.cycles(3)
     told(arm, 1, 0x91)
     brought_up(arm)
-    assert arm.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.NOT_HOMED
+    assert arm.loop[0]["axes"][1]["reference"]["unreferenced_reason"] == Unreferenced.NOT_HOMED
     stood_ns = arm.sim.now_ns
     arm.cycles(50)
     assert way(arm, 1, stood_ns) == 0.0
@@ -178,19 +178,19 @@ def test_a_limp_drive_is_enabled_where_it_was_led_to():
     arm.cycles(3)
     brought_up(arm)
     axis = arm.loop[0]["axes"][1]
-    assert axis["status"] & status.ENABLED
-    assert abs(axis["position_rad"] - math.radians(NEAR_STOPS_DEG[1])) < WITHIN_RAD
+    assert axis["drive"]["status"] & status.ENABLED
+    assert abs(axis["commanded"]["position_rad"] - math.radians(NEAR_STOPS_DEG[1])) < WITHIN_RAD
     arm.close()
 
 
 def test_an_angle_is_not_known_until_it_is_said():
     arm = brought_up(arm_of())
     axes = arm.loop[0]["axes"][:6]
-    assert not axes["referenced"].any()
-    assert {int(reason) for reason in axes["unreferenced_reason"]} == {Unreferenced.INCREMENTAL}
+    assert not axes["reference"]["referenced"].any()
+    assert {int(reason) for reason in axes["reference"]["unreferenced_reason"]} == {Unreferenced.INCREMENTAL}
     assert arm.ask(Request.REFERENCE, joint_mask=0b111111, value=math.nan) == Answer.DONE
     assert arm.reference().failure is None
-    assert axes["referenced"].all()
+    assert axes["reference"]["referenced"].all()
     arm.close()
 
 
@@ -219,17 +219,17 @@ def told_of_a_stall(settings: dict[int, bytes], **options) -> VirtualArm:
 def test_a_stall_without_protection_is_no_trip():
     """3E tells it all the same (manual V1.0.9), but the drive goes on holding."""
     arm = told_of_a_stall(OFF)
-    bits = arm.loop[0]["axes"][1]["status"]
+    bits = arm.loop[0]["axes"][1]["drive"]["status"]
     assert bits & status.STALLED and not bits & status.PROTECTED
-    assert (arm.core["mode"], arm.core["fault"]) == (Mode.HOLDING, Fault.NONE)
+    assert (arm.memory["mode"], arm.memory["fault"]["code"]) == (Mode.HOLDING, Fault.NONE)
     arm.close()
 
 
 @ON
 def test_a_stall_with_protection_is_a_trip(settings):
     arm = told_of_a_stall(settings)
-    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.DRIVE_FAULT, 1)
-    assert int(arm.core["fault_value"]) & status.PROTECTED
+    assert (arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (Fault.DRIVE_FAULT, 1)
+    assert int(arm.memory["fault"]["value"]) & status.PROTECTED
     arm.close()
 
 
@@ -240,8 +240,8 @@ def test_what_cannot_be_asked_is_taken_for_a_protection_that_is_on():
     obey = drive._obey
     drive._obey = lambda code, arguments: None if code == 0x00 else obey(code, arguments)
     brought_up(arm)
-    assert arm.loop[0]["axes"][1]["holds_stalled"] == 0
-    assert all(axis["holds_stalled"] == 0 for axis in arm.loop[0]["axes"][:6])
+    assert arm.loop[0]["axes"][1]["drive"]["holds_stalled"] == 0
+    assert all(axis["drive"]["holds_stalled"] == 0 for axis in arm.loop[0]["axes"][:6])
     arm.close()
 
 
@@ -251,7 +251,7 @@ def test_a_firmware_without_a_guard_of_the_error_has_none_that_is_on():
     drive.settings |= OFF
     del drive.settings[0x9D]
     brought_up(arm)
-    assert arm.loop[0]["axes"][1]["holds_stalled"] == 1
+    assert arm.loop[0]["axes"][1]["drive"]["holds_stalled"] == 1
     arm.close()
 
 
@@ -292,7 +292,7 @@ def test_a_drive_that_was_away_is_halted_along_its_ramp_and_holds():
     arm.cycles(150)
     arm.sim.inject(Silent("joint2", 0.0, 0.3), since_ns=arm.sim.now_ns)
     first = len(arm.sent)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=0.5)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT, at_most_s=0.5)
     arm.cycles(150)
     acc = int(arm.loop[0]["joints"][1]["acc_byte"])
     halt = bytes((0xF5, 0, 0, acc, 0, 0, 0))
@@ -312,12 +312,12 @@ def test_a_whole_arm_is_homed(counted):
     arm = brought_up(arm_of(homed=counted))
     assert arm.ask(Request.HOME) == Answer.DONE
     assert arm.reference().failure is None, arm.told
-    assert (arm.core["mode"], arm.core["fault"]) == (Mode.HOLDING, Fault.NONE)
+    assert (arm.memory["mode"], arm.memory["fault"]["code"]) == (Mode.HOLDING, Fault.NONE)
     for joint, config in enumerate(arm.arm.joints):
         true_rad = arm.sim.true_position_rad(joint, arm.sim.now_ns - 1)
         assert abs(true_rad - config.lower_rad) < WITHIN_RAD
-        assert arm.loop[0]["axes"][joint]["referenced"] == 1
-        assert abs(arm.loop[0]["axes"][joint]["measured_rad"] - true_rad) < WITHIN_RAD
+        assert arm.loop[0]["axes"][joint]["reference"]["referenced"] == 1
+        assert abs(arm.loop[0]["axes"][joint]["measured"]["position_rad"] - true_rad) < WITHIN_RAD
         assert f"{config.name}: homed." in arm.told
     assert arm.lost == dict.fromkeys(range(6))
     assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
@@ -338,7 +338,7 @@ def test_a_homing_run_is_ended_at_once_when_somebody_asks(ask):
 
     assert arm.reference(each_cycle=stop, at_most_s=3.0).failure is None
     axis = arm.loop[0]["axes"][1]
-    assert (axis["referenced"], axis["unreferenced_reason"]) == (0, Unreferenced.NOT_HOMED)
+    assert (axis["reference"]["referenced"], axis["reference"]["unreferenced_reason"]) == (0, Unreferenced.NOT_HOMED)
     assert arm.lost[1] == Unreferenced.NOT_HOMED
     ended_ns = arm.sim.now_ns
     arm.cycles(60)
@@ -349,8 +349,8 @@ def test_a_homing_run_is_ended_at_once_when_somebody_asks(ask):
 def failed_run(arm: VirtualArm, **options) -> str:
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
     failure = arm.reference(**options).failure
-    assert failure is not None and arm.core["fault"] == Fault.HOMING
-    assert arm.loop[0]["axes"][1]["referenced"] == 0
+    assert failure is not None and arm.memory["fault"]["code"] == Fault.HOMING
+    assert arm.loop[0]["axes"][1]["reference"]["referenced"] == 0
     ended_ns = arm.sim.now_ns
     arm.cycles(60)
     assert way(arm, 1, ended_ns) == 0.0
@@ -396,7 +396,7 @@ def test_a_slow_cycle_and_a_lossy_bus_home_too(rate_hz):
     drives(arm)[1].reply_loss = 0.02
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
     assert arm.reference().failure is None, arm.told
-    assert arm.loop[0]["axes"][1]["referenced"] == 1
+    assert arm.loop[0]["axes"][1]["reference"]["referenced"] == 1
     arm.close()
 
 

@@ -58,7 +58,7 @@ class Asked(CommandedArm):
             start_ns = self.now_ns + 200_000_000
             self.newest = self.send_goal(np.array([self.time_back_ns()]), joints, bridge=True, start_ns=start_ns)
         elif action == "again" and self.running_goal != 0:
-            clock_ns = round(float(self.core["clock_s"]) * 1e9)
+            clock_ns = round(float(self.memory["clock"]["time_s"]) * 1e9)
             self.newest = self.play(self.name, start_ns=self.now_ns - clock_ns)
 
     def start_again(self) -> np.ndarray:
@@ -102,7 +102,7 @@ def test_whatever_is_asked_in_motion(name: str, begin: int, asked: list[tuple[in
     arm.writer.resume()
     arm.end_of(arm.newest, at_most_s=100)
     arm.cycles(5)
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     # a goal whose time went by while the arm was held may be too far away, or too fast, by now
     refused = (Outcome.REFUSED_START, Outcome.REFUSED_LIMITS, Outcome.REFUSED_HELD)
     assert arm.outcome(arm.newest) in (Outcome.SUCCEEDED, Outcome.CANCELED, *refused)

@@ -54,7 +54,9 @@ def test_a_motor_that_is_on_its_way_is_stopped() -> None:
     stood_rad, place_rad = farthest(arm), arm.sim.true_position_rad(0, arm.sim.now_ns)
     arm.cycles(100)
     assert farthest(arm) - stood_rad < 1e-4
-    assert abs(arm.loop[0]["axes"][0]["position_rad"] - place_rad) < 3 * arm.arm.joints[0].encoder_count_rad
+    assert (
+        abs(arm.loop[0]["axes"][0]["commanded"]["position_rad"] - place_rad) < 3 * arm.arm.joints[0].encoder_count_rad
+    )
     arm.close()
 
 
@@ -68,8 +70,8 @@ def test_a_brake_is_released_and_its_locking_is_a_fault() -> None:
     assert farthest(arm) < 2e-4
     arm.cycles(20)
     told(arm, 2, b"\x78")
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=0.5)
-    assert arm.core["fault_joint"] == 2
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT, at_most_s=0.5)
+    assert arm.memory["fault"]["joint"] == 2
     arm.close()
 
 
@@ -80,8 +82,8 @@ def test_a_motor_that_never_tells_of_a_brake_is_taken_as_it_is() -> None:
         drive._does[0x9A] = lambda data, answers=answers: answers(data)[:3] + b"\0" + answers(data)[4:]
     assert arm.bring_up().failure is None, arm.told
     arm.cycles(30)
-    assert arm.core["mode"] == Mode.HOLDING
-    assert all(axis["status"] & status_bits.ENABLED for axis in arm.loop[0]["axes"][:6])
+    assert arm.memory["mode"] == Mode.HOLDING
+    assert all(axis["drive"]["status"] & status_bits.ENABLED for axis in arm.loop[0]["axes"][:6])
     arm.close()
 
 
@@ -98,7 +100,7 @@ def test_errors_end_when_a_person_wants_that(cause: str, restarted: bool) -> Non
     arm.cycles(600)
     assert arm.bring_up(clears_protection=True).failure is None, arm.told
     assert any("joint5: its drive is restarted" in sentence for sentence in arm.told) == restarted
-    reason = arm.loop[0]["axes"][4]["unreferenced_reason"]
+    reason = arm.loop[0]["axes"][4]["reference"]["unreferenced_reason"]
     assert reason == (Unreferenced.POWER_LOST if restarted else Unreferenced.INCREMENTAL)
     assert farthest(arm) < 1e-3
     arm.close()
@@ -132,6 +134,6 @@ def test_a_motor_that_is_let_go_says_so() -> None:
     arm = VirtualArm.brought_up(ARM)
     told(arm, 1, b"\x80")
     assert arm.sim.drives[1].mode == OFF
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=0.5)
-    assert arm.core["fault_joint"] == 1
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT, at_most_s=0.5)
+    assert arm.memory["fault"]["joint"] == 1
     arm.close()

@@ -21,7 +21,7 @@ def test_errors_in_words():
 def test_a_motor_that_is_led_is_asked_for_its_errors_alone():
     rig = Rig.named("myactuator").stands(0.0)
     for _ in range(4):
-        rig.core["cycle"] += 1
+        rig.record["timing"]["cycle"] += 1
         rig.sends("lead")
         assert rig.sends("ask_status") == ["141# 9A 00 00 00 00 00 00 00"]
 
@@ -30,7 +30,7 @@ def test_one_with_an_error_is_asked_for_it_alone():
     rig = Rig.named("myactuator")
     rig.hears("241# 9A 32 00 01 E5 01 02 00")
     for _ in range(2):
-        rig.core["cycle"] += 1
+        rig.record["timing"]["cycle"] += 1
         assert rig.sends("ask_status") == ["141# 9A 00 00 00 00 00 00 00"]
 
 

@@ -23,7 +23,7 @@ import rtloop
 import shm
 from config.loader import load_arm
 from rtloop import cycle
-from rtloop.memory.state import offset_of
+from rtloop.memory.record import offset_of
 from rtloop.process import entries
 from rtloop.process.run import run
 from rtloop.system import realtime
@@ -108,7 +108,7 @@ def swinging():
     goal = swing(arm, duration_s=(TRIES * CYCLES + 1000) / 100)
     advance(arm, 200)
     yield arm
-    assert (arm.running_goal, arm.core["mode"]) == (goal, Mode.EXECUTING)
+    assert (arm.running_goal, arm.memory["mode"]) == (goal, Mode.EXECUTING)
     assert arm.outcome(goal) == Outcome.NONE
     arm.close()
 
@@ -121,7 +121,7 @@ def resident_kb() -> int:
 
 def test_ten_thousand_cycles_allocate_nothing_and_fault_no_page(swinging):
     signatures = {function: len(function.signatures) for function in reachable(run_cycles)}
-    first = int(swinging.core["cycle"])
+    first = int(swinging.memory["timing"]["cycle"])
     _nrt_python.memsys_enable_stats()
     try:
         advance(swinging, 1)
@@ -131,7 +131,7 @@ def test_ten_thousand_cycles_allocate_nothing_and_fault_no_page(swinging):
             before = rtsys.get_allocation_stats(), resource.getrusage(resource.RUSAGE_THREAD)
             advance(swinging, CYCLES)
             after = rtsys.get_allocation_stats(), resource.getrusage(resource.RUSAGE_THREAD)
-            assert swinging.core["cycle"] == first + tries * CYCLES + 1
+            assert swinging.memory["timing"]["cycle"] == first + tries * CYCLES + 1
             assert after[0] == before[0]
             if after[1].ru_minflt == before[1].ru_minflt:
                 break
@@ -232,7 +232,7 @@ CHECKED = """
 from virtual import VirtualArm
 
 arm = VirtualArm.at_start_of("small")
-print(arm.end_of(arm.play("small")).name, int(arm.core["fault"]))
+print(arm.end_of(arm.play("small")).name, int(arm.memory["fault"]["code"]))
 arm.close()
 """
 

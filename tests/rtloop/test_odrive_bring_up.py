@@ -158,7 +158,7 @@ def test_every_heartbeat_that_an_arm_file_may_name_is_waited_for(heartbeat_ms: i
         joint["drive"]["heartbeat_ms"] = heartbeat_ms
     arm = VirtualArm(ArmConfig.model_validate(given))
     assert arm.bring_up(at_most_s=20.0).failure is None
-    arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=1.0)  # the ring still holds what was said last
+    arm.until(lambda: arm.memory["mode"] == Mode.HOLDING, at_most_s=1.0)  # the ring still holds what was said last
     assert arm.ask(Request.DISABLE) == Answer.DONE
     assert arm.release(at_most_s=20.0).failure is None
     arm.close()
@@ -188,7 +188,7 @@ def test_a_drive_that_has_lost_its_power_shows_no_other_place() -> None:
     arm.cycles(20)
     drive = arm.sim.drives[1]
     drive.power_off(arm.sim.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=1.0)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT, at_most_s=1.0)
     drive.power_on(arm.sim.now_ns)
     arm.cycles(200)
     shown = arm.reader.snapshot()

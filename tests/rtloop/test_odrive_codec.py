@@ -39,7 +39,7 @@ def test_zeros_are_believed_where_they_follow_from_what_is_known(
     measured_rad: float, age_ns: int, closed: bool, status_age_ns: int, told: bool
 ) -> None:
     rig = Rig.named("odrive").stands(measured_rad)
-    rig.core["now_ns"], rig.axis["readings"] = LATER_NS, 1
-    rig.axis["measured_ns"] = LATER_NS - age_ns
-    rig.axis["status"], rig.axis["status_ns"] = status.ENABLED * closed, LATER_NS - status_age_ns
+    rig.record["timing"]["now_ns"], rig.axis["measured"]["readings"] = LATER_NS, 1
+    rig.axis["measured"]["time_ns"] = LATER_NS - age_ns
+    rig.axis["drive"]["status"], rig.axis["drive"]["status_ns"] = status.ENABLED * closed, LATER_NS - status_age_ns
     assert ("position_rad" in rig.hears(ZEROS)) == told

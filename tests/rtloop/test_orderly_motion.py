@@ -45,7 +45,7 @@ def amid_full_speed(share: float) -> tuple[VirtualArm, int]:
     scale = np.minimum(1.0, room / way)  # joint6 has no room for its full speed
     start = np.array([joint.lower_rad + 0.1 for joint in ARM.joints])
     arm = VirtualArm.brought_up("episode1", start_rad=start)
-    here = arm.loop[0]["axes"]["position_rad"][:6].copy()
+    here = arm.loop[0]["axes"]["commanded"]["position_rad"][:6].copy()
     times_s = np.arange(0.0, 2.0 * (1.5 * FASTEST / HARDEST).max() + CRUISE_S + 2 * KNOT_S, KNOT_S)
     rows = at_full_speed(times_s) * scale[:, np.newaxis]
     rows[:, :, 0] += here
@@ -63,7 +63,7 @@ def truly(arm: VirtualArm, since_ns: int) -> float:
 
 def cycles_to_rest(arm: VirtualArm) -> int:
     count = 0
-    while arm.loop[0]["axes"]["velocity_rad_s"][:6].any():
+    while arm.loop[0]["axes"]["commanded"]["velocity_rad_s"][:6].any():
         arm.cycle()
         count += 1
     return count
@@ -104,7 +104,7 @@ def test_a_goal_that_begins_at_rest_where_the_arm_is_measured_keeps_the_limits(
     arm, goal = amid_full_speed(share)
     asked_ns = arm.now_ns
     for _ in range(1 + twice):
-        here = arm.loop[0]["axes"]["measured_rad"][:6].copy()
+        here = arm.loop[0]["axes"]["measured"]["position_rad"][:6].copy()
         duration_s = 1.5 * slowness
         rows = np.zeros((2, 6, 3))
         way = np.minimum(0.17 * HARDEST * duration_s**2, 0.5 * FASTEST * duration_s)  # of a quintic within its limits
@@ -113,7 +113,7 @@ def test_a_goal_that_begins_at_rest_where_the_arm_is_measured_keeps_the_limits(
         newer = arm.send_goal(np.array([0, round(duration_s * NS)]), rows)
         arm.cycles(15)
     assert arm.end_of(newer) == Outcome.SUCCEEDED
-    assert arm.outcome(goal) in (Outcome.REPLACED, Outcome.SUCCEEDED) and arm.core["fault"] == Fault.NONE
+    assert arm.outcome(goal) in (Outcome.REPLACED, Outcome.SUCCEEDED) and arm.memory["fault"]["code"] == Fault.NONE
     assert truly(arm, asked_ns) <= ALLOWED
     arm.close()
 
@@ -121,7 +121,7 @@ def test_a_goal_that_begins_at_rest_where_the_arm_is_measured_keeps_the_limits(
 def test_an_arm_that_was_slowed_to_a_standstill_does_not_go_back_to_a_goal_of_before() -> None:
     arm, goal = amid_full_speed(0.5)
     rows = np.zeros((2, 6, 3))
-    rows[:, :, 0] = arm.loop[0]["axes"]["measured_rad"][:6]
+    rows[:, :, 0] = arm.loop[0]["axes"]["measured"]["position_rad"][:6]
     newer = arm.send_goal(np.array([0, NS // 10]), rows)
     arm.writer.scale(0.0)
     assert arm.end_of(newer) == Outcome.REFUSED_START
@@ -170,10 +170,10 @@ def test_the_recorded_servo_is_followed_within_the_limits(late_ns: int) -> None:
             arm.cycle()
             seen |= ended(arm)
         lags.append(largest_lag(arm.take(message))[1])
-    arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=3.0)
+    arm.until(lambda: arm.memory["mode"] == Mode.HOLDING, at_most_s=3.0)
     seen |= ended(arm)
     assert seen <= {Outcome.NONE, Outcome.REPLACED, Outcome.SUCCEEDED}
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     assert 0 < arm.front.shaped <= 80 and max(lags) < 0.005  # 76 of the 639, half as many if they come late
     assert arm.acceleration_ratio() <= 1.05
     assert arm.positions[-1] == pytest.approx(messages[-1].positions[-1], abs=1e-6)
@@ -220,8 +220,8 @@ def test_a_wild_stream_is_followed_within_the_limits_and_to_its_end(
         except GoalRefused:
             dropped += 1
             velocity = np.zeros(6)
-    arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=20.0)
-    assert arm.core["fault"] == Fault.NONE
+    arm.until(lambda: arm.memory["mode"] == Mode.HOLDING, at_most_s=20.0)
+    assert arm.memory["fault"]["code"] == Fault.NONE
     positions = np.array(arm.positions)
     period_s = arm.period_ns / NS
     assert (np.abs(np.diff(positions, axis=0)) / period_s <= fastest * 1.05).all()

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from config.loader import load_arm
-from rtloop.memory.state import CAN_FRAME_BYTES, TX_FRAMES
+from rtloop.memory.link import CAN_FRAME_BYTES, TX_FRAMES
 from rtloop.process import run
 from rtloop.process.beginning import new_loop
 from rtloop.wire import outgoing, received
@@ -44,7 +44,7 @@ class Sender:
 
     @property
     def buffer(self):
-        return self.loop[0]["tx"][: int(self.loop[0]["core"]["tx_length"])].tobytes()
+        return self.loop[0]["outgoing"]["bytes"][: int(self.loop[0]["outgoing"]["length"])].tobytes()
 
     def take(self, count):
         data = self.buffer[:count]
@@ -142,7 +142,7 @@ def test_a_full_buffer_takes_no_more_frames(interface):
     count = 0
     while outgoing.put(sender.loop[0], 0x100, True, 8, -1, 0):
         count += 1
-    assert count == int(sender.loop[0]["core"]["tx_frames"]) <= TX_FRAMES
+    assert count == int(sender.loop[0]["outgoing"]["frames"]) <= TX_FRAMES
     assert not outgoing.has_room(sender.loop[0], 1)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
 from config.loader import load_arm
-from rtloop.memory.state import WINDOW_KNOTS
+from rtloop.memory.motion import WINDOW_KNOTS
 from rtloop.process.beginning import new_loop
 from rtloop.trajectory import entry, path
 
@@ -66,7 +66,7 @@ class Way:
         for word, value in zip(
             ("position_rad", "velocity_rad_s", "acceleration_rad_s2"), random.normal(size=3), strict=True
         ):
-            self.loop["axes"][word][:6] = value * np.arange(1.0, 7.0)
+            self.loop["axes"]["commanded"][word][:6] = value * np.arange(1.0, 7.0)
 
     def plan(self, joint: int, clock_s: float) -> tuple[float, float, float]:
         knot = path.find_knot(self.loop, self.index, clock_s, self.first)
@@ -77,8 +77,8 @@ class Way:
         return path.sample(self.loop, self.index, joint, clock_s, knot)
 
     def commanded(self, joint: int) -> tuple[float, float, float]:
-        axis = self.loop["axes"][joint]
-        return float(axis["position_rad"]), float(axis["velocity_rad_s"]), float(axis["acceleration_rad_s2"])
+        now = self.loop["axes"][joint]["commanded"]
+        return float(now["position_rad"]), float(now["velocity_rad_s"]), float(now["acceleration_rad_s2"])
 
 
 seeds = st.integers(0, 10_000)
@@ -216,6 +216,6 @@ def test_a_run_up_is_the_straight_line_through_the_first_point() -> None:
 def test_where_a_path_is_entered(start_s: float, ended: int, due_s: float) -> None:
     """At 5 s of the loop's time: no start time, one that is past, one ahead, and beyond the end of 2.6 s."""
     way = entered(ahead_s=0.4)
-    way.loop["core"]["now_ns"] = 5_000_000_000
+    way.loop["timing"]["now_ns"] = 5_000_000_000
     way.path["start_ns"], way.path["ended"] = round(start_s * 1e9), ended
     assert entry.due_s(way.loop, way.index) == pytest.approx(due_s)

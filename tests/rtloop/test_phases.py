@@ -19,7 +19,7 @@ def test_a_goal_changes_its_phase_as_the_table_allows(phase: Phase, to: Phase) -
     arm = new_arm()
     arm.running["phase"] = phase
     allowed = to in ALLOWED[phase]
-    assert change_phase(arm.loop[0], int(arm.core["active"]), to) == allowed
+    assert change_phase(arm.loop[0], int(arm.memory["goals"]["active"]), to) == allowed
     assert arm.running["phase"] == (to if allowed else phase)
     arm.close()
 

@@ -50,18 +50,22 @@ def endure(arm: VirtualArm, silence: Silence) -> VirtualArm:
         drives[joint].unplug(arm.now_ns)
     for joint in silence.powerless:
         drives[joint].power_off(arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     arm.cycles(round(silence.seconds * 1e9 / arm.period_ns))
     for joint in silence.powerless:
         drives[joint].power_on(arm.now_ns)
     for joint in silence.joints:
         drives[joint].plug_in(arm.now_ns)
-    arm.until(lambda: arm.core["fault_ns"] + 500_000_000 < arm.now_ns)
+    arm.until(lambda: arm.memory["fault"]["latched_ns"] + 500_000_000 < arm.now_ns)
     assert arm.sim is not None
     arm.sim.inject(CorruptBytes(silence.garbled), arm.now_ns)
     if silence.process_dies:
         axes = arm.loop[0]["axes"][: len(drives)]
-        lost = {n: Unreferenced(axis["unreferenced_reason"]) for n, axis in enumerate(axes) if not axis["referenced"]}
+        lost = {
+            n: Unreferenced(axis["reference"]["unreferenced_reason"])
+            for n, axis in enumerate(axes)
+            if not axis["reference"]["referenced"]
+        }
         lost = {n: why for n, why in lost.items() if why in OUTLIVES_THE_PROCESS}
         arm = arm.next_process()
         while arm.bring_up(lost_before=lost).failure is not None:  # garbled beyond understanding
@@ -70,13 +74,13 @@ def endure(arm: VirtualArm, silence: Silence) -> VirtualArm:
     else:
         arm.clear_fault()
     arm.sim.inject(CorruptBytes(0.0), arm.now_ns)
-    while arm.core["mode"] == Mode.FAULT:
+    while arm.memory["mode"] == Mode.FAULT:
         arm.clear_fault()
     return arm
 
 
 def referenced(arm: VirtualArm) -> list[bool]:
-    return [bool(axis["referenced"]) for axis in arm.loop[0]["axes"][: len(arm.arm.joints)]]
+    return [bool(axis["reference"]["referenced"]) for axis in arm.loop[0]["axes"][: len(arm.arm.joints)]]
 
 
 @pytest.mark.parametrize("process_dies", [False, True])
@@ -176,11 +180,11 @@ def test_a_loss_of_power_that_a_bring_up_hides_is_noticed_without_a_flag(firmwar
         drive.power_flag = "absent"
     arm.bring_up()
     drives_of(arm)[0].trip(arm.now_ns, registers.STALLED)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     lose_power(arm, 2, 0.05)
     arm.clear_fault()
     assert referenced(arm) == [joint != 2 for joint in range(6)]
-    assert arm.loop[0]["axes"][2]["unreferenced_reason"] == Unreferenced.POWER_LOST
+    assert arm.loop[0]["axes"][2]["reference"]["unreferenced_reason"] == Unreferenced.POWER_LOST
     assert "joint3 may have lost power" in arm.told[-1]
     arm.close()
 
@@ -196,12 +200,12 @@ def test_a_count_that_is_another_one_behind_a_clear_is_no_angle_whatever_the_mar
         assert arm.reference().failure is None
     assert all(referenced(arm))
     drives_of(arm)[0].trip(arm.now_ns, registers.STALLED)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     arm.sim.inject(PowerLoss("joint3", at_s=0.0, off_s=0.1), since_ns=arm.now_ns)
     arm.cycles(3)
     arm.clear_fault()
     assert referenced(arm) == [joint != 2 for joint in range(6)]
-    assert arm.loop[0]["axes"][2]["unreferenced_reason"] == Unreferenced.POWER_LOST
+    assert arm.loop[0]["axes"][2]["reference"]["unreferenced_reason"] == Unreferenced.POWER_LOST
     arm.close()
 
 
@@ -213,7 +217,7 @@ def test_a_count_that_is_another_one_behind_a_clear_that_failed_is_no_angle_eith
     drive.power_flag, drive.stores_everything = "absent", True
     arm.bring_up()
     drives_of(arm)[0].trip(arm.now_ns, registers.STALLED)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     begins_s = 0.0 if seconds < 1.0 else 1.0
     if begins_s:
         drive.unplug(arm.now_ns)
@@ -238,12 +242,12 @@ def test_a_joint_that_moves_while_it_is_enabled_keeps_its_angle_where_its_drive_
     assert arm.reference().failure is None
     assert arm.ask(Request.FREE) == Answer.DONE
     arm.release()
-    before_rad = float(arm.loop[0]["axes"][2]["measured_rad"])
+    before_rad = float(arm.loop[0]["axes"][2]["measured"]["position_rad"])
     drives_of(arm)[2].lead(arm.now_ns, 10.0)  # a hand, until the bring-up has it hold again
     assert arm.ask(Request.ENABLE) == Answer.DONE
-    arm.core["bring_up_asked"] = 0
+    arm.memory["dialogue"]["bring_up_asked"] = 0
     assert arm.bring_up().failure is None
-    assert abs(arm.loop[0]["axes"][2]["measured_rad"] - before_rad) > 2.0 * arm.arm.limits.position_jump_rad
+    assert abs(arm.loop[0]["axes"][2]["measured"]["position_rad"] - before_rad) > 2.0 * arm.arm.limits.position_jump_rad
     assert all(referenced(arm))
     arm.close()
 
@@ -252,11 +256,11 @@ def test_a_joint_that_held_nothing_before_a_clear_may_stand_elsewhere_behind_it(
     arm = VirtualArm.brought_up("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
     drive = drives_of(arm)[2]
     drive.trip(arm.now_ns, registers.STALLED)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
-    before_rad = float(arm.loop[0]["axes"][2]["measured_rad"])
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
+    before_rad = float(arm.loop[0]["axes"][2]["measured"]["position_rad"])
     drive.lead(arm.now_ns, 10.0)  # it falls, until the clear has it hold again
     arm.clear_fault()
-    assert abs(arm.loop[0]["axes"][2]["measured_rad"] - before_rad) > 2.0 * arm.arm.limits.position_jump_rad
+    assert abs(arm.loop[0]["axes"][2]["measured"]["position_rad"] - before_rad) > 2.0 * arm.arm.limits.position_jump_rad
     assert all(referenced(arm))
     arm.close()
 
@@ -355,7 +359,7 @@ def test_a_flag_that_is_seen_last_is_not_told_as_a_mark_that_is_gone(monkeypatch
 
     monkeypatch.setitem(drive._reads, 0x33, loses_power)
     assert arm.bring_up().failure is None
-    assert arm.loop[0]["axes"][2]["unreferenced_reason"] == Unreferenced.POWER_LOST
+    assert arm.loop[0]["axes"][2]["reference"]["unreferenced_reason"] == Unreferenced.POWER_LOST
     assert not any("mark" in sentence for sentence in arm.told)
     arm.close()
 
@@ -375,7 +379,7 @@ def test_a_mark_that_is_gone_takes_the_angle_before_another_one_takes_its_place(
     assert arm.reference().failure is not None
     assert arm.lost[2] == Unreferenced.POWER_LOST
     assert referenced(arm) == [joint != 2 for joint in range(6)]
-    assert arm.loop[0]["axes"][2]["unreferenced_reason"] == Unreferenced.POWER_LOST
+    assert arm.loop[0]["axes"][2]["reference"]["unreferenced_reason"] == Unreferenced.POWER_LOST
     arm.close()
 
 
@@ -408,7 +412,7 @@ def test_a_new_mark_does_not_speak_for_the_time_before_it(monkeypatch: pytest.Mo
         assert arm.reference().failure is None
     assert all(referenced(arm)) and arm.marks[2] is None
     drives_of(arm)[0].trip(arm.now_ns, registers.STALLED)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     arm.sim.inject(PowerLoss("joint3", at_s=0.0, off_s=0.1), since_ns=arm.now_ns)
     arm.cycles(3)
     arm.clear_fault()
@@ -441,12 +445,12 @@ def test_no_angle_is_kept_over_a_loss_of_power_and_none_is_lost_that_is_proven(
             continue  # nobody watches it
         arm = endure(arm, silence)
         known = [was and joint not in silence.powerless for joint, was in enumerate(known)]
-        assert arm.core["fault"] == Fault.NONE
+        assert arm.memory["fault"]["code"] == Fault.NONE
         kept = referenced(arm)
         assert kept == known or silence.garbled > 0.0  # what is garbled proves nothing
         assert all(known[joint] for joint in range(6) if kept[joint])
         known = kept
-    for joint, angle_rad in enumerate(arm.loop[0]["axes"]["measured_rad"][:6]):
+    for joint, angle_rad in enumerate(arm.loop[0]["axes"]["measured"]["position_rad"][:6]):
         assert arm.sim is not None
         if known[joint]:
             assert abs(angle_rad - arm.sim.true_position_rad(joint, arm.now_ns)) < KNOWN_WITHIN_RAD

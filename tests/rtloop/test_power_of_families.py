@@ -108,12 +108,12 @@ def reference(arm: VirtualArm) -> None:
 
 
 def referenced(arm: VirtualArm) -> list[bool]:
-    return [bool(axis["referenced"]) for axis in arm.loop[0]["axes"][:6]]
+    return [bool(axis["reference"]["referenced"]) for axis in arm.loop[0]["axes"][:6]]
 
 
 def reads_true(arm: VirtualArm) -> bool:
     """Whether every joint that is referenced stands where it reads."""
-    read_rad = arm.loop[0]["axes"]["measured_rad"][:6]
+    read_rad = arm.loop[0]["axes"]["measured"]["position_rad"][:6]
     return all(
         abs(read_rad[joint] - arm.sim.true_position_rad(joint, arm.now_ns)) < KNOWN_WITHIN_RAD
         for joint, known in enumerate(referenced(arm))
@@ -128,7 +128,7 @@ def fall_silent(arm: VirtualArm, silence: Silence) -> None:
         drives[joint].unplug(arm.now_ns)
     for joint in silence.powerless:
         drives[joint].power_off(arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     arm.cycles(round(silence.seconds * 1e9 / arm.period_ns))
     for joint in silence.powerless:
         drives[joint].power_on(arm.now_ns)
@@ -148,7 +148,11 @@ def endure(arm: VirtualArm, silence: Silence) -> VirtualArm:
     arm.sim.adapter.corruption = silence.garbled
     if silence.process_dies:
         axes = enumerate(arm.loop[0]["axes"][:6])
-        lost = {joint: Unreferenced(axis["unreferenced_reason"]) for joint, axis in axes if not axis["referenced"]}
+        lost = {
+            joint: Unreferenced(axis["reference"]["unreferenced_reason"])
+            for joint, axis in axes
+            if not axis["reference"]["referenced"]
+        }
         lost = {joint: why for joint, why in lost.items() if why in OUTLIVES_THE_PROCESS}
         arm = arm.next_process()
         while arm.bring_up(lost_before=lost).failure is not None:
@@ -158,7 +162,7 @@ def endure(arm: VirtualArm, silence: Silence) -> VirtualArm:
         arm.clear_fault()
     arm.sim.adapter.corruption = 0.0
     arm.cycles(20)
-    while arm.core["mode"] == Mode.FAULT:
+    while arm.memory["mode"] == Mode.FAULT:
         arm.clear_fault()
         arm.cycles(20)
     return arm
@@ -223,13 +227,13 @@ def test_a_reference_of_a_drive_that_is_silent_fails_and_ends_nothing(name: str)
     look at a reading that is too old."""
     arm = arm_of(name)
     arm = endure(arm, Silence(frozenset((0,)), frozenset((0,))))
-    assert not referenced(arm)[0] and arm.core["mode"] == Mode.HOLDING
+    assert not referenced(arm)[0] and arm.memory["mode"] == Mode.HOLDING
     arm.sim.drives[0].unplug(arm.now_ns)
     arm.cycles(60)
     assert arm.ask(Request.REFERENCE, joint_mask=1, value=0.3) == Answer.DONE
     failure = arm.reference().failure
     assert failure is not None and failure.joint == 0 and "stopped answering" in str(failure)
-    arm.until(lambda: arm.core["fault"] == Fault.HOMING, at_most_s=1.0)
+    arm.until(lambda: arm.memory["fault"]["code"] == Fault.HOMING, at_most_s=1.0)
     arm.close()
 
 
@@ -308,7 +312,7 @@ def test_a_proof_is_asked_for_without_changing_anything(name: str) -> None:
     assert check.failure is None
     assert check.proven == {joint: joint not in (1, 4) for joint in range(6)}
     assert [arm.marks[joint] for joint in range(6)] == before
-    assert arm.core["mode"] == Mode.FAULT and arm.sim.drives[1].enabled is False
+    assert arm.memory["mode"] == Mode.FAULT and arm.sim.drives[1].enabled is False
     arm.sim.drives[4].plug_in(arm.now_ns)
     assert arm.clear_fault().failure is None, arm.told
     assert referenced(arm) == [joint != 1 for joint in range(6)]
@@ -501,7 +505,7 @@ def test_time_in_which_this_machine_was_suspended_counts(monkeypatch: pytest.Mon
     assert up is not None
     for joint in (2, 3):
         arm.sim.drives[joint].unplug(arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     suspended_ns = 100_000_000_000
     monkeypatch.setattr(myactuator_setup, "suspended_ns", lambda: suspended_ns)
     for joint in (0, 1, 3, 4, 5):
@@ -685,7 +689,7 @@ def test_an_angle_that_is_said_after_an_unnoticed_loss_of_power_is_kept() -> Non
         true_rad = arm.sim.true_position_rad(joint, arm.sim.now_ns)
         assert arm.ask(Request.REFERENCE, joint_mask=1 << joint, value=true_rad) == Answer.DONE
         assert arm.reference().failure is None, arm.told
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)  # its motor is off, which counts from now on
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)  # its motor is off, which counts from now on
     arm.clear_fault()
     assert all(referenced(arm)) and reads_true(arm)
     arm.close()
@@ -695,7 +699,7 @@ def test_a_motor_without_a_true_uptime_keeps_its_angle_beside_another_joints_fau
     arm = arm_of("myactuator6", (uptime("stuck"), uptime("stuck"), clock(0.9), sound, sound, sound))
     arm.cycles(500)
     arm.sim.drives[5].unplug(arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     arm.sim.drives[5].plug_in(arm.now_ns)
     arm.cycles(100)
     arm.clear_fault()

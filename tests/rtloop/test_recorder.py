@@ -30,7 +30,7 @@ def test_every_cycle_of_a_goal_is_kept_as_its_snapshot_said(arm):
     found = read_recording(arm.state)
     assert found.lost == 0
     assert (found.arm, found.joints) == ("episode1", tuple(joint.name for joint in arm.arm.joints))
-    assert found.records["number"].tolist() == list(range(int(arm.core["cycle"])))
+    assert found.records["number"].tolist() == list(range(int(arm.memory["timing"]["cycle"])))
     kept = found.records[-len(said) :]
     for name in layout.SNAPSHOT.names[layout.SNAPSHOT.names.index("cycle") : -1]:
         assert kept[name].tolist() == [
@@ -67,13 +67,13 @@ def test_what_led_to_a_fault_is_kept_with_what_the_arm_did_then(arm):
     arm.until(lambda: arm.running_goal == goal)
     arm.cycles(20)
     arm.sim.inject(PowerLoss("joint2", at_s=0.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["fault"] != Fault.NONE)
+    arm.until(lambda: arm.memory["fault"]["code"] != Fault.NONE)
     arm.cycles(60)
     records = read_recording(arm.state).records
     at = int(np.flatnonzero(records["fault"])[0])
     first = records[at]
-    assert (first["fault"], first["fault_joint"]) == (arm.core["fault"], 1)
-    assert first["monotonic_ns"] == first["fault_ns"] == arm.core["fault_ns"]
+    assert (first["fault"], first["fault_joint"]) == (arm.memory["fault"]["code"], 1)
+    assert first["monotonic_ns"] == first["fault_ns"] == arm.memory["fault"]["latched_ns"]
     assert records["mode"][at - 1] == Mode.EXECUTING and records["mode"][-1] == Mode.FAULT
     assert np.all(records["slowed"][at:] & Slowed.OWN_BRAKE)
     assert not records["joints"]["commanded_velocity_rad_s"][-1].any()

@@ -38,10 +38,10 @@ def arm():
 def after_power_loss(arm, joint="joint2"):
     """One drive was off for a second; the fault is cleared, the joint has no reference."""
     arm.sim.inject(PowerLoss(joint, 0.0, off_s=1.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     arm.cycles(240)
     assert arm.clear_fault().failure is None
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
 
 
 def true_rad(arm, joint):
@@ -50,17 +50,21 @@ def true_rad(arm, joint):
 
 def test_a_drive_that_lost_power_is_homed_and_obeys_again(arm):
     after_power_loss(arm)
-    assert arm.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.POWER_LOST
+    assert arm.loop[0]["axes"][1]["reference"]["unreferenced_reason"] == Unreferenced.POWER_LOST
     since = len(arm.sent)
     others = {name: truth for name, truth in truth_of(arm.sim).items() if name != "joint2"}
     began_ns = arm.now_ns
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
-    assert arm.core["mode"] == Mode.REFERENCING
+    assert arm.memory["mode"] == Mode.REFERENCING
     assert arm.reference().failure is None
     config, axis = arm.arm.joints[1], arm.loop[0]["axes"][1]
-    assert (arm.core["mode"], axis["referenced"], arm.core["fault"]) == (Mode.HOLDING, 1, Fault.NONE)
+    assert (arm.memory["mode"], axis["reference"]["referenced"], arm.memory["fault"]["code"]) == (
+        Mode.HOLDING,
+        1,
+        Fault.NONE,
+    )
     assert abs(true_rad(arm, 1) - config.lower_rad) < WITHIN_RAD
-    assert abs(axis["measured_rad"] - true_rad(arm, 1)) < WITHIN_RAD
+    assert abs(axis["measured"]["position_rad"] - true_rad(arm, 1)) < WITHIN_RAD
     assert not arm.sim.drives[1].power_lost
     assert 120_000 < arm.sim.drives[1].homing.timeout_ms <= 121_000
     assert arm.sim.drives[1]._homing_flash.timeout_ms != arm.sim.drives[1].homing.timeout_ms
@@ -69,7 +73,7 @@ def test_a_drive_that_lost_power_is_homed_and_obeys_again(arm):
     assert motion_after(others, began_ns, arm.now_ns) == []
     assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     assert command_violations(arm.arm, frames_sent(arm.sent)) == []
-    assert abs(axis["measured_rad"] - true_rad(arm, 1)) < WITHIN_RAD
+    assert abs(axis["measured"]["position_rad"] - true_rad(arm, 1)) < WITHIN_RAD
 
 
 def test_a_whole_arm_is_homed_in_its_order():
@@ -87,7 +91,7 @@ def test_a_whole_arm_is_homed_in_its_order():
     assert arm.reader.snapshot()["referencing_joint"] == -1
     for joint, config in enumerate(arm.arm.joints):
         assert abs(true_rad(arm, joint) - config.lower_rad) < WITHIN_RAD
-        assert arm.loop[0]["axes"][joint]["referenced"] == 1
+        assert arm.loop[0]["axes"][joint]["reference"]["referenced"] == 1
     assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     arm.close()
 
@@ -105,9 +109,9 @@ def test_a_homing_run_is_ended_at_once_whenever_somebody_asks(ask, after_cycles)
             getattr(arm.writer, ask)()
 
     assert arm.reference(each_cycle=stop, at_most_s=3.0).failure is None
-    assert arm.core["mode"] == Mode.HOLDING
-    assert arm.loop[0]["axes"][1]["referenced"] == 0
-    assert arm.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.NOT_HOMED
+    assert arm.memory["mode"] == Mode.HOLDING
+    assert arm.loop[0]["axes"][1]["reference"]["referenced"] == 0
+    assert arm.loop[0]["axes"][1]["reference"]["unreferenced_reason"] == Unreferenced.NOT_HOMED
     ended_ns = arm.now_ns
     arm.cycles(60)
     assert motion_after(truth_of(arm.sim), ended_ns, arm.now_ns) == []
@@ -118,7 +122,7 @@ def test_a_homing_run_is_ended_at_once_whenever_somebody_asks(ask, after_cycles)
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.nan) == Answer.REFUSED_VALUE
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=true_rad(arm, 1)) == Answer.DONE
     assert arm.reference().failure is None
-    assert abs(arm.loop[0]["axes"][1]["measured_rad"] - true_rad(arm, 1)) < WITHIN_RAD
+    assert abs(arm.loop[0]["axes"][1]["measured"]["position_rad"] - true_rad(arm, 1)) < WITHIN_RAD
     assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     arm.close()
 
@@ -135,7 +139,7 @@ def test_a_ros_process_that_begins_amid_a_homing_run_leaves_it_alone(arm):
 
     assert arm.reference(each_cycle=begin).failure is None
     assert len(cycles) > 30
-    assert arm.loop[0]["axes"][1]["referenced"] == 1
+    assert arm.loop[0]["axes"][1]["reference"]["referenced"] == 1
     assert abs(true_rad(arm, 1) - arm.arm.joints[1].lower_rad) < WITHIN_RAD
 
 
@@ -147,7 +151,7 @@ def test_a_fault_of_another_drive_ends_a_homing_run(mask):
     assert arm.ask(Request.HOME, joint_mask=mask) == Answer.DONE
     arm.sim.inject(Silent("joint5", 0.5), since_ns=arm.now_ns)
     arm.reference(at_most_s=3.0)
-    assert (arm.core["mode"], arm.core["fault"]) == (Mode.FAULT, Fault.STALE_READING)
+    assert (arm.memory["mode"], arm.memory["fault"]["code"]) == (Mode.FAULT, Fault.STALE_READING)
     assert not arm.sim.drives[1].homing_now
     ended_ns = arm.now_ns
     arm.cycles(60)
@@ -162,10 +166,14 @@ def test_a_stop_that_is_not_found_in_time_is_a_fault():
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
     failure = arm.reference(at_most_s=6.0).failure
     assert "joint2 has not found its homing stop within 2 s" in str(failure)
-    assert (arm.core["mode"], arm.core["fault"], arm.core["fault_joint"]) == (Mode.FAULT, Fault.HOMING, 1)
+    assert (arm.memory["mode"], arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (
+        Mode.FAULT,
+        Fault.HOMING,
+        1,
+    )
     ended_ns = arm.now_ns
     assert arm.clear_fault().failure is None
-    assert arm.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.NOT_HOMED
+    assert arm.loop[0]["axes"][1]["reference"]["unreferenced_reason"] == Unreferenced.NOT_HOMED
     assert motion_after(truth_of(arm.sim), ended_ns, arm.now_ns) == []
     arm.close()
 
@@ -176,14 +184,14 @@ def test_a_run_that_ends_away_from_the_stop_is_no_reference(arm, monkeypatch):
     monkeypatch.setattr(type(arm.sim.drives[1]), "_home_found", lambda drive: drive._hold())
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
     assert "so it has not found its stop" in str(arm.reference().failure)
-    assert arm.loop[0]["axes"][1]["referenced"] == 0
+    assert arm.loop[0]["axes"][1]["reference"]["referenced"] == 0
 
 
 def test_a_drive_in_protection_is_not_homed(arm):
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
     arm.sim.inject(Protection("joint2", 0.0), since_ns=arm.now_ns)
     arm.reference()
-    assert arm.core["fault"] in (Fault.DRIVE_FAULT, Fault.HOMING)  # whoever sees it first
+    assert arm.memory["fault"]["code"] in (Fault.DRIVE_FAULT, Fault.HOMING)  # whoever sees it first
     assert not arm.sim.drives[1].homing_now
 
 
@@ -195,8 +203,8 @@ def test_a_joint_is_where_a_person_says(arm, said_deg):
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.radians(said_deg)) == Answer.DONE
     assert arm.reference().failure is None
     axis = arm.loop[0]["axes"][1]
-    assert (arm.core["mode"], axis["referenced"]) == (Mode.HOLDING, 1)
-    assert abs(axis["measured_rad"] - math.radians(said_deg)) < WITHIN_RAD
+    assert (arm.memory["mode"], axis["reference"]["referenced"]) == (Mode.HOLDING, 1)
+    assert abs(axis["measured"]["position_rad"] - math.radians(said_deg)) < WITHIN_RAD
     assert true_rad(arm, 1) == stands_rad
     assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     moved_rad = true_rad(arm, 1) - stands_rad
@@ -208,19 +216,19 @@ def test_what_a_person_said_outlives_a_clear_but_not_the_next_loss_of_power(arm)
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.radians(-86.0)) == Answer.DONE
     assert arm.reference().failure is None
     arm.sim.inject(Protection("joint4", 0.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     assert arm.clear_fault().failure is None
     axis = arm.loop[0]["axes"][1]
-    assert axis["referenced"] == 1
-    assert abs(axis["measured_rad"] - math.radians(-86.0)) < WITHIN_RAD
+    assert axis["reference"]["referenced"] == 1
+    assert abs(axis["measured"]["position_rad"] - math.radians(-86.0)) < WITHIN_RAD
     after_power_loss(arm)
-    assert axis["referenced"] == 0
+    assert axis["reference"]["referenced"] == 0
 
 
 def test_a_count_from_nowhere_cannot_be_believed(arm):
     after_power_loss(arm)
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.nan) == Answer.REFUSED_VALUE
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
 
 
 @pytest.mark.parametrize("value", [math.radians(-90.2), math.radians(91.0), math.inf, -math.inf])
@@ -232,17 +240,17 @@ def test_no_joint_stands_outside_its_limits(arm, value):
 @pytest.mark.parametrize("kind", [Request.HOME, Request.REFERENCE])
 def test_joints_that_the_arm_does_not_have_are_refused(arm, mask, kind):
     assert arm.ask(kind, joint_mask=mask) == Answer.REFUSED_VALUE
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
 
 
 def test_a_moving_arm_is_not_homed(arm):
     goal = arm.play("large")
     arm.cycles(3)
     joints = np.zeros((2, 6, 3))
-    joints[:, :, 0] = arm.loop[0]["axes"]["position_rad"][:6]
+    joints[:, :, 0] = arm.loop[0]["axes"]["commanded"]["position_rad"][:6]
     joints[1, :, 0] += 0.1
     goal = arm.send_goal(np.array([0, 2_000_000_000]), joints)
-    arm.until(lambda: arm.core["mode"] == Mode.EXECUTING)
+    arm.until(lambda: arm.memory["mode"] == Mode.EXECUTING)
     assert arm.ask(Request.HOME, joint_mask=ALL) == Answer.REFUSED_MOVING
     assert arm.end_of(goal) == Outcome.SUCCEEDED
 
@@ -263,9 +271,9 @@ def test_a_pose_is_due_after_homing_at_the_start_until_somebody_asks_for_somethi
         arm = new_arm()
         arm.port.post(HOME_ALL)
         arm.cycles(2)
-        assert arm.core["mode"] == Mode.REFERENCING
+        assert arm.memory["mode"] == Mode.REFERENCING
         assert arm.reference().failure is None
-        assert (arm.core["mode"], arm.reader.snapshot()["pose_due"]) == (Mode.HOLDING, 1)
+        assert (arm.memory["mode"], arm.reader.snapshot()["pose_due"]) == (Mode.HOLDING, 1)
         return arm
 
     for kind in ("hold", "stop", Request.HOME, Request.FREE, Request.REFERENCE):
@@ -281,11 +289,11 @@ def test_a_pose_is_due_after_homing_at_the_start_until_somebody_asks_for_somethi
         assert arm.reader.snapshot()["pose_due"] == 0
         arm.close()
     arm = homed_at_the_start()
-    until_ns = int(arm.core["pose_due_ns"])
+    until_ns = int(arm.memory["dialogue"]["pose_due_ns"])
     assert 119e9 < until_ns - arm.now_ns <= 120e9
     arm.cycles(round(1e9 / arm.period_ns))
-    assert int(arm.core["pose_due_ns"]) == until_ns and arm.reader.snapshot()["pose_due"] == 1
-    arm.core["pose_due_ns"] = arm.now_ns + 1_000_000_000  # as if all but the last second had passed
+    assert int(arm.memory["dialogue"]["pose_due_ns"]) == until_ns and arm.reader.snapshot()["pose_due"] == 1
+    arm.memory["dialogue"]["pose_due_ns"] = arm.now_ns + 1_000_000_000  # as if all but the last second had passed
     began_ns = arm.now_ns
     arm.until(lambda: arm.reader.snapshot()["pose_due"] == 0, at_most_s=2.0)
     assert arm.now_ns - began_ns == pytest.approx(1e9, abs=2 * arm.period_ns)
@@ -303,11 +311,11 @@ def test_a_pose_is_due_after_homing_at_the_start_until_somebody_asks_for_somethi
 
 def test_joints_without_drives_are_where_they_are_commanded():
     arm = VirtualArm.brought_up(load_arm("mock"))
-    here = arm.loop[0]["axes"]["position_rad"][:6].copy()
+    here = arm.loop[0]["axes"]["commanded"]["position_rad"][:6].copy()
     assert arm.ask(Request.HOME, joint_mask=ALL) == Answer.DONE
     assert arm.reference().failure is None
-    assert np.array_equal(arm.loop[0]["axes"]["position_rad"][:6], here)
-    assert arm.loop[0]["axes"]["referenced"][:6].all()
+    assert np.array_equal(arm.loop[0]["axes"]["commanded"]["position_rad"][:6], here)
+    assert arm.loop[0]["axes"]["reference"]["referenced"][:6].all()
     assert arm.end_of(arm.send_shift(), at_most_s=8.0) == Outcome.SUCCEEDED
     arm.close()
 
@@ -357,10 +365,10 @@ def test_a_run_that_was_never_begun_is_no_reference(times):
     axis = arm.loop[0]["axes"][1]
     if times == 1000:
         assert "does not begin its homing run" in str(failure)
-        assert (axis["referenced"], arm.sim.drives[1].power_lost) == (0, True)
+        assert (axis["reference"]["referenced"], arm.sim.drives[1].power_lost) == (0, True)
     else:
         assert failure is None
-        assert abs(axis["measured_rad"] - true_rad(arm, 1)) < WITHIN_RAD
+        assert abs(axis["measured"]["position_rad"] - true_rad(arm, 1)) < WITHIN_RAD
     arm.close()
 
 
@@ -374,7 +382,7 @@ def test_one_garbled_answer_changes_nothing(after_reads, acknowledge):
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
     assert arm.reference().failure is None
     assert not arm.sim.drives[1].homing_now
-    assert abs(arm.loop[0]["axes"][1]["measured_rad"] - true_rad(arm, 1)) < WITHIN_RAD
+    assert abs(arm.loop[0]["axes"][1]["measured"]["position_rad"] - true_rad(arm, 1)) < WITHIN_RAD
     assert abs(true_rad(arm, 1) - arm.arm.joints[1].lower_rad) < WITHIN_RAD
     arm.close()
 
@@ -390,7 +398,11 @@ def test_a_drive_that_reboots_amid_its_run_is_not_homed(power_was_lost, at_s):
     arm.sim.inject(PowerLoss("joint2", at_s, off_s=0.15), since_ns=arm.now_ns)
     assert arm.reference().failure is not None
     axis = arm.loop[0]["axes"][1]
-    assert (arm.core["fault"], axis["referenced"], arm.sim.drives[1].power_lost) == (Fault.HOMING, 0, True)
+    assert (arm.memory["fault"]["code"], axis["reference"]["referenced"], arm.sim.drives[1].power_lost) == (
+        Fault.HOMING,
+        0,
+        True,
+    )
     arm.close()
 
 
@@ -417,7 +429,7 @@ def test_a_person_in_the_way_is_not_the_stop(blocked_deg):
     drive.shaft.low += drive._grains(round(math.radians(blocked_deg + 90.0) * config.command_pulses_per_rad))
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
     assert "joint2 met something at -" in str(arm.reference().failure)
-    assert (arm.loop[0]["axes"][1]["referenced"], arm.lost) == (0, {1: Unreferenced.NOT_HOMED})
+    assert (arm.loop[0]["axes"][1]["reference"]["referenced"], arm.lost) == (0, {1: Unreferenced.NOT_HOMED})
     arm.close()
 
 
@@ -436,7 +448,7 @@ def test_bring_up_ends_a_run_that_nobody_watches():
     assert after.bring_up().failure is None
     assert not after.sim.drives[1].homing_now
     axis = after.loop[0]["axes"][1]
-    assert (axis["referenced"], axis["unreferenced_reason"]) == (0, Unreferenced.NOT_HOMED)
+    assert (axis["reference"]["referenced"], axis["reference"]["unreferenced_reason"]) == (0, Unreferenced.NOT_HOMED)
     after.close()
     arm.close()
 
@@ -452,7 +464,7 @@ def test_a_homing_run_takes_no_reference_before_its_turn():
             arm.writer.stop()
 
     arm.reference(each_cycle=stop)
-    assert arm.loop[0]["axes"]["referenced"][:6].tolist() == [0, 1, 1, 1, 1, 1]
+    assert arm.loop[0]["axes"]["reference"]["referenced"][:6].tolist() == [0, 1, 1, 1, 1, 1]
     arm.close()
 
 
@@ -460,18 +472,18 @@ def test_a_lost_flag_is_seen_whatever_the_reason_was_called(arm):
     """SILENT at first; power was lost after the clear. Its count would be believed without the drive's own word."""
     arm.marks[1] = None  # it proves nothing
     arm.sim.inject(Silent("joint2", 0.0, until_s=1.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     arm.cycles(240)
     assert arm.ask(Request.CLEAR_FAULT) == Answer.DONE
-    arm.core["bring_up_asked"] = 0
+    arm.memory["dialogue"]["bring_up_asked"] = 0
     assert arm.bring_up().failure is None
-    assert arm.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.SILENT
+    assert arm.loop[0]["axes"][1]["reference"]["unreferenced_reason"] == Unreferenced.SILENT
     arm.sim.inject(PowerLoss("joint2", 0.0, off_s=0.1), since_ns=arm.now_ns)
     arm.cycles(60)
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT2, value=math.nan) == Answer.DONE
     arm.reference()
     axis = arm.loop[0]["axes"][1]
-    assert (axis["referenced"], axis["unreferenced_reason"]) == (0, Unreferenced.POWER_LOST)
+    assert (axis["reference"]["referenced"], axis["reference"]["unreferenced_reason"]) == (0, Unreferenced.POWER_LOST)
 
 
 @pytest.mark.parametrize("at_s", np.arange(0.0, 0.3, 0.03).tolist())
@@ -482,25 +494,25 @@ def test_power_lost_amid_a_bring_up_is_noticed_although_the_flag_says_nothing_ne
     assert arm.reference().failure is None
     assert arm.end_of(arm.send_shift(0.3), at_most_s=8.0) == Outcome.SUCCEEDED  # away from where the drive counts from
     arm.sim.inject(Protection("joint4", 0.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     arm.cycles(60)
     assert arm.ask(Request.CLEAR_FAULT) == Answer.DONE
-    arm.core["bring_up_asked"] = 0
+    arm.memory["dialogue"]["bring_up_asked"] = 0
     arm.sim.inject(PowerLoss("joint2", at_s, off_s=0.09), since_ns=arm.now_ns)
     arm.bring_up(clears_protection=True)
     arm.cycles(120)
     axis = arm.loop[0]["axes"][1]
-    assert axis["referenced"] == 0 or abs(axis["measured_rad"] - true_rad(arm, 1)) < 0.06
+    assert axis["reference"]["referenced"] == 0 or abs(axis["measured"]["position_rad"] - true_rad(arm, 1)) < 0.06
     arm.close()
 
 
 def test_a_home_that_a_fault_overtook_is_not_begun_later(arm):
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
     arm.sim.inject(Protection("joint4", 0.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     arm.cycles(60)
     assert arm.clear_fault().failure is None
-    assert (arm.core["home_asked"], arm.core["mode"]) == (0, Mode.HOLDING)
+    assert (arm.memory["dialogue"]["home_asked"], arm.memory["mode"]) == (0, Mode.HOLDING)
 
 
 def test_a_drive_that_keeps_its_old_target_is_not_led_there(arm):
@@ -508,7 +520,7 @@ def test_a_drive_that_keeps_its_old_target_is_not_led_there(arm):
     arm.sim.drives[1]._reads[0x33] = lambda: b"\x33\x00\x00\x01\x00\x00"
     assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
     assert "from its own target" in str(arm.reference().failure)
-    assert arm.loop[0]["axes"][1]["referenced"] == 0
+    assert arm.loop[0]["axes"][1]["reference"]["referenced"] == 0
 
 
 def test_a_joint_at_its_stop_is_homed_again(arm):
@@ -516,7 +528,7 @@ def test_a_joint_at_its_stop_is_homed_again(arm):
     for _ in range(3):
         assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
         assert arm.reference().failure is None
-        assert abs(arm.loop[0]["axes"][1]["measured_rad"] - true_rad(arm, 1)) < WITHIN_RAD
+        assert abs(arm.loop[0]["axes"][1]["measured"]["position_rad"] - true_rad(arm, 1)) < WITHIN_RAD
 
 
 def test_what_is_known_of_a_count_outlives_the_process(arm):
@@ -529,8 +541,8 @@ def test_what_is_known_of_a_count_outlives_the_process(arm):
     assert arm.lost == {1: Unreferenced.NOT_HOMED}
     after = arm.next_process()
     after.bring_up(lost_before={joint: reason for joint, reason in arm.lost.items() if reason is not None})
-    assert after.loop[0]["axes"]["referenced"][:6].tolist() == [1, 0, 1, 1, 1, 1]
-    assert after.loop[0]["axes"][1]["unreferenced_reason"] == Unreferenced.NOT_HOMED
+    assert after.loop[0]["axes"]["reference"]["referenced"][:6].tolist() == [1, 0, 1, 1, 1, 1]
+    assert after.loop[0]["axes"][1]["reference"]["unreferenced_reason"] == Unreferenced.NOT_HOMED
     after.close()
 
 
@@ -575,6 +587,6 @@ def test_a_joint_whose_drive_has_no_homing_run_is_passed_by_without_a_fault(enco
     for homed in (0, JOINT2):
         assert arm.ask(Request.HOME, joint_mask=homed) == Answer.DONE
         assert arm.reference().failure is None
-        assert (arm.core["mode"], arm.core["fault"]) == (Mode.HOLDING, Fault.NONE)
-        assert set(arm.loop[0]["axes"]["referenced"][:6]) == {int(encoder == "absolute")}
+        assert (arm.memory["mode"], arm.memory["fault"]["code"]) == (Mode.HOLDING, Fault.NONE)
+        assert set(arm.loop[0]["axes"]["reference"]["referenced"][:6]) == {int(encoder == "absolute")}
     arm.close()

@@ -40,7 +40,7 @@ def moving() -> Iterator[VirtualArm]:
     arm = reporting()
     arm.goal = arm.play("large")
     arm.cycles(120)
-    assert arm.core["mode"] == Mode.EXECUTING
+    assert arm.memory["mode"] == Mode.EXECUTING
     yield arm
     arm.close()
 
@@ -72,7 +72,7 @@ def test_goals_run_on_reports_alone(name: str, clock: float) -> None:
     busy_ns, began_ns = arm.sim.bus.busy_ns, arm.sim.now_ns
     assert arm.end_of(arm.play(name)) == Outcome.SUCCEEDED
     assert not any(ASKS_POSITION in data for _, data in arm.sent[since:])
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     assert arm.state.record["counters"]["stale_reads"] == 0
     load = (arm.sim.bus.busy_ns - busy_ns) / (arm.sim.now_ns - began_ns)
     assert 0.5 * budget(arm.arm).bus_load < load <= budget(arm.arm).bus_load
@@ -88,10 +88,10 @@ def test_positions_are_stamped_when_the_encoder_was_read() -> None:
         arm.cycle()
         for joint in range(6):
             axis = arm.loop[0]["axes"][joint]
-            assert arm.now_ns - int(axis["measured_ns"]) < 2 * arm.period_ns
-            position_rad, velocity_rad_s = arm.sim.truth(joint, np.array([int(axis["measured_ns"])]))
+            assert arm.now_ns - int(axis["measured"]["time_ns"]) < 2 * arm.period_ns
+            position_rad, velocity_rad_s = arm.sim.truth(joint, np.array([int(axis["measured"]["time_ns"])]))
             if abs(velocity_rad_s[0]) > 0.1:
-                late = abs((float(axis["measured_rad"]) - position_rad[0]) / velocity_rad_s[0])
+                late = abs((float(axis["measured"]["position_rad"]) - position_rad[0]) / velocity_rad_s[0])
                 late_s[joint] = max(late_s[joint], late)
     assert max(late_s) < budget(arm.arm).bits_per_cycle / arm.arm.bus.bitrate
     assert late_s[0] < 0.001
@@ -123,7 +123,7 @@ def test_positions_are_told_while_the_arm_is_led_by_hand() -> None:
     assert arm.release().failure is None
     assert min(reports(arm)) > 50
     assert arm.ask(Request.ENABLE) == Answer.DONE
-    arm.core["bring_up_asked"] = 0
+    arm.memory["dialogue"]["bring_up_asked"] = 0
     assert arm.bring_up(clears_protection=True).failure is None
     assert arm.end_of(arm.play("large")) == Outcome.SUCCEEDED
     arm.close()
@@ -246,7 +246,7 @@ def test_an_orderly_end_leaves_the_bus_quiet() -> None:
     talk = Farewell(arm.arm, arm.port, now_ns=arm.now_ns)
     arm.until(lambda: talk.poll(arm.now_ns), at_most_s=1.0)
     assert talk.failure is None
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     frames = arm.sim.bus.frames
     arm.sim.run_until(arm.now_ns + 20_000_000)  # what was on its way
     frames = arm.sim.bus.frames
@@ -269,9 +269,9 @@ def test_a_drive_that_ceases_to_report_is_a_silent_one(moving: VirtualArm) -> No
     began_ns = moving.now_ns
     moving.until(lambda: moving.is_slowed(Slowed.LATE_DRIVE))
     assert moving.now_ns - began_ns <= 6 * moving.period_ns
-    moving.until(lambda: moving.core["mode"] == Mode.FAULT)
+    moving.until(lambda: moving.memory["mode"] == Mode.FAULT)
     assert moving.now_ns - began_ns <= 150_000_000
-    assert (moving.core["fault"], moving.core["fault_joint"]) == (Fault.STALE_READING, 1)
+    assert (moving.memory["fault"]["code"], moving.memory["fault"]["joint"]) == (Fault.STALE_READING, 1)
     since = len(moving.sent)
     moving.cycles(100)
     stopped = len(moving.sent)
@@ -282,15 +282,15 @@ def test_a_drive_that_ceases_to_report_is_a_silent_one(moving: VirtualArm) -> No
     assert moving.outcome(moving.goal) == Outcome.FAULT
     assert moving.clear_fault().failure is None
     assert min(reports(moving)) > 50
-    assert moving.loop[0]["axes"][1]["referenced"] == 1  # it proves that it had power
+    assert moving.loop[0]["axes"][1]["reference"]["referenced"] == 1  # it proves that it had power
 
 
 def test_a_drive_that_falls_silent_is_braked_then_latched(moving: VirtualArm) -> None:
     moving.sim.inject(Silent("joint2", at_s=0.0), since_ns=moving.now_ns)
     began_ns = moving.now_ns
-    moving.until(lambda: moving.core["mode"] == Mode.FAULT)
+    moving.until(lambda: moving.memory["mode"] == Mode.FAULT)
     assert moving.now_ns - began_ns <= 150_000_000
-    assert (moving.core["fault"], moving.core["fault_joint"]) == (Fault.STALE_READING, 1)
+    assert (moving.memory["fault"]["code"], moving.memory["fault"]["joint"]) == (Fault.STALE_READING, 1)
 
 
 @pytest.mark.parametrize(("joint", "off_s"), [(0, 0.03), (1, 0.01), (2, 0.08), (5, 0.01)])
@@ -302,11 +302,11 @@ def test_a_drive_that_lost_power_is_asked_and_stopped(off_s: float, joint: int) 
     name = arm.arm.joints[joint].name
     arm.sim.inject(PowerLoss(name, at_s=0.0, off_s=off_s), since_ns=arm.now_ns)
     began_ns = arm.now_ns
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     assert arm.now_ns - began_ns <= 120_000_000
-    assert arm.core["fault_joint"] == joint
-    assert arm.core["fault"] in (Fault.REFERENCE_LOST, Fault.STALE_READING)
-    assert arm.loop[0]["axes"][joint]["referenced"] == 0
+    assert arm.memory["fault"]["joint"] == joint
+    assert arm.memory["fault"]["code"] in (Fault.REFERENCE_LOST, Fault.STALE_READING)
+    assert arm.loop[0]["axes"][joint]["reference"]["referenced"] == 0
     since = len(arm.sent)
     arm.cycles(240)
     assert motion_frames(arm, joint + 1, since) == 0
@@ -331,8 +331,8 @@ def test_reports_do_not_hide_that_nothing_is_heard_of_us(moving: VirtualArm) -> 
     moving.until(lambda: moving.is_slowed(Slowed.LATE_DRIVE))
     assert moving.now_ns - began_ns <= 6 * moving.period_ns
     since = len(moving.sent)
-    moving.until(lambda: moving.core["mode"] == Mode.FAULT)
+    moving.until(lambda: moving.memory["mode"] == Mode.FAULT)
     assert moving.now_ns - began_ns <= 150_000_000
-    assert moving.core["fault"] in (Fault.STALE_READING, Fault.FOLLOWING_ERROR)
+    assert moving.memory["fault"]["code"] in (Fault.STALE_READING, Fault.FOLLOWING_ERROR)
     moving.cycles(100)
     assert sum(motion_frames(moving, joint + 1, since) for joint in range(6)) == 0

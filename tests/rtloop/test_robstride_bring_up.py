@@ -167,7 +167,7 @@ def test_a_fault_is_said_and_cleared_only_when_a_person_wants_that() -> None:
     assert "joint5 has a fault" in failed and "`rtarm up … --clear-fault`" in failed
     assert arm.sim.drives[4].state == RESET
     assert arm.bring_up(clears_protection=True).failure is None
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
     arm.close()
 
 
@@ -191,7 +191,7 @@ def test_a_motor_that_counts_a_turn_off_after_power_came_is_not_referenced_and_s
     assert arm.bring_up().failure is None
     (said,) = [sentence for sentence in arm.told if "joint1" in sentence]
     assert "+5.783 rad" in said and "a motor turn off" in said and "7029 (zero_sta)" in said
-    assert arm.loop[0]["axes"]["referenced"][:6].tolist() == [0, 1, 1, 1, 1, 1]
+    assert arm.loop[0]["axes"]["reference"]["referenced"][:6].tolist() == [0, 1, 1, 1, 1, 1]
     assert farthest(arm) <= 2 * arm.arm.joints[0].encoder_count_rad
     arm.close()
 
@@ -219,7 +219,7 @@ def test_a_limp_motor_that_is_led_beyond_its_field_is_measured_there() -> None:
     drive.lead(arm.sim.now_ns, 0.05)
     while drive.counted < 2.1:
         arm.cycle()
-        assert axis["measured_rad"] == pytest.approx(drive.counted * 2 * math.pi, abs=0.01)
-        assert not axis["doubted"], "and no reading contradicts the one before"
-    assert arm.core["mode"] == Mode.DISABLED
+        assert axis["measured"]["position_rad"] == pytest.approx(drive.counted * 2 * math.pi, abs=0.01)
+        assert not axis["checks"]["suspect"], "and no reading contradicts the one before"
+    assert arm.memory["mode"] == Mode.DISABLED
     arm.close()

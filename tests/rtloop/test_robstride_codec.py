@@ -39,7 +39,7 @@ def test_a_stop_is_where_it_is_measured(joint):
     rig = Rig.named("robstride", joint)
     heard = rig.hears("028001AA# 8A 2F 90 00 7F FF 01 31")
     assert rig.sends("stop") == []  # nobody has said yet whether that can be
-    rig.axis["measured_rad"], rig.axis["readings"] = heard["position_rad"], 1
+    rig.axis["measured"]["position_rad"], rig.axis["measured"]["readings"] = heard["position_rad"], 1
     *_, sent = rig.sends("stop")
     if joint == "control":
         assert sent in ("017FFF01# 8A 2F 7F FF 0F 5C 33 33", "017FFF01# 8A 2E 7F FF 0F 5C 33 33")
@@ -54,7 +54,7 @@ def test_a_motor_that_is_led_is_not_asked_as_well(joint):
     rig.sends("lead")
     assert rig.sends("ask_position") == []
     assert rig.sends("ask_status") == ["1100AA01# 1C 70 00 00 00 00 00 00"]
-    rig.core["cycle"] += 1
+    rig.record["timing"]["cycle"] += 1
     assert len(rig.sends("ask_position")) == 1
 
 
@@ -69,9 +69,9 @@ def feedback(rad: float) -> str:
 
 def measure(rig: Rig, rad: float) -> float:
     """Let a motor tell where it stands; where the joint is measured then."""
-    rig.axis["measured_rad"] = rig.hears(feedback(rad))["position_rad"]
-    rig.axis["readings"] += 1
-    return float(rig.axis["measured_rad"])
+    rig.axis["measured"]["position_rad"] = rig.hears(feedback(rad))["position_rad"]
+    rig.axis["measured"]["readings"] += 1
+    return float(rig.axis["measured"]["position_rad"])
 
 
 @settings(deadline=None)

@@ -53,7 +53,7 @@ def test_what_no_clear_forgives_no_restart_forgives(knows_its_angle, forgiven):
     loop[0]["joints"][0]["knows_its_angle"] = knows_its_angle
     outlive = set()
     for reason in Unreferenced:
-        loop[0]["axes"][0]["unreferenced_reason"] = reason
+        loop[0]["axes"][0]["reference"]["unreferenced_reason"] = reason
         if outlives_a_clear(loop[0], 0):
             outlive.add(reason)
     assert outlive - {Unreferenced.INCREMENTAL} == saved.OUTLIVES_THE_PROCESS - forgiven
@@ -192,14 +192,18 @@ def test_a_joint_that_does_not_stand_where_it_stood_is_not_believed():
         stood[joint] = round((angle_rad + config[joint].zero_rad) * counts_per_rad)
     arm.bring_up(counts_before=stood)
     axes = arm.loop[0]["axes"]
-    assert axes["referenced"][:6].tolist() == [1, 0, 1, 1, 1, 1]
-    assert axes["unreferenced_reason"][1] == Unreferenced.MOVED
+    assert axes["reference"]["referenced"][:6].tolist() == [1, 0, 1, 1, 1, 1]
+    assert axes["reference"]["unreferenced_reason"][1] == Unreferenced.MOVED
     assert any("joint2 is not referenced: it stands -4.00° from where it stood" in sentence for sentence in arm.told)
     arm.request(Request.CLEAR_FAULT)
     assert arm.bring_up().failure is None  # as after a fault: it says nothing new of the joint
-    assert axes["unreferenced_reason"][1] == Unreferenced.MOVED
+    assert axes["reference"]["unreferenced_reason"][1] == Unreferenced.MOVED
     assert arm.ask(Request.REFERENCE, joint_mask=0b10, value=math.nan) == Answer.DONE
     assert arm.reference().failure is None
-    assert (arm.core["mode"], arm.core["fault"], axes["referenced"][1]) == (Mode.HOLDING, Fault.NONE, 1)
-    assert abs(axes["measured_rad"][1] - math.radians(20.0)) < 0.001
+    assert (arm.memory["mode"], arm.memory["fault"]["code"], axes["reference"]["referenced"][1]) == (
+        Mode.HOLDING,
+        Fault.NONE,
+        1,
+    )
+    assert abs(axes["measured"]["position_rad"][1] - math.radians(20.0)) < 0.001
     arm.close()

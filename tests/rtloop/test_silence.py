@@ -54,17 +54,19 @@ class Frozen(VirtualArm):
 
 
 def whose(arm: VirtualArm) -> Silence | None:
-    core = arm.core
-    return whose_silence(int(core["fault_joint"]), int(core["fault_silent"]), int(core["fault_evidence"]))
+    memory = arm.memory
+    return whose_silence(
+        int(memory["fault"]["joint"]), int(memory["fault"]["silent"]), int(memory["fault"]["evidence"])
+    )
 
 
 def latched(arm: VirtualArm, periods: int = 1) -> VirtualArm:
     """The arm after its fault, which must be that of a silence, a cycle each so many periods until then."""
     for _ in range(100):
-        if arm.core["fault"] != Fault.NONE:
+        if arm.memory["fault"]["code"] != Fault.NONE:
             break
         arm.cycle(periods)
-    assert arm.core["fault"] == Fault.STALE_READING
+    assert arm.memory["fault"]["code"] == Fault.STALE_READING
     arm.cycles(12)
     return arm
 
@@ -170,8 +172,8 @@ def test_a_silence_is_told_once_by_its_cause_and_the_same_everywhere(cause: Call
     arm = cause()
     wanted, silent = CAUSES[cause]
     names = tuple(joint.name for joint in arm.arm.joints)
-    assert (whose(arm), int(arm.core["fault_silent"])) == (wanted, silent)
-    assert (int(arm.core["fault_joint"]) == -1) == (silent == ALL)
+    assert (whose(arm), int(arm.memory["fault"]["silent"])) == (wanted, silent)
+    assert (int(arm.memory["fault"]["joint"]) == -1) == (silent == ALL)
 
     snapshot = arm.reader.snapshot().copy()
     sentence = latched_sentence(snapshot, names)
@@ -229,7 +231,7 @@ def test_the_evidence_moves_nothing() -> None:
             received.awake(arm.loop[0], arm.now_ns)
         arm.frozen = True
         latched(arm)
-        assert bool(int(arm.core["fault_evidence"]) & Evidence.SIMULATED) == evidence
+        assert bool(int(arm.memory["fault"]["evidence"]) & Evidence.SIMULATED) == evidence
         sent.append([data for _, data in arm.sent])
         arm.close()
     assert sent[0] == sent[1]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from wires import SLCAN_GOLDEN
 
 from config.loader import load_arm
-from rtloop.memory.state import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
+from rtloop.memory.link import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
 from rtloop.process.beginning import new_loop
 from rtloop.wire import slcan
 from shm import layout
@@ -59,15 +59,15 @@ def shared():
 def encoded(loop, frame):
     """The line of a frame, by the compiled function."""
     frame_id, extended, data = frame
-    loop[0]["core"]["tx_length"] = 0
+    loop[0]["outgoing"]["length"] = 0
     assert slcan.encode_frame(loop[0], frame_id, bool(extended), len(data), word(data))
-    return loop[0]["tx"][: int(loop[0]["core"]["tx_length"])].tobytes()
+    return loop[0]["outgoing"]["bytes"][: int(loop[0]["outgoing"]["length"])].tobytes()
 
 
 def decoded(loop, line, decode=slcan.decode_line):
     """What a line (without its CR) means, by the compiled function unless another is given."""
-    loop[0]["core"]["line_length"] = len(line)
-    loop[0]["line"][: len(line)] = np.frombuffer(line, np.uint8)
+    loop[0]["parser"]["line_length"] = len(line)
+    loop[0]["parser"]["line"][: len(line)] = np.frombuffer(line, np.uint8)
     record = loop[0] if decode is slcan.decode_line else Plain(loop[0])
     kind, frame_id, extended, length, data = (int(value) for value in decode(record))
     return kind, (frame_id, extended, data_of(data, length))
@@ -93,9 +93,9 @@ def test_golden_lines_both_ways(loop, line, frame):
     assert encoded(loop, frame) == line
     assert decoded(loop, line[:-1]) == decoded(loop, line[:-1], slcan.decode_line.py_func) == (slcan.LINE_FRAME, frame)
     frame_id, extended, data = frame
-    loop[0]["core"]["tx_length"] = 0
+    loop[0]["outgoing"]["length"] = 0
     slcan.encode_frame.py_func(Plain(loop[0]), frame_id, bool(extended), len(data), word(data))
-    assert loop[0]["tx"][: len(line)].tobytes() == line
+    assert loop[0]["outgoing"]["bytes"][: len(line)].tobytes() == line
 
 
 @pytest.mark.parametrize("stamp", [b"0000", b"EA5F", b"00000001"])
@@ -151,12 +151,12 @@ def test_any_line_is_a_frame_or_refused(line):
 
 
 def test_a_full_transmit_buffer_takes_no_half_lines(loop):
-    core = loop[0]["core"]
-    core["tx_length"] = TX_BYTES - SLCAN_LONGEST_LINE + 1
-    before = loop[0]["tx"].copy()
+    memory = loop[0]
+    memory["outgoing"]["length"] = TX_BYTES - SLCAN_LONGEST_LINE + 1
+    before = loop[0]["outgoing"]["bytes"].copy()
     assert not slcan.encode_frame(loop[0], 0x100, True, 2, 0x6B36)
-    assert core["tx_length"] == TX_BYTES - SLCAN_LONGEST_LINE + 1
-    assert np.array_equal(loop[0]["tx"], before)
+    assert memory["outgoing"]["length"] == TX_BYTES - SLCAN_LONGEST_LINE + 1
+    assert np.array_equal(loop[0]["outgoing"]["bytes"], before)
 
 
 # --- python-can's opinion -----------------------------------------------------------------------------
@@ -218,7 +218,7 @@ def test_no_bytes_whatever_hinder_the_next_frame(noise):
     loop, shared = new_loop(load_arm("episode1"), 0, 0), np.zeros(1, layout.STATE)
     taken(loop, shared, noise + b"\r")
     assert taken(loop, shared, POSITION) == (1, 0)
-    assert 0 <= loop[0]["core"]["line_length"] <= LINE_BYTES
+    assert 0 <= loop[0]["parser"]["line_length"] <= LINE_BYTES
 
 
 def test_too_many_small_chunks_are_dropped_and_counted(loop, shared):

@@ -67,8 +67,8 @@ def test_lost_replies_do_not_stop_the_arm():
 def test_a_silent_drive_is_latched():
     arm = VirtualArm.amid("large", arm=ON_SOCKETCAN)
     arm.sim.inject(Silent("joint2", at_s=0.0), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
-    assert (arm.core["fault"], arm.core["fault_joint"]) == (Fault.STALE_READING, 1)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
+    assert (arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (Fault.STALE_READING, 1)
     arm.cycles(200)
     assert judged(arm) == []
     arm.close()
@@ -77,7 +77,7 @@ def test_a_silent_drive_is_latched():
 def test_a_drive_that_lost_power_gets_its_stop_and_no_motion_frame():
     arm = VirtualArm.amid("large", arm=ON_SOCKETCAN)
     arm.sim.inject(PowerLoss("joint2", at_s=0.0, off_s=0.03), since_ns=arm.now_ns)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     since_ns = arm.now_ns
     arm.cycles(300)
     assert motion_frames(frames_in(arm.sent), 2, since_ns) == 0
@@ -100,11 +100,11 @@ def test_a_bus_that_goes_off_again_after_a_clear_is_latched_again():
     hear(arm, can_words.BUS_OFF)
     arm.until(lambda: arm.running_goal == 0)
     assert request(arm, Request.CLEAR_FAULT) == Answer.DONE
-    arm.core["bring_up_asked"] = 0
+    arm.memory["dialogue"]["bring_up_asked"] = 0
     assert arm.bring_up(clears_protection=True).failure is None
-    assert (arm.core["mode"], arm.state.record["counters"]["bus_state"]) == (Mode.HOLDING, BusState.ACTIVE)
+    assert (arm.memory["mode"], arm.state.record["counters"]["bus_state"]) == (Mode.HOLDING, BusState.ACTIVE)
     hear(arm, can_words.BUS_OFF)
-    assert (arm.core["fault"], arm.core["silenced"]) == (Fault.BUS_OFF, 1)
+    assert (arm.memory["fault"]["code"], arm.memory["bus"]["transmit_inhibited"]) == (Fault.BUS_OFF, 1)
     arm.close()
 
 
@@ -112,7 +112,7 @@ def test_bus_off_stops_the_arm_and_nothing_of_before_moves_it_afterwards():
     """The controller restarts and the drives hear again: not one motion frame until a person clears the fault."""
     arm = VirtualArm.amid("large", arm=ON_SOCKETCAN)
     hear(arm, can_words.BUS_OFF)
-    assert (arm.core["fault"], arm.core["fault_value"]) == (Fault.BUS_OFF, float(can_words.BUS_OFF))
+    assert (arm.memory["fault"]["code"], arm.memory["fault"]["value"]) == (Fault.BUS_OFF, float(can_words.BUS_OFF))
     assert arm.outcome(arm.goal) == Outcome.FAULT
     since_ns = arm.now_ns - 1
     arm.cycles(12)
@@ -127,10 +127,10 @@ def test_bus_off_stops_the_arm_and_nothing_of_before_moves_it_afterwards():
 
     # the drives have answered all the time, so they are referenced and a clear brings the arm back
     assert request(arm, Request.CLEAR_FAULT) == Answer.DONE
-    arm.core["bring_up_asked"] = 0
+    arm.memory["dialogue"]["bring_up_asked"] = 0
     assert arm.bring_up(clears_protection=True).failure is None
-    assert arm.core["mode"] == Mode.HOLDING
-    assert np.all(arm.loop[0]["axes"]["referenced"][:6] == 1)
+    assert arm.memory["mode"] == Mode.HOLDING
+    assert np.all(arm.loop[0]["axes"]["reference"]["referenced"][:6] == 1)
     arm.close()
 
 
@@ -140,11 +140,11 @@ def test_an_error_passive_controller_is_told_of_and_the_age_ladder_brakes():
     for joint in range(1, 7):
         arm.sim.inject(Silent(f"joint{joint}", at_s=0.0), since_ns=arm.now_ns)
     hear(arm, can_words.CONTROLLER | can_words.NO_ACKNOWLEDGE, b"\0\x20")
-    assert arm.core["mode"] == Mode.EXECUTING
+    assert arm.memory["mode"] == Mode.EXECUTING
     counters = arm.state.record["counters"]
     assert (counters["bus_state"], counters["unacknowledged"], counters["error_frames"]) == (BusState.PASSIVE, 1, 1)
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
-    assert arm.core["fault"] == Fault.STALE_READING
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
+    assert arm.memory["fault"]["code"] == Fault.STALE_READING
     arm.cycles(100)
     assert judged(arm) == []
     arm.close()
@@ -186,7 +186,7 @@ def test_a_wire_that_is_back_moves_nothing_until_the_fault_is_cleared(interface,
     outgoing.took(arm.loop[0], arm.state.array[0], 0)
     link = Replugged(arm, ENETDOWN if interface == "socketcan" else 5)
     link.away(cycles_away)
-    assert arm.core["fault"] == (Fault.LINK_DOWN if interface == "socketcan" else Fault.WIRE)
+    assert arm.memory["fault"]["code"] == (Fault.LINK_DOWN if interface == "socketcan" else Fault.WIRE)
     assert arm.outcome(goal) == Outcome.FAULT
     assert request(arm, Request.CLEAR_FAULT) == Answer.REFUSED_WIRE
     link.back()
@@ -195,20 +195,20 @@ def test_a_wire_that_is_back_moves_nothing_until_the_fault_is_cleared(interface,
     sent = decode(arm.sent)
     assert not any(motion_frames(sent, drive, link.gone_ns) for drive in range(1, 7))
     assert sent[-1].time_ns == arm.now_ns  # readings flow again
-    assert arm.now_ns - arm.loop[0]["axes"]["measured_ns"][:6].min() < 3 * arm.period_ns
+    assert arm.now_ns - arm.loop[0]["axes"]["measured"]["time_ns"][:6].min() < 3 * arm.period_ns
     truth = truth_of(arm.sim)
     assert motion_after(truth, link.gone_ns + 500_000_000, arm.sim.now_ns) == []
     assert motion_violations(arm.arm, truth, START_NS, arm.sim.now_ns) == []
     assert command_violations(arm.arm, sent) == []
 
     assert request(arm, Request.CLEAR_FAULT) == Answer.DONE
-    arm.core["bring_up_asked"] = 0
+    arm.memory["dialogue"]["bring_up_asked"] = 0
     assert arm.bring_up(clears_protection=True).failure is None
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
     axes = arm.loop[0]["axes"][:6]
     again = arm.play("large")
     arm.end_of(again)
-    assert list(axes["referenced"]) == [1] * 6
+    assert list(axes["reference"]["referenced"]) == [1] * 6
     assert arm.outcome(again) in (Outcome.SUCCEEDED, Outcome.REFUSED_START)
     arm.cycles(50)
     assert command_violations(arm.arm, decode(arm.sent)) == []
@@ -218,7 +218,7 @@ def test_a_wire_that_is_back_moves_nothing_until_the_fault_is_cleared(interface,
 def test_what_a_conversation_wanted_to_say_is_not_said_when_the_wire_is_back():
     """Bring-up is cut off in the midst of a command; its other packets must not lead the next conversation's."""
     arm = VirtualArm(ON_SOCKETCAN)
-    arm.core["mode"] = Mode.HOLDING
+    arm.memory["mode"] = Mode.HOLDING
     for number in range(5):
         arm.port.post(SEND, frame=Frame(0x100 | number, b"\x48" + bytes(7)), joined=number < 4)
     link = Replugged(arm, ENETDOWN)

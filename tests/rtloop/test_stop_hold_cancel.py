@@ -31,14 +31,14 @@ def new_arm(name: str = "mock") -> VirtualArm:
 
 
 def moves(arm: VirtualArm) -> bool:
-    return bool(np.any(arm.loop[0]["axes"]["velocity_rad_s"]))
+    return bool(np.any(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"]))
 
 
 def stands_for(arm: VirtualArm, seconds: float) -> None:
-    stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
+    stood_rad = arm.loop[0]["axes"]["commanded"]["position_rad"].copy()
     for _ in range(round(seconds * NS / arm.period_ns)):
         arm.cycle()
-        assert (arm.loop[0]["axes"]["position_rad"] == stood_rad).all()
+        assert (arm.loop[0]["axes"]["commanded"]["position_rad"] == stood_rad).all()
 
 
 def let_go(request: Request) -> Callable[[VirtualArm], None]:
@@ -74,9 +74,9 @@ def hold_and_resume(arm: VirtualArm) -> None:
 def test_a_goal_that_arrived_before_it_never_begins(what: Callable[[VirtualArm], None]) -> None:
     """Its client's process had kept it back, because it was to begin later or the ring was full."""
     arm = new_arm("episode1")
-    arrived = int(arm.core["epoch"])
+    arrived = int(arm.memory["goals"]["epoch"])
     what(arm)
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
     goal = arm.send_shift(epoch=arrived)
     assert arm.end_of(goal) == Outcome.REFUSED_OUTDATED
     stands_for(arm, 0.5)
@@ -177,7 +177,7 @@ def test_nothing_moves_a_held_arm_but_a_resume(arm: VirtualArm) -> None:
 def test_a_goal_that_arrived_while_the_arm_was_held_does_not_begin_by_the_resume(arm: VirtualArm) -> None:
     """Its client's process was still judging an older one."""
     arm.stop()
-    arrived = int(arm.core["epoch"])
+    arrived = int(arm.memory["goals"]["epoch"])
     arm.resume()
     assert arm.end_of(arm.send_shift(epoch=arrived)) == Outcome.REFUSED_OUTDATED
     stands_for(arm, 0.5)
@@ -189,7 +189,7 @@ def test_a_homing_run_that_was_asked_for_before_a_stop_does_not_begin_after_the_
     arm.writer.stop()
     arm.writer.resume()
     arm.cycle()
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
     answer = arm.reader.snapshot()["answers"][asked % layout.ANSWER_SLOTS]
     assert answer["answer"] == Answer.REFUSED_OUTDATED
     arm.close()
@@ -212,7 +212,7 @@ def test_a_held_goal_goes_on_from_where_it_was(arm: VirtualArm) -> None:
 
 
 def test_a_hold_ends_a_stream_which_keeps_its_own_time(arm: VirtualArm) -> None:
-    here = arm.loop[0]["axes"]["position_rad"][:6]
+    here = arm.loop[0]["axes"]["commanded"]["position_rad"][:6]
     joints = np.zeros((2, 6, 3))
     joints[:, :, 0] = here, here + 0.2
     joints[1, :, 1] = 0.1
@@ -261,7 +261,7 @@ def test_a_stop_is_obeyed_in_the_next_cycle_while_somebody_holds_the_lock(arm: V
     arm.cycles(60)
     with arm.writer._threads:
         arm.stop()
-    assert arm.core["stops"] == 1 and arm.running["reason"] == Outcome.STOPPED
+    assert arm.memory["people"]["stops"] == 1 and arm.running["reason"] == Outcome.STOPPED
 
 
 def send(arm: VirtualArm, **options: object) -> None:
@@ -270,11 +270,11 @@ def send(arm: VirtualArm, **options: object) -> None:
 
 
 def enable(arm: VirtualArm) -> None:
-    arm.request(Request.CLEAR_FAULT if arm.core["mode"] == Mode.FAULT else Request.ENABLE)
+    arm.request(Request.CLEAR_FAULT if arm.memory["mode"] == Mode.FAULT else Request.ENABLE)
     arm.cycle()
-    if arm.core["bring_up_asked"] == 1:
-        arm.core["bring_up_asked"] = 0
-        stood_rad = arm.loop[0]["axes"]["measured_rad"][: len(arm.arm.joints)]
+    if arm.memory["dialogue"]["bring_up_asked"] == 1:
+        arm.memory["dialogue"]["bring_up_asked"] = 0
+        stood_rad = arm.loop[0]["axes"]["measured"]["position_rad"][: len(arm.arm.joints)]
         arm.bring_up(mock_positions_rad=stood_rad.tolist())  # as the control process does
 
 
@@ -291,7 +291,7 @@ COMMANDS: dict[str, Callable[[VirtualArm], object]] = {
     "full speed": lambda arm: arm.writer.scale(1.0),
     "goal": send,
     "later goal": lambda arm: send(arm, start_ns=arm.now_ns + NS // 4),
-    "old goal": lambda arm: send(arm, epoch=int(arm.core["epoch"]) - 1),
+    "old goal": lambda arm: send(arm, epoch=int(arm.memory["goals"]["epoch"]) - 1),
     "stream": functools.partial(send, stream=True),
     "disable": lambda arm: arm.request(Request.DISABLE),
     "free": lambda arm: arm.request(Request.FREE),
@@ -303,11 +303,13 @@ COMMANDS: dict[str, Callable[[VirtualArm], object]] = {
 def watched(arm: VirtualArm, cycles: int) -> None:
     """Run cycles: no arm that stands begins to move while it is held or its drives are limp."""
     for _ in range(cycles):
-        moved = moves(arm) or np.any(arm.loop[0]["axes"]["next_velocity_rad_s"])  # the next setpoint is decided
+        moved = moves(arm) or np.any(
+            arm.loop[0]["axes"]["commanded"]["next_velocity_rad_s"]
+        )  # the next setpoint is decided
         arm.cycle()
-        if arm.core["held"] == 1 or arm.core["mode"] in (Mode.DISABLED, Mode.FREE, Mode.FAULT):
+        if arm.memory["people"]["held"] == 1 or arm.memory["mode"] in (Mode.DISABLED, Mode.FREE, Mode.FAULT):
             assert moved or not moves(arm)
-        if arm.core["held"] == 1:
+        if arm.memory["people"]["held"] == 1:
             assert arm.waiting_goal == 0
 
 
@@ -324,14 +326,14 @@ def test_after_a_stop_the_arm_rests_in_time_and_stays_whatever_else_comes(asked:
     for _ in range(longest):
         arm.cycle()
     assert not moves(arm)
-    stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
+    stood_rad = arm.loop[0]["axes"]["commanded"]["position_rad"].copy()
     for name, cycles in asked:
         if name != "resume":
             COMMANDS[name](arm)
             arm.cycles(cycles)
-    assert (arm.loop[0]["axes"]["position_rad"] == stood_rad).all()
+    assert (arm.loop[0]["axes"]["commanded"]["position_rad"] == stood_rad).all()
     assert arm.running_goal == 0 and arm.waiting_goal == 0
-    newest = int(arm.core["newest_goal"])
+    newest = int(arm.memory["front"]["newest_goal"])
     for goal in range(max(1, newest - layout.RESULT_SLOTS + 1), newest + 1):
         assert arm.outcome(goal) != Outcome.NONE
     told = list(newest_events(arm.state.array[0], layout.EVENT_SLOTS)["kind"])

@@ -22,7 +22,7 @@ def new_arm(name: str = "mock") -> VirtualArm:
 
 
 def moves(arm: VirtualArm) -> bool:
-    return bool(np.any(arm.loop[0]["axes"]["velocity_rad_s"]))
+    return bool(np.any(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"]))
 
 
 @trials
@@ -43,14 +43,14 @@ def test_a_streamed_arm_stops_and_stays_while_its_sender_goes_on(
     sender.run((stopped_after_cycles * arm.period_ns + offset * sender.period_ns / 10) * 1e-9)
     arm.writer.stop()
     sender.run(float(arm.loop[0]["params"]["longest_stop_s"]))
-    assert not moves(arm) and arm.running_goal == 0 and arm.core["mode"] == Mode.HOLDING
-    stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
+    assert not moves(arm) and arm.running_goal == 0 and arm.memory["mode"] == Mode.HOLDING
+    stood_rad = arm.loop[0]["axes"]["commanded"]["position_rad"].copy()
     sender.run(1.0)
-    assert (arm.loop[0]["axes"]["position_rad"] == stood_rad).all()
+    assert (arm.loop[0]["axes"]["commanded"]["position_rad"] == stood_rad).all()
     snapshot = arm.reader.snapshot()
     newest = snapshot["results"][snapshot["results"]["goal_id"].argmax()]
     assert (newest["goal_id"], newest["outcome"]) == (arm.writer.announced_goal, Outcome.REFUSED_HELD)
-    assert arm.core["fault"] == Fault.NONE and snapshot["held"] == 1
+    assert arm.memory["fault"]["code"] == Fault.NONE and snapshot["held"] == 1
     arm.close()
 
 
@@ -61,10 +61,10 @@ def test_a_client_that_sends_its_goal_again_moves_nothing_before_a_resume() -> N
     arm.stop()
     assert arm.end_of(goal) == Outcome.STOPPED
     arm.until(lambda: arm.running_goal == 0)
-    stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
+    stood_rad = arm.loop[0]["axes"]["commanded"]["position_rad"].copy()
     for _ in range(5):
         assert arm.end_of(arm.send_shift()) == Outcome.REFUSED_HELD
-    assert (arm.loop[0]["axes"]["position_rad"] == stood_rad).all()
+    assert (arm.loop[0]["axes"]["commanded"]["position_rad"] == stood_rad).all()
     arm.resume()
     assert arm.reader.snapshot()["held"] == 0
     assert arm.end_of(arm.send_shift()) == Outcome.SUCCEEDED
@@ -80,7 +80,7 @@ def test_a_stop_reaches_the_goals_that_have_not_begun() -> None:
     later = arm.send_shift(start_ns=arm.now_ns + 10**9)
     assert arm.end_of(later) == Outcome.REFUSED_HELD
     arm.cycles(300)
-    assert not np.any(arm.loop[0]["axes"]["position_rad"])
+    assert not np.any(arm.loop[0]["axes"]["commanded"]["position_rad"])
     arm.close()
 
 
@@ -93,9 +93,9 @@ def test_a_stop_ends_a_paused_goal_and_the_resume_after_it_revives_nothing() -> 
     arm.stop()
     arm.resume()
     assert arm.end_of(goal) == Outcome.STOPPED
-    stood_rad = arm.loop[0]["axes"]["position_rad"].copy()
+    stood_rad = arm.loop[0]["axes"]["commanded"]["position_rad"].copy()
     arm.cycles(100)
-    assert (arm.loop[0]["axes"]["position_rad"] == stood_rad).all()
+    assert (arm.loop[0]["axes"]["commanded"]["position_rad"] == stood_rad).all()
     arm.close()
 
 
@@ -105,7 +105,7 @@ def test_a_stopped_arm_is_not_homed_and_may_be_told_where_it_stands() -> None:
     assert arm.ask(Request.HOME, joint_mask=JOINT1) == Answer.REFUSED_HELD
     assert arm.ask(Request.REFERENCE, joint_mask=JOINT1, value=math.nan) == Answer.DONE
     assert arm.reference().failure is None
-    assert arm.loop[0]["axes"][0]["unreferenced_reason"] == Unreferenced.REFERENCED
+    assert arm.loop[0]["axes"][0]["reference"]["unreferenced_reason"] == Unreferenced.REFERENCED
     arm.resume()
     assert arm.ask(Request.HOME, joint_mask=JOINT1) == Answer.DONE
     arm.close()
@@ -120,10 +120,10 @@ def test_a_stop_outlasts_limp_drives_and_a_cleared_fault() -> None:
     assert arm.bring_up().failure is None
     assert arm.end_of(arm.send_shift()) == Outcome.REFUSED_HELD
     arm.command.record["setpoints_written"][0] += 1 << 40
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     arm.command.record["setpoints_written"][0] -= 1 << 40
     assert arm.clear_fault().failure is None
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
     assert arm.end_of(arm.send_shift()) == Outcome.REFUSED_HELD
     arm.close()
 
@@ -134,11 +134,11 @@ def test_what_follows_a_cancel_begins_only_at_rest(cycles_between: int) -> None:
     arm = new_arm()
     first = arm.send_shift(0.06)  # so slow that the arm stands near enough for the second one
     arm.cycles(100)
-    speed_rad_s = abs(arm.loop[0]["axes"]["velocity_rad_s"]).max()
+    speed_rad_s = abs(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"]).max()
     arm.writer.cancel(first)
     arm.cycles(cycles_between)
     second = arm.send_shift()
     arm.until(lambda: arm.running_goal == second or arm.outcome(second) != Outcome.NONE)
     assert arm.outcome(first) == Outcome.CANCELED
-    assert abs(arm.loop[0]["axes"]["velocity_rad_s"]).max() < 0.01 * speed_rad_s
+    assert abs(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"]).max() < 0.01 * speed_rad_s
     arm.close()

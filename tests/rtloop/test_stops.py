@@ -26,7 +26,7 @@ TOLD_A_PLACE = pytest.mark.parametrize(
 def referenced(name: str) -> VirtualArm:
     """An arm that holds at the beginning of a recorded goal; a person has said of joints that they stand there."""
     arm = VirtualArm.at_start_of("large", name)
-    if not np.all(arm.loop[0]["axes"]["referenced"][:6]):
+    if not np.all(arm.loop[0]["axes"]["reference"]["referenced"][:6]):
         assert arm.ask(Request.REFERENCE, joint_mask=0b111111, value=math.nan) == Answer.DONE
         assert arm.reference().failure is None
     return arm
@@ -37,12 +37,12 @@ def test_a_drive_that_is_not_heard_any_more_is_not_taken_back(name: str) -> None
     """It hears and obeys, but its answers are lost: where it was heard last lies behind where it has been led since."""
     arm = referenced(name)
     arm.play_part("large", 0.4)
-    speeds = arm.loop[0]["axes"]["velocity_rad_s"][:6].copy()
+    speeds = arm.loop[0]["axes"]["commanded"]["velocity_rad_s"][:6].copy()
     joint = int(np.argmax(np.abs(speeds)))
     assert abs(speeds[joint]) > 0.5
     lost_ns = arm.sim.now_ns
     arm.sim.drives[joint].reply = lambda *answer, **options: None
-    arm.until(lambda: arm.core["mode"] == Mode.FAULT, at_most_s=0.5)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT, at_most_s=0.5)
     arm.cycles(int(0.5e9 / arm.period_ns))
     _, position_rad, _ = sampled_truth(arm.sim, joint, lost_ns, arm.sim.now_ns)
     ahead_rad = np.sign(speeds[joint]) * (position_rad - position_rad[0])
@@ -51,17 +51,20 @@ def test_a_drive_that_is_not_heard_any_more_is_not_taken_back(name: str) -> None
 
 
 @TOLD_A_PLACE
-@pytest.mark.parametrize("unknown", [{"readings": 0}, {"doubted": 1}, {"measured_ns": -100_000_000}, {}])
-def test_nothing_is_told_where_nobody_knows_the_place(name: str, unknown: dict[str, int]) -> None:
+@pytest.mark.parametrize(
+    "unknown", [("measured", "readings", 0), ("checks", "suspect", 1), ("measured", "time_ns", -100_000_000), None]
+)
+def test_nothing_is_told_where_nobody_knows_the_place(name: str, unknown: tuple[str, str, int] | None) -> None:
     """Nothing read since the zero was set anew, an implausible reading, an old one; else it is told to stay."""
     cycle = SimpleNamespace(loop=new_loop(load_arm(name), 0, 0), shared=np.zeros(1, layout.STATE))
     axis = cycle.loop[0]["axes"][1]
-    axis["heard_rad"] = axis["measured_rad"] = 0.5
-    axis["readings"] = 3
-    for word, value in unknown.items():
-        axis[word] = value
+    axis["reply"]["position_rad"] = axis["measured"]["position_rad"] = 0.5
+    axis["measured"]["readings"] = 3
+    if unknown is not None:
+        part, word, value = unknown
+        axis[part][word] = value
     assert families.stop(cycle.loop[0], 1, cycle.shared[0])
-    assert (cycle.loop[0]["core"]["tx_frames"] == 0) == bool(unknown)
+    assert (cycle.loop[0]["outgoing"]["frames"] == 0) == (unknown is not None)
 
 
 @pytest.mark.parametrize("name", ["odrive6", "mks6", "damiao6", "cia402_6", "myactuator6", "robstride6"])
@@ -70,11 +73,13 @@ def test_a_joint_that_is_referenced_is_still_told_what_it_holds(name: str, bent_
     """A load keeps a drive from its target: to command where it stands would let it sink by as much again."""
     arm = referenced(name)
     axis = arm.loop[0]["axes"][1]
-    axis["position_rad"] = axis["next_position_rad"] = axis["measured_rad"] + bent_rad
-    said_rad = float(axis["measured_rad"]) + 0.1
+    axis["commanded"]["position_rad"] = axis["commanded"]["next_position_rad"] = (
+        axis["measured"]["position_rad"] + bent_rad
+    )
+    said_rad = float(axis["measured"]["position_rad"]) + 0.1
     assert arm.ask(Request.REFERENCE, joint_mask=0b10, value=said_rad) == Answer.DONE
     assert arm.reference().failure is None
-    assert axis["position_rad"] - said_rad == pytest.approx(kept_rad, abs=0.001)
+    assert axis["commanded"]["position_rad"] - said_rad == pytest.approx(kept_rad, abs=0.001)
     arm.close()
 
 

@@ -29,7 +29,7 @@ def test_a_servo_window_is_followed_exactly_when_it_is_due(rate_hz: float, seed:
     way = waves(arm, 0.7, seed)
     servo = Servo(arm, way, rate_hz)
     servo.run(4.0)
-    assert arm.core["fault"] == Fault.NONE and servo.sent > 3.5 * rate_hz
+    assert arm.memory["fault"]["code"] == Fault.NONE and servo.sent > 3.5 * rate_hz
     planned = np.array([way(i * arm.period_ns * 1e-9)[0] for i in range(400)])
     assert arm.acceleration_ratio() <= 1.05 * np.abs(acceleration_ratios(planned, arm)).max()
     assert error_to(arm, way, servo.begun_ns, 0.1, first=100) < 0.003
@@ -44,7 +44,7 @@ def test_single_points_are_followed_smoothly(rate_hz: float, velocities: bool) -
     way = waves(arm, 0.5 if velocities else 0.05, 3)  # positions alone say "rest here" at each of them
     sender = JudgedPoints(arm, way, rate_hz, velocities=velocities)
     sender.run(4.0)
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     assert arm.acceleration_ratio() <= 1.06
     errors = {delay: error_to(arm, way, sender.begun_ns, delay, first=100) for delay in np.arange(0.0, 0.5, 0.01)}
     lag_s = min(errors, key=lambda delay: errors[delay])
@@ -62,8 +62,8 @@ def test_a_dried_up_stream_stops_in_a_straight_line(seed: int, rate_hz: float, s
     arm.cycle()  # the last message is in
     running = arm.running_goal
     last = len(arm.positions)
-    arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=3.0)
-    assert arm.outcome(running) == Outcome.RAN_DRY and arm.core["fault"] == Fault.NONE
+    arm.until(lambda: arm.memory["mode"] == Mode.HOLDING, at_most_s=3.0)
+    assert arm.outcome(running) == Outcome.RAN_DRY and arm.memory["fault"]["code"] == Fault.NONE
     assert arm.acceleration_ratio(last - 3) <= 1.6
     # where the path ended, and how fast: from there on all joints are the same share of that velocity along
     end_s, end_v = servo.entries[-2][0], servo.entries[-2][1][:, 1]
@@ -99,7 +99,7 @@ def test_a_late_message_is_taken_up_while_the_arm_is_stopping() -> None:
     servo.due_ns = arm.now_ns
     servo.entries.clear()
     servo.run(1.5)
-    assert arm.core["mode"] == Mode.EXECUTING and arm.core["fault"] == Fault.NONE
+    assert arm.memory["mode"] == Mode.EXECUTING and arm.memory["fault"]["code"] == Fault.NONE
     assert arm.acceleration_ratio() <= 1.06
     assert error_to(arm, way, servo.begun_ns, 0.1, first=len(arm.positions) - 60) < 0.03
     arm.close()
@@ -114,10 +114,10 @@ def test_a_point_too_far_away_is_refused_and_the_stream_before_it_goes_on() -> N
     rows[0, :, 0] = arm.positions[-1] + 0.3
     far = arm.send_goal(np.array([10_000_000]), rows, order=3, stream=True, bridge=True)
     arm.cycles(2)
-    arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=3.0)
+    arm.until(lambda: arm.memory["mode"] == Mode.HOLDING, at_most_s=3.0)
     assert arm.outcome(far) in (Outcome.REFUSED_LIMITS, Outcome.REFUSED_START)
     assert arm.outcome(running) in (Outcome.RAN_DRY, Outcome.REPLACED)
-    assert arm.acceleration_ratio() <= 1.6 and arm.core["fault"] == Fault.NONE
+    assert arm.acceleration_ratio() <= 1.6 and arm.memory["fault"]["code"] == Fault.NONE
     arm.close()
 
 
@@ -129,9 +129,9 @@ def test_the_drives_truly_move_like_that(seed: int, seconds: float) -> None:
     begun_ns = arm.now_ns
     servo = Servo(arm, waves(arm, 0.6, seed), 100.0)
     servo.run(seconds)
-    arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=3.0)
+    arm.until(lambda: arm.memory["mode"] == Mode.HOLDING, at_most_s=3.0)
     arm.cycles(40)
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     assert arm.sim is not None
     assert largest_acceleration_ratio(arm, begun_ns) <= 2.0
     for joint, config in enumerate(arm.arm.joints):
@@ -149,7 +149,7 @@ def test_a_hold_stops_a_stream_and_what_comes_meanwhile_is_refused() -> None:
     servo.run(1.0)
     arm.writer.hold()
     servo.run(1.0)
-    assert arm.core["held"] == 1 and not arm.loop[0]["axes"]["velocity_rad_s"].any()
+    assert arm.memory["people"]["held"] == 1 and not arm.loop[0]["axes"]["commanded"]["velocity_rad_s"].any()
     stood = arm.positions[-1]
     servo.run(0.5)
     assert (arm.positions[-1] == stood).all()
@@ -169,7 +169,7 @@ def test_a_stop_ends_a_stream_even_while_it_runs_dry(dry_cycles: int) -> None:
     arm.cycle()
     servo.due_ns = arm.now_ns
     servo.run(0.1)  # its messages wait until the arm stands
-    assert arm.core["mode"] in (Mode.STOPPING, Mode.HOLDING) and arm.running_goal in (running, 0)
+    assert arm.memory["mode"] in (Mode.STOPPING, Mode.HOLDING) and arm.running_goal in (running, 0)
     assert arm.end_of(running) == Outcome.STOPPED
     assert arm.acceleration_ratio() <= 1.9
     arm.close()
@@ -186,7 +186,7 @@ def test_a_speed_scale_leaves_a_stream_its_own_time(scale: float) -> None:
     assert error_to(arm, way, servo.begun_ns, 0.1, first=100) < 0.003
     arm.writer.scale(0.0)
     servo.run(1.0)
-    assert not arm.loop[0]["axes"]["velocity_rad_s"].any() and arm.core["fault"] == Fault.NONE
+    assert not arm.loop[0]["axes"]["commanded"]["velocity_rad_s"].any() and arm.memory["fault"]["code"] == Fault.NONE
     arm.close()
 
 
@@ -215,7 +215,7 @@ def test_a_stream_for_one_joint_stops_the_others_inside_their_limits() -> None:
     alone = np.zeros((1, 6, 3))
     alone[0, 0] = [0.0, 0.05, 0.0]
     arm.send_goal(np.array([10_000_000]), alone, order=3, stream=True, bridge=True, joint_mask=1)
-    arm.until(lambda: arm.core["mode"] == Mode.HOLDING, at_most_s=5.0)
-    assert arm.core["fault"] == Fault.NONE and arm.outcome(first) != Outcome.FAULT
+    arm.until(lambda: arm.memory["mode"] == Mode.HOLDING, at_most_s=5.0)
+    assert arm.memory["fault"]["code"] == Fault.NONE and arm.outcome(first) != Outcome.FAULT
     assert np.array(arm.positions)[:, 4].max() <= upper + 1e-3
     arm.close()

@@ -130,7 +130,7 @@ def test_cancel_stops_on_the_path(moment: tuple[str, float]) -> None:
     assert arm.end_of(goal_id) in (Outcome.CANCELED, Outcome.SUCCEEDED)
     assert (arm.now_ns - asked_ns) * 1e-9 <= arm.loop[0]["params"]["longest_stop_s"] + 0.1
     arm.cycles(AFTER_CYCLES)
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     assert largest_acceleration_ratio(arm, started_ns) <= 1.75
     stays_inside_limits(arm, started_ns)
     assert distance_from_path(arm, moment[0]) <= 0.02
@@ -192,7 +192,7 @@ def test_replacement_in_motion(moment: tuple[str, float], slowness: float) -> No
     name, _ = moment
     arm, goal_id, started_ns = moving(*moment)
     goal = recorded_goal(name)
-    here = arm.loop[0]["axes"]["position_rad"][:6]
+    here = arm.loop[0]["axes"]["commanded"]["position_rad"][:6]
     speeds = np.array([joint.max_velocity_rad_s for joint in arm.arm.joints])
     back = goal["joints"][:1].copy()
     back[:, :, 1:] = 0.0
@@ -202,7 +202,7 @@ def test_replacement_in_motion(moment: tuple[str, float], slowness: float) -> No
     assert arm.outcome(goal_id) in (Outcome.REPLACED, Outcome.SUCCEEDED)
     assert arm.outcome(newer) == Outcome.SUCCEEDED
     arm.cycles(AFTER_CYCLES)
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     assert largest_acceleration_ratio(arm, started_ns) <= 1.9
     stays_inside_limits(arm, started_ns)
     arm.close()
@@ -220,8 +220,8 @@ def test_starvation_brakes_while_there_is_path(name: str, share: float) -> None:
     del arm.pending[2 + knots :]
     assert arm.end_of(goal_id) == Outcome.STARVED
     arm.cycles(AFTER_CYCLES)
-    assert arm.core["fault"] == Fault.NONE
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["fault"]["code"] == Fault.NONE
+    assert arm.memory["mode"] == Mode.HOLDING
     assert largest_acceleration_ratio(arm, started_ns) <= 1.75
     stays_inside_limits(arm, started_ns)
     arm.close()
@@ -232,10 +232,10 @@ def test_starvation_brakes_while_there_is_path(name: str, share: float) -> None:
 def test_front_lost_stops_on_the_path(moment: tuple[str, float]) -> None:
     arm, goal_id, started_ns = moving(*moment)
     arm.front_alive = False
-    arm.until(lambda: arm.outcome(goal_id) != Outcome.NONE and arm.core["mode"] == Mode.HOLDING)
+    arm.until(lambda: arm.outcome(goal_id) != Outcome.NONE and arm.memory["mode"] == Mode.HOLDING)
     assert arm.outcome(goal_id) in (Outcome.FRONT_LOST, Outcome.SUCCEEDED)
     arm.cycles(AFTER_CYCLES)
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     assert largest_acceleration_ratio(arm, started_ns) <= 1.75
     assert distance_from_path(arm, moment[0]) <= 0.02
     arm.close()
@@ -253,7 +253,7 @@ def test_a_long_gap_ends_the_goal_where_the_drives_stopped(moment: tuple[str, fl
     arm.cycles(120)
     if running and periods * arm.period_ns > 100_000_000:
         assert arm.outcome(goal_id) in (Outcome.CLOCK_GAP, Outcome.SUCCEEDED)
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     assert largest_acceleration_ratio(arm, started_ns) <= 2.2
     if periods > 120:
         for joint, config in enumerate(arm.arm.joints):
@@ -276,8 +276,8 @@ def test_a_suspended_machine_ends_the_goal_where_the_drives_stopped(
     assert arm.outcome(goal_id) == Outcome.CLOCK_GAP
     stood = [arm.sim.true_position_rad(joint, arm.sim.now_ns - 1) for joint in range(6)]
     arm.cycles(120)
-    assert arm.core["fault"] == Fault.NONE
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["fault"]["code"] == Fault.NONE
+    assert arm.memory["mode"] == Mode.HOLDING
     for joint, config in enumerate(arm.arm.joints):
         end = arm.sim.true_position_rad(joint, arm.sim.now_ns - 1)
         assert abs(end - stood[joint]) <= 2 * config.command_pulse_rad
@@ -292,7 +292,7 @@ def test_a_short_gap_neither_faults_nor_ends_the_goal(moment: tuple[str, float],
     arm, goal_id, started_ns = moving(*moment)
     arm.cycle(periods)
     arm.end_of(goal_id)
-    assert arm.core["fault"] == Fault.NONE
+    assert arm.memory["fault"]["code"] == Fault.NONE
     assert arm.outcome(goal_id) == Outcome.SUCCEEDED
     arm.cycles(AFTER_CYCLES)
     assert largest_acceleration_ratio(arm, started_ns) <= 2.2

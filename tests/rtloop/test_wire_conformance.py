@@ -24,7 +24,7 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from config.serial_adapters import SERIAL_ADAPTERS
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
-from rtloop.memory.state import RX_BYTES, TX_FRAMES
+from rtloop.memory.link import RX_BYTES, TX_FRAMES
 from rtloop.process.beginning import new_loop
 from rtloop.process.run import take_over_wire
 from rtloop.wire import outgoing, received
@@ -72,7 +72,7 @@ class Bench:
 
     @property
     def buffer(self) -> bytes:
-        made: bytes = self.loop[0]["tx"][: int(self.loop[0]["core"]["tx_length"])].tobytes()
+        made: bytes = self.loop[0]["outgoing"]["bytes"][: int(self.loop[0]["outgoing"]["length"])].tobytes()
         return made
 
     def take(self, count: int) -> bytes:
@@ -147,10 +147,10 @@ def test_what_is_heard_is_what_was_said(wire: Wire) -> None:
         assert bench.hear(wire.spell(Frame(0x100, data))) == (1, 0)
         joint, axis = arm_of(wire.name).joints[0], bench.loop[0]["axes"][0]
         wanted_rad = joint.direction * counts / joint.encoder_counts_per_rad - joint.zero_rad
-        assert axis["measured_rad"] == pytest.approx(wanted_rad, rel=1e-12)
+        assert axis["measured"]["position_rad"] == pytest.approx(wanted_rad, rel=1e-12)
         for other in (Frame(0x000, data), Frame(0x700, data)):
             assert bench.hear(wire.spell(other)) == (1, 0)
-        assert axis["readings"] == 1
+        assert axis["measured"]["readings"] == 1
 
 
 @every_wire
@@ -272,7 +272,7 @@ def test_a_full_buffer_takes_no_more_and_what_it_took_is_whole(bench: Bench, wir
     count = 0
     while bench.put(frame):
         count += 1
-    assert 0 < count == int(bench.loop[0]["core"]["tx_frames"]) <= TX_FRAMES
+    assert 0 < count == int(bench.loop[0]["outgoing"]["frames"]) <= TX_FRAMES
     assert not outgoing.has_room(bench.loop[0], 1)
     assert wire.read(bench.buffer) == [frame] * count
 
@@ -366,7 +366,7 @@ def test_bytes_and_bits_are_those_of_the_budget(rig: Rig, wire: Wire) -> None:
     expected = budget(rig.arm.arm)
     rig.play()
     rig.arm.cycles(60)
-    assert rig.arm.core["mode"] == Mode.EXECUTING
+    assert rig.arm.memory["mode"] == Mode.EXECUTING
     counters = rig.arm.state.record["counters"]
     before, first = counters.copy(), len(rig.arm.sent)
     rig.arm.cycles(100)
@@ -405,8 +405,8 @@ def test_a_silent_drive_is_latched(rig: Rig) -> None:
     rig.play()
     rig.arm.cycles(60)
     rig.arm.sim.inject(Silent("joint2", at_s=0.0), since_ns=rig.arm.now_ns)
-    rig.arm.until(lambda: rig.arm.core["mode"] == Mode.FAULT)
-    assert (rig.arm.core["fault"], rig.arm.core["fault_joint"]) == (Fault.STALE_READING, 1)
+    rig.arm.until(lambda: rig.arm.memory["mode"] == Mode.FAULT)
+    assert (rig.arm.memory["fault"]["code"], rig.arm.memory["fault"]["joint"]) == (Fault.STALE_READING, 1)
     rig.arm.cycles(200)
     assert rig.judged() == []
 
@@ -419,7 +419,7 @@ def test_a_wire_that_is_back_moves_nothing_until_the_fault_is_cleared(rig: Rig) 
     gone_ns, since = arm.now_ns, len(arm.sent)
     received.close(arm.loop[0], 5)
     arm.cycles(3)
-    assert arm.sent[since:] == [] and arm.core["fault"] == Fault.WIRE and arm.outcome(goal) == Outcome.FAULT
+    assert arm.sent[since:] == [] and arm.memory["fault"]["code"] == Fault.WIRE and arm.outcome(goal) == Outcome.FAULT
     assert arm.ask(Request.CLEAR_FAULT) == Answer.REFUSED_WIRE
     arm.loop[0]["received"]["arrived"]["closed"] = 0
     arm.loop[0]["wire"]["fd"] = 7
@@ -427,7 +427,7 @@ def test_a_wire_that_is_back_moves_nothing_until_the_fault_is_cleared(rig: Rig) 
     arm.cycles(200)
     assert not any(motion_frames(rig.told, drive, gone_ns) for drive in range(1, 7))
     assert motion_after(truth_of(arm.sim), gone_ns + 500_000_000, arm.sim.now_ns) == []
-    assert arm.now_ns - arm.loop[0]["axes"]["measured_ns"][:6].min() < 3 * arm.period_ns
+    assert arm.now_ns - arm.loop[0]["axes"]["measured"]["time_ns"][:6].min() < 3 * arm.period_ns
     assert arm.clear_fault().failure is None
-    assert arm.core["mode"] == Mode.HOLDING
+    assert arm.memory["mode"] == Mode.HOLDING
     assert rig.judged() == []

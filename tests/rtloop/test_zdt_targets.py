@@ -16,9 +16,11 @@ def led(joint, position_rad, velocity_rad_s):
     """A loop whose joint is commanded to move evenly and follows exactly."""
     loop = new_loop(ARM, 0, 0)
     axis = loop[0]["axes"][joint]
-    axis["position_rad"] = axis["reference_rad"] = axis["measured_rad"] = position_rad
-    axis["velocity_rad_s"] = axis["next_velocity_rad_s"] = velocity_rad_s
-    axis["next_position_rad"] = position_rad + velocity_rad_s * ARM.control.period_ns * 1e-9
+    axis["commanded"]["position_rad"] = axis["tracking"]["reference_rad"] = axis["measured"]["position_rad"] = (
+        position_rad
+    )
+    axis["commanded"]["velocity_rad_s"] = axis["commanded"]["next_velocity_rad_s"] = velocity_rad_s
+    axis["commanded"]["next_position_rad"] = position_rad + velocity_rad_s * ARM.control.period_ns * 1e-9
     return loop
 
 
@@ -52,10 +54,12 @@ def test_targets_alone_lead_a_drive_along_the_plan(direction, acceleration_share
     worst = 0.0
     for cycle in range(20):
         now_s = cycle * period_s
-        axis["position_rad"], axis["velocity_rad_s"] = plan(now_s)
-        axis["next_position_rad"], axis["next_velocity_rad_s"] = plan(now_s + period_s)
-        axis["next_acceleration_rad_s2"] = acceleration
-        axis["reference_rad"] = axis["measured_rad"] = axis["error_before_rad"] = 0.0
+        axis["commanded"]["position_rad"], axis["commanded"]["velocity_rad_s"] = plan(now_s)
+        axis["commanded"]["next_position_rad"], axis["commanded"]["next_velocity_rad_s"] = plan(now_s + period_s)
+        axis["commanded"]["next_acceleration_rad_s2"] = acceleration
+        axis["tracking"]["reference_rad"] = axis["measured"]["position_rad"] = axis["tracking"]["error_before_rad"] = (
+            0.0
+        )
         data = data_of(zdt.fast_command(loop[0], joint), 6)
         pulses = int.from_bytes(data[1:5], "big", signed=True)
         target = pulses / float(row["command_per_rad"]) - float(row["zero_rad"])
@@ -77,21 +81,21 @@ def test_targets_alone_take_an_error_back_bit_by_bit_and_never_reach_beyond_the_
         return pulses / float(row["command_per_rad"]) - float(row["zero_rad"])
 
     without = target()
-    axis["reference_rad"] += error
-    axis["error_before_rad"] = error
+    axis["tracking"]["reference_rad"] += error
+    axis["tracking"]["error_before_rad"] = error
     for cycle in (1, 2):
         assert target() - without == pytest.approx(8.0 * period_s * error * cycle, abs=config.command_pulse_rad)
-        assert axis["fast_offset_rad"] == pytest.approx(8.0 * period_s * error * cycle)
+        assert axis["sent"]["fast_offset_rad"] == pytest.approx(8.0 * period_s * error * cycle)
     for _ in range(100):
         target()
     led_rad_s = speed - ramp * period_s / 4.0
-    assert axis["fast_offset_rad"] == pytest.approx(
+    assert axis["sent"]["fast_offset_rad"] == pytest.approx(
         sign * 0.25 * (led_rad_s**2 / (2.0 * ramp) + speed * period_s), rel=1e-6
     )
     end_rad = float(row["upper_rad"] + row["slack_rad"])
-    axis["next_position_rad"] = end_rad - 1e-4
+    axis["commanded"]["next_position_rad"] = end_rad - 1e-4
     assert target() == pytest.approx(end_rad, abs=config.command_pulse_rad)
-    axis["velocity_rad_s"] = axis["next_velocity_rad_s"] = 0.0
-    axis["next_position_rad"] = 0.1
+    axis["commanded"]["velocity_rad_s"] = axis["commanded"]["next_velocity_rad_s"] = 0.0
+    axis["commanded"]["next_position_rad"] = 0.1
     assert target() == pytest.approx(0.1, abs=config.command_pulse_rad)
-    assert axis["fast_offset_rad"] == 0.0
+    assert axis["sent"]["fast_offset_rad"] == 0.0

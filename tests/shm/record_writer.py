@@ -9,8 +9,9 @@ import threading
 from typing import Any
 
 from config.loader import load_arm
+from rtloop.memory.record import offset_of
 from rtloop.memory.recorder import record_cycle, record_frame
-from rtloop.memory.state import LOOP, offset_of
+from rtloop.memory.state import LOOP
 from rtloop.process.beginning import new_loop
 from shm import files, layout
 from shm.atomics import store_relaxed
@@ -29,9 +30,9 @@ def record_one(loop: Any, shared: Any, number: int, words: int) -> None:
     source = loop.params.address + SNAPSHOT
     for word in range(1, words):
         store_relaxed(source + 8 * word, number)
-    loop.core.decisions_crc = crc32_at(source + 8, DECISIONS // 8)
+    loop.published.decisions_crc = crc32_at(source + 8, DECISIONS // 8)
     loop.snapshot.crc = crc32_at(source + 8, words - 1)
-    loop.core.lateness_ns = loop.core.cycle_time_ns = number
+    loop.timing.lateness_ns = loop.timing.cycle_time_ns = number
     record_cycle(loop, shared)
     record_frame(loop, shared, number, number & 0x1FFFFFFF, 0, number & 7, number)
 

@@ -11,7 +11,7 @@ import threading
 
 import numpy as np
 
-from rtloop.memory.state import offset_of
+from rtloop.memory.record import offset_of
 from shm import files, layout
 from shm.atomics import fence_release, load_relaxed, store_relaxed
 from shm.jit import jit

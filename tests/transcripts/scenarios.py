@@ -127,8 +127,8 @@ def family(arm: str) -> None:
         here.release()
         here.cycles(10)
         here.ask(Request.ENABLE)
-        here.until(lambda: bool(here.core["bring_up_asked"]))
-        here.core["bring_up_asked"] = 0
+        here.until(lambda: bool(here.memory["dialogue"]["bring_up_asked"]))
+        here.memory["dialogue"]["bring_up_asked"] = 0
         here.bring_up(clears_protection=True)
         if here.sim is not None:
             towards(here, 0.05)
@@ -315,7 +315,7 @@ def shutdown() -> None:
     with standing() as arm:
         goal = towards(arm)
         arm.cycles(50)
-        arm.core["closing"] = 1
+        arm.memory["motion"]["closing"] = 1
         finish(arm, goal)
 
 
@@ -563,8 +563,8 @@ def limp() -> None:
             arm.cycles(20)
             finish(arm, towards(arm, 0.05))
             arm.ask(Request.ENABLE)
-            arm.until(lambda: bool(arm.core["bring_up_asked"]))
-            arm.core["bring_up_asked"] = 0
+            arm.until(lambda: bool(arm.memory["dialogue"]["bring_up_asked"]))
+            arm.memory["dialogue"]["bring_up_asked"] = 0
             arm.bring_up(clears_protection=True)
         finish(arm, towards(arm, 0.05))
 
@@ -588,7 +588,7 @@ def goes_on_after_a_stall() -> None:
         arm.cycles(60)
         for joint in arm.arm.joints:
             arm.sim.inject(Silent(joint.name, at_s=0.0, until_s=0.2), since_ns=arm.now_ns)
-        arm.until(lambda: bool(arm.core["healed_ns"]) and arm.core["mode"] == Mode.HOLDING)
+        arm.until(lambda: bool(arm.memory["dialogue"]["healed_ns"]) and arm.memory["mode"] == Mode.HOLDING)
         arm.end_of(arm.send_shift(stream=True))
         arm.resume()
         arm.end_of(arm.send_shift(stream=True))
@@ -722,20 +722,20 @@ def hostile_memory(seed: int) -> None:
     """As `fuzz.memory.run_case`, cycle by cycle: cases of every kind of writer against the mock arm."""
     arena = MemoryArena()
     loop, shared, fresh = arena.arm.loop[0], arena.arm.state.array[0], arena.arm.loop.copy()
-    command, core, box = arena.arm.command.address, arena.arm.core, np.zeros(1)
+    command, box = arena.arm.command.address, np.zeros(1)
     memory.reseed(seed)
     for case in range(9):
         memory.refresh(loop, fresh.ctypes.data, case)
         memory.place(loop)
-        now_ns, goal = int(core["now_ns"]), 0
+        now_ns, goal = int(loop["timing"]["now_ns"]), 0
         for cycle in range(memory.CYCLES):
             now_ns += arena.arm.period_ns
             arena.arm.writer.beat(now_ns)
             goal = memory.write_hostile(loop, command, case % 3, goal, box)
             arena.arm.step(now_ns)
-            if core["bring_up_asked"] == 1:
+            if loop["dialogue"]["bring_up_asked"] == 1:
                 memory.bring_up(loop, shared)
-            if core["fault"] != 0 and cycle % 5 == 0:
+            if loop["fault"]["code"] != 0 and cycle % 5 == 0:
                 memory.put_request(loop, command, 0.0, box)
                 memory.clear_fault(command)
     arena.close()
@@ -749,7 +749,7 @@ def hostile_wire(interface: str, seed: int) -> None:
     memory.reseed(seed)
     for case in range(5):
         memory.refresh(loop, fresh.ctypes.data, case)
-        now_ns = int(arena.arm.core["now_ns"])
+        now_ns = int(arena.arm.memory["timing"]["now_ns"])
         for cycle in range(wire.CYCLES):
             now_ns += arena.arm.period_ns
             arena.arm.writer.beat(now_ns)
@@ -763,7 +763,7 @@ def hostile_wire(interface: str, seed: int) -> None:
                 at = wire.spoil(out, at)
             wire.bring(loop, out, at, now_ns)
             arena.arm.step(now_ns)
-            arena.arm.core["tx_length"] = 0
+            arena.arm.memory["outgoing"]["length"] = 0
     arena.close()
 
 

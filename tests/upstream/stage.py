@@ -96,7 +96,7 @@ class Stage:
     ) -> None:
         mock = arm.bus.interface == "mock"
         self.arm = VirtualArm(arm, start_rad=None if mock else start, **sim_options)
-        self.arm.core["epoch_offset_ns"] = EPOCH_OFFSET_NS
+        self.arm.memory["timing"]["epoch_offset_ns"] = EPOCH_OFFSET_NS
         self.names = [joint.name for joint in arm.joints]
         monkeypatch.setattr("rosfront.serving.time", SimpleNamespace(monotonic_ns=lambda: self.arm.now_ns))
         self.serving = Serving(arm)
@@ -118,13 +118,13 @@ class Stage:
     @property
     def epoch_ns(self) -> int:
         """The clock of ROS."""
-        return self.arm.now_ns + int(self.arm.core["epoch_offset_ns"])
+        return self.arm.now_ns + int(self.arm.memory["timing"]["epoch_offset_ns"])
 
     def cycle(self) -> None:
         self.arm.cycle()
         self.look()
-        self.setpoints.append(self.axes["next_position_rad"].copy())
-        self.clocks_s.append(float(self.arm.core["clock_s"]))
+        self.setpoints.append(self.axes["commanded"]["next_position_rad"].copy())
+        self.clocks_s.append(float(self.arm.memory["clock"]["time_s"]))
 
     def look(self) -> None:
         """What the publisher's thread does after each cycle."""
@@ -214,7 +214,7 @@ class Stage:
 
     @property
     def mode(self) -> Mode:
-        return Mode(int(self.arm.core["mode"]))
+        return Mode(int(self.arm.memory["mode"]))
 
     @property
     def axes(self) -> np.ndarray:
@@ -224,24 +224,24 @@ class Stage:
     @property
     def commanded(self) -> np.ndarray:
         """The newest setpoint, (joints,) rad."""
-        position: np.ndarray = self.axes["next_position_rad"].copy()
+        position: np.ndarray = self.axes["commanded"]["next_position_rad"].copy()
         return position
 
     @property
     def measured(self) -> np.ndarray:
-        position: np.ndarray = self.axes["measured_rad"].copy()
+        position: np.ndarray = self.axes["measured"]["position_rad"].copy()
         return position
 
     @property
     def velocity(self) -> np.ndarray:
         """Of the newest setpoint, (joints,) rad/s."""
-        velocity: np.ndarray = self.axes["next_velocity_rad_s"].copy()
+        velocity: np.ndarray = self.axes["commanded"]["next_velocity_rad_s"].copy()
         return velocity
 
     @property
     def path(self) -> np.void:
         """The path that the control process runs, with what its goal allows."""
-        path: np.void = self.arm.loop[0]["paths"][int(self.arm.core["active"])]
+        path: np.void = self.arm.loop[0]["paths"][int(self.arm.memory["goals"]["active"])]
         return path
 
     @property

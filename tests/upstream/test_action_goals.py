@@ -247,7 +247,7 @@ def test_nothing_lets_go_of_a_moving_arm(stage_for):
         done, sentence = stage.ask(kind)
         assert not done and "moving" in sentence
     assert not sent.ended and stage.mode is Mode.EXECUTING
-    stage.arm.core["closing"] = 1
+    stage.arm.memory["motion"]["closing"] = 1
     stage.until(lambda: sent.ended, 0.1)
     assert sent.outcome == (ABORTED, -1) and "shutting down" in sent.sentence
     stage.until(lambda: stage.mode is Mode.HOLDING, 1.0)

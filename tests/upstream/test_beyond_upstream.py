@@ -306,7 +306,7 @@ def test_a_jump_of_the_clock(stage_for, jump_s):
     stage = stage_for(gentle=True)
     sent = stage.send(goal(*smooth(0.6, 3.0), stamp_ns=stage.epoch_ns))
     stage.run(1.0)
-    stage.arm.core["epoch_offset_ns"] += round(jump_s * NS)
+    stage.arm.memory["timing"]["epoch_offset_ns"] += round(jump_s * NS)
     stage.run(1.9)
     assert not sent.ended
     stage.until(lambda: sent.ended, 0.3)

@@ -84,7 +84,7 @@ def test_an_arm_that_is_brought_up_holds_where_it_stands(stage_for, drives):
     assert stage.commanded == pytest.approx(START, abs=1e-3)
     stage.assert_stands(1.0)
     assert stage.measured == pytest.approx(stage.commanded, abs=1e-3)
-    assert stage.mode is Mode.HOLDING and int(stage.arm.core["motion_started"]) == 0
+    assert stage.mode is Mode.HOLDING and int(stage.arm.memory["motion"]["started"]) == 0
 
 
 @pytest.mark.upstream(77, "same")

@@ -1,0 +1,166 @@
+"""What the cycle remembers of each joint: what its file says, what is commanded, measured and heard of its drive."""
+
+from rtloop.memory.record import Record
+
+NOT_LED = -1
+"""A drive that was adopted where it stands, and has been told nothing since."""
+QUESTIONS = 2
+"""Questions for one drive's position that are taken to be open at most: an answer may come a cycle late, or never."""
+FRESH_READINGS = 3
+"""A reading that is as old as so many that should have come since tells nothing of where the joint is."""
+FAMILY_MOCK = 0
+"""A joint's family is its place among `config.joint.FAMILIES`, whose first is no drive at all."""
+
+
+class JointParams(Record, writers=("commands.orders",)):
+    """A joint as its arm file has it, in the units of its drive."""
+
+    family: int
+    address: int
+    command_per_rad: float  # what the drive is told (ZDT: pulses) for a radian; the joint's direction is in it
+    reading_per_rad: float  # what it tells (ZDT: encoder counts), likewise
+    reading_step_rad: float  # the least that two readings can differ
+    zero_rad: float
+    knows_its_angle: int  # 1: what it tells means an angle as soon as it has power
+    lower_rad: float
+    upper_rad: float
+    slack_rad: float  # what rounding to pulses and counts may put a joint at its limit beyond it
+    max_velocity_rad_s: float
+    max_acceleration_rad_s2: float
+    silence_deceleration_rad_s2: float
+    acc_byte: int
+    status_timeout_ns: int  # within which a drive says its status by itself, 0 where it is asked
+    effort_per_unit: float  # torque at the joint (Nm) for one of what the drive tells, 0 = it tells none
+    # what the fields of a drive's frames reach either way, at its own shaft; 0 where that is fixed
+    range_rad: float
+    range_rad_s: float
+    range_nm: float
+    stiffness_nm_rad: float  # with which it follows set-points, at its own shaft; 0 where that is its own
+    damping_nm_s_rad: float
+    plans_its_motion: int  # 1: it goes to targets with a ramp of its own
+    position_bytes: int  # length of the frame that tells its position, where that is a setting
+    gains_word: int  # stiffness and damping as the frames hold them, where they come with each set-point
+    position_gain_1_s: float  # of its own position loop, 0 where that is not needed
+    host_id: int  # what it answers to, where that stands in its identifiers
+    rpm_per_rad_s: float
+    command_delay_s: float  # from the start of the cycle until its target has reached the drive
+    reply_delay_ns: int  # from the drive's reading of its encoder until the reply has arrived
+    report_delay_ns: int  # the same of a report, which nobody asked for
+
+
+class Commanded(Record, writers=("commands.orders", "cycle", "setpoints")):
+    """What is commanded at this cycle, and at the next, which the frames of this cycle carry."""
+
+    position_rad: float
+    velocity_rad_s: float
+    acceleration_rad_s2: float
+    next_position_rad: float
+    next_velocity_rad_s: float
+    next_acceleration_rad_s2: float
+    difference_velocity_rad_s: float  # of the last two commanded positions, for the last line of defence
+
+
+class Ahead(Record, writers=("trajectory.ahead",)):
+    """A setpoint that is only looked at."""
+
+    position_rad: float
+    velocity_rad_s: float  # its `Commanded.difference_velocity_rad_s`
+
+
+class Measured(Record, writers=("bus", "commands.orders")):
+    """The last plausible reading."""
+
+    position_rad: float
+    velocity_rad_s: float  # mean between the last two readings
+    time_ns: int  # at which the drive read its encoder
+    readings: int  # since it was brought up
+
+
+class Tracking(Record, writers=("bus", "commands.orders", "cycle", "setpoints")):
+    """The last reading beside what was commanded at its instant."""
+
+    reference_rad: float
+    reference_velocity_rad_s: float  # mean between the last two readings, as the measured one is
+    error_acceleration_rad_s2: float  # smoothed change of the error in velocity
+    error_before_rad: float  # of the reading before this one, as the next two
+    velocity_error_before_rad_s: float
+    error_acceleration_before_rad_s2: float
+    lag_ns: int  # how much older than its stamp the reading may be, because its question waited so long
+    lag_rad: float  # what was commanded meanwhile
+    slip_rad: float  # how far the drive may have run ahead while the loop was away
+
+
+class Reply(Record, writers=("bus", "commands.orders", "cycle", "drives.hearing")):
+    """Positions as they come from the drive, and questions for them."""
+
+    is_new: int  # 1: a position came since the last cycle
+    has_report: int  # 1: one that nobody had asked for was among what came
+    position_rad: float  # the last one that did
+    time_ns: int
+    questions: int  # that may still be answered, QUESTIONS at most
+    reports: int  # positions that came although no question was left
+    # the oldest question without a plausible answer, or since when a report is waited for; 0 none
+    unanswered_since_ns: int
+
+
+class Checks(Record, writers=("commands.orders", "drives.hearing", "safety.guard")):
+    """What has been implausible or refused, and how often in a row."""
+
+    suspect: int  # 1: the last reading was implausible and waits for the next one to agree
+    suspect_rad: float
+    bad_statuses: int  # statuses in a row that say the drive does not hold its position
+    refusals: int  # of motion commands since the last sound status
+
+
+class DriveState(Record, writers=("bus.frames", "commands.orders", "drives", "safety.guard")):
+    """What the drive reports of itself beside its position."""
+
+    velocity_rad_s: float  # as the drive measures it; NaN where it does not, as the next three
+    effort_nm: float
+    temperature_c: float
+    voltage_v: float
+    status: int
+    status_ns: int  # when a drive that says its status by itself has done so last
+    status_readings: int
+    error_code: int  # that its drive told last, 0 none
+    firmware: int  # major version << 8 | minor version, 0 where it has not told
+    brake_released: int  # 1: it has said that its brake is released
+    holds_stalled: int  # 1: it goes on holding where it stalls, and says no more than that it does
+    is_disabled: int  # 1: it was told to let go, and has said so
+
+
+class Reference(Record, writers=("commands", "safety.guard")):
+    """Whether what the drive counts means an angle."""
+
+    referenced: int
+    unreferenced_reason: int
+    asked_rad: float  # where a person says that the joint stands, NaN = as its drive counts
+    power_loss_known: int  # 1: the drive's flag for lost power stays, and where it counts from is known
+    lost_at_rad: float  # its last reading when its reference was lost
+
+
+class Sent(Record, writers=("bus.frames", "commands.orders", "drives", "safety.guard", "wire.outgoing")):
+    """What the drive's commands so far leave to the next ones."""
+
+    stop_frames_due: int
+    rpm_remainder: float
+    fast_ready: int  # 1: its speed and ramp for FC are set, and it takes FC as absolute
+    fast_offset_rad: float  # by which its targets lie further ahead than they should, so that it is on time
+    behind_rad: float  # by which its targets still lie behind the setpoint, because it was not led for a while
+    behind_rad_s: float  # how fast that grows
+    led_cycle: int  # the last one in which it was led, where that is told apart; NOT_LED since it was adopted
+    asked_cycle: int  # the last one in which a command has asked it for its position as well
+
+
+class Axis(Record, writers=()):
+    """A joint in motion."""
+
+    commanded: Commanded
+    ahead: Ahead
+    measured: Measured
+    tracking: Tracking
+    reply: Reply
+    checks: Checks
+    drive: DriveState
+    reference: Reference
+    sent: Sent

@@ -1,0 +1,136 @@
+"""Who stores into which part of the cycle's memory: what the records say of themselves, compared with the code.
+
+Only the compiled functions are looked at, which read and write by attribute. Their types are followed from the
+annotations of their parameters through local names.
+"""
+
+import ast
+import importlib
+from collections.abc import Iterator
+from inspect import isfunction
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin
+
+import pytest
+
+from rtloop.memory.record import Record, Rows
+from rtloop.memory.state import Loop
+
+ROOT = Path(__file__).parents[2]
+
+
+def records(of: type[Record] = Loop) -> Iterator[type[Record]]:
+    """A record and those in it."""
+    yield of
+    for hint in of.__annotations__.values():
+        element = element_of(hint) if get_origin(hint) is Annotated else hint
+        if isinstance(element, type) and issubclass(element, Record):
+            yield from records(element)
+
+
+def element_of(hint: Any) -> Any:
+    """What one element of an annotated array is; Any where that is no record."""
+    of = get_args(hint)[0]
+    return get_args(of)[0] if get_origin(of) is Rows else Any
+
+
+class Stores(ast.NodeVisitor):
+    """The stores of one function: (record, field), and what they are stored through where that is not known."""
+
+    def __init__(self, parameters: dict[str, Any], module: dict[str, Any]) -> None:
+        self.local, self.module = dict(parameters), module
+        self.found: set[tuple[type[Record], str]] = set()
+        self.unknown: list[str] = []
+
+    def type_of(self, node: ast.expr) -> Any:
+        """The type of an expression, None where it is not known."""
+        if isinstance(node, ast.Name):
+            return self.local.get(node.id)
+        if isinstance(node, ast.Attribute):
+            of = self.type_of(node.value)
+            if of is Any or (get_origin(of) is Annotated and get_args(of)[0] is Any):
+                return Any  # of a dtype of `shm.layout`
+            return of.__annotations__.get(node.attr) if isinstance(of, type) and issubclass(of, Record) else None
+        if isinstance(node, ast.Subscript):
+            of = self.type_of(node.value)
+            return element_of(of) if get_origin(of) is Annotated else of
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            called = self.module.get(node.func.id)
+            called = getattr(called, "py_func", called)
+            return called.__annotations__.get("return") if isfunction(called) else None
+        return None
+
+    def stored(self, target: ast.expr, value: ast.expr | None) -> None:
+        if isinstance(target, ast.Tuple):
+            values = value.elts if isinstance(value, ast.Tuple) else [None] * len(target.elts)
+            for one, its in zip(target.elts, values, strict=True):
+                self.stored(one, its)
+        elif isinstance(target, ast.Name):
+            self.local[target.id] = None if value is None else self.type_of(value)
+        else:
+            while isinstance(target, ast.Subscript):
+                target = target.value
+            if not isinstance(target, ast.Attribute):
+                return  # into a local array
+            of = self.type_of(target.value)
+            if isinstance(of, type) and issubclass(of, Record):
+                assert target.attr in of.__annotations__, ast.unparse(target)
+                self.found.add((of, target.attr))
+            elif of is not Any and get_origin(of) is not Annotated:
+                self.unknown.append(ast.unparse(target))
+
+    def visit_Assign(self, node: ast.Assign) -> None:
+        for target in node.targets:
+            self.stored(target, node.value)
+
+    def visit_AugAssign(self, node: ast.AugAssign) -> None:
+        if not isinstance(node.target, ast.Name):
+            self.stored(node.target, None)
+
+
+def stores(path: Path) -> Iterator[Stores]:
+    """The stores of each compiled function of a file."""
+    module = vars(importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts)))
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.FunctionDef) or not any(ast.unparse(one) == "jit" for one in node.decorator_list):
+            continue
+        parameters = {
+            one.arg: eval(ast.unparse(one.annotation), module) for one in node.args.args if one.annotation is not None
+        }
+        found = Stores(parameters, module)
+        for statement in node.body:
+            found.visit(statement)
+        yield found
+
+
+FILES = sorted(path for path in (ROOT / "rtloop").rglob("*.py") if "@jit" in path.read_text(encoding="utf-8"))
+
+
+def writers() -> dict[type[Record], set[str]]:
+    """The modules that store into each record."""
+    found: dict[type[Record], set[str]] = {record: set() for record in records()}
+    for path in FILES:
+        for function in stores(path):
+            for record, _ in function.found:
+                found[record].add(".".join(path.relative_to(ROOT / "rtloop").with_suffix("").parts))
+    return found
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_it_is_known_into_what_a_function_stores(path: Path) -> None:
+    assert [target for function in stores(path) for target in function.unknown] == []
+
+
+def covers(writer: str, module: str) -> bool:
+    """Whether a module is the one that is named, or in the room that is."""
+    return module == writer or module.startswith(f"{writer}.")
+
+
+WRITERS = writers()
+
+
+@pytest.mark.parametrize("record", WRITERS, ids=lambda record: record.__name__)
+def test_a_record_names_those_who_store_into_it(record: type[Record]) -> None:
+    found = WRITERS[record]
+    assert {module for module in found if not any(covers(writer, module) for writer in record.writers)} == set()
+    assert {writer for writer in record.writers if not any(covers(writer, module) for module in found)} == set()
