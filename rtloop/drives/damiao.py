@@ -72,13 +72,15 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
     if row.plans_its_motion == 0:
         position_rad, velocity_rad_s = following.setpoint(loop, joint)
         rad, rad_s = (position_rad + row.zero_rad) * row.command_per_rad, velocity_rad_s * row.command_per_rad
-        command(loop, joint, shared, row.address, following_data(row, rad, rad_s), -1)
+        if guard.may_be_sent(loop, shared, joint, rad, rad_s):
+            command(loop, joint, shared, row.address, following_data(row, rad, rad_s), -1)
         return
     target_rad, speed_rad_s = leading.target_ahead(loop, joint, 0.0)
     if axis.commanded.velocity_rad_s == 0.0 and axis.commanded.next_velocity_rad_s == 0.0:
         speed_rad_s = holding_rad_s(row)
     rad, rad_s = (target_rad + row.zero_rad) * row.command_per_rad, abs(speed_rad_s * row.command_per_rad)
-    command(loop, joint, shared, row.address + POSITION_VELOCITY_OFFSET, target_data(rad, rad_s), -1)
+    if guard.may_be_sent(loop, shared, joint, rad, rad_s):
+        command(loop, joint, shared, row.address + POSITION_VELOCITY_OFFSET, target_data(rad, rad_s), -1)
 
 
 @jit

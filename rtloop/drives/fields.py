@@ -1,7 +1,5 @@
 """Numbers in fields of a few bits, as drives with "MIT" commands have them; ordinary Python, compiled by `words`."""
 
-import math
-
 LEAST_STEP = 1e-6
 """Share of a step by which a number may be off, so that what came out of a field goes back in as it was."""
 
@@ -9,11 +7,10 @@ LEAST_STEP = 1e-6
 def field(value: float, most: float, bits: int) -> int:
     """A number within ±most as a field of `bits` bits: 0 is -most, all ones +most; cut off to a whole step.
 
-    What is beyond the range becomes its end; a NaN is the middle.
+    What is beyond the range becomes its end. The value is a number: a field has no code for what is none, which
+    `safety.guard.may_be_sent` keeps away.
     """
     steps = (1 << bits) - 1
-    if math.isnan(value):
-        return steps >> 1
     share = (min(max(value, -most), most) + most) / (2.0 * most)
     return min(int(share * steps + LEAST_STEP), steps)
 

@@ -27,6 +27,7 @@ from rtloop.drives.mks_setup import (
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.state import Loop, Shared
+from rtloop.safety import guard
 from rtloop.wire import outgoing
 from shm.jit import jit
 from shm.words import Unreferenced
@@ -78,17 +79,6 @@ def send(loop: Loop, shared: Shared, joint: int, data: int, length: int, stops: 
 
 
 @jit
-def command(loop: Loop, joint: int) -> int:
-    """Data of the frame that leads a drive through the coming period; carries the speed's rounding over."""
-    row = loop.joints[joint]
-    # whole rpm keep the mean by being up to half an rpm off for a period
-    target_rad, speed_rad_s = leading.target_ahead(loop, joint, 0.5 / row.rpm_per_rad_s)
-    rpm = leading.whole_rpm(loop, joint, speed_rad_s, HIGHEST_RPM)
-    counts = words.bounded((target_rad + row.zero_rad) * row.command_per_rad, FARTHEST_COUNTS)
-    return int(pack_target(row.address, rpm, row.acc_byte, counts))
-
-
-@jit
 def halt(loop: Loop, joint: int) -> int:
     """`F5` with no speed, without its checksum: rest along the ramp of every motion, wherever that ends."""
     return int(MOVE | loop.joints[joint].acc_byte << 24)
@@ -99,7 +89,15 @@ def halt(loop: Loop, joint: int) -> int:
 
 @jit
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
-    outgoing.send(loop, shared, loop.joints[joint].address, STANDARD, 8, command(loop, joint))
+    """The speed's rounding is carried over to the next period."""
+    row = loop.joints[joint]
+    # whole rpm keep the mean by being up to half an rpm off for a period
+    target_rad, speed_rad_s = leading.target_ahead(loop, joint, 0.5 / row.rpm_per_rad_s)
+    if not guard.may_be_sent(loop, shared, joint, target_rad, speed_rad_s):
+        return
+    rpm = leading.whole_rpm(loop, joint, speed_rad_s, HIGHEST_RPM)
+    counts = words.bounded((target_rad + row.zero_rad) * row.command_per_rad, FARTHEST_COUNTS)
+    outgoing.send(loop, shared, row.address, STANDARD, 8, pack_target(row.address, rpm, row.acc_byte, counts))
 
 
 @jit

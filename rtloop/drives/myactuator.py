@@ -20,6 +20,7 @@ from rtloop.memory import status as status_bits
 from rtloop.memory.axis import Axis
 from rtloop.memory.frame_words import STANDARD
 from rtloop.memory.state import Loop, Shared
+from rtloop.safety import guard
 from rtloop.wire import outgoing
 from shm.jit import jit
 
@@ -57,22 +58,20 @@ def target_with_speed(angle: int, speed_dps: int) -> int:
 
 
 @jit
-def command(loop: Loop, joint: int) -> int:
-    """Data that leads a motor through the coming period; carries the speed's rounding over."""
+def lead(loop: Loop, joint: int, shared: Shared) -> None:
+    """The speed's rounding is carried over to the next period."""
     row, axis = loop.joints[joint], loop.axes[joint]
     dps_per_rad_s = abs(row.command_per_rad) / STEPS_PER_DEGREE
     target, speed = leading.target_ahead(loop, joint, 0.5 / dps_per_rad_s)
+    if not guard.may_be_sent(loop, shared, joint, target, speed):
+        return
     wanted_dps = abs(speed) * dps_per_rad_s + axis.sent.rpm_remainder * DPS_PER_RPM
     speed_dps = round(wanted_dps)
     axis.sent.rpm_remainder = min(max(wanted_dps - speed_dps, -1.0), 1.0) / DPS_PER_RPM
     angle = words.bounded((target + row.zero_rad) * row.command_per_rad, HIGHEST_ANGLE)
-    return target_with_speed(angle, min(max(speed_dps, 1), HIGHEST_SPEED_DPS))
-
-
-@jit
-def lead(loop: Loop, joint: int, shared: Shared) -> None:
-    if outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, command(loop, joint)):
-        loop.axes[joint].sent.led_cycle = loop.timing.cycle
+    data = target_with_speed(angle, min(max(speed_dps, 1), HIGHEST_SPEED_DPS))
+    if outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, data):
+        axis.sent.led_cycle = loop.timing.cycle
 
 
 @jit

@@ -72,6 +72,8 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
     position_rad, velocity_rad_s = following.setpoint(loop, joint)
     position_rad -= following.still_behind_rad(loop, joint, position_rad)
     velocity_rad_s -= axis.sent.behind_rad_s
+    if not guard.may_be_sent(loop, shared, joint, position_rad, velocity_rad_s):
+        return
     data = input_position((position_rad + row.zero_rad) * row.command_per_rad, velocity_rad_s * row.command_per_rad)
     outgoing.send(loop, shared, identifier(loop, joint, INPUT_POSITION), STANDARD, 8, data)
 

@@ -137,11 +137,13 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
     if row.position_gain_1_s == 0.0:
         position, velocity = following.setpoint(loop, joint)
         velocity *= row.command_per_rad
-        send_set_point(loop, joint, shared, (position + row.zero_rad) * row.command_per_rad, velocity, -1)
+        if guard.may_be_sent(loop, shared, joint, position, velocity):
+            send_set_point(loop, joint, shared, (position + row.zero_rad) * row.command_per_rad, velocity, -1)
     else:
         target, speed = target_ahead(loop, joint)
         speed *= abs(row.command_per_rad)
-        send_target(loop, joint, shared, speed, (target + row.zero_rad) * row.command_per_rad, -1)
+        if guard.may_be_sent(loop, shared, joint, target, speed):
+            send_target(loop, joint, shared, speed, (target + row.zero_rad) * row.command_per_rad, -1)
 
 
 @jit

@@ -1,7 +1,5 @@
 """Numbers in the eight data bytes of a frame, which the cycle holds as one word, the first byte lowest."""
 
-import math
-
 import numpy as np
 
 from rtloop.drives import fields
@@ -36,9 +34,10 @@ def float_word(value: float) -> int:
 
 @jit
 def bounded(value: float, most: int) -> int:
-    """The nearest whole number within ±most; a NaN is 0."""
-    if math.isnan(value):
-        return 0
+    """The nearest whole number within ±most; infinities are beyond, and what is no number is none here.
+
+    `safety.guard.may_be_sent` keeps that away.
+    """
     return round(min(max(value, -float(most)), float(most)))
 
 

@@ -23,6 +23,7 @@ from rtloop.drives import hearing, leading
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import EXTENDED
 from rtloop.memory.state import Loop, Shared
+from rtloop.safety import guard
 from rtloop.safety.agreed import steady_error_rad
 from rtloop.trajectory.correction import ERROR_SHARE_1_S
 from rtloop.wire import outgoing
@@ -99,18 +100,8 @@ def to_radians(loop: Loop, joint: int, counts: int) -> float:
 
 
 @jit
-def command(loop: Loop, joint: int) -> tuple[int, int]:
-    """The two packets that lead a drive through the coming period; carries the speed's rounding over."""
-    row = loop.joints[joint]
-    # whole rpm keep the mean by being up to half an rpm off for a period
-    target, speed = leading.target_ahead(loop, joint, 0.5 / row.rpm_per_rad_s)
-    rpm = leading.whole_rpm(loop, joint, speed, HIGHEST_RPM)
-    return pack_target(rpm, row.acc_byte, to_pulses(loop, joint, target))
-
-
-@jit
-def fast_command(loop: Loop, joint: int) -> int:
-    """The packet of `FC` whose target leads a drive through the coming period.
+def fast_target(loop: Loop, joint: int) -> float:
+    """The target (rad) of the `FC` that leads a drive through the coming period.
 
     `F1` allows more speed than is planned, so the target sets the pace: a drive that is d from its target goes at most
     at sqrt(2 a d), a being its ramp. In each period it speeds up, meets that curve and brakes along it; at the end of
@@ -137,7 +128,7 @@ def fast_command(loop: Loop, joint: int) -> int:
         target = min(max(target, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad)
     else:
         sent.fast_offset_rad = 0.0
-    return pack_fast_target(to_pulses(loop, joint, target))
+    return float(target)
 
 
 @jit
@@ -201,12 +192,20 @@ def trip_cause(flags: int) -> int:
 
 @jit
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
-    """Send what leads a drive through the coming period."""
-    frame_id = loop.joints[joint].address << 8
+    """Send what leads a drive through the coming period; the speed's rounding is carried over to the next one."""
+    row = loop.joints[joint]
+    frame_id = row.address << 8
     if loop.params.fast_targets == 1:
-        outgoing.send(loop, shared, frame_id, EXTENDED, 6, fast_command(loop, joint))
+        target = fast_target(loop, joint)
+        if guard.may_be_sent(loop, shared, joint, target, 0.0):
+            outgoing.send(loop, shared, frame_id, EXTENDED, 6, pack_fast_target(to_pulses(loop, joint, target)))
         return
-    first, second = command(loop, joint)
+    # whole rpm keep the mean by being up to half an rpm off for a period
+    target, speed = leading.target_ahead(loop, joint, 0.5 / row.rpm_per_rad_s)
+    if not guard.may_be_sent(loop, shared, joint, target, speed):
+        return
+    rpm = leading.whole_rpm(loop, joint, speed, HIGHEST_RPM)
+    first, second = pack_target(rpm, row.acc_byte, to_pulses(loop, joint, target))
     outgoing.send(loop, shared, frame_id, EXTENDED, 8, first, 1)
     outgoing.send(loop, shared, frame_id | 1, EXTENDED, 5, second)
 

@@ -76,6 +76,21 @@ def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
 
 
 @jit
+def may_be_sent(loop: Loop, shared: Shared, joint: int, position: float, velocity: float) -> bool:
+    """The last check before a family makes a frame of what leads its drive, in whatever unit; else a fault is latched.
+
+    What makes that of a setpoint (errors, ramps, bounds) comes after `check_next_setpoint`, and most frames hold whole
+    numbers, among which nothing says "no number". An infinity that a bound has made finite is seen in the setpoint.
+    """
+    commanded = loop.axes[joint].commanded
+    setpoint = commanded.next_position_rad + commanded.next_velocity_rad_s + commanded.next_acceleration_rad_s2
+    if math.isfinite(setpoint + position + velocity):  # no sum with what is not finite is
+        return True
+    latch_fault(loop, shared, Fault.NOT_FINITE, joint, position, 0.0)
+    return False
+
+
+@jit
 def way_to_rest(velocity_rad_s: float, braking_rad_s2: float, period_s: float) -> float:
     """How far the setpoints of a joint still go (rad, signed) when each period takes as much velocity as can be.
 

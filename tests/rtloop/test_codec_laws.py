@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from rtloop.memory import status
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.link import TX_BYTES
+from shm.words import Fault
 
 relaxed = settings(deadline=None, max_examples=examples(60))  # of each of nine drives
 KNOWN_STATUS = sum(value for name, value in vars(status).items() if name.isupper())
@@ -163,27 +164,33 @@ def test_the_ramp_of_silence_is_that_of_every_motion(kind: Kind, gear: int) -> N
     assert 1.5 * (1 - coarse) <= ramp <= 2.0 * (1 + coarse)
 
 
-MAKE_A_NUMBER = ("zdt", "mks", "damiao-mit", "robstride-control", "myactuator", "cia402")
-"""Whole numbers and fields have none that is no number: what is told is 0. Setpoints are checked before (`guard`)."""
-
-
+@every_drive
 @pytest.mark.parametrize(
-    "kind",
+    ("part", "word"),
     [
-        pytest.param(
-            kind,
-            marks=[pytest.mark.xfail(raises=AssertionError, strict=True, reason="a NaN becomes 0 on the wire")]
-            if "-".join(kind).startswith(MAKE_A_NUMBER)
-            else [],
-        )
-        for kind in DRIVES
+        ("commanded", "next_position_rad"),
+        ("commanded", "next_velocity_rad_s"),
+        ("commanded", "next_acceleration_rad_s2"),
+        ("measured", "position_rad"),
+        ("tracking", "error_before_rad"),
     ],
-    ids="-".join,
 )
-def test_what_is_no_number_never_becomes_one_on_the_wire(kind: Kind) -> None:
-    rig = Rig.named(*kind).stands(math.nan)
-    sent = rig.sends("lead")
-    assert not sent or math.isnan(DRIVES[kind].reads([frame_of(text)[0].data for text in sent]).rad)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_never_becomes_one_on_the_wire(kind: Kind, part: str, word: str, value: float) -> None:
+    """Neither of the setpoint nor of what a family makes of it; what does not matter to a family is as ever."""
+    rig, sound = (Rig.named(*kind).stands(0.0, 0.1) for _ in range(2))
+    rig.axis[part][word] = value
+    sent, fault, config = rig.sends("lead"), rig.record["fault"], rig.config
+    if not sent:
+        assert (fault["code"], fault["joint"]) == (Fault.NOT_FINITE, 0)
+    elif sent != sound.sends("lead"):
+        assert math.isinf(value) and part != "commanded", "an error takes back no more than it may"
+        read = DRIVES[kind].reads([frame_of(text)[0].data for text in sent])
+        angle_rad = config.direction * read.rad / config.ratio - config.zero_rad
+        slack_rad = 3 * config.command_pulse_rad
+        assert config.lower_rad - slack_rad <= angle_rad <= config.upper_rad + slack_rad
+        assert abs(read.rad_s) <= config.ratio * 1.05 * config.max_velocity_rad_s
+    assert math.isfinite(rig.axis["sent"]["rpm_remainder"])
 
 
 @every_drive

@@ -46,7 +46,6 @@ def test_whole_numbers_are_read_as_int_from_bytes_does(number: int, at: int, siz
 @given(st.floats(-1e12, 1e12), st.sampled_from([100, 32_767, 2**31 - 1]))
 def test_numbers_are_rounded_and_kept_within_bounds(value: float, most: int) -> None:
     assert words.bounded(value, most) == words.bounded.py_func(value, most) == min(max(round(value), -most), most)
-    assert words.bounded(math.nan, most) == 0
     assert (words.bounded(math.inf, most), words.bounded(-math.inf, most)) == (most, -most)
 
 
@@ -60,7 +59,7 @@ def test_fields_go_back_in_as_they_came_out(bits: int, most: float, share: float
     assert words.of_field(code, most, bits) == value
 
 
-@pytest.mark.parametrize(("value", "code"), [(-1e9, 0), (-math.inf, 0), (0.0, 0x7FF), (1e9, 0xFFF), (math.nan, 0x7FF)])
+@pytest.mark.parametrize(("value", "code"), [(-1e9, 0), (-math.inf, 0), (0.0, 0x7FF), (1e9, 0xFFF)])
 def test_a_field_cuts_off_at_its_ends_and_to_whole_steps(value: float, code: int) -> None:
     assert words.field(value, 5.0, 12) == fields.field(value, 5.0, 12) == code
     assert fields.field(5.0 * (2 * 100.9 / 4095 - 1), 5.0, 12) == 100

@@ -3,7 +3,6 @@
 import math
 
 import pytest
-from codec_rig import data_of
 
 from config.loader import load_arm
 from rtloop.drives import zdt
@@ -60,9 +59,7 @@ def test_targets_alone_lead_a_drive_along_the_plan(direction, acceleration_share
         axis["tracking"]["reference_rad"] = axis["measured"]["position_rad"] = axis["tracking"]["error_before_rad"] = (
             0.0
         )
-        data = data_of(zdt.fast_command(loop[0], joint), 6)
-        pulses = int.from_bytes(data[1:5], "big", signed=True)
-        target = pulses / float(row["command_per_rad"]) - float(row["zero_rad"])
+        target = zdt.fast_target(loop[0], joint)
         position, speed = driven(position, speed, target, ramp, period_s)
         worst = max(worst, abs(position - plan(now_s + period_s + delay_s)[0]))
     assert worst < 0.02 * abs(start) * period_s
@@ -77,8 +74,7 @@ def test_targets_alone_take_an_error_back_bit_by_bit_and_never_reach_beyond_the_
     period_s, ramp = ARM.control.period_ns * 1e-9, float(row["silence_deceleration_rad_s2"])
 
     def target():
-        pulses = int.from_bytes(data_of(zdt.fast_command(loop[0], joint), 6)[1:5], "big", signed=True)
-        return pulses / float(row["command_per_rad"]) - float(row["zero_rad"])
+        return zdt.fast_target(loop[0], joint)
 
     without = target()
     axis["tracking"]["reference_rad"] += error
