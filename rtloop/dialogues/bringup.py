@@ -11,6 +11,7 @@ from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives.power import Marks
 from rtloop.drives.setup import Found, counts_beyond_rtarm, setup_of
+from rtloop.safety.references import absolute_makes_good
 from rtloop.service.conversation import Conversation, Dialogue
 from rtloop.service.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, POWER_KEPT, ServicePort
 from shm.sentences import joint_names, unreferenced_sentences
@@ -18,8 +19,6 @@ from shm.words import Fault, Unreferenced
 
 SLACK_RAD = 0.02
 """A joint that reads this little beyond a limit stands at it."""
-MADE_GOOD_BY_ABSOLUTE = frozenset({Unreferenced.POWER_LOST, Unreferenced.SILENT, Unreferenced.MOVED})
-"""Reasons that mean nothing where an encoder is absolute; `rtloop.safety.guard.outlives_a_clear` says the same."""
 
 
 class BringUp(Conversation):
@@ -127,7 +126,7 @@ class BringUp(Conversation):
         elif reason == Unreferenced.INCREMENTAL:
             self._unknown[joint] = reason
         lost = self.lost_before.get(joint, Unreferenced.REFERENCED)
-        made_good = config.drive.knows_its_angle and lost in MADE_GOOD_BY_ABSOLUTE
+        made_good = config.drive.knows_its_angle and absolute_makes_good(lost)
         made_good |= kept and lost == Unreferenced.SILENT
         if reason == Unreferenced.REFERENCED and lost != Unreferenced.REFERENCED and not made_good:
             reason = self._unknown[joint] = lost

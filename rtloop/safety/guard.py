@@ -12,7 +12,7 @@ from rtloop.memory.axis import FAMILY_MOCK, FRESH_READINGS
 from rtloop.memory.events import record_event
 from rtloop.memory.modes import is_limp
 from rtloop.memory.state import Loop, Shared
-from rtloop.safety import silence
+from rtloop.safety import references, silence
 from rtloop.safety.agreed import agreed_error_rad, agreed_error_rad_s, agreed_error_rad_s2
 from rtloop.safety.faults import latch_fault
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
@@ -33,6 +33,8 @@ HAND_SHARE = 2.0
 """A limp joint led by hand may move at this many times its highest velocity."""
 BESIDE_RAD = 1e-9
 """What the arithmetic of a stop may put a joint beyond its limit."""
+
+absolute_makes_good = jit(references.absolute_makes_good)
 
 
 @jit
@@ -243,16 +245,11 @@ def stop_if_it_was_away(loop: Loop, joint: int, waited_ns: int) -> None:
 
 @jit
 def outlives_a_clear(loop: Loop, joint: int) -> bool:
-    """Whether a joint stays unreferenced although the drive looks sound again: clearing a fault never references.
-
-    What an absolute encoder tells means an angle whatever happened, unless its readings themselves were in doubt.
-    """
+    """Whether a joint stays unreferenced although the drive looks sound again: clearing a fault never references."""
     reason = loop.axes[joint].reference.unreferenced_reason
     if reason == Unreferenced.POSITION_JUMP or reason == Unreferenced.NOT_HOMED or reason == Unreferenced.INCREMENTAL:
         return True
-    if loop.joints[joint].knows_its_angle == 1:
-        return False
-    return bool(reason == Unreferenced.MOVED or reason == Unreferenced.POWER_LOST or reason == Unreferenced.SILENT)
+    return bool(absolute_makes_good(reason) and loop.joints[joint].knows_its_angle == 0)
 
 
 @jit

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from virtual import VirtualArm
 
 from config.loader import load_arm
-from rtloop.dialogues.bringup import MADE_GOOD_BY_ABSOLUTE
 from rtloop.kept import saved
 from rtloop.process.beginning import new_loop
 from rtloop.safety.guard import outlives_a_clear
+from rtloop.safety.references import absolute_makes_good
 from shm.words import Answer, Fault, Mode, Request, Unreferenced
 
 COUNTS = st.dictionaries(st.integers(0, 5), st.integers(-(2**40), 2**40))
@@ -58,7 +58,7 @@ def test_what_no_clear_forgives_no_restart_forgives(knows_its_angle, forgiven):
             outlive.add(reason)
     assert outlive - {Unreferenced.INCREMENTAL} == saved.OUTLIVES_THE_PROCESS - forgiven
     assert Unreferenced.INCREMENTAL in outlive
-    assert forgiven == (MADE_GOOD_BY_ABSOLUTE if knows_its_angle else set())
+    assert forgiven == {reason for reason in Unreferenced if knows_its_angle and absolute_makes_good(reason)}
 
 
 @settings(deadline=None)
