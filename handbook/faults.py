@@ -8,8 +8,8 @@ from enum import IntEnum
 from typing import Any
 
 from handbook.markdown import code, page, table
-from shm import sentences
-from shm.meaning import Meaning
+from sentences import english
+from sentences.meaning import Meaning
 from shm.words import Fault
 
 INTRODUCTION = """\
@@ -20,21 +20,21 @@ TABLES: tuple[tuple[str, str, Mapping[Any, Meaning]], ...] = (
     (
         "Whose silence",
         "[STALE_READING](../faults/stale_reading.md), where not one drive alone is silent.",
-        sentences.SILENCES,
+        english.SILENCES,
     ),
     (
         "Outcomes of goals",
         "[How a goal ended](../faults/goals.md), the word `outcome` of a result.",
-        sentences.OUTCOMES,
+        english.OUTCOMES,
     ),
     (
         "Joints without a reference",
         "[Why a joint's count means no angle](../faults/unreferenced.md); goals are refused.",
-        sentences.UNREFERENCED,
+        english.UNREFERENCED,
     ),
-    ("Answers to requests", "What `rtarm hold`, `home`, `reference` … are answered.", sentences.ANSWERS),
-    ("The gripper on the bus", "Why a gripper's drive does not do as it is told.", sentences.GRIP_TROUBLES),
-    ("The bus", "What the CAN controller thinks of its bus (SocketCAN).", sentences.BUS_STATES),
+    ("Answers to requests", "What `rtarm hold`, `home`, `reference` … are answered.", english.ANSWERS),
+    ("The gripper on the bus", "Why a gripper's drive does not do as it is told.", english.GRIP_TROUBLES),
+    ("The bus", "What the CAN controller thinks of its bus (SocketCAN).", english.BUS_STATES),
 )
 HEADS = ("code", "name", "sentence", "reason", "remedy")
 
@@ -45,7 +45,7 @@ def build() -> str:
         (number, linked(fault, name), *rest)
         for fault in Fault
         if fault is not Fault.NONE
-        for number, name, *rest in [row(fault, sentences.FAULTS[fault])]
+        for number, name, *rest in [row(fault, english.FAULTS[fault])]
     ]
     parts = ["## Latched faults", table(HEADS, faults)]
     for title, about, meanings in TABLES:

@@ -23,18 +23,12 @@ from rosfront.plan import NS
 from rosfront.refusals import NotServing
 from rosfront.serving import STALLED_NS, Serving, hung
 from rosfront.verdict import fault_of
-from shm.drive_words import HELPLESS, TROUBLE, troubles_of, words_of
+from sentences.drive_words import HELPLESS, TROUBLE, troubles_of, words_of
+from sentences.english import NOBODY_ACKNOWLEDGES
+from sentences.told import bus_state_sentence, joint_name, mode_name, outcome_sentence, unreferenced_sentence
 from shm.errors import TornRead
 from shm.histogram import percentiles_ns
 from shm.layout import BUS_TROUBLE
-from shm.sentences import (
-    NOBODY_ACKNOWLEDGES,
-    bus_state_sentence,
-    joint_name,
-    mode_name,
-    outcome_sentence,
-    unreferenced_sentence,
-)
 from shm.words import BusState, Fault, Mode, Outcome, Phase, Unreferenced
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR

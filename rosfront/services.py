@@ -24,8 +24,8 @@ from rosfront.plan import NS
 from rosfront.refusals import GoalRefused
 from rosfront.serving import Serving
 from rosfront.verdict import fault_of
+from sentences.told import reasons_unreferenced, unreferenced_sentences
 from shm.client import CommandWriter
-from shm.sentences import reasons_unreferenced, unreferenced_sentences
 from shm.words import DriveStatus, Fault, Mode, Phase, Request
 
 RELEASE_PATIENCE_S = 5.0

@@ -24,11 +24,11 @@ from rosfront.refusals import INVALID_GOAL, NotServing, Overtaken
 from rosfront.settings import Settings
 from rosfront.streamer import Streamer, horizon_s
 from rosfront.verdict import Status, Verdict, aborted, fault_of, final_error, judge, with_final_error
+from sentences.told import answer_sentence, outcome_sentence, reasons_unreferenced, unreferenced_sentences
 from shm.client import GOALS_AHEAD, CommandWriter, find
 from shm.errors import RingFull, TornRead
 from shm.files import start_command
 from shm.gripper import read_gripper
-from shm.sentences import answer_sentence, outcome_sentence, reasons_unreferenced, unreferenced_sentences
 from shm.words import Answer, Mode, Outcome, Request
 
 STALLED_NS = 400_000_000

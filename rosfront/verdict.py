@@ -7,7 +7,7 @@ from enum import Enum
 import numpy as np
 
 from rosfront import refusals
-from shm.sentences import joint_name, latched_sentence, outcome_sentence
+from sentences.told import joint_name, latched_sentence, outcome_sentence
 from shm.words import Fault, Outcome
 
 

@@ -5,7 +5,7 @@ Terms are those of the Chinese documentation; commands, and keys of the arm file
 
 from __future__ import annotations
 
-from shm.sentences_zh import PHRASES as _PHRASES
+from sentences.chinese import PHRASES as _PHRASES
 
 MODES = {mode.name.lower(): word for mode, word in _PHRASES.modes.items()}
 PHASES = {

@@ -13,7 +13,7 @@ from rtarm.cli_frame import AsJson, LanguageOption, NamedArm, RunningArm, draw, 
 from rtarm.errors import Refusal
 
 if TYPE_CHECKING:
-    from shm.meaning import Language
+    from sentences.meaning import Language
 
 recordings_app = typer.Typer()
 """The commands, for `rtarm.cli` to add."""

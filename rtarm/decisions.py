@@ -11,8 +11,8 @@ import numpy as np
 
 from rtarm.language import said
 from rtarm.requests import Connection
-from shm.meaning import Language
-from shm.sentences import joint_name, latched_sentence, outcome_sentence
+from sentences.meaning import Language
+from sentences.told import joint_name, latched_sentence, outcome_sentence
 from shm.words import Fault, Outcome
 
 _FINAL_ERROR = re.compile(r"; (\S+) is ([\d.]+) rad from its target\.$")

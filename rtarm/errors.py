@@ -7,8 +7,8 @@ import os
 import sys
 from enum import IntEnum
 
+from sentences.meaning import Language
 from shm.errors import EndedMeanwhile, SharedMemoryError
-from shm.meaning import Language
 
 
 class ExitCode(IntEnum):

@@ -1,7 +1,7 @@
 """In which language a person is told something: English, unless Chinese was asked for with `--language zh`.
 
 A sentence stands in English where it is said, and in Chinese in `rtarm.chinese` under its English. Those about faults,
-goals and requests come from `shm.sentences`. JSON, recordings and logs are English always: programs read them.
+goals and requests come from `sentences.told`. JSON, recordings and logs are English always: programs read them.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from collections.abc import Mapping
 
 from rtarm.chinese import SENTENCES
 from rtarm.errors import Refusal
+from sentences.meaning import Language
 from shm.errors import SharedMemoryError
-from shm.meaning import Language
 
 LANGUAGES: dict[str, Language] = {"en": "en", "zh": "zh"}
 

@@ -10,9 +10,9 @@ from typing import NamedTuple
 from rtarm.errors import Refusal
 from rtarm.language import said
 from rtarm.requests import Connection, connect, see_to_the_end, stands_at
+from sentences.meaning import Language
+from sentences.told import answer_sentence, unreferenced_cause, unreferenced_sentence
 from shm.errors import SharedMemoryError
-from shm.meaning import Language
-from shm.sentences import answer_sentence, unreferenced_cause, unreferenced_sentence
 from shm.words import Answer, Mode, Request, Unreferenced
 
 MAY_STAND_WHERE_READ = frozenset(

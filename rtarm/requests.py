@@ -15,16 +15,11 @@ from rtarm.errors import Refusal
 from rtarm.interrupt import signals_to
 from rtarm.language import said
 from rtarm.status import MOVING_MODES, STOPPED_BY_A_PERSON, open_running
+from sentences.meaning import Language
+from sentences.told import answer_sentence, latched_sentence, reasons_unreferenced, unreferenced_sentences
 from shm import files
 from shm.client import CommandWriter, StateReader, find
 from shm.errors import EndedMeanwhile, NotRunning, TornRead
-from shm.meaning import Language
-from shm.sentences import (
-    answer_sentence,
-    latched_sentence,
-    reasons_unreferenced,
-    unreferenced_sentences,
-)
 from shm.words import Answer, DriveStatus, Fault, Mode, Phase, Request
 
 ANSWER_PATIENCE_S = 2.0

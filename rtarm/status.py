@@ -15,15 +15,9 @@ from motion.gripping import Grip
 from rtarm.chinese import MODES
 from rtarm.errors import Refusal
 from rtarm.language import named, said
-from shm import files, histogram
-from shm.client import StateReader
-from shm.drive_words import listed, troubles_of, words_of
-from shm.errors import NotRunning
-from shm.files import MemoryFile
-from shm.gripper import read_gripper
-from shm.layout import BUS_TROUBLE
-from shm.meaning import Language
-from shm.sentences import (
+from sentences.drive_words import listed, troubles_of, words_of
+from sentences.meaning import Language
+from sentences.told import (
     bus_state_sentence,
     grip_trouble_sentence,
     joint_name,
@@ -33,6 +27,12 @@ from shm.sentences import (
     unreferenced_sentence,
     unreferenced_sentences,
 )
+from shm import files, histogram
+from shm.client import StateReader
+from shm.errors import NotRunning
+from shm.files import MemoryFile
+from shm.gripper import read_gripper
+from shm.layout import BUS_TROUBLE
 from shm.words import BusState, DriveStatus, Fault, Mode, Outcome, Phase, Unreferenced
 
 Report = dict[str, Any]

@@ -15,9 +15,9 @@ from rtarm.chinese import BUS_TROUBLES, GRIPS, MODES, PHASES
 from rtarm.language import named, said
 from rtarm.status import PERCENTS, describe_scheduling
 from rtarm.wrapping import Sentence
-from shm.drive_words import listed
+from sentences.drive_words import listed
+from sentences.meaning import Language
 from shm.layout import BUS_TROUBLE
-from shm.meaning import Language
 
 if TYPE_CHECKING:
     from rtarm.referencing import Reading

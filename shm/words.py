@@ -1,7 +1,7 @@
 """The numbers that travel in shared memory, by name.
 
 Integers in the files, enumerations in Python; jitted code compares the members as plain integers.
-What a person reads about a fault, an outcome or an answer comes from `shm.sentences`, never from here.
+What a person reads about a fault, an outcome or an answer comes from `sentences`, never from here.
 """
 
 from enum import IntEnum, IntFlag
@@ -113,7 +113,7 @@ class Outcome(IntEnum):
 
 
 class Fault(IntEnum):
-    """Latched faults; sentence, reason and remedy of each in `shm.sentences`."""
+    """Latched faults; sentence, reason and remedy of each in `sentences.english`."""
 
     NONE = 0
     NOT_FINITE = 1
@@ -217,7 +217,7 @@ class BusState(IntEnum):
 
 
 class GripTrouble(IntEnum):
-    """Why the gripper on the bus cannot do what it is told; sentences in `shm.sentences`."""
+    """Why the gripper on the bus cannot do what it is told; sentences in `sentences.english`."""
 
     NONE = 0
     SILENT = 1

@@ -34,7 +34,7 @@ from config.joint import JointConfig
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rtloop.wire import received
-from shm.sentences import latched_sentence, outcome_sentence, unreferenced_sentence
+from sentences.told import latched_sentence, outcome_sentence, unreferenced_sentence
 from shm.words import Answer, Fault, Mode, Outcome, Request, Slowed, Unreferenced
 from sim.drives.zdt import ZdtDrive
 from sim.pty import PACKET_NS

@@ -18,11 +18,12 @@ ALLOWED_IMPORTS = {
     "config": set(),
     "motion": set(),
     "shm": set(),
-    "rtloop": {"config", "motion", "shm"},
-    "rosfront": {"config", "motion", "shm"},
+    "sentences": {"shm"},
+    "rtloop": {"config", "motion", "shm", "sentences"},
+    "rosfront": {"config", "motion", "shm", "sentences"},
     "sim": {"config"},
-    "rtarm": {"config", "motion", "shm", "rtloop", "rosfront", "sim"},
-    "handbook": {"config", "shm", "rtloop", "rosfront", "rtarm"},
+    "rtarm": {"config", "motion", "shm", "sentences", "rtloop", "rosfront", "sim"},
+    "handbook": {"config", "shm", "sentences", "rtloop", "rosfront", "rtarm"},
 }
 ROOMS_OF_RTLOOP = (
     ("memory", "system"),

@@ -6,8 +6,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from shm.meaning import Meaning
-from shm.sentences import (
+from sentences.english import (
     BUS_STATES,
     FAULTS,
     GRIP_TROUBLES,
@@ -17,6 +16,7 @@ from shm.sentences import (
     STILL_QUEUED,
     UNREFERENCED,
 )
+from sentences.meaning import Meaning
 from shm.words import BusState, Fault, GripTrouble, Outcome, Unreferenced
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "guides" / "troubleshooting.md"

@@ -26,7 +26,7 @@ import numpy as np
 from process_trials import begin_again, own_ros_domain, small_home
 
 from rtloop.dialogues.healing import DECIDED_WITHIN_NS
-from shm.sentences import latched_sentence
+from sentences.told import latched_sentence
 from shm.words import Mode
 
 GOES_ON_WITHIN_S = DECIDED_WITHIN_NS * 1e-9 + 2.0

@@ -31,7 +31,7 @@ from rosfront.services import Services
 from rosfront.serving import Execution, Serving
 from rosfront.state_topics import STATE_QOS, along_ns
 from rosfront.verdict import Status, Verdict
-from shm.sentences import unreferenced_sentence
+from sentences.told import unreferenced_sentence
 from shm.words import Phase
 
 MOTOR_ANGLES_NS = NS // 30

@@ -31,7 +31,7 @@ from rosfront.gripper.worker import End, Ended, GripperWorker, Motion
 from rosfront.refusals import GoalRefused
 from rosfront.serving import Serving
 from rosfront.verdict import Status, Verdict, aborted, refused
-from shm.sentences import outcome_sentence
+from sentences.told import outcome_sentence
 from shm.words import Outcome
 
 SERVO_LOWEST_DEG, SERVO_HIGHEST_DEG = 0, 110

@@ -12,7 +12,7 @@ from rosfront.gripper.hook import GripperTrouble, NotThereYet, Reading
 from rosfront.plan import NS
 from rosfront.refusals import NotServing
 from rosfront.serving import Serving
-from shm.sentences import grip_trouble_sentence
+from sentences.told import grip_trouble_sentence
 from shm.words import GripTrouble, Request
 
 TAKEN_WITHIN_S = 3.0

@@ -19,10 +19,10 @@ from rtarm.errors import Refusal
 from rtarm.requests import Condition, Connection, cleared
 from rtarm.status import STOPPED_BY_A_PERSON
 from rtloop.offline.commissioning.finding import Said, frames_of
+from sentences.told import outcome_sentence
 from shm.client import CommandWriter, StateReader, find
 from shm.errors import TornRead
 from shm.recording import Position, now_at, read_on
-from shm.sentences import outcome_sentence
 from shm.words import DriveStatus, Fault, Mode, Outcome, Request
 
 DECIDED_S = 0.5

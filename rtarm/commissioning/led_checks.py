@@ -28,7 +28,7 @@ from rtloop.offline.commissioning.finding import (
     verdict_of,
 )
 from rtloop.offline.commissioning.session import wire_s
-from shm.sentences import unreferenced_sentence
+from sentences.told import unreferenced_sentence
 from shm.words import Unreferenced
 
 MOST_DEG = 15.0

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rtarm.language import said
-from shm.meaning import Language
+from sentences.meaning import Language
 from shm.recording import Recording
 
 LABEL = 10

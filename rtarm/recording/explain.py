@@ -18,8 +18,8 @@ from rtarm.recording.mcap_reader import read
 from rtarm.recording.story import Line, guilty_joint, since, tell
 from rtarm.status import key
 from rtarm.wrapping import Sentence
-from shm.meaning import Language
-from shm.sentences import joint_name
+from sentences.meaning import Language
+from sentences.told import joint_name
 from shm.words import Fault
 
 WIDEST_CHART = 110

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from rtarm.language import said
 from rtarm.recording.story import Line
-from shm.meaning import Language
+from sentences.meaning import Language
 
 WITHIN_S = 2.0
 """Lines of a kind that follow each other within this are repeats."""

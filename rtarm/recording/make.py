@@ -12,10 +12,10 @@ from rtarm.recording import folder
 from rtarm.recording.mcap_format import Reason, Step
 from rtarm.recording.mcap_writer import write
 from rtarm.status import key, resolve_arm
+from sentences.told import latched_sentence
 from shm import files
 from shm.files import MemoryFile
 from shm.recording import Recording, read_recording
-from shm.sentences import latched_sentence
 from shm.words import Fault
 
 ASKED, FAULT, DEATH = "asked", "fault", "death"

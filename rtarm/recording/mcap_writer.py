@@ -47,8 +47,8 @@ from rtarm.recording.mcap_format import (
 from rtarm.recording.statistics import Figures, Seconds
 from rtarm.status import key
 from rtarm.top.events import BAD, ODD, happening
+from sentences.drive_words import words_of
 from shm import layout
-from shm.drive_words import words_of
 from shm.recording import EXTENDED, IDENTIFIER_MASK, LENGTH_MASK, LENGTH_SHIFT, REMOTE, SENT, Recording
 from shm.words import Slowed
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from rtarm.arm_file import arm_file
 from rtarm.errors import Refusal, needs
-from shm.meaning import Language
+from sentences.meaning import Language
 from shm.recording import Recording
 
 

@@ -16,8 +16,8 @@ from rtarm.errors import Refusal, needs
 from rtarm.recording.mcap_format import Loaded, Step
 from rtarm.recording.mcap_reader import read
 from rtarm.recording.story import UNLED, tell
+from sentences.told import mode_name
 from shm.recording import Recording
-from shm.sentences import mode_name
 from shm.words import Event, Fault, Mode
 
 if TYPE_CHECKING:

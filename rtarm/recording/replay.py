@@ -14,10 +14,10 @@ from rtarm.status import PERCENTS, Report, counters, key, of_cycle, problems, sc
 from rtarm.top.events import Happening, happenings
 from rtarm.top.terminal import show
 from rtarm.top.watch import HAPPENINGS, RECENT_S, Look, Timing, span_words, spectrum_of
+from sentences.meaning import Language
+from sentences.told import joint_name, outcome_sentence
 from shm.layout import COUNTED
-from shm.meaning import Language
 from shm.recording import Recording
-from shm.sentences import joint_name, outcome_sentence
 from shm.words import Event, Outcome
 
 NS = 1_000_000_000

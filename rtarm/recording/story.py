@@ -15,9 +15,9 @@ from rtarm.language import named, said
 from rtarm.recording.mcap_format import Reason
 from rtarm.status import key
 from rtarm.top.events import BAD, ODD, PLAIN, happenings
-from shm.meaning import Language
+from sentences.meaning import Language
+from sentences.told import latched_sentence, meaning, whose_silence
 from shm.recording import Recording
-from shm.sentences import latched_sentence, meaning, whose_silence
 from shm.words import BusState, DriveStatus, Event, Fault, Mode, Phase, Slowed
 
 LATE_PERIODS = 2.5

@@ -10,8 +10,8 @@ import numpy as np
 from rtarm.chinese import REQUESTS
 from rtarm.language import named, said
 from rtarm.status import key
-from shm.meaning import Language
-from shm.sentences import (
+from sentences.meaning import Language
+from sentences.told import (
     PHRASES,
     answer_sentence,
     command_sentence,

@@ -19,8 +19,8 @@ from rtarm.status import describe_scheduling
 from rtarm.status_tables import DRIVE_COLUMNS, DriveColumn, duration_words, goal_words, heading, shown, trouble_words
 from rtarm.top.watch import BINS, BINS_A_DECADE, Look
 from rtarm.wrapping import wrapped
-from shm.drive_words import listed
-from shm.meaning import Language
+from sentences.drive_words import listed
+from sentences.meaning import Language
 
 GAP = 1
 """Blank columns between columns."""

@@ -24,7 +24,7 @@ from rtarm.niceness import nice_thread
 from rtarm.reporter import silence_stdout
 from rtarm.top.picture import Picture
 from rtarm.top.watch import Look, Watch
-from shm.meaning import Language
+from sentences.meaning import Language
 
 REFRESH_S = 0.2
 ENDING_KEYS = b"qQ\x03\x04"

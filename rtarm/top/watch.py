@@ -19,12 +19,12 @@ from rtarm.language import said, told
 from rtarm.status import Report, counters, percentiles_us, report_of
 from rtarm.top.events import BAD, GOOD, Happening, happenings
 from rtarm.tracking import Window
+from sentences.meaning import Language
 from shm import files
 from shm.client import StateReader
 from shm.errors import SharedMemoryError
 from shm.histogram import upper_ns
 from shm.layout import HISTOGRAM_BUCKETS
-from shm.meaning import Language
 from shm.recording import newest_events
 
 NS = 1_000_000_000

@@ -18,8 +18,8 @@ from rtarm.decisions import end_told
 from rtarm.errors import Refusal
 from rtarm.sending import LastingSender, Sender, follow, goal_document
 from rtarm.view.words import Words
+from sentences.told import outcome_sentence
 from shm.errors import SharedMemoryError
-from shm.sentences import outcome_sentence
 from shm.words import Outcome
 
 GENTLY = 0.3

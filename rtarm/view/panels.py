@@ -20,7 +20,7 @@ from rtarm.top.events import BAD, GOOD, ODD, Happening
 from rtarm.top.watch import Look
 from rtarm.view.limits import Nearness, Side, nearness, share
 from rtarm.view.words import Words
-from shm.drive_words import listed
+from sentences.drive_words import listed
 
 EVENTS = 24
 """So many are shown, newest first."""

@@ -13,10 +13,10 @@ from rtarm.language import said
 from rtarm.recording.replay import Replay
 from rtarm.top.watch import Look, Watch
 from rtarm.view.path import GoalPath, thinned
+from sentences.meaning import Language
 from shm import files, layout
 from shm.errors import SharedMemoryError
 from shm.files import MemoryFile
-from shm.meaning import Language
 from shm.recording import Recording, is_whole, record_dtype
 
 NS = 1_000_000_000

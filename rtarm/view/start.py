@@ -11,7 +11,7 @@ from rtarm.view.orders import Orders
 from rtarm.view.run import serve
 from rtarm.view.source import LiveArm
 from rtarm.view.words import WORDS
-from shm.meaning import Language
+from sentences.meaning import Language
 
 
 def view_arm(

@@ -1,14 +1,14 @@
 """Every word that stands on the page alone, in English and in Simplified Chinese.
 
-Sentences about faults, goals and requests come from `shm.sentences`; what other tools say too comes from where they say
-it (`rtarm.language`).
+Sentences about faults, goals and requests come from `sentences.told`; what other tools say too comes from where they
+say it (`rtarm.language`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from shm.meaning import Language
+from sentences.meaning import Language
 
 
 @dataclass(frozen=True)

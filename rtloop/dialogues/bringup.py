@@ -14,7 +14,7 @@ from rtloop.drives.setup import Found, counts_beyond_rtarm, setup_of
 from rtloop.safety.references import absolute_makes_good
 from rtloop.service.conversation import Conversation, Dialogue
 from rtloop.service.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, POWER_KEPT, ServicePort
-from shm.sentences import joint_names, unreferenced_sentences
+from sentences.told import joint_names, unreferenced_sentences
 from shm.words import Fault, Unreferenced
 
 SLACK_RAD = 0.02

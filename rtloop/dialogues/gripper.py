@@ -27,9 +27,9 @@ from rtloop.drives.zdt_talk import AGREEING, Answered
 from rtloop.memory.link import GRIPPER
 from rtloop.service.conversation import TRIES, Conversation
 from rtloop.service.port import Frame, ServicePort
+from sentences.told import grip_trouble_sentence
 from shm import layout
 from shm.gripper import show_gripper
-from shm.sentences import grip_trouble_sentence
 from shm.words import Fault, GripTrouble, Request
 
 ONLY = GRIPPER

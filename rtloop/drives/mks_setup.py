@@ -23,7 +23,7 @@ from rtloop.drives.setup import ERROR_AT_START, Found, HomingHost, Host
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.service.port import HOLDS_STALLED, Frame
-from shm.sentences import unreferenced_sentence
+from sentences.told import unreferenced_sentence
 from shm.words import Unreferenced
 
 READ_PARAMETER = 0x00

@@ -23,7 +23,7 @@ from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
 from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed
 from rtloop.service.port import FAST_READY
-from shm.sentences import unreferenced_sentence
+from sentences.told import unreferenced_sentence
 from shm.words import Unreferenced
 
 SETTLE_PATIENCE_NS = 3_000_000_000

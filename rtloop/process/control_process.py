@@ -28,8 +28,8 @@ from rtloop.service.port import HOME_ALL, ServicePort
 from rtloop.system import realtime
 from rtloop.wire.claim import Claim, claim_for_arm
 from rtloop.wire.refusal import WireRefused
+from sentences.english import HEALED, STILL_QUEUED, WIRE_IS_BACK
 from shm import files
-from shm.sentences import HEALED, STILL_QUEUED, WIRE_IS_BACK
 from shm.words import Mode, Phase, Unreferenced
 
 BUSY_POLL_S = 0.004

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from shm.meaning import Meaning
-from shm.sentences import FAULTS, OUTCOMES, UNREFERENCED
+from sentences.english import FAULTS, OUTCOMES, UNREFERENCED
+from sentences.meaning import Meaning
 from shm.words import Fault, Outcome, Unreferenced
 
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "faults"

@@ -26,7 +26,7 @@ from waiting import until
 from config.loader import load_arm
 from rosfront import action, node
 from rosfront.serving import NEVER_BEGUN
-from shm.sentences import outcome_sentence
+from sentences.told import outcome_sentence
 from shm.words import Fault, Outcome
 
 pytestmark = pytest.mark.process  # a real client, real threads, real time

@@ -21,7 +21,7 @@ from waiting import until
 from rosfront import action, goal_requests
 from rosfront.goal_requests import GoalFunctions, Request, Unavailable
 from rosfront.serving import NEVER_BEGUN
-from shm.sentences import outcome_sentence
+from sentences.told import outcome_sentence
 from shm.words import Outcome
 
 pytestmark = pytest.mark.process  # a real client, real threads, real time

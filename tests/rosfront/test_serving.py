@@ -15,9 +15,9 @@ from rosfront.refusals import NotServing, Overtaken
 from rosfront.serving import Serving
 from rosfront.streamer import horizon_s
 from rosfront.verdict import Status
+from sentences.told import outcome_sentence
 from shm import layout
 from shm.errors import AlreadyHeld, NotRunning, WrongArm
-from shm.sentences import outcome_sentence
 from shm.words import Entry, Fault, Mode, Outcome, Setpoint
 
 MS = 1_000_000

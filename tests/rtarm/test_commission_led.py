@@ -401,7 +401,7 @@ def test_a_fault_that_somebody_else_clears_is_no_angle_that_was_lost() -> None:
             rig.until(lambda: rig.sim is not None and rig.drive.powered)
             rig.cycles(round(0.6e9 / rig.period_ns))
             rig.request(Request.CLEAR_FAULT)
-            while rig.record["mode"] != Mode.BRINGING_UP:
+            while rig.memory["mode"] != Mode.BRINGING_UP:
                 rig.pass_time()
         return True
 
@@ -507,7 +507,7 @@ def test_a_fault_is_not_cleared_without_a_yes() -> None:
     rig = Bench(one_joint("damiao6"))
     rig.bench._agrees = lambda question: False
     rig.drive.disable(rig.now_ns)
-    rig.until(lambda: rig.record["mode"] == Mode.FAULT)
+    rig.until(lambda: rig.memory["mode"] == Mode.FAULT)
     assert rig.check("retarget").verdict == Verdict.NOT_TRIED
     assert not rig.drive.enabled
 

@@ -36,11 +36,11 @@ from rtarm.top.watch import Watch
 from rtarm.view.panels import events_html, joints_html, machine_html, problems_html, state_html
 from rtarm.view.words import CHINESE
 from rtarm.wrapping import wrapped
+from sentences.told import outcome_sentence
 from shm import layout
 from shm.errors import NotRunning, WrongArm
 from shm.gripper import show_gripper
 from shm.layout import BUS_TROUBLE
-from shm.sentences import outcome_sentence
 from shm.words import BusState, DriveStatus, Fault, Mode, Outcome, Phase, Request, Unreferenced
 
 ROOT = Path(rtarm.__file__).parent

@@ -51,7 +51,7 @@ def python_in(folder: Path, program: str, *arguments: str) -> str:
 
 
 def copy_of_the_sources(folder: Path) -> Path:
-    for package in ("config", "motion", "shm", "rtloop"):
+    for package in ("config", "motion", "shm", "sentences", "rtloop"):
         shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
     return folder
 

@@ -11,14 +11,8 @@ from rtarm.recording.mcap_format import Reason
 from rtarm.recording.story import tell
 from rtarm.top.events import happenings
 from rtloop.wire import received
-from shm.sentences import (
-    SILENCES,
-    Silence,
-    latched_sentence,
-    reasons_unreferenced,
-    unreferenced_sentences,
-    whose_silence,
-)
+from sentences.english import SILENCES
+from sentences.told import Silence, latched_sentence, reasons_unreferenced, unreferenced_sentences, whose_silence
 from shm.words import Event, Evidence, Fault, Unreferenced
 from sim.faults import Babble, PowerLoss, Silent, WrongChecksums
 

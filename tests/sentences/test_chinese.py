@@ -8,8 +8,8 @@ from enum import IntEnum
 
 import pytest
 
-from shm import drive_words, sentences
-from shm.meaning import Meaning
+from sentences import drive_words, told
+from sentences.meaning import Meaning
 from shm.words import Answer, DriveStatus, Evidence, Fault, Mode, Outcome, Request, Unreferenced
 
 NAMES = {
@@ -34,7 +34,7 @@ NAMES = {
 UNITS = {"rad", "rad/s", "rad/s²", "s", "mA", "Ω", "0x6B", "6B"}
 KEYS_OF_FILES = re.compile(r"(?:trajectory|gripper)\.[a-z_.]+")
 
-MEMBERS = [(kind, member) for kind, table in sentences.TABLES["en"].items() for member in table]
+MEMBERS = [(kind, member) for kind, table in told.TABLES["en"].items() for member in table]
 
 
 def placeholders(text: str) -> list[tuple[str, str | None]]:
@@ -57,15 +57,15 @@ def english_in(text: str) -> set[str]:
     }
 
 
-@pytest.mark.parametrize("kind", sentences.TABLES["en"], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", told.TABLES["en"], ids=lambda kind: kind.__name__)
 def test_both_tables_have_the_same_keys(kind: type[IntEnum]) -> None:
-    assert list(sentences.TABLES["en"][kind]) == list(sentences.TABLES["zh"][kind])
-    assert set(sentences.TABLES["zh"][kind]) == set(kind)
+    assert list(told.TABLES["en"][kind]) == list(told.TABLES["zh"][kind])
+    assert set(told.TABLES["zh"][kind]) == set(kind)
 
 
 @pytest.mark.parametrize("member", [member for _, member in MEMBERS], ids=lambda m: f"{type(m).__name__}.{m.name}")
 def test_a_row_says_the_same_in_chinese(member: IntEnum) -> None:
-    english, chinese = sentences.meaning(member), sentences.meaning(member, "zh")
+    english, chinese = told.meaning(member), told.meaning(member, "zh")
     for field, one, other in zip(Meaning._fields, english, chinese, strict=True):
         assert bool(one) == bool(other), field
         assert placeholders(one) == placeholders(other), field
@@ -77,50 +77,50 @@ def test_a_row_says_the_same_in_chinese(member: IntEnum) -> None:
 
 @pytest.mark.parametrize("member", [member for _, member in MEMBERS], ids=lambda m: f"{type(m).__name__}.{m.name}")
 def test_joint_and_values_stand_in_it(member: IntEnum) -> None:
-    told = sentences._say(type(member), int(member), "zh", "joint2", 3.0, 0.1)
-    assert "{" not in told
-    named = {name for name, _ in placeholders(sentences.meaning(member).sentence)}
-    assert ("joint2" in told) == ("joint" in named)
+    text = told._say(type(member), int(member), "zh", "joint2", 3.0, 0.1)
+    assert "{" not in text
+    named = {name for name, _ in placeholders(told.meaning(member).sentence)}
+    assert ("joint2" in text) == ("joint" in named)
     if "limit" in named:
-        assert re.search(r"(?<!\d)0\.10*(?!\d)", told), told
+        assert re.search(r"(?<!\d)0\.10*(?!\d)", text), text
 
 
 @pytest.mark.parametrize(
     "reason", [one for one in Unreferenced if one != Unreferenced.REFERENCED], ids=lambda reason: reason.name
 )
 def test_a_cause_is_the_sentence_without_what_follows_from_it(reason: Unreferenced) -> None:
-    cause = sentences.unreferenced_cause(reason, "joint2", "zh")
-    assert sentences.unreferenced_sentence(reason, "joint2", "zh").startswith(f"{cause}，因此")
+    cause = told.unreferenced_cause(reason, "joint2", "zh")
+    assert told.unreferenced_sentence(reason, "joint2", "zh").startswith(f"{cause}，因此")
     assert "joint2" in cause and "：" not in cause and len(cause) < 31, "beside joint and angle in 80 columns"
 
 
 def test_joints_with_one_reason_are_told_in_one_sentence() -> None:
     lost = {"joint1": Unreferenced.SILENT, "joint2": Unreferenced.SILENT, "joint3": Unreferenced.POWER_LOST}
-    silent, dark = sentences.unreferenced_sentences(lost, "zh")
+    silent, dark = told.unreferenced_sentences(lost, "zh")
     assert silent.startswith("joint1、joint2 的驱动器沉默太久")
     assert dark.startswith("joint3 的驱动器可能断过电")
 
 
 def test_the_silence_of_several_drives_names_them() -> None:
-    told = sentences.fault_told(Fault.STALE_READING, 0, 0.12, 0.1, 0b101, 0, ["a", "b", "c"], "zh")
-    assert told.startswith("a、c 已有 0.120 s 没有给出可信的应答，允许 0.100 s，而其他驱动器在应答")
-    told = sentences.fault_told(Fault.STALE_READING, -1, 0.12, 0.1, 0b111, Evidence.SIMULATED, ["a", "b", "c"], "zh")
-    assert told.startswith("仿真机械臂没有一个驱动器应答已有 0.120 s")
+    text = told.fault_told(Fault.STALE_READING, 0, 0.12, 0.1, 0b101, 0, ["a", "b", "c"], "zh")
+    assert text.startswith("a、c 已有 0.120 s 没有给出可信的应答，允许 0.100 s，而其他驱动器在应答")
+    text = told.fault_told(Fault.STALE_READING, -1, 0.12, 0.1, 0b111, Evidence.SIMULATED, ["a", "b", "c"], "zh")
+    assert text.startswith("仿真机械臂没有一个驱动器应答已有 0.120 s")
 
 
 def test_modes_and_drives_have_words() -> None:
-    assert "正在启动" in sentences.outcome_sentence(Outcome.REFUSED_MODE, value=float(Mode.BRINGING_UP), language="zh")
-    assert "未知状态 99" in sentences.outcome_sentence(Outcome.REFUSED_MODE, value=99.0, language="zh")
-    assert "未知状态 nan" in sentences.outcome_sentence(Outcome.REFUSED_MODE, value=float("nan"), language="zh")
+    assert "正在启动" in told.outcome_sentence(Outcome.REFUSED_MODE, value=float(Mode.BRINGING_UP), language="zh")
+    assert "未知状态 99" in told.outcome_sentence(Outcome.REFUSED_MODE, value=99.0, language="zh")
+    assert "未知状态 nan" in told.outcome_sentence(Outcome.REFUSED_MODE, value=float("nan"), language="zh")
     hot = float(DriveStatus.PROTECTED | DriveStatus.OVER_TEMPERATURE)
-    assert "（保护、过温、未使能）" in sentences.fault_sentence(Fault.DRIVE_FAULT, "joint2", hot, language="zh")
-    assert "（未知状态字 2.5）" in sentences.fault_sentence(Fault.DRIVE_FAULT, "joint2", 2.5, language="zh")
+    assert "（保护、过温、未使能）" in told.fault_sentence(Fault.DRIVE_FAULT, "joint2", hot, language="zh")
+    assert "（未知状态字 2.5）" in told.fault_sentence(Fault.DRIVE_FAULT, "joint2", 2.5, language="zh")
     assert set(drive_words.CHINESE) == set(drive_words.WORDS)
     assert len(set(drive_words.CHINESE.values())) == len(drive_words.CHINESE)
 
 
 def test_phrases_have_the_same_braces_and_no_english() -> None:
-    english, chinese = sentences.PHRASES["en"], sentences.PHRASES["zh"]
+    english, chinese = told.PHRASES["en"], told.PHRASES["zh"]
     for field, one, other in zip(english._fields, english, chinese, strict=True):
         if isinstance(one, str):
             assert placeholders(one) == placeholders(other) and commands(one) == commands(other), field
@@ -131,9 +131,9 @@ def test_phrases_have_the_same_braces_and_no_english() -> None:
 
 
 def test_what_is_no_row_is_said_too() -> None:
-    assert "99" in sentences.outcome_sentence(99, language="zh")
-    assert sentences.command_sentence(Request.SPEED_SCALE, 0.5, "zh") == "请求速度比例 50%。"
-    assert sentences.command_sentence(Request.STOP, 4711, "zh") == "进程 4711 请求停止。"
-    assert sentences.command_sentence(99, 4711, "zh") == "进程 4711 请求未知的命令 99。"
-    assert sentences.joint_name(-1, ["a"], "zh") == "（没有关节）"
-    assert sentences.answer_sentence(Answer.DONE, "zh") == "完成。"
+    assert "99" in told.outcome_sentence(99, language="zh")
+    assert told.command_sentence(Request.SPEED_SCALE, 0.5, "zh") == "请求速度比例 50%。"
+    assert told.command_sentence(Request.STOP, 4711, "zh") == "进程 4711 请求停止。"
+    assert told.command_sentence(99, 4711, "zh") == "进程 4711 请求未知的命令 99。"
+    assert told.joint_name(-1, ["a"], "zh") == "（没有关节）"
+    assert told.answer_sentence(Answer.DONE, "zh") == "完成。"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from shm import drive_words, sentences
+from sentences import drive_words, told
 from shm.words import DriveStatus, Fault
 
 UP = int(DriveStatus.ENABLED | DriveStatus.ANSWERED)
@@ -30,10 +30,10 @@ def test_bits_are_told_in_their_order_and_unknown_ones_are_let_be():
     ],
 )
 def test_a_fault_of_a_drive_says_which(status, words):
-    text = sentences.fault_sentence(Fault.DRIVE_FAULT, "joint2", float(status))
+    text = told.fault_sentence(Fault.DRIVE_FAULT, "joint2", float(status))
     assert text.startswith(f"The drive of joint2 reports a fault of its own ({words}): remove the cause")
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("-inf"), 0.5, -1.0, 1e300])
 def test_whatever_stands_in_the_file_there_are_words(value):
-    assert "The drive of joint2" in sentences.fault_sentence(Fault.DRIVE_FAULT, "joint2", value)
+    assert "The drive of joint2" in told.fault_sentence(Fault.DRIVE_FAULT, "joint2", value)

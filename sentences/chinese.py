@@ -1,11 +1,11 @@
-"""The sentences of `shm.sentences` in Simplified Chinese: the same keys, the same placeholders, the same contents.
+"""The sentences of `sentences.english` in Simplified Chinese: the same keys, the same placeholders, the same contents.
 
 Its terms are those of the Chinese pages about faults (docs/faults/*.zh.md). Commands, keys of the arm file and names
 that people find in logs and menus stay as they are.
 """
 
-from shm.meaning import Meaning, Silence
-from shm.meaning import Phrases as _Phrases
+from sentences.meaning import Meaning, Silence
+from sentences.meaning import Phrases as _Phrases
 from shm.words import Answer, BusState, Fault, GripTrouble, Mode, Outcome, Request, Unreferenced
 
 OUTCOMES: dict[Outcome, Meaning] = {

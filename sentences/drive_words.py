@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from shm.meaning import Language
+from sentences.meaning import Language
 from shm.words import DriveStatus
 
 WORDS: dict[DriveStatus, str] = {
