@@ -20,12 +20,14 @@ CASES ?= 1000000
 COUNT ?= 80
 SEED ?= 1
 
-.PHONY: help env tools lock demo test test-live test-all test-vm transcripts mutants check docs reference names keep bench trials ros-trials bus-trials bus-trials-live stop-trials soak fuzz dist test-dist clean
+.PHONY: help env tools lock demo test test-live test-uncompiled test-checked test-all test-vm transcripts mutants check docs reference names keep bench trials ros-trials bus-trials bus-trials-live stop-trials soak fuzz dist test-dist clean
 
 help:
 	@echo 'make demo     play a recorded MoveIt goal on a simulated arm, VIEW=1 to watch and move it in a browser'
 	@echo 'make test     run the tests in virtual time, and a handful with real processes: some minutes'
 	@echo 'make test-live  run the tests with real processes, ROS, browsers and terminals'
+	@echo 'make test-uncompiled  run the tests of leaf functions and codecs without the compiler'
+	@echo 'make test-checked  let hostile writers run against the cycle with every index checked: some minutes'
 	@echo 'make test-vm  run tests/vm in a small virtual machine that has SocketCAN'
 	@echo 'make test-all  all of these but mutants, and test-dist: what CI runs besides check and docs'
 	@echo 'make transcripts  hold what the control cycle says against recordings'
@@ -70,8 +72,18 @@ test: env
 test-live: env $(STAMPS)/colcon
 	$(PYTEST) -m 'process and not smoke'
 
+# Leaf functions and codecs without the compiler; all of the cycle with every index checked.
+UNCOMPILED := motion shm/test_seqlock.py rtloop/test_*_codec.py $(patsubst %,rtloop/test_%.py,words golden_frames \
+  codec_laws drive_frames zdt_targets limits clock path leading following phases)
+
+test-uncompiled: env
+	NUMBA_DISABLE_JIT=1 $(PYTEST) -m 'not process' $(addprefix tests/,$(UNCOMPILED))
+
+test-checked: env
+	RTARM_LONG=1 $(PYTEST) tests/fuzz/test_fuzz.py -k no_hostile_index
+
 test-all: export RTARM_EXAMPLES := all
-test-all: test transcripts test-live test-vm test-dist
+test-all: test transcripts test-live test-uncompiled test-checked test-vm test-dist
 
 # `python -m transcripts --record SCENARIO …` with the same path records anew what is meant to change (docs/explanation/testing.md).
 transcripts: env

@@ -165,7 +165,7 @@ def play_knots(arm: VirtualArm, count: int, kept: np.ndarray) -> int:
         joint_mask=63,
         goal_time_s=0.4,
         entry=Entry(0),
-        epoch=int(arm.memory["people"]["epoch"]),
+        epoch=int(arm.memory["goals"]["epoch"]),
         tolerances=none,
         consumed=consumed(),
     )

@@ -23,6 +23,8 @@ class _Mistake(NamedTuple):
 _TABBED = re.compile(r" *\t")
 _BARE = re.compile(r"\s*[^\s:#-][^:#]*")
 """A line that is neither field nor entry nor comment: what follows it goes on with its text, says YAML."""
+_OPENS = re.compile(r"[^#]*:\s*(#.*)?")
+"""A line behind which a group of fields begins, and no text that goes on."""
 _FIELD_WITHIN_TEXT = _Mistake(
     "mapping values are not allowed",
     False,
@@ -73,14 +75,24 @@ def syntax_error(error: yaml.MarkedYAMLError, text: str, file: str) -> ConfigErr
     if lost is None or begun is None:
         return ConfigError(f"this is not valid YAML ({words}); correct the file.", file=file)
     mark = begun if found is not None and found.begins else lost
-    above = text.splitlines()[mark.line - 1] if mark.line else ""
+    bare = _bare_line(text.splitlines()[: mark.line])
     if _TABBED.match("".join(text.splitlines()[mark.line : mark.line + 1])):
         problem = "the line is indented with a tab, and YAML takes spaces only: put spaces in its place."
-    elif found is _FIELD_WITHIN_TEXT and _BARE.fullmatch(above):
-        problem = f"{above.strip()!r} is no field: write name: value, with a space behind the colon."
-        return ConfigError(problem, file=file, line=mark.line)
+    elif found is _FIELD_WITHIN_TEXT and bare is not None:
+        problem = f"{bare[1]!r} is no field: write name: value, with a space behind the colon."
+        return ConfigError(problem, file=file, line=bare[0] + 1)
     elif found is not None:
         problem = found.sentence.format(column=mark.column + 1, begun=begun.line + 1)
     else:
         problem = f"this is not valid YAML ({words}, in column {mark.column + 1}); correct this line or the one above."
     return ConfigError(problem, file=file, line=mark.line + 1)
+
+
+def _bare_line(above: list[str]) -> tuple[int, str] | None:
+    """Number and text of the line before these end that is no field, unless it goes on with the text of one."""
+    lines = [(number, line) for number, line in enumerate(above) if line.strip()]
+    if not lines or _BARE.fullmatch(lines[-1][1]) is None:
+        return None
+    if len(lines) > 1 and _OPENS.fullmatch(lines[-2][1]) is None:
+        return None
+    return lines[-1][0], lines[-1][1].strip()

@@ -39,7 +39,7 @@ def crc32_at(address: int, words: int, before: int = 0) -> int:
         word = load_relaxed(address + 8 * i) ^ crc
         crc = 0
         for k in range(15, -1, -1):  # the upper half first, which need not wait for the word before
-            crc ^= _TABLE[k, (word >> (4 * k)) & 15]
+            crc ^= int(_TABLE[k, (word >> (4 * k)) & 15])
         crc &= 0xFFFFFFFF
     return crc ^ 0xFFFFFFFF
 

@@ -126,7 +126,7 @@ class Rig:
         outgoing = self.record["outgoing"]
         for number in range(outgoing["frames"]):
             frame_id, kind, size = (int(outgoing[name][number]) for name in ("ids", "kinds", "sizes"))
-            data = data_of(outgoing["data"][number])
+            data = data_of(outgoing["payloads"][number])
             assert not any(data[size:])
             found.append(text_of(frame_id, kind, data[:size], size))
         return found

@@ -18,6 +18,7 @@ from typing import Any
 
 import leaks
 import pytest
+import uncompiled  # noqa: F401 - before anything of ours
 import verdicts
 from carriers import Hurried
 from depth import examples

@@ -109,6 +109,18 @@ def test_packages_import_only_what_the_layout_allows(folder: str) -> None:
     assert offences == []
 
 
+def test_nothing_that_is_compiled_is_made_of_sentences() -> None:
+    """The key of compiled code does not know them (`shm.cache.COMPILED_SOURCES`)."""
+    offences = [
+        f"{path.relative_to(ROOT)}:{line}"
+        for path in (ROOT / "rtloop").rglob("*.py")
+        if "@jit" in path.read_text(encoding="utf-8")
+        for line, module in imported_modules(path)
+        if module.split(".")[0] == "sentences"
+    ]
+    assert offences == []
+
+
 def test_no_room_of_the_control_process_imports_from_its_own_floor_or_above() -> None:
     floor = {room: number for number, rooms in enumerate(ROOMS_OF_RTLOOP) for room in rooms}
     offences = []

@@ -108,9 +108,9 @@ def send_service_frames(loop: Loop, shared: Shared) -> None:
         for _ in range(packets):
             order = loop.service_in.records[rings.inbox_slot(loop)]
             joint = order.joint
-            stops = joint if joint >= 0 and families.is_stop(loop, joint, order.id, order.data) else -1
-            outgoing.send(loop, shared, order.id, order.frame_kind, order.length, order.data, order.joined, stops)
+            stops = joint if joint >= 0 and families.is_stop(loop, joint, order.id, order.payload) else -1
+            outgoing.send(loop, shared, order.id, order.frame_kind, order.length, order.payload, order.joined, stops)
             if joint >= 0:
-                families.note_what_was_said(loop, joint, order.id, order.data)
+                families.note_what_was_said(loop, joint, order.id, order.payload)
             bus.service_credit_bits -= frame_bits(order.frame_kind, order.length)
             rings.inbox_done(loop)

@@ -171,7 +171,7 @@ def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
             path.closest_ns = min(path.closest_ns, gap_ns)
         path.taken += 1
         if path_index != loop.goals.active:
-            loop.front.newest_record_ns = loop.timing.now_ns
+            loop.front.incoming_record_ns = loop.timing.now_ns
         shared.counters.knots_taken += 1
         return True
     _refuse_knot(loop, shared, joint, value, limit)
@@ -264,7 +264,7 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
     if outcome != Outcome.NONE:
         set_result(loop, shared, goal_id, outcome, joint, float(loop.mode), 0.0)
         return
-    front.newest_record_ns = loop.timing.now_ns
+    front.incoming_record_ns = loop.timing.now_ns
     path = loop.paths[incoming(loop)]
     change_phase(loop, incoming(loop), Phase.WAITING)
     path.goal_id = goal_id

@@ -34,10 +34,7 @@ def float_word(value: float) -> int:
 
 @jit
 def bounded(value: float, most: int) -> int:
-    """The nearest whole number within ±most; infinities are beyond, and what is no number is none here.
-
-    `safety.guard.may_be_sent` keeps that away.
-    """
+    """The nearest whole number within ±most; undefined for what is no number, which `guard.may_be_sent` keeps away."""
     return round(min(max(value, -float(most)), float(most)))
 
 

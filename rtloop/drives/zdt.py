@@ -14,7 +14,7 @@ reply is told from an echo of one's own request.
 Streaming: a target ahead, and a speed that sets the pace (`rtloop.drives.leading`).
 
 `FC int32` sends such a target alone, in one packet; speed, ramp and mode stand in the drive since `F1`
-(`rtloop.drives.zdt_fast_targets`). It is led by how far ahead its targets lie (`fast_command`).
+(`rtloop.drives.zdt_fast_targets`). It is led by how far ahead its targets lie (`fast_target`).
 """
 
 import math
@@ -205,7 +205,7 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
     if not guard.may_be_sent(loop, shared, joint, target, speed):
         return
     rpm = leading.whole_rpm(loop, joint, speed, HIGHEST_RPM)
-    first, second = pack_target(rpm, row.acc_byte, to_pulses(loop, joint, target))
+    first, second = pack_target(rpm, int(row.acc_byte), to_pulses(loop, joint, target))
     outgoing.send(loop, shared, frame_id, EXTENDED, 8, first, 1)
     outgoing.send(loop, shared, frame_id | 1, EXTENDED, 5, second)
 

@@ -67,7 +67,7 @@ class Ahead(Record, writers=("trajectory.ahead",)):
     velocity_rad_s: float  # its `Commanded.difference_velocity_rad_s`
 
 
-class Measured(Record, writers=("bus", "commands.orders")):
+class Measured(Record, writers=("bus.frames", "bus.measured", "commands.orders")):
     """The last plausible reading."""
 
     position_rad: float
@@ -76,7 +76,7 @@ class Measured(Record, writers=("bus", "commands.orders")):
     readings: int  # since it was brought up
 
 
-class Tracking(Record, writers=("bus", "commands.orders", "cycle", "setpoints")):
+class Tracking(Record, writers=("bus.frames", "bus.measured", "commands.orders", "cycle", "setpoints")):
     """The last reading beside what was commanded at its instant."""
 
     reference_rad: float
@@ -90,7 +90,7 @@ class Tracking(Record, writers=("bus", "commands.orders", "cycle", "setpoints"))
     slip_rad: float  # how far the drive may have run ahead while the loop was away
 
 
-class Reply(Record, writers=("bus", "commands.orders", "cycle", "drives.hearing")):
+class Reply(Record, writers=("bus.frames", "bus.measured", "commands.orders", "cycle", "drives.hearing")):
     """Positions as they come from the drive, and questions for them."""
 
     is_new: int  # 1: a position came since the last cycle
@@ -129,7 +129,7 @@ class DriveState(Record, writers=("bus.frames", "commands.orders", "drives", "sa
     is_disabled: int  # 1: it was told to let go, and has said so
 
 
-class Reference(Record, writers=("commands", "safety.guard")):
+class Reference(Record, writers=("commands.intake", "commands.orders", "safety.guard")):
     """Whether what the drive counts means an angle."""
 
     referenced: int

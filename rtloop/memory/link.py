@@ -85,7 +85,7 @@ class Chunk(Record, writers=("wire.received",)):
     end: int
 
 
-class Received(Record, writers=()):
+class Received(Record, writers=("wire.received",)):
     """The receive ring."""
 
     arrived: Arrived
@@ -113,7 +113,7 @@ class Reader(Record, writers=()):
     parts: Annotated[Rows[Part], RX_FRAMES]
 
 
-class Parser(Record, writers=("bus.measured", "wire")):
+class Parser(Record, writers=("bus.measured", "wire.can_frame", "wire.framed", "wire.slcan", "wire.wires")):
     """How far the receive ring is read, and the beginning of what is not yet a whole line or record."""
 
     bytes_taken: int
@@ -140,12 +140,23 @@ class Outgoing(Record, writers=("wire",)):
     kinds: Annotated[Bytes, TX_FRAMES]  # bits of rtloop.memory.frame_words
     stops: Annotated[SmallInts, TX_FRAMES]  # joint whose stop command it is, -1 for none
     sizes: Annotated[Ints, TX_FRAMES]  # data bytes
-    data: Annotated[Ints, TX_FRAMES]  # the first byte lowest
+    payloads: Annotated[Ints, TX_FRAMES]  # data, the first byte lowest
     messages: Annotated[Rows[Message], TX_FRAMES]
     parts: Annotated[Rows[Part], TX_FRAMES]
 
 
-class Bus(Record, writers=("bus", "commands.orders", "cycle", "drives", "wire.outgoing")):
+class Bus(
+    Record,
+    writers=(
+        "bus.frames",
+        "bus.measured",
+        "commands.orders",
+        "cycle",
+        "drives.cia402",
+        "drives.hearing",
+        "wire.outgoing",
+    ),
+):
     """The bus beyond single drives: whose turn it is to be asked, and for how long nothing has answered."""
 
     transmit_inhibited: int  # 1: the drives were out of reach and get no motion frame until they are brought up again
@@ -158,7 +169,7 @@ class Bus(Record, writers=("bus", "commands.orders", "cycle", "drives", "wire.ou
     unacknowledged_since_ns: int  # the oldest question for a status since which no drive has told any, 0 none
 
 
-class Quiet(Record, writers=("bus", "cycle", "safety.silence", "wire.slcan")):
+class Quiet(Record, writers=("bus.frames", "bus.measured", "cycle", "safety.silence", "wire.slcan")):
     """What happens while no drive is heard, for `rtloop.safety.silence` alone."""
 
     heard_ns: int  # arrival of the last frame of any drive
@@ -192,7 +203,7 @@ class ServiceFrame(Record, writers=("service.rings",)):
     frame_kind: int  # bits of rtloop.memory.frame_words
     length: int
     joined: int  # 1: the next record must leave in the same cycle (packets of one command)
-    data: int  # eight bytes, the first lowest
+    payload: int  # eight bytes, the first lowest
     time_ns: int
     joint: int
     value: float

@@ -28,7 +28,7 @@ class Front(Record, writers=("commands.intake",)):
     newest_goal: int  # highest id ever begun
     announced_goal: int
     age_ns: int  # time between now and its last sign of life
-    newest_record_ns: int  # when its last record came
+    incoming_record_ns: int  # when the last record of the goal that waits came
     setpoints_taken: int
     setpoint_waits: int  # cycles the next record has not passed its CRC
     requests_taken: int
@@ -46,7 +46,7 @@ class Goals(Record, writers=("trajectory",)):
     epoch: int  # goals that arrived in an earlier one never begin
 
 
-class Search(Record, writers=("trajectory",)):
+class Search(Record, writers=("trajectory.ahead", "trajectory.entry", "trajectory.goals")):
     """The way onto a newer goal that is being looked for, over several cycles where it takes long."""
 
     ways_tried: int  # onto it, of those that are tried from this state of the arm
@@ -56,7 +56,7 @@ class Search(Record, writers=("trajectory",)):
     rate: float  # rate at which they would be entered
 
 
-class Clock(Record, writers=("trajectory",)):
+class Clock(Record, writers=("trajectory.arrival", "trajectory.clock", "trajectory.entry")):
     """The trajectory clock: the time along the running path and its rate, which a cubic ramp changes."""
 
     time_s: float
@@ -70,7 +70,18 @@ class Clock(Record, writers=("trajectory",)):
     ramp_factor: float  # share of the acceleration limits that it may use
 
 
-class Motion(Record, writers=("commands", "cycle", "safety", "setpoints", "trajectory.goals")):
+class Motion(
+    Record,
+    writers=(
+        "commands.intake",
+        "commands.orders",
+        "cycle",
+        "safety.faults",
+        "safety.guard",
+        "setpoints",
+        "trajectory.goals",
+    ),
+):
     """How far the arm as a whole may be moved."""
 
     per_joint_stop: int  # each joint brakes by itself: the path cannot be trusted
@@ -93,7 +104,9 @@ class Blend(Record, writers=("trajectory.entry",)):
     faded: float  # difference in acceleration, which fades first
 
 
-class Path(Record, writers=("commands.intake", "setpoints", "trajectory")):
+class Path(
+    Record, writers=("commands.intake", "setpoints", "trajectory.entry", "trajectory.goals", "trajectory.phases")
+):
     """A goal: what is known of its points, which phase it is in, and how it was entered."""
 
     goal_id: int

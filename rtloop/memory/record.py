@@ -37,15 +37,16 @@ class Record:
     Attributes:
         dtype: what numpy and the compiled cycle know it as.
         writers: modules and rooms of rtloop whose compiled functions store into its fields, which a test compares with
-            the code. What stands there through its address, as the positions of rings do, and what ordinary Python
-            sets before the first cycle, is not among it.
+            the code. Not among them is what is stored at an address, as the positions of rings are, and what ordinary
+            Python stores: everything before the first cycle (`process.beginning`), and later that it has taken up what
+            `Dialogue` asks for, that the process is `closing`, and the records of `service_in`.
     """
 
     dtype: ClassVar[np.dtype[np.void]]
     writers: ClassVar[tuple[str, ...]]
 
     def __init_subclass__(cls, *, writers: tuple[str, ...]) -> None:
-        cls.dtype = np.dtype([(name, *_form(hint)) for name, hint in get_annotations(cls).items()])
+        cls.dtype = np.dtype((np.record, [(name, *_form(hint)) for name, hint in get_annotations(cls).items()]))
         cls.writers = writers
 
 

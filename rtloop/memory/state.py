@@ -89,7 +89,9 @@ class LatchedFault(Record, writers=("safety.faults",)):
     evidence: int  # bits of shm.words.Evidence
 
 
-class Dialogue(Record, writers=("commands", "memory.modes", "safety.faults")):
+class Dialogue(
+    Record, writers=("commands.intake", "commands.orders", "commands.people", "memory.modes", "safety.faults")
+):
     """What the main thread is asked to do, and how far it is."""
 
     bring_up_asked: int
@@ -102,7 +104,7 @@ class Dialogue(Record, writers=("commands", "memory.modes", "safety.faults")):
     healed_ns: int  # when the arm went on after a stall by itself last, since a person brought it up; 0 never
 
 
-class Gripper(Record, writers=("commands",)):
+class Gripper(Record, writers=("commands.intake", "commands.people")):
     """What the gripper was asked for last; the other thread looks for a new sequence."""
 
     kind: int  # shm.words.Request

@@ -51,8 +51,9 @@ def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
         row, axis = loop.joints[joint], loop.axes[joint]
         commanded = axis.commanded
         p = commanded.next_position_rad
-        if not (math.isfinite(p) and math.isfinite(commanded.next_velocity_rad_s)):
-            latch_fault(loop, shared, Fault.NOT_FINITE, joint, p, 0.0)
+        total = p + commanded.next_velocity_rad_s + commanded.next_acceleration_rad_s2
+        if not math.isfinite(total):  # no sum with what is not finite is
+            latch_fault(loop, shared, Fault.NOT_FINITE, joint, total, 0.0)
             return False
         low, high = row.lower_rad - row.slack_rad, row.upper_rad + row.slack_rad
         # a joint that was found outside may move in
@@ -79,16 +80,21 @@ def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
 
 @jit
 def may_be_sent(loop: Loop, shared: Shared, joint: int, position: float, velocity: float) -> bool:
-    """The last check before a family makes a frame of what leads its drive, in whatever unit; else a fault is latched.
+    """The last check before a family makes a frame of what leads its drive, in whatever unit.
 
     What makes that of a setpoint (errors, ramps, bounds) comes after `check_next_setpoint`, and most frames hold whole
-    numbers, among which nothing says "no number". An infinity that a bound has made finite is seen in the setpoint.
+    numbers, among which nothing says "no number". An infinite setpoint that a bound has made finite is refused too. The
+    joint is told to stop then, whatever fault is latched already, and the others brake by themselves.
     """
-    commanded = loop.axes[joint].commanded
-    setpoint = commanded.next_position_rad + commanded.next_velocity_rad_s + commanded.next_acceleration_rad_s2
-    if math.isfinite(setpoint + position + velocity):  # no sum with what is not finite is
+    axis = loop.axes[joint]
+    commanded = axis.commanded
+    total = commanded.next_position_rad + commanded.next_velocity_rad_s + commanded.next_acceleration_rad_s2
+    total += position + velocity
+    if math.isfinite(total):  # no sum with what is not finite is
         return True
-    latch_fault(loop, shared, Fault.NOT_FINITE, joint, position, 0.0)
+    latch_fault(loop, shared, Fault.NOT_FINITE, joint, total, 0.0)
+    loop.motion.per_joint_stop = 1
+    axis.sent.stop_frames_due = STOP_FRAMES
     return False
 
 

@@ -149,7 +149,7 @@ class ServicePort:
             record["frame_kind"] = frame.kind
             record["joint"] = frame.joint
             record["length"] = len(frame.data)
-            record["data"] = int.from_bytes(frame.data.ljust(8, b"\0"), "little", signed=True)
+            record["payload"] = int.from_bytes(frame.data.ljust(8, b"\0"), "little", signed=True)
         self._words.store_word(self._address + IN + WRITTEN, written + 1)
         return True
 
@@ -163,7 +163,7 @@ class ServicePort:
         written, taken = self._counts(OUT)
         for number in range(taken, written):
             record = self._record["service_out"]["records"][number % SERVICE_SLOTS]
-            data = int(record["data"]).to_bytes(8, "little", signed=True)[: int(record["length"])]
+            data = int(record["payload"]).to_bytes(8, "little", signed=True)[: int(record["length"])]
             joint = int(record["joint"])
             frame = Frame(int(record["id"]), data, int(record["time_ns"]), int(record["frame_kind"]), joint)
             (self._heard_of_gripper if joint == GRIPPER else self._heard_of_joints).append(frame)

@@ -43,7 +43,7 @@ def hand_out(loop: Loop, joint: int, frame_id: int, kind: int, length: int, data
     record.frame_kind = kind
     record.joint = joint
     record.length = length
-    record.data = data
+    record.payload = data
     record.time_ns = time_ns
     pass_on(loop, OUT, WRITTEN)
 

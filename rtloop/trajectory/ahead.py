@@ -3,7 +3,7 @@
 Plan plus blend is one polynomial from knot to knot, and at a steady rate the defence's differences of setpoints are
 means of its derivatives: over a span in which bounds of the derivatives keep the limits, no setpoint can break them,
 whatever its phase. Elsewhere, above all where points are closer than a cycle, the setpoints are made one by one as they
-will be commanded. What a cycle may look at is bounded by `looks_left`; what it does not suffice for is not proven.
+will be commanded. `search.checks_left` bounds what a cycle may look at; what it does not suffice for is not proven.
 """
 
 import math
@@ -24,7 +24,7 @@ CYCLES_AFTER_BLEND = 2
 
 @jit
 def may_look(loop: Loop) -> bool:
-    """Take one look from what the cycle may look at; False when nothing is left, and `looks_left` is -1 then."""
+    """Take one look from what the cycle may look at; False, and `search.checks_left` -1, when none is left."""
     loop.search.checks_left = max(loop.search.checks_left - 1, -1)
     return bool(loop.search.checks_left >= 0)
 

@@ -106,7 +106,7 @@ def why_not_to_wait(loop: Loop) -> tuple[int, float, float]:
         return Outcome.SHUTDOWN, 0.0, 0.0
     if front_is_lost(loop):  # a goal that waits for its start must not outlive who sent it
         return Outcome.FRONT_LOST, loop.front.age_ns * 1e-9, loop.params.front_timeout_ns * 1e-9
-    if not incoming_is_ready(loop) and loop.timing.now_ns - loop.front.newest_record_ns > STARVED_FOR_NS:
+    if not incoming_is_ready(loop) and loop.timing.now_ns - loop.front.incoming_record_ns > STARVED_FOR_NS:
         return Outcome.STARVED, 0.0, 0.0
     return Outcome.NONE, 0.0, 0.0
 

@@ -64,7 +64,7 @@ def put(loop: Loop, frame_id: int, kind: int, length: int, data: int, joined: in
     outgoing.kinds[outgoing.frames] = kind
     outgoing.stops[outgoing.frames] = stops
     outgoing.sizes[outgoing.frames] = length
-    outgoing.data[outgoing.frames] = data
+    outgoing.payloads[outgoing.frames] = data
     outgoing.frames += 1
     return True
 
@@ -127,7 +127,7 @@ def keep(loop: Loop, shared: Shared, sent: int, first: int, end: int) -> None:
             outgoing.ids[frame],
             marks,
             outgoing.sizes[frame],
-            outgoing.data[frame],
+            outgoing.payloads[frame],
         )
     for frame in range(end, outgoing.frames):
         shared.counters.bits_on_bus -= frame_bits(outgoing.kinds[frame], outgoing.sizes[frame])
@@ -143,7 +143,7 @@ def keep(loop: Loop, shared: Shared, sent: int, first: int, end: int) -> None:
             outgoing.kinds[frame - first] = outgoing.kinds[frame]
             outgoing.stops[frame - first] = outgoing.stops[frame]
             outgoing.sizes[frame - first] = outgoing.sizes[frame]
-            outgoing.data[frame - first] = outgoing.data[frame]
+            outgoing.payloads[frame - first] = outgoing.payloads[frame]
     outgoing.length = left
     outgoing.frames = outgoing.owed = end - first
 

@@ -194,6 +194,8 @@ def test_a_file_that_is_not_text(tmp_path: Path) -> None:
         ("name: %x", 1, "no value begins with the character in column 7: put the value in quotes."),
         ("name: a: b", 1, "the colon in column 8 stands where no field can begin: give each field a line of its own"),
         ("name\njoints: 3", 1, "'name' is no field: write name: value, with a space behind the colon."),
+        ("bus:\n  interface\n\n  channel: x", 2, "'interface' is no field: write name: value"),
+        ("name: x\nnote: some\n  long text\n  with colon: here", 4, "the colon in column 13 stands where no field can"),
         ("name: - a", 1, "the dash in column 7 stands where no list can begin"),
         ("bus: {}\nname x\ncontrol: {}", 2, "what begins in column 1 is no field: write name: value, with a space"),
         ("bus:\n    a: 1\n  b: 2", 3, "what begins in column 3 does not go with the lines above it: indent it"),

@@ -126,7 +126,7 @@ def post_orders(table: int, loop: Loop) -> int:
         record = loop.service_in.records[number & (SERVICE_SLOTS - 1)]
         record.kind = number
         record.id = number * 3
-        record.data = number * 5
+        record.payload = number * 5
         record.code = number * 7
         number += 1
         store_release(base + WRITTEN, number)
@@ -140,7 +140,7 @@ def obey_orders(table: int, loop: Loop, count: int) -> int:
     while done < count:
         if rings.inbox(loop) > 0:
             order = loop.service_in.records[rings.inbox_slot(loop)]
-            right = order.kind == done and order.id == done * 3 and order.data == done * 5 and order.code == done * 7
+            right = order.kind == done and order.id == done * 3 and order.payload == done * 5 and order.code == done * 7
             wrong += 0 if right else 1
             rings.inbox_done(loop)
             done += 1

@@ -182,7 +182,8 @@ def test_what_is_no_number_never_becomes_one_on_the_wire(kind: Kind, part: str, 
     rig.axis[part][word] = value
     sent, fault, config = rig.sends("lead"), rig.record["fault"], rig.config
     if not sent:
-        assert (fault["code"], fault["joint"]) == (Fault.NOT_FINITE, 0)
+        assert (fault["code"], fault["joint"]) == (Fault.NOT_FINITE, 0) and not math.isfinite(fault["value"])
+        assert rig.record["motion"]["per_joint_stop"] == 1 and rig.axis["sent"]["stop_frames_due"] > 0
     elif sent != sound.sends("lead"):
         assert math.isinf(value) and part != "commanded", "an error takes back no more than it may"
         read = DRIVES[kind].reads([frame_of(text)[0].data for text in sent])
@@ -191,6 +192,15 @@ def test_what_is_no_number_never_becomes_one_on_the_wire(kind: Kind, part: str, 
         assert config.lower_rad - slack_rad <= angle_rad <= config.upper_rad + slack_rad
         assert abs(read.rad_s) <= config.ratio * 1.05 * config.max_velocity_rad_s
     assert math.isfinite(rig.axis["sent"]["rpm_remainder"])
+
+
+@every_drive
+def test_a_setpoint_that_is_no_number_stops_the_joint_in_a_fault_as_well(kind: Kind) -> None:
+    rig = Rig.named(*kind).stands(0.0, 0.1)
+    rig.axis["commanded"]["next_acceleration_rad_s2"] = math.nan
+    rig.record["fault"]["code"] = Fault.COMMAND_RING  # in which the path is trusted
+    assert rig.sends("lead") == [] and rig.record["fault"]["code"] == Fault.COMMAND_RING
+    assert rig.record["motion"]["per_joint_stop"] == 1 and rig.axis["sent"]["stop_frames_due"] > 0
 
 
 @every_drive

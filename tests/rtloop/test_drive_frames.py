@@ -130,7 +130,7 @@ class Drive:
         """Data of the last frame that was sent."""
         last = int(self.memory["outgoing"]["frames"]) - 1
         size = 0 if self.loop[0]["outgoing"]["kinds"][last] & REMOTE else int(self.loop[0]["outgoing"]["sizes"][last])
-        return self.loop[0]["outgoing"]["data"][last].tobytes()[:size].hex(" ").upper()
+        return self.loop[0]["outgoing"]["payloads"][last].tobytes()[:size].hex(" ").upper()
 
 
 @every_arm

@@ -1,7 +1,8 @@
 """Who stores into which part of the cycle's memory: what the records say of themselves, compared with the code.
 
-Only the compiled functions are looked at, which read and write by attribute. Their types are followed from the
-annotations of their parameters through local names.
+Looked at are the compiled functions, which read and write by attribute: their types are followed from the annotations
+of their parameters through local names. The copies for others (`snapshot`, `record`) and the scratch space are of
+dtypes of `shm.layout` and have no owner here.
 """
 
 import ast
@@ -11,6 +12,7 @@ from inspect import isfunction
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
+import numpy as np
 import pytest
 
 from rtloop.memory.record import Record, Rows
@@ -39,6 +41,7 @@ class Stores(ast.NodeVisitor):
 
     def __init__(self, parameters: dict[str, Any], module: dict[str, Any]) -> None:
         self.local, self.module = dict(parameters), module
+        self.arrays: dict[str, tuple[type[Record], str]] = {}
         self.found: set[tuple[type[Record], str]] = set()
         self.unknown: list[str] = []
 
@@ -60,6 +63,16 @@ class Stores(ast.NodeVisitor):
             return called.__annotations__.get("return") if isfunction(called) else None
         return None
 
+    def origin_of(self, node: ast.expr) -> tuple[type[Record], str] | None:
+        """The record and field that an array is, None for what is no array of a record."""
+        if isinstance(node, ast.Name):
+            return self.arrays.get(node.id)
+        if isinstance(node, ast.Attribute):
+            of = self.type_of(node.value)
+            if isinstance(of, type) and issubclass(of, Record):
+                return of, node.attr
+        return None
+
     def stored(self, target: ast.expr, value: ast.expr | None) -> None:
         if isinstance(target, ast.Tuple):
             values = value.elts if isinstance(value, ast.Tuple) else [None] * len(target.elts)
@@ -67,11 +80,15 @@ class Stores(ast.NodeVisitor):
                 self.stored(one, its)
         elif isinstance(target, ast.Name):
             self.local[target.id] = None if value is None else self.type_of(value)
+            self.arrays.pop(target.id, None)
+            if value is not None and (origin := self.origin_of(value)) is not None:
+                self.arrays[target.id] = origin
         else:
             while isinstance(target, ast.Subscript):
                 target = target.value
             if not isinstance(target, ast.Attribute):
-                return  # into a local array
+                self.found |= {origin for origin in [self.origin_of(target)] if origin is not None}
+                return
             of = self.type_of(target.value)
             if isinstance(of, type) and issubclass(of, Record):
                 assert target.attr in of.__annotations__, ast.unparse(target)
@@ -82,6 +99,13 @@ class Stores(ast.NodeVisitor):
     def visit_Assign(self, node: ast.Assign) -> None:
         for target in node.targets:
             self.stored(target, node.value)
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> None:
+        self.stored(node.target, node.value)
+
+    def visit_For(self, node: ast.For) -> None:
+        self.stored(node.target, None)
+        self.generic_visit(node)
 
     def visit_AugAssign(self, node: ast.AugAssign) -> None:
         if not isinstance(node.target, ast.Name):
@@ -134,3 +158,9 @@ def test_a_record_names_those_who_store_into_it(record: type[Record]) -> None:
     found = WRITERS[record]
     assert {module for module in found if not any(covers(writer, module) for writer in record.writers)} == set()
     assert {writer for writer in record.writers if not any(covers(writer, module) for module in found)} == set()
+
+
+@pytest.mark.parametrize("record", WRITERS, ids=lambda record: record.__name__)
+def test_a_field_is_read_by_its_name_without_the_compiler_too(record: type[Record]) -> None:
+    """One that is called as something that every record of numpy has would not be; the system's own are never read."""
+    assert [name for name in record.__annotations__ if hasattr(np.record, name)] in ([], ["flags"])

@@ -17,12 +17,8 @@ numbers = st.floats(allow_nan=False, allow_infinity=False, width=32)
 @given(numbers, numbers)
 def test_floats_come_back_as_struct_packs_them(first: float, second: float) -> None:
     data = int.from_bytes(struct.pack("<ff", first, second), "little", signed=True)
-    for float_at, float_word in (
-        (words.float_at, words.float_word),
-        (words.float_at.py_func, words.float_word.py_func),
-    ):
-        assert (float_at(data, 0), float_at(data, 4)) == (first, second)
-        assert float_word(first) == int.from_bytes(struct.pack("<f", first), "little")
+    assert (words.float_at(data, 0), words.float_at(data, 4)) == (first, second)
+    assert words.float_word(first) == int.from_bytes(struct.pack("<f", first), "little")
 
 
 @relaxed
@@ -37,15 +33,15 @@ def test_whole_numbers_are_read_as_int_from_bytes_does(number: int, at: int, siz
         (words.unsigned, int.from_bytes(part, "little")),
         (words.signed, int.from_bytes(part, "little", signed=True)),
     ):
-        assert function(number, at, size) == function.py_func(number, at, size) == expected
+        assert function(number, at, size) == expected
     swapped = int.from_bytes(data[:size], "big")
-    assert words.swapped(number, size) == words.swapped.py_func(number, size) == swapped
+    assert words.swapped(number, size) == swapped
 
 
 @relaxed
 @given(st.floats(-1e12, 1e12), st.sampled_from([100, 32_767, 2**31 - 1]))
 def test_numbers_are_rounded_and_kept_within_bounds(value: float, most: int) -> None:
-    assert words.bounded(value, most) == words.bounded.py_func(value, most) == min(max(round(value), -most), most)
+    assert words.bounded(value, most) == min(max(round(value), -most), most)
     assert (words.bounded(math.inf, most), words.bounded(-math.inf, most)) == (most, -most)
 
 
@@ -70,4 +66,4 @@ def test_a_field_cuts_off_at_its_ends_and_to_whole_steps(value: float, code: int
 )
 def test_an_error_word_means_all_that_any_of_its_bits_means(bits: int, common: int) -> None:
     table = ((0x81, 0x10), (0x06, 0x20))
-    assert words.meaning(bits, table) == words.meaning.py_func(bits, table) == common
+    assert words.meaning(bits, table) == common
