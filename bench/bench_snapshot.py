@@ -12,6 +12,7 @@ from shm.seqlock import read
 READS = 10_000
 SEQUENCE = offset_of(layout.STATE, "snapshot_sequence")
 SNAPSHOT = offset_of(layout.STATE, "snapshot")
+CYCLE = offset_of(layout.SNAPSHOT, "cycle")
 
 
 @pytest.fixture
@@ -36,7 +37,7 @@ def test_compiled_read(benchmark, holding, report):
     state = holding.state.address
     arguments = (state + SEQUENCE, state + SNAPSHOT, target.ctypes.data, words, READS)
     assert benchmark(read_many, *arguments) == READS
-    assert target[1] == holding.memory["timing"]["cycle"]
+    assert target[CYCLE // 8] == holding.memory["timing"]["cycle"]
     each_ns = benchmark.stats.stats.median / READS * 1e9
     benchmark.extra_info["read_ns"] = each_ns
     report("snapshot of 6 joints read by compiled code (aim ≤ 200 ns)", f"{each_ns:.0f} ns")
