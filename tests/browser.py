@@ -85,9 +85,10 @@ class Browser:
         self.driver.execute_script(script, to_px)
 
     def tap(self, text: str) -> None:
-        """Put a finger where the first text is that begins so, whatever takes it."""
+        """Put a finger where the first text is that begins so, scrolled to if it must be, whatever takes it."""
         script = """const which = `//body//*[starts-with(normalize-space(text()), '${arguments[0]}')]`
             const found = document.evaluate(which, document, null, XPathResult.FIRST_ORDERED_NODE_TYPE).singleNodeValue
+            found.scrollIntoView({block: 'nearest'})
             const at = found.getBoundingClientRect()
             return [(at.left + at.right) / 2, (at.top + at.bottom) / 2]"""
         x, y = self.driver.execute_script(script, text)

@@ -257,6 +257,7 @@ def test_on_a_phone_stop_is_there_however_the_sheet_is_scrolled_and_tapped(arm: 
         browser.tap("rtarm: ")  # on the sheet's head, which else folds it, and then no browser lets one press Stop
         browser.tap("Events")
         browser.until(lambda: browser.selected_tab() == "Events")
+        browser.scroll(0)
         browser.until(lambda: browser.can_press(stop) and browser.can_press("Hold"))  # once it is laid out again
 
 
