@@ -512,7 +512,7 @@ def start_front():
     for front in started:
         if front.poll() is None:
             front.kill()
-        front.communicate()
+        print(*front.communicate())  # what it said stands in the report of a test that failed
 
 
 @pytest.fixture
