@@ -53,12 +53,14 @@ def begin_cycle(loop: Loop, shared: Shared, now_ns: int) -> None:
     timing.suspended_ns = 0
     timing.now_ns = now_ns
     timing.cycle += 1
-    loop.quiet.away_ns += max(waited_ns - loop.params.period_ns, 0)
+    late_ns = max(waited_ns - loop.params.period_ns, 0)
+    away_ns = min(max(gap_ns - loop.params.period_ns, 0), GAP_NS)
+    loop.quiet.away_ns += late_ns
     period_s = loop.params.period_ns * 1e-9
     slot = loop.history.next & (HISTORY_SLOTS - 1)
     loop.history.time_ns[slot] = now_ns
     if loop.bus.unacknowledged_since_ns != 0:
-        loop.bus.unacknowledged_since_ns += max(waited_ns - loop.params.period_ns, 0)
+        loop.bus.unacknowledged_since_ns += late_ns
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
         commanded = axis.commanded
@@ -66,11 +68,8 @@ def begin_cycle(loop: Loop, shared: Shared, now_ns: int) -> None:
         commanded.position_rad = commanded.next_position_rad
         commanded.velocity_rad_s = commanded.next_velocity_rad_s
         commanded.acceleration_rad_s2 = commanded.next_acceleration_rad_s2
-        away_ns = min(max(gap_ns - loop.params.period_ns, 0), GAP_NS)
         if axis.reply.unanswered_since_ns != 0:
-            axis.reply.unanswered_since_ns += max(
-                waited_ns - loop.params.period_ns, 0
-            )  # the loop was away, not the drive
+            axis.reply.unanswered_since_ns += late_ns  # the loop was away, not the drive
         axis.tracking.slip_rad *= 1.0 - min(ERROR_SHARE_1_S * period_s, 1.0)
         axis.tracking.slip_rad += abs(commanded.velocity_rad_s) * away_ns * 1e-9
         loop.history.position_rad[slot * MAX_JOINTS + joint] = commanded.position_rad
