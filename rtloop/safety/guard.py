@@ -8,7 +8,7 @@ import math
 
 from config.frames import ADAPTER_FRAMES
 from rtloop.memory import status as status_bits
-from rtloop.memory.axis import FAMILY_MOCK, FRESH_READINGS
+from rtloop.memory.axis import FAMILY_MOCK, FRESH_READINGS, Commanded
 from rtloop.memory.events import record_event
 from rtloop.memory.modes import is_limp
 from rtloop.memory.state import Loop, Shared
@@ -51,9 +51,8 @@ def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
         row, axis = loop.joints[joint], loop.axes[joint]
         commanded = axis.commanded
         p = commanded.next_position_rad
-        total = p + commanded.next_velocity_rad_s + commanded.next_acceleration_rad_s2
-        if not math.isfinite(total):  # no sum with what is not finite is
-            latch_fault(loop, shared, Fault.NOT_FINITE, joint, total, 0.0)
+        if not math.isfinite(setpoint_sum(commanded)):
+            latch_fault(loop, shared, Fault.NOT_FINITE, joint, setpoint_sum(commanded), 0.0)
             return False
         low, high = row.lower_rad - row.slack_rad, row.upper_rad + row.slack_rad
         # a joint that was found outside may move in
@@ -79,6 +78,12 @@ def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
 
 
 @jit
+def setpoint_sum(commanded: Commanded) -> float:
+    """Finite only where all of the next setpoint is, since no sum with what is not finite is."""
+    return float(commanded.next_position_rad + commanded.next_velocity_rad_s + commanded.next_acceleration_rad_s2)
+
+
+@jit
 def may_be_sent(loop: Loop, shared: Shared, joint: int, position: float, velocity: float) -> bool:
     """The last check before a family makes a frame of what leads its drive, in whatever unit.
 
@@ -87,10 +92,8 @@ def may_be_sent(loop: Loop, shared: Shared, joint: int, position: float, velocit
     joint is told to stop then, whatever fault is latched already, and the others brake by themselves.
     """
     axis = loop.axes[joint]
-    commanded = axis.commanded
-    total = commanded.next_position_rad + commanded.next_velocity_rad_s + commanded.next_acceleration_rad_s2
-    total += position + velocity
-    if math.isfinite(total):  # no sum with what is not finite is
+    total = setpoint_sum(axis.commanded) + position + velocity
+    if math.isfinite(total):
         return True
     latch_fault(loop, shared, Fault.NOT_FINITE, joint, total, 0.0)
     loop.motion.per_joint_stop = 1
