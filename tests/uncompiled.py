@@ -1,7 +1,8 @@
 """The cycle as ordinary Python, where `NUMBA_DISABLE_JIT=1` is set: `make test-uncompiled`, a debugger, coverage.
 
-What compiled code does by an address alone (atomic words, records) is done by ctypes then, and numbers have 64 bits as
-they have there. Of what threads share this proves nothing: tests of the cycle have one. Imported before all of ours.
+What compiled code does by an address alone (atomic words, records) is done by ctypes then, and the data of frames is
+wrapped to 64 bits as it is there. Of what threads share this proves nothing: tests of the cycle have one. Imported
+before all of ours.
 """
 
 import ctypes

@@ -67,7 +67,7 @@ def send_target(loop: Loop, joint: int, shared: Shared, position_rad: float, sto
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
     target_rad = setpoint_rad(loop, joint)
     target_rad -= following.still_behind_rad(loop, joint, target_rad)
-    if guard.may_be_sent(loop, shared, joint, target_rad, 0.0):
+    if guard.may_be_sent(loop, shared, joint, target_rad):
         send_target(loop, joint, shared, target_rad, -1)
 
 

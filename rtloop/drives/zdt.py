@@ -197,7 +197,7 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
     frame_id = row.address << 8
     if loop.params.fast_targets == 1:
         target = fast_target(loop, joint)
-        if guard.may_be_sent(loop, shared, joint, target, 0.0):
+        if guard.may_be_sent(loop, shared, joint, target):
             outgoing.send(loop, shared, frame_id, EXTENDED, 6, pack_fast_target(to_pulses(loop, joint, target)))
         return
     # whole rpm keep the mean by being up to half an rpm off for a period

@@ -46,6 +46,7 @@ class Record:
     writers: ClassVar[tuple[str, ...]]
 
     def __init_subclass__(cls, *, writers: tuple[str, ...]) -> None:
+        # of np.record, whose fields are attributes without the compiler too
         cls.dtype = np.dtype((np.record, [(name, *_form(hint)) for name, hint in get_annotations(cls).items()]))
         cls.writers = writers
 

@@ -84,7 +84,7 @@ def setpoint_sum(commanded: Commanded) -> float:
 
 
 @jit
-def may_be_sent(loop: Loop, shared: Shared, joint: int, position: float, velocity: float) -> bool:
+def may_be_sent(loop: Loop, shared: Shared, joint: int, position: float, velocity: float = 0.0) -> bool:
     """The last check before a family makes a frame of what leads its drive, in whatever unit.
 
     What makes that of a setpoint (errors, ramps, bounds) comes after `check_next_setpoint`, and most frames hold whole

@@ -39,6 +39,12 @@ LEAVES = (
     ),
     Leaf("rtloop/trajectory/limits.py", ("tests/rtloop/test_limits.py",), ("highest_rad_s", "hardest_rad_s2")),
     Leaf("rtloop/safety/guard.py", ("tests/rtloop/test_limits.py",), ("check_next_setpoint", "way_to_rest")),
+    Leaf(
+        "rtloop/safety/guard.py",
+        ("tests/rtloop/test_codec_laws.py", "-k", "no_number"),
+        ("setpoint_sum", "may_be_sent"),
+    ),
+    Leaf("rtloop/safety/references.py", ("tests/rtloop/test_saved.py", "-k", "no_clear_forgives")),
     Leaf("rtloop/drives/leading.py", ("tests/rtloop/test_leading.py",)),
     Leaf("rtloop/drives/following.py", ("tests/rtloop/test_following.py",)),
     Leaf("rtloop/wire/slcan.py", ("tests/rtloop/test_slcan_codec.py", WIRES, "-k", "slcan")),
@@ -66,7 +72,19 @@ _STOPS_INSIDE = (
 )
 _BESIDE = "BESIDE_RAD is what arithmetic may be off by: nobody can say on which side of it the last bit of a sum falls"
 
+_SETPOINT_SUM = (
+    "rtloop/safety/guard.py setpoint_sum: return float(commanded.next_position_rad + commanded.next_velocity_rad_s + "
+    "commanded.next_acceleration_rad_s2) → return float(commanded.next_position_rad {} commanded.next_velocity_rad_s "
+    "{} commanded.next_acceleration_rad_s2)"
+)
+_SENT_SUM = (
+    "rtloop/safety/guard.py may_be_sent: total = setpoint_sum(axis.commanded) + position + velocity → "
+    "total = setpoint_sum(axis.commanded) {} position {} velocity"
+)
+_FINITE = "all that is asked of the sum is whether it is finite, and no sign changes that"
+
 EQUIVALENT: dict[str, str] = {
+    **{text.format(*signs): _FINITE for text in (_SETPOINT_SUM, _SENT_SUM) for signs in ("+-", "-+")},
     _STOPS_INSIDE.format(">=", "<"): _BESIDE,
     _STOPS_INSIDE.format(">", "<="): _BESIDE,
     "rtloop/wire/framed.py collect: needed = max(parser.line_needed, 1) → needed = max(parser.line_needed, 2)": (

@@ -182,7 +182,8 @@ def test_what_is_no_number_never_becomes_one_on_the_wire(kind: Kind, part: str, 
     rig.axis[part][word] = value
     sent, fault, config = rig.sends("lead"), rig.record["fault"], rig.config
     if not sent:
-        assert (fault["code"], fault["joint"]) == (Fault.NOT_FINITE, 0) and not math.isfinite(fault["value"])
+        assert (fault["code"], fault["joint"], fault["limit"]) == (Fault.NOT_FINITE, 0, 0.0)
+        assert not math.isfinite(fault["value"])
         assert rig.record["motion"]["per_joint_stop"] == 1 and rig.axis["sent"]["stop_frames_due"] > 0
     elif sent != sound.sends("lead"):
         assert math.isinf(value) and part != "commanded", "an error takes back no more than it may"
