@@ -194,18 +194,19 @@ class _UnlockedServer(_TellingServer):
                 self.add_future(result)
         accepted = handle is not None
         try:
-            self._requests.answer(request, Response(accepted=accepted, stamp=info.stamp))
+            await self._requests.answer(request, Response(accepted=accepted, stamp=info.stamp))
         except RuntimeError as problem:
             self._logger.warning(f"The answer to a goal was not sent, so the goal is not begun: {problem}.")
             if handle is not None:
                 handle._goal_request = None
-                for event in (GoalEvent.EXECUTE, GoalEvent.ABORT):  # rcl aborts only what executes
-                    handle._update_state(event)
+                if not handle.is_cancel_requested:
+                    handle._update_state(GoalEvent.EXECUTE)  # rcl aborts only what executes or is being canceled
+                handle._update_state(GoalEvent.ABORT)
                 result.set_result(self._never_begun(str(problem)))
             return
         if handle is None:
             return
-        if request.arrival.turn < self._all_canceled:
+        if request.arrival.turn < self._all_canceled and not handle.is_cancel_requested:
             handle._update_state(GoalEvent.CANCEL_GOAL)
         self._handle.publish_status()
         self._handle_accepted_callback(handle)

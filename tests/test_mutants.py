@@ -98,7 +98,8 @@ def test_a_seed_chooses_and_files_take_turns() -> None:
     chosen = making.in_turn(known, 1)
     assert chosen == making.in_turn(known, 1) != making.in_turn(known, 2)
     assert len({mutant.key for mutant in known}) == len(known)
-    assert len({mutant.file for mutant in chosen[: len(LEAVES)]}) == len(LEAVES)
+    files = {leaf.file for leaf in LEAVES}
+    assert {mutant.file for mutant in chosen[: len(files)]} == files
 
 
 def test_an_edit_changes_one_place_and_no_docstring() -> None:

@@ -170,6 +170,57 @@ def test_a_goal_whose_client_cannot_be_told_is_over_and_the_next_one_is_served(a
         assert client.run(goal())[0] == SUCCEEDED
 
 
+class DeafClient:
+    """The server knows where its client hears answers when `heard` is set; `missed` counts answers before that."""
+
+    def __init__(self, monkeypatch):
+        self.heard, self.missed = threading.Event(), 0
+        answer = GoalFunctions.answer
+
+        def missing(functions, *message):
+            if not self.heard.is_set():
+                self.missed += 1
+                self.heard.wait(0.02)  # the middleware's patience
+                _unreachable()
+            answer(functions, *message)
+
+        monkeypatch.setattr(GoalFunctions, "answer", missing)
+
+
+def test_a_client_that_the_server_does_not_know_yet_is_answered_again_and_others_are_served(arm_name, monkeypatch):
+    with serving_alone(arm_name) as (_, _, client, _), person_at(arm_name) as alone:
+        deaf = DeafClient(monkeypatch)
+        monkeypatch.setattr(goal_requests, "ANSWER_TRIES", 1_000)
+        answer = sent(client, goal())
+        until(lambda: deaf.missed, "a first answer")
+        assert alone.get_parameters("constraints.goal_time") == [0.4]
+        deaf.heard.set()
+        assert result(client, answer)[0] == SUCCEEDED
+
+
+@pytest.mark.parametrize(("reached", "tries"), [(True, 1_000), (False, 20)])
+def test_a_goal_that_is_canceled_before_its_client_is_told_of_it_does_not_begin(arm_name, monkeypatch, reached, tries):
+    with serving_alone(arm_name) as (loop, front, client, _):
+        with monkeypatch.context() as patched:
+            deaf = DeafClient(patched)
+            patched.setattr(goal_requests, "ANSWER_TRIES", tries)
+            answer = sent(client, goal(seconds=5))
+            until(lambda: deaf.missed, "a first answer")
+            (kept,) = front._goals._server._goal_handles.values()
+            accepted = FollowJointTrajectory.Impl.SendGoalService.Response(accepted=True)
+            known = ClientGoalHandle(client.action, kept.goal_id, accepted)
+            canceling = known.cancel_goal_async()
+            until(canceling.done, "the answer to a cancel")
+            if reached:
+                deaf.heard.set()
+                assert result(client, answer) == (CANCELED, 0, NEVER_BEGUN)
+            else:
+                status, _, words = client.result(known)
+                assert status == ABORTED and "could not be told that it was accepted (nobody there)" in words
+        assert not loop.records
+        assert client.run(goal())[0] == SUCCEEDED
+
+
 def test_a_question_for_an_unknown_goal_that_cannot_be_answered_ends_nothing(arm_name, monkeypatch, capfd):
     with serving_alone(arm_name) as (_, front, client, thread):
         handle = SimpleNamespace(send_result_response=_unreachable)
