@@ -45,7 +45,7 @@ from ros_client import SUCCEEDED, until
 from watch import Watcher
 
 from config.loader import load_arm
-from rtarm.tracking import Window
+from rtarm.running.tracking import Window
 from shm.histogram import percentiles_ns
 from shm.words import Fault, Mode
 

@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from rosfront import transport
-from rtarm.own_domain import own_domain
+from rtarm.launch.own_domain import own_domain
 
 ROOT = Path(__file__).parents[1]
 TURNS, NEWCOMERS = 4, 10

@@ -339,7 +339,7 @@ def test_arms(benchmark, report, tmp_path):
     pytest.importorskip("control_msgs")
     from live import Usage, live
 
-    from rtarm.tracking import Window
+    from rtarm.running.tracking import Window
 
     late: dict[int, list[np.ndarray]] = {count: [] for count in range(ARMS + 1)}
     share: dict[int, list[float]] = {count: [] for count in range(ARMS + 1)}

@@ -30,8 +30,8 @@ from live import FASTEST_BUS, LiveStack, Usage, commanded_rad, goal_to, in_words
 from ros_client import SUCCEEDED
 from stack import Process
 
-from rtarm.requests import clear_fault
-from rtarm.tracking import Window
+from rtarm.running.requests import clear_fault
+from rtarm.running.tracking import Window
 from shm.histogram import percentiles_ns, upper_ns
 from shm.words import Mode
 

@@ -42,7 +42,7 @@ from slices import SLICE_S, Before, Slice, compare, slice_of, spread, without_pr
 from stack import Process
 
 from config.loader import ARMS_FOLDER
-from rtarm.requests import clear_fault
+from rtarm.running.requests import clear_fault
 from shm.words import Mode
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None or DRIVER is None, reason="no chromium and chromedriver here")

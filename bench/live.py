@@ -10,7 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from rtarm.own_domain import own_domain
+from rtarm.launch.own_domain import own_domain
 
 # Before rclpy is imported: this run's ROS traffic stays on this machine and apart from others'.
 os.environ.update(own_domain())

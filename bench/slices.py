@@ -16,8 +16,8 @@ from typing import Any
 
 from live import LiveStack
 
-from rtarm.status import percentiles_us
-from rtarm.tracking import Window
+from rtarm.running.status import percentiles_us
+from rtarm.running.tracking import Window
 
 SLICE_S = 5.0
 SETTLE_S = 0.5

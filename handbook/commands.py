@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import typer
 
 from handbook.markdown import block, code, page, table
-from rtarm.cli import app
-from rtarm.errors import MEANINGS, ExitCode
+from rtarm.cli.application import app
+from rtarm.console.errors import MEANINGS, ExitCode
 
 MARKUP = re.compile(r"\[/?bold\]")
 INTRODUCTION = """\

@@ -24,7 +24,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from rtarm.steps import CYCLE_S, MESSAGES_S, Step, StepFailed, run  # noqa: E402 - found by the line above
+from rtarm.launch.steps import CYCLE_S, MESSAGES_S, Step, StepFailed, run  # noqa: E402 - found by the line above
 
 LOCK = ROOT / "constraints.txt"
 ROS_SETUP = Path("/opt/ros/jazzy/setup.bash")

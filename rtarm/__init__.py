@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rtarm.arm import Arm, State, Stream, connect
-    from rtarm.errors import GoalFailed, Refusal
-    from rtarm.limits import Limits
+    from rtarm.console.errors import GoalFailed, Refusal
+    from rtarm.running.limits import Limits
     from shm.errors import NotRunning
 
 _HOMES = {
     "rtarm.arm": ("Arm", "State", "Stream", "connect"),
-    "rtarm.errors": ("GoalFailed", "Refusal"),
-    "rtarm.limits": ("Limits",),
+    "rtarm.console.errors": ("GoalFailed", "Refusal"),
+    "rtarm.running.limits": ("Limits",),
     "shm.errors": ("NotRunning",),
 }
 """Where each name is, which is imported when it is first used: the command line must start quickly."""

@@ -22,17 +22,18 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rtarm import moves, referencing, requests
-from rtarm.arm_file import arm_file
-from rtarm.errors import Refusal
-from rtarm.limits import Reals, limits_of
-from rtarm.sending import LastingSender, goal_document
-from rtarm.status import STOPPED_BY_A_PERSON, resolve_arm
-from rtarm.tracking import AFTER_CYCLE_S
+from rtarm.client import moves
+from rtarm.client.sender import LastingSender, goal_document
+from rtarm.console.errors import Refusal
+from rtarm.running import referencing, requests
+from rtarm.running.arm_file import arm_file
+from rtarm.running.limits import Reals, limits_of
+from rtarm.running.status import STOPPED_BY_A_PERSON, resolve_arm
+from rtarm.running.tracking import AFTER_CYCLE_S
 from shm.words import Request
 
 if TYPE_CHECKING:
-    from rtarm.requests import Connection
+    from rtarm.running.requests import Connection
 
 LOOK_S = 0.0005
 """Between two looks for a cycle that is late."""

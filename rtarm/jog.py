@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 from rtarm.arm import Arm, connect, refuse_speed
-from rtarm.errors import ExitCode, Refusal
-from rtarm.interrupt import Interrupted, signals_raise
+from rtarm.console.errors import ExitCode, Refusal
+from rtarm.console.interrupt import Interrupted, signals_raise
 
 STEPS_DEG = (0.1, 0.5, 1.0, 2.0, 5.0)
 UP, DOWN = (b"\x1b[C", b"\x1b[A", b"+", b"="), (b"\x1b[D", b"\x1b[B", b"-")

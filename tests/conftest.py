@@ -25,7 +25,7 @@ from depth import examples
 from hypothesis import HealthCheck, settings
 
 from rosfront.transport import FAST_DDS, choose_udp
-from rtarm.own_domain import own_domain, ports_of
+from rtarm.launch.own_domain import own_domain, ports_of
 
 _SESSION = secrets.token_hex(4)
 _ARM_PREFIX = f"t{_SESSION}_"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from config.loader import load_arm
-from rtarm.limits import Limits
+from rtarm.running.limits import Limits
 from rtarm.teach.making import Readings
 
 RATE_HZ = 120.0

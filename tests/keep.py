@@ -22,10 +22,10 @@ from virtual import VirtualArm
 from config.check import figures
 from config.loader import ARMS_FOLDER, load_arm
 from config.schema import ArmConfig
-from rtarm.limits import Limits
 from rtarm.recording import mcap_reader, mcap_writer
 from rtarm.recording.explain import explanation, plain
 from rtarm.recording.mcap_format import Reason
+from rtarm.running.limits import Limits
 from rtarm.teach import file as motion_file
 from rtarm.teach.motion import Motion
 from rtloop.kept import commissioned, saved

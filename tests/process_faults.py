@@ -27,7 +27,7 @@ from observer import (
     stopped_joints,
 )
 
-from rtarm.launcher import STEADY_AFTER_S
+from rtarm.launch.launcher import STEADY_AFTER_S
 from shm.files import DIRECTORY
 from shm.words import Mode
 from sim.truth import load_truth

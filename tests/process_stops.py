@@ -18,7 +18,7 @@ from process_faults import LONGEST_STOP_S, NS, Trial
 from random_ways import shortest_stop_s
 from stop_crowd import SENDERS
 
-from rtarm import requests
+from rtarm.running import requests
 from shm import files
 from shm.recording import read_recording
 

@@ -28,7 +28,7 @@ from machine_witness import Witness
 from verdicts import MARKER
 
 from rosfront.transport import FAST_DDS, choose_udp
-from rtarm.own_domain import own_domain
+from rtarm.launch.own_domain import own_domain
 
 OWN = "RTARM_TRIALS_OWN_MOUNTS"
 SHM_SIZE, HOME_SIZE = "256m", "8m"

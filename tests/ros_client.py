@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from waiting import PATIENCE_S, until
 
 from rosfront.action_client import ActionClient
-from rtarm.ros_client import in_executor, spinning
+from rtarm.client.ros import in_executor, spinning
 
 GOALS = Path(__file__).parent / "data" / "moveit"
 UNKNOWN, SUCCEEDED, CANCELED, ABORTED = (

@@ -19,7 +19,7 @@ from arm_files import edited, write_arm
 from observer import judge, life_violations
 
 from config.loader import load_arm
-from rtarm.status import Report, read_status
+from rtarm.running.status import Report, read_status
 from shm.files import DIRECTORY
 from sim.truth import Heard, JointTruth, load_truth, load_wire
 

@@ -36,6 +36,18 @@ ROOMS_OF_RTLOOP = (
     ("__main__", "offline", "warm"),
 )
 """From the ground up: a room imports from those on the floors below it alone; the files of the cycle stand together."""
+ROOMS_OF_RTARM = (
+    ("console", "doctor", "moveit", "processes"),
+    ("running", "scan"),
+    ("top",),
+    ("recording",),
+    ("launch",),
+    ("client", "drives"),
+    ("arm", "calibrate", "demo", "teach", "view"),
+    ("bench", "commissioning", "jog", "replay"),
+    ("cli",),
+    ("__main__",),
+)
 FORBIDDEN_IMPORTS = {
     "rtloop": {"rclpy", "control_msgs", "sensor_msgs", "trajectory_msgs", "std_msgs", "std_srvs"},
     "rosfront": {"numba", "llvmlite", "can"},
@@ -121,16 +133,17 @@ def test_nothing_that_is_compiled_is_made_of_sentences() -> None:
     assert offences == []
 
 
-def test_no_room_of_the_control_process_imports_from_its_own_floor_or_above() -> None:
-    floor = {room: number for number, rooms in enumerate(ROOMS_OF_RTLOOP) for room in rooms}
+@pytest.mark.parametrize(("folder", "floors"), [("rtloop", ROOMS_OF_RTLOOP), ("rtarm", ROOMS_OF_RTARM)])
+def test_no_room_imports_from_its_own_floor_or_above(folder: str, floors: tuple[tuple[str, ...], ...]) -> None:
+    floor = {room: number for number, rooms in enumerate(floors) for room in rooms}
     offences = []
-    for path in (ROOT / "rtloop").rglob("*.py"):
-        here = path.relative_to(ROOT / "rtloop").with_suffix("").parts[0]
+    for path in (ROOT / folder).rglob("*.py"):
+        here = path.relative_to(ROOT / folder).with_suffix("").parts[0]
         if here == "__init__":
             continue
         for line, module in imported_modules(path):
             package, *parts = module.split(".")
-            if package != "rtloop":
+            if package != folder:
                 continue
             for room in parts[:1] or imported_names(path, line):
                 together = here == room or {here, room} <= {"cycle", "setpoints", "show"}

@@ -25,11 +25,12 @@ from rtarm.bench.motion import there_and_back
 from rtarm.bench.one_node import action_of
 from rtarm.bench.program import Program
 from rtarm.bench.results import Slice
-from rtarm.errors import Refusal
-from rtarm.launcher import SIMULATED_CHANNEL, Launcher, action_name, load_plan, override_arguments
+from rtarm.console.errors import Refusal
+from rtarm.console.reporter import Reporter
+from rtarm.launch.launcher import Launcher, action_name, load_plan, override_arguments
 from rtarm.processes import Child, describe_end, plain_environment, ros_environment
-from rtarm.reporter import Reporter
-from rtarm.tracking import Window
+from rtarm.running.arm_file import SIMULATED_CHANNEL
+from rtarm.running.tracking import Window
 from shm import files
 from shm.client import StateReader
 from shm.words import Mode

@@ -16,9 +16,9 @@ import time
 from typing import Any
 
 from rtarm.bench.measured import obey
-from rtarm.demo_client import listening, report
+from rtarm.client.ros import goal_message, has_server, in_executor, report, wait
+from rtarm.demo.client import listening
 from rtarm.processes import READY
-from rtarm.ros_client import goal_message, has_server, in_executor, wait
 
 SERVER_PATIENCE_S = 20.0
 ANSWER_PATIENCE_S = 5.0

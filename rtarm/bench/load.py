@@ -10,7 +10,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 
 from rtarm.bench.program import Program
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtarm.processes import Child, describe_end, plain_environment
 
 SETTLE_S = 0.3

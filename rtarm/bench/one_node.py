@@ -24,8 +24,8 @@ from config.schema import ArmConfig
 from rosfront.program import start_ros
 from rtarm.bench.measured import Recording, obey
 from rtarm.bench.python_arm import Path, PythonArm
+from rtarm.client.ros import spinning
 from rtarm.processes import READY
-from rtarm.ros_client import spinning
 
 THREADS = 4
 GOAL_MARGIN_S = 10.0

@@ -9,9 +9,9 @@ from typing import Any
 from rtarm.bench.lateness import from_pairs, survival
 from rtarm.bench.report import describe_machine, describe_versions
 from rtarm.bench.results import LOADS, WHO
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtarm.processes import has_module
-from rtarm.status import describe_scheduling
+from rtarm.running.status import describe_scheduling
 
 FORMATS = (".png", ".svg", ".pdf")
 COLOURS = {

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from rtarm.bench.lateness import PERCENTS
 from rtarm.bench.results import LOADS, RATIOS, WHO
-from rtarm.status import describe_scheduling
+from rtarm.running.status import describe_scheduling
 
 HEADINGS = {"p50": "p50", "p90": "p90", "p99": "p99", "p99_9": "p99.9", "max": "max"}
 

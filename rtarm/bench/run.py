@@ -25,12 +25,13 @@ from rtarm.bench.load import described, loaded
 from rtarm.bench.machine import machine, versions
 from rtarm.bench.report import render
 from rtarm.bench.results import LOADS, WHO, Measurements, Slice, document
-from rtarm.errors import ExitCode, Refusal
-from rtarm.interrupt import Interrupted, interruptible
-from rtarm.launcher import SIMULATED_CHANNEL, check_ros
-from rtarm.own_domain import own_domain
+from rtarm.console.errors import ExitCode, Refusal
+from rtarm.console.interrupt import Interrupted, interruptible
+from rtarm.console.reporter import Reporter
+from rtarm.launch.launcher import check_ros
+from rtarm.launch.own_domain import own_domain
 from rtarm.processes import describe_end, has_module, plain_environment
-from rtarm.reporter import Reporter
+from rtarm.running.arm_file import SIMULATED_CHANNEL
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from config.errors import ConfigError
 from config.loader import arm_path, load_arm
 from config.schema import ArmConfig
 from config.yaml_text import value_of
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 
 Changes = Mapping[str, float]
 """New values of a joint by their fields: direction, ratio, zero_deg, lower_deg, upper_deg."""

@@ -20,9 +20,9 @@ from rtarm.calibrate.angles import (
     ratio_found,
     zero_deg,
 )
-from rtarm.calibrate.person import Person, agrees, as_number, chosen, number
 from rtarm.calibrate.words import positive_in_words
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
+from rtarm.console.person import Person, agrees, as_number, chosen, number
 from rtloop.offline.calibration.session import DriveState, Found, NotDone
 
 RATIO_DIGITS = 4

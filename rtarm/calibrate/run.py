@@ -14,11 +14,11 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from rtarm.calibrate.arm_file import ArmFile, in_words
 from rtarm.calibrate.guide import Guide
-from rtarm.calibrate.person import Person, Quit, agrees
-from rtarm.drives import OfflineProcess, offline_process
-from rtarm.errors import ExitCode, Refusal
-from rtarm.interrupt import Interrupted, signals_raise
-from rtarm.zdt_joints import other_drives, zdt_joints
+from rtarm.console.errors import ExitCode, Refusal
+from rtarm.console.interrupt import Interrupted, signals_raise
+from rtarm.console.person import Person, Quit, agrees
+from rtarm.drives.settings import OfflineProcess, offline_process
+from rtarm.drives.zdt_joints import other_drives, zdt_joints
 from rtloop.offline.calibration.session import DriveState, Found, NotDone
 
 FIELDS = ("direction", "ratio", "zero_deg", "lower_deg", "upper_deg")

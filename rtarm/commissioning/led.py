@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from config.schema import ArmConfig
-from rtarm.errors import Refusal
-from rtarm.requests import Condition, Connection, cleared
-from rtarm.status import STOPPED_BY_A_PERSON
+from rtarm.console.errors import Refusal
+from rtarm.running.requests import Condition, Connection, cleared
+from rtarm.running.status import STOPPED_BY_A_PERSON
 from rtloop.offline.commissioning.finding import Said, frames_of
 from sentences.told import outcome_sentence
 from shm.client import CommandWriter, StateReader, find

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from config.schema import ArmConfig
 from rtarm.commissioning.led import AT_EASE_RAD, DECIDED_S, FASTEST, Cause, End, Led, seconds_for, silent_for_s
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtloop.drives.setup import power_proof_of
 from rtloop.kept.commissioned import PowerProof
 from rtloop.offline.commissioning.finding import (

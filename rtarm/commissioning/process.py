@@ -23,8 +23,8 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from rosfront.link import Link, attach
 from rtarm.commissioning.led import Led, alone
-from rtarm.errors import ExitCode, Refusal
-from rtarm.interrupt import undisturbed
+from rtarm.console.errors import ExitCode, Refusal
+from rtarm.console.interrupt import undisturbed
 from rtarm.processes import READY, describe_end, plain_environment, shared_death
 from shm.errors import NotRunning
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from config.schema import ArmConfig
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtloop.kept import commissioned
 from rtloop.kept.commissioned import Commissioned, NotReadable, PowerProof
 from rtloop.kept.saved import PSEUDO_TERMINALS, NotSaved, channel_of, is_simulated

@@ -16,14 +16,14 @@ from typing import Any
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtarm.calibrate.person import Person, Quit, agrees
 from rtarm.commissioning.led_checks import LedBench, checks_of, judge_answers
 from rtarm.commissioning.process import NOT_SEEN, LedProcess, led_alone
 from rtarm.commissioning.report import Report
-from rtarm.drives import OfflineProcess, offline_process
-from rtarm.errors import ExitCode, Refusal
-from rtarm.interrupt import Interrupted, signals_raise
-from rtarm.niceness import nice_thread
+from rtarm.console.errors import ExitCode, Refusal
+from rtarm.console.interrupt import Interrupted, signals_raise
+from rtarm.console.niceness import nice_thread
+from rtarm.console.person import Person, Quit, agrees
+from rtarm.drives.settings import OfflineProcess, offline_process
 from rtarm.recording.follow import LOOK_S, Follower
 from rtloop.kept import commissioned, saved
 from rtloop.kept.commissioned import Commissioned, NotReadable, PowerProof

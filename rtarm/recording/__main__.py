@@ -10,8 +10,8 @@ import os
 import signal
 import sys
 
-from rtarm.errors import Refusal
-from rtarm.niceness import MOST_NICE
+from rtarm.console.errors import Refusal
+from rtarm.console.niceness import MOST_NICE
 from rtarm.recording.make import patience_s, record
 from shm import files
 from shm.errors import SharedMemoryError

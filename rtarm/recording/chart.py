@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtarm.language import said
+from rtarm.console.language import said
 from sentences.meaning import Language
 from shm.recording import Recording
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rtarm.status import key
+from rtarm.running.status import key
 from sentences.told import answer_sentence, command_sentence, joint_name, outcome_sentence
 from shm.recording import Recording
 from shm.words import Answer, Entry, Event, Outcome, Request

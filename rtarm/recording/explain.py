@@ -10,14 +10,14 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from rtarm.language import said
+from rtarm.console.language import said
+from rtarm.console.wrapping import Sentence
 from rtarm.recording.chart import joint_charts
 from rtarm.recording.folding import folded
 from rtarm.recording.mcap_format import Loaded, Step
 from rtarm.recording.mcap_reader import read
 from rtarm.recording.story import Line, guilty_joint, since, tell
-from rtarm.status import key
-from rtarm.wrapping import Sentence
+from rtarm.running.status import key
 from sentences.meaning import Language
 from sentences.told import joint_name
 from shm.words import Fault

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtarm.recording.mcap_writer import ASIDE_PREFIX, ASIDE_SUFFIX
 
 KEPT = 20

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 
-from rtarm.language import said
+from rtarm.console.language import said
 from rtarm.recording.story import Line
 from sentences.meaning import Language
 

@@ -14,9 +14,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from rtarm.errors import ExitCode, Refusal
-from rtarm.interrupt import signals_noted
-from rtarm.niceness import done_by, nice_thread
+from rtarm.console.errors import ExitCode, Refusal
+from rtarm.console.interrupt import signals_noted
+from rtarm.console.niceness import done_by, nice_thread
 from rtarm.recording import folder
 from rtarm.recording.make import ASKED
 from rtarm.recording.mcap_format import BATCH, Reason

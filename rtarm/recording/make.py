@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtarm.recording import folder
 from rtarm.recording.mcap_format import Reason, Step
 from rtarm.recording.mcap_writer import write
-from rtarm.status import key, resolve_arm
+from rtarm.running.status import key, resolve_arm
 from sentences.told import latched_sentence
 from shm import files
 from shm.files import MemoryFile

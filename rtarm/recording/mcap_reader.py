@@ -16,7 +16,7 @@ from typing import IO, Any
 import numpy as np
 
 from config.errors import legible
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtarm.recording.mcap_format import (
     BATCH,
     CYCLE_WORDS,
@@ -349,7 +349,7 @@ def _fill(records: np.ndarray, names: Sequence[str], rows: list[dict[str, Any]])
 
 
 def _number_of(kind: type[IntEnum], name: str) -> int:
-    """The number that `rtarm.status.key` gave a name."""
+    """The number that `rtarm.running.status.key` gave a name."""
     number = name.removeprefix("unknown_")
     return int(number) if number != name else int(kind[name.upper()])
 

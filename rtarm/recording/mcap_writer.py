@@ -18,7 +18,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtarm.recording import commands, statistics
 from rtarm.recording.commands import Commands
 from rtarm.recording.mcap_format import (
@@ -45,7 +45,7 @@ from rtarm.recording.mcap_format import (
     library_of,
 )
 from rtarm.recording.statistics import Figures, Seconds
-from rtarm.status import key
+from rtarm.running.status import key
 from rtarm.top.events import BAD, ODD, happening
 from sentences.drive_words import words_of
 from shm import layout

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from rtarm.errors import Refusal, needs
+from rtarm.console.errors import Refusal, needs
 from rtarm.recording.mcap_format import Loaded, Step
 from rtarm.recording.mcap_reader import read
 from rtarm.recording.story import UNLED, tell

@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rtarm.errors import Refusal
-from rtarm.language import said
-from rtarm.status import PERCENTS, Report, counters, key, of_cycle, problems, scheduling
+from rtarm.console.errors import Refusal
+from rtarm.console.language import said
+from rtarm.running.status import PERCENTS, Report, counters, key, of_cycle, problems, scheduling
 from rtarm.top.events import Happening, happenings
 from rtarm.top.terminal import show
 from rtarm.top.watch import HAPPENINGS, RECENT_S, Look, Timing, span_words, spectrum_of

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rtarm.status import PERCENTS, key
+from rtarm.running.status import PERCENTS, key
 from shm.layout import BUS_TROUBLE, RECORD
 from shm.words import BusState
 

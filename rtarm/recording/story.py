@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtarm.chinese import BUS_STATES
-from rtarm.language import named, said
+from rtarm.console.chinese import BUS_STATES
+from rtarm.console.language import named, said
 from rtarm.recording.mcap_format import Reason
-from rtarm.status import key
+from rtarm.running.status import key
 from rtarm.top.events import BAD, ODD, PLAIN, happenings
 from sentences.meaning import Language
 from sentences.told import latched_sentence, meaning, whose_silence

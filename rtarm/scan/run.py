@@ -9,8 +9,8 @@ from dataclasses import asdict
 from typing import Any
 
 from config.errors import legible
+from rtarm.console.errors import Refusal
 from rtarm.doctor.machine import Machine, Unknown
-from rtarm.errors import Refusal
 from rtarm.scan import adapters as detection
 from rtarm.scan.adapters import Adapter
 from rtarm.scan.proposal import proposal

@@ -15,9 +15,9 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from config.yaml_text import LIBYAML, is_flat
-from rtarm.errors import Refusal
-from rtarm.limits import Limits
-from rtarm.status import is_path
+from rtarm.console.errors import Refusal
+from rtarm.running.limits import Limits
+from rtarm.running.status import is_path
 from rtarm.teach.motion import Motion
 
 FORMAT = 1

@@ -7,7 +7,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtarm.teach.file import folder, kept, load
 
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rtarm.errors import Refusal
-from rtarm.limits import Limits
+from rtarm.console.errors import Refusal
+from rtarm.running.limits import Limits
 from rtarm.teach.motion import Motion, Reals, curve, peaks
 from rtarm.teach.smoothing import FEWEST_READINGS, moving_part, smoothed
 from rtarm.teach.timing import FINER, Timing, timed

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from rtarm.limits import Limits
+from rtarm.running.limits import Limits
 
 Reals = NDArray[np.float64]
 

@@ -6,14 +6,14 @@ import math
 from pathlib import Path
 from typing import Any
 
-from rtarm import moves
-from rtarm.arm_file import arm_file
-from rtarm.calibrate.person import Person, require_yes
-from rtarm.errors import ExitCode, Refusal
-from rtarm.interrupt import Interrupted, signals_raise
-from rtarm.limits import Limits, limits_of
-from rtarm.requests import Connection, connect
-from rtarm.sending import goal_document, sending
+from rtarm.client import moves
+from rtarm.client.sender import goal_document, sending
+from rtarm.console.errors import ExitCode, Refusal
+from rtarm.console.interrupt import Interrupted, signals_raise
+from rtarm.console.person import Person, require_yes
+from rtarm.running.arm_file import arm_file
+from rtarm.running.limits import Limits, limits_of
+from rtarm.running.requests import Connection, connect
 from rtarm.teach.file import load, motion_path
 from rtarm.teach.motion import Motion, Reals
 

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rtarm.calibrate.person import Person, Quit, agrees
-from rtarm.errors import Refusal
-from rtarm.interrupt import Interrupted, signals_raise, undisturbed
-from rtarm.limits import Limits, limits_of
-from rtarm.moves import refuse_unsound
-from rtarm.requests import connect, enable, let_go, stands
+from rtarm.client.moves import refuse_unsound
+from rtarm.console.errors import Refusal
+from rtarm.console.interrupt import Interrupted, signals_raise, undisturbed
+from rtarm.console.person import Person, Quit, agrees
+from rtarm.running.limits import Limits, limits_of
+from rtarm.running.requests import connect, enable, let_go, stands
 from rtarm.teach.file import motion_path, require_free, save
 from rtarm.teach.making import Taught, make
 from rtarm.teach.recording import FreeMotion

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rtarm.errors import Refusal
-from rtarm.limits import Limits
+from rtarm.console.errors import Refusal
+from rtarm.running.limits import Limits
 from rtarm.teach.motion import Reals
 
 QUICKEST_CHANGE = 10.0

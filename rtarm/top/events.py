@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtarm.chinese import REQUESTS
-from rtarm.language import named, said
-from rtarm.status import key
+from rtarm.console.chinese import REQUESTS
+from rtarm.console.language import named, said
+from rtarm.running.status import key
 from sentences.meaning import Language
 from sentences.told import (
     PHRASES,

@@ -13,12 +13,20 @@ from rich.segment import Segment
 from rich.style import Style
 from rich.text import Text
 
-from rtarm.chinese import TIMINGS
-from rtarm.language import named, said
-from rtarm.status import describe_scheduling
-from rtarm.status_tables import DRIVE_COLUMNS, DriveColumn, duration_words, goal_words, heading, shown, trouble_words
+from rtarm.console.chinese import TIMINGS
+from rtarm.console.language import named, said
+from rtarm.console.wrapping import wrapped
+from rtarm.running.status import describe_scheduling
+from rtarm.running.status_tables import (
+    DRIVE_COLUMNS,
+    DriveColumn,
+    duration_words,
+    goal_words,
+    heading,
+    shown,
+    trouble_words,
+)
 from rtarm.top.watch import BINS, BINS_A_DECADE, Look
-from rtarm.wrapping import wrapped
 from sentences.drive_words import listed
 from sentences.meaning import Language
 

@@ -18,10 +18,10 @@ from typing import Protocol
 from rich.console import Console
 from rich.live import Live
 
-from rtarm.errors import Refusal
-from rtarm.language import said
-from rtarm.niceness import nice_thread
-from rtarm.reporter import silence_stdout
+from rtarm.console.errors import Refusal
+from rtarm.console.language import said
+from rtarm.console.niceness import nice_thread
+from rtarm.console.reporter import silence_stdout
 from rtarm.top.picture import Picture
 from rtarm.top.watch import Look, Watch
 from sentences.meaning import Language

@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtarm.language import said, told
-from rtarm.status import Report, counters, percentiles_us, report_of
+from rtarm.console.language import said, told
+from rtarm.running.status import Report, counters, percentiles_us, report_of
+from rtarm.running.tracking import Window
 from rtarm.top.events import BAD, GOOD, Happening, happenings
-from rtarm.tracking import Window
 from sentences.meaning import Language
 from shm import files
 from shm.client import StateReader
@@ -56,7 +56,7 @@ class Look:
 
     Attributes:
         report: as of `rtarm status`; None before the control process' first cycle.
-        recent: what `rtarm.status.counters` says of the last `recent_s` seconds.
+        recent: what `rtarm.running.status.counters` says of the last `recent_s` seconds.
         timings: lateness and cycle time, of the last seconds and since the control process' start.
         happenings: newest first.
         epoch_offset_ns: CLOCK_REALTIME minus CLOCK_MONOTONIC.

@@ -11,7 +11,7 @@ import sys
 
 from config.errors import ConfigError
 from config.loader import load_arm, parse_overrides
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtarm.view.gate import open_server
 from rtarm.view.orders import Orders
 from rtarm.view.run import serve

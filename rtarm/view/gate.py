@@ -31,8 +31,8 @@ from hmac import compare_digest
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rtarm.errors import Refusal, needs
-from rtarm.niceness import nice_thread
+from rtarm.console.errors import Refusal, needs
+from rtarm.console.niceness import nice_thread
 
 if TYPE_CHECKING:
     import asyncio

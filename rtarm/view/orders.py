@@ -13,10 +13,10 @@ from contextlib import suppress
 import numpy as np
 
 from config.schema import ArmConfig
-from rtarm import referencing, requests
-from rtarm.decisions import end_told
-from rtarm.errors import Refusal
-from rtarm.sending import LastingSender, Sender, follow, goal_document
+from rtarm.client.sender import LastingSender, Sender, follow, goal_document
+from rtarm.console.errors import Refusal
+from rtarm.running import referencing, requests
+from rtarm.running.decisions import end_told
 from rtarm.view.words import Words
 from sentences.told import outcome_sentence
 from shm.errors import SharedMemoryError

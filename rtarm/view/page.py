@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from config.schema import ArmConfig
-from rtarm.errors import Refusal
-from rtarm.language import told
+from rtarm.console.errors import Refusal
+from rtarm.console.language import told
 from rtarm.top.watch import Look
 from rtarm.view.history import History
 from rtarm.view.limits import Side, nearness

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtarm.chinese import MODES, PHASES
-from rtarm.language import named
-from rtarm.referencing import Reading, no_angle_words
-from rtarm.status import describe_scheduling
-from rtarm.status_tables import duration_words, gripper_words, trouble_words
+from rtarm.console.chinese import MODES, PHASES
+from rtarm.console.language import named
+from rtarm.running.referencing import Reading, no_angle_words
+from rtarm.running.status import describe_scheduling
+from rtarm.running.status_tables import duration_words, gripper_words, trouble_words
 from rtarm.top.events import BAD, GOOD, ODD, Happening
 from rtarm.top.watch import Look
 from rtarm.view.limits import Nearness, Side, nearness, share

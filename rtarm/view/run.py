@@ -7,8 +7,8 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from config.schema import ArmConfig
-from rtarm.interrupt import signals_to
-from rtarm.niceness import done_by, nice_thread
+from rtarm.console.interrupt import signals_to
+from rtarm.console.niceness import done_by, nice_thread
 from rtarm.view.orders import Orders
 from rtarm.view.page import Page
 from rtarm.view.source import Source

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from config.schema import ArmConfig
-from rtarm.language import said
+from rtarm.console.language import said
 from rtarm.recording.replay import Replay
 from rtarm.top.watch import Look, Watch
 from rtarm.view.path import GoalPath, thinned

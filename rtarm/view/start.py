@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from rtarm.arm_file import arm_file
-from rtarm.status import resolve_arm
+from rtarm.running.arm_file import arm_file
+from rtarm.running.status import resolve_arm
 from rtarm.view.gate import open_server
 from rtarm.view.orders import Orders
 from rtarm.view.run import serve

@@ -1,7 +1,7 @@
 """Every word that stands on the page alone, in English and in Simplified Chinese.
 
 Sentences about faults, goals and requests come from `sentences.told`; what other tools say too comes from where they
-say it (`rtarm.language`).
+say it (`rtarm.console.language`).
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from at_terminal import CTRL_C
 
-from rtarm.errors import ExitCode
+from rtarm.console.errors import ExitCode
 
 DONE, REFUSED, UNHEALTHY = int(ExitCode.DONE), int(ExitCode.REFUSED), int(ExitCode.UNHEALTHY)
 LOOP_REFUSED = int(ExitCode.LOOP_REFUSED)

@@ -29,8 +29,8 @@ from shown import Shown, named_commands, shown_commands, shown_file
 from stack import PATIENT
 from stages import ADAPTER, ARM, FILES, NOT_RUN, RUN, Run
 
-from rtarm.cli import app
-from rtarm.cli_frame import UsageError
+from rtarm.cli.application import app
+from rtarm.cli.frame import UsageError
 from shm.files import DIRECTORY
 
 SHOWN = shown_commands()

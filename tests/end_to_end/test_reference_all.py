@@ -10,7 +10,7 @@ from fault_rig import wait
 from stack import PATIENCE_S, Process
 
 from config.loader import load_arm
-from rtarm.status import read_status
+from rtarm.running.status import read_status
 from rtloop.kept import saved
 from shm.words import Mode, Unreferenced
 

@@ -18,9 +18,9 @@ from scipy.spatial.distance import cdist
 from stack import PATIENCE_S, Process, Stack
 
 from config.loader import load_arm
+from rtarm.client.sender import goal_document, sending
 from rtarm.recording.mcap_reader import read
-from rtarm.sending import goal_document, sending
-from rtarm.status import read_status
+from rtarm.running.status import read_status
 
 pytestmark = pytest.mark.process
 

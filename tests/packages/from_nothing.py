@@ -13,7 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from rtarm.errors import ExitCode
+from rtarm.console.errors import ExitCode
 
 TRIES = 4
 

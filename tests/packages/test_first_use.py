@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 
 from rosfront.interfaces import build
-from rtarm import first_use, launcher, processes
-from rtarm.errors import Refusal
+from rtarm import processes
+from rtarm.console.errors import Refusal
+from rtarm.launch import first_use, launcher
 from rtarm.processes import WHEELS_GUARD, ros_environment
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 
 from config.homing import ParkingConfig
 from config.stopping import LONGEST_ALLOWED_S, Patience
-from rtarm.cli import app
+from rtarm.cli.application import app
 from rtarm.doctor.adapters import QUEUE
 from rtarm.doctor.processors import LATENCY_RULE
-from rtarm.launcher import FRONT_PATIENCE_S, LOOP_PATIENCE_S, SIM_PATIENCE_S, SIM_STOP_S
+from rtarm.launch.launcher import FRONT_PATIENCE_S, LOOP_PATIENCE_S, SIM_PATIENCE_S, SIM_STOP_S
 from rtarm.scan.adapters import KERNEL_ADAPTERS, SLCAN_ADAPTERS
 
 ROOT = Path(__file__).resolve().parents[2]

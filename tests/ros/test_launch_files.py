@@ -11,7 +11,7 @@ from launched import Started, everything_started
 
 from config.homing import ParkingConfig
 from config.stopping import LONGEST_ALLOWED_S, Patience
-from rtarm.launcher import SIM_STOP_S
+from rtarm.launch.launcher import SIM_STOP_S
 
 pytest.importorskip("xacro")
 

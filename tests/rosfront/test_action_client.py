@@ -16,7 +16,7 @@ from rclpy.action import ActionServer
 from rclpy.node import Node
 
 from rosfront.action_client import ActionClient
-from rtarm.ros_client import in_executor, served_node, wait
+from rtarm.client.ros import in_executor, served_node, wait
 
 pytestmark = pytest.mark.process
 

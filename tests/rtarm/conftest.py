@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 from written_arm import WrittenArm
 
 from config.loader import ARMS_FOLDER
-from rtarm.cli import app
+from rtarm.cli.application import app
 
 COMMANDS = get_command(app)
 """Made once: typer's runner would make all of them anew at each call, which takes 28 ms."""

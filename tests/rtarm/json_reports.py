@@ -21,7 +21,7 @@ from written_arm import WrittenArm
 
 from config.loader import load_arm
 from motion.gripping import Grip
-from rtarm.cli import app
+from rtarm.cli.application import app
 from rtarm.doctor.checks import Check
 from rtarm.doctor.finding import ok
 from rtarm.doctor.repair import Change, Repairs
@@ -43,15 +43,15 @@ Reports = list[Any]
 
 NOWHERE = "none_of_this_name"
 ORDERS = {
-    "rtarm stop": "rtarm.requests.stop",
-    "rtarm clear-fault": "rtarm.requests.clear_fault",
-    "rtarm hold": "rtarm.requests.hold",
-    "rtarm resume": "rtarm.requests.resume",
-    "rtarm enable": "rtarm.requests.enable",
-    "rtarm disable": "rtarm.requests.let_go",
-    "rtarm free": "rtarm.requests.let_go",
-    "rtarm home": "rtarm.requests.home",
-    "rtarm reference": "rtarm.referencing.reference",
+    "rtarm stop": "rtarm.running.requests.stop",
+    "rtarm clear-fault": "rtarm.running.requests.clear_fault",
+    "rtarm hold": "rtarm.running.requests.hold",
+    "rtarm resume": "rtarm.running.requests.resume",
+    "rtarm enable": "rtarm.running.requests.enable",
+    "rtarm disable": "rtarm.running.requests.let_go",
+    "rtarm free": "rtarm.running.requests.let_go",
+    "rtarm home": "rtarm.running.requests.home",
+    "rtarm reference": "rtarm.running.referencing.reference",
 }
 """Commands that ask a running arm for something, and what does it."""
 
@@ -117,7 +117,10 @@ def of_order(command: str) -> Reports:
     """Of what is done, and of an arm that does not run."""
     words = command.split()[1:]
     words += ["joint1", "--arm", NOWHERE] if command == "rtarm reference" else [NOWHERE]
-    with patch("rtarm.status.resolve_arm", lambda _: "an_arm"), patch(ORDERS[command], lambda *_: "It is done."):
+    with (
+        patch("rtarm.running.status.resolve_arm", lambda _: "an_arm"),
+        patch(ORDERS[command], lambda *_: "It is done."),
+    ):
         done = printed(*words)
     return [done, printed(*words)]
 
@@ -141,7 +144,7 @@ def of_drives() -> Reports:
         show(report)
         return report
 
-    with patch("rtarm.drives.run", run):
+    with patch("rtarm.drives.settings.run", run):
         return [printed("drives", "episode1"), printed("drives", NOWHERE)]
 
 

@@ -26,7 +26,7 @@ from config.joint import Drives
 from config.schema import ArmConfig
 from handbook import commands, configuration, stability
 from motion.gripping import Grip
-from rtarm.errors import ExitCode
+from rtarm.console.errors import ExitCode
 from shm import words
 
 PUBLIC_NUMBERS = (

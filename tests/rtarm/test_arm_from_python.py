@@ -24,9 +24,9 @@ from waiting import until
 from written_arm import WrittenArm
 
 import rtarm
-from rtarm import moves
-from rtarm.errors import ExitCode, foreseen
-from rtarm.sending import Outcome
+from rtarm.client import moves
+from rtarm.client.sender import Outcome
+from rtarm.console.errors import ExitCode, foreseen
 from shm.words import Mode
 
 PATIENCE_S = 30.0

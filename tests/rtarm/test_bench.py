@@ -48,9 +48,9 @@ from rtarm.bench.python_arm import PythonArm
 from rtarm.bench.report import render
 from rtarm.bench.results import LOADS, WHO, Measurements, Slice, document, missed_cycles
 from rtarm.bench.run import Extent, absent, run_bench
-from rtarm.errors import ExitCode, Refusal
-from rtarm.own_domain import own_domain
-from rtarm.reporter import Reporter
+from rtarm.console.errors import ExitCode, Refusal
+from rtarm.console.reporter import Reporter
+from rtarm.launch.own_domain import own_domain
 from shm import files
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -495,7 +495,7 @@ def test_what_was_measured_survives_a_competitor_that_dies(tmp_path: Path) -> No
 def test_control_c_keeps_what_was_measured(line: str, kept: bool, tmp_path: Path) -> None:
     program = (
         "import sys; from pathlib import Path; from rich.console import Console; from rtarm.bench.run import *;"
-        "from rtarm.errors import Refusal\n"
+        "from rtarm.console.errors import Refusal\n"
         "extent = Extent((200,), repeats=3, slice_s=0.3, longest_s=1000.0, who=('rtarm', 'plain_loop'))\n"
         "try: sys.exit(run_bench(extent, Path(sys.argv[1]), None, Reporter(Console())))\n"
         "except Refusal as refusal: sys.exit(refusal.sentence)"

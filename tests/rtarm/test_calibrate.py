@@ -30,9 +30,9 @@ from rtarm.calibrate.angles import (
     zero_deg,
 )
 from rtarm.calibrate.guide import Guide, Values
-from rtarm.calibrate.person import Quit, agrees, number
 from rtarm.calibrate.words import positive_in_words
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
+from rtarm.console.person import Quit, agrees, number
 from rtloop.drives.power import Marks
 from rtloop.offline.calibration.session import MOST_COUNTS, MOST_RPM, Session
 from sim.arm import SimulatedArm

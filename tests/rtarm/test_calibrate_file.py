@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from config.loader import ARMS_FOLDER, load_arm
 from rtarm.calibrate.arm_file import ArmFile, with_value
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 
 CHANGES = {"direction": -1.0, "ratio": 20.5, "zero_deg": -12.25}
 

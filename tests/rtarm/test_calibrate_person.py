@@ -13,7 +13,7 @@ from contextlib import suppress
 
 import pytest
 
-from rtarm.calibrate.person import Quit, Terminal, agrees, as_number
+from rtarm.console.person import Quit, Terminal, agrees, as_number
 
 FLUSH = termios.tcflush
 
@@ -36,7 +36,7 @@ def types(keyboard: int, data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
         FLUSH(terminal, queue)
         threading.Timer(0.0, os.write, (keyboard, data)).start()
 
-    monkeypatch.setattr("rtarm.calibrate.person.termios.tcflush", flushed)
+    monkeypatch.setattr("rtarm.console.person.termios.tcflush", flushed)
 
 
 @pytest.mark.parametrize("typed", [b"\x04", b"y\x04\x04", b"yes\x04\x04"])

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from written_arm import WrittenArm
 
 from rosfront.verdict import judge
-from rtarm import moves
-from rtarm.arm_file import arm_file as file_of
-from rtarm.errors import ExitCode, GoalFailed, Refusal
-from rtarm.requests import connect
-from rtarm.sending import Outcome as Ended
-from rtarm.sending import Sender
+from rtarm.client import moves
+from rtarm.client.sender import Outcome as Ended
+from rtarm.client.sender import Sender
+from rtarm.console.errors import ExitCode, GoalFailed, Refusal
+from rtarm.running.arm_file import arm_file as file_of
+from rtarm.running.requests import connect
 from shm.words import Fault, Mode, Outcome
 
 LIMITS = limits()

@@ -20,9 +20,9 @@ from typer.testing import Result
 from written_arm import JOINTS, WrittenArm
 
 from config.loader import ARMS_FOLDER
-from rtarm import launcher
-from rtarm.cli import app
-from rtarm.errors import MEANINGS, ExitCode
+from rtarm.cli.application import app
+from rtarm.console.errors import MEANINGS, ExitCode
+from rtarm.launch import launcher
 
 
 def commands(group: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -104,7 +104,7 @@ def offered(line: str) -> list[str]:
     """What the shell gets for a line that is not finished."""
     words = line.split(" ")
     asked = {"_RTARM_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}
-    program = "from rtarm.cli import app; app(prog_name='rtarm')"
+    program = "from rtarm.cli.application import app; app(prog_name='rtarm')"
     result = subprocess.run(
         [sys.executable, "-c", program], env={**os.environ, **asked}, capture_output=True, text=True, check=True
     )
@@ -132,7 +132,7 @@ def test_the_shell_completes_recordings(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_help_loads_nothing_heavy() -> None:
     program = (
-        "import sys; from rtarm.cli import app; app(['up', '--help'], standalone_mode=False); "
+        "import sys; from rtarm.cli.application import app; app(['up', '--help'], standalone_mode=False); "
         "print(sorted({'numpy', 'yaml', 'asyncio', 'rclpy', 'numba', 'config.schema'} & set(sys.modules)))"
     )
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
@@ -144,7 +144,7 @@ def test_ctrl_c_before_the_command_line_is_there_just_ends_it() -> None:
 import os, signal, sys
 class Slow:
     def find_spec(self, name, path=None, target=None):
-        if name == "rtarm.cli":
+        if name == "rtarm.cli.application":
             os.kill(os.getpid(), signal.SIGINT)
 sys.meta_path.insert(0, Slow())
 from rtarm.__main__ import main
@@ -239,7 +239,7 @@ def test_every_command_to_a_running_arm_takes_its_option(command: tuple[str, ...
 
 
 def test_what_a_process_has_said_is_said_once_where_both_outputs_are_one() -> None:
-    program = "from rtarm.errors import *; print(*foreseen(AlreadySaid('no')))"
+    program = "from rtarm.console.errors import *; print(*foreseen(AlreadySaid('no')))"
     for together, said in ((subprocess.STDOUT, " 1"), (subprocess.PIPE, "no 1")):
         ended = subprocess.run(
             [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=together, text=True, check=True

@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 
 from config.loader import load_arm
-from rtarm.calibrate.person import Quit
 from rtarm.calibrate.run import ProcessDrives
 from rtarm.commissioning import run
 from rtarm.commissioning.process import NOT_SEEN
 from rtarm.commissioning.report import Report
-from rtarm.errors import ExitCode, Refusal
+from rtarm.console.errors import ExitCode, Refusal
+from rtarm.console.person import Quit
 from shm.errors import NotRunning, SharedMemoryError
 
 LIMP = "The drive of joint6 is limp."

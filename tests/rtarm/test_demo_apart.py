@@ -17,15 +17,15 @@ pytest.importorskip("rclpy")
 from ros_client import SUCCEEDED, Client, names_seen, recorded
 from stack import Process
 
-from rtarm.status import read_status
+from rtarm.running.status import read_status
 from shm import files
 
 pytestmark = pytest.mark.process
 
 PATIENCE_S = 90.0
 DEMO_HERE = (
-    f"from rtarm import own_domain; own_domain.DOMAINS = ({os.environ['ROS_DOMAIN_ID']},); "
-    "from rtarm.cli import app; app()"
+    f"from rtarm.launch import own_domain; own_domain.DOMAINS = ({os.environ['ROS_DOMAIN_ID']},); "
+    "from rtarm.cli.application import app; app()"
 )
 """The command line, but for the demo's choice of a domain."""
 

@@ -14,14 +14,14 @@ from rich.console import Console
 from written_arm import JOINTS, WrittenArm
 
 from config.loader import load_arm
-from rtarm import demo
-from rtarm.demo_client import Arrivals
-from rtarm.errors import Refusal
-from rtarm.goals import load_goal, tour
-from rtarm.own_domain import DOMAINS
-from rtarm.ros_client import fill, goal_message
-from rtarm.status import percentiles_us
-from rtarm.tracking import Tracker, Window
+from rtarm.client.ros import fill, goal_message
+from rtarm.console.errors import Refusal
+from rtarm.demo import run as demo
+from rtarm.demo.client import Arrivals
+from rtarm.demo.goals import load_goal, tour
+from rtarm.launch.own_domain import DOMAINS
+from rtarm.running.status import percentiles_us
+from rtarm.running.tracking import Tracker, Window
 from shm import files, histogram
 from shm.client import StateReader
 from shm.words import Answer, Fault, Mode, Request, Unreferenced
@@ -147,8 +147,8 @@ def test_arrivals_of_joint_states(monkeypatch: pytest.MonkeyPatch) -> None:
     for number, age_ns in enumerate(ages_ns):
         sec, nanosec = divmod(stamp_ns, 1_000_000_000)
         message = b"\x00\x01\x00\x00" + sec.to_bytes(4, "little") + nanosec.to_bytes(4, "little") + b"rest"
-        monkeypatch.setattr("rtarm.demo_client.time.monotonic_ns", lambda at=number: at * 8_000_000)
-        monkeypatch.setattr("rtarm.demo_client.time.time_ns", lambda age=age_ns: stamp_ns + age)
+        monkeypatch.setattr("rtarm.demo.client.time.monotonic_ns", lambda at=number: at * 8_000_000)
+        monkeypatch.setattr("rtarm.demo.client.time.time_ns", lambda age=age_ns: stamp_ns + age)
         arrivals.take(message)
     figures = arrivals.between(0, 10**12)
     assert figures["count"] == 3

@@ -19,7 +19,7 @@ from typer.testing import Result
 from waiting import until
 from written_arm import WrittenArm
 
-from rtarm.drives import plan, question, summary
+from rtarm.drives.settings import plan, question, summary
 from shm.files import DIRECTORY
 
 PATIENCE_S = 120.0

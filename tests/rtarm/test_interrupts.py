@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from rtarm.interrupt import STOP_SIGNALS, Interrupted, signals_raise
-from rtarm.up import run_launched
+from rtarm.console.interrupt import STOP_SIGNALS, Interrupted, signals_raise
+from rtarm.launch.up import run_launched
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -60,7 +60,7 @@ def test_a_first_signal_amid_the_end_does_not_leave_it_half_done(fails: bool) ->
 def test_what_nohup_began_outlives_its_terminal(hangup: signal.Handlers, ends_by: str) -> None:
     program = """
 import asyncio, os, signal
-from rtarm.interrupt import Interrupted, interruptible
+from rtarm.console.interrupt import Interrupted, interruptible
 
 async def work():
     os.kill(os.getpid(), signal.SIGHUP)

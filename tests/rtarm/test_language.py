@@ -23,19 +23,20 @@ from written_arm import JOINTS, WrittenArm
 import rtarm
 from config.loader import load_arm
 from motion.gripping import Grip
-from rtarm import chinese, requests
-from rtarm.decisions import end_told
-from rtarm.errors import Refusal
-from rtarm.language import language_of, named, said, told
+from rtarm.console import chinese
+from rtarm.console.errors import Refusal
+from rtarm.console.language import language_of, named, said, told
+from rtarm.console.wrapping import wrapped
 from rtarm.recording.story import COUNTED, SLOWED, STATUS
-from rtarm.requests import TOO_EARLY_TO_CLEAR
-from rtarm.status import STOPPED_BY_A_PERSON, key, read_status
-from rtarm.status_tables import render_status
+from rtarm.running import requests
+from rtarm.running.decisions import end_told
+from rtarm.running.requests import TOO_EARLY_TO_CLEAR
+from rtarm.running.status import STOPPED_BY_A_PERSON, key, read_status
+from rtarm.running.status_tables import render_status
 from rtarm.top.picture import Picture
 from rtarm.top.watch import Watch
 from rtarm.view.panels import events_html, joints_html, machine_html, problems_html, state_html
 from rtarm.view.words import CHINESE
-from rtarm.wrapping import wrapped
 from sentences.told import outcome_sentence
 from shm import layout
 from shm.errors import NotRunning, WrongArm

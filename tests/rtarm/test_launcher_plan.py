@@ -15,10 +15,10 @@ from rich.console import Console
 
 from config.loader import load_arm, parse_overrides
 from rtarm import processes
-from rtarm.errors import ExitCode
-from rtarm.launcher import Launcher, action_name, describe_bus, load_plan, override_arguments
+from rtarm.console.errors import ExitCode
+from rtarm.console.reporter import Reporter
+from rtarm.launch.launcher import Launcher, action_name, describe_bus, load_plan, override_arguments
 from rtarm.processes import WHEELS_GUARD, describe_end, plain_environment, ros_environment
-from rtarm.reporter import Reporter
 
 keys = st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True)
 scalars = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text()

@@ -15,8 +15,8 @@ from stack import run_rtarm
 
 from config.loader import ARMS_FOLDER, known_arms, load_arm
 from config.schema import ArmConfig
-from rtarm.goals import tour
-from rtarm.goals.made import SPEED, fits, goals_for, made_for
+from rtarm.demo.goals import tour
+from rtarm.demo.goals.made import SPEED, fits, goals_for, made_for
 
 
 def four_joints(folder: Path, **changes: Any) -> Path:

@@ -19,7 +19,7 @@ from typer.testing import Result
 from written_arm import WrittenArm
 
 from config.loader import load_arm
-from rtarm.interrupt import signals_to
+from rtarm.console.interrupt import signals_to
 from rtarm.recording.follow import Follower
 from rtarm.top.terminal import run
 from rtarm.top.watch import Watch

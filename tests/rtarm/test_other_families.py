@@ -19,12 +19,12 @@ from config.derived import derived_table
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rtarm.calibrate.run import chosen_joints
-from rtarm.drives import render
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
+from rtarm.drives.settings import render
+from rtarm.drives.zdt_joints import other_drives, zdt_joints
 from rtarm.recording.mcap_format import Reason
 from rtarm.recording.story import tell
-from rtarm.status import of_cycle
-from rtarm.zdt_joints import other_drives, zdt_joints
+from rtarm.running.status import of_cycle
 from rtloop.drives.power import Marks
 from rtloop.offline.calibration.session import Session as Calibration
 from rtloop.offline.settings.compare import as_json

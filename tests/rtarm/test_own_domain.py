@@ -7,8 +7,8 @@ import socket
 
 import pytest
 
-from rtarm import own_domain
-from rtarm.own_domain import DOMAINS, ports_of
+from rtarm.launch import own_domain
+from rtarm.launch.own_domain import DOMAINS, ports_of
 
 HANDED_OUT = range(32768, 61000)
 """By Linux, to whichever program asks for any port."""

@@ -24,7 +24,7 @@ from typer.testing import Result
 from virtual import VirtualArm
 from waiting import until
 
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtarm.recording import folder, mcap_reader, shown
 from rtarm.recording.follow import Follower, Progress, follow
 from rtarm.recording.mcap_writer import NotWritten

@@ -10,9 +10,10 @@ import pytest
 from typer.testing import Result
 from virtual import VirtualArm, recording_of
 
-from rtarm.errors import Refusal
-from rtarm.recording import mcap_writer, on_arm
+from rtarm.console.errors import Refusal
+from rtarm.recording import mcap_writer
 from rtarm.recording.mcap_format import Reason
+from rtarm.replay import on_arm
 from shm.recording import Recording
 from shm.words import Fault, Mode, Outcome
 from sim.faults import PowerLoss

@@ -29,8 +29,9 @@ from virtual import VirtualArm, recorded_goal, recording_of
 from written_arm import WrittenArm
 
 from config.loader import load_arm
-from rtarm import launcher
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
+from rtarm.console.reporter import Reporter
+from rtarm.launch import launcher
 from rtarm.recording import __main__ as writer_process
 from rtarm.recording import after_fault, folder, make, mcap_format, mcap_reader, mcap_writer, story
 from rtarm.recording.after_fault import FaultRecorder
@@ -39,7 +40,6 @@ from rtarm.recording.explain import explanation
 from rtarm.recording.mcap_format import Reason
 from rtarm.recording.mcap_writer import NotWritten
 from rtarm.recording.replay import Replay
-from rtarm.reporter import Reporter
 from rtarm.top.picture import Picture
 from rtloop.wire.slcan import BEL
 from shm import files, layout

@@ -10,9 +10,9 @@ import pytest
 from typer.testing import Result
 from written_arm import JOINTS, WrittenArm
 
-from rtarm import referencing
-from rtarm.calibrate.person import Quit, Terminal
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
+from rtarm.console.person import Quit, Terminal
+from rtarm.running import referencing
 from rtloop.kept.saved import COUNTS_FROM_NOWHERE
 from shm.layout import REQUEST_SLOTS
 from shm.words import Answer, Fault, Mode, Request, Unreferenced

@@ -11,8 +11,8 @@ from typer.testing import Result
 from written_arm import WrittenArm
 
 from config.stopping import Patience
-from rtarm import requests
-from rtarm.errors import ExitCode
+from rtarm.console.errors import ExitCode
+from rtarm.running import requests
 from shm.words import Answer, Fault, Mode, Phase, Request, Unreferenced
 
 Rtarm = Callable[..., Result]

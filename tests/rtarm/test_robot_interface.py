@@ -25,8 +25,8 @@ from waiting import until
 
 from config.loader import load_arm
 from rosfront.start_parameters import START, BadParameter, read_given
-from rtarm.launcher import parameter_arguments
-from rtarm.robot_interface import PARAMETER_FLAGS, Start, front_arguments, remarks
+from rtarm.launch.launcher import parameter_arguments
+from rtarm.launch.robot_interface import PARAMETER_FLAGS, Start, front_arguments, remarks
 
 # ROS takes names of letters, digits and single _, and reads texts that look like something else only in quotes.
 _WORD = "[a-z][a-z0-9]{0,3}(_[a-z0-9]{1,3})?"
@@ -134,7 +134,7 @@ def start() -> Iterator[Callable[..., Process]]:
     started: list[Process] = []
 
     def run(*arguments: str) -> Process:
-        started.append(Process("rtarm.robot_interface", *arguments, needs_ros=True))
+        started.append(Process("rtarm.launch.robot_interface", *arguments, needs_ros=True))
         return started[-1]
 
     yield run

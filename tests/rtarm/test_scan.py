@@ -23,8 +23,8 @@ from typer.testing import Result
 
 from config.errors import ConfigError
 from config.loader import load_arm
+from rtarm.console.errors import Refusal
 from rtarm.doctor.machine import Machine
-from rtarm.errors import Refusal
 from rtarm.scan import adapters, search
 from rtarm.scan.overheard import drive_of
 from rtarm.scan.proposal import proposal

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from stack import Stack
 
 from config.loader import load_arm
-from rtarm.errors import Refusal
-from rtarm.sending import Outcome, Sender, goal_document, sending
-from rtarm.status import read_status
+from rtarm.client.sender import Outcome, Sender, goal_document, sending
+from rtarm.console.errors import Refusal
+from rtarm.running.status import read_status
 
 JOINTS = [f"joint{number}" for number in range(1, 7)]
 PATIENCE_S = 30.0
@@ -118,7 +118,7 @@ def test_a_sender_that_is_killed_is_told_and_its_arm_is_not_hurt(stack: Stack) -
 
 @pytest.mark.process
 def test_an_arm_that_nobody_serves_is_one_sentence(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rtarm.sending.action_name", lambda *_: "/nobody/follow_joint_trajectory")
+    monkeypatch.setattr("rtarm.client.sender.action_name", lambda *_: "/nobody/follow_joint_trajectory")
     said = r"^No ROS process serves /nobody/.* in ROS domain \d+: .*rtarm status"
     with pytest.raises(Refusal, match=said), sending(arm_of(stack)):
         pass

@@ -12,14 +12,14 @@ from arm_files import edited, write_arm
 from stack import Process, run_rtarm
 from waiting import ready_process
 
-from rtarm.errors import ExitCode, Refusal
-from rtarm.served_action import claim_action, namespace_of
-from rtarm.status import read_status
+from rtarm.console.errors import ExitCode, Refusal
+from rtarm.launch.served_action import claim_action, namespace_of
+from rtarm.running.status import read_status
 from shm.files import DIRECTORY, state_path
 
 HOLDS = """
 import sys
-from rtarm.served_action import claim_action
+from rtarm.launch.served_action import claim_action
 held = claim_action(*sys.argv[1:])
 print("ready", flush=True)
 sys.stdin.read()
@@ -123,7 +123,7 @@ def test_one_of_two_alike_goes_into_a_namespace(new_arm_name: Callable[[], str],
         closing(Process("rtarm", "up", str(tmp_path / f"{left}.yaml"), needs_ros=True)) as first,
         closing(
             Process(
-                "rtarm.robot_interface",
+                "rtarm.launch.robot_interface",
                 "--ros-args",
                 "-r",
                 "__ns:=/right",

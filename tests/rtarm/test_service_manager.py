@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from stack import Process
 
-from rtarm import service_manager
+from rtarm.launch import service_manager
 
 
 @pytest.fixture(params=["path", "abstract"])

@@ -15,8 +15,8 @@ from typer.testing import Result
 from written_arm import WrittenArm
 
 from motion.gripping import Grip
-from rtarm import status
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
+from rtarm.running import status
 from shm import files, histogram, layout
 from shm.gripper import show_gripper
 from shm.words import DriveStatus, Fault, GripTrouble, Mode, Outcome, Phase, Unreferenced

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from typer.testing import Result
 
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtarm.teach.file import as_text, folder, kept, load, motion_path, require_free, save
 from rtarm.teach.motion import Motion
 from rtarm.teach.play import check

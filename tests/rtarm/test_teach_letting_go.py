@@ -10,7 +10,7 @@ from typing import NoReturn
 import pytest
 from written_arm import WrittenArm
 
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtarm.teach import teach as teaching
 from rtarm.teach.recording import FreeMotion
 from rtarm.teach.teach import Wish, teach

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.distance import cdist
 
-from rtarm.errors import Refusal
-from rtarm.limits import Limits
+from rtarm.console.errors import Refusal
+from rtarm.running.limits import Limits
 from rtarm.teach.making import LEAD_S, Taught, make
 from rtarm.teach.motion import Motion, curve, extremes, peaks
 from rtarm.teach.play import motion_goal

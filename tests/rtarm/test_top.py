@@ -28,7 +28,7 @@ from rich.console import Console
 from stack import Process
 from written_arm import JOINTS, WrittenArm
 
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtarm.top import watch as watching
 from rtarm.top.events import Happening, happening
 from rtarm.top.picture import TIMING_COLUMNS, Picture, bars, fitting, joint_columns, share

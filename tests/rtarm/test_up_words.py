@@ -12,11 +12,11 @@ from rich.console import Console
 from written_arm import WrittenArm
 
 from config.loader import load_arm
-from rtarm import up as up_module
-from rtarm.errors import ExitCode
-from rtarm.interrupt import STOP_SIGNALS
-from rtarm.launcher import Plan
-from rtarm.reporter import Reporter
+from rtarm.console.errors import ExitCode
+from rtarm.console.interrupt import STOP_SIGNALS
+from rtarm.console.reporter import Reporter
+from rtarm.launch import up as up_module
+from rtarm.launch.launcher import Plan
 from shm.words import Unreferenced
 
 

@@ -25,12 +25,12 @@ from written_arm import JOINTS, WrittenArm
 from config.kinematics import Origin, joint_origins, link_poses, matrix
 from config.loader import load_arm
 from motion.segment import evaluate, quintic
-from rtarm import requests
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtarm.moveit.robot import model_parts
 from rtarm.moveit.shapes import link_shapes
 from rtarm.recording.replay import Replay
-from rtarm.status import report_of
+from rtarm.running import requests
+from rtarm.running.status import report_of
 from rtarm.top.events import Happening
 from rtarm.top.watch import Look
 from rtarm.view.history import COLUMN_NS, COLUMNS, History

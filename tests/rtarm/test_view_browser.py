@@ -19,8 +19,8 @@ from stack import PATIENT, Process, Stack
 from working_threads import niceness_at_work
 
 from config.loader import load_arm
-from rtarm import requests
-from rtarm.status import Report, read_status
+from rtarm.running import requests
+from rtarm.running.status import Report, read_status
 from rtloop.kept import saved
 from shm.words import Request, Unreferenced
 

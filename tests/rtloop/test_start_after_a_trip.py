@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from stack import Stack
 
-from rtarm.status import read_status
+from rtarm.running.status import read_status
 
 pytestmark = pytest.mark.process
 

@@ -24,7 +24,7 @@ from stack import Process
 from waiting import until
 from working_threads import niceness_at_work
 
-from rtarm.status import read_status
+from rtarm.running.status import read_status
 from shm import files
 
 pytestmark = pytest.mark.process
@@ -109,7 +109,7 @@ def test_without_viser_nothing_is_started(mock_file: Path, arm_name: str) -> Non
         "import importlib.util, sys\n"
         "find = importlib.util.find_spec\n"
         "importlib.util.find_spec = lambda name, *more: None if name == 'viser' else find(name, *more)\n"
-        "from rtarm.cli import app\napp()"
+        "from rtarm.cli.application import app\napp()"
     )
     done = subprocess.run(
         [sys.executable, "-c", program, "up", str(mock_file), "--view"],

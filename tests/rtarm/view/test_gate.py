@@ -24,7 +24,7 @@ import websockets.asyncio.server
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from rtarm.errors import Refusal
+from rtarm.console.errors import Refusal
 from rtarm.view import gate
 from rtarm.view.gate import Gate, Opened, names_of, open_server
 
@@ -444,7 +444,7 @@ def _as_it_was(serve: object) -> object:
 def test_a_missing_viser_is_told_with_what_to_install() -> None:
     program = (
         "import sys; sys.modules['viser'] = None\n"
-        "from rtarm.view.gate import open_server\nfrom rtarm.errors import Refusal\n"
+        "from rtarm.view.gate import open_server\nfrom rtarm.console.errors import Refusal\n"
         "try: open_server()\nexcept Refusal as refusal: print(refusal)"
     )
     done = subprocess.run(

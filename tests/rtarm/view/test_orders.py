@@ -14,9 +14,9 @@ from stack import Stack
 from waiting import until
 
 from config.loader import load_arm
-from rtarm import sending as sending_module
-from rtarm.errors import Refusal
-from rtarm.status import read_status
+from rtarm.client import sender as sending_module
+from rtarm.console.errors import Refusal
+from rtarm.running.status import read_status
 from rtarm.view.orders import Orders
 from rtarm.view.words import ENGLISH
 

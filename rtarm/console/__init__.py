@@ -1,0 +1,1 @@
+"""How a command speaks and ends: languages, lines, sentences of refusal with their exit codes, signals, niceness."""

@@ -1,0 +1,1 @@
+"""`rtarm demo`: recorded goals through the real processes on a simulated arm."""

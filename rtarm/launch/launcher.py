@@ -1,0 +1,535 @@
+"""The processes of an arm, started and ended in the right order: simulated arm, control process, ROS process.
+
+The order of the end is the reverse: first the ROS process (no new goals), then the control process (it stops
+the arm on its path), then the simulated arm. A dead ROS process is started again; a dead control process
+never is, because nobody but a person knows whether the arm may move again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from itertools import chain
+from typing import TYPE_CHECKING, Any
+
+from rtarm.console.errors import AlreadySaid, ExitCode, Refusal, needs
+from rtarm.console.interrupt import Interrupted, signals_raise
+from rtarm.console.reporter import Reporter
+from rtarm.launch.first_use import cycle_compiled_beside
+from rtarm.launch.page import PageBeside
+from rtarm.processes import (
+    Child,
+    describe_end,
+    has_module,
+    plain_environment,
+    ros_environment,
+)
+from rtarm.recording.after_fault import FaultRecorder
+from rtarm.running.arm_file import SIMULATED_CHANNEL
+from shm import files
+from shm.errors import AlreadyHeld
+
+if TYPE_CHECKING:
+    from config.schema import ArmConfig
+    from rtloop.wire.claim import Claim
+
+SIM_PATIENCE_S = 30.0
+LOOP_PATIENCE_S = 900.0
+"""A first start compiles the control cycle, which takes minutes on a busy or small machine."""
+FRONT_PATIENCE_S = 60.0
+
+LOOP_STOP_EARLY_S = 3.0
+"""Before it was ready nothing moves, and it may be compiling, which does not listen."""
+SIM_STOP_S = 5.0
+
+HINT_AFTER_S = 5.0
+
+RESTART_FIRST_S = 0.2
+RESTART_LONGEST_S = 10.0
+STEADY_AFTER_S = 10.0
+"""A ROS process that lived this long is started again at once."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to start."""
+
+    arm: ArmConfig
+    arm_argument: str
+    """The name or path a person gave; every process loads the arm from it."""
+    overrides: Mapping[str, Any]
+    """What the options change in the arm file, in nested form."""
+    simulated: bool
+    start_deg: Sequence[float] | None = None
+    """Joint angles at which the simulated arm starts; None for its default."""
+    again: str = ""
+    """The command that starts all this again, for people."""
+    front_environment: Mapping[str, str] = field(default_factory=dict)
+    front_arguments: Sequence[str] = ()
+    """What the ROS process is given besides, such as `--ros-args`."""
+    namespace: str = ""
+    """What stands before the name of its node and of all its topics, services and actions; "" for nothing."""
+    simulated_adapter: Mapping[str, Any] = field(default_factory=dict)
+    """What the simulated arm's adapter changes in section `bus`, its channel apart."""
+    hand: str | None = None
+    """The motion along which a hand leads the simulated arm whenever it is limp, as `sim.hand` knows it."""
+    view: bool = False
+    """Whether its page is served beside it."""
+    clear_fault: bool = False
+    """Whether an error that a drive has at the start is cleared."""
+
+
+def parameter_arguments(parameters: Mapping[str, Any]) -> list[str]:
+    """Values of ROS parameters as the arguments with which a node is started."""
+    if not parameters:
+        return []
+    return [
+        "--ros-args",
+        *chain.from_iterable(("-p", f"{name}:={_as_yaml(value)}") for name, value in parameters.items()),
+    ]
+
+
+def namespace_arguments(namespace: str) -> list[str]:
+    """The arguments with which a node and all that it offers is in a namespace, /diagnostics too; none without one."""
+    if not namespace:
+        return []
+    return ["--ros-args", "-r", f"__ns:={namespace}", "-r", f"/diagnostics:={namespace}/diagnostics"]
+
+
+def override_arguments(overrides: Mapping[str, Any], above: str = "") -> list[str]:
+    """Nested overrides as the `--set section.key=value` arguments that every process of an arm takes."""
+    arguments: list[str] = []
+    for key, value in overrides.items():
+        if isinstance(value, Mapping):
+            arguments += override_arguments(value, f"{above}{key}.")
+        else:
+            arguments += ["--set", f"{above}{key}={_as_yaml(value)}"]
+    return arguments
+
+
+def _as_yaml(value: Any) -> str:
+    import yaml
+
+    style = '"' if isinstance(value, str) else None  # so that "5" stays a text
+    text: str = yaml.safe_dump(value, default_style=style, default_flow_style=True, width=math.inf, allow_unicode=True)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def load_plan(
+    arm_argument: str,
+    overrides: Mapping[str, Any],
+    *,
+    simulated: bool,
+    start_deg: Sequence[float] | None = None,
+    again: str = "",
+    front_environment: Mapping[str, str] | None = None,
+    front_arguments: Sequence[str] = (),
+    namespace: str = "",
+    hand: str | None = None,
+    view: bool = False,
+    clear_fault: bool = False,
+) -> Plan:
+    """Check the configuration, the budget and what is installed before anything is started.
+
+    Raises:
+        ConfigError: the arm, an option or the budget is not right.
+        Refusal: there is nothing to simulate, or the ROS process or the page cannot run here.
+    """
+    from config.budget import check_budget
+    from config.loader import load_arm
+
+    loaded_with, adapter = overrides, {}
+    if simulated:
+        if _needs_no_bus(arm_argument):
+            raise Refusal(
+                f"Arm {arm_argument} has mock drives and no bus, so there is nothing to simulate: leave sim out."
+            )
+        adapter = _simulated_adapter(arm_argument, overrides)
+        loaded_with = _with_channel(overrides, adapter, SIMULATED_CHANNEL)
+    arm = load_arm(arm_argument, overrides=loaded_with)
+    check_budget(arm)
+    check_ros()
+    if view:
+        needs("viser")
+    return Plan(
+        arm=arm,
+        arm_argument=arm_argument,
+        overrides=overrides,
+        simulated=simulated,
+        start_deg=start_deg,
+        again=again,
+        front_environment=front_environment or {},
+        front_arguments=front_arguments,
+        namespace=namespace,
+        simulated_adapter=adapter,
+        hand=hand,
+        view=view,
+        clear_fault=clear_fault,
+    )
+
+
+def _needs_no_bus(arm_argument: str) -> bool:
+    from config.errors import ConfigError
+    from config.loader import load_arm
+
+    try:
+        return load_arm(arm_argument).bus.interface == "mock"
+    except ConfigError:
+        return False  # with the overrides it may load, and if not, that error is the one to show
+
+
+def check_ros() -> None:
+    """Refuse, with what to install, where the ROS process could not start; at first use, make what can be made."""
+    if not has_module("rclpy"):
+        raise Refusal(
+            "rclpy is not installed, and the ROS process needs it: run `make env` in a clone, install the wheel with "
+            "its extra `ros`, or source a ROS 2 installation, then start again."
+        )
+    if not generated_types() and not has_module("control_msgs"):
+        raise Refusal(
+            "control_msgs is not installed, and the ROS process needs it: generate it with `python -m "
+            "rosfront.interfaces.build`, or install it with your ROS 2, then start again."
+        )
+
+
+def generated_types() -> bool:
+    """Make sure of the message types that ROS from wheels lacks; says whether rtarm keeps a copy of its own.
+
+    Raises:
+        Refusal: they cannot be made here, or a signal came meanwhile.
+    """
+    try:
+        from rosfront.interfaces import build
+    except ImportError:  # a ROS workspace builds them itself, and its copy of rtarm is without their definitions
+        return False
+    try:
+        with signals_raise(), cycle_compiled_beside() if build.to_be_made() else nullcontext():
+            return build.ensure()
+    except build.CommandFailed as failed:
+        raise Refusal(f"{failed.log}\n{failed}") from None
+    except build.BuildError as refused:
+        raise Refusal(str(refused)) from None
+    except Interrupted as signalled:
+        raise Refusal(f"{signalled} came while message types were generated: start again for the rest.") from None
+
+
+def _simulated_adapter(arm_argument: str, overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """A simulated arm stands behind a serial adapter: its own kind, or SLCAN where the real one has none.
+
+    Where python-can speaks to the real one, it does so to the simulated one too.
+    """
+    from config.errors import ConfigError
+    from config.loader import load_arm
+    from config.serial_adapters import SERIAL_ADAPTERS
+
+    bus = {**overrides.get("bus", {}), "channel": SIMULATED_CHANNEL}
+    try:
+        found = load_arm(arm_argument, overrides={**overrides, "bus": bus}).bus
+    except ConfigError:
+        return {"interface": "slcan"}  # with which it may load, and if not, that error is the one to show
+    if found.python_can is not None:
+        other = {"python_can": {"interface": "slcan", "sleep_after_open": 0.0}}
+        return {} if found.spoken in SERIAL_ADAPTERS else other
+    return {"interface": found.spoken if found.spoken in SERIAL_ADAPTERS else "slcan"}
+
+
+def _with_channel(overrides: Mapping[str, Any], adapter: Mapping[str, Any], channel: str) -> dict[str, Any]:
+    return {**overrides, "bus": {**overrides.get("bus", {}), **adapter, "channel": channel}}
+
+
+class Launcher:
+    """Starts, watches and stops the processes of one arm; `stop` belongs in a `finally`."""
+
+    def __init__(self, plan: Plan, reporter: Reporter) -> None:
+        self.plan = plan
+        self.front_restarts = 0
+        self._reporter = reporter
+        self._arguments: list[str] = []
+        self._sim: Child | None = None
+        self._loop: Child | None = None
+        self._front: Child | None = None
+        self._action: Claim | None = None
+        self._recorder = FaultRecorder(plan.arm.name, reporter.say)
+        self.page = PageBeside(reporter) if plan.view else None
+
+    async def start(self) -> None:
+        """Start everything and return when it is ready.
+
+        Raises:
+            Refusal: the arm or its action has a server already, a process ended instead, or was not ready in time.
+        """
+        plan = self.plan
+        try:
+            files.require_not_running(plan.arm.name)
+        except AlreadyHeld as held:
+            raise Refusal(str(held), ExitCode.LOOP_REFUSED) from None
+        self._action = self._claim_action()
+        overrides = plan.overrides
+        if plan.simulated:
+            overrides = _with_channel(overrides, plan.simulated_adapter, await self._start_sim())
+        self._arguments = [plan.arm_argument, *override_arguments(overrides)]
+        started = time.monotonic()
+        loop_arguments = [*self._arguments, *(["--clear-fault"] if plan.clear_fault else [])]
+        self._loop = await self._spawn("loop", "rtloop", loop_arguments, plain_environment())
+        # Both start at once: the ROS process takes its second to load while the drives are brought up.
+        self._front = await self._start_front()
+        await self._wait_ready(self._loop, LOOP_PATIENCE_S, "control process starting")
+        self._say(self._loop, f"ready, {describe_bus(plan.arm)} ({time.monotonic() - started:.1f} s)")
+        action = await self._wait_ready(self._front, FRONT_PATIENCE_S, "ROS process starting")
+        self._say(self._front, f"ready, action {action} ({time.monotonic() - started:.1f} s)")
+
+    async def watch(self) -> None:
+        """Keep the ROS process alive; returns never, and raises when the rest cannot go on.
+
+        Raises:
+            Refusal: the control process or the simulated arm ended.
+        """
+        assert self._loop is not None
+        others = [asyncio.create_task(self._watch_loop()), asyncio.create_task(self._keep_front())]
+        if self._sim is not None:
+            others.append(asyncio.create_task(self._watch_sim(self._sim)))
+        beside = [asyncio.create_task(self._recorder.watch())]  # whatever becomes of these ends nothing
+        if self.page is not None:
+            environment = {**plain_environment(), **self.plan.front_environment}
+            arguments = [*self._arguments, *(["--namespace", self.plan.namespace] if self.plan.namespace else [])]
+            beside.append(asyncio.create_task(self.page.watch(arguments, environment)))
+        try:
+            done, _ = await asyncio.wait(others, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            for task in (*others, *beside):
+                task.cancel()
+            await asyncio.gather(*others, *beside, return_exceptions=True)
+
+    async def stop(self) -> None:
+        """End what runs, in order, each within its patience."""
+        loop_moves = self._loop is not None and self._loop.was_ready
+        patience, parking = self.plan.arm.patience, self.plan.arm.parking
+        for child, patience_s in (
+            (self._front, patience.ros_process_s + (parking.timeout_s if parking else 0.0)),
+            (self._loop, patience.control_process_s if loop_moves else LOOP_STOP_EARLY_S),
+            (self._sim, SIM_STOP_S),
+        ):
+            if child is None or child.has_ended:
+                continue
+            if not await child.stop(patience_s):
+                self._say(child, f"did not end within {patience_s:g} s and was killed", style="bold red")
+        if self._action is not None:
+            self._action.close()
+        if self.page is not None:
+            await self.page.stop()  # last: it shows the end, and the arm waits for no page
+        await self._recorder.close(died=self._loop is not None and bool(self._loop.code))
+
+    def say_stopping(self, why: str) -> None:
+        """The line between a signal and the end."""
+        parks = ", once it is parked if it stands" if self.plan.arm.parking else ""
+        self._reporter.say(f"{why}: stopping the arm on its path and ending its processes{parks}")
+
+    def stop_at_once(self) -> None:
+        """Whoever asks for the end again wants no parking."""
+        if self.plan.arm.parking and self._front is not None and not self._front.has_ended:
+            self._front.ask_to_end()
+
+    def check_orderly_end(self) -> None:
+        """After `stop`: refuse when a control process that was ready did not end in order."""
+        loop = self._loop
+        if loop is None or not loop.was_ready or not loop.code:
+            return
+        end = describe_end(loop.code)
+        raise Refusal(
+            f"The control process ended {end} instead of in order; the drives stop by themselves, but a homing run "
+            f"goes on: look at the arm and at the lines above before you start again with `{self.plan.again}`.",
+            ExitCode.LOOP_DIED,
+        )
+
+    # --- starting ---------------------------------------------------------------------------------------
+
+    def _claim_action(self) -> Claim:
+        """Make sure, before anything moves, that no other arm of this machine takes the same goals; raises Refusal."""
+        from rtarm.launch.served_action import claim_action, namespace_of
+
+        plan = self.plan
+        domain = {**os.environ, **plan.front_environment}.get("ROS_DOMAIN_ID", "")
+        return claim_action(action_name(plan.arm, namespace_of(self._ros_arguments)), domain, plan.arm.name)
+
+    @property
+    def _ros_arguments(self) -> list[str]:
+        return [*namespace_arguments(self.plan.namespace), *self.plan.front_arguments]
+
+    async def _start_sim(self) -> str:
+        """Start the simulated arm; returns the terminal it listens at."""
+        overrides = _with_channel(self.plan.overrides, self.plan.simulated_adapter, SIMULATED_CHANNEL)
+        arguments = ["--arm", self.plan.arm_argument, *override_arguments(overrides)]
+        if self.plan.start_deg is not None:
+            arguments += ["--start-deg=" + ",".join(f"{angle:.9g}" for angle in self.plan.start_deg)]
+        if self.plan.hand is not None:
+            arguments += ["--hand", self.plan.hand]
+        self._sim = await self._spawn("sim", "sim", arguments, plain_environment())
+        terminal = await self._wait_ready(self._sim, SIM_PATIENCE_S, "simulated arm starting")
+        self._say(self._sim, f"ready, {len(self.plan.arm.joints)} simulated drives behind {terminal}")
+        return terminal
+
+    async def _start_front(self) -> Child:
+        environment = {
+            LOG_FORMAT: PLAIN_LOG,
+            **ros_environment(),
+            **self.plan.front_environment,
+        }
+        arguments = [*self._arguments, *self._ros_arguments]
+        if self.plan.simulated:
+            arguments += parameter_arguments({"sim": True})
+        return await self._spawn("front", "rosfront", arguments, environment)
+
+    async def _spawn(self, name: str, module: str, arguments: Sequence[str], environment: Mapping[str, str]) -> Child:
+        def show(line: str) -> None:
+            self._reporter.say(_without_name(line), name)
+
+        return await Child.start(name, module, arguments, environment, show)
+
+    async def _wait_ready(self, child: Child, patience_s: float, what: str) -> str:
+        """What followed "ready"; the control process' end is noticed whoever is waited for."""
+        if child.was_ready and self._loop is not None and not self._loop.has_ended:
+            return await child.ready() or ""
+        waited = asyncio.create_task(child.ready())
+        ends = [asyncio.create_task(self._loop.ended())] if self._loop not in (None, child) else []
+        try:
+            with self._reporter.waiting(what, child.name):
+                if not await _any_done((waited, *ends), HINT_AFTER_S):
+                    self._say(child, HINTS[child.name])
+                    await _any_done((waited, *ends), patience_s - HINT_AFTER_S)
+            if self._loop is not None and self._loop.has_ended:
+                raise await self._loop_refusal(self._loop)
+            if not waited.done():
+                raise Refusal(
+                    f"The {NAMES[child.name]} was not ready within {patience_s:g} s: see its lines above, "
+                    "and relieve the machine if it is busy."
+                )
+            ready = waited.result()
+        finally:
+            for task in (waited, *ends):
+                task.cancel()
+        if ready is None:
+            raise await self._start_refusal(child)
+        return ready
+
+    async def _start_refusal(self, child: Child) -> Refusal:
+        code = await child.ended()
+        if child.last_line and code > 0:
+            return AlreadySaid(_sentence(child))
+        return Refusal(f"The {NAMES[child.name]} ended {describe_end(code)} before it was ready: see its lines above.")
+
+    async def _loop_refusal(self, child: Child) -> Refusal:
+        """Why the control process ended while everything was starting."""
+        code = await child.ended()
+        if child.was_ready:
+            return self._loop_died(code)
+        if code not in (1, 2):
+            return Refusal(
+                f"The control process ended {describe_end(code)} before it was ready, so no motion had begun: see the "
+                f"lines above, then start again with `{self.plan.again}`.",
+                ExitCode.LOOP_DIED,
+            )
+        if child.last_line:
+            return AlreadySaid(_sentence(child), ExitCode.LOOP_REFUSED)
+        return Refusal(
+            f"The control process refused to start ({describe_end(code)}) and did not say why: run `python "
+            f"-m rtloop {self.plan.arm_argument}` to see more.",
+            ExitCode.LOOP_REFUSED,
+        )
+
+    # --- watching ---------------------------------------------------------------------------------------
+
+    async def _watch_loop(self) -> None:
+        assert self._loop is not None
+        raise self._loop_died(await self._loop.ended())
+
+    def _loop_died(self, code: int) -> Refusal:
+        if code == 0:
+            how = "has ended in order, although nobody asked `rtarm up` for it; the arm stands"
+        else:
+            how = f"ended {describe_end(code)}; the drives stop by themselves, but a homing run goes on"
+        return Refusal(
+            f"The control process {how}: look at the arm, then start again with `{self.plan.again}`.",
+            ExitCode.LOOP_DIED,
+        )
+
+    async def _watch_sim(self, sim: Child) -> None:
+        code = await sim.ended()
+        raise Refusal(
+            f"The simulated arm ended {describe_end(code)}, so there is nothing left to control: start "
+            f"again with `{self.plan.again}`."
+        )
+
+    async def _keep_front(self) -> None:
+        """Start the ROS process again whenever it ends, more patiently when it does so at once."""
+        pause_s = RESTART_FIRST_S
+        started = time.monotonic()
+        while True:
+            assert self._front is not None
+            code = await self._front.ended()
+            if time.monotonic() - started > STEADY_AFTER_S:
+                pause_s = RESTART_FIRST_S
+            self._say(
+                self._front,
+                f"the ROS process ended {describe_end(code)}; starting it again in {pause_s:g} s",
+                style="yellow",
+            )
+            await asyncio.sleep(pause_s)
+            pause_s = min(2.0 * pause_s, RESTART_LONGEST_S)
+            started = time.monotonic()
+            self._front = await self._start_front()
+            self.front_restarts += 1
+            if await self._front.ready() is not None:
+                self._say(self._front, f"ready again ({time.monotonic() - started:.1f} s)")
+
+    def _say(self, child: Child, text: str, style: str = "") -> None:
+        self._reporter.say(text, child.name, style)
+
+
+def _without_name(line: str) -> str:
+    """A line of one of our programs, which puts its name in front."""
+    return line.removeprefix("rtloop: ").removeprefix("sim: ")
+
+
+def _sentence(child: Child) -> str:
+    """The last thing a child that refused has said."""
+    return _without_name(child.last_line)
+
+
+async def _any_done(tasks: Iterable[asyncio.Task[Any]], patience_s: float) -> bool:
+    done, _ = await asyncio.wait(tasks, timeout=patience_s, return_when=asyncio.FIRST_COMPLETED)
+    return bool(done)
+
+
+LOG_FORMAT = "RCUTILS_CONSOLE_OUTPUT_FORMAT"
+PLAIN_LOG = "{severity}: {message}"
+"""How ROS writes its log lines; without one of his own, a person need not see time and node in each."""
+
+HINTS = {
+    "sim": "still starting: the machine is busy",
+    "loop": "still starting: compiling the control cycle, once after a change",
+    "front": "still starting: loading ROS 2",
+}
+"""What a wait of more than `HINT_AFTER_S` is probably for."""
+
+NAMES = {"sim": "simulated arm", "loop": "control process", "front": "ROS process"}
+"""What the processes are called in sentences."""
+
+
+def describe_bus(arm: ArmConfig) -> str:
+    """The rate and the bus, in a line."""
+    bus = arm.bus
+    if bus.interface == "mock":
+        return f"{arm.name} at {arm.control.rate_hz:g} Hz without a bus (mock drives)"
+    return f"{arm.name} at {arm.control.rate_hz:g} Hz on {bus.interface}, {bus.bitrate // 1000} kbit/s"
+
+
+def action_name(arm: ArmConfig, namespace: str = "") -> str:
+    """The action that MoveIt sends its goals to, of a ROS process in this namespace."""
+    return f"{namespace}/{arm.front.controller_name}/follow_joint_trajectory"
