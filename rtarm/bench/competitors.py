@@ -25,10 +25,12 @@ from rtarm.bench.motion import there_and_back
 from rtarm.bench.one_node import action_of
 from rtarm.bench.program import Program
 from rtarm.bench.results import Slice
+from rtarm.client.partner import STOP_S, WORD_PATIENCE_S, Partner
+from rtarm.client.player import Player
 from rtarm.console.errors import Refusal
 from rtarm.console.reporter import Reporter
 from rtarm.launch.launcher import Launcher, action_name, load_plan, override_arguments
-from rtarm.processes import Child, describe_end, plain_environment, ros_environment
+from rtarm.processes import describe_end, plain_environment, ros_environment
 from rtarm.running.arm_file import SIMULATED_CHANNEL
 from rtarm.running.tracking import Window
 from shm import files
@@ -44,9 +46,6 @@ SETTLE_S = 0.4
 """From the acceptance of the goal to the beginning of the slice."""
 TAIL_S = 1.0
 """The goal goes on at least so long after the slice."""
-START_PATIENCE_S = 60.0
-WORD_PATIENCE_S = 60.0
-STOP_S = 3.0
 
 
 @dataclass(frozen=True)
@@ -103,90 +102,16 @@ class Competitor(Protocol):
         """End what was started."""
 
 
-class Partner:
-    """A child that is told lines and answers in lines of JSON."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._events: asyncio.Queue[dict[str, Any] | None] = asyncio.Queue()
-        self._child: Child | None = None
-        self._words: list[str] = []
-
-    async def start(self, module: str, arguments: Sequence[str], environment: dict[str, str]) -> str:
-        """Start it and wait until it is ready; returns what it said behind that word.
-
-        Raises:
-            Refusal: it ended, or was not ready in time.
-        """
-
-        def take(line: str) -> None:
-            if line.startswith("{"):
-                self._events.put_nowait(json.loads(line))
-            else:
-                self._words.append(line)
-
-        self._child = await Child.start(self._name, module, arguments, environment, take, told=True)
-        try:
-            async with asyncio.timeout(START_PATIENCE_S):
-                said = await self._child.ready()
-        except TimeoutError:
-            raise Refusal(f"{self._name} was not ready within {START_PATIENCE_S:g} s: relieve the machine.") from None
-        if said is None:
-            raise await self.refusal()
-        return said
-
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        assert self._child is not None
-        return self._child.pid
-
-    def say(self, line: str) -> None:
-        """Tell it a line."""
-        assert self._child is not None
-        self._child.tell(line)
-
-    async def event(self) -> dict[str, Any]:
-        """What it reports next.
-
-        Raises:
-            Refusal: it ended, or reports nothing.
-        """
-        assert self._child is not None
-        heard = asyncio.create_task(self._events.get())
-        ended = asyncio.create_task(self._child.ended())
-        try:
-            await asyncio.wait((heard, ended), timeout=WORD_PATIENCE_S, return_when=asyncio.FIRST_COMPLETED)
-            if heard.done() and (found := heard.result()) is not None:
-                return found
-            if ended.done():
-                raise await self.refusal()
-            raise Refusal(f"{self._name} said nothing for {WORD_PATIENCE_S:g} s: relieve the machine.")
-        finally:
-            heard.cancel()
-            ended.cancel()
-
-    async def close(self) -> None:
-        """End it."""
-        if self._child is not None:
-            await self._child.stop(STOP_S)
-
-    async def refusal(self) -> Refusal:
-        """How it ended, once it has."""
-        assert self._child is not None
-        end = describe_end(await self._child.ended())
-        return Refusal(f"{self._name} ended {end}; its last words: {' / '.join(self._words[-3:]) or 'none'}.")
-
-
 class Client:
     """Plays goals at action servers; a process like any MoveIt."""
 
     def __init__(self) -> None:
-        self._partner = Partner("goal client")
+        self._player = Player("goal client")
 
     async def start(self, environment: dict[str, str], namespace: str) -> None:
         """Start it, in the ROS domain of `environment`."""
-        await self._partner.start("rtarm.bench.goal_client", [namespace], {**ros_environment(), **environment})
+        await self._player.start(environment, namespace)
+        await self._player.wait_ready()
 
     async def play(self, action: str, goal: dict[str, Any]) -> int:
         """Send a goal and wait until it is accepted; when it was sent (CLOCK_MONOTONIC, ns).
@@ -194,26 +119,23 @@ class Client:
         Raises:
             Refusal: it is not.
         """
-        self._partner.say("play " + json.dumps({"action": action, "goal": goal}))
-        event = await self._partner.event()
+        event = await self._player.play(goal, action)
         if event["event"] != "accepted":
             raise Refusal(f"The goal of the benchmark failed: {event['sentence']}")
         return int(event["sent_ns"])
 
     async def states(self, first_ns: int, last_ns: int) -> dict[str, Any]:
         """How /joint_states arrived between two instants (CLOCK_MONOTONIC), once the goal has ended."""
-        self._partner.say(f"states {first_ns} {last_ns}")
-        event = await self._partner.event()
-        return {name: event[name] for name in ("count", "rate_hz", "interval_ms", "age_ms")}
+        return await self._player.states(first_ns, last_ns)
 
     async def result(self) -> str:
         """Why the goal did not succeed, "" if it did."""
-        event = await self._partner.event()
+        event = await self._player.result()
         return "" if event["succeeded"] else event["sentence"] or "no reason was given"
 
     async def close(self) -> None:
         """End it."""
-        await self._partner.close()
+        await self._player.close()
 
 
 class OurCycle:
@@ -335,10 +257,10 @@ class Baseline:
         if bench.simulated:
             changes += override_arguments({"bus": {"channel": SIMULATED_CHANNEL}})
             start = "--start-deg=" + ",".join("0" for _ in bench.arm().joints)
-            channel = [
-                await self._sim.start("sim", ["--arm", bench.arm_argument, *changes, start], plain_environment())
-            ]
+            await self._sim.start("sim", ["--arm", bench.arm_argument, *changes, start], plain_environment())
+            channel = [await self._sim.ready()]
         await self._partner.start(self._module, [bench.arm_argument, *arguments, *channel, *changes], environment)
+        await self._partner.ready()
 
     def _goal(self, seconds: float) -> dict[str, Any]:
         names = [joint.name for joint in self._bench.arm().joints]

@@ -186,7 +186,9 @@ class Sender:
                     self._ready = True
                 elif line.startswith("{"):
                     heard = json.loads(line)
-                    self._outcomes[heard["number"]] = Outcome(heard["succeeded"], heard["code"], heard["sentence"])
+                    if heard["event"] == "result":
+                        outcome = Outcome(heard["succeeded"], heard["code"], heard["sentence"])
+                        self._outcomes[heard["number"]] = outcome
                 self._state.notify_all()
         with self._state:
             self._ended = True
@@ -241,7 +243,10 @@ def sending(arm: ArmConfig, namespace: str = "") -> Iterator[Sender]:
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", arm.front.discovery.upper())
     process = subprocess.Popen(
         # -P: a folder called config where the user happens to stand is not our package.
-        [sys.executable, "-P", "-m", "rtarm.client.program", action_name(arm, namespace), f"{canceled_s}"],
+        [
+            *(sys.executable, "-P", "-m", "rtarm.client.program"),
+            *(f"--action={action_name(arm, namespace)}", f"--canceled-s={canceled_s}"),
+        ],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

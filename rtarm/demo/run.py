@@ -6,9 +6,8 @@ import asyncio
 import contextlib
 import json
 import math
-import os
 import secrets
-import tempfile
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +23,8 @@ from rich.text import Text
 
 from config.loader import load_arm
 from config.schema import ArmConfig
+from rtarm.client.partner import Silent
+from rtarm.client.player import Player
 from rtarm.console.errors import ExitCode, Refusal
 from rtarm.console.interrupt import Interrupted
 from rtarm.console.reporter import Reporter
@@ -33,7 +34,6 @@ from rtarm.launch.launcher import Launcher, Plan, action_name, load_plan
 from rtarm.launch.own_domain import own_domain
 from rtarm.launch.page import PageBeside
 from rtarm.launch.up import run_launched
-from rtarm.processes import Child, describe_end, ros_environment
 from rtarm.running.referencing import reference
 from rtarm.running.requests import connect
 from rtarm.running.status import counters, describe_scheduling, percentiles_us, scheduling
@@ -43,8 +43,11 @@ from shm import files
 from shm.client import StateReader
 from shm.words import Unreferenced
 
-CLIENT_PATIENCE_S = 60.0
-CLIENT_STOP_S = 2.0
+ANSWER_PATIENCE_S = 5.0
+RESULT_PATIENCE_S = 10.0
+"""Beyond one and a half times the planned duration."""
+NO_RESULT = -1000
+"""Ours: the server gave no result in time. ROS knows no such code."""
 BROWSER_PATIENCE_S = 30.0
 DRAW_EVERY_S = 0.1
 LINE_EVERY_S = 1.0
@@ -76,9 +79,8 @@ def run_demo(
     """
     if json_file is not None and not (json_file.absolute().parent.is_dir() and not json_file.is_dir()):
         raise Refusal(f"{json_file} cannot be written: name a file in a folder that exists.")
-    with tempfile.TemporaryDirectory(prefix="rtarm-demo-") as folder:
-        goals = goals_for(load_arm(arm_argument), Path(folder)) if goal_file is None else [load_goal(goal_file)]
-        return _run(make_plan(arm_argument, goals, view=view), goals, json_file, reporter)
+    goals = goals_for(load_arm(arm_argument)) if goal_file is None else [load_goal(goal_file)]
+    return _run(make_plan(arm_argument, goals, view=view), goals, json_file, reporter)
 
 
 def _run(plan: Plan, goals: Sequence[Goal], json_file: Path | None, reporter: Reporter) -> ExitCode:
@@ -144,16 +146,14 @@ async def _play(
 
     async def work() -> None:
         played = Played()
-        client = await _start_client(plan, goals, played, reporter)
+        client = Player("the action client", lambda line: reporter.say(line, "client"))
         try:
+            await client.start(plan.front_environment, plan.namespace, action_name(plan.arm, plan.namespace))
             await launcher.start()
             if said := await asyncio.to_thread(say_where_it_stands, plan.arm):
                 reporter.say(said)
-            with reporter.waiting("action client starting", client.name):
-                async with asyncio.timeout(CLIENT_PATIENCE_S):
-                    ready = await client.ready()
-            if ready is None:
-                raise Refusal(f"The action client ended {describe_end(await client.ended())}: see its lines above.")
+            with reporter.waiting("action client starting", "client"):
+                await client.wait_ready()
 
             async def perform() -> None:
                 if launcher.page is not None:
@@ -175,10 +175,8 @@ async def _play(
                 for task in (watch, performing):
                     task.cancel()
                 await asyncio.gather(watch, performing, return_exceptions=True)
-        except TimeoutError:
-            raise Refusal(f"The action client did not find the arm within {CLIENT_PATIENCE_S:g} s.") from None
         finally:
-            await client.stop(CLIENT_STOP_S)
+            await client.close()
 
     await run_launched(launcher, work)
 
@@ -210,62 +208,63 @@ def say_where_it_stands(arm: ArmConfig) -> str:
     return reference(arm.name, dict.fromkeys(counting)) if counting else ""
 
 
-async def _start_client(plan: Plan, goals: Sequence[Goal], played: Played, reporter: Reporter) -> Child:
-    def take(line: str) -> None:
-        event = _event(line)
-        if event is None:
-            reporter.say(line, "client")
-        elif event["event"] == "accepted":
-            played.playing = event["goal"]
-        elif event["event"] == "result":
-            played.results.append(event)
-            played.playing = ""
-            reporter.say(_result_line(event), "client", "green" if event["succeeded"] else "bold red")
-        elif event["event"] == "joint_states":
-            played.joint_states = event
+async def _play_goals(goals: Sequence[Goal], client: Player, played: Played, reporter: Reporter) -> None:
+    """One after the other, until one fails; and how joint_states arrived meanwhile."""
+    first_ns = time.monotonic_ns()
+    for goal in goals:
+        played.playing = goal.name
+        found = await _outcome(goal, client)
+        result = {
+            "goal": goal.name,
+            "succeeded": found["succeeded"],
+            "error_code": found["code"],
+            "error_string": found["sentence"],
+            "planned_s": goal.planned_s,
+            "actual_s": found["actual_s"],
+            "feedback": found["feedback"],
+        }
+        played.results.append(result)
+        played.playing = ""
+        reporter.say(_result_line(result), "client", "green" if result["succeeded"] else "bold red")
+        if not result["succeeded"]:
+            break
+    played.joint_states = await client.states(first_ns, time.monotonic_ns())
 
-    return await Child.start(
-        "client",
-        "rtarm.demo.client",
-        [plan.namespace, action_name(plan.arm, plan.namespace), *(os.fspath(goal.path.absolute()) for goal in goals)],
-        {**ros_environment(), **plan.front_environment},
-        take,
-        told=True,
-    )
 
-
-def _event(line: str) -> dict[str, Any] | None:
-    if not line.startswith("{"):
-        return None
+async def _outcome(goal: Goal, client: Player) -> dict[str, Any]:
+    """What the client reports of a goal's end, or that it reports none."""
+    nothing = {"succeeded": False, "code": NO_RESULT, "actual_s": 0.0, "feedback": 0}
     try:
-        event: dict[str, Any] = json.loads(line)
-    except ValueError:
-        return None
-    return event if "event" in event else None
+        answer = await client.play(goal.document, patience_s=ANSWER_PATIENCE_S)
+    except Silent:
+        return {**nothing, "sentence": f"The server did not answer the goal within {ANSWER_PATIENCE_S:g} s."}
+    if answer["event"] == "result":
+        return answer
+    patience_s = 1.5 * goal.planned_s + RESULT_PATIENCE_S
+    try:
+        return await client.result(patience_s)
+    except Silent:
+        return {**nothing, "sentence": f"The server gave no result within {patience_s:.1f} s."}
 
 
 async def _perform(
-    plan: Plan, goals: Sequence[Goal], client: Child, played: Played, reporter: Reporter
+    plan: Plan, goals: Sequence[Goal], client: Player, played: Played, reporter: Reporter
 ) -> dict[str, Any]:
     """Let the client play, follow the arm meanwhile, and sum it up."""
     reader = StateReader(files.open_state(plan.arm.name))
     tracker = Tracker(reader)
     window = Window(reader)
     tracker.start()
+    playing = asyncio.create_task(_play_goals(goals, client, played, reporter))
     try:
-        client.tell("go")
-        await _show_progress(plan.arm, goals, client, played, tracker, reporter)
+        await _show_progress(plan.arm, goals, playing, played, tracker, reporter)
         since, bitrate, elapsed_ns = window.counters()
         lateness, cycle_time = window.histogram("lateness"), window.histogram("cycle_time")
+        await playing
         await _settle(tracker)
     finally:
+        playing.cancel()
         tracker.stop()
-    if not played.results or played.joint_states is None:
-        code = await client.ended()
-        raise Refusal(
-            f"The action client ended {describe_end(code)} before its report was complete.",
-            ExitCode.GOAL_FAILED,
-        )
     report = {
         **summarise(goals, played),
         "arm": {"name": plan.arm.name, "joints": [joint.name for joint in plan.arm.joints]},
@@ -285,15 +284,13 @@ def summarise(goals: Sequence[Goal], played: Played) -> dict[str, Any]:
     """What the client reported of all goals together: the first failure decides, else the last goal."""
     results = played.results
     deciding = next((result for result in results if not result["succeeded"]), results[-1])
-    joint_states = dict(played.joint_states or {})
-    joint_states.pop("event", None)
     return {
         "succeeded": len(results) == len(goals) and all(result["succeeded"] for result in results),
         "result": {"error_code": deciding["error_code"], "error_string": deciding["error_string"]},
         "planned_s": sum(result["planned_s"] for result in results),
         "actual_s": sum(result["actual_s"] for result in results),
-        "goals": [{key: value for key, value in result.items() if key != "event"} for result in results],
-        "joint_states": joint_states,
+        "goals": results,
+        "joint_states": played.joint_states,
     }
 
 
@@ -318,12 +315,12 @@ async def _settle(tracker: Tracker) -> None:
 async def _show_progress(
     arm: ArmConfig,
     goals: Sequence[Goal],
-    client: Child,
+    playing: asyncio.Task[None],
     played: Played,
     tracker: Tracker,
     reporter: Reporter,
 ) -> None:
-    """Draw until the client has ended: a bar and the joints on a terminal, a line a second elsewhere."""
+    """Draw until the goals have been played: a bar and the joints on a terminal, a line a second elsewhere."""
     names = [joint.name for joint in arm.joints]
 
     shown_s = 0.0
@@ -336,20 +333,18 @@ async def _show_progress(
 
     if reporter.console.is_terminal:
         with Live(moment().drawn(), console=reporter.console, auto_refresh=False, transient=True) as live:
-            while not client.has_ended:
+            while not playing.done():
                 live.update(moment().drawn(), refresh=True)
-                await _end_within(client, DRAW_EVERY_S)
+                await _end_within(playing, DRAW_EVERY_S)
     else:
-        while not client.has_ended:
+        while not playing.done():
             if played.playing:
                 reporter.say(moment().line(), "arm")
-            await _end_within(client, LINE_EVERY_S if played.playing else DRAW_EVERY_S)
+            await _end_within(playing, LINE_EVERY_S if played.playing else DRAW_EVERY_S)
 
 
-async def _end_within(client: Child, seconds: float) -> None:
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(seconds):
-            await client.ended()
+async def _end_within(playing: asyncio.Task[None], seconds: float) -> None:
+    await asyncio.wait((playing,), timeout=seconds)
 
 
 def _result_line(result: Mapping[str, Any]) -> str:

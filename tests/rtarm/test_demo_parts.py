@@ -14,10 +14,10 @@ from rich.console import Console
 from written_arm import JOINTS, WrittenArm
 
 from config.loader import load_arm
+from rtarm.client.arrivals import Arrivals
 from rtarm.client.ros import fill, goal_message
 from rtarm.console.errors import Refusal
 from rtarm.demo import run as demo
-from rtarm.demo.client import Arrivals
 from rtarm.demo.goals import load_goal, tour
 from rtarm.launch.own_domain import DOMAINS
 from rtarm.running.status import percentiles_us
@@ -70,7 +70,7 @@ def test_what_is_no_goal_is_refused(text: str, said: str, tmp_path: Path) -> Non
 def test_the_simulated_arm_starts_where_the_goal_does() -> None:
     arm, goal = load_arm("episode1"), load_goal(RECORDED / "around_box.json")
     assert demo.start_deg(arm, goal) == pytest.approx([-60, 10, 10, 0, 0, 0], abs=0.1)
-    only_one = demo.Goal("one", goal.path, ("joint6",), (100.0,), 1.0, {})
+    only_one = demo.Goal("one", ("joint6",), (100.0,), 1.0, {})
     assert demo.start_deg(arm, only_one) == [0, 0, 0, 0, 0, 290]  # never outside the limits
 
 
@@ -147,8 +147,8 @@ def test_arrivals_of_joint_states(monkeypatch: pytest.MonkeyPatch) -> None:
     for number, age_ns in enumerate(ages_ns):
         sec, nanosec = divmod(stamp_ns, 1_000_000_000)
         message = b"\x00\x01\x00\x00" + sec.to_bytes(4, "little") + nanosec.to_bytes(4, "little") + b"rest"
-        monkeypatch.setattr("rtarm.demo.client.time.monotonic_ns", lambda at=number: at * 8_000_000)
-        monkeypatch.setattr("rtarm.demo.client.time.time_ns", lambda age=age_ns: stamp_ns + age)
+        monkeypatch.setattr("rtarm.client.arrivals.time.monotonic_ns", lambda at=number: at * 8_000_000)
+        monkeypatch.setattr("rtarm.client.arrivals.time.time_ns", lambda age=age_ns: stamp_ns + age)
         arrivals.take(message)
     figures = arrivals.between(0, 10**12)
     assert figures["count"] == 3
@@ -209,7 +209,6 @@ def played(*results: tuple[str, bool, int, str]) -> demo.Played:
     return demo.Played(
         results=[
             {
-                "event": "result",
                 "goal": name,
                 "succeeded": succeeded,
                 "error_code": code,
@@ -221,7 +220,6 @@ def played(*results: tuple[str, bool, int, str]) -> demo.Played:
             for name, succeeded, code, sentence in results
         ],
         joint_states={
-            "event": "joint_states",
             "count": 240,
             "rate_hz": 120.0,
             "interval_ms": {"p50": 8.3, "p99": 8.9, "max": 10.0},

@@ -1,4 +1,4 @@
-"""Goals recorded from MoveIt, as the demo plays them: checked here, sent by `rtarm.demo.client`."""
+"""Goals recorded from MoveIt, as the demo plays them: checked here, sent by `rtarm.client`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ class Goal:
     """A recorded goal, as far as the demo must know it before it is sent."""
 
     name: str
-    path: Path
     joint_names: tuple[str, ...]
     first_rad: tuple[float, ...]
     """Positions of the first point, in the order of `joint_names`."""
@@ -53,16 +52,19 @@ def load_goal(path: Path) -> Goal:
     except ValueError as error:
         raise Refusal(f"{path} is not JSON ({error}): {_REMEDY}.") from None
     try:
-        trajectory = document["trajectory"]
-        names, points = trajectory["joint_names"], trajectory["points"]
-        first = _numbers(points[0]["positions"])
-        planned_s = seconds(points[-1]["time_from_start"])
-        named = all(isinstance(name, str) for name in names)
-    except (KeyError, IndexError, TypeError, ValueError, OverflowError):
-        named = False
-    if not named or len(first) != len(names):
-        raise Refusal(f"{path} holds no goal with joint names and points: {_REMEDY}.")
-    return Goal(path.stem, path, tuple(names), first, planned_s, document)
+        return goal_of(path.stem, document)
+    except (LookupError, TypeError, ValueError, OverflowError):
+        raise Refusal(f"{path} holds no goal with joint names and points: {_REMEDY}.") from None
+
+
+def goal_of(name: str, document: dict[str, Any]) -> Goal:
+    """A goal from its fields; raises LookupError, TypeError, ValueError, OverflowError where they are none."""
+    trajectory = document["trajectory"]
+    names, points = trajectory["joint_names"], trajectory["points"]
+    first_rad = _numbers(points[0]["positions"])
+    if not all(isinstance(joint, str) for joint in names) or len(first_rad) != len(names):
+        raise ValueError("not a name and a position for each joint")
+    return Goal(name, tuple(names), first_rad, seconds(points[-1]["time_from_start"]), document)
 
 
 def seconds(duration: dict[str, Any]) -> float:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
 from config.schema import ArmConfig
 from rtarm.client.moves import slow_move
 from rtarm.client.sender import goal_document
-from rtarm.demo.goals import Goal, load_goal, tour
+from rtarm.demo.goals import Goal, goal_of, tour
 
 Reals = NDArray[np.float64]
 
@@ -25,10 +22,10 @@ SMALL = 0.2
 """Share of the way that the small goals go."""
 
 
-def goals_for(arm: ArmConfig, folder: Path) -> list[Goal]:
-    """The recorded goals where all of them fit an arm, else such as are made for it and written into a folder."""
+def goals_for(arm: ArmConfig) -> list[Goal]:
+    """The recorded goals where all of them fit an arm, else such as are made for it."""
     recorded = tour()
-    return recorded if all(fits(goal, arm) for goal in recorded) else made_for(arm, folder)
+    return recorded if all(fits(goal, arm) for goal in recorded) else made_for(arm)
 
 
 def fits(goal: Goal, arm: ArmConfig) -> bool:
@@ -44,7 +41,7 @@ def fits(goal: Goal, arm: ArmConfig) -> bool:
     )
 
 
-def made_for(arm: ArmConfig, folder: Path) -> list[Goal]:
+def made_for(arm: ArmConfig) -> list[Goal]:
     """Four goals, each of which starts where the one before ended: a little, one joint, far, and back."""
     start_rad, way_rad = start_and_way(arm)
     a_little_rad = start_rad + SMALL * way_rad
@@ -58,11 +55,8 @@ def made_for(arm: ArmConfig, folder: Path) -> list[Goal]:
     acceleration_rad_s2 = np.array([joint.max_acceleration_rad_s2 for joint in arm.joints])
     goals, here_rad = [], start_rad
     for name, there_rad in places.items():
-        file = folder / f"{name}.json"
         way = slow_move(here_rad, there_rad, velocity_rad_s, acceleration_rad_s2, SPEED)
-        document = goal_document([joint.name for joint in arm.joints], *way)
-        file.write_text(json.dumps(document), encoding="utf-8")
-        goals.append(load_goal(file))
+        goals.append(goal_of(name, goal_document([joint.name for joint in arm.joints], *way)))
         here_rad = there_rad
     return goals
 
