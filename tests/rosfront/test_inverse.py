@@ -91,7 +91,8 @@ def test_forward_after_inverse_is_the_pose_and_inside_the_limits(share: Position
     seed = LOWER + seed_share * (UPPER - LOWER)
     angles = EPISODE1_INVERSE.nearest(pose, seed)
     assert flange(EPISODE1, angles) == pytest.approx(pose, abs=1e-7)
-    assert (angles >= LOWER - 1e-3).all() and (angles <= UPPER + 1e-3).all()
+    slack = EPISODE1_INVERSE.slack_rad
+    assert (angles >= LOWER - slack).all() and (angles <= UPPER + slack).all()
 
 
 @settings(deadline=None, max_examples=examples(60))
@@ -204,7 +205,9 @@ def test_a_pose_of_a_straight_wrist_is_in_reach_from_everywhere(
     seed = inverse.lower_rad + seed_share * (inverse.upper_rad - inverse.lower_rad)
     found = inverse.nearest(pose, seed)
     assert flange(arm, found) == pytest.approx(pose, abs=1e-6)
-    assert (found >= inverse.lower_rad - 1e-3).all() and (found <= inverse.upper_rad + 1e-3).all()
+    assert (found >= inverse.lower_rad - inverse.slack_rad).all() and (
+        found <= inverse.upper_rad + inverse.slack_rad
+    ).all()
 
 
 @pytest.mark.parametrize(
