@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import ctypes
 import importlib.util
+import json
 import os
 import signal
 import sys
 import sysconfig
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 """The folder that holds our packages, wherever rtarm is installed."""
@@ -78,6 +80,12 @@ def _common_environment() -> dict[str, str]:
     ours = [] if Path(sysconfig.get_path("purelib")) == ROOT else [str(ROOT)]
     search = [*ours, *filter(None, [os.environ.get("PYTHONPATH")])]
     return {**os.environ, "PYTHONUNBUFFERED": "1", "PYTHONPATH": os.pathsep.join(search)}
+
+
+def report(event: str, **fields: Any) -> None:
+    """One line of JSON for the process that started this one; in one piece, whichever thread says it."""
+    sys.stdout.write(json.dumps({"event": event, **fields}) + "\n")
+    sys.stdout.flush()
 
 
 def has_module(name: str) -> bool:

@@ -48,6 +48,7 @@ ROOMS_OF_RTARM = (
     ("cli",),
     ("__main__",),
 )
+"""As those of rtloop; files at the top of the package are rooms of their own."""
 FORBIDDEN_IMPORTS = {
     "rtloop": {"rclpy", "control_msgs", "sensor_msgs", "trajectory_msgs", "std_msgs", "std_srvs"},
     "rosfront": {"numba", "llvmlite", "can"},

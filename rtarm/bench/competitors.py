@@ -25,7 +25,7 @@ from rtarm.bench.motion import there_and_back
 from rtarm.bench.one_node import action_of
 from rtarm.bench.program import Program
 from rtarm.bench.results import Slice
-from rtarm.client.partner import STOP_S, WORD_PATIENCE_S, Partner
+from rtarm.client.partner import STOP_S, WORD_PATIENCE_S, Partner, Silent
 from rtarm.client.player import Player
 from rtarm.console.errors import Refusal
 from rtarm.console.reporter import Reporter
@@ -44,6 +44,9 @@ FASTEST_BUS = 1_000_000
 
 SETTLE_S = 0.4
 """From the acceptance of the goal to the beginning of the slice."""
+ANSWER_PATIENCE_S = 25.0
+"""For a server that may just have come up (`rtarm.client.program`), and its answer."""
+RESULT_PATIENCE_S = 30.0
 TAIL_S = 1.0
 """The goal goes on at least so long after the slice."""
 
@@ -102,11 +105,11 @@ class Competitor(Protocol):
         """End what was started."""
 
 
-class Client:
+class GoalClient:
     """Plays goals at action servers; a process like any MoveIt."""
 
     def __init__(self) -> None:
-        self._player = Player("goal client")
+        self._player = Player("The goal client")
 
     async def start(self, environment: dict[str, str], namespace: str) -> None:
         """Start it, in the ROS domain of `environment`."""
@@ -119,7 +122,11 @@ class Client:
         Raises:
             Refusal: it is not.
         """
-        event = await self._player.play(goal, action)
+        try:
+            event = await self._player.play(goal, action, ANSWER_PATIENCE_S)
+        except Silent:
+            self._player.cancel()
+            raise Refusal(f"{action} did not accept the goal within {ANSWER_PATIENCE_S:g} s.") from None
         if event["event"] != "accepted":
             raise Refusal(f"The goal of the benchmark failed: {event['sentence']}")
         return int(event["sent_ns"])
@@ -130,7 +137,10 @@ class Client:
 
     async def result(self) -> str:
         """Why the goal did not succeed, "" if it did."""
-        event = await self._player.result()
+        try:
+            event = await self._player.result(RESULT_PATIENCE_S)
+        except Silent:
+            return f"no result came within {RESULT_PATIENCE_S:g} s"
         return "" if event["succeeded"] else event["sentence"] or "no reason was given"
 
     async def close(self) -> None:
@@ -143,7 +153,7 @@ class OurCycle:
 
     who = "rtarm"
 
-    def __init__(self, bench: Bench, client: Client) -> None:
+    def __init__(self, bench: Bench, client: GoalClient) -> None:
         self._bench = bench
         self._client = client
         self._launcher: Launcher | None = None
@@ -303,7 +313,7 @@ class OneNode(Baseline):
     brought to without being rewritten.
     """
 
-    def __init__(self, bench: Bench, client: Client, *, urgent: bool = False) -> None:
+    def __init__(self, bench: Bench, client: GoalClient, *, urgent: bool = False) -> None:
         super().__init__("one_node_fifo" if urgent else "one_node", "rtarm.bench.one_node", bench)
         self._client = client
         self._urgent = urgent
@@ -396,7 +406,7 @@ class Cyclictest:
         await self._program.stop()
 
 
-def everybody(bench: Bench, client: Client) -> list[Competitor]:
+def everybody(bench: Bench, client: GoalClient) -> list[Competitor]:
     """All who can be compared."""
     return [
         Cyclictest(bench),

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 
 from rtarm.bench.lateness import as_pairs, recorded
-from rtarm.client.ros import report
+from rtarm.processes import report
 
 Handler = Callable[[str], None]
 

@@ -20,7 +20,7 @@ from config.budget import budget
 from config.loader import load_arm
 from config.schema import RealtimeConfig
 from rtarm.bench import plot
-from rtarm.bench.competitors import FASTEST_BUS, Bench, Client, Competitor, cyclictest, everybody
+from rtarm.bench.competitors import FASTEST_BUS, Bench, Competitor, GoalClient, cyclictest, everybody
 from rtarm.bench.load import described, loaded
 from rtarm.bench.machine import machine, versions
 from rtarm.bench.report import render
@@ -157,7 +157,7 @@ async def _measure(
         folder = Path(
             stack.enter_context(tempfile.TemporaryDirectory(prefix="rtarm_bench_", ignore_cleanup_errors=True))
         )
-        client = Client()
+        client = GoalClient()
         stack.push_async_callback(client.close)
         await client.start(environment, namespace)
         for repeat in range(extent.repeats):

@@ -1,8 +1,6 @@
 """The command line. Everything heavy is imported inside the command that needs it, so that help is quick.
 
-Recordings have their commands in `cli_recordings`, a running arm is told what to do by those of `cli_orders`; adapters
-and drives have theirs in `cli_drives`, the guide through an arm's joints its own in `cli_calibrate`, the bench test of
-a drive in `cli_commission`.
+Here is what concerns a whole arm; a file beside this one has each other group of commands.
 """
 
 from __future__ import annotations

@@ -92,11 +92,16 @@ class Partner:
         """How it ended, once it has."""
         assert self._child is not None
         end = describe_end(await self._child.ended())
-        return Refusal(f"{self._name} ended {end}; its last words: {' / '.join(self._words[-3:]) or 'none'}.")
+        words = " / ".join(self._words[-3:]).rstrip(".")
+        return Refusal(f"{self._name} ended {end}; its last words: {words or 'none'}.")
 
     def _take(self, line: str) -> None:
-        if line.startswith("{"):
-            self._events.put_nowait(json.loads(line))
+        try:
+            event = json.loads(line) if line.startswith("{") else None
+        except ValueError:
+            event = None
+        if event is not None:
+            self._events.put_nowait(event)
         else:
             self._words.append(line)
             self._tell(line)

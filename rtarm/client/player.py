@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from itertools import count
 from typing import Any
 
-from rtarm.client.partner import START_PATIENCE_S, WORD_PATIENCE_S, Partner
+from rtarm.client.partner import WORD_PATIENCE_S, Partner
 from rtarm.processes import ros_environment
+
+SERVER_PATIENCE_S = 50.0
+"""For the action's server; the process then still says in time that there is none."""
 
 
 class Player:
@@ -17,11 +19,11 @@ class Player:
     def __init__(self, name: str, tell: Callable[[str], object] = lambda _: None) -> None:
         """`name` stands in sentences; `tell` is told what it says besides."""
         self._partner = Partner(name, tell)
-        self._numbers = count()
+        self._number = 0
 
     async def start(self, environment: Mapping[str, str], namespace: str, action: str = "") -> None:
         """Start it, in the ROS domain of `environment` and the namespace whose joint_states it hears."""
-        arguments = ["--listens", f"--namespace={namespace}", f"--server-s={START_PATIENCE_S:g}"]
+        arguments = ["--listens", f"--namespace={namespace}", f"--server-s={SERVER_PATIENCE_S:g}"]
         if action:
             arguments.append(f"--action={action}")
         await self._partner.start("rtarm.client.program", arguments, {**ros_environment(), **environment})
@@ -37,19 +39,33 @@ class Player:
             Silent: nothing is, in time.
             Refusal: the process has ended.
         """
+        self._number += 1
         named = {"action": action} if action else {}
-        self._partner.say(json.dumps({"number": next(self._numbers), "goal": goal, **named}))
-        return await self._partner.event(patience_s)
+        self._partner.say(json.dumps({"number": self._number, "goal": goal, **named}))
+        return await self._of_the_goal(patience_s)
 
-    async def result(self, patience_s: float = WORD_PATIENCE_S) -> dict[str, Any]:
+    async def result(self, patience_s: float) -> dict[str, Any]:
         """How the goal that was accepted has ended; raises what `play` does."""
-        return await self._partner.event(patience_s)
+        return await self._of_the_goal(patience_s)
+
+    def cancel(self) -> None:
+        """Cancel the goal, whatever was reported of it."""
+        self._partner.say("{}")
 
     async def states(self, first_ns: int, last_ns: int) -> dict[str, Any]:
         """How joint_states arrived between two instants (CLOCK_MONOTONIC); raises what `play` does."""
         self._partner.say(json.dumps({"states": (first_ns, last_ns)}))
-        event = await self._partner.event()
+        event = await self._next(lambda event: event["event"] == "states", WORD_PATIENCE_S)
         return {name: event[name] for name in ("count", "rate_hz", "interval_ms", "age_ms")}
+
+    async def _of_the_goal(self, patience_s: float) -> dict[str, Any]:
+        return await self._next(lambda event: event.get("number") == self._number, patience_s)
+
+    async def _next(self, wanted: Callable[[dict[str, Any]], bool], patience_s: float) -> dict[str, Any]:
+        """The next report that is wanted: of a goal that was given up, some may still come."""
+        while not wanted(event := await self._partner.event(patience_s)):
+            pass
+        return event
 
     async def close(self) -> None:
         """End it."""

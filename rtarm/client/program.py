@@ -6,12 +6,12 @@ Prints `ready` once the action has a server, then obeys every line of JSON on st
 
 - `{"number": …, "goal": …}` sends a goal, `{"action": …}` beside it to another action than that of the arguments.
 - `{}` cancels what runs.
-- `{"stream": …}` publishes the trajectory of a goal, which nothing answers.
+- `{"stream": …}` publishes the trajectory of a goal, which nothing answers; with `--streams`.
 - `{"states": [FIRST_NS, LAST_NS]}` asks how joint_states arrived between two instants (CLOCK_MONOTONIC), which is known
   with `--listens`.
 
 Each goal is reported, in JSON, when it is accepted and when it has ended. When its standard input ends, so that nobody
-waits any more, the process cancels what still runs and waits for its end.
+waits any more, the process cancels what still runs and waits `--canceled-s` for its end; SIGTERM ends it at once.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rtarm.client.arrivals import Arrivals
-from rtarm.client.ros import INVALID_GOAL, goal_message, has_server, has_subscriber, in_executor, report, served_node
+from rtarm.client.ros import INVALID_GOAL, goal_message, has_server, has_subscriber, in_executor, served_node
 from rtarm.console.errors import Refusal
-from rtarm.processes import READY
+from rtarm.processes import READY, report
 
 if TYPE_CHECKING:
     from rclpy.action.client import ClientGoalHandle
@@ -97,6 +97,11 @@ class Goals:
         for handle in running:
             handle.cancel_goal_async()
 
+    def forget(self) -> None:
+        """Nothing more is reported of what is under way: its client goes."""
+        with self._state:
+            self._open.clear()
+
     def wait_idle(self, patience_s: float) -> bool:
         """Whether everything has its result within some time."""
         with self._state:
@@ -137,8 +142,8 @@ class Goals:
             self._state.notify_all()
 
 
-class Client:
-    """The node's one action client, made anew for each other action; and the arm's stream beside it."""
+class Turning:
+    """The node's one action client, made anew for each other action."""
 
     def __init__(self, node: Node, goals: Goals) -> None:
         self._node = node
@@ -152,6 +157,7 @@ class Client:
         from rosfront.action_client import ActionClient
 
         if self._action is not None:
+            self._goals.forget()
             in_executor(self._node, self._action.destroy)
         self._action = ActionClient(self._node, FollowJointTrajectory, action)
         return has_server(self._action, patience_s)
@@ -175,25 +181,24 @@ def run(asked: argparse.Namespace) -> None:
 
     goals, arrivals = Goals(), Arrivals()
     with served_node("rtarm_client", asked.namespace) as node:
-        client = Client(node, goals)
+        client = Turning(node, goals)
         if asked.listens:
             node.create_subscription(JointState, "joint_states", arrivals.take, 10, raw=True)
-        if asked.action:
-            stream = node.create_publisher(JointTrajectory, f"{asked.action.rpartition('/')[0]}/joint_trajectory", 10)
-            if not client.serve(asked.action, asked.server_s):
-                raise Refusal(
-                    f"No ROS process serves {asked.action} in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}: look "
-                    "at `rtarm status`, and set ROS_DOMAIN_ID as where the arm was started."
-                )
-            # Of the same node: where it never comes, goals go all the same.
-            has_subscriber(stream, asked.server_s)
+        if asked.action and not client.serve(asked.action, asked.server_s):
+            raise Refusal(
+                f"No ROS process serves {asked.action} in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}: look at "
+                "`rtarm status`, and set ROS_DOMAIN_ID as where the arm was started."
+            )
+        if asked.streams:
+            topic = f"{asked.action.rpartition('/')[0]}/joint_trajectory"
+            stream = node.create_publisher(JointTrajectory, topic, 10)
+            has_subscriber(stream, asked.server_s)  # of the same node: where it never comes, goals go all the same
+        gc.collect()
+        gc.freeze()  # the collector would walk all of rclpy while goals run and intervals are measured
         print(READY, flush=True)
         for line in sys.stdin:
             said = json.loads(line)
             if "goal" in said:
-                if asked.listens:
-                    gc.collect()
-                    gc.freeze()  # the collector would walk all of rclpy while intervals are measured
                 client.play(said["number"], said["goal"], said.get("action"))
             elif "stream" in said:
                 stream.publish(goal_message(said["stream"]).trajectory)
@@ -212,6 +217,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--action", help="that goals are for; its server is waited for")
     parser.add_argument("--namespace", default="", help="of the node")
     parser.add_argument("--listens", action="store_true", help="to joint_states of the namespace")
+    parser.add_argument("--streams", action="store_true", help="to the joint_trajectory beside the action")
     parser.add_argument("--server-s", type=float, default=10.0, help="how long the server is waited for")
     parser.add_argument("--canceled-s", type=float, default=0.0, help="how long the end of a canceled goal takes")
     try:

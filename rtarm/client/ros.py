@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import json
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -27,12 +26,7 @@ INVALID_GOAL = -1
 PATIENCE_S = 10.0
 LOOK_S = 0.01
 MUTUAL_S = 0.3
-"""For the server to find the client too, without which its answer is lost: only the other direction can be seen."""
-
-
-def report(event: str, **fields: Any) -> None:
-    """One line of JSON for the process that started this one."""
-    print(json.dumps({"event": event, **fields}), flush=True)
+"""For the server to find the client too, without which it may not answer: only the other direction can be seen."""
 
 
 @contextlib.contextmanager

@@ -245,7 +245,7 @@ def sending(arm: ArmConfig, namespace: str = "") -> Iterator[Sender]:
         # -P: a folder called config where the user happens to stand is not our package.
         [
             *(sys.executable, "-P", "-m", "rtarm.client.program"),
-            *(f"--action={action_name(arm, namespace)}", f"--canceled-s={canceled_s}"),
+            *(f"--action={action_name(arm, namespace)}", "--streams", f"--canceled-s={canceled_s}"),
         ],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

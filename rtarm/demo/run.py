@@ -146,7 +146,7 @@ async def _play(
 
     async def work() -> None:
         played = Played()
-        client = Player("the action client", lambda line: reporter.say(line, "client"))
+        client = Player("The action client", lambda line: reporter.say(line, "client"))
         try:
             await client.start(plan.front_environment, plan.namespace, action_name(plan.arm, plan.namespace))
             await launcher.start()
@@ -212,8 +212,7 @@ async def _play_goals(goals: Sequence[Goal], client: Player, played: Played, rep
     """One after the other, until one fails; and how joint_states arrived meanwhile."""
     first_ns = time.monotonic_ns()
     for goal in goals:
-        played.playing = goal.name
-        found = await _outcome(goal, client)
+        found = await _outcome(goal, client, played)
         result = {
             "goal": goal.name,
             "succeeded": found["succeeded"],
@@ -231,20 +230,21 @@ async def _play_goals(goals: Sequence[Goal], client: Player, played: Played, rep
     played.joint_states = await client.states(first_ns, time.monotonic_ns())
 
 
-async def _outcome(goal: Goal, client: Player) -> dict[str, Any]:
-    """What the client reports of a goal's end, or that it reports none."""
+async def _outcome(goal: Goal, client: Player, played: Played) -> dict[str, Any]:
+    """What the client reports of a goal's end, or that it reports none; the goal is cancelled then."""
     nothing = {"succeeded": False, "code": NO_RESULT, "actual_s": 0.0, "feedback": 0}
+    patience_s = 1.5 * goal.planned_s + RESULT_PATIENCE_S
+    sentence = f"The server did not answer the goal within {ANSWER_PATIENCE_S:g} s."
     try:
         answer = await client.play(goal.document, patience_s=ANSWER_PATIENCE_S)
-    except Silent:
-        return {**nothing, "sentence": f"The server did not answer the goal within {ANSWER_PATIENCE_S:g} s."}
-    if answer["event"] == "result":
-        return answer
-    patience_s = 1.5 * goal.planned_s + RESULT_PATIENCE_S
-    try:
+        if answer["event"] == "result":
+            return answer
+        played.playing = goal.name
+        sentence = f"The server gave no result within {patience_s:.1f} s."
         return await client.result(patience_s)
     except Silent:
-        return {**nothing, "sentence": f"The server gave no result within {patience_s:.1f} s."}
+        client.cancel()
+        return {**nothing, "sentence": sentence}
 
 
 async def _perform(
@@ -260,7 +260,10 @@ async def _perform(
         await _show_progress(plan.arm, goals, playing, played, tracker, reporter)
         since, bitrate, elapsed_ns = window.counters()
         lateness, cycle_time = window.histogram("lateness"), window.histogram("cycle_time")
-        await playing
+        try:
+            await playing
+        except Refusal as refusal:
+            raise Refusal(refusal.sentence, ExitCode.GOAL_FAILED) from None
         await _settle(tracker)
     finally:
         playing.cancel()
