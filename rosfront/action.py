@@ -26,7 +26,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from rosfront.diagnostics import Counts
-from rosfront.goal_requests import GoalFunctions, GoalRequest, GoalRequests, Response, Unavailable
+from rosfront.goal_requests import GoalFunctions, GoalRequest, GoalRequests, Unavailable
 from rosfront.refusals import INVALID_GOAL
 from rosfront.serving import Arrival
 from rosfront.verdict import Status, Verdict
@@ -36,12 +36,21 @@ RESULT_KEPT_S = 60
 RESULT_GRACE_S = 1.0
 """At the end of this process a result that nobody has asked for yet is kept for so long."""
 LEAVE_EVERY_S = 0.02
+ANSWER_TRIES = 30
+"""A client can know the server before the server knows where it hears answers, by a heartbeat of discovery or more. A
+try waits a tenth of a second for that in rmw_fastrtps, so these are three seconds; meanwhile others are served."""
 LOCKED = (
     "This ROS installation does not let goals be taken as bytes ({}): while a goal of many points is received, nothing "
     "else of this process moves, and one of some 100,000 points may end the goal that runs. Send goals of fewer "
     "points, or use a ROS installation that rtarm is tested with."
 )
 NOT_TOLD = "This goal was not begun, since its client could not be told that it was accepted ({}): send it again."
+
+
+@coroutine
+def _next_turn() -> Generator[None, None, None]:
+    """Let the executor serve others before it resumes the task that awaits this."""
+    yield
 
 
 @coroutine
@@ -68,16 +77,25 @@ class _TellingServer(ActionServer):
     Who asks for the result of a goal that it does not have gets `of_unknown` with the status UNKNOWN.
     """
 
-    def __init__(self, on_sent: Callable[[bytes], None], of_unknown: Any, *arguments: Any, **options: Any) -> None:
+    def __init__(
+        self,
+        executor: Executor,
+        on_sent: Callable[[bytes], None],
+        of_unknown: Any,
+        *arguments: Any,
+        **options: Any,
+    ) -> None:
         super().__init__(*arguments, **options)
+        self._executor = executor
         self._on_sent = on_sent
         self._of_unknown = of_unknown
+        self._answering = 0
         self._leaving = False
 
     @property
     def idle(self) -> bool:
-        """Whether no goal is on its way here from the middleware."""
-        return True
+        """Whether no goal is on its way here from the middleware, or waits for its client to be told of it."""
+        return not self._answering
 
     def stop(self) -> None:
         """Take no goal any more."""
@@ -112,6 +130,78 @@ class _TellingServer(ActionServer):
         if waits:
             await _rest_of(goal)
 
+    async def _execute_goal_request(self, taken: Any) -> None:
+        header, request = taken
+        answer = partial(self._handle.send_goal_response, header)
+        await self._take_in(bytes(request.goal_id.uuid), request.goal, answer)
+
+    async def _take_in(self, goal_id: bytes, goal: Any, answer: Callable[[Any], object]) -> None:
+        """Accept or reject a goal and tell its client so; rclpy's own answers once, and forgets who does not hear it.
+
+        `goal` is what `goal_callback` is given; `answer` raises RuntimeError when the client cannot be reached.
+        """
+        info = GoalInfo()
+        info.goal_id.uuid = np.frombuffer(goal_id, np.uint8)
+        with self._lock:
+            known = self._handle.goal_exists(info)
+        handle = None
+        if not known and await self._goal_callback(goal) is GoalResponse.ACCEPT:
+            info.stamp = self._node.get_clock().now().to_msg()
+            try:
+                with self._lock:
+                    handle = ServerGoalHandle(self, info, goal)
+            except RuntimeError as problem:
+                self._logger.error(f"A goal is not taken, since another with its id was accepted meanwhile: {problem}.")
+            else:
+                self._goal_handles[goal_id] = handle
+                result = self._result_futures[goal_id] = Future()
+                self.add_future(result)
+        response = self._action_type.Impl.SendGoalService.Response(accepted=handle is not None, stamp=info.stamp)
+        try:
+            await self._answer(answer, response)
+        except RuntimeError as problem:
+            self._logger.warning(f"The answer to a goal was not sent, so the goal is not begun: {problem}.")
+            if handle is not None:
+                handle._goal_request = None
+                if not handle.is_cancel_requested:
+                    handle._update_state(GoalEvent.EXECUTE)  # rcl aborts only what executes or is being canceled
+                handle._update_state(GoalEvent.ABORT)
+                result.set_result(self._never_begun(str(problem)))
+            return
+        if handle is None:
+            return
+        if self._was_canceled(goal) and not handle.is_cancel_requested:
+            handle._update_state(GoalEvent.CANCEL_GOAL)
+        self._handle.publish_status()
+        self._handle_accepted_callback(handle)
+
+    async def _answer(self, answer: Callable[[Any], object], response: Any) -> None:
+        """Answer until the client is reached, `ANSWER_TRIES` times at the most; raises RuntimeError then."""
+        self._answering += 1
+        try:
+            for tries_left in reversed(range(ANSWER_TRIES)):
+                try:
+                    answer(response)
+                    return
+                except RuntimeError:
+                    if not tries_left:
+                        raise
+                    self._executor.wake()
+                    await _next_turn()
+        finally:
+            self._answering -= 1
+
+    def _was_canceled(self, _: Any) -> bool:
+        """Whether a goal was canceled before it was taken."""
+        return False
+
+    def _never_begun(self, why: str) -> Any:
+        """The answer to who asks for the result of a goal whose acceptance could not be sent."""
+        result = self._action_type.Result()
+        if isinstance(result, FollowJointTrajectory.Result):
+            result.error_code, result.error_string = INVALID_GOAL, NOT_TOLD.format(why)
+        return self._action_type.Impl.GetResultService.Response(status=GoalStatus.STATUS_ABORTED, result=result)
+
     async def _execute_get_result_request(self, request_header_and_message: tuple[Any, Any]) -> None:
         header, request = request_header_and_message
         if bytes(request.goal_id.uuid) in self._goal_handles:
@@ -140,13 +230,13 @@ class _UnlockedServer(_TellingServer):
     def __init__(
         self,
         functions: GoalFunctions,
-        executor: Executor,
         arrival: Callable[[], Arrival],
+        executor: Executor,
         *arguments: Any,
         **options: Any,
     ) -> None:
         """`arrival` is that of what comes now."""
-        super().__init__(*arguments, **options)
+        super().__init__(executor, *arguments, **options)
         self._arrival = arrival
         self._all_canceled = -1
         """The turn of the last cancel of all goals."""
@@ -155,7 +245,7 @@ class _UnlockedServer(_TellingServer):
 
     @property
     def idle(self) -> bool:
-        return self._leaving or self._requests.idle
+        return self._leaving or (super().idle and self._requests.idle)
 
     def stop(self) -> None:
         super().stop()
@@ -175,46 +265,10 @@ class _UnlockedServer(_TellingServer):
         return goal | others
 
     async def _execute_goal_request(self, request: GoalRequest) -> None:
-        """What rclpy's own does, for a request that it has not taken."""
-        info = GoalInfo()
-        info.goal_id.uuid = np.frombuffer(request.goal_id, np.uint8)
-        with self._lock:
-            known = self._handle.goal_exists(info)
-        handle = None
-        if not known and await self._goal_callback(request) is GoalResponse.ACCEPT:
-            info.stamp = self._node.get_clock().now().to_msg()
-            try:
-                with self._lock:
-                    handle = ServerGoalHandle(self, info, request)
-            except RuntimeError as problem:
-                self._logger.error(f"A goal is not taken, since another with its id was accepted meanwhile: {problem}.")
-            else:
-                self._goal_handles[request.goal_id] = handle
-                result = self._result_futures[request.goal_id] = Future()
-                self.add_future(result)
-        accepted = handle is not None
-        try:
-            await self._requests.answer(request, Response(accepted=accepted, stamp=info.stamp))
-        except RuntimeError as problem:
-            self._logger.warning(f"The answer to a goal was not sent, so the goal is not begun: {problem}.")
-            if handle is not None:
-                handle._goal_request = None
-                if not handle.is_cancel_requested:
-                    handle._update_state(GoalEvent.EXECUTE)  # rcl aborts only what executes or is being canceled
-                handle._update_state(GoalEvent.ABORT)
-                result.set_result(self._never_begun(str(problem)))
-            return
-        if handle is None:
-            return
-        if request.arrival.turn < self._all_canceled and not handle.is_cancel_requested:
-            handle._update_state(GoalEvent.CANCEL_GOAL)
-        self._handle.publish_status()
-        self._handle_accepted_callback(handle)
+        await self._take_in(request.goal_id, request, partial(self._requests.answer, request))
 
-    def _never_begun(self, why: str) -> Any:
-        """The answer to who asks for the result of a goal whose acceptance could not be sent."""
-        result = FollowJointTrajectory.Result(error_code=INVALID_GOAL, error_string=NOT_TOLD.format(why))
-        return self._action_type.Impl.GetResultService.Response(status=GoalStatus.STATUS_ABORTED, result=result)
+    def _was_canceled(self, goal: GoalRequest) -> bool:
+        return goal.arrival.turn < self._all_canceled
 
     async def _execute_cancel_request(self, taken: tuple[Any, Any]) -> None:
         if _is_of_all(taken[1].goal_info):
@@ -289,10 +343,11 @@ class GoalServer:
         make: Callable[..., _TellingServer] = _TellingServer
         if arrival is not None:
             try:
-                make = partial(_UnlockedServer, GoalFunctions(), executor, arrival)
+                make = partial(_UnlockedServer, GoalFunctions(), arrival)
             except Unavailable as problem:
                 self._log.warning(LOCKED.format(problem))
         self._server = make(
+            executor,
             self._told,
             kind.Result() if of_unknown is None else of_unknown,  # type: ignore[attr-defined]  # every action has one
             node,

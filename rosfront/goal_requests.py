@@ -13,9 +13,8 @@ from __future__ import annotations
 import ctypes
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import coroutine
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,9 +32,6 @@ SOON_S = 0.002
 """The executor waits so long for a request to be taken, which is ten times what a usual one needs."""
 LONGEST_STOP_S = 0.2
 """At the end of the program; a longer request is left to be taken by a thread that ends with the process."""
-ANSWER_TRIES = 30
-"""A client can know the server before the server knows where it hears answers, by a heartbeat of discovery or more. A
-try waits a tenth of a second for that in rmw_fastrtps, so these are three seconds; meanwhile others are served."""
 _TAKE_FAILED = 2201
 """RCL_RET_ACTION_SERVER_TAKE_FAILED: there is none."""
 _HEADER_SIZE = 256
@@ -56,12 +52,6 @@ class GoalRequest(NamedTuple):
     """At the latest when it came; where others waited to be taken before it, when they came."""
     header: Any
     """Whom to answer."""
-
-
-@coroutine
-def _next_turn() -> Generator[None, None, None]:
-    """Let the executor serve others before it resumes the task that awaits this."""
-    yield
 
 
 class _Allocator(ctypes.Structure):
@@ -228,7 +218,6 @@ class GoalRequests(threading.Thread):
         self._found: Arrival | None = None
         self._taking = False
         self._taken: deque[GoalRequest] = deque()
-        self._answering = 0
         self._changed = threading.Event()
         self._wanted = threading.Event()
         self._leaving = False
@@ -258,24 +247,13 @@ class GoalRequests(threading.Thread):
 
     @property
     def idle(self) -> bool:
-        """Whether no request is being taken, waits for `pop` or is being answered."""
+        """Whether no request is being taken or waits for `pop`."""
         with self._lock:
-            return not (self._found or self._taking or self._taken or self._answering)
+            return not (self._found or self._taking or self._taken)
 
-    async def answer(self, request: GoalRequest, response: Any) -> None:
+    def answer(self, request: GoalRequest, response: Any) -> None:
         """Answer a request with rclpy's message; raises RuntimeError when its client cannot be reached."""
-        self._answering += 1
-        try:
-            for _ in range(ANSWER_TRIES - 1):
-                try:
-                    self._functions.answer(self._server, request.header, response)
-                    return
-                except RuntimeError:
-                    self._executor.wake()
-                    await _next_turn()
-            self._functions.answer(self._server, request.header, response)
-        finally:
-            self._answering -= 1
+        self._functions.answer(self._server, request.header, response)
 
     def stop(self) -> None:
         """Take no further request; returns within `LONGEST_STOP_S`."""

@@ -123,7 +123,7 @@ class GoalClient:
             Refusal: it is not.
         """
         try:
-            event = await self._player.play(goal, action, ANSWER_PATIENCE_S)
+            event = await self._player.play(goal, action, patience_s=ANSWER_PATIENCE_S)
         except Silent:
             self._player.cancel()
             raise Refusal(f"{action} did not accept the goal within {ANSWER_PATIENCE_S:g} s.") from None

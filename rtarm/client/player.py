@@ -32,7 +32,7 @@ class Player:
         """Wait until the action has a server, where one was named; raises Refusal where it has none."""
         await self._partner.ready()
 
-    async def play(self, goal: dict[str, Any], action: str = "", patience_s: float = WORD_PATIENCE_S) -> dict[str, Any]:
+    async def play(self, goal: dict[str, Any], action: str = "", *, patience_s: float) -> dict[str, Any]:
         """Send a goal; what is reported of it first: `accepted` with `sent_ns` (CLOCK_MONOTONIC), or its `result`.
 
         Raises:

@@ -186,11 +186,28 @@ class DeafClient:
 
         monkeypatch.setattr(GoalFunctions, "answer", missing)
 
+    @staticmethod
+    def in_rclpy(monkeypatch, times):
+        """Where rclpy takes the goals: a list of the answers that were missed, of which so many are."""
+        missed, take_in = [], action._TellingServer._take_in
+
+        async def deaf(server, goal_id, message, answer):
+            def missing(response):
+                if len(missed) < times:
+                    missed.append(response)
+                    _unreachable()
+                answer(response)
+
+            await take_in(server, goal_id, message, missing)
+
+        monkeypatch.setattr(action._TellingServer, "_take_in", deaf)
+        return missed
+
 
 def test_a_client_that_the_server_does_not_know_yet_is_answered_again_and_others_are_served(arm_name, monkeypatch):
     with serving_alone(arm_name) as (_, _, client, _), person_at(arm_name) as alone:
         deaf = DeafClient(monkeypatch)
-        monkeypatch.setattr(goal_requests, "ANSWER_TRIES", 1_000)
+        monkeypatch.setattr(action, "ANSWER_TRIES", 1_000)
         answer = sent(client, goal())
         until(lambda: deaf.missed, "a first answer")
         assert alone.get_parameters("constraints.goal_time") == [0.4]
@@ -203,7 +220,7 @@ def test_a_goal_that_is_canceled_before_its_client_is_told_of_it_does_not_begin(
     with serving_alone(arm_name) as (loop, front, client, _):
         with monkeypatch.context() as patched:
             deaf = DeafClient(patched)
-            patched.setattr(goal_requests, "ANSWER_TRIES", tries)
+            patched.setattr(action, "ANSWER_TRIES", tries)
             answer = sent(client, goal(seconds=5))
             until(lambda: deaf.missed, "a first answer")
             (kept,) = front._goals._server._goal_handles.values()
@@ -303,7 +320,8 @@ def test_without_the_functions_goals_are_taken_by_rclpy(arm_name, monkeypatch, c
     monkeypatch.setattr(action.GoalFunctions, "__init__", missing)
     with serving_alone(arm_name) as (_, front, client, _):
         assert "does not let goals be taken as bytes (no such function)" in capfd.readouterr().err
-        assert client.run(goal())[0] == SUCCEEDED
+        missed = DeafClient.in_rclpy(monkeypatch, 3)
+        assert client.run(goal())[0] == SUCCEEDED and len(missed) == 3
         handle = client.send(goal(names=["elbow"]))
         assert client.result(handle)[:2] == (ABORTED, -2)
         assert not isinstance(front._goals._server, action._UnlockedServer)

@@ -59,10 +59,10 @@ def test_what_is_reported_of_a_goal_that_was_given_up_is_no_answer_to_the_next_q
     )
 
     async def ask() -> None:
-        assert await player.play({}) == accepted(1)
+        assert await player.play({}, patience_s=1.0) == accepted(1)
         with pytest.raises(Silent):
             await player.result(1.0)
-        assert await player.play({}, "other") == accepted(2)
+        assert await player.play({}, "other", patience_s=1.0) == accepted(2)
         assert await player.result(1.0) == result(2)
         assert await player.states(1, 2) == FIGURES
 
