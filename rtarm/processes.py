@@ -164,6 +164,11 @@ class Child:
         if self._process.stdin is not None:
             self._process.stdin.write(f"{line}\n".encode())
 
+    def hang_up(self) -> None:
+        """Close its standard input: who obeys what is told ends in order then."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+
     async def ready(self) -> str | None:
         """What followed "ready" on its ready line; None when the child ends without one."""
         await asyncio.wait((self._ready, self._end), return_when=asyncio.FIRST_COMPLETED)

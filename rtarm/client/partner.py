@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from rtarm.console.errors import Refusal
@@ -82,6 +83,14 @@ class Partner:
         finally:
             heard.cancel()
             ended.cancel()
+
+    async def hang_up(self) -> None:
+        """Let it end in order, at the end of what it is told: a ROS process leaves files in /dev/shm otherwise."""
+        if self._child is not None:
+            self._child.hang_up()
+            with suppress(TimeoutError):
+                async with asyncio.timeout(STOP_S):
+                    await self._child.ended()
 
     async def close(self) -> None:
         """End it."""

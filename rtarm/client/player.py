@@ -68,5 +68,6 @@ class Player:
         return event
 
     async def close(self) -> None:
-        """End it."""
+        """End it, in order if it can."""
+        await self._partner.hang_up()
         await self._partner.close()

@@ -5,12 +5,15 @@ from __future__ import annotations
 import asyncio
 import io
 import json
+import os
+from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.console import Console
 
-from rtarm.client.partner import Silent
+from rtarm.client import partner as partner_module
+from rtarm.client.partner import Partner, Silent
 from rtarm.client.player import Player
 from rtarm.console.reporter import Reporter
 from rtarm.demo import run as demo
@@ -91,3 +94,37 @@ def test_a_goal_of_which_nothing_is_heard_is_cancelled_and_the_last(
     assert (only["goal"], only["succeeded"], only["error_code"]) == ("small", False, demo.NO_RESULT)
     assert only["error_string"] == sentence
     assert process.said[1] == {} and played.joint_states == FIGURES
+
+
+LISTENING = """
+import sys, time
+from pathlib import Path
+print("ready", flush=True)
+for line in sys.stdin:
+    pass
+if {deaf}:
+    time.sleep(60.0)
+Path({left!r}).touch()
+"""
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("deaf", [False, True])
+def test_a_child_may_take_its_leave_before_it_is_made_to_end(
+    deaf: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A ROS process that is killed leaves the middleware's files in /dev/shm, where the user has it use them."""
+    if deaf:
+        monkeypatch.setattr(partner_module, "STOP_S", 0.2)
+    left = tmp_path / "left"
+    (tmp_path / "listening.py").write_text(LISTENING.format(deaf=deaf, left=str(left)))
+
+    async def live() -> None:
+        child = Partner("it")
+        await child.start("listening", [], {**os.environ, "PYTHONPATH": str(tmp_path)})
+        await child.ready()
+        await child.hang_up()
+        await child.close()
+
+    asyncio.run(live())
+    assert left.exists() is not deaf
