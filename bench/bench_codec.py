@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from can.interfaces.slcan import slcanBus
 
+from compilation.jit import jit
 from config.loader import load_arm
 from rtloop.drives import zdt
 from rtloop.process.beginning import new_loop
 from rtloop.wire import slcan
-from shm.jit import jit
 
 CYCLES = 1000
 RPM = np.array([57, 43, 120, 3, 200, 99])

@@ -20,6 +20,7 @@ import yaml
 from many_cycles import HEARTBEAT, Recording, RecordingArm, swing
 from virtual import VirtualArm
 
+from compilation.jit import jit
 from config.budget import check_budget
 from config.loader import ARMS_FOLDER, load_arm
 from config.schema import ArmConfig
@@ -29,7 +30,6 @@ from rtloop.trajectory.phases import running_goal
 from shm.atomics import store_relaxed
 from shm.errors import RingFull
 from shm.histogram import upper_ns
-from shm.jit import jit
 from shm.layout import MAX_JOINTS
 from shm.words import Entry, Outcome
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from virtual import VirtualArm
 
+from compilation.jit import jit
 from rtloop.memory.record import offset_of
 from shm import layout
-from shm.jit import jit
 from shm.seqlock import read
 
 READS = 10_000

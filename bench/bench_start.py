@@ -43,7 +43,7 @@ PROBE += """
 import json
 from config.loader import load_arm
 from rtloop.process import compiled, control_process
-from shm import cache
+from compilation import cache
 from shm.client import StateReader
 from shm.files import open_state
 arm = load_arm(sys.argv[1])

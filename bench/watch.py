@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from live import NS, LiveStack
 
+from compilation.jit import jit
 from config.loader import load_arm
 from config.schema import RealtimeConfig
 from rtloop.memory.record import offset_of
@@ -17,7 +18,6 @@ from rtloop.system import realtime
 from rtloop.system.libc import CLOCK_MONOTONIC, TIMER_ABSTIME, clock_nanosleep
 from shm import layout, seqlock
 from shm.atomics import load_acquire, store_relaxed
-from shm.jit import jit
 
 PRIORITY = 60
 """Below the cycle and its reader, above the simulated drives: it may hold those up for the moments it looks."""

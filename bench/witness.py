@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
+from compilation.jit import jit
 from rtloop.memory.record import offset_of
 from rtloop.process.run import monotonic_ns
 from rtloop.system import realtime
 from rtloop.system.libc import CLOCK_MONOTONIC, TIMER_ABSTIME, clock_nanosleep
 from shm import layout
 from shm.atomics import load_relaxed, store_relaxed
-from shm.jit import jit
 
 MISSED = np.dtype(
     [

@@ -6,6 +6,7 @@ nothing, asks the system for nothing and allocates nothing. `rtloop.process.run`
 virtual time.
 """
 
+from compilation.jit import jit
 from rtloop import setpoints
 from rtloop.bus import frames, measured
 from rtloop.commands import intake, orders, people
@@ -16,7 +17,6 @@ from rtloop.show import show
 from rtloop.trajectory import goals
 from rtloop.trajectory.correction import ERROR_SHARE_1_S
 from rtloop.trajectory.phases import raise_epoch, runs
-from shm.jit import jit
 from shm.layout import MAX_JOINTS
 from shm.words import Event, Outcome
 

@@ -2,6 +2,7 @@
 
 import math
 
+from compilation.jit import jit
 from rtloop.commands.orders import adopt
 from rtloop.memory.axis import FAMILY_MOCK
 from rtloop.memory.modes import is_limp
@@ -12,7 +13,6 @@ from rtloop.trajectory.clock import advance_clock, along
 from rtloop.trajectory.limits import hardest_rad_s2
 from rtloop.trajectory.path import find_knot, sample
 from rtloop.trajectory.phases import runs
-from shm.jit import jit
 from shm.words import Unreferenced
 
 STILL_SHARE = 0.002

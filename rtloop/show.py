@@ -2,13 +2,13 @@
 
 import math
 
+from compilation.jit import jit
 from rtloop.memory.record import offset_of
 from rtloop.memory.recorder import record_cycle
 from rtloop.memory.state import LOOP, Loop, Shared
 from rtloop.trajectory.path import end_s
 from rtloop.trajectory.phases import incoming, running_goal, runs
 from shm import layout
-from shm.jit import jit
 from shm.seqlock import crc32_at, publish
 
 _SNAPSHOT = offset_of(LOOP, "snapshot")

@@ -13,8 +13,8 @@ from collections.abc import Callable
 
 import llvmlite.binding as llvm
 
+from compilation import cache
 from rtloop.process import compiled
-from shm import cache
 
 KEPT_S = 24 * 3600.0
 """Compiled code of other sources is removed when it is older than this."""

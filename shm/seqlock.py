@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from compilation.jit import jit
 from shm.atomics import fence_acquire, fence_release, load_relaxed, store_relaxed
-from shm.jit import jit
 
 
 def _slicing_table() -> np.ndarray:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from numba import cfunc
 
+from compilation.jit import ERROR_MODEL
 from rtloop.process.entries import ENTRIES
-from shm.jit import ERROR_MODEL
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from virtual import VirtualArm
 
+from compilation.jit import jit
 from rtloop.cycle import step
 from rtloop.memory.record import offset_of
 from rtloop.process.run import monotonic_ns
 from rtloop.wire import received
 from shm import layout
 from shm.atomics import store_relaxed
-from shm.jit import jit
 from shm.words import Outcome
 
 WORDS_A_LINE = 8

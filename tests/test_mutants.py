@@ -28,7 +28,7 @@ def unseen(x):
 '''
 CALLER = """import importlib
 
-from shm.jit import jit
+from compilation.jit import jit
 
 toy = importlib.import_module("".join("toy"))
 clipped = jit(toy.clipped)

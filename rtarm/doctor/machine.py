@@ -92,7 +92,7 @@ def can_links() -> Any:
 def compiled_folder() -> Path:
     """Where the compiled cycle of these very sources lies, or will lie."""
     try:
-        from shm import cache
+        from compilation import cache
     except ImportError as problem:
         raise Unknown(f"the compiler cannot be loaded ({problem})") from None
     return cache.folder()

@@ -1,5 +1,6 @@
 """The frames of a cycle: motion first, then readings, then what conversations want to say."""
 
+from compilation.jit import jit
 from rtloop.drives import families
 from rtloop.memory import status as status_bits
 from rtloop.memory.modes import is_limp
@@ -8,7 +9,6 @@ from rtloop.safety import guard
 from rtloop.service import port, rings
 from rtloop.wire import outgoing, received
 from rtloop.wire.outgoing import frame_bits
-from shm.jit import jit
 from shm.words import Mode
 
 

@@ -4,6 +4,7 @@ A reading is stamped with the time at which the encoder was read (the arrival of
 compared with what was commanded at that very instant.
 """
 
+from compilation.jit import jit
 from rtloop.drives import families
 from rtloop.memory.link import GRIPPER, NOBODY, RX_CHUNKS, WIRE_MOCK
 from rtloop.memory.recorder import marks_of, record_frame
@@ -14,7 +15,6 @@ from rtloop.service import rings
 from rtloop.wire import can_errors, outgoing, received, wires
 from rtloop.wire.found import CONTROLLER_ERROR, FRAME, NOTHING
 from rtloop.wire.outgoing import frame_bits
-from shm.jit import jit
 from shm.layout import MAX_JOINTS
 from shm.words import BusState, Fault, Mode
 

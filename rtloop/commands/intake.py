@@ -10,6 +10,7 @@ before it counts as corrupt.
 import math
 from typing import Any
 
+from compilation.jit import jit
 from rtloop.commands.people import GOALS_AHEAD, is_canceled
 from rtloop.memory.events import answer_request, record_event, set_result
 from rtloop.memory.modes import change_mode, is_limp
@@ -33,7 +34,6 @@ from rtloop.trajectory.phases import (
 from rtloop.wire import received
 from shm import layout
 from shm.atomics import load_acquire, store_release
-from shm.jit import jit
 from shm.seqlock import copy_words, crc32_at
 from shm.words import Answer, Entry, Event, Fault, Mode, Outcome, Phase, Request, Setpoint, Unreferenced
 

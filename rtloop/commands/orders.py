@@ -2,6 +2,7 @@
 
 import math
 
+from compilation.jit import jit
 from rtloop.commands import intake
 from rtloop.memory.axis import NOT_LED
 from rtloop.memory.events import record_event
@@ -11,7 +12,6 @@ from rtloop.safety.faults import forget_fault, latch_fault
 from rtloop.safety.guard import outlives_a_clear
 from rtloop.service import port, rings
 from rtloop.trajectory.phases import raise_epoch, slow_down
-from shm.jit import jit
 from shm.layout import MAX_JOINTS
 from shm.words import Answer, BusState, Event, Fault, Mode, Outcome, Request, Unreferenced
 

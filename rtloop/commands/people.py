@@ -3,6 +3,7 @@
 Each is one store in the command file of which the newest counts, so none can be lost, and none waits behind another.
 """
 
+from compilation.jit import jit
 from rtloop.memory.events import record_event
 from rtloop.memory.record import offset_of
 from rtloop.memory.state import LOOP, Loop, Shared
@@ -19,7 +20,6 @@ from rtloop.trajectory.phases import (
 )
 from shm import layout
 from shm.atomics import load_acquire
-from shm.jit import jit
 from shm.seqlock import copy_words
 from shm.words import Event, Mode, Outcome, Request
 

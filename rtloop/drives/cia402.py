@@ -7,6 +7,7 @@ as long after its SYNC as its interpolation time says (60C2, the cycle's period)
 Emergencies (080) hold an error code, heartbeats (700) the node's state.
 """
 
+from compilation.jit import jit
 from rtloop.drives import following, hearing, words
 from rtloop.drives.cia402_setup import (
     BOOT_UP,
@@ -30,7 +31,6 @@ from rtloop.memory.frame_words import STANDARD
 from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
 from rtloop.wire import outgoing
-from shm.jit import jit
 from shm.words import Unreferenced
 
 

@@ -10,6 +10,7 @@ for the same feedback and moves nothing), register, value; answers come on the m
 
 import math
 
+from compilation.jit import jit
 from config.drives.damiao import HIGHEST_KD, HIGHEST_KP, POSITION_VELOCITY_OFFSET, REGISTERS_ID
 from rtloop.drives import following, hearing, leading, words
 from rtloop.drives.damiao_setup import (
@@ -33,7 +34,6 @@ from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.wire import outgoing
-from shm.jit import jit
 
 
 @jit

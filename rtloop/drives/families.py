@@ -8,11 +8,11 @@ import importlib
 from collections.abc import Callable
 from typing import Any
 
+from compilation.jit import jit
 from config.joint import FAMILIES
 from rtloop.drives import mock
 from rtloop.memory.axis import FAMILY_MOCK
 from rtloop.memory.state import Loop
-from shm.jit import jit
 
 AT_ONCE = 4
 """Families that one function chooses among: each more function costs compiling, each more family in one does not."""

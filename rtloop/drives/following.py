@@ -1,9 +1,9 @@
 """Leading a drive that follows set-points: it goes where each one says, as hard as it can, and plans nothing itself."""
 
+from compilation.jit import jit
 from rtloop.memory.axis import NOT_LED
 from rtloop.memory.state import Loop
 from rtloop.trajectory.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
-from shm.jit import jit
 
 STANDS_AFTER_CYCLES = 3
 """Without a target a drive ends its line in the next cycle, and has come to rest soon after."""

@@ -1,9 +1,9 @@
 """What a drive has said, kept for its joint: families of drives decode their bytes and call these."""
 
+from compilation.jit import jit
 from rtloop.memory.axis import QUESTIONS
 from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
-from shm.jit import jit
 
 
 @jit

@@ -8,11 +8,11 @@ acceleration limit, a drive that hears nothing more brakes by itself, bounded, o
 
 import math
 
+from compilation.jit import jit
 from config.derived import LEAD_PERIODS
 from rtloop.memory.state import Loop
 from rtloop.safety.agreed import steady_error_rad
 from rtloop.trajectory.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
-from shm.jit import jit
 
 
 @jit

@@ -12,6 +12,7 @@ A request and its answer differ in length for every function that is heard here,
 Streaming: a target ahead, and a speed that sets the pace (`rtloop.drives.leading`), as with ZDT drives.
 """
 
+from compilation.jit import jit
 from config.drives.mks import FARTHEST_COUNTS
 from rtloop.drives import hearing, leading, words
 from rtloop.drives.mks_setup import (
@@ -29,7 +30,6 @@ from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
 from rtloop.wire import outgoing
-from shm.jit import jit
 from shm.words import Unreferenced
 
 

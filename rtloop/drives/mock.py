@@ -1,7 +1,7 @@
 """No drive: nothing is sent and nothing heard; `rtloop.bus.frames.mirror` measures what is commanded."""
 
+from compilation.jit import jit
 from rtloop.memory.state import Loop, Shared
-from shm.jit import jit
 
 
 @jit

@@ -14,6 +14,7 @@ since it was told to let go (80), and does not say that its brake is locked afte
 (motors without a brake may say either).
 """
 
+from compilation.jit import jit
 from rtloop.drives import hearing, leading, words
 from rtloop.drives.myactuator_setup import ANGLE, FEEDBACK, SHUTDOWN, STATUS, STOP, TARGET
 from rtloop.memory import status as status_bits
@@ -22,7 +23,6 @@ from rtloop.memory.frame_words import STANDARD
 from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
 from rtloop.wire import outgoing
-from shm.jit import jit
 
 REQUEST_BASE = 0x140
 HIGHEST_SPEED_DPS = 0xFFFF

@@ -14,6 +14,7 @@ odriverobotics/ODrive reads what start_closed_loop_control in axis.cpp connects)
 
 import math
 
+from compilation.jit import jit
 from rtloop.drives import following, hearing, words
 from rtloop.drives.odrive_setup import (
     ANSWER_BYTES,
@@ -32,7 +33,6 @@ from rtloop.memory.frame_words import REMOTE, STANDARD
 from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
 from rtloop.wire import outgoing
-from shm.jit import jit
 
 AHEAD_PER_UNIT = 1000.0
 MOST_AHEAD = 32_767

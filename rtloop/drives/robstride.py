@@ -22,6 +22,7 @@ that long and stops on the target, not faster than with speed × gain.
 
 import math
 
+from compilation.jit import jit
 from config.drives.robstride import CONTROL, READ, TYPE_BIT, WRITE
 from rtloop.drives import following, hearing, leading, words
 from rtloop.drives.robstride_setup import (
@@ -43,7 +44,6 @@ from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.wire import outgoing
-from shm.jit import jit
 
 BITS = 16
 NO_TORQUE = 0x7FFF

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from compilation.jit import jit
 from rtloop.drives import fields
-from shm.jit import jit
 
 
 @jit

@@ -19,6 +19,7 @@ Streaming: a target ahead, and a speed that sets the pace (`rtloop.drives.leadin
 
 import math
 
+from compilation.jit import jit
 from rtloop.drives import hearing, leading
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import EXTENDED
@@ -27,7 +28,6 @@ from rtloop.safety import guard
 from rtloop.safety.agreed import steady_error_rad
 from rtloop.trajectory.correction import ERROR_SHARE_1_S
 from rtloop.wire import outgoing
-from shm.jit import jit
 from shm.words import Unreferenced
 
 FAST_OFFSET_SHARE = 0.25

@@ -1,10 +1,10 @@
 """Writing to the event ring and to the tables of results and answers."""
 
+from compilation.jit import jit
 from rtloop.memory.record import offset_of
 from rtloop.memory.state import Loop, Shared
 from shm import layout
 from shm.atomics import load_relaxed, store_release
-from shm.jit import jit
 from shm.words import Event
 
 _EVENTS_WRITTEN_AT = offset_of(layout.STATE, "events_written")

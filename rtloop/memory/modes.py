@@ -6,9 +6,9 @@ holding ⇄ referencing
 any of them → fault → bringing_up (an explicit clear does too)
 """
 
+from compilation.jit import jit
 from rtloop.memory.events import record_event
 from rtloop.memory.state import Loop, Shared
-from shm.jit import jit
 from shm.words import Event, Mode
 
 ALLOWED = {

@@ -6,12 +6,12 @@ its writer died, by its check sum, whatever order their processor reads in. The 
 that only the recorder's few words are summed again.
 """
 
+from compilation.jit import jit
 from rtloop.memory.frame_words import EXTENDED, REMOTE
 from rtloop.memory.record import offset_of
 from rtloop.memory.state import LOOP, Loop, Shared
 from shm import layout, recording
 from shm.atomics import load_relaxed, store_relaxed, store_release
-from shm.jit import jit
 from shm.seqlock import copy_words, crc32_at
 from shm.words import Outcome, Phase, Slowed
 

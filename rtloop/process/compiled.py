@@ -13,7 +13,7 @@ from typing import Any
 
 import llvmlite.binding as llvm
 
-from shm import cache
+from compilation import cache
 
 CALLED = (
     "__errno_location",

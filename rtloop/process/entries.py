@@ -9,10 +9,10 @@ from typing import Any, NamedTuple, cast
 from numba import types
 from numba.extending import intrinsic
 
+from compilation.jit import jit
 from rtloop.memory.state import LOOP
 from rtloop.process import run as threads
 from shm.atomics import load_acquire, store_release
-from shm.jit import jit
 from shm.layout import STATE
 
 

@@ -9,11 +9,10 @@ import sys
 from typing import Any
 
 import llvmlite.binding as llvm
+from compilation import jit
 from numba import cfunc, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import cpu_target
-
-from shm import jit
 
 
 class _Unoptimised(JITCodeLibrary):

@@ -22,11 +22,11 @@ import sys
 import time
 from typing import TextIO
 
+from compilation.cache import ROOT
 from config.loader import load_arm, parse_overrides
 from config.schema import ArmConfig
 from rtloop.process import compiled
 from rtloop.process.control_process import CannotStart, StopAsked
-from shm.cache import ROOT
 
 COMPILER_POLL_S = 0.02
 NOBODY_READS = (errno.EPIPE, errno.EIO, errno.ENXIO, errno.EBADF)

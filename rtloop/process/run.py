@@ -7,6 +7,7 @@ locks that an ordinary-priority kernel worker may hold); the cycle only looks at
 
 from typing import Any
 
+from compilation.jit import jit
 from rtloop.cycle import step
 from rtloop.memory.events import record_event
 from rtloop.memory.link import CAN_FRAME_BYTES, READ_BYTES, RX_FRAMES, WIRE_SOCKETCAN
@@ -35,7 +36,6 @@ from rtloop.system.libc import (
 from rtloop.wire import outgoing, received, wires
 from shm import histogram
 from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
-from shm.jit import jit
 from shm.words import BusState, Event
 
 _TX = offset_of(LOOP, "outgoing", "bytes")

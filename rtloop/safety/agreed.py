@@ -2,8 +2,8 @@
 
 import math
 
+from compilation.jit import jit
 from rtloop.memory.axis import Axis
-from shm.jit import jit
 
 
 @jit

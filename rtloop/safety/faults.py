@@ -1,10 +1,10 @@
 """Latching a fault: the first one stands until it is cleared, and the arm brakes."""
 
+from compilation.jit import jit
 from rtloop.memory.events import record_event
 from rtloop.memory.modes import change_mode
 from rtloop.memory.state import Loop, Shared
 from rtloop.trajectory.phases import raise_epoch, runs, stop_running, tell_why_it_stops
-from shm.jit import jit
 from shm.words import Event, Fault, Mode, Outcome
 
 

@@ -6,6 +6,7 @@ last good one.
 
 import math
 
+from compilation.jit import jit
 from config.frames import ADAPTER_FRAMES
 from rtloop.memory import status as status_bits
 from rtloop.memory.axis import FAMILY_MOCK, FRESH_READINGS, Commanded
@@ -19,7 +20,6 @@ from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.trajectory.limits import at_rest, hardest_rad_s2, highest_rad_s
 from rtloop.trajectory.path import in_goal
 from rtloop.trajectory.phases import slow_down, stop_running
-from shm.jit import jit
 from shm.words import Event, Fault, Mode, Outcome, Phase, Slowed, Unreferenced
 
 _LATE_DRIVE = int(Slowed.LATE_DRIVE)

@@ -3,9 +3,9 @@
 They are for people. Nothing in the cycle is decided by them.
 """
 
+from compilation.jit import jit
 from rtloop.memory.state import Loop, Shared
 from rtloop.wire import received
-from shm.jit import jit
 from shm.words import BusState, Evidence
 
 # numba adds up no members of an enumeration, so they are plain integers here.

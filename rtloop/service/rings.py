@@ -1,10 +1,10 @@
 """The cycle's side of the in-process rings between it and ordinary Python, whose side is `rtloop.service.port`."""
 
+from compilation.jit import jit
 from rtloop.memory.link import SERVICE_SLOTS
 from rtloop.memory.state import Loop
 from rtloop.service.port import IN, OUT, SEND, TAKEN, WRITTEN
 from shm.atomics import load_acquire, load_relaxed, store_release
-from shm.jit import jit
 
 
 @jit

@@ -8,12 +8,12 @@ will be commanded. `search.checks_left` bounds what a cycle may look at; what it
 
 import math
 
+from compilation.jit import jit
 from motion import segment
 from rtloop.memory.motion import BLEND_SAMPLES
 from rtloop.memory.state import Loop
 from rtloop.trajectory.limits import hardest_rad_s2, highest_rad_s
 from rtloop.trajectory.path import end_s, fade, find_knot, goes_on_past_end, in_goal, plan_coefficients, sample, slot
-from shm.jit import jit
 
 evaluate = jit(segment.evaluate)
 

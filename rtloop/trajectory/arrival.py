@@ -5,11 +5,11 @@ Such an end is not passed: the rate is lowered in time, by the ramp that uses up
 
 import math
 
+from compilation.jit import jit
 from motion.stopping import ORDERLY
 from rtloop.memory.state import Loop
 from rtloop.trajectory.clock import begin_ramp, ramp_duration
 from rtloop.trajectory.path import end_s
-from shm.jit import jit
 
 ARRIVED_S = 1e-6
 ARRIVAL_SHARE = 0.25

@@ -7,13 +7,13 @@ at a fixed number of instants, and the first that keeps the limits is taken.
 
 import math
 
+from compilation.jit import jit
 from motion import scaling, stopping
 from motion.stopping import PLAN_SHARE, STOP_FRACTIONS
 from rtloop.memory.motion import BLEND_SAMPLES
 from rtloop.memory.state import Loop
 from rtloop.trajectory.ahead import look_from_here, may_look, next_keeps_limits
 from rtloop.trajectory.path import end_s, find_knot, goes_on_past_end, sample
-from shm.jit import jit
 
 ramp = jit(scaling.ramp)
 along = jit(scaling.along)

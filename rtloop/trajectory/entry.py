@@ -7,6 +7,7 @@ instants, and those that keep the limits there are looked at from knot to knot o
 the search then goes on in the next one.
 """
 
+from compilation.jit import jit
 from motion import segment, stopping
 from rtloop.memory.motion import BLEND_SAMPLES
 from rtloop.memory.state import Loop
@@ -26,7 +27,6 @@ from rtloop.trajectory.path import (
     slot,
 )
 from rtloop.trajectory.phases import runs
-from shm.jit import jit
 
 decay = jit(segment.decay)
 reach_s = jit(stopping.reach_s)

@@ -1,5 +1,6 @@
 """The life of a goal in the loop: how it enters, how fast its clock runs, how it ends."""
 
+from compilation.jit import jit
 from motion.stopping import ORDERLY
 from rtloop.memory.modes import change_mode
 from rtloop.memory.motion import WINDOW_KNOTS
@@ -31,7 +32,6 @@ from rtloop.trajectory.phases import (
     tell_why_it_stops,
     waits,
 )
-from shm.jit import jit
 from shm.words import Mode, Outcome, Phase, Slowed
 
 _LATE_DRIVE, _STARVING, _MAKING_WAY = int(Slowed.LATE_DRIVE), int(Slowed.STARVING), int(Slowed.MAKING_WAY)

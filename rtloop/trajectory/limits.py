@@ -1,7 +1,7 @@
 """The limits that setpoints keep, as everybody judges them who lays, looks ahead at, or last checks a motion."""
 
+from compilation.jit import jit
 from rtloop.memory.state import Loop
-from shm.jit import jit
 
 ROUNDING = 1.0 + 1e-6
 

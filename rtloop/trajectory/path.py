@@ -7,10 +7,10 @@ trajectory clock shows (`rtloop.trajectory.clock`). How a blend is chosen is tol
 
 from typing import Any
 
+from compilation.jit import jit
 from motion import segment, stopping
 from rtloop.memory.motion import WINDOW_KNOTS
 from rtloop.memory.state import Loop
-from shm.jit import jit
 
 linear = jit(segment.linear)
 cubic = jit(segment.cubic)

@@ -8,9 +8,9 @@ running, paused, settling → stopping → none
 each of them → none: refused, replaced, or the drives have stopped the arm by themselves
 """
 
+from compilation.jit import jit
 from rtloop.memory.events import set_result
 from rtloop.memory.state import Loop, Shared
-from shm.jit import jit
 from shm.words import Outcome, Phase, Slowed
 
 ALLOWED = {

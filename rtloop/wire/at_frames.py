@@ -5,12 +5,12 @@ section 3). The low three bits say what kind of frame it is, and 4 is extended; 
 so others are neither sent nor taken.
 """
 
+from compilation.jit import jit
 from rtloop.memory.frame_words import EXTENDED
 from rtloop.memory.link import TX_BYTES
 from rtloop.memory.state import Loop, Shared
 from rtloop.wire import framed
 from rtloop.wire.found import FRAME, NOTHING
-from shm.jit import jit
 
 LONGEST_FRAME_BYTES = 17
 SHORTEST_FRAME_BYTES = 9

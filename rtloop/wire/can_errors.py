@@ -4,8 +4,8 @@ The class of an error frame is its identifier, details stand in its data. Which 
 tell of a missing acknowledgement by its class, others as a bus error at the acknowledge slot.
 """
 
+from compilation.jit import jit
 from rtloop.wire.can_words import BUS_OFF, CONTROLLER, NO_ACKNOWLEDGE, PROTOCOL, RESTARTED
-from shm.jit import jit
 from shm.words import BusState
 
 _WARNING_BITS = 0x0C  # of receiving, of transmitting

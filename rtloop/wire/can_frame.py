@@ -4,12 +4,12 @@ u32 id with its flags in the machine's byte order (little-endian on all that run
 8 bytes of data. A frame with the error flag was made by the controller's driver: `rtloop.wire.can_errors`.
 """
 
+from compilation.jit import jit
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.link import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN
 from rtloop.memory.state import Loop, Shared
 from rtloop.wire.can_words import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from rtloop.wire.found import CONTROLLER_ERROR, FRAME, NOTHING
-from shm.jit import jit
 
 LONGEST_DATA = 8
 _LENGTH_AT = 4

@@ -5,9 +5,9 @@ first byte, and the rest is looked at again from the next byte that could begin 
 many, costs that frame alone. Loss is counted once until the next sound frame, however many bytes it takes.
 """
 
+from compilation.jit import jit
 from rtloop.memory.link import RX_BYTES
 from rtloop.memory.state import Loop
-from shm.jit import jit
 
 MORE = 0
 SOUND = 1

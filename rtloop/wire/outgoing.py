@@ -5,6 +5,7 @@ it did not take is not sent late, because newer frames say it better and a drive
 but a frame that is half on its way, and the rest of a command that a drive has the first packet of, still go first.
 """
 
+from compilation.jit import jit
 from config.frames import unchecked_frame_bits
 from rtloop.memory.frame_words import EXTENDED, REMOTE
 from rtloop.memory.link import CAN_FRAME_BYTES, SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_PYTHON_CAN
@@ -12,7 +13,6 @@ from rtloop.memory.recorder import SENT, marks_of, record_frame
 from rtloop.memory.state import Loop, Shared
 from rtloop.wire import can_frame, wires
 from rtloop.wire.can_words import JOINED, STOP
-from shm.jit import jit
 
 LONGEST_FRAME_BYTES = SLCAN_LONGEST_LINE
 """No wire needs more for a frame."""

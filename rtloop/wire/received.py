@@ -6,11 +6,11 @@ bytes and counts them; the SLCAN parser finds the next line by itself, and CAN f
 
 from typing import Any
 
+from compilation.jit import jit
 from rtloop.memory.link import RX_BYTES, RX_CHUNKS
 from rtloop.memory.record import offset_of
 from rtloop.memory.state import LOOP, Loop
 from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
-from shm.jit import jit
 
 _ARRIVED = offset_of(LOOP, "received", "arrived", "bytes")
 _CHUNKS_ARRIVED = offset_of(LOOP, "received", "arrived", "chunks")

@@ -6,12 +6,12 @@ framing that an adapter uses before it is set up. A remote frame has no data; sh
 are asked for, they are skipped.
 """
 
+from compilation.jit import jit
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.link import TX_BYTES
 from rtloop.memory.state import Loop, Shared
 from rtloop.wire import framed
 from rtloop.wire.found import FRAME, NOTHING
-from shm.jit import jit
 
 START, END = 0xAA, 0x55
 LONGEST_FRAME_BYTES = 15

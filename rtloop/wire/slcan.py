@@ -10,11 +10,11 @@ from string import hexdigits
 
 import numpy as np
 
+from compilation.jit import jit
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.link import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
 from rtloop.memory.state import Loop, Shared
 from rtloop.wire.found import FRAME, NOTHING
-from shm.jit import jit
 
 CR = 13
 BEL = 7

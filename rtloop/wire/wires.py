@@ -3,11 +3,11 @@
 A wire's file has these functions for its own bytes.
 """
 
+from compilation.jit import jit
 from rtloop.memory.link import WIRE_AT, WIRE_SEEED, WIRE_SLCAN
 from rtloop.memory.state import Loop, Shared
 from rtloop.wire import at_frames, can_frame, seeed, slcan
 from rtloop.wire.found import NOTHING
-from shm.jit import jit
 
 
 @jit

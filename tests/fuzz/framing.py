@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from compilation.jit import jit
 from rtloop.memory.link import WIRE_AT, WIRE_SEEED
 from rtloop.memory.state import Loop
-from shm.jit import jit
 
 CR, LF = 13, 10
 _HEX = np.frombuffer(b"0123456789ABCDEF", np.uint8)

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from compilation.jit import jit
 from rtloop.commands import orders
 from rtloop.cycle import step
 from rtloop.memory.modes import change_mode
@@ -18,7 +19,6 @@ from rtloop.memory.state import LOOP, Loop, Shared
 from rtloop.trajectory.phases import runs, waits
 from shm import layout
 from shm.atomics import load_relaxed, store_relaxed
-from shm.jit import jit
 from shm.seqlock import copy_words, crc32_at
 from shm.words import Answer, Fault, Mode, Outcome, Request, Setpoint
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from compilation.jit import jit
 from config.loader import load_arm
 from rtloop.memory.events import record_event
 from rtloop.memory.link import RX_BYTES, RX_CHUNKS, SERVICE_SLOTS
@@ -27,7 +28,6 @@ from rtloop.service.port import IN, TAKEN, WRITTEN
 from rtloop.wire import received
 from shm import layout
 from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
-from shm.jit import jit
 from shm.seqlock import copy_words, publish, read
 
 _EVENTS_WRITTEN = offset_of(layout.STATE, "events_written")

@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from plain_messages import point, present, trajectory
 
+from compilation import cache
 from fuzz import memory
 from fuzz.arena import MemoryArena, WireArena
 from fuzz.messages import Messages
@@ -20,7 +21,6 @@ from fuzz.texts import Texts
 from fuzz.truth import Truth
 from rosfront.goal import plan_stream
 from rtloop.wire import received
-from shm import cache
 from shm.words import Answer, Fault, Outcome
 
 ROOT = Path(__file__).resolve().parents[2]

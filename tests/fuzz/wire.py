@@ -7,6 +7,7 @@ what the cycle sends by itself.
 
 import numpy as np
 
+from compilation.jit import jit
 from fuzz import memory
 from fuzz.framing import put_byte, put_frame, read_frame
 from fuzz.memory import SOUND, UNKNOWN_WORD
@@ -18,7 +19,6 @@ from rtloop.memory.state import Loop, Shared
 from rtloop.service.port import OUT, TAKEN, WRITTEN
 from rtloop.wire import received
 from shm.atomics import store_relaxed
-from shm.jit import jit
 
 CYCLES = 40
 MOST_BYTES = 2048

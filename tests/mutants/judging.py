@@ -16,7 +16,19 @@ from pathlib import Path
 from mutants.making import Mutant
 
 TESTS = Path(__file__).parents[1]
-COPIED = ("config", "motion", "shm", "sentences", "rtloop", "rosfront", "sim", "rtarm", "tests", "pyproject.toml")
+COPIED = (
+    "compilation",
+    "config",
+    "motion",
+    "shm",
+    "sentences",
+    "rtloop",
+    "rosfront",
+    "sim",
+    "rtarm",
+    "tests",
+    "pyproject.toml",
+)
 HANG_S, HANG_TIMES = 30.0, 3.0
 """What needs so much longer than so many times what the unchanged tree needs hangs."""
 KILLED, SURVIVED, HANGS, CRASHES, IS_NONE = "killed", "SURVIVED", "killed: hangs", "killed: crashes", "does not compile"

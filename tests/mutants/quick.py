@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 import pytest
 from hypothesis import Phase, settings
 
-from shm import cache
+from compilation import cache
 
 cache.key = lambda: "mutants"  # type: ignore[assignment]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from rosfront.interfaces import build
+from interfaces import build
 from rtarm import processes
 from rtarm.console.errors import Refusal
 from rtarm.launch import first_use, launcher
@@ -25,7 +25,7 @@ USERS = 4
 MAKER = """
 import sys
 from pathlib import Path
-from rosfront.interfaces import build
+from interfaces import build
 
 def made(package, place):
     with open(sys.argv[1], "a") as log:

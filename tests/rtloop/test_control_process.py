@@ -24,13 +24,13 @@ from memory_front import MemoryFront
 from stack import PATIENCE_S, Process
 from waiting import until
 
+from compilation import cache
 from config.loader import load_arm
 from rtloop.kept import saved
 from rtloop.process import compiled
 from rtloop.process.control_process import ControlProcess, StopAsked
 from rtloop.service.port import ServicePort
 from rtloop.system import realtime
-from shm import cache
 from shm.client import StateReader
 from shm.errors import NotRunning
 from shm.files import DIRECTORY, open_state

@@ -21,14 +21,14 @@ from virtual import VirtualArm
 
 import rtloop
 import shm
+from compilation import cache
+from compilation.jit import jit
 from config.loader import load_arm
 from rtloop import cycle
 from rtloop.memory.record import offset_of
 from rtloop.process import entries
 from rtloop.process.run import run
 from rtloop.system import realtime
-from shm import cache
-from shm.jit import jit
 from shm.words import Mode, Outcome
 
 ROOT = Path(__file__).resolve().parents[2]

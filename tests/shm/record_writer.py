@@ -8,6 +8,7 @@ import sys
 import threading
 from typing import Any
 
+from compilation.jit import jit
 from config.loader import load_arm
 from rtloop.memory.record import offset_of
 from rtloop.memory.recorder import record_cycle, record_frame
@@ -15,7 +16,6 @@ from rtloop.memory.state import LOOP
 from rtloop.process.beginning import new_loop
 from shm import files, layout
 from shm.atomics import store_relaxed
-from shm.jit import jit
 from shm.seqlock import crc32_at
 
 PERIOD_NS = 200_000_000

@@ -11,10 +11,10 @@ import threading
 
 import numpy as np
 
+from compilation.jit import jit
 from rtloop.memory.record import offset_of
 from shm import files, layout
 from shm.atomics import fence_release, load_relaxed, store_relaxed
-from shm.jit import jit
 from shm.seqlock import copy_words, crc32_at, publish
 
 JOINTS = 6

@@ -9,8 +9,8 @@ import numba
 import pytest
 from numba import int64
 
+from compilation.jit import ERROR_MODEL
 from shm import atomics, seqlock
-from shm.jit import ERROR_MODEL
 
 TRIPLE, PROCESSOR = "aarch64-unknown-linux-gnu", "cortex-a72"
 _ORDERED = re.compile(r"^\t(ldar|ldapr|stlr|dmb)\t(.*)$")

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from compilation.jit import jit
 from shm import histogram, layout
-from shm.jit import jit
 
 WIDTH = 0.032
 """Relative width of a bucket at most, as the module says."""

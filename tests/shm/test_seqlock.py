@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from snapshot_writer import JOINTS, SEQUENCE, SNAPSHOT, WORDS
 from waiting import ready_process
 
+from compilation.jit import jit
 from shm import files, layout
 from shm.atomics import load_relaxed
 from shm.client import StateReader
 from shm.errors import TornRead
-from shm.jit import jit
 from shm.seqlock import copy_words, crc32_at, publish, read
 
 

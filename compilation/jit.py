@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeVar, cast
 
 import numba
 
-from shm import cache
+from compilation import cache
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -10,7 +10,14 @@ from pathlib import Path
 import llvmlite.binding as llvm
 
 ROOT = Path(__file__).resolve().parent.parent
-COMPILED_SOURCES = ("config/*.py", "config/drives/*.py", "motion/**/*.py", "shm/**/*.py", "rtloop/**/*.py")
+COMPILED_SOURCES = (
+    "compilation/*.py",
+    "config/*.py",
+    "config/drives/*.py",
+    "motion/**/*.py",
+    "shm/**/*.py",
+    "rtloop/**/*.py",
+)
 """What compiled code may be made of: functions of its own, and the constants and leaf functions it takes over."""
 COMPILERS = ("numba", "llvmlite", "numpy")
 
