@@ -135,3 +135,8 @@ class JointConfig(Section):
     def encoder_count_rad(self) -> float:
         """Joint angle of one step of a reading (rad)."""
         return 1.0 / self.encoder_counts_per_rad
+
+    @property
+    def slack_rad(self) -> float:
+        """What rounding to steps may put a joint that stands at its limit beyond it (rad): one commanded, one read."""
+        return self.command_pulse_rad + self.encoder_count_rad

@@ -1,19 +1,20 @@
 """Checking a plan against the limits of its joints, along the whole way and not only at its points."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
 
 from config.schema import ArmConfig
 from motion import bounds, stopping
+from motion import limits as motion_limits
 from rosfront.path import PlannedPath
 from rosfront.plan import NS, REST_RAD_S, GoalPlan
 from rosfront.refusals import AccelerationBeyondLimit, PositionBeyondLimit, VelocityBeyondLimit
 
 SEGMENTS_A_CHUNK = 8192  # bounds the memory of a check, whatever the number of points
-ROUNDING = 1.0 + 5e-7  # half of what the control process forgives
+ROUNDING = 1.0 + motion_limits.ROUNDING_AHEAD
 ROUGHEST = 8.0
 """A velocity that changes within a cycle by more than so many times what is allowed is refused at once."""
 MOST_LOOKS = 1_000_000  # at segments; bounds the time of a check, whatever the points
@@ -28,8 +29,9 @@ class _Limits:
     names: list[str]
     lower: np.ndarray
     upper: np.ndarray
-    slack: np.ndarray
-    """What rounding may put a joint that stands at its limit beyond it: a pulse and a count."""
+    lowest: np.ndarray
+    highest: np.ndarray
+    """Positions of the arm file, and what rounding may make of them (`motion.limits.band`)."""
     velocity: np.ndarray
     acceleration: np.ndarray
     period_ns: int
@@ -39,11 +41,15 @@ def _limits_of(arm: ArmConfig, mask: np.ndarray, *, margins: bool) -> _Limits:
     """`margins`: with those of velocity and acceleration, or without them."""
     joints = [joint for joint, chosen in zip(arm.joints, mask, strict=True) if chosen]
     velocity_margin, acceleration_margin = arm.limits.velocity_margin, arm.limits.acceleration_margin
+    lower = np.array([joint.lower_rad for joint in joints])
+    upper = np.array([joint.upper_rad for joint in joints])
+    lowest, highest = motion_limits.band(lower, upper, np.array([joint.slack_rad for joint in joints]))
     return _Limits(
         names=[joint.name for joint in joints],
-        lower=np.array([joint.lower_rad for joint in joints]),
-        upper=np.array([joint.upper_rad for joint in joints]),
-        slack=np.array([joint.command_pulse_rad + joint.encoder_count_rad for joint in joints]),
+        lower=lower,
+        upper=upper,
+        lowest=lowest,
+        highest=highest,
         velocity=np.array([joint.max_velocity_rad_s for joint in joints]) * (velocity_margin if margins else 1.0),
         acceleration=np.array([joint.max_acceleration_rad_s2 for joint in joints])
         * (acceleration_margin if margins else 1.0),
@@ -54,7 +60,9 @@ def _limits_of(arm: ArmConfig, mask: np.ndarray, *, margins: bool) -> _Limits:
 def check_positions(plan: GoalPlan, arm: ArmConfig) -> None:
     """Positions of the points alone; raises PositionBeyondLimit for the first that is outside."""
     path = PlannedPath(plan)
-    _check_point_positions(path, _limits_of(arm, path.mask, margins=True))
+    limits = _limits_of(arm, path.mask, margins=True)
+    unlimited = np.full(len(limits.names), np.inf)
+    _check_points(path, replace(limits, velocity=unlimited, acceleration=unlimited))
 
 
 def check_limits(plan: GoalPlan, arm: ArmConfig, *, margins: bool = True) -> None:
@@ -82,23 +90,22 @@ def check_limits(plan: GoalPlan, arm: ArmConfig, *, margins: bool = True) -> Non
         _check_accelerations(path, limits, _Cycles(path, limits.period_ns, bent, stream=plan.stream))
 
 
-def _check_point_positions(path: PlannedPath, limits: _Limits) -> None:
-    position = path.knots[path.shift :, :, 0]
-    if broken := _first(np.maximum(limits.lower - position, position - limits.upper) / limits.slack, 1.0):
-        point, joint = broken
-        raise _position(path, limits, path.times_ns[path.shift + point], joint, position[point, joint])
-
-
 def _check_points(path: PlannedPath, limits: _Limits) -> None:
-    _check_point_positions(path, limits)
-    times_ns = path.times_ns[path.shift :]
-    velocity, acceleration = path.knots[path.shift :, :, 1:].transpose(2, 0, 1)
-    if broken := _first(np.abs(velocity) / limits.velocity, 1.0):
-        point, joint = broken
-        raise _velocity(path, limits, times_ns[point], joint, velocity[point, joint])
-    if broken := _first(np.abs(acceleration) / limits.acceleration, 1.0):
-        point, joint = broken
-        raise _acceleration(path, limits, times_ns[point], joint, acceleration[point, joint])
+    """The points as the control process judges each of them; the first that breaks a limit is told."""
+    position, velocity, acceleration = path.knots[path.shift :].transpose(2, 0, 1)
+    allowed = limits.lowest, limits.highest, limits.velocity, limits.acceleration
+    broken = motion_limits.first_broken(position, velocity, acceleration, *allowed)
+    points = np.flatnonzero((broken != motion_limits.NONE).any(axis=1))
+    if not len(points):
+        return
+    point = int(points[0])
+    time_ns, joint = path.times_ns[path.shift + point], int(broken[point].argmin())
+    match broken[point, joint]:
+        case motion_limits.POSITION:
+            raise _position(path, limits, time_ns, joint, position[point, joint])
+        case motion_limits.VELOCITY:
+            raise _velocity(path, limits, time_ns, joint, velocity[point, joint])
+    raise _acceleration(path, limits, time_ns, joint, acceleration[point, joint])
 
 
 def _check_line_beyond(path: PlannedPath, limits: _Limits) -> None:
@@ -149,13 +156,13 @@ def _check_positions(
 ) -> None:
     """Positions of the segments `index`: hulls first, exact extremes where a hull is not enough."""
     low, high = bounds.hull(coefficients, duration)
-    inside = (low >= limits.lower - limits.slack) & (high <= limits.upper + limits.slack)
+    inside = (low >= limits.lowest) & (high <= limits.highest)
     if inside.all():
         return
     doubtful = np.flatnonzero(~inside.all(axis=1))
     lowest, lowest_s, highest, highest_s = bounds.extremes(coefficients[:, doubtful], duration[doubtful])
-    below, above = limits.lower - lowest, highest - limits.upper
-    if broken := _first(np.maximum(below, above) / limits.slack, 1.0):
+    below, above = limits.lowest - lowest, highest - limits.highest
+    if broken := _first(np.maximum(below, above), 0.0):
         value, at_s = (highest, highest_s) if above[broken] > below[broken] else (lowest, lowest_s)
         time_ns = path.times_ns[index[doubtful[broken[0]]]] + at_s[broken] * NS
         raise _position(path, limits, time_ns, broken[1], value[broken])

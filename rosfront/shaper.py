@@ -11,6 +11,7 @@ import numpy as np
 
 from config.schema import ArmConfig
 from motion import shaping, stopping
+from motion.limits import band
 from rosfront.limits import check_limits
 from rosfront.path import PlannedPath
 from rosfront.plan import NS, REST_RAD_S, GoalPlan, Present
@@ -308,9 +309,9 @@ def check_room_to_stop(plan: GoalPlan, arm: ArmConfig) -> None:
     hardest = np.array([joint.max_acceleration_rad_s2 for joint in arm.joints])
     to_brake_s = float((np.abs(velocity) / (stopping.ORDERLY * hardest)).max())
     stop = position + velocity * stopping.reach_s(to_brake_s, arm.longest_stop_s, period_s)
-    for joint, limits in enumerate(arm.joints):
-        slack = limits.command_pulse_rad + limits.encoder_count_rad
-        if velocity[joint] > 0.0 and stop[joint] > limits.upper_rad + slack:
-            raise NoRoomToStop(limits.name, float(velocity[joint]), float(stop[joint]), limits.upper_rad)
-        if velocity[joint] < 0.0 and stop[joint] < limits.lower_rad - slack:
-            raise NoRoomToStop(limits.name, float(velocity[joint]), float(stop[joint]), limits.lower_rad)
+    for joint, config in enumerate(arm.joints):
+        lowest_rad, highest_rad = band(config.lower_rad, config.upper_rad, config.slack_rad)
+        if velocity[joint] > 0.0 and stop[joint] > highest_rad:
+            raise NoRoomToStop(config.name, float(velocity[joint]), float(stop[joint]), config.upper_rad)
+        if velocity[joint] < 0.0 and stop[joint] < lowest_rad:
+            raise NoRoomToStop(config.name, float(velocity[joint]), float(stop[joint]), config.lower_rad)

@@ -10,7 +10,7 @@ from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
 from rtloop.safety.faults import path_is_trusted
 from rtloop.trajectory.clock import advance_clock, along
-from rtloop.trajectory.limits import hardest_rad_s2
+from rtloop.trajectory.limits import clamped_rad, hardest_rad_s2
 from rtloop.trajectory.path import find_knot, sample
 from rtloop.trajectory.phases import runs
 from shm.words import Unreferenced
@@ -120,7 +120,7 @@ def brake_each_joint(loop: Loop) -> None:
         v = commanded.difference_velocity_rad_s
         braking = loop.params.braking_factor * row.max_acceleration_rad_s2
         stop = commanded.position_rad + guard.way_to_rest(v, braking, period_s)
-        if stop > row.upper_rad + row.slack_rad or stop < row.lower_rad - row.slack_rad:
+        if stop != clamped_rad(row, stop):
             braking = hardest_rad_s2(loop, joint)
         most = braking * period_s
         slower = 0.0 if abs(v) <= most else v - math.copysign(most, v)

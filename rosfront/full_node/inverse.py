@@ -80,7 +80,7 @@ class Inverse:
         self._kinematics, self._joints = kinematics, joints
         self.lower_rad = np.array([joint.lower_rad for joint in joints])
         self.upper_rad = np.array([joint.upper_rad for joint in joints])
-        self.slack_rad = np.array([joint.command_pulse_rad + joint.encoder_count_rad for joint in joints])
+        self.slack_rad = np.array([joint.slack_rad for joint in joints])
         """What rounding may put a joint that stands at its limit beyond it."""
         rows = kinematics.dh
         self._signs = np.array([float(row.sign) for row in rows])

@@ -11,6 +11,7 @@ import math
 from typing import Any
 
 from compilation.jit import jit
+from motion import limits
 from rtloop.commands.people import GOALS_AHEAD, is_canceled
 from rtloop.memory.events import answer_request, record_event, set_result
 from rtloop.memory.modes import change_mode, is_limp
@@ -19,7 +20,7 @@ from rtloop.memory.record import offset_of
 from rtloop.memory.state import LOOP, Loop, Shared
 from rtloop.safety.faults import latch_fault
 from rtloop.trajectory.entry import forget_search
-from rtloop.trajectory.limits import at_rest
+from rtloop.trajectory.limits import at_rest, band, first_broken
 from rtloop.trajectory.path import leaves_a_joint_moving, slot
 from rtloop.trajectory.phases import (
     change_phase,
@@ -162,7 +163,7 @@ def _take_record(loop: Loop, shared: Shared, words: int) -> bool:
         # only if the newer one is refused: then it ends at the tear by lack of path.
         path.torn = 1
         return True
-    joint, value, limit = _wrong_knot(loop, path_index)
+    joint, value, limit = wrong_knot(loop, path_index)
     if joint == SOUND:
         knot = params.address + _KNOTS + slot(path_index, path.taken) * _SETPOINT_BYTES
         copy_words(knot, params.address + _SCRATCH, words)
@@ -204,7 +205,7 @@ def _end_goal(loop: Loop, shared: Shared, path_index: int) -> None:
 
 
 @jit
-def _wrong_knot(loop: Loop, path_index: int) -> tuple[int, float, float]:
+def wrong_knot(loop: Loop, path_index: int) -> tuple[int, float, float]:
     """(SOUND, …) for a knot that may be used, else the joint (-1: the record), the value and its limit."""
     record = loop.scratch
     path = loop.paths[path_index]
@@ -220,16 +221,16 @@ def _wrong_knot(loop: Loop, path_index: int) -> tuple[int, float, float]:
             continue
         row, knot = loop.joints[joint], record.joints[joint]
         p, v, a = knot.position_rad, knot.velocity_rad_s, knot.acceleration_rad_s2
-        if not _finite(knot):
-            return joint, p, row.upper_rad
-        if p < row.lower_rad - row.slack_rad:
-            return joint, p, row.lower_rad
-        if p > row.upper_rad + row.slack_rad:
-            return joint, p, row.upper_rad
-        if abs(v) > loop.params.velocity_margin * row.max_velocity_rad_s * (1.0 + 1e-9):
-            return joint, v, loop.params.velocity_margin * row.max_velocity_rad_s
-        if abs(a) > loop.params.acceleration_margin * row.max_acceleration_rad_s2 * (1.0 + 1e-9):
-            return joint, a, loop.params.acceleration_margin * row.max_acceleration_rad_s2
+        lowest_rad, highest_rad = band(row.lower_rad, row.upper_rad, row.slack_rad)
+        max_velocity_rad_s = loop.params.velocity_margin * row.max_velocity_rad_s
+        max_acceleration_rad_s2 = loop.params.acceleration_margin * row.max_acceleration_rad_s2
+        broken = first_broken(p, v, a, lowest_rad, highest_rad, max_velocity_rad_s, max_acceleration_rad_s2)
+        if broken == limits.POSITION:
+            return joint, p, row.lower_rad if p < lowest_rad else row.upper_rad
+        if broken == limits.VELOCITY:
+            return joint, v, max_velocity_rad_s
+        if broken == limits.ACCELERATION:
+            return joint, a, max_acceleration_rad_s2
     return SOUND, 0.0, 0.0
 
 

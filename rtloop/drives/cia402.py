@@ -30,6 +30,7 @@ from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import STANDARD
 from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
+from rtloop.trajectory.limits import clamped_rad
 from rtloop.wire import outgoing
 from shm.words import Unreferenced
 
@@ -52,7 +53,7 @@ def setpoint_rad(loop: Loop, joint: int) -> float:
     position += behind_s * (
         axis.commanded.next_velocity_rad_s + 0.5 * behind_s * axis.commanded.next_acceleration_rad_s2
     )
-    return min(max(position, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad)
+    return clamped_rad(row, position)
 
 
 @jit

@@ -4,6 +4,7 @@ from compilation.jit import jit
 from rtloop.memory.axis import NOT_LED
 from rtloop.memory.state import Loop
 from rtloop.trajectory.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
+from rtloop.trajectory.limits import clamped_rad
 
 STANDS_AFTER_CYCLES = 3
 """Without a target a drive ends its line in the next cycle, and has come to rest soon after."""
@@ -21,7 +22,7 @@ def setpoint(loop: Loop, joint: int) -> tuple[float, float]:
     share = row.command_delay_s / (loop.params.period_ns * 1e-9) + 0.5
     position = commanded.position_rad + share * (commanded.next_position_rad - commanded.position_rad)
     velocity = commanded.velocity_rad_s + share * (commanded.next_velocity_rad_s - commanded.velocity_rad_s)
-    return min(max(position, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad), velocity
+    return clamped_rad(row, position), velocity
 
 
 @jit

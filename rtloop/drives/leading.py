@@ -13,6 +13,7 @@ from config.derived import LEAD_PERIODS
 from rtloop.memory.state import Loop
 from rtloop.safety.agreed import steady_error_rad
 from rtloop.trajectory.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
+from rtloop.trajectory.limits import clamped_rad
 
 
 @jit
@@ -41,7 +42,7 @@ def target_ahead(loop: Loop, joint: int, coarse_rad_s: float) -> tuple[float, fl
     standing = commanded.velocity_rad_s == 0.0 and commanded.next_velocity_rad_s == 0.0
     if not standing:
         target += speed * lead + math.copysign(brake, speed)
-        target = min(max(target, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad)
+        target = clamped_rad(row, target)
     return target, speed
 
 

@@ -43,6 +43,7 @@ from rtloop.memory.frame_words import EXTENDED
 from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
+from rtloop.trajectory.limits import clamped_rad
 from rtloop.wire import outgoing
 
 BITS = 16
@@ -128,7 +129,7 @@ def target_ahead(loop: Loop, joint: int) -> tuple[float, float]:
     if axis.commanded.velocity_rad_s == 0.0 and axis.commanded.next_velocity_rad_s == 0.0:
         return target, ERROR_SPEED_SHARE * row.max_velocity_rad_s
     target += speed / row.position_gain_1_s
-    return min(max(target, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad), abs(speed)
+    return clamped_rad(row, target), abs(speed)
 
 
 @jit

@@ -27,6 +27,7 @@ from rtloop.memory.state import Loop, Shared
 from rtloop.safety import guard
 from rtloop.safety.agreed import steady_error_rad
 from rtloop.trajectory.correction import ERROR_SHARE_1_S
+from rtloop.trajectory.limits import clamped_rad
 from rtloop.wire import outgoing
 from shm.words import Unreferenced
 
@@ -125,7 +126,7 @@ def fast_target(loop: Loop, joint: int) -> float:
         sent.fast_offset_rad += ERROR_SHARE_1_S * period_s * steady_error_rad(axis, 2.0 * row.slack_rad)
         sent.fast_offset_rad = min(max(sent.fast_offset_rad, -most), most)
         target += velocity * row.command_delay_s + math.copysign(brake, velocity) + sent.fast_offset_rad
-        target = min(max(target, row.lower_rad - row.slack_rad), row.upper_rad + row.slack_rad)
+        target = clamped_rad(row, target)
     else:
         sent.fast_offset_rad = 0.0
     return float(target)

@@ -123,7 +123,7 @@ def _fill_joint(row: np.void, joint: JointConfig, arm: ArmConfig, index: int) ->
     row["knows_its_angle"] = drive.knows_its_angle
     row["zero_rad"] = joint.zero_rad
     row["lower_rad"], row["upper_rad"] = joint.lower_rad, joint.upper_rad
-    row["slack_rad"] = joint.command_pulse_rad + joint.encoder_count_rad
+    row["slack_rad"] = joint.slack_rad
     row["max_velocity_rad_s"] = joint.max_velocity_rad_s
     row["max_acceleration_rad_s2"] = joint.max_acceleration_rad_s2
     row["silence_deceleration_rad_s2"] = joint.max_acceleration_rad_s2 * arm.limits.silence_brake_factor

@@ -9,10 +9,11 @@ import sys
 from typing import Any
 
 import llvmlite.binding as llvm
-from compilation import jit
 from numba import cfunc, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import cpu_target
+
+from compilation import jit
 
 
 class _Unoptimised(JITCodeLibrary):

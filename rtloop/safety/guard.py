@@ -8,6 +8,7 @@ import math
 
 from compilation.jit import jit
 from config.frames import ADAPTER_FRAMES
+from motion import limits
 from rtloop.memory import status as status_bits
 from rtloop.memory.axis import FAMILY_MOCK, FRESH_READINGS, Commanded
 from rtloop.memory.events import record_event
@@ -17,7 +18,7 @@ from rtloop.safety import references, silence
 from rtloop.safety.agreed import agreed_error_rad, agreed_error_rad_s, agreed_error_rad_s2
 from rtloop.safety.faults import latch_fault
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
-from rtloop.trajectory.limits import at_rest, hardest_rad_s2, highest_rad_s
+from rtloop.trajectory.limits import at_rest, band, first_broken, hardest_rad_s2, highest_rad_s
 from rtloop.trajectory.path import in_goal
 from rtloop.trajectory.phases import slow_down, stop_running
 from shm.words import Event, Fault, Mode, Outcome, Phase, Slowed, Unreferenced
@@ -54,25 +55,32 @@ def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
         if not math.isfinite(setpoint_sum(commanded)):
             latch_fault(loop, shared, Fault.NOT_FINITE, joint, setpoint_sum(commanded), 0.0)
             return False
-        low, high = row.lower_rad - row.slack_rad, row.upper_rad + row.slack_rad
-        # a joint that was found outside may move in
-        if (p < low and p < commanded.position_rad) or (p > high and p > commanded.position_rad):
+        velocity = (p - commanded.position_rad) / period_s
+        acceleration = (velocity - commanded.difference_velocity_rad_s) / period_s
+        max_velocity, max_acceleration = highest_rad_s(loop, joint), hardest_rad_s2(loop, joint)
+        low, high = band(row.lower_rad, row.upper_rad, row.slack_rad)
+        broken = first_broken(
+            p,
+            velocity,
+            acceleration,
+            min(low, commanded.position_rad),  # a joint that was found outside may move in
+            max(high, commanded.position_rad),
+            max_velocity,
+            # one step of a position in double precision, differenced twice, is not an acceleration
+            max_acceleration + 1e-15 / (period_s * period_s),
+        )
+        if broken == limits.POSITION:
             latch_fault(loop, shared, Fault.POSITION_LIMIT, joint, p, low if p < low else high)
             return False
-        velocity = (p - commanded.position_rad) / period_s
-        stop = p + way_to_rest(velocity, hardest_rad_s2(loop, joint), period_s)
+        stop = p + way_to_rest(velocity, max_acceleration, period_s)
         if (velocity > 0.0 and stop > high + BESIDE_RAD) or (velocity < 0.0 and stop < low - BESIDE_RAD):
             latch_fault(loop, shared, Fault.POSITION_LIMIT, joint, stop, low if velocity < 0.0 else high)
             return False
-        limit = highest_rad_s(loop, joint)
-        if abs(velocity) > limit:
-            latch_fault(loop, shared, Fault.VELOCITY_LIMIT, joint, velocity, limit)
+        if broken == limits.VELOCITY:
+            latch_fault(loop, shared, Fault.VELOCITY_LIMIT, joint, velocity, max_velocity)
             return False
-        acceleration = (velocity - commanded.difference_velocity_rad_s) / period_s
-        limit = hardest_rad_s2(loop, joint)
-        # one step of a position in double precision, differenced twice, is not an acceleration
-        if abs(acceleration) > limit + 1e-15 / (period_s * period_s):
-            latch_fault(loop, shared, Fault.ACCELERATION_LIMIT, joint, acceleration, limit)
+        if broken == limits.ACCELERATION:
+            latch_fault(loop, shared, Fault.ACCELERATION_LIMIT, joint, acceleration, max_acceleration)
             return False
     return True
 

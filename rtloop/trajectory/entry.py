@@ -13,7 +13,7 @@ from rtloop.memory.motion import BLEND_SAMPLES
 from rtloop.memory.state import Loop
 from rtloop.trajectory.ahead import LOOKS_A_CYCLE, blend_keeps_limits, rest_keeps_limits
 from rtloop.trajectory.clock import IMPOSSIBLE, allowed_acceleration, set_rate
-from rtloop.trajectory.limits import at_rest
+from rtloop.trajectory.limits import at_rest, band
 from rtloop.trajectory.path import (
     end_s,
     fade,
@@ -248,8 +248,8 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
             _, planned_speed, planned = plan(loop, path_index, joint, clock_s, knot)
             p, v, a = sample(loop, path_index, joint, clock_s, knot)
             here = loop.axes[joint].commanded.position_rad  # a joint that was found outside may move in
-            low = min(row.lower_rad - row.slack_rad, here)
-            high = max(row.upper_rad + row.slack_rad, here)
+            lowest_rad, highest_rad = band(row.lower_rad, row.upper_rad, row.slack_rad)
+            low, high = min(lowest_rad, here), max(highest_rad, here)
             if clock_s > stands_s and in_goal(loop, path_index, joint):  # the arm will have stopped there
                 p += plan(loop, path_index, joint, stands_s, knot)[0] - plan(loop, path_index, joint, clock_s, knot)[0]
             if p < low - BESIDE_RAD or p > high + BESIDE_RAD:

@@ -76,7 +76,7 @@ def test_recorded_goals_arrive_to_the_pulse(stack):
         state, code, words = client.run(goal)
         assert (state, code) == (SUCCEEDED, 0), words
         wanted = np.array(goal.trajectory.points[-1].positions)
-        allowed = np.array([joint.command_pulse_rad + joint.encoder_count_rad for joint in joints])
+        allowed = np.array([joint.slack_rad for joint in joints])
         until(
             lambda w=wanted, a=allowed: np.all(np.abs(newest_position(client) - w) <= a),
             "the last pulse",
@@ -94,7 +94,7 @@ def test_recorded_goals_arrive_to_the_pulse(stack):
     goal = recorded(stack.tour[-1])
     for joint, wanted in zip(joints, goal.trajectory.points[-1].positions, strict=True):
         ends = truth[joint.name].position_at(np.array([time.monotonic_ns()]))
-        assert abs(ends[0] - wanted) <= joint.command_pulse_rad + joint.encoder_count_rad
+        assert abs(ends[0] - wanted) <= joint.slack_rad
 
 
 @pytest.mark.smoke

@@ -29,6 +29,7 @@ LEAVES = (
     Leaf("motion/stopping.py", ("tests/motion",)),
     Leaf("motion/bounds.py", ("tests/motion",)),
     Leaf("motion/slopes.py", ("tests/motion",)),
+    Leaf("motion/limits.py", ("tests/motion",)),
     Leaf("motion/gripping.py", ("tests/rtloop/test_gripper.py",)),
     Leaf("shm/seqlock.py", ("tests/shm/test_seqlock.py", "tests/shm/test_memory_order.py")),
     Leaf("shm/histogram.py", ("tests/shm/test_histogram.py",)),
@@ -37,7 +38,11 @@ LEAVES = (
     Leaf(
         "rtloop/trajectory/entry.py", ("tests/rtloop/test_path.py",), ("due_s", "lay_bridge", "lay_run_up", "lay_blend")
     ),
-    Leaf("rtloop/trajectory/limits.py", ("tests/rtloop/test_limits.py",), ("highest_rad_s", "hardest_rad_s2")),
+    Leaf(
+        "rtloop/trajectory/limits.py",
+        ("tests/rtloop/test_limits.py",),
+        ("clamped_rad", "highest_rad_s", "hardest_rad_s2"),
+    ),
     Leaf("rtloop/safety/guard.py", ("tests/rtloop/test_limits.py",), ("check_next_setpoint", "way_to_rest")),
     Leaf(
         "rtloop/safety/guard.py",

@@ -180,7 +180,7 @@ def test_an_end_just_beyond_a_limit_as_rounding_makes_it_is_the_limit() -> None:
     here = np.zeros((6, 2))
     here[0] = UPPER[0] - 0.04, 0.1
     point = np.zeros((1, 6))
-    point[0, 0] = UPPER[0] + 0.5 * (joint.command_pulse_rad + joint.encoder_count_rad)
+    point[0, 0] = UPPER[0] + 0.5 * joint.slack_rad
     plan = followed(message([0.01], point, None), here)
     assert_keeps_limits(plan)
     assert plan.joints[-1, 0, 0] == pytest.approx(UPPER[0], abs=1e-9) and plan.joints[-1, 0, 1] == 0.0

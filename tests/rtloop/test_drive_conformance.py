@@ -154,7 +154,7 @@ def test_a_recorded_goal_runs_true(family: Family, name: str) -> None:
             assert path_error_deg(arm, joint, *commanded) <= family.path_error_deg
         end_rad = arm.sim.true_position_rad(joint, arm.sim.now_ns - 1)
         goal_rad = recorded_goal(name)["joints"][-1, joint, 0]
-        assert abs(end_rad - goal_rad) <= 2 * (config.command_pulse_rad + config.encoder_count_rad)
+        assert abs(end_rad - goal_rad) <= 2 * config.slack_rad
     arm.close()
 
 

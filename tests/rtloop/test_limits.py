@@ -11,11 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from config.loader import load_arm
+from motion.limits import ROUNDING
+from rosfront.limits import check_limits
+from rosfront.plan import GoalPlan, Terms
+from rosfront.refusals import BeyondLimits
+from rtloop.commands import intake
 from rtloop.process.beginning import new_loop
 from rtloop.safety import guard
-from rtloop.trajectory.limits import ROUNDING
 from shm import layout
-from shm.words import Fault, Mode
+from shm.words import Entry, Fault, Mode, Setpoint
 
 ARM = load_arm("episode1")
 PERIOD_S = ARM.control.period_ns * 1e-9
@@ -26,7 +30,7 @@ both_ways = pytest.mark.parametrize("sign", [1.0, -1.0])
 some_joints = pytest.mark.parametrize("joint", JOINTS)
 
 
-class Setpoint:
+class StandingArm:
     """An arm whose joints stand in the middle of their ranges, and whose next setpoints a test chooses."""
 
     def __init__(self) -> None:
@@ -57,8 +61,8 @@ class Setpoint:
 
 
 @pytest.fixture
-def arm() -> Setpoint:
-    return Setpoint()
+def arm() -> StandingArm:
+    return StandingArm()
 
 
 def expected(share: float, fault: Fault, joint: int) -> tuple[Fault, int]:
@@ -68,7 +72,7 @@ def expected(share: float, fault: Fault, joint: int) -> tuple[Fault, int]:
 @some_joints
 @both_ways
 @pytest.mark.parametrize("share", [INSIDE, OUTSIDE])
-def test_velocity(arm: Setpoint, joint: int, sign: float, share: float) -> None:
+def test_velocity(arm: StandingArm, joint: int, sign: float, share: float) -> None:
     config = ARM.joints[joint]
     limit = ARM.limits.velocity_margin * config.max_velocity_rad_s
     middle_rad = 0.5 * (config.lower_rad + config.upper_rad)
@@ -83,7 +87,7 @@ def test_velocity(arm: Setpoint, joint: int, sign: float, share: float) -> None:
 @both_ways
 @pytest.mark.parametrize("before_share", [0.0, 0.5])
 @pytest.mark.parametrize("share", [INSIDE, OUTSIDE])
-def test_acceleration(arm: Setpoint, joint: int, sign: float, before_share: float, share: float) -> None:
+def test_acceleration(arm: StandingArm, joint: int, sign: float, before_share: float, share: float) -> None:
     """From rest, and in motion, where speeding up and slowing down are alike."""
     config = ARM.joints[joint]
     limit = ARM.limits.acceleration_margin * config.max_acceleration_rad_s2
@@ -109,7 +113,7 @@ def test_acceleration(arm: Setpoint, joint: int, sign: float, before_share: floa
         (0.1, 0.1 + 1e-9, False),
     ],
 )
-def test_position(arm: Setpoint, joint: int, upper: bool, beside_rad: float, next_rad: float, passes: bool) -> None:
+def test_position(arm: StandingArm, joint: int, upper: bool, beside_rad: float, next_rad: float, passes: bool) -> None:
     config = ARM.joints[joint]
     limit = config.upper_rad + arm.slack_rad(joint) if upper else config.lower_rad - arm.slack_rad(joint)
     sign = 1.0 if upper else -1.0
@@ -131,11 +135,11 @@ def way_rad(velocity_rad_s: float, braking_rad_s2: float) -> float:
 @some_joints
 @pytest.mark.parametrize("upper", [True, False])
 @pytest.mark.parametrize(("beyond_rad", "passes"), [(-1e-7, True), (1e-7, False)])
-def test_room_to_stop(arm: Setpoint, joint: int, upper: bool, beyond_rad: float, passes: bool) -> None:
+def test_room_to_stop(arm: StandingArm, joint: int, upper: bool, beyond_rad: float, passes: bool) -> None:
     """At an even speed towards a limit, from where all that may be commanded just stops it, and just does not."""
     config, sign = ARM.joints[joint], 1.0 if upper else -1.0
     limit = config.upper_rad + arm.slack_rad(joint) if upper else config.lower_rad - arm.slack_rad(joint)
-    braking = ARM.limits.acceleration_margin * config.max_acceleration_rad_s2 * ROUNDING
+    braking = ARM.limits.acceleration_margin * config.max_acceleration_rad_s2 * (1.0 + ROUNDING)
     velocity = 0.8 * config.max_velocity_rad_s
     next_rad = limit - sign * (way_rad(velocity, braking) - beyond_rad)
     arm.choose(joint, next_rad - sign * velocity * PERIOD_S, next_rad, sign * velocity)
@@ -146,7 +150,7 @@ def test_room_to_stop(arm: Setpoint, joint: int, upper: bool, beyond_rad: float,
 
 @some_joints
 @pytest.mark.parametrize("upper", [True, False])
-def test_away_from_a_limit_needs_no_room(arm: Setpoint, joint: int, upper: bool) -> None:
+def test_away_from_a_limit_needs_no_room(arm: StandingArm, joint: int, upper: bool) -> None:
     """A joint that was found outside moves in with all its speed."""
     config, sign = ARM.joints[joint], 1.0 if upper else -1.0
     outside_rad = (config.upper_rad if upper else config.lower_rad) + sign * 0.5
@@ -158,12 +162,12 @@ def test_away_from_a_limit_needs_no_room(arm: Setpoint, joint: int, upper: bool)
 @some_joints
 @pytest.mark.parametrize("word", ["next_position_rad", "next_velocity_rad_s"])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_no_number(arm: Setpoint, joint: int, word: str, value: float) -> None:
+def test_what_is_no_number(arm: StandingArm, joint: int, word: str, value: float) -> None:
     arm.loop[0]["axes"][joint]["commanded"][word] = value
     assert arm.verdict() == (Fault.NOT_FINITE, joint)
 
 
-def test_the_first_joint_that_breaks_a_limit_is_the_one_that_is_named(arm: Setpoint) -> None:
+def test_the_first_joint_that_breaks_a_limit_is_the_one_that_is_named(arm: StandingArm) -> None:
     for joint in (2, 4):
         arm.loop[0]["axes"][joint]["commanded"]["next_position_rad"] += 1.0
     assert arm.verdict()[1] == 2
@@ -173,3 +177,64 @@ def test_the_first_joint_that_breaks_a_limit_is_the_one_that_is_named(arm: Setpo
 def test_the_way_to_rest_is_that_of_braking_step_by_step(velocity: float, braking: float) -> None:
     way = guard.way_to_rest(velocity, braking, PERIOD_S)
     assert way == pytest.approx(math.copysign(way_rad(abs(velocity), braking), velocity), abs=1e-9)
+
+
+EVERY_JOINT = (1 << len(ARM.joints)) - 1
+ULPS = st.integers(-3, 3)
+
+
+def refused_before(point: np.ndarray) -> bool:
+    """What the ROS process makes of a trajectory of one point (joints, 3)."""
+    none = np.zeros((len(ARM.joints), 3))
+    plan = GoalPlan(
+        np.zeros(1, np.int64),
+        np.full(1, 5),
+        point[np.newaxis],
+        EVERY_JOINT,
+        Terms(none, none, 0.0),
+        0,
+        0,
+        Entry(0),
+        none,
+    )
+    try:
+        check_limits(plan, ARM)
+    except BeyondLimits:
+        return True
+    return False
+
+
+def refused_in_the_cycle(point: np.ndarray) -> bool:
+    """What the control process makes of the same point when it takes it from the ring."""
+    arm = StandingArm()
+    record = arm.memory["scratch"]
+    record["kind"], record["order"] = Setpoint.KNOT, 5
+    for joint, state in enumerate(point):
+        for word, value in zip(("position_rad", "velocity_rad_s", "acceleration_rad_s2"), state, strict=True):
+            record["joints"][joint][word] = value
+    arm.memory["paths"][0]["joint_mask"] = EVERY_JOINT
+    joint, _, _ = intake.wrong_knot(arm.loop[0], 0)
+    return bool(joint != intake.SOUND)
+
+
+def moved(value: float, ulps: int) -> float:
+    """A number so many steps of double precision up, or down."""
+    for _ in range(abs(ulps)):
+        value = math.nextafter(value, math.copysign(math.inf, ulps))
+    return value
+
+
+@given(st.sampled_from(range(len(ARM.joints))), st.integers(0, 2), st.sampled_from([-1.0, 1.0]), ULPS)
+def test_a_point_is_refused_before_just_where_the_cycle_would_refuse_it(
+    joint: int, word: int, sign: float, ulps: int
+) -> None:
+    config = ARM.joints[joint]
+    limit = (
+        config.upper_rad + config.slack_rad if sign > 0.0 else config.lower_rad - config.slack_rad,
+        sign * ARM.limits.velocity_margin * config.max_velocity_rad_s,
+        sign * ARM.limits.acceleration_margin * config.max_acceleration_rad_s2,
+    )[word]
+    point = np.zeros((len(ARM.joints), 3))
+    point[:, 0] = [0.5 * (config.lower_rad + config.upper_rad) for config in ARM.joints]
+    point[joint, word] = moved(limit, ulps if sign > 0.0 else -ulps)
+    assert refused_before(point) == refused_in_the_cycle(point) == (ulps > 0)

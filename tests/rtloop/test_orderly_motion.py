@@ -226,7 +226,7 @@ def test_a_wild_stream_is_followed_within_the_limits_and_to_its_end(
     period_s = arm.period_ns / NS
     assert (np.abs(np.diff(positions, axis=0)) / period_s <= fastest * 1.05).all()
     assert arm.acceleration_ratio() <= 1.06
-    slack = np.array([joint.command_pulse_rad + joint.encoder_count_rad for joint in arm.arm.joints])
+    slack = np.array([joint.slack_rad for joint in arm.arm.joints])
     assert (positions >= low - slack).all() and (positions <= high + slack).all(), "as any path: to a pulse and a count"
     assert positions[-1] == pytest.approx(target, abs=1e-6), dropped
     arm.close()

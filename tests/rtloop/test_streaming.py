@@ -136,7 +136,7 @@ def test_the_drives_truly_move_like_that(seed: int, seconds: float) -> None:
     assert largest_acceleration_ratio(arm, begun_ns) <= 2.0
     for joint, config in enumerate(arm.arm.joints):
         end = arm.sim.true_position_rad(joint, arm.sim.now_ns - 1)
-        assert abs(end - arm.positions[-1][joint]) <= config.command_pulse_rad + config.encoder_count_rad
+        assert abs(end - arm.positions[-1][joint]) <= config.slack_rad
     arm.close()
 
 

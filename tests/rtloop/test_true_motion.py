@@ -59,7 +59,7 @@ def test_recorded_goals_run_true(name: str) -> None:
         if joint < 3:
             assert path_error_deg(arm, joint, *commanded) <= 0.02
         end_rad = arm.sim.true_position_rad(joint, arm.sim.now_ns - 1)
-        assert abs(end_rad - goal["joints"][-1, joint, 0]) <= config.command_pulse_rad + config.encoder_count_rad
+        assert abs(end_rad - goal["joints"][-1, joint, 0]) <= config.slack_rad
     arm.close()
 
 
