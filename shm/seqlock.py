@@ -59,10 +59,12 @@ def publish(sequence_address: int, target_address: int, source_address: int, wor
     """
     sequence = load_relaxed(sequence_address)
     store_relaxed(sequence_address, sequence + 1)
+    # pairs with the second fence of `read`: whoever read a new word sees at least the odd count
     fence_release()
     copy_words(target_address, source_address, 1)
     skipped = 1 + standing
     copy_words(target_address + 8 * skipped, source_address + 8 * skipped, words - skipped)
+    # pairs with the first fence of `read`: whoever read the even count sees all words of it
     fence_release()
     store_relaxed(sequence_address, sequence + 2)
 
@@ -72,9 +74,11 @@ def read(sequence_address: int, source_address: int, target_address: int, words:
     """Copy a consistent snapshot; False after a bounded number of tries."""
     for _ in range(READ_TRIES):
         before = load_relaxed(sequence_address)
+        # pairs with the second fence of `publish`
         fence_acquire()
         if before & 1 == 0:
             copy_words(target_address, source_address, words)
+            # pairs with the first fence of `publish`
             fence_acquire()
             if load_relaxed(sequence_address) == before:
                 return True

@@ -155,6 +155,25 @@ def test_no_room_imports_from_its_own_floor_or_above(folder: str, floors: tuple[
     assert offences == []
 
 
+def test_each_ordered_access_names_its_partner() -> None:
+    """Above an acquire, a release or a fence a comment says which access on the other side it pairs with."""
+    ordered = re.compile(r"\b(load_acquire|store_release|fence_acquire|fence_release)\(")
+    offences = []
+    for folder in ("shm", "rtloop"):
+        for path in (ROOT / folder).rglob("*.py"):
+            lines = path.read_text(encoding="utf-8").split("\n")
+            named = False
+            for number, line in enumerate(lines, 1):
+                if line.lstrip().startswith("# pairs with "):
+                    named = True
+                elif ordered.search(line):
+                    if not named:
+                        offences.append(f"{path.relative_to(ROOT)}:{number}")
+                elif line.strip() and not line.lstrip().startswith("#"):
+                    named = False
+    assert offences == []
+
+
 def test_motion_depends_on_nothing_but_numpy() -> None:
     offences = [
         f"{path.relative_to(ROOT)}:{line} imports {module}"

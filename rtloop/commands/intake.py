@@ -77,6 +77,7 @@ def hear_the_front(loop: Loop) -> None:
     A heartbeat from the far future is no sign of life: nothing read in the command file is believed.
     """
     if loop.params.command_address != 0:
+        # pairs with `CommandWriter.beat`; nothing else is read on its strength
         heartbeat_ns = max(load_acquire(loop.params.command_address + _HEARTBEAT), 0)  # so that nothing overflows
         loop.front.age_ns = abs(loop.timing.now_ns - heartbeat_ns)
 
@@ -85,6 +86,7 @@ def hear_the_front(loop: Loop) -> None:
 def leave_corrupt_records(loop: Loop) -> None:
     """After a corrupt setpoint ring was cleared: begin again with what the front writes from now on."""
     command = loop.params.command_address
+    # pairs with `CommandWriter._append`: records up to here are not read, so none is read too early
     loop.front.setpoints_taken = load_acquire(command + _SETPOINTS_WRITTEN)
     loop.front.announced_goal = loop.front.newest_goal
     loop.front.setpoint_waits = 0
@@ -103,11 +105,13 @@ def take_setpoints(loop: Loop, shared: Shared) -> None:
     command = loop.params.command_address
     if command == 0 or loop.fault.code == Fault.COMMAND_RING:
         return
+    # pairs with `CommandWriter._append`: a record is read after the count that announces it
     written = load_acquire(command + _SETPOINTS_WRITTEN)
     waiting = written - front.setpoints_taken
     if waiting < 0 or waiting > layout.SETPOINT_SLOTS:
         latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(waiting), float(layout.SETPOINT_SLOTS))
         return
+    # pairs with `CommandWriter.announce`; a bound alone
     announced = load_acquire(command + _ANNOUNCED)
     if announced > max(front.announced_goal, front.newest_goal) + GOALS_AHEAD:
         latch_fault(loop, shared, Fault.COMMAND_RING, -1, float(announced), float(front.newest_goal + GOALS_AHEAD))
@@ -128,6 +132,7 @@ def take_setpoints(loop: Loop, shared: Shared) -> None:
         if not _take_record(loop, shared, words):
             break
         front.setpoints_taken += 1
+    # pairs with `StateReader.setpoints_consumed`: a slot is given back after its record was copied
     store_release(loop.params.state_address + _CONSUMED_SETPOINTS, front.setpoints_taken)
 
 
@@ -332,6 +337,7 @@ def take_requests(loop: Loop, shared: Shared) -> None:
     command = loop.params.command_address
     if command == 0:
         return
+    # pairs with `CommandWriter.request`: a record is read after the count that announces it
     written = load_acquire(command + _REQUESTS_WRITTEN)
     waiting = written - front.requests_taken
     if waiting < 0 or waiting > layout.REQUEST_SLOTS:
@@ -355,6 +361,7 @@ def take_requests(loop: Loop, shared: Shared) -> None:
         front.request_waits = 0
         front.requests_taken += 1
         answer_request(loop, shared, request.sequence, request.kind, _obey(loop, shared))
+    # pairs with `StateReader.requests_consumed`: a slot is given back after its record was copied
     store_release(loop.params.state_address + _CONSUMED_REQUESTS, front.requests_taken)
 
 

@@ -54,6 +54,7 @@ def obey_commands(loop: Loop, shared: Shared) -> None:
 def obey_stop_and_hold(loop: Loop, shared: Shared, command: int) -> None:
     """A stop or a hold leaves the arm held until a resume that was asked for later; a stop also ends what moves it."""
     people = loop.people
+    # pairs with `CommandWriter._store`: who asked was written before, and is read after
     stop_ns, hold_ns = load_acquire(command + _STOP), load_acquire(command + _HOLD)
     resume_ns = load_acquire(command + _RESUME)
     stopped, held, resumed = stop_ns != people.stop_ns, hold_ns != people.hold_ns, resume_ns != people.resume_ns
@@ -84,6 +85,7 @@ def obey_stop_and_hold(loop: Loop, shared: Shared, command: int) -> None:
 @jit
 def note(loop: Loop, shared: Shared, kind: int, offset: int) -> None:
     """An event that says what was asked, and by which process."""
+    # pairs with `CommandWriter._store`; only told
     who = load_acquire(loop.params.command_address + offset + _WORD)
     record_event(loop, shared, Event.COMMAND, -1, kind, float(who), 0.0)
 
@@ -92,6 +94,7 @@ def note(loop: Loop, shared: Shared, kind: int, offset: int) -> None:
 def take_speed_scale(loop: Loop, shared: Shared, command: int) -> None:
     """A number that is no share of a speed is passed over."""
     people = loop.people
+    # pairs with `CommandWriter.scale`; the word is all there is
     if load_acquire(command + _SPEED_SCALE) == 0:
         return
     copy_words(loop.params.address + _SCRATCH_SCALE, command + _SPEED_SCALE, 1)
@@ -108,5 +111,6 @@ def is_canceled(loop: Loop, goal_id: int) -> bool:
     if command == 0:
         return False
     slot = command + _CANCELED_GOALS + _WORD * (goal_id & (layout.CANCELED_SLOTS - 1))
+    # pairs with `CommandWriter.cancel` and `cancel_all`; each word is all there is
     through = load_acquire(command + _CANCELED_THROUGH)
     return goal_id == load_acquire(slot) or goal_id <= through <= loop.front.announced_goal

@@ -75,6 +75,7 @@ def record_cycle(loop: Loop, shared: Shared) -> None:
     copy_words(target, own, _OWN_BYTES // 8)
     words = (shared.recorder.record_bytes - _OWN_BYTES) // 8
     copy_words(target + _OWN_BYTES, params.address + _CHANGING, words)
+    # pairs with `shm.recording`, which also checks number and sum: the record is whole before it is counted
     store_release(head, number + 1)
 
 
@@ -100,4 +101,5 @@ def record_frame(loop: Loop, shared: Shared, time_ns: int, frame_id: int, marks:
     store_relaxed(target + 8, time_ns)
     store_relaxed(target + 16, head)
     store_relaxed(target + 24, data)
+    # pairs with `shm.recording`, which also checks number and sum: the frame is whole before it is counted
     store_release(written, number + 1)

@@ -105,6 +105,7 @@ def sleep_until(loop: Loop, deadline_ns: int) -> None:
 def take_over_wire(loop: Loop, shared: Shared) -> int:
     """The descriptor that is open in this cycle; whatever was meant for another one is forgotten."""
     base = loop.params.address
+    # pairs with `store_word` of the ordinary thread: the wire is set up before its descriptor is seen
     fd = load_acquire(base + _FD)
     if fd != load_relaxed(base + _FD_IN_USE):
         outgoing.forget(loop, shared)
@@ -112,6 +113,7 @@ def take_over_wire(loop: Loop, shared: Shared) -> int:
         if fd >= 0 and loop.timing.cycle > 0:
             shared.counters.bus_state = BusState.ACTIVE
             record_event(loop, shared, Event.WIRE, -1, 0, 0.0, 0.0)
+        # pairs with `load_word` of the ordinary thread: the old descriptor is closed after its last use
         store_release(base + _FD_IN_USE, fd)
     return fd
 
@@ -162,6 +164,7 @@ def run(loop: Loop, shared: Shared) -> None:
     period_ns = params.period_ns
     deadline_ns = monotonic_ns(clock) + period_ns
     suspended_before_ns = suspended_ns(clock)
+    # pairs with `store_word` of the ordinary thread
     while load_acquire(params.address + _STOP) == 0:
         sleep_until(loop, deadline_ns)
         woke_ns = monotonic_ns(clock)
@@ -207,7 +210,9 @@ def read_wire(loop: Loop) -> None:
     """
     base = loop.params.address
     clock, request = base + _READER_CLOCK, base + _READER_POLL
+    # pairs with `store_word` of the ordinary thread: the wire is set up before its descriptor is seen
     fd = load_acquire(base + _FD)
+    # pairs with `store_word` of the ordinary thread, and `received.close`
     while load_acquire(base + _STOP) == 0 and received.closed(loop) == 0:
         received.awake(loop, monotonic_ns(clock))
         store_relaxed(request, fd | (POLLIN << 32))

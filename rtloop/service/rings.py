@@ -11,12 +11,14 @@ from shm.atomics import load_acquire, load_relaxed, store_release
 def waiting(loop: Loop, ring_at: int) -> int:
     """Records that can be taken."""
     base = loop.params.address + ring_at
+    # pairs with `ServicePort`'s `store_word` of WRITTEN: a record is read after the count that announces it
     return load_acquire(base + WRITTEN) - load_relaxed(base + TAKEN)
 
 
 @jit
 def room(loop: Loop, ring_at: int) -> bool:
     base = loop.params.address + ring_at
+    # pairs with the `store_word` or `pass_on` of TAKEN: a slot is written after it was read
     return load_relaxed(base + WRITTEN) - load_acquire(base + TAKEN) < SERVICE_SLOTS
 
 
@@ -29,6 +31,7 @@ def next_slot(loop: Loop, ring_at: int, word: int) -> int:
 def pass_on(loop: Loop, ring_at: int, word: int) -> None:
     """Move a ring's writing or taking word by one, publishing what was done before."""
     address = loop.params.address + ring_at + word
+    # pairs with `ServicePort`'s `load_word`: a record is whole before it is counted, and read before it is given back
     store_release(address, load_relaxed(address) + 1)
 
 

@@ -29,7 +29,9 @@ def push(loop: Loop, time_ns: int, source: Any, count: int) -> None:
     base = loop.params.address
     written = load_relaxed(base + _ARRIVED)
     chunks = load_relaxed(base + _CHUNKS_ARRIVED)
+    # pairs with `taken`: bytes are overwritten after they were read
     room = RX_BYTES - (written - load_acquire(base + _TAKEN))
+    # pairs with `taken`
     if chunks - load_acquire(base + _CHUNKS_TAKEN) >= RX_CHUNKS:
         room = 0
     kept = min(count, room)
@@ -37,59 +39,70 @@ def push(loop: Loop, time_ns: int, source: Any, count: int) -> None:
     for i in range(kept):
         ring[(written + i) & (RX_BYTES - 1)] = source[i]
     if kept < count:
+        # pairs with `lost`; a count alone
         store_release(base + _LOST, load_relaxed(base + _LOST) + count - kept)
     if kept > 0:
         chunk = loop.received.chunks[chunks & (RX_CHUNKS - 1)]
         chunk.time_ns = time_ns
         chunk.end = written + kept
         store_relaxed(base + _ARRIVED, written + kept)  # for the producer alone
+        # pairs with `chunks_arrived`: bytes and their time are there before they are counted
         store_release(base + _CHUNKS_ARRIVED, chunks + 1)
 
 
 @jit
 def close(loop: Loop, error: int) -> None:
     """Producer: the wire is gone; `error` is the errno."""
+    # pairs with `closed`: what came before the end was counted before it
     store_release(loop.params.address + _CLOSED, error + 1)
 
 
 @jit
 def awake(loop: Loop, time_ns: int) -> None:
     """Producer: the reader's thread runs."""
+    # pairs with `woke_ns`; a time alone
     store_release(loop.params.address + _WOKE, time_ns)
 
 
 @jit
 def woke_ns(loop: Loop) -> int:
     """Consumer: when the reader's thread last went to look for bytes, 0 if it never did."""
+    # pairs with `awake`
     return load_acquire(loop.params.address + _WOKE)
 
 
 @jit
 def chunks_arrived(loop: Loop) -> int:
     """Consumer: number of chunks ever written (compare with loop.parser.chunks_taken)."""
+    # pairs with `push`: bytes and their time are read after the count that announces them
     return load_acquire(loop.params.address + _CHUNKS_ARRIVED)
 
 
 @jit
 def taken(loop: Loop, count: int, chunks: int) -> None:
     """Consumer: bytes up to `count` and so many chunks may be overwritten."""
+    # pairs with `push`: bytes are given back after they were read
     store_release(loop.params.address + _TAKEN, count)
+    # pairs with `push`
     store_release(loop.params.address + _CHUNKS_TAKEN, chunks)
 
 
 @jit
 def lost(loop: Loop) -> int:
     """Bytes that found no room, here or in the system."""
+    # pairs with `push`, and `store_word` of the ordinary thread; counts alone
     return load_acquire(loop.params.address + _LOST) + load_acquire(loop.params.address + _DROPPED)
 
 
 @jit
 def unsent(loop: Loop) -> int:
     """Bytes that the wire took and did not send after all."""
+    # pairs with `store_word` of the ordinary thread; a count alone
     return load_acquire(loop.params.address + _UNSENT)
 
 
 @jit
 def closed(loop: Loop) -> int:
     """errno + 1 once the wire is gone, else 0."""
+    # pairs with `close`
     return load_acquire(loop.params.address + _CLOSED)
