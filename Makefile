@@ -34,7 +34,7 @@ help:
 	@echo 'make mutants  make small errors in leaf functions, COUNT=80 of them, each of which a test must notice'
 	@echo 'make check    ruff and mypy'
 	@echo 'make docs     build the documentation into build/site'
-	@echo 'make reference  make the pages of docs/reference anew from the code'
+	@echo 'make reference  make the pages of docs/reference, and pictures of the code, anew'
 	@echo 'make names    add new names that users build on to the lists of stable names'
 	@echo 'make keep     at a release: keep files of this version, which later ones must go on reading'
 	@echo 'make bench    run the benchmarks'
@@ -106,6 +106,7 @@ docs: tools
 
 reference: tools
 	$(BIN)/python -m handbook docs/reference
+	$(BIN)/python -m handbook.pictures docs/pictures
 
 names: tools
 	PYTHONPATH=.:tests:tests/rtarm $(BIN)/python -m stable_names
