@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives.power import Marks
-from rtloop.drives.setup import Found, counts_beyond_rtarm, setup_of
+from rtloop.drives.setup import Found, setup_of
 from rtloop.safety.references import absolute_makes_good
 from rtloop.service.conversation import Conversation, Dialogue
 from rtloop.service.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, POWER_KEPT, ServicePort
@@ -63,8 +63,7 @@ class BringUp(Conversation):
         self.unasked_before = [port.unasked(n) for n in range(len(arm.joints))]
         silent_before = [self.lost_before.get(n) == Unreferenced.SILENT for n in range(len(arm.joints))]
         self.was_silent = [
-            port.unreferenced_reason(n) == Unreferenced.SILENT
-            or (silent_before[n] and counts_beyond_rtarm(config.drive))
+            port.unreferenced_reason(n) == Unreferenced.SILENT or (silent_before[n] and config.drive.counts_on)
             for n, config in enumerate(arm.joints)
         ]
         self._unknown: dict[int, Unreferenced] = {}

@@ -4,8 +4,7 @@ They would go on for as long as they have power, and load the bus of whoever use
 """
 
 from config.schema import ArmConfig
-from rtloop.drives import zdt_talk
-from rtloop.drives.zdt_ask import ZdtDialogue, addressed, zdt_addresses
+from rtloop.drives.setup import joints_on_the_bus, reporting_of
 from rtloop.service.conversation import Conversation
 from rtloop.service.port import ServicePort
 from shm.words import Fault
@@ -16,8 +15,6 @@ class Farewell(Conversation):
 
     def __init__(self, arm: ArmConfig, port: ServicePort, *, now_ns: int) -> None:
         super().__init__(arm, port, now_ns, fault=Fault.NONE)
-        reporting = zdt_addresses(arm) if arm.bus.reported else {}
-        self.begin({joint: addressed(address, self._end_reports()) for joint, address in reporting.items()})
-
-    def _end_reports(self) -> ZdtDialogue:
-        yield from zdt_talk.set_reports(0)
+        reporting = joints_on_the_bus(arm) if arm.bus.reported else []
+        found = {joint: reporting_of(arm.joints[joint].drive) for joint in reporting}
+        self.begin({joint: reports.end_reports(arm, joint) for joint, reports in found.items() if reports is not None})

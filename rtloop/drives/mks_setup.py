@@ -19,7 +19,7 @@ from config.drives.mks import COUNTS_PER_REVOLUTION, MksDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives.asking import AskFrames
-from rtloop.drives.setup import ERROR_AT_START, Found, HomingHost, Host
+from rtloop.drives.setup import ERROR_AT_START, Found, Host, ReferencingHost
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
 from rtloop.service.port import HOLDS_STALLED, Frame
@@ -114,10 +114,11 @@ def let_go(arm: ArmConfig, joint: int) -> Dialogue:
 # --- its homing run
 
 
-def home(host: HomingHost, joint: int) -> Part[tuple[float, float]]:
+def home(host: ReferencingHost, joint: int) -> Part[float]:
     """What `rtloop.drives.setup.Homes` says: the drive runs as its homing parameters (menu Hm_…) say."""
     config = host.arm.joints[joint]
     can_id = _can_id(config)
+    host.run_begins(joint)
     began = yield from _position(joint, config)
     yield from _begin_run(host, joint, config)
     stopped = yield from _see_it_end(host, joint, config, began)
@@ -138,12 +139,14 @@ def home(host: HomingHost, joint: int) -> Part[tuple[float, float]]:
             f"The drive of {config.name} has let the joint go at the end of its homing run: set EndLimit in its menu "
             f"to Disable, then {host.again}.",
         )
-    return stopped, (yield from _target(joint, config))
+    target = yield from _target(joint, config)
+    host.require_place(joint, stopped)
+    return target
 
 
-def end_homing(arm: ArmConfig, joint: int) -> Dialogue:
-    """End whatever run there is, and see that it has ended; raises TalkFailed."""
-    config = arm.joints[joint]
+def end_homing(host: ReferencingHost, joint: int) -> Dialogue:
+    """What `rtloop.drives.setup.Homes` says."""
+    config = host.arm.joints[joint]
     seen = 0
     for _ in range(TRIES + AGREEING):
         state = yield _ask(_can_id(config), 3, READ_STATE, before=(bytes((EMERGENCY_STOP,)),))
@@ -157,7 +160,7 @@ def end_homing(arm: ArmConfig, joint: int) -> Dialogue:
     )
 
 
-def _begin_run(host: HomingHost, joint: int, config: JointConfig) -> Part[None]:
+def _begin_run(host: ReferencingHost, joint: int, config: JointConfig) -> Part[None]:
     can_id, since_ns = _can_id(config), host.now_ns
     answer = yield _ask(can_id, 3, HOME, answered=False)  # whether it has begun is told by its state
     refused = answer is not None and answer.data[1] == REFUSED
@@ -174,7 +177,7 @@ def _begin_run(host: HomingHost, joint: int, config: JointConfig) -> Part[None]:
     )
 
 
-def _see_it_end(host: HomingHost, joint: int, config: JointConfig, last: int) -> Part[int]:
+def _see_it_end(host: ReferencingHost, joint: int, config: JointConfig, last: int) -> Part[int]:
     """Wait for the end of the run; the last count of before it, as the drive counted then."""
     began_ns, newest, ended = host.now_ns, last, 0
     while ended < AGREEING:
@@ -193,7 +196,7 @@ def _see_it_end(host: HomingHost, joint: int, config: JointConfig, last: int) ->
     return last
 
 
-def _unbroken(host: HomingHost, joint: int, part: Part[int]) -> Part[int]:
+def _unbroken(host: ReferencingHost, joint: int, part: Part[int]) -> Part[int]:
     """A question amid a run, and that its answer did not take as long as switching the drive off and on.
 
     Such a drive counts from 0 where it stands, as one does that has found its stop.

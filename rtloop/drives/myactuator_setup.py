@@ -34,6 +34,7 @@ from rtloop.drives.setup import (
     Found,
     Host,
     PowerHost,
+    ReferencingHost,
     settle_mark,
 )
 from rtloop.memory.frame_words import STANDARD
@@ -185,10 +186,12 @@ def kept_power(host: PowerHost, joint: int) -> Part[bool]:
     return _proves((yield from _agreed_uptime(host, joint)), host.marks[joint])
 
 
-def renew_mark(host: PowerHost, joint: int) -> Part[None]:
-    """What `rtloop.drives.setup.RenewsMark` says."""
-    up = yield from _agreed_uptime(host, joint)
-    host.marks[joint] = up.mark if up else None
+def place(host: ReferencingHost, joint: int, angle_rad: float) -> Dialogue:
+    """What `rtloop.drives.setup.Places` says: its mark is renewed, which must not be older than the angle."""
+    if not host.arm.joints[joint].drive.knows_its_angle:
+        up = yield from _agreed_uptime(host, joint)
+        host.marks[joint] = up.mark if up else None
+    host.count_as_read(joint, angle_rad)
 
 
 def _proves(up: Uptime | None, mark: str | None) -> bool:

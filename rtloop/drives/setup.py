@@ -8,7 +8,6 @@ from typing import NamedTuple, Protocol, cast
 import numpy as np
 
 from config.drives.drive import Drive
-from config.drives.zdt import ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives.power import Marks
@@ -92,13 +91,6 @@ class PowerProof(Protocol):
         """Whether the drive has had power since it was given its mark; changes nothing, raises nothing."""
 
 
-class RenewsMark(Protocol):
-    """What such a file has besides where a mark is what the drive has said: it must not be older than the angle."""
-
-    def renew_mark(self, host: PowerHost, joint: int) -> Part[None]:
-        """Give the drive a mark that speaks from now on; raises nothing."""
-
-
 def require_may_enable(host: Host, joint: int) -> None:
     """Raise TalkFailed where a drive that holds nothing is found although nobody has asked for its being enabled."""
     if host.heals:
@@ -122,28 +114,74 @@ def settle_mark(host: Host, joint: int, proof: bool, mark: str | None) -> bool:
     return proof
 
 
-class HomingHost(Protocol):
-    """The homing run that a drive's dialogue is part of."""
+class ReferencingHost(PowerHost, Protocol):
+    """The referencing that a drive's dialogue is part of."""
 
-    arm: ArmConfig
-    port: ServicePort
-    now_ns: int
     again: str
     """How a person tries once more, in sentences."""
+
+    def tell(self, sentence: str) -> None:
+        """Say something to people."""
+
+    def post(self, kind: int, joint: int = -1, value: float = 0.0, code: int = 0) -> None:
+        """Tell the cycle a decision."""
+
+    def keep_lost(self, joint: int, reason: Unreferenced | None) -> None:
+        """Remember beyond this process why the joint's angle is not known, or (None) that it is; raises TalkFailed."""
+
+    def run_begins(self, joint: int) -> None:
+        """From now on the drive's count means no angle; raises TalkFailed where that cannot be remembered."""
+
+    def require_place(self, joint: int, stopped: float) -> None:
+        """Raise TalkFailed where the run has not stopped (reading) about where the joint's stop is known to be."""
+
+    def count_as_read(self, joint: int, angle_rad: float) -> None:
+        """Take the joint's last reading for an angle, or with NaN for what it says; raises TalkFailed."""
+
+    def count_from(
+        self,
+        joint: int,
+        zero_rad: float,
+        position_rad: float,
+        reason: Unreferenced = Unreferenced.REFERENCED,
+        *,
+        flag_stays: bool = False,
+    ) -> None:
+        """Tell the cycle what the joint's count means, and that it stands there, where its limits allow that.
+
+        `flag_stays`: the drive's flag for lost power is set, and means nothing any more.
+        """
 
 
 class Homes(Protocol):
     """What such a file has besides where its drives can find a stop by themselves."""
 
-    def home(self, host: HomingHost, joint: int) -> Part[tuple[float, float]]:
+    def home(self, host: ReferencingHost, joint: int) -> Part[float]:
         """Let the drive find its stop, and see that it counts from there; raises TalkFailed.
 
+        The host is told when the run begins (`run_begins`) and, by the count of before, where it stopped
+        (`require_place`).
+
         Returns:
-            Where it stopped, as it counted before, and its own target as it counts now.
+            The drive's own target, as it counts now.
         """
 
-    def end_homing(self, arm: ArmConfig, joint: int) -> Dialogue:
+    def end_homing(self, host: ReferencingHost, joint: int) -> Dialogue:
         """End the run, if there is one, and see that the drive stands; raises TalkFailed."""
+
+
+class Places(Protocol):
+    """What such a file has besides where a person's word for an angle needs more than the joint's last reading."""
+
+    def place(self, host: ReferencingHost, joint: int, angle_rad: float) -> Dialogue:
+        """Take a person's word for where the joint stands, or NaN for what it reads; raises TalkFailed."""
+
+
+class Reports(Protocol):
+    """What such a file has besides where its drives can send their positions by themselves."""
+
+    def end_reports(self, arm: ArmConfig, joint: int) -> Dialogue:
+        """Tell the drive to cease; raises nothing."""
 
 
 def setup_of(drive: Drive) -> Setup:
@@ -162,26 +200,27 @@ def must_prove_power(drive: Drive) -> bool:
     return not drive.knows_its_angle or hasattr(setup_of(drive), "ENABLED_BY_A_TARGET")
 
 
-def mark_renewal_of(drive: Drive) -> RenewsMark | None:
-    """The file of a drive's family, if its marks are to be renewed when a person says an angle."""
-    found = setup_of(drive)
-    return cast(RenewsMark, found) if hasattr(found, "renew_mark") else None
-
-
 def homing_of(drive: Drive) -> Homes | None:
     """The file of a drive's family, if its drives can find a stop by themselves."""
     found = setup_of(drive)
     return cast(Homes, found) if hasattr(found, "home") else None
 
 
+def placing_of(drive: Drive) -> Places | None:
+    """The file of a drive's family, if a person's word needs more of its drives than their last reading."""
+    found = setup_of(drive)
+    return cast(Places, found) if hasattr(found, "place") else None
+
+
+def reporting_of(drive: Drive) -> Reports | None:
+    """The file of a drive's family, if its drives can send their positions by themselves."""
+    found = setup_of(drive)
+    return cast(Reports, found) if hasattr(found, "end_reports") else None
+
+
 def homes_by_a_run(drive: Drive) -> bool:
-    """Whether its drives find a stop when they are homed (`rtloop.dialogues.referencing` says how ZDT's do)."""
-    return isinstance(drive, ZdtDrive) or (bool(drive.identifiers) and homing_of(drive) is not None)
-
-
-def counts_beyond_rtarm(drive: Drive) -> bool:
-    """Whether its count, if it is not absolute, means the same to the next control process."""
-    return isinstance(drive, ZdtDrive)
+    """Whether its drives find a stop when they are homed."""
+    return bool(drive.identifiers) and homing_of(drive) is not None
 
 
 def joints_on_the_bus(arm: ArmConfig) -> list[int]:

@@ -15,7 +15,7 @@ from config.derived import braking_deceleration_rad_s2, silence_acc_byte
 from config.drives.zdt import ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.drives import zdt_fast_targets, zdt_reports, zdt_talk
+from rtloop.drives import zdt_fast_targets, zdt_homing, zdt_reports, zdt_talk
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost, require_may_enable
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
@@ -30,6 +30,8 @@ SETTLE_PATIENCE_NS = 3_000_000_000
 HOMING_TRIES = 10
 ADOPT_WITHIN_RAD = 0.02
 """A drive whose target lies this near to its position is taken at its word."""
+
+home, end_homing, place = zdt_homing.home, zdt_homing.end_homing, zdt_homing.place
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
@@ -133,9 +135,7 @@ def _decided_power(host: Host, joint: int, config: JointConfig) -> Answered[bool
 
 def kept_power(host: PowerHost, joint: int) -> Part[bool]:
     """What `rtloop.drives.setup.PowerProof` says."""
-    drive = host.arm.joints[joint].drive
-    assert isinstance(drive, ZdtDrive)
-    return addressed(drive.address, _kept_power(host, joint))
+    return addressed(host.arm.joints[joint].drive.number, _kept_power(host, joint))
 
 
 def _kept_power(host: PowerHost, joint: int) -> Answered[bool]:
@@ -305,11 +305,14 @@ def _standing(host: Host, joint: int, config: JointConfig, reason: Unreferenced)
     return Found(measured, target, reason)
 
 
+def end_reports(arm: ArmConfig, joint: int) -> Dialogue:
+    """What `rtloop.drives.setup.Reports` says."""
+    yield from addressed(arm.joints[joint].drive.number, zdt_talk.set_reports(0))
+
+
 def let_go(arm: ArmConfig, joint: int) -> Dialogue:
     """Let the drive go limp, and see that it has; raises TalkFailed."""
-    drive = arm.joints[joint].drive
-    assert isinstance(drive, ZdtDrive)
-    return addressed(drive.address, _let_go(arm, joint))
+    return addressed(arm.joints[joint].drive.number, _let_go(arm, joint))
 
 
 def _let_go(arm: ArmConfig, joint: int) -> ZdtDialogue:
