@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -35,6 +35,7 @@ RESTING_POLL_HZ = 5.0
 class GripperServo(Section):
     """A ZDT closed-loop stepper with Emm_V5 firmware on the arm's own bus, which opens and closes a gripper."""
 
+    family: ClassVar[str] = "zdt"
     address: int = Field(ge=1, le=255, description="Address set in the drive's menu (1 to 255), none of the joints'.")
     microsteps: int = Field(
         default=16, ge=1, le=256, description="Microsteps a full step as set in the drive (200 full steps a turn)."

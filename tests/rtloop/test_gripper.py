@@ -172,7 +172,7 @@ def test_a_thing_between_the_fingers_is_gripped_and_held_without_tripping_the_pr
 
 def test_without_the_hold_the_drive_would_let_go(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the test above rests on: a drive that goes on pushing trips its protection."""
-    monkeypatch.setattr(stage.arm.gripper, "_hold", lambda: iter(()))
+    monkeypatch.setattr(stage.arm.gripper._drive, "hold", lambda: iter(()))
     stage.inject(faults.Thing(0.0, 40.0))
     assert stage.go(0.0) == Grip.STALLED
     stage.run(6.0)
