@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION
-from rtloop.offline.calibration.session import MOST_COUNTS, MOST_RPM
+from rtloop.offline.calibration.session import MOST_RPM, MOST_TURNS
 
 SLOW_DEG_S = 2.0
 """Speed of the joint, as far as whole motor rpm allow it."""
@@ -58,7 +58,7 @@ def joint_move(joint_deg: float, ratio: float, motor_rpm: float) -> Move:
 
 def most_joint_deg(ratio: float) -> float:
     """Longest single move of a joint of this ratio."""
-    return min(MOST_JOINT_DEG, MOST_COUNTS / ENCODER_COUNTS_PER_REVOLUTION * 360.0 / ratio)
+    return min(MOST_JOINT_DEG, MOST_TURNS * 360.0 / ratio)
 
 
 def motor_angle_deg(counts: int, ratio: float) -> float:

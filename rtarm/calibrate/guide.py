@@ -23,7 +23,8 @@ from rtarm.calibrate.angles import (
 from rtarm.calibrate.words import positive_in_words
 from rtarm.console.errors import Refusal
 from rtarm.console.person import Person, agrees, as_number, chosen, number
-from rtloop.offline.calibration.session import DriveState, Found, NotDone
+from rtloop.offline.calibration.session import DriveState, NotDone
+from rtloop.offline.calibration.talk import Found
 
 RATIO_DIGITS = 4
 AT_STOP_DEG = 0.5

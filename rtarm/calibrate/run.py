@@ -19,7 +19,8 @@ from rtarm.console.interrupt import Interrupted, signals_raise
 from rtarm.console.person import Person, Quit, agrees
 from rtarm.drives.settings import OfflineProcess, offline_process
 from rtarm.drives.zdt_joints import other_drives, zdt_joints
-from rtloop.offline.calibration.session import DriveState, Found, NotDone
+from rtloop.offline.calibration.session import DriveState, NotDone
+from rtloop.offline.calibration.talk import Found
 
 FIELDS = ("direction", "ratio", "zero_deg", "lower_deg", "upper_deg")
 """What may be written of a joint."""

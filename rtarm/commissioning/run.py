@@ -27,8 +27,8 @@ from rtarm.drives.settings import OfflineProcess, offline_process
 from rtarm.recording.follow import LOOK_S, Follower
 from rtloop.kept import commissioned, saved
 from rtloop.kept.commissioned import Commissioned, NotReadable, PowerProof
+from rtloop.offline import families
 from rtloop.offline.commissioning.finding import Finding, Verdict
-from rtloop.offline.commissioning.session import FAMILIES
 from shm import files
 from shm.errors import NotRunning, SharedMemoryError, led_already
 
@@ -65,7 +65,7 @@ def commission(argument: str, name: str, output: Path | None, overrides: Mapping
         with signals_raise():
             _require_at_rest(arm)
             report.make()
-            if arm.joints[joint].drive.family in FAMILIES:
+            if families.knows("commissioning", arm.joints[joint].drive):
                 _by_itself(argument, overrides, person, report, opened)
             else:
                 _led(person, report, opened)

@@ -20,9 +20,9 @@ import numpy as np
 from config.gripper import MOVING_POLL_HZ, RESTING_POLL_HZ
 from config.schema import ArmConfig
 from motion.gripping import Grip, GripJudge, stall_ns
-from rtloop.drives.gripper import Said, Trouble, gripper_drive_of
+from rtloop.drives.gripper import Trouble, gripper_drive_of
 from rtloop.memory.link import GRIPPER
-from rtloop.service.conversation import Conversation
+from rtloop.service.conversation import Conversation, Unaddressed
 from rtloop.service.port import Frame, ServicePort
 from sentences.told import grip_trouble_sentence
 from shm import layout
@@ -139,7 +139,7 @@ class GripperTalk(Conversation):
 
     # --- a turn
 
-    def _turn(self) -> Said[None]:
+    def _turn(self) -> Unaddressed[None]:
         order = None
         try:
             if not self._known:
@@ -186,7 +186,7 @@ class GripperTalk(Conversation):
 
     # --- what it is asked
 
-    def _obey(self, order: Order) -> Said[None]:
+    def _obey(self, order: Order) -> Unaddressed[None]:
         self._judge = None
         if order.kind == Request.GRIP_HOME:
             yield from self._home(order)
@@ -198,7 +198,7 @@ class GripperTalk(Conversation):
             yield from self._drive.limit_effort(order.effort)
             yield from self._set_off(order.angle_rad)
 
-    def _set_off(self, angle_rad: float) -> Said[None]:
+    def _set_off(self, angle_rad: float) -> Unaddressed[None]:
         position_rad = yield from self._position_rad()
         self._require_inside(position_rad)
         if self.waits:
@@ -215,7 +215,7 @@ class GripperTalk(Conversation):
         self._shown["target_rad"] = angle_rad
         self._recover(Grip.MOVING)
 
-    def _home(self, order: Order) -> Said[None]:
+    def _home(self, order: Order) -> Unaddressed[None]:
         """Let the drive find its stop; an order that comes meanwhile ends that."""
         self._recover(Grip.MOVING)
         self._shown["order"], self._shown["measured_ns"] = order.sequence, 0
@@ -226,7 +226,7 @@ class GripperTalk(Conversation):
 
     # --- where it is
 
-    def _look(self) -> Said[None]:
+    def _look(self) -> Unaddressed[None]:
         position_rad = yield from self._position_rad()
         heard_ns, trouble = self.now_ns, GripTrouble.NONE
         self._turns += 1
@@ -251,7 +251,7 @@ class GripperTalk(Conversation):
         elif int(self._shown["trouble"]) in _GOES_BY_ITSELF:
             self._recover(Grip.HELD)
 
-    def _position_rad(self) -> Said[float]:
+    def _position_rad(self) -> Unaddressed[float]:
         """Its angle; one that cannot be, only if two answers say so."""
         position_rad = yield from self._drive.position_rad()
         if not self._is_inside(position_rad):

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Generator
-from typing import Any, Protocol, TypeVar, cast
+from typing import Protocol, cast
 
 from config.gripper import GripperConfig, GripperServo
-from rtloop.service.conversation import Dialogue
+from rtloop.service.conversation import Dialogue, Unaddressed
 from shm.words import GripTrouble
-
-Value = TypeVar("Value")
-Said = Generator[Any, Any, Value]
-"""Part of a turn that ends in a value; what it yields is in the form of the drive's family."""
 
 
 class Trouble(Exception):
@@ -40,34 +35,34 @@ class GripperHost(Protocol):
 class GripperDrive(Protocol):
     """The drive of a gripper; angles are the gripper's (rad), and every part raises Trouble."""
 
-    def addressed(self, turn: Said[None]) -> Dialogue:
+    def addressed(self, turn: Unaddressed[None]) -> Dialogue:
         """A turn of the conversation, said to this drive."""
 
-    def get_to_know(self) -> Said[None]:
+    def get_to_know(self) -> Unaddressed[None]:
         """See that the drive is what the arm file says, and let it hold where it stands if it is on its way."""
 
-    def make_able(self) -> Said[None]:
+    def make_able(self) -> Unaddressed[None]:
         """Let a drive that has let go hold again; a lost count stays lost."""
 
-    def limit_effort(self, effort: float) -> Said[None]:
+    def limit_effort(self, effort: float) -> Unaddressed[None]:
         """Let it push no harder than this (N·m); with 0, as hard as it was found to."""
 
-    def go_to(self, angle_rad: float) -> Said[None]:
+    def go_to(self, angle_rad: float) -> Unaddressed[None]:
         """Command the motion, and see that the drive has taken it."""
 
-    def hold(self) -> Said[None]:
+    def hold(self) -> Unaddressed[None]:
         """Let it stand where it is, so that it neither moves nor pushes."""
 
-    def home(self) -> Said[None]:
+    def home(self) -> Unaddressed[None]:
         """Let the drive find its stop, from which it counts; an order that comes meanwhile ends that."""
 
-    def position_rad(self) -> Said[float]:
+    def position_rad(self) -> Unaddressed[float]:
         """Where it is."""
 
-    def look(self, moves: bool) -> Said[GripTrouble]:
+    def look(self, moves: bool) -> Unaddressed[GripTrouble]:
         """What is wrong with a drive whose count means an angle; one that pushes although nothing moves it holds."""
 
-    def measure_effort(self, nm_per_ampere: float) -> Said[float]:
+    def measure_effort(self, nm_per_ampere: float) -> Unaddressed[float]:
         """How hard it pushes (N·m); NaN where it does not say."""
 
 

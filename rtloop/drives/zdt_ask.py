@@ -4,8 +4,6 @@ from collections.abc import Generator
 from dataclasses import dataclass, field
 from typing import cast
 
-from config.drives.zdt import ZdtDrive
-from config.schema import ArmConfig
 from rtloop.service.conversation import Again, Packet, Part, Value
 from rtloop.service.port import Frame
 
@@ -94,11 +92,6 @@ def split_packets(address: int, payload: bytes) -> list[Frame]:
     function, rest = payload[:1], payload[1:]
     pieces = [rest[at : at + 7] for at in range(0, len(rest), 7)]
     return [Frame((address << 8) | number, function + piece) for number, piece in enumerate(pieces)]
-
-
-def zdt_addresses(arm: ArmConfig) -> dict[int, int]:
-    """Joint → address, of every joint with such a drive."""
-    return {j: joint.drive.address for j, joint in enumerate(arm.joints) if isinstance(joint.drive, ZdtDrive)}
 
 
 def _is_refusal(data: bytes, function: int) -> bool:

@@ -68,6 +68,8 @@ Dialogue = Generator[Question, Any, None]
 Value = TypeVar("Value")
 Part = Generator[Question, Any, Value]
 """Part of a dialogue that ends in a value."""
+Unaddressed = Generator[Any, Any, Value]
+"""The same in the form of the drive's family, which does not say yet to which drive."""
 
 
 @dataclass

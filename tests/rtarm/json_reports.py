@@ -32,9 +32,10 @@ from rtarm.scan.search import Outcome as Searched
 from rtarm.teach.file import motion_path, require_free, save
 from rtarm.teach.motion import Motion
 from rtloop.drives.zdt_registers import Block, HomingParameters, Trip, Version
-from rtloop.offline.settings import compare
+from rtloop.offline.settings.compare import as_json
 from rtloop.offline.settings.session import Written
-from rtloop.offline.settings.talk import Reading
+from rtloop.offline.settings.zdt import report_of
+from rtloop.offline.settings.zdt_talk import Reading
 from shm import layout
 from shm.gripper import show_gripper
 from shm.words import Fault, Outcome, Phase
@@ -136,7 +137,7 @@ def of_drives() -> Reports:
         supply_mv=24_000,
     )
     report = {
-        "drives": [compare.as_json(compare.report_of(arm, 0, reading))],
+        "drives": [as_json(report_of(arm, 0, reading))],
         **asdict(Written(["joint1"], "It ended.")),
     }
 

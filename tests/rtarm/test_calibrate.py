@@ -34,7 +34,7 @@ from rtarm.calibrate.words import positive_in_words
 from rtarm.console.errors import Refusal
 from rtarm.console.person import Quit, agrees, number
 from rtloop.drives.power import Marks
-from rtloop.offline.calibration.session import MOST_COUNTS, MOST_RPM, Session
+from rtloop.offline.calibration.session import MOST_RPM, MOST_TURNS, Session
 from sim.arm import SimulatedArm
 
 # --- arithmetic -------------------------------------------------------------------------------------------------
@@ -47,7 +47,7 @@ def test_every_nudge_is_short_and_slow(ratio: float, motor_rpm: float) -> None:
     assert moves[0].motor_deg <= FIRST_MOTOR_DEG + 0.01
     assert [move.counts for move in moves] == sorted(move.counts for move in moves)
     for move in moves:
-        assert 0 <= move.counts <= MOST_COUNTS and 1 <= move.rpm <= MOST_RPM
+        assert 0 <= move.counts <= MOST_TURNS * TURN and 1 <= move.rpm <= MOST_RPM
         assert move.rpm <= max(1, motor_rpm)
         assert move.motor_deg - MOST_JOINT_DEG * ratio <= 0.01
 

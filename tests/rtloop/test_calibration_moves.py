@@ -18,12 +18,13 @@ from config.schema import ArmConfig
 from rtloop.drives import zdt
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.power import Marks
-from rtloop.offline.calibration.session import MOST_COUNTS, MOST_RPM, NotDone, Session
+from rtloop.offline.calibration.session import MOST_RPM, MOST_TURNS, NotDone, Session
 from rtloop.service.conversation import TalkFailed
 from shm.words import Mode, Unreferenced
 from sim import faults
 
 TURN = ENCODER_COUNTS_PER_REVOLUTION
+MOST_COUNTS = MOST_TURNS * TURN
 
 
 class Cut(Exception):

@@ -22,7 +22,7 @@ from rtloop.drives.power import Marks
 from rtloop.drives.zdt_ask import Ask
 from rtloop.kept.commissioned import PowerProof
 from rtloop.offline.calibration.session import NotDone
-from rtloop.offline.calibration.talk import Drive
+from rtloop.offline.calibration.zdt import Drive
 from rtloop.offline.commissioning import zdt_checks
 from rtloop.offline.commissioning import zdt_talk as zdt_talk_of_the_bench
 from rtloop.offline.commissioning.finding import Finding, Verdict, braking_rev_s2

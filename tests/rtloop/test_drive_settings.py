@@ -15,9 +15,10 @@ from config.errors import ConfigError
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rtloop.drives import zdt_registers as registers
-from rtloop.offline.settings.compare import Verdict, as_json, report_of, wanted_block
+from rtloop.offline.settings.compare import Verdict, as_json
 from rtloop.offline.settings.session import NotWritten, Session
-from rtloop.offline.settings.talk import Reading
+from rtloop.offline.settings.zdt import report_of, wanted_block
+from rtloop.offline.settings.zdt_talk import Reading
 from shm.words import Mode
 from sim import faults
 from sim.drives.zdt_settings import Settings

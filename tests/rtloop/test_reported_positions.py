@@ -14,7 +14,8 @@ from config.loader import load_arm
 from rtloop.dialogues.farewell import Farewell
 from rtloop.drives import zdt_registers
 from rtloop.drives.zdt_ask import addressed
-from rtloop.offline.calibration.talk import Drive, OneDrive
+from rtloop.offline.calibration.zdt import Drive
+from rtloop.offline.one_drive import OneDrive
 from rtloop.offline.settings.session import Session
 from shm.words import Answer, Fault, Mode, Outcome, Request, Slowed
 from sim.bus import Frame

@@ -5,27 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
-from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION
 from config.schema import ArmConfig
 from rtloop.dialogues.referencing import KeepLost, Referencing
-from rtloop.drives import zdt_registers as registers
 from rtloop.drives.power import Marks
-from rtloop.drives.zdt_ask import addressed, zdt_addresses
-from rtloop.drives.zdt_talk import Answered
-from rtloop.offline.calibration.talk import Drive, OneDrive
-from rtloop.offline.settings.compare import DriveReport, report_of
-from rtloop.offline.settings.talk import ReadSettings
-from rtloop.service.conversation import Conversation, TalkFailed
+from rtloop.offline.calibration.talk import Found, motors_of
+from rtloop.offline.one_drive import OneDrive
+from rtloop.offline.settings.talk import ReadSettings, reports_of
+from rtloop.service.conversation import Conversation, Part, TalkFailed, Unaddressed
 from rtloop.service.port import ServicePort
 from rtloop.wire.refusal import WireRefused
 from shm.words import Unreferenced
 
 MOST_RPM = 10
 """No motor is turned faster."""
-MOST_COUNTS = 2 * ENCODER_COUNTS_PER_REVOLUTION
-"""No single move is longer."""
+MOST_TURNS = 2
+"""No single move of a motor is longer."""
 
 Result = TypeVar("Result")
 
@@ -39,24 +35,10 @@ class DriveState:
     """How one drive stands."""
 
     counts: int
-    """Where its motor stands (65536 a turn)."""
+    """Where its motor stands, by its own encoder."""
     enabled: bool
     doubt: str | None
     """Why its count is not known to be one from its homing stop, after the joint's name; None if it is."""
-
-
-@dataclass(frozen=True)
-class Found:
-    """What a drive is before anything moves."""
-
-    joint: str
-    address: int
-    firmware: str
-    """As it tells it, such as 2.0.0; empty where it does not."""
-    enabled: bool
-    homing_rpm: int | None
-    problems: list[str]
-    """Why it is not moved, a sentence each."""
 
 
 class Session:
@@ -99,55 +81,35 @@ class Session:
         """Ask every drive what it is; what that is stands in `found`, by joint."""
         talk = ReadSettings(self.arm, self.port, now_ns=self._clock_ns())
         self._hold(talk)
-        shared = next((joint for joint, found in talk.found.items() if found.shared_address), None)
-        for joint, reading in talk.found.items():
-            report = report_of(self.arm, joint, reading, shared)
-            self.found[joint] = Found(
-                joint=report.joint,
-                address=report.address,
-                firmware="" if reading.version is None else str(reading.version),
-                enabled=bool((reading.flags or 0) & registers.ENABLED),
-                homing_rpm=None if reading.homing is None else reading.homing.rpm,
-                problems=report.left_alone or self._not_countable(report, reading.block),
-            )
-            self._tells_power_loss[joint] = reading.version is not None and reading.version.newer
-
-    def _not_countable(self, report: DriveReport, block: registers.Block | None) -> list[str]:
-        """Why a pulse of this drive would not be what the arm file takes it for."""
-        assert block is not None  # else it is left alone
-        drive = self.arm.joints[[joint.name for joint in self.arm.joints].index(report.joint)].drive
-        expected = drive.command_steps_per_revolution
-        if block.full_steps is not None and block.full_steps * block.microsteps == expected:
-            return []
-        return [
-            f"The drive of {report.joint} has {block.microsteps} microsteps and motor type {block.motor_type:02X}, "
-            f"which is not the {expected} pulses a turn of the arm file, so it would turn by another angle than told: "
-            "mend microsteps in the arm file, or the drive's menu."
-        ]
+        for joint, report in reports_of(self.arm, talk.found).items():
+            motors, reading = motors_of(self.arm.joints[joint].drive), talk.found[joint]
+            self.found[joint] = motors.found_of(self.arm, joint, reading, report)
+            self._tells_power_loss[joint] = motors.tells_power_loss(reading)
 
     def look(self, joint: int) -> DriveState:
         """How the drive stands."""
-        return self._state(joint, self.have(joint, Drive.counts))
+        return self._state(joint, self.have(joint, lambda motor: motor.counts()))
 
     def turn(self, joint: int, by_counts: int, rpm: int) -> DriveState:
         """Turn its motor, slowly and not far; returns once it stands there.
 
         Raises TalkFailed once it stands elsewhere, and NotDone for a move that is too far or too fast.
         """
-        if not 1 <= rpm <= MOST_RPM or abs(by_counts) > MOST_COUNTS:
+        most_counts = MOST_TURNS * self.arm.joints[joint].drive.reading_steps_per_revolution
+        if not 1 <= rpm <= MOST_RPM or abs(by_counts) > most_counts:
             raise NotDone(
-                f"A move of {by_counts} counts at {rpm} rpm is too far or too fast here: at most {MOST_COUNTS} at "
+                f"A move of {by_counts} counts at {rpm} rpm is too far or too fast here: at most {most_counts} at "
                 f"{MOST_RPM} rpm."
             )
         self._require_range(joint, by_counts)
-        return self._state(joint, self.have(joint, lambda drive: drive.turn(by_counts, rpm), moves=True))
+        return self._state(joint, self.have(joint, lambda motor: motor.turn(by_counts, rpm), moves=True))
 
     def _require_range(self, joint: int, by_counts: int) -> None:
         """No joint gets farther from where a person last put it than the arm file's range, by the file's ratio."""
         config = self.arm.joints[joint]
-        here = self.have(joint, Drive.counts)
+        here = self.have(joint, lambda motor: motor.counts())
         centre = self._centre.setdefault(joint, here)
-        most = config.range_turns * ENCODER_COUNTS_PER_REVOLUTION
+        most = config.range_turns * config.drive.reading_steps_per_revolution
         if abs(here + by_counts - centre) > most:
             raise NotDone(
                 f"{config.name} would get farther from where it began than its range in the arm file, "
@@ -158,18 +120,18 @@ class Session:
     def let_go(self, joint: int) -> DriveState:
         """Make the joint limp; whoever asks has a person hold it."""
         self._limp.add(joint)
-        return self._state(joint, self.have(joint, Drive.let_go))
+        return self._state(joint, self.have(joint, lambda motor: motor.let_go()))
 
     def hold(self, joint: int) -> DriveState:
         """Hold it where it stands."""
-        counts = self.have(joint, Drive.hold, moves=True)
+        counts = self.have(joint, lambda motor: motor.hold(), moves=True)
         self._limp.discard(joint)
         self._centre[joint] = counts
         return self._state(joint, counts)
 
     def home(self, joint: int) -> DriveState:
         """Let the drive run to its stop, from which it then counts."""
-        self.have(joint, Drive.require_held)
+        self.have(joint, lambda motor: motor.require_held())
         talk = Referencing(
             self.arm,
             self.port,
@@ -204,19 +166,19 @@ class Session:
             self._lost[joint] = reason
 
     def _state(self, joint: int, counts: int) -> DriveState:
-        flags = self.have(joint, Drive.flags)
+        state = self.have(joint, lambda motor: motor.state())
         doubt = None
-        if flags & registers.POWER_LOST:
+        if state.power_lost:
             doubt = "has lost power since it was homed, so what its drive counts is no angle"
         elif joint in self._lost:
             doubt = "has lost its reference and was not homed since"
         elif not self._tells_power_loss.get(joint, False):
             doubt = "has a drive whose firmware cannot say whether it has lost power since it was homed"
-        return DriveState(counts, bool(flags & registers.ENABLED), doubt)
+        return DriveState(counts, state.enabled, doubt)
 
     # --- holding conversations
 
-    def have(self, joint: int, dialogue: Callable[[Drive], Answered[Result]], *, moves: bool = False) -> Result:
+    def have(self, joint: int, dialogue: Callable[[Any], Unaddressed[Result]], *, moves: bool = False) -> Result:
         """What a dialogue ends in; raises TalkFailed. A drive that moves is stopped by what ends it early."""
         talk = self._talk(joint, dialogue)
         with self._stopping(joint) if moves else nullcontext():
@@ -225,14 +187,19 @@ class Session:
             raise talk.problem
         return cast(Result, talk.result)
 
-    def _talk(self, joint: int, dialogue: Callable[[Drive], Answered[Result]]) -> OneDrive[Result]:
-        address = zdt_addresses(self.arm)[joint]
+    def _talk(self, joint: int, dialogue: Callable[[Any], Unaddressed[Result]]) -> OneDrive[Result]:
+        motors = motors_of(self.arm.joints[joint].drive)
+
+        def said(clock_ns: Callable[[], int]) -> Part[Result]:
+            motor = motors.motor_of(self.arm, joint, clock_ns)
+            return motor.addressed(dialogue(motor))
+
         return OneDrive(
             self.arm,
             self.port,
             now_ns=self._clock_ns(),
             joint=joint,
-            dialogue=lambda clock: addressed(address, dialogue(Drive(self.arm, joint, clock))),
+            dialogue=said,
         )
 
     @contextmanager
@@ -246,7 +213,7 @@ class Session:
 
     def _stop(self, joint: int, ended: BaseException) -> None:
         """Make a drive stand whose conversation was ended amid a move; raises TalkFailed where that is not seen."""
-        talk = self._talk(joint, Drive.stand)
+        talk = self._talk(joint, lambda motor: motor.stand())
         while not talk.poll(self._clock_ns()):
             self._rest()
         if talk.problem is not None:

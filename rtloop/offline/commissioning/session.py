@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -13,30 +12,25 @@ import numpy as np
 
 from config.schema import ArmConfig
 from config.serial_adapters import SERIAL_ADAPTERS
-from rtloop.drives.zdt_talk import Answered
 from rtloop.kept.commissioned import Commissioned, PowerProof
 from rtloop.kept.saved import NotSaved, channel_of
+from rtloop.offline import families
 from rtloop.offline.calibration.session import DriveState, NotDone, Session
-from rtloop.offline.calibration.talk import Drive
 from rtloop.offline.commissioning.finding import Check, Finding, Said, Verdict, beyond_limits, frames_of
 from rtloop.process.beginning import byte_s
-from rtloop.service.conversation import TalkFailed
+from rtloop.service.conversation import TalkFailed, Unaddressed
 from shm.words import Unreferenced
-
-FAMILIES = ("zdt",)
-"""Those that a file of this folder has checks for."""
 
 
 def checks_of(arm: ArmConfig, joint: int) -> list[Check]:
     """The checks of a joint's drive in their order; raises NotDone for a family without."""
     drive = arm.joints[joint].drive
-    if drive.family not in FAMILIES:
+    if not families.knows("commissioning", drive):
         raise NotDone(
             f"{arm.joints[joint].name} has {drive.called}, and there are no checks for its family yet: "
             "docs/hardware/drive-families.md says what is unproven of it."
         )
-    family = importlib.import_module(f"rtloop.offline.commissioning.{drive.family}")
-    return cast(list[Check], family.checks_of(arm, joint))
+    return cast(list[Check], families.file_of("commissioning", drive).checks_of(arm, joint))
 
 
 def wire_s(arm: ArmConfig, joint: int) -> float:
@@ -70,7 +64,7 @@ class Bench(Session):
         """Raise TalkFailed where the drive at the bench is not seen to stand, and to hold its joint if it ever did."""
         if (joint := self._at_bench) is not None:
             held = joint in self._held or self.found[joint].enabled
-            self._have_undisturbed(joint, Drive.stand_held if held else Drive.stand)
+            self._have_undisturbed(joint, lambda motor: motor.stand_held() if held else motor.stand())
 
     def check(self, name: str, joint: int, sign: int) -> list[Finding]:
         """Do one check; what could not be tried is a finding, too.
@@ -85,7 +79,7 @@ class Bench(Session):
             found = check.ask(self, joint, sign)
         except (TalkFailed, NotSaved) as problem:
             if check.moves:
-                self.have(joint, Drive.stand)
+                self.have(joint, lambda motor: motor.stand())
             found = [Finding(name, check.explains, "", str(problem), Verdict.NOT_TRIED)]
         self._findings |= {finding.check: finding for finding in found}
         return found
@@ -130,14 +124,14 @@ class Bench(Session):
             raise TalkFailed(joint, beyond_limits(config, math.degrees(here_rad), math.degrees(there_rad)))
 
     @contextmanager
-    def ending_with(self, joint: int, dialogue: Callable[[Drive], Answered[object]]) -> Iterator[None]:
+    def ending_with(self, joint: int, dialogue: Callable[[Any], Unaddressed[object]]) -> Iterator[None]:
         """A dialogue is had at the end, however that comes about; raises TalkFailed."""
         try:
             yield
         finally:
             self._have_undisturbed(joint, dialogue)
 
-    def _have_undisturbed(self, joint: int, dialogue: Callable[[Drive], Answered[object]]) -> None:
+    def _have_undisturbed(self, joint: int, dialogue: Callable[[Any], Unaddressed[object]]) -> None:
         """Have a dialogue that nothing ends early."""
         pause, self._pause = self._pause, self._rest
         try:

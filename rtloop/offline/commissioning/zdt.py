@@ -9,7 +9,7 @@ from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_ask import Ask
 from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
-from rtloop.offline.calibration.talk import ARRIVED_COUNTS, LATE_NS, Drive
+from rtloop.offline.calibration.zdt import ARRIVED_COUNTS, LATE_NS, Drive
 from rtloop.offline.commissioning import zdt_checks as checks
 from rtloop.offline.commissioning import zdt_talk as talk
 from rtloop.offline.commissioning.finding import Check, Finding, Said, judge_reply_delay, reply_delays_s

@@ -11,7 +11,7 @@ from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_ask import NOT_UNDERSTOOD, Ask
 from rtloop.drives.zdt_registers import Block, Version
 from rtloop.kept.commissioned import PowerProof
-from rtloop.offline.calibration.talk import ARRIVED_COUNTS, AWAY_COUNTS, STALLED
+from rtloop.offline.calibration.zdt import ARRIVED_COUNTS, AWAY_COUNTS, STALLED
 from rtloop.offline.commissioning.finding import (
     RAMP_RANGE,
     Finding,

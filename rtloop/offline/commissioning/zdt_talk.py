@@ -14,7 +14,7 @@ from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_ask import Ask
 from rtloop.drives.zdt_registers import Block, Version
 from rtloop.drives.zdt_talk import Answered
-from rtloop.offline.calibration.talk import AGREEING, AWAY_COUNTS, LATE_NS, Drive
+from rtloop.offline.calibration.zdt import AGREEING, AWAY_COUNTS, LATE_NS, Drive
 from rtloop.service.conversation import silent_amid
 
 MOST_RPM = 60

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from config.schema import ArmConfig
-from rtloop.offline.settings.compare import DriveReport, has_moved, report_of, wanted_block
-from rtloop.offline.settings.talk import Reading, ReadSettings, WriteSettings
+from rtloop.offline.one_drive import OneDrive
+from rtloop.offline.settings.compare import DriveReport
+from rtloop.offline.settings.talk import Reading, ReadSettings, reports_of, settings_of
 from rtloop.service.conversation import Conversation
 from rtloop.service.port import ServicePort
 
@@ -47,8 +48,7 @@ class Session:
         talk = ReadSettings(self._arm, self._port, now_ns=self._clock_ns())
         self._hold(talk)
         self._readings = talk.found
-        shared = next((joint for joint, found in talk.found.items() if found.shared_address), None)
-        self.reports = {joint: report_of(self._arm, joint, found, shared) for joint, found in talk.found.items()}
+        self.reports = reports_of(self._arm, talk.found)
 
     def write(
         self,
@@ -67,7 +67,7 @@ class Session:
         # All fields go back into a drive, and a serial line may garble any of them unseen: whole blocks must agree.
         if any(
             shown[joint].to_write != report.to_write
-            or (report.to_write and self._readings[joint].block != before[joint].block)
+            or (report.to_write and not self._readings[joint].is_written_alike(before[joint]))
             for joint, report in self.reports.items()
         ):
             raise NotWritten(
@@ -94,29 +94,22 @@ class Session:
         return written
 
     def _write_one(self, joint: int, report: DriveReport, store: bool) -> str | None:
-        block = self._readings[joint].block
-        assert block is not None  # a drive without one is left alone
-        names = {setting.name: setting for setting in report.to_write}
-        watchdog = names.pop("watchdog_ms", None)
-        talk = WriteSettings(
+        file, reading = settings_of(self._arm.joints[joint].drive), self._readings[joint]
+        talk = OneDrive(
             self._arm,
             self._port,
             now_ns=self._clock_ns(),
             joint=joint,
-            block=wanted_block(block, list(names.values())) if names else None,
-            watchdog_ms=None if watchdog is None else int(watchdog.wanted or 0),
-            store=store,
+            dialogue=lambda _: file.write(self._arm, joint, reading, report.to_write, store),
         )
         self._hold(talk)
-        return talk.problem
+        return talk.result
 
     def _require_standing(self, before: dict[int, Reading]) -> None:
         for joint, found in self._readings.items():
             if found.shared_address:
                 raise NotWritten(f"{self.reports[joint].left_alone[0]} Until then nothing is written to any drive.")
-            if found.version is None:
-                continue  # it is left alone, and hears nothing that could move it
-            if found.rpm or has_moved(before[joint], found):
+            if found.may_move_since(before[joint]):  # one that is silent hears nothing that could move it
                 raise NotWritten(
                     f"{self._arm.joints[joint].name} moves, or does not say that it stands, so nothing was written: "
                     "settings are only written while the whole arm stands."

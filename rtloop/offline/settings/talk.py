@@ -1,154 +1,95 @@
-"""Conversations about the settings of drives: reading them all, and writing those of one drive.
+"""Reading the settings of all drives: a conversation beside a cycle that stays offline.
 
-They run beside a cycle that stays offline: nothing is brought up, nothing is enabled, no motion frame leaves.
+Nothing is brought up, nothing is enabled, no motion frame leaves. What a drive is asked is said in its family's file of
+this folder; drives of a family without one are left alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import TypeVar
+from collections.abc import Mapping
+from typing import Any, Protocol, cast
 
+from config.drives.drive import Drive
 from config.schema import ArmConfig
-from rtloop.drives import zdt_registers as registers
-from rtloop.drives.zdt_ask import NOT_UNDERSTOOD, Ask, ZdtDialogue, ZdtQuestion, addressed, zdt_addresses
-from rtloop.drives.zdt_registers import Block, HomingParameters, Trip, Version
-from rtloop.drives.zdt_talk import Answered, read_block, read_counts, read_flags, read_homing, read_watchdog
-from rtloop.service.conversation import TRIES, Conversation, Question
+from rtloop.offline import families
+from rtloop.offline.settings.compare import DriveReport, Setting
+from rtloop.service.conversation import Conversation, Dialogue, Part, Question
 from rtloop.service.port import Frame, ServicePort
 from shm.words import Fault
 
-Value = TypeVar("Value")
 
-REFUSALS = (0xE2, 0xEE)
-"""Condition not met; not understood (zdt-emm-v5.md 2)."""
-MOST_MISUNDERSTANDINGS = 4 * TRIES
-"""One drive does not understand a question or two that its firmware has not got, each asked `TRIES` times."""
-READ_BACK_TRIES = 4
-"""A drive that writes its flash may be silent for a while; each try is several questions long."""
-
-
-@dataclass
-class Reading:
-    """What a drive has said of itself; None for what it did not say, or has not got."""
-
-    version: Version | None = None
-    block: Block | None = None
-    homing: HomingParameters | None = None
-    trip: Trip | None = None
-    watchdog_ms: int | None = None
-    supply_mv: int | None = None
-    flags: int | None = None
-    homing_flags: int | None = None
-    rpm: int | None = None
-    position_counts: int | None = None
-    other_checksum: bool = False
-    """Answers came whose last byte was not 6B."""
-    other_block: tuple[int, int] | None = None
-    """Byte count and field count of a configuration block that is not known here."""
-    questions: int = field(default=0, repr=False)
-    answers: int = field(default=0, repr=False)
-    misunderstandings: int = field(default=0, repr=False)
+class Reading(Protocol):
+    """What a drive has said of itself."""
 
     @property
     def shared_address(self) -> bool:
-        """Whether more drives than one have answered at this address.
+        """Whether more drives than one have answered at this address."""
 
-        Commands and answers share their identifiers, so each of two takes the other's answers for commands it does not
-        understand, and says so, which the other does not understand either: without end.
+    def note_question(self, question: Question) -> None:
+        """This is asked."""
+
+    def note_frame(self, frame: Frame) -> None:
+        """This has come from the drive, whether it was asked for or not."""
+
+    def may_move_since(self, before: Any) -> bool:
+        """Whether a drive that answers moves, has moved since another reading, or does not say that it stands."""
+
+    def is_written_alike(self, before: Any) -> bool:
+        """Whether all that is written back with a setting is as in another reading."""
+
+
+class SettingsFile(Protocol):
+    """The functions of a family's file."""
+
+    def new_reading(self) -> Reading:
+        """The reading of a drive that has said nothing yet."""
+
+    def read(self, arm: ArmConfig, joint: int, found: Any) -> Dialogue:
+        """Ask a drive for its settings; one that is silent is asked no more."""
+
+    def report_of(self, arm: ArmConfig, joint: int, found: Any, shared: int | None = None) -> DriveReport:
+        """Compare a drive with the arm file; `shared` is a joint whose address has more drives than one."""
+
+    def write(self, arm: ArmConfig, joint: int, found: Any, settings: list[Setting], store: bool) -> Part[str | None]:
+        """Write settings, each once, then ask the drive what it has: why it cannot be said that it has them.
+
+        The text follows the drive's name. `store`: in flash, not in volatile memory alone.
         """
-        return self.answers > self.questions or self.misunderstandings > MOST_MISUNDERSTANDINGS
+
+
+def settings_of(drive: Drive) -> SettingsFile:
+    """The file of a family that has settings."""
+    return cast(SettingsFile, families.file_of("settings", drive))
 
 
 class ReadSettings(Conversation):
-    """Every drive is asked for its settings; what it said stands in `found`, a joint that is silent has no version."""
+    """Every drive of a family with settings is asked for them; what it said stands in `found`, by joint."""
 
     def __init__(self, arm: ArmConfig, port: ServicePort, *, now_ns: int) -> None:
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP)
-        self.found: dict[int, Reading] = {joint: Reading() for joint in zdt_addresses(arm)}
-        addresses = zdt_addresses(arm)
-        self.begin({joint: addressed(addresses[joint], self._read(found)) for joint, found in self.found.items()})
-
-    def _read(self, found: Reading) -> ZdtDialogue:
-        found.version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
-        if found.version is None:
-            return
-        found.block = yield from read_block()
-        found.homing = yield from read_homing()
-        if found.version.newer:
-            found.watchdog_ms = yield from read_watchdog()
-            found.trip = registers.trip_of((yield Ask(registers.ASK_TRIP, (8,))))
-        found.supply_mv = registers.number_of((yield Ask(registers.ASK_SUPPLY, (4,))), registers.ASK_SUPPLY, 2)
-        found.flags = yield from read_flags(registers.ASK_STATUS)
-        found.homing_flags = yield from read_flags(registers.ASK_HOMING_STATUS)
-        found.rpm = registers.signed_of((yield Ask(registers.ASK_SPEED, (5,))), registers.ASK_SPEED, 2)
-        found.position_counts = yield from read_counts(registers.ASK_POSITION)
+        files = {
+            joint: settings_of(config.drive)
+            for joint, config in enumerate(arm.joints)
+            if families.knows("settings", config.drive)
+        }
+        self.found: dict[int, Reading] = {joint: file.new_reading() for joint, file in files.items()}
+        self.begin({joint: file.read(arm, joint, self.found[joint]) for joint, file in files.items()})
 
     def _say(self, joint: int, question: Question) -> None:
-        if isinstance(question, ZdtQuestion) and question.ask.payload == registers.ASK_FIRMWARE:
-            self.found[joint].questions += 1
+        self.found[joint].note_question(question)
         super()._say(joint, question)
 
     def _hear(self, frame: Frame) -> None:
         """Besides what is asked for: signs of a drive that speaks another language, or of two at one address."""
-        if frame.joint in self.found and frame.id & 0xFF == 0 and len(frame.data) > 2:
-            self._note(self.found[frame.joint], frame.data)
+        if frame.joint in self.found:
+            self.found[frame.joint].note_frame(frame)
         super()._hear(frame)
 
-    @staticmethod
-    def _note(found: Reading, data: bytes) -> None:
-        function, last = data[0], data[-1]
-        found.misunderstandings += data == NOT_UNDERSTOOD
-        short = data[:2] == NOT_UNDERSTOOD[:2] and len(data) == 3
-        if (short or (function == registers.ASK_FIRMWARE[0] and len(data) in (4, 6))) and last != registers.CHECKSUM:
-            found.other_checksum = True
-        elif function == registers.ASK_FIRMWARE[0] and len(data) in (4, 6):
-            found.answers += 1
-        elif function == registers.ASK_BLOCK[0] and len(data) == 8 and data[1:3] != registers.BLOCK_HEAD:
-            found.other_block = data[1], data[2]
 
-
-class WriteSettings(Conversation):
-    """One drive is told a new block, a new watchdog, or both, each once, and is then asked what it has.
-
-    A command that writes is never repeated for want of an answer: flash wears out, and what came of it is read back.
-    """
-
-    def __init__(
-        self,
-        arm: ArmConfig,
-        port: ServicePort,
-        *,
-        now_ns: int,
-        joint: int,
-        block: Block | None,
-        watchdog_ms: int | None,
-        store: bool,
-    ) -> None:
-        super().__init__(arm, port, now_ns, fault=Fault.BRING_UP)
-        self.problem: str | None = None
-        """Why it cannot be said that the drive has what it was told, after its name; None if it has."""
-        self.begin({joint: addressed(zdt_addresses(arm)[joint], self._write(block, watchdog_ms, store))})
-
-    def _write(self, block: Block | None, watchdog_ms: int | None, store: bool) -> ZdtDialogue:
-        if block is not None:
-            answer = yield Ask(registers.write_block(block, store=store), (3,), answered=False)
-            self.problem = yield from self._read_back(answer, read_block, block)
-        if watchdog_ms is not None and self.problem is None:
-            answer = yield Ask(registers.write_watchdog(watchdog_ms, store=store), (3,), answered=False)
-            self.problem = yield from self._read_back(answer, read_watchdog, watchdog_ms)
-
-    @staticmethod
-    def _read_back(
-        answer: bytes | None, read: Callable[[], Answered[Value | None]], wanted: Value
-    ) -> Answered[str | None]:
-        if answer is not None and answer[1] in REFUSALS:
-            return "refuses to be written"
-        after = None
-        for _ in range(READ_BACK_TRIES):
-            after = yield from read()
-            if after == wanted:
-                return None
-        if after is None:
-            return "stopped answering when it was told, so what it has now is not known"
-        return "keeps other values than it was told"
+def reports_of(arm: ArmConfig, found: Mapping[int, Reading]) -> dict[int, DriveReport]:
+    """Compare each drive with the arm file, by joint."""
+    shared = next((joint for joint, reading in found.items() if reading.shared_address), None)
+    return {
+        joint: settings_of(arm.joints[joint].drive).report_of(arm, joint, reading, shared)
+        for joint, reading in found.items()
+    }

@@ -1,0 +1,41 @@
+"""A conversation with one drive beside an offline cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from config.schema import ArmConfig
+from rtloop.service.conversation import Conversation, Dialogue, Part, TalkFailed
+from rtloop.service.port import ServicePort
+from shm.words import Fault
+
+Result = TypeVar("Result")
+
+
+class OneDrive(Conversation, Generic[Result]):
+    """A dialogue with one drive, which ends in a `result` or in a `problem`.
+
+    A problem latches no fault: the cycle is offline, and what follows (a stop) is said by another conversation.
+    """
+
+    def __init__(
+        self,
+        arm: ArmConfig,
+        port: ServicePort,
+        *,
+        now_ns: int,
+        joint: int,
+        dialogue: Callable[[Callable[[], int]], Part[Result]],
+    ) -> None:
+        """`dialogue` makes it of a clock (ns)."""
+        super().__init__(arm, port, now_ns, fault=Fault.BRING_UP)
+        self.result: Result | None = None
+        self.problem: TalkFailed | None = None
+        self.begin({joint: self._have(dialogue(lambda: self.now_ns))})
+
+    def _have(self, dialogue: Part[Result]) -> Dialogue:
+        try:
+            self.result = yield from dialogue
+        except TalkFailed as problem:
+            self.problem = problem

@@ -1,0 +1,138 @@
+"""What a ZDT (Emm_V5) drive is asked about its settings, and how they are written: dialogues."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from rtloop.drives import zdt_registers as registers
+from rtloop.drives.zdt_ask import NOT_UNDERSTOOD, Ask, ZdtDialogue, ZdtQuestion
+from rtloop.drives.zdt_registers import Block, HomingParameters, Trip, Version
+from rtloop.drives.zdt_talk import Answered, read_block, read_counts, read_flags, read_homing, read_watchdog
+from rtloop.service.conversation import TRIES, Question
+from rtloop.service.port import Frame
+
+Value = TypeVar("Value")
+
+REFUSALS = (0xE2, 0xEE)
+"""Condition not met; not understood (zdt-emm-v5.md 2)."""
+MOST_MISUNDERSTANDINGS = 4 * TRIES
+"""One drive does not understand a question or two that its firmware has not got, each asked `TRIES` times."""
+STANDS_WITHIN_COUNTS = 200
+"""About a degree of the motor: a closed loop that holds dithers by less."""
+READ_BACK_TRIES = 4
+"""A drive that writes its flash may be silent for a while; each try is several questions long."""
+
+
+@dataclass
+class Reading:
+    """What a drive has said of itself; None for what it did not say, or has not got."""
+
+    version: Version | None = None
+    block: Block | None = None
+    homing: HomingParameters | None = None
+    trip: Trip | None = None
+    watchdog_ms: int | None = None
+    supply_mv: int | None = None
+    flags: int | None = None
+    homing_flags: int | None = None
+    rpm: int | None = None
+    position_counts: int | None = None
+    other_checksum: bool = False
+    """Answers came whose last byte was not 6B."""
+    other_block: tuple[int, int] | None = None
+    """Byte count and field count of a configuration block that is not known here."""
+    questions: int = field(default=0, repr=False)
+    answers: int = field(default=0, repr=False)
+    misunderstandings: int = field(default=0, repr=False)
+
+    @property
+    def shared_address(self) -> bool:
+        """Whether more drives than one have answered at this address.
+
+        Commands and answers share their identifiers, so each of two takes the other's answers for commands it does not
+        understand, and says so, which the other does not understand either: without end.
+        """
+        return self.answers > self.questions or self.misunderstandings > MOST_MISUNDERSTANDINGS
+
+    def note_question(self, question: Question) -> None:
+        """This is asked."""
+        if isinstance(question, ZdtQuestion) and question.ask.payload == registers.ASK_FIRMWARE:
+            self.questions += 1
+
+    def note_frame(self, frame: Frame) -> None:
+        """Look for signs of a drive that speaks another language, or of two at one address."""
+        if frame.id & 0xFF != 0 or len(frame.data) <= 2:
+            return
+        data = frame.data
+        function, last = data[0], data[-1]
+        self.misunderstandings += data == NOT_UNDERSTOOD
+        short = data[:2] == NOT_UNDERSTOOD[:2] and len(data) == 3
+        if (short or (function == registers.ASK_FIRMWARE[0] and len(data) in (4, 6))) and last != registers.CHECKSUM:
+            self.other_checksum = True
+        elif function == registers.ASK_FIRMWARE[0] and len(data) in (4, 6):
+            self.answers += 1
+        elif function == registers.ASK_BLOCK[0] and len(data) == 8 and data[1:3] != registers.BLOCK_HEAD:
+            self.other_block = data[1], data[2]
+
+    def may_move_since(self, before: Reading) -> bool:
+        """Whether a drive that answers moves, has moved since another reading, or does not say that it stands."""
+        return self.version is not None and (bool(self.rpm) or has_moved(before, self))
+
+    def is_written_alike(self, before: Reading) -> bool:
+        """Whether its configuration block, of which all fields go back into it, is as in another reading."""
+        return self.block == before.block
+
+
+def has_moved(before: Reading, after: Reading) -> bool:
+    """Whether a drive's position has changed between two readings, or cannot be told."""
+    if before.position_counts is None or after.position_counts is None:
+        return True
+    return abs(after.position_counts - before.position_counts) > STANDS_WITHIN_COUNTS
+
+
+def read(found: Reading) -> ZdtDialogue:
+    """Ask a drive for its settings; one that is silent is asked no more."""
+    found.version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
+    if found.version is None:
+        return
+    found.block = yield from read_block()
+    found.homing = yield from read_homing()
+    if found.version.newer:
+        found.watchdog_ms = yield from read_watchdog()
+        found.trip = registers.trip_of((yield Ask(registers.ASK_TRIP, (8,))))
+    found.supply_mv = registers.number_of((yield Ask(registers.ASK_SUPPLY, (4,))), registers.ASK_SUPPLY, 2)
+    found.flags = yield from read_flags(registers.ASK_STATUS)
+    found.homing_flags = yield from read_flags(registers.ASK_HOMING_STATUS)
+    found.rpm = registers.signed_of((yield Ask(registers.ASK_SPEED, (5,))), registers.ASK_SPEED, 2)
+    found.position_counts = yield from read_counts(registers.ASK_POSITION)
+
+
+def write(block: Block | None, watchdog_ms: int | None, store: bool) -> Answered[str | None]:
+    """Tell a drive a new block, a new watchdog, or both, each once, then ask it what it has.
+
+    A command that writes is never repeated for want of an answer: flash wears out, and what came of it is read back.
+    Ends in why it cannot be said that the drive has what it was told, after its name; None if it has.
+    """
+    problem: str | None = None
+    if block is not None:
+        answer = yield Ask(registers.write_block(block, store=store), (3,), answered=False)
+        problem = yield from _read_back(answer, read_block, block)
+    if watchdog_ms is not None and problem is None:
+        answer = yield Ask(registers.write_watchdog(watchdog_ms, store=store), (3,), answered=False)
+        problem = yield from _read_back(answer, read_watchdog, watchdog_ms)
+    return problem
+
+
+def _read_back(answer: bytes | None, read: Callable[[], Answered[Value | None]], wanted: Value) -> Answered[str | None]:
+    if answer is not None and answer[1] in REFUSALS:
+        return "refuses to be written"
+    after = None
+    for _ in range(READ_BACK_TRIES):
+        after = yield from read()
+        if after == wanted:
+            return None
+    if after is None:
+        return "stopped answering when it was told, so what it has now is not known"
+    return "keeps other values than it was told"
