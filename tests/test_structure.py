@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from config.joint import FAMILIES
+
 ROOT = Path(__file__).resolve().parents[1]
 
 ALLOWED_IMPORTS = {
@@ -51,6 +53,13 @@ ROOMS_OF_RTARM = (
     ("__main__",),
 )
 """As those of rtloop; files at the top of the package are rooms of their own."""
+FAMILY_NAMES = re.compile(rf"(?<![a-z])(?i:{'|'.join(FAMILIES[1:])})(?![a-z])")
+"""Names of families of drives, alone or within others; the first is that of no drive at all."""
+NAMES_A_FAMILY = {
+    "rtloop/drives/power.py": "its table says of each family what proves the power of its drives",
+    "rtloop/drives/sdo.py": "CANopen's identifiers are constants of the family that has them",
+    "rtloop/memory/link.py": "a part of the cycle's memory names the modules that store into it",
+}
 FORBIDDEN_IMPORTS = {
     "rtloop": {"rclpy", "control_msgs", "sensor_msgs", "trajectory_msgs", "std_msgs", "std_srvs"},
     "rosfront": {"numba", "llvmlite", "can"},
@@ -153,6 +162,20 @@ def test_no_room_imports_from_its_own_floor_or_above(folder: str, floors: tuple[
                 if not together and floor[room] >= floor[here]:
                     offences.append(f"{path.relative_to(ROOT)}:{line} imports from {room}")
     assert offences == []
+
+
+def test_in_rtloop_a_family_of_drives_is_named_by_its_own_files_alone() -> None:
+    """A family's files begin with its name and are found by it; no other file may know what a family does."""
+    own = re.compile(rf"(?:{'|'.join(FAMILIES)})(?:_\w+)?")
+    named = {
+        str(path.relative_to(ROOT)): [
+            found.group() for found in FAMILY_NAMES.finditer(path.read_text(encoding="utf-8"))
+        ]
+        for path in (ROOT / "rtloop").rglob("*.py")
+        if not own.fullmatch(path.stem)
+    }
+    assert {path: names for path, names in named.items() if names and path not in NAMES_A_FAMILY} == {}
+    assert [path for path in NAMES_A_FAMILY if not named[path]] == []
 
 
 def test_each_ordered_access_names_its_partner() -> None:

@@ -17,8 +17,8 @@ class JointParams(Record, writers=("commands.orders",)):
 
     family: int
     address: int
-    command_per_rad: float  # what the drive is told (ZDT: pulses) for a radian; the joint's direction is in it
-    reading_per_rad: float  # what it tells (ZDT: encoder counts), likewise
+    command_per_rad: float  # what the drive is told (a stepper: pulses) for a radian; the joint's direction is in it
+    reading_per_rad: float  # what it tells (a stepper: encoder counts), likewise
     reading_step_rad: float  # the least that two readings can differ
     zero_rad: float
     knows_its_angle: int  # 1: what it tells means an angle as soon as it has power

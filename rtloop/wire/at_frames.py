@@ -1,4 +1,4 @@
-"""Frames of the serial adapters that RobStride and CyberGear drives come with, in the cycle.
+"""Frames of the CH340 adapters that speak AT (docs/hardware/adapters.md), in the cycle.
 
 `41 54` ("AT"), identifier << 3 | 4 as 32 bits, the highest first, the length, the data, `0D 0A` (facts/can-adapters.md,
 section 3). The low three bits say what kind of frame it is, and 4 is extended; nobody has shown another kind to work,
