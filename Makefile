@@ -149,9 +149,10 @@ dist: tools
 	@cp constraints.txt dist/
 	@ls -l dist
 
-# In an environment of its own: what is pinned is what pip would take where nothing is installed.
+# In an environment of its own, which alone has uv: it resolves for every supported Python, whichever runs it.
 lock:
 	$(PYTHON) -m venv --clear build/lock
+	build/lock/bin/pip install --quiet 'uv>=0.9'
 	build/lock/bin/python packaging/lock.py
 
 test-dist: dist
