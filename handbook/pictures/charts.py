@@ -10,8 +10,8 @@ import numpy as np
 from handbook.pictures.svg import BLUE, FAINT, GREY, GRID, ORANGE, RED, Drawing, Point
 
 LEFT, TOP, RIGHT, BOTTOM = 62.0, 56.0, 10.0, 60.0
-ROW_PX, GAP_X, GAP_Y = 120.0, 16.0, 20.0
-WIDTH = 960.0
+ROW_PX, GAP_X, GAP_Y = 110.0, 14.0, 20.0
+WIDTH = 780.0
 ROUNDING = 1e-9
 
 
@@ -138,5 +138,5 @@ def _legend(drawing: Drawing, legend: Sequence[tuple[str, str]], y: float) -> No
         else:
             color, width, dash = {"curve": (BLUE, 1.8, ""), "beside": (GREY, 1.2, ""), "limit": (RED, 1, "5 3")}[kind]
             drawing.line([(x, y - 4), (x + 24, y - 4)], color=color, width=width, dash=dash)
-        drawing.text((x + 30, y), text, anchor="start", size=12)
-        x += 50 + 6.6 * len(text)
+        drawing.text((x + 30, y), text, anchor="start", size=12.5)
+        x += 50 + 7 * len(text)

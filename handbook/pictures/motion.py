@@ -179,8 +179,8 @@ def stops() -> str:
         Axis(TIME, 0.0, STOPS_SHOWN_S, 1.0),
         [
             ("curve", SETPOINTS),
-            ("beside", "the same goal undisturbed"),
-            ("limit", "its acceleration limit, and that times limits.braking_factor"),
+            ("beside", "the goal undisturbed"),
+            ("limit", "limits of acceleration"),
         ],
         "Position, velocity and acceleration of joint2 in a MoveIt goal that is canceled, stopped by a person, held "
         "and resumed, slowed down and sped up again",

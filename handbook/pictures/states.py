@@ -20,6 +20,7 @@ Change = tuple[IntEnum, IntEnum]
 
 BOX = (124.0, 40.0)
 DOT = (16.0, 16.0)
+LABEL_PX, NAME_PX, OUTCOME_PX = 14.0, 16.0, 12.5
 APART = 9.0
 """Two arrows between the same boxes are so far from the line between them."""
 
@@ -53,13 +54,13 @@ class Diagram:
             drawing.arrow([begin, end], color=FAINT)
             said = self.words[change]
             x, y = (begin[axis] + said.along * (end[axis] - begin[axis]) + said.beside[axis] for axis in (0, 1))
-            drawing.lines((x, y), said.lines, anchor=said.anchor, size=12)
+            drawing.lines((x, y), said.lines, anchor=said.anchor, size=LABEL_PX)
 
     def draw_box(self, drawing: Drawing, state: IntEnum, color: str) -> None:
         """Draw a state with its name."""
         (x, y), (width, height) = self.places[state], self.size(state)
         drawing.box((x - width / 2, y - height / 2), (width, height), fill="#eef2f7", color=color, round_px=8)
-        drawing.text((x, y + 5), state.name.lower(), size=14)
+        drawing.text((x, y + 5), state.name.lower(), size=NAME_PX)
 
     def size(self, state: IntEnum) -> Point:
         """Width and height of a state's box."""
@@ -89,15 +90,15 @@ class Diagram:
 
 MODE_DIAGRAM = Diagram(
     places={
-        Mode.OFFLINE: (95, 190),
-        Mode.BRINGING_UP: (270, 190),
-        Mode.HOLDING: (600, 190),
-        Mode.EXECUTING: (840, 190),
-        Mode.STOPPING: (840, 345),
-        Mode.REFERENCING: (600, 70),
-        Mode.DISABLED: (435, 280),
-        Mode.FREE: (435, 405),
-        Mode.FAULT: (470, 505),
+        Mode.OFFLINE: (86, 190),
+        Mode.BRINGING_UP: (258, 190),
+        Mode.HOLDING: (618, 190),
+        Mode.EXECUTING: (862, 190),
+        Mode.STOPPING: (862, 345),
+        Mode.REFERENCING: (618, 70),
+        Mode.DISABLED: (438, 280),
+        Mode.FREE: (438, 405),
+        Mode.FAULT: (490, 505),
     },
     words={
         (Mode.OFFLINE, Mode.BRINGING_UP): Words(["start"], (0, -11)),
@@ -111,22 +112,22 @@ MODE_DIAGRAM = Diagram(
         (Mode.REFERENCING, Mode.HOLDING): Words(["all joints are done"], (8, 0), "start"),
         (Mode.HOLDING, Mode.DISABLED): Words(["disable"], (-6, -10), "end"),
         (Mode.HOLDING, Mode.FREE): Words(["free"], (10, 8), "start"),
-        (Mode.DISABLED, Mode.FREE): Words(["free"], (8, 0), "start"),
-        (Mode.FREE, Mode.DISABLED): Words(["disable"], (-8, 0), "end"),
+        (Mode.DISABLED, Mode.FREE): Words(["free"], (8, 0), "start", along=0.2),
+        (Mode.FREE, Mode.DISABLED): Words(["disable"], (-8, 0), "end", along=0.8),
         (Mode.DISABLED, Mode.BRINGING_UP): Words(["enable"], (6, -10), "start"),
         (Mode.FREE, Mode.BRINGING_UP): Words(["enable"], (-10, 8), "end"),
         (Mode.FAULT, Mode.BRINGING_UP): Words(["clear fault"], (-8, 0), "end", along=0.3),
     },
     sizes={Mode.FAULT: (640.0, BOX[1])},
-    upright={(Mode.FAULT, Mode.BRINGING_UP): 225.0},
+    upright={(Mode.FAULT, Mode.BRINGING_UP): 215.0},
 )
-FRAME = ((16.0, 24.0), (928.0, 422.0))
+FRAME = ((16.0, 24.0), (964.0, 422.0))
 """Around all modes in which a fault may be latched: as in UML, an arrow from a frame is one from each mode inside."""
 
 
 def arm_modes() -> str:
     """The state machine of the arm."""
-    drawing = Drawing(960, 545, "The modes of the arm and the changes between them, as rtloop/memory/modes.py has them")
+    drawing = Drawing(996, 545, "The modes of the arm and the changes between them, as rtloop/memory/modes.py has them")
     assert all(Mode.FAULT in goes_to for mode, goes_to in MODES.items() if mode != Mode.FAULT)
     corner, size = FRAME
     drawing.box(corner, size, color=RED, round_px=12, dash="6 4")
@@ -135,7 +136,7 @@ def arm_modes() -> str:
     x, y = MODE_DIAGRAM.places[Mode.FAULT]
     bottom = corner[1] + size[1]
     drawing.arrow([(x + 190, bottom), (x + 190, y - BOX[1] / 2)], color=RED)
-    drawing.text((x + 198, bottom + 24), "a fault is latched, in any mode", anchor="start", size=12)
+    drawing.text((x + 198, bottom + 24), "a fault is latched, in any mode", anchor="start", size=LABEL_PX)
     for mode in MODES:
         MODE_DIAGRAM.draw_box(drawing, mode, RED if mode == Mode.FAULT else BLUE)
     return drawing.svg()
@@ -146,7 +147,7 @@ def arm_modes() -> str:
 PHASE_DIAGRAM = Diagram(
     places={
         Phase.NONE: (40, 130),
-        Phase.WAITING: (190, 130),
+        Phase.WAITING: (215, 130),
         Phase.RUNNING: (440, 130),
         Phase.SETTLING: (770, 130),
         Phase.PAUSED: (605, 240),
@@ -154,7 +155,7 @@ PHASE_DIAGRAM = Diagram(
     },
     words={
         (Phase.NONE, Phase.WAITING): Words(["BEGIN"], (0, -11)),
-        (Phase.WAITING, Phase.RUNNING): Words(["it is due, and a way", "onto it is found"], (0, -20)),
+        (Phase.WAITING, Phase.RUNNING): Words(["it is due, a", "way is found"], (0, -22)),
         (Phase.RUNNING, Phase.SETTLING): Words(["its last point is commanded"], (0, -11)),
         (Phase.RUNNING, Phase.PAUSED): Words(["hold"], (8, -6), "start"),
         (Phase.PAUSED, Phase.RUNNING): Words(["resume"], (-8, 8), "end"),
@@ -194,7 +195,7 @@ ENDS: Mapping[Phase, Sequence[Outcome]] = {
 """The outcomes with which a goal ends in each phase; NONE: its BEGIN is refused."""
 TOLD: Mapping[Phase, tuple[Point, Point, Sequence[int], str]] = {
     Phase.NONE: ((40, 138), (40, 205), [1] * 8, "start"),
-    Phase.WAITING: ((190, 150), (190, 205), [1] * 11, "middle"),
+    Phase.WAITING: ((215, 150), (215, 205), [1] * 11, "middle"),
     Phase.RUNNING: ((440, 110), (440, 62), [2], "middle"),
     Phase.SETTLING: ((832, 130), (866, 130), [1] * 6, "start"),
     Phase.PAUSED: ((667, 240), (700, 240), [1], "start"),
@@ -205,7 +206,7 @@ TOLD: Mapping[Phase, tuple[Point, Point, Sequence[int], str]] = {
 
 def goal_phases() -> str:
     """The life of a goal, and how it may end in each phase."""
-    drawing = Drawing(960, 480, "The phases of a goal, the changes between them, and the outcomes with which it ends")
+    drawing = Drawing(990, 500, "The phases of a goal, the changes between them, and the outcomes with which it ends")
     changes = [(phase, to) for phase, goes_to in PHASES.items() for to in goes_to if to != Phase.NONE]
     PHASE_DIAGRAM.draw_arrows(drawing, changes)
     for phase in PHASES:
@@ -227,9 +228,9 @@ def _draw_ends(drawing: Drawing, phase: Phase) -> None:
     assert not list(names)
     x, y = end
     if anchor == "start" and begin[1] == end[1]:
-        drawing.lines((x + 5, y), lines, anchor=anchor, size=11)
+        drawing.lines((x + 5, y), lines, anchor=anchor, size=OUTCOME_PX)
         return
     below = 1 if end[1] > begin[1] else -1
     first = y + 14 if below > 0 else y - 6
     for row, line in enumerate(lines):
-        drawing.text((x if anchor == "middle" else 8, first + row * 15), line, anchor=anchor, size=11)
+        drawing.text((x if anchor == "middle" else 8, first + row * 17), line, anchor=anchor, size=OUTCOME_PX)
