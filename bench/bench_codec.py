@@ -17,7 +17,7 @@ from can.interfaces.slcan import slcanBus
 from compilation.jit import jit
 from config.loader import load_arm
 from rtloop.drives import zdt
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from rtloop.wire import slcan
 
 CYCLES = 1000

@@ -1,4 +1,4 @@
-"""What a cycle's cost grows with: joints, knots, its own histograms, other arms on the machine.
+"""What a cycle's cost grows with: joints, waypoints, its own histograms, other arms on the machine.
 
 The first three are computing time in virtual time, without a system call, as in bench_cycle.py; sizes alternate, so
 that a noisy neighbour hits all alike, and medians are compared. The last one is real control processes on mock wires at
@@ -114,9 +114,9 @@ def test_joints(benchmark, report, tmp_path, drives):
     )
 
 
-# --- knots ----------------------------------------------------------------------------------------------
+# --- waypoints ----------------------------------------------------------------------------------------------
 
-KNOTS = (10, 100, 1000, 10_000, 100_000, 1_000_000)
+WAYPOINTS = (10, 100, 1000, 10_000, 100_000, 1_000_000)
 FEWEST_CYCLES = 5000
 BATCH = 500
 
@@ -137,8 +137,8 @@ def timed_cycles(
     return now_ns
 
 
-def knots_of(count: int, period_s: float, home: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-    """Times (ns) and joints (6, 3) of `count` knots, one a cycle: all joints to and fro, at rest at both ends."""
+def waypoints_of(count: int, period_s: float, home: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    """Times (ns) and joints (6, 3) of `count` waypoints, one a cycle: all joints to and fro, at rest at both ends."""
     end_s = (count - 1) * period_s
     w = 2 * np.pi * max(1, round(end_s / 4.0)) / end_s
     size = min(0.05, 0.3 / w**2)
@@ -152,8 +152,8 @@ def knots_of(count: int, period_s: float, home: np.ndarray) -> Iterator[tuple[in
         yield round(number * period_s * NS), joints
 
 
-def play_knots(arm: VirtualArm, count: int, kept: np.ndarray) -> int:
-    """Execute a goal of so many knots, fed as the ring has room.
+def play_waypoints(arm: VirtualArm, count: int, kept: np.ndarray) -> int:
+    """Execute a goal of so many waypoints, fed as the ring has room.
 
     The computing time (ns) of each cycle that executed it goes to `kept`, which is long enough; how many there were.
     """
@@ -194,8 +194,8 @@ def play_knots(arm: VirtualArm, count: int, kept: np.ndarray) -> int:
             except RingFull:
                 cycles()
 
-    for at_ns, joints in knots_of(count, arm.period_ns / NS, home):
-        write(lambda at_ns=at_ns, joints=joints: arm.writer.knot(goal, at_ns, 5, joints, consumed()))
+    for at_ns, joints in waypoints_of(count, arm.period_ns / NS, home):
+        write(lambda at_ns=at_ns, joints=joints: arm.writer.waypoint(goal, at_ns, 5, joints, consumed()))
     write(lambda: arm.writer.end(goal, none, consumed()))
     while arm.outcome(goal) == Outcome.NONE:
         cycles()
@@ -209,27 +209,27 @@ def resident_kb() -> int:
 
 
 @pytest.mark.timeout(300)
-def test_knots(benchmark, report):
-    """A cycle of a long goal takes in as many knots as it uses up; a short goal's are all taken in its first cycles."""
+def test_waypoints(benchmark, report):
+    """A cycle of a long goal takes in as many waypoints as it uses up; a short one's are all taken at its beginning."""
     arm = VirtualArm("mock")
     assert arm.bring_up().failure is None
-    kept = np.ones(KNOTS[-1] + 10 * BATCH, np.int64)  # touched: what grows afterwards is not this
-    play_knots(arm, FEWEST_CYCLES, kept)
+    kept = np.ones(WAYPOINTS[-1] + 10 * BATCH, np.int64)  # touched: what grows afterwards is not this
+    play_waypoints(arm, FEWEST_CYCLES, kept)
     found: dict[int, np.ndarray] = {}
     resident: dict[int, tuple[int, int]] = {}
 
     def play():
-        for count in KNOTS:
+        for count in WAYPOINTS:
             before, filled = resident_kb(), 0
             for _ in range(max(1, FEWEST_CYCLES // count)):
-                filled += play_knots(arm, count, kept[filled:])
+                filled += play_waypoints(arm, count, kept[filled:])
             resident[count] = before, resident_kb()
             found[count] = kept[:filled].copy()
 
     benchmark.pedantic(play, rounds=1)
     arm.close()
     report(
-        "a cycle of 6 mock joints, one knot a cycle",
+        "a cycle of 6 mock joints, one waypoint a cycle",
         "computing time over the whole goal, resident memory before, after",
     )
     for count, durations in found.items():
@@ -243,11 +243,11 @@ def test_knots(benchmark, report):
         }
         before, after = resident[count]
         report(
-            f"  {count:,} knots",
+            f"  {count:,} waypoints",
             f"p50 {p50:.2f}, p99 {p99:.2f}, p99.9 {p999:.2f} µs ({len(durations)} cycles); {before} → {after} kB",
         )
-    tenth = len(found[KNOTS[-1]]) // 10
-    first, last = (float(np.median(part)) / 1000 for part in np.split(found[KNOTS[-1]], [tenth, 9 * tenth])[::2])
+    tenth = len(found[WAYPOINTS[-1]]) // 10
+    first, last = (float(np.median(part)) / 1000 for part in np.split(found[WAYPOINTS[-1]], [tenth, 9 * tenth])[::2])
     benchmark.extra_info["longest"] = {"first_tenth_us": first, "last_tenth_us": last}
     report("  first and last tenth of the longest", f"p50 {first:.2f} and {last:.2f} µs")
 

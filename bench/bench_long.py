@@ -1,4 +1,4 @@
-"""What does not grow: goal after goal, one goal of very many points, and a million knots through the ring."""
+"""What does not grow: goal after goal, one goal of very many points, and a million waypoints through the ring."""
 
 import math
 import time
@@ -24,9 +24,9 @@ from shm.words import Entry, Mode, Outcome
 GOALS, WARM_GOALS = 1000, 200
 GOAL_S = 0.05
 POINTS, SPACING_S = 100_000, 0.001
-KNOTS, KNOT_NS = 1_000_000, 100_000
-FIRST, FIRST_KNOT_NS = 4096, 250_000
-"""The first ones are wider apart: a goal is entered when 2048 knots are there and its beginning takes 0.3 s of them."""
+WAYPOINTS, WAYPOINT_NS = 1_000_000, 100_000
+FIRST, FIRST_WAYPOINT_NS = 4096, 250_000
+"""The first ones are wider apart: a goal is entered once 2048 of them are there, and begins with 0.3 s of them."""
 
 
 def move(stack: LiveStack, home: np.ndarray, count: int) -> None:
@@ -131,19 +131,19 @@ def test_a_goal_of_a_hundred_thousand_points(benchmark, report, tmp_path):
 
 @pytest.mark.benchmark(group="live")
 @pytest.mark.timeout(240)
-def test_a_million_knots_through_the_ring(benchmark, report, tmp_path):
+def test_a_million_waypoints_through_the_ring(benchmark, report, tmp_path):
     def measure():
         with live(tmp_path, mock_hz=120.0, front=False) as stack:
             writer = CommandWriter(own_command(stack.name, arm_hash(load_arm(stack.arm_file))))
             try:
                 before = Usage(stack.loop)
-                seconds = stream_knots(stack, writer)
+                seconds = stream_waypoints(stack, writer)
                 return before, Usage(stack.loop), seconds, stack.reader.memory.record["counters"].copy()
             finally:
                 writer.close()
 
     before, after, seconds, counters = benchmark.pedantic(measure, rounds=1)
-    assert counters["knots_taken"] == KNOTS
+    assert counters["knots_taken"] == WAYPOINTS
     share = 100 * (after.processor_s - before.processor_s) / seconds
     benchmark.extra_info.update(
         seconds=seconds,
@@ -153,17 +153,17 @@ def test_a_million_knots_through_the_ring(benchmark, report, tmp_path):
         overruns=int(counters["overruns"]),
     )
     report(
-        f"{KNOTS:,} knots through the ring, {seconds:.0f} s: control process",
+        f"{WAYPOINTS:,} waypoints through the ring, {seconds:.0f} s: control process",
         f"{before.resident_kb} → {after.resident_kb} kB resident; {share:.1f} % of a core; "
         f"threads {before.threads} → {after.threads}; files {before.files} → {after.files}",
     )
 
 
-def stream_knots(stack: LiveStack, writer: CommandWriter) -> float:
-    """One goal of KNOTS knots, written as fast as the control process takes them; seconds until it has succeeded."""
+def stream_waypoints(stack: LiveStack, writer: CommandWriter) -> float:
+    """One goal of WAYPOINTS points, written as fast as the control process takes them; seconds until success."""
     home = commanded_rad(stack)
     joints = np.zeros((6, 3))
-    times_ns = np.cumsum([0] + [FIRST_KNOT_NS] * FIRST + [KNOT_NS] * (KNOTS - FIRST - 1))
+    times_ns = np.cumsum([0] + [FIRST_WAYPOINT_NS] * FIRST + [WAYPOINT_NS] * (WAYPOINTS - FIRST - 1))
     times_s = times_ns / NS
     omega = 2 * math.pi * max(1, round(times_s[-1] / 6.0)) / times_s[-1]  # ends at rest
     off = np.zeros((6, 3))
@@ -193,8 +193,8 @@ def stream_knots(stack: LiveStack, writer: CommandWriter) -> float:
     for number, (at_ns, at_s) in enumerate(zip(times_ns.tolist(), times_s.tolist(), strict=True)):
         phase = omega * at_s
         joints[:, 0] = home + 0.05 * (1 - math.cos(phase))
-        joints[:, 1] = 0.05 * omega * math.sin(phase) if number < KNOTS - 1 else 0.0
-        patiently(lambda at_ns=at_ns: writer.knot(goal, at_ns, 3, joints, consumed()))
+        joints[:, 1] = 0.05 * omega * math.sin(phase) if number < WAYPOINTS - 1 else 0.0
+        patiently(lambda at_ns=at_ns: writer.waypoint(goal, at_ns, 3, joints, consumed()))
     patiently(lambda: writer.end(goal, off, consumed()))
     while True:
         writer.beat()

@@ -12,7 +12,7 @@ from compilation.jit import jit
 from config.loader import load_arm
 from config.schema import RealtimeConfig
 from rtloop.memory.record import offset_of
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from rtloop.process.run import monotonic_ns
 from rtloop.system import realtime
 from rtloop.system.libc import CLOCK_MONOTONIC, TIMER_ABSTIME, clock_nanosleep

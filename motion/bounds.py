@@ -1,4 +1,4 @@
-"""How far a trajectory goes between its knots: hulls, exact extremes, and how much it changes within a window of time.
+"""How far a trajectory goes between waypoints: hulls, exact extremes, and how much it changes within a window of time.
 
 Segments are the coefficients of `motion.segment`, stacked along the first axis: (6, …), with durations that
 broadcast against the rest. A hull is cheap and never too narrow, so it decides most segments; the exact

@@ -1,4 +1,4 @@
-"""Polynomial segments between two knots: coefficients and evaluation.
+"""Polynomial segments between two waypoints: coefficients and evaluation.
 
 Every segment is six coefficients c0…c5 of p(t) = c0 + c1 t + … + c5 t⁵, t in seconds from the segment's
 start, whatever its order: the lower orders leave the upper coefficients at zero. All functions are leaves

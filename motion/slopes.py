@@ -1,8 +1,8 @@
-"""Velocities at knots that came without any: monotone cubic slopes.
+"""Velocities at waypoints that came without any: monotone cubic slopes.
 
-Straight lines between knots ask for a jump of velocity at each of them. The slopes here make a cubic
-through the same positions that keeps the shape of the data: between two knots it never leaves the interval
-of their positions, so a joint limit that the knots respect is respected in between. The rule is the weighted
+Straight lines between waypoints ask for a jump of velocity at each of them. The slopes here make a cubic
+through the same positions that keeps the shape of the data: between two waypoints it never leaves the interval
+of their positions, so a joint limit that the waypoints respect is respected in between. The rule is the weighted
 harmonic mean of the neighbouring secants (F. N. Fritsch and J. Butland, "A method for constructing local
 monotone piecewise cubic interpolants", SIAM J. Sci. Stat. Comput. 5, 1984), with rest at both ends.
 """
@@ -11,7 +11,7 @@ import numpy as np
 
 
 def monotone(times_s: np.ndarray, positions_rad: np.ndarray) -> np.ndarray:
-    """Slopes (rad/s) at every knot, zero at the first and the last.
+    """Slopes (rad/s) at every waypoint, zero at the first and the last.
 
     `times_s` (n,) rises strictly, `positions_rad` is (n, joints); the result has the shape of the positions.
     """

@@ -2,7 +2,7 @@
 # (rclpy annotates some of its functions and leaves the others untyped)
 """The goals of all actions of an arm from their arrival to their end, whatever they ask for.
 
-Each is judged in the intake's thread, in the order in which they came, and handed to the control process; a newer one
+Each is judged in the worker's thread, in the order in which they came, and handed to the control process; a newer one
 replaces an older one of whichever action.
 """
 
@@ -14,7 +14,7 @@ from rclpy.executors import Executor
 
 from rosfront import verdict as verdicts
 from rosfront.goal_requests import GoalRequest
-from rosfront.intake import ConsideredGoal, Intake, PendingGoal
+from rosfront.goal_worker import ConsideredGoal, GoalWorker, PendingGoal
 from rosfront.plan import GoalPlan
 from rosfront.refusals import GoalRefused, NotServing
 from rosfront.serving import CLOSING, NEVER_BEGUN, Arrival, Serving
@@ -24,7 +24,7 @@ _NOT_SERVING = verdicts.refused(NotServing(CLOSING))
 _CANCELED = Verdict(Status.CANCELED, 0, NEVER_BEGUN)
 
 Planner = Callable[[], GoalPlan]
-"""Judges a goal and translates it into knots; raises GoalRefused."""
+"""Judges a goal and translates it into waypoints; raises GoalRefused."""
 
 
 class ActionGoals:
@@ -35,22 +35,22 @@ class ActionGoals:
         self._executor = executor
         self._serving = serving
         self._warn = warn
-        self._intake = Intake()
+        self._worker = GoalWorker()
         self._pending: dict[bytes, PendingGoal] = {}
         self._considered: set[ConsideredGoal] = set()
         self._closing = False
 
     def start(self) -> None:
         """Judge goals from now on."""
-        self._intake.start()
+        self._worker.start()
 
     def stop(self) -> None:
         """Judge none any more."""
-        self._intake.stop()
+        self._worker.stop()
 
     def put(self, work: Callable[[], None]) -> None:
         """Do something in the thread in which goals are judged, behind those that came before."""
-        self._intake.put(work)
+        self._worker.put(work)
 
     async def consider(self, goal: Any, plan: Planner) -> GoalResponse:
         """Accept every goal, so that a bad one can be told why; `strict_reject` rejects bad ones instead."""
@@ -71,7 +71,7 @@ class ActionGoals:
                 considered.end(None)
 
         self._considered.add(considered)
-        self._intake.put(judge)
+        self._worker.put(judge)
         if self._closing:
             considered.end(NotServing(CLOSING))
         try:
@@ -93,7 +93,7 @@ class ActionGoals:
         goal = self._pending[key] = PendingGoal(self._executor.wake, self._arrival(handle.request))
         if handle.is_cancel_requested:
             goal.execution_or_end(_CANCELED)
-        self._intake.put(lambda: self._begin(goal, plan, key))
+        self._worker.put(lambda: self._begin(goal, plan, key))
         if self._closing:
             goal.execution_or_end(_NOT_SERVING)
 
@@ -117,7 +117,7 @@ class ActionGoals:
         return verdict
 
     def _begin(self, goal: PendingGoal, plan: Planner, key: bytes) -> None:
-        """Judge a goal and hand it on; in the intake's thread."""
+        """Judge a goal and hand it on; in the worker's thread."""
         if goal.ended.done():
             return
         try:

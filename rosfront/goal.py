@@ -1,4 +1,4 @@
-"""From a FollowJointTrajectory goal to knots, or to the sentence that says why not.
+"""From a FollowJointTrajectory goal to waypoints, or to the sentence that says why not.
 
 Pure functions of the message (attribute access only, so anything shaped like it will do), the arm and where
 the arm is commanded. A goal is checked completely before anything moves:
@@ -53,12 +53,12 @@ ENTER_WITHIN = 0.8
 LOOK_BACK_S = 60.0
 """A goal that is later than this is not looked at for an earlier entry: nobody waits for it any more."""
 ENTRIES_A_CHUNK = 4096
-KNOTS_AHEAD = 4000
-"""The control process sees 4096 knots ahead; so many must last as long as the way of the longest stop."""
+WAYPOINTS_AHEAD = 4000
+"""The control process sees 4096 waypoints ahead; so many must last as long as the way of the longest stop."""
 
 
 def plan_goal(goal: Any, arm: ArmConfig, present: Present, settings: Settings) -> GoalPlan:
-    """Check a FollowJointTrajectory goal and translate it into knots; raises GoalRefused."""
+    """Check a FollowJointTrajectory goal and translate it into waypoints; raises GoalRefused."""
     with np.errstate(over="ignore", invalid="ignore"):  # hostile numbers end up beyond a limit
         refuse_unsupported(goal)
         names = [joint.name for joint in arm.joints]
@@ -73,7 +73,7 @@ def plan_goal(goal: Any, arm: ArmConfig, present: Present, settings: Settings) -
 def plan_stream(
     trajectory: Any, arm: ArmConfig, present: Present, settings: Settings, earlier: GoalPlan | None = None
 ) -> GoalPlan:
-    """Check a message of `~/joint_trajectory` and translate it into knots; raises GoalRefused.
+    """Check a message of `~/joint_trajectory` and translate it into waypoints; raises GoalRefused.
 
     Like a goal, but newer points are expected: the last one may be in motion, the way to the first one is made gently,
     however near its time is, and what asks for more than the limits allow is followed as closely as they do
@@ -88,7 +88,7 @@ def plan_stream(
 
 
 def plan_move(trajectory: Any, arm: ArmConfig, present: Present, settings: Settings) -> GoalPlan:
-    """Check a motion of our own making (`rosfront.full_node.moves`) and translate it into knots; raises GoalRefused.
+    """Check a motion of our own making (`rosfront.full_node.moves`) and make waypoints of it; raises GoalRefused.
 
     It is judged like a goal, with the default tolerances; its points are joined as they are meant to be, whatever
     the arm file says about those of others.
@@ -113,7 +113,7 @@ def _plan(
 ) -> GoalPlan:
     start_ns, elapsed_ns = _start(trajectory.header.stamp, int(given.times_ns[-1]), present)
     if elapsed_ns < given.times_ns[0]:
-        entry |= Entry.BRIDGE
+        entry |= Entry.APPROACH
     mask = sum(1 << int(column) for column in columns)
     times_ns, orders, joints = _complete(given, columns, arm, present, entry, smooth=smooth)
     _check_density(given, times_ns, arm)
@@ -150,12 +150,12 @@ def _read(trajectory: Any, arm: ArmConfig) -> Points:
 
 
 def _check_density(given: Points, times_ns: np.ndarray, arm: ArmConfig) -> None:
-    """So many of the knots at these times as the control process sees ahead suffice for the longest stop."""
+    """So many of the waypoints at these times as the control process sees ahead suffice for the longest stop."""
     allowed_s = stopping.way_s(arm.longest_stop_s)
-    spans_ns = times_ns[KNOTS_AHEAD:] - times_ns[:-KNOTS_AHEAD]
+    spans_ns = times_ns[WAYPOINTS_AHEAD:] - times_ns[:-WAYPOINTS_AHEAD]
     dense = np.flatnonzero(spans_ns < allowed_s * NS)
     if len(dense):
-        ends_ns = times_ns[dense[0]], times_ns[dense[0] + KNOTS_AHEAD]
+        ends_ns = times_ns[dense[0]], times_ns[dense[0] + WAYPOINTS_AHEAD]
         first, last = np.searchsorted(given.times_ns, ends_ns)
         raise TooDense(int(first), int(last - first), float(spans_ns[dense[0]]) / NS, allowed_s)
 
@@ -226,7 +226,7 @@ def _from_its_entry(plan: GoalPlan, arm: ArmConfig, present: Present) -> GoalPla
     that a goal that was on its way for long is carried out late instead of with a jump. In motion the control
     process judges the distance itself, when the time has come.
     """
-    if plan.bridge:
+    if plan.approach:
         return plan
     if present.standing:
         plan = _entered_near(plan, arm, present)
@@ -265,14 +265,14 @@ def _entered_near(plan: GoalPlan, arm: ArmConfig, present: Present) -> GoalPlan:
 def _complete(
     given: Points, columns: np.ndarray, arm: ArmConfig, present: Present, entry: Entry, *, smooth: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fill in what the points lack, and put the columns into the arm's order: times, orders and knots.
+    """Fill in what the points lack, and put the columns into the arm's order: times, orders and waypoints.
 
     `smooth`: with curves, though the arm file may say `interpolation: linear`.
     """
     times_ns, positions = given.times_ns, given.positions
-    if Entry.BRIDGE in entry and Entry.STREAM not in entry:
-        knots_s = np.concatenate([[0.0], times_ns / NS])
-        derived = slopes.monotone(knots_s, np.vstack([present.commanded[columns, 0], positions]))[1:]
+    if Entry.APPROACH in entry and Entry.STREAM not in entry:
+        waypoints_s = np.concatenate([[0.0], times_ns / NS])
+        derived = slopes.monotone(waypoints_s, np.vstack([present.commanded[columns, 0], positions]))[1:]
     else:
         derived = slopes.monotone(times_ns / NS, positions)
     velocities = np.where(given.has_velocities[:, np.newaxis], given.velocities, derived)
@@ -282,18 +282,18 @@ def _complete(
     if Entry.STREAM in entry:
         orders[0] = 3  # its acceleration says nothing of the way there, which would swing out to end with it
 
-    knots = np.stack([positions, velocities, accelerations], axis=2)
+    waypoints = np.stack([positions, velocities, accelerations], axis=2)
     if arm.trajectory.interpolation == "linear" and Entry.STREAM not in entry and not smooth:
-        times_ns, knots = densify(times_ns, knots, arm.trajectory.interpolation_factor)
+        times_ns, waypoints = densify(times_ns, waypoints, arm.trajectory.interpolation_factor)
         orders = np.ones(len(times_ns), dtype=int)
     joints = np.zeros((len(times_ns), len(arm.joints), 3))
     joints[:, :, 0] = present.commanded[:, 0]
-    joints[:, columns] = knots
+    joints[:, columns] = waypoints
     return times_ns, orders, joints
 
 
-def densify(times_ns: np.ndarray, knots: np.ndarray, factor: int) -> tuple[np.ndarray, np.ndarray]:
-    """`factor` linear points between each two knots, the way of the arm's tutorial: n to n + factor (n - 1).
+def densify(times_ns: np.ndarray, waypoints: np.ndarray, factor: int) -> tuple[np.ndarray, np.ndarray]:
+    """`factor` linear points between each two waypoints, the way of the arm's tutorial: n to n + factor (n - 1).
 
     Times, positions and velocities are interpolated; accelerations mean nothing on straight lines and are 0.
     The path stays the polygon through the given points.
@@ -305,7 +305,7 @@ def densify(times_ns: np.ndarray, knots: np.ndarray, factor: int) -> tuple[np.nd
     step = at - index * (factor + 1)
     times = times_ns[index] + step * (times_ns[after] - times_ns[index]) // (factor + 1)
     share = step / (factor + 1)
-    dense = knots[index] + share[:, np.newaxis, np.newaxis] * (knots[after] - knots[index])
+    dense = waypoints[index] + share[:, np.newaxis, np.newaxis] * (waypoints[after] - waypoints[index])
     dense[:, :, 2] = 0.0
     keep = np.concatenate([[True], np.diff(times) > 0])  # a gap of a few ns has no room for all of them
     return times[keep], dense[keep]

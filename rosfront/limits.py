@@ -92,7 +92,7 @@ def check_limits(plan: GoalPlan, arm: ArmConfig, *, margins: bool = True) -> Non
 
 def _check_points(path: PlannedPath, limits: _Limits) -> None:
     """The points as the control process judges each of them; the first that breaks a limit is told."""
-    position, velocity, acceleration = path.knots[path.shift :].transpose(2, 0, 1)
+    position, velocity, acceleration = path.waypoints[path.shift :].transpose(2, 0, 1)
     allowed = limits.lowest, limits.highest, limits.velocity, limits.acceleration
     broken = motion_limits.first_broken(position, velocity, acceleration, *allowed)
     points = np.flatnonzero((broken != motion_limits.NONE).any(axis=1))
@@ -118,7 +118,7 @@ def _check_line_beyond(path: PlannedPath, limits: _Limits) -> None:
 
 def _last_point(path: PlannedPath) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Position, velocity and acceleration (joints,) of the last point."""
-    position, velocity, acceleration = path.knots[-1].T
+    position, velocity, acceleration = path.waypoints[-1].T
     return position, velocity, acceleration
 
 
@@ -296,7 +296,7 @@ class _Cycles:
         path = self._path
         coefficients, _ = path.coefficients(np.clip(index - 1, 0, path.segments - 1))
         before, after = index == 0, index == path.segments + 1
-        position, velocity = path.knots[0, :, 0], path.knots[0, :, 1]
+        position, velocity = path.waypoints[0, :, 0], path.waypoints[0, :, 1]
         coefficients[:, before] = 0.0
         coefficients[0, before] = position - velocity * (2 * self._period_ns / NS)
         coefficients[1, before] = velocity

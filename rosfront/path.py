@@ -9,22 +9,22 @@ from rosfront.plan import NS, GoalPlan
 class PlannedPath:
     """The interpolant of a plan, joints of the goal only.
 
-    A goal's bridge belongs to it. How a stream gets to its first point is the control process' matter, which
+    A goal's approach segment belongs to it. How a stream gets to its first point is the control process' matter, which
     takes it gently whatever its time says.
     """
 
     def __init__(self, plan: GoalPlan) -> None:
         self.mask = np.array([bool(plan.joint_mask >> joint & 1) for joint in range(plan.joints.shape[1])])
-        knots = plan.joints[:, self.mask]
-        bridged = plan.bridge and not plan.stream
-        if bridged:
+        waypoints = plan.joints[:, self.mask]
+        approached = plan.approach and not plan.stream
+        if approached:
             self.times_ns = np.concatenate([[plan.entry_ns], plan.times_ns])
-            self.knots = np.concatenate([plan.origin[np.newaxis, self.mask], knots])
+            self.waypoints = np.concatenate([plan.origin[np.newaxis, self.mask], waypoints])
             self.orders = plan.orders
         else:
-            self.times_ns, self.knots, self.orders = plan.times_ns, knots, plan.orders[1:]
+            self.times_ns, self.waypoints, self.orders = plan.times_ns, waypoints, plan.orders[1:]
         self._stream = plan.stream
-        self.shift = int(bridged)  # knots before the goal's first point
+        self.shift = int(approached)  # waypoints before the goal's first point
 
     @property
     def segments(self) -> int:
@@ -33,7 +33,7 @@ class PlannedPath:
     def coefficients(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients (6, m, joints) and durations (m, 1) in s of the segments `index` (m,)."""
         duration = ((self.times_ns[index + 1] - self.times_ns[index]) / NS)[:, np.newaxis]
-        start, end, order = self.knots[index], self.knots[index + 1], self.orders[index]
+        start, end, order = self.waypoints[index], self.waypoints[index + 1], self.orders[index]
         result = np.zeros((6, *start.shape[:2]))
         kinds = np.unique(order)
         for kind in kinds:
@@ -57,7 +57,7 @@ class PlannedPath:
         """
         within_ns = np.clip(times_ns, self.times_ns[0], self.times_ns[-1])
         if self.segments == 0:
-            position, velocity = (np.repeat(self.knots[:1, :, column], len(times_ns), axis=0) for column in (0, 1))
+            position, velocity = (np.repeat(self.waypoints[:1, :, column], len(times_ns), axis=0) for column in (0, 1))
             return self._beyond(times_ns, within_ns, position, velocity, np.zeros_like(position))
         index = np.clip(np.searchsorted(self.times_ns, within_ns, side="right") - 1, 0, self.segments - 1)
         coefficients, _ = self.coefficients(index)

@@ -40,7 +40,7 @@ class GoalPlan:
     times_ns: np.ndarray
     """(n,) from the start of the trajectory."""
     orders: np.ndarray
-    """(n,) order of the segment that ends in the knot."""
+    """(n,) order of the segment that ends in the waypoint."""
     joints: np.ndarray
     """(n, joints, 3): position rad, velocity rad/s, acceleration rad/s²."""
     joint_mask: int
@@ -51,16 +51,16 @@ class GoalPlan:
     """Time of the trajectory at which it would have been entered when it was planned."""
     entry: Entry
     origin: np.ndarray
-    """(joints, 3): where the arm was commanded when it was planned, from where a bridge begins."""
+    """(joints, 3): where the arm was commanded when it was planned, from where an approach segment begins."""
     wanted: "GoalPlan | None" = None
     """What a stream's message asked for, where the plan only follows that; its start is known."""
     reason: GoalRefused | None = None
     """Which limit that would break; None where it is only that the arm lags behind."""
 
     @property
-    def bridge(self) -> bool:
+    def approach(self) -> bool:
         """Whether the way to the first point begins where the arm is commanded."""
-        return bool(self.entry & Entry.BRIDGE)
+        return bool(self.entry & Entry.APPROACH)
 
     @property
     def stream(self) -> bool:

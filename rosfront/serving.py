@@ -1,7 +1,7 @@
 """Goals between the action server and the control process, without any ROS in it.
 
-Threads meet here. Those of the intake and of the executor start and cancel goals; the publisher's, which sees every
-snapshot first, feeds the ring and finds out how goals end. What the loop says about a goal reaches its owner
+Threads meet here. Those of the goal worker and of the executor start and cancel goals; the publisher's, which sees
+every snapshot first, feeds the ring and finds out how goals end. What the loop says about a goal reaches its owner
 through `on_verdict`, exactly once, always from the publisher's thread.
 """
 

@@ -120,7 +120,7 @@ def _has_a_way(asked: GoalPlan, present: Present, earlier: GoalPlan | None) -> b
     Otherwise the points before were those of the messages before, and the way is the line through the first one.
     """
     begins = present.standing and earlier is None
-    return asked.bridge and (begins or asked.times_ns[0] - asked.entry_ns > FAR_S * NS)
+    return asked.approach and (begins or asked.times_ns[0] - asked.entry_ns > FAR_S * NS)
 
 
 def _with_its_way(asked: GoalPlan) -> GoalPlan:
@@ -151,12 +151,12 @@ class _Maker:
         position, velocity, _ = self._path.at(times_ns)
         if self._ends_at_rest:
             over = times_ns >= self._path.times_ns[-1]
-            position[over], velocity[over] = self._path.knots[-1, :, 0], 0.0
+            position[over], velocity[over] = self._path.waypoints[-1, :, 0], 0.0
         return _State(position, velocity)
 
     @property
     def _ends_at_rest(self) -> bool:
-        return bool((np.abs(self._path.knots[-1, :, 1]) <= REST_RAD_S).all())
+        return bool((np.abs(self._path.waypoints[-1, :, 1]) <= REST_RAD_S).all())
 
     def _going_on(self) -> _State:
         """Where the arm will be when it begins to follow the message: by the stream before, else as it moves now."""
@@ -206,7 +206,7 @@ class _Maker:
 
     def plan(self) -> GoalPlan:
         """The path that follows the message, from what is commanded now on."""
-        times_ns, orders, knots = self._run_up()
+        times_ns, orders, waypoints = self._run_up()
         state, at_ns = self._from, self._from_ns
         # a message of a few ms is over before the arm can follow it: streams of such would never begin
         end_ns = max(int(self._path.times_ns[-1]) + self.wanted.start_ns, 2 * at_ns - self._present.monotonic_ns)
@@ -217,55 +217,59 @@ class _Maker:
             at_ns = to_ns
             times_ns.append(to_ns)
             orders.append(3)
-            knots.append(np.stack([state.position, state.velocity, np.zeros_like(state.velocity)], axis=1))
+            waypoints.append(np.stack([state.position, state.velocity, np.zeros_like(state.velocity)], axis=1))
 
         steps = np.append(np.arange(at_ns + round(STEP_S * NS), end_ns, round(STEP_S * NS)), end_ns)
         targets = self._targets(steps)
         for to_ns, position, velocity in zip(steps, targets.position, targets.velocity, strict=True):
             step(int(to_ns), _State(position, velocity))
         if self._ends_at_rest:
-            end = np.clip(self._path.knots[-1, :, 0], self._limits.lower, self._limits.upper)  # rounding may be beyond
+            end = np.clip(
+                self._path.waypoints[-1, :, 0], self._limits.lower, self._limits.upper
+            )  # rounding may be beyond
             goal = _State(end, np.zeros_like(end))
             for _ in range(MOST_TAIL_STEPS):
                 if state.is_at(end):
-                    knots[-1][:, :2] = np.stack([end, goal.velocity], axis=1)
+                    waypoints[-1][:, :2] = np.stack([end, goal.velocity], axis=1)
                     break
                 step(at_ns + round(TAIL_STEP_S * NS), goal)
-        made = self._made(times_ns, orders, knots)
+        made = self._made(times_ns, orders, waypoints)
         try:
             check_room_to_stop(made, self._arm)
         except NoRoomToStop:
             while (np.abs(state.velocity) > 0.0).any():
                 to_ns = at_ns + round(STEP_S * NS)
                 step(to_ns, _State(state.position + 0.5 * STEP_S * state.velocity, np.zeros_like(state.velocity)))
-            made = self._made(times_ns, orders, knots)
+            made = self._made(times_ns, orders, waypoints)
         return made
 
     def _run_up(self) -> tuple[list[int], list[int], list[np.ndarray]]:
-        """What the arm does meanwhile, as times, orders and knots: entered anywhere in it, the path is no change."""
+        """What the arm does meanwhile, as times, orders, waypoints: entered anywhere in it, the path is no change."""
         now_ns, now = self._present.monotonic_ns, self._present.commanded[self._mask]
-        times_ns, orders, knots = [now_ns], [3], [now.copy()]
+        times_ns, orders, waypoints = [now_ns], [3], [now.copy()]
         if self._earlier is not None and self._earlier.joint_mask == self.wanted.joint_mask:
             earlier = PlannedPath(self._earlier)
             own_ns = earlier.times_ns + self._earlier.start_ns
             between = np.flatnonzero((own_ns > now_ns) & (own_ns < self._from_ns))
             before, ahead_s = _at(self._earlier, now_ns), (own_ns[between] - now_ns) / NS
             for index, later_s in zip(between, ahead_s, strict=True):
-                knot = earlier.knots[index].copy()
-                knot[:, 0] += now[:, 0] - before.position + (now[:, 1] - before.velocity) * later_s
-                knot[:, 1] += now[:, 1] - before.velocity
+                waypoint = earlier.waypoints[index].copy()
+                waypoint[:, 0] += now[:, 0] - before.position + (now[:, 1] - before.velocity) * later_s
+                waypoint[:, 1] += now[:, 1] - before.velocity
                 times_ns.append(int(own_ns[index]))
                 orders.append(int(earlier.orders[index - 1]) if index else 3)
-                knots.append(knot)
+                waypoints.append(waypoint)
         times_ns.append(self._from_ns)
         orders.append(3)
-        knots.append(np.stack([self._from.position, self._from.velocity, np.zeros_like(self._from.velocity)], axis=1))
-        return times_ns, orders, knots
+        waypoints.append(
+            np.stack([self._from.position, self._from.velocity, np.zeros_like(self._from.velocity)], axis=1)
+        )
+        return times_ns, orders, waypoints
 
-    def _made(self, times_ns: list[int], orders: list[int], knots: list[np.ndarray]) -> GoalPlan:
-        joints = np.zeros((len(knots), len(self._mask), 3))
+    def _made(self, times_ns: list[int], orders: list[int], waypoints: list[np.ndarray]) -> GoalPlan:
+        joints = np.zeros((len(waypoints), len(self._mask), 3))
         joints[:, :, 0] = self._present.commanded[:, 0]
-        joints[:, self._mask] = np.stack(knots)
+        joints[:, self._mask] = np.stack(waypoints)
         start_ns = times_ns[0]
         return replace(
             self.wanted,

@@ -1,7 +1,7 @@
 """Writing a goal into the setpoint ring, a little at a time.
 
 The control process enters a trajectory when enough of it is known to stop on; what lies further ahead than the horizon
-stays here, so that a newer goal never waits behind thousands of old knots and a trajectory of any
+stays here, so that a newer goal never waits behind thousands of old waypoints and a trajectory of any
 length needs the same memory. When the ring is full the rest waits for the next call.
 """
 
@@ -16,12 +16,12 @@ from shm.errors import RingFull
 SPARE_S = 1.0
 """What is known beyond all that may be needed."""
 HELD_BACK_NS = 3_000_000_000
-"""A goal that starts later than this stays here until then, so that its knots do not stand before those of others."""
-KNOTS_A_CALL = 256  # bounds the time a call holds up its thread, about 2 ms
+"""A goal that starts later stays here until then, so that its waypoints do not stand before those of others."""
+WAYPOINTS_A_CALL = 256  # bounds the time a call holds up its thread, about 2 ms
 
 
 def horizon_s(arm: ArmConfig) -> float:
-    """How far ahead of the trajectory clock knots are written (s).
+    """How far ahead of the trajectory clock waypoints are written (s).
 
     When this process falls silent the arm goes on for `front_timeout_s`, and the longest stop must then be known to its
     end: a stop on less path is harder than the limits allow.
@@ -30,7 +30,7 @@ def horizon_s(arm: ArmConfig) -> float:
 
 
 class Streamer:
-    """One goal on its way into the ring: BEGIN, its knots, END."""
+    """One goal on its way into the ring: BEGIN, its waypoints, END."""
 
     def __init__(self, goal_id: int, plan: GoalPlan, epoch: int, horizon_s: float) -> None:
         """`epoch` is the control process's when the goal arrived."""
@@ -72,11 +72,11 @@ class Streamer:
                 )
                 self.begun = True
             due = int(np.searchsorted(plan.times_ns, clock_ns + self._horizon_ns, side="right")) + 1
-            last = min(due, len(plan.times_ns), self._next + KNOTS_A_CALL)
+            last = min(due, len(plan.times_ns), self._next + WAYPOINTS_A_CALL)
             while self._next < last:
                 at = self._next
                 time_ns, order = int(plan.times_ns[at]), int(plan.orders[at])
-                writer.knot(self.goal_id, time_ns, order, plan.joints[at], consumed)
+                writer.waypoint(self.goal_id, time_ns, order, plan.joints[at], consumed)
                 self._next = at + 1
             if self._next == len(plan.times_ns) and not self.done:
                 writer.end(self.goal_id, plan.terms.goal_tolerances, consumed)

@@ -9,11 +9,11 @@ virtual time.
 from compilation.jit import jit
 from rtloop import setpoints
 from rtloop.bus import frames, measured
-from rtloop.commands import intake, orders, people
+from rtloop.commands import operator, orders, request_reader, setpoint_reader
 from rtloop.memory.events import record_event
 from rtloop.memory.state import HISTORY_SLOTS, Loop, Shared
-from rtloop.safety import guard
-from rtloop.show import show
+from rtloop.publish import publish_snapshot
+from rtloop.safety import monitor
 from rtloop.trajectory import goals
 from rtloop.trajectory.correction import ERROR_SHARE_1_S
 from rtloop.trajectory.phases import raise_epoch, runs
@@ -30,17 +30,17 @@ def step(loop: Loop, shared: Shared, now_ns: int) -> int:
     begin_cycle(loop, shared, now_ns)
     measured.take_what_the_bus_brought(loop, shared)
     orders.take_service_orders(loop, shared)
-    intake.hear_the_front(loop)
-    people.obey_commands(loop, shared)
-    intake.take_requests(loop, shared)
-    intake.take_setpoints(loop, shared)
-    guard.check_measured(loop, shared)
+    setpoint_reader.read_heartbeat(loop)
+    operator.obey_commands(loop, shared)
+    request_reader.take_requests(loop, shared)
+    setpoint_reader.take_setpoints(loop, shared)
+    monitor.check_measured(loop, shared)
     goals.enter_newer_goal(loop, shared)
     goals.steer(loop, shared)
     setpoints.move(loop, shared)
     goals.judge_goal(loop, shared)
     frames.encode(loop, shared)
-    show(loop, shared)
+    publish_snapshot(loop, shared)
     return int(loop.outgoing.length)
 
 

@@ -3,15 +3,15 @@
 import math
 
 from compilation.jit import jit
-from rtloop.commands.orders import adopt
+from rtloop.commands.orders import sync_setpoint
 from rtloop.memory.axis import FAMILY_MOCK
-from rtloop.memory.modes import is_limp
+from rtloop.memory.modes import is_disabled
 from rtloop.memory.state import Loop, Shared
-from rtloop.safety import guard
+from rtloop.safety import setpoint_check
 from rtloop.safety.faults import path_is_trusted
 from rtloop.trajectory.clock import advance_clock, along
 from rtloop.trajectory.limits import clamped_rad, hardest_rad_s2
-from rtloop.trajectory.path import find_knot, sample
+from rtloop.trajectory.path import find_waypoint, sample
 from rtloop.trajectory.phases import runs
 from shm.words import Unreferenced
 
@@ -27,7 +27,7 @@ def move(loop: Loop, shared: Shared) -> None:
     if motion.resync_ns != 0:
         hold_measured(loop)
         return
-    if is_limp(loop.mode):
+    if is_disabled(loop.mode):
         follow_by_hand(loop)
         return
     if motion.per_joint_stop == 0:
@@ -35,7 +35,7 @@ def move(loop: Loop, shared: Shared) -> None:
             follow_path(loop)
         else:
             hold(loop)
-        if not guard.check_next_setpoint(loop, shared) and path_is_trusted(loop.fault.code):
+        if not setpoint_check.check_next_setpoint(loop, shared) and path_is_trusted(loop.fault.code):
             motion.per_joint_stop = 1
     if motion.per_joint_stop == 1:
         brake_each_joint(loop)
@@ -85,7 +85,7 @@ def hold_measured(loop: Loop) -> None:
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
         if axis.reference.referenced == 1:
-            adopt(loop, joint, axis.measured.position_rad, Unreferenced.REFERENCED)
+            sync_setpoint(loop, joint, axis.measured.position_rad, Unreferenced.REFERENCED)
     motion.resync_ns = 0
     motion.per_joint_stop = 0
 
@@ -96,7 +96,7 @@ def follow_path(loop: Loop) -> None:
     goals, clock = loop.goals, loop.clock
     advance_clock(loop)
     running = loop.paths[goals.active]
-    running.segment = find_knot(loop, goals.active, clock.time_s, running.segment)
+    running.segment = find_waypoint(loop, goals.active, clock.time_s, running.segment)
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
         p, v, a = sample(loop, goals.active, joint, clock.time_s, running.segment)
@@ -119,7 +119,7 @@ def brake_each_joint(loop: Loop) -> None:
         commanded = axis.commanded
         v = commanded.difference_velocity_rad_s
         braking = loop.params.braking_factor * row.max_acceleration_rad_s2
-        stop = commanded.position_rad + guard.way_to_rest(v, braking, period_s)
+        stop = commanded.position_rad + setpoint_check.stopping_distance_rad(v, braking, period_s)
         if stop != clamped_rad(row, stop):
             braking = hardest_rad_s2(loop, joint)
         most = braking * period_s

@@ -36,7 +36,7 @@ _COMMAND_WORD = {
 _REQUESTS_AT = layout.COMMAND.fields["requests"][1]  # type: ignore[index]
 _SETPOINTS_AT = layout.COMMAND.fields["setpoints"][1]  # type: ignore[index]
 _BEGIN_HEAD = struct.Struct("<qqqqqqdqq")
-_KNOT_HEAD = struct.Struct("<qqqqqqqqq")
+_WAYPOINT_HEAD = struct.Struct("<qqqqqqqqq")
 _REQUEST = struct.Struct("<qqqdqqqd")
 
 
@@ -115,7 +115,7 @@ class CommandWriter:
         return self._words[_COMMAND_WORD["announced_goal"]]
 
     def announce(self, goal_id: int) -> None:
-        """Say that records of a newer goal follow: the loop stops taking knots of older ones."""
+        """Say that records of a newer goal follow: the loop stops taking waypoints of older ones."""
         self._words[_COMMAND_WORD["announced_goal"]] = goal_id
 
     def begin(
@@ -139,17 +139,17 @@ class CommandWriter:
         )
         self._append(head, np.ascontiguousarray(tolerances, "f8").tobytes(), consumed)
 
-    def knot(self, goal_id: int, time_ns: int, order: int, joints: np.ndarray, consumed: int) -> None:
-        """Append a knot; `joints` is (joint_count, 3): position, velocity, acceleration in SI.
+    def waypoint(self, goal_id: int, time_ns: int, order: int, joints: np.ndarray, consumed: int) -> None:
+        """Append a waypoint; `joints` is (joint_count, 3): position, velocity, acceleration in SI.
 
         Raises RingFull when the loop has not taken earlier records yet.
         """
-        head = _KNOT_HEAD.pack(0, self.setpoints_written, goal_id, Setpoint.KNOT, time_ns, order, 0, 0, 0)
+        head = _WAYPOINT_HEAD.pack(0, self.setpoints_written, goal_id, Setpoint.WAYPOINT, time_ns, order, 0, 0, 0)
         self._append(head, np.ascontiguousarray(joints, "f8").tobytes(), consumed)
 
     def end(self, goal_id: int, tolerances: np.ndarray, consumed: int) -> None:
-        """Close a goal: no knot follows; `tolerances` (joint_count, 3) are those at its end, in SI."""
-        head = _KNOT_HEAD.pack(0, self.setpoints_written, goal_id, Setpoint.END, 0, 0, 0, 0, 0)
+        """Close a goal: no waypoint follows; `tolerances` (joint_count, 3) are those at its end, in SI."""
+        head = _WAYPOINT_HEAD.pack(0, self.setpoints_written, goal_id, Setpoint.END, 0, 0, 0, 0, 0)
         self._append(head, np.ascontiguousarray(tolerances, "f8").tobytes(), consumed)
 
     def _append(self, head: bytes, joints: bytes, consumed: int) -> None:

@@ -206,7 +206,7 @@ COUNTED = [
         "cycles in which a drive's reading was older than the age ladder's first rung",
     ),
     Word("drive_errors", "i8", "", "commands a drive refused or did not understand"),
-    Word("knots_taken", "i8", "", "knots taken from the setpoint ring"),
+    Word("knots_taken", "i8", "", "waypoints taken from the setpoint ring"),
     Word("error_frames", "i8", "", "errors that the CAN controller has told of (SocketCAN)"),
     Word("unacknowledged", "i8", "", "those of them in which no drive acknowledged a frame"),
     Word("bus_state", "i8", "", "shm.words.BusState: what the CAN controller thinks of its bus (SocketCAN)"),
@@ -415,20 +415,20 @@ SETPOINT_JOINT = _record(
 )
 
 SETPOINT = _record(
-    "setpoint (KNOT and END)",
+    "setpoint (WAYPOINT and END)",
     [
         Word("crc", "i8", "", "CRC-32 of the bytes that follow, joints in use included"),
         Word("sequence", "i8", "", "number of this record in the ring, from 0"),
         Word("goal_id", "i8", "", "goal it belongs to"),
-        Word("kind", "i8", "", "shm.words.Setpoint: BEGIN, KNOT or END"),
-        Word("time_ns", "i8", "ns", "KNOT: time from the start of the trajectory, strictly rising"),
-        Word("order", "i8", "", "KNOT: order of the segment that ends here: 1 linear, 3 cubic, 5 quintic"),
+        Word("kind", "i8", "", "shm.words.Setpoint: BEGIN, WAYPOINT or END"),
+        Word("time_ns", "i8", "ns", "WAYPOINT: time from the start of the trajectory, strictly rising"),
+        Word("order", "i8", "", "WAYPOINT: order of the segment that ends here: 1 linear, 3 cubic, 5 quintic"),
         Word("reserved", ("i8", (3,)), "", ""),
         Word(
             "joints",
             (SETPOINT_JOINT, (MAX_JOINTS,)),
             "",
-            "KNOT: complete, derived fields filled in by the front; END: the tolerances at the end, as in BEGIN",
+            "WAYPOINT: complete, derived fields filled in by the front; END: the tolerances at the end, as in BEGIN",
         ),
     ],
 )

@@ -36,7 +36,7 @@ class Setpoint(IntEnum):
     """Kind of a record in the setpoint ring."""
 
     BEGIN = 1
-    KNOT = 2
+    WAYPOINT = 2
     END = 3
 
 
@@ -63,7 +63,7 @@ class Request(IntEnum):
 class Entry(IntFlag):
     """How a goal begins and ends, in its BEGIN record."""
 
-    BRIDGE = 1  # the first knot lies ahead and the way to it starts where the arm is commanded
+    APPROACH = 1  # the first waypoint lies ahead and the way to it starts where the arm is commanded
     STREAM = 2  # newer points are expected: past the last one the arm runs on straight while it stops
 
 
@@ -93,14 +93,14 @@ class Outcome(IntEnum):
     PATH_TOLERANCE = 5
     GOAL_TOLERANCE = 6
     FAULT = 7  # the latched fault says why
-    STARVED = 8  # the front stopped sending knots
+    STARVED = 8  # the front stopped sending waypoints
     FRONT_LOST = 9
     SHUTDOWN = 10
     REFUSED_MODE = 11  # value: the mode
     REFUSED_UNREFERENCED = 12
     REFUSED_START = 13  # first point too far: value, limit
     REFUSED_LIMITS = 14  # no way onto the trajectory inside the limits
-    REFUSED_CORRUPT = 15  # a knot that is not finite, out of order or out of limits
+    REFUSED_CORRUPT = 15  # a waypoint that is not finite, out of order or out of limits
     CLOCK_GAP = 16  # the cycle was away for longer than the drives' look-ahead
     RAN_DRY = 17  # a stream of points ended or was late in motion: stopped in a straight line
     PATH_VELOCITY = 18

@@ -22,7 +22,7 @@ from rtloop.bus.measured import take_frame
 from rtloop.drives.power import Marks
 from rtloop.memory import status
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from rtloop.service.port import Frame
 from shm import layout
 

@@ -46,7 +46,7 @@ BACK_S = 120.0
 END_S = 20.0
 ANSWER_S = 10.0
 POLL_S = 0.002
-KNOTS = 20
+WAYPOINTS = 20
 SHORTEST_S = 1.2
 MOTION_S = 5.0
 RESULT_WITHIN_S = 6.0
@@ -341,10 +341,10 @@ class Rig(Stack):
             time.sleep(0.05)
         return []
 
-    def goal(self, *, shortest_s: float = SHORTEST_S, longest_s: float = 3.0, knots: int = KNOTS) -> Any:
-        """A random goal from where the arm is commanded to be, inside its limits: a quintic through knots."""
+    def goal(self, *, shortest_s: float = SHORTEST_S, longest_s: float = 3.0, waypoints: int = WAYPOINTS) -> Any:
+        """A random goal from where the arm is commanded to be, inside its limits: a quintic through waypoints."""
         return random_goal(
-            self.arm, self.commanded_rad(), self.random.uniform(shortest_s, longest_s), self.random, knots
+            self.arm, self.commanded_rad(), self.random.uniform(shortest_s, longest_s), self.random, waypoints
         )
 
     def commanded_rad(self) -> np.ndarray:
@@ -429,18 +429,20 @@ class Rig(Stack):
 
 
 def random_goal(
-    arm: ArmConfig, here: np.ndarray, seconds: float, random: np.random.Generator, knots: int = KNOTS
+    arm: ArmConfig, here: np.ndarray, seconds: float, random: np.random.Generator, waypoints: int = WAYPOINTS
 ) -> Any:
     """A goal from rest at `here` to rest at a random place that can be reached within the limits."""
     way = random_way(arm.joints, here, seconds, random)
-    return quintic_goal([joint.name for joint in arm.joints], here, way, seconds, knots)
+    return quintic_goal([joint.name for joint in arm.joints], here, way, seconds, waypoints)
 
 
-def quintic_goal(names: list[str], here: np.ndarray, way: np.ndarray, seconds: float, knots: int = KNOTS) -> Any:
-    """A goal of knots with velocities and accelerations along a rest-to-rest quintic."""
+def quintic_goal(
+    names: list[str], here: np.ndarray, way: np.ndarray, seconds: float, waypoints: int = WAYPOINTS
+) -> Any:
+    """A goal of waypoints with velocities and accelerations along a rest-to-rest quintic."""
     goal = FollowJointTrajectory.Goal()
     goal.trajectory.joint_names = names
-    for s in np.linspace(0.0, 1.0, knots):
+    for s in np.linspace(0.0, 1.0, waypoints):
         sec, nanosec = divmod(round(s * seconds * 1e9), 10**9)
         goal.trajectory.points.append(
             JointTrajectoryPoint(

@@ -28,7 +28,7 @@ from rtarm.recording.mcap_format import Reason
 from rtarm.running.limits import Limits
 from rtarm.teach import file as motion_file
 from rtarm.teach.motion import Motion
-from rtloop.kept import commissioned, saved
+from rtloop.kept import commissioned, reference_store
 from rtloop.kept.commissioned import Commissioned, PowerProof
 from shm.recording import read_recording
 from shm.words import Event, Fault, Outcome, Unreferenced
@@ -84,12 +84,12 @@ def state_home(folder: Path) -> Iterator[ArmConfig]:
 def keep_state(folder: Path) -> None:
     """Something of everything that is kept."""
     with state_home(folder) as arm:
-        saved.save(arm, {0: 12_345, 1: -6_789})
-        saved.keep_lost_references(arm, {0: Unreferenced.POWER_LOST, 1: Unreferenced.SILENT})
-        saved.keep_power_marks(arm, {0: "flag", 1: "canary 7"})
+        reference_store.save(arm, {0: 12_345, 1: -6_789})
+        reference_store.keep_lost_references(arm, {0: Unreferenced.POWER_LOST, 1: Unreferenced.SILENT})
+        reference_store.keep_power_marks(arm, {0: "flag", 1: "canary 7"})
         drive = arm.joints[1].drive
         found = Commissioned(
-            channel=saved.channel_of(arm),
+            channel=reference_store.channel_of(arm),
             family=drive.family,
             number=drive.number,
             firmware="2.0.0",
@@ -109,9 +109,9 @@ def of_state(folder: Path) -> Facts:
     with state_home(folder) as arm:
         found = commissioned.load(arm)[1]
         return {
-            "counts": {str(joint): count for joint, count in saved.counts_before(arm).items()},
-            "lost references": {str(joint): why.name for joint, why in saved.lost_references(arm).items()},
-            "power marks": {str(joint): mark for joint, mark in saved.power_marks(arm).items()},
+            "counts": {str(joint): count for joint, count in reference_store.counts_before(arm).items()},
+            "lost references": {str(joint): why.name for joint, why in reference_store.lost_references(arm).items()},
+            "power marks": {str(joint): mark for joint, mark in reference_store.power_marks(arm).items()},
             "commissioned": {
                 "power proof": found.power_proof,
                 "fast targets": found.fast_targets,

@@ -41,7 +41,7 @@ def advance(arm: VirtualArm, count: int) -> None:
 
 
 def swing(arm: VirtualArm, duration_s: float, spacing_s: float = 0.1) -> int:
-    """Start a long, gentle to and fro of all joints; its goal, running with all its knots taken."""
+    """Start a long, gentle to and fro of all joints; its goal, running with all its waypoints taken."""
     times = np.arange(0.0, duration_s + spacing_s, spacing_s)
     w = 2 * np.pi / 4.0
     shape = np.stack([1 - np.cos(w * times), w * np.sin(w * times), w * w * np.cos(w * times)], axis=-1)

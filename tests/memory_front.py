@@ -69,14 +69,14 @@ class MemoryFront:
             joints[:, 0] = home + angle_rad * (1 - np.cos(w * time_s)) / 2
             joints[:, 1] = angle_rad * w * np.sin(w * time_s) / 2 if 0 < time_s < duration_s else 0.0
             joints[:, 2] = angle_rad * w * w * np.cos(w * time_s) / 2
-            self._knot(goal, round(time_s * 1e9), joints)
+            self._waypoint(goal, round(time_s * 1e9), joints)
         self.writer.end(goal, np.tile([0.01 * judged, 0.05 * judged, 0.0], rows), consumed())
         return goal
 
-    def _knot(self, goal: int, at_ns: int, joints: np.ndarray) -> None:
+    def _waypoint(self, goal: int, at_ns: int, joints: np.ndarray) -> None:
         while True:
             with contextlib.suppress(RingFull):
-                self.writer.knot(goal, at_ns, 5, joints, self.reader.setpoints_consumed())
+                self.writer.waypoint(goal, at_ns, 5, joints, self.reader.setpoints_consumed())
                 return
             self.writer.beat()
 

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fault_rig import END_S, KNOTS, READY_S, Hang, Rig, Sent, age_s, alive, full, processor_s, wait
+from fault_rig import END_S, READY_S, WAYPOINTS, Hang, Rig, Sent, age_s, alive, full, processor_s, wait
 from machine_witness import Stalls
 from observer import (
     command_violations,
@@ -39,7 +39,7 @@ LONGEST_STOP_S = 2.0
 FRONT_TIMEOUT_S = 0.5
 STANDS_WITHIN_S = LONGEST_STOP_S + FRONT_TIMEOUT_S + 0.5
 POLL_S = 0.002
-MANY_KNOTS = 20_000
+MANY_WAYPOINTS = 20_000
 TARGETS = ("loop", "front", "launcher", "sim")
 
 
@@ -264,9 +264,9 @@ def _second_goal(rig: Rig, trial: Trial) -> None:
     if rig.mode() != Mode.HOLDING:
         return
     front = rig.pid("front")
-    knots = MANY_KNOTS if "memory" in trial.fault else KNOTS  # judging many takes memory
-    sent = rig.user.send(rig.goal(shortest_s=0.8, longest_s=1.0, knots=knots))
-    deadline_s = time.monotonic() + sent.duration_s + MARGIN_S + knots * 1e-3
+    waypoints = MANY_WAYPOINTS if "memory" in trial.fault else WAYPOINTS  # judging many takes memory
+    sent = rig.user.send(rig.goal(shortest_s=0.8, longest_s=1.0, waypoints=waypoints))
+    deadline_s = time.monotonic() + sent.duration_s + MARGIN_S + waypoints * 1e-3
     while not sent.ended.wait(POLL_S):
         if not alive(front):
             trial.server_died = True

@@ -54,7 +54,7 @@ class Servo:
 
     def hand_on(self, times_ns: np.ndarray, rows: np.ndarray, start_ns: int) -> None:
         """Give the control process a message as it is; `start_ns` is 0 where it has no stamp."""
-        self.arm.send_goal(times_ns, rows, order=3, stream=True, bridge=start_ns == 0, start_ns=start_ns)
+        self.arm.send_goal(times_ns, rows, order=3, stream=True, approach=start_ns == 0, start_ns=start_ns)
 
 
 class SinglePoints(Servo):

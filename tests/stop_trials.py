@@ -274,7 +274,7 @@ class _Trial:
 
     def judge(self) -> None:
         arm, memory = self.arm, self.arm.memory
-        if memory["fault"]["code"] != Fault.NONE or memory["mode"] != Mode.HOLDING or memory["people"]["held"] != 1:
+        if memory["fault"]["code"] != Fault.NONE or memory["mode"] != Mode.HOLDING or memory["operator"]["held"] != 1:
             self.wrong(
                 f"after the stop it is {Mode(int(memory['mode'])).name}, {Fault(int(memory['fault']['code'])).name}, "
                 f"held {int(memory['people']['held'])}"

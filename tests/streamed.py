@@ -143,7 +143,7 @@ class StreamedArm(CommandedArm):
             plan.joints,
             order=plan.orders,
             stream=True,
-            bridge=plan.bridge,
+            approach=plan.approach,
             start_ns=plan.start_ns,
             joint_mask=plan.joint_mask,
         )

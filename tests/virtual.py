@@ -19,13 +19,13 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from config.serial_adapters import SLCAN_BITRATES
 from rtloop.dialogues.bringup import BringUp
-from rtloop.dialogues.gripper import GripperTalk
+from rtloop.dialogues.gripper import GripperDialogue
 from rtloop.dialogues.healing import Healing
 from rtloop.dialogues.referencing import Referencing, referencing_asked_for
 from rtloop.dialogues.release import Release
 from rtloop.drives.power import Marks
 from rtloop.process import entries
-from rtloop.process.beginning import new_loop, show_drives, show_limits
+from rtloop.process.initial_state import new_loop, show_drives, show_limits
 from rtloop.service.conversation import Conversation
 from rtloop.service.port import ServicePort
 from shm import layout
@@ -93,7 +93,7 @@ class VirtualArm:
         self.reader = StateReader(self.state)
         self.writer = CommandWriter(self.command)
         self.port = ServicePort(self.loop, entries)
-        self.gripper: GripperTalk | None = None
+        self.gripper: GripperDialogue | None = None
         self.healing: Healing | None = None
         self._healing_talk: Conversation | None = None
         self.now_ns = START_NS
@@ -276,7 +276,7 @@ class VirtualArm:
 
     def begin_with_gripper(self) -> None:
         """Let the conversation with the gripper's drive go on beside everything else."""
-        self.gripper = GripperTalk(
+        self.gripper = GripperDialogue(
             self.arm, self.loop, self.port, self.state.array, now_ns=self.now_ns, tell=self.told.append
         )
 
@@ -370,7 +370,7 @@ class VirtualArm:
         *,
         order: int | np.ndarray = 5,
         end: bool = True,
-        bridge: bool = False,
+        approach: bool = False,
         start_ns: int = 0,
         goal_id: int | None = None,
         joint_mask: int | None = None,
@@ -384,7 +384,7 @@ class VirtualArm:
         count = len(self.arm.joints)
         goal = goal_id if goal_id is not None else self.writer.announced_goal + 1
         way, arrival = np.broadcast_to(tolerances, (count, 3)), np.broadcast_to(goal_tolerances, (count, 3))
-        entry = (Entry.BRIDGE if bridge else 0) | (Entry.STREAM if stream else 0)
+        entry = (Entry.APPROACH if approach else 0) | (Entry.STREAM if stream else 0)
         mask = (1 << count) - 1 if joint_mask is None else joint_mask
 
         arrived = int(self.memory["goals"]["epoch"])
@@ -406,9 +406,11 @@ class VirtualArm:
             )
         )
         orders = np.broadcast_to(order, len(times_ns))
-        for at, kind, knot in zip(times_ns, orders, joints, strict=True):
+        for at, kind, waypoint in zip(times_ns, orders, joints, strict=True):
             self.pending.append(
-                lambda at=at, kind=kind, knot=knot: self.writer.knot(goal, int(at), int(kind), knot, consumed())
+                lambda at=at, kind=kind, waypoint=waypoint: self.writer.waypoint(
+                    goal, int(at), int(kind), waypoint, consumed()
+                )
             )
         if end:
             self.pending.append(lambda: self.writer.end(goal, arrival, consumed()))

@@ -24,7 +24,7 @@ from rtloop.cycle import step
 from rtloop.dialogues.bringup import BringUp
 from rtloop.drives.power import Marks
 from rtloop.process import entries
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from rtloop.service.port import ServicePort
 from shm import layout
 from shm.client import CommandWriter

@@ -1,4 +1,4 @@
-"""From what the full node's actions ask for to knots, or to the sentence that says why not.
+"""From what the full node's actions ask for to waypoints, or to the sentence that says why not.
 
 Pure functions of the goal (attribute access only), the arm and where it is commanded. Outside are millimetres, degrees
 and motor-side angles, which are 0 at a joint's homing stop: the joint's own angle plus its `zero_deg`.

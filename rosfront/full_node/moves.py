@@ -23,8 +23,8 @@ from rosfront.trajectory_bytes import Header, Stamp, Trajectory
 
 SAMPLE_M, SAMPLE_RAD = 1e-3, math.radians(0.5)
 """How far apart, along the line and in rotation, a line is looked at before it is taken."""
-KNOT_M, KNOT_RAD = 5e-3, math.radians(2.0)
-"""How far apart the knots of a line are at most, the turn of any joint included."""
+WAYPOINT_M, WAYPOINT_RAD = 5e-3, math.radians(2.0)
+"""How far apart the waypoints of a line are at most, the turn of any joint included."""
 NEAREST_M, NEAREST_SINE = 0.01, 0.02
 """How near a line may come to the places where two ways of the arm meet: of the shoulder, and of elbow and wrist.
 
@@ -168,7 +168,7 @@ class Line:
         return f"at {math.degrees(share * self.turn_rad):.1f}° of its {math.degrees(self.turn_rad):.1f}° ({share:.0%})"
 
     def trajectory(self, step_m: float) -> Trajectory:
-        """At an even speed, the highest that the joints' limits allow all along; knots at most `step_m` apart."""
+        """At an even speed, the highest that the joints' limits allow all along; waypoints at most `step_m` apart."""
         if self.length_m == 0.0 and self.turn_rad == 0.0:
             return _trajectory(self._arm, np.zeros(1), self._start_rad[np.newaxis], *np.zeros((2, 1, 6)))
         slopes = self._slopes(self._angles_rad)
@@ -181,7 +181,10 @@ class Line:
         )
         profile = Profile.fastest(speed, float(((hardest - bends * speed**2) / _above_zero(slopes)).min()))
         widest = 1.0 / max(
-            1.0, self.length_m / min(step_m, KNOT_M), self.turn_rad / KNOT_RAD, float(slopes.max()) / KNOT_RAD
+            1.0,
+            self.length_m / min(step_m, WAYPOINT_M),
+            self.turn_rad / WAYPOINT_RAD,
+            float(slopes.max()) / WAYPOINT_RAD,
         )
         times_s = profile.times_s(widest)
         share, rate, bend = (values[:, np.newaxis] for values in profile.at(times_s))

@@ -2,8 +2,8 @@
 # (rclpy annotates some of its functions and leaves the others untyped)
 """The interfaces of the arm's full node (robot_arm_interfaces): moves by angles, by pose and on a line; motor angles.
 
-They are other words for what the node does anyway: a move becomes knots that are judged, streamed, watched, canceled
-and decided like those of any goal, and free mode is ~/free and ~/enable.
+They are other words for what the node does anyway: a move becomes waypoints that are judged, streamed, watched,
+canceled and decided like those of any goal, and free mode is ~/free and ~/enable.
 """
 
 import math
@@ -137,7 +137,7 @@ class FullNode:
         """Whether every client of these actions has its result."""
         return all(server.quiet for server in self._servers)
 
-    # --- what is asked for, in the intake's thread ---
+    # --- what is asked for, in the worker's thread ---
 
     def _angle_mode(self, goal: Any) -> Move:
         return self._moves.to_angles(goal.angles, goal.speed_ratio, self._serving.present(), self._serving.settings)

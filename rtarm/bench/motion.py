@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-KNOT_S = 0.05
+WAYPOINT_S = 0.05
 AMPLITUDE_RAD_A_SECOND = 0.03
 """Way of each joint, a second of the goal; the slowest joints of the arms we know take thrice that speed."""
 
@@ -17,12 +17,12 @@ def there_and_back(joint_names: Sequence[str], start_rad: Sequence[float], durat
     The first and the last point are `start_rad`, both at rest.
     """
     way_rad, turn = AMPLITUDE_RAD_A_SECOND * duration_s, 2.0 * math.pi / duration_s
-    knots = max(2, round(duration_s / KNOT_S))
+    waypoints = max(2, round(duration_s / WAYPOINT_S))
     points = []
-    for knot in range(knots + 1):
-        time_s = duration_s * knot / knots
+    for waypoint in range(waypoints + 1):
+        time_s = duration_s * waypoint / waypoints
         offset_rad = 0.5 * way_rad * (1.0 - math.cos(turn * time_s))
-        velocity_rad_s = 0.5 * way_rad * turn * math.sin(turn * time_s) if knot < knots else 0.0
+        velocity_rad_s = 0.5 * way_rad * turn * math.sin(turn * time_s) if waypoint < waypoints else 0.0
         sec, nanosec = divmod(round(time_s * 1e9), 1_000_000_000)
         points.append(
             {

@@ -29,7 +29,7 @@ THERE_RAD = math.radians(0.5)
 """No joint farther than this from the beginning: nobody needs to be asked for the way, nor told of it."""
 ROUNDING_RAD = 1e-6
 """Not even the action sees a way as short as this."""
-KNOT_SHARE = 0.02
+WAYPOINT_SHARE = 0.02
 """Of the way between two points of the way to the beginning."""
 SILENT = (
     "The arm has run no goal for {seconds:g} s, and the ROS process has not said what became of this one; it is "
@@ -105,7 +105,7 @@ def slow_move(
     profile = Profile.fastest(
         float((speed * velocity_rad_s / length_rad).min()), float((speed * acceleration_rad_s2 / length_rad).min())
     )
-    times_s = profile.times_s(KNOT_SHARE)
+    times_s = profile.times_s(WAYPOINT_SHARE)
     share, rate, bend = (values[:, np.newaxis] for values in profile.at(times_s))
     return times_s, start_rad + share * way_rad, rate * way_rad, bend * way_rad
 

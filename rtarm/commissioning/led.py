@@ -175,7 +175,7 @@ class Led(Connection):
         """Whether it was the drive that ended its bring-up, and not the bus or this machine."""
         return int(self.snapshot()["fault"]) == Fault.BRING_UP
 
-    def is_limp(self) -> bool:
+    def is_disabled(self) -> bool:
         """Whether its drive said last that it holds nothing."""
         status = int(self.joint()["drive_status"])
         return not status & DriveStatus.ENABLED or bool(status & DriveStatus.PROTECTED)
@@ -189,7 +189,7 @@ class Led(Connection):
         joint = now["joints"][0]
         if silent_for_s(now) > FRESH_S:
             return f"The drive of {self.name} did not answer at the end."
-        if self.is_limp():
+        if self.is_disabled():
             return f"The drive of {self.name} is limp."
         away_rad = abs(float(joint["commanded_position_rad"] - joint["measured_position_rad"]))
         moves = bool(joint["commanded_velocity_rad_s"]) or away_rad > AT_EASE_RAD
@@ -234,7 +234,7 @@ class Led(Connection):
         )
         here_rad = float(now["joints"][0]["commanded_position_rad"])
         for at_ns, place_rad in ((0, here_rad), (round(seconds * 1e9), to_rad)):
-            self._writer.knot(goal, at_ns, REST_TO_REST, np.array([[place_rad, 0.0, 0.0]]), consumed())
+            self._writer.waypoint(goal, at_ns, REST_TO_REST, np.array([[place_rad, 0.0, 0.0]]), consumed())
         self._writer.end(goal, path, consumed())
         return goal
 

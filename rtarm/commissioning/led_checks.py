@@ -191,7 +191,7 @@ class LedBench:
         braked_rad_s2 = self._braked_rad_s2(speed_rad_s, beyond_rad)
         most_rad = speed_rad_s**2 / (2.0 * ramp_rad_s2) + speed_rad_s * self._late_s + SLACK_RAD
         crept_rad = abs(float(stands["measured_position_rad"] - after["joints"][0]["measured_position_rad"]))
-        lets_go = self.led.is_limp()
+        lets_go = self.led.is_disabled()
         self.lets_go |= lets_go
         stood = crept_rad <= STILL_RAD
         right = stood and not lets_go and -most_rad <= beyond_rad <= most_rad
@@ -305,9 +305,9 @@ class LedBench:
         if holds and not heard:
             return Silenced(replace(undone, came=f"it has not answered for {patience_s:g} s since your y"))
         self.led.let_pass(DECIDED_S)
-        lets_go = holds and self.led.is_limp()
+        lets_go = holds and self.led.is_disabled()
         self.lets_go |= lets_go
-        how = f"; it {'was limp' if self.led.is_limp() else 'held the joint'} when it was back" if heard else ""
+        how = f"; it {'was limp' if self.led.is_disabled() else 'held the joint'} when it was back" if heard else ""
         try:
             self._hold()
         except Refusal as refused:
@@ -343,7 +343,11 @@ class LedBench:
             why = self.led.hindrance()
             if not why:
                 return
-            limp = f"{self.name} is limp, and is enabled where it stands: no hand at it. " if self.led.is_limp() else ""
+            limp = (
+                f"{self.name} is limp, and is enabled where it stands: no hand at it. "
+                if self.led.is_disabled()
+                else ""
+            )
             if not self._agrees(f"{why} {limp}Shall that be cleared, and {self.name} be held where it stands?"):
                 raise Declined(why)
             try:

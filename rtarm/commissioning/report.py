@@ -17,7 +17,7 @@ from config.schema import ArmConfig
 from rtarm.console.errors import Refusal
 from rtloop.kept import commissioned
 from rtloop.kept.commissioned import Commissioned, NotReadable, PowerProof
-from rtloop.kept.saved import PSEUDO_TERMINALS, NotSaved, channel_of, is_simulated
+from rtloop.kept.reference_store import PSEUDO_TERMINALS, NotSaved, channel_of, is_simulated
 
 RELIES: Mapping[str, str] = {
     "proof of power": "a silent drive keeps its reference",

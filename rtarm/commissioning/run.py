@@ -25,7 +25,7 @@ from rtarm.console.niceness import nice_thread
 from rtarm.console.person import Person, Quit, agrees
 from rtarm.drives.settings import OfflineProcess, offline_process
 from rtarm.recording.follow import LOOK_S, Follower
-from rtloop.kept import commissioned, saved
+from rtloop.kept import commissioned, reference_store
 from rtloop.kept.commissioned import Commissioned, NotReadable, PowerProof
 from rtloop.offline import families
 from rtloop.offline.commissioning.finding import Finding, Verdict
@@ -207,11 +207,11 @@ def _record(before: Commissioned, bench: LedBench) -> Commissioned:
 
 def _forget_mark(arm: ArmConfig, joint: int) -> None:
     """What its drive had as a proof of its power proves nothing after a bench; raises Refusal."""
-    marks = saved.power_marks(arm)
+    marks = reference_store.power_marks(arm)
     if marks.pop(joint, None) is not None:
         try:
-            saved.keep_power_marks(arm, marks)
-        except saved.NotSaved as problem:
+            reference_store.keep_power_marks(arm, marks)
+        except reference_store.NotSaved as problem:
             raise Refusal(str(problem)) from None
 
 

@@ -437,7 +437,7 @@ def let_go(arm: str, kind: Request) -> str:
     with connect(arm) as connection:
         connection.order(kind)
         after = connection.wait(
-            lambda now: int(now["mode"]) == Mode.FAULT or (int(now["mode"]) == mode and _is_limp(now)),
+            lambda now: int(now["mode"]) == Mode.FAULT or (int(now["mode"]) == mode and _is_disabled(now)),
             RELEASE_PATIENCE_S,
             f"The drives of {arm} are not limp after {RELEASE_PATIENCE_S:g} s: keep clear and see `rtarm status`.",
         )
@@ -448,7 +448,7 @@ def let_go(arm: str, kind: Request) -> str:
     return f"The drives of {arm} are limp and it is out of service until `rtarm enable`."
 
 
-def _is_limp(snapshot: np.ndarray) -> bool:
+def _is_disabled(snapshot: np.ndarray) -> bool:
     return not np.any(snapshot["joints"]["drive_status"] & DriveStatus.ENABLED)
 
 

@@ -74,21 +74,23 @@ def curve(times_s: Reals, positions_rad: Reals) -> CubicSpline:
 def peaks(path: CubicSpline) -> tuple[Reals, Reals]:
     """Highest speed and acceleration of each joint anywhere on a cubic spline; exact.
 
-    The acceleration is linear between knots, so it peaks at one; the speed peaks there or where the acceleration is 0.
+    The acceleration is linear between waypoints and peaks at one; the speed peaks there or where the acceleration is 0.
     """
-    knots = path.x
-    speed, acceleration = path(knots, 1), path(knots, 2)
+    waypoints = path.x
+    speed, acceleration = path(waypoints, 1), path(waypoints, 2)
     first, last = acceleration[:-1], acceleration[1:]
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(first * last < 0.0, first / (first - last), 0.0)
-    width = np.diff(knots)[:, np.newaxis]
+    width = np.diff(waypoints)[:, np.newaxis]
     between = speed[:-1] + first * share * width / 2.0  # the triangle under the acceleration until it is 0
     return np.maximum(np.abs(speed).max(0), np.abs(between).max(0)), np.abs(acceleration).max(0)
 
 
 def extremes(path: CubicSpline) -> tuple[Reals, Reals]:
-    """Lowest and highest place of each joint, looked at five times between two knots."""
-    knots = path.x
-    times = np.concatenate([knots[:-1] + share * np.diff(knots) for share in np.arange(5) / 5.0] + [knots[-1:]])
+    """Lowest and highest place of each joint, looked at five times between two waypoints."""
+    waypoints = path.x
+    times = np.concatenate(
+        [waypoints[:-1] + share * np.diff(waypoints) for share in np.arange(5) / 5.0] + [waypoints[-1:]]
+    )
     places = path(times)
     return places.min(0), places.max(0)

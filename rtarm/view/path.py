@@ -1,4 +1,4 @@
-"""The way of the running goal, from the ring of knots in which the ROS process hands it to the control process."""
+"""The way of the running goal, from the ring of waypoints in which the ROS process hands it to the control process."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from shm.words import Setpoint
 
 POINTS = 240
 """A path is drawn with so many points at the most."""
-MOST_KNOTS = 20_000
+MOST_WAYPOINTS = 20_000
 """Of a goal without end, such as a stream, as many of the newest."""
 
 _NS = 1e-9
@@ -23,7 +23,7 @@ _LINEAR, _CUBIC, _QUINTIC = 1, 3, 5
 
 
 class GoalPath:
-    """The knots of one goal, gathered while they are in the ring: it keeps the newest 4096 records only."""
+    """The waypoints of one goal, gathered while they are in the ring: it keeps the newest 4096 records only."""
 
     def __init__(self, arm: str, joint_count: int) -> None:
         self._arm = arm
@@ -32,7 +32,7 @@ class GoalPath:
         self._memory: MemoryFile | None = None
         self._goal_id = 0
         self._read = 0
-        self._knots: dict[int, tuple[int, np.ndarray]] = {}
+        self._waypoints: dict[int, tuple[int, np.ndarray]] = {}
         self._drawn = np.zeros((0, joint_count))
 
     def of(self, goal_id: int, start: np.ndarray) -> np.ndarray:
@@ -40,15 +40,15 @@ class GoalPath:
 
         Args:
             start: position, velocity and acceleration (joints, 3) with which the goal began, from where it goes to its
-                first knot.
+                first waypoint.
         """
         if goal_id != self._goal_id:
             self.close()  # the file of a new control process is another one
             self._goal_id, self._read = goal_id, 0
-            self._knots.clear()
+            self._waypoints.clear()
             self._drawn = np.zeros((0, self._joint_count))
         if goal_id and self._gather():
-            self._drawn = sampled(begun(self._knots, start), self._joint_count)
+            self._drawn = sampled(begun(self._waypoints, start), self._joint_count)
         return self._drawn
 
     def close(self) -> None:
@@ -66,39 +66,39 @@ class GoalPath:
             return False
         written = int(self._memory.record["setpoints_written"][0])
         ring = self._memory.record["setpoints"]
-        before = len(self._knots), self._read
+        before = len(self._waypoints), self._read
         for number in range(max(self._read, written - layout.SETPOINT_SLOTS + 1), written):
             raw = ring[number % layout.SETPOINT_SLOTS].tobytes()[: self._used]
             if zlib.crc32(raw[8:]) != int.from_bytes(raw[:8], "little"):
                 continue
-            knot = np.frombuffer(raw.ljust(layout.SETPOINT.itemsize, b"\0"), layout.SETPOINT)[0]
-            if int(knot["goal_id"]) == self._goal_id and int(knot["kind"]) == Setpoint.KNOT:
-                joints = knot["joints"][: self._joint_count]
+            waypoint = np.frombuffer(raw.ljust(layout.SETPOINT.itemsize, b"\0"), layout.SETPOINT)[0]
+            if int(waypoint["goal_id"]) == self._goal_id and int(waypoint["kind"]) == Setpoint.WAYPOINT:
+                joints = waypoint["joints"][: self._joint_count]
                 state = np.stack([joints[name] for name in joints.dtype.names], axis=-1)
-                self._knots[int(knot["time_ns"])] = (int(knot["order"]), state)
-        for old in sorted(self._knots)[:-MOST_KNOTS]:
-            del self._knots[old]
+                self._waypoints[int(waypoint["time_ns"])] = (int(waypoint["order"]), state)
+        for old in sorted(self._waypoints)[:-MOST_WAYPOINTS]:
+            del self._waypoints[old]
         self._read = written
-        return (len(self._knots), self._read) != before
+        return (len(self._waypoints), self._read) != before
 
 
-Knots = dict[int, tuple[int, np.ndarray]]
+Waypoints = dict[int, tuple[int, np.ndarray]]
 """Time (ns) → order of the segment that ends there, and position, velocity and acceleration (joints, 3)."""
 
 
-def begun(knots: Knots, start: np.ndarray) -> Knots:
-    """Knots with one at time 0: where the goal began, unless they say so themselves."""
-    return knots if not knots or 0 in knots else {0: (_QUINTIC, start), **knots}
+def begun(waypoints: Waypoints, start: np.ndarray) -> Waypoints:
+    """Waypoints with one at time 0: where the goal began, unless they say so themselves."""
+    return waypoints if not waypoints or 0 in waypoints else {0: (_QUINTIC, start), **waypoints}
 
 
-def sampled(knots: Knots, joint_count: int) -> np.ndarray:
-    """Joint angles (n, joints) at equal steps of time along knots; none where there are fewer than two."""
-    if len(knots) < 2:
+def sampled(waypoints: Waypoints, joint_count: int) -> np.ndarray:
+    """Joint angles (n, joints) at equal steps of time along waypoints; none where there are fewer than two."""
+    if len(waypoints) < 2:
         return np.zeros((0, joint_count))
-    times_ns = sorted(knots)
+    times_ns = sorted(waypoints)
     times_s = np.array(times_ns) * _NS
-    orders = np.array([knots[at][0] for at in times_ns])
-    states = np.stack([knots[at][1] for at in times_ns])
+    orders = np.array([waypoints[at][0] for at in times_ns])
+    states = np.stack([waypoints[at][1] for at in times_ns])
     at_s = np.linspace(times_s[0], times_s[-1], POINTS)
     end = np.clip(np.searchsorted(times_s, at_s), 1, len(times_s) - 1)
     (p0, v0, a0), (p1, v1, a1) = (np.moveaxis(states[index], -1, 0) for index in (end - 1, end))

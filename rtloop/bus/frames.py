@@ -3,9 +3,9 @@
 from compilation.jit import jit
 from rtloop.drives import families
 from rtloop.memory import status as status_bits
-from rtloop.memory.modes import is_limp
+from rtloop.memory.modes import is_disabled
 from rtloop.memory.state import Loop, Shared
-from rtloop.safety import guard
+from rtloop.safety import transmission
 from rtloop.service import port, rings
 from rtloop.wire import outgoing, received
 from rtloop.wire.outgoing import frame_bits
@@ -20,9 +20,9 @@ def encode(loop: Loop, shared: Shared) -> None:
     if received.closed(loop) != 0:
         say_nothing(loop)
         return
-    heard = guard.somebody_listens(loop)
-    leads = heard and guard.drives_are_led(loop)
-    guard.stop_who_is_elsewhere(loop)
+    heard = transmission.somebody_listens(loop)
+    leads = heard and transmission.drives_are_led(loop)
+    transmission.stop_displaced_drives(loop)
     for joint in range(params.joint_count):
         axis = loop.axes[joint]
         if not families.is_on_the_bus(loop, joint):
@@ -30,7 +30,7 @@ def encode(loop: Loop, shared: Shared) -> None:
         elif axis.sent.stop_frames_due > 0:
             if families.stop(loop, joint, shared):
                 axis.sent.stop_frames_due -= 1  # comes back if the wire does not take it
-        elif leads and guard.may_be_led(loop, joint):
+        elif leads and transmission.may_be_led(loop, joint):
             families.lead(loop, joint, shared)
     if loop.mode != Mode.OFFLINE and heard:
         ask(loop, shared)
@@ -59,7 +59,7 @@ def mirror(loop: Loop, joint: int) -> None:
     axis.measured.velocity_rad_s = axis.tracking.reference_velocity_rad_s = axis.commanded.velocity_rad_s
     axis.measured.time_ns = loop.timing.now_ns
     axis.measured.readings += 1
-    enabled = 0 if is_limp(loop.mode) else status_bits.ENABLED
+    enabled = 0 if is_disabled(loop.mode) else status_bits.ENABLED
     axis.drive.status = enabled | status_bits.REACHED | status_bits.ANSWERED
 
 
@@ -70,7 +70,7 @@ def ask(loop: Loop, shared: Shared) -> None:
     for joint in range(params.joint_count):
         if families.is_on_the_bus(loop, joint):
             axis = loop.axes[joint]
-            if params.reported == 0 or guard.report_is_asked_for(loop, joint):
+            if params.reported == 0 or transmission.report_is_asked_for(loop, joint):
                 families.ask_position(loop, joint, shared)
             if axis.reply.unanswered_since_ns == 0:
                 axis.reply.unanswered_since_ns = loop.timing.now_ns
@@ -85,7 +85,7 @@ def ask(loop: Loop, shared: Shared) -> None:
 def probe(loop: Loop, shared: Shared) -> None:
     """Ask one drive in turn, now and then, whether anybody is there again: what is asked now only queues up."""
     bus, params = loop.bus, loop.params
-    if not guard.may_probe(loop):
+    if not transmission.may_probe(loop):
         return
     bus.probed_ns = loop.timing.now_ns
     bus.probe_turn = (bus.probe_turn + 1) % params.joint_count

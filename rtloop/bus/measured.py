@@ -9,7 +9,7 @@ from rtloop.drives import families
 from rtloop.memory.link import GRIPPER, NOBODY, RX_CHUNKS, WIRE_MOCK
 from rtloop.memory.recorder import marks_of, record_frame
 from rtloop.memory.state import HISTORY_SLOTS, Loop, Shared
-from rtloop.safety import guard, silence
+from rtloop.safety import monitor, silence
 from rtloop.safety.faults import latch_fault
 from rtloop.service import rings
 from rtloop.wire import can_errors, outgoing, received, wires
@@ -96,7 +96,7 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, kind: int, length: int
     loop.quiet.heard_ns = time_ns
     rings.hand_out(loop, joint, frame_id, kind, length, data, time_ns)
     if joint != GRIPPER:
-        families.hear(loop, joint, shared, frame_id, kind, length, data, time_ns)
+        families.receive(loop, joint, shared, frame_id, kind, length, data, time_ns)
 
 
 @jit
@@ -126,12 +126,12 @@ def take_position(loop: Loop, shared: Shared, joint: int, position_rad: float, r
     axis, params = loop.axes[joint], loop.params
     measured, tracking = axis.measured, axis.tracking
     reference_rad = commanded_at(loop, joint, read_ns)
-    if not guard.believable(loop, shared, joint, position_rad, read_ns, reference_rad):
+    if not monitor.plausible(loop, shared, joint, position_rad, read_ns, reference_rad):
         return
     waited_ns = read_ns - axis.reply.unanswered_since_ns if axis.reply.unanswered_since_ns != 0 else 0
     if params.reported == 1:
         waited_ns = read_ns - measured.time_ns if measured.readings > 0 else 0
-    guard.stop_if_it_was_away(loop, joint, waited_ns)
+    monitor.stop_if_it_was_away(loop, joint, waited_ns)
     if params.reported == 0 or axis.reply.has_report == 1:  # an answer tells where it is, not that it reports
         axis.reply.unanswered_since_ns = 0
     # nothing in an answer says which question it answers: it may be as old as the oldest one

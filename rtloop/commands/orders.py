@@ -3,13 +3,13 @@
 import math
 
 from compilation.jit import jit
-from rtloop.commands import intake
+from rtloop.commands import request_reader, setpoint_reader
 from rtloop.memory.axis import NOT_LED
 from rtloop.memory.events import record_event
 from rtloop.memory.modes import change_mode
 from rtloop.memory.state import HISTORY_SLOTS, Loop, Shared
 from rtloop.safety.faults import forget_fault, latch_fault
-from rtloop.safety.guard import outlives_a_clear
+from rtloop.safety.monitor import outlives_a_clear
 from rtloop.service import port, rings
 from rtloop.trajectory.phases import raise_epoch, slow_down
 from shm.layout import MAX_JOINTS
@@ -34,9 +34,9 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
             dialogue.healed_ns = loop.timing.now_ns if order.code == 1 else 0
             if order.code == 1:
                 record_event(loop, shared, Event.HEALED, -1, 0, 0.0, 0.0)
-        elif order.kind == port.ADOPT:
+        elif order.kind == port.SYNC_SETPOINT:
             if loop.mode == Mode.BRINGING_UP or loop.mode == Mode.REFERENCING:
-                adopt(loop, order.joint, order.value, order.code)
+                sync_setpoint(loop, order.joint, order.value, order.code)
         elif order.kind == port.POWER_KEPT:
             forgive_silence(loop, order.joint)
         elif order.kind == port.FAST_READY:
@@ -56,7 +56,7 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
             if order.code == 1 and loop.mode == Mode.REFERENCING:
                 forget_count(loop, order.joint)
         elif order.kind == port.HOME_ALL:
-            if intake.begin_referencing(loop, shared, Request.HOME, 0, 0.0) == Answer.DONE:
+            if request_reader.begin_referencing(loop, shared, Request.HOME, 0, 0.0) == Answer.DONE:
                 dialogue.pose_due_ns = 1
         elif order.kind == port.REFERENCING_DONE:
             dialogue.referencing_joint = -1
@@ -77,7 +77,7 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
     if not change_mode(loop, shared, Mode.BRINGING_UP):
         return
     if loop.fault.code == Fault.COMMAND_RING:
-        intake.leave_corrupt_records(loop)
+        setpoint_reader.leave_corrupt_records(loop)
     forget_fault(loop)
     slow_down(loop, _ANY_REASON, False)
     motion.per_joint_stop = motion.resync_ns = motion.started = motion.rested = 0
@@ -130,7 +130,7 @@ def count_from(loop: Loop, joint: int, zero_rad: float, power_loss_known: int) -
 
 
 @jit
-def adopt(loop: Loop, joint: int, position_rad: float, reason: int) -> None:
+def sync_setpoint(loop: Loop, joint: int, position_rad: float, reason: int) -> None:
     """The joint stands here; it is commanded to stay."""
     axis = loop.axes[joint]
     commanded, tracking = axis.commanded, axis.tracking

@@ -13,7 +13,7 @@ from rtloop.drives.power import Marks
 from rtloop.drives.setup import Found, setup_of
 from rtloop.safety.references import absolute_makes_good
 from rtloop.service.conversation import Conversation, Dialogue
-from rtloop.service.port import ADOPT, BRING_UP_BEGINS, BRING_UP_DONE, POWER_KEPT, ServicePort
+from rtloop.service.port import BRING_UP_BEGINS, BRING_UP_DONE, POWER_KEPT, SYNC_SETPOINT, ServicePort
 from sentences.told import joint_names, unreferenced_sentences
 from shm.words import Fault, Unreferenced
 
@@ -105,7 +105,7 @@ class BringUp(Conversation):
                 self._held_rad[joint] = measured_rad
 
     def _adopt(self, joint: int, position_rad: float, reason: Unreferenced) -> None:
-        self.post(ADOPT, joint=joint, value=position_rad, code=reason)
+        self.post(SYNC_SETPOINT, joint=joint, value=position_rad, code=reason)
 
     def _bring_up(self, joint: int) -> Dialogue:
         found = yield from setup_of(self.arm.joints[joint].drive).bring_up(self, joint)

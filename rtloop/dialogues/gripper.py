@@ -45,7 +45,7 @@ class Order(NamedTuple):
     effort: float
 
 
-class GripperTalk(Conversation):
+class GripperDialogue(Conversation):
     """One drive, turn by turn: get to know it, obey the newest order, look where it is, show that."""
 
     def __init__(
@@ -63,7 +63,7 @@ class GripperTalk(Conversation):
         self._gripper, self._nm_per_ampere = arm.gripper, arm.gripper.servo.nm_per_ampere
         super().__init__(arm, port, now_ns, fault=Fault.NONE)
         self._drive = gripper_drive_of(arm.gripper.servo, arm.gripper, self)
-        self._asked, self._people = loop[0]["gripper"], loop[0]["people"]
+        self._asked, self._operator = loop[0]["gripper"], loop[0]["operator"]
         self._state = state
         self._tell = tell
         self._shown = np.zeros((), layout.GRIPPER)
@@ -105,7 +105,7 @@ class GripperTalk(Conversation):
 
     def _counted_halts(self) -> tuple[int, int]:
         """Changes with every stop and hold."""
-        return int(self._people["stop_ns"]), int(self._people["hold_ns"])
+        return int(self._operator["stop_ns"]), int(self._operator["hold_ns"])
 
     # --- orders
 

@@ -16,9 +16,9 @@ from config.schema import ArmConfig
 from rtloop.dialogues.bringup import SLACK_RAD
 from rtloop.drives.power import Marks
 from rtloop.drives.setup import homing_of, joints_on_the_bus, placing_of
-from rtloop.kept.saved import NotSaved
-from rtloop.service.conversation import Conversation, Dialogue, TalkFailed, silent_amid
-from rtloop.service.port import ADOPT, COUNT_FROM, REFERENCING, REFERENCING_DONE, ServicePort
+from rtloop.kept.reference_store import NotSaved
+from rtloop.service.conversation import Conversation, Dialogue, DialogueFailed, silent_amid
+from rtloop.service.port import COUNT_FROM, REFERENCING, REFERENCING_DONE, SYNC_SETPOINT, ServicePort
 from shm.words import Fault, Unreferenced
 
 ELSEWHERE_RAD = 0.1
@@ -135,7 +135,7 @@ class Referencing(Conversation):
         self._runs = False
         try:
             target = yield from homes.home(self, joint)
-        except TalkFailed:
+        except DialogueFailed:
             if self._runs:
                 yield from homes.end_homing(self, joint)
             raise
@@ -156,7 +156,7 @@ class Referencing(Conversation):
         stopped_rad = stopped / self.port.reading_per_rad(joint) - self.port.zero_rad(joint)
         if expected_rad is None or abs(stopped_rad - expected_rad) <= ELSEWHERE_RAD:
             return
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"{config.name} met something at {math.degrees(stopped_rad):.1f}°, although its stop is at "
             f"{math.degrees(expected_rad):.1f}°: remove what is in its way, then {self.again}, "
@@ -177,7 +177,7 @@ class Referencing(Conversation):
         """What `ReferencingHost` says."""
         config = self.arm.joints[joint]
         if self.now_ns - self.port.measured_ns(joint) > FRESH_NS:
-            raise TalkFailed(joint, silent_amid(config, "position"))
+            raise DialogueFailed(joint, silent_amid(config, "position"))
         self.post(REFERENCING, joint=joint)
         zero_rad, measured_rad = self.port.zero_rad(joint), self.port.measured_rad(joint)
         # what the drive holds, which a load keeps it from, goes on being commanded
@@ -199,7 +199,7 @@ class Referencing(Conversation):
         try:
             self._keep_lost_beyond(joint, reason)
         except NotSaved as problem:
-            raise TalkFailed(joint, str(problem)) from None
+            raise DialogueFailed(joint, str(problem)) from None
 
     def count_from(
         self,
@@ -218,4 +218,4 @@ class Referencing(Conversation):
         known = flag_stays and reason == Unreferenced.REFERENCED
         self.marks.referenced(joint)
         self.post(COUNT_FROM, joint=joint, value=zero_rad, code=int(known))
-        self.post(ADOPT, joint=joint, value=position_rad, code=reason)
+        self.post(SYNC_SETPOINT, joint=joint, value=position_rad, code=reason)

@@ -15,4 +15,4 @@ class Release(Conversation):
 
     def __init__(self, arm: ArmConfig, port: ServicePort, *, now_ns: int) -> None:
         super().__init__(arm, port, now_ns, fault=Fault.RELEASE)
-        self.begin({joint: setup_of(arm.joints[joint].drive).let_go(arm, joint) for joint in joints_on_the_bus(arm)})
+        self.begin({joint: setup_of(arm.joints[joint].drive).disable(arm, joint) for joint in joints_on_the_bus(arm)})

@@ -23,7 +23,7 @@ class AskFrames:
         """What is said, the first time or again."""
         return [(frame, number < len(self.frames) - 1) for number, frame in enumerate(self.frames)]
 
-    def hear(self, frame: Frame, last_try: bool) -> Frame | None:
+    def receive(self, frame: Frame, last_try: bool) -> Frame | None:
         """The frame, if it is the answer."""
         return frame if self.is_answer(frame) else None
 

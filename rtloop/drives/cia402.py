@@ -8,7 +8,7 @@ Emergencies (080) hold an error code, heartbeats (700) the node's state.
 """
 
 from compilation.jit import jit
-from rtloop.drives import following, hearing, words
+from rtloop.drives import following, receiving, words
 from rtloop.drives.cia402_setup import (
     BOOT_UP,
     EMERGENCY,
@@ -29,7 +29,7 @@ from rtloop.drives.cia402_setup import (
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import STANDARD
 from rtloop.memory.state import Loop, Shared
-from rtloop.safety import guard
+from rtloop.safety import monitor, setpoint_check
 from rtloop.trajectory.limits import clamped_rad
 from rtloop.wire import outgoing
 from shm.words import Unreferenced
@@ -68,7 +68,7 @@ def send_target(loop: Loop, joint: int, shared: Shared, position_rad: float, sto
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
     target_rad = setpoint_rad(loop, joint)
     target_rad -= following.still_behind_rad(loop, joint, target_rad)
-    if guard.may_be_sent(loop, shared, joint, target_rad):
+    if setpoint_check.may_be_sent(loop, shared, joint, target_rad):
         send_target(loop, joint, shared, target_rad, -1)
 
 
@@ -82,7 +82,7 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
     axis = loop.axes[joint]
     limp = axis.drive.status & status_bits.ANSWERED != 0 and axis.drive.status & status_bits.ENABLED == 0
     doubtful = axis.reference.referenced == 0 and axis.reference.unreferenced_reason == Unreferenced.POSITION_JUMP
-    if limp or doubtful or not guard.knows_where_it_stands(loop, joint):
+    if limp or doubtful or not monitor.knows_where_it_stands(loop, joint):
         return True
     return send_target(loop, joint, shared, axis.measured.position_rad, joint)
 
@@ -94,7 +94,7 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
         if not outgoing.send(loop, shared, SYNC, STANDARD, 0, 0):
             return
         loop.bus.sync_cycle = loop.timing.cycle
-    hearing.note_question(loop, joint)
+    receiving.note_question(loop, joint)
 
 
 @jit
@@ -114,16 +114,16 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 
 
 @jit
-def hear(
+def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     row, axis = loop.joints[joint], loop.axes[joint]
     base = frame_id - row.address
     if base == TPDO1 and length == row.position_bytes:
-        hearing.hear_position(loop, joint, words.signed(data, 2, 4) / row.reading_per_rad - row.zero_rad, time_ns)
-        hearing.hear_status(loop, joint, common_status(words.unsigned(data, 0, 2), axis.drive.error_code))
+        receiving.receive_position(loop, joint, words.signed(data, 2, 4) / row.reading_per_rad - row.zero_rad, time_ns)
+        receiving.receive_status(loop, joint, common_status(words.unsigned(data, 0, 2), axis.drive.error_code))
         if row.effort_per_unit != 0.0:
-            hearing.hear_effort(loop, joint, words.signed(data, 6, 2) * row.effort_per_unit)
+            receiving.receive_effort(loop, joint, words.signed(data, 6, 2) * row.effort_per_unit)
     elif base == EMERGENCY and length == 8:
         axis.drive.error_code = words.unsigned(data, 0, 2)
     elif base == HEARTBEAT and length == 1 and words.unsigned(data, 0, 1) != OPERATIONAL:
@@ -132,7 +132,7 @@ def hear(
             if words.unsigned(data, 0, 1) == BOOT_UP
             else axis.drive.status & status_bits.POWER_LOST
         )
-        hearing.hear_status(loop, joint, status_bits.COMMUNICATION | lost)
+        receiving.receive_status(loop, joint, status_bits.COMMUNICATION | lost)
 
 
 @jit

@@ -40,7 +40,7 @@ from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.sdo import ABORT, Aborted, Node, Object, abort_words, reading, value_in
 from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.memory.frame_words import STANDARD
-from rtloop.service.conversation import Dialogue, Part, TalkFailed
+from rtloop.service.conversation import Dialogue, DialogueFailed, Part
 from rtloop.service.port import Frame
 from shm.words import Unreferenced
 
@@ -182,14 +182,14 @@ def _is_enabled(node: Node) -> Part[bool | None]:
     return state_of(value_in(reply, STATUSWORD)) == OPERATION_ENABLED
 
 
-def let_go(arm: ArmConfig, joint: int) -> Dialogue:
-    """Shut the drive down, and then so far that no target enables it; raises TalkFailed."""
+def disable(arm: ArmConfig, joint: int) -> Dialogue:
+    """Shut the drive down, and then so far that no target enables it; raises DialogueFailed."""
     node = Node(joint, arm.joints[joint])
     for word in (SHUT_DOWN, NO_VOLTAGE):
         yield from node.write(CONTROLWORD, word)
         state = yield from _until(arm, node, lambda state: state not in HOLDING)
         if state in HOLDING:
-            raise TalkFailed(
+            raise DialogueFailed(
                 joint,
                 f"The drive of {node.config.name} stays in the state {state_words(state)} after being told to let go: "
                 "keep clear of the arm, look at the drive with its maker's program, then `rtarm clear-fault`, which "
@@ -268,21 +268,21 @@ def _is_a_drive(host: Host, node: Node) -> Part[None]:
         yield say(_order(node, START_NODE))
         answer = yield reading(node.number, DEVICE_TYPE)
     if answer is None:
-        raise TalkFailed(
+        raise DialogueFailed(
             node.joint,
             f"The drive of {name} (node {node.number}) does not answer: check its power, its node number and bit rate "
             f"({host.arm.bus.bitrate} bit/s), and the CAN wires with 120 Ω at both ends.",
         )
     device = value_in(answer, DEVICE_TYPE)
     if device & 0xFFFF != PROFILE:
-        raise TalkFailed(
+        raise DialogueFailed(
             node.joint,
             f"Node {node.number}, where the drive of {name} should be, has the device type {device:#010x}, whose lower "
             f"half must be {PROFILE:#06x} (profile CiA 402): see what stands at that number, or correct node_id.",
         )
     modes = yield from node.read_if_there(MODES)
     if modes is not None and not modes & CSP_SUPPORTED:
-        raise TalkFailed(
+        raise DialogueFailed(
             node.joint,
             f"The drive of {name} cannot do cyclic synchronous position, which is bit 7 of its supported modes (object "
             f"6502 is {modes:#x}): see whether other firmware can, or use another drive.",
@@ -297,7 +297,7 @@ def _sound_state(host: Host, node: Node) -> Part[int]:
     code = yield from node.read_if_there(ERROR_CODE)
     why = error_words(code or 0)
     if not host.clears_protection:
-        raise TalkFailed(
+        raise DialogueFailed(
             node.joint,
             f"The drive of {node.config.name} has an error ({why}) and holds nothing: remove the cause, "
             f"{ERROR_AT_START}.",
@@ -306,7 +306,7 @@ def _sound_state(host: Host, node: Node) -> Part[int]:
     yield from node.write(CONTROLWORD, FAULT_RESET)
     state = yield from _until(host.arm, node, lambda state: state not in (NOT_READY, FAULT, FAULT_REACTION))
     if state in (FAULT, FAULT_REACTION):
-        raise TalkFailed(
+        raise DialogueFailed(
             node.joint,
             f"The drive of {node.config.name} keeps its error ({why}) after it was cleared, so what caused it is still "
             "there: find it with the drive's own program, then `rtarm clear-fault`.",
@@ -338,7 +338,7 @@ def _halt(arm: ArmConfig, node: Node) -> Part[None]:
         if abs(here - before) <= STANDING_COUNTS:
             return
         before = here
-    raise TalkFailed(
+    raise DialogueFailed(
         node.joint,
         f"The drive of {node.config.name} is moving and does not halt (bit 8 of its controlword): use the switch in "
         "the power line, then `rtarm clear-fault`.",
@@ -364,7 +364,7 @@ def _map(node: Node, drive: Cia402Drive, holds: bool) -> Part[None]:
     except Aborted as aborted:
         if not holds:
             raise
-        raise TalkFailed(
+        raise DialogueFailed(
             node.joint,
             f"The drive of {node.config.name} holds its joint and does not let its process data be changed meanwhile "
             f"({abort_words(aborted.code)}): support the arm, switch the drive off and on, then `rtarm clear-fault`, "
@@ -405,7 +405,7 @@ def _set_interpolation_time(host: Host, node: Node) -> Part[None]:
         yield from node.write(INTERPOLATION_TIME, units)
         yield from node.write(INTERPOLATION_POWER, power)
     except Aborted as aborted:
-        raise TalkFailed(
+        raise DialogueFailed(
             node.joint,
             f"The drive of {node.config.name} does not take {shown} from target to target (object 60C2, "
             f"{abort_words(aborted.code)}): choose a control.rate_hz whose period it takes, such as 250, 200, 125 or "
@@ -420,7 +420,7 @@ def _start(arm: ArmConfig, node: Node) -> Part[None]:
         (_order(node, START_NODE),), lambda frame: frame.id == TPDO1 + node.number and len(frame.data) == length
     )
     if (yield started) is None:
-        raise TalkFailed(
+        raise DialogueFailed(
             node.joint,
             f"The drive of {node.config.name} tells no position with each SYNC (TPDO1, {length} bytes on identifier "
             f"{TPDO1 + node.number:03X}) although it is mapped so: see in its manual what its PDOs need.",
@@ -443,7 +443,7 @@ def _until_csp(arm: ArmConfig, node: Node) -> Part[None]:
         shown = yield from node.read(MODE_SHOWN)
         if shown == CSP:
             return
-    raise TalkFailed(
+    raise DialogueFailed(
         node.joint,
         f"The drive of {node.config.name} stays in mode {shown} (object 6061) after it was told mode {CSP}, cyclic "
         "synchronous position: see in its manual what hinders that.",
@@ -463,7 +463,7 @@ def _enable(arm: ArmConfig, node: Node, state: int) -> Part[None]:
         why = ""
         if state == FAULT:
             why = f" ({error_words((yield from node.read_if_there(ERROR_CODE)) or 0)})"
-        raise TalkFailed(
+        raise DialogueFailed(
             node.joint,
             f"The drive of {node.config.name} is in the state {state_words(state)}{why} after being told to go to "
             f"{state_words(wanted)}: check the motor's supply, the enabling input and safe torque off (STO), then "

@@ -12,7 +12,7 @@ import math
 
 from compilation.jit import jit
 from config.drives.damiao import HIGHEST_KD, HIGHEST_KP, POSITION_VELOCITY_OFFSET, REGISTERS_ID
-from rtloop.drives import following, hearing, leading, words
+from rtloop.drives import following, leading, receiving, words
 from rtloop.drives.damiao_setup import (
     ENABLED,
     FEEDBACK,
@@ -31,7 +31,7 @@ from rtloop.memory import status as status_bits
 from rtloop.memory.axis import JointParams
 from rtloop.memory.frame_words import STANDARD
 from rtloop.memory.state import Loop, Shared
-from rtloop.safety import guard
+from rtloop.safety import monitor, setpoint_check
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.wire import outgoing
 
@@ -72,14 +72,14 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
     if row.plans_its_motion == 0:
         position_rad, velocity_rad_s = following.setpoint(loop, joint)
         rad, rad_s = (position_rad + row.zero_rad) * row.command_per_rad, velocity_rad_s * row.command_per_rad
-        if guard.may_be_sent(loop, shared, joint, rad, rad_s):
+        if setpoint_check.may_be_sent(loop, shared, joint, rad, rad_s):
             command(loop, joint, shared, row.address, following_data(row, rad, rad_s), -1)
         return
     target_rad, speed_rad_s = leading.target_ahead(loop, joint, 0.0)
     if axis.commanded.velocity_rad_s == 0.0 and axis.commanded.next_velocity_rad_s == 0.0:
         speed_rad_s = holding_rad_s(row)
     rad, rad_s = (target_rad + row.zero_rad) * row.command_per_rad, abs(speed_rad_s * row.command_per_rad)
-    if guard.may_be_sent(loop, shared, joint, rad, rad_s):
+    if setpoint_check.may_be_sent(loop, shared, joint, rad, rad_s):
         command(loop, joint, shared, row.address + POSITION_VELOCITY_OFFSET, target_data(rad, rad_s), -1)
 
 
@@ -96,7 +96,7 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
     One that is not led stands at its last target, or goes on to it by its ramp.
     """
     row, axis = loop.joints[joint], loop.axes[joint]
-    if not guard.knows_where_it_stands(loop, joint):
+    if not monitor.knows_where_it_stands(loop, joint):
         return True
     if row.plans_its_motion == 0:
         rad = (axis.measured.position_rad + row.zero_rad) * row.command_per_rad
@@ -118,7 +118,7 @@ def command(loop: Loop, joint: int, shared: Shared, frame_id: int, data: int, st
     if not outgoing.send(loop, shared, frame_id, STANDARD, 8, data, 0, stops):
         return False
     loop.axes[joint].sent.asked_cycle = loop.timing.cycle
-    hearing.note_question(loop, joint)
+    receiving.note_question(loop, joint)
     return True
 
 
@@ -128,7 +128,7 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
         return
     data = loop.joints[joint].address | FEEDBACK << 16
     if outgoing.send(loop, shared, REGISTERS_ID, STANDARD, 8, data):
-        hearing.note_question(loop, joint)
+        receiving.note_question(loop, joint)
 
 
 @jit
@@ -146,11 +146,11 @@ def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
 def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
     """All but questions about registers is answered with its feedback."""
     if frame_id != REGISTERS_ID or words.unsigned(data, 2, 1) == FEEDBACK:
-        hearing.note_question(loop, joint)
+        receiving.note_question(loop, joint)
 
 
 @jit
-def hear(
+def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     row = loop.joints[joint]
@@ -160,11 +160,11 @@ def hear(
     rad = words.of_field(fields >> 40 & 0xFFFF, row.range_rad, 16)
     rad_s = words.of_field(fields >> 28 & 0xFFF, row.range_rad_s, 12)
     nm = words.of_field(fields >> 16 & 0xFFF, row.range_nm, 12)
-    hearing.hear_position(loop, joint, rad / row.reading_per_rad - row.zero_rad, time_ns)
-    hearing.hear_velocity(loop, joint, rad_s / row.reading_per_rad)
-    hearing.hear_effort(loop, joint, nm * row.effort_per_unit)
-    hearing.hear_temperature(loop, joint, float(max(fields >> 8 & 255, fields & 255)))
-    hearing.hear_status(loop, joint, common_status(data >> 4 & 15))
+    receiving.receive_position(loop, joint, rad / row.reading_per_rad - row.zero_rad, time_ns)
+    receiving.receive_velocity(loop, joint, rad_s / row.reading_per_rad)
+    receiving.receive_effort(loop, joint, nm * row.effort_per_unit)
+    receiving.receive_temperature(loop, joint, float(max(fields >> 8 & 255, fields & 255)))
+    receiving.receive_status(loop, joint, common_status(data >> 4 & 15))
 
 
 @jit

@@ -40,7 +40,7 @@ from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.fields import field, of_field
 from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.memory.frame_words import STANDARD
-from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, silent_amid
 from rtloop.service.port import Frame
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from shm.words import Unreferenced
@@ -116,7 +116,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         if found.code == ENABLED:
             break
     else:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not let itself be enabled (its status is {status_words(found.code)}): "
             "see what it says in the maker's tool, remove the cause, then `rtarm clear-fault`, or `rtarm up` where "
@@ -139,14 +139,14 @@ def _is_enabled(config: JointConfig) -> Part[bool | None]:
     return None if answer is None else feedback_of(answer.data, _drive(config).ranges).code == ENABLED
 
 
-def let_go(arm: ArmConfig, joint: int) -> Dialogue:
-    """Disable the motor, and see that it is; raises TalkFailed."""
+def disable(arm: ArmConfig, joint: int) -> Dialogue:
+    """Disable the motor, and see that it is; raises DialogueFailed."""
     config = arm.joints[joint]
     for _ in range(TRIES):
         yield say(_command(_drive(config), DISABLE))
         if (yield from _feedback(joint, config)).code != ENABLED:
             return
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} stays enabled after being told to let go: keep clear of the arm, switch the "
         "drive off, then on, then `rtarm clear-fault`, which brings all drives up again.",
@@ -206,7 +206,7 @@ def _held_rad(config: JointConfig, found: Feedback, most_rad: float) -> float:
 
 
 def _confirmed_feedback(joint: int, config: JointConfig) -> Part[Feedback]:
-    """The motor's feedback, with a place to be told to it; raises TalkFailed."""
+    """The motor's feedback, with a place to be told to it; raises DialogueFailed."""
     return (
         yield from confirmed(
             lambda: _feedback(joint, config), SAME_PLACE_RAD * config.ratio, place=lambda found: found.rad
@@ -231,20 +231,20 @@ def _tells_register(drive: DamiaoDrive, data: bytes) -> bool:
 
 
 def _feedback(joint: int, config: JointConfig) -> Part[Feedback]:
-    """How the motor is; raises TalkFailed."""
+    """How the motor is; raises DialogueFailed."""
     answer = yield _asked(config)
     if answer is None:
-        raise TalkFailed(joint, silent_amid(config, "feedback"))
+        raise DialogueFailed(joint, silent_amid(config, "feedback"))
     return feedback_of(answer.data, _drive(config).ranges)
 
 
 def _sound(host: Host, joint: int) -> Part[Feedback]:
-    """See that it answers and has no error, which is cleared where a person has asked for it; raises TalkFailed."""
+    """See that it answers and has no error, which is cleared where a person has asked for it; raises DialogueFailed."""
     config = host.arm.joints[joint]
     drive = _drive(config)
     answer = yield _asked(config)
     if answer is None:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} (motor_id {drive.motor_id:#x}) does not answer on its master_id "
             f"{drive.master_id:#x}: check its power, its ESC_ID and MST_ID (registers 8 and 7, in the maker's tool), "
@@ -254,7 +254,7 @@ def _sound(host: Host, joint: int) -> Part[Feedback]:
     if found.code in (LIMP, ENABLED):
         return found
     if not host.clears_protection:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} has an error ({status_words(found.code)}) and holds nothing: remove the "
             f"cause, {ERROR_AT_START}.",
@@ -264,7 +264,7 @@ def _sound(host: Host, joint: int) -> Part[Feedback]:
         found = yield from _feedback(joint, config)
         if found.code in (LIMP, ENABLED):
             return found
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} keeps its error ({status_words(found.code)}) after it was cleared, so what caused "
         "it is still there: remove that, then `rtarm clear-fault`.",
@@ -272,13 +272,13 @@ def _sound(host: Host, joint: int) -> Part[Feedback]:
 
 
 def _check_ranges(joint: int, config: JointConfig) -> Part[None]:
-    """See that the fields reach what the arm file says; raises TalkFailed."""
+    """See that the fields reach what the arm file says; raises DialogueFailed."""
     drive = _drive(config)
     for (register, name, what, unit), field_name, expected in zip(RANGES, RANGE_FIELDS, drive.ranges, strict=True):
         value = yield from _read_float(joint, config, register)
         if math.isclose(value, expected, rel_tol=SAME):
             continue
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} says that its {what} range is ±{value:g} {unit} (register {register}, "
             f"{name}), but the arm file ±{expected:g}, so every {what} would be taken for another: set model or "
@@ -292,7 +292,7 @@ def _require_within_its_field(joint: int, config: JointConfig, rad: float) -> No
     most = _drive(config).ranges.rad
     if abs(rad) < most * (1.0 - 1.0 / POSITION_STEPS):
         return
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} stands at or beyond an end of what its frames reach (±{most:g} rad of its shaft), "
         "so nobody knows where, and it would be moved if it were told to stay: turn the joint back by hand while the "
@@ -302,14 +302,14 @@ def _require_within_its_field(joint: int, config: JointConfig, rad: float) -> No
 
 
 def _set_up(host: Host, joint: int, *, enabled: bool) -> Part[None]:
-    """Set mode, ramp and alarm time in volatile memory where they differ, and say so; raises TalkFailed."""
+    """Set mode, ramp and alarm time in volatile memory where they differ, and say so; raises DialogueFailed."""
     config = host.arm.joints[joint]
     drive = _drive(config)
     done: list[str] = []
     mode = yield from _read_whole(joint, config, CONTROL_MODE)
     if mode != MODES[drive.mode]:
         if enabled:
-            raise TalkFailed(
+            raise DialogueFailed(
                 joint,
                 f"The drive of {config.name} is enabled in mode {mode} (register {CONTROL_MODE}), but the arm file "
                 f"wants {MODES[drive.mode]} ({drive.mode}), and which target would count after a change is not known: "
@@ -337,13 +337,13 @@ def _set_up(host: Host, joint: int, *, enabled: bool) -> Part[None]:
 
 
 def _read(joint: int, config: JointConfig, register: int) -> Part[bytes]:
-    """The four bytes of a register; raises TalkFailed."""
+    """The four bytes of a register; raises DialogueFailed."""
     drive = _drive(config)
     request = Frame(REGISTERS_ID, struct.pack("<HBB4x", drive.motor_id, READ, register), kind=STANDARD)
     expected = request.data[:4]
     answer = yield AskFrames((request,), lambda frame: len(frame.data) == 8 and frame.data[:4] == expected)
     if answer is None:
-        raise TalkFailed(joint, silent_amid(config, f"register {register}"))
+        raise DialogueFailed(joint, silent_amid(config, f"register {register}"))
     return bytes(answer.data[4:])
 
 
@@ -358,14 +358,14 @@ def _read_whole(joint: int, config: JointConfig, register: int) -> Part[int]:
 
 
 def _write(joint: int, config: JointConfig, register: int, value: bytes) -> Part[None]:
-    """Write a register in volatile memory, and see that it has the value; raises TalkFailed."""
+    """Write a register in volatile memory, and see that it has the value; raises DialogueFailed."""
     head = struct.pack("<HBB", _drive(config).motor_id, WRITE, register)
     for _ in range(TRIES):
         yield say(Frame(REGISTERS_ID, head + value, kind=STANDARD))
         found = yield from _read(joint, config, register)
         if found == value:
             return
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} keeps register {register} at {found.hex(' ')} although {value.hex(' ')} was "
         "written: set it with the maker's tool, then `rtarm clear-fault`, or `rtarm up` where it has ended.",

@@ -65,5 +65,5 @@ is_stop = _by_family("is_stop")
 """(loop, joint, frame_id, data) → bool: whether a frame to the drive is the stop command."""
 note_what_was_said = _by_family("note_what_was_said")
 """(loop, joint, frame_id, data) → None: a conversation has told the drive something among the cycle's frames."""
-hear = _by_family("hear")
+receive = _by_family("receive")
 """(loop, joint, shared, frame_id, kind, length, data, time_ns) → None: take what the drive says."""

@@ -8,7 +8,7 @@ def field(value: float, most: float, bits: int) -> int:
     """A number within ±most as a field of `bits` bits: 0 is -most, all ones +most; cut off to a whole step.
 
     What is beyond the range becomes its end. Of what is no number the field is undefined, since it has no code for
-    that: `safety.guard.may_be_sent` keeps it away.
+    that: `may_be_sent` keeps it away.
     """
     steps = (1 << bits) - 1
     share = (min(max(value, -most), most) + most) / (2.0 * most)

@@ -11,7 +11,7 @@ import math
 from compilation.jit import jit
 from config.derived import LEAD_PERIODS
 from rtloop.memory.state import Loop
-from rtloop.safety.agreed import steady_error_rad
+from rtloop.safety.outlier_filter import steady_error_rad
 from rtloop.trajectory.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
 from rtloop.trajectory.limits import clamped_rad
 

@@ -14,7 +14,7 @@ Streaming: a target ahead, and a speed that sets the pace (`rtloop.drives.leadin
 
 from compilation.jit import jit
 from config.drives.mks import FARTHEST_COUNTS
-from rtloop.drives import hearing, leading, words
+from rtloop.drives import leading, receiving, words
 from rtloop.drives.mks_setup import (
     EMERGENCY_STOP,
     HIGHEST_RPM,
@@ -28,7 +28,7 @@ from rtloop.drives.mks_setup import (
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.state import Loop, Shared
-from rtloop.safety import guard
+from rtloop.safety import setpoint_check
 from rtloop.wire import outgoing
 from shm.words import Unreferenced
 
@@ -93,7 +93,7 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
     row = loop.joints[joint]
     # whole rpm keep the mean by being up to half an rpm off for a period
     target_rad, speed_rad_s = leading.target_ahead(loop, joint, 0.5 / row.rpm_per_rad_s)
-    if not guard.may_be_sent(loop, shared, joint, target_rad, speed_rad_s):
+    if not setpoint_check.may_be_sent(loop, shared, joint, target_rad, speed_rad_s):
         return
     rpm = leading.whole_rpm(loop, joint, speed_rad_s, HIGHEST_RPM)
     counts = words.bounded((target_rad + row.zero_rad) * row.command_per_rad, FARTHEST_COUNTS)
@@ -111,7 +111,7 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
 @jit
 def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
     if send(loop, shared, joint, READ_POSITION, 1):
-        hearing.note_question(loop, joint)
+        receiving.note_question(loop, joint)
 
 
 @jit
@@ -134,11 +134,11 @@ def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
 def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
     """A question for the position in a conversation will be answered too."""
     if data == closed(frame_id, READ_POSITION, 1):
-        hearing.note_question(loop, joint)
+        receiving.note_question(loop, joint)
 
 
 @jit
-def hear(
+def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     if kind & (EXTENDED | REMOTE) != 0 or not is_sound(frame_id, data, length):
@@ -146,14 +146,14 @@ def hear(
     row, axis = loop.joints[joint], loop.axes[joint]
     code, value = data & 255, (data >> 8) & 255
     if length == 8 and code == READ_POSITION:
-        hearing.hear_position(loop, joint, counts_of(data) / row.reading_per_rad - row.zero_rad, time_ns)
+        receiving.receive_position(loop, joint, counts_of(data) / row.reading_per_rad - row.zero_rad, time_ns)
     elif length == 3 and code == READ_ENABLED and value <= 1:
-        hearing.hear_status(loop, joint, axis.drive.status & PROTECTION | value * status_bits.ENABLED)
+        receiving.receive_status(loop, joint, axis.drive.status & PROTECTION | value * status_bits.ENABLED)
     elif length == 3 and code == READ_STALLED and value <= 1 and axis.drive.status & status_bits.ANSWERED != 0:
         stalled = status_bits.STALLED if axis.drive.holds_stalled == 1 else PROTECTION
-        hearing.hear_status(loop, joint, axis.drive.status & status_bits.ENABLED | value * stalled)
+        receiving.receive_status(loop, joint, axis.drive.status & status_bits.ENABLED | value * stalled)
     elif length == 3 and code == MOVE and value in (REFUSED, STOPPED_AT_LIMIT):
-        hearing.hear_refusal(loop, shared, joint, True)
+        receiving.receive_refusal(loop, shared, joint, True)
 
 
 PROTECTION = status_bits.PROTECTED | status_bits.STALLED

@@ -21,7 +21,7 @@ from config.schema import ArmConfig
 from rtloop.drives.asking import AskFrames
 from rtloop.drives.setup import ERROR_AT_START, Found, Host, ReferencingHost
 from rtloop.memory.frame_words import STANDARD
-from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, silent_amid
 from rtloop.service.port import HOLDS_STALLED, Frame
 from sentences.told import unreferenced_sentence
 from shm.words import Unreferenced
@@ -51,7 +51,7 @@ ERROR_STEPS_PER_REVOLUTION = 51_200
 
 AGREEING = 2
 """Answers in a row that say the same: one alone may be a moment's."""
-ADOPT_WITHIN_RAD = 0.02
+SYNC_WITHIN_RAD = 0.02
 """A drive whose target lies this near to its position is taken at its word."""
 HALT_PATIENCE_S = 4.0
 """At least, from 3000 rpm to rest with a ramp of 750 rpm/s; then it is stopped at once."""
@@ -76,7 +76,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     config = host.arm.joints[joint]
     can_id = _can_id(config)
     if (yield _ask(can_id, 8, READ_POSITION)) is None:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} (CanID {can_id}) does not answer: check its power, CanID and CanRate "
             f"({host.arm.bus.bitrate} bit/s) in its menu, and the CAN wires with 120 Ω at both ends.",
@@ -97,14 +97,14 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     return (yield from _standing(host, joint, reason))
 
 
-def let_go(arm: ArmConfig, joint: int) -> Dialogue:
-    """Let the drive go limp, and see that it has; raises TalkFailed."""
+def disable(arm: ArmConfig, joint: int) -> Dialogue:
+    """Let the drive go limp, and see that it has; raises DialogueFailed."""
     config = arm.joints[joint]
     for _ in range(TRIES):
         enabled = yield _ask(_can_id(config), 3, READ_ENABLED, before=(bytes((ENABLE, 0)),))
         if enabled is not None and enabled.data[1] == 0:
             return
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} stays enabled after being told to let go: keep clear of the arm, look at the "
         "drive's display, then `rtarm clear-fault`, which brings all drives up again.",
@@ -126,15 +126,15 @@ def home(host: ReferencingHost, joint: int) -> Part[float]:
     result = yield _ask(can_id, (3, 4), READ_HOMED)
     tripped = yield from _tripped(joint, config)
     failed = result is not None and result.data[-2] == HOMING_FAILED
-    if failed or tripped or abs(measured) > ADOPT_WITHIN_RAD * config.encoder_counts_per_rad:
-        raise TalkFailed(
+    if failed or tripped or abs(measured) > SYNC_WITHIN_RAD * config.encoder_counts_per_rad:
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} counts {measured} after its homing run, not 0, or says that the run failed or "
             "that its protection has tripped, so it has not found its stop: see that it can reach it and that Hm_Mode, "
             f"Hm_Dir, Hm_Speed and Hm_Ma in its menu fit, then {host.again}.",
         )
     if not (yield from _read(joint, config, READ_ENABLED, "status")):
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} has let the joint go at the end of its homing run: set EndLimit in its menu "
             f"to Disable, then {host.again}.",
@@ -153,7 +153,7 @@ def end_homing(host: ReferencingHost, joint: int) -> Dialogue:
         seen = seen + 1 if state is not None and state.data[1] == STANDS else 0
         if seen >= AGREEING:
             return
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} does not say that it has ended its homing run: it may still move, use the switch "
         "in the power line if it does.",
@@ -170,7 +170,7 @@ def _begin_run(host: ReferencingHost, joint: int, config: JointConfig) -> Part[N
         seen = seen + 1 if state == HOMING else 0
         if seen >= AGREEING:
             return
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} does not begin its homing run: look at its display for a fault, and at Hm_Mode, "
         f"Hm_Dir and Hm_Speed in its menu, then {host.again}.",
@@ -187,7 +187,7 @@ def _see_it_end(host: ReferencingHost, joint: int, config: JointConfig, last: in
             last = newest  # the drive has still been homing after it was read, so it had not set its count anew
             newest = yield from _unbroken(host, joint, _position(joint, config))
         if host.now_ns - began_ns > (host.arm.homing.timeout_s + LATE_S) * 1e9:
-            raise TalkFailed(
+            raise DialogueFailed(
                 joint,
                 f"The drive of {config.name} has not found its homing stop within {host.arm.homing.timeout_s:g} s: see "
                 "that it can reach the stop and that Hm_Mode, Hm_Dir, Hm_Speed and Hm_Ma in its menu fit, then "
@@ -204,7 +204,7 @@ def _unbroken(host: ReferencingHost, joint: int, part: Part[int]) -> Part[int]:
     asked_ns = host.now_ns
     value = yield from part
     if host.now_ns - asked_ns > max(BOOT_NS, BOOT_PERIODS * host.arm.control.period_ns):
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {host.arm.joints[joint].name} fell silent during its homing run, so what it counts may be "
             f"no angle: see to its supply and the CAN wires, then {host.again}.",
@@ -227,7 +227,7 @@ def _stand(host: Host, joint: int) -> Part[bool]:
         answer = yield _ask(can_id, 3, READ_STATE, before=before)
         state = answer.data[1] if answer is not None else 0
         if state == CALIBRATING:
-            raise TalkFailed(
+            raise DialogueFailed(
                 joint,
                 f"The drive of {config.name} is calibrating its encoder: wait until it has ended, then `rtarm "
                 "clear-fault`, or `rtarm up` where it has ended.",
@@ -237,7 +237,7 @@ def _stand(host: Host, joint: int) -> Part[bool]:
         if state in (STANDS, 0):  # 0: in a work mode in which it tells no state, and obeys nobody here
             standing, before = standing + 1, ()
         elif waited_ns > halt_patience_ns + SETTLE_PATIENCE_NS:
-            raise TalkFailed(
+            raise DialogueFailed(
                 joint,
                 f"The drive of {config.name} moves and does not stop when it is told to: use the switch in the power "
                 "line, then `rtarm clear-fault`.",
@@ -253,7 +253,7 @@ def _settle_mode(host: Host, joint: int) -> Part[None]:
     config = host.arm.joints[joint]
     microsteps = yield from _parameter(config, MICROSTEPS, 3)
     if microsteps is not None and (microsteps[1] or 256) not in TRUE_SPEED_MICROSTEPS:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} is set to {microsteps[1] or 256} microsteps, with which its speed is not the "
             "one it is told: set MStep in its menu to 16, 32 or 64.",
@@ -262,7 +262,7 @@ def _settle_mode(host: Host, joint: int) -> Part[None]:
     if mode is not None and mode[1] == SR_VFOC:
         return
     if not (yield from _told(config, WORK_MODE, SR_VFOC)):
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not take the work mode SR_vFOC, in which alone it heeds commands from "
             "the bus: set Mode in its menu.",
@@ -286,7 +286,7 @@ def _settle_answers(host: Host, joint: int) -> Part[None]:
     loud = host.arm.model_copy(update={"bus": host.arm.bus.model_copy(update={"acknowledge": True})})
     fits = budget(loud)
     if not fits.fits:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} keeps acknowledging commands, and with acknowledgements the bus carries "
             f"{fits.highest_rate_hz:.0f} Hz, not {host.arm.control.rate_hz:g} Hz: lower control.rate_hz, or set CanRSP "
@@ -300,14 +300,14 @@ def _clear_protection(host: Host, joint: int) -> Part[None]:
     if not (yield from _tripped(joint, config)):
         return
     if not host.clears_protection:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} has tripped its protection (stall) and holds nothing: free what blocks the "
             f"joint, {ERROR_AT_START}.",
         )
     yield _ask(_can_id(config), 3, CLEAR_PROTECTION)
     if (yield from _tripped(joint, config)):
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} stays in protection after it was cleared, so what tripped it (a blocked "
             "joint, current) is still there: find it on the drive's display, then `rtarm clear-fault`.",
@@ -344,7 +344,7 @@ def _enable(arm: ArmConfig, joint: int) -> Part[None]:
         enabled = yield _ask(_can_id(config), 3, READ_ENABLED, before=(bytes((ENABLE, 1)), STOP_AT_ONCE))
         if enabled is not None and enabled.data[1] == 1:
             return
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} stays disabled after being enabled: look at its display for a fault.",
     )
@@ -353,7 +353,7 @@ def _enable(arm: ArmConfig, joint: int) -> Part[None]:
 def _standing(host: Host, joint: int, reason: Unreferenced) -> Part[Found]:
     """Where the drive stands, and its own target once that is near."""
     config, started_ns, stopped = host.arm.joints[joint], host.now_ns, False
-    within = ADOPT_WITHIN_RAD * config.encoder_counts_per_rad
+    within = SYNC_WITHIN_RAD * config.encoder_counts_per_rad
     while True:
         measured = yield from _position(joint, config)
         target = yield from _target(joint, config)
@@ -426,26 +426,26 @@ def _parameter_question(can_id: int, code: int, lengths: tuple[int, ...]) -> Ask
 
 
 def _read(joint: int, config: JointConfig, code: int, what: str) -> Part[int]:
-    """The byte a question of one byte is answered with; raises TalkFailed."""
+    """The byte a question of one byte is answered with; raises DialogueFailed."""
     answer = yield _ask(_can_id(config), 3, code)
     if answer is None:
-        raise TalkFailed(joint, silent_amid(config, what))
+        raise DialogueFailed(joint, silent_amid(config, what))
     return int(answer.data[1])
 
 
 def _position(joint: int, config: JointConfig) -> Part[int]:
-    """Where the motor stands (counts); raises TalkFailed."""
+    """Where the motor stands (counts); raises DialogueFailed."""
     answer = yield _ask(_can_id(config), 8, READ_POSITION)
     if answer is None:
-        raise TalkFailed(joint, silent_amid(config, "position"))
+        raise DialogueFailed(joint, silent_amid(config, "position"))
     return int.from_bytes(answer.data[1:7], "big", signed=True)
 
 
 def _target(joint: int, config: JointConfig) -> Part[int]:
-    """Where the drive holds (counts): from where it stands by the error it tells; raises TalkFailed."""
+    """Where the drive holds (counts): from where it stands by the error it tells; raises DialogueFailed."""
     answer = yield _ask(_can_id(config), 6, READ_ERROR)
     if answer is None:
-        raise TalkFailed(joint, silent_amid(config, "angle error"))
+        raise DialogueFailed(joint, silent_amid(config, "angle error"))
     error = int.from_bytes(answer.data[1:5], "big", signed=True)
     measured = yield from _position(joint, config)
     return measured + round(error * COUNTS_PER_REVOLUTION / ERROR_STEPS_PER_REVOLUTION)

@@ -37,7 +37,7 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 
 
 @jit
-def hear(
+def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     """It says nothing."""

@@ -15,13 +15,13 @@ since it was told to let go (80), and does not say that its brake is locked afte
 """
 
 from compilation.jit import jit
-from rtloop.drives import hearing, leading, words
+from rtloop.drives import leading, receiving, words
 from rtloop.drives.myactuator_setup import ANGLE, FEEDBACK, SHUTDOWN, STATUS, STOP, TARGET
 from rtloop.memory import status as status_bits
 from rtloop.memory.axis import Axis
 from rtloop.memory.frame_words import STANDARD
 from rtloop.memory.state import Loop, Shared
-from rtloop.safety import guard
+from rtloop.safety import setpoint_check
 from rtloop.wire import outgoing
 
 REQUEST_BASE = 0x140
@@ -63,7 +63,7 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
     row, axis = loop.joints[joint], loop.axes[joint]
     dps_per_rad_s = abs(row.command_per_rad) / STEPS_PER_DEGREE
     target, speed = leading.target_ahead(loop, joint, 0.5 / dps_per_rad_s)
-    if not guard.may_be_sent(loop, shared, joint, target, speed):
+    if not setpoint_check.may_be_sent(loop, shared, joint, target, speed):
         return
     wanted_dps = abs(speed) * dps_per_rad_s + axis.sent.rpm_remainder * DPS_PER_RPM
     speed_dps = round(wanted_dps)
@@ -82,7 +82,7 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
 @jit
 def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
     if outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, ANGLE):
-        hearing.note_question(loop, joint)
+        receiving.note_question(loop, joint)
 
 
 @jit
@@ -103,11 +103,11 @@ def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
 @jit
 def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
     if data == ANGLE:
-        hearing.note_question(loop, joint)
+        receiving.note_question(loop, joint)
 
 
 @jit
-def hear(
+def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     row, axis = loop.joints[joint], loop.axes[joint]
@@ -115,18 +115,18 @@ def hear(
     if length != 8:
         return
     if said == ANGLE:
-        hearing.hear_position(loop, joint, words.signed(data, 4, 4) / row.reading_per_rad - row.zero_rad, time_ns)
+        receiving.receive_position(loop, joint, words.signed(data, 4, 4) / row.reading_per_rad - row.zero_rad, time_ns)
     elif said in (TARGET, FEEDBACK):
-        hearing.hear_temperature(loop, joint, float(words.signed(data, 1, 1)))
+        receiving.receive_temperature(loop, joint, float(words.signed(data, 1, 1)))
         if row.effort_per_unit != 0.0:
-            hearing.hear_effort(loop, joint, words.signed(data, 2, 2) * row.effort_per_unit)
-        hearing.hear_velocity(loop, joint, words.signed(data, 4, 2) * STEPS_PER_DEGREE / row.reading_per_rad)
+            receiving.receive_effort(loop, joint, words.signed(data, 2, 2) * row.effort_per_unit)
+        receiving.receive_velocity(loop, joint, words.signed(data, 4, 2) * STEPS_PER_DEGREE / row.reading_per_rad)
         if said == TARGET:
             axis.drive.is_disabled = 0
     elif said == STATUS:
-        hearing.hear_temperature(loop, joint, float(words.signed(data, 1, 1)))
-        hearing.hear_voltage(loop, joint, words.unsigned(data, 4, 2) * VOLT_PER_STEP)
-        hearing.hear_status(
+        receiving.receive_temperature(loop, joint, float(words.signed(data, 1, 1)))
+        receiving.receive_voltage(loop, joint, words.unsigned(data, 4, 2) * VOLT_PER_STEP)
+        receiving.receive_status(
             loop, joint, common_status(holds(axis, words.unsigned(data, 3, 1)), words.unsigned(data, 6, 2))
         )
     elif said == SHUTDOWN:

@@ -38,7 +38,7 @@ from rtloop.drives.setup import (
     settle_mark,
 )
 from rtloop.memory.frame_words import STANDARD
-from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, silent_amid
 from rtloop.service.port import Frame
 from shm.words import Unreferenced
 
@@ -146,7 +146,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     config = host.arm.joints[joint]
     drive = _drive(config)
     if (yield _asked(drive, ANGLE)) is None:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} (motor_id {drive.motor_id}) does not answer: check its power, its ID and the "
             f"bit rate ({host.arm.bus.bitrate} bit/s; motors come with 1000000), and the CAN wires with 120 Ω at both "
@@ -154,7 +154,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         )
     restarted = yield from _without_errors(host, joint)
     if host.heals and not (yield from kept_power(host, joint)):
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not prove that it had power all the time, and the target that it would "
             "be told enables one that had not, which nobody has asked for: see whether it holds, then `rtarm "
@@ -225,11 +225,11 @@ def suspended_ns() -> int:
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) - time.monotonic_ns()
 
 
-def let_go(arm: ArmConfig, joint: int) -> Dialogue:
-    """Shut the motor down, which says so; raises TalkFailed."""
+def disable(arm: ArmConfig, joint: int) -> Dialogue:
+    """Shut the motor down, which says so; raises DialogueFailed."""
     config = arm.joints[joint]
     if (yield _asked(_drive(config), SHUTDOWN)) is None:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not say that it has let go: keep clear of the arm, check its power and "
             "the CAN wires, then `rtarm clear-fault`, which brings all drives up again.",
@@ -237,7 +237,7 @@ def let_go(arm: ArmConfig, joint: int) -> Dialogue:
 
 
 def _without_errors(host: Host, joint: int) -> Part[bool]:
-    """See that the motor has no error; whether it was restarted for that; raises TalkFailed."""
+    """See that the motor has no error; whether it was restarted for that; raises DialogueFailed."""
     config = host.arm.joints[joint]
     error = yield from _error(joint, config)
     if not error:
@@ -245,7 +245,7 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
     restarts = bool(error & NEEDS_RESTART)
     if not host.clears_protection:
         ends = ", which ends with a restart of the drive only," if restarts else ""
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} has an error ({error_words(error)}){ends} and holds nothing: remove the "
             f"cause, {ERROR_AT_START}.",
@@ -258,12 +258,12 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
         began_ns = host.now_ns
         while (yield _asked(_drive(config), ANGLE)) is None:
             if host.now_ns - began_ns > RESTART_S * 1e9:
-                raise TalkFailed(joint, silent_amid(config, "restart"))
+                raise DialogueFailed(joint, silent_amid(config, "restart"))
     for _ in range(TRIES):
         error = yield from _error(joint, config)
         if not error:
             return restarts
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} keeps its error ({error_words(error)}){' after a restart' if restarts else ''}, "
         "so what caused it is still there: remove it, then `rtarm clear-fault`.",
@@ -271,13 +271,13 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
 
 
 def _at_rest(joint: int, config: JointConfig) -> Part[None]:
-    """Stop a motor that is on its way; raises TalkFailed."""
+    """Stop a motor that is on its way; raises DialogueFailed."""
     for _ in range(TRIES * TRIES):
         feedback = yield from _answered(joint, config, FEEDBACK, "speed")
         if struct.unpack_from("<h", feedback, 4)[0] == 0:
             return
         yield from _answered(joint, config, STOP, "stop")
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} turns and does not stop: end what leads or moves it, then `rtarm clear-fault`, or "
         "`rtarm up` where it has ended.",
@@ -285,7 +285,7 @@ def _at_rest(joint: int, config: JointConfig) -> Part[None]:
 
 
 def _with_its_ramp(host: Host, joint: int) -> Part[None]:
-    """See that the motor brakes in silence as the arm file says, and set that where it does not; raises TalkFailed."""
+    """Have the motor brake in silence as the arm file says; raises DialogueFailed."""
     config = host.arm.joints[joint]
     wanted = ramp_dps_s(config, host.arm)
     before = []
@@ -298,7 +298,7 @@ def _with_its_ramp(host: Host, joint: int) -> Part[None]:
             yield from _answered(joint, config, WRITE_RAMP, name, struct.pack("<BxxI", index, wanted))
             found = yield from _ramp(joint, config, index, name)
         if found != wanted:
-            raise TalkFailed(
+            raise DialogueFailed(
                 joint,
                 f"The drive of {config.name} does not take {wanted} °/s² as the {name} of its position planning (it "
                 f"stays at {found}): set it with the maker's program, then `rtarm clear-fault`, or `rtarm up` where it "
@@ -334,15 +334,15 @@ def _asked(drive: MyactuatorDrive, command: int, data: bytes = b"") -> AskFrames
 
 
 def _answered(joint: int, config: JointConfig, command: int, what: str, data: bytes = b"") -> Part[bytes]:
-    """The data of the answer; raises TalkFailed where there is none."""
+    """The data of the answer; raises DialogueFailed where there is none."""
     answer = yield _asked(_drive(config), command, data)
     if answer is None:
-        raise TalkFailed(joint, silent_amid(config, what))
+        raise DialogueFailed(joint, silent_amid(config, what))
     return bytes(answer.data)
 
 
 def _angle(joint: int, config: JointConfig) -> Part[int]:
-    """Angle of its output shaft (0.01°), as it will be told to hold it; raises TalkFailed."""
+    """Angle of its output shaft (0.01°), as it will be told to hold it; raises DialogueFailed."""
 
     def read() -> Part[int]:
         data = yield from _answered(joint, config, ANGLE, "position")
@@ -352,12 +352,12 @@ def _angle(joint: int, config: JointConfig) -> Part[int]:
 
 
 def _error(joint: int, config: JointConfig) -> Part[int]:
-    """The error word; raises TalkFailed."""
+    """The error word; raises DialogueFailed."""
     data = yield from _answered(joint, config, STATUS, "status")
     return int(struct.unpack_from("<H", data, 6)[0])
 
 
 def _ramp(joint: int, config: JointConfig, index: int, name: str) -> Part[int]:
-    """A ramp of its position planning (degrees/s²); raises TalkFailed."""
+    """A ramp of its position planning (degrees/s²); raises DialogueFailed."""
     data = yield from _answered(joint, config, READ_RAMP, name, bytes((index,)))
     return int(struct.unpack_from("<I", data, 4)[0])

@@ -15,7 +15,7 @@ odriverobotics/ODrive reads what start_closed_loop_control in axis.cpp connects)
 import math
 
 from compilation.jit import jit
-from rtloop.drives import following, hearing, words
+from rtloop.drives import following, receiving, words
 from rtloop.drives.odrive_setup import (
     ANSWER_BYTES,
     BUS,
@@ -31,7 +31,7 @@ from rtloop.drives.odrive_setup import (
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import REMOTE, STANDARD
 from rtloop.memory.state import Loop, Shared
-from rtloop.safety import guard
+from rtloop.safety import monitor, setpoint_check
 from rtloop.wire import outgoing
 
 AHEAD_PER_UNIT = 1000.0
@@ -72,7 +72,7 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
     position_rad, velocity_rad_s = following.setpoint(loop, joint)
     position_rad -= following.still_behind_rad(loop, joint, position_rad)
     velocity_rad_s -= axis.sent.behind_rad_s
-    if not guard.may_be_sent(loop, shared, joint, position_rad, velocity_rad_s):
+    if not setpoint_check.may_be_sent(loop, shared, joint, position_rad, velocity_rad_s):
         return
     data = input_position((position_rad + row.zero_rad) * row.command_per_rad, velocity_rad_s * row.command_per_rad)
     outgoing.send(loop, shared, identifier(loop, joint, INPUT_POSITION), STANDARD, 8, data)
@@ -82,7 +82,7 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
     """Hold where it is measured: 02, its emergency stop, would let it fall. Unled it stands at its last target."""
     row, axis = loop.joints[joint], loop.axes[joint]
-    if not guard.knows_where_it_stands(loop, joint):
+    if not monitor.knows_where_it_stands(loop, joint):
         return True
     data = input_position((axis.measured.position_rad + row.zero_rad) * row.command_per_rad, 0.0)
     return bool(outgoing.send(loop, shared, identifier(loop, joint, INPUT_POSITION), STANDARD, 8, data, 0, joint))
@@ -91,7 +91,7 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
 @jit
 def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
     if outgoing.send(loop, shared, identifier(loop, joint, ESTIMATES), REMOTE, ANSWER_BYTES, 0):
-        hearing.note_question(loop, joint)
+        receiving.note_question(loop, joint)
 
 
 @jit
@@ -114,7 +114,7 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 
 
 @jit
-def hear(
+def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     row = loop.joints[joint]
@@ -125,15 +125,15 @@ def hear(
     if command == ESTIMATES and math.isfinite(first) and math.isfinite(second):
         position_rad = first / row.reading_per_rad - row.zero_rad
         if data != 0 or tells_zeros(loop, joint, position_rad):
-            hearing.hear_position(loop, joint, position_rad, time_ns)
-            hearing.hear_velocity(loop, joint, second / row.reading_per_rad)
+            receiving.receive_position(loop, joint, position_rad, time_ns)
+            receiving.receive_velocity(loop, joint, second / row.reading_per_rad)
     elif command == BUS and math.isfinite(first):
-        hearing.hear_voltage(loop, joint, first)
+        receiving.receive_voltage(loop, joint, first)
     elif command == CURRENT and math.isfinite(second) and row.effort_per_unit != 0.0:
-        hearing.hear_effort(loop, joint, second * row.effort_per_unit)
+        receiving.receive_effort(loop, joint, second * row.effort_per_unit)
     elif command == HEARTBEAT:
         error, state = words.unsigned(data, 0, 4), words.unsigned(data, 4, 1)
-        hearing.hear_status(loop, joint, common_status(loop.axes[joint].drive.firmware, error, state))
+        receiving.receive_status(loop, joint, common_status(loop.axes[joint].drive.firmware, error, state))
     elif command == VERSION:
         loop.axes[joint].drive.firmware = words.unsigned(data, 4, 1) << 8 | words.unsigned(data, 5, 1)
 
@@ -147,7 +147,7 @@ def tells_zeros(loop: Loop, joint: int, position_rad: float) -> bool:
     axis = loop.axes[joint]
     if axis.drive.firmware >= FIRMWARE_0_6:
         return True
-    if guard.knows_where_it_stands(loop, joint):
+    if monitor.knows_where_it_stands(loop, joint):
         return bool(abs(position_rad - axis.measured.position_rad) <= loop.params.position_jump_rad)
     return bool(axis.drive.status & status_bits.ENABLED != 0 and axis.drive.status_ns >= axis.measured.time_ns)
 

@@ -21,7 +21,7 @@ from config.schema import ArmConfig
 from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, require_may_enable
 from rtloop.memory.frame_words import REMOTE, STANDARD
-from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed, answer_patience_s, silent_amid
+from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, answer_patience_s, silent_amid
 from rtloop.service.port import Frame
 from shm.words import Unreferenced
 
@@ -142,7 +142,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     config = host.arm.joints[joint]
     node = _drive(config).node_id
     if (yield _asked(node, ESTIMATES)) is None:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} (node {node}) does not answer: check its power, its node and the bit rate "
             f"({host.arm.bus.bitrate} bit/s; axis.config.can.node_id and can.config.baud_rate), and the CAN wires with "
@@ -167,7 +167,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         if beat.state == CLOSED_LOOP:
             break
     else:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} ({firmware}) does not close its loop ({_why_open(beat, firmware)}): calibrate "
             "its motor and encoder with odrivetool and save that in the drive, then `rtarm clear-fault`, or `rtarm up` "
@@ -177,15 +177,15 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     return Found(turns, turns, Unreferenced.REFERENCED if _drive(config).knows_its_angle else Unreferenced.INCREMENTAL)
 
 
-def let_go(arm: ArmConfig, joint: int) -> Dialogue:
-    """Let the axis go idle, and see that it has; raises TalkFailed."""
+def disable(arm: ArmConfig, joint: int) -> Dialogue:
+    """Let the axis go idle, and see that it has; raises DialogueFailed."""
     config = arm.joints[joint]
     for _ in range(TRIES):
         yield say(_frame(_drive(config).node_id, AXIS_STATE, struct.pack("<II", IDLE, 0)))
         beat = yield from _heartbeat(arm, joint, lambda beat: beat.state != CLOSED_LOOP)
         if beat.state != CLOSED_LOOP:
             return
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} keeps its loop closed after being told to let go: keep clear of the arm, look at "
         "the axis in odrivetool, then `rtarm clear-fault`, which brings all drives up again.",
@@ -216,13 +216,13 @@ def _firmware(node: int) -> Part[Firmware]:
 
 
 def _without_errors(host: Host, joint: int, firmware: Firmware) -> Part[Beat]:
-    """Clear its errors, if a person has asked for that; raises TalkFailed."""
+    """Clear its errors, if a person has asked for that; raises DialogueFailed."""
     config = host.arm.joints[joint]
     beat = yield from _heartbeat(host.arm, joint, lambda beat: not (firmware.is_0_6 and beat.error == INITIALIZING))
     if not beat.error:
         return beat
     if not host.clears_protection:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} ({firmware}) has an error ({error_words(beat.error, firmware)}) and holds "
             f"nothing: remove the cause, {ERROR_AT_START}.",
@@ -230,7 +230,7 @@ def _without_errors(host: Host, joint: int, firmware: Firmware) -> Part[Beat]:
     yield say(_frame(_drive(config).node_id, CLEAR_ERRORS))
     beat = yield from _heartbeat(host.arm, joint, lambda beat: beat.error == 0)
     if beat.error:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} ({firmware}) keeps its error ({error_words(beat.error, firmware)}) after it "
             "was cleared, so what caused it is still there: find it with `dump_errors` in odrivetool, then `rtarm "
@@ -255,15 +255,15 @@ def _asked(node: int, command: int) -> AskFrames:
 
 
 def _turns(joint: int, config: JointConfig) -> Part[float]:
-    """Where the motor stands; raises TalkFailed."""
+    """Where the motor stands; raises DialogueFailed."""
     for _ in range(TRIES):
         answer = yield _asked(_drive(config).node_id, ESTIMATES)
         if answer is None:
-            raise TalkFailed(joint, silent_amid(config, "position"))
+            raise DialogueFailed(joint, silent_amid(config, "position"))
         turns = float(struct.unpack("<f", answer.data[:4])[0])
         if math.isfinite(turns):
             return turns
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} says that its position is no number: calibrate its encoder with odrivetool, then "
         "`rtarm clear-fault`, or `rtarm up` where it has ended.",
@@ -273,7 +273,7 @@ def _turns(joint: int, config: JointConfig) -> Part[float]:
 def _heartbeat(arm: ArmConfig, joint: int, until: Callable[[Beat], bool]) -> Part[Beat]:
     """The next heartbeat that is as wanted, or the last within a while.
 
-    Raises TalkFailed where none comes.
+    Raises DialogueFailed where none comes.
     """
     config = arm.joints[joint]
     heartbeat_s = _drive(config).heartbeat_ms * 1e-3
@@ -292,7 +292,7 @@ def _heartbeat(arm: ArmConfig, joint: int, until: Callable[[Beat], bool]) -> Par
         if until(found):
             return found
     if found is None:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} sends no heartbeat: set axis.config.can.heartbeat_rate_ms "
             f"(heartbeat_msg_rate_ms with firmware 0.6) to {_drive(config).heartbeat_ms}, or heartbeat_ms in the arm "

@@ -24,7 +24,7 @@ import math
 
 from compilation.jit import jit
 from config.drives.robstride import CONTROL, READ, TYPE_BIT, WRITE
-from rtloop.drives import following, hearing, leading, words
+from rtloop.drives import following, leading, receiving, words
 from rtloop.drives.robstride_setup import (
     FAULT,
     FAULT_BIT,
@@ -41,7 +41,7 @@ from rtloop.drives.robstride_setup import (
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import EXTENDED
 from rtloop.memory.state import Loop, Shared
-from rtloop.safety import guard
+from rtloop.safety import monitor, setpoint_check
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.trajectory.limits import clamped_rad
 from rtloop.wire import outgoing
@@ -107,7 +107,7 @@ def send_target(loop: Loop, joint: int, shared: Shared, speed: float, target: fl
     if not outgoing.has_room(loop, 2):
         return False
     outgoing.send(loop, shared, frame_id, EXTENDED, 8, parameter(SPEED_LIMIT, speed), 1)
-    hearing.note_question(loop, joint)
+    receiving.note_question(loop, joint)
     sent = outgoing.send(loop, shared, frame_id, EXTENDED, 8, parameter(POSITION_TARGET, target), 0, stops)
     return told(loop, joint, sent)
 
@@ -117,7 +117,7 @@ def told(loop: Loop, joint: int, sent: bool) -> bool:
     """What was sent is answered with its position."""
     if sent:
         loop.axes[joint].sent.asked_cycle = loop.timing.cycle
-        hearing.note_question(loop, joint)
+        receiving.note_question(loop, joint)
     return sent
 
 
@@ -138,12 +138,12 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
     if row.position_gain_1_s == 0.0:
         position, velocity = following.setpoint(loop, joint)
         velocity *= row.command_per_rad
-        if guard.may_be_sent(loop, shared, joint, position, velocity):
+        if setpoint_check.may_be_sent(loop, shared, joint, position, velocity):
             send_set_point(loop, joint, shared, (position + row.zero_rad) * row.command_per_rad, velocity, -1)
     else:
         target, speed = target_ahead(loop, joint)
         speed *= abs(row.command_per_rad)
-        if guard.may_be_sent(loop, shared, joint, target, speed):
+        if setpoint_check.may_be_sent(loop, shared, joint, target, speed):
             send_target(loop, joint, shared, speed, (target + row.zero_rad) * row.command_per_rad, -1)
 
 
@@ -151,7 +151,7 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
     """Hold where it is measured: type 4, its stop, would let the joint fall. Unled it stands at its last target."""
     row, axis = loop.joints[joint], loop.axes[joint]
-    if not guard.knows_where_it_stands(loop, joint):
+    if not monitor.knows_where_it_stands(loop, joint):
         return True
     here = (axis.measured.position_rad + row.zero_rad) * row.command_per_rad
     if row.position_gain_1_s == 0.0:
@@ -166,7 +166,7 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
         return
     frame_id = identifier(loop, joint, READ, loop.joints[joint].host_id)
     if outgoing.send(loop, shared, frame_id, EXTENDED, 8, POSITION):
-        hearing.note_question(loop, joint)
+        receiving.note_question(loop, joint)
 
 
 @jit
@@ -182,7 +182,7 @@ def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
     elif outgoing.send(
         loop, shared, identifier(loop, joint, WRITE, host_id), EXTENDED, 8, parameter(SPEED_TARGET, 0.0)
     ):
-        hearing.note_question(loop, joint)
+        receiving.note_question(loop, joint)
 
 
 @jit
@@ -195,37 +195,37 @@ def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
 def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
     """All but other parameters are answered with a position."""
     if frame_id >> TYPE_BIT != READ or words.unsigned(data, 0, 2) == POSITION:
-        hearing.note_question(loop, joint)
+        receiving.note_question(loop, joint)
 
 
 @jit
-def hear(
+def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     said = frame_id >> TYPE_BIT
     if length != 8:
         return
     if said == FEEDBACK:
-        hear_feedback(loop, joint, frame_id, data, time_ns)
+        receive_feedback(loop, joint, frame_id, data, time_ns)
     elif said == READ and (frame_id >> FAULT_BIT) & 0xFF == 0:
-        hear_parameter(loop, joint, words.unsigned(data, 0, 2), words.float_at(data, 4), time_ns)
+        receive_parameter(loop, joint, words.unsigned(data, 0, 2), words.float_at(data, 4), time_ns)
     elif said == FAULT and words.unsigned(data, 0, 4) != 0:
-        hearing.hear_status(loop, joint, fault_status(words.unsigned(data, 0, 4)))
+        receiving.receive_status(loop, joint, fault_status(words.unsigned(data, 0, 4)))
 
 
 @jit
-def hear_feedback(loop: Loop, joint: int, frame_id: int, data: int, time_ns: int) -> None:
+def receive_feedback(loop: Loop, joint: int, frame_id: int, data: int, time_ns: int) -> None:
     row = loop.joints[joint]
     position = words.of_field(words.swapped(words.unsigned(data, 0, 2), 2), row.range_rad, BITS)
     velocity = words.of_field(words.swapped(words.unsigned(data, 2, 2), 2), row.range_rad_s, BITS)
     torque = words.of_field(words.swapped(words.unsigned(data, 4, 2), 2), row.range_nm, BITS)
     angle = position / row.reading_per_rad - row.zero_rad
-    hearing.hear_position(loop, joint, beyond_its_field(loop, joint, angle), time_ns)
-    hearing.hear_velocity(loop, joint, velocity / row.reading_per_rad)
-    hearing.hear_effort(loop, joint, torque * row.effort_per_unit)
+    receiving.receive_position(loop, joint, beyond_its_field(loop, joint, angle), time_ns)
+    receiving.receive_velocity(loop, joint, velocity / row.reading_per_rad)
+    receiving.receive_effort(loop, joint, torque * row.effort_per_unit)
     celsius = words.signed(words.swapped(words.unsigned(data, 6, 2), 2), 0, 2) * CELSIUS_PER_STEP
-    hearing.hear_temperature(loop, joint, celsius)
-    hearing.hear_status(loop, joint, common_status((frame_id >> MODE_BIT) & 3, (frame_id >> FAULT_BIT) & 0x3F))
+    receiving.receive_temperature(loop, joint, celsius)
+    receiving.receive_status(loop, joint, common_status((frame_id >> MODE_BIT) & 3, (frame_id >> FAULT_BIT) & 0x3F))
 
 
 @jit
@@ -244,16 +244,16 @@ def beyond_its_field(loop: Loop, joint: int, angle_rad: float) -> float:
 
 
 @jit
-def hear_parameter(loop: Loop, joint: int, index: int, value: float, time_ns: int) -> None:
+def receive_parameter(loop: Loop, joint: int, index: int, value: float, time_ns: int) -> None:
     row = loop.joints[joint]
     if not math.isfinite(value):
         return
     if index == POSITION:
-        hearing.hear_position(loop, joint, value / row.reading_per_rad - row.zero_rad, time_ns)
+        receiving.receive_position(loop, joint, value / row.reading_per_rad - row.zero_rad, time_ns)
     elif index == VELOCITY:
-        hearing.hear_velocity(loop, joint, value / row.reading_per_rad)
+        receiving.receive_velocity(loop, joint, value / row.reading_per_rad)
     elif index == VOLTAGE:
-        hearing.hear_voltage(loop, joint, value)
+        receiving.receive_voltage(loop, joint, value)
 
 
 @jit

@@ -24,7 +24,7 @@ from rtloop.drives import fields
 from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, PowerHost
-from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
+from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, silent_amid
 from rtloop.service.port import Frame
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from shm.words import Unreferenced
@@ -85,7 +85,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     drive = _drive(config)
     state = yield from _asked_how_it_is(drive)
     if state is None:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} (motor_id {drive.motor_id}) does not answer: check its power, its ID and the "
             f"bit rate ({host.arm.bus.bitrate} bit/s; RobStrides come with 1000000), and the CAN wires with 120 Ω at "
@@ -113,7 +113,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
             break
     else:
         why = f"its faults are {state.fault_words}" if state.faults else f"its state is {state.mode}"
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not run after being enabled ({why}): calibrate its encoder with the "
             "maker's program, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
@@ -139,14 +139,14 @@ def _is_running(drive: RobstrideDrive) -> Part[bool | None]:
     return None if state is None else state.mode == RUN
 
 
-def let_go(arm: ArmConfig, joint: int) -> Dialogue:
-    """Stop the motor, which lets it go, and see that it has; raises TalkFailed."""
+def disable(arm: ArmConfig, joint: int) -> Dialogue:
+    """Stop the motor, which lets it go, and see that it has; raises DialogueFailed."""
     config = arm.joints[joint]
     for _ in range(TRIES):
         state = yield from _said(joint, config, _frame(_drive(config), STOP))
         if state.mode != RUN:
             return
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} keeps running after being told to let go: keep clear of the arm, switch the "
         "drive off, then `rtarm clear-fault`, which brings all drives up again.",
@@ -154,10 +154,10 @@ def let_go(arm: ArmConfig, joint: int) -> Dialogue:
 
 
 def _without_faults(host: Host, joint: int, state: State) -> Part[State]:
-    """Clear its faults, if a person has asked for that; raises TalkFailed."""
+    """Clear its faults, if a person has asked for that; raises DialogueFailed."""
     config = host.arm.joints[joint]
     if not host.clears_protection:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} has a fault ({state.fault_words}) and holds nothing: remove the cause, "
             f"{ERROR_AT_START}.",
@@ -166,7 +166,7 @@ def _without_faults(host: Host, joint: int, state: State) -> Part[State]:
         state = yield from _said(joint, config, _frame(_drive(config), STOP, b"\x01"))
         if not state.faults:
             return state
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} keeps its fault ({state.fault_words}) after it was cleared, so what caused it is "
         "still there: remove it, then `rtarm clear-fault`.",
@@ -178,7 +178,7 @@ def _refuse_another_run_mode(joint: int, config: JointConfig) -> Part[None]:
     run_mode = yield from _parameter(joint, config, RUN_MODE, "run mode")
     wanted = RUN_MODES[_drive(config).mode]
     if run_mode[0] != wanted:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} runs in run mode {run_mode[0]}, but mode {_drive(config).mode} is run mode "
             f"{wanted}, which is set while it is stopped: end the program that leads it, support the arm, switch the "
@@ -187,11 +187,11 @@ def _refuse_another_run_mode(joint: int, config: JointConfig) -> Part[None]:
 
 
 def _require_within_its_field(joint: int, config: JointConfig, rad: float) -> None:
-    """Refuse a motor that stands where no frame reaches; raises TalkFailed."""
+    """Refuse a motor that stands where no frame reaches; raises DialogueFailed."""
     most = _drive(config).position_range_rad
     if abs(rad) <= most:
         return
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} stands at {rad:+.3f} rad of its shaft, beyond what its frames reach "
         f"(±{most:.6g} rad), so it would be moved if it were told to stay: turn the joint back by hand while the drive "
@@ -202,13 +202,13 @@ def _require_within_its_field(joint: int, config: JointConfig, rad: float) -> No
 def _hold_as_it_is(host: Host, joint: int, standing: float) -> Part[float]:
     """Let one that runs in control mode hold where it stands, with the torque that it makes; what it is told to hold.
 
-    Raises TalkFailed.
+    Raises DialogueFailed.
     """
     config = host.arm.joints[joint]
     drive = _drive(config)
     answer = yield AskFrames((_write(drive, SPEED_TARGET, 0.0),), _is_feedback)
     if answer is None:
-        raise TalkFailed(joint, silent_amid(config, "state"))
+        raise DialogueFailed(joint, silent_amid(config, "state"))
     _, speed, torque = struct.unpack_from(">HHH", answer.data)
     held = standing
     if abs(fields.of_field(speed, drive.velocity_range_rad_s, 16)) <= STANDING_RAD_S:
@@ -223,7 +223,7 @@ def _hold_as_it_is(host: Host, joint: int, standing: float) -> Part[float]:
 
 
 def _prepare(joint: int, config: JointConfig, standing: float) -> Part[None]:
-    """Give a stopped motor its run mode, and what it shall hold once it is enabled; raises TalkFailed."""
+    """Give a stopped motor its run mode, and what it shall hold once it is enabled; raises DialogueFailed."""
     drive = _drive(config)
     wanted = RUN_MODES[drive.mode]
     for _ in range(TRIES):
@@ -232,7 +232,7 @@ def _prepare(joint: int, config: JointConfig, standing: float) -> Part[None]:
         if found[0] == wanted:
             break
     else:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not take run mode {wanted} (it stays at {found[0]}): mode position is "
             "for CyberGears, csp for RobStrides; mode control is known to both.",
@@ -244,7 +244,7 @@ def _prepare(joint: int, config: JointConfig, standing: float) -> Part[None]:
 
 
 def _aim(joint: int, config: JointConfig, standing: float) -> Part[None]:
-    """Let its own position loop hold where it stands, at a creep; raises TalkFailed."""
+    """Let its own position loop hold where it stands, at a creep; raises DialogueFailed."""
     drive = _drive(config)
     wanted = {SPEED_LIMIT: CREEP_RAD_S, POSITION_GAIN: position_gain_1_s(drive), POSITION_TARGET: standing}
     for index, value in wanted.items():
@@ -255,7 +255,7 @@ def _aim(joint: int, config: JointConfig, standing: float) -> Part[None]:
             if math.isclose(has, value, rel_tol=ALIKE, abs_tol=ALIKE):
                 break
         else:
-            raise TalkFailed(
+            raise DialogueFailed(
                 joint,
                 f"The drive of {config.name} does not take {value:.6g} as its parameter {index:X} (it has "
                 f"{has:.6g}): give the joint mode control, or look at its firmware.",
@@ -302,10 +302,10 @@ def _hold(drive: RobstrideDrive, standing: float) -> Frame:
 
 
 def _said(joint: int, config: JointConfig, *frames: Frame) -> Part[State]:
-    """Say something that is answered with feedback; raises TalkFailed where it is not."""
+    """Say something that is answered with feedback; raises DialogueFailed where it is not."""
     answer = yield AskFrames(frames, _is_feedback)
     if answer is None:
-        raise TalkFailed(joint, silent_amid(config, "state"))
+        raise DialogueFailed(joint, silent_amid(config, "state"))
     return _state(answer)
 
 
@@ -316,10 +316,10 @@ def _asked_how_it_is(drive: RobstrideDrive) -> Part[State | None]:
 
 
 def _asked_again(joint: int, config: JointConfig) -> Part[State]:
-    """Its state; raises TalkFailed where it does not answer any more."""
+    """Its state; raises DialogueFailed where it does not answer any more."""
     state = yield from _asked_how_it_is(_drive(config))
     if state is None:
-        raise TalkFailed(joint, silent_amid(config, "state"))
+        raise DialogueFailed(joint, silent_amid(config, "state"))
     return state
 
 
@@ -332,7 +332,7 @@ def _state(frame: Frame) -> State:
 
 
 def _parameter(joint: int, config: JointConfig, index: int, what: str) -> Part[bytes]:
-    """The four bytes of a parameter's value; raises TalkFailed."""
+    """The four bytes of a parameter's value; raises DialogueFailed."""
     request = _frame(_drive(config), READ, struct.pack("<H", index))
 
     def is_answer(frame: Frame) -> bool:
@@ -341,18 +341,18 @@ def _parameter(joint: int, config: JointConfig, index: int, what: str) -> Part[b
 
     answer = yield AskFrames((request,), is_answer)
     if answer is None:
-        raise TalkFailed(joint, silent_amid(config, what))
+        raise DialogueFailed(joint, silent_amid(config, what))
     return bytes(answer.data[4:])
 
 
 def _where_it_stands(joint: int, config: JointConfig) -> Part[float]:
-    """Angle of its output shaft (rad); raises TalkFailed."""
+    """Angle of its output shaft (rad); raises DialogueFailed."""
     for _ in range(TRIES):
         data = yield from _parameter(joint, config, POSITION, "position")
         angle = float(struct.unpack("<f", data)[0])
         if math.isfinite(angle):
             return angle
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} says that its position is no number: calibrate its encoder with the maker's "
         "program, then `rtarm clear-fault`, or `rtarm up` where it has ended.",

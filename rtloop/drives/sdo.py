@@ -13,7 +13,7 @@ from config.drives.cia402 import SDO_REPLY, SDO_REQUEST
 from config.joint import JointConfig
 from rtloop.drives.asking import AskFrames
 from rtloop.memory.frame_words import STANDARD
-from rtloop.service.conversation import Part, TalkFailed, silent_amid
+from rtloop.service.conversation import DialogueFailed, Part, silent_amid
 from rtloop.service.port import Frame
 
 READ, WRITTEN, ABORT = 0x40, 0x60, 0x80
@@ -74,7 +74,7 @@ class Object:
         return f"{self.index:04X}:{self.sub:02X} ({self.what})"
 
 
-class Aborted(TalkFailed):
+class Aborted(DialogueFailed):
     """The drive does not read or write an object; `code` says why."""
 
     def __init__(self, joint: int, sentence: str, code: int) -> None:
@@ -107,7 +107,7 @@ def value_in(frame: Frame, entry: Object) -> int:
 
 @dataclass(frozen=True)
 class Node:
-    """The drive of a joint as its dialogue asks it; every call raises TalkFailed where it is silent."""
+    """The drive of a joint as its dialogue asks it; every call raises DialogueFailed where it is silent."""
 
     joint: int
     config: JointConfig
@@ -144,7 +144,7 @@ class Node:
 
     def _heard(self, entry: Object, reply: Frame | None, wanted: str) -> Frame:
         if reply is None:
-            raise TalkFailed(self.joint, silent_amid(self.config, f"object {entry.name}"))
+            raise DialogueFailed(self.joint, silent_amid(self.config, f"object {entry.name}"))
         if reply.data[0] == ABORT:
             code = int.from_bytes(reply.data[4:], "little")
             raise Aborted(

@@ -11,7 +11,7 @@ from config.drives.drive import Drive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives.power import Marks
-from rtloop.service.conversation import Dialogue, Part, TalkFailed
+from rtloop.service.conversation import Dialogue, DialogueFailed, Part
 from rtloop.service.port import ServicePort
 from shm.words import Unreferenced
 
@@ -66,13 +66,13 @@ class Setup(Protocol):
         """Put the numbers of the codec into a row of `memory.axis.JointParams`; the common ones are there."""
 
     def bring_up(self, host: Host, joint: int) -> Part[Found]:
-        """See that the drive answers, is what the arm file says, and holds where it stands; raises TalkFailed.
+        """See that the drive answers, is what the arm file says, and holds where it stands; raises DialogueFailed.
 
         Nothing moves: a drive that is on its way somewhere is stopped, one that is limp is enabled where it stands.
         """
 
-    def let_go(self, arm: ArmConfig, joint: int) -> Dialogue:
-        """Let the drive go limp, and see that it has; raises TalkFailed."""
+    def disable(self, arm: ArmConfig, joint: int) -> Dialogue:
+        """Let the drive go limp, and see that it has; raises DialogueFailed."""
 
 
 class PowerHost(Protocol):
@@ -92,9 +92,9 @@ class PowerProof(Protocol):
 
 
 def require_may_enable(host: Host, joint: int) -> None:
-    """Raise TalkFailed where a drive that holds nothing is found although nobody has asked for its being enabled."""
+    """Raise DialogueFailed for a drive that holds nothing although its being enabled was not asked for."""
     if host.heals:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {host.arm.joints[joint].name} holds nothing any more, and nobody has asked for its being "
             "enabled: see why, then `rtarm clear-fault`, which enables it where it stands.",
@@ -127,16 +127,16 @@ class ReferencingHost(PowerHost, Protocol):
         """Tell the cycle a decision."""
 
     def keep_lost(self, joint: int, reason: Unreferenced | None) -> None:
-        """Remember beyond this process why the joint's angle is not known, or (None) that it is; raises TalkFailed."""
+        """Remember for later processes why the angle is not known, or (None) that it is; raises DialogueFailed."""
 
     def run_begins(self, joint: int) -> None:
-        """From now on the drive's count means no angle; raises TalkFailed where that cannot be remembered."""
+        """From now on the drive's count means no angle; raises DialogueFailed where that cannot be remembered."""
 
     def require_place(self, joint: int, stopped: float) -> None:
-        """Raise TalkFailed where the run has not stopped (reading) about where the joint's stop is known to be."""
+        """Raise DialogueFailed where the run has not stopped (reading) about where the joint's stop is known to be."""
 
     def count_as_read(self, joint: int, angle_rad: float) -> None:
-        """Take the joint's last reading for an angle, or with NaN for what it says; raises TalkFailed."""
+        """Take the joint's last reading for an angle, or with NaN for what it says; raises DialogueFailed."""
 
     def count_from(
         self,
@@ -157,7 +157,7 @@ class Homes(Protocol):
     """What such a file has besides where its drives can find a stop by themselves."""
 
     def home(self, host: ReferencingHost, joint: int) -> Part[float]:
-        """Let the drive find its stop, and see that it counts from there; raises TalkFailed.
+        """Let the drive find its stop, and see that it counts from there; raises DialogueFailed.
 
         The host is told when the run begins (`run_begins`) and, by the count of before, where it stopped
         (`require_place`).
@@ -167,14 +167,14 @@ class Homes(Protocol):
         """
 
     def end_homing(self, host: ReferencingHost, joint: int) -> Dialogue:
-        """End the run, if there is one, and see that the drive stands; raises TalkFailed."""
+        """End the run, if there is one, and see that the drive stands; raises DialogueFailed."""
 
 
 class Places(Protocol):
     """What such a file has besides where a person's word for an angle needs more than the joint's last reading."""
 
     def place(self, host: ReferencingHost, joint: int, angle_rad: float) -> Dialogue:
-        """Take a person's word for where the joint stands, or NaN for what it reads; raises TalkFailed."""
+        """Take a person's word for where the joint stands, or NaN for what it reads; raises DialogueFailed."""
 
 
 class Reports(Protocol):

@@ -34,7 +34,7 @@ def float_word(value: float) -> int:
 
 @jit
 def bounded(value: float, most: int) -> int:
-    """The nearest whole number within ±most; undefined for what is no number, which `guard.may_be_sent` keeps away."""
+    """The nearest whole number within ±most; undefined for what is no number, which `may_be_sent` keeps away."""
     return round(min(max(value, -float(most)), float(most)))
 
 

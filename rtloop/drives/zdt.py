@@ -20,12 +20,12 @@ Streaming: a target ahead, and a speed that sets the pace (`rtloop.drives.leadin
 import math
 
 from compilation.jit import jit
-from rtloop.drives import hearing, leading
+from rtloop.drives import leading, receiving
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import EXTENDED
 from rtloop.memory.state import Loop, Shared
-from rtloop.safety import guard
-from rtloop.safety.agreed import steady_error_rad
+from rtloop.safety import setpoint_check
+from rtloop.safety.outlier_filter import steady_error_rad
 from rtloop.trajectory.correction import ERROR_SHARE_1_S
 from rtloop.trajectory.limits import clamped_rad
 from rtloop.wire import outgoing
@@ -198,12 +198,12 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
     frame_id = row.address << 8
     if loop.params.fast_targets == 1:
         target = fast_target(loop, joint)
-        if guard.may_be_sent(loop, shared, joint, target):
+        if setpoint_check.may_be_sent(loop, shared, joint, target):
             outgoing.send(loop, shared, frame_id, EXTENDED, 6, pack_fast_target(to_pulses(loop, joint, target)))
         return
     # whole rpm keep the mean by being up to half an rpm off for a period
     target, speed = leading.target_ahead(loop, joint, 0.5 / row.rpm_per_rad_s)
-    if not guard.may_be_sent(loop, shared, joint, target, speed):
+    if not setpoint_check.may_be_sent(loop, shared, joint, target, speed):
         return
     rpm = leading.whole_rpm(loop, joint, speed, HIGHEST_RPM)
     first, second = pack_target(rpm, int(row.acc_byte), to_pulses(loop, joint, target))
@@ -224,7 +224,7 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
 @jit
 def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
     if outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_POSITION):
-        hearing.note_question(loop, joint)
+        receiving.note_question(loop, joint)
 
 
 @jit
@@ -245,23 +245,23 @@ def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
 def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
     """A conversation has told a drive something in the cycle's frames: a question of its own will be answered."""
     if data == READ_POSITION:
-        hearing.note_question(loop, joint)
+        receiving.note_question(loop, joint)
 
 
 @jit
-def hear(
+def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     """Take what a drive says."""
     kind, value = decode(frame_id & 255, length, data)
     if kind == POSITION:
-        hearing.hear_position(loop, joint, to_radians(loop, joint, value), time_ns)
+        receiving.receive_position(loop, joint, to_radians(loop, joint, value), time_ns)
     elif kind == STATUS:
         axis = loop.axes[joint]
         if value & status_bits.PROTECTED == 0:
             axis.drive.error_code = 0
-        hearing.hear_status(loop, joint, value | axis.drive.error_code)
+        receiving.receive_status(loop, joint, value | axis.drive.error_code)
     elif kind == CAUSE:
         loop.axes[joint].drive.error_code = value
     elif kind == REFUSED:
-        hearing.hear_refusal(loop, shared, joint, value in (MOVE, FAST_MOVE))
+        receiving.receive_refusal(loop, shared, joint, value in (MOVE, FAST_MOVE))

@@ -62,7 +62,7 @@ class ZdtQuestion:
         frames = [frame for told in (*before, self.ask.payload, *after) for frame in split_packets(self.address, told)]
         return [(frame, number < len(frames) - 1) for number, frame in enumerate(frames)]
 
-    def hear(self, frame: Frame, last_try: bool) -> bytes | Again | None:
+    def receive(self, frame: Frame, last_try: bool) -> bytes | Again | None:
         """The answer, once its last packet is there."""
         packet, ask = frame.id & 255, self.ask
         if not frame.data:

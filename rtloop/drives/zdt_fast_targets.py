@@ -24,7 +24,7 @@ from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue
 from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
-from rtloop.service.conversation import TRIES, TalkFailed
+from rtloop.service.conversation import TRIES, DialogueFailed
 
 PULSES_BESIDE = 2
 SLOWEST_RPM, HIGHEST_RPM = 1, 3000
@@ -45,10 +45,10 @@ def beside(pulses: int) -> int:
 
 
 def prepare(arm: ArmConfig, joint: int, drive: ZdtDrive, version: Version) -> ZdtDialogue:
-    """See that `FC` means an absolute target to the drive, then set its speed and ramp; raises TalkFailed."""
+    """See that `FC` means an absolute target to the drive, then set its speed and ramp; raises DialogueFailed."""
     config = arm.joints[joint]
     if version.firmware < registers.FAST_FIRMWARE:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} has firmware {version}, but bus.position_command: FC needs 2.0.0 or newer: "
             "set bus.position_command to FD.",
@@ -67,7 +67,7 @@ def prepare(arm: ArmConfig, joint: int, drive: ZdtDrive, version: Version) -> Zd
             break
         if told is not None and abs(told / counts_per_pulse - pulses - 2 * beside(pulses)) < ALMOST_PULSES:
             yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)  # should the first have been lost
-            raise TalkFailed(
+            raise DialogueFailed(
                 joint,
                 f"The drive of {config.name} (firmware {version}) takes the targets of FC for amounts to go, although "
                 "it was told that they are absolute: set bus.position_command to FD.",
@@ -94,8 +94,8 @@ def _stays(pulses: int, stood: int, within: float, looks: int) -> Answered[bool]
     return position is not None and abs(position - stood) < within
 
 
-def _unclear(joint: int, config: JointConfig, version: Version) -> TalkFailed:
-    return TalkFailed(
+def _unclear(joint: int, config: JointConfig, version: Version) -> DialogueFailed:
+    return DialogueFailed(
         joint,
         f"The drive of {config.name} (firmware {version}) does not go where FC tells it, so it cannot be led with it: "
         "set bus.position_command to FD.",

@@ -15,8 +15,8 @@ from rtloop.drives import zdt_registers as registers
 from rtloop.drives.setup import ReferencingHost
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
 from rtloop.drives.zdt_talk import AGREEING, Answered
-from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed, silent_amid
-from rtloop.service.port import ADOPT, FAST_READY, REFERENCING
+from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, silent_amid
+from rtloop.service.port import FAST_READY, REFERENCING, SYNC_SETPOINT
 from shm.words import Unreferenced
 
 AT_STOP_RAD = 0.02
@@ -53,7 +53,7 @@ def _home(host: ReferencingHost, joint: int, config: JointConfig) -> Answered[fl
     mark_ms = zdt_talk.homing_mark_ms(round(limit_s * 1e3), host.now_ns)
     host.marks[joint] = None  # a mark that is still known and gone speaks of a loss of power
     if not (yield from zdt_talk.set_homing_timeout(mark_ms)):
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not take a homing time-out of {limit_s:g} s: set it in its menu, or "
             "lower homing.timeout_s.",
@@ -62,7 +62,7 @@ def _home(host: ReferencingHost, joint: int, config: JointConfig) -> Answered[fl
     began = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
     host.run_begins(joint)
     if not (yield from zdt_talk.begin_homing()):
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not begin its homing run: look at its display for a fault and at its "
             "homing parameters.",
@@ -87,13 +87,13 @@ def _see_it_end(host: ReferencingHost, joint: int, config: JointConfig, last: in
         flags = yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS)
         silent = 0 if flags is not None else silent + 1
         if silent >= AGREEING:  # each of them asked several times over
-            raise TalkFailed(joint, silent_amid(config, "homing state"))
+            raise DialogueFailed(joint, silent_amid(config, "homing state"))
         if flags is None:
             continue
         ended = 0 if flags & registers.HOMING else ended + 1
         failed = failed + 1 if ended and flags & registers.HOMING_FAILED else 0
         if failed >= AGREEING or host.now_ns - began_ns > (limit_s + LATE_S) * 1e9:
-            raise TalkFailed(
+            raise DialogueFailed(
                 joint,
                 f"The drive of {config.name} has not found its homing stop within {limit_s:g} s, or was stopped: see "
                 "that it can reach the stop and that direction, speed and collision current in its menu fit, then "
@@ -107,11 +107,11 @@ def _see_it_end(host: ReferencingHost, joint: int, config: JointConfig, last: in
 
 
 def _require_zero(host: ReferencingHost, joint: int, config: JointConfig) -> ZdtDialogue:
-    """Raise TalkFailed where the drive does not count 0 after its run, or holds nothing."""
+    """Raise DialogueFailed where the drive does not count 0 after its run, or holds nothing."""
     flags = yield from zdt_talk.status_of(joint, config)
     measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
     if flags & registers.PROTECTED or abs(measured) > AT_STOP_RAD * config.encoder_counts_per_rad:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} counts {measured} after its homing run, not 0, or has tripped its "
             "protection, so it has not found its stop: see that it can reach it and that its homing parameters "
@@ -125,7 +125,7 @@ def _clear_power_lost(joint: int, config: JointConfig) -> ZdtDialogue:
         yield Ask(registers.CLEAR_POWER_LOST, (3,))
         if not (yield from zdt_talk.status_of(joint, config)) & registers.POWER_LOST:
             return
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} keeps its flag for lost power although it was told to clear it: switch it off "
         "and on, then home it again.",
@@ -142,7 +142,7 @@ def _end_homing(host: ReferencingHost, joint: int, config: JointConfig) -> ZdtDi
         if seen >= AGREEING:
             break
     else:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not say that it has ended its homing run: it may still move, use the "
             "switch in the power line if it does.",
@@ -191,7 +191,7 @@ def _sound(host: ReferencingHost, joint: int, config: JointConfig) -> Answered[i
     yield Ask(registers.STOP, (3,), answered=host.arm.bus.acknowledge)
     flags = yield from zdt_talk.status_of(joint, config)
     if flags & registers.PROTECTED or not flags & registers.ENABLED:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} is in protection or not enabled, so it cannot be referenced: remove the "
             "cause, then `rtarm clear-fault`, which enables it.",
@@ -204,16 +204,16 @@ def _lost_its_mark(host: ReferencingHost, joint: int) -> Answered[bool]:
     if (yield from zdt_talk.has_mark(host.marks.known(joint))) is not False:
         return False
     host.keep_lost(joint, Unreferenced.POWER_LOST)
-    host.post(ADOPT, joint=joint, value=host.port.commanded_rad(joint), code=Unreferenced.POWER_LOST)
+    host.post(SYNC_SETPOINT, joint=joint, value=host.port.commanded_rad(joint), code=Unreferenced.POWER_LOST)
     return True
 
 
 def _require_mark(host: ReferencingHost, joint: int, config: JointConfig, mark: str) -> ZdtDialogue:
     marked = yield from zdt_talk.has_mark(mark)
     if marked is None:
-        raise TalkFailed(joint, silent_amid(config, "homing parameters"))
+        raise DialogueFailed(joint, silent_amid(config, "homing parameters"))
     if not marked:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} has lost power while it was referenced, so what it counts is no angle: "
             f"see to its supply, then {host.again}.",
@@ -231,7 +231,7 @@ def _set_up(host: ReferencingHost, joint: int, config: JointConfig) -> ZdtDialog
     assert isinstance(drive, ZdtDrive)
     version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
     if version is None:
-        raise TalkFailed(joint, silent_amid(config, "firmware"))
+        raise DialogueFailed(joint, silent_amid(config, "firmware"))
     if bus.reported:
         yield from zdt_reports.begin(host.arm, host.port, joint, version)
     if bus.fast_targets:
@@ -247,7 +247,7 @@ def _standing(host: ReferencingHost, joint: int, config: JointConfig) -> Answere
         if abs(measured - target) <= AT_STOP_RAD * config.encoder_counts_per_rad:
             return target
         yield Ask(registers.STOP, (3,), answered=host.arm.bus.acknowledge)
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} stands {measured - target} counts from its own target and does not take where "
         f"it is for it: switch it off and on, then {host.again}.",

@@ -8,7 +8,7 @@ from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_ask import ZdtDialogue
 from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
-from rtloop.service.conversation import TalkFailed
+from rtloop.service.conversation import DialogueFailed
 from rtloop.service.port import ServicePort
 
 REPORTS_TO_BELIEVE = 3
@@ -19,17 +19,17 @@ TRIES = 3
 """Times that the spacing of reports is looked at: some may be lost, or be those of a rate told before."""
 SPACING = (0.75, 1.35)
 """Mean spacing of reports beside what the drive was told; faster ones than that need more of the bus than is reckoned
-with (`config.budget`), and slower ones are missing too often (`rtloop.safety.guard`)."""
+with (`config.budget`), and slower ones are missing too often (`rtloop.safety.monitor`)."""
 
 
 def begin(arm: ArmConfig, port: ServicePort, joint: int, version: Version) -> ZdtDialogue:
-    """Have a drive report its position, and see that it does; raises TalkFailed.
+    """Have a drive report its position, and see that it does; raises DialogueFailed.
 
     Whether `11` is acknowledged by a drive whose acknowledgements are off is not documented, so silence is no refusal.
     """
     name, period_ms = arm.joints[joint].name, arm.control.report_period_ms
     if not (yield from zdt_talk.set_reports(period_ms)):
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {name} (firmware {version}) does not send its position by itself, which "
             "bus.positions: reported asks for and only drives of the X42S and Y42 generation can: set "
@@ -45,7 +45,7 @@ def begin(arm: ArmConfig, port: ServicePort, joint: int, version: Version) -> Zd
         if spacing_ms is None
         else f"sends its position every {spacing_ms:.1f} ms, although it was told to every {period_ms} ms"
     )
-    raise TalkFailed(joint, f"The drive of {name} (firmware {version}) {found}: set bus.positions to polled.")
+    raise DialogueFailed(joint, f"The drive of {name} (firmware {version}) {found}: set bus.positions to polled.")
 
 
 def _spacing_ms(arm: ArmConfig, port: ServicePort, joint: int) -> Answered[float | None]:

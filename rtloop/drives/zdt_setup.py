@@ -21,14 +21,14 @@ from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost, require_
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
 from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
-from rtloop.service.conversation import TRIES, Dialogue, Part, TalkFailed
+from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part
 from rtloop.service.port import FAST_READY
 from sentences.told import unreferenced_sentence
 from shm.words import Unreferenced
 
 SETTLE_PATIENCE_NS = 3_000_000_000
 HOMING_TRIES = 10
-ADOPT_WITHIN_RAD = 0.02
+SYNC_WITHIN_RAD = 0.02
 """A drive whose target lies this near to its position is taken at its word."""
 
 home, end_homing, place = zdt_homing.home, zdt_homing.end_homing, zdt_homing.place
@@ -50,7 +50,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> Answered[Found]:
     answer = yield Ask(registers.ASK_FIRMWARE, (4, 6))
     if answer is None:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} (address {drive.address}) does not answer: check its power, its address "
             f"and the bit rate ({host.arm.bus.bitrate} bit/s) in its menu, and the CAN wires with 120 Ω at both "
@@ -58,7 +58,7 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
         )
     version = registers.version_of(answer)
     if version is None:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} (address {drive.address}) answers the question for its firmware with "
             f"{answer.hex(' ')}, which no ZDT drive with Emm firmware does: see what stands at that address.",
@@ -90,7 +90,7 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
             if flags & registers.ENABLED:
                 break
         else:
-            raise TalkFailed(
+            raise DialogueFailed(
                 joint,
                 f"The drive of {config.name} stays disabled after being enabled: look at its display for a fault "
                 "and at the En setting in its menu.",
@@ -169,7 +169,7 @@ def _clear_protection(host: Host, joint: int, config: JointConfig) -> Answered[i
     """End a protection that has tripped, where a person wants that; the flags of ASK_STATUS after it."""
     cause, remedy = registers.trip_cause((yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS)) or 0)
     if not host.clears_protection:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} has tripped its protection ({cause}) and holds nothing: {remedy}, "
             f"{ERROR_AT_START}.",
@@ -177,7 +177,7 @@ def _clear_protection(host: Host, joint: int, config: JointConfig) -> Answered[i
     yield Ask(registers.CLEAR_PROTECTION, (3,))
     flags = yield from zdt_talk.status_of(joint, config)
     if flags & registers.PROTECTED:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} stays in protection after it was cleared, because what tripped it "
             f"({cause}) is still there: {remedy}, then `rtarm clear-fault`.",
@@ -194,7 +194,7 @@ def _end_homing(host: Host, joint: int, config: JointConfig) -> Answered[bool]:
             return looks > 0
         if looks > 0:  # one answer alone may be garbled
             end = (registers.END_HOMING, registers.STOP)
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {config.name} is amid a homing run and does not end it: use the switch in the power line, "
         "then `rtarm clear-fault`.",
@@ -216,13 +216,13 @@ def _settle_configuration(
             _require_budget_with_acknowledgements(host, joint, config, version)
         return
     if block.checksum != 0:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} uses checksum mode {block.checksum}, only 0 (the constant 6B) is spoken "
             "here: set Checksum to 0x6B in its menu.",
         )
     if block.microsteps != drive.microsteps:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} is set to {block.microsteps} microsteps, the arm file says "
             f"{drive.microsteps}: positions would be wrong by that factor; change one of the two.",
@@ -231,7 +231,7 @@ def _settle_configuration(
         return
     block = yield from zdt_talk.surely(zdt_talk.read_block)
     if block is None:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} tells its configuration in another way whenever it is asked, so its "
             "acknowledgements are not set, for which all of it is written back: check the adapter, its cable and "
@@ -267,7 +267,7 @@ def _require_budget_with_acknowledgements(host: Host, joint: int, config: JointC
     loud = host.arm.model_copy(update={"bus": host.arm.bus.model_copy(update={"acknowledge": True})})
     found = budget(loud)
     if not found.fits:
-        raise TalkFailed(
+        raise DialogueFailed(
             joint,
             f"The drive of {config.name} (firmware {version}) keeps acknowledging commands, and with "
             f"acknowledgements the bus carries {found.highest_rate_hz:.0f} Hz, not "
@@ -286,7 +286,7 @@ def _standing(host: Host, joint: int, config: JointConfig, reason: Unreferenced)
         target = yield from zdt_talk.counts_of(joint, config, registers.ASK_TARGET)
         measured_rad = measured / counts_per_rad - zero_rad
         target_rad = target / counts_per_rad - zero_rad
-        if abs(target_rad - measured_rad) <= ADOPT_WITHIN_RAD:
+        if abs(target_rad - measured_rad) <= SYNC_WITHIN_RAD:
             break
         if not stopped:  # whatever it is on its way to, nobody here has told it
             stopped = True
@@ -310,19 +310,19 @@ def end_reports(arm: ArmConfig, joint: int) -> Dialogue:
     yield from addressed(arm.joints[joint].drive.number, zdt_talk.set_reports(0))
 
 
-def let_go(arm: ArmConfig, joint: int) -> Dialogue:
-    """Let the drive go limp, and see that it has; raises TalkFailed."""
-    return addressed(arm.joints[joint].drive.number, _let_go(arm, joint))
+def disable(arm: ArmConfig, joint: int) -> Dialogue:
+    """Let the drive go limp, and see that it has; raises DialogueFailed."""
+    return addressed(arm.joints[joint].drive.number, _disable(arm, joint))
 
 
-def _let_go(arm: ArmConfig, joint: int) -> ZdtDialogue:
+def _disable(arm: ArmConfig, joint: int) -> ZdtDialogue:
     name = arm.joints[joint].name
     for _ in range(TRIES):
         yield Ask(registers.RELEASE, (3,), answered=arm.bus.acknowledge)
         flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
         if flags is not None and not flags & registers.ENABLED:
             return
-    raise TalkFailed(
+    raise DialogueFailed(
         joint,
         f"The drive of {name} stays enabled after being told to let go: keep clear of the arm, look at the drive's "
         "display, then `rtarm clear-fault`, which brings all drives up again.",

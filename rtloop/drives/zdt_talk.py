@@ -10,7 +10,7 @@ from config.joint import JointConfig
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_ask import Ask
 from rtloop.drives.zdt_registers import Block, HomingParameters
-from rtloop.service.conversation import TRIES, TalkFailed, silent_amid
+from rtloop.service.conversation import TRIES, DialogueFailed, silent_amid
 
 AGREEING = 2
 """Answers in a row that say the same: one alone may be garbled."""
@@ -38,18 +38,18 @@ def read_counts(question: bytes) -> Answered[int | None]:
 
 
 def status_of(joint: int, config: JointConfig) -> Answered[int]:
-    """The flags of ASK_STATUS; raises TalkFailed where the drive is silent."""
+    """The flags of ASK_STATUS; raises DialogueFailed where the drive is silent."""
     flags = yield from read_flags(registers.ASK_STATUS)
     if flags is None:
-        raise TalkFailed(joint, silent_amid(config, "status"))
+        raise DialogueFailed(joint, silent_amid(config, "status"))
     return flags
 
 
 def counts_of(joint: int, config: JointConfig, question: bytes) -> Answered[int]:
-    """A position as `read_counts` reads it; raises TalkFailed where the drive is silent."""
+    """A position as `read_counts` reads it; raises DialogueFailed where the drive is silent."""
     counts = yield from read_counts(question)
     if counts is None:
-        raise TalkFailed(joint, silent_amid(config, "position"))
+        raise DialogueFailed(joint, silent_amid(config, "position"))
     return counts
 
 

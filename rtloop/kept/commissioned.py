@@ -16,7 +16,7 @@ from config.drives.drive import Drive
 from config.schema import ArmConfig
 from rtloop.drives.power import Marks
 from rtloop.drives.setup import joints_on_the_bus
-from rtloop.kept.saved import (
+from rtloop.kept.reference_store import (
     NotSaved,
     channel_of,
     is_simulated,

@@ -90,7 +90,7 @@ class Tracking(Record, writers=("bus.frames", "bus.measured", "commands.orders",
     slip_rad: float  # how far the drive may have run ahead while the loop was away
 
 
-class Reply(Record, writers=("bus.frames", "bus.measured", "commands.orders", "cycle", "drives.hearing")):
+class Reply(Record, writers=("bus.frames", "bus.measured", "commands.orders", "cycle", "drives.receiving")):
     """Positions as they come from the drive, and questions for them."""
 
     is_new: int  # 1: a position came since the last cycle
@@ -103,7 +103,7 @@ class Reply(Record, writers=("bus.frames", "bus.measured", "commands.orders", "c
     unanswered_since_ns: int
 
 
-class Checks(Record, writers=("commands.orders", "drives.hearing", "safety.guard")):
+class Checks(Record, writers=("commands.orders", "drives.receiving", "safety.monitor")):
     """What has been implausible or refused, and how often in a row."""
 
     suspect: int  # 1: the last reading was implausible and waits for the next one to agree
@@ -112,7 +112,7 @@ class Checks(Record, writers=("commands.orders", "drives.hearing", "safety.guard
     refusals: int  # of motion commands since the last sound status
 
 
-class DriveState(Record, writers=("bus.frames", "commands.orders", "drives", "safety.guard")):
+class DriveState(Record, writers=("bus.frames", "commands.orders", "drives", "safety.monitor")):
     """What the drive reports of itself beside its position."""
 
     velocity_rad_s: float  # as the drive measures it; NaN where it does not, as the next three
@@ -129,7 +129,7 @@ class DriveState(Record, writers=("bus.frames", "commands.orders", "drives", "sa
     is_disabled: int  # 1: it was told to let go, and has said so
 
 
-class Reference(Record, writers=("commands.intake", "commands.orders", "safety.guard")):
+class Reference(Record, writers=("commands.orders", "commands.request_reader", "safety.monitor")):
     """Whether what the drive counts means an angle."""
 
     referenced: int
@@ -139,7 +139,18 @@ class Reference(Record, writers=("commands.intake", "commands.orders", "safety.g
     lost_at_rad: float  # its last reading when its reference was lost
 
 
-class Sent(Record, writers=("bus.frames", "commands.orders", "drives", "safety.guard", "wire.outgoing")):
+class Sent(
+    Record,
+    writers=(
+        "bus.frames",
+        "commands.orders",
+        "drives",
+        "safety.monitor",
+        "safety.setpoint_check",
+        "safety.transmission",
+        "wire.outgoing",
+    ),
+):
     """What the drive's commands so far leave to the next ones."""
 
     stop_frames_due: int

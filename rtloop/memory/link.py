@@ -153,7 +153,7 @@ class Bus(
         "commands.orders",
         "cycle",
         "drives.cia402",
-        "drives.hearing",
+        "drives.receiving",
         "wire.outgoing",
     ),
 ):

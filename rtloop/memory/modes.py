@@ -27,7 +27,7 @@ _ALLOWED_BITS = tuple(sum(1 << int(to) for to in ALLOWED[mode]) for mode in Mode
 
 
 @jit
-def is_limp(mode: int) -> bool:
+def is_disabled(mode: int) -> bool:
     """Whether the drives were let go."""
     return mode == Mode.DISABLED or mode == Mode.FREE
 

@@ -6,12 +6,12 @@ from rtloop.memory.record import Record, Rows
 from shm import layout
 from shm.layout import MAX_JOINTS
 
-WINDOW_KNOTS = 4096
-"""Knots the loop keeps of a trajectory: at least its stopping distance at any sensible spacing."""
+WINDOW_WAYPOINTS = 4096
+"""Waypoints the loop keeps of a trajectory: at least its stopping distance at any sensible spacing."""
 BLEND_SAMPLES = 32
 
 
-class People(Record, writers=("commands.people",)):
+class Operator(Record, writers=("commands.operator",)):
     """What people ask for at any moment; the newest of each counts."""
 
     speed_scale: float  # what people asked for
@@ -22,7 +22,13 @@ class People(Record, writers=("commands.people",)):
     stops: int  # how often a person has stopped the arm
 
 
-class Front(Record, writers=("commands.intake",)):
+class Front(
+    Record,
+    writers=(
+        "commands.request_reader",
+        "commands.setpoint_reader",
+    ),
+):
     """How far the ROS process' rings are read, and how long ago it last wrote a sign of life."""
 
     newest_goal: int  # highest id ever begun
@@ -73,11 +79,12 @@ class Clock(Record, writers=("trajectory.arrival", "trajectory.clock", "trajecto
 class Motion(
     Record,
     writers=(
-        "commands.intake",
         "commands.orders",
+        "commands.request_reader",
         "cycle",
         "safety.faults",
-        "safety.guard",
+        "safety.setpoint_check",
+        "safety.transmission",
         "setpoints",
         "trajectory.goals",
     ),
@@ -105,7 +112,8 @@ class Blend(Record, writers=("trajectory.entry",)):
 
 
 class Path(
-    Record, writers=("commands.intake", "setpoints", "trajectory.entry", "trajectory.goals", "trajectory.phases")
+    Record,
+    writers=("commands.setpoint_reader", "setpoints", "trajectory.entry", "trajectory.goals", "trajectory.phases"),
 ):
     """A goal: what is known of its points, which phase it is in, and how it was entered."""
 
@@ -116,18 +124,18 @@ class Path(
     reason_value: float
     reason_limit: float
     told: int  # 1: its goal is decided, also where the arm still stops
-    settle_ns: int  # when its last point is the commanded one, 0 = not yet
-    taken: int  # knots taken; the newest is at (taken - 1) % WINDOW_KNOTS
-    segment: int  # knot at the start of the running segment
-    closest_ns: int  # least time between two of its knots, other than the beginning of a bridge
+    settle_start_ns: int  # when its last point is the commanded one, 0 = not yet
+    taken: int  # waypoints taken; the newest is at (taken - 1) % WINDOW_WAYPOINTS
+    segment: int  # waypoint at the start of the running segment
+    closest_ns: int  # least time between two of its waypoints, other than the beginning of an approach segment
     ended: int
     ends_moving: int  # 1: the last point, which is known, leaves a joint in motion
-    torn: int  # knots are missing after the newest one
+    truncated: int  # waypoints are missing after the newest one
     start_ns: int
     met: int  # 1: the arm was where its goal, which has no start time, begins
     joint_mask: int
     goal_time_s: float
-    bridge: int
+    approach: int
     stream: int
     tolerances: Annotated[Any, (layout.SETPOINT_JOINT, (MAX_JOINTS,))]  # on the way
     goal_tolerances: Annotated[Any, (layout.SETPOINT_JOINT, (MAX_JOINTS,))]  # at the end

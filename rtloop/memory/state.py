@@ -20,7 +20,7 @@ from rtloop.memory.link import (
     ServiceRing,
     Wire,
 )
-from rtloop.memory.motion import WINDOW_KNOTS, Clock, Front, Goals, Motion, Path, People, Search
+from rtloop.memory.motion import WINDOW_WAYPOINTS, Clock, Front, Goals, Motion, Operator, Path, Search
 from rtloop.memory.record import Floats, Ints, Record, Rows
 from shm import layout
 from shm.layout import MAX_JOINTS
@@ -90,7 +90,8 @@ class LatchedFault(Record, writers=("safety.faults",)):
 
 
 class Dialogue(
-    Record, writers=("commands.intake", "commands.orders", "commands.people", "memory.modes", "safety.faults")
+    Record,
+    writers=("commands.operator", "commands.orders", "commands.request_reader", "memory.modes", "safety.faults"),
 ):
     """What the main thread is asked to do, and how far it is."""
 
@@ -104,7 +105,7 @@ class Dialogue(
     healed_ns: int  # when the arm went on after a stall by itself last, since a person brought it up; 0 never
 
 
-class Gripper(Record, writers=("commands.intake", "commands.people")):
+class Gripper(Record, writers=("commands.operator", "commands.request_reader")):
     """What the gripper was asked for last; the other thread looks for a new sequence."""
 
     kind: int  # shm.words.Request
@@ -122,7 +123,7 @@ class History(Record, writers=("commands.orders", "cycle")):
     position_rad: Annotated[Floats, HISTORY_SLOTS * MAX_JOINTS]
 
 
-class Published(Record, writers=("memory.events", "show")):
+class Published(Record, writers=("memory.events", "publish")):
     """What of the snapshot stands in the state file as it is, and need not be written again."""
 
     cycle: int
@@ -142,7 +143,7 @@ class Loop(Record, writers=("memory.modes",)):
     mode: int  # shm.words.Mode
     fault: LatchedFault
     motion: Motion
-    people: People
+    operator: Operator
     front: Front
     goals: Goals
     search: Search
@@ -154,7 +155,7 @@ class Loop(Record, writers=("memory.modes",)):
     quiet: Quiet
     axes: Annotated[Rows[Axis], MAX_JOINTS]
     paths: Annotated[Rows[Path], 2]
-    knots: Annotated[Any, (layout.SETPOINT, (2 * WINDOW_KNOTS,))]
+    waypoints: Annotated[Any, (layout.SETPOINT, (2 * WINDOW_WAYPOINTS,))]
     history: History
     snapshot: Annotated[Any, layout.SNAPSHOT]
     record: Annotated[Any, layout.RECORD]  # what the flight recorder adds to the snapshot; the rest of it is not used

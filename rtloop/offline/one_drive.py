@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from config.schema import ArmConfig
-from rtloop.service.conversation import Conversation, Dialogue, Part, TalkFailed
+from rtloop.service.conversation import Conversation, Dialogue, DialogueFailed, Part
 from rtloop.service.port import ServicePort
 from shm.words import Fault
 
@@ -31,11 +31,11 @@ class OneDrive(Conversation, Generic[Result]):
         """`dialogue` makes it of a clock (ns)."""
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP)
         self.result: Result | None = None
-        self.problem: TalkFailed | None = None
+        self.problem: DialogueFailed | None = None
         self.begin({joint: self._have(dialogue(lambda: self.now_ns))})
 
     def _have(self, dialogue: Part[Result]) -> Dialogue:
         try:
             self.result = yield from dialogue
-        except TalkFailed as problem:
+        except DialogueFailed as problem:
             self.problem = problem

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from config.errors import ConfigError
 from config.schema import ArmConfig
 from rtloop.process.control_process import CannotStart, ControlProcess, StopAsked
-from rtloop.service.conversation import TalkFailed
+from rtloop.service.conversation import DialogueFailed
 from rtloop.service.port import ServicePort
 from rtloop.wire.refusal import WireRefused
 from shm.errors import AlreadyHeld, SharedMemoryError, led_already
@@ -39,7 +39,7 @@ def run(
         return process.serve_offline(lambda port, pause: serve(arm, port, pause))
     except AlreadyHeld as error:
         say("refused", f"{led_already(alone)} ({error})")
-    except (ConfigError, SharedMemoryError, CannotStart, WireRefused, TalkFailed, refuses) as error:
+    except (ConfigError, SharedMemoryError, CannotStart, WireRefused, DialogueFailed, refuses) as error:
         say("refused", str(error))
     return 2
 

@@ -13,17 +13,17 @@ from config.budget import check_budget
 from config.loader import arm_hash
 from config.schema import ArmConfig
 from rtloop.dialogues.bringup import BringUp
-from rtloop.dialogues.farewell import Farewell
-from rtloop.dialogues.gripper import GripperTalk
+from rtloop.dialogues.gripper import GripperDialogue
 from rtloop.dialogues.healing import Healing
 from rtloop.dialogues.referencing import Referencing, referencing_asked_for
 from rtloop.dialogues.release import Release
-from rtloop.kept import commissioned, saved
+from rtloop.dialogues.shutdown import ShutdownDialogue
+from rtloop.kept import commissioned, reference_store
 from rtloop.memory.record import offset_of
-from rtloop.process.beginning import new_loop, show_drives, show_limits
 from rtloop.process.compiled import CompiledCycle
+from rtloop.process.initial_state import new_loop, show_drives, show_limits
 from rtloop.process.opening import OpenWire, close_wire, keeps_frames, lost_bytes, open_wire, unsent_bytes
-from rtloop.service.conversation import Conversation, TalkFailed
+from rtloop.service.conversation import Conversation, DialogueFailed
 from rtloop.service.port import HOME_ALL, ServicePort
 from rtloop.system import realtime
 from rtloop.wire.claim import Claim, claim_for_arm
@@ -107,7 +107,7 @@ class ControlProcess:
             self._loop = new_loop(arm, self._files.state.address, self._files.command.address)
             self._open_wire()
             self._port = ServicePort(self._loop, compiled)
-            self._gripper: GripperTalk | None = None
+            self._gripper: GripperDialogue | None = None
             show_limits(self._files.state.record["limits"], self._loop)
             show_drives(self._files.state.record, arm)
             arrays = (self._loop, self._files.state.array, self._files.command.array)
@@ -131,7 +131,7 @@ class ControlProcess:
             self._start_threads()
             code = self._supervise(ready, clears_protection)
             self._say_farewell()
-        except TalkFailed as failure:  # an order that the cycle does not take any more
+        except DialogueFailed as failure:  # an order that the cycle does not take any more
             self._tell(str(failure))
             return 3
         finally:
@@ -152,8 +152,8 @@ class ControlProcess:
             if axes[joint]["reference"]["referenced"] == 1 and axes[joint]["measured"]["readings"] > 0
         }
         try:
-            saved.save(self._arm, counts)
-        except saved.NotSaved as problem:
+            reference_store.save(self._arm, counts)
+        except reference_store.NotSaved as problem:
             self._tell(str(problem))
 
     def _steps(self, joint: int) -> int:
@@ -356,12 +356,12 @@ class ControlProcess:
 
     def _forgive_silence(self, joint: int) -> None:
         """The next process is to know; where it cannot be told, it will ask the drive."""
-        with suppress(saved.NotSaved):
-            saved.forgive_silence(self._arm, joint)
+        with suppress(reference_store.NotSaved):
+            reference_store.forgive_silence(self._arm, joint)
 
     def _keep_lost(self, joint: int, reason: Unreferenced | None) -> None:
         """For who homes and references; what the cycle says of the joint until it is told is no news then."""
-        saved.keep_lost_reference(self._arm, joint, reason)
+        reference_store.keep_lost_reference(self._arm, joint, reason)
         self._lost_references[joint] = Unreferenced(self._loop[0]["axes"][joint]["reference"]["unreferenced_reason"])
 
     def _keep_newly_lost(self) -> None:
@@ -371,7 +371,7 @@ class ControlProcess:
         lost = {
             joint: Unreferenced(reason)
             for joint, (referenced, reason) in words
-            if not referenced and reason in saved.OUTLIVES_THE_PROCESS
+            if not referenced and reason in reference_store.OUTLIVES_THE_PROCESS
         }
         kept = {joint: reason for joint, reason in self._lost_references.items() if lost.get(joint) == reason}
         self._lost_references = kept  # once: what was told of it since stands in the file
@@ -379,9 +379,9 @@ class ControlProcess:
         if not news or time.monotonic() < self._next_keep_s:
             return
         try:
-            saved.keep_lost_references(self._arm, news)
+            reference_store.keep_lost_references(self._arm, news)
             kept.update(news)
-        except saved.NotSaved as problem:
+        except reference_store.NotSaved as problem:
             self._next_keep_s = time.monotonic() + KEEP_AGAIN_S
             if str(problem) != self._told_of_lost:
                 self._told_of_lost = str(problem)
@@ -407,8 +407,8 @@ class ControlProcess:
         # fresh rings have room for its beginning
         talk: Conversation | None = self._bring_up(
             clears_protection=clears_protection,
-            counts_before=saved.counts_before(self._arm),
-            lost_before=saved.lost_references(self._arm, self._tell),
+            counts_before=reference_store.counts_before(self._arm),
+            lost_before=reference_store.lost_references(self._arm, self._tell),
         )
         unlocked = bool(self._loop[0]["params"]["simulated"]) or commissioned.heals(self._arm)
         healing = Healing(self._arm, self._loop, self._port, self._marks, unlocked=unlocked)
@@ -435,7 +435,7 @@ class ControlProcess:
             # a fault before the end of the first bring-up, such as a wire that went, becomes its failure
             if first and talk is None and int(self._memory["mode"]) not in (Mode.OFFLINE, Mode.BRINGING_UP):
                 self._keep_newly_lost()  # before that is gone by which it was found
-                saved.forget_counts(self._arm)
+                reference_store.forget_counts(self._arm)
                 self._brought_up = True
                 ready()
                 first = False
@@ -468,14 +468,14 @@ class ControlProcess:
         if not self._arm.bus.reported:
             return
         self._store(0, "params", "reported")
-        talk = Farewell(self._arm, self._port, now_ns=time.monotonic_ns())
+        talk = ShutdownDialogue(self._arm, self._port, now_ns=time.monotonic_ns())
         while self._cycle.is_alive() and not talk.poll(time.monotonic_ns()):
             time.sleep(BUSY_POLL_S)
 
     def _begin_with_gripper(self) -> None:
         """After the first bring-up of the joints, which it must not delay; then beside whatever is said to them."""
         if self._arm.gripper is not None and self._arm.gripper.servo is not None:
-            self._gripper = GripperTalk(
+            self._gripper = GripperDialogue(
                 self._arm,
                 self._loop,
                 self._port,

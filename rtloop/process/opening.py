@@ -9,7 +9,7 @@ from config.budget import cycle_frames
 from config.schema import ArmConfig
 from rtloop.drives.setup import joints_on_the_bus
 from rtloop.memory.link import CAN_FRAME_BYTES
-from rtloop.process.beginning import listeners
+from rtloop.process.initial_state import listeners
 from rtloop.wire.binary_adapters import (
     AT_CLOSING,
     EXTENDED_ONLY,

@@ -7,6 +7,9 @@ from rtloop.memory.state import Loop, Shared
 from rtloop.trajectory.phases import raise_epoch, runs, stop_running, tell_why_it_stops
 from shm.words import Event, Fault, Mode, Outcome
 
+STOP_FRAMES = 3
+"""A drive is told to stop so many times: a frame may be lost."""
+
 
 @jit
 def _is_of_a_talk(fault: int) -> bool:

@@ -1,4 +1,4 @@
-"""What a lost reference means; ordinary Python, compiled by `guard`."""
+"""What a lost reference means; ordinary Python, compiled by `monitor`."""
 
 from shm.words import Unreferenced
 

@@ -25,7 +25,7 @@ def answer_patience_s(arm: ArmConfig) -> float:
     return max(ANSWER_PATIENCE_NS, ANSWER_PERIODS * arm.control.period_ns) * 1e-9
 
 
-class TalkFailed(Exception):
+class DialogueFailed(Exception):
     """A conversation cannot go on; the text is the sentence people read."""
 
     def __init__(self, joint: int, sentence: str) -> None:
@@ -51,7 +51,7 @@ class Question(Protocol):
     def packets(self, first: bool) -> list[Packet]:
         """What is said, the first time or again."""
 
-    def hear(self, frame: Frame, last_try: bool) -> Any | Again | None:
+    def receive(self, frame: Frame, last_try: bool) -> Any | Again | None:
         """What is the answer, if this frame of the drive's makes it whole."""
 
 
@@ -94,7 +94,7 @@ class Conversation:
         self.arm = arm
         self.now_ns = now_ns
         self.done = False
-        self.failure: TalkFailed | None = None
+        self.failure: DialogueFailed | None = None
         self.port = port
         self._patience_ns = round(answer_patience_s(arm) * 1e9)
         self._fault = fault
@@ -122,7 +122,7 @@ class Conversation:
                 self._repeat_or_give_up(joint)
             self._flush()
             self.done = not self._dialogues and not self._outbox and not self._goes_on()
-        except TalkFailed as failure:
+        except DialogueFailed as failure:
             self.failure = failure
             self.done = True
             self.post(BRING_UP_FAILED, joint=failure.joint, code=self._fault)
@@ -142,7 +142,7 @@ class Conversation:
     def post(self, kind: int, joint: int = -1, value: float = 0.0, code: int = 0) -> None:
         """Tell the cycle a decision."""
         if not self.port.post(kind, joint=joint, value=value, code=code):
-            raise TalkFailed(joint, "The control cycle takes no orders: it has stopped; start rtarm again.")
+            raise DialogueFailed(joint, "The control cycle takes no orders: it has stopped; start rtarm again.")
 
     def _flush(self) -> None:
         """Put commands in as far as there is room, each as a whole: another conversation may speak after it."""
@@ -173,7 +173,7 @@ class Conversation:
         exchange = self._exchanges.get(frame.joint)
         if exchange is None or frame.time_ns < exchange.sent_ns:
             return  # nobody has asked, or it is the late answer to an earlier question
-        answer = exchange.question.hear(frame, exchange.tries >= TRIES)
+        answer = exchange.question.receive(frame, exchange.tries >= TRIES)
         if isinstance(answer, Again):
             self._repeat(frame.joint)
         elif answer is not None:

@@ -18,7 +18,7 @@ from rtloop.memory.state import LOOP
 from shm.words import Unreferenced
 
 SEND = 1  # send a CAN frame
-ADOPT = 2  # joint stands at `value`; code = Unreferenced reason (0: referenced)
+SYNC_SETPOINT = 2  # joint stands at `value`; code = Unreferenced reason (0: referenced)
 BRING_UP_BEGINS = 3  # code = 1: nobody has asked for it, the arm goes on after a stall by itself
 BRING_UP_DONE = 4
 BRING_UP_FAILED = 5  # joint, code = shm.words.Fault

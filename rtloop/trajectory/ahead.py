@@ -1,9 +1,10 @@
 """Looking ahead: whether setpoints yet to come keep the limits by which the last line of defence will judge them.
 
-Plan plus blend is one polynomial from knot to knot, and at a steady rate the defence's differences of setpoints are
-means of its derivatives: over a span in which bounds of the derivatives keep the limits, no setpoint can break them,
-whatever its phase. Elsewhere, above all where points are closer than a cycle, the setpoints are made one by one as they
-will be commanded. `search.checks_left` bounds what a cycle may look at; what it does not suffice for is not proven.
+Plan plus blend is one polynomial from waypoint to waypoint, and at a steady rate the defence's differences of
+setpoints are means of its derivatives: over a span in which bounds of the derivatives keep the limits, no setpoint
+can break them, whatever its phase. Elsewhere, above all where points are closer than a cycle, the setpoints are made
+one by one as they will be commanded. `search.checks_left` bounds what a cycle may look at; what it does not suffice
+for is not proven.
 """
 
 import math
@@ -13,7 +14,16 @@ from motion import segment
 from rtloop.memory.motion import BLEND_SAMPLES
 from rtloop.memory.state import Loop
 from rtloop.trajectory.limits import hardest_rad_s2, highest_rad_s
-from rtloop.trajectory.path import end_s, fade, find_knot, goes_on_past_end, in_goal, plan_coefficients, sample, slot
+from rtloop.trajectory.path import (
+    end_s,
+    fade,
+    find_waypoint,
+    goes_on_past_end,
+    in_goal,
+    plan_coefficients,
+    sample,
+    slot,
+)
 
 evaluate = jit(segment.evaluate)
 
@@ -44,25 +54,25 @@ def look_from_here(loop: Loop) -> None:
 def look_from(loop: Loop, path_index: int, clock_s: float, step_s: float, first: int) -> None:
     """Let the setpoint that is judged next be the one after that of a path time, at a steady step of the clock.
 
-    `first` is a knot before it.
+    `first` is a waypoint before it.
     """
     period_s = loop.params.period_ns * 1e-9
-    before = find_knot(loop, path_index, clock_s - step_s, first)
-    knot = find_knot(loop, path_index, clock_s, before)
+    before = find_waypoint(loop, path_index, clock_s - step_s, first)
+    waypoint = find_waypoint(loop, path_index, clock_s, before)
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
         p0, _, _ = sample(loop, path_index, joint, clock_s - step_s, before)
-        p, _, _ = sample(loop, path_index, joint, clock_s, knot)
+        p, _, _ = sample(loop, path_index, joint, clock_s, waypoint)
         axis.ahead.position_rad, axis.ahead.velocity_rad_s = p, (p - p0) / period_s
 
 
 @jit
-def next_keeps_limits(loop: Loop, path_index: int, clock_s: float, knot: int) -> bool:
+def next_keeps_limits(loop: Loop, path_index: int, clock_s: float, waypoint: int) -> bool:
     """Whether the next setpoint, at a path time, keeps every joint's limits after the one looked at before."""
     period_s = loop.params.period_ns * 1e-9
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
-        p, _, _ = sample(loop, path_index, joint, clock_s, knot)
+        p, _, _ = sample(loop, path_index, joint, clock_s, waypoint)
         v = (p - axis.ahead.position_rad) / period_s
         a = (v - axis.ahead.velocity_rad_s) / period_s
         if not (abs(v) <= highest_rad_s(loop, joint) and abs(a) <= hardest_rad_s2(loop, joint)):
@@ -72,42 +82,42 @@ def next_keeps_limits(loop: Loop, path_index: int, clock_s: float, knot: int) ->
 
 
 @jit
-def span_end_s(loop: Loop, path_index: int, from_s: float, knot: int) -> float:
+def span_end_s(loop: Loop, path_index: int, from_s: float, waypoint: int) -> float:
     """Path time up to which plan plus blend is one polynomial from `from_s` on, and a short part of the blend."""
     path = loop.paths[path_index]
     until_s = min(from_s + path.blend_s / BLEND_SAMPLES, path.entry_s + path.blend_s)
     if from_s < path.entry_s + path.fade_s:
         until_s = min(until_s, path.entry_s + path.fade_s)
-    if knot < path.taken - 1:
-        until_s = min(until_s, loop.knots[slot(path_index, knot + 1)].time_ns * 1e-9)
+    if waypoint < path.taken - 1:
+        until_s = min(until_s, loop.waypoints[slot(path_index, waypoint + 1)].time_ns * 1e-9)
     return until_s
 
 
 @jit
-def span_keeps_limits(loop: Loop, path_index: int, rate: float, from_s: float, until_s: float, knot: int) -> bool:
+def span_keeps_limits(loop: Loop, path_index: int, rate: float, from_s: float, until_s: float, waypoint: int) -> bool:
     """Whether no setpoint in the span can break a limit at a steady rate, wherever in the span it lies.
 
     Velocity and acceleration of a polynomial of degree 5 are of degree 4 and 3, and lie between their Bézier points,
     which follow from the derivatives at both ends of the span.
     """
     path = loop.paths[path_index]
-    start_s = loop.knots[slot(path_index, knot)].time_ns * 1e-9
+    start_s = loop.waypoints[slot(path_index, waypoint)].time_ns * 1e-9
     if from_s < start_s:
         return False
     runs_on = path.stream == 1 and path.ends_moving == 1
-    if knot < path.taken - 1:
-        if loop.knots[slot(path_index, knot + 1)].order == 1:
+    if waypoint < path.taken - 1:
+        if loop.waypoints[slot(path_index, waypoint + 1)].order == 1:
             return False  # the velocity jumps at the ends of a straight line
     elif runs_on:
         return False
-    last = loop.knots[slot(path_index, path.taken - 1)]
+    last = loop.waypoints[slot(path_index, path.taken - 1)]
     stands = not runs_on and until_s >= last.time_ns * 1e-9
     period_s = loop.params.period_ns * 1e-9
     h = until_s - from_s
     for joint in range(loop.params.joint_count):
         v0, a0, j0, v1, a1, j1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        if knot < path.taken - 1 and in_goal(loop, path_index, joint):
-            c0, c1, c2, c3, c4, c5 = plan_coefficients(loop, path_index, joint, knot)
+        if waypoint < path.taken - 1 and in_goal(loop, path_index, joint):
+            c0, c1, c2, c3, c4, c5 = plan_coefficients(loop, path_index, joint, waypoint)
             _, v0, a0 = evaluate(c0, c1, c2, c3, c4, c5, from_s - start_s)
             _, v1, a1 = evaluate(c0, c1, c2, c3, c4, c5, until_s - start_s)
             j0, j1 = jerk(c3, c4, c5, from_s - start_s), jerk(c3, c4, c5, until_s - start_s)
@@ -161,10 +171,10 @@ def blend_keeps_limits(loop: Loop, path_index: int, rate: float) -> bool:
     if not goes_on_past_end(loop, path_index):
         count = min(count, math.floor((end_s(loop, path_index) - path.entry_s) / step_s))
     judged = search.judged
-    span_knot = knot = path.segment
+    span_waypoint = waypoint = path.segment
     if judged > 0:
         span_s, last = search.span_s, judged
-        look_from(loop, path_index, path.entry_s + judged * step_s, step_s, knot)
+        look_from(loop, path_index, path.entry_s + judged * step_s, step_s, waypoint)
     else:
         span_s, last = path.entry_s, 1  # the first one leaves the old path
         look_from_here(loop)
@@ -173,27 +183,27 @@ def blend_keeps_limits(loop: Loop, path_index: int, rate: float) -> bool:
         last = min(last, count)
         if judged + 1 < first <= last:
             judged = first - 1
-            look_from(loop, path_index, path.entry_s + judged * step_s, step_s, knot)
+            look_from(loop, path_index, path.entry_s + judged * step_s, step_s, waypoint)
         while judged < last:
             if not may_look(loop):
                 search.judged, search.span_s = judged, span_s
                 return False
             clock_s = path.entry_s + (judged + 1) * step_s
-            knot = find_knot(loop, path_index, clock_s, knot)
-            if not next_keeps_limits(loop, path_index, clock_s, knot):
+            waypoint = find_waypoint(loop, path_index, clock_s, waypoint)
+            if not next_keeps_limits(loop, path_index, clock_s, waypoint):
                 return False
             judged += 1
         # what comes before the last two setpoints judged is behind us
         span_s = max(span_until_s, path.entry_s + (judged - 1) * step_s)
         if span_s >= until_s or judged >= count:
             return True
-        span_knot = find_knot(loop, path_index, span_s, span_knot)
-        span_until_s = span_end_s(loop, path_index, span_s, span_knot)
+        span_waypoint = find_waypoint(loop, path_index, span_s, span_waypoint)
+        span_until_s = span_end_s(loop, path_index, span_s, span_waypoint)
         if span_until_s - span_s >= step_s:
             if not may_look(loop):
                 search.judged, search.span_s = judged, span_s
                 return False
-            if span_keeps_limits(loop, path_index, rate, span_s, span_until_s, span_knot):
+            if span_keeps_limits(loop, path_index, rate, span_s, span_until_s, span_waypoint):
                 continue
         # all setpoints whose differences reach into the span
         first = math.floor((span_s - path.entry_s) / step_s) + 1
@@ -204,11 +214,11 @@ def blend_keeps_limits(loop: Loop, path_index: int, rate: float) -> bool:
 def rest_keeps_limits(loop: Loop, path_index: int, rate: float, from_s: float) -> bool:
     """Whether no setpoint from a path time to the end of the blend can break a limit at a rate, whatever its phase."""
     path = loop.paths[path_index]
-    knot = path.segment
+    waypoint = path.segment
     while from_s < path.entry_s + path.blend_s:
-        knot = find_knot(loop, path_index, from_s, knot)
-        until_s = span_end_s(loop, path_index, from_s, knot)
-        if not may_look(loop) or not span_keeps_limits(loop, path_index, rate, from_s, until_s, knot):
+        waypoint = find_waypoint(loop, path_index, from_s, waypoint)
+        until_s = span_end_s(loop, path_index, from_s, waypoint)
+        if not may_look(loop) or not span_keeps_limits(loop, path_index, rate, from_s, until_s, waypoint):
             return False
         from_s = until_s
     return True

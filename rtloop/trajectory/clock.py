@@ -13,7 +13,7 @@ from motion.stopping import PLAN_SHARE, STOP_FRACTIONS
 from rtloop.memory.motion import BLEND_SAMPLES
 from rtloop.memory.state import Loop
 from rtloop.trajectory.ahead import look_from_here, may_look, next_keeps_limits
-from rtloop.trajectory.path import end_s, find_knot, goes_on_past_end, sample
+from rtloop.trajectory.path import end_s, find_waypoint, goes_on_past_end, sample
 
 ramp = jit(scaling.ramp)
 along = jit(scaling.along)
@@ -72,7 +72,7 @@ def ramp_strain(loop: Loop, target: float, duration_s: float, factor: float) -> 
     clock = loop.clock
     active = loop.goals.active
     worst = 0.0
-    knot = loop.paths[active].segment
+    waypoint = loop.paths[active].segment
     known_s = end_s(loop, active)
     goes_on = goes_on_past_end(loop, active)
     highest_rate = max(clock.rate, target, clock.rate_target) + 1e-6
@@ -84,9 +84,9 @@ def ramp_strain(loop: Loop, target: float, duration_s: float, factor: float) -> 
             return IMPOSSIBLE
         if clock_s > known_s and not goes_on:
             worst = max(worst, NO_PATH + clock_s - known_s)
-        knot = find_knot(loop, active, clock_s, knot)
+        waypoint = find_waypoint(loop, active, clock_s, waypoint)
         for joint in range(loop.params.joint_count):
-            _, v, a = sample(loop, active, joint, clock_s, knot)
+            _, v, a = sample(loop, active, joint, clock_s, waypoint)
             _, acceleration = along(rate, slope, v, a)
             allowed = allowed_acceleration(loop, joint, full * full * a, factor, PLAN_SHARE)
             worst = max(worst, abs(acceleration) / allowed)
@@ -110,7 +110,7 @@ def ramp_keeps_limits(loop: Loop, target: float, duration_s: float) -> bool:
     clock = loop.clock
     active = loop.goals.active
     period_s = loop.params.period_ns * 1e-9
-    knot = loop.paths[active].segment
+    waypoint = loop.paths[active].segment
     look_from_here(loop)
     for i in range(1, math.ceil(duration_s / period_s) + 2):
         if not may_look(loop):
@@ -118,8 +118,8 @@ def ramp_keeps_limits(loop: Loop, target: float, duration_s: float) -> bool:
         past_s = max(i * period_s - duration_s, 0.0)
         _, _, advance = ramp(clock.rate, clock.slope, target, duration_s, min(i * period_s, duration_s))
         clock_s = clock.time_s + advance + target * past_s
-        knot = find_knot(loop, active, clock_s, knot)
-        if not next_keeps_limits(loop, active, clock_s, knot):
+        waypoint = find_waypoint(loop, active, clock_s, waypoint)
+        if not next_keeps_limits(loop, active, clock_s, waypoint):
             return False
     return True
 
@@ -188,7 +188,7 @@ def set_rate(loop: Loop, rate: float) -> None:
 
 @jit
 def must_brake_for_lack_of_path(loop: Loop, braking_already: bool) -> bool:
-    """Whether the knots that are left last no longer than stopping takes, and no END is among them.
+    """Whether the waypoints that are left last no longer than stopping takes, and no END is among them.
 
     Once braking has begun for that reason it ends only when there is ample path again.
     """
@@ -196,7 +196,7 @@ def must_brake_for_lack_of_path(loop: Loop, braking_already: bool) -> bool:
     active = loop.goals.active
     if loop.paths[active].ended == 1:
         return False
-    longest_s = way_s(loop.params.longest_stop_s) * max(clock.rate, loop.people.speed_scale)
+    longest_s = way_s(loop.params.longest_stop_s) * max(clock.rate, loop.operator.speed_scale)
     left_s = end_s(loop, active) - clock.time_s - RESERVE_PERIODS * loop.params.period_ns * 1e-9
     if left_s > longest_s:
         return False

@@ -2,7 +2,7 @@
 
 The way is a blend, or for a goal whose first point is still ahead a segment that leads there. It is chosen once a
 goal: rates from the wanted one down, and for each rate blends from short to long, are sampled at a fixed number of
-instants, and those that keep the limits there are looked at from knot to knot or setpoint by setpoint
+instants, and those that keep the limits there are looked at from waypoint to waypoint or setpoint by setpoint
 (`rtloop.trajectory.ahead`). The first that still keeps them is laid. How much of that fits into a cycle is bounded;
 the search then goes on in the next one.
 """
@@ -18,7 +18,7 @@ from rtloop.trajectory.path import (
     end_s,
     fade,
     fade_duration_s,
-    find_knot,
+    find_waypoint,
     goes_on_past_end,
     in_goal,
     line_beyond,
@@ -36,7 +36,7 @@ STREAM_BLENDS_S = (0.1, 0.2, 0.4, 0.8)
 """A blend of T follows points without a time 0.6 T behind, so a stream gets the shortest one the limits allow."""
 ENTRY_RATES = (1.0, 0.5, 0.25)
 WAYS = 1 + len(BLENDS_S)
-"""Tried with each rate: the bridge, and the blends."""
+"""Tried with each rate: the approach segment, and the blends."""
 ON_ITS_WAY, NO_WAY, NOT_YET_KNOWN = 0, 1, 2
 BESIDE_RAD = 1e-9
 SLOWEST_ENTRY_IN_MOTION = 0.2
@@ -66,27 +66,27 @@ def due_s(loop: Loop, path_index: int) -> float:
 @jit
 def asked_rate(loop: Loop, path_index: int) -> float:
     """The rate people asked for; a stream keeps its own time, which nothing but a factor of 0 stops."""
-    if loop.paths[path_index].stream == 1 and loop.people.speed_scale > 0.0:
+    if loop.paths[path_index].stream == 1 and loop.operator.speed_scale > 0.0:
         return 1.0
-    return float(loop.people.speed_scale)
+    return float(loop.operator.speed_scale)
 
 
 @jit
-def has_bridge(loop: Loop, path_index: int, entry_s: float) -> bool:
-    """Whether the first knot of the goal is still ahead, and the way to it begins where the arm is commanded."""
+def has_approach(loop: Loop, path_index: int, entry_s: float) -> bool:
+    """Whether the first waypoint of the goal is still ahead, and the way to it begins where the arm is commanded."""
     path = loop.paths[path_index]
-    return path.bridge == 1 and path.taken > 1 and entry_s < loop.knots[slot(path_index, 1)].time_ns * 1e-9
+    return path.approach == 1 and path.taken > 1 and entry_s < loop.waypoints[slot(path_index, 1)].time_ns * 1e-9
 
 
 @jit
 def entry_distance(loop: Loop, path_index: int, entry_s: float) -> tuple[int, float]:
     """The joint that is farthest from the plan where it would be entered, and how far (rad)."""
     worst_joint, worst = -1, 0.0
-    first = 0 if has_bridge(loop, path_index, entry_s) else loop.paths[path_index].bridge
-    knot = find_knot(loop, path_index, entry_s, first)
+    first = 0 if has_approach(loop, path_index, entry_s) else loop.paths[path_index].approach
+    waypoint = find_waypoint(loop, path_index, entry_s, first)
     for joint in range(loop.params.joint_count):
         if in_goal(loop, path_index, joint):
-            p, _, _ = plan(loop, path_index, joint, entry_s, knot)
+            p, _, _ = plan(loop, path_index, joint, entry_s, waypoint)
             distance = abs(p - loop.axes[joint].commanded.position_rad)
             if distance >= worst:
                 worst_joint, worst = joint, distance
@@ -138,16 +138,16 @@ def enter(loop: Loop, path_index: int, entry_s: float) -> int:
 def lay_way(loop: Loop, path_index: int, rate: float, entry_s: float, way: int) -> float:
     """Prepare one of the ways that are tried with each rate; path time it takes (s), 0 for one that is not there.
 
-    The first is the bridge to a point that is still ahead, which spares a goal all others; blends follow.
+    The first is the approach segment to a point that is still ahead, which spares a goal all others; blends follow.
     """
     stream = loop.paths[path_index].stream == 1
-    bridged = has_bridge(loop, path_index, entry_s)
+    approached = has_approach(loop, path_index, entry_s)
     if way == 0:
-        if not bridged:
+        if not approached:
             return 0.0
-        lay_bridge(loop, path_index, rate, entry_s)
-        return float(loop.knots[slot(path_index, 1)].time_ns * 1e-9 - entry_s)
-    if bridged:
+        lay_approach(loop, path_index, rate, entry_s)
+        return float(loop.waypoints[slot(path_index, 1)].time_ns * 1e-9 - entry_s)
+    if approached:
         if not stream:
             return 0.0
         lay_run_up(loop, path_index, entry_s)
@@ -164,9 +164,9 @@ def blends_within_limits(loop: Loop, path_index: int, rate: float, entry_s: floa
 
 
 @jit
-def lay_bridge(loop: Loop, path_index: int, rate: float, entry_s: float) -> None:
+def lay_approach(loop: Loop, path_index: int, rate: float, entry_s: float) -> None:
     """Let the path begin at the commanded state, so that its first segment is the way to the goal's first point."""
-    first = loop.knots[slot(path_index, 0)]
+    first = loop.waypoints[slot(path_index, 0)]
     first.time_ns = round(entry_s * 1e9)
     for joint in range(loop.params.joint_count):
         axis, row = loop.axes[joint], first.joints[joint]
@@ -182,7 +182,7 @@ def lay_run_up(loop: Loop, path_index: int, entry_s: float) -> None:
     The points of a stream may lie only milliseconds ahead, too near to be reached exactly: what is between the
     arm and this line is then left to the blend.
     """
-    first, second = loop.knots[slot(path_index, 0)], loop.knots[slot(path_index, 1)]
+    first, second = loop.waypoints[slot(path_index, 0)], loop.waypoints[slot(path_index, 1)]
     first.time_ns = round(entry_s * 1e9)
     ahead_s = (second.time_ns - first.time_ns) * 1e-9
     for joint in range(loop.params.joint_count):
@@ -200,7 +200,7 @@ def lay_blend(loop: Loop, path_index: int, rate: float, entry_s: float, duration
     path.blend_s = duration_s
     path.from_rest = 1 if at_rest(loop) else 0
     path.fade_s = rate * fade_duration_s(loop.params.period_ns * 1e-9)
-    knot = find_knot(loop, path_index, entry_s, 0)
+    waypoint = find_waypoint(loop, path_index, entry_s, 0)
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
         v, a = axis.commanded.velocity_rad_s / rate, axis.commanded.acceleration_rad_s2 / (rate * rate)
@@ -208,7 +208,7 @@ def lay_blend(loop: Loop, path_index: int, rate: float, entry_s: float, duration
         if not in_goal(loop, path_index, joint):
             # comes to rest half a blend's way ahead
             b.held_rad = axis.commanded.position_rad + 0.5 * v * duration_s
-        p0, v0, a0 = plan(loop, path_index, joint, entry_s, knot)
+        p0, v0, a0 = plan(loop, path_index, joint, entry_s, waypoint)
         b.faded = a - a0
         fp, fv, _ = fade(b.faded, path.fade_s, 0.0)
         b.c0, b.c1, b.c2, b.c3, b.c4, b.c5 = decay(axis.commanded.position_rad - p0 - fp, v - v0 - fv, 0.0, duration_s)
@@ -233,29 +233,32 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
     share = share_beside_plan(loop, path_index)
     until_s = entering.entry_s + entering.blend_s
     worst = 0.0
-    knot = entering.segment  # the ones before may be overwritten
+    waypoint = entering.segment  # the ones before may be overwritten
     known_s = end_s(loop, path_index)
     goes_on = goes_on_past_end(loop, path_index)
-    bridged = has_bridge(loop, path_index, entering.entry_s)
+    approached = has_approach(loop, path_index, entering.entry_s)
     stands_s = known_s + stop_reach_s(loop, path_index)
     for i in range(BLEND_SAMPLES + 1):
         clock_s = from_s + (until_s - from_s) * i / BLEND_SAMPLES
         if clock_s > known_s and not goes_on:
             return IMPOSSIBLE
-        knot = find_knot(loop, path_index, clock_s, knot)
+        waypoint = find_waypoint(loop, path_index, clock_s, waypoint)
         for joint in range(loop.params.joint_count):
             row = loop.joints[joint]
-            _, planned_speed, planned = plan(loop, path_index, joint, clock_s, knot)
-            p, v, a = sample(loop, path_index, joint, clock_s, knot)
+            _, planned_speed, planned = plan(loop, path_index, joint, clock_s, waypoint)
+            p, v, a = sample(loop, path_index, joint, clock_s, waypoint)
             here = loop.axes[joint].commanded.position_rad  # a joint that was found outside may move in
             lowest_rad, highest_rad = band(row.lower_rad, row.upper_rad, row.slack_rad)
             low, high = min(lowest_rad, here), max(highest_rad, here)
             if clock_s > stands_s and in_goal(loop, path_index, joint):  # the arm will have stopped there
-                p += plan(loop, path_index, joint, stands_s, knot)[0] - plan(loop, path_index, joint, clock_s, knot)[0]
+                p += (
+                    plan(loop, path_index, joint, stands_s, waypoint)[0]
+                    - plan(loop, path_index, joint, clock_s, waypoint)[0]
+                )
             if p < low - BESIDE_RAD or p > high + BESIDE_RAD:
                 return IMPOSSIBLE
             fastest = SPEED_HEADROOM * loop.params.velocity_margin * row.max_velocity_rad_s
-            if not bridged:
+            if not approached:
                 fastest = max(fastest, abs(planned_speed))  # what the goal's own points ask for was checked exactly
             speed = rate * abs(v) / fastest
             allowed = allowed_acceleration(loop, joint, rate * rate * planned, stopping.ORDERLY, share)
@@ -274,7 +277,7 @@ def stop_reach_s(loop: Loop, path_index: int) -> float:
     path = loop.paths[path_index]
     if path.stream == 0 or path.ends_moving == 0:
         return 0.0
-    last = loop.knots[slot(path_index, path.taken - 1)]
+    last = loop.waypoints[slot(path_index, path.taken - 1)]
     period_s = loop.params.period_ns * 1e-9
     fade_s = fade_duration_s(period_s)
     to_brake_s = 0.0

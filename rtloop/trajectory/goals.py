@@ -3,7 +3,7 @@
 from compilation.jit import jit
 from motion.stopping import ORDERLY
 from rtloop.memory.modes import change_mode
-from rtloop.memory.motion import WINDOW_KNOTS
+from rtloop.memory.motion import WINDOW_WAYPOINTS
 from rtloop.memory.state import Loop, Shared
 from rtloop.trajectory.ahead import LOOKS_A_CYCLE
 from rtloop.trajectory.arrival import has_arrived, rate_that_settles, rate_with_room_to_arrive, slow_down_to_arrive
@@ -15,7 +15,7 @@ from rtloop.trajectory.entry import (
     due_s,
     enter,
     entry_distance,
-    has_bridge,
+    has_approach,
     rate_while_blending,
 )
 from rtloop.trajectory.limits import at_rest
@@ -55,7 +55,7 @@ def enter_newer_goal(loop: Loop, shared: Shared) -> None:
         return  # what runs may run until then
     entry_s = due_s(loop, newer)
     path = loop.paths[newer]
-    if (path.met == 0 or loop.people.speed_scale <= 0.0) and not has_bridge(loop, newer, entry_s):
+    if (path.met == 0 or loop.operator.speed_scale <= 0.0) and not has_approach(loop, newer, entry_s):
         if refused_as_too_far(loop, shared, entry_s):
             return
         # To find a way, or to stop first, takes the arm along its old path away from there, for no longer than a stop:
@@ -65,7 +65,7 @@ def enter_newer_goal(loop: Loop, shared: Shared) -> None:
         return  # a stop that was asked for is finished first
     if loop.mode != Mode.HOLDING and loop.mode != Mode.EXECUTING and loop.mode != Mode.STOPPING:
         return
-    if loop.people.speed_scale <= 0.0:
+    if loop.operator.speed_scale <= 0.0:
         slow_down(loop, _MAKING_WAY, True)  # time stands still: nothing starts
         return
     found = enter(loop, newer, entry_s)
@@ -86,10 +86,10 @@ def enter_newer_goal(loop: Loop, shared: Shared) -> None:
 def incoming_is_ready(loop: Loop) -> bool:
     """Whether enough of the newer goal is here to enter it where it is due."""
     path = loop.paths[incoming(loop)]
-    if path.taken <= path.bridge:
-        return False  # not one knot of its own
+    if path.taken <= path.approach:
+        return False  # not one waypoint of its own
     cover_s = max(COVER_S, way_s(loop.params.longest_stop_s))
-    return path.ended == 1 or path.taken >= WINDOW_KNOTS - 1 or known_s(loop) >= cover_s
+    return path.ended == 1 or path.taken >= WINDOW_WAYPOINTS - 1 or known_s(loop) >= cover_s
 
 
 @jit
@@ -197,8 +197,10 @@ def is_urgent(loop: Loop) -> bool:
 
     What belongs to ordinary operation (cancel, hold, a newer goal, the end of a stream) keeps the limits.
     """
-    people = loop.people
-    stopped = people.held == 1 and people.stop_ns > people.resume_ns  # also a goal that its client has canceled before
+    operator = loop.operator
+    stopped = (
+        operator.held == 1 and operator.stop_ns > operator.resume_ns
+    )  # also a goal that its client has canceled before
     if stopped or loop.goals.slowed & (_LATE_DRIVE | _STARVING) != 0:
         return True
     running = loop.paths[loop.goals.active]
@@ -264,8 +266,8 @@ def judge_goal(loop: Loop, shared: Shared) -> None:
             return
     elif not has_arrived(loop):
         return
-    if running.settle_ns == 0:
-        running.settle_ns = loop.timing.now_ns + loop.params.period_ns  # when the last point is the commanded one
+    if running.settle_start_ns == 0:
+        running.settle_start_ns = loop.timing.now_ns + loop.params.period_ns  # when the last point is the commanded one
         if running.phase != Phase.PAUSED:
             change_phase(loop, goals.active, Phase.SETTLING)
         return
@@ -277,7 +279,7 @@ def judge_arrival(loop: Loop, shared: Shared) -> None:
     """Success once every joint was measured, at rest on the last point, inside its tolerances; patience ends."""
     running = loop.paths[loop.goals.active]
     if running.phase == Phase.PAUSED:
-        running.settle_ns += loop.params.period_ns  # the time to arrive does not run
+        running.settle_start_ns += loop.params.period_ns  # the time to arrive does not run
         return
     joint, ratio = worst_of_goal(loop, POSITION)
     fast_joint, fast_ratio = worst_of_goal(loop, VELOCITY)
@@ -286,7 +288,7 @@ def judge_arrival(loop: Loop, shared: Shared) -> None:
     value, limit = goal_error(loop, joint, POSITION)
     if within and everything_is_measured(loop):
         finish_running(loop, shared, Outcome.SUCCEEDED, joint, value, limit)
-    elif running.goal_time_s > 0.0 and (loop.timing.now_ns - running.settle_ns) * 1e-9 > running.goal_time_s:
+    elif running.goal_time_s > 0.0 and (loop.timing.now_ns - running.settle_start_ns) * 1e-9 > running.goal_time_s:
         outcome = Outcome.GOAL_TOLERANCE
         if ratio <= 1.0 and fast_ratio > 1.0:
             outcome, joint = Outcome.GOAL_VELOCITY, fast_joint
@@ -331,6 +333,6 @@ def everything_is_measured(loop: Loop) -> bool:
     """Whether every joint of the goal was measured since its last point is the commanded one."""
     active = loop.goals.active
     for joint in range(loop.params.joint_count):
-        if in_goal(loop, active, joint) and loop.axes[joint].measured.time_ns < loop.paths[active].settle_ns:
+        if in_goal(loop, active, joint) and loop.axes[joint].measured.time_ns < loop.paths[active].settle_start_ns:
             return False
     return True

@@ -1,4 +1,4 @@
-"""A path of the arm: the plan in its window of knots, and the blend at its beginning.
+"""A path of the arm: the plan in its window of waypoints, and the blend at its beginning.
 
 The blend is a polynomial of path time that starts as the difference between where the arm is commanded and where
 the plan begins, and decays to nothing. The arm follows plan(clock) + blend(clock), sampled here at whatever time the
@@ -9,7 +9,7 @@ from typing import Any
 
 from compilation.jit import jit
 from motion import segment, stopping
-from rtloop.memory.motion import WINDOW_KNOTS
+from rtloop.memory.motion import WINDOW_WAYPOINTS
 from rtloop.memory.state import Loop
 
 linear = jit(segment.linear)
@@ -25,9 +25,9 @@ REST_RAD_S = 1e-3
 
 
 @jit
-def slot(path_index: int, knot: int) -> int:
-    """Place of a path's knot in the two windows."""
-    return path_index * WINDOW_KNOTS + (knot & (WINDOW_KNOTS - 1))
+def slot(path_index: int, waypoint: int) -> int:
+    """Place of a path's waypoint in the two windows."""
+    return path_index * WINDOW_WAYPOINTS + (waypoint & (WINDOW_WAYPOINTS - 1))
 
 
 @jit
@@ -37,20 +37,20 @@ def in_goal(loop: Loop, path_index: int, joint: int) -> bool:
 
 @jit
 def end_s(loop: Loop, path_index: int) -> float:
-    """Path time of the newest knot."""
+    """Path time of the newest waypoint."""
     taken = loop.paths[path_index].taken
     if taken == 0:
         return 0.0
-    return loop.knots[slot(path_index, taken - 1)].time_ns * 1e-9
+    return loop.waypoints[slot(path_index, taken - 1)].time_ns * 1e-9
 
 
 @jit
 def leaves_a_joint_moving(loop: Loop, path_index: int) -> bool:
-    """Whether the newest knot of a path leaves a joint of its goal in motion."""
+    """Whether the newest waypoint of a path leaves a joint of its goal in motion."""
     path = loop.paths[path_index]
     if path.taken == 0:
         return False
-    last = loop.knots[slot(path_index, path.taken - 1)]
+    last = loop.waypoints[slot(path_index, path.taken - 1)]
     for joint in range(loop.params.joint_count):
         if in_goal(loop, path_index, joint) and abs(last.joints[joint].velocity_rad_s) > REST_RAD_S:
             return True
@@ -59,61 +59,61 @@ def leaves_a_joint_moving(loop: Loop, path_index: int) -> bool:
 
 @jit
 def goes_on_past_end(loop: Loop, path_index: int) -> bool:
-    """Whether the clock may pass the last knot: the plan then stands there, or runs on straight as a stream's."""
+    """Whether the clock may pass the last waypoint: the plan then stands there, or runs on straight as a stream's."""
     path = loop.paths[path_index]
     return path.ended == 1 and (path.stream == 1 or path.ends_moving == 0)
 
 
 @jit
-def is_reached(loop: Loop, path_index: int, knot: int, clock_s: float) -> bool:
-    """Whether a path has the knot already and the clock has come to it."""
-    if knot >= loop.paths[path_index].taken:
+def is_reached(loop: Loop, path_index: int, waypoint: int, clock_s: float) -> bool:
+    """Whether a path has the waypoint already and the clock has come to it."""
+    if waypoint >= loop.paths[path_index].taken:
         return False
-    return bool(loop.knots[slot(path_index, knot)].time_ns * 1e-9 <= clock_s)
+    return bool(loop.waypoints[slot(path_index, waypoint)].time_ns * 1e-9 <= clock_s)
 
 
 @jit
-def find_knot(loop: Loop, path_index: int, clock_s: float, first: int) -> int:
-    """The knot at the start of the segment that contains clock_s, searched forward from `first`.
+def find_waypoint(loop: Loop, path_index: int, clock_s: float, first: int) -> int:
+    """The waypoint at the start of the segment that contains clock_s, searched forward from `first`.
 
-    The steps double until they go too far and are halved from there, for a window holds thousands of knots and the
+    The steps double until they go too far and are halved from there, for a window holds thousands of waypoints and the
     one in question is mostly among the next.
     """
-    knot, step = first, 1
-    while is_reached(loop, path_index, knot + step, clock_s):
-        knot += step
+    waypoint, step = first, 1
+    while is_reached(loop, path_index, waypoint + step, clock_s):
+        waypoint += step
         step *= 2
     while step > 1:
         step //= 2
-        if is_reached(loop, path_index, knot + step, clock_s):
-            knot += step
-    return knot
+        if is_reached(loop, path_index, waypoint + step, clock_s):
+            waypoint += step
+    return waypoint
 
 
 @jit
-def plan(loop: Loop, path_index: int, joint: int, clock_s: float, knot: int) -> tuple[float, float, float]:
-    """Position and its first two derivatives by path time of the plan alone; `knot` from find_knot.
+def plan(loop: Loop, path_index: int, joint: int, clock_s: float, waypoint: int) -> tuple[float, float, float]:
+    """Position and its first two derivatives by path time of the plan alone; `waypoint` from find_waypoint.
 
-    Before the first knot the plan stands at it, after the newest it stands there; a stream runs on straight.
+    Before the first waypoint the plan stands at it, after the newest it stands there; a stream runs on straight.
     """
     if not in_goal(loop, path_index, joint):
         return loop.paths[path_index].blends[joint].held_rad, 0.0, 0.0
-    start = loop.knots[slot(path_index, knot)]
+    start = loop.waypoints[slot(path_index, waypoint)]
     a = start.joints[joint]
     start_s = start.time_ns * 1e-9
-    if knot >= loop.paths[path_index].taken - 1 or clock_s < start_s:
+    if waypoint >= loop.paths[path_index].taken - 1 or clock_s < start_s:
         runs_on = loop.paths[path_index].stream == 1 and loop.paths[path_index].ends_moving == 1
         if runs_on and clock_s >= start_s:
             return straight_on(loop, a, clock_s - start_s)
         return a.position_rad, 0.0, 0.0
-    c0, c1, c2, c3, c4, c5 = plan_coefficients(loop, path_index, joint, knot)
+    c0, c1, c2, c3, c4, c5 = plan_coefficients(loop, path_index, joint, waypoint)
     return evaluate(c0, c1, c2, c3, c4, c5, clock_s - start_s)
 
 
 @jit
-def plan_coefficients(loop: Loop, path_index: int, joint: int, knot: int) -> tuple[float, ...]:
-    """The polynomial of the plan between a knot and the next one, in time since the knot (`motion.segment`)."""
-    start, end = loop.knots[slot(path_index, knot)], loop.knots[slot(path_index, knot + 1)]
+def plan_coefficients(loop: Loop, path_index: int, joint: int, waypoint: int) -> tuple[float, ...]:
+    """The polynomial of the plan between a waypoint and the next one, in time since the waypoint (`motion.segment`)."""
+    start, end = loop.waypoints[slot(path_index, waypoint)], loop.waypoints[slot(path_index, waypoint + 1)]
     a, b = start.joints[joint], end.joints[joint]
     duration_s = (end.time_ns - start.time_ns) * 1e-9
     if end.order == 5:
@@ -156,8 +156,8 @@ def blend(loop: Loop, path_index: int, joint: int, clock_s: float) -> tuple[floa
 
 
 @jit
-def sample(loop: Loop, path_index: int, joint: int, clock_s: float, knot: int) -> tuple[float, float, float]:
+def sample(loop: Loop, path_index: int, joint: int, clock_s: float, waypoint: int) -> tuple[float, float, float]:
     """Plan plus blend: position and its first two derivatives by path time."""
-    p, v, a = plan(loop, path_index, joint, clock_s, knot)
+    p, v, a = plan(loop, path_index, joint, clock_s, waypoint)
     bp, bv, ba = blend(loop, path_index, joint, clock_s)
     return p + bp, v + bv, a + ba

@@ -140,4 +140,4 @@ def resume_paused(loop: Loop) -> None:
     """Let a paused goal go on with what it did."""
     running = loop.paths[loop.goals.active]
     if running.phase == Phase.PAUSED:
-        change_phase(loop, loop.goals.active, Phase.RUNNING if running.settle_ns == 0 else Phase.SETTLING)
+        change_phase(loop, loop.goals.active, Phase.RUNNING if running.settle_start_ns == 0 else Phase.SETTLING)

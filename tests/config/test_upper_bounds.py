@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 from config.errors import ConfigError
 from config.loader import load_arm
 from config.schema import ArmConfig, LimitsConfig, TrajectoryConfig
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 
 BOUND_BY_OTHERS = {
     "bus.bitrate": "the rates that the adapter, or classic CAN, has",

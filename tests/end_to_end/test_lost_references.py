@@ -7,7 +7,7 @@ from fault_rig import wait
 from stack import PATIENCE_S, Process, Stack
 
 from config.loader import load_arm
-from rtloop.kept.saved import counts_before, path_of
+from rtloop.kept.reference_store import counts_before, path_of
 from shm.client import StateReader
 from shm.files import open_state
 from shm.words import Fault, Unreferenced

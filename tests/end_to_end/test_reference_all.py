@@ -11,7 +11,7 @@ from stack import PATIENCE_S, Process
 
 from config.loader import load_arm
 from rtarm.running.status import read_status
-from rtloop.kept import saved
+from rtloop.kept import reference_store
 from shm.words import Mode, Unreferenced
 
 pytestmark = pytest.mark.process
@@ -34,7 +34,7 @@ def test_of_drives_that_were_silent_those_that_count_on_are_taken_where_they_are
     """Two were silent when no mark was kept that could prove their power; the third loses it now."""
     stack = stack_at(START_DEG)
     for joint in (1, 2):
-        saved.keep_lost_reference(load_arm(stack.arm_file), joint, Unreferenced.SILENT)
+        reference_store.keep_lost_reference(load_arm(stack.arm_file), joint, Unreferenced.SILENT)
     stack.start_loop()
     assert unreferenced(stack) == ["joint2", "joint3"]
     stack.sim.say("power-loss:joint=joint5,at_s=0,off_s=4")

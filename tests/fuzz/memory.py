@@ -55,9 +55,9 @@ _REQUEST_BYTES = layout.REQUEST.itemsize
 _REQUEST_EPOCH = offset_of(layout.REQUEST, "epoch")
 _HEAD_WORDS = offset_of(layout.SETPOINT, "joints") // 8
 _COMMAND_WORDS = _COMMAND.itemsize // 8
-_KNOTS, _HISTORY = offset_of(LOOP, "knots"), offset_of(LOOP, "history")
+_WAYPOINTS, _HISTORY = offset_of(LOOP, "waypoints"), offset_of(LOOP, "history")
 _LAST = offset_of(LOOP, "service_in")
-_KNOT = int(Setpoint.KNOT)
+_WAYPOINT = int(Setpoint.WAYPOINT)
 _CASE_RECORDS = 1 << 16
 """Records of one case lie this far from those of the next, so that none of an earlier one can be taken for its own."""
 
@@ -168,11 +168,11 @@ def put_goal(loop: Loop, command: int, goal: int, wild: float, box: np.ndarray) 
                 value = hostile_number()
             store_number(record + _ROWS_AT + 24 * joint + 8 * column, value, box)
     publish_record(command, record, count)
-    put_knots(loop, command, goal, wild, box)
+    put_waypoints(loop, command, goal, wild, box)
     if np.random.random() < 0.7:
         put_end(loop, command, goal, wild, box)
     if np.random.random() < 0.1:
-        put_knots(loop, command, goal, wild, box)
+        put_waypoints(loop, command, goal, wild, box)
 
 
 @jit
@@ -186,19 +186,19 @@ def put_end(loop: Loop, command: int, goal: int, wild: float, box: np.ndarray) -
 
 
 @jit
-def put_knots(loop: Loop, command: int, goal: int, wild: float, box: np.ndarray) -> None:
-    """Some knots that lead anywhere inside what a knot may say, from where the arm is commanded."""
+def put_waypoints(loop: Loop, command: int, goal: int, wild: float, box: np.ndarray) -> None:
+    """Some waypoints that lead anywhere inside what a waypoint may say, from where the arm is commanded."""
     count, period_ns = loop.params.joint_count, loop.params.period_ns
-    knots = int(np.random.randint(1, RECORDS_A_CYCLE))
+    waypoints = int(np.random.randint(1, RECORDS_A_CYCLE))
     time_ns = 0 if np.random.random() < 0.6 else int(np.random.randint(0, 20)) * period_ns // 2
     style = int(np.random.randint(0, 4))
     gap_ns = (1, period_ns // 7, period_ns, 12 * period_ns)[int(np.random.randint(0, 4))]
     share = np.random.random() * 1.05
     order = (1, 3, 3, 5)[int(np.random.randint(0, 4))]
-    for _ in range(knots):
+    for _ in range(waypoints):
         here_ns = time_ns if np.random.random() >= wild else hostile_word()
         here_order = order if np.random.random() >= wild else hostile_word()
-        kind = _KNOT if np.random.random() >= 0.1 * wild else int(np.random.randint(-1, 9))
+        kind = _WAYPOINT if np.random.random() >= 0.1 * wild else int(np.random.randint(-1, 9))
         owner = goal if np.random.random() >= 0.1 * wild else int(np.random.randint(-1, 3))
         record = put_head(command, kind, owner, here_ns, here_order, hostile_word(), hostile_word(), hostile_word())
         for joint in range(count):
@@ -303,7 +303,7 @@ def write_hostile(loop: Loop, command: int, how: int, goal: int, box: np.ndarray
         goal += 1 if np.random.random() >= 0.1 * wild else int(np.random.randint(-2, 3))
         put_goal(loop, command, goal, wild, box)
     elif dice < 0.18:
-        put_knots(loop, command, goal if np.random.random() < 0.8 else 0, wild, box)
+        put_waypoints(loop, command, goal if np.random.random() < 0.8 else 0, wild, box)
     elif dice < 0.22:
         put_end(loop, command, goal, wild, box)
     elif dice < 0.30:
@@ -324,7 +324,7 @@ def bring_up(loop: Loop, shared: Shared) -> None:
     orders.begin_bring_up(loop, shared)
     if loop.mode == Mode.BRINGING_UP:
         for joint in range(loop.params.joint_count):
-            orders.adopt(loop, joint, loop.axes[joint].measured.position_rad, 0)
+            orders.sync_setpoint(loop, joint, loop.axes[joint].measured.position_rad, 0)
         change_mode(loop, shared, Mode.HOLDING)
 
 
@@ -396,7 +396,7 @@ def words_known(loop: Loop, shared: Shared, seen: np.ndarray) -> bool:
 def refresh(loop: Loop, fresh: int, case: int) -> None:
     """Begin a case: the loop as it was brought up, the rings at a place of the case's own."""
     address, command = loop.params.address, loop.params.command_address
-    copy_words(address, fresh, _KNOTS // 8)
+    copy_words(address, fresh, _WAYPOINTS // 8)
     copy_words(address + _HISTORY, fresh + _HISTORY, (_LAST - _HISTORY) // 8)
     first = (case & 0xFFFF_FFFF) * _CASE_RECORDS
     loop.front.setpoints_taken = loop.front.requests_taken = first

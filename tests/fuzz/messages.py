@@ -255,7 +255,7 @@ class Messages:
             epoch=int(self.arena.arm.memory["goals"]["epoch"]),
         )
         for time_ns, order, joints in zip(plan.times_ns, plan.orders, plan.joints, strict=True):
-            writer.knot(1, int(time_ns), int(order), joints, 0)
+            writer.waypoint(1, int(time_ns), int(order), joints, 0)
         writer.end(1, plan.terms.goal_tolerances, 0)
 
     def close(self) -> None:

@@ -22,7 +22,7 @@ from rtloop.memory.events import record_event
 from rtloop.memory.link import RX_BYTES, RX_CHUNKS, SERVICE_SLOTS
 from rtloop.memory.record import offset_of
 from rtloop.memory.state import LOOP, Loop, Shared
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from rtloop.service import rings
 from rtloop.service.port import IN, TAKEN, WRITTEN
 from rtloop.wire import received

@@ -161,7 +161,7 @@ def test_the_stress_of_the_receive_ring_finds_a_byte_that_is_wrong(hostile_wire:
     """Its count of mistakes is not always zero."""
     from config.loader import load_arm
     from fuzz.stress import take_bytes
-    from rtloop.process.beginning import new_loop
+    from rtloop.process.initial_state import new_loop
 
     loop = new_loop(load_arm("mock"), 0, 0)
     received.push(loop[0], 0, np.array([0, 7, 15], np.uint8), 3)

@@ -27,7 +27,7 @@ def test_inner_slopes_are_those_of_scipy(values, seed):
 
 @settings(deadline=None)
 @given(positions, st.integers(0, 1000))
-def test_a_cubic_through_them_never_leaves_the_interval_of_its_knots(values, seed):
+def test_a_cubic_through_them_never_leaves_the_interval_of_its_waypoints(values, seed):
     times, p = times_for(seed, len(values)), np.array(values)
     spline = CubicHermiteSpline(times, p, slopes.monotone(times, p[:, np.newaxis])[:, 0])
     for i in range(len(p) - 1):

@@ -36,20 +36,24 @@ LEAVES = (
     Leaf("rtloop/trajectory/path.py", ("tests/rtloop/test_path.py",)),
     Leaf("rtloop/trajectory/clock.py", ("tests/rtloop/test_clock.py",)),
     Leaf(
-        "rtloop/trajectory/entry.py", ("tests/rtloop/test_path.py",), ("due_s", "lay_bridge", "lay_run_up", "lay_blend")
+        "rtloop/trajectory/entry.py",
+        ("tests/rtloop/test_path.py",),
+        ("due_s", "lay_approach", "lay_run_up", "lay_blend"),
     ),
     Leaf(
         "rtloop/trajectory/limits.py",
         ("tests/rtloop/test_limits.py",),
         ("clamped_rad", "highest_rad_s", "hardest_rad_s2"),
     ),
-    Leaf("rtloop/safety/guard.py", ("tests/rtloop/test_limits.py",), ("check_next_setpoint", "way_to_rest")),
     Leaf(
-        "rtloop/safety/guard.py",
+        "rtloop/safety/monitor.py", ("tests/rtloop/test_limits.py",), ("check_next_setpoint", "stopping_distance_rad")
+    ),
+    Leaf(
+        "rtloop/safety/monitor.py",
         ("tests/rtloop/test_codec_laws.py", "-k", "no_number"),
         ("setpoint_sum", "may_be_sent"),
     ),
-    Leaf("rtloop/safety/references.py", ("tests/rtloop/test_saved.py", "-k", "no_clear_forgives")),
+    Leaf("rtloop/safety/references.py", ("tests/rtloop/test_reference_store.py", "-k", "no_clear_forgives")),
     Leaf("rtloop/drives/leading.py", ("tests/rtloop/test_leading.py",)),
     Leaf("rtloop/drives/following.py", ("tests/rtloop/test_following.py",)),
     Leaf("rtloop/wire/slcan.py", ("tests/rtloop/test_slcan_codec.py", WIRES, "-k", "slcan")),
@@ -71,19 +75,19 @@ LEAVES = (
 )
 
 _STOPS_INSIDE = (
-    "rtloop/safety/guard.py check_next_setpoint: "
+    "rtloop/safety/monitor.py check_next_setpoint: "
     "if (velocity > 0.0 and stop > high + BESIDE_RAD) or (velocity < 0.0 and stop < low - BESIDE_RAD): → "
     "if (velocity > 0.0 and stop {} high + BESIDE_RAD) or (velocity < 0.0 and stop {} low - BESIDE_RAD):"
 )
 _BESIDE = "BESIDE_RAD is what arithmetic may be off by: nobody can say on which side of it the last bit of a sum falls"
 
 _SETPOINT_SUM = (
-    "rtloop/safety/guard.py setpoint_sum: return float(commanded.next_position_rad + commanded.next_velocity_rad_s + "
+    "rtloop/safety/monitor.py setpoint_sum: return float(commanded.next_position_rad + commanded.next_velocity_rad_s + "
     "commanded.next_acceleration_rad_s2) → return float(commanded.next_position_rad {} commanded.next_velocity_rad_s "
     "{} commanded.next_acceleration_rad_s2)"
 )
 _SENT_SUM = (
-    "rtloop/safety/guard.py may_be_sent: total = setpoint_sum(axis.commanded) + position + velocity → "
+    "rtloop/safety/monitor.py may_be_sent: total = setpoint_sum(axis.commanded) + position + velocity → "
     "total = setpoint_sum(axis.commanded) {} position {} velocity"
 )
 _FINITE = "all that is asked of the sum is whether it is finite, and no sign changes that"

@@ -1,4 +1,4 @@
-"""A stand-in for the control process, small enough to be obviously right: plays knots without dynamics.
+"""A stand-in for the control process, small enough to be obviously right: plays waypoints without dynamics.
 
 It owns an arm's memory files, takes every record, follows the positions of the newest complete goal by
 straight lines in real time, answers every request, and reports what happened. Faults are switched on from the test.
@@ -124,7 +124,7 @@ class FakeLoop(threading.Thread):
                     self.decide(goal_id, Outcome.REFUSED_OUTDATED)
                 else:
                     self.incoming = goal_id
-            elif kind == Setpoint.KNOT:
+            elif kind == Setpoint.WAYPOINT:
                 self.goals[goal_id]["times"].append(int(slot["time_ns"]))
                 self.goals[goal_id]["points"].append(slot["joints"]["position_rad"][: self.joints].copy())
             else:

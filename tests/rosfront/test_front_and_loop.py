@@ -99,7 +99,7 @@ def test_recorded_goals_cancel_replacement_and_a_killed_loop(processes):
 
 
 def test_a_refused_newer_goal_does_not_end_a_long_running_one(processes):
-    """The running goal's later knots go on coming while the control process looks at the newer one."""
+    """The running goal's later waypoints go on coming while the control process looks at the newer one."""
     client, _, _ = processes
     long_goal = recorded("near_limits_high")
     running = client.send(long_goal)

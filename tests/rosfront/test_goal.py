@@ -1,4 +1,4 @@
-"""From a goal message to knots: every refusal with its sentence, and what a good goal becomes."""
+"""From a goal message to waypoints: every refusal with its sentence, and what a good goal becomes."""
 
 import json
 import math
@@ -245,7 +245,7 @@ def test_a_refusal_holds_joint_value_and_limit():
 def test_recorded_moveit_goals_are_accepted_from_their_start(file):
     message = recorded(file.stem)
     plan = planned(message, present(message.trajectory.points[0].positions))
-    assert not plan.bridge and plan.start_ns == 0 and plan.joint_mask == 0b111111
+    assert not plan.approach and plan.start_ns == 0 and plan.joint_mask == 0b111111
     assert set(plan.orders.tolist()) == {5}
     assert plan.joints[:, :, 0].tolist() == [p.positions for p in message.trajectory.points]
     assert plan.joints[:, :, 1].tolist() == [p.velocities for p in message.trajectory.points]
@@ -304,9 +304,9 @@ def test_fewer_fields_on_some_points_give_the_lower_order_there():
     assert plan.joints[2, 0, 2] == 0.0
 
 
-def test_a_first_point_later_than_zero_is_a_bridge_from_the_commanded_state():
+def test_a_first_point_later_than_zero_is_approached_from_the_commanded_state():
     plan = planned(one_joint(point(2, [0.4])))
-    assert plan.bridge and plan.times_ns.tolist() == [2_000_000_000]
+    assert plan.approach and plan.times_ns.tolist() == [2_000_000_000]
     assert plan.orders.tolist() == [3]
 
 
@@ -320,7 +320,7 @@ def test_a_stamp_ahead_is_a_start_ahead():
 
 
 def slow_way(stamp_s):
-    """joint1 by 0.3 rad in 3 s, gently, in knots 0.1 s apart."""
+    """joint1 by 0.3 rad in 3 s, gently, in waypoints 0.1 s apart."""
     times = np.arange(0.0, 3.01, 0.1)
     x = times / 3.0
     shape = 0.3 * (10 * x**3 - 15 * x**4 + 6 * x**5)
@@ -331,7 +331,7 @@ def slow_way(stamp_s):
 def test_a_stamp_in_the_past_enters_where_the_trajectory_is_due():
     plan = planned(slow_way(NOW_S - 0.75))
     assert plan.start_ns == NOW_NS - 750_000_000 and plan.entry_ns == 750_000_000
-    assert plan.times_ns[0] == 700_000_000 and not plan.bridge
+    assert plan.times_ns[0] == 700_000_000 and not plan.approach
     assert len(plan.times_ns) == len(plan.orders) == len(plan.joints) == 24
 
 
@@ -354,7 +354,7 @@ def test_a_moving_arm_is_left_to_the_control_process():
 def test_the_way_to_a_first_point_that_is_still_ahead_gets_the_time_that_is_left():
     message = goal([point(2, [0.2])], ["joint1"], NOW_S - 1.0)
     plan = planned(message)
-    assert plan.bridge and plan.entry_ns == 10**9
+    assert plan.approach and plan.entry_ns == 10**9
     with pytest.raises(refusals.VelocityBeyondLimit):
         planned(goal([point(2, [0.2])], ["joint1"], NOW_S - 1.5))
 
@@ -404,7 +404,7 @@ def test_a_stream_may_end_in_motion_and_its_first_point_may_be_near():
     plan = streamed(one_joint(point(0.01, [0.004], [0.4])))
     assert plan.stream and plan.wanted is not None and plan.reason is None
     plan = streamed(one_joint(point(1.0, [0.1], [0.1])))
-    assert plan.stream and plan.bridge and plan.wanted is None, "what can be done in time is handed on as it came"
+    assert plan.stream and plan.approach and plan.wanted is None, "what can be done in time is handed on as it came"
     with pytest.raises(refusals.GoalRefused):
         planned(one_joint(point(0.01, [0.004], [0.4])))
 
@@ -690,12 +690,12 @@ def test_densification_counts_against_the_most_points():
 
 @settings(deadline=None)
 @given(st.lists(st.integers(1, 40), min_size=0, max_size=20), st.integers(1, 20))
-def test_densified_times_rise_and_keep_the_given_knots(gaps_ns, factor):
+def test_densified_times_rise_and_keep_the_given_waypoints(gaps_ns, factor):
     times = np.concatenate([[0], np.cumsum(np.array(gaps_ns, dtype=np.int64))]).astype(np.int64)
-    knots = np.arange(len(times), dtype=float)[:, np.newaxis, np.newaxis] * np.ones((1, 2, 3))
-    dense_times, dense = densify(times, knots, factor)
+    waypoints = np.arange(len(times), dtype=float)[:, np.newaxis, np.newaxis] * np.ones((1, 2, 3))
+    dense_times, dense = densify(times, waypoints, factor)
     assert (np.diff(dense_times) > 0).all()
-    for at, value in zip(times, knots, strict=True):
+    for at, value in zip(times, waypoints, strict=True):
         assert (dense[dense_times.tolist().index(at)][:, :2] == value[:, :2]).all()
 
 

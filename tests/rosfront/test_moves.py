@@ -75,8 +75,8 @@ def test_a_profile_covers_its_way_within_speed_and_acceleration(speed, accelerat
     assert rate.max() <= speed * (1 + 1e-9) and np.abs(bend).max() <= acceleration * (1 + 1e-9)
     step = times[1]
     assert np.gradient(share, step)[2:-2] == pytest.approx(rate[2:-2], abs=acceleration * step)
-    knots = profile.times_s(widest)
-    assert (np.diff(knots) >= 0).all() and np.diff(profile.at(knots)[0]).max() <= widest * (1 + 1e-9)
+    waypoints = profile.times_s(widest)
+    assert (np.diff(waypoints) >= 0).all() and np.diff(profile.at(waypoints)[0]).max() <= widest * (1 + 1e-9)
 
 
 @settings(deadline=None, max_examples=examples(60))
@@ -103,7 +103,7 @@ def test_a_move_to_where_the_arm_stands_is_over_at_once():
 
 @settings(deadline=None, max_examples=examples(60))
 @given(near=shares, way_mm=ways_mm, turn_deg=turns_deg, step_mm=st.sampled_from([0.5, 8.0, 1e6]))
-def test_a_line_is_straight_between_its_knots_too(near, way_mm, turn_deg, step_mm):
+def test_a_line_is_straight_between_its_waypoints_too(near, way_mm, turn_deg, step_mm):
     """Better than a micrometre and 0.001° through the curves that the control process follows, within every limit."""
     start = OVER_THE_TABLE + (near - 0.5) * np.radians([120, 20, 40, 60, 40, 120])
     pose = moved(start, way_mm, turn_deg)

@@ -81,7 +81,7 @@ def test_a_goal_arrives_whole_and_succeeds(stage):
     assert verdict.status is Status.SUCCEEDED and verdict.code == 0
     assert verdict.sentence == "Goal reached: the largest error is 0.0000 rad, of joint1; 0.0100 rad are allowed."
     kinds = [kind for _, kind in stage.loop.records]
-    assert kinds == [Setpoint.BEGIN, *[Setpoint.KNOT] * 6, Setpoint.END]
+    assert kinds == [Setpoint.BEGIN, *[Setpoint.WAYPOINT] * 6, Setpoint.END]
     assert stage.serving.idle
 
 
@@ -330,7 +330,7 @@ def later(stage, ahead_s):
 
 
 def test_a_goal_far_ahead_is_kept_back_until_it_is_nearly_due(stage, monkeypatch):
-    """Nothing of it stands in the ring before knots that are needed sooner."""
+    """Nothing of it stands in the ring before waypoints that are needed sooner."""
     monkeypatch.setattr(serving.time, "monotonic_ns", lambda: stage.now_ns)
     stage.start("later", later(stage, 5.0))
     stage.step(100)

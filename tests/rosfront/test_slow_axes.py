@@ -54,8 +54,8 @@ def there_and_back(arm: ArmConfig, ripple: float) -> tuple[np.ndarray, np.ndarra
     angle = 2.0 * math.pi * times
     positions += depth * (times - np.sin(angle) / (2.0 * math.pi)) * 0.5
     velocities += depth * (1.0 - np.cos(angle)) * 0.5
-    knots = np.stack([positions, velocities, np.zeros_like(times)], axis=1)
-    return np.round(times * NS).astype(np.int64), np.repeat(knots[:, None, :], len(arm.joints), axis=1)
+    waypoints = np.stack([positions, velocities, np.zeros_like(times)], axis=1)
+    return np.round(times * NS).astype(np.int64), np.repeat(waypoints[:, None, :], len(arm.joints), axis=1)
 
 
 class ServedArm(VirtualArm):
@@ -63,12 +63,12 @@ class ServedArm(VirtualArm):
 
     streamer: Streamer | None = None
 
-    def serve(self, times_ns: np.ndarray, knots: np.ndarray) -> int:
+    def serve(self, times_ns: np.ndarray, waypoints: np.ndarray) -> int:
         """Begin a goal; its number."""
         rows = len(self.arm.joints)
         terms = Terms(np.zeros((rows, 3)), np.full((rows, 3), 0.1), 0.4)
         orders = np.full(len(times_ns), 3)
-        plan = GoalPlan(times_ns, orders, knots, (1 << rows) - 1, terms, 0, 0, Entry(0), knots[0])
+        plan = GoalPlan(times_ns, orders, waypoints, (1 << rows) - 1, terms, 0, 0, Entry(0), waypoints[0])
         goal = self.writer.announced_goal + 1
         self.streamer = Streamer(goal, plan, int(self.memory["goals"]["epoch"]), horizon_s(self.arm))
         return goal
@@ -94,8 +94,8 @@ class ServedArm(VirtualArm):
 def stops_well(slowness_s: float, way: str, share: float, ripple: float = 0.0) -> float:
     """Stop an arm at such a share of its motion: the largest acceleration it was commanded, over its limit."""
     arm = ServedArm.brought_up(slow_arm(slowness_s))
-    times_ns, knots = there_and_back(arm.arm, ripple)
-    goal = arm.serve(times_ns, knots)
+    times_ns, waypoints = there_and_back(arm.arm, ripple)
+    goal = arm.serve(times_ns, waypoints)
     positions: list[float] = []
 
     def cycles(count: int) -> None:

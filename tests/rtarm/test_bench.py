@@ -42,7 +42,7 @@ from rtarm.bench.lateness import (
 )
 from rtarm.bench.load import described, loaded
 from rtarm.bench.machine import machine, versions
-from rtarm.bench.motion import KNOT_S, there_and_back
+from rtarm.bench.motion import WAYPOINT_S, there_and_back
 from rtarm.bench.python_arm import Path as JointPath
 from rtarm.bench.python_arm import PythonArm
 from rtarm.bench.report import render
@@ -338,7 +338,7 @@ def test_goal_goes_there_and_comes_back(duration_s: float, start_rad: list[float
         assert end["positions"] == pytest.approx(start_rad, abs=1e-12)
         assert end["velocities"] == pytest.approx([0.0] * len(start_rad), abs=1e-12)
     # The cubic between the points goes where the points' velocities say.
-    for time_s in np.linspace(KNOT_S, duration_s - KNOT_S, 7):
+    for time_s in np.linspace(WAYPOINT_S, duration_s - WAYPOINT_S, 7):
         slope = (path.at(time_s + 1e-4)[0] - path.at(time_s - 1e-4)[0]) / 2e-4
         turn = 2.0 * math.pi / duration_s
         planned = 0.5 * 0.03 * duration_s * turn * math.sin(turn * time_s)

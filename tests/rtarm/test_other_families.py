@@ -29,7 +29,7 @@ from rtloop.drives.power import Marks
 from rtloop.offline.calibration.session import Session as Calibration
 from rtloop.offline.settings.compare import as_json
 from rtloop.offline.settings.session import Session
-from rtloop.process.beginning import show_drives
+from rtloop.process.initial_state import show_drives
 from shm import layout
 from shm.recording import read_recording
 from shm.words import Fault

@@ -13,7 +13,7 @@ from written_arm import JOINTS, WrittenArm
 from rtarm.console.errors import Refusal
 from rtarm.console.person import Quit, Terminal
 from rtarm.running import referencing
-from rtloop.kept.saved import COUNTS_FROM_NOWHERE
+from rtloop.kept.reference_store import COUNTS_FROM_NOWHERE
 from shm.layout import REQUEST_SLOTS
 from shm.words import Answer, Fault, Mode, Request, Unreferenced
 

@@ -226,15 +226,17 @@ def test_plots_go_back_half_a_minute_and_a_joint_that_was_never_read_is_a_gap() 
 
 
 @given(st.sampled_from([1, 3, 5]), st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3))
-def test_a_path_goes_through_its_knots(order: int, angles: list[float]) -> None:
-    knots = {number * 1_000_000_000: (order, np.array([[angle, 0.0, 0.0]] * 2)) for number, angle in enumerate(angles)}
-    path = sampled(knots, 2)
+def test_a_path_goes_through_its_waypoints(order: int, angles: list[float]) -> None:
+    waypoints = {
+        number * 1_000_000_000: (order, np.array([[angle, 0.0, 0.0]] * 2)) for number, angle in enumerate(angles)
+    }
+    path = sampled(waypoints, 2)
     assert path.shape == (POINTS, 2)
     assert path[0, 0] == pytest.approx(angles[0]) and path[-1, 1] == pytest.approx(angles[2])
     assert np.abs(path[:, 0] - angles[1]).min() <= 0.02 * max(1.0, np.ptp(angles))
 
 
-def test_the_path_of_a_goal_comes_from_the_ring_of_knots(arm: WrittenArm) -> None:
+def test_the_path_of_a_goal_comes_from_the_ring_of_waypoints(arm: WrittenArm) -> None:
     path = GoalPath(arm.name, len(JOINTS))
     start = np.full((2, 3), [0.5, 0.0, 0.0])
     writer = CommandWriter(files.open_command(arm.name))
@@ -244,7 +246,7 @@ def test_the_path_of_a_goal_comes_from_the_ring_of_knots(arm: WrittenArm) -> Non
             4, start_ns=0, joint_mask=3, goal_time_s=0.0, entry=Entry(0), epoch=0, tolerances=tolerances, consumed=0
         )
         assert len(path.of(4, start)) == 0
-        writer.knot(4, 2_000_000_000, 5, np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), 0)
+        writer.waypoint(4, 2_000_000_000, 5, np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), 0)
         writer.end(4, tolerances, 0)
         found = path.of(4, start)
         assert found[0].tolist() == [0.5, 0.5], "a single point is gone to from where the arm was"

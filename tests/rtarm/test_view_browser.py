@@ -21,7 +21,7 @@ from working_threads import niceness_at_work
 from config.loader import load_arm
 from rtarm.running import requests
 from rtarm.running.status import Report, read_status
-from rtloop.kept import saved
+from rtloop.kept import reference_store
 from shm.words import Request, Unreferenced
 
 pytestmark = [
@@ -346,7 +346,7 @@ def test_joints_are_taken_where_they_read_only_after_the_angles_were_shown(
         arm.change(limits=PATIENT)
         arm.start_sim()
         # it was silent when no mark was kept that could prove its power
-        saved.keep_lost_reference(load_arm(arm.arm_file), 1, Unreferenced.SILENT)
+        reference_store.keep_lost_reference(load_arm(arm.arm_file), 1, Unreferenced.SILENT)
         arm.start_loop()
         arm.start_view()
         browser.open(arm.url)

@@ -18,25 +18,25 @@ def arm_with_blend(seed: int, rate_hz: float) -> tuple[VirtualArm, int, float]:
     """An arm at rest, a goal that lies in the path not running with a blend onto it, and the rate it is entered at."""
     random = np.random.default_rng(seed)
     arm = VirtualArm.brought_up(load_arm("mock", overrides={"control": {"rate_hz": rate_hz}}))
-    arm.memory["people"]["speed_scale"] = 0.0  # nothing starts
+    arm.memory["operator"]["speed_scale"] = 0.0  # nothing starts
     joints = arm.arm.joints
     gap_s = random.choice([0.2, 0.7, 1.0, 1.7, 10.0, 60.0]) / rate_hz
     count = int(random.uniform(0.5, 1.2) / gap_s) + 2
     gaps_s = gap_s * (random.uniform(0.2, 1.8, count) if random.random() < 0.5 else np.ones(count))
     times_s = np.cumsum(gaps_s) - gaps_s[0]
-    knots = np.zeros((count, len(joints), 3))
+    waypoints = np.zeros((count, len(joints), 3))
     for index, joint in enumerate(joints):
         hardest = joint.max_acceleration_rad_s2
         swing = random.uniform(0.1, 1.6) * hardest * np.sin(random.uniform(0.5, 6.0) * times_s)
         ripple = random.choice([0.0, 0.1, 0.5, 1.0]) * hardest / rate_hz * random.uniform(-1.0, 1.0, count)
         velocity = np.clip(0.1 * swing + ripple, -joint.max_velocity_rad_s, joint.max_velocity_rad_s)
         steps = 0.5 * np.diff(times_s) * (velocity[1:] + velocity[:-1])
-        knots[:, index, 0] = random.normal(0.0, 0.001) + np.concatenate([[0.0], np.cumsum(steps)])
-        knots[:, index, 1] = velocity
-    arm.send_goal((times_s * 1e9).astype(int), knots, order=int(random.choice([1, 3, 3, 3])))
+        waypoints[:, index, 0] = random.normal(0.0, 0.001) + np.concatenate([[0.0], np.cumsum(steps)])
+        waypoints[:, index, 1] = velocity
+    arm.send_goal((times_s * 1e9).astype(int), waypoints, order=int(random.choice([1, 3, 3, 3])))
     arm.until(lambda: not arm.pending)
     arm.cycles(25)  # until all of it is taken
-    assume(arm.waiting_goal != 0)  # it was not refused for a knot beyond its limits
+    assume(arm.waiting_goal != 0)  # it was not refused for a waypoint beyond its limits
     rate = float(random.choice([1.0, 0.5, 0.3]))
     index = 1 - int(arm.memory["goals"]["active"])
     entry.lay_blend(arm.loop[0], index, rate, 0.0, float(random.choice([0.1, 0.3, 0.45])))
@@ -55,8 +55,8 @@ def differences_keep_limits(arm: VirtualArm, index: int, rate: float) -> bool:
     for joint in range(len(arm.arm.joints)):
         positions = [float(loop["axes"][joint]["commanded"]["position_rad"])]
         for clock_s in clocks_s:
-            knot = path.find_knot(loop, index, clock_s, 0)
-            positions.append(path.sample(loop, index, joint, clock_s, knot)[0])
+            waypoint = path.find_waypoint(loop, index, clock_s, 0)
+            positions.append(path.sample(loop, index, joint, clock_s, waypoint)[0])
         velocity = np.diff(positions) / period_s
         acceleration = np.diff(velocity, prepend=0.0) / period_s
         if np.max(np.abs(velocity)) > limits.highest_rad_s(loop, joint):
@@ -101,9 +101,9 @@ def test_a_search_over_several_cycles_says_what_one_says(seed: int, looks: int) 
 def test_a_bump_that_every_way_meets_is_found_over_several_cycles() -> None:
     arm = VirtualArm.brought_up(load_arm("mock", overrides={"control": {"rate_hz": 1000.0}}))
     times_s = np.arange(3000) * 0.0009
-    knots = np.zeros((3000, 6, 3))
-    knots[295, :, 0] = [10.0 * joint.max_acceleration_rad_s2 * 1e-6 for joint in arm.arm.joints]
-    goal = arm.send_goal((times_s * 1e9).astype(int), knots, order=3)
+    waypoints = np.zeros((3000, 6, 3))
+    waypoints[295, :, 0] = [10.0 * joint.max_acceleration_rad_s2 * 1e-6 for joint in arm.arm.joints]
+    goal = arm.send_goal((times_s * 1e9).astype(int), waypoints, order=3)
     arm.until(lambda: arm.waiting_goal == goal)
     begun = int(arm.memory["timing"]["cycle"])
     assert arm.end_of(goal) == Outcome.REFUSED_LIMITS

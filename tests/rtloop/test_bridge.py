@@ -23,7 +23,7 @@ from config.loader import load_arm
 from rtloop.bus.measured import take_what_the_bus_brought
 from rtloop.memory.frame_words import EXTENDED as EXTENDED_KIND
 from rtloop.memory.link import CAN_FRAME_BYTES
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from rtloop.wire import bridge as bridge_module
 from rtloop.wire import can_words, outgoing, received
 from rtloop.wire.bridge import (

@@ -30,7 +30,7 @@ BRIDGED = ("interface", "python-can"), ("serial_baud", "cdc")
 pytestmark = pytest.mark.process
 
 
-def bridged(stack: Stack, interface: str, **options) -> Path:
+def approached(stack: Stack, interface: str, **options) -> Path:
     stack.change(bus={**dict(BRIDGED), "python_can": {"interface": interface, **options}})
     return stack.arm_file
 
@@ -47,7 +47,7 @@ def inside(stack, unlocked, monkeypatch, tmp_path) -> Iterator[SimpleNamespace]:
     """The control process' threads and the simulated arm on one virtual bus of this very process."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     stack.change(bus={"channel": f"bus of {stack.name}"})
-    arm = load_arm(bridged(stack, "virtual"))
+    arm = load_arm(approached(stack, "virtual"))
     make_object()
     before = set(threading.enumerate())
     with can.Bus(arm.bus.resolved_channel, "virtual", ignore_config=True) as bus:
@@ -94,7 +94,7 @@ def test_an_arm_moves_on_a_virtual_bus(inside):
 
 
 def test_an_arm_behind_somebody_else_s_adapter_code(stack):
-    bridged(stack, "slcan", sleep_after_open=0.0)
+    approached(stack, "slcan", sleep_after_open=0.0)
     stack.start_sim()
     began_ns = time.monotonic_ns()
     loop = stack.start_loop()

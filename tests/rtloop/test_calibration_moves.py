@@ -19,7 +19,7 @@ from rtloop.drives import zdt
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.power import Marks
 from rtloop.offline.calibration.session import MOST_RPM, MOST_TURNS, NotDone, Session
-from rtloop.service.conversation import TalkFailed
+from rtloop.service.conversation import DialogueFailed
 from shm.words import Mode, Unreferenced
 from sim import faults
 
@@ -251,7 +251,7 @@ def test_a_homing_run_that_fails_is_told_with_what_can_be_done_here(fault: Any, 
     bench.each_pause = at_once_or_amid_the_run
     if after == 0:
         bench.session.look(0)
-    with pytest.raises(TalkFailed, match=sentence) as failed:
+    with pytest.raises(DialogueFailed, match=sentence) as failed:
         bench.session.home(0)
     assert "rtarm" not in str(failed.value)
     bench.require_standing()
@@ -275,7 +275,7 @@ def goes_wrong(bench: Bench, fault: Any, at: float = 0.4, by: int = TURN) -> str
 
     bench.session.look(0)
     bench.each_pause = watch
-    with pytest.raises(TalkFailed) as failed:
+    with pytest.raises(DialogueFailed) as failed:
         bench.session.turn(0, by, 10)
     assert done[0]
     return str(failed.value)
@@ -308,7 +308,7 @@ def test_a_joint_at_its_stop_is_not_pushed_on(by: int):
     bench = Bench()
     drive = bench.drives[0]
     drive.shaft.low = drive.shaft.high = drive.shaft.position_at(bench.virtual.sim.now_ns)  # type: ignore[union-attr]
-    with pytest.raises(TalkFailed, match=r"held up|does not turn"):
+    with pytest.raises(DialogueFailed, match=r"held up|does not turn"):
         bench.session.turn(0, by, 8)
     bench.require_standing()
 
@@ -328,7 +328,7 @@ def test_a_protection_that_trips_in_the_middle():
     assert "was held up" in goes_wrong(bench, faults.Protection("joint1", 0.0))
     bench.virtual.cycles(120)
     assert not any(drive.moving for drive in bench.drives)
-    with pytest.raises(TalkFailed, match="in protection and holds nothing"):
+    with pytest.raises(DialogueFailed, match="in protection and holds nothing"):
         bench.session.turn(0, 1000, 8)
 
 
@@ -354,7 +354,7 @@ def test_a_drive_that_falls_silent_ends_its_one_move_and_it_is_said():
 
 def test_a_drive_that_refuses_is_believed():
     bench = Bench([faults.Refusing("joint1", 0.0)])
-    with pytest.raises(TalkFailed, match="refuses to move, and stands"):
+    with pytest.raises(DialogueFailed, match="refuses to move, and stands"):
         bench.session.turn(0, 1000, 8)
     bench.require_standing()
 
@@ -362,14 +362,14 @@ def test_a_drive_that_refuses_is_believed():
 def test_a_drive_that_refuses_without_a_word_is_noticed():
     bench = Bench([faults.Refusing("joint1", 0.0)])
     bench.drives[0].settings = replace(bench.drives[0].settings, response=0)
-    with pytest.raises(TalkFailed, match=r"does not turn as it should|does not arrive"):
+    with pytest.raises(DialogueFailed, match=r"does not turn as it should|does not arrive"):
         bench.session.turn(0, TURN, 8)
     bench.require_standing()
 
 
 def test_a_limp_drive_is_not_moved():
     bench = Bench([faults.Disabled("joint1", 0.0)])
-    with pytest.raises(TalkFailed, match="is limp, so it cannot turn"):
+    with pytest.raises(DialogueFailed, match="is limp, so it cannot turn"):
         bench.session.turn(0, 1000, 8)
     assert moves_of(bench) == []
 
@@ -378,7 +378,7 @@ def test_a_drive_whose_pulses_are_other_than_the_file_says_turns_too_far_and_is_
     """Its microsteps are changed behind the session's back: four times the angle."""
     bench = Bench()
     bench.drives[0].settings = replace(bench.drives[0].settings, microstep=4)
-    with pytest.raises(TalkFailed, match=r"farther or faster|did not stay"):
+    with pytest.raises(DialogueFailed, match=r"farther or faster|did not stay"):
         bench.session.turn(0, TURN // 12, 8)
     bench.require_standing()
     assert abs(bench.turned()) < 0.2

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from config.loader import load_arm
 from rtloop.bus.measured import take_what_the_bus_brought
 from rtloop.memory.link import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from rtloop.wire import can_frame, can_words, received
 from shm import layout
 from shm.words import BusState, Fault, Mode

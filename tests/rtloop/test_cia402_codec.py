@@ -21,7 +21,7 @@ from config.loader import load_arm
 from rtloop.drives import cia402, cia402_setup, sdo
 from rtloop.memory import status
 from rtloop.memory.frame_words import STANDARD
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from rtloop.service.port import Frame
 from shm.words import Mode, Unreferenced
 
@@ -55,12 +55,12 @@ def test_reads_are_those_of_canopens_tests():
     ((frame, _),) = question.packets(True)
     assert (frame.id, frame.data) == (0x602, bytes.fromhex("40 18 10 01 00 00 00 00"))
     answer = Frame(0x582, bytes.fromhex("43 18 10 01 04 00 00 00"))
-    assert question.hear(answer, False) == answer and sdo.value_in(answer, entry) == 4
+    assert question.receive(answer, False) == answer and sdo.value_in(answer, entry) == 4
 
 
 def test_a_position_is_read_as_in_the_capture():
     answer = Frame(0x581, bytes.fromhex("43 64 60 00 FE 3F 00 00"))
-    assert sdo.reading(1, cia402_setup.POSITION).hear(answer, False) == answer
+    assert sdo.reading(1, cia402_setup.POSITION).receive(answer, False) == answer
     assert sdo.value_in(answer, cia402_setup.POSITION) == 16_382
 
 
@@ -92,7 +92,7 @@ def test_an_answer_shorter_than_expected_keeps_its_own_size():
     ],
 )
 def test_what_is_no_answer_is_none(frame_id, text):
-    assert sdo.reading(1, cia402_setup.POSITION).hear(Frame(frame_id, bytes.fromhex(text)), True) is None
+    assert sdo.reading(1, cia402_setup.POSITION).receive(Frame(frame_id, bytes.fromhex(text)), True) is None
 
 
 @pytest.mark.parametrize(
@@ -107,20 +107,20 @@ def test_what_is_no_answer_is_none(frame_id, text):
 )
 def test_a_write_is_answered_by_its_confirmation_or_an_abort(text, is_answer):
     frame = Frame(0x581, bytes.fromhex(text))
-    assert sdo.writing(1, cia402_setup.CONTROLWORD, 6).hear(frame, False) == (frame if is_answer else None)
+    assert sdo.writing(1, cia402_setup.CONTROLWORD, 6).receive(frame, False) == (frame if is_answer else None)
 
 
 @relaxed
 @given(st.binary(max_size=8), st.integers(0, 0x7FF))
 def test_no_bytes_break_a_question(data, frame_id):
-    answer = sdo.reading(1, cia402_setup.POSITION).hear(Frame(frame_id, data), False)
+    answer = sdo.reading(1, cia402_setup.POSITION).receive(Frame(frame_id, data), False)
     if answer is not None:
         assert data[1:4] == b"\x64\x60\x00"
 
 
 def test_aborts_are_answers_and_have_words():
     answer = Frame(0x581, bytes.fromhex("80 60 60 00 30 00 09 06"))
-    assert sdo.writing(1, cia402_setup.MODE, 8).hear(answer, False) == answer
+    assert sdo.writing(1, cia402_setup.MODE, 8).receive(answer, False) == answer
     assert sdo.abort_words(0x0609_0030) == "it does not allow that value, abort code 06090030"
     assert "abort code DEADBEEF" in sdo.abort_words(0xDEAD_BEEF)
 

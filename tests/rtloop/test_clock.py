@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from config.loader import load_arm
 from motion.stopping import ORDERLY, STOP_FRACTIONS
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from rtloop.trajectory import clock
 
 ARM = load_arm("mock")
@@ -32,21 +32,21 @@ class Clock:
         self.path["taken"], self.path["joint_mask"] = count, (1 << len(ARM.joints)) - 1
         self.path["closest_ns"] = round(gap_s * 1e9)
         self.path["ended"] = 1
-        knots = self.loop["knots"][:count]
-        knots["order"] = 3
-        knots["time_ns"] = np.round(np.arange(count) * gap_s * 1e9)
+        waypoints = self.loop["waypoints"][:count]
+        waypoints["order"] = 3
+        waypoints["time_ns"] = np.round(np.arange(count) * gap_s * 1e9)
         for index, joint in enumerate(ARM.joints):
             velocity = speed_share * joint.max_velocity_rad_s
-            knots["joints"]["velocity_rad_s"][:, index] = velocity
-            knots["joints"]["position_rad"][:, index] = velocity * (np.arange(count) * gap_s - at_s)
+            waypoints["joints"]["velocity_rad_s"][:, index] = velocity
+            waypoints["joints"]["position_rad"][:, index] = velocity * (np.arange(count) * gap_s - at_s)
             axis = self.loop["axes"][index]
             axis["commanded"]["position_rad"], axis["commanded"]["velocity_rad_s"] = 0.0, velocity
             axis["commanded"]["difference_velocity_rad_s"] = velocity
 
     def bend(self, joint: int, acceleration_rad_s2: float) -> None:
         """Let a joint accelerate all along instead, with the path's other words as they are."""
-        times_s = self.loop["knots"]["time_ns"][: self.path["taken"]] * 1e-9 - self.loop["clock"]["time_s"]
-        row = self.loop["knots"]["joints"][: self.path["taken"], joint]
+        times_s = self.loop["waypoints"]["time_ns"][: self.path["taken"]] * 1e-9 - self.loop["clock"]["time_s"]
+        row = self.loop["waypoints"]["joints"][: self.path["taken"], joint]
         row["velocity_rad_s"] = acceleration_rad_s2 * times_s
         row["position_rad"] = 0.5 * acceleration_rad_s2 * times_s**2
 
@@ -201,7 +201,7 @@ def test_a_bump_on_the_way_or_just_behind_it_is_seen_setpoint_by_setpoint(target
     it = Clock(path_s=20.0, at_s=10.0, gap_s=0.01)
     clock.set_rate(it.loop, 1.0)
     assert clock.ramp_keeps_limits(it.loop, target, 0.7)
-    it.loop["knots"]["joints"]["position_rad"][1030, 3] += 0.01
+    it.loop["waypoints"]["joints"]["position_rad"][1030, 3] += 0.01
     assert not clock.ramp_keeps_limits(it.loop, target, 0.7)
     it.loop["search"]["checks_left"] = 3
     assert clock.ramp_keeps_limits(it.loop, target, 0.7), "a lower rate cannot wait"
@@ -287,6 +287,6 @@ def test_braking_begins_when_the_stop_just_fits(rate: float) -> None:
         it.loop["clock"]["time_s"] = 60.0 - 0.5 * rate * duration - 3.0 * PERIOD_S - beside_s
         assert clock.must_brake_for_lack_of_path(it.loop, False) == (beside_s < 0.0)
         assert clock.must_brake_for_lack_of_path(it.loop, True)
-        it.loop["people"]["speed_scale"] = rate
+        it.loop["operator"]["speed_scale"] = rate
         it.loop["clock"]["time_s"] = 60.0 - 0.5 * rate * it.longest_s - 3.0 * PERIOD_S - beside_s
         assert clock.must_brake_for_lack_of_path(it.loop, True) == (beside_s < 0.0)

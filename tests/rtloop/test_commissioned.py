@@ -18,7 +18,7 @@ from config.schema import ArmConfig
 from rtloop.drives.power import Marks
 from rtloop.kept import commissioned
 from rtloop.kept.commissioned import Commissioned, NotReadable, PowerProof
-from rtloop.kept.saved import NotSaved, channel_of, keep_power_marks, path_of, power_marks
+from rtloop.kept.reference_store import NotSaved, channel_of, keep_power_marks, path_of, power_marks
 
 PROOFS = st.sampled_from([None, PowerProof.FLAG, PowerProof.CANARY, PowerProof.NONE])
 """What these drives may have: their encoders do not know their angles."""

@@ -28,7 +28,7 @@ from rtloop.offline.commissioning import zdt_talk as zdt_talk_of_the_bench
 from rtloop.offline.commissioning.finding import Finding, Verdict, braking_rev_s2
 from rtloop.offline.commissioning.session import Bench, checks_of
 from rtloop.offline.commissioning.zdt_talk import Ran, trial_of
-from rtloop.service.conversation import TalkFailed
+from rtloop.service.conversation import DialogueFailed
 from shm.recording import now_at, read_on
 from shm.words import Unreferenced
 from sim import faults
@@ -289,7 +289,7 @@ def test_a_drive_is_seen_to_stand_and_to_hold_its_joint_at_the_end() -> None:
     trial.bench.checks(0)
     trial.bench.see_it_stand()
     trial.drive.disable(trial.sim.now_ns)
-    with pytest.raises(TalkFailed, match="joint1 is limp"):
+    with pytest.raises(DialogueFailed, match="joint1 is limp"):
         trial.bench.see_it_stand()
 
 
@@ -300,7 +300,7 @@ def test_a_drive_that_never_held_its_joint_need_only_be_seen_to_stand() -> None:
     trial.bench.hold(0)
     trial.bench.see_it_stand()
     trial.drive.disable(trial.sim.now_ns)
-    with pytest.raises(TalkFailed, match="joint1 is limp"):
+    with pytest.raises(DialogueFailed, match="joint1 is limp"):
         trial.bench.see_it_stand()
 
 

@@ -26,7 +26,7 @@ from waiting import until
 
 from compilation import cache
 from config.loader import load_arm
-from rtloop.kept import saved
+from rtloop.kept import reference_store
 from rtloop.process import compiled
 from rtloop.process.control_process import ControlProcess, StopAsked
 from rtloop.service.port import ServicePort
@@ -364,11 +364,11 @@ def test_an_end_amid_the_bring_up_keeps_where_the_joints_stood_before(deaf_arm, 
     channel = tmp_path / "tty"
     channel.symlink_to(deaf_arm.bus.channel)  # of a pseudo-terminal's own name nothing is kept
     arm = deaf_arm.model_copy(update={"bus": deaf_arm.bus.model_copy(update={"channel": str(channel)})})
-    saved.save(arm, {0: 7})
+    reference_store.save(arm, {0: 7})
     stop_asked = StopAsked([])
     stop_asked.yes = True
     assert ControlProcess(arm, compiled.load(), lambda sentence: None, stop_asked).serve(lambda: None) == 0
-    assert saved.counts_before(arm) == {0: 7}
+    assert reference_store.counts_before(arm) == {0: 7}
 
 
 @pytest.mark.process

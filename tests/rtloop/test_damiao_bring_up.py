@@ -15,10 +15,10 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from rtloop.drives import damiao_setup as setup
 from rtloop.drives import fields
-from rtloop.drives.damiao_setup import bring_up, let_go, setpoint_bytes
+from rtloop.drives.damiao_setup import bring_up, disable, setpoint_bytes
 from rtloop.memory.frame_words import STANDARD
-from rtloop.process.beginning import new_loop
-from rtloop.service.conversation import TalkFailed
+from rtloop.process.initial_state import new_loop
+from rtloop.service.conversation import DialogueFailed
 from rtloop.service.port import Frame
 from shm.words import Unreferenced
 
@@ -53,7 +53,7 @@ class Motor(Host):
             assert frame.kind == STANDARD and len(frame.data) == 8
             for data in self.told_by(frame):
                 heard = Frame(0x11, data, kind=STANDARD)
-                answer = heard if question.hear(heard, False) is not None else answer
+                answer = heard if question.receive(heard, False) is not None else answer
         return answer
 
     def told_by(self, frame: Frame) -> Iterator[bytes]:
@@ -132,7 +132,7 @@ def test_what_differs_is_written_to_volatile_memory_and_said() -> None:
 def test_an_error_is_cleared_only_when_a_person_asks() -> None:
     hot = b"\xb1" + LIMP_HERE[1:]
     motor = Motor(ARM, hot, LIMP_HERE, LIMP_HERE, ENABLED_HERE, clears_protection=False)
-    with pytest.raises(TalkFailed, match=r"joint1 has an error \(power stage too hot\)"):
+    with pytest.raises(DialogueFailed, match=r"joint1 has an error \(power stage too hot\)"):
         motor.hold(bring_up(motor, 0))
     motor = Motor(ARM, hot, LIMP_HERE, LIMP_HERE, ENABLED_HERE)
     assert commands(motor.hold(bring_up(motor, 0))[0])[0] == "001# FF FF FF FF FF FF FF FB"
@@ -164,7 +164,7 @@ def test_what_is_wrong_is_one_sentence(feedback: list[bytes], options: dict, sen
     for register, value in held.items():
         if not value:
             del motor.registers[register]
-    with pytest.raises(TalkFailed, match=sentence):
+    with pytest.raises(DialogueFailed, match=sentence):
         motor.hold(bring_up(motor, 0))
     assert motor.told == []
 
@@ -183,7 +183,7 @@ def test_a_joint_whose_angle_the_encoder_does_not_know_is_for_a_person(change: d
 
 def test_a_motor_that_stays_enabled_is_told() -> None:
     motor = Motor(ARM, ENABLED_HERE)
-    with pytest.raises(TalkFailed, match="stays enabled"):
-        motor.hold(let_go(ARM, 0))
+    with pytest.raises(DialogueFailed, match="stays enabled"):
+        motor.hold(disable(ARM, 0))
     motor = Motor(ARM, LIMP_HERE)
-    assert commands(motor.hold(let_go(ARM, 0))[0]) == ["001# FF FF FF FF FF FF FF FD"]
+    assert commands(motor.hold(disable(ARM, 0))[0]) == ["001# FF FF FF FF FF FF FF FD"]

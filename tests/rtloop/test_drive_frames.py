@@ -11,7 +11,7 @@ import pytest
 
 from config.loader import load_arm
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from shm import layout
 from shm.words import Unreferenced
 

@@ -74,7 +74,7 @@ def test_the_way_to_a_first_point_gets_the_time_that_is_left() -> None:
     joints = np.zeros((1, 6, 3))
     joints[:, :, 0] = 0.1
     begun_ns = arm.now_ns - 10**9
-    goal = arm.send_goal(np.array([2 * 10**9]), joints, bridge=True, start_ns=begun_ns)
+    goal = arm.send_goal(np.array([2 * 10**9]), joints, approach=True, start_ns=begun_ns)
     assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.now_ns - begun_ns == pytest.approx(2e9, abs=4 * arm.period_ns)
     arm.close()
@@ -84,7 +84,7 @@ def test_the_way_to_a_first_point_gets_the_time_that_is_left() -> None:
 
 
 def accelerating(arm: VirtualArm, seconds: float, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Knots from rest to `speed` (share of each joint's limit) at the last one, upwards on every joint."""
+    """Waypoints from rest to `speed` (share of each joint's limit) at the last one, upwards on every joint."""
     times = np.linspace(0.0, seconds, 21)
     velocity = speed * np.array([joint.max_velocity_rad_s for joint in arm.arm.joints])
     velocity = np.minimum(velocity, 0.5 * seconds * np.array([j.max_acceleration_rad_s2 for j in arm.arm.joints]))
@@ -170,7 +170,7 @@ def test_the_path_tolerance_ends_where_the_path_does(virtual_arm) -> None:
     """Once the last point is commanded only the goal's own tolerances count."""
     arm = virtual_arm(goal="small")
     goal = arm.play("small", tolerances=(0.004, 0.0, 0.0), goal_tolerances=(1e-6, 0.0, 0.0), goal_time_s=0.5)
-    arm.until(lambda: arm.running["settle_ns"] != 0)
+    arm.until(lambda: arm.running["settle_start_ns"] != 0)
     arm.sim.inject(Stall(joint="joint1", at_s=0.0), since_ns=arm.now_ns)
     arm.loop[0]["axes"][0]["measured"]["position_rad"] += 0.02  # as if something had pushed it
     assert arm.end_of(goal) == Outcome.GOAL_TOLERANCE
@@ -180,8 +180,8 @@ def test_a_joint_that_still_moves_has_not_arrived(virtual_arm) -> None:
     arm = virtual_arm("mock")
     joints = np.zeros((1, 6, 3))
     joints[:, 0, 0] = 0.05
-    goal = arm.send_goal(np.array([10**9]), joints, bridge=True, goal_tolerances=(0.0, 0.01, 0.0), goal_time_s=0.3)
-    arm.until(lambda: arm.running["settle_ns"] != 0)
+    goal = arm.send_goal(np.array([10**9]), joints, approach=True, goal_tolerances=(0.0, 0.01, 0.0), goal_time_s=0.3)
+    arm.until(lambda: arm.running["settle_start_ns"] != 0)
     for _ in range(200):
         arm.loop[0]["axes"][2]["measured"]["velocity_rad_s"] = 0.5
         arm.cycle()
@@ -292,7 +292,7 @@ def test_a_goal_that_waits_does_not_outlive_its_front(comes_back: bool) -> None:
     arm = CommandedArm()
     joints = np.full((1, 6, 3), 0.0)
     joints[:, :, 0] = 0.2
-    goal = arm.send_goal(np.array([10**9]), joints, bridge=True, start_ns=arm.now_ns + 2 * 10**9)
+    goal = arm.send_goal(np.array([10**9]), joints, approach=True, start_ns=arm.now_ns + 2 * 10**9)
     arm.cycles(20)
     arm.front_alive = False
     arm.cycles(100)
@@ -307,12 +307,12 @@ def test_held_means_held_for_a_newer_goal_too() -> None:
     arm = CommandedArm()
     joints = np.zeros((1, 6, 3))
     joints[:, :, 0] = 0.2
-    first = arm.send_goal(np.array([2 * 10**9]), joints, bridge=True)
+    first = arm.send_goal(np.array([2 * 10**9]), joints, approach=True)
     arm.cycles(60)
     arm.writer.hold()
     arm.cycles(100)
     stood = arm.commanded()
-    newer = arm.send_goal(np.array([2 * 10**9]), joints * 0.5, bridge=True)
+    newer = arm.send_goal(np.array([2 * 10**9]), joints * 0.5, approach=True)
     arm.cycles(200)
     assert (arm.commanded() == stood).all()
     assert arm.outcome(newer) == Outcome.REFUSED_HELD

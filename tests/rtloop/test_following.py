@@ -6,7 +6,7 @@ import pytest
 from config.loader import load_arm
 from rtloop.drives import following
 from rtloop.memory.axis import NOT_LED
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 
 
 @pytest.fixture

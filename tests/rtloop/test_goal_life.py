@@ -14,7 +14,7 @@ def straight(arm: VirtualArm, target_rad: list[float], seconds: float, **options
     """A goal of one point, reached from wherever the arm is commanded."""
     joints = np.zeros((1, len(arm.arm.joints), 3))
     joints[0, :, 0] = target_rad
-    return arm.send_goal(np.array([int(seconds * 1e9)]), joints, bridge=True, **options)
+    return arm.send_goal(np.array([int(seconds * 1e9)]), joints, approach=True, **options)
 
 
 @pytest.mark.parametrize("arm_name", ["episode1", "mock"])
@@ -60,7 +60,7 @@ def test_joints_outside_the_goal_hold(virtual_arm) -> None:
     arm = virtual_arm("mock")
     joints = np.full((1, 6, 3), np.nan)
     joints[0, 2] = [0.2, 0.0, 0.0]
-    goal = arm.send_goal(np.array([1_000_000_000]), joints, bridge=True, joint_mask=0b100)
+    goal = arm.send_goal(np.array([1_000_000_000]), joints, approach=True, joint_mask=0b100)
     assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.loop[0]["axes"]["commanded"]["position_rad"][:6] == pytest.approx([0, 0, 0.2, 0, 0, 0])
 
@@ -71,7 +71,7 @@ def test_joints_left_out_of_a_replacement_come_to_rest(virtual_arm) -> None:
     arm.cycles(100)
     joints = np.zeros((1, 6, 3))
     joints[0, 0, 0] = 0.1
-    second = arm.send_goal(np.array([2_000_000_000]), joints, bridge=True, joint_mask=1)
+    second = arm.send_goal(np.array([2_000_000_000]), joints, approach=True, joint_mask=1)
     assert arm.end_of(second) == Outcome.SUCCEEDED
     assert arm.outcome(first) == Outcome.REPLACED
     axes = arm.loop[0]["axes"][:6]
@@ -104,7 +104,7 @@ def test_a_bad_newer_goal_leaves_the_running_one_alone(virtual_arm) -> None:
 
 
 def test_a_refused_newer_goal_leaves_a_running_stream_alone(virtual_arm) -> None:
-    """The running goal's later knots still come through the ring while the newer one is looked at."""
+    """The running goal's later waypoints still come through the ring while the newer one is looked at."""
     arm = virtual_arm("mock")
     times = np.arange(60) * 100_000_000
     joints = np.zeros((60, 6, 3))
@@ -152,7 +152,7 @@ def test_a_speed_scale_out_of_range_is_passed_over(virtual_arm, value: float) ->
     arm = virtual_arm("mock")
     arm.scale(0.5)
     arm.scale(value)
-    assert arm.memory["people"]["speed_scale"] == 0.5
+    assert arm.memory["operator"]["speed_scale"] == 0.5
 
 
 def test_a_canceled_waiting_goal_never_moves(virtual_arm) -> None:
@@ -184,7 +184,7 @@ def test_a_shutdown_stops_the_arm_first(virtual_arm) -> None:
     assert not np.any(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"])
 
 
-def test_a_goal_of_more_knots_than_the_window_runs_to_its_end(virtual_arm) -> None:
+def test_a_goal_of_more_waypoints_than_the_window_runs_to_its_end(virtual_arm) -> None:
     """The window turns round: a long goal of close points runs to its end through the ring."""
     arm = virtual_arm("mock")
     count = 6000
@@ -208,7 +208,7 @@ def mock_arm_with(lower_deg: float, upper_deg: float, joint: int = 2):
 
 @pytest.mark.parametrize(("lower", "upper", "sign"), [(20.0, 80.0, 1.0), (-80.0, -20.0, -1.0)])
 def test_limits_that_do_not_straddle_zero_are_kept(virtual_arm, lower: float, upper: float, sign: float) -> None:
-    """A cubic between legal knots that dips beyond the limit: the last defence stops it at the limit."""
+    """A cubic between legal waypoints that dips beyond the limit: the last defence stops it at the limit."""
     arm = virtual_arm(mock_arm_with(lower, upper))
     config = arm.arm.joints[2]
     near = config.lower_rad if sign > 0 else config.upper_rad

@@ -70,7 +70,7 @@ def test_a_persons_stop_holds_the_arm_at_whatever_moment(
     moving.until(lambda: when(moving))
     person(moving)
     wait(moving, 2.0)
-    assert moving.memory["people"]["held"] == 1
+    assert moving.memory["operator"]["held"] == 1
     assert moving.end_of(moving.send_shift(0.01)) == Outcome.REFUSED_HELD
 
 

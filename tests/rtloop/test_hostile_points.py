@@ -89,7 +89,7 @@ class Hostile:
             plan.times_ns,
             plan.joints,
             order=int(plan.orders[-1]),
-            bridge=plan.bridge,
+            approach=plan.approach,
             stream=plan.stream,
             start_ns=plan.start_ns,
             joint_mask=plan.joint_mask,

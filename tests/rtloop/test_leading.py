@@ -6,7 +6,7 @@ import pytest
 from config.derived import LEAD_PERIODS
 from config.loader import load_arm
 from rtloop.drives import leading
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 
 JOINT = 2
 DELAY_S, RAMP = 0.002, 3.0

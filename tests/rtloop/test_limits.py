@@ -15,9 +15,9 @@ from motion.limits import ROUNDING
 from rosfront.limits import check_limits
 from rosfront.plan import GoalPlan, Terms
 from rosfront.refusals import BeyondLimits
-from rtloop.commands import intake
-from rtloop.process.beginning import new_loop
-from rtloop.safety import guard
+from rtloop.commands import setpoint_reader
+from rtloop.process.initial_state import new_loop
+from rtloop.safety import setpoint_check
 from shm import layout
 from shm.words import Entry, Fault, Mode, Setpoint
 
@@ -49,7 +49,7 @@ class StandingArm:
 
     def verdict(self) -> tuple[Fault, int]:
         """The fault that is latched, and its joint (-1: none)."""
-        passed = guard.check_next_setpoint(self.loop[0], self.shared[0])
+        passed = setpoint_check.check_next_setpoint(self.loop[0], self.shared[0])
         assert passed == (self.memory["fault"]["code"] == Fault.NONE)
         return Fault(self.memory["fault"]["code"]), int(self.memory["fault"]["joint"])
 
@@ -175,7 +175,7 @@ def test_the_first_joint_that_breaks_a_limit_is_the_one_that_is_named(arm: Stand
 
 @given(st.floats(-5.0, 5.0), st.floats(0.05, 40.0))
 def test_the_way_to_rest_is_that_of_braking_step_by_step(velocity: float, braking: float) -> None:
-    way = guard.way_to_rest(velocity, braking, PERIOD_S)
+    way = setpoint_check.stopping_distance_rad(velocity, braking, PERIOD_S)
     assert way == pytest.approx(math.copysign(way_rad(abs(velocity), braking), velocity), abs=1e-9)
 
 
@@ -208,13 +208,13 @@ def refused_in_the_cycle(point: np.ndarray) -> bool:
     """What the control process makes of the same point when it takes it from the ring."""
     arm = StandingArm()
     record = arm.memory["scratch"]
-    record["kind"], record["order"] = Setpoint.KNOT, 5
+    record["kind"], record["order"] = Setpoint.WAYPOINT, 5
     for joint, state in enumerate(point):
         for word, value in zip(("position_rad", "velocity_rad_s", "acceleration_rad_s2"), state, strict=True):
             record["joints"][joint][word] = value
     arm.memory["paths"][0]["joint_mask"] = EVERY_JOINT
-    joint, _, _ = intake.wrong_knot(arm.loop[0], 0)
-    return bool(joint != intake.SOUND)
+    joint, _, _ = setpoint_reader.wrong_waypoint(arm.loop[0], 0)
+    return bool(joint != setpoint_reader.SOUND)
 
 
 def moved(value: float, ulps: int) -> float:

@@ -105,8 +105,8 @@ def test_firmware_that_cannot_be_asked_is_told():
 def test_an_echo_of_a_setting_is_not_its_answer():
     """82 05 88 is as long as what answers it, 82 01 84."""
     question = next(_told(load_arm("mks6").joints[0], 0x82, 0x05))
-    assert question.hear(PortFrame(1, bytes.fromhex("820588"), kind=STANDARD), False) is None
-    assert question.hear(PortFrame(1, bytes.fromhex("820184"), kind=STANDARD), False) is not None
+    assert question.receive(PortFrame(1, bytes.fromhex("820588"), kind=STANDARD), False) is None
+    assert question.receive(PortFrame(1, bytes.fromhex("820184"), kind=STANDARD), False) is not None
 
 
 def test_microsteps_that_make_another_speed_are_refused():

@@ -52,11 +52,11 @@ class Asked(CommandedArm):
         elif action == "cancel":
             self.writer.cancel_all()
         elif action == "back":
-            self.newest = self.send_goal(np.array([self.time_back_ns()]), self.start_again(), bridge=True)
+            self.newest = self.send_goal(np.array([self.time_back_ns()]), self.start_again(), approach=True)
         elif action == "stamped":
             joints = self.start_again()
             start_ns = self.now_ns + 200_000_000
-            self.newest = self.send_goal(np.array([self.time_back_ns()]), joints, bridge=True, start_ns=start_ns)
+            self.newest = self.send_goal(np.array([self.time_back_ns()]), joints, approach=True, start_ns=start_ns)
         elif action == "again" and self.running_goal != 0:
             clock_ns = round(float(self.memory["clock"]["time_s"]) * 1e9)
             self.newest = self.play(self.name, start_ns=self.now_ns - clock_ns)
@@ -88,7 +88,7 @@ def test_an_undisturbed_goal_for_comparison(name: str) -> None:
 
 @settings(max_examples=examples(40), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.sampled_from(MOVING), st.integers(2, 150), actions)
-@example("large", 51, [(180, "resume"), (13, "stamped"), (6, 0.0078125)])  # a bridge too fast between two samples
+@example("large", 51, [(180, "resume"), (13, "stamped"), (6, 0.0078125)])  # an approach too fast between two samples
 @example("large", 101, [(19, 0.0), (11, "stamped"), (10, 0.015625)])  # entered while almost standing: slow for ever
 @example("large", 2, [(14, 1.0), (13, 0.0), (15, 1.0), (4, "hold")])  # a ramp turned round in its steepest part
 @example("scale_1_0", 21, [(2, "stamped"), (18, 0.5)])  # entered slowly, then sped up

@@ -16,9 +16,9 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.drives.odrive_setup import ESTIMATES, HEARTBEAT, VERSION, Firmware, bring_up, error_words, let_go
+from rtloop.drives.odrive_setup import ESTIMATES, HEARTBEAT, VERSION, Firmware, bring_up, disable, error_words
 from rtloop.memory.frame_words import STANDARD
-from rtloop.service.conversation import TalkFailed
+from rtloop.service.conversation import DialogueFailed
 from rtloop.service.port import Frame
 from shm.words import Answer, Mode, Request
 
@@ -39,7 +39,7 @@ def node(answers: dict[int, list[bytes]], **options: bool) -> Host:
     def says(question: Any, frames: list[Frame]) -> Frame | None:
         for command, told in left.items():
             frame = Frame(1 << 5 | command, told[0], kind=STANDARD)
-            if question.hear(frame, False) is not None:
+            if question.receive(frame, False) is not None:
                 left[command] = told[1:] or told
                 return frame
         return None
@@ -104,7 +104,7 @@ def test_a_closed_loop_stays_closed() -> None:
 
 def test_an_error_is_cleared_only_when_a_person_asks() -> None:
     answers = {ESTIMATES: [HERE], HEARTBEAT: [heartbeat(1 << 6, 1), heartbeat(0, 1), heartbeat(0, 8)]}
-    with pytest.raises(TalkFailed, match=r"joint1 \(firmware 0\.5\) has an error \(motor\)"):
+    with pytest.raises(DialogueFailed, match=r"joint1 \(firmware 0\.5\) has an error \(motor\)"):
         said(answers, clears_protection=False)
     assert "038# 00 00 00 00 00 00 00 00" in said(answers)[0]
 
@@ -130,14 +130,14 @@ def test_an_error_is_cleared_only_when_a_person_asks() -> None:
     ],
 )
 def test_what_is_wrong_is_one_sentence(answers: dict[int, list[bytes]], sentence: str) -> None:
-    with pytest.raises(TalkFailed, match=sentence):
+    with pytest.raises(DialogueFailed, match=sentence):
         said(answers)
 
 
 def test_an_axis_that_stays_closed_is_told() -> None:
-    with pytest.raises(TalkFailed, match="keeps its loop closed"):
-        said({HEARTBEAT: [heartbeat(0, 8)]}, let_go)
-    assert said({HEARTBEAT: [heartbeat(0, 1)]}, let_go)[0] == ["027# 01 00 00 00 00 00 00 00"]
+    with pytest.raises(DialogueFailed, match="keeps its loop closed"):
+        said({HEARTBEAT: [heartbeat(0, 8)]}, disable)
+    assert said({HEARTBEAT: [heartbeat(0, 1)]}, disable)[0] == ["027# 01 00 00 00 00 00 00 00"]
 
 
 def test_errors_are_told_in_words() -> None:

@@ -17,7 +17,7 @@ from shm.words import Fault, Mode, Outcome
 ARM = load_arm("episode1")
 FASTEST = np.array([joint.max_velocity_rad_s for joint in ARM.joints])
 HARDEST = np.array([joint.max_acceleration_rad_s2 for joint in ARM.joints])
-CRUISE_S, KNOT_S = 0.8, 0.02
+CRUISE_S, WAYPOINT_S = 0.8, 0.02
 WINDOW_S = 0.04
 """One motor rpm, of which drives know only whole ones, is an eighth of joint2's acceleration limit over that time."""
 ALLOWED = 1.1
@@ -46,7 +46,7 @@ def amid_full_speed(share: float) -> tuple[VirtualArm, int]:
     start = np.array([joint.lower_rad + 0.1 for joint in ARM.joints])
     arm = VirtualArm.brought_up("episode1", start_rad=start)
     here = arm.loop[0]["axes"]["commanded"]["position_rad"][:6].copy()
-    times_s = np.arange(0.0, 2.0 * (1.5 * FASTEST / HARDEST).max() + CRUISE_S + 2 * KNOT_S, KNOT_S)
+    times_s = np.arange(0.0, 2.0 * (1.5 * FASTEST / HARDEST).max() + CRUISE_S + 2 * WAYPOINT_S, WAYPOINT_S)
     rows = at_full_speed(times_s) * scale[:, np.newaxis]
     rows[:, :, 0] += here
     rows[-1, :, 1:] = 0.0

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from config.loader import load_arm
 from rtloop.memory.link import CAN_FRAME_BYTES, TX_FRAMES
 from rtloop.process import run
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from rtloop.wire import outgoing, received
 from shm import layout
 

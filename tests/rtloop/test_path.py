@@ -1,4 +1,4 @@
-"""Paths: where in its window of knots a path time lies, what the plan is there, and how a blend leads onto it."""
+"""Paths: where in its window of waypoints a path time lies, what the plan is there, and how a blend leads onto it."""
 
 import numpy as np
 import pytest
@@ -9,32 +9,32 @@ from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
 from config.loader import load_arm
-from rtloop.memory.motion import WINDOW_KNOTS
-from rtloop.process.beginning import new_loop
+from rtloop.memory.motion import WINDOW_WAYPOINTS
+from rtloop.process.initial_state import new_loop
 from rtloop.trajectory import entry, path
 
 LOOP = new_loop(load_arm("mock"), 0, 0)
-KNOTS = st.lists(st.integers(1, 10**9), min_size=1, max_size=40).map(np.cumsum)
+WAYPOINTS = st.lists(st.integers(1, 10**9), min_size=1, max_size=40).map(np.cumsum)
 
 
-def knot_of(times_ns: NDArray[np.int64], clock_s: float, first: int) -> int:
-    """The last knot that is not after clock_s, or the first one."""
+def waypoint_of(times_ns: NDArray[np.int64], clock_s: float, first: int) -> int:
+    """The last waypoint that is not after clock_s, or the first one."""
     return max(first, int(np.searchsorted(times_ns * 1e-9, clock_s, side="right")) - 1)
 
 
 @settings(deadline=None, max_examples=examples(300))
-@given(KNOTS, st.integers(0, 10**7), st.integers(0, 1), st.data())
+@given(WAYPOINTS, st.integers(0, 10**7), st.integers(0, 1), st.data())
 def test_the_segment_that_contains_a_path_time_is_found(
     times_ns: NDArray[np.int64], dropped: int, index: int, data: st.DataObject
 ) -> None:
-    """Wherever in the window, whose older knots are gone, and also exactly at a knot."""
+    """Wherever in the window, whose older waypoints are gone, and also exactly at a waypoint."""
     numbers = dropped + np.arange(len(times_ns))
-    LOOP[0]["knots"]["time_ns"][index * WINDOW_KNOTS + numbers % WINDOW_KNOTS] = times_ns
+    LOOP[0]["waypoints"]["time_ns"][index * WINDOW_WAYPOINTS + numbers % WINDOW_WAYPOINTS] = times_ns
     LOOP[0]["paths"][index]["taken"] = numbers[-1] + 1
     first = data.draw(st.integers(0, len(times_ns) - 1))
     clock_s = data.draw(st.sampled_from(list(times_ns * 1e-9)) | st.floats(0.0, 50.0))
-    found = path.find_knot(LOOP[0], index, clock_s, int(numbers[first]))
-    assert found - dropped == knot_of(times_ns, clock_s, first)
+    found = path.find_waypoint(LOOP[0], index, clock_s, int(numbers[first]))
+    assert found - dropped == waypoint_of(times_ns, clock_s, first)
 
 
 # --- the plan and the blend -------------------------------------------------------------------------------------
@@ -44,23 +44,23 @@ ORDERS = {1: 1, 3: 2, 5: 3}
 
 
 class Way:
-    """A random path of a few knots, whose window begins anew among them, for all joints but the last."""
+    """A random path of a few waypoints, whose window begins anew among them, for all joints but the last."""
 
     def __init__(self, seed: int, order: int, *, stream: bool = False, ends_moving: bool = False) -> None:
         random = np.random.default_rng(seed)
         self.loop = new_loop(load_arm("mock"), 0, 0)[0]
         self.index = int(random.integers(2))
-        self.first = WINDOW_KNOTS * 3 - 2
+        self.first = WINDOW_WAYPOINTS * 3 - 2
         self.times_s = np.cumsum(np.round(random.uniform(0.1, 1.0, 6), 3))
         self.joints = random.normal(size=(6, 6, 3))
         self.path = self.loop["paths"][self.index]
         self.path["taken"], self.path["joint_mask"] = self.first + 6, 0b011111
         self.path["stream"], self.path["ends_moving"], self.path["ended"] = stream, ends_moving, 1
         for number in range(6):
-            knot = self.loop["knots"][path.slot(self.index, self.first + number)]
-            knot["time_ns"], knot["order"] = round(self.times_s[number] * 1e9), order
+            waypoint = self.loop["waypoints"][path.slot(self.index, self.first + number)]
+            waypoint["time_ns"], waypoint["order"] = round(self.times_s[number] * 1e9), order
             for word, column in zip(("position_rad", "velocity_rad_s", "acceleration_rad_s2"), range(3), strict=True):
-                knot["joints"][word][:6] = self.joints[number, :, column]
+                waypoint["joints"][word][:6] = self.joints[number, :, column]
         for joint in range(6):
             self.path["blends"][joint]["held_rad"] = 0.25 * joint
         for word, value in zip(
@@ -69,12 +69,12 @@ class Way:
             self.loop["axes"]["commanded"][word][:6] = value * np.arange(1.0, 7.0)
 
     def plan(self, joint: int, clock_s: float) -> tuple[float, float, float]:
-        knot = path.find_knot(self.loop, self.index, clock_s, self.first)
-        return path.plan(self.loop, self.index, joint, clock_s, knot)
+        waypoint = path.find_waypoint(self.loop, self.index, clock_s, self.first)
+        return path.plan(self.loop, self.index, joint, clock_s, waypoint)
 
     def sample(self, joint: int, clock_s: float) -> tuple[float, float, float]:
-        knot = path.find_knot(self.loop, self.index, clock_s, self.first)
-        return path.sample(self.loop, self.index, joint, clock_s, knot)
+        waypoint = path.find_waypoint(self.loop, self.index, clock_s, self.first)
+        return path.sample(self.loop, self.index, joint, clock_s, waypoint)
 
     def commanded(self, joint: int) -> tuple[float, float, float]:
         now = self.loop["axes"][joint]["commanded"]
@@ -87,7 +87,7 @@ relaxed = settings(deadline=None, max_examples=examples(60))
 
 @relaxed
 @given(seeds, st.sampled_from(list(ORDERS)), st.floats(0.001, 0.999))
-def test_a_plan_goes_through_its_knots_as_scipys_polynomials_do(seed: int, order: int, share: float) -> None:
+def test_a_plan_goes_through_its_waypoints_as_scipys_polynomials_do(seed: int, order: int, share: float) -> None:
     way, kept = Way(seed, order), ORDERS[order]
     clock_s = float(way.times_s[0] + share * (way.times_s[-1] - way.times_s[0]))
     for joint in range(5):
@@ -98,7 +98,7 @@ def test_a_plan_goes_through_its_knots_as_scipys_polynomials_do(seed: int, order
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_a_plan_stands_before_its_first_knot_and_after_its_last(order: int) -> None:
+def test_a_plan_stands_before_its_first_waypoint_and_after_its_last(order: int) -> None:
     way = Way(1, order, stream=True)
     for joint in range(5):
         assert way.plan(joint, float(way.times_s[0]) - 1e-6) == (way.joints[0, joint, 0], 0.0, 0.0)
@@ -129,11 +129,11 @@ def test_which_ends_are_passed(stream: int, ends_moving: int, ended: int, expect
     assert path.goes_on_past_end(way.loop, way.index) == expected
 
 
-def test_what_a_path_without_knots_and_one_at_rest_are() -> None:
+def test_what_a_path_without_waypoints_and_one_at_rest_are() -> None:
     way = Way(1, 3)
     assert path.end_s(way.loop, way.index) == pytest.approx(way.times_s[-1], abs=1e-12)
     assert path.leaves_a_joint_moving(way.loop, way.index)
-    last = way.loop["knots"][path.slot(way.index, way.first + 5)]["joints"]["velocity_rad_s"]
+    last = way.loop["waypoints"][path.slot(way.index, way.first + 5)]["joints"]["velocity_rad_s"]
     last[:5], last[5] = path.REST_RAD_S, 1.0  # the sixth is none of the goal's
     assert not path.leaves_a_joint_moving(way.loop, way.index)
     last[2] = -1.001 * path.REST_RAD_S
@@ -151,9 +151,9 @@ def test_a_blend_leads_from_where_the_arm_is_commanded_onto_the_plan(
     """In time: velocity over rate, acceleration over its square. Joints of no goal come to rest half a way ahead."""
     way = Way(seed, order)
     way.path["taken"] -= way.first  # a path is entered in its first window
-    knots = way.loop["knots"]
+    waypoints = way.loop["waypoints"]
     for number in range(6):
-        knots[path.slot(way.index, number)] = knots[path.slot(way.index, way.first + number)]
+        waypoints[path.slot(way.index, number)] = waypoints[path.slot(way.index, way.first + number)]
     way.first = 0
     entry_s = float(way.times_s[0]) + 0.3 * float(way.times_s[1] - way.times_s[0])
     entry.lay_blend(way.loop, way.index, rate, entry_s, duration_s)
@@ -175,22 +175,22 @@ def test_a_blend_leads_from_where_the_arm_is_commanded_onto_the_plan(
 
 
 def entered(*, ahead_s: float) -> Way:
-    """A path whose first point, its second knot, is ahead of where it is entered, at 0.2 s."""
+    """A path whose first point, its second waypoint, is ahead of where it is entered, at 0.2 s."""
     way = Way(3, 5)
-    way.path["taken"], way.path["bridge"], way.first = 6, 1, 0
+    way.path["taken"], way.path["approach"], way.first = 6, 1, 0
     for number in range(6):
-        knot = way.loop["knots"][path.slot(way.index, number)]
-        knot["time_ns"], knot["order"] = round((0.2 + ahead_s + 0.5 * (number - 1)) * 1e9), 5
+        waypoint = way.loop["waypoints"][path.slot(way.index, number)]
+        waypoint["time_ns"], waypoint["order"] = round((0.2 + ahead_s + 0.5 * (number - 1)) * 1e9), 5
         for word, column in zip(("position_rad", "velocity_rad_s", "acceleration_rad_s2"), range(3), strict=True):
-            knot["joints"][word][:6] = way.joints[number, :, column]
+            waypoint["joints"][word][:6] = way.joints[number, :, column]
     return way
 
 
 @pytest.mark.parametrize("rate", [1.0, 0.5])
-def test_a_bridge_begins_where_the_arm_is_commanded(rate: float) -> None:
+def test_an_approach_begins_where_the_arm_is_commanded(rate: float) -> None:
     way = entered(ahead_s=0.4)
-    entry.lay_bridge(way.loop, way.index, rate, 0.2)
-    assert way.loop["knots"][path.slot(way.index, 0)]["time_ns"] == 200_000_000
+    entry.lay_approach(way.loop, way.index, rate, 0.2)
+    assert way.loop["waypoints"][path.slot(way.index, 0)]["time_ns"] == 200_000_000
     for joint in range(5):
         p, v, a = way.commanded(joint)
         assert way.plan(joint, 0.2) == pytest.approx((p, v / rate, a / rate**2))
@@ -199,15 +199,15 @@ def test_a_bridge_begins_where_the_arm_is_commanded(rate: float) -> None:
 
 def test_a_run_up_is_the_straight_line_through_the_first_point() -> None:
     way = entered(ahead_s=0.4)
-    way.loop["knots"]["order"] = 3
+    way.loop["waypoints"]["order"] = 3
     entry.lay_run_up(way.loop, way.index, 0.2)
-    assert way.loop["knots"][path.slot(way.index, 0)]["time_ns"] == 200_000_000
+    assert way.loop["waypoints"][path.slot(way.index, 0)]["time_ns"] == 200_000_000
     for joint in range(5):
         p, v, _ = way.joints[1, joint]
         for before_s in (0.399, 0.1):
             expected = (p - v * before_s, v, 0.0)
             assert way.plan(joint, 0.6 - before_s) == pytest.approx(expected, abs=1e-9)
-    assert (way.loop["knots"]["joints"]["acceleration_rad_s2"][path.slot(way.index, 0)] == 0.0).all()
+    assert (way.loop["waypoints"]["joints"]["acceleration_rad_s2"][path.slot(way.index, 0)] == 0.0).all()
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from virtual import VirtualArm
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives import zdt_talk
 from rtloop.drives.power import Marks
-from rtloop.kept.saved import OUTLIVES_THE_PROCESS
+from rtloop.kept.reference_store import OUTLIVES_THE_PROCESS
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.drives.zdt import ZdtDrive
 from sim.drives.zdt_motion import PowerFlag

@@ -24,7 +24,7 @@ from rtloop.drives.arming import ARMED, Arming, stayed_armed
 from rtloop.drives.myactuator_setup import CLOCK_TOLERANCE, Uptime
 from rtloop.drives.power import Marks
 from rtloop.drives.setup import setup_of
-from rtloop.kept.saved import OUTLIVES_THE_PROCESS
+from rtloop.kept.reference_store import OUTLIVES_THE_PROCESS
 from rtloop.service.conversation import TRIES, Conversation, Dialogue
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.drives.myactuator import MyactuatorDrive

@@ -10,7 +10,7 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from rtloop.dialogues.referencing import referencing_asked_for
-from rtloop.kept.saved import NotSaved
+from rtloop.kept.reference_store import NotSaved
 from rtloop.service.port import HOME_ALL
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 from sim.faults import PowerLoss, Protection, Silent

@@ -11,7 +11,7 @@ from virtual import VirtualArm, recorded_goal
 
 from config.budget import budget
 from config.loader import load_arm
-from rtloop.dialogues.farewell import Farewell
+from rtloop.dialogues.shutdown import ShutdownDialogue
 from rtloop.drives import zdt_registers
 from rtloop.drives.zdt_ask import addressed
 from rtloop.offline.calibration.zdt import Drive
@@ -244,7 +244,7 @@ def test_who_never_reported_is_not_told_to_cease() -> None:
 def test_an_orderly_end_leaves_the_bus_quiet() -> None:
     arm = reporting()
     arm.loop[0]["params"]["reported"] = 0
-    talk = Farewell(arm.arm, arm.port, now_ns=arm.now_ns)
+    talk = ShutdownDialogue(arm.arm, arm.port, now_ns=arm.now_ns)
     arm.until(lambda: talk.poll(arm.now_ns), at_most_s=1.0)
     assert talk.failure is None
     assert arm.memory["fault"]["code"] == Fault.NONE

@@ -14,7 +14,7 @@ from wires import SLCAN_GOLDEN
 
 from config.loader import load_arm
 from rtloop.memory.link import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from rtloop.wire import slcan
 from shm import layout
 

@@ -261,7 +261,7 @@ def test_a_stop_is_obeyed_in_the_next_cycle_while_somebody_holds_the_lock(arm: V
     arm.cycles(60)
     with arm.writer._threads:
         arm.stop()
-    assert arm.memory["people"]["stops"] == 1 and arm.running["reason"] == Outcome.STOPPED
+    assert arm.memory["operator"]["stops"] == 1 and arm.running["reason"] == Outcome.STOPPED
 
 
 def send(arm: VirtualArm, **options: object) -> None:
@@ -307,9 +307,9 @@ def watched(arm: VirtualArm, cycles: int) -> None:
             arm.loop[0]["axes"]["commanded"]["next_velocity_rad_s"]
         )  # the next setpoint is decided
         arm.cycle()
-        if arm.memory["people"]["held"] == 1 or arm.memory["mode"] in (Mode.DISABLED, Mode.FREE, Mode.FAULT):
+        if arm.memory["operator"]["held"] == 1 or arm.memory["mode"] in (Mode.DISABLED, Mode.FREE, Mode.FAULT):
             assert moved or not moves(arm)
-        if arm.memory["people"]["held"] == 1:
+        if arm.memory["operator"]["held"] == 1:
             assert arm.waiting_goal == 0
 
 

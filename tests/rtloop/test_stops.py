@@ -12,7 +12,7 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from rtloop.drives import families
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from shm import layout
 from shm.words import Answer, Mode, Request
 from sim.bus import Frame

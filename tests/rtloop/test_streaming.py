@@ -81,7 +81,7 @@ def test_a_stream_that_ends_at_rest_is_a_goal_that_succeeds() -> None:
     arm = CommandedArm()
     rows = np.zeros((1, 6, 3))
     rows[0, :, 0] = 0.02
-    goal = arm.send_goal(np.array([500_000_000]), rows, stream=True, bridge=True)
+    goal = arm.send_goal(np.array([500_000_000]), rows, stream=True, approach=True)
     assert arm.end_of(goal) == Outcome.SUCCEEDED
     assert arm.positions[-1] == pytest.approx([0.02] * 6)
     arm.close()
@@ -112,7 +112,7 @@ def test_a_point_too_far_away_is_refused_and_the_stream_before_it_goes_on() -> N
     running = arm.running_goal
     rows = np.zeros((1, 6, 3))
     rows[0, :, 0] = arm.positions[-1] + 0.3
-    far = arm.send_goal(np.array([10_000_000]), rows, order=3, stream=True, bridge=True)
+    far = arm.send_goal(np.array([10_000_000]), rows, order=3, stream=True, approach=True)
     arm.cycles(2)
     arm.until(lambda: arm.memory["mode"] == Mode.HOLDING, at_most_s=3.0)
     assert arm.outcome(far) in (Outcome.REFUSED_LIMITS, Outcome.REFUSED_START)
@@ -149,7 +149,7 @@ def test_a_hold_stops_a_stream_and_what_comes_meanwhile_is_refused() -> None:
     servo.run(1.0)
     arm.writer.hold()
     servo.run(1.0)
-    assert arm.memory["people"]["held"] == 1 and not arm.loop[0]["axes"]["commanded"]["velocity_rad_s"].any()
+    assert arm.memory["operator"]["held"] == 1 and not arm.loop[0]["axes"]["commanded"]["velocity_rad_s"].any()
     stood = arm.positions[-1]
     servo.run(0.5)
     assert (arm.positions[-1] == stood).all()
@@ -214,7 +214,7 @@ def test_a_stream_for_one_joint_stops_the_others_inside_their_limits() -> None:
     arm.cycles(80)
     alone = np.zeros((1, 6, 3))
     alone[0, 0] = [0.0, 0.05, 0.0]
-    arm.send_goal(np.array([10_000_000]), alone, order=3, stream=True, bridge=True, joint_mask=1)
+    arm.send_goal(np.array([10_000_000]), alone, order=3, stream=True, approach=True, joint_mask=1)
     arm.until(lambda: arm.memory["mode"] == Mode.HOLDING, at_most_s=5.0)
     assert arm.memory["fault"]["code"] == Fault.NONE and arm.outcome(first) != Outcome.FAULT
     assert np.array(arm.positions)[:, 4].max() <= upper + 1e-3

@@ -197,7 +197,7 @@ def test_replacement_in_motion(moment: tuple[str, float], slowness: float) -> No
     back = goal["joints"][:1].copy()
     back[:, :, 1:] = 0.0
     duration_s = max(0.6, float((2.0 * np.abs(back[0, :, 0] - here) / speeds).max()) / slowness)
-    newer = arm.send_goal(np.array([int(duration_s * 1e9)]), back, bridge=True)
+    newer = arm.send_goal(np.array([int(duration_s * 1e9)]), back, approach=True)
     arm.end_of(newer, at_most_s=200)
     assert arm.outcome(goal_id) in (Outcome.REPLACED, Outcome.SUCCEEDED)
     assert arm.outcome(newer) == Outcome.SUCCEEDED
@@ -211,13 +211,13 @@ def test_replacement_in_motion(moment: tuple[str, float], slowness: float) -> No
 @trials
 @given(st.sampled_from(INTERRUPTED), st.floats(0.05, 1.0))
 def test_starvation_brakes_while_there_is_path(name: str, share: float) -> None:
-    """The front dries up after some knots and never says END."""
+    """The front dries up after some waypoints and never says END."""
     goal = recorded_goal(name)
     arm = VirtualArm.at_start_of(name)
     started_ns = arm.now_ns
     goal_id = arm.play(name, end=False)
-    knots = max(1, int(share * len(goal["times_ns"])))
-    del arm.pending[2 + knots :]
+    waypoints = max(1, int(share * len(goal["times_ns"])))
+    del arm.pending[2 + waypoints :]
     assert arm.end_of(goal_id) == Outcome.STARVED
     arm.cycles(AFTER_CYCLES)
     assert arm.memory["fault"]["code"] == Fault.NONE

@@ -25,7 +25,7 @@ from config.schema import ArmConfig
 from config.serial_adapters import SERIAL_ADAPTERS
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.link import RX_BYTES, TX_FRAMES
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from rtloop.process.run import take_over_wire
 from rtloop.wire import outgoing, received
 from rtloop.wire.binary_adapters import EXTENDED_ONLY, NORMAL, set_up_frame

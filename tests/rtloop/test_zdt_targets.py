@@ -6,7 +6,7 @@ import pytest
 
 from config.loader import load_arm
 from rtloop.drives import zdt
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 
 ARM = load_arm("episode1")
 

@@ -13,7 +13,7 @@ from config.loader import load_arm
 from rtloop.memory.record import offset_of
 from rtloop.memory.recorder import record_cycle, record_frame
 from rtloop.memory.state import LOOP
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from shm import files, layout
 from shm.atomics import store_relaxed
 from shm.seqlock import crc32_at

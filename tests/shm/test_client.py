@@ -64,11 +64,11 @@ def is_whole(record, used):
 
 def test_a_goal_record_by_record(writer):
     tolerances = np.arange(9.0).reshape(JOINTS, 3)
-    knot = np.arange(9.0).reshape(JOINTS, 3) / 8
+    waypoint = np.arange(9.0).reshape(JOINTS, 3) / 8
     writer.announce(12)
-    terms = {"goal_time_s": 0.4, "entry": Entry.BRIDGE, "epoch": 7, "tolerances": tolerances}
+    terms = {"goal_time_s": 0.4, "entry": Entry.APPROACH, "epoch": 7, "tolerances": tolerances}
     writer.begin(12, start_ns=99, joint_mask=0b101, consumed=0, **terms)
-    writer.knot(12, 5_000_000, 3, knot, 0)
+    writer.waypoint(12, 5_000_000, 3, waypoint, 0)
     writer.end(12, 2 * tolerances, 0)
     assert writer.announced_goal == 12 and writer.setpoints_written == 3
 
@@ -80,10 +80,10 @@ def test_a_goal_record_by_record(writer):
 
     record = slot(writer, 1)
     names = ("sequence", "goal_id", "kind", "time_ns", "order")
-    assert [int(record[name]) for name in names] == [1, 12, Setpoint.KNOT, 5_000_000, 3]
-    assert record["joints"]["position_rad"][:JOINTS].tolist() == knot[:, 0].tolist()
-    assert record["joints"]["velocity_rad_s"][:JOINTS].tolist() == knot[:, 1].tolist()
-    assert record["joints"]["acceleration_rad_s2"][:JOINTS].tolist() == knot[:, 2].tolist()
+    assert [int(record[name]) for name in names] == [1, 12, Setpoint.WAYPOINT, 5_000_000, 3]
+    assert record["joints"]["position_rad"][:JOINTS].tolist() == waypoint[:, 0].tolist()
+    assert record["joints"]["velocity_rad_s"][:JOINTS].tolist() == waypoint[:, 1].tolist()
+    assert record["joints"]["acceleration_rad_s2"][:JOINTS].tolist() == waypoint[:, 2].tolist()
 
     end = slot(writer, 2)
     assert (end["kind"], end["sequence"]) == (Setpoint.END, 2)
@@ -96,13 +96,13 @@ def test_a_goal_record_by_record(writer):
     order=st.sampled_from([1, 3, 5]),
     values=st.lists(st.floats(), min_size=3 * JOINTS, max_size=3 * JOINTS),
 )
-def test_every_knot_arrives_bit_by_bit(time_ns, order, values):
+def test_every_waypoint_arrives_bit_by_bit(time_ns, order, values):
     writer = CommandWriter(private_file(layout.COMMAND))
-    knot = np.array(values).reshape(JOINTS, 3)
-    writer.knot(1, time_ns, order, knot, 0)
+    waypoint = np.array(values).reshape(JOINTS, 3)
+    writer.waypoint(1, time_ns, order, waypoint, 0)
     record = slot(writer, 0)
     assert is_whole(record, USED)
-    assert record.tobytes()[USED - 8 * knot.size : USED] == knot.tobytes()
+    assert record.tobytes()[USED - 8 * waypoint.size : USED] == waypoint.tobytes()
     assert (record["time_ns"], record["order"]) == (time_ns, order)
     writer.close()
 
@@ -113,7 +113,7 @@ def test_a_full_ring_refuses_and_overwrites_nothing(writer):
     before = writer.memory.array.tobytes()
     for put in (
         lambda: writer.end(1, NO_TOLERANCES, 0),
-        lambda: writer.knot(1, 1, 5, np.zeros((JOINTS, 3)), 0),
+        lambda: writer.waypoint(1, 1, 5, np.zeros((JOINTS, 3)), 0),
     ):
         with pytest.raises(RingFull, match=f"{layout.SETPOINT_SLOTS - 1} records wait"):
             put()

@@ -64,7 +64,7 @@ def test_polled_words_begin_a_line_that_holds_nothing_else(file, word):
     assert here.itemsize % layout.LINE_BYTES == 0
 
 
-def test_a_goals_opening_fits_the_slot_of_a_knot():
+def test_a_goals_opening_fits_the_slot_of_a_waypoint():
     assert layout.BEGIN.itemsize == layout.SETPOINT.itemsize
     shared = [(name, *layout.SETPOINT.fields[name][:2]) for name in ("crc", "sequence", "goal_id", "kind")]
     assert [(name, *layout.BEGIN.fields[name][:2]) for name, _, _ in shared] == shared

@@ -13,7 +13,7 @@ from dataclasses import replace
 import pytest
 from memory_model import ACQUIRE, RELAXED, RELEASE, Explorer, Fence, Load, Operation, Registers, Store
 
-from rtloop.commands import intake
+from rtloop.commands import request_reader, setpoint_reader
 from rtloop.service import rings
 from rtloop.service.port import ServicePort
 from rtloop.wire import received
@@ -280,11 +280,11 @@ def test_the_code_does_what_the_model_does(function: object) -> None:
 
 def test_what_is_published_is_published_last() -> None:
     assert atomics_of(received.push)[-1] == "store_release"
-    assert atomics_of(intake.take_setpoints) == [
+    assert atomics_of(setpoint_reader.take_setpoints) == [
         "load_acquire",
         "load_acquire",
         "copy_words",
         "crc32_at",
         "store_release",
     ]
-    assert atomics_of(intake.take_requests) == ["load_acquire", "copy_words", "crc32_at", "store_release"]
+    assert atomics_of(request_reader.take_requests) == ["load_acquire", "copy_words", "crc32_at", "store_release"]

@@ -13,7 +13,7 @@ from waiting import ready_process
 
 from config.loader import load_arm
 from rtloop.memory import frame_words, recorder
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from shm import files, layout, recording
 from shm.recording import frame_check, read_recording
 

@@ -239,7 +239,7 @@ def play(part: Generator[Any, Any, Any], answer: Callable[[Frame], Frame]) -> An
         except StopIteration as end:
             return end.value
         ((frame, _),) = question.packets(True)
-        heard = question.hear(answer(frame), True)
+        heard = question.receive(answer(frame), True)
         assert heard is not None
 
 

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from config.drives.damiao import MODELS
 from config.loader import load_arm
 from rtloop.drives import damiao, damiao_setup, fields
-from rtloop.process.beginning import new_loop
+from rtloop.process.initial_state import new_loop
 from sim.drives import damiao as simulated_damiao
 
 START_RAD = [0.1, -0.2, 0.3, 0.4, 0.5, 0.6]

@@ -78,11 +78,11 @@ def shown(arm: VirtualArm) -> np.ndarray:
 
 
 def towards(arm: VirtualArm, by_rad: float = 0.1, seconds: float = 1.0, **options: Any) -> int:
-    """A goal that moves every joint from where it is commanded; its number. A bridge is a goal of its end alone."""
+    """A goal that moves every joint from where it is commanded; its number. An approach is a goal of its end alone."""
     joints = np.zeros((2, len(arm.arm.joints), 3))
     joints[:, :, 0] = shown(arm)["joints"]["commanded_position_rad"][: len(arm.arm.joints)]
     joints[1, :, 0] += by_rad
-    first = 1 if options.get("bridge") else 0
+    first = 1 if options.get("approach") else 0
     return arm.send_goal(np.array([0, round(seconds * 1e9)])[first:], joints[first:], **options)
 
 
@@ -119,7 +119,7 @@ def family(arm: str) -> None:
     with standing(arm) as here:
         here.play("small")
         here.cycles(20)
-        second = towards(here, 0.05, bridge=True)
+        second = towards(here, 0.05, approach=True)
         here.cycles(20)
         here.cancel(second)
         finish(here, second)
@@ -206,9 +206,9 @@ def replacement() -> None:
     with standing() as arm:
         towards(arm)
         arm.cycles(50)
-        towards(arm, -0.1, bridge=True)
+        towards(arm, -0.1, approach=True)
         arm.cycles(30)
-        finish(arm, towards(arm, 0.05, bridge=True, joint_mask=0b000101))
+        finish(arm, towards(arm, 0.05, approach=True, joint_mask=0b000101))
 
 
 @scenario("replacement-refused")
@@ -437,14 +437,14 @@ def cancel_at_speed() -> None:
 def replacement_at_speed() -> None:
     with standing() as arm:
         until_swing(arm, swings(arm, 2), 0.5)
-        until_clock(arm, towards(arm, 0.05, bridge=True), 0.4)
+        until_clock(arm, towards(arm, 0.05, approach=True), 0.4)
         arm.scale(0.1)
         arm.until(lambda: shown(arm)["speed_scale"] == 0.1)
-        second = towards(arm, -0.05, bridge=True)
+        second = towards(arm, -0.05, approach=True)
         arm.cycles(20)
         arm.scale(1.0)
         finish(arm, second)
-        finish(arm, towards(arm, 0.1724, bridge=True))  # joint2 at 98 % of what is let pass
+        finish(arm, towards(arm, 0.1724, approach=True))  # joint2 at 98 % of what is let pass
 
 
 @scenario("starved-at-speed", every=SPARSE)

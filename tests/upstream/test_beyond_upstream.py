@@ -466,7 +466,7 @@ def test_a_residue_of_velocity_at_the_end(stage_for, residue):
 @pytest.mark.upstream(
     "A34",
     "better",
-    why="A long goal enters piece by piece, so the running one goes on; at most 256 knots are written at a time.",
+    why="A long goal enters piece by piece, so the running one goes on; at most 256 waypoints are written at a time.",
 )
 def test_many_points_during_a_running_goal(stage_for):
     stage = stage_for(gentle=True)

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 
 from config.schema import ArmConfig
-from rtloop.kept import commissioned, saved
+from rtloop.kept import commissioned, reference_store
 from rtloop.offline.calibration.session import DriveState, NotDone, Session
 from rtloop.offline.program import heard_more, next_line, say
 from rtloop.process.control_process import BUSY_POLL_S, Ended
@@ -52,9 +52,9 @@ def serve(arm: ArmConfig, port: ServicePort, pause: Callable[[], None]) -> None:
         pause=pause_unless_interrupted,
         rest=lambda: time.sleep(BUSY_POLL_S),
         tell=lambda line: say("told", line),
-        keep_lost=lambda joint, reason: saved.keep_lost_reference(arm, joint, reason),
+        keep_lost=lambda joint, reason: reference_store.keep_lost_reference(arm, joint, reason),
         marks=commissioned.marks(arm, lambda line: say("told", line)),
-        lost_before=saved.lost_references(arm),
+        lost_before=reference_store.lost_references(arm),
     )
     session.read()
     say("ready", json.dumps({"drives": {joint: asdict(found) for joint, found in session.found.items()}}))

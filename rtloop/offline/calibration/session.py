@@ -13,7 +13,7 @@ from rtloop.drives.power import Marks
 from rtloop.offline.calibration.talk import Found, motors_of
 from rtloop.offline.one_drive import OneDrive
 from rtloop.offline.settings.talk import ReadSettings, reports_of
-from rtloop.service.conversation import Conversation, Part, TalkFailed, Unaddressed
+from rtloop.service.conversation import Conversation, DialogueFailed, Part, Unaddressed
 from rtloop.service.port import ServicePort
 from rtloop.wire.refusal import WireRefused
 from shm.words import Unreferenced
@@ -93,7 +93,7 @@ class Session:
     def turn(self, joint: int, by_counts: int, rpm: int) -> DriveState:
         """Turn its motor, slowly and not far; returns once it stands there.
 
-        Raises TalkFailed once it stands elsewhere, and NotDone for a move that is too far or too fast.
+        Raises DialogueFailed once it stands elsewhere, and NotDone for a move that is too far or too fast.
         """
         most_counts = MOST_TURNS * self.arm.joints[joint].drive.reading_steps_per_revolution
         if not 1 <= rpm <= MOST_RPM or abs(by_counts) > most_counts:
@@ -179,7 +179,7 @@ class Session:
     # --- holding conversations
 
     def have(self, joint: int, dialogue: Callable[[Any], Unaddressed[Result]], *, moves: bool = False) -> Result:
-        """What a dialogue ends in; raises TalkFailed. A drive that moves is stopped by what ends it early."""
+        """What a dialogue ends in; raises DialogueFailed. A drive that moves is stopped by what ends it early."""
         talk = self._talk(joint, dialogue)
         with self._stopping(joint) if moves else nullcontext():
             self._hold(talk)
@@ -212,13 +212,13 @@ class Session:
             raise
 
     def _stop(self, joint: int, ended: BaseException) -> None:
-        """Make a drive stand whose conversation was ended amid a move; raises TalkFailed where that is not seen."""
+        """Make a drive stand whose conversation was ended amid a move; raises DialogueFailed where that is not seen."""
         talk = self._talk(joint, lambda motor: motor.stand())
         while not talk.poll(self._clock_ns()):
             self._rest()
         if talk.problem is not None:
             why = f" {ended}" if isinstance(ended, WireRefused) else ""
-            raise TalkFailed(joint, f"{talk.problem}{why}") from ended
+            raise DialogueFailed(joint, f"{talk.problem}{why}") from ended
 
     def _hold(self, talk: Conversation) -> None:
         while not talk.poll(self._clock_ns()):

@@ -36,7 +36,7 @@ class State(NamedTuple):
 
 
 class Motor(Protocol):
-    """What is said to one drive; places are in counts of its motor, and every part raises TalkFailed."""
+    """What is said to one drive; places are in counts of its motor, and every part raises DialogueFailed."""
 
     def addressed(self, dialogue: Unaddressed[Value]) -> Part[Value]:
         """A dialogue, said to this drive."""

@@ -19,7 +19,7 @@ from rtloop.drives.zdt_talk import Answered
 from rtloop.offline.calibration.talk import Found, State
 from rtloop.offline.settings.compare import DriveReport
 from rtloop.offline.settings.zdt_talk import Reading
-from rtloop.service.conversation import TRIES, Part, TalkFailed, Value, silent_amid
+from rtloop.service.conversation import TRIES, DialogueFailed, Part, Value, silent_amid
 
 AWAY_COUNTS = ENCODER_COUNTS_PER_REVOLUTION // 36
 """10° of the motor: a move that is farther than this from where it should be by now is stopped."""
@@ -129,7 +129,7 @@ class Drive:
     def turn(self, by_counts: int, rpm: int) -> Answered[int]:
         """Turn the motor by so many counts and see that it does just that; where it stands then.
 
-        Raises TalkFailed once it has been stopped again, or could not be.
+        Raises DialogueFailed once it has been stopped again, or could not be.
         """
         flags = yield from self.require_held()
         start = yield from self.standing_on_target()
@@ -213,8 +213,8 @@ class Drive:
             "then run this again."
         )
 
-    def fails(self, sentence: str) -> TalkFailed:
-        return TalkFailed(self.joint, sentence)
+    def fails(self, sentence: str) -> DialogueFailed:
+        return DialogueFailed(self.joint, sentence)
 
 
 def _degrees(counts: int) -> str:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from config.schema import ArmConfig
-from rtloop.kept import commissioned, saved
+from rtloop.kept import commissioned, reference_store
 from rtloop.offline.calibration.session import NotDone
 from rtloop.offline.commissioning.session import Bench
 from rtloop.offline.program import heard_more, next_line, say
@@ -65,9 +65,9 @@ def serve(arm: ArmConfig, port: ServicePort, pause: Callable[[], None]) -> None:
         pause=pause_unless_interrupted,
         rest=lambda: time.sleep(BUSY_POLL_S),
         tell=lambda line: say("told", line),
-        keep_lost=lambda joint, reason: saved.keep_lost_reference(arm, joint, reason),
+        keep_lost=lambda joint, reason: reference_store.keep_lost_reference(arm, joint, reason),
         marks=commissioned.marks(arm, lambda line: say("told", line)),
-        lost_before=saved.lost_references(arm),
+        lost_before=reference_store.lost_references(arm),
         recorded=recorded,
     )
     bench.read()

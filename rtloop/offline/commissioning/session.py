@@ -13,12 +13,12 @@ import numpy as np
 from config.schema import ArmConfig
 from config.serial_adapters import SERIAL_ADAPTERS
 from rtloop.kept.commissioned import Commissioned, PowerProof
-from rtloop.kept.saved import NotSaved, channel_of
+from rtloop.kept.reference_store import NotSaved, channel_of
 from rtloop.offline import families
 from rtloop.offline.calibration.session import DriveState, NotDone, Session
 from rtloop.offline.commissioning.finding import Check, Finding, Said, Verdict, beyond_limits, frames_of
-from rtloop.process.beginning import byte_s
-from rtloop.service.conversation import TalkFailed, Unaddressed
+from rtloop.process.initial_state import byte_s
+from rtloop.service.conversation import DialogueFailed, Unaddressed
 from shm.words import Unreferenced
 
 
@@ -61,7 +61,7 @@ class Bench(Session):
         return super().hold(joint)
 
     def see_it_stand(self) -> None:
-        """Raise TalkFailed where the drive at the bench is not seen to stand, and to hold its joint if it ever did."""
+        """Raise DialogueFailed unless the drive at the bench stands, and holds its joint if it ever did."""
         if (joint := self._at_bench) is not None:
             held = joint in self._held or self.found[joint].enabled
             self._have_undisturbed(joint, lambda motor: motor.stand_held() if held else motor.stand())
@@ -69,7 +69,7 @@ class Bench(Session):
     def check(self, name: str, joint: int, sign: int) -> list[Finding]:
         """Do one check; what could not be tried is a finding, too.
 
-        Raises TalkFailed where a drive that may move does not say that it stands.
+        Raises DialogueFailed where a drive that may move does not say that it stands.
         """
         check = next((check for check in checks_of(self.arm, joint) if check.name == name), None)
         if check is None or sign not in (1, -1):
@@ -77,7 +77,7 @@ class Bench(Session):
         self.frames()
         try:
             found = check.ask(self, joint, sign)
-        except (TalkFailed, NotSaved) as problem:
+        except (DialogueFailed, NotSaved) as problem:
             if check.moves:
                 self.have(joint, lambda motor: motor.stand())
             found = [Finding(name, check.explains, "", str(problem), Verdict.NOT_TRIED)]
@@ -114,18 +114,18 @@ class Bench(Session):
                 self._pause()
 
     def require_room(self, joint: int, by_counts: int) -> None:
-        """Raise TalkFailed where a joint's angle is known, and such a turn of its motor would end beyond its limits."""
+        """Raise DialogueFailed where a joint's angle is known and such a turn of its motor would leave its limits."""
         state, config = self.look(joint), self.arm.joints[joint]
         here_rad, there_rad = (
             counts / self.port.reading_per_rad(joint) - self.port.zero_rad(joint)
             for counts in (state.counts, state.counts + by_counts)
         )
         if state.doubt is None and not config.lower_rad <= there_rad <= config.upper_rad:
-            raise TalkFailed(joint, beyond_limits(config, math.degrees(here_rad), math.degrees(there_rad)))
+            raise DialogueFailed(joint, beyond_limits(config, math.degrees(here_rad), math.degrees(there_rad)))
 
     @contextmanager
     def ending_with(self, joint: int, dialogue: Callable[[Any], Unaddressed[object]]) -> Iterator[None]:
-        """A dialogue is had at the end, however that comes about; raises TalkFailed."""
+        """A dialogue is had at the end, however that comes about; raises DialogueFailed."""
         try:
             yield
         finally:

@@ -14,7 +14,7 @@ from rtloop.offline.commissioning import zdt_checks as checks
 from rtloop.offline.commissioning import zdt_talk as talk
 from rtloop.offline.commissioning.finding import Check, Finding, Said, judge_reply_delay, reply_delays_s
 from rtloop.offline.commissioning.session import Bench, wire_s
-from rtloop.service.conversation import TalkFailed
+from rtloop.service.conversation import DialogueFailed
 
 SILENCE_SPARE_NS = 1_000_000_000
 """Nothing is said for so much longer than the way should take."""
@@ -103,7 +103,7 @@ def _fast_targets(bench: Bench, joint: int, _: int) -> list[Finding]:
             return version, None
         try:
             yield from zdt_fast_targets.prepare(bench.arm, joint, config, version)  # type: ignore[arg-type]
-        except TalkFailed as problem:
+        except DialogueFailed as problem:
             yield from drive.stand()
             return version, str(problem)
         return version, None
@@ -119,7 +119,7 @@ def _reports(bench: Bench, joint: int, _: int) -> list[Finding]:
         problem = None
         try:
             yield from zdt_reports.begin(bench.arm, bench.port, joint, version)
-        except TalkFailed as failed:
+        except DialogueFailed as failed:
             problem = str(failed)
         yield from zdt_talk.set_reports(0)
         yield from drive.flags()
@@ -166,7 +166,7 @@ def _stall(bench: Bench, joint: int, sign: int) -> list[Finding]:
     bench.require_room(joint, sign * talk.PRESS_COUNTS)
     block = bench.have(joint, lambda drive: zdt_talk.surely(zdt_talk.read_block))
     if block is None:
-        raise TalkFailed(joint, f"The drive of {bench.arm.joints[joint].name} does not tell its stall protection.")
+        raise DialogueFailed(joint, f"The drive of {bench.arm.joints[joint].name} does not tell its stall protection.")
     protects = block.stall_mode != 0
     patience_ns = PRESS_FREE_NS
     if protects:
@@ -185,7 +185,7 @@ def _power_cycle(bench: Bench, joint: int, _: int) -> list[Finding]:
             cycle = bench.have(
                 joint, lambda drive: talk.power_cycle(drive, changed, bench.tell, lambda: bench.lose(joint))
             )
-    except TalkFailed as problem:
+    except DialogueFailed as problem:
         if cycle is None:
             raise
         beside = [checks.not_put_back(problem)]  # what was seen before is kept

@@ -217,7 +217,7 @@ class Changed:
 
 
 def put_back(drive: Drive, changed: Changed) -> Answered[None]:
-    """Give a drive that has not forgotten what was there before; raises TalkFailed where that is not seen."""
+    """Give a drive that has not forgotten what was there before; raises DialogueFailed where that is not seen."""
     # one that has forgotten keeps what it has stored: what it had before may be a mark that proves its power
     if changed.homing_ms is not None:
         before_ms, now_ms = changed.homing_ms

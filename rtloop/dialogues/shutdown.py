@@ -10,7 +10,7 @@ from rtloop.service.port import ServicePort
 from shm.words import Fault
 
 
-class Farewell(Conversation):
+class ShutdownDialogue(Conversation):
     """One farewell to a whole arm; a drive that does not answer is left as it is, since the arm stands and holds."""
 
     def __init__(self, arm: ArmConfig, port: ServicePort, *, now_ns: int) -> None:

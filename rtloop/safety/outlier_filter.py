@@ -15,7 +15,7 @@ def agreed(now: float, before: float) -> float:
 
 
 @jit
-def agreed_error_rad(axis: Axis) -> float:
+def filtered_error_rad(axis: Axis) -> float:
     """How far the joint is from its setpoint as the last two readings agree."""
     return float(agreed(axis.tracking.reference_rad - axis.measured.position_rad, axis.tracking.error_before_rad))
 
@@ -27,17 +27,17 @@ def steady_error_rad(axis: Axis, noise_rad: float) -> float:
     Agreement alone would leave a joint that swings about its setpoint to itself, and roughen slow motion.
     """
     now_rad = float(axis.tracking.reference_rad - axis.measured.position_rad)
-    return now_rad if abs(now_rad - axis.tracking.error_before_rad) <= noise_rad else float(agreed_error_rad(axis))
+    return now_rad if abs(now_rad - axis.tracking.error_before_rad) <= noise_rad else float(filtered_error_rad(axis))
 
 
 @jit
-def agreed_error_rad_s(axis: Axis) -> float:
+def filtered_error_rad_s(axis: Axis) -> float:
     """The same of its velocity."""
     now = axis.tracking.reference_velocity_rad_s - axis.measured.velocity_rad_s
     return float(agreed(now, axis.tracking.velocity_error_before_rad_s))
 
 
 @jit
-def agreed_error_rad_s2(axis: Axis) -> float:
+def filtered_error_rad_s2(axis: Axis) -> float:
     """The same of its acceleration, which is smoothed."""
     return float(agreed(axis.tracking.error_acceleration_rad_s2, axis.tracking.error_acceleration_before_rad_s2))

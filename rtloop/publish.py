@@ -26,10 +26,10 @@ def phase_of(loop: Loop) -> int:
 
 
 @jit
-def show(loop: Loop, shared: Shared) -> None:
+def publish_snapshot(loop: Loop, shared: Shared) -> None:
     """Publish the snapshot."""
     published, timing, fault, clock = loop.published, loop.timing, loop.fault, loop.clock
-    people, params, snapshot = loop.people, loop.params, loop.snapshot
+    operator, params, snapshot = loop.operator, loop.params, loop.snapshot
     published.cycle = timing.cycle
     snapshot.cycle = timing.cycle
     snapshot.monotonic_ns = timing.now_ns
@@ -49,12 +49,12 @@ def show(loop: Loop, shared: Shared) -> None:
     snapshot.trajectory_end_ns = int(end_s(loop, loop.goals.active) * 1e9) if running.ended == 1 else -1
     snapshot.speed_scale = clock.rate
     snapshot.speed_scale_target = clock.rate_target
-    snapshot.speed_scale_asked = people.speed_scale
+    snapshot.speed_scale_asked = operator.speed_scale
     snapshot.motion_started = loop.motion.started
     snapshot.referencing_joint = loop.dialogue.referencing_joint
     snapshot.pose_due = 1 if timing.now_ns < loop.dialogue.pose_due_ns else 0
-    snapshot.held = people.held
-    snapshot.stops = people.stops
+    snapshot.held = operator.held
+    snapshot.stops = operator.stops
     snapshot.epoch = loop.goals.epoch
     for joint in range(params.joint_count):
         axis, shown = loop.axes[joint], snapshot.joints[joint]

@@ -20,11 +20,11 @@ from rosfront.verdict import Verdict
 End = TypeVar("End")
 
 
-class Intake(threading.Thread):
+class GoalWorker(threading.Thread):
     """Does one thing after another; a daemon, as at the end of the program it may be busy with what nobody awaits."""
 
     def __init__(self) -> None:
-        super().__init__(name="intake", daemon=True)
+        super().__init__(name="goals", daemon=True)
         self._works: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
 
     def put(self, work: Callable[[], None]) -> None:

@@ -3,11 +3,11 @@
 from compilation.jit import jit
 from rtloop.memory.axis import QUESTIONS
 from rtloop.memory.state import Loop, Shared
-from rtloop.safety import guard
+from rtloop.safety import monitor
 
 
 @jit
-def hear_position(loop: Loop, joint: int, position_rad: float, time_ns: int) -> None:
+def receive_position(loop: Loop, joint: int, position_rad: float, time_ns: int) -> None:
     """Keep a position until everything has been heard: answers that come twice, late or in a burst count once.
 
     Answers and reports are the same bytes; what comes while no question is open is a report.
@@ -34,40 +34,40 @@ def note_question(loop: Loop, joint: int) -> None:
 
 
 @jit
-def hear_velocity(loop: Loop, joint: int, velocity_rad_s: float) -> None:
+def receive_velocity(loop: Loop, joint: int, velocity_rad_s: float) -> None:
     """Keep the joint's velocity as its drive measures it."""
     loop.axes[joint].drive.velocity_rad_s = velocity_rad_s
 
 
 @jit
-def hear_effort(loop: Loop, joint: int, effort_nm: float) -> None:
+def receive_effort(loop: Loop, joint: int, effort_nm: float) -> None:
     """Keep the torque at the joint."""
     loop.axes[joint].drive.effort_nm = effort_nm
 
 
 @jit
-def hear_temperature(loop: Loop, joint: int, temperature_c: float) -> None:
+def receive_temperature(loop: Loop, joint: int, temperature_c: float) -> None:
     """Keep the highest temperature that the drive tells of itself."""
     loop.axes[joint].drive.temperature_c = temperature_c
 
 
 @jit
-def hear_voltage(loop: Loop, joint: int, voltage_v: float) -> None:
+def receive_voltage(loop: Loop, joint: int, voltage_v: float) -> None:
     """Keep the drive's supply."""
     loop.axes[joint].drive.voltage_v = voltage_v
 
 
 @jit
-def hear_status(loop: Loop, joint: int, status: int) -> None:
+def receive_status(loop: Loop, joint: int, status: int) -> None:
     """Take status bits (`rtloop.memory.status`); a drive that may be in trouble is asked again at once."""
     loop.bus.unacknowledged_since_ns = 0
-    guard.take_status(loop, joint, status)
+    monitor.take_status(loop, joint, status)
     if loop.axes[joint].checks.bad_statuses == 1:
         loop.bus.status_turn = joint - 1
 
 
 @jit
-def hear_refusal(loop: Loop, shared: Shared, joint: int, of_motion: bool) -> None:
+def receive_refusal(loop: Loop, shared: Shared, joint: int, of_motion: bool) -> None:
     """A drive does not do what it was told."""
     shared.counters.drive_errors += 1
     if of_motion:

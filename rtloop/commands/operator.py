@@ -53,19 +53,19 @@ def obey_commands(loop: Loop, shared: Shared) -> None:
 @jit
 def obey_stop_and_hold(loop: Loop, shared: Shared, command: int) -> None:
     """A stop or a hold leaves the arm held until a resume that was asked for later; a stop also ends what moves it."""
-    people = loop.people
+    operator = loop.operator
     # pairs with `CommandWriter._store`: who asked was written before, and is read after
     stop_ns, hold_ns = load_acquire(command + _STOP), load_acquire(command + _HOLD)
     resume_ns = load_acquire(command + _RESUME)
-    stopped, held, resumed = stop_ns != people.stop_ns, hold_ns != people.hold_ns, resume_ns != people.resume_ns
-    people.stop_ns, people.hold_ns, people.resume_ns = stop_ns, hold_ns, resume_ns
+    stopped, held, resumed = stop_ns != operator.stop_ns, hold_ns != operator.hold_ns, resume_ns != operator.resume_ns
+    operator.stop_ns, operator.hold_ns, operator.resume_ns = stop_ns, hold_ns, resume_ns
     if stopped:
-        people.stops += 1
+        operator.stops += 1
         note(loop, shared, Request.STOP, _STOP)
     if held:
         note(loop, shared, Request.HOLD, _HOLD)
     if stopped or held:
-        people.held = 1
+        operator.held = 1
         loop.gripper.halted = loop.gripper.sequence
         loop.dialogue.pose_due_ns = 0
         raise_epoch(loop, shared, Outcome.REFUSED_HELD)
@@ -75,8 +75,8 @@ def obey_stop_and_hold(loop: Loop, shared: Shared, command: int) -> None:
         if stopped or loop.paths[loop.goals.active].stream == 1:
             stop_running(loop, Outcome.STOPPED, -1, 0.0, 0.0)
         pause_running(loop)
-    if people.held == 1 and resumed and resume_ns > max(stop_ns, hold_ns):
-        people.held = 0
+    if operator.held == 1 and resumed and resume_ns > max(stop_ns, hold_ns):
+        operator.held = 0
         resume_paused(loop)
         raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)  # what was sent meanwhile is not begun by this
         note(loop, shared, Request.RESUME, _RESUME)
@@ -93,15 +93,15 @@ def note(loop: Loop, shared: Shared, kind: int, offset: int) -> None:
 @jit
 def take_speed_scale(loop: Loop, shared: Shared, command: int) -> None:
     """A number that is no share of a speed is passed over."""
-    people = loop.people
+    operator = loop.operator
     # pairs with `CommandWriter.scale`; the word is all there is
     if load_acquire(command + _SPEED_SCALE) == 0:
         return
     copy_words(loop.params.address + _SCRATCH_SCALE, command + _SPEED_SCALE, 1)
     scale = loop.scratch_scale
-    if scale >= 0.0 and scale <= 1.0 and scale != people.speed_scale:
-        people.speed_scale = abs(scale)
-        record_event(loop, shared, Event.COMMAND, -1, Request.SPEED_SCALE, people.speed_scale, 0.0)
+    if scale >= 0.0 and scale <= 1.0 and scale != operator.speed_scale:
+        operator.speed_scale = abs(scale)
+        record_event(loop, shared, Event.COMMAND, -1, Request.SPEED_SCALE, operator.speed_scale, 0.0)
 
 
 @jit

@@ -16,7 +16,7 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.commands.intake import CYCLES_TO_BECOME_VISIBLE, records_a_cycle
+from rtloop.commands.setpoint_reader import CYCLES_TO_BECOME_VISIBLE, records_a_cycle
 from shm import layout
 from shm.errors import RingFull
 from shm.words import Answer, Fault, Mode, Outcome, Request, Setpoint
@@ -123,9 +123,9 @@ class Judged(VirtualArm):
             numbers=rows,
         )
 
-    def knot(self, goal_id, time_ns, position, order=5, velocity=0.0, acceleration=0.0):
+    def waypoint(self, goal_id, time_ns, position, order=5, velocity=0.0, acceleration=0.0):
         rows = np.stack(np.broadcast_arrays(position, velocity, acceleration, np.zeros(len(self.limits)))[:3], -1)
-        self.put(Setpoint.KNOT, goal_id=goal_id, words=(time_ns, order, 0, 0, 0), numbers=rows.ravel())
+        self.put(Setpoint.WAYPOINT, goal_id=goal_id, words=(time_ns, order, 0, 0, 0), numbers=rows.ravel())
 
     def end(self, goal_id):
         self.put(Setpoint.END, goal_id=goal_id)
@@ -257,9 +257,9 @@ def test_clearing_the_fault_of_a_mended_ring_brings_the_arm_back(arm):
     assert (arm.outcome(goal), arm.fault) == (Outcome.SUCCEEDED, Fault.NONE)
 
 
-# --- knots that are whole but wrong ----------------------------------------------------------------------
+# --- waypoints that are whole but wrong ----------------------------------------------------------------------
 
-WRONG_KNOTS = {
+WRONG_WAYPOINTS = {
     "nan position": {"position": float("nan")},
     "infinite velocity": {"velocity": float("inf")},
     "nan acceleration": {"acceleration": float("nan")},
@@ -275,27 +275,27 @@ WRONG_KNOTS = {
 }
 
 
-@pytest.mark.parametrize("wrong", WRONG_KNOTS.values(), ids=WRONG_KNOTS)
-def test_a_wrong_knot_of_a_new_goal_refuses_it_and_disturbs_nothing(arm, wrong):
+@pytest.mark.parametrize("wrong", WRONG_WAYPOINTS.values(), ids=WRONG_WAYPOINTS)
+def test_a_wrong_waypoint_of_a_new_goal_refuses_it_and_disturbs_nothing(arm, wrong):
     running = arm.executing()
     arm.pending.clear()
     here = arm.commanded()
     goal = running + 1
     arm.begin(goal)
-    arm.knot(goal, 0, here)
-    arm.knot(goal, **{"time_ns": 500_000_000, "position": here, **wrong})
+    arm.waypoint(goal, 0, here)
+    arm.waypoint(goal, **{"time_ns": 500_000_000, "position": here, **wrong})
     arm.end(goal)
     assert arm.end_of(goal) == Outcome.REFUSED_CORRUPT
     arm.end_of(running)
     assert (arm.outcome(running), arm.fault) == (Outcome.SUCCEEDED, Fault.NONE)
 
 
-@pytest.mark.parametrize("wrong", WRONG_KNOTS.values(), ids=WRONG_KNOTS)
-def test_a_wrong_knot_of_the_running_goal_ends_it_on_its_path(arm, wrong):
+@pytest.mark.parametrize("wrong", WRONG_WAYPOINTS.values(), ids=WRONG_WAYPOINTS)
+def test_a_wrong_waypoint_of_the_running_goal_ends_it_on_its_path(arm, wrong):
     goal = arm.wave(end=False)
     arm.until(lambda: arm.mode == Mode.EXECUTING)
     arm.cycles(60)
-    arm.knot(goal, **{"time_ns": int(5e9), "position": arm.commanded(), **wrong})
+    arm.waypoint(goal, **{"time_ns": int(5e9), "position": arm.commanded(), **wrong})
     arm.end_of(goal)
     assert (arm.outcome(goal), arm.fault) == (Outcome.REFUSED_CORRUPT, Fault.NONE)
     comes_to_rest(arm)
@@ -305,26 +305,26 @@ def test_a_result_names_joint_value_and_limit(arm):
     here = arm.commanded()
     arm.begin(1)
     here[2] = 2.0
-    arm.knot(1, 0, here)
+    arm.waypoint(1, 0, here)
     arm.cycles(2)
     result = arm.result(1)
     assert (result["outcome"], result["joint"], result["value"]) == (Outcome.REFUSED_CORRUPT, 2, 2.0)
     assert result["limit"] == pytest.approx(arm.arm.joints[2].upper_rad)
 
 
-def test_knots_of_no_goal_are_not_taken_for_the_running_ones(arm):
+def test_waypoints_of_no_goal_are_not_taken_for_the_running_ones(arm):
     goal = arm.executing()
     for number in range(3):
-        arm.knot(0, int(20e9) + number, arm.commanded() + 0.1)
+        arm.waypoint(0, int(20e9) + number, arm.commanded() + 0.1)
     arm.end_of(goal)
     assert (arm.outcome(goal), arm.fault) == (Outcome.SUCCEEDED, Fault.NONE)
     assert arm.loop[0]["paths"]["taken"].max() == 81
 
 
-def test_a_knot_behind_the_end_ends_its_goal(arm):
+def test_a_waypoint_behind_the_end_ends_its_goal(arm):
     """What was found out about the end, that it is at rest and how to arrive there, must stay true."""
     goal = arm.executing()
-    arm.knot(goal, int(GOAL_S * 1e9) + 10_000_000, arm.commanded(), velocity=0.4)
+    arm.waypoint(goal, int(GOAL_S * 1e9) + 10_000_000, arm.commanded(), velocity=0.4)
     arm.end_of(goal)
     assert (arm.outcome(goal), arm.fault) == (Outcome.REFUSED_CORRUPT, Fault.NONE)
     comes_to_rest(arm)
@@ -336,7 +336,7 @@ def test_a_knot_behind_the_end_ends_its_goal(arm):
 @pytest.mark.parametrize("upper", [False, True], ids=["lower", "upper"])
 @pytest.mark.parametrize("joint", [1, 4, 5])
 def test_a_way_that_leads_through_a_limit_is_left_while_there_is_room_to_stop(arm, joint, upper):
-    """Every knot is inside the limits, what lies between two of them is not: the front would have refused it."""
+    """Every waypoint is inside the limits, what lies between two of them is not: the front would have refused it."""
     config, side = arm.arm.joints[joint], 1.0 if upper else -1.0
     limit, speed = (config.upper_rad if upper else config.lower_rad), side * config.max_velocity_rad_s
     here = arm.commanded()
@@ -348,9 +348,9 @@ def test_a_way_that_leads_through_a_limit_is_left_while_there_is_room_to_stop(ar
     at_limit, velocity = here.copy(), np.zeros(len(here))
     at_limit[joint], velocity[joint] = limit - 1e-3 * side, speed
     arm.begin(1, tolerances=np.zeros(18))
-    arm.knot(1, 0, here)
-    arm.knot(1, round(rise_s * 1e9), at_limit, velocity=velocity)
-    arm.knot(1, round(3e9 * rise_s), here)
+    arm.waypoint(1, 0, here)
+    arm.waypoint(1, round(rise_s * 1e9), at_limit, velocity=velocity)
+    arm.waypoint(1, round(3e9 * rise_s), here)
     arm.end(1)
     arm.end_of(1)
     assert (arm.outcome(1), arm.fault) == (Outcome.FAULT, Fault.POSITION_LIMIT)
@@ -397,8 +397,8 @@ def test_joints_outside_the_goal_may_hold_anything(arm):
     there[0] += 0.1
     there[1:] = np.nan
     arm.begin(1, mask=0b000001)
-    arm.knot(1, 0, np.where(np.isnan(there), there, here))
-    arm.knot(1, 2_000_000_000, there)
+    arm.waypoint(1, 0, np.where(np.isnan(there), there, here))
+    arm.waypoint(1, 2_000_000_000, there)
     arm.end(1)
     assert arm.end_of(1) == Outcome.SUCCEEDED
     assert arm.commanded() == pytest.approx([here[0] + 0.1, *here[1:]], abs=1e-12)
@@ -407,8 +407,8 @@ def test_joints_outside_the_goal_may_hold_anything(arm):
 @pytest.mark.parametrize("mask", [-1, 0, 1 << 6, 0b1000001])
 def test_a_goal_without_joints_or_for_joints_that_do_not_exist_is_refused(arm, mask):
     arm.begin(1, mask=mask)
-    arm.knot(1, 0, arm.commanded())
-    arm.knot(1, 1_000_000_000, arm.commanded())
+    arm.waypoint(1, 0, arm.commanded())
+    arm.waypoint(1, 1_000_000_000, arm.commanded())
     arm.end(1)
     assert arm.end_of(1) == Outcome.REFUSED_CORRUPT
 
@@ -416,9 +416,9 @@ def test_a_goal_without_joints_or_for_joints_that_do_not_exist_is_refused(arm, m
 def test_records_of_goals_that_are_over_are_passed_over(arm):
     goal = arm.wave(points=3)
     arm.end_of(goal)
-    arm.knot(goal, int(9e9), arm.commanded() + 0.1)
+    arm.waypoint(goal, int(9e9), arm.commanded() + 0.1)
     arm.end(goal)
-    arm.knot(77, int(9e9), arm.commanded() + 0.1)
+    arm.waypoint(77, int(9e9), arm.commanded() + 0.1)
     arm.cycles(3)
     assert (arm.mode, arm.running_goal, arm.fault) == (Mode.HOLDING, 0, Fault.NONE)
     assert arm.reader.setpoints_consumed() == arm.writer.setpoints_written
@@ -427,8 +427,8 @@ def test_records_of_goals_that_are_over_are_passed_over(arm):
 @pytest.mark.parametrize("goal_id", [0, -1, -(2**63)])
 def test_a_goal_without_a_proper_number_never_begins(arm, goal_id):
     arm.begin(goal_id)
-    arm.knot(goal_id, 0, arm.commanded())
-    arm.knot(goal_id, 10**9, arm.commanded() + 0.05)
+    arm.waypoint(goal_id, 0, arm.commanded())
+    arm.waypoint(goal_id, 10**9, arm.commanded() + 0.05)
     arm.end(goal_id)
     arm.cycles(150)
     assert (arm.mode, arm.fault) == (Mode.HOLDING, Fault.NONE)
@@ -443,7 +443,7 @@ def test_a_newer_goal_drops_the_older_ones_records(arm):
 
 def test_a_goal_whose_records_stop_coming_starves(arm):
     arm.begin(1)
-    arm.knot(1, 0, arm.commanded())
+    arm.waypoint(1, 0, arm.commanded())
     assert arm.end_of(1) == Outcome.STARVED
 
 
@@ -603,7 +603,7 @@ def test_a_start_far_ahead_leaves_the_running_goal_alone(arm):
     later = arm.send_goal(
         np.array([10**9]),
         np.stack([here * 0, here * 0, here * 0], axis=-1)[None],
-        bridge=True,
+        approach=True,
         start_ns=arm.now_ns + 3600 * 10**9,
     )
     assert arm.end_of(running) == Outcome.SUCCEEDED

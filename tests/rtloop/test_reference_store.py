@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from virtual import VirtualArm
 
 from config.loader import load_arm
-from rtloop.kept import saved
-from rtloop.process.beginning import new_loop
-from rtloop.safety.guard import outlives_a_clear
+from rtloop.kept import reference_store
+from rtloop.process.initial_state import new_loop
+from rtloop.safety.monitor import outlives_a_clear
 from rtloop.safety.references import absolute_makes_good
 from shm.words import Answer, Fault, Mode, Request, Unreferenced
 
@@ -32,14 +32,14 @@ def test_what_is_kept_is_there_until_it_is_forgotten(tmp_path_factory, counts):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.getbasetemp()))
         arm = load_arm("episode1")
-        saved.save(arm, counts)
-        assert saved.counts_before(arm) == counts
-        assert saved.counts_before(arm) == counts  # a start that failed has compared nothing
-        saved.forget_counts(arm)
-        assert saved.counts_before(arm) == {}
+        reference_store.save(arm, counts)
+        assert reference_store.counts_before(arm) == counts
+        assert reference_store.counts_before(arm) == counts  # a start that failed has compared nothing
+        reference_store.forget_counts(arm)
+        assert reference_store.counts_before(arm) == {}
 
 
-REASONS = st.sampled_from(sorted(saved.OUTLIVES_THE_PROCESS))
+REASONS = st.sampled_from(sorted(reference_store.OUTLIVES_THE_PROCESS))
 FROM_NOWHERE = (Unreferenced.POWER_LOST, Unreferenced.NOT_HOMED)
 
 
@@ -56,7 +56,7 @@ def test_what_no_clear_forgives_no_restart_forgives(knows_its_angle, forgiven):
         loop[0]["axes"][0]["reference"]["unreferenced_reason"] = reason
         if outlives_a_clear(loop[0], 0):
             outlive.add(reason)
-    assert outlive - {Unreferenced.INCREMENTAL} == saved.OUTLIVES_THE_PROCESS - forgiven
+    assert outlive - {Unreferenced.INCREMENTAL} == reference_store.OUTLIVES_THE_PROCESS - forgiven
     assert Unreferenced.INCREMENTAL in outlive
     assert {reason for reason in Unreferenced if absolute_makes_good(reason)} == {
         Unreferenced.POWER_LOST,
@@ -72,23 +72,27 @@ def test_a_lost_reference_is_kept_until_it_is_found_again(tmp_path_factory, said
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         arm = load_arm("episode1")
         for joint, reason in said:
-            saved.keep_lost_reference(arm, joint, reason)
-            saved.forget_counts(arm)  # a start forgets where the arm stood, and no lost reference
+            reference_store.keep_lost_reference(arm, joint, reason)
+            reference_store.forget_counts(arm)  # a start forgets where the arm stood, and no lost reference
         lost = {}
         for joint, reason in said:
             if reason is None:
                 lost.pop(joint, None)
             elif lost.get(joint) not in FROM_NOWHERE or reason in FROM_NOWHERE:
                 lost[joint] = reason
-        assert saved.lost_references(arm) == lost
-        left = [path.name for path in saved.path_of(arm.name).parent.glob("*")]
+        assert reference_store.lost_references(arm) == lost
+        left = [path.name for path in reference_store.path_of(arm.name).parent.glob("*")]
         assert left == (["episode1.unreferenced"] if lost else [])
 
 
 def test_a_joint_whose_angle_a_person_said_is_no_more_believed_after_it_was_silent(arm):
-    saved.keep_lost_reference(arm, 2, Unreferenced.NOT_HOMED)  # `rtarm reference joint3=30`: this process knows it
-    saved.keep_lost_reference(arm, 2, Unreferenced.SILENT)
-    assert saved.lost_references(arm) == {2: Unreferenced.NOT_HOMED}  # `rtarm reference joint3` would believe its count
+    reference_store.keep_lost_reference(
+        arm, 2, Unreferenced.NOT_HOMED
+    )  # `rtarm reference joint3=30`: this process knows it
+    reference_store.keep_lost_reference(arm, 2, Unreferenced.SILENT)
+    assert reference_store.lost_references(arm) == {
+        2: Unreferenced.NOT_HOMED
+    }  # `rtarm reference joint3` would believe its count
 
 
 @pytest.mark.parametrize(
@@ -106,54 +110,56 @@ def test_a_joint_whose_angle_a_person_said_is_no_more_believed_after_it_was_sile
     ],
 )
 def test_a_file_that_says_something_else_may_say_it_of_every_joint(arm, text):
-    path = saved.path_of(arm.name).with_suffix(".unreferenced")
+    path = reference_store.path_of(arm.name).with_suffix(".unreferenced")
     path.parent.mkdir(parents=True)
     path.write_text(text, encoding="latin-1")
     told = []
-    assert saved.lost_references(arm, told.append) == dict.fromkeys(range(6), Unreferenced.NOT_HOMED)
+    assert reference_store.lost_references(arm, told.append) == dict.fromkeys(range(6), Unreferenced.NOT_HOMED)
     assert len(told) == 1 and f"could not be read in {path} (it says something else), so each counts" in told[0]
-    saved.keep_lost_reference(arm, 2, None)
-    assert saved.lost_references(arm) == dict.fromkeys((0, 1, 3, 4, 5), Unreferenced.NOT_HOMED)
+    reference_store.keep_lost_reference(arm, 2, None)
+    assert reference_store.lost_references(arm) == dict.fromkeys((0, 1, 3, 4, 5), Unreferenced.NOT_HOMED)
 
 
 def test_a_file_that_cannot_be_read_may_say_it_of_every_joint(arm):
-    saved.path_of(arm.name).with_suffix(".unreferenced").mkdir(parents=True)  # root reads any file
-    assert saved.lost_references(arm) == dict.fromkeys(range(6), Unreferenced.NOT_HOMED)
-    with pytest.raises(saved.NotSaved, match=r"reference of joint4 could not be kept in .* see that the file can be"):
-        saved.keep_lost_reference(arm, 3, None)
-    assert [path.suffix for path in saved.path_of(arm.name).parent.iterdir()] == [
+    reference_store.path_of(arm.name).with_suffix(".unreferenced").mkdir(parents=True)  # root reads any file
+    assert reference_store.lost_references(arm) == dict.fromkeys(range(6), Unreferenced.NOT_HOMED)
+    with pytest.raises(
+        reference_store.NotSaved, match=r"reference of joint4 could not be kept in .* see that the file can be"
+    ):
+        reference_store.keep_lost_reference(arm, 3, None)
+    assert [path.suffix for path in reference_store.path_of(arm.name).parent.iterdir()] == [
         ".unreferenced"
     ]  # nothing is left over
 
 
 def test_a_lost_reference_that_cannot_be_kept_is_a_sentence(arm, tmp_path):
     (tmp_path / "rtarm").write_text("")
-    with pytest.raises(saved.NotSaved, match="so the next start would believe what is not true"):
-        saved.keep_lost_reference(arm, 2, Unreferenced.SILENT)
+    with pytest.raises(reference_store.NotSaved, match="so the next start would believe what is not true"):
+        reference_store.keep_lost_reference(arm, 2, Unreferenced.SILENT)
 
 
 def test_a_user_without_a_home_is_told(arm, monkeypatch):
     monkeypatch.delenv("XDG_STATE_HOME")
     monkeypatch.setattr(Path, "home", lambda: Path("~nobody-of-this-name").expanduser())
-    with pytest.raises(saved.NotSaved, match="set XDG_STATE_HOME"):
-        saved.keep_lost_reference(arm, 2, Unreferenced.NOT_HOMED)
-    with pytest.raises(saved.NotSaved, match="set XDG_STATE_HOME"):
-        saved.save(arm, {0: 7})
-    saved.forget_counts(arm)
-    assert (saved.counts_before(arm), saved.lost_references(arm)) == ({}, {})
+    with pytest.raises(reference_store.NotSaved, match="set XDG_STATE_HOME"):
+        reference_store.keep_lost_reference(arm, 2, Unreferenced.NOT_HOMED)
+    with pytest.raises(reference_store.NotSaved, match="set XDG_STATE_HOME"):
+        reference_store.save(arm, {0: 7})
+    reference_store.forget_counts(arm)
+    assert (reference_store.counts_before(arm), reference_store.lost_references(arm)) == ({}, {})
 
 
 def test_another_adapter_is_another_arm(arm):
-    saved.save(arm, {0: 7})
-    assert saved.counts_before(load_arm("episode1", overrides={"bus": {"channel": "/dev/ttyUSB7"}})) == {}
+    reference_store.save(arm, {0: 7})
+    assert reference_store.counts_before(load_arm("episode1", overrides={"bus": {"channel": "/dev/ttyUSB7"}})) == {}
 
 
 def test_nothing_is_kept_of_a_simulated_arm(arm):
     simulated = load_arm("episode1", overrides={"bus": {"channel": "/dev/pts/3"}})
-    saved.save(simulated, {0: 7})
-    saved.save(load_arm("mock"), {0: 7})
-    saved.keep_lost_reference(simulated, 2, Unreferenced.NOT_HOMED)
-    assert not saved.path_of(arm.name).parent.exists()
+    reference_store.save(simulated, {0: 7})
+    reference_store.save(load_arm("mock"), {0: 7})
+    reference_store.keep_lost_reference(simulated, 2, Unreferenced.NOT_HOMED)
+    assert not reference_store.path_of(arm.name).parent.exists()
 
 
 @pytest.mark.parametrize(
@@ -161,29 +167,29 @@ def test_nothing_is_kept_of_a_simulated_arm(arm):
     ["", "{", "[]", "7", "null", '{"channel": 7}', '{"channel": "slcan:/dev/ttyUSB1", "counts": [1]}', "\0\xff"],
 )
 def test_what_cannot_be_read_says_nothing(arm, text):
-    path = saved.path_of(arm.name)
+    path = reference_store.path_of(arm.name)
     path.parent.mkdir(parents=True)
     path.write_text(text, encoding="latin-1")
-    assert saved.counts_before(arm) == {}
-    saved.forget_counts(arm)
+    assert reference_store.counts_before(arm) == {}
+    reference_store.forget_counts(arm)
     assert not path.exists()
 
 
 def test_counts_that_are_no_numbers_say_nothing(arm):
-    path = saved.path_of(arm.name)
+    path = reference_store.path_of(arm.name)
     path.parent.mkdir(parents=True)
     path.write_text(
         json.dumps(
             {"channel": "slcan:/dev/ttyUSB1", "counts": {"joint1": "7", "joint2": 8, "moon": 9, "joint3": 10**400}}
         )
     )
-    assert saved.counts_before(arm) == {1: 8}
+    assert reference_store.counts_before(arm) == {1: 8}
 
 
 def test_a_file_in_the_way_is_a_sentence(arm, tmp_path):
     (tmp_path / "rtarm").write_text("")
-    with pytest.raises(saved.NotSaved, match="so the next start cannot tell whether it was moved"):
-        saved.save(arm, {0: 7})
+    with pytest.raises(reference_store.NotSaved, match="so the next start cannot tell whether it was moved"):
+        reference_store.save(arm, {0: 7})
 
 
 def test_a_joint_that_does_not_stand_where_it_stood_is_not_believed():

@@ -13,7 +13,7 @@ from config.joint import FAMILIES, JointConfig
 from config.schema import ArmConfig
 from config.serial_adapters import SERIAL_ADAPTERS
 from rtloop.drives.setup import homes_by_a_run, setup_of
-from rtloop.kept.saved import PSEUDO_TERMINALS
+from rtloop.kept.reference_store import PSEUDO_TERMINALS
 from rtloop.memory.frame_words import EXTENDED, STANDARD
 from rtloop.memory.link import CAN_FRAME_BYTES, GRIPPER, LISTENERS, WIRES, Part
 from rtloop.memory.state import LOOP, Params
@@ -57,7 +57,7 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
     memory["goals"]["epoch"] = time.monotonic_ns()  # no other control process begins with the same
     memory["fault"]["joint"] = memory["dialogue"]["referencing_joint"] = -1
     memory["clock"]["rate"] = memory["clock"]["rate_target"] = memory["goals"]["entry_rate"] = 1.0
-    memory["people"]["speed_scale"] = 1.0
+    memory["operator"]["speed_scale"] = 1.0
     return loop
 
 

@@ -1,0 +1,100 @@
+"""The last line of defence: what is about to be commanded, against the limits.
+
+A next setpoint that breaks a limit is never sent: the fault is latched first and the arm brakes from the last good one.
+"""
+
+import math
+
+from compilation.jit import jit
+from motion import limits
+from rtloop.memory.axis import Commanded
+from rtloop.memory.state import Loop, Shared
+from rtloop.safety.faults import STOP_FRAMES, latch_fault
+from rtloop.trajectory.limits import band, first_broken, hardest_rad_s2, highest_rad_s
+from shm.words import Fault
+
+BESIDE_RAD = 1e-9
+"""What the arithmetic of a stop may put a joint beyond its limit."""
+
+
+@jit
+def check_next_setpoint(loop: Loop, shared: Shared) -> bool:
+    """Whether every joint's next setpoint is finite and inside its limits; latches the first that is not.
+
+    Velocity and acceleration are differences of the positions themselves, not of what the sampler claims. A setpoint
+    from which the joint could not be stopped inside its position limits any more, with all the acceleration that may
+    be commanded, breaks them too: whatever followed would.
+    """
+    params = loop.params
+    period_s = params.period_ns * 1e-9
+    for joint in range(params.joint_count):
+        row, axis = loop.joints[joint], loop.axes[joint]
+        commanded = axis.commanded
+        p = commanded.next_position_rad
+        if not math.isfinite(setpoint_sum(commanded)):
+            latch_fault(loop, shared, Fault.NOT_FINITE, joint, setpoint_sum(commanded), 0.0)
+            return False
+        velocity = (p - commanded.position_rad) / period_s
+        acceleration = (velocity - commanded.difference_velocity_rad_s) / period_s
+        max_velocity, max_acceleration = highest_rad_s(loop, joint), hardest_rad_s2(loop, joint)
+        low, high = band(row.lower_rad, row.upper_rad, row.slack_rad)
+        broken = first_broken(
+            p,
+            velocity,
+            acceleration,
+            min(low, commanded.position_rad),  # a joint that was found outside may move in
+            max(high, commanded.position_rad),
+            max_velocity,
+            # one step of a position in double precision, differenced twice, is not an acceleration
+            max_acceleration + 1e-15 / (period_s * period_s),
+        )
+        if broken == limits.POSITION:
+            latch_fault(loop, shared, Fault.POSITION_LIMIT, joint, p, low if p < low else high)
+            return False
+        stop = p + stopping_distance_rad(velocity, max_acceleration, period_s)
+        if (velocity > 0.0 and stop > high + BESIDE_RAD) or (velocity < 0.0 and stop < low - BESIDE_RAD):
+            latch_fault(loop, shared, Fault.POSITION_LIMIT, joint, stop, low if velocity < 0.0 else high)
+            return False
+        if broken == limits.VELOCITY:
+            latch_fault(loop, shared, Fault.VELOCITY_LIMIT, joint, velocity, max_velocity)
+            return False
+        if broken == limits.ACCELERATION:
+            latch_fault(loop, shared, Fault.ACCELERATION_LIMIT, joint, acceleration, max_acceleration)
+            return False
+    return True
+
+
+@jit
+def setpoint_sum(commanded: Commanded) -> float:
+    """Finite only where all of the next setpoint is, since no sum with what is not finite is."""
+    return float(commanded.next_position_rad + commanded.next_velocity_rad_s + commanded.next_acceleration_rad_s2)
+
+
+@jit
+def may_be_sent(loop: Loop, shared: Shared, joint: int, position: float, velocity: float = 0.0) -> bool:
+    """The last check before a family makes a frame of what leads its drive, in whatever unit.
+
+    What makes that of a setpoint (errors, ramps, bounds) comes after `check_next_setpoint`, and most frames hold whole
+    numbers, among which nothing says "no number". An infinite setpoint that a bound has made finite is refused too. The
+    joint is told to stop then, whatever fault is latched already, and the others brake by themselves.
+    """
+    axis = loop.axes[joint]
+    total = setpoint_sum(axis.commanded) + position + velocity
+    if math.isfinite(total):
+        return True
+    latch_fault(loop, shared, Fault.NOT_FINITE, joint, total, 0.0)
+    loop.motion.per_joint_stop = 1
+    axis.sent.stop_frames_due = STOP_FRAMES
+    return False
+
+
+@jit
+def stopping_distance_rad(velocity_rad_s: float, braking_rad_s2: float, period_s: float) -> float:
+    """How far the setpoints of a joint still go (rad, signed) when each period takes as much velocity as can be.
+
+    `velocity_rad_s` is that between the last two of them. What such a step leaves of the way is just what this says
+    of the velocity that is left: a joint that can stop in time still can in the next cycle.
+    """
+    step = braking_rad_s2 * period_s
+    steps = math.floor(abs(velocity_rad_s) / step)
+    return math.copysign(steps * (abs(velocity_rad_s) - 0.5 * step * (steps + 1)) * period_s, velocity_rad_s)

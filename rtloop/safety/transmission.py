@@ -1,0 +1,102 @@
+"""Which frames may leave in a cycle: targets, questions, and what probes a silent bus."""
+
+from compilation.jit import jit
+from config.frames import ADAPTER_FRAMES
+from rtloop.memory.state import Loop
+from rtloop.safety.faults import STOP_FRAMES
+from rtloop.safety.monitor import silent_ns
+from rtloop.trajectory.limits import at_rest
+from shm.words import Mode
+
+PROBES = 10
+"""Drives are asked so often, each time one of them, between the last frame that came and the latched fault."""
+
+
+@jit
+def may_be_led(loop: Loop, joint: int) -> bool:
+    """Whether a drive gets motion frames: not while it is in doubt what it would make of them.
+
+    One that does not answer may have been switched off and on, and then counts from somewhere else; what is sent into
+    a blocked wire besides arrives when the arm has long been stopped. Without frames a drive brakes by itself.
+    """
+    axis = loop.axes[joint]
+    if axis.reference.referenced == 0 or axis.checks.bad_statuses > 0 or axis.checks.suspect == 1:
+        return False
+    if loop.params.fast_targets == 1 and axis.sent.fast_ready == 0:
+        return False
+    return bool(silent_ns(loop, joint) <= loop.params.stale_brake_ns)
+
+
+@jit
+def report_is_asked_for(loop: Loop, joint: int) -> bool:
+    """Whether a drive that should report, and does not, is asked in this cycle.
+
+    One that has lost power reports nothing any more and would wait for the age ladder with a target that means another
+    place; its answer tells at once. Every other cycle, so that asking takes less of the bus than the reports it stands
+    in for. What it answers does not make it younger: a drive that has ceased to report ends as a silent one.
+    """
+    axis = loop.axes[joint]
+    overdue = (
+        axis.reply.unanswered_since_ns != 0
+        and loop.timing.now_ns - axis.reply.unanswered_since_ns >= loop.params.report_overdue_ns
+    )
+    return bool(overdue and (loop.timing.cycle + joint) & 1 == 0)
+
+
+@jit
+def somebody_listens(loop: Loop) -> bool:
+    """Whether this cycle's frames may leave, because a drive was just heard or because there is room for them.
+
+    While no drive acknowledges, an adapter or the system keeps what it is given, and says it to the drives when their
+    power returns: they boot enabled, count from zero, and would go to targets that mean something else. So what is
+    kept is bounded by what leaves room for each drive's stop command: the last word is a stop.
+    """
+    joints = loop.params.joint_count
+    cycle_frames = 3 * joints + 1
+    return loop.bus.unheard_frames == 0 or loop.bus.unheard_frames + cycle_frames + PROBES + joints <= ADAPTER_FRAMES
+
+
+@jit
+def may_probe(loop: Loop) -> bool:
+    """Whether it is time to ask a silent bus again, and no stop command could lose its room by that."""
+    params = loop.params
+    if loop.timing.now_ns - loop.bus.probed_ns < params.stale_fault_ns // PROBES:
+        return False
+    stops_to_come = 0
+    for joint in range(params.joint_count):
+        stops_to_come += loop.axes[joint].reference.referenced
+    return bool(stops_to_come == 0 or loop.bus.unheard_frames + stops_to_come < ADAPTER_FRAMES)
+
+
+@jit
+def drives_are_led(loop: Loop) -> bool:
+    """Whether motion frames leave in this cycle.
+
+    In a latched fault only until the arm stands: what moved it away afterwards must not be followed up, and the
+    drives hold their last target by themselves. Drives that were out of reach have come to rest elsewhere.
+    """
+    if loop.motion.started == 0 or loop.motion.resync_ns != 0 or loop.bus.transmit_inhibited == 1:
+        return False
+    if loop.mode == Mode.FAULT:
+        return not at_rest(loop)
+    standing = loop.mode == Mode.HOLDING or loop.mode == Mode.REFERENCING
+    return standing or loop.mode == Mode.EXECUTING or loop.mode == Mode.STOPPING
+
+
+@jit
+def stop_displaced_drives(loop: Loop) -> None:
+    """Once the arm stands in a latched fault nothing is made up for: a drive that is not where it was led stops there.
+
+    It would go on towards its last target, or push against what holds it.
+    """
+    motion = loop.motion
+    if loop.mode != Mode.FAULT or motion.rested == 1 or loop.bus.transmit_inhibited == 1 or not at_rest(loop):
+        return
+    motion.rested = 1
+    for joint in range(loop.params.joint_count):
+        axis = loop.axes[joint]
+        if (
+            motion.started == 1
+            and abs(axis.commanded.position_rad - axis.measured.position_rad) > 2.0 * loop.joints[joint].slack_rad
+        ):
+            axis.sent.stop_frames_due = STOP_FRAMES
