@@ -1,4 +1,4 @@
-"""The frames of a cycle: motion first, then readings, then what conversations want to say."""
+"""The frames of a cycle: motion first, then questions for readings, then those of service dialogues."""
 
 from compilation.jit import jit
 from rtloop.drives import families
@@ -20,8 +20,8 @@ def encode(loop: Loop, shared: Shared) -> None:
     if received.closed(loop) != 0:
         say_nothing(loop)
         return
-    heard = transmission.somebody_listens(loop)
-    leads = heard and transmission.drives_are_led(loop)
+    leaves = transmission.frames_may_leave(loop)
+    leads = leaves and transmission.drives_are_led(loop)
     transmission.stop_displaced_drives(loop)
     for joint in range(params.joint_count):
         axis = loop.axes[joint]
@@ -32,7 +32,7 @@ def encode(loop: Loop, shared: Shared) -> None:
                 axis.sent.stop_frames_due -= 1  # comes back if the wire does not take it
         elif leads and transmission.may_be_led(loop, joint):
             families.lead(loop, joint, shared)
-    if loop.mode != Mode.OFFLINE and heard:
+    if loop.mode != Mode.OFFLINE and leaves:
         ask(loop, shared)
     elif loop.mode != Mode.OFFLINE:
         probe(loop, shared)
@@ -43,7 +43,7 @@ def encode(loop: Loop, shared: Shared) -> None:
 
 @jit
 def say_nothing(loop: Loop) -> None:
-    """The wire is gone: drives are silent from now on, and what conversations wanted to say is not said later."""
+    """The wire is gone: drives are silent from now on, and waiting frames of service dialogues are dropped."""
     for joint in range(loop.params.joint_count):
         if families.is_on_the_bus(loop, joint) and loop.axes[joint].reply.unanswered_since_ns == 0:
             loop.axes[joint].reply.unanswered_since_ns = loop.timing.now_ns
@@ -95,7 +95,7 @@ def probe(loop: Loop, shared: Shared) -> None:
 
 @jit
 def send_service_frames(loop: Loop, shared: Shared) -> None:
-    """Send what conversations want to say in the bus time this cycle leaves; packets of one command together."""
+    """Send frames of service dialogues in the bus time that this cycle leaves; packets of one command together."""
     bus = loop.bus
     spare = loop.params.service_bits - loop.outgoing.bits
     bus.service_credit_bits = min(bus.service_credit_bits + spare, loop.params.service_bits)

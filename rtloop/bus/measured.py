@@ -19,7 +19,7 @@ from shm.layout import MAX_JOINTS
 from shm.words import BusState, Fault, Mode
 
 SHORTEST_SHARE = 0.25
-"""Two readings nearer than this share of a period say nothing about a velocity."""
+"""Two readings nearer than this share of a period give no velocity."""
 ENETDOWN = 100
 SMOOTHING_S = 0.1
 """One encoder count differenced twice is more than most acceleration limits; over this time it averages out."""
@@ -64,7 +64,7 @@ def take_frames(loop: Loop, shared: Shared, end: int, time_ns: int) -> None:
 
 @jit
 def take_error(loop: Loop, shared: Shared, error_class: int, data: int) -> None:
-    """What the controller says of its bus. Only bus-off is a fault by itself: nothing leaves any more.
+    """The state that the bus controller reports. Only bus-off is a fault by itself: nothing leaves any more.
 
     What the kernel held back at bus-off is dropped there; from here on nothing but readings may be asked for.
     """
@@ -84,7 +84,7 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, kind: int, length: int
     """A frame from a drive: into the axis it belongs to, and to the conversation that may wait for it.
 
     Adapters may echo what they send. A question is never as long as its answer and no answer begins as a command does,
-    so an echo says nothing here.
+    so an echo means nothing here.
     """
     shared.counters.frames_received += 1
     shared.counters.bits_on_bus += frame_bits(kind, length)
@@ -101,7 +101,7 @@ def take_frame(loop: Loop, shared: Shared, frame_id: int, kind: int, length: int
 
 @jit
 def whose(loop: Loop, frame_id: int, kind: int) -> int:
-    """The joint whose drive says such a frame, GRIPPER or NOBODY."""
+    """The joint whose drive sends such a frame, GRIPPER or NOBODY."""
     for number in range(loop.params.listener_count):
         listener = loop.listeners[number]
         if (frame_id ^ listener.match) & listener.mask == 0 and kind == listener.kind:
@@ -132,9 +132,9 @@ def take_position(loop: Loop, shared: Shared, joint: int, position_rad: float, r
     if params.reported == 1:
         waited_ns = read_ns - measured.time_ns if measured.readings > 0 else 0
     monitor.stop_if_it_was_away(loop, joint, waited_ns)
-    if params.reported == 0 or axis.reply.has_report == 1:  # an answer tells where it is, not that it reports
+    if params.reported == 0 or axis.reply.has_report == 1:  # an answer holds a position, but is no report
         axis.reply.unanswered_since_ns = 0
-    # nothing in an answer says which question it answers: it may be as old as the oldest one
+    # an answer does not name its question: it may be as old as the oldest one
     tracking.lag_ns = max(waited_ns - params.reading_ns, tracking.lag_ns - (read_ns - measured.time_ns), 0)
     tracking.lag_rad = (
         abs(reference_rad - commanded_at(loop, joint, read_ns - tracking.lag_ns)) if tracking.lag_ns > 0 else 0.0

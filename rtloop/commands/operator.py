@@ -84,7 +84,7 @@ def obey_stop_and_hold(loop: Loop, shared: Shared, command: int) -> None:
 
 @jit
 def note(loop: Loop, shared: Shared, kind: int, offset: int) -> None:
-    """An event that says what was asked, and by which process."""
+    """Record what was commanded, and by which process."""
     # pairs with `CommandWriter._store`; only told
     who = load_acquire(loop.params.command_address + offset + _WORD)
     record_event(loop, shared, Event.COMMAND, -1, kind, float(who), 0.0)

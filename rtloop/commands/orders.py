@@ -1,4 +1,4 @@
-"""Orders of the conversation in ordinary Python: how bring-up tells the cycle where the joints stand."""
+"""Orders of the dialogues in ordinary Python: how bring-up sets where the joints are commanded to be."""
 
 import math
 
@@ -18,7 +18,7 @@ from shm.words import Answer, BusState, Event, Fault, Mode, Outcome, Request, Un
 _ANY_REASON = -1
 
 POSE_DUE_NS = 120_000_000_000
-"""A ROS process that begins later than that after homing at the start finds an arm that nobody expects to move."""
+"""A ROS process that starts later than that after homing at the start does not move the arm to its pose."""
 
 
 @jit
@@ -102,7 +102,7 @@ def begin_bring_up(loop: Loop, shared: Shared) -> None:
 
 @jit
 def forgive_silence(loop: Loop, joint: int) -> None:
-    """A drive that had power all along went on counting: that nobody heard it says nothing against its angle."""
+    """A drive that had power all along went on counting: its silence costs no angle."""
     axis = loop.axes[joint]
     if axis.reference.unreferenced_reason == Unreferenced.SILENT:
         axis.reference.unreferenced_reason = Unreferenced.NOT_BROUGHT_UP
@@ -110,7 +110,7 @@ def forgive_silence(loop: Loop, joint: int) -> None:
 
 @jit
 def forget_count(loop: Loop, joint: int) -> None:
-    """The drive sets its count anew, at a place of its own choice; what made it doubtful before still does."""
+    """The drive sets its count anew, at a place of its own choice; an earlier loss of power still counts."""
     axis = loop.axes[joint]
     axis.reference.referenced = axis.reference.power_loss_known = 0
     if axis.reference.unreferenced_reason != Unreferenced.POWER_LOST:
@@ -123,7 +123,7 @@ def count_from(loop: Loop, joint: int, zero_rad: float, power_loss_known: int) -
     axis = loop.axes[joint]
     loop.joints[joint].zero_rad = zero_rad
     axis.reference.power_loss_known = power_loss_known
-    axis.reference.referenced = 0  # until it is told where the joint stands
+    axis.reference.referenced = 0  # until the position of the joint is set
     axis.reference.unreferenced_reason = Unreferenced.NOT_BROUGHT_UP
     axis.measured.readings = axis.tracking.lag_ns = 0
     axis.checks.bad_statuses = axis.checks.suspect = axis.checks.refusals = 0

@@ -150,7 +150,7 @@ def _pass_to_gripper(loop: Loop) -> int:
 
 @jit
 def _let_go(loop: Loop, shared: Shared, mode: int) -> int:
-    """Let the drives of a standing arm go limp; nothing else ever does."""
+    """Disable the drives of a standing arm; nothing else ever does."""
     if loop.mode == mode:
         return Answer.DONE
     if loop.mode == Mode.EXECUTING or loop.mode == Mode.STOPPING or waits(loop) or loop.motion.resync_ns != 0:
@@ -169,7 +169,7 @@ def _let_go(loop: Loop, shared: Shared, mode: int) -> int:
 
 @jit
 def begin_referencing(loop: Loop, shared: Shared, kind: int, joint_mask: int, angle_rad: float) -> int:
-    """Let joints of a standing arm be homed, or be where a person says."""
+    """Begin to home joints of a standing arm, or to set their angles as requested."""
     dialogue, count = loop.dialogue, loop.params.joint_count
     if kind == Request.HOME and loop.operator.held == 1:
         return Answer.REFUSED_HELD
@@ -196,7 +196,7 @@ def begin_referencing(loop: Loop, shared: Shared, kind: int, joint_mask: int, an
 
 @jit
 def _may_stand_at(loop: Loop, joint: int, angle_rad: float) -> bool:
-    """Whether a person may say so: no joint is outside its limits, and some counts are from nowhere."""
+    """Whether a joint may be set to an angle: inside its limits, or NaN (its own count) where that is trusted."""
     if math.isnan(angle_rad):
         reason = loop.axes[joint].reference.unreferenced_reason
         return bool(reason != Unreferenced.POWER_LOST and reason != Unreferenced.NOT_HOMED)

@@ -194,7 +194,7 @@ def _finite(row: Any) -> bool:
 
 @jit
 def _end_goal(loop: Loop, shared: Shared, path_index: int) -> None:
-    """No waypoint follows; the record in the scratch says what is allowed at the end."""
+    """No waypoint follows; the record in the scratch holds the tolerances of the end."""
     path = loop.paths[path_index]
     for joint in range(loop.params.joint_count):
         row = loop.scratch.joints[joint]
@@ -271,7 +271,7 @@ def _begin_goal(loop: Loop, shared: Shared) -> None:
     path = loop.paths[incoming(loop)]
     change_phase(loop, incoming(loop), Phase.WAITING)
     path.goal_id = goal_id
-    path.told = 0
+    path.decided = 0
     path.settle_start_ns = 0
     path.reason, path.reason_joint = Outcome.NONE, -1
     path.reason_value = path.reason_limit = 0.0

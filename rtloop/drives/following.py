@@ -27,7 +27,7 @@ def setpoint(loop: Loop, joint: int) -> tuple[float, float]:
 
 @jit
 def still_behind_rad(loop: Loop, joint: int, setpoint_rad: float) -> float:
-    """How far what a drive is told stays behind the setpoint, because it was not led for a while.
+    """How far the commanded position stays behind the setpoint, because it was not led for a while.
 
     It has stood at its last target meanwhile, and would jump to a new one within a period. So it begins at rest from
     where it is, with the joint's acceleration limit, and makes good what it is behind at a share of its highest speed;

@@ -1,9 +1,9 @@
-"""Leading a drive that plans its own ramp to whatever target it heard last: a target ahead, a speed that sets the pace.
+"""Leading a drive that plans its own ramp to the target it received last: a target ahead, a speed that sets the pace.
 
 A target at the setpoint would make it sprint and stop in every cycle. So the target lies ahead of the setpoint by one
 period of motion plus the braking distance of the drive's ramp, and the speed alone sets the pace: the planned mean
 velocity of the coming period plus a small share of the measured error. Since the ramp is 1.5 to 2 times the joint's
-acceleration limit, a drive that hears nothing more brakes by itself, bounded, on the target's last word.
+acceleration limit, a drive that receives nothing more brakes by itself, bounded, towards its last target.
 """
 
 import math
@@ -20,7 +20,7 @@ from rtloop.trajectory.limits import clamped_rad
 def target_ahead(loop: Loop, joint: int, coarse_rad_s: float) -> tuple[float, float]:
     """Target (rad) and signed speed (rad/s) that lead a drive through the coming period.
 
-    `coarse_rad_s` is by how much the speed it is told may be off for a period because it is a whole number of something
+    `coarse_rad_s` is by how much the commanded speed may be off for a period because it is a whole number of something
     (whose remainder the caller carries over): to correct the error of that would only add to it.
     """
     row, axis = loop.joints[joint], loop.axes[joint]

@@ -8,7 +8,7 @@ from rtloop.safety import monitor
 
 @jit
 def receive_position(loop: Loop, joint: int, position_rad: float, time_ns: int) -> None:
-    """Keep a position until everything has been heard: answers that come twice, late or in a burst count once.
+    """Keep a position until all bytes of the cycle are read: answers that come twice, late or in a burst count once.
 
     Answers and reports are the same bytes; what comes while no question is open is a report.
     """
@@ -47,7 +47,7 @@ def receive_effort(loop: Loop, joint: int, effort_nm: float) -> None:
 
 @jit
 def receive_temperature(loop: Loop, joint: int, temperature_c: float) -> None:
-    """Keep the highest temperature that the drive tells of itself."""
+    """Keep the highest temperature that the drive reports."""
     loop.axes[joint].drive.temperature_c = temperature_c
 
 
@@ -68,7 +68,7 @@ def receive_status(loop: Loop, joint: int, status: int) -> None:
 
 @jit
 def receive_refusal(loop: Loop, shared: Shared, joint: int, of_motion: bool) -> None:
-    """A drive does not do what it was told."""
+    """A drive has refused a command."""
     shared.counters.drive_errors += 1
     if of_motion:
         loop.axes[joint].checks.refusals += 1

@@ -1,1 +1,1 @@
-"""What the cycle remembers (`state`) and what it tells of itself: modes, events, the flight recorder."""
+"""What the cycle remembers (`state`) and what it records: modes, events, the flight recorder."""

@@ -1,13 +1,13 @@
-"""What the cycle remembers of each joint: what its file says, what is commanded, measured and heard of its drive."""
+"""What the cycle remembers of each joint: parameters, setpoints, measurements and the state of its drive."""
 
 from rtloop.memory.record import Record
 
 NOT_LED = -1
-"""A drive that was adopted where it stands, and has been told nothing since."""
+"""A drive whose setpoint was synced to where it stands, and that was commanded nothing since."""
 QUESTIONS = 2
 """Questions for one drive's position that are taken to be open at most: an answer may come a cycle late, or never."""
 FRESH_READINGS = 3
-"""A reading that is as old as so many that should have come since tells nothing of where the joint is."""
+"""A reading that is as old as so many that should have come since is no position of the joint."""
 FAMILY_MOCK = 0
 """A joint's family is its place among `config.joint.FAMILIES`, whose first is no drive at all."""
 
@@ -17,11 +17,11 @@ class JointParams(Record, writers=("commands.orders",)):
 
     family: int
     address: int
-    command_per_rad: float  # what the drive is told (a stepper: pulses) for a radian; the joint's direction is in it
-    reading_per_rad: float  # what it tells (a stepper: encoder counts), likewise
+    command_per_rad: float  # units of a command (a stepper: pulses) for a radian; the joint's direction is in it
+    reading_per_rad: float  # units of a reading (a stepper: encoder counts), likewise
     reading_step_rad: float  # the least that two readings can differ
     zero_rad: float
-    knows_its_angle: int  # 1: what it tells means an angle as soon as it has power
+    knows_its_angle: int  # 1: its reading means an angle as soon as it has power
     lower_rad: float
     upper_rad: float
     slack_rad: float  # what rounding to pulses and counts may put a joint at its limit beyond it
@@ -29,8 +29,8 @@ class JointParams(Record, writers=("commands.orders",)):
     max_acceleration_rad_s2: float
     silence_deceleration_rad_s2: float
     acc_byte: int
-    status_timeout_ns: int  # within which a drive says its status by itself, 0 where it is asked
-    effort_per_unit: float  # torque at the joint (Nm) for one of what the drive tells, 0 = it tells none
+    status_timeout_ns: int  # within which a drive sends its status by itself, 0 where it is asked
+    effort_per_unit: float  # torque at the joint (Nm) for one unit that the drive reports, 0 = it reports none
     # what the fields of a drive's frames reach either way, at its own shaft; 0 where that is fixed
     range_rad: float
     range_rad_s: float
@@ -38,14 +38,14 @@ class JointParams(Record, writers=("commands.orders",)):
     stiffness_nm_rad: float  # with which it follows set-points, at its own shaft; 0 where that is its own
     damping_nm_s_rad: float
     plans_its_motion: int  # 1: it goes to targets with a ramp of its own
-    position_bytes: int  # length of the frame that tells its position, where that is a setting
+    position_bytes: int  # length of the frame that holds its position, where that is a setting
     gains_word: int  # stiffness and damping as the frames hold them, where they come with each set-point
     position_gain_1_s: float  # of its own position loop, 0 where that is not needed
     host_id: int  # what it answers to, where that stands in its identifiers
     rpm_per_rad_s: float
     command_delay_s: float  # from the start of the cycle until its target has reached the drive
     reply_delay_ns: int  # from the drive's reading of its encoder until the reply has arrived
-    report_delay_ns: int  # the same of a report, which nobody asked for
+    report_delay_ns: int  # the same of a report, which is sent unasked
 
 
 class Commanded(Record, writers=("commands.orders", "cycle", "setpoints")):
@@ -94,7 +94,7 @@ class Reply(Record, writers=("bus.frames", "bus.measured", "commands.orders", "c
     """Positions as they come from the drive, and questions for them."""
 
     is_new: int  # 1: a position came since the last cycle
-    has_report: int  # 1: one that nobody had asked for was among what came
+    has_report: int  # 1: an unasked one was among what came
     position_rad: float  # the last one that did
     time_ns: int
     questions: int  # that may still be answered, QUESTIONS at most
@@ -108,7 +108,7 @@ class Checks(Record, writers=("commands.orders", "drives.receiving", "safety.mon
 
     suspect: int  # 1: the last reading was implausible and waits for the next one to agree
     suspect_rad: float
-    bad_statuses: int  # statuses in a row that say the drive does not hold its position
+    bad_statuses: int  # statuses in a row with which the drive does not hold its position
     refusals: int  # of motion commands since the last sound status
 
 
@@ -120,13 +120,13 @@ class DriveState(Record, writers=("bus.frames", "commands.orders", "drives", "sa
     temperature_c: float
     voltage_v: float
     status: int
-    status_ns: int  # when a drive that says its status by itself has done so last
+    status_ns: int  # when a drive that sends its status by itself has done so last
     status_readings: int
-    error_code: int  # that its drive told last, 0 none
-    firmware: int  # major version << 8 | minor version, 0 where it has not told
+    error_code: int  # that its drive reported last, 0 none
+    firmware: int  # major version << 8 | minor version, 0 where it is not known
     brake_released: int  # 1: it has said that its brake is released
-    holds_stalled: int  # 1: it goes on holding where it stalls, and says no more than that it does
-    is_disabled: int  # 1: it was told to let go, and has said so
+    holds_stalled: int  # 1: it goes on holding where it stalls, and reports just that
+    is_disabled: int  # 1: it was disabled, and has confirmed that
 
 
 class Reference(Record, writers=("commands.orders", "commands.request_reader", "safety.monitor")):
@@ -134,7 +134,7 @@ class Reference(Record, writers=("commands.orders", "commands.request_reader", "
 
     referenced: int
     unreferenced_reason: int
-    asked_rad: float  # where a person says that the joint stands, NaN = as its drive counts
+    asked_rad: float  # the angle that was requested for the joint, NaN = as its drive counts
     power_loss_known: int  # 1: the drive's flag for lost power stays, and where it counts from is known
     lost_at_rad: float  # its last reading when its reference was lost
 
@@ -159,7 +159,7 @@ class Sent(
     fast_offset_rad: float  # by which its targets lie further ahead than they should, so that it is on time
     behind_rad: float  # by which its targets still lie behind the setpoint, because it was not led for a while
     behind_rad_s: float  # how fast that grows
-    led_cycle: int  # the last one in which it was led, where that is told apart; NOT_LED since it was adopted
+    led_cycle: int  # the last one in which it was led, where that is told apart; NOT_LED since its setpoint was synced
     asked_cycle: int  # the last one in which a command has asked it for its position as well
 
 

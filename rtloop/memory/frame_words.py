@@ -4,4 +4,4 @@ STANDARD = 0
 EXTENDED = 1
 """Its identifier has 29 bits."""
 REMOTE = 2
-"""It asks for data and has none; its length says how many are asked for."""
+"""It asks for data and has none; its length is how many are asked for."""

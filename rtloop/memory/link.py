@@ -57,7 +57,7 @@ class Part(Record, writers=()):
 
 
 class Arrived(Record, writers=()):
-    """What the reader's thread says of the receive ring, on lines of its own (`LINE_BYTES` of shm.layout)."""
+    """What the reader's thread writes of the receive ring, on lines of its own (`LINE_BYTES` of shm.layout)."""
 
     bytes: int
     chunks: int
@@ -71,7 +71,7 @@ class Arrived(Record, writers=()):
 
 
 class Taken(Record, writers=()):
-    """What the cycle says of the receive ring, likewise."""
+    """What the cycle writes of the receive ring, likewise."""
 
     bytes: int
     chunks: int
@@ -160,17 +160,17 @@ class Bus(
     """The bus beyond single drives: whose turn it is to be asked, and for how long nothing has answered."""
 
     transmit_inhibited: int  # 1: the drives were out of reach and get no motion frame until they are brought up again
-    unheard_frames: int  # given to the wire since a drive was last heard
+    unheard_frames: int  # given to the wire since the last frame of a drive
     probe_turn: int
     probed_ns: int
     service_credit_bits: int
     status_turn: int
     sync_cycle: int  # in which the last SYNC left
-    unacknowledged_since_ns: int  # the oldest question for a status since which no drive has told any, 0 none
+    unacknowledged_since_ns: int  # the oldest question for a status since which none has come, 0 none
 
 
 class Quiet(Record, writers=("bus.frames", "bus.measured", "cycle", "safety.silence", "wire.slcan")):
-    """What happens while no drive is heard, for `rtloop.safety.silence` alone."""
+    """What happens while no frame of a drive comes, for `rtloop.safety.silence` alone."""
 
     heard_ns: int  # arrival of the last frame of any drive
     heard_before_ns: int  # the same in the cycle before
@@ -178,7 +178,7 @@ class Quiet(Record, writers=("bus.frames", "bus.measured", "cycle", "safety.sile
     adapter_words_before: int  # in the cycle before
     adapter_ns: int  # cycle in which the last of them was taken
     spoke_ns: int  # cycle that last had anything to send
-    # since a drive was heard
+    # since the last frame of a drive
     away_ns: int  # for how long the cycle was away
     bytes_unsent: int  # these are the counters of then
     unacknowledged: int
@@ -187,7 +187,7 @@ class Quiet(Record, writers=("bus.frames", "bus.measured", "cycle", "safety.sile
 
 
 class Listener(Record, writers=()):
-    """Who hears frames whose identifier has the bits of `match` where `mask` has ones."""
+    """Who receives frames whose identifier has the bits of `match` where `mask` has ones."""
 
     match: int
     mask: int

@@ -123,7 +123,7 @@ class Path(
     reason_joint: int
     reason_value: float
     reason_limit: float
-    told: int  # 1: its goal is decided, also where the arm still stops
+    decided: int  # 1: its goal is decided, also where the arm still stops
     settle_start_ns: int  # when its last point is the commanded one, 0 = not yet
     taken: int  # waypoints taken; the newest is at (taken - 1) % WINDOW_WAYPOINTS
     segment: int  # waypoint at the start of the running segment

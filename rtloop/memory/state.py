@@ -98,10 +98,10 @@ class Dialogue(
     bring_up_asked: int
     release_asked: int
     home_asked: int  # joint mask
-    reference_asked: int  # joint mask; `asked_rad` of each says where it stands
+    reference_asked: int  # joint mask; `asked_rad` of each is its angle
     referencing_ends: int  # 1: a person, a fault or a shutdown ends what HOME or REFERENCE began
     referencing_joint: int
-    pose_due_ns: int  # being homed at the start: 1; homed, and nobody has asked for anything: until when
+    pose_due_ns: int  # being homed at the start: 1; homed, and nothing was requested since: until when
     healed_ns: int  # when the arm went on after a stall by itself last, since a person brought it up; 0 never
 
 

@@ -8,7 +8,7 @@ from rtloop.trajectory.phases import raise_epoch, runs, stop_running, tell_why_i
 from shm.words import Event, Fault, Mode, Outcome
 
 STOP_FRAMES = 3
-"""A drive is told to stop so many times: a frame may be lost."""
+"""A stop command is sent so many times: a frame may be lost."""
 
 
 @jit

@@ -1,4 +1,4 @@
-"""Watching the drives: following error, silence, what they say of themselves, and whether a reading is plausible."""
+"""Watching the drives: following error, silence, the status they report, and whether a reading is plausible."""
 
 from compilation.jit import jit
 from rtloop.memory import status as status_bits
@@ -19,14 +19,14 @@ _LATE_DRIVE = int(Slowed.LATE_DRIVE)
 STATUSES_TO_BELIEVE = 2
 REFUSALS_TO_BELIEVE = 2
 HAND_SHARE = 2.0
-"""A limp joint led by hand may move at this many times its highest velocity."""
+"""A disabled joint that is led by hand may move at this many times its highest velocity."""
 
 absolute_makes_good = jit(references.absolute_makes_good)
 
 
 @jit
 def check_measured(loop: Loop, shared: Shared) -> None:
-    """Following error, the age ladder's upper rung, and what the drives say of themselves.
+    """Check following error, the age of the readings, and the status that the drives report.
 
     A drive that ran on while the loop was away is not to blame for the distance (`slip_rad`): the error share
     in the speed field takes it back at the rate at which that allowance decays.
@@ -84,7 +84,7 @@ def latch_silence(loop: Loop, shared: Shared, joint: int, age_ns: int) -> None:
 
 @jit
 def disabled_on_purpose(loop: Loop, status: int) -> bool:
-    """Whether all that is wrong with a drive is that it holds nothing, as it was told."""
+    """Whether all that is wrong with a drive is that it holds nothing, as it was commanded."""
     return is_disabled(loop.mode) and status & (status_bits.PROTECTED | status_bits.POWER_LOST) == 0
 
 
@@ -126,10 +126,10 @@ def take_status(loop: Loop, joint: int, status: int) -> None:
 
 @jit
 def knows_where_it_stands(loop: Loop, joint: int) -> bool:
-    """Whether the last reading tells where the joint is now, so that its drive can be told to stay there.
+    """Whether the last reading is the present position, so that the drive can be commanded to stay there.
 
-    A follower of set-points that hears no more of them stands at its last one; an old or garbled reading, or one that
-    was counted from another zero, would move it away from there.
+    A follower of set-points that receives no more of them stands at its last one. A reading that is old, garbled or
+    counted from another zero would move it away from there.
     """
     axis = loop.axes[joint]
     if axis.measured.readings == 0 or axis.checks.suspect == 1:
@@ -152,9 +152,9 @@ def lose_reference(loop: Loop, shared: Shared, joint: int, reason: int) -> None:
 
 @jit
 def stop_if_it_was_away(loop: Loop, joint: int, waited_ns: int) -> None:
-    """A drive that is heard again after it lost its reference may not have heard its stop command, whatever the mode.
+    """A drive that answers again after it lost its reference may have missed its stop command, whatever the mode.
 
-    A bring-up that somebody has asked for meanwhile has forgotten how long the drive was away: then its first reading.
+    A bring-up that was requested meanwhile has forgotten how long that was: then its first reading counts.
     """
     axis = loop.axes[joint]
     lost = loop.mode == Mode.FAULT or outlives_a_clear(loop, joint)
@@ -212,7 +212,7 @@ def possible_rad(loop: Loop, joint: int, since_ns: int) -> float:
     """How far a joint may have moved since its last reading beside what was commanded.
 
     By what the error adds to its speed, by what it ran on while the loop was away, and from where it was if that
-    reading was late; a limp one as fast as a hand can lead it.
+    reading was late; a disabled one as fast as a hand can lead it.
     """
     axis, row = loop.axes[joint], loop.joints[joint]
     by_hand = is_disabled(loop.mode) or stays_disabled(loop, joint)
@@ -228,9 +228,9 @@ def possible_rad(loop: Loop, joint: int, since_ns: int) -> float:
 
 @jit
 def silent_ns(loop: Loop, joint: int) -> int:
-    """For how long a drive has told nothing that was expected of it, 0 if it owes nothing.
+    """For how long an expected frame of a drive is missing (ns), 0 if none is expected.
 
-    Reports come whether or not the drives hear anything; that they do only answers tell, of which each cycle expects
+    Reports come whether or not the drives receive anything; only answers prove that they do, and each cycle expects
     one from some drive. While there is none the drives are as good as silent.
     """
     axis = loop.axes[joint]

@@ -1,4 +1,5 @@
-"""What two readings say together: the serial line has no checksum, so one alone may be garbled."""
+"""An error counts only as far as two readings in a row agree on it: the serial line has no checksum, so one alone may
+be garbled."""
 
 import math
 

@@ -4,7 +4,7 @@ from shm.words import Unreferenced
 
 
 def absolute_makes_good(reason: int) -> bool:
-    """Whether a reason means nothing for a drive whose encoder is absolute: it tells an angle whatever happened.
+    """Whether a reason means nothing for a drive whose encoder is absolute: its reading is an angle whatever happened.
 
     That is not so where its readings themselves were in doubt.
     """

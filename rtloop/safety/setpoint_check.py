@@ -75,8 +75,8 @@ def may_be_sent(loop: Loop, shared: Shared, joint: int, position: float, velocit
     """The last check before a family makes a frame of what leads its drive, in whatever unit.
 
     What makes that of a setpoint (errors, ramps, bounds) comes after `check_next_setpoint`, and most frames hold whole
-    numbers, among which nothing says "no number". An infinite setpoint that a bound has made finite is refused too. The
-    joint is told to stop then, whatever fault is latched already, and the others brake by themselves.
+    numbers, none of which means "no number". An infinite setpoint that a bound has made finite is refused too. The
+    joint is commanded to stop then, whatever fault is latched already, and the others brake by themselves.
     """
     axis = loop.axes[joint]
     total = setpoint_sum(axis.commanded) + position + velocity

@@ -1,4 +1,4 @@
-"""What wire and machine did while no drive was heard: the facts behind the sentence of a silence.
+"""What wire and machine did while no frame of a drive came: the facts behind the sentence of a silence.
 
 They are for people. Nothing in the cycle is decided by them.
 """
@@ -18,7 +18,7 @@ _SIMULATED = int(Evidence.SIMULATED)
 
 @jit
 def follow(loop: Loop, shared: Shared) -> None:
-    """Once a cycle, behind all that the bus brought: note what speaks, and count anew from where a drive was heard."""
+    """Once a cycle, behind all that the bus brought: note each sign, and count anew from the last frame of a drive."""
     quiet, counters = loop.quiet, shared.counters
     if quiet.adapter_words != quiet.adapter_words_before:
         quiet.adapter_words_before = quiet.adapter_words
@@ -34,7 +34,7 @@ def follow(loop: Loop, shared: Shared) -> None:
 
 @jit
 def evidence(loop: Loop, shared: Shared) -> int:
-    """Bits of shm.words.Evidence since a drive was last heard."""
+    """Bits of shm.words.Evidence since the last frame of a drive."""
     timing, params, quiet, counters = loop.timing, loop.params, loop.quiet, shared.counters
     found = 0
     if timing.now_ns - quiet.heard_ns <= params.stale_brake_ns:

@@ -14,7 +14,7 @@ PROBES = 10
 
 @jit
 def may_be_led(loop: Loop, joint: int) -> bool:
-    """Whether a drive gets motion frames: not while it is in doubt what it would make of them.
+    """Whether a drive gets motion frames: not while its answer to them is uncertain.
 
     One that does not answer may have been switched off and on, and then counts from somewhere else; what is sent into
     a blocked wire besides arrives when the arm has long been stopped. Without frames a drive brakes by itself.
@@ -44,11 +44,11 @@ def report_is_asked_for(loop: Loop, joint: int) -> bool:
 
 
 @jit
-def somebody_listens(loop: Loop) -> bool:
-    """Whether this cycle's frames may leave, because a drive was just heard or because there is room for them.
+def frames_may_leave(loop: Loop) -> bool:
+    """Whether this cycle's frames may leave: a frame of a drive has just come, or there is room for them.
 
-    While no drive acknowledges, an adapter or the system keeps what it is given, and says it to the drives when their
-    power returns: they boot enabled, count from zero, and would go to targets that mean something else. So what is
+    While no drive acknowledges, an adapter or the system keeps what it is given, and sends it when the drives have
+    power again: they boot enabled, count from zero, and would go to targets that mean something else. So what is
     kept is bounded by what leaves room for each drive's stop command: the last word is a stop.
     """
     joints = loop.params.joint_count

@@ -163,7 +163,7 @@ def front_is_lost(loop: Loop) -> bool:
 
 @jit
 def steer(loop: Loop, shared: Shared) -> None:
-    """Decide how fast the trajectory clock should run, and begin stops that nobody asked for."""
+    """Decide how fast the trajectory clock should run, and begin the stops that are not commanded."""
     goals = loop.goals
     loop.search.checks_left = LOOKS_A_CYCLE
     if not runs(loop):

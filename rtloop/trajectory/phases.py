@@ -87,8 +87,8 @@ def tell_result(
 ) -> None:
     """Decide the goal of a path; the first decision stands."""
     path = loop.paths[path_index]
-    if path.told == 0:
-        path.told = 1
+    if path.decided == 0:
+        path.decided = 1
         set_result(loop, shared, path.goal_id, outcome, joint, value, limit)
 
 
