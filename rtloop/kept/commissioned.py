@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
+from typing import Annotated
+
+from pydantic import BeforeValidator, ConfigDict, TypeAdapter
 
 from config.drives.drive import Drive
 from config.schema import ArmConfig
@@ -39,6 +42,11 @@ class PowerProof(StrEnum):
     NONE = "none"
 
 
+def _known_proof(word: object) -> object:
+    """A word of another version's proves nothing to this one."""
+    return word if not isinstance(word, str) or word in set(PowerProof) else PowerProof.NONE
+
+
 class NotReadable(Exception):
     """The file is there and is none that was kept here; the text is the sentence people read."""
 
@@ -54,7 +62,7 @@ class Commissioned:
     """As the drive tells it, such as 2.0.0; empty where it tells none."""
     when: str
     """UTC, such as 2026-01-31T12:00:00Z."""
-    power_proof: PowerProof | None = None
+    power_proof: Annotated[PowerProof | None, BeforeValidator(_known_proof)] = None
     power: str = ""
     """What was found of that, such as "flag seen 1 after the power cycle, cleared, read 0"."""
     fast_targets: bool | None = None
@@ -97,6 +105,8 @@ class Commissioned:
 
 
 _TRUTHS = ("fast_targets", "reports", "retargets", "brakes_in_silence")
+_KEPT = TypeAdapter(dict[str, dict[str, Commissioned]], config=ConfigDict(strict=True))
+"""The file: channel → name of a joint → what was found there; another version of rtarm may say more of it, or less."""
 
 
 def load(arm: ArmConfig) -> dict[int, Commissioned]:
@@ -210,11 +220,10 @@ def _read(arm: ArmConfig) -> dict[str, dict[str, Commissioned]]:
     except NotSaved:
         return {}
     try:
-        kept = json.loads(path.read_text(encoding="utf-8"))
-        return {channel: {name: _typed(one) for name, one in joints.items()} for channel, joints in kept.items()}
+        return _KEPT.validate_json(path.read_bytes())
     except (FileNotFoundError, NotADirectoryError):
         return {}
-    except (OSError, ValueError, TypeError, AttributeError) as problem:
+    except (OSError, ValueError) as problem:
         why = problem.strerror if isinstance(problem, OSError) else "it says something else"
         raise NotReadable(
             f"What was found of the drives of {arm.name} at the bench cannot be read in {path} ({why}), so none of it "
@@ -225,23 +234,3 @@ def _read(arm: ArmConfig) -> dict[str, dict[str, Commissioned]]:
 def _is_of(found: Commissioned, drive: Drive) -> bool:
     knows = drive.knows_its_angle or found.power_proof is not PowerProof.ABSOLUTE
     return knows and (found.family, found.number) == (drive.family, drive.number)
-
-
-def _typed(values: object) -> Commissioned:
-    """One drive; another version of rtarm may say more of it, or less. Raises ValueError or TypeError for no record."""
-    if not isinstance(values, dict):
-        raise TypeError(values)
-    known = {field.name: values[field.name] for field in fields(Commissioned) if field.name in values}
-    for name, value in known.items():
-        if name == "number":
-            right = type(value) is int
-        elif name in _TRUTHS:
-            right = value is None or isinstance(value, bool)
-        else:
-            right = isinstance(value, str) or (name == "power_proof" and value is None)
-        if not right:
-            raise ValueError(f"{name} is {value!r}")
-    proof = known.get("power_proof")
-    if proof is not None:  # a word of another version's proves nothing to this one
-        proof = PowerProof(proof) if proof in set(PowerProof) else PowerProof.NONE
-    return Commissioned(**{**known, "power_proof": proof})

@@ -85,6 +85,7 @@ def test_it_is_of_these_drives_alone(arm: ArmConfig) -> None:
         "{" * 3,
         '{"slcan:x": 1}',
         '{"slcan:x": {"joint1": 1}}',
+        pytest.param("[" * 100_000, id="nested without end"),
     ],
 )
 def test_a_file_that_says_something_else_is_refused_in_a_sentence(arm: ArmConfig, text: str) -> None:
