@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import os
 import stat
-import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import IntEnum
 from pathlib import Path
@@ -50,11 +48,6 @@ from rtarm.recording.mcap_format import (
 from shm import layout
 from shm.recording import EXTENDED, LENGTH_SHIFT, REMOTE, SENT, Recording, record_dtype
 from shm.words import Slowed
-
-RECORD = struct.Struct("<BQ")
-"""Of the MCAP specification: a record's opcode, and the length of what follows."""
-MESSAGE = struct.Struct("<HIQQ")
-"""Channel, sequence, log time and publish time, before the data of a message."""
 
 
 def read(path: Path, step: Step = lambda _: None) -> Loaded:
@@ -145,7 +138,7 @@ def _topics(file: IO[bytes]) -> dict[int, str]:
 def _whole_records(file: IO[bytes], damage: _Damage, step: Step) -> Iterator[Any]:
     """A file's records one by one, those of chunks too, and before each chunk None; what is spoilt is left out."""
     from mcap.records import Chunk, Footer
-    from mcap.stream_reader import StreamReader
+    from mcap.stream_reader import StreamReader, breakup_chunk
 
     size = max(os.fstat(file.fileno()).st_size, 1)
     file.seek(0)
@@ -166,36 +159,11 @@ def _whole_records(file: IO[bytes], damage: _Damage, step: Step) -> Iterator[Any
         step(file.tell() / size)
         yield None
         try:
-            inner = [*_inside(record)]
+            inner = breakup_chunk(record, validate_crc=True)
         except Exception:  # the same, and of decompression; the next chunk may be whole
             damage.spoilt += 1
             continue
         yield from inner
-
-
-def _inside(chunk: Any) -> Iterator[Any]:
-    """Channels and messages of a chunk.
-
-    `mcap.stream_reader.breakup_chunk` reads each field by itself, which takes four times as long.
-    """
-    from mcap.data_stream import ReadDataStream
-    from mcap.opcode import Opcode
-    from mcap.records import Channel, Message
-    from mcap.stream_reader import get_chunk_data_stream
-
-    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-    data = stream.read(size)
-    at = 0
-    while at < size:
-        kind, length = RECORD.unpack_from(data, at)
-        begin, at = at + RECORD.size, at + RECORD.size + length
-        if at > size or (kind == Opcode.MESSAGE and length < MESSAGE.size):
-            raise ValueError(f"a record of {length} bytes, which cannot be")
-        if kind == Opcode.MESSAGE:
-            channel, sequence, log_ns, publish_ns = MESSAGE.unpack_from(data, begin)
-            yield Message(channel, log_ns, data[begin + MESSAGE.size : at], publish_ns, sequence)
-        elif kind == Opcode.CHANNEL:
-            yield Channel.read(ReadDataStream(io.BytesIO(data[begin:at])))
 
 
 def _head(records: Iterator[Any]) -> dict[str, dict[str, str]]:

@@ -805,13 +805,13 @@ def test_what_is_no_recording_is_refused_with_a_sentence(
 def test_a_bag_of_ros_is_refused_at_its_first_chunk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     unpacked: list[object] = []
 
-    def unpack(chunk: object) -> list[object]:
+    def unpack(chunk: object, validate_crc: bool) -> list[object]:
         unpacked.append(chunk)
         return []
 
     path = tmp_path / "bag.mcap"
     bag(path)
-    monkeypatch.setattr(mcap_reader, "_inside", unpack)
+    monkeypatch.setattr("mcap.stream_reader.breakup_chunk", unpack)
     with pytest.raises(Refusal, match="no recording of rtarm's"):
         mcap_reader.read(path)
     assert unpacked == []
