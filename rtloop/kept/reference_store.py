@@ -16,6 +16,7 @@ import os
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from config.schema import ArmConfig
 from shm.words import Unreferenced
@@ -90,7 +91,7 @@ def counts_before(arm: ArmConfig) -> dict[int, int]:
     except NotSaved:
         return {}
     try:
-        kept = json.loads(path.read_text(encoding="utf-8"))
+        kept = _read(path)
         known = dict(kept["counts"]) if kept["channel"] == channel_of(arm) else {}
     except (OSError, ValueError, TypeError, KeyError):
         return {}
@@ -176,7 +177,7 @@ def power_marks(arm: ArmConfig) -> dict[int, str]:
     if is_simulated(arm):
         return {}
     try:
-        kept = json.loads(_power_path(arm).read_text(encoding="utf-8"))
+        kept = _read(_power_path(arm))
         marks = dict(kept["marks"]) if kept["channel"] == channel_of(arm) else {}
     except (OSError, ValueError, TypeError, KeyError, NotSaved):
         return {}
@@ -209,10 +210,18 @@ def _power_path(arm: ArmConfig) -> Path:
     return path_of(arm.name).with_suffix(".power")
 
 
+def _read(path: Path) -> Any:
+    """What a file of ours holds; raises OSError (it cannot be read) and ValueError (it is no JSON)."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except RecursionError:
+        raise ValueError(f"{path} is nested without end") from None
+
+
 def _read_lost(arm: ArmConfig) -> dict[int, Unreferenced]:
     """Raises NotSaved, OSError (it cannot be read) and ValueError (it says something else)."""
     try:
-        kept = json.loads(_lost_path(arm).read_text(encoding="utf-8"))
+        kept = _read(_lost_path(arm))
     except (FileNotFoundError, NotADirectoryError):
         return {}
     reasons = [reason.name for reason in OUTLIVES_THE_PROCESS]  # what was read may not even be hashable

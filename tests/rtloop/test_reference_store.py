@@ -164,7 +164,18 @@ def test_nothing_is_kept_of_a_simulated_arm(arm):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "{", "[]", "7", "null", '{"channel": 7}', '{"channel": "slcan:/dev/ttyUSB1", "counts": [1]}', "\0\xff"],
+    [
+        "",
+        "{",
+        "[]",
+        "7",
+        "null",
+        '{"channel": 7}',
+        '{"channel": "slcan:/dev/ttyUSB1", "counts": [1]}',
+        "\0\xff",
+        "[" * 200_000,
+    ],
+    ids=str.__len__,
 )
 def test_what_cannot_be_read_says_nothing(arm, text):
     path = reference_store.path_of(arm.name)
