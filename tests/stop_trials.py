@@ -277,7 +277,7 @@ class _Trial:
         if memory["fault"]["code"] != Fault.NONE or memory["mode"] != Mode.HOLDING or memory["operator"]["held"] != 1:
             self.wrong(
                 f"after the stop it is {Mode(int(memory['mode'])).name}, {Fault(int(memory['fault']['code'])).name}, "
-                f"held {int(memory['people']['held'])}"
+                f"held {int(memory['operator']['held'])}"
             )
         if outlived := arm.running_goal or arm.waiting_goal:
             self.wrong(f"goal {outlived} outlived the stop")

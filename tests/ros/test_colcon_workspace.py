@@ -23,7 +23,7 @@ from ros_client import SUCCEEDED, Client, recorded
 from waiting import until
 
 ROOT = Path(__file__).resolve().parents[2]
-BUILT_FOLDERS = ("config", "motion", "rosfront", "rtarm", "rtloop", "sentences", "shm", "sim")
+BUILT_FOLDERS = ("compilation", "config", "motion", "rosfront", "rtarm", "rtloop", "sentences", "shm", "sim")
 LONG_S = 60.0
 SEARCH = f"{sys.prefix}/bin{os.pathsep}{os.environ['PATH']}"
 """Where programs are looked for: cmake may come from the environment's wheels."""

@@ -51,7 +51,7 @@ def python_in(folder: Path, program: str, *arguments: str) -> str:
 
 
 def copy_of_the_sources(folder: Path) -> Path:
-    for package in ("config", "motion", "shm", "sentences", "rtloop"):
+    for package in ("compilation", "config", "motion", "shm", "sentences", "rtloop"):
         shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
     return folder
 
@@ -69,7 +69,7 @@ def test_other_sources_are_compiled_anew(tmp_path, source):
     copy = copy_of_the_sources(tmp_path / "copy")
     with (copy / source).open("a", encoding="utf-8") as file:
         file.write("\n")
-    assert python_in(copy, "from shm import cache; print(cache.key())").strip() != cache.key()
+    assert python_in(copy, "from compilation import cache; print(cache.key())").strip() != cache.key()
 
 
 def object_that_calls(name: str) -> bytes:

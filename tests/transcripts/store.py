@@ -84,7 +84,7 @@ def _unpacked(data: bytes) -> Transcript:
     words = {name: words[name] for name, *_ in head["columns"]}
     kept, lengths = words.pop("(kept)"), words.pop("(sent)")
     sent = _unwoven(rest[at:], lengths)
-    told = [(cycle, table, _numbers(row)) for cycle, table, row in head["decided"]]
+    told = [(cycle, table, _numbers(row)) for cycle, table, row in head["told"]]
     return Transcript(head["joints"], words, kept, sent, told, head["place"])
 
 
