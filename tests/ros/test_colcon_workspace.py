@@ -139,7 +139,7 @@ def test_packages_and_what_is_installed(workspace: Path) -> None:
     assert {path.name for path in (rtarm / "lib" / "rtarm" / "python").iterdir()} == set(BUILT_FOLDERS)
     for name in BUILT_FOLDERS:
         built = {path.relative_to(rtarm) for path in (rtarm / "lib" / "rtarm" / "python" / name).rglob("*.py")}
-        source = {path.relative_to(ROOT) for path in (ROOT / name).rglob("*.py") if "interfaces" not in path.parts}
+        source = {path.relative_to(ROOT) for path in (ROOT / name).rglob("*.py")}
         assert {Path(*path.parts[3:]) for path in built} == source
     alias = workspace / "install" / "py_episode"
     assert {path.name for path in (alias / "lib" / "py_episode").iterdir()} == {
