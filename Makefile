@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMPS := $(VENV)/stamps
 ENVIRONMENT := @$(PYTHON) packaging/environment.py --venv $(VENV)
-SOURCES := compilation config motion shm sentences interfaces rtloop rosfront sim rtarm ros handbook bench examples tests
+SOURCES := compilation config motion shm sentences rtarm_interfaces rtloop rosfront sim rtarm ros handbook bench examples tests
 
 # Set by the ROS wheels inside a Python of theirs: an inherited one would make ours skip its library path.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE

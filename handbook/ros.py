@@ -48,7 +48,7 @@ MEANINGS = {
     "set_free_mode": "`~/free` with true, `~/enable` with false",
 }
 """One line each; a name that no node offers, or one without a line here, fails when the page is made."""
-INTERFACES = Path(__file__).parents[1] / "interfaces" / "robot_arm_interfaces"
+INTERFACES = Path(__file__).parents[1] / "rtarm_interfaces" / "robot_arm_interfaces"
 ROS_OWN = re.compile(
     r"^(/rosout|/parameter_events|.*/(get|set|list|describe)_\w*parameter\w*|.*/_action/.*|.*/get_type_description)$"
 )

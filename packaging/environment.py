@@ -35,7 +35,7 @@ PURPOSES = {
 }
 """The steps that each purpose needs, beside those that these need."""
 COMPILED = ("compilation/*.py", "config/*.py", "config/drives/*.py", "motion/**/*.py", "shm/**/*.py", "rtloop/**/*.py")
-INTERFACES = ("interfaces/**/*",)
+INTERFACES = ("rtarm_interfaces/**/*",)
 
 # pip does not look for what is missing: the lock is complete. Byte code is made of what is used, when it is used.
 INSTALL = ("install", "--quiet", "--no-deps", "--no-compile", "--no-build-isolation", "--disable-pip-version-check")
@@ -81,7 +81,7 @@ def steps_of(venv: Path, sourced: bool) -> list[Step]:
         ),
         step("cycle", "the control cycle", CYCLE_S, [python, "-m", "rtloop.warm"], needs=["compiler"]),
         step("rtarm", "rtarm itself", 3, [*pip, "--editable", str(ROOT)], needs=["packages"]),
-        step("messages", "ROS messages", MESSAGES_S, [python, "-m", "interfaces.build"], needs=["packages"]),
+        step("messages", "ROS messages", MESSAGES_S, [python, "-m", "rtarm_interfaces.build"], needs=["packages"]),
         step("tools", "packages of tests and documentation", 30, [*pip, *locked("tools")], needs=["rtarm"]),
         step(
             *("functions", "the cycle's functions one by one, for tests", 70),

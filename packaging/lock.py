@@ -53,7 +53,9 @@ def resolved(requirements: Iterable[str], pinned: str) -> dict[str, str]:
         command += ["--python-version", OLDEST_PYTHON, "--no-annotate", "--no-header", "--output-file", str(found), "-"]
         wanted = "\n".join(sorted(requirements))
         subprocess.run(command, cwd=ROOT, input=wanted, text=True, check=True)
-        return dict(re.findall(r"^(\S+)==(\S+)", found.read_text(encoding="utf-8"), re.MULTILINE))
+        pins = re.findall(r"^(\S+)==(\S+)", found.read_text(encoding="utf-8"), re.MULTILINE)
+        assert len(dict(pins)) == len(pins), "one package has two versions, for which constraints.txt has no place"
+        return dict(pins)
 
 
 def main() -> None:

@@ -91,7 +91,7 @@ def check_limits(plan: GoalPlan, arm: ArmConfig, *, margins: bool = True) -> Non
 
 
 def _check_points(path: PlannedPath, limits: _Limits) -> None:
-    """The points as the control process judges each of them; the first that breaks a limit is told."""
+    """The points by the rule of the control process; the first that breaks a limit is told, with its worst joint."""
     position, velocity, acceleration = path.waypoints[path.shift :].transpose(2, 0, 1)
     allowed = limits.lowest, limits.highest, limits.velocity, limits.acceleration
     broken = motion_limits.first_broken(position, velocity, acceleration, *allowed)
@@ -99,8 +99,11 @@ def _check_points(path: PlannedPath, limits: _Limits) -> None:
     if not len(points):
         return
     point = int(points[0])
-    time_ns, joint = path.times_ns[path.shift + point], int(broken[point].argmin())
-    match broken[point, joint]:
+    time_ns, first = path.times_ns[path.shift + point], broken[point].min()
+    beyond = np.maximum(limits.lowest - position[point], position[point] - limits.highest)
+    measures = beyond, np.abs(velocity[point]) / limits.velocity, np.abs(acceleration[point]) / limits.acceleration
+    joint = int(np.where(broken[point] == first, measures[first], -np.inf).argmax())
+    match first:
         case motion_limits.POSITION:
             raise _position(path, limits, time_ns, joint, position[point, joint])
         case motion_limits.VELOCITY:

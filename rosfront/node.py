@@ -49,7 +49,7 @@ SIX = 6
 """Joints that the full node's messages have room for."""
 WITHOUT_FULL_NODE = (
     "robot_arm_interfaces is not installed, so angle_mode, move_xyz_rotation, linear_move, read_motor_angles, "
-    "set_free_mode and motor_angles are not offered: generate it with `python -m interfaces.build`, or build "
+    "set_free_mode and motor_angles are not offered: generate it with `python -m rtarm_interfaces.build`, or build "
     "it in your ROS workspace, then start again."
 )
 

@@ -224,9 +224,8 @@ class _Maker:
         for to_ns, position, velocity in zip(steps, targets.position, targets.velocity, strict=True):
             step(int(to_ns), _State(position, velocity))
         if self._ends_at_rest:
-            end = np.clip(
-                self._path.waypoints[-1, :, 0], self._limits.lower, self._limits.upper
-            )  # rounding may be beyond
+            # rounding may be beyond
+            end = np.clip(self._path.waypoints[-1, :, 0], self._limits.lower, self._limits.upper)
             goal = _State(end, np.zeros_like(end))
             for _ in range(MOST_TAIL_STEPS):
                 if state.is_at(end):

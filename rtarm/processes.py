@@ -67,7 +67,7 @@ def _ros_is_sourced() -> bool:
 def _with_generated(environment: dict[str, str]) -> dict[str, str]:
     """Let a child find the message types that were generated at first use, if they were."""
     try:
-        from interfaces import build
+        from rtarm_interfaces import build
     except ImportError:  # a ROS workspace builds them itself, and its copy of rtarm is without their definitions
         return environment
     if not build.lacking() or not build.cache().prefix.is_dir():

@@ -64,7 +64,7 @@ def publish(sequence_address: int, target_address: int, source_address: int, wor
     copy_words(target_address, source_address, 1)
     skipped = 1 + standing
     copy_words(target_address + 8 * skipped, source_address + 8 * skipped, words - skipped)
-    # pairs with the first fence of `read`: whoever read the even count sees all words of it
+    # pairs with the first fence of `read`: whoever read the even count sees all its words; `StateReader` has the CRC
     fence_release()
     store_relaxed(sequence_address, sequence + 2)
 

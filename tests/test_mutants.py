@@ -1,5 +1,6 @@
 """The run over mutants itself, on a tree of three files: what is tested is killed, what is not survives."""
 
+import ast
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,13 @@ from mutants.__main__ import ROOT, candidates, run
 from mutants.table import EQUIVALENT, LEAVES, Leaf
 
 pytestmark = pytest.mark.process  # each is several runs of pytest
+
+
+@pytest.mark.parametrize("leaf", [leaf for leaf in LEAVES if leaf.functions], ids=lambda leaf: leaf.file)
+def test_functions_of_a_leaf_are_in_its_file(leaf: Leaf) -> None:
+    tree = ast.parse((ROOT / leaf.file).read_text(encoding="utf-8"))
+    assert set(leaf.functions) <= {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+
 
 TOY = '''"""A leaf."""
 

@@ -20,13 +20,13 @@ ALLOWED_IMPORTS = {
     "compilation": set(),
     "config": set(),
     "motion": set(),
-    "interfaces": set(),
+    "rtarm_interfaces": set(),
     "shm": {"compilation"},
     "sentences": {"shm"},
     "rtloop": {"compilation", "config", "motion", "shm", "sentences"},
     "rosfront": {"config", "motion", "shm", "sentences"},
     "sim": {"config"},
-    "rtarm": {"compilation", "config", "interfaces", "motion", "shm", "sentences", "rtloop", "rosfront", "sim"},
+    "rtarm": {"compilation", "config", "motion", "rtarm_interfaces", "shm", "sentences", "rtloop", "rosfront", "sim"},
     "handbook": {"config", "shm", "sentences", "rtloop", "rosfront", "rtarm"},
 }
 ROOMS_OF_RTLOOP = (

@@ -193,7 +193,7 @@ def check_ros() -> None:
     if not generated_types() and not has_module("control_msgs"):
         raise Refusal(
             "control_msgs is not installed, and the ROS process needs it: generate it with `python -m "
-            "interfaces.build`, or install it with your ROS 2, then start again."
+            "rtarm_interfaces.build`, or install it with your ROS 2, then start again."
         )
 
 
@@ -204,7 +204,7 @@ def generated_types() -> bool:
         Refusal: they cannot be made here, or a signal came meanwhile.
     """
     try:
-        from interfaces import build
+        from rtarm_interfaces import build
     except ImportError:  # a ROS workspace builds them itself, and its copy of rtarm is without their definitions
         return False
     try:

@@ -174,8 +174,8 @@ def _readings(connection: Connection) -> list[Reading]:
         if row["referenced"]:
             continue
         reason = int(row["unreferenced_reason"]) or Unreferenced.NOT_BROUGHT_UP
-        believable = reason in MAY_STAND_WHERE_READ and int(row["measured_ns"]) != 0
-        stands_deg = math.degrees(row["measured_position_rad"]) if believable else None
+        plausible = reason in MAY_STAND_WHERE_READ and int(row["measured_ns"]) != 0
+        stands_deg = math.degrees(row["measured_position_rad"]) if plausible else None
         cause = unreferenced_cause(reason, joint, connection.language)
         found.append(Reading(joint, stands_deg, cause, connection.homes(joint)))
     return found

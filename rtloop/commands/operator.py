@@ -54,7 +54,7 @@ def obey_commands(loop: Loop, shared: Shared) -> None:
 def obey_stop_and_hold(loop: Loop, shared: Shared, command: int) -> None:
     """A stop or a hold leaves the arm held until a resume that was asked for later; a stop also ends what moves it."""
     operator = loop.operator
-    # pairs with `CommandWriter._store`: who asked was written before, and is read after
+    # pairs with `CommandWriter._store`, a plain store; the word is all there is
     stop_ns, hold_ns = load_acquire(command + _STOP), load_acquire(command + _HOLD)
     resume_ns = load_acquire(command + _RESUME)
     stopped, held, resumed = stop_ns != operator.stop_ns, hold_ns != operator.hold_ns, resume_ns != operator.resume_ns
@@ -85,7 +85,7 @@ def obey_stop_and_hold(loop: Loop, shared: Shared, command: int) -> None:
 @jit
 def note(loop: Loop, shared: Shared, kind: int, offset: int) -> None:
     """Record what was commanded, and by which process."""
-    # pairs with `CommandWriter._store`; only told
+    # pairs with `CommandWriter._store`, a plain store, so this may be of another store; it is only told
     who = load_acquire(loop.params.command_address + offset + _WORD)
     record_event(loop, shared, Event.COMMAND, -1, kind, float(who), 0.0)
 

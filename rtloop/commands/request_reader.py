@@ -3,53 +3,27 @@
 import math
 
 from compilation.jit import jit
+from rtloop.commands.setpoint_reader import CYCLES_TO_BECOME_VISIBLE
 from rtloop.memory.events import answer_request
 from rtloop.memory.modes import change_mode, is_disabled
 from rtloop.memory.record import offset_of
 from rtloop.memory.state import LOOP, Loop, Shared
 from rtloop.safety.faults import latch_fault
 from rtloop.trajectory.limits import at_rest
-from rtloop.trajectory.phases import (
-    raise_epoch,
-    runs,
-    waits,
-)
+from rtloop.trajectory.phases import raise_epoch, runs, waits
 from rtloop.wire import received
 from shm import layout
 from shm.atomics import load_acquire, store_release
 from shm.seqlock import copy_words, crc32_at
-from shm.words import Answer, Entry, Fault, Mode, Outcome, Request, Unreferenced
+from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 
-ROWS_A_CYCLE = 1440
-"""Rows of joints in the records that are taken in one cycle: 160 records of six joints, 41 of 32."""
-HEAD_ROWS = 3
-"""What the head of a record costs, in rows of joints."""
-MOST_RECORDS_A_CYCLE = 256
-PAYING_NS = 8_000_000
-"""A longer period pays for more: for as many such batches as it is times this long."""
 REQUESTS_A_CYCLE = 4
-CYCLES_TO_BECOME_VISIBLE = 5
-NEVER_CLOSE_NS = 1 << 62
-FARTHEST_NS = 1 << 62
-"""146 years: times farther away than any message of ROS can say, so that no difference of two of them overflows."""
 
-_APPROACH, _STREAM = int(Entry.APPROACH), int(Entry.STREAM)
-_ANNOUNCED = offset_of(layout.COMMAND, "announced_goal")
-_SETPOINTS_WRITTEN = offset_of(layout.COMMAND, "setpoints_written")
-_SETPOINTS = offset_of(layout.COMMAND, "setpoints")
-_SETPOINT_BYTES = layout.SETPOINT.itemsize
 _REQUESTS_WRITTEN = offset_of(layout.COMMAND, "requests_written")
 _REQUESTS = offset_of(layout.COMMAND, "requests")
 _REQUEST_BYTES = layout.REQUEST.itemsize
-_HEARTBEAT = offset_of(layout.COMMAND, "heartbeat_ns")
-_CONSUMED_SETPOINTS = offset_of(layout.STATE, "consumed", "setpoints")
 _CONSUMED_REQUESTS = offset_of(layout.STATE, "consumed", "requests")
-_WAYPOINTS = offset_of(LOOP, "waypoints")
-_SCRATCH = offset_of(LOOP, "scratch")
-_SCRATCH_BEGIN = offset_of(LOOP, "scratch_begin")
 _SCRATCH_REQUEST = offset_of(LOOP, "scratch_request")
-_SETPOINT_HEAD_WORDS = offset_of(layout.SETPOINT, "joints") // 8
-_SETPOINT_JOINT_WORDS = layout.SETPOINT_JOINT.itemsize // 8
 
 
 @jit
@@ -59,7 +33,7 @@ def take_requests(loop: Loop, shared: Shared) -> None:
     command = loop.params.command_address
     if command == 0:
         return
-    # pairs with `CommandWriter.request`: a record is read after the count that announces it
+    # pairs with `CommandWriter.request`, plain stores: number and CRC tell whether the record is there
     written = load_acquire(command + _REQUESTS_WRITTEN)
     waiting = written - front.requests_taken
     if waiting < 0 or waiting > layout.REQUEST_SLOTS:
@@ -83,7 +57,7 @@ def take_requests(loop: Loop, shared: Shared) -> None:
         front.request_waits = 0
         front.requests_taken += 1
         answer_request(loop, shared, request.sequence, request.kind, _obey(loop, shared))
-    # pairs with `StateReader.requests_consumed`: a slot is given back after its record was copied
+    # pairs with `StateReader.requests_consumed`, a plain load: what is overwritten too early fails its CRC
     store_release(loop.params.state_address + _CONSUMED_REQUESTS, front.requests_taken)
 
 
@@ -114,7 +88,7 @@ def _obey(loop: Loop, shared: Shared) -> int:
         dialogue.release_asked = 0
         return Answer.DONE
     if kind == Request.DISABLE or kind == Request.FREE:
-        return _let_go(loop, shared, Mode.DISABLED if kind == Request.DISABLE else Mode.FREE)
+        return _disable(loop, shared, Mode.DISABLED if kind == Request.DISABLE else Mode.FREE)
     if kind == Request.HOME_STOP:
         if loop.mode != Mode.REFERENCING:
             return Answer.REFUSED_MODE
@@ -149,7 +123,7 @@ def _pass_to_gripper(loop: Loop) -> int:
 
 
 @jit
-def _let_go(loop: Loop, shared: Shared, mode: int) -> int:
+def _disable(loop: Loop, shared: Shared, mode: int) -> int:
     """Disable the drives of a standing arm; nothing else ever does."""
     if loop.mode == mode:
         return Answer.DONE

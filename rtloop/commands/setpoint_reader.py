@@ -1,10 +1,9 @@
-"""What the loop takes from the command file: goals waypoint by waypoint, and requests.
+"""Goals from the command file, waypoint by waypoint, and the heartbeat of the ROS process.
 
-Nothing read there is believed: each word of it is read once, into memory of the loop's own, and judged there; positions
-in the rings are bounded, each record is checked by sequence number and CRC, every number must be finite and inside the
-limits. A record whose CRC is
-wrong may be one whose last bytes have not become visible yet, so it is looked at again for a few cycles
-before it counts as corrupt.
+Nothing there is trusted: each word is read once, into memory of the loop's own, and judged there. Positions in the ring
+are bounded, each record is checked by sequence number and CRC, and every number must be finite and inside the limits.
+The last bytes of a record whose CRC is wrong may not be visible yet, so it is looked at again for a few cycles before
+it counts as corrupt.
 """
 
 import math
@@ -42,7 +41,6 @@ HEAD_ROWS = 3
 MOST_RECORDS_A_CYCLE = 256
 PAYING_NS = 8_000_000
 """A longer period pays for more: for as many such batches as it is times this long."""
-REQUESTS_A_CYCLE = 4
 CYCLES_TO_BECOME_VISIBLE = 5
 NEVER_CLOSE_NS = 1 << 62
 FARTHEST_NS = 1 << 62
@@ -53,16 +51,11 @@ _ANNOUNCED = offset_of(layout.COMMAND, "announced_goal")
 _SETPOINTS_WRITTEN = offset_of(layout.COMMAND, "setpoints_written")
 _SETPOINTS = offset_of(layout.COMMAND, "setpoints")
 _SETPOINT_BYTES = layout.SETPOINT.itemsize
-_REQUESTS_WRITTEN = offset_of(layout.COMMAND, "requests_written")
-_REQUESTS = offset_of(layout.COMMAND, "requests")
-_REQUEST_BYTES = layout.REQUEST.itemsize
 _HEARTBEAT = offset_of(layout.COMMAND, "heartbeat_ns")
 _CONSUMED_SETPOINTS = offset_of(layout.STATE, "consumed", "setpoints")
-_CONSUMED_REQUESTS = offset_of(layout.STATE, "consumed", "requests")
 _WAYPOINTS = offset_of(LOOP, "waypoints")
 _SCRATCH = offset_of(LOOP, "scratch")
 _SCRATCH_BEGIN = offset_of(LOOP, "scratch_begin")
-_SCRATCH_REQUEST = offset_of(LOOP, "scratch_request")
 _SETPOINT_HEAD_WORDS = offset_of(layout.SETPOINT, "joints") // 8
 _SETPOINT_JOINT_WORDS = layout.SETPOINT_JOINT.itemsize // 8
 
@@ -83,7 +76,7 @@ def read_heartbeat(loop: Loop) -> None:
 def leave_corrupt_records(loop: Loop) -> None:
     """After a corrupt setpoint ring was cleared: begin again with what the front writes from now on."""
     command = loop.params.command_address
-    # pairs with `CommandWriter._append`: records up to here are not read, so none is read too early
+    # pairs with `CommandWriter._append`; records up to here are not read
     loop.front.setpoints_taken = load_acquire(command + _SETPOINTS_WRITTEN)
     loop.front.announced_goal = loop.front.newest_goal
     loop.front.setpoint_waits = 0
@@ -102,7 +95,7 @@ def take_setpoints(loop: Loop, shared: Shared) -> None:
     command = loop.params.command_address
     if command == 0 or loop.fault.code == Fault.COMMAND_RING:
         return
-    # pairs with `CommandWriter._append`: a record is read after the count that announces it
+    # pairs with `CommandWriter._append`, plain stores: number and CRC tell whether the record is there
     written = load_acquire(command + _SETPOINTS_WRITTEN)
     waiting = written - front.setpoints_taken
     if waiting < 0 or waiting > layout.SETPOINT_SLOTS:
@@ -129,7 +122,7 @@ def take_setpoints(loop: Loop, shared: Shared) -> None:
         if not _take_record(loop, shared, words):
             break
         front.setpoints_taken += 1
-    # pairs with `StateReader.setpoints_consumed`: a slot is given back after its record was copied
+    # pairs with `StateReader.setpoints_consumed`, a plain load: what is overwritten too early fails its CRC
     store_release(loop.params.state_address + _CONSUMED_SETPOINTS, front.setpoints_taken)
 
 

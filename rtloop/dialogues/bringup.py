@@ -76,7 +76,7 @@ class BringUp(Conversation):
                 dialogues[joint] = self._bring_up(joint)
             else:
                 start = mock_positions_rad[joint] if mock_positions_rad else 0.0
-                self._adopt(joint, min(max(start, config.lower_rad), config.upper_rad), Unreferenced.REFERENCED)
+                self._sync_setpoint(joint, min(max(start, config.lower_rad), config.upper_rad), Unreferenced.REFERENCED)
         self.begin(dialogues)
 
     def _goes_on(self) -> bool:
@@ -104,7 +104,7 @@ class BringUp(Conversation):
             elif self.port.holds(joint) and self.port.referenced(joint) and is_near and not knows_its_angle:
                 self._held_rad[joint] = measured_rad
 
-    def _adopt(self, joint: int, position_rad: float, reason: Unreferenced) -> None:
+    def _sync_setpoint(self, joint: int, position_rad: float, reason: Unreferenced) -> None:
         self.post(SYNC_SETPOINT, joint=joint, value=position_rad, code=reason)
 
     def _bring_up(self, joint: int) -> Dialogue:
@@ -154,7 +154,7 @@ class BringUp(Conversation):
             self.post(POWER_KEPT, joint=joint)
             self._forgive_silence(joint)
             self._kept_power.append(joint)
-        self._adopt(joint, target_rad, reason)
+        self._sync_setpoint(joint, target_rad, reason)
 
 
 def _remedy(config: JointConfig, measured_rad: float) -> str:

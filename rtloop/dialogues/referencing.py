@@ -139,6 +139,7 @@ class Referencing(Conversation):
             if self._runs:
                 yield from homes.end_homing(self, joint)
             raise
+        assert self._runs, f"the run of {config.drive.family} does not say when it begins (ReferencingHost.run_begins)"
         self.keep_lost(joint, None)
         self.count_from(joint, config.zero_rad, target / self.port.reading_per_rad(joint) - config.zero_rad)
         self.tell(f"{config.name}: homed.")

@@ -11,7 +11,7 @@ from shm.words import Fault
 
 
 class ShutdownDialogue(Conversation):
-    """One farewell to a whole arm; a drive that does not answer is left as it is, since the arm stands and holds."""
+    """One with a whole arm; a drive that does not answer is left as it is, since the arm stands and holds."""
 
     def __init__(self, arm: ArmConfig, port: ServicePort, *, now_ns: int) -> None:
         super().__init__(arm, port, now_ns, fault=Fault.NONE)

@@ -34,7 +34,7 @@ def record_event(
     event.limit = limit
     event.silent = silent
     event.evidence = evidence
-    # pairs with a reader's look at the count: the event is whole before it is counted
+    # pairs with `shm.recording.newest_events`, which looks at the count again: the event is whole before it is counted
     store_release(head, written + 1)
 
 

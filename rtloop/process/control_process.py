@@ -130,7 +130,7 @@ class ControlProcess:
         try:
             self._start_threads()
             code = self._supervise(ready, clears_protection)
-            self._say_farewell()
+            self._run_shutdown_dialogue()
         except DialogueFailed as failure:  # an order that the cycle does not take any more
             self._tell(str(failure))
             return 3
@@ -463,7 +463,7 @@ class ControlProcess:
                     return 0
                 time.sleep(BUSY_POLL_S)
 
-    def _say_farewell(self) -> None:
+    def _run_shutdown_dialogue(self) -> None:
         """Let drives that report their positions cease; until the end they are asked again."""
         if not self._arm.bus.reported:
             return

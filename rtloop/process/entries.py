@@ -46,14 +46,14 @@ def read_wire(loop_address: int) -> None:
 @jit
 def load_word(address: int) -> int:
     """A 64-bit word that another thread publishes."""
-    # pairs with the cycle's `store_release` of the same word (`rings.pass_on`, `run.take_over_wire`)
+    # pairs with the threads' `store_release` of the same word (`rings.pass_on`, `received.close`, `run.take_over_wire`)
     return load_acquire(address)
 
 
 @jit
 def store_word(address: int, value: int) -> None:
     """Publish a 64-bit word to another thread."""
-    # pairs with the cycle's `load_acquire` of the same word (`rings.waiting`, `rings.room`, `run.run`)
+    # pairs with the threads' `load_acquire` of the word (`rings`, `received`, `run`); `params.reported` is read plainly
     store_release(address, value)
 
 

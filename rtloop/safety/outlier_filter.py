@@ -8,7 +8,7 @@ from rtloop.memory.axis import Axis
 
 
 @jit
-def agreed(now: float, before: float) -> float:
+def smaller_of_same_sign(now: float, before: float) -> float:
     """The smaller of two values of the same sign, 0 where their signs differ."""
     if now * before <= 0.0:
         return 0.0
@@ -18,7 +18,9 @@ def agreed(now: float, before: float) -> float:
 @jit
 def filtered_error_rad(axis: Axis) -> float:
     """How far the joint is from its setpoint as the last two readings agree."""
-    return float(agreed(axis.tracking.reference_rad - axis.measured.position_rad, axis.tracking.error_before_rad))
+    return float(
+        smaller_of_same_sign(axis.tracking.reference_rad - axis.measured.position_rad, axis.tracking.error_before_rad)
+    )
 
 
 @jit
@@ -35,10 +37,12 @@ def steady_error_rad(axis: Axis, noise_rad: float) -> float:
 def filtered_error_rad_s(axis: Axis) -> float:
     """The same of its velocity."""
     now = axis.tracking.reference_velocity_rad_s - axis.measured.velocity_rad_s
-    return float(agreed(now, axis.tracking.velocity_error_before_rad_s))
+    return float(smaller_of_same_sign(now, axis.tracking.velocity_error_before_rad_s))
 
 
 @jit
 def filtered_error_rad_s2(axis: Axis) -> float:
     """The same of its acceleration, which is smoothed."""
-    return float(agreed(axis.tracking.error_acceleration_rad_s2, axis.tracking.error_acceleration_before_rad_s2))
+    return float(
+        smaller_of_same_sign(axis.tracking.error_acceleration_rad_s2, axis.tracking.error_acceleration_before_rad_s2)
+    )

@@ -18,7 +18,7 @@ def waiting(loop: Loop, ring_at: int) -> int:
 @jit
 def room(loop: Loop, ring_at: int) -> bool:
     base = loop.params.address + ring_at
-    # pairs with the `store_word` or `pass_on` of TAKEN: a slot is written after it was read
+    # pairs with `ServicePort`'s `store_word` of TAKEN: a slot is written after it was read
     return load_relaxed(base + WRITTEN) - load_acquire(base + TAKEN) < SERVICE_SLOTS
 
 

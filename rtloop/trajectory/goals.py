@@ -198,9 +198,8 @@ def is_urgent(loop: Loop) -> bool:
     What belongs to ordinary operation (cancel, hold, a newer goal, the end of a stream) keeps the limits.
     """
     operator = loop.operator
-    stopped = (
-        operator.held == 1 and operator.stop_ns > operator.resume_ns
-    )  # also a goal that its client has canceled before
+    # also a goal that its client has canceled before
+    stopped = operator.held == 1 and operator.stop_ns > operator.resume_ns
     if stopped or loop.goals.slowed & (_LATE_DRIVE | _STARVING) != 0:
         return True
     running = loop.paths[loop.goals.active]

@@ -104,5 +104,5 @@ def unsent(loop: Loop) -> int:
 @jit
 def closed(loop: Loop) -> int:
     """errno + 1 once the wire is gone, else 0."""
-    # pairs with `close`
+    # pairs with `close`, and `store_word` of the ordinary thread: a new descriptor is stored before this is cleared
     return load_acquire(loop.params.address + _CLOSED)

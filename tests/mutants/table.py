@@ -46,10 +46,12 @@ LEAVES = (
         ("clamped_rad", "highest_rad_s", "hardest_rad_s2"),
     ),
     Leaf(
-        "rtloop/safety/monitor.py", ("tests/rtloop/test_limits.py",), ("check_next_setpoint", "stopping_distance_rad")
+        "rtloop/safety/setpoint_check.py",
+        ("tests/rtloop/test_limits.py",),
+        ("check_next_setpoint", "stopping_distance_rad"),
     ),
     Leaf(
-        "rtloop/safety/monitor.py",
+        "rtloop/safety/setpoint_check.py",
         ("tests/rtloop/test_codec_laws.py", "-k", "no_number"),
         ("setpoint_sum", "may_be_sent"),
     ),
@@ -75,19 +77,20 @@ LEAVES = (
 )
 
 _STOPS_INSIDE = (
-    "rtloop/safety/monitor.py check_next_setpoint: "
+    "rtloop/safety/setpoint_check.py check_next_setpoint: "
     "if (velocity > 0.0 and stop > high + BESIDE_RAD) or (velocity < 0.0 and stop < low - BESIDE_RAD): → "
     "if (velocity > 0.0 and stop {} high + BESIDE_RAD) or (velocity < 0.0 and stop {} low - BESIDE_RAD):"
 )
 _BESIDE = "BESIDE_RAD is what arithmetic may be off by: nobody can say on which side of it the last bit of a sum falls"
 
 _SETPOINT_SUM = (
-    "rtloop/safety/monitor.py setpoint_sum: return float(commanded.next_position_rad + commanded.next_velocity_rad_s + "
+    "rtloop/safety/setpoint_check.py setpoint_sum: "
+    "return float(commanded.next_position_rad + commanded.next_velocity_rad_s + "
     "commanded.next_acceleration_rad_s2) → return float(commanded.next_position_rad {} commanded.next_velocity_rad_s "
     "{} commanded.next_acceleration_rad_s2)"
 )
 _SENT_SUM = (
-    "rtloop/safety/monitor.py may_be_sent: total = setpoint_sum(axis.commanded) + position + velocity → "
+    "rtloop/safety/setpoint_check.py may_be_sent: total = setpoint_sum(axis.commanded) + position + velocity → "
     "total = setpoint_sum(axis.commanded) {} position {} velocity"
 )
 _FINITE = "all that is asked of the sum is whether it is finite, and no sign changes that"

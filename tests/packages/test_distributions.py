@@ -24,7 +24,18 @@ pytestmark = pytest.mark.process
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-FOLDERS = ("compilation", "config", "interfaces", "motion", "rosfront", "rtarm", "rtloop", "sentences", "shm", "sim")
+FOLDERS = (
+    "compilation",
+    "config",
+    "motion",
+    "rosfront",
+    "rtarm",
+    "rtarm_interfaces",
+    "rtloop",
+    "sentences",
+    "shm",
+    "sim",
+)
 SHARED = (
     "constraints.txt",
     *(f"{kind}/{path.name}" for kind in ("systemd", "udev") for path in (ROOT / "packaging" / kind).iterdir()),

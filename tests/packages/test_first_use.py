@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from interfaces import build
 from rtarm import processes
 from rtarm.console.errors import Refusal
 from rtarm.launch import first_use, launcher
 from rtarm.processes import WHEELS_GUARD, ros_environment
+from rtarm_interfaces import build
 
 ROOT = Path(__file__).resolve().parents[2]
 USERS = 4
@@ -25,7 +25,7 @@ USERS = 4
 MAKER = """
 import sys
 from pathlib import Path
-from interfaces import build
+from rtarm_interfaces import build
 
 def made(package, place):
     with open(sys.argv[1], "a") as log:

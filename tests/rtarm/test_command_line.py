@@ -290,7 +290,7 @@ def test_config_check_shows_the_budget_of_a_rate_that_does_not_fit(arm_file: Pat
     assert "the highest rate that fits is 123.1 Hz" in result.stderr
 
 
-@pytest.mark.parametrize(("missing", "remedy"), [("rclpy", "make env"), ("control_msgs", "interfaces.build")])
+@pytest.mark.parametrize(("missing", "remedy"), [("rclpy", "make env"), ("control_msgs", "rtarm_interfaces.build")])
 def test_missing_ros_is_said_before_anything_starts(
     missing: str, remedy: str, rtarm: Rtarm, monkeypatch: pytest.MonkeyPatch
 ) -> None:

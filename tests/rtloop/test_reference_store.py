@@ -127,9 +127,8 @@ def test_a_file_that_cannot_be_read_may_say_it_of_every_joint(arm):
         reference_store.NotSaved, match=r"reference of joint4 could not be kept in .* see that the file can be"
     ):
         reference_store.keep_lost_reference(arm, 3, None)
-    assert [path.suffix for path in reference_store.path_of(arm.name).parent.iterdir()] == [
-        ".unreferenced"
-    ]  # nothing is left over
+    left = [path.suffix for path in reference_store.path_of(arm.name).parent.iterdir()]
+    assert left == [".unreferenced"]
 
 
 def test_a_lost_reference_that_cannot_be_kept_is_a_sentence(arm, tmp_path):

@@ -10,6 +10,7 @@ from typing import Any, TypeVar, cast
 from config.schema import ArmConfig
 from rtloop.dialogues.referencing import KeepLost, Referencing
 from rtloop.drives.power import Marks
+from rtloop.offline import families
 from rtloop.offline.calibration.talk import Found, motors_of
 from rtloop.offline.one_drive import OneDrive
 from rtloop.offline.settings.talk import ReadSettings, reports_of
@@ -82,6 +83,8 @@ class Session:
         talk = ReadSettings(self.arm, self.port, now_ns=self._clock_ns())
         self._hold(talk)
         for joint, report in reports_of(self.arm, talk.found).items():
+            if not families.knows("calibration", self.arm.joints[joint].drive):
+                continue
             motors, reading = motors_of(self.arm.joints[joint].drive), talk.found[joint]
             self.found[joint] = motors.found_of(self.arm, joint, reading, report)
             self._tells_power_loss[joint] = motors.tells_power_loss(reading)

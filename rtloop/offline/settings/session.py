@@ -103,6 +103,8 @@ class Session:
             dialogue=lambda _: file.write(self._arm, joint, reading, report.to_write, store),
         )
         self._hold(talk)
+        if talk.problem is not None:
+            raise talk.problem
         return talk.result
 
     def _require_standing(self, before: dict[int, Reading]) -> None:

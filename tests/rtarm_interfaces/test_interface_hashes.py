@@ -24,7 +24,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from interfaces import build
+from rtarm_interfaces import build
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -214,7 +214,7 @@ def test_an_environment_reached_through_a_link_is_the_same_one(tmp_path: Path) -
     link.symlink_to(sys.prefix)
     said = [
         subprocess.run(
-            [prefix / "bin" / "python", "-c", "from interfaces.build import *; print(PREFIX, SITE_PACKAGES)"],
+            [prefix / "bin" / "python", "-c", "from rtarm_interfaces.build import *; print(PREFIX, SITE_PACKAGES)"],
             cwd=ROOT,
             capture_output=True,
             text=True,
@@ -287,7 +287,7 @@ def test_ros_installation_without_robot_arm_interfaces_is_no_failure(
     said = capsys.readouterr()
     assert said.out == f"control_msgs: taken from {tmp_path}, nothing to generate\n"
     assert said.err.count("\n") == 1
-    assert "link interfaces/robot_arm_interfaces into the src folder of your workspace" in said.err
+    assert "link rtarm_interfaces/robot_arm_interfaces into the src folder of your workspace" in said.err
 
 
 def test_a_failing_build_command_shows_its_last_lines() -> None:
@@ -300,7 +300,7 @@ def test_a_failing_build_command_shows_its_last_lines() -> None:
 def test_command_without_wheels_exits_with_the_sentence(tmp_path: Path) -> None:
     """The command itself, in a Python that sees no site-packages: exit code 1 and one line."""
     result = subprocess.run(
-        [sys.executable, "-S", "-E", "-m", "interfaces.build"],
+        [sys.executable, "-S", "-E", "-m", "rtarm_interfaces.build"],
         cwd=ROOT,
         capture_output=True,
         text=True,

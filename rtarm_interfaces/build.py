@@ -3,7 +3,7 @@
 MoveIt speaks the types of the first, clients of the arm's full node those of the second. They are built from the
 definitions beside this file, with the generators that also come as wheels, and put into one of two places:
 
-- `python -m interfaces.build` (`make env`) puts them into the Python environment itself, where every program
+- `python -m rtarm_interfaces.build` (`make env`) puts them into the Python environment itself, where every program
   finds them. It does nothing for a package that a ROS installation or a sourced workspace already has, or whose
   definitions, Python and wheels are those of last time.
 - Where that was not done, such as after `pip install` of a wheel, `ensure` makes them at first use into the user's
@@ -79,7 +79,7 @@ CONTROL_MSGS: Final = Package(
 ROBOT_ARM_INTERFACES: Final = Package(
     "robot_arm_interfaces",
     "MotorAngles",
-    "link interfaces/robot_arm_interfaces into the src folder of your workspace and build that",
+    "link rtarm_interfaces/robot_arm_interfaces into the src folder of your workspace and build that",
     False,
 )
 PACKAGES: Final = (CONTROL_MSGS, ROBOT_ARM_INTERFACES)
