@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Coroutine
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -226,7 +225,7 @@ class Controls:
                 step=STEP_DEG,
                 initial_value=round(min(max(0, low), high) * STEP_DEG, 1),
             )
-            slider.on_update(partial(self._slider_moved, index))
+            slider.on_update(self._mover(index))
             self._sliders.append(slider)
         self._go = gui.add_button(words.go_nowhere, hint=words.go_hint, color="green", disabled=True)
         self._go.on_click(lambda _: self._give(words.go_nowhere, self._go_there))
@@ -396,6 +395,18 @@ class Controls:
                     self._over(self._words.speed, given)  # a speed that is chosen from here on is a new order
                     return sentence
             sentence = self._orders.speed(percent / 100.0)
+
+    def _mover(self, index: int) -> Callable[[viser.GuiEvent[Any]], Coroutine[Any, Any, None]]:
+        """What viser calls when a slider is moved.
+
+        A coroutine runs where messages are read, so the wish is known before a press that comes behind it is carried
+        out, and before the slider could be put back to where the arm is. A function would run in a pool of threads.
+        """
+
+        async def moved(event: viser.GuiEvent[Any]) -> None:
+            self._slider_moved(index, event)
+
+        return moved
 
     def _slider_moved(self, index: int, event: viser.GuiEvent[Any]) -> None:
         if event.client_id is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
 import io
 import math
@@ -430,6 +431,31 @@ def test_only_the_joints_whose_sliders_were_touched_are_a_wish(monkeypatch: pyte
         with pytest.raises(Refusal):
             controls._go_there(object())
     finally:
+        server.stop()
+
+
+def test_a_wish_is_known_before_a_press_that_comes_behind_it() -> None:
+    """With all threads for callbacks busy, as on a loaded machine: a press would go to what was wished before."""
+    viser = pytest.importorskip("viser")
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    busy = threading.Event()
+    try:
+        controls = Controls(server, EPISODE1, Orders(EPISODE1, ENGLISH), ENGLISH, None)
+        controls.add_sliders()
+        controls.follow(np.zeros(6), 1.0)
+        pool = server.gui._thread_executor
+        for _ in range(pool._max_workers):
+            pool.submit(busy.wait, 60.0)
+        slider = controls._sliders[2]
+        moved = viser._messages.GuiUpdateMessage(slider._impl.uuid, {"value": 30.0})
+        server._connected_clients[1] = SimpleNamespace(client_id=1)
+        server.gui._resolve_client = lambda _: server._connected_clients[1]
+        read = asyncio.run_coroutine_threadsafe(server.gui._handle_gui_updates(1, moved), server.gui._event_loop)
+        read.result(60.0)
+        assert controls._wished_rad == {2: math.radians(30.0)}
+    finally:
+        busy.set()
+        server._connected_clients.clear()
         server.stop()
 
 

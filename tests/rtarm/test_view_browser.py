@@ -222,6 +222,8 @@ def test_a_limp_arm_refuses_goals_and_is_enabled_only_after_a_second_press(arm: 
         arm.until(lambda report: report["mode"] == "holding")
         browser.until(lambda: "are enabled" in browser.said("answer"))
         browser.until(lambda: not any(label.startswith("Enable drives") for label in browser.buttons()))
+        browser.press("Sliders back to the arm")  # what was refused is still a wish, and offered as before
+        browser.until(lambda: not any(label.startswith("Go there: the arm moves") for label in browser.buttons()))
     finally:
         if arm.status()["mode"] == "disabled":
             requests.enable(arm.name)
