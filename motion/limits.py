@@ -5,9 +5,7 @@ answer. The control process asks it of one trajectory point or setpoint, compile
 false, so what is no number is inside no limit. Leaf functions; units: rad, rad/s, rad/s².
 """
 
-from typing import Any
-
-Number = Any  # float in jitted code, float or array in numpy
+from motion.segment import Number
 
 POSITION, VELOCITY, ACCELERATION, NONE = 0, 1, 2, 3
 """What `first_broken` answers."""

@@ -5,9 +5,7 @@ from one value to another along a cubic in time that begins with the present slo
 zero, so the acceleration of the joints stays continuous. Leaf functions; units: s, 1/s.
 """
 
-from typing import Any
-
-Number = Any
+from motion.segment import Number
 
 
 def ramp(rate: Number, slope: Number, target: Number, duration_s: Number, t: Number) -> tuple[Number, Number, Number]:

@@ -14,9 +14,8 @@ fault or a lost process uses `limits.braking_factor`. Leaf functions; units: rad
 """
 
 from itertools import pairwise
-from typing import Any
 
-Number = Any
+from motion.segment import Number
 
 ORDERLY = 1.0
 """Share of the acceleration limit within which rates change and paths are entered in normal operation."""

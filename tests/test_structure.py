@@ -178,6 +178,23 @@ def test_in_rtloop_a_family_of_drives_is_named_by_its_own_files_alone() -> None:
     assert [path for path in NAMES_A_FAMILY if not named[path]] == []
 
 
+def test_partners_of_ordered_accesses_are_there() -> None:
+    """Each name in backticks of such a comment is that of a function, a class or a file of the two packages."""
+    sources = {
+        path: path.read_text(encoding="utf-8") for name in ("shm", "rtloop") for path in (ROOT / name).rglob("*.py")
+    }
+    there = {path.stem for path in sources} | {"params.reported"}
+    for text in sources.values():
+        there |= set(re.findall(r"^(?:\s*(?:def|class) )?(\w+)", text, re.MULTILINE))
+    named = {
+        (str(path.relative_to(ROOT)), name)
+        for path, text in sources.items()
+        for comment in re.findall(r"# pairs with (.*)", text)
+        for name in re.findall(r"`([^`]+)`", comment)
+    }
+    assert [(place, name) for place, name in sorted(named) if not {name, name.split(".")[-1]} & there] == []
+
+
 def test_each_ordered_access_names_its_partner() -> None:
     """Above an acquire, a release or a fence a comment says which access on the other side it pairs with."""
     ordered = re.compile(r"\b(load_acquire|store_release|fence_acquire|fence_release)\(")
