@@ -23,10 +23,17 @@ OPTIONS = (
     "--no-sandbox",  # a container's root has no other way
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    "--disable-gpu-compositing",  # else it is the page as a whole that is drawn by threads in place of a graphics card
     "--window-size=1280,887",  # of which the page gets 1280 × 800
     "--disable-background-networking",
     "--force-device-scale-factor=1",
 )
+
+FRAME_MS = 500
+CALMER = f"""window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), {FRAME_MS})
+window.cancelAnimationFrame = clearTimeout"""
+"""A page draws its scene twice a second and not sixty times: without a graphics card threads draw a picture and hand
+it to each other some hundred times, and beside a full machine each waits for its turn as often."""
 
 FILM_SIZE, FILM_FRAMES, FILM_REST_MS = (800, 500), 60, 2000
 """A moving picture's size in pixels, the most frames that it has, and how long its last one is seen."""
@@ -47,6 +54,7 @@ class Browser:
         self.driver.set_script_timeout(PATIENCE_S)
         self.driver.set_page_load_timeout(PATIENCE_S)
         self._tab = self.driver.current_window_handle
+        self._calm()
 
     def close(self) -> None:
         self.driver.quit()
@@ -109,6 +117,7 @@ class Browser:
     def open_beside(self, url: str) -> None:
         """Open a page in one more tab, which is then the one that is looked at."""
         self.driver.switch_to.new_window("tab")
+        self._calm()
         self.driver.get(url)
         self.until(lambda: self.text("#rt-mode"))
 
@@ -243,6 +252,11 @@ class Browser:
                 yield message["params"]["request"]["url"]
         for entry in self.driver.get_log("browser"):  # a worker has the web socket, and says where it connects to
             yield from re.findall(r"Connecting to: (\S+)", entry["message"])
+
+    def _calm(self) -> None:
+        """Have every page of this tab draw its scene no more often than a test needs it."""
+        if "RTARM_PICTURES" not in os.environ:  # films are of every picture
+            self.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": CALMER})
 
     def _rendered(self) -> bool:
         return bool(self._all("canvas[data-engine]"))
