@@ -73,7 +73,7 @@ test-live: env $(STAMPS)/colcon
 	$(PYTEST) -m 'process and not smoke'
 
 # Leaf functions and codecs without the compiler; all of the cycle with every index checked.
-UNCOMPILED := motion shm/test_seqlock.py rtloop/test_*_codec.py $(patsubst %,rtloop/test_%.py,words golden_frames \
+UNCOMPILED := motion shm/test_seqlock.py rtloop/*/test_*_codec.py $(patsubst %,rtloop/*/test_%.py,words golden_frames \
   codec_laws drive_frames zdt_targets limits clock path leading following phases)
 
 test-uncompiled: env

@@ -14,7 +14,7 @@ from rtloop.trajectory import phases
 INTRODUCTION = """\
 The arm is in one mode, and each of its two goals, the one that runs and the one that waits to take over, in one phase.
 Both change in one place each, by the tables below, and every other change is refused. Each change of a phase is a test
-(`tests/rtloop/test_phases.py`)."""
+(`tests/rtloop/trajectory/test_phases.py`)."""
 MODES = "[What each is](../explanation/architecture.md#modes). The file is `rtloop/memory/modes.py`."
 MODES_PICTURE = "![The modes of the arm and the changes between them](../pictures/arm_modes.svg)"
 PHASES = """\

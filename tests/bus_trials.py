@@ -1,7 +1,7 @@
 """Trials of bus faults in virtual time: a fault at a random moment of a random goal, judged by true motion.
 
 `make bus-trials` runs many of each, on every processor, and prints the table of docs/explanation/safety.md;
-`tests/rtloop/test_bus_fault_trials.py` runs a sample. A trial is a function of its fault and its seed.
+`tests/rtloop/safety/test_bus_fault_trials.py` runs a sample. A trial is a function of its fault and its seed.
 """
 
 import argparse

@@ -1,8 +1,9 @@
 """Trials of a person's stop in virtual time: at a random moment, whatever clients, streams and floods go on sending.
 
 `make stop-trials` runs many beside each of the senders, on every processor, and prints the table of
-docs/explanation/testing.md; `tests/rtloop/test_stop_trials.py` runs a sample. A trial is a function of its sender and
-its seed. Nobody resumes the arm before the trial has been judged, so nothing may move after the stop's bound.
+docs/explanation/testing.md; `tests/rtloop/commands/test_stop_trials.py` runs a sample. A trial is a function of its
+sender and its seed. Nobody resumes the arm before the trial has been judged, so nothing may move after the stop's
+bound.
 """
 
 import argparse

@@ -164,6 +164,12 @@ def test_no_room_imports_from_its_own_floor_or_above(folder: str, floors: tuple[
     assert offences == []
 
 
+@pytest.mark.parametrize(("folder", "floors"), [("rtloop", ROOMS_OF_RTLOOP), ("rtarm", ROOMS_OF_RTARM)])
+def test_tests_stand_in_the_room_of_what_they_test(folder: str, floors: tuple[tuple[str, ...], ...]) -> None:
+    rooms = {room for floor in floors for room in floor}
+    assert {path.parent.name for path in (ROOT / "tests" / folder).glob("*/*.py")} <= rooms
+
+
 def test_in_rtloop_a_family_of_drives_is_named_by_its_own_files_alone() -> None:
     """A family's files begin with its name and are found by it; no other file may know what a family does."""
     own = re.compile(rf"(?:{'|'.join(FAMILIES)})(?:_\w+)?")

@@ -1,6 +1,6 @@
 """Every wire as the tests know it: how it is spelt, by its protocol's documents and nothing of ours.
 
-A new wire is one more entry of WIRES; `tests/rtloop/test_wire_conformance.py` then asks of it what it asks of all.
+A new wire is one more entry of WIRES; `tests/rtloop/wire/test_wire_conformance.py` then asks of it what it asks of all.
 """
 
 import re
@@ -245,7 +245,7 @@ SOCKETCAN = Wire(
     ],
     unit=RECORD.size,
 )
-"""The same records pass the bridge to python-can; what it makes of them is tested in `tests/rtloop/test_bridge.py`."""
+"""The same records pass the bridge to python-can; what it makes of them: `tests/rtloop/wire/test_bridge.py`."""
 
 WIRES = [
     slcan("slcan", dialect="lawicel", answered=2),

@@ -12,13 +12,15 @@ class Leaf:
     """All of the file unless some are named."""
 
 
-WIRES = "tests/rtloop/test_wire_conformance.py"
-OF_ALL_FAMILIES = tuple(f"tests/rtloop/test_{name}.py" for name in ("drive_frames", "golden_frames", "codec_laws"))
-OF_ONE_FAMILY = {"zdt": ("tests/rtloop/test_zdt_targets.py",)}
+WIRES = "tests/rtloop/wire/test_wire_conformance.py"
+OF_ALL_FAMILIES = tuple(
+    f"tests/rtloop/drives/test_{name}.py" for name in ("drive_frames", "golden_frames", "codec_laws")
+)
+OF_ONE_FAMILY = {"zdt": ("tests/rtloop/drives/test_zdt_targets.py",)}
 
 
 def drive(family: str) -> Leaf:
-    tests = (f"tests/rtloop/test_{family}_codec.py", *OF_ALL_FAMILIES, *OF_ONE_FAMILY.get(family, ()))
+    tests = (f"tests/rtloop/drives/test_{family}_codec.py", *OF_ALL_FAMILIES, *OF_ONE_FAMILY.get(family, ()))
     return Leaf(f"rtloop/drives/{family}.py", (*tests, "-k", family))
 
 
@@ -30,43 +32,43 @@ LEAVES = (
     Leaf("motion/bounds.py", ("tests/motion",)),
     Leaf("motion/slopes.py", ("tests/motion",)),
     Leaf("motion/limits.py", ("tests/motion",)),
-    Leaf("motion/gripping.py", ("tests/rtloop/test_gripper.py",)),
+    Leaf("motion/gripping.py", ("tests/rtloop/dialogues/test_gripper.py",)),
     Leaf("shm/seqlock.py", ("tests/shm/test_seqlock.py", "tests/shm/test_memory_order.py")),
     Leaf("shm/histogram.py", ("tests/shm/test_histogram.py",)),
-    Leaf("rtloop/trajectory/path.py", ("tests/rtloop/test_path.py",)),
-    Leaf("rtloop/trajectory/clock.py", ("tests/rtloop/test_clock.py",)),
+    Leaf("rtloop/trajectory/path.py", ("tests/rtloop/trajectory/test_path.py",)),
+    Leaf("rtloop/trajectory/clock.py", ("tests/rtloop/trajectory/test_clock.py",)),
     Leaf(
         "rtloop/trajectory/entry.py",
-        ("tests/rtloop/test_path.py",),
+        ("tests/rtloop/trajectory/test_path.py",),
         ("due_s", "lay_approach", "lay_run_up", "lay_blend"),
     ),
     Leaf(
         "rtloop/trajectory/limits.py",
-        ("tests/rtloop/test_limits.py",),
+        ("tests/rtloop/safety/test_limits.py",),
         ("clamped_rad", "highest_rad_s", "hardest_rad_s2"),
     ),
     Leaf(
         "rtloop/safety/setpoint_check.py",
-        ("tests/rtloop/test_limits.py",),
+        ("tests/rtloop/safety/test_limits.py",),
         ("check_next_setpoint", "stopping_distance_rad"),
     ),
     Leaf(
         "rtloop/safety/setpoint_check.py",
-        ("tests/rtloop/test_codec_laws.py", "-k", "no_number"),
+        ("tests/rtloop/drives/test_codec_laws.py", "-k", "no_number"),
         ("setpoint_sum", "may_be_sent"),
     ),
-    Leaf("rtloop/safety/references.py", ("tests/rtloop/test_reference_store.py", "-k", "no_clear_forgives")),
-    Leaf("rtloop/drives/leading.py", ("tests/rtloop/test_leading.py",)),
-    Leaf("rtloop/drives/following.py", ("tests/rtloop/test_following.py",)),
-    Leaf("rtloop/wire/slcan.py", ("tests/rtloop/test_slcan_codec.py", WIRES, "-k", "slcan")),
-    Leaf("rtloop/wire/can_frame.py", ("tests/rtloop/test_can_frames.py",)),
-    Leaf("rtloop/wire/can_errors.py", ("tests/rtloop/test_can_frames.py",)),
+    Leaf("rtloop/safety/references.py", ("tests/rtloop/kept/test_reference_store.py", "-k", "no_clear_forgives")),
+    Leaf("rtloop/drives/leading.py", ("tests/rtloop/drives/test_leading.py",)),
+    Leaf("rtloop/drives/following.py", ("tests/rtloop/drives/test_following.py",)),
+    Leaf("rtloop/wire/slcan.py", ("tests/rtloop/wire/test_slcan_codec.py", WIRES, "-k", "slcan")),
+    Leaf("rtloop/wire/can_frame.py", ("tests/rtloop/wire/test_can_frames.py",)),
+    Leaf("rtloop/wire/can_errors.py", ("tests/rtloop/wire/test_can_frames.py",)),
     Leaf("rtloop/wire/seeed.py", (WIRES, "-k", "seeedstudio")),
     Leaf("rtloop/wire/at_frames.py", (WIRES, "-k", "ch340-at")),
     Leaf("rtloop/wire/framed.py", (WIRES, "-k", "seeedstudio or ch340-at")),
-    Leaf("rtloop/drives/fields.py", ("tests/rtloop/test_words.py", "tests/rtloop/test_golden_frames.py")),
-    Leaf("rtloop/drives/words.py", ("tests/rtloop/test_words.py", "tests/rtloop/test_golden_frames.py")),
-    Leaf("rtloop/drives/sdo.py", ("tests/rtloop/test_cia402_codec.py",), ("writing", "value_in", "_asked")),
+    Leaf("rtloop/drives/fields.py", ("tests/rtloop/drives/test_words.py", "tests/rtloop/drives/test_golden_frames.py")),
+    Leaf("rtloop/drives/words.py", ("tests/rtloop/drives/test_words.py", "tests/rtloop/drives/test_golden_frames.py")),
+    Leaf("rtloop/drives/sdo.py", ("tests/rtloop/drives/test_cia402_codec.py",), ("writing", "value_in", "_asked")),
     drive("zdt"),
     drive("mks"),
     drive("odrive"),

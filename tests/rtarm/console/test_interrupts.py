@@ -15,7 +15,7 @@ import pytest
 from rtarm.console.interrupt import STOP_SIGNALS, Interrupted, signals_raise
 from rtarm.launch.up import run_launched
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 class Ending:

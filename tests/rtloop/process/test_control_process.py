@@ -36,7 +36,7 @@ from shm.errors import NotRunning
 from shm.files import DIRECTORY, open_state
 from shm.words import Fault, Mode, Outcome
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 MIB = 1 << 20
 PR_CAPBSET_DROP, CAP_IPC_LOCK = 24, 14
 

@@ -25,7 +25,7 @@ from sim.faults import PowerLoss
 NOW = Reason("asked", "Asked for by a person.")
 GOAL = "large"
 EPOCH_NS = 1_700_000_000_000_000_000
-LAYOUT = Path(__file__).resolve().parents[2] / "docs" / "foxglove" / "rtarm.json"
+LAYOUT = Path(__file__).resolve().parents[3] / "docs" / "foxglove" / "rtarm.json"
 PICTURES = os.environ.get("RTARM_PICTURES")
 """A folder that gets the pictures of the documentation."""
 

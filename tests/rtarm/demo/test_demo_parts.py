@@ -32,7 +32,7 @@ CHECKED = (
     "trajectory_msgs.msg._joint_trajectory_point",
     "builtin_interfaces.msg._duration",
 )
-RECORDED = Path(__file__).resolve().parents[1] / "data" / "moveit"
+RECORDED = Path(__file__).resolve().parents[2] / "data" / "moveit"
 
 
 def test_the_tour_is_closed_and_each_goal_starts_where_the_last_ended() -> None:

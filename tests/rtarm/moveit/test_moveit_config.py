@@ -21,7 +21,7 @@ from config.schema import ArmConfig
 from rtarm.moveit.parameters import moveit_controllers
 from rtarm.moveit.text import floored, number
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 JOINTS = [f"joint{number}" for number in range(1, 7)]
 CONTROLLER = "episode_arm_controller"
 

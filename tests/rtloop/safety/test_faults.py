@@ -14,14 +14,6 @@ from shm.recording import SENT, read_recording
 from shm.words import Answer, DriveStatus, Fault, Mode, Outcome, Request, Slowed, Unreferenced
 from sim.faults import CorruptBytes, CountSlip, LostReplies, PowerLoss, Protection, Silent, Stall
 
-FD = "FD"
-
-
-def motion_frames(arm: VirtualArm, address: int, since: int) -> int:
-    """FD first packets sent to a drive since a position in the list of writes."""
-    mark = f"T{address << 8:08X}8{FD}".encode()
-    return sum(data.count(mark) for _, data in arm.sent[since:])
-
 
 def test_a_silent_drive_is_braked_then_latched() -> None:
     """The age ladder: brake on the path, then a fault that names the joint; the others come to rest."""
@@ -38,7 +30,7 @@ def test_a_silent_drive_is_braked_then_latched() -> None:
     assert arm.loop[0]["axes"][1]["reference"]["unreferenced_reason"] == Unreferenced.SILENT
     since = len(arm.sent)
     arm.cycles(200)
-    assert motion_frames(arm, 2, since) == 0
+    assert arm.position_commands(2, since) == 0
     assert not np.any(arm.loop[0]["axes"]["commanded"]["velocity_rad_s"])
     arm.close()
 
@@ -101,7 +93,7 @@ def test_a_drive_that_lost_power_gets_its_stop_and_no_motion_frame() -> None:
     assert arm.memory["fault"]["joint"] == 1
     assert arm.loop[0]["axes"][1]["reference"]["referenced"] == 0
     arm.cycles(300)
-    assert motion_frames(arm, 2, since) == 0
+    assert arm.position_commands(2, since) == 0
     assert any(b"T000002004FE98006B" in data for _, data in arm.sent)
     moved = [arm.sim.true_position_rad(1, arm.now_ns - 1)]
     arm.cycles(100)
@@ -129,7 +121,7 @@ def test_a_drive_that_reports_a_fault_of_its_own_is_named_and_not_led(flags: int
     arm.cycle()
     assert (arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (Fault.DRIVE_FAULT, 2)
     assert arm.outcome(arm.goal) == Outcome.FAULT
-    assert motion_frames(arm, 3, since) == 0
+    assert arm.position_commands(3, since) == 0
     arm.close()
 
 
@@ -159,7 +151,7 @@ def test_an_arm_that_lost_power_before_the_start_is_unreferenced() -> None:
     goal = arm.play("small")
     assert arm.end_of(goal) == Outcome.REFUSED_UNREFERENCED
     arm.cycles(50)
-    assert not any(FD.encode() in data for _, data in arm.sent)
+    assert not any(b"FD" in data for _, data in arm.sent)
     arm.close()
 
 
@@ -237,7 +229,7 @@ def test_a_held_joint_is_not_rushed_at_when_it_comes_free() -> None:
     arm.cycles(2)
     since = len(arm.sent)
     arm.cycles(60)
-    assert all(motion_frames(arm, address, since) == 0 for address in range(1, 7))
+    assert all(arm.position_commands(address, since) == 0 for address in range(1, 7))
     arm.close()
 
 

@@ -53,7 +53,7 @@ from rtarm.console.reporter import Reporter
 from rtarm.launch.own_domain import own_domain
 from shm import files
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 SCHEDULING = {"policy": "other", "priority": 0, "memory_locked": False, "cpu": None, "dma_latency_held": False}
 # Beyond 2**36 ns (a minute) everything lies in the last bucket.
 LATE_NS = st.integers(min_value=0, max_value=2**36)

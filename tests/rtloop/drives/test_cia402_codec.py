@@ -27,7 +27,7 @@ from shm.words import Mode, Unreferenced
 
 relaxed = settings(deadline=None)
 ARM = load_arm("cia402_6")
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 COUNTS = 131_072
 REQUESTS = (
     ("2B 40 60 00 06 00 00 00", cia402_setup.CONTROLWORD, 0x06),

@@ -28,7 +28,7 @@ from rtarm.doctor.machine import Machine, Unknown, can_links, cpu_list, try_perm
 from rtarm.doctor.repair import repair
 from rtarm.doctor.report import Report, examine, show
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 RUNTIME = "/proc/sys/kernel/sched_rt_runtime_us"
 
 

@@ -18,7 +18,7 @@ import pytest
 from rtloop.memory.record import Record, Rows
 from rtloop.memory.state import Loop
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def records(of: type[Record] = Loop) -> Iterator[type[Record]]:

@@ -549,7 +549,7 @@ class Terminal:
         self.seen = 0
         self.process = subprocess.Popen(
             [sys.executable, "-c", CHILD, os.ttyname(self.slave), arm],
-            cwd=Path(__file__).resolve().parents[2],
+            cwd=Path(__file__).resolve().parents[3],
             env={name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES", "NO_COLOR")}
             | {"TERM": "xterm-256color"},
             stderr=subprocess.PIPE,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from test_stop_hold_cancel import NS, new_arm
 from virtual import VirtualArm
 
 from rtloop.safety.faults import latch_fault
@@ -16,7 +15,7 @@ from shm.words import Fault, Outcome, Phase
 @pytest.mark.parametrize("phase", Phase)
 @pytest.mark.parametrize("to", Phase)
 def test_a_goal_changes_its_phase_as_the_table_allows(phase: Phase, to: Phase) -> None:
-    arm = new_arm()
+    arm = VirtualArm.brought_up("mock")
     arm.running["phase"] = phase
     allowed = to in ALLOWED[phase]
     assert change_phase(arm.loop[0], int(arm.memory["goals"]["active"]), to) == allowed
@@ -29,7 +28,7 @@ def comes_to(arm: VirtualArm, phase: Phase) -> None:
 
 
 def waiting(arm: VirtualArm) -> None:
-    arm.send_shift(start_ns=arm.now_ns + NS // 2)
+    arm.send_shift(start_ns=arm.now_ns + 500_000_000)
     arm.until(lambda: arm.waiting_goal != 0)
 
 
@@ -86,7 +85,7 @@ def test_there_is_a_story_for_each_change() -> None:
 
 @pytest.mark.parametrize("change", STORIES, ids=lambda change: f"{change[0].name}-{change[1].name}".lower())
 def test_each_change_happens(change: tuple[Phase, Phase], monkeypatch: pytest.MonkeyPatch) -> None:
-    arm = new_arm()
+    arm = VirtualArm.brought_up("mock")
     prepare, act = STORIES[change]
     prepare(arm)
     seen = []
@@ -105,7 +104,7 @@ def test_each_change_happens(change: tuple[Phase, Phase], monkeypatch: pytest.Mo
 
 
 def test_the_first_reason_to_stop_stands_but_a_fault_comes_before_it() -> None:
-    arm = new_arm()
+    arm = VirtualArm.brought_up("mock")
     running(arm)
     goal = arm.running_goal
     arm.cancel(goal)

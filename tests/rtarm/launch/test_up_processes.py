@@ -25,7 +25,7 @@ from shm.words import Fault
 pytestmark = pytest.mark.process
 
 LONG_S = 60.0
-RECORDED = Path(__file__).resolve().parents[1] / "data" / "moveit"
+RECORDED = Path(__file__).resolve().parents[2] / "data" / "moveit"
 
 
 class Command:
