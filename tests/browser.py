@@ -166,8 +166,15 @@ class Browser:
     def press(self, label: str) -> None:
         """Press the button whose label begins so."""
         path = f"//button[.//span[contains(@class,'Button-label') and starts-with(normalize-space(.), '{label}')]]"
-        button = self.until(lambda: [one for one in self.driver.find_elements("xpath", path) if one.is_enabled()])[0]
-        button.click()
+
+        def pressed() -> bool:
+            for button in self.driver.find_elements("xpath", path):
+                if button.is_enabled():
+                    button.click()
+                    return True
+            return False
+
+        self.until(pressed)
 
     def tab(self, label: str) -> None:
         path = f"//*[@role='tab' and normalize-space(.)='{label}']"

@@ -28,7 +28,7 @@ pytestmark = [
 
 
 PICTURES = os.environ.get("RTARM_PICTURES")
-SPEED, FILM_SPEED = 0.02, 0.012
+SPEED, FILM_SPEED = 0.005, 0.012
 """So slow that a busy machine's browser shows the goal in many pictures."""
 FILM_BYTES = 600_000
 
