@@ -23,17 +23,21 @@ OPTIONS = (
     "--no-sandbox",  # a container's root has no other way
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
-    "--disable-gpu-compositing",  # else it is the page as a whole that is drawn by threads in place of a graphics card
     "--window-size=1280,887",  # of which the page gets 1280 × 800
     "--disable-background-networking",
     "--force-device-scale-factor=1",
 )
 
+CALM = "RTARM_PICTURES" not in os.environ
+"""Whether a page draws less than people's browsers have it draw, which pictures and `bench/bench_view.py` show.
+
+Without a graphics card threads draw a picture and hand it to each other some hundred times, and beside a full machine
+each waits for its turn as often. So the scene is drawn twice a second, and the rest of the page without such threads.
+"""
+CALM_OPTIONS = ("--disable-gpu-compositing",) if CALM else ()
 FRAME_MS = 500
 CALMER = f"""window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), {FRAME_MS})
 window.cancelAnimationFrame = clearTimeout"""
-"""A page draws its scene twice a second and not sixty times: without a graphics card threads draw a picture and hand
-it to each other some hundred times, and beside a full machine each waits for its turn as often."""
 
 FILM_SIZE, FILM_FRAMES, FILM_REST_MS = (800, 500), 60, 2000
 """A moving picture's size in pixels, the most frames that it has, and how long its last one is seen."""
@@ -47,7 +51,7 @@ class Browser:
 
         options = webdriver.ChromeOptions()
         options.binary_location = CHROMIUM
-        for option in OPTIONS:
+        for option in (*OPTIONS, *CALM_OPTIONS):
             options.add_argument(option)
         options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
         self.driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
@@ -262,7 +266,7 @@ class Browser:
 
     def _calm(self) -> None:
         """Have every page of this tab draw its scene no more often than a test needs it."""
-        if "RTARM_PICTURES" not in os.environ:  # films are of every picture
+        if CALM:
             self.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": CALMER})
 
     def _rendered(self) -> bool:
