@@ -416,11 +416,6 @@ class VirtualArm:
             self.pending.append(lambda: self.writer.end(goal, arrival, consumed()))
         return goal
 
-    def position_commands(self, address: int, since: int) -> int:
-        """How many a ZDT drive was sent after so many writes."""
-        first = f"T{address << 8:08X}8FD".encode()
-        return sum(data.count(first) for _, data in self.sent[since:])
-
     def send_shift(self, by_rad: float = 0.05, duration_s: float = 2.0, **options: Any) -> int:
         """A goal that moves every joint by so much from where it is commanded to be, from rest to rest."""
         here = self.loop[0]["axes"]["commanded"]["position_rad"][: len(self.arm.joints)]

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from observer import truth_of
+from observer import frames_sent, motion_frames, truth_of
 from virtual import VirtualArm, recorded_goal
 
 from config.budget import budget
@@ -276,7 +276,7 @@ def test_a_drive_that_ceases_to_report_is_a_silent_one(moving: VirtualArm) -> No
     moving.cycles(100)
     stopped = len(moving.sent)
     moving.cycles(50)
-    assert moving.position_commands(2, since) == 0
+    assert motion_frames(frames_sent(moving.sent[since:]), 2, 0) == 0
     # it is heard all the time, so it is not stopped again and again
     assert not any(b"T000002004FE98006B" in data for _, data in moving.sent[stopped:])
     assert moving.outcome(moving.goal) == Outcome.FAULT
@@ -309,7 +309,7 @@ def test_a_drive_that_lost_power_is_asked_and_stopped(off_s: float, joint: int) 
     assert arm.loop[0]["axes"][joint]["reference"]["referenced"] == 0
     since = len(arm.sent)
     arm.cycles(240)
-    assert arm.position_commands(joint + 1, since) == 0
+    assert motion_frames(frames_sent(arm.sent[since:]), joint + 1, 0) == 0
     truth = truth_of(arm.sim)[name]
     assert np.ptp(truth.position_at(np.arange(arm.now_ns - 10**9, arm.now_ns - 10**6, 10**7))) == 0.0
     assert arm.clear_fault().failure is None
@@ -335,4 +335,4 @@ def test_reports_do_not_hide_that_nothing_is_heard_of_us(moving: VirtualArm) -> 
     assert moving.now_ns - began_ns <= 150_000_000
     assert moving.memory["fault"]["code"] in (Fault.STALE_READING, Fault.FOLLOWING_ERROR)
     moving.cycles(100)
-    assert sum(moving.position_commands(joint + 1, since) for joint in range(6)) == 0
+    assert sum(motion_frames(frames_sent(moving.sent[since:]), joint + 1, 0) for joint in range(6)) == 0
