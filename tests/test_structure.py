@@ -60,6 +60,18 @@ NAMES_A_FAMILY = {
     "rtloop/drives/sdo.py": "CANopen's identifiers are constants of the family that has them",
     "rtloop/memory/link.py": "a part of the cycle's memory names the modules that store into it",
 }
+OF_NO_SINGLE_ROOM = {
+    "rtloop": {"test_no_interpreter.py"},
+    "rtarm": {
+        "test_arm_from_python.py",
+        "test_child_process.py",
+        "test_jog.py",
+        "test_other_families.py",
+        "test_planted_files.py",
+        "test_stable_names.py",
+    },
+}
+"""Tests of several rooms, or of a file at the top of the package."""
 FORBIDDEN_IMPORTS = {
     "rtloop": {"rclpy", "control_msgs", "sensor_msgs", "trajectory_msgs", "std_msgs", "std_srvs"},
     "rosfront": {"numba", "llvmlite", "can"},
@@ -167,7 +179,9 @@ def test_no_room_imports_from_its_own_floor_or_above(folder: str, floors: tuple[
 @pytest.mark.parametrize(("folder", "floors"), [("rtloop", ROOMS_OF_RTLOOP), ("rtarm", ROOMS_OF_RTARM)])
 def test_tests_stand_in_the_room_of_what_they_test(folder: str, floors: tuple[tuple[str, ...], ...]) -> None:
     rooms = {room for floor in floors for room in floor}
-    assert {path.parent.name for path in (ROOT / "tests" / folder).glob("*/*.py")} <= rooms
+    tests = ROOT / "tests" / folder
+    assert {path.parent.name for path in tests.glob("*/*.py")} <= rooms
+    assert {path.name for path in tests.glob("test_*.py")} == OF_NO_SINGLE_ROOM[folder]
 
 
 def test_in_rtloop_a_family_of_drives_is_named_by_its_own_files_alone() -> None:

@@ -151,7 +151,7 @@ NOT_RUN: dict[str, str] = {
     "rtarm scan --port /dev/ttyACM0": "the same as with /dev/ttyUSB0",
     "rtarm drives ./my_arm.yaml*": "the same file as my_arm.yaml",
     "rtarm drives my_arm.yaml --write --store": "the same file as ./my_arm.yaml",
-    "rtarm calibrate episode1 -o ./my_arm.yaml": "would open /dev/ttyUSB1: tests/rtarm/calibrate does",
+    "rtarm calibrate episode1 -o ./my_arm.yaml": "would open /dev/ttyUSB1: tests/rtarm/calibrate",
     "rtarm calibrate ./my_arm.yaml --joint joint6": "the same as with joint5",
     "rtarm calibrate ./my_arm.yaml --channel ./tty": "the same as without, my_arm.yaml names the adapter already",
     "rtarm bench --quick": "a minute in which nothing else may run: tests/rtarm/bench/test_bench.py",
