@@ -8,7 +8,7 @@ from rtloop.memory.axis import FAMILY_MOCK
 from rtloop.memory.modes import is_disabled
 from rtloop.memory.state import Loop, Shared
 from rtloop.safety import setpoint_check
-from rtloop.safety.faults import path_is_trusted
+from rtloop.safety.faults import path_is_trusted, stop_each_joint
 from rtloop.trajectory.clock import advance_clock, along
 from rtloop.trajectory.limits import clamped_rad, hardest_rad_s2
 from rtloop.trajectory.path import find_waypoint, sample
@@ -36,7 +36,7 @@ def move(loop: Loop, shared: Shared) -> None:
         else:
             hold(loop)
         if not setpoint_check.check_next_setpoint(loop, shared) and path_is_trusted(loop.fault.code):
-            motion.per_joint_stop = 1
+            stop_each_joint(loop)
     if motion.per_joint_stop == 1:
         brake_each_joint(loop)
 

@@ -5,6 +5,7 @@ from rtloop.drives import families
 from rtloop.memory import status as status_bits
 from rtloop.memory.modes import is_disabled
 from rtloop.memory.state import Loop, Shared
+from rtloop.memory.transitions import stop_left
 from rtloop.safety import transmission
 from rtloop.service import port, rings
 from rtloop.wire import outgoing, received
@@ -29,7 +30,7 @@ def encode(loop: Loop, shared: Shared) -> None:
             mirror(loop, joint)
         elif axis.sent.stop_frames_due > 0:
             if families.stop(loop, joint, shared):
-                axis.sent.stop_frames_due -= 1  # comes back if the wire does not take it
+                stop_left(axis)  # comes back if the wire does not take it
         elif leads and transmission.may_be_led(loop, joint):
             families.lead(loop, joint, shared)
     if loop.mode != Mode.OFFLINE and leaves:

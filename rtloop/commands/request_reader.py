@@ -162,7 +162,7 @@ def begin_referencing(loop: Loop, shared: Shared, kind: int, joint_mask: int, an
     dialogue.referencing_ends = 0
     for joint in range(count):
         if (joint_mask >> joint) & 1:
-            loop.axes[joint].reference.asked_rad = angle_rad
+            loop.axes[joint].asked_rad = angle_rad
     dialogue.home_asked = joint_mask if kind == Request.HOME else 0  # the last: the other thread looks for them
     dialogue.reference_asked = joint_mask if kind == Request.REFERENCE else 0
     return Answer.DONE

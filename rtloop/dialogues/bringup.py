@@ -11,7 +11,7 @@ from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives.power import Marks
 from rtloop.drives.setup import Found, setup_of
-from rtloop.safety.references import absolute_makes_good
+from rtloop.safety.absolute_encoder import absolute_makes_good
 from rtloop.service.conversation import Conversation, Dialogue
 from rtloop.service.port import BRING_UP_BEGINS, BRING_UP_DONE, POWER_KEPT, SYNC_SETPOINT, ServicePort
 from sentences.told import joint_names, unreferenced_sentences

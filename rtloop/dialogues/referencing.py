@@ -50,7 +50,7 @@ def referencing_asked_for(
         port,
         now_ns=now_ns,
         homed=[joint for joint in order if homed >> joint & 1],
-        placed={joint: float(axes[joint]["reference"]["asked_rad"]) for joint in order if placed >> joint & 1},
+        placed={joint: float(axes[joint]["asked_rad"]) for joint in order if placed >> joint & 1},
         tell=tell,
         keep_lost=keep_lost,
         marks=marks,

@@ -71,4 +71,4 @@ def receive_refusal(loop: Loop, shared: Shared, joint: int, of_motion: bool) -> 
     """A drive has refused a command."""
     shared.counters.drive_errors += 1
     if of_motion:
-        loop.axes[joint].checks.refusals += 1
+        monitor.take_refusal(loop, joint)

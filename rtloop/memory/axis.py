@@ -8,6 +8,8 @@ QUESTIONS = 2
 """Questions for one drive's position that are taken to be open at most: an answer may come a cycle late, or never."""
 FRESH_READINGS = 3
 """A reading that is as old as so many that should have come since is no position of the joint."""
+STOP_FRAMES = 3
+"""A stop command is sent so many times: a frame may be lost."""
 FAMILY_MOCK = 0
 """A joint's family is its place among `config.joint.FAMILIES`, whose first is no drive at all."""
 
@@ -48,7 +50,7 @@ class JointParams(Record, writers=("commands.orders",)):
     report_delay_ns: int  # the same of a report, which is sent unasked
 
 
-class Commanded(Record, writers=("commands.orders", "cycle", "setpoints")):
+class Commanded(Record, writers=("cycle", "setpoints")):
     """What is commanded at this cycle, and at the next, which the frames of this cycle carry."""
 
     position_rad: float
@@ -67,7 +69,7 @@ class Ahead(Record, writers=("trajectory.ahead",)):
     velocity_rad_s: float  # its `Commanded.difference_velocity_rad_s`
 
 
-class Measured(Record, writers=("bus.frames", "bus.measured", "commands.orders")):
+class Measured(Record, writers=("bus",)):
     """The last plausible reading."""
 
     position_rad: float
@@ -76,7 +78,7 @@ class Measured(Record, writers=("bus.frames", "bus.measured", "commands.orders")
     readings: int  # since it was brought up
 
 
-class Tracking(Record, writers=("bus.frames", "bus.measured", "commands.orders", "cycle", "setpoints")):
+class Tracking(Record, writers=("bus", "cycle", "setpoints")):
     """The last reading beside what was commanded at its instant."""
 
     reference_rad: float
@@ -90,7 +92,7 @@ class Tracking(Record, writers=("bus.frames", "bus.measured", "commands.orders",
     slip_rad: float  # how far the drive may have run ahead while the loop was away
 
 
-class Reply(Record, writers=("bus.frames", "bus.measured", "commands.orders", "cycle", "drives.receiving")):
+class Reply(Record, writers=("bus", "cycle", "drives.receiving")):
     """Positions as they come from the drive, and questions for them."""
 
     is_new: int  # 1: a position came since the last cycle
@@ -103,7 +105,7 @@ class Reply(Record, writers=("bus.frames", "bus.measured", "commands.orders", "c
     unanswered_since_ns: int
 
 
-class Checks(Record, writers=("commands.orders", "drives.receiving", "safety.monitor")):
+class Checks(Record, writers=("safety.monitor",)):
     """What has been implausible or refused, and how often in a row."""
 
     suspect: int  # 1: the last reading was implausible and waits for the next one to agree
@@ -129,31 +131,19 @@ class DriveState(Record, writers=("bus.frames", "commands.orders", "drives", "sa
     is_disabled: int  # 1: it was disabled, and has confirmed that
 
 
-class Reference(Record, writers=("commands.orders", "commands.request_reader", "safety.monitor")):
+class Reference(Record, writers=("safety.references",)):
     """Whether what the drive counts means an angle."""
 
     referenced: int
     unreferenced_reason: int
-    asked_rad: float  # the angle that was requested for the joint, NaN = as its drive counts
     power_loss_known: int  # 1: the drive's flag for lost power stays, and where it counts from is known
     lost_at_rad: float  # its last reading when its reference was lost
 
 
-class Sent(
-    Record,
-    writers=(
-        "bus.frames",
-        "commands.orders",
-        "drives",
-        "safety.monitor",
-        "safety.setpoint_check",
-        "safety.transmission",
-        "wire.outgoing",
-    ),
-):
+class Sent(Record, writers=("commands.orders", "drives", "safety.references")):
     """What the drive's commands so far leave to the next ones."""
 
-    stop_frames_due: int
+    stop_frames_due: int  # stored by `memory.transitions` alone
     rpm_remainder: float
     fast_ready: int  # 1: its speed and ramp for FC are set, and it takes FC as absolute
     fast_offset_rad: float  # by which its targets lie further ahead than they should, so that it is on time
@@ -163,7 +153,7 @@ class Sent(
     asked_cycle: int  # the last one in which a command has asked it for its position as well
 
 
-class Axis(Record, writers=()):
+class Axis(Record, writers=("commands.request_reader",)):
     """A joint in motion."""
 
     commanded: Commanded
@@ -175,3 +165,4 @@ class Axis(Record, writers=()):
     drive: DriveState
     reference: Reference
     sent: Sent
+    asked_rad: float  # the angle that was requested for it, NaN = as its drive counts

@@ -22,13 +22,7 @@ class Operator(Record, writers=("commands.operator",)):
     stops: int  # how often a person has stopped the arm
 
 
-class Front(
-    Record,
-    writers=(
-        "commands.request_reader",
-        "commands.setpoint_reader",
-    ),
-):
+class Front(Record, writers=("commands.request_reader", "commands.setpoint_reader")):
     """How far the ROS process' rings are read, and how long ago it last wrote a sign of life."""
 
     newest_goal: int  # highest id ever begun
@@ -79,11 +73,9 @@ class Clock(Record, writers=("trajectory.arrival", "trajectory.clock", "trajecto
 class Motion(
     Record,
     writers=(
-        "commands.orders",
         "commands.request_reader",
         "cycle",
         "safety.faults",
-        "safety.setpoint_check",
         "safety.transmission",
         "setpoints",
         "trajectory.goals",

@@ -91,7 +91,7 @@ class LatchedFault(Record, writers=("safety.faults",)):
 
 class Dialogue(
     Record,
-    writers=("commands.operator", "commands.orders", "commands.request_reader", "memory.modes", "safety.faults"),
+    writers=("commands", "safety.faults"),
 ):
     """What the main thread is asked to do, and how far it is."""
 
@@ -115,7 +115,7 @@ class Gripper(Record, writers=("commands.operator", "commands.request_reader")):
     halted: int  # of the newest one that a person's stop or hold has ended
 
 
-class History(Record, writers=("commands.orders", "cycle")):
+class History(Record, writers=("cycle",)):
     """Commanded positions of the last cycles."""
 
     next: int
@@ -123,7 +123,7 @@ class History(Record, writers=("commands.orders", "cycle")):
     position_rad: Annotated[Floats, HISTORY_SLOTS * MAX_JOINTS]
 
 
-class Published(Record, writers=("memory.events", "publish")):
+class Published(Record, writers=("publish",)):
     """What of the snapshot stands in the state file as it is, and need not be written again."""
 
     cycle: int
@@ -132,7 +132,7 @@ class Published(Record, writers=("memory.events", "publish")):
     decisions_crc: int  # of them
 
 
-class Loop(Record, writers=("memory.modes",)):
+class Loop(Record, writers=()):
     """All of it."""
 
     params: Params

@@ -7,9 +7,6 @@ from rtloop.memory.state import Loop, Shared
 from rtloop.trajectory.phases import raise_epoch, runs, stop_running, tell_why_it_stops
 from shm.words import Event, Fault, Mode, Outcome
 
-STOP_FRAMES = 3
-"""A stop command is sent so many times: a frame may be lost."""
-
 
 @jit
 def _is_of_a_talk(fault: int) -> bool:
@@ -44,11 +41,17 @@ def latch_fault(
     record_event(loop, shared, Event.FAULT, joint, fault, value, limit, silent, evidence)
     change_mode(loop, shared, Mode.FAULT)
     if not path_is_trusted(fault):
-        loop.motion.per_joint_stop = 1
+        stop_each_joint(loop)
     raise_epoch(loop, shared, Outcome.FAULT, joint, value, limit)
     stop_running(loop, Outcome.FAULT, joint, value, limit)
     if runs(loop):
         tell_why_it_stops(loop, shared)
+
+
+@jit
+def stop_each_joint(loop: Loop) -> None:
+    """Each joint brakes by itself from here on: the path cannot be trusted."""
+    loop.motion.per_joint_stop = 1
 
 
 @jit

@@ -3,16 +3,17 @@
 from compilation.jit import jit
 from rtloop.memory import status as status_bits
 from rtloop.memory.axis import FAMILY_MOCK, FRESH_READINGS
-from rtloop.memory.events import record_event
 from rtloop.memory.modes import is_disabled
 from rtloop.memory.state import Loop, Shared
-from rtloop.safety import references, silence
-from rtloop.safety.faults import STOP_FRAMES, latch_fault
+from rtloop.memory.transitions import owe_stop
+from rtloop.safety import silence
+from rtloop.safety.faults import latch_fault
 from rtloop.safety.outlier_filter import filtered_error_rad, filtered_error_rad_s, filtered_error_rad_s2
+from rtloop.safety.references import lose_reference, outlives_a_clear
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.trajectory.path import in_goal
 from rtloop.trajectory.phases import slow_down, stop_running
-from shm.words import Event, Fault, Mode, Outcome, Phase, Slowed, Unreferenced
+from shm.words import Fault, Mode, Outcome, Phase, Slowed, Unreferenced
 
 _LATE_DRIVE = int(Slowed.LATE_DRIVE)
 
@@ -20,8 +21,6 @@ STATUSES_TO_BELIEVE = 2
 REFUSALS_TO_BELIEVE = 2
 HAND_SHARE = 2.0
 """A disabled joint that is led by hand may move at this many times its highest velocity."""
-
-absolute_makes_good = jit(references.absolute_makes_good)
 
 
 @jit
@@ -125,6 +124,12 @@ def take_status(loop: Loop, joint: int, status: int) -> None:
 
 
 @jit
+def take_refusal(loop: Loop, joint: int) -> None:
+    """Its drive has refused to move."""
+    loop.axes[joint].checks.refusals += 1
+
+
+@jit
 def knows_where_it_stands(loop: Loop, joint: int) -> bool:
     """Whether the last reading is the present position, so that the drive can be commanded to stay there.
 
@@ -138,19 +143,6 @@ def knows_where_it_stands(loop: Loop, joint: int) -> bool:
 
 
 @jit
-def lose_reference(loop: Loop, shared: Shared, joint: int, reason: int) -> None:
-    """The drive's count means nothing any more: stop command, then no motion frame until it is referenced."""
-    axis = loop.axes[joint]
-    reference = axis.reference
-    if reference.referenced == 1:
-        record_event(loop, shared, Event.REFERENCE, joint, reason, 0.0, 0.0)
-        reference.lost_at_rad = axis.measured.position_rad
-    reference.referenced = reference.power_loss_known = axis.sent.fast_ready = 0
-    reference.unreferenced_reason = reason
-    axis.sent.stop_frames_due = STOP_FRAMES
-
-
-@jit
 def stop_if_it_was_away(loop: Loop, joint: int, waited_ns: int) -> None:
     """A drive that answers again after it lost its reference may have missed its stop command, whatever the mode.
 
@@ -160,16 +152,7 @@ def stop_if_it_was_away(loop: Loop, joint: int, waited_ns: int) -> None:
     lost = loop.mode == Mode.FAULT or outlives_a_clear(loop, joint)
     away = axis.measured.readings == 0 or waited_ns > loop.params.stale_fault_ns
     if axis.reference.referenced == 0 and lost and away:
-        axis.sent.stop_frames_due = STOP_FRAMES
-
-
-@jit
-def outlives_a_clear(loop: Loop, joint: int) -> bool:
-    """Whether a joint stays unreferenced although the drive looks sound again: clearing a fault never references."""
-    reason = loop.axes[joint].reference.unreferenced_reason
-    if reason == Unreferenced.POSITION_JUMP or reason == Unreferenced.NOT_HOMED or reason == Unreferenced.INCREMENTAL:
-        return True
-    return bool(absolute_makes_good(reason) and loop.joints[joint].knows_its_angle == 0)
+        owe_stop(axis)
 
 
 @jit

@@ -9,7 +9,8 @@ from compilation.jit import jit
 from motion import limits
 from rtloop.memory.axis import Commanded
 from rtloop.memory.state import Loop, Shared
-from rtloop.safety.faults import STOP_FRAMES, latch_fault
+from rtloop.memory.transitions import owe_stop
+from rtloop.safety.faults import latch_fault, stop_each_joint
 from rtloop.trajectory.limits import band, first_broken, hardest_rad_s2, highest_rad_s
 from shm.words import Fault
 
@@ -83,8 +84,8 @@ def may_be_sent(loop: Loop, shared: Shared, joint: int, position: float, velocit
     if math.isfinite(total):
         return True
     latch_fault(loop, shared, Fault.NOT_FINITE, joint, total, 0.0)
-    loop.motion.per_joint_stop = 1
-    axis.sent.stop_frames_due = STOP_FRAMES
+    stop_each_joint(loop)
+    owe_stop(axis)
     return False
 
 

@@ -3,7 +3,7 @@
 from compilation.jit import jit
 from config.frames import ADAPTER_FRAMES
 from rtloop.memory.state import Loop
-from rtloop.safety.faults import STOP_FRAMES
+from rtloop.memory.transitions import owe_stop
 from rtloop.safety.monitor import silent_ns
 from rtloop.trajectory.limits import at_rest
 from shm.words import Mode
@@ -99,4 +99,4 @@ def stop_displaced_drives(loop: Loop) -> None:
             motion.started == 1
             and abs(axis.commanded.position_rad - axis.measured.position_rad) > 2.0 * loop.joints[joint].slack_rad
         ):
-            axis.sent.stop_frames_due = STOP_FRAMES
+            owe_stop(axis)

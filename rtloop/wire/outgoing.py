@@ -11,6 +11,7 @@ from rtloop.memory.frame_words import EXTENDED, REMOTE
 from rtloop.memory.link import CAN_FRAME_BYTES, SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_PYTHON_CAN
 from rtloop.memory.recorder import SENT, marks_of, record_frame
 from rtloop.memory.state import Loop, Shared
+from rtloop.memory.transitions import stop_came_back
 from rtloop.wire import can_frame, wires
 from rtloop.wire.can_words import JOINED, STOP
 
@@ -132,7 +133,7 @@ def keep(loop: Loop, shared: Shared, sent: int, first: int, end: int) -> None:
     for frame in range(end, outgoing.frames):
         shared.counters.bits_on_bus -= frame_bits(outgoing.kinds[frame], outgoing.sizes[frame])
         if outgoing.stops[frame] >= 0:
-            loop.axes[outgoing.stops[frame]].sent.stop_frames_due += 1
+            stop_came_back(loop.axes[outgoing.stops[frame]])
     if sent > 0:
         for i in range(left):
             outgoing.bytes[i] = outgoing.bytes[sent + i]

@@ -57,7 +57,7 @@ LEAVES = (
         ("tests/rtloop/drives/test_codec_laws.py", "-k", "no_number"),
         ("setpoint_sum", "may_be_sent"),
     ),
-    Leaf("rtloop/safety/references.py", ("tests/rtloop/kept/test_reference_store.py", "-k", "no_clear_forgives")),
+    Leaf("rtloop/safety/absolute_encoder.py", ("tests/rtloop/kept/test_reference_store.py", "-k", "no_clear_forgives")),
     Leaf("rtloop/drives/leading.py", ("tests/rtloop/drives/test_leading.py",)),
     Leaf("rtloop/drives/following.py", ("tests/rtloop/drives/test_following.py",)),
     Leaf("rtloop/wire/slcan.py", ("tests/rtloop/wire/test_slcan_codec.py", WIRES, "-k", "slcan")),

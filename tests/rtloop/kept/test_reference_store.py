@@ -13,8 +13,8 @@ from virtual import VirtualArm
 from config.loader import load_arm
 from rtloop.kept import reference_store
 from rtloop.process.initial_state import new_loop
-from rtloop.safety.monitor import outlives_a_clear
-from rtloop.safety.references import absolute_makes_good
+from rtloop.safety.absolute_encoder import absolute_makes_good
+from rtloop.safety.references import outlives_a_clear
 from shm.words import Answer, Fault, Mode, Request, Unreferenced
 
 COUNTS = st.dictionaries(st.integers(0, 5), st.integers(-(2**40), 2**40))
