@@ -17,8 +17,8 @@ from rich.console import Console
 from config.loader import ARMS_FOLDER
 from handbook.stability import listed
 from rtarm.recording import mcap_reader
+from rtarm.recording.playback import Playback
 from rtarm.recording.plot import plot
-from rtarm.recording.replay import Replay
 from rtarm.top.picture import Picture
 
 VERSIONS = sorted(path for path in KEPT.glob("v*") if path.is_dir())
@@ -71,7 +71,7 @@ def test_a_recording_is_played_to_its_end(path: Path) -> None:
     span_ns = int(recording.records["monotonic_ns"][-1] - recording.records["monotonic_ns"][0])
     moments_ns = [0, *(round(share * span_ns) for share in (0.0, 0.3, 0.6, 1.0))]
     clock_ns = itertools.chain(moments_ns, itertools.repeat(span_ns))
-    replay = Replay(recording, 1.0, lambda: next(clock_ns))
+    replay = Playback(recording, 1.0, lambda: next(clock_ns))
     for _ in range(4):
         drawn = io.StringIO()
         Console(width=120, file=drawn).print(Picture(replay.look()))

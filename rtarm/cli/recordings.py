@@ -160,7 +160,7 @@ def replay(
 
             show_on_page(recording, arm, speed, spoken, typer.echo)
         else:
-            from rtarm.recording.replay import play
+            from rtarm.recording.playback import play
 
             play(recording, speed, spoken)
 

@@ -26,7 +26,7 @@ def show_on_page(
         Refusal, ConfigError: it cannot be drawn or served.
     """
     needs("viser")
-    from rtarm.recording.replay import Replay
+    from rtarm.recording.playback import Playback
     from rtarm.view.gate import open_server
     from rtarm.view.run import serve
     from rtarm.view.source import RecordedArm
@@ -43,5 +43,5 @@ def show_on_page(
         )
     opened = open_server()
     tell(f"{opened.url} plays the recording of {recording.arm}; Ctrl-C ends the page.")
-    shown = RecordedArm(recording, Replay(recording, speed, language=language))
+    shown = RecordedArm(recording, Playback(recording, speed, language=language))
     serve(opened.server, arm, shown, None, WORDS[language])

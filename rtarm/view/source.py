@@ -10,7 +10,7 @@ import numpy as np
 
 from config.schema import ArmConfig
 from rtarm.console.language import said
-from rtarm.recording.replay import Replay
+from rtarm.recording.playback import Playback
 from rtarm.top.watch import Look, Watch
 from rtarm.view.path import GoalPath, thinned
 from sentences.meaning import Language
@@ -147,7 +147,7 @@ class FollowedRecorder:
 class RecordedArm:
     """A recording, played in its own time or slower or quicker."""
 
-    def __init__(self, recording: Recording, replay: Replay) -> None:
+    def __init__(self, recording: Recording, replay: Playback) -> None:
         """`replay` is of that recording."""
         self.joints = recording.joints
         self._replay = replay

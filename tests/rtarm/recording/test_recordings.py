@@ -39,7 +39,7 @@ from rtarm.recording.chart import Series, chart
 from rtarm.recording.explain import explanation
 from rtarm.recording.mcap_format import Reason
 from rtarm.recording.mcap_writer import NotWritten
-from rtarm.recording.replay import Replay
+from rtarm.recording.playback import Playback
 from rtarm.top.picture import Picture
 from rtloop.wire.slcan import BEL
 from shm import files, layout
@@ -557,7 +557,7 @@ def test_an_explanation_in_chinese_fits_its_terminal_and_has_no_english(a_file: 
 
 def test_a_replay_in_chinese_says_so(power_loss: Recording) -> None:
     clock = [0]
-    with closing(Replay(power_loss, 1.0, lambda: clock[0], "zh")) as replay:
+    with closing(Playback(power_loss, 1.0, lambda: clock[0], "zh")) as replay:
         clock[0] = 60_000_000_000
         last = replay.look()
     console = Console(file=io.StringIO(), width=100, height=40, color_system=None)
@@ -593,7 +593,7 @@ def test_a_chart_puts_values_where_they_belong() -> None:
 
 def test_a_replay_shows_what_was_to_be_seen_then(power_loss: Recording) -> None:
     clock = [0]
-    replay = Replay(power_loss, 0.5, lambda: clock[0])
+    replay = Playback(power_loss, 0.5, lambda: clock[0])
     first = replay.look().report
     assert first is not None and first["mode"] == "bringing_up"
     clock[0] = 4_000_000_000  # two of its seconds

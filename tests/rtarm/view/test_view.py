@@ -29,7 +29,7 @@ from motion.segment import evaluate, quintic
 from rtarm.console.errors import Refusal
 from rtarm.moveit.robot import model_parts
 from rtarm.moveit.shapes import link_shapes
-from rtarm.recording.replay import Replay
+from rtarm.recording.playback import Playback
 from rtarm.running import requests
 from rtarm.running.status import report_of
 from rtarm.top.events import Happening
@@ -392,7 +392,7 @@ def recording() -> Iterator[Recording]:
 
 def test_a_recording_stands_behind_the_page_like_an_arm(recording: Recording) -> None:
     now_ns = 0
-    source = RecordedArm(recording, Replay(recording, 2.0, lambda: now_ns))
+    source = RecordedArm(recording, Playback(recording, 2.0, lambda: now_ns))
     assert source.joints == JOINTS
     assert len(source.cycles()) == 1 and len(source.path()) == 0
     now_ns = 300_000_000  # 0.6 s of the recording

@@ -23,7 +23,7 @@ from shm.words import Event, Outcome
 NS = 1_000_000_000
 
 
-class Replay:
+class Playback:
     """Looks at a recording, ever later in it."""
 
     def __init__(
@@ -170,4 +170,4 @@ def play(recording: Recording, speed: float, language: Language = "en") -> None:
         language,
         "`rtarm replay` draws on a terminal, and this is not one: use `rtarm explain` for a recording in words.",
     )
-    show(lambda: Replay(recording, speed, language=language), no_terminal)
+    show(lambda: Playback(recording, speed, language=language), no_terminal)
