@@ -262,6 +262,16 @@ def stop_again(arm: str) -> None:
         connection.writer.stop()
 
 
+def hold_again(arm: str) -> None:
+    """The same of a hold.
+
+    Raises:
+        SharedMemoryError: the arm is not running.
+    """
+    with connect(arm) as connection:
+        connection.writer.hold()
+
+
 def stands(snapshot: np.ndarray) -> bool:
     """Whether no motion is commanded and none going on."""
     return (

@@ -58,6 +58,11 @@ class Orders:
         """Pause the running goal."""
         return requests.hold(self._arm.name, self._words.language)
 
+    def hold_again(self) -> None:
+        """Hold while an earlier hold waits for the arm to stand: that one tells how it ends, and if the arm is gone."""
+        with suppress(SharedMemoryError):
+            requests.hold_again(self._arm.name)
+
     def resume(self) -> str:
         """Let a held goal go on, and a held or stopped arm take goals again."""
         return requests.resume(self._arm.name, self._words.language)

@@ -175,7 +175,7 @@ class Controls:
     """Buttons and sliders, and what came of them.
 
     Callbacks come from viser's threads, from whatever a browser sent: every value is checked, and an order that is
-    under way is not given a second time, a stop excepted.
+    under way is not given a second time, Hold and Stop excepted.
     """
 
     def __init__(
@@ -191,11 +191,12 @@ class Controls:
         self._speed_wish: float | None = None
         self._speed_touched_s = -math.inf
         gui = server.gui
-        self._hold = self._button(words.hold, words.hold_hint, orders.hold, "orange")
+        self._hold = gui.add_button(words.hold, hint=words.hold_hint, color="orange")
+        self._hold.on_click(lambda _: self._halt(words.hold, orders.hold, orders.hold_again))
         self._resume = self._button(words.resume, words.resume_hint, orders.resume, "blue")
         gui.add_html(STOP_FOLLOWS)
         self._stop = gui.add_button(words.stop, hint=words.stop_hint, color="red")
-        self._stop.on_click(lambda _: self._stop_pressed())
+        self._stop.on_click(lambda _: self._halt(words.stop, orders.stop, orders.stop_again))
         self._clear = self._button(words.clear_fault, words.clear_fault_hint, orders.clear_fault, "green")
         self._clear.visible = False
         self._enable = gui.add_button(words.enable, hint=words.enable_hint, color="green", visible=False)
@@ -298,14 +299,14 @@ class Controls:
 
     # --- what people do ------------------------------------------------------------------------------------
 
-    def _stop_pressed(self) -> None:
-        """Every press reaches the arm, which may have been let go on since an earlier one that still waits."""
+    def _halt(self, what: str, order: Callable[[], str], again: Callable[[], None]) -> None:
+        """Every press of Hold and Stop reaches the arm, which may have been resumed since one that still waits."""
         with self._lock:
-            waits = self._words.stop in self._under_way
+            waits = what in self._under_way
         if waits:
-            self._orders.stop_again()
+            again()
         else:
-            self._give(self._words.stop, lambda _: self._orders.stop())
+            self._give(what, lambda _: order())
 
     def _give(self, what: str, order: Callable[[object], str]) -> None:
         """Give an order and show its answer, which takes the place of what is said while it is under way."""

@@ -62,11 +62,14 @@ def test_stop_of_a_standing_arm_says_so(arm: WrittenArm, rtarm: Rtarm) -> None:
     )
 
 
-def test_a_stop_while_an_earlier_one_waits_is_asked_for_as_well(arm: WrittenArm) -> None:
+@pytest.mark.parametrize(("again", "word"), [(requests.stop_again, "stop_ns"), (requests.hold_again, "hold_ns")])
+def test_a_stop_or_hold_while_an_earlier_one_waits_is_asked_for_as_well(
+    arm: WrittenArm, again: Callable[[str], None], word: str
+) -> None:
     before_ns = 0
     for _ in range(3):
-        requests.stop_again(arm.name)
-        asked_ns = int(arm.command["stop_ns"][0])
+        again(arm.name)
+        asked_ns = int(arm.command[word][0])
         assert asked_ns > before_ns
         before_ns = asked_ns
 

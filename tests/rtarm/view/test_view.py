@@ -479,7 +479,10 @@ def test_a_goal_whose_sender_was_still_starting_when_stop_was_pressed_is_not_sen
         assert not sent
 
 
-def test_every_press_of_stop_reaches_the_arm_also_while_an_earlier_one_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("halt", ["stop", "hold"])
+def test_every_press_of_stop_and_hold_reaches_the_arm_also_while_an_earlier_one_waits(
+    halt: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     viser = pytest.importorskip("viser")
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
@@ -487,25 +490,26 @@ def test_every_press_of_stop_reaches_the_arm_also_while_an_earlier_one_waits(mon
         waits, stands = threading.Event(), threading.Event()
         pressed: list[str] = []
 
-        def stop() -> str:
-            pressed.append("stop")
+        def order() -> str:
+            pressed.append("first")
             waits.set()
             assert stands.wait(30.0)
             return "The arm stands."
 
-        monkeypatch.setattr(orders, "stop", stop)
-        monkeypatch.setattr(orders, "stop_again", lambda: pressed.append("again"))
+        monkeypatch.setattr(orders, halt, order)
+        monkeypatch.setattr(orders, f"{halt}_again", lambda: pressed.append("again"))
         controls = Controls(server, EPISODE1, orders, ENGLISH, None)
-        first = threading.Thread(target=controls._stop_pressed)
+        [press] = getattr(controls, f"_{halt}")._impl.update_cb
+        first = threading.Thread(target=press, args=(None,))
         first.start()
         assert waits.wait(30.0)
         for _ in range(3):
-            controls._stop_pressed()
-        assert pressed == ["stop", "again", "again", "again"]
+            press(None)
+        assert pressed == ["first", "again", "again", "again"]
         stands.set()
         first.join()
         assert "The arm stands." in controls._answer.content
-        controls._stop_pressed()
-        assert pressed[-1] == "stop"
+        press(None)
+        assert pressed[-1] == "first"
     finally:
         server.stop()
