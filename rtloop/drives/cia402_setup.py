@@ -38,7 +38,8 @@ from rtloop.drives import pdo
 from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.sdo import ABORT, Aborted, Node, Object, abort_words, reading, value_in
-from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, PowerHost
+from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, PowerHost
+from rtloop.drives.steps import unanswered, without_error
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import Dialogue, DialogueFailed, Part
 from rtloop.service.port import Frame
@@ -268,11 +269,8 @@ def _is_a_drive(host: Host, node: Node) -> Part[None]:
         yield say(_order(node, START_NODE))
         answer = yield reading(node.number, DEVICE_TYPE)
     if answer is None:
-        raise DialogueFailed(
-            node.joint,
-            f"The drive of {name} (node {node.number}) does not answer: check its power, its node number and bit rate "
-            f"({host.arm.bus.bitrate} bit/s), and the CAN wires with 120 Ω at both ends.",
-        )
+        rate = f"its node number and bit rate ({host.arm.bus.bitrate} bit/s)"
+        raise unanswered(node.joint, node.config, f"node {node.number}", rate)
     device = value_in(answer, DEVICE_TYPE)
     if device & 0xFFFF != PROFILE:
         raise DialogueFailed(
@@ -294,24 +292,24 @@ def _sound_state(host: Host, node: Node) -> Part[int]:
     state = yield from _until(host.arm, node, lambda state: state not in (NOT_READY, FAULT_REACTION))
     if state not in (FAULT, FAULT_REACTION):
         return state
-    code = yield from node.read_if_there(ERROR_CODE)
-    why = error_words(code or 0)
-    if not host.clears_protection:
-        raise DialogueFailed(
+    why = error_words((yield from node.read_if_there(ERROR_CODE)) or 0)
+
+    def cleared() -> Part[int]:
+        yield from node.write(CONTROLWORD, NO_VOLTAGE)
+        yield from node.write(CONTROLWORD, FAULT_RESET)
+        return (yield from _until(host.arm, node, lambda state: state not in (NOT_READY, FAULT, FAULT_REACTION)))
+
+    return (
+        yield from without_error(
+            host,
             node.joint,
-            f"The drive of {node.config.name} has an error ({why}) and holds nothing: remove the cause, "
-            f"{ERROR_AT_START}.",
+            state,
+            lambda state: why if state in (FAULT, FAULT_REACTION) else "",
+            cleared,
+            find="find it with the drive's own program",
+            tries=1,
         )
-    yield from node.write(CONTROLWORD, NO_VOLTAGE)
-    yield from node.write(CONTROLWORD, FAULT_RESET)
-    state = yield from _until(host.arm, node, lambda state: state not in (NOT_READY, FAULT, FAULT_REACTION))
-    if state in (FAULT, FAULT_REACTION):
-        raise DialogueFailed(
-            node.joint,
-            f"The drive of {node.config.name} keeps its error ({why}) after it was cleared, so what caused it is still "
-            "there: find it with the drive's own program, then `rtarm clear-fault`.",
-        )
-    return state
+    )
 
 
 def _looks(arm: ArmConfig, duration_s: float) -> int:

@@ -38,9 +38,10 @@ from config.schema import ArmConfig
 from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.fields import field, of_field
-from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, PowerHost
+from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, PowerHost
+from rtloop.drives.steps import answered, let_go, unanswered, without_error, written
 from rtloop.memory.frame_words import STANDARD
-from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, silent_amid
+from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part
 from rtloop.service.port import Frame
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from shm.words import Unreferenced
@@ -142,15 +143,12 @@ def _is_enabled(config: JointConfig) -> Part[bool | None]:
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
     """Disable the motor, and see that it is; raises DialogueFailed."""
     config = arm.joints[joint]
-    for _ in range(TRIES):
+
+    def told() -> Part[str]:
         yield say(_command(_drive(config), DISABLE))
-        if (yield from _feedback(joint, config)).code != ENABLED:
-            return
-    raise DialogueFailed(
-        joint,
-        f"The drive of {config.name} stays enabled after being told to let go: keep clear of the arm, switch the "
-        "drive off, then on, then `rtarm clear-fault`, which brings all drives up again.",
-    )
+        return "stays enabled" if (yield from _feedback(joint, config)).code == ENABLED else ""
+
+    yield from let_go(joint, config, told, "switch the drive off, then on")
 
 
 def status_words(code: int) -> str:
@@ -232,9 +230,7 @@ def _tells_register(drive: DamiaoDrive, data: bytes) -> bool:
 
 def _feedback(joint: int, config: JointConfig) -> Part[Feedback]:
     """How the motor is; raises DialogueFailed."""
-    answer = yield _asked(config)
-    if answer is None:
-        raise DialogueFailed(joint, silent_amid(config, "feedback"))
+    answer = yield from answered(joint, config, _asked(config), "feedback")
     return feedback_of(answer.data, _drive(config).ranges)
 
 
@@ -244,30 +240,28 @@ def _sound(host: Host, joint: int) -> Part[Feedback]:
     drive = _drive(config)
     answer = yield _asked(config)
     if answer is None:
-        raise DialogueFailed(
+        raise unanswered(
             joint,
-            f"The drive of {config.name} (motor_id {drive.motor_id:#x}) does not answer on its master_id "
-            f"{drive.master_id:#x}: check its power, its ESC_ID and MST_ID (registers 8 and 7, in the maker's tool), "
-            f"its bit rate ({host.arm.bus.bitrate} bit/s, register 35), and the CAN wires with 120 Ω at both ends.",
+            config,
+            f"motor_id {drive.motor_id:#x}",
+            "its ESC_ID and MST_ID (registers 8 and 7, in the maker's tool), its bit rate "
+            f"({host.arm.bus.bitrate} bit/s, register 35)",
+            f" on its master_id {drive.master_id:#x}",
         )
-    found = feedback_of(answer.data, drive.ranges)
-    if found.code in (LIMP, ENABLED):
-        return found
-    if not host.clears_protection:
-        raise DialogueFailed(
-            joint,
-            f"The drive of {config.name} has an error ({status_words(found.code)}) and holds nothing: remove the "
-            f"cause, {ERROR_AT_START}.",
-        )
-    for _ in range(TRIES):
+
+    def cleared() -> Part[Feedback]:
         yield say(_command(drive, CLEAR_ERROR))
-        found = yield from _feedback(joint, config)
-        if found.code in (LIMP, ENABLED):
-            return found
-    raise DialogueFailed(
-        joint,
-        f"The drive of {config.name} keeps its error ({status_words(found.code)}) after it was cleared, so what caused "
-        "it is still there: remove that, then `rtarm clear-fault`.",
+        return (yield from _feedback(joint, config))
+
+    return (
+        yield from without_error(
+            host,
+            joint,
+            feedback_of(answer.data, drive.ranges),
+            lambda found: "" if found.code in (LIMP, ENABLED) else status_words(found.code),
+            cleared,
+            find="remove that",
+        )
     )
 
 
@@ -341,10 +335,8 @@ def _read(joint: int, config: JointConfig, register: int) -> Part[bytes]:
     drive = _drive(config)
     request = Frame(REGISTERS_ID, struct.pack("<HBB4x", drive.motor_id, READ, register), kind=STANDARD)
     expected = request.data[:4]
-    answer = yield AskFrames((request,), lambda frame: len(frame.data) == 8 and frame.data[:4] == expected)
-    if answer is None:
-        raise DialogueFailed(joint, silent_amid(config, f"register {register}"))
-    return bytes(answer.data[4:])
+    question = AskFrames((request,), lambda frame: len(frame.data) == 8 and frame.data[:4] == expected)
+    return bytes((yield from answered(joint, config, question, f"register {register}")).data[4:])
 
 
 def _read_float(joint: int, config: JointConfig, register: int) -> Part[float]:
@@ -360,11 +352,13 @@ def _read_whole(joint: int, config: JointConfig, register: int) -> Part[int]:
 def _write(joint: int, config: JointConfig, register: int, value: bytes) -> Part[None]:
     """Write a register in volatile memory, and see that it has the value; raises DialogueFailed."""
     head = struct.pack("<HBB", _drive(config).motor_id, WRITE, register)
-    for _ in range(TRIES):
+
+    def write() -> Dialogue:
         yield say(Frame(REGISTERS_ID, head + value, kind=STANDARD))
-        found = yield from _read(joint, config, register)
-        if found == value:
-            return
+
+    found = yield from written(write, lambda: _read(joint, config, register), lambda found: found == value)
+    if found == value:
+        return
     raise DialogueFailed(
         joint,
         f"The drive of {config.name} keeps register {register} at {found.hex(' ')} although {value.hex(' ')} was "

@@ -20,8 +20,9 @@ from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives.asking import AskFrames
 from rtloop.drives.setup import ERROR_AT_START, Found, Host, ReferencingHost
+from rtloop.drives.steps import answered, let_go, unanswered
 from rtloop.memory.frame_words import STANDARD
-from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, silent_amid
+from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part
 from rtloop.service.port import HOLDS_STALLED, Frame
 from sentences.told import unreferenced_sentence
 from shm.words import Unreferenced
@@ -76,11 +77,8 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     config = host.arm.joints[joint]
     can_id = _can_id(config)
     if (yield _ask(can_id, 8, READ_POSITION)) is None:
-        raise DialogueFailed(
-            joint,
-            f"The drive of {config.name} (CanID {can_id}) does not answer: check its power, CanID and CanRate "
-            f"({host.arm.bus.bitrate} bit/s) in its menu, and the CAN wires with 120 Ω at both ends.",
-        )
+        menu = f"CanID and CanRate ({host.arm.bus.bitrate} bit/s) in its menu"
+        raise unanswered(joint, config, f"CanID {can_id}", menu)
     was_homing = yield from _stand(host, joint)
     reason = Unreferenced.INCREMENTAL
     if was_homing:
@@ -100,15 +98,12 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
     """Let the drive go limp, and see that it has; raises DialogueFailed."""
     config = arm.joints[joint]
-    for _ in range(TRIES):
+
+    def told() -> Part[str]:
         enabled = yield _ask(_can_id(config), 3, READ_ENABLED, before=(bytes((ENABLE, 0)),))
-        if enabled is not None and enabled.data[1] == 0:
-            return
-    raise DialogueFailed(
-        joint,
-        f"The drive of {config.name} stays enabled after being told to let go: keep clear of the arm, look at the "
-        "drive's display, then `rtarm clear-fault`, which brings all drives up again.",
-    )
+        return "" if enabled is not None and enabled.data[1] == 0 else "stays enabled"
+
+    yield from let_go(joint, config, told)
 
 
 # --- its homing run
@@ -427,25 +422,19 @@ def _parameter_question(can_id: int, code: int, lengths: tuple[int, ...]) -> Ask
 
 def _read(joint: int, config: JointConfig, code: int, what: str) -> Part[int]:
     """The byte a question of one byte is answered with; raises DialogueFailed."""
-    answer = yield _ask(_can_id(config), 3, code)
-    if answer is None:
-        raise DialogueFailed(joint, silent_amid(config, what))
+    answer = yield from answered(joint, config, _ask(_can_id(config), 3, code), what)
     return int(answer.data[1])
 
 
 def _position(joint: int, config: JointConfig) -> Part[int]:
     """Where the motor stands (counts); raises DialogueFailed."""
-    answer = yield _ask(_can_id(config), 8, READ_POSITION)
-    if answer is None:
-        raise DialogueFailed(joint, silent_amid(config, "position"))
+    answer = yield from answered(joint, config, _ask(_can_id(config), 8, READ_POSITION), "position")
     return int.from_bytes(answer.data[1:7], "big", signed=True)
 
 
 def _target(joint: int, config: JointConfig) -> Part[int]:
     """Where the drive holds (counts): from where it stands by the error it tells; raises DialogueFailed."""
-    answer = yield _ask(_can_id(config), 6, READ_ERROR)
-    if answer is None:
-        raise DialogueFailed(joint, silent_amid(config, "angle error"))
+    answer = yield from answered(joint, config, _ask(_can_id(config), 6, READ_ERROR), "angle error")
     error = int.from_bytes(answer.data[1:5], "big", signed=True)
     measured = yield from _position(joint, config)
     return measured + round(error * COUNTS_PER_REVOLUTION / ERROR_STEPS_PER_REVOLUTION)

@@ -37,6 +37,7 @@ from rtloop.drives.setup import (
     ReferencingHost,
     settle_mark,
 )
+from rtloop.drives.steps import answered, unanswered, written
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, silent_amid
 from rtloop.service.port import Frame
@@ -146,12 +147,8 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     config = host.arm.joints[joint]
     drive = _drive(config)
     if (yield _asked(drive, ANGLE)) is None:
-        raise DialogueFailed(
-            joint,
-            f"The drive of {config.name} (motor_id {drive.motor_id}) does not answer: check its power, its ID and the "
-            f"bit rate ({host.arm.bus.bitrate} bit/s; motors come with 1000000), and the CAN wires with 120 Ω at both "
-            "ends.",
-        )
+        rate = f"the bit rate ({host.arm.bus.bitrate} bit/s; motors come with 1000000)"
+        raise unanswered(joint, config, f"motor_id {drive.motor_id}", f"its ID and {rate}")
     restarted = yield from _without_errors(host, joint)
     if host.heals and not (yield from kept_power(host, joint)):
         raise DialogueFailed(
@@ -288,28 +285,32 @@ def _with_its_ramp(host: Host, joint: int) -> Part[None]:
     """Have the motor brake in silence as the arm file says; raises DialogueFailed."""
     config = host.arm.joints[joint]
     wanted = ramp_dps_s(config, host.arm)
-    before = []
-    for index, name in RAMPS:
-        found = yield from _ramp(joint, config, index, name)
-        before.append(found)
-        for _ in range(TRIES):
-            if found == wanted:
-                break
-            yield from _answered(joint, config, WRITE_RAMP, name, struct.pack("<BxxI", index, wanted))
-            found = yield from _ramp(joint, config, index, name)
-        if found != wanted:
-            raise DialogueFailed(
-                joint,
-                f"The drive of {config.name} does not take {wanted} °/s² as the {name} of its position planning (it "
-                f"stays at {found}): set it with the maker's program, then `rtarm clear-fault`, or `rtarm up` where it "
-                "has ended.",
-            )
-    if before != [wanted, wanted]:
-        up, down = before
+    up = yield from _with_ramp(joint, config, *RAMPS[0], wanted)
+    down = yield from _with_ramp(joint, config, *RAMPS[1], wanted)
+    if up != wanted or down != wanted:
         host.tell(
             f"{config.name}: the ramp of its drive was {up} °/s² up and {down} °/s² down, and is {wanted} °/s² now; "
             "its ROM keeps that."
         )
+
+
+def _with_ramp(joint: int, config: JointConfig, index: int, name: str, wanted: int) -> Part[int]:
+    """Write a ramp where it is another one; what it was before (degrees/s²). Raises DialogueFailed."""
+    before = found = yield from _ramp(joint, config, index, name)
+    if found != wanted:
+        found = yield from written(
+            lambda: _answered(joint, config, WRITE_RAMP, name, struct.pack("<BxxI", index, wanted)),
+            lambda: _ramp(joint, config, index, name),
+            lambda found: found == wanted,
+        )
+    if found != wanted:
+        raise DialogueFailed(
+            joint,
+            f"The drive of {config.name} does not take {wanted} °/s² as the {name} of its position planning (it "
+            f"stays at {found}): set it with the maker's program, then `rtarm clear-fault`, or `rtarm up` where it "
+            "has ended.",
+        )
+    return before
 
 
 def _drive(config: JointConfig) -> MyactuatorDrive:
@@ -335,10 +336,7 @@ def _asked(drive: MyactuatorDrive, command: int, data: bytes = b"") -> AskFrames
 
 def _answered(joint: int, config: JointConfig, command: int, what: str, data: bytes = b"") -> Part[bytes]:
     """The data of the answer; raises DialogueFailed where there is none."""
-    answer = yield _asked(_drive(config), command, data)
-    if answer is None:
-        raise DialogueFailed(joint, silent_amid(config, what))
-    return bytes(answer.data)
+    return bytes((yield from answered(joint, config, _asked(_drive(config), command, data), what)).data)
 
 
 def _angle(joint: int, config: JointConfig) -> Part[int]:

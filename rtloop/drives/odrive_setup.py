@@ -19,9 +19,10 @@ from config.drives.odrive import OdriveDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives.asking import AskFrames, confirmed, say
-from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, require_may_enable
+from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, require_may_enable
+from rtloop.drives.steps import answered, let_go, unanswered, without_error
 from rtloop.memory.frame_words import REMOTE, STANDARD
-from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, answer_patience_s, silent_amid
+from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, answer_patience_s
 from rtloop.service.port import Frame
 from shm.words import Unreferenced
 
@@ -142,12 +143,8 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     config = host.arm.joints[joint]
     node = _drive(config).node_id
     if (yield _asked(node, ESTIMATES)) is None:
-        raise DialogueFailed(
-            joint,
-            f"The drive of {config.name} (node {node}) does not answer: check its power, its node and the bit rate "
-            f"({host.arm.bus.bitrate} bit/s; axis.config.can.node_id and can.config.baud_rate), and the CAN wires with "
-            "120 Ω at both ends.",
-        )
+        rate = f"{host.arm.bus.bitrate} bit/s; axis.config.can.node_id and can.config.baud_rate"
+        raise unanswered(joint, config, f"node {node}", f"its node and the bit rate ({rate})")
     firmware = yield from _firmware(node)
     beat = yield from _without_errors(host, joint, firmware)
     for _ in range(TRIES):
@@ -180,16 +177,13 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
     """Let the axis go idle, and see that it has; raises DialogueFailed."""
     config = arm.joints[joint]
-    for _ in range(TRIES):
+
+    def told() -> Part[str]:
         yield say(_frame(_drive(config).node_id, AXIS_STATE, struct.pack("<II", IDLE, 0)))
         beat = yield from _heartbeat(arm, joint, lambda beat: beat.state != CLOSED_LOOP)
-        if beat.state != CLOSED_LOOP:
-            return
-    raise DialogueFailed(
-        joint,
-        f"The drive of {config.name} keeps its loop closed after being told to let go: keep clear of the arm, look at "
-        "the axis in odrivetool, then `rtarm clear-fault`, which brings all drives up again.",
-    )
+        return "keeps its loop closed" if beat.state == CLOSED_LOOP else ""
+
+    yield from let_go(joint, config, told, "look at the axis in odrivetool")
 
 
 def error_words(error: int, firmware: Firmware) -> str:
@@ -219,24 +213,23 @@ def _without_errors(host: Host, joint: int, firmware: Firmware) -> Part[Beat]:
     """Clear its errors, if a person has asked for that; raises DialogueFailed."""
     config = host.arm.joints[joint]
     beat = yield from _heartbeat(host.arm, joint, lambda beat: not (firmware.is_0_6 and beat.error == INITIALIZING))
-    if not beat.error:
-        return beat
-    if not host.clears_protection:
-        raise DialogueFailed(
+
+    def cleared() -> Part[Beat]:
+        yield say(_frame(_drive(config).node_id, CLEAR_ERRORS))
+        return (yield from _heartbeat(host.arm, joint, lambda beat: beat.error == 0))
+
+    return (
+        yield from without_error(
+            host,
             joint,
-            f"The drive of {config.name} ({firmware}) has an error ({error_words(beat.error, firmware)}) and holds "
-            f"nothing: remove the cause, {ERROR_AT_START}.",
+            beat,
+            lambda beat: error_words(beat.error, firmware) if beat.error else "",
+            cleared,
+            version=f" ({firmware})",
+            find="find it with `dump_errors` in odrivetool",
+            tries=1,
         )
-    yield say(_frame(_drive(config).node_id, CLEAR_ERRORS))
-    beat = yield from _heartbeat(host.arm, joint, lambda beat: beat.error == 0)
-    if beat.error:
-        raise DialogueFailed(
-            joint,
-            f"The drive of {config.name} ({firmware}) keeps its error ({error_words(beat.error, firmware)}) after it "
-            "was cleared, so what caused it is still there: find it with `dump_errors` in odrivetool, then `rtarm "
-            "clear-fault`.",
-        )
-    return beat
+    )
 
 
 def _drive(config: JointConfig) -> OdriveDrive:
@@ -257,9 +250,7 @@ def _asked(node: int, command: int) -> AskFrames:
 def _turns(joint: int, config: JointConfig) -> Part[float]:
     """Where the motor stands; raises DialogueFailed."""
     for _ in range(TRIES):
-        answer = yield _asked(_drive(config).node_id, ESTIMATES)
-        if answer is None:
-            raise DialogueFailed(joint, silent_amid(config, "position"))
+        answer = yield from answered(joint, config, _asked(_drive(config).node_id, ESTIMATES), "position")
         turns = float(struct.unpack("<f", answer.data[:4])[0])
         if math.isfinite(turns):
             return turns

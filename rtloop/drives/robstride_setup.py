@@ -23,7 +23,8 @@ from config.schema import ArmConfig
 from rtloop.drives import fields
 from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
-from rtloop.drives.setup import ERROR_AT_START, SAME_PLACE_RAD, Found, Host, PowerHost
+from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, PowerHost
+from rtloop.drives.steps import answered, let_go, unanswered, without_error, written
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, silent_amid
 from rtloop.service.port import Frame
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
@@ -85,14 +86,16 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     drive = _drive(config)
     state = yield from _asked_how_it_is(drive)
     if state is None:
-        raise DialogueFailed(
-            joint,
-            f"The drive of {config.name} (motor_id {drive.motor_id}) does not answer: check its power, its ID and the "
-            f"bit rate ({host.arm.bus.bitrate} bit/s; RobStrides come with 1000000), and the CAN wires with 120 Ω at "
-            "both ends.",
-        )
-    if state.faults:
-        state = yield from _without_faults(host, joint, state)
+        rate = f"the bit rate ({host.arm.bus.bitrate} bit/s; RobStrides come with 1000000)"
+        raise unanswered(joint, config, f"motor_id {drive.motor_id}", f"its ID and {rate}")
+    state = yield from without_error(
+        host,
+        joint,
+        state,
+        lambda state: state.fault_words,
+        lambda: _said(joint, config, _frame(drive, STOP, b"\x01")),
+        called="fault",
+    )
     arming = Arming(host, joint, lambda: _is_running(drive))
     if (yield from arming.found(state.mode == RUN)) != (state.mode == RUN):  # which was garbled
         state = yield from _asked_again(joint, config)
@@ -142,35 +145,12 @@ def _is_running(drive: RobstrideDrive) -> Part[bool | None]:
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
     """Stop the motor, which lets it go, and see that it has; raises DialogueFailed."""
     config = arm.joints[joint]
-    for _ in range(TRIES):
+
+    def told() -> Part[str]:
         state = yield from _said(joint, config, _frame(_drive(config), STOP))
-        if state.mode != RUN:
-            return
-    raise DialogueFailed(
-        joint,
-        f"The drive of {config.name} keeps running after being told to let go: keep clear of the arm, switch the "
-        "drive off, then `rtarm clear-fault`, which brings all drives up again.",
-    )
+        return "keeps running" if state.mode == RUN else ""
 
-
-def _without_faults(host: Host, joint: int, state: State) -> Part[State]:
-    """Clear its faults, if a person has asked for that; raises DialogueFailed."""
-    config = host.arm.joints[joint]
-    if not host.clears_protection:
-        raise DialogueFailed(
-            joint,
-            f"The drive of {config.name} has a fault ({state.fault_words}) and holds nothing: remove the cause, "
-            f"{ERROR_AT_START}.",
-        )
-    for _ in range(TRIES):
-        state = yield from _said(joint, config, _frame(_drive(config), STOP, b"\x01"))
-        if not state.faults:
-            return state
-    raise DialogueFailed(
-        joint,
-        f"The drive of {config.name} keeps its fault ({state.fault_words}) after it was cleared, so what caused it is "
-        "still there: remove it, then `rtarm clear-fault`.",
-    )
+    yield from let_go(joint, config, told, "switch the drive off")
 
 
 def _refuse_another_run_mode(joint: int, config: JointConfig) -> Part[None]:
@@ -206,9 +186,7 @@ def _hold_as_it_is(host: Host, joint: int, standing: float) -> Part[float]:
     """
     config = host.arm.joints[joint]
     drive = _drive(config)
-    answer = yield AskFrames((_write(drive, SPEED_TARGET, 0.0),), _is_feedback)
-    if answer is None:
-        raise DialogueFailed(joint, silent_amid(config, "state"))
+    answer = yield from answered(joint, config, AskFrames((_write(drive, SPEED_TARGET, 0.0),), _is_feedback), "state")
     _, speed, torque = struct.unpack_from(">HHH", answer.data)
     held = standing
     if abs(fields.of_field(speed, drive.velocity_range_rad_s, 16)) <= STANDING_RAD_S:
@@ -226,12 +204,12 @@ def _prepare(joint: int, config: JointConfig, standing: float) -> Part[None]:
     """Give a stopped motor its run mode, and what it shall hold once it is enabled; raises DialogueFailed."""
     drive = _drive(config)
     wanted = RUN_MODES[drive.mode]
-    for _ in range(TRIES):
-        yield from _said(joint, config, _frame(drive, WRITE, struct.pack("<HxxB", RUN_MODE, wanted)))
-        found = yield from _parameter(joint, config, RUN_MODE, "run mode")
-        if found[0] == wanted:
-            break
-    else:
+    found = yield from written(
+        lambda: _said(joint, config, _frame(drive, WRITE, struct.pack("<HxxB", RUN_MODE, wanted))),
+        lambda: _parameter(joint, config, RUN_MODE, "run mode"),
+        lambda found: found[0] == wanted,
+    )
+    if found[0] != wanted:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not take run mode {wanted} (it stays at {found[0]}): mode position is "
@@ -303,10 +281,7 @@ def _hold(drive: RobstrideDrive, standing: float) -> Frame:
 
 def _said(joint: int, config: JointConfig, *frames: Frame) -> Part[State]:
     """Say something that is answered with feedback; raises DialogueFailed where it is not."""
-    answer = yield AskFrames(frames, _is_feedback)
-    if answer is None:
-        raise DialogueFailed(joint, silent_amid(config, "state"))
-    return _state(answer)
+    return _state((yield from answered(joint, config, AskFrames(frames, _is_feedback), "state")))
 
 
 def _asked_how_it_is(drive: RobstrideDrive) -> Part[State | None]:
@@ -339,10 +314,7 @@ def _parameter(joint: int, config: JointConfig, index: int, what: str) -> Part[b
         known = frame.id >> 16 & 0xFF == 0  # anything else there is a RobStride that has no such parameter
         return frame.id >> TYPE_BIT == READ and known and len(frame.data) == 8 and frame.data[:2] == request.data[:2]
 
-    answer = yield AskFrames((request,), is_answer)
-    if answer is None:
-        raise DialogueFailed(joint, silent_amid(config, what))
-    return bytes(answer.data[4:])
+    return bytes((yield from answered(joint, config, AskFrames((request,), is_answer), what)).data[4:])
 
 
 def _where_it_stands(joint: int, config: JointConfig) -> Part[float]:

@@ -18,6 +18,7 @@ from config.schema import ArmConfig
 from rtloop.drives import zdt_fast_targets, zdt_homing, zdt_reports, zdt_talk
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost, require_may_enable
+from rtloop.drives.steps import let_go, unanswered
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
 from rtloop.drives.zdt_registers import Version
 from rtloop.drives.zdt_talk import Answered
@@ -50,12 +51,8 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> Answered[Found]:
     answer = yield Ask(registers.ASK_FIRMWARE, (4, 6))
     if answer is None:
-        raise DialogueFailed(
-            joint,
-            f"The drive of {config.name} (address {drive.address}) does not answer: check its power, its address "
-            f"and the bit rate ({host.arm.bus.bitrate} bit/s) in its menu, and the CAN wires with 120 Ω at both "
-            "ends.",
-        )
+        menu = f"its address and the bit rate ({host.arm.bus.bitrate} bit/s) in its menu"
+        raise unanswered(joint, config, f"address {drive.address}", menu)
     version = registers.version_of(answer)
     if version is None:
         raise DialogueFailed(
@@ -312,18 +309,11 @@ def end_reports(arm: ArmConfig, joint: int) -> Dialogue:
 
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
     """Let the drive go limp, and see that it has; raises DialogueFailed."""
-    return addressed(arm.joints[joint].drive.number, _disable(arm, joint))
+    config = arm.joints[joint]
+    yield from let_go(joint, config, lambda: addressed(config.drive.number, _told_to_let_go(arm)))
 
 
-def _disable(arm: ArmConfig, joint: int) -> ZdtDialogue:
-    name = arm.joints[joint].name
-    for _ in range(TRIES):
-        yield Ask(registers.RELEASE, (3,), answered=arm.bus.acknowledge)
-        flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
-        if flags is not None and not flags & registers.ENABLED:
-            return
-    raise DialogueFailed(
-        joint,
-        f"The drive of {name} stays enabled after being told to let go: keep clear of the arm, look at the drive's "
-        "display, then `rtarm clear-fault`, which brings all drives up again.",
-    )
+def _told_to_let_go(arm: ArmConfig) -> Answered[str]:
+    yield Ask(registers.RELEASE, (3,), answered=arm.bus.acknowledge)
+    flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
+    return "" if flags is not None and not flags & registers.ENABLED else "stays enabled"
