@@ -16,7 +16,8 @@ since it was told to let go (80), and does not say that its brake is locked afte
 
 from compilation.jit import jit
 from rtloop.drives import leading, receiving, words
-from rtloop.drives.myactuator_setup import ANGLE, FEEDBACK, SHUTDOWN, STATUS, STOP, TARGET
+from rtloop.drives.errors import meanings
+from rtloop.drives.myactuator_setup import ANGLE, ERRORS, FEEDBACK, SHUTDOWN, STATUS, STOP, TARGET
 from rtloop.memory import status as status_bits
 from rtloop.memory.axis import Axis
 from rtloop.memory.frame_words import STANDARD
@@ -31,19 +32,7 @@ STEPS_PER_DEGREE = 100.0
 DPS_PER_RPM = 6.0
 VOLT_PER_STEP = 0.1
 
-STALL, LOW_VOLTAGE, OVER_VOLTAGE, OVER_CURRENT, POWER = 0x0002, 0x0004, 0x0008, 0x0010, 0x0040
-OVER_TEMPERATURE, ENCODER = 0x0800 | 0x1000, 0x2000 | 0x4000
-"""Bits of the error word (V4.3): power is the current that it takes from its supply; board and motor each have a
-temperature, the encoder's calibration and its data an error each."""
-ERROR_MEANINGS = (
-    (0xFFFF, status_bits.PROTECTED),
-    (STALL, status_bits.STALLED),
-    (LOW_VOLTAGE, status_bits.UNDER_VOLTAGE),
-    (OVER_VOLTAGE, status_bits.OVER_VOLTAGE),
-    (OVER_CURRENT | POWER, status_bits.OVER_CURRENT),
-    (OVER_TEMPERATURE, status_bits.OVER_TEMPERATURE),
-    (ENCODER, status_bits.ENCODER),
-)
+ERROR_MEANINGS = meanings(ERRORS, every=0xFFFF)
 
 
 @jit

@@ -28,6 +28,7 @@ from config.drives.myactuator import RAMP_DPS_S, REPLY, REQUEST, MyactuatorDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives.asking import AskFrames, confirmed, say
+from rtloop.drives.errors import ErrorBit, error_words
 from rtloop.drives.setup import (
     ERROR_AT_START,
     SAME_PLACE_RAD,
@@ -38,6 +39,7 @@ from rtloop.drives.setup import (
     settle_mark,
 )
 from rtloop.drives.steps import answered, unanswered, written
+from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, silent_amid
 from rtloop.service.port import Frame
@@ -49,17 +51,17 @@ TARGET, UPTIME = 0xA4, 0xB1
 RAMPS = ((0, "acceleration"), (1, "deceleration"))
 """Indexes of 42 and 43: those of position planning."""
 ERRORS = (
-    (0x0002, "stall"),
-    (0x0004, "low voltage"),
-    (0x0008, "over-voltage"),
-    (0x0010, "over-current"),
-    (0x0040, "power"),
-    (0x0080, "lost parameters"),
-    (0x0100, "over-speed"),
-    (0x0800, "over-temperature of its board"),
-    (0x1000, "over-temperature"),
-    (0x2000, "encoder calibration"),
-    (0x4000, "encoder data"),
+    ErrorBit(0x0002, "stall", status_bits.STALLED),
+    ErrorBit(0x0004, "low voltage", status_bits.UNDER_VOLTAGE),
+    ErrorBit(0x0008, "over-voltage", status_bits.OVER_VOLTAGE),
+    ErrorBit(0x0010, "over-current", status_bits.OVER_CURRENT),
+    ErrorBit(0x0040, "power", status_bits.OVER_CURRENT),  # the current that it takes from its supply
+    ErrorBit(0x0080, "lost parameters"),
+    ErrorBit(0x0100, "over-speed"),
+    ErrorBit(0x0800, "over-temperature of its board", status_bits.OVER_TEMPERATURE),
+    ErrorBit(0x1000, "over-temperature", status_bits.OVER_TEMPERATURE),
+    ErrorBit(0x2000, "encoder calibration", status_bits.ENCODER),
+    ErrorBit(0x4000, "encoder data", status_bits.ENCODER),
 )
 """Bits of the status' error word (V4.3)."""
 NEEDS_RESTART = 0x0002 | 0x0010 | 0x0080 | 0x2000 | 0x4000
@@ -133,13 +135,6 @@ def ramp_dps_s(joint: JointConfig, arm: ArmConfig) -> int:
     """The ramp with which a motor brakes in silence (degrees/s² of its output shaft)."""
     wanted = joint.max_acceleration_rad_s2 * arm.limits.silence_brake_factor * joint.ratio
     return min(max(round(math.degrees(wanted)), RAMP_DPS_S[0]), RAMP_DPS_S[1])
-
-
-def error_words(error: int) -> str:
-    """The error word for people."""
-    known = [words for bit, words in ERRORS if error & bit]
-    unknown = error & ~sum(bit for bit, _ in ERRORS)
-    return ", ".join([*known, *([f"{unknown:#x}"] if unknown else [])]) or "none"
 
 
 def bring_up(host: Host, joint: int) -> Part[Found]:
@@ -239,18 +234,16 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
     error = yield from _error(joint, config)
     if not error:
         return False
-    restarts = bool(error & NEEDS_RESTART)
+    words, restarts = error_words(error, ERRORS), bool(error & NEEDS_RESTART)
     if not host.clears_protection:
         ends = ", which ends with a restart of the drive only," if restarts else ""
         raise DialogueFailed(
             joint,
-            f"The drive of {config.name} has an error ({error_words(error)}){ends} and holds nothing: remove the "
+            f"The drive of {config.name} has an error ({words}){ends} and holds nothing: remove the "
             f"cause, {ERROR_AT_START}.",
         )
     if restarts:
-        host.tell(
-            f"{config.name}: its drive is restarted, because its error ({error_words(error)}) ends with that only."
-        )
+        host.tell(f"{config.name}: its drive is restarted, because its error ({words}) ends with that only.")
         yield say(_frame(_drive(config), RESET))
         began_ns = host.now_ns
         while (yield _asked(_drive(config), ANGLE)) is None:
@@ -262,8 +255,9 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
             return restarts
     raise DialogueFailed(
         joint,
-        f"The drive of {config.name} keeps its error ({error_words(error)}){' after a restart' if restarts else ''}, "
-        "so what caused it is still there: remove it, then `rtarm clear-fault`.",
+        f"The drive of {config.name} keeps its error ({error_words(error, ERRORS)})"
+        f"{' after a restart' if restarts else ''}, so what caused it is still there: remove it, then `rtarm "
+        "clear-fault`.",
     )
 
 

@@ -16,12 +16,15 @@ import math
 
 from compilation.jit import jit
 from rtloop.drives import following, receiving, words
+from rtloop.drives.errors import meanings
 from rtloop.drives.odrive_setup import (
     ANSWER_BYTES,
     BUS,
     CLOSED_LOOP,
     COMMANDS,
     CURRENT,
+    ERRORS_0_5,
+    ERRORS_0_6,
     ESTIMATES,
     FIRMWARE_0_6,
     HEARTBEAT,
@@ -37,21 +40,7 @@ from rtloop.wire import outgoing
 AHEAD_PER_UNIT = 1000.0
 MOST_AHEAD = 32_767
 
-ERRORS_0_5 = (
-    (0xFFFFFFFF, status_bits.PROTECTED),
-    (1 << 7 | 1 << 8 | 1 << 19, status_bits.ENCODER),
-    (1 << 18, status_bits.OVER_TEMPERATURE),
-    (1 << 11, status_bits.COMMUNICATION),
-)
-ERRORS_0_6 = (
-    (0xFFFFFFFF, status_bits.PROTECTED),
-    (1 << 3 | 1 << 26, status_bits.ENCODER),  # no estimate; spinout, which is an encoder that slips or is offset
-    (1 << 8, status_bits.OVER_VOLTAGE),
-    (1 << 9, status_bits.UNDER_VOLTAGE),
-    (1 << 10 | 1 << 11 | 1 << 12, status_bits.OVER_CURRENT),
-    (1 << 13 | 1 << 14, status_bits.OVER_TEMPERATURE),
-    (1 << 24, status_bits.COMMUNICATION),
-)
+MEANINGS_0_5, MEANINGS_0_6 = meanings(ERRORS_0_5, every=0xFFFFFFFF), meanings(ERRORS_0_6, every=0xFFFFFFFF)
 
 
 @jit
@@ -157,5 +146,5 @@ def common_status(firmware: int, error: int, state: int) -> int:
     """The heartbeat's error word and axis state in common bits; `firmware` as in `rtloop.memory.axis.DriveState`."""
     enabled = status_bits.ENABLED if state == CLOSED_LOOP else 0
     if firmware >= FIRMWARE_0_6:
-        return words.meaning(error, ERRORS_0_6) | enabled
-    return words.meaning(error, ERRORS_0_5) | enabled
+        return words.meaning(error, MEANINGS_0_6) | enabled
+    return words.meaning(error, MEANINGS_0_5) | enabled

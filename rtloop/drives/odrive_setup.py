@@ -18,9 +18,12 @@ import numpy as np
 from config.drives.odrive import OdriveDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
+from rtloop.drives import errors
 from rtloop.drives.asking import AskFrames, confirmed, say
+from rtloop.drives.errors import ErrorBit
 from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, require_may_enable
 from rtloop.drives.steps import answered, let_go, unanswered, without_error
+from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import REMOTE, STANDARD
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, answer_patience_s
 from rtloop.service.port import Frame
@@ -38,45 +41,45 @@ POSITION_CONTROL, PASSTHROUGH = 3, 1
 
 FIRMWARE_0_6 = 6
 """Major version << 8 | minor version since which the error's bits are those of `ERRORS_0_6`."""
-ERRORS_0_5 = {
-    0: "invalid state",
-    6: "motor",
-    7: "sensorless estimator",
-    8: "encoder",
-    9: "controller",
-    11: "watchdog expired",
-    12: "minimum end stop",
-    13: "maximum end stop",
-    14: "emergency stop asked over CAN",
-    17: "homing without an end stop",
-    18: "over-temperature",
-    19: "position unknown",
-}
+ERRORS_0_5 = (
+    ErrorBit(1 << 0, "invalid state"),
+    ErrorBit(1 << 6, "motor"),
+    ErrorBit(1 << 7, "sensorless estimator", status_bits.ENCODER),
+    ErrorBit(1 << 8, "encoder", status_bits.ENCODER),
+    ErrorBit(1 << 9, "controller"),
+    ErrorBit(1 << 11, "watchdog expired", status_bits.COMMUNICATION),
+    ErrorBit(1 << 12, "minimum end stop"),
+    ErrorBit(1 << 13, "maximum end stop"),
+    ErrorBit(1 << 14, "emergency stop asked over CAN"),
+    ErrorBit(1 << 17, "homing without an end stop"),
+    ErrorBit(1 << 18, "over-temperature", status_bits.OVER_TEMPERATURE),
+    ErrorBit(1 << 19, "position unknown", status_bits.ENCODER),
+)
 """Bits of the heartbeat's error word (firmware 0.5.6)."""
-ERRORS_0_6 = {
-    0: "initializing",
-    1: "fault of the board",
-    2: "timing",
-    3: "no estimate of position or velocity",
-    4: "bad configuration",
-    5: "gate driver",
-    6: "missing input",
-    8: "over-voltage of the supply",
-    9: "under-voltage of the supply",
-    10: "over-current from the supply",
-    11: "over-current back into the supply",
-    12: "over-current in the motor",
-    13: "over-temperature of the motor",
-    14: "over-temperature of the board",
-    15: "velocity limit",
-    16: "position limit",
-    24: "watchdog expired",
-    25: "emergency stop asked for",
-    26: "spinout",
-    27: "brake resistor disarmed",
-    28: "thermistor disconnected",
-    30: "calibration",
-}
+ERRORS_0_6 = (
+    ErrorBit(1 << 0, "initializing"),
+    ErrorBit(1 << 1, "fault of the board"),
+    ErrorBit(1 << 2, "timing"),
+    ErrorBit(1 << 3, "no estimate of position or velocity", status_bits.ENCODER),
+    ErrorBit(1 << 4, "bad configuration"),
+    ErrorBit(1 << 5, "gate driver"),
+    ErrorBit(1 << 6, "missing input"),
+    ErrorBit(1 << 8, "over-voltage of the supply", status_bits.OVER_VOLTAGE),
+    ErrorBit(1 << 9, "under-voltage of the supply", status_bits.UNDER_VOLTAGE),
+    ErrorBit(1 << 10, "over-current from the supply", status_bits.OVER_CURRENT),
+    ErrorBit(1 << 11, "over-current back into the supply", status_bits.OVER_CURRENT),
+    ErrorBit(1 << 12, "over-current in the motor", status_bits.OVER_CURRENT),
+    ErrorBit(1 << 13, "over-temperature of the motor", status_bits.OVER_TEMPERATURE),
+    ErrorBit(1 << 14, "over-temperature of the board", status_bits.OVER_TEMPERATURE),
+    ErrorBit(1 << 15, "velocity limit"),
+    ErrorBit(1 << 16, "position limit"),
+    ErrorBit(1 << 24, "watchdog expired", status_bits.COMMUNICATION),
+    ErrorBit(1 << 25, "emergency stop asked for"),
+    ErrorBit(1 << 26, "spinout", status_bits.ENCODER),  # an encoder that slips or is offset
+    ErrorBit(1 << 27, "brake resistor disarmed"),
+    ErrorBit(1 << 28, "thermistor disconnected"),
+    ErrorBit(1 << 30, "calibration"),
+)
 """The same of firmware 0.6 (odrive_enums.h in odriverobotics/ros_odrive)."""
 INITIALIZING = 1
 """The error of a board with firmware 0.6 that has just got power."""
@@ -188,10 +191,7 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
 
 def error_words(error: int, firmware: Firmware) -> str:
     """The heartbeat's error word for people."""
-    names = ERRORS_0_6 if firmware.is_0_6 else ERRORS_0_5
-    known = [words for bit, words in names.items() if error >> bit & 1]
-    unknown = error & ~sum(1 << bit for bit in names)
-    return ", ".join([*known, *([f"{unknown:#x}"] if unknown else [])]) or "none"
+    return errors.error_words(error, ERRORS_0_6 if firmware.is_0_6 else ERRORS_0_5)
 
 
 def _why_open(beat: Beat, firmware: Firmware) -> str:

@@ -25,9 +25,11 @@ import math
 from compilation.jit import jit
 from config.drives.robstride import CONTROL, READ, TYPE_BIT, WRITE
 from rtloop.drives import following, leading, receiving, words
+from rtloop.drives.errors import meanings
 from rtloop.drives.robstride_setup import (
     FAULT,
     FAULT_BIT,
+    FAULTS,
     FEEDBACK,
     MODE_BIT,
     POSITION,
@@ -51,26 +53,15 @@ NO_TORQUE = 0x7FFF
 CELSIUS_PER_STEP = 0.1
 FIELD_SHARE = 0.75
 
-UNDER_VOLTAGE, OVER_CURRENT, OVER_TEMPERATURE = 0x01, 0x02, 0x04
-ENCODERS = 0x08 | 0x10 | 0x20
-"""Bits of a feedback's faults: magnetic, Hall (RobStrides: stall) and uncalibrated encoders."""
-FAULT_TEMPERATURE, FAULT_UNDER_VOLTAGE, FAULT_OVER_VOLTAGE = 0x01, 0x04, 0x08
-FAULT_CURRENTS, FAULT_ENCODER = 0x10 | 0x20 | 0x10000, 0x80
-"""Bits of the word that type 21 says."""
-FLAG_MEANINGS = (
-    (0x3F, status_bits.PROTECTED),
-    (UNDER_VOLTAGE, status_bits.UNDER_VOLTAGE),
-    (OVER_CURRENT, status_bits.OVER_CURRENT),
-    (OVER_TEMPERATURE, status_bits.OVER_TEMPERATURE),
-    (ENCODERS, status_bits.ENCODER),
-)
+FLAG_MEANINGS = meanings(FAULTS, every=0x3F)
 FAULT_MEANINGS = (
-    (FAULT_TEMPERATURE, status_bits.OVER_TEMPERATURE),
-    (FAULT_UNDER_VOLTAGE, status_bits.UNDER_VOLTAGE),
-    (FAULT_OVER_VOLTAGE, status_bits.OVER_VOLTAGE),
-    (FAULT_CURRENTS, status_bits.OVER_CURRENT),
-    (FAULT_ENCODER, status_bits.ENCODER),
+    (0x01, status_bits.OVER_TEMPERATURE),
+    (0x04, status_bits.UNDER_VOLTAGE),
+    (0x08, status_bits.OVER_VOLTAGE),
+    (0x10 | 0x20 | 0x10000, status_bits.OVER_CURRENT),
+    (0x80, status_bits.ENCODER),
 )
+"""Bits of the word that type 21 says."""
 
 
 @jit

@@ -23,8 +23,10 @@ from config.schema import ArmConfig
 from rtloop.drives import fields
 from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
+from rtloop.drives.errors import ErrorBit, error_words
 from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.drives.steps import answered, let_go, unanswered, without_error, written
+from rtloop.memory import status as status_bits
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, silent_amid
 from rtloop.service.port import Frame
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
@@ -38,8 +40,15 @@ POSITION, VELOCITY, VOLTAGE, POSITION_GAIN = 0x7019, 0x701B, 0x701C, 0x701E
 RESET, RUN = 0, 2
 """What bits 22 and 23 of a feedback's identifier say; 1 is calibrating."""
 MODE_BIT, FAULT_BIT = 22, 16
-FAULTS = ("under-voltage", "over-current", "over-temperature", "magnetic encoder", "Hall or stall", "uncalibrated")
-"""Bits 16 to 21 of a feedback's identifier; 20 is a stall on RobStrides."""
+FAULTS = (
+    ErrorBit(0x01, "under-voltage", status_bits.UNDER_VOLTAGE),
+    ErrorBit(0x02, "over-current", status_bits.OVER_CURRENT),
+    ErrorBit(0x04, "over-temperature", status_bits.OVER_TEMPERATURE),
+    ErrorBit(0x08, "magnetic encoder", status_bits.ENCODER),
+    ErrorBit(0x10, "Hall or stall", status_bits.ENCODER),  # a stall on RobStrides
+    ErrorBit(0x20, "uncalibrated", status_bits.ENCODER),
+)
+"""What bits 16 to 21 of a feedback's identifier say."""
 RUN_MODES = {"control": 0, "position": 1, "csp": 5}
 USUAL_POSITION_GAIN_1_S = 30.0
 CREEP_RAD_S = 0.01
@@ -58,7 +67,7 @@ class State(NamedTuple):
     @property
     def fault_words(self) -> str:
         """Its faults for people."""
-        return ", ".join(name for bit, name in enumerate(FAULTS) if self.faults >> bit & 1)
+        return error_words(self.faults, FAULTS) if self.faults else ""
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:

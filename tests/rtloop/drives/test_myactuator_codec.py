@@ -7,15 +7,16 @@ from codec_rig import Rig, arm_of, golden
 
 from config.budget import budget
 from config.loader import load_arm
-from rtloop.drives.myactuator_setup import error_words, ramp_dps_s
+from rtloop.drives.errors import error_words
+from rtloop.drives.myactuator_setup import ERRORS, ramp_dps_s
 
 DRIVE = golden("myactuator")["joints"]["usual"]["drive"]
 
 
 def test_errors_in_words():
-    assert error_words(0x0016) == "stall, low voltage, over-current"
-    assert error_words(0x8002) == "stall, 0x8000"
-    assert error_words(0) == "none"
+    assert error_words(0x0016, ERRORS) == "stall, low voltage, over-current"
+    assert error_words(0x8002, ERRORS) == "stall, 0x8000"
+    assert error_words(0, ERRORS) == "none"
 
 
 def test_a_motor_that_is_led_is_asked_for_its_errors_alone():
