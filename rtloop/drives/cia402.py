@@ -13,6 +13,7 @@ from rtloop.drives.cia402_setup import (
     BOOT_UP,
     EMERGENCY,
     ENABLE_OPERATION,
+    ERRORS,
     FAULT,
     FAULT_MASK,
     FAULT_REACTION,
@@ -26,6 +27,7 @@ from rtloop.drives.cia402_setup import (
     SYNC,
     TPDO1,
 )
+from rtloop.drives.errors import code_meanings
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import STANDARD
 from rtloop.memory.state import Loop, Shared
@@ -33,6 +35,8 @@ from rtloop.safety import monitor, setpoint_check
 from rtloop.trajectory.limits import clamped_rad
 from rtloop.wire import outgoing
 from shm.words import Unreferenced
+
+ERROR_MEANINGS = code_meanings(ERRORS)
 
 
 @jit
@@ -139,26 +143,5 @@ def receive(
 def common_status(statusword: int, error_code: int) -> int:
     """Statusword, and the error code that an emergency told, in common bits."""
     if statusword & FAULT_MASK == FAULT or statusword & FAULT_MASK == FAULT_REACTION:
-        return status_bits.PROTECTED | error_class(error_code)
+        return status_bits.PROTECTED | words.meaning_of_code(error_code, ERROR_MEANINGS)
     return status_bits.ENABLED if statusword & STATE_MASK == OPERATION_ENABLED else 0
-
-
-@jit
-def error_class(code: int) -> int:
-    """The common bits of an error code; CiA 301 gives its first digits, CiA 402 the others."""
-    group, third = code >> 8, code >> 4 & 15
-    if group >> 4 == 2:
-        return status_bits.OVER_CURRENT
-    if group >> 4 == 3 and third == 1:
-        return status_bits.OVER_VOLTAGE
-    if (group >> 4 == 3 and third == 2) or code >> 4 == 0x511:
-        return status_bits.UNDER_VOLTAGE
-    if group >> 4 == 4 and third != 2:  # 4x20 is too cold
-        return status_bits.OVER_TEMPERATURE
-    if group == 0x73:
-        return status_bits.ENCODER
-    if group == 0x81 or group == 0x82 or group == 0x75:
-        return status_bits.COMMUNICATION
-    if code == 0x8611 or code == 0x7121:
-        return status_bits.STALLED
-    return 0

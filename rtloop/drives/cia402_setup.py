@@ -37,9 +37,11 @@ from config.schema import ArmConfig
 from rtloop.drives import pdo
 from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
+from rtloop.drives.errors import ErrorCode, code_words
 from rtloop.drives.sdo import ABORT, Aborted, Node, Object, abort_words, reading, value_in
 from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.drives.steps import unanswered, without_error
+from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import Dialogue, DialogueFailed, Part
 from rtloop.service.port import Frame
@@ -105,27 +107,28 @@ FINEST_POWER, COARSEST_POWER, MOST_UNITS = -6, -2, 255
 """Of an interpolation time: one byte of microseconds to one of hundredths of a second."""
 
 ERRORS = (
-    (0xF000, 0x1000, "a general error"),
-    (0xF000, 0x2000, "current"),
-    (0xF0F0, 0x3010, "over-voltage"),
-    (0xF0F0, 0x3020, "under-voltage"),
-    (0xF000, 0x3000, "voltage"),
-    (0xF0F0, 0x4020, "too cold"),
-    (0xF000, 0x4000, "over-temperature"),
-    (0xF000, 0x5000, "the drive's electronics"),
-    (0xF000, 0x6000, "the drive's software"),
-    (0xFFFF, 0x7121, "motor blocked"),
-    (0xFF00, 0x7300, "sensor"),
-    (0xFF00, 0x7500, "communication"),
-    (0xF000, 0x7000, "a module beside the drive"),
-    (0xFF00, 0x8000, "monitoring"),
-    (0xFF00, 0x8100, "communication"),
-    (0xFF00, 0x8200, "communication"),
-    (0xFFFF, 0x8611, "following error"),
-    (0xF000, 0x8000, "control"),
-    (0xF000, 0xF000, "an error of its own kind"),
+    ErrorCode(0xF000, 0x1000, "a general error"),
+    ErrorCode(0xF000, 0x2000, "current", status_bits.OVER_CURRENT),
+    ErrorCode(0xF0F0, 0x3010, "over-voltage", status_bits.OVER_VOLTAGE),
+    ErrorCode(0xF0F0, 0x3020, "under-voltage", status_bits.UNDER_VOLTAGE),
+    ErrorCode(0xF000, 0x3000, "voltage"),
+    ErrorCode(0xF0F0, 0x4020, "too cold"),
+    ErrorCode(0xF000, 0x4000, "over-temperature", status_bits.OVER_TEMPERATURE),
+    ErrorCode(0xFFF0, 0x5110, "the drive's electronics", status_bits.UNDER_VOLTAGE),  # their supply
+    ErrorCode(0xF000, 0x5000, "the drive's electronics"),
+    ErrorCode(0xF000, 0x6000, "the drive's software"),
+    ErrorCode(0xFFFF, 0x7121, "motor blocked", status_bits.STALLED),
+    ErrorCode(0xFF00, 0x7300, "sensor", status_bits.ENCODER),
+    ErrorCode(0xFF00, 0x7500, "communication", status_bits.COMMUNICATION),
+    ErrorCode(0xF000, 0x7000, "a module beside the drive"),
+    ErrorCode(0xFF00, 0x8000, "monitoring"),
+    ErrorCode(0xFF00, 0x8100, "communication", status_bits.COMMUNICATION),
+    ErrorCode(0xFF00, 0x8200, "communication", status_bits.COMMUNICATION),
+    ErrorCode(0xFFFF, 0x8611, "following error", status_bits.STALLED),
+    ErrorCode(0xF000, 0x8000, "control"),
+    ErrorCode(0xF000, 0xF000, "an error of its own kind"),
 )
-"""Error codes by the first that fits (CiA 301, emergencies; CiA 402, object 603F): mask, value, words."""
+"""Error codes by the first that fits (CiA 301, emergencies; CiA 402, object 603F)."""
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
@@ -210,8 +213,7 @@ def state_words(state: int) -> str:
 
 def error_words(code: int) -> str:
     """An error code (603F) for people."""
-    known = next((words for mask, value, words in ERRORS if code & mask == value), "none that is known")
-    return f"{known}, error code {code:04X}"
+    return f"{code_words(code, ERRORS) or 'none that is known'}, error code {code:04X}"
 
 
 def interpolation_time(period_s: float) -> tuple[int, int]:

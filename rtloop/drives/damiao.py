@@ -13,20 +13,8 @@ import math
 from compilation.jit import jit
 from config.drives.damiao import HIGHEST_KD, HIGHEST_KP, POSITION_VELOCITY_OFFSET, REGISTERS_ID
 from rtloop.drives import following, leading, receiving, words
-from rtloop.drives.damiao_setup import (
-    ENABLED,
-    FEEDBACK,
-    LOST_COMMUNICATION,
-    MOS_HOT,
-    OVER_CURRENT,
-    OVER_VOLTAGE,
-    OVERLOAD,
-    READ,
-    ROTOR_HOT,
-    STORE,
-    UNDER_VOLTAGE,
-    WRITE,
-)
+from rtloop.drives.damiao_setup import ENABLED, ERRORS, FEEDBACK, LIMP, READ, STORE, WRITE
+from rtloop.drives.errors import code_meanings
 from rtloop.memory import status as status_bits
 from rtloop.memory.axis import JointParams
 from rtloop.memory.frame_words import STANDARD
@@ -34,6 +22,8 @@ from rtloop.memory.state import Loop, Shared
 from rtloop.safety import monitor, setpoint_check
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.wire import outgoing
+
+ERROR_MEANINGS = code_meanings(ERRORS)
 
 
 @jit
@@ -184,17 +174,4 @@ def common_status(code: int) -> int:
     """The status code of a feedback in common bits: 0 is limp, 1 enabled, every other an error."""
     if code == ENABLED:
         return status_bits.ENABLED
-    if code == 0:
-        return 0
-    status = status_bits.PROTECTED
-    if code == OVER_VOLTAGE:
-        status |= status_bits.OVER_VOLTAGE
-    elif code == UNDER_VOLTAGE:
-        status |= status_bits.UNDER_VOLTAGE
-    elif code in (OVER_CURRENT, OVERLOAD):
-        status |= status_bits.OVER_CURRENT
-    elif code in (MOS_HOT, ROTOR_HOT):
-        status |= status_bits.OVER_TEMPERATURE
-    elif code == LOST_COMMUNICATION:
-        status |= status_bits.COMMUNICATION
-    return status
+    return 0 if code == LIMP else status_bits.PROTECTED | words.meaning_of_code(code, ERROR_MEANINGS)

@@ -37,9 +37,11 @@ from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
+from rtloop.drives.errors import ErrorCode, code_words
 from rtloop.drives.fields import field, of_field
 from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.drives.steps import answered, let_go, unanswered, without_error, written
+from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part
 from rtloop.service.port import Frame
@@ -52,17 +54,16 @@ CLEAR_ERROR, ENABLE, DISABLE = 0xFB, 0xFC, 0xFD
 """Last byte of a command whose other bytes are FF."""
 
 LIMP, ENABLED = 0, 1
-OVER_VOLTAGE, UNDER_VOLTAGE, OVER_CURRENT, MOS_HOT, ROTOR_HOT, LOST_COMMUNICATION, OVERLOAD = range(8, 15)
-"""Status codes of the feedback."""
-ERRORS = {
-    OVER_VOLTAGE: "over-voltage",
-    UNDER_VOLTAGE: "under-voltage",
-    OVER_CURRENT: "over-current",
-    MOS_HOT: "power stage too hot",
-    ROTOR_HOT: "motor too hot",
-    LOST_COMMUNICATION: "communication lost",
-    OVERLOAD: "overload",
-}
+ERRORS = (
+    ErrorCode(0xF, 8, "over-voltage", status_bits.OVER_VOLTAGE),
+    ErrorCode(0xF, 9, "under-voltage", status_bits.UNDER_VOLTAGE),
+    ErrorCode(0xF, 10, "over-current", status_bits.OVER_CURRENT),
+    ErrorCode(0xF, 11, "power stage too hot", status_bits.OVER_TEMPERATURE),
+    ErrorCode(0xF, 12, "motor too hot", status_bits.OVER_TEMPERATURE),
+    ErrorCode(0xF, 13, "communication lost", status_bits.COMMUNICATION),
+    ErrorCode(0xF, 14, "overload", status_bits.OVER_CURRENT),
+)
+"""Status codes of the feedback; every other than these two and those is an error without a name."""
 
 ACC, DEC, TIMEOUT, CONTROL_MODE, PMAX, VMAX, TMAX = 4, 5, 9, 10, 21, 22, 23
 """Registers (table of damiao-motor 1.0.6): ramps (rad/s², that of braking negative), alarm time, mode, ranges."""
@@ -153,7 +154,7 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
 
 def status_words(code: int) -> str:
     """A status code for people."""
-    return ERRORS.get(code, {LIMP: "limp", ENABLED: "enabled"}.get(code, f"{code:#x}"))
+    return code_words(code, ERRORS) or {LIMP: "limp", ENABLED: "enabled"}.get(code, f"{code:#x}")
 
 
 def feedback_of(data: bytes, ranges: Ranges) -> Feedback:

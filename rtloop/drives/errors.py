@@ -1,4 +1,4 @@
-"""Error words of drives as tables: each bit once, with its words for people and what it means in common bits."""
+"""Errors of drives as tables: each bit or code once, with its words for people and what it means in common bits."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -29,3 +29,23 @@ def meanings(table: Sequence[ErrorBit], every: int) -> tuple[tuple[int, int], ..
         if bit.status:
             found[bit.status] = found.get(bit.status, 0) | bit.mask
     return ((every, status_bits.PROTECTED), *((mask, status) for status, mask in found.items()))
+
+
+class ErrorCode(NamedTuple):
+    """A code, or those that are `value` where `mask` has ones."""
+
+    mask: int
+    value: int
+    words: str
+    status: int = 0
+    """As an ErrorBit's."""
+
+
+def code_words(code: int, table: Sequence[ErrorCode]) -> str | None:
+    """A code for people, by the first row that fits; None where none does."""
+    return next((row.words for row in table if code & row.mask == row.value), None)
+
+
+def code_meanings(table: Sequence[ErrorCode]) -> tuple[tuple[int, int, int], ...]:
+    """The table for `words.meaning_of_code`."""
+    return tuple((row.mask, row.value, row.status) for row in table)

@@ -49,6 +49,15 @@ def meaning(bits: int, table: tuple[tuple[int, int], ...]) -> int:
 
 
 @jit
+def meaning_of_code(code: int, table: tuple[tuple[int, int, int], ...]) -> int:
+    """What an error code is in common bits: those of the first row (mask, value, bits) that fits, 0 where none does."""
+    for mask, value, common in table:
+        if code & mask == value:
+            return common
+    return 0
+
+
+@jit
 def swapped(value: int, size: int) -> int:
     """The lowest `size` bytes of a number in the other order: for fields whose highest byte comes first."""
     found = 0
