@@ -1,1 +1,1 @@
-"""Conversations with the drives: bring-up, homing, letting go, going on after a stall, the gripper."""
+"""Conversations with the drives: bring-up, homing, release, recovery after a stall, shutdown, the gripper."""

@@ -1,7 +1,7 @@
-"""Bring-up: the conversation with the drives that ends in an arm that holds, or in a sentence saying why not.
+"""Bring-up: the conversation with the drives after which the arm holds, or which fails with a message saying why.
 
-It works the same at start, after a fault was cleared, and when limp drives are enabled again. What is said to a drive
-is its family's (`rtloop.drives.setup`); what its answer means for the joint is judged here.
+It works the same at start, after a fault was cleared, and when disabled drives are enabled again. The drive's family
+makes the frames (`rtloop.drives.setup`); this module judges what the answers mean for the joint.
 """
 
 import math
@@ -18,7 +18,7 @@ from sentences.told import joint_names, unreferenced_sentences
 from shm.words import Fault, Unreferenced
 
 SLACK_RAD = 0.02
-"""A joint that reads this little beyond a limit stands at it."""
+"""A joint that reads at most this far beyond a limit counts as standing at the limit."""
 
 
 class BringUp(Conversation):
@@ -40,13 +40,15 @@ class BringUp(Conversation):
         heals: bool = False,
         forgive_silence: Callable[[int], None] = lambda joint: None,
     ) -> None:
-        """`held_rad`: where drives held their joints before a bring-up that has failed, by their numbers; kept up here.
+        """Begin the bring-up: order the cycle to enter it, and start a dialogue with each drive.
 
-        `counts_before`: where they counted when rtarm was ended, likewise.
+        `held_rad`: joint number → position at which its drive held it before a bring-up that failed; updated here.
 
-        `lost_before`: joints whose angle was not known in an earlier process, and why. `forgive_silence` remembers
-        beyond this one that a joint's angle is known although its drive was silent. `heals`: nobody has asked for this,
-        but a stall is over (`rtloop.dialogues.healing`).
+        `counts_before`: joint number → its drive's count when rtarm was last ended.
+
+        `lost_before`: joint number → why its angle was not known in an earlier process. `forgive_silence` stores for
+        later processes that a joint's angle is known although its drive was silent. `heals`: this is an automatic
+        recovery after a stall (`rtloop.dialogues.healing`), which no operator has requested.
         """
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP, last_order=BRING_UP_DONE)
         self.tell = tell
@@ -58,7 +60,8 @@ class BringUp(Conversation):
         self.lost_before = lost_before or {}
         self._held_rad = held_rad
         self._note_who_is_held()
-        # where a flag for lost power tells nothing new and no mark tells more, only the joint's place can
+        # where a lost-power flag is already known to be set and no mark proves power, only a changed position can show
+        # another loss of power
         self._flagged_rad = {n: port.measured_rad(n) for n in range(len(arm.joints)) if port.power_loss_known(n)}
         self.unasked_before = [port.unasked(n) for n in range(len(arm.joints))]
         silent_before = [self.lost_before.get(n) == Unreferenced.SILENT for n in range(len(arm.joints))]
@@ -80,7 +83,7 @@ class BringUp(Conversation):
         self.begin(dialogues)
 
     def _goes_on(self) -> bool:
-        """What is the same for several joints is told once, when all have been judged."""
+        """Report findings that several joints may share, once all joints have been judged."""
         names = [joint.name for joint in self.arm.joints]
         for sentence in unreferenced_sentences({names[joint]: why for joint, why in sorted(self._unknown.items())}):
             self.tell(sentence)
@@ -90,9 +93,10 @@ class BringUp(Conversation):
         return False
 
     def _note_who_is_held(self) -> None:
-        """No bring-up moves a joint that its drive holds: a count that is another one behind it has begun anew.
+        """Note the position of each joint that its drive holds, so that `_judge` can detect a count that has restarted.
 
-        One that is limp, tripped or held off its place may move meanwhile.
+        Bring-up does not move such a joint, so its reading must be the same afterwards. A joint that is limp, tripped
+        or held away from its commanded position may move meanwhile, so its position is not noted.
         """
         near_rad = self.arm.limits.position_jump_rad / 2.0
         for joint, config in enumerate(self.arm.joints):
@@ -112,7 +116,7 @@ class BringUp(Conversation):
         self._judge(joint, found)
 
     def _judge(self, joint: int, found: Found) -> None:
-        """Take the drive's own target as commanded, and its count for an angle if nothing speaks against that."""
+        """Sync the setpoint to the drive's own target; the joint is referenced unless there is a reason against it."""
         config, reason = self.arm.joints[joint], found.reason
         per_rad, zero_rad = self.port.reading_per_rad(joint), self.port.zero_rad(joint)
         measured_rad = found.reading / per_rad - zero_rad
@@ -132,7 +136,7 @@ class BringUp(Conversation):
         step = math.copysign(self.port.reading_step_rad(joint), per_rad)
         moved_rad = measured_rad + zero_rad - self._counts_before[joint] * step if joint in self._counts_before else 0.0
         stood_rad = measured_rad if found.kept_power else self._flagged_rad.get(joint, measured_rad)
-        stood_rad = self._held_rad.pop(joint, stood_rad)  # whatever its mark says, which its drive may store
+        stood_rad = self._held_rad.pop(joint, stood_rad)  # before the mark, which the drive may store
         if abs(measured_rad - stood_rad) > self.arm.limits.position_jump_rad:
             reason = self._unknown[joint] = Unreferenced.POWER_LOST
         if reason == Unreferenced.REFERENCED and abs(moved_rad) > self.arm.limits.position_jump_rad:
@@ -158,7 +162,7 @@ class BringUp(Conversation):
 
 
 def _remedy(config: JointConfig, measured_rad: float) -> str:
-    """What to do about a joint that reads outside its limits."""
+    """The part of a message that says what to do about a joint that reads outside its limits."""
     turn_rad = 2.0 * math.pi / config.ratio
     a_turn_off = any(config.lower_rad <= measured_rad + way <= config.upper_rad for way in (turn_rad, -turn_rad))
     within = config.drive.within_a_turn

@@ -1,12 +1,11 @@
 """The gripper on the arm's bus: a conversation with its drive, for as long as the control process lives.
 
-What is said to the drive is its family's (`rtloop.drives.gripper`): one command is a whole motion, so nothing here has
-to be on time. What is asked beside that goes in the bus time that the cycle leaves, next to any conversation with the
-joints' drives.
+The drive's family makes the frames (`rtloop.drives.gripper`). One command is a whole motion, so nothing here has a
+deadline. The frames use the bus time that the cycle leaves over, beside any conversation with the joints' drives.
 
-Gripping something is a stall: the drive stands although it has not reached its target. It is then told to hold where
-it is, so that it does not push until its own protection lets go of what it holds. Whatever is wrong with the gripper
-is shown and said, and is never a fault of the arm: an arm that stops because of its gripper would help nobody.
+A grip is a stall: the gripper stands although it has not reached its target. Its drive is then commanded to hold where
+it is; otherwise it would push until its own protection trips and releases the object. A trouble of the gripper is
+published and reported, but is never a fault of the arm: stopping the arm because of its gripper would help nobody.
 """
 
 from __future__ import annotations
@@ -30,14 +29,15 @@ from shm.gripper import show_gripper
 from shm.words import Fault, GripTrouble, Request
 
 ONLY = GRIPPER
-"""The conversation's only drive."""
+"""Key of the conversation's only dialogue, that with the gripper's drive."""
 AFTER_TROUBLE_NS = 1_000_000_000
+"""Time until the next turn while the drive is not known."""
 OUTSIDE_RAD = math.radians(20.0)
-"""A reading this far beyond the range is no angle of the gripper's."""
+"""A reading further than this beyond the gripper's range is not a valid angle."""
 
 
 class Order(NamedTuple):
-    """What the gripper was asked for."""
+    """An order to the gripper; `kind` is one of shm.words.Request."""
 
     sequence: int
     kind: int
@@ -46,7 +46,7 @@ class Order(NamedTuple):
 
 
 class GripperDialogue(Conversation):
-    """One drive, turn by turn: get to know it, obey the newest order, look where it is, show that."""
+    """One drive, turn by turn: identify it, carry out the newest order, read its position, publish the state."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class GripperDialogue(Conversation):
         now_ns: int,
         tell: Callable[[str], None],
     ) -> None:
-        """`state` is the mapped state file, shape (1,), in which the gripper is shown."""
+        """`state` is the mapped state file, shape (1,), into which the gripper's record is written."""
         assert arm.gripper is not None and arm.gripper.servo is not None
         self._gripper, self._nm_per_ampere = arm.gripper, arm.gripper.servo.nm_per_ampere
         super().__init__(arm, port, now_ns, fault=Fault.NONE)
@@ -79,7 +79,7 @@ class GripperDialogue(Conversation):
 
     @property
     def busy(self) -> bool:
-        """Whether something is asked or to be asked, so that it is worth looking often."""
+        """Whether a dialogue is open or an order waits, so that frequent polling is worthwhile."""
         return bool(self._dialogues) or self.waits
 
     @property
@@ -91,20 +91,20 @@ class GripperDialogue(Conversation):
         return self.port.received(of_gripper=True)
 
     def poll(self, now_ns: int) -> bool:
-        """A step; when a person stops or holds the arm, what moves stops too, and what is gripped stays gripped."""
+        """One step; a stop or hold of the arm also stops a moving gripper, and what is gripped stays gripped."""
         halts_before, self._halts = self._halts, self._counted_halts()
         if self._halts != halts_before and (self.moves or self.waits or self._obeying):
             self.stop()
         return super().poll(now_ns)
 
     def _goes_on(self) -> bool:
-        """Always: a turn follows a turn."""
+        """Begin the next turn once it is due or an order waits; always True."""
         if self.now_ns >= self._next_ns or self.waits:
             self.begin({ONLY: self._drive.addressed(self._turn())})
         return True
 
     def _counted_halts(self) -> tuple[int, int]:
-        """Changes with every stop and hold."""
+        """The words of the operator's newest stop and hold, which change with each."""
         return int(self._operator["stop_ns"]), int(self._operator["hold_ns"])
 
     # --- orders
@@ -115,19 +115,19 @@ class GripperDialogue(Conversation):
         return self._halting or int(self._asked["sequence"]) != self._taken
 
     def stop(self) -> None:
-        """Let it stop, as by an order: a person has stopped the arm, or the control process is about to end."""
+        """Stop the gripper as an order would: an operator has stopped the arm, or the control process is ending."""
         self._halting = True
 
     def _take(self) -> Order | None:
-        """The newest order that has not been taken yet.
+        """Take the newest order that has not been taken yet; None if there is none, or its angle is out of range.
 
-        The cycle may write one while this one is read. What is mixed of two then is followed by the newer one at once,
-        and an angle that belongs to none of them is out of range or as good as any.
+        The cycle may write an order while one is read here. An order mixed of two is followed by the newer one at once.
+        An angle that belongs to neither is out of range, or as harmless as any other.
         """
         if not self.waits:
             return None
         asked = self._asked
-        if self._halting:  # in the place of what was asked for before, and before what was asked for since
+        if self._halting:  # the stop replaces earlier orders, and goes before later ones
             self._halting = False
             self._taken = max(self._taken, int(asked["halted"]))
             return Order(self._taken, Request.GRIP_STOP, 0.0, 0.0)
@@ -156,7 +156,7 @@ class GripperDialogue(Conversation):
             self._obeying = False
             self._suffer(trouble)
             if order is None and not self._known:
-                order = self._take()  # there is nobody to obey it; any other is told it in the next turn
+                order = self._take()  # no drive can carry it out; a known drive gets it in the next turn
         if order is not None:
             self._shown["order"] = order.sequence
         rate_hz = MOVING_POLL_HZ if self.moves else RESTING_POLL_HZ
@@ -164,7 +164,7 @@ class GripperDialogue(Conversation):
         self.show()
 
     def _suffer(self, trouble: Trouble) -> None:
-        """Show a trouble, and say it once; what was under way is over."""
+        """Publish a trouble, and report it once; a motion under way is over."""
         if int(self._shown["trouble"]) != trouble.kind:
             self._tell(grip_trouble_sentence(trouble.kind, trouble.value))
         self._shown["trouble"], self._shown["trouble_value"] = trouble.kind, trouble.value
@@ -184,7 +184,7 @@ class GripperDialogue(Conversation):
         self._shown["monotonic_ns"] = self.now_ns
         show_gripper(self._state, self._shown)
 
-    # --- what it is asked
+    # --- carrying out orders
 
     def _obey(self, order: Order) -> Unaddressed[None]:
         self._judge = None
@@ -194,7 +194,7 @@ class GripperDialogue(Conversation):
             yield from self._drive.hold()
             self._recover(Grip.HELD)
         elif order.kind == Request.GRIP:
-            yield from self._drive.make_able()  # who commands a motion wants that
+            yield from self._drive.make_able()  # implied by a motion command
             yield from self._drive.limit_effort(order.effort)
             yield from self._set_off(order.angle_rad)
 
@@ -202,7 +202,7 @@ class GripperDialogue(Conversation):
         position_rad = yield from self._position_rad()
         self._require_inside(position_rad)
         if self.waits:
-            return  # a newer order, which may be a stop, goes before what has not set off
+            return  # a newer order, which may be a stop, replaces a motion that has not begun
         yield from self._drive.go_to(angle_rad)
         gripper = self._gripper
         self._judge = GripJudge(
@@ -216,7 +216,7 @@ class GripperDialogue(Conversation):
         self._recover(Grip.MOVING)
 
     def _home(self, order: Order) -> Unaddressed[None]:
-        """Let the drive find its stop; an order that comes meanwhile ends that."""
+        """Let the drive find its stop; a newer order ends the run."""
         self._recover(Grip.MOVING)
         self._shown["order"], self._shown["measured_ns"] = order.sequence, 0
         self._shown["target_rad"] = math.nan
@@ -224,7 +224,7 @@ class GripperDialogue(Conversation):
         yield from self._drive.home()
         self._recover(Grip.REACHED)
 
-    # --- where it is
+    # --- reading the drive
 
     def _look(self) -> Unaddressed[None]:
         position_rad = yield from self._position_rad()
@@ -240,7 +240,7 @@ class GripperDialogue(Conversation):
         self._shown["velocity_rad_s"] = (position_rad - self._shown["position_rad"]) / since_s if known else 0.0
         self._shown["position_rad"], self._shown["measured_ns"] = position_rad, heard_ns
         if trouble != GripTrouble.NONE:
-            raise Trouble(trouble)  # its count still means an angle
+            raise Trouble(trouble)  # its count is still an angle, so the position above is published
         if self._judge is not None:
             grip = self._judge.judge(heard_ns, position_rad)
             if grip == Grip.STALLED:
@@ -252,7 +252,7 @@ class GripperDialogue(Conversation):
             self._recover(Grip.HELD)
 
     def _position_rad(self) -> Unaddressed[float]:
-        """Its angle; one that cannot be, only if two answers say so."""
+        """Read the gripper's angle; if it is not valid, read once more and return that."""
         position_rad = yield from self._drive.position_rad()
         if not self._is_inside(position_rad):
             position_rad = yield from self._drive.position_rad()
@@ -273,4 +273,4 @@ _GOES_BY_ITSELF = (
     GripTrouble.POWER_LOST,
     GripTrouble.OUTSIDE,
 )
-"""Troubles that are over as soon as a look finds nothing of them; the others stand until the next order."""
+"""Troubles that are over as soon as a turn finds nothing of them; the others remain until the next order."""

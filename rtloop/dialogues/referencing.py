@@ -1,7 +1,7 @@
-"""Referencing: joints find their homing stops one after the other, or are where a person says.
+"""Referencing: joints find their homing stops one after the other, or take the angle that an operator states.
 
-Nothing here moves a joint by motion frames: a homing run is the drive's own, at its own speed, until it meets the stop
-or its time-out. While one runs, the arm's other joints hold.
+No motion frame moves a joint here: the drive executes its homing run itself, at its own speed, until it meets the stop
+or its time-out. While one joint homes, the arm's other joints hold.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from rtloop.service.port import COUNT_FROM, REFERENCING, REFERENCING_DONE, SYNC_
 from shm.words import Fault, Unreferenced
 
 ELSEWHERE_RAD = 0.1
-"""A joint whose angle was known before stops within this of its stop, or something was in its way."""
+"""A joint whose angle was known before must stop within this of its stop; otherwise it has met an obstacle."""
 FRESH_NS = 100_000_000
-"""A reading is not older than that where a drive answers."""
+"""The last reading of a drive that answers is not older than this."""
 
 
 KeepLost = Callable[[int, Unreferenced | None], None]
-"""Remembers beyond this process why a joint's angle is not known, or (None) that it is; may raise NotSaved."""
+"""Stores for later processes why a joint's angle is not known, or (None) that it is; may raise NotSaved."""
 
 
 def referencing_asked_for(
@@ -40,7 +40,7 @@ def referencing_asked_for(
     keep_lost: KeepLost,
     marks: Marks,
 ) -> Referencing:
-    """Take up what the cycle was asked for (HOME or REFERENCE), joints to be homed in the arm file's order."""
+    """Begin what was requested of the cycle (HOME or REFERENCE); joints are homed in the arm file's order."""
     dialogue, axes = loop[0]["dialogue"], loop[0]["axes"]
     homed, placed = int(dialogue["home_asked"]), int(dialogue["reference_asked"])
     dialogue["home_asked"] = dialogue["reference_asked"] = 0
@@ -58,9 +58,9 @@ def referencing_asked_for(
 
 
 class Referencing(Conversation):
-    """Joints that are homed in the order given, then joints that stand where a person says.
+    """Homes joints in the order given, then sets the angles of joints for which an operator stated one.
 
-    `placed` has their angles (rad), NaN for one whose count is to be believed.
+    `placed`: joint number → stated angle (rad), NaN to accept the angle that the drive's count gives.
     """
 
     def __init__(
@@ -76,9 +76,9 @@ class Referencing(Conversation):
         marks: Marks,
         again: str = "`rtarm clear-fault` and `rtarm home` again",
     ) -> None:
-        """`keep_lost` remembers beyond this process why a joint's angle is not known, or that it is.
+        """`keep_lost` stores for later processes why a joint's angle is not known, or that it is.
 
-        `again` is how a person tries once more, in sentences.
+        `again`: what an operator does to try once more, as messages name it.
         """
         super().__init__(arm, port, now_ns, fault=Fault.HOMING, last_order=REFERENCING_DONE)
         self.tell = tell
@@ -87,11 +87,11 @@ class Referencing(Conversation):
         self.again = again
         self._ending = False
         self._runs = False
-        """Whether the homing run of this turn's joint has begun."""
+        """Whether the homing run of the joint under way has begun."""
         self._expected_rad: float | None = None
-        """Where its stop is, if that is known."""
+        """The angle of that joint's stop, if it is known."""
         with_drive = joints_on_the_bus(arm)
-        for joint in sorted({*homed, *placed} - set(with_drive)):  # what is commanded is where it is
+        for joint in sorted({*homed, *placed} - set(with_drive)):  # they stand where they are commanded
             self.count_from(joint, arm.joints[joint].zero_rad, self.port.commanded_rad(joint))
         self._later = [(joint, partial(self._home, joint)) for joint in homed if joint in with_drive]
         self._later += [
@@ -99,7 +99,10 @@ class Referencing(Conversation):
         ]
 
     def end(self) -> None:
-        """Stop what is under way; a joint amid its run stays without a reference. All is over once its drive stands."""
+        """End a run that is under way, and skip the joints that remain.
+
+        A joint whose run is interrupted stays unreferenced. The conversation is over once its drive stands.
+        """
         if self._ending:
             return
         self._ending = True
@@ -120,7 +123,7 @@ class Referencing(Conversation):
     # --- a homing run
 
     def _home(self, joint: int) -> Dialogue:
-        """Let the drive find its stop; one that has no run for that keeps the reference that it has or lacks."""
+        """Let the drive find its stop; for a drive without a homing run the joint's reference stays as it is."""
         config = self.arm.joints[joint]
         homes = homing_of(config.drive)
         if homes is None:
@@ -145,14 +148,14 @@ class Referencing(Conversation):
         self.tell(f"{config.name}: homed.")
 
     def run_begins(self, joint: int) -> None:
-        """What `ReferencingHost` says."""
+        """See `ReferencingHost.run_begins`."""
         self._expected_rad = -self.arm.joints[joint].zero_rad if self.port.referenced(joint) else None
         self.keep_lost(joint, Unreferenced.NOT_HOMED)
         self.post(REFERENCING, joint=joint, code=1)
         self._runs = True
 
     def require_place(self, joint: int, stopped: float) -> None:
-        """What `ReferencingHost` says."""
+        """See `ReferencingHost.require_place`."""
         config, expected_rad = self.arm.joints[joint], self._expected_rad
         stopped_rad = stopped / self.port.reading_per_rad(joint) - self.port.zero_rad(joint)
         if expected_rad is None or abs(stopped_rad - expected_rad) <= ELSEWHERE_RAD:
@@ -164,10 +167,10 @@ class Referencing(Conversation):
             "which then takes whatever stops it for its stop.",
         )
 
-    # --- a person's word
+    # --- an angle that an operator states
 
     def _place(self, joint: int, angle_rad: float) -> Dialogue:
-        """Take a person's word for where the joint stands, or NaN for what it reads."""
+        """Take the operator's angle for the joint, or, with NaN, the angle that it reads."""
         places = placing_of(self.arm.joints[joint].drive)
         if places is None:
             self.count_as_read(joint, angle_rad)
@@ -175,13 +178,13 @@ class Referencing(Conversation):
             yield from places.place(self, joint, angle_rad)
 
     def count_as_read(self, joint: int, angle_rad: float) -> None:
-        """What `ReferencingHost` says."""
+        """See `ReferencingHost.count_as_read`."""
         config = self.arm.joints[joint]
         if self.now_ns - self.port.measured_ns(joint) > FRESH_NS:
             raise DialogueFailed(joint, silent_amid(config, "position"))
         self.post(REFERENCING, joint=joint)
         zero_rad, measured_rad = self.port.zero_rad(joint), self.port.measured_rad(joint)
-        # what the drive holds, which a load keeps it from, goes on being commanded
+        # the drive's target, which a load keeps the joint from reaching, stays the commanded position
         bent_rad = self.port.commanded_rad(joint) - measured_rad
         if abs(bent_rad) > self.arm.limits.following_error_rad:
             bent_rad = 0.0
@@ -196,7 +199,7 @@ class Referencing(Conversation):
     # --- both
 
     def keep_lost(self, joint: int, reason: Unreferenced | None) -> None:
-        """What `ReferencingHost` says."""
+        """See `ReferencingHost.keep_lost`."""
         try:
             self._keep_lost_beyond(joint, reason)
         except NotSaved as problem:
@@ -211,7 +214,7 @@ class Referencing(Conversation):
         *,
         flag_stays: bool = False,
     ) -> None:
-        """What `ReferencingHost` says."""
+        """See `ReferencingHost.count_from`."""
         config = self.arm.joints[joint]
         inside = config.lower_rad - SLACK_RAD <= position_rad <= config.upper_rad + SLACK_RAD
         if reason == Unreferenced.REFERENCED and not inside:

@@ -1,6 +1,6 @@
-"""Letting the drives go: the conversation after which a standing arm is limp.
+"""Release: the conversation that disables the drives of a standing arm, which is then limp.
 
-The cycle has stopped leading the drives before this begins, and follows where they are from then on.
+The cycle has stopped commanding the drives before this begins, and from then on follows the measured positions.
 """
 
 from config.schema import ArmConfig
@@ -11,7 +11,7 @@ from shm.words import Fault
 
 
 class Release(Conversation):
-    """One release of a whole arm; a drive that stays enabled is a latched fault."""
+    """One release of a whole arm; a drive that stays enabled latches a fault."""
 
     def __init__(self, arm: ArmConfig, port: ServicePort, *, now_ns: int) -> None:
         super().__init__(arm, port, now_ns, fault=Fault.RELEASE)

@@ -1,6 +1,6 @@
-"""The last conversation of an orderly end: drives that send their positions by themselves are told to cease.
+"""The last conversation of an orderly shutdown: it turns off the reports of drives that send positions unasked.
 
-They would go on for as long as they have power, and load the bus of whoever uses it next.
+The drives would go on reporting for as long as they have power, and load the bus for its next user.
 """
 
 from config.schema import ArmConfig
@@ -11,7 +11,7 @@ from shm.words import Fault
 
 
 class ShutdownDialogue(Conversation):
-    """One with a whole arm; a drive that does not answer is left as it is, since the arm stands and holds."""
+    """One shutdown of a whole arm; a drive that does not answer is left as it is, since the arm stands and holds."""
 
     def __init__(self, arm: ArmConfig, port: ServicePort, *, now_ns: int) -> None:
         super().__init__(arm, port, now_ns, fault=Fault.NONE)
