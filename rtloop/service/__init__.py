@@ -1,1 +1,1 @@
-"""The in-process rings between the cycle and ordinary Python, and the conversations that go through them."""
+"""The in-process rings between the cycle and ordinary Python, and the conversations with drives that use them."""

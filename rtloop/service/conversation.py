@@ -1,8 +1,8 @@
-"""Conversations with the drives in ordinary Python, beside the cycle and through its service rings.
+"""Conversations: requests and responses between ordinary Python and the drives, through the cycle's service rings.
 
-Every drive has a dialogue of its own, a generator that yields what it wants to ask and gets the answer; all
-dialogues advance together. `poll(now_ns)` is called from time to time and never waits, so the same
-conversation works at start, at run time, and in tests in virtual time.
+Each drive has a dialogue of its own: a generator that yields a question and receives the answer. All dialogues of
+a conversation advance together. `poll(now_ns)` is called periodically and never blocks, so the same conversation
+works at start, at run time, and in tests in virtual time.
 """
 
 from collections.abc import Generator, Mapping
@@ -16,17 +16,17 @@ from shm.words import Fault
 
 ANSWER_PATIENCE_NS = 60_000_000
 ANSWER_PERIODS = 3
-"""A question waits for the next cycle and its answer for the one after; at low rates that is what lasts."""
+"""The timeout at low rates: a question waits for the next cycle, and its answer for the one after."""
 TRIES = 5
 
 
 def answer_patience_s(arm: ArmConfig) -> float:
-    """How long one try waits for an answer, or for what a drive says by itself."""
+    """Timeout of one try, for an answer or for a frame that a drive sends unasked."""
     return max(ANSWER_PATIENCE_NS, ANSWER_PERIODS * arm.control.period_ns) * 1e-9
 
 
 class DialogueFailed(Exception):
-    """A conversation cannot go on; the text is the sentence people read."""
+    """A conversation cannot go on; the text is the message for the operator."""
 
     def __init__(self, joint: int, sentence: str) -> None:
         super().__init__(sentence)
@@ -34,7 +34,7 @@ class DialogueFailed(Exception):
 
 
 class Again:
-    """What a question makes of a frame that shows that it must be asked again."""
+    """What `Question.receive` returns for a frame that shows that the question must be sent again."""
 
 
 Packet = tuple[Frame, bool]
@@ -42,21 +42,21 @@ Packet = tuple[Frame, bool]
 
 
 class Question(Protocol):
-    """Something to ask a drive, in the form of its family."""
+    """A request to a drive, as the drive's family encodes it."""
 
     @property
     def answered(self) -> bool:
-        """Whether an answer is to be waited for, however often it must be asked."""
+        """Whether the question is repeated, up to `TRIES` times in all, until an answer has come."""
 
     def packets(self, first: bool) -> list[Packet]:
-        """What is said, the first time or again."""
+        """The frames to send, the first time or again."""
 
     def receive(self, frame: Frame, last_try: bool) -> Any | Again | None:
-        """What is the answer, if this frame of the drive's makes it whole."""
+        """The answer, if this frame from the drive completes it; Again to send the question again; else None."""
 
 
 def silent_amid(config: JointConfig, what: str) -> str:
-    """The sentence about a drive that has answered before."""
+    """The message about a drive that has answered before and now does not; `what` was read."""
     return (
         f"The drive of {config.name} stopped answering while its {what} was read: check its power and the CAN wires, "
         "then `rtarm clear-fault`, or `rtarm up` where it has ended."
@@ -64,17 +64,17 @@ def silent_amid(config: JointConfig, what: str) -> str:
 
 
 Dialogue = Generator[Question, Any, None]
-"""What is said to one drive; a question that stays without an answer gets None."""
+"""The questions to one drive; it receives None for a question that gets no answer."""
 Value = TypeVar("Value")
 Part = Generator[Question, Any, Value]
-"""Part of a dialogue that ends in a value."""
+"""Part of a dialogue that returns a value."""
 Unaddressed = Generator[Any, Any, Value]
-"""The same in the form of the drive's family, which does not say yet to which drive."""
+"""The same in the form of the drive's family, not yet addressed to a drive."""
 
 
 @dataclass
 class _Exchange:
-    """A running question to one drive."""
+    """An open question to one drive; `sent_ns` is the time of the last try."""
 
     question: Question
     sent_ns: int
@@ -84,8 +84,8 @@ class _Exchange:
 class Conversation:
     """One exchange of questions and answers with the drives of an arm, from its beginning to `done`.
 
-    `failure` says why it could not go on, and the cycle is then told to latch `fault`; an orderly end is told to it by
-    `last_order`, if there is one.
+    If it cannot go on, `failure` holds the reason, and the cycle is ordered to latch `fault`. After an orderly end the
+    cycle gets `last_order`, if there is one.
     """
 
     def __init__(
@@ -102,16 +102,16 @@ class Conversation:
         self._dialogues: dict[int, Dialogue] = {}
         self._exchanges: dict[int, _Exchange] = {}
         self._outbox: list[tuple[Frame, bool]] = []
-        self._received()  # what was said before this conversation does not belong to it
+        self._received()  # discards frames from before this conversation
 
     def begin(self, dialogues: Mapping[int, Dialogue]) -> None:
-        """Let every joint's dialogue ask its first question."""
+        """Start dialogues, given by joint number: each sends its first question."""
         self._dialogues.update(dialogues)
         for joint in dialogues:
             self._advance(joint, None)
 
     def poll(self, now_ns: int) -> bool:
-        """Take answers, ask on; True once the conversation is over (see `failure`)."""
+        """Take answers and send the next questions; True once the conversation is over (see `failure`)."""
         self.now_ns = now_ns
         if self.done:
             return True
@@ -132,20 +132,20 @@ class Conversation:
         return self.done
 
     def _received(self) -> list[Frame]:
-        """What the drives of this conversation have said since the last look."""
+        """The frames from this conversation's drives since the last call."""
         return self.port.received()
 
     def _goes_on(self) -> bool:
-        """Begin what follows when every dialogue is over; whether there is something."""
+        """Called when every dialogue is over: begin what follows; False if nothing does."""
         return False
 
     def post(self, kind: int, joint: int = -1, value: float = 0.0, code: int = 0) -> None:
-        """Tell the cycle a decision."""
+        """Send the cycle an order (see `rtloop.service.port`); raises DialogueFailed when the ring is full."""
         if not self.port.post(kind, joint=joint, value=value, code=code):
             raise DialogueFailed(joint, "The control cycle takes no orders: it has stopped; start rtarm again.")
 
     def _flush(self) -> None:
-        """Put commands in as far as there is room, each as a whole: another conversation may speak after it."""
+        """Post commands while there is room, each as a whole, since another conversation may post after it."""
         while self._outbox:
             frames = 1 + next(number for number, (_, joined) in enumerate(self._outbox) if not joined)
             if self.port.room() < frames:
@@ -172,7 +172,7 @@ class Conversation:
     def _hear(self, frame: Frame) -> None:
         exchange = self._exchanges.get(frame.joint)
         if exchange is None or frame.time_ns < exchange.sent_ns:
-            return  # nobody has asked, or it is the late answer to an earlier question
+            return  # no question is open, or this is the late answer to an earlier one
         answer = exchange.question.receive(frame, exchange.tries >= TRIES)
         if isinstance(answer, Again):
             self._repeat(frame.joint)

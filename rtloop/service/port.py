@@ -1,8 +1,8 @@
-"""The in-process rings between the cycle and ordinary Python: how bring-up speaks on the bus.
+"""The in-process rings between the cycle and ordinary Python, through which conversations use the bus.
 
-The cycle alone uses the bus. A conversation (bring-up, clearing a fault …) puts frames and decisions into
-`service_in`; the cycle sends the frames in bus time that is left over and hands every frame that a drive
-sends meanwhile to `service_out`. The cycle's side is `rtloop.service.rings`.
+The cycle alone accesses the bus. A conversation (bring-up, clearing a fault …) puts frames and orders into
+`service_in`. The cycle sends the frames in bus time that is left over, and puts every frame that a drive
+sends meanwhile into `service_out`. The cycle's side is `rtloop.service.rings`.
 """
 
 from collections import deque
@@ -18,20 +18,20 @@ from rtloop.memory.state import LOOP
 from shm.words import Unreferenced
 
 SEND = 1  # send a CAN frame
-SYNC_SETPOINT = 2  # joint stands at `value`; code = Unreferenced reason (0: referenced)
-BRING_UP_BEGINS = 3  # code = 1: nobody has asked for it, the arm goes on after a stall by itself
+SYNC_SETPOINT = 2  # command joint to stay at `value` (rad); code = Unreferenced reason (0: referenced)
+BRING_UP_BEGINS = 3  # code = 1: automatic recovery after a stall, which no operator has requested
 BRING_UP_DONE = 4
-BRING_UP_FAILED = 5  # joint, code = shm.words.Fault
-COUNT_FROM = 6  # joint's zero is `value` (rad) from its drive's own; code = 1: its flag for lost power means nothing
-REFERENCING = 7  # joint's turn; code = 1: its drive begins a homing run, so its count means nothing any more
+BRING_UP_FAILED = 5  # this or another conversation has failed: joint, code = shm.words.Fault
+COUNT_FROM = 6  # joint's zero is `value` (rad) from its drive's own; code = 1: ignore the drive's lost-power flag
+REFERENCING = 7  # joint is being referenced; code = 1: its drive begins a homing run, so its count is no angle any more
 REFERENCING_DONE = 8
 HOME_ALL = 9  # begin the arm's homing run
 FAST_READY = 10  # joint's drive takes FC as absolute, and its speed and ramp for that are set
-HOLDS_STALLED = 11  # joint's drive goes on holding where it stalls: what lets go of a stalled shaft is off
-POWER_KEPT = 12  # joint's drive proves that it had power while it was silent
+HOLDS_STALLED = 11  # joint's drive goes on holding where it stalls: its protection that releases a stalled shaft is off
+POWER_KEPT = 12  # joint's drive has proven that it had power while it was silent
 
 SOUND = status_bits.ENABLED | status_bits.REACHED | status_bits.ANSWERED
-"""All that the status of a drive without an error says."""
+"""The only bits that the status of a drive without an error may have set."""
 IN = offset_of(LOOP, "service_in")
 OUT = offset_of(LOOP, "service_out")
 WRITTEN = 0
@@ -47,7 +47,7 @@ class Frame(NamedTuple):
     kind: int = EXTENDED
     """Bits of `rtloop.memory.frame_words`."""
     joint: int = NOBODY
-    """Whose drive says it or is told it."""
+    """The joint, or GRIPPER, whose drive sends or receives it."""
 
 
 class Words(Protocol):
@@ -61,9 +61,9 @@ class Words(Protocol):
 
 
 class ServicePort:
-    """Ordinary Python's end of the rings; from one thread.
+    """Ordinary Python's end of the rings, for use from one thread.
 
-    One conversation at a time with the joints' drives, and beside it one with the gripper's.
+    It serves one conversation at a time with the joints' drives, and beside it one with the gripper's.
     """
 
     def __init__(self, loop: np.ndarray, words: Words) -> None:
@@ -74,23 +74,23 @@ class ServicePort:
         self._heard_of_gripper: deque[Frame] = deque(maxlen=SERVICE_SLOTS)
 
     def zero_rad(self, joint: int) -> float:
-        """What the joint's angle is counted from; another than the arm file's where a person said where it stands."""
+        """The joint's zero, from its drive's own; not that of the arm file if an operator has stated its angle."""
         return float(self._record["joints"][joint]["zero_rad"])
 
     def reading_per_rad(self, joint: int) -> float:
-        """What the joint's drive tells for a radian, the joint's direction in it."""
+        """Units of a drive's reading for a radian of the joint; the sign is the joint's direction."""
         return float(self._record["joints"][joint]["reading_per_rad"])
 
     def reading_step_rad(self, joint: int) -> float:
-        """The least that two of the joint's readings can differ."""
+        """The smallest difference between two of the joint's readings."""
         return float(self._record["joints"][joint]["reading_step_rad"])
 
     def referenced(self, joint: int) -> bool:
-        """Whether the joint's count is known to mean an angle."""
+        """Whether the joint is referenced: its drive's count is known to mean an angle."""
         return bool(self._record["axes"][joint]["reference"]["referenced"])
 
     def unreferenced_reason(self, joint: int) -> Unreferenced:
-        """Why it is not."""
+        """Why the joint is not referenced."""
         return Unreferenced(self._record["axes"][joint]["reference"]["unreferenced_reason"])
 
     def measured_rad(self, joint: int) -> float:
@@ -98,11 +98,11 @@ class ServicePort:
         return float(self._record["axes"][joint]["measured"]["position_rad"])
 
     def measured_ns(self, joint: int) -> int:
-        """When the joint's last reading was taken."""
+        """When the joint's last reading was taken (CLOCK_MONOTONIC)."""
         return int(self._record["axes"][joint]["measured"]["time_ns"])
 
     def unasked(self, joint: int) -> int:
-        """Positions that have come from the joint's drive although nobody asked: its reports."""
+        """Number of positions that the joint's drive has sent unasked: its reports."""
         return int(self._record["axes"][joint]["reply"]["reports"])
 
     def commanded_rad(self, joint: int) -> float:
@@ -110,18 +110,18 @@ class ServicePort:
         return float(self._record["axes"][joint]["commanded"]["position_rad"])
 
     def holds(self, joint: int) -> bool:
-        """Whether the joint's drive has said last that it holds, and of no error."""
+        """Whether the joint's drive has last reported that it holds, without an error."""
         status = int(self._record["axes"][joint]["drive"]["status"])
         if self.power_loss_known(joint):
             status &= ~status_bits.POWER_LOST
         return status & status_bits.ENABLED != 0 and status & ~SOUND == 0
 
     def is_loose(self, joint: int) -> bool:
-        """Whether it has said last that it does not, or of an error; False of one that has said nothing yet."""
+        """Whether the drive has last reported that it does not hold, or an error; False before its first status."""
         return bool(self._record["axes"][joint]["drive"]["status"]) and not self.holds(joint)
 
     def power_loss_known(self, joint: int) -> bool:
-        """Whether a drive's flag for lost power means nothing, because a person said where the joint stands since."""
+        """Whether the drive's lost-power flag means nothing, because an operator has stated the joint's angle since."""
         return bool(self._record["axes"][joint]["reference"]["power_loss_known"])
 
     def post(
@@ -134,7 +134,7 @@ class ServicePort:
         value: float = 0.0,
         code: int = 0,
     ) -> bool:
-        """Put a record in; False when the ring is full."""
+        """Put a record into the ring to the cycle; False when it is full."""
         written, taken = self._counts(IN)
         if written - taken >= SERVICE_SLOTS:
             return False
@@ -154,12 +154,12 @@ class ServicePort:
         return True
 
     def room(self) -> int:
-        """Records that can be put in."""
+        """Number of records that the ring to the cycle has room for."""
         written, taken = self._counts(IN)
         return SERVICE_SLOTS - (written - taken)
 
     def received(self, of_gripper: bool = False) -> list[Frame]:
-        """Every frame handed out since the last call that is from a joint's drive, or from the gripper's."""
+        """Every frame since the last such call from the joints' drives, or from the gripper's (`of_gripper`)."""
         written, taken = self._counts(OUT)
         for number in range(taken, written):
             record = self._record["service_out"]["records"][number % SERVICE_SLOTS]
@@ -174,6 +174,6 @@ class ServicePort:
         return frames
 
     def _counts(self, ring_at: int) -> tuple[int, int]:
-        """Records written into a ring and taken out of it, since the start."""
+        """Number of records written into a ring, and taken out of it, since the start."""
         ring = self._address + ring_at
         return self._words.load_word(ring + WRITTEN), self._words.load_word(ring + TAKEN)

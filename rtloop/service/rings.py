@@ -1,4 +1,4 @@
-"""The cycle's side of the in-process rings between it and ordinary Python, whose side is `rtloop.service.port`."""
+"""The cycle's end of the in-process rings to ordinary Python, whose end is `rtloop.service.port`."""
 
 from compilation.jit import jit
 from rtloop.memory.link import SERVICE_SLOTS
@@ -9,7 +9,7 @@ from shm.atomics import load_acquire, load_relaxed, store_release
 
 @jit
 def waiting(loop: Loop, ring_at: int) -> int:
-    """Records that can be taken."""
+    """Number of records that can be taken."""
     base = loop.params.address + ring_at
     # pairs with `ServicePort`'s `store_word` of WRITTEN: a record is read after the count that announces it
     return load_acquire(base + WRITTEN) - load_relaxed(base + TAKEN)
@@ -17,6 +17,7 @@ def waiting(loop: Loop, ring_at: int) -> int:
 
 @jit
 def room(loop: Loop, ring_at: int) -> bool:
+    """Whether a ring has room for another record."""
     base = loop.params.address + ring_at
     # pairs with `ServicePort`'s `store_word` of TAKEN: a slot is written after it was read
     return load_relaxed(base + WRITTEN) - load_acquire(base + TAKEN) < SERVICE_SLOTS
@@ -24,6 +25,7 @@ def room(loop: Loop, ring_at: int) -> bool:
 
 @jit
 def next_slot(loop: Loop, ring_at: int, word: int) -> int:
+    """The slot to which a ring's writing or taking word points."""
     return load_relaxed(loop.params.address + ring_at + word) & (SERVICE_SLOTS - 1)
 
 
@@ -37,7 +39,7 @@ def pass_on(loop: Loop, ring_at: int, word: int) -> None:
 
 @jit
 def hand_out(loop: Loop, joint: int, frame_id: int, kind: int, length: int, data: int, time_ns: int) -> None:
-    """Cycle side: give ordinary Python a frame of a joint's drive, or the gripper's; dropped when nobody listens."""
+    """Cycle side: hand ordinary Python a frame of a joint's drive, or the gripper's; dropped when the ring is full."""
     if not room(loop, OUT):
         return
     record = loop.service_out.records[next_slot(loop, OUT, WRITTEN)]
@@ -53,12 +55,13 @@ def hand_out(loop: Loop, joint: int, frame_id: int, kind: int, length: int, data
 
 @jit
 def inbox(loop: Loop) -> int:
-    """Cycle side: records that ordinary Python has put in."""
+    """Cycle side: number of records that ordinary Python has put in."""
     return waiting(loop, IN)
 
 
 @jit
 def inbox_slot(loop: Loop) -> int:
+    """Cycle side: the slot of the first record that ordinary Python has put in."""
     return next_slot(loop, IN, TAKEN)
 
 
@@ -66,7 +69,7 @@ def inbox_slot(loop: Loop) -> int:
 def command_length(loop: Loop) -> int:
     """Cycle side: number of packets of the command at the front; 0 while its last packet is not in the ring.
 
-    Ordinary Python puts packets in one by one and may be interrupted between two of them, but a drive wants
+    Ordinary Python puts packets in one by one and may be interrupted between two of them, but a drive needs
     all packets of a command without another frame in between.
     """
     first = inbox_slot(loop)
@@ -78,4 +81,5 @@ def command_length(loop: Loop) -> int:
 
 @jit
 def inbox_done(loop: Loop) -> None:
+    """Cycle side: take the first record out of the ring."""
     pass_on(loop, IN, TAKEN)
