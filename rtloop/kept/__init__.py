@@ -1,1 +1,1 @@
-"""What is known of the drives beyond the life of a control process."""
+"""What is stored about the drives beyond the life of a control process."""

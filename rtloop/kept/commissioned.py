@@ -1,8 +1,8 @@
-"""What bench tests (`rtarm commission`) have found of an arm's drives: kept, and refused where it is not what was kept.
+"""The stored results of bench tests (`rtarm commission`) of an arm's drives; a file with anything else is refused.
 
 One small file an arm, `rtarm/commissioned/<arm>.json` under $XDG_STATE_HOME (~/.local/state): a record for each channel
-and joint. What it says of a drive holds for that drive alone: same joint, same channel, same family and number. One
-that was exchanged, or given other firmware, must be tested again. Simulated arms at a pseudo-terminal are not kept.
+and joint. A record is valid for one drive alone: same joint, same channel, same family and number. A drive that was
+exchanged, or given other firmware, must be tested again. Nothing is stored of simulated arms at a pseudo-terminal.
 """
 
 from __future__ import annotations
@@ -34,64 +34,64 @@ class PowerProof(StrEnum):
     """How a drive that was silent proves that it has kept its power."""
 
     FLAG = "flag"
-    """Its flag for lost power is 1 after a loss of power, and stays 0 otherwise once it was cleared."""
+    """Its lost-power flag is 1 after a loss of power and, once it was cleared, stays 0 otherwise."""
     CANARY = "canary"
-    """What it was told, or counts, is another one after a loss of power."""
+    """A value that was written to it, or that it counts, is a different one after a loss of power."""
     ABSOLUTE = "absolute"
-    """None is needed: its encoder knows the joint's angle with or without power."""
+    """No proof is needed: its encoder knows the joint's angle with or without power."""
     NONE = "none"
 
 
 def _known_proof(word: object) -> object:
-    """A word of another version's proves nothing to this one."""
+    """A word that only another version of rtarm knows counts as no proof."""
     return word if not isinstance(word, str) or word in set(PowerProof) else PowerProof.NONE
 
 
 class NotReadable(Exception):
-    """The file is there and is none that was kept here; the text is the sentence people read."""
+    """The file exists but cannot be read, or is none of this module's; the text is the message for the operator."""
 
 
 @dataclass(frozen=True)
 class Commissioned:
-    """One drive; None for what was not tried."""
+    """The test results of one drive; None for what was not tested."""
 
     channel: str
     family: str
     number: int
     firmware: str
-    """As the drive tells it, such as 2.0.0; empty where it tells none."""
+    """As the drive reports it, such as 2.0.0; empty if it reports none."""
     when: str
     """UTC, such as 2026-01-31T12:00:00Z."""
     power_proof: Annotated[PowerProof | None, BeforeValidator(_known_proof)] = None
     power: str = ""
-    """What was found of that, such as "flag seen 1 after the power cycle, cleared, read 0"."""
+    """What the test of the power proof saw, such as "flag seen 1 after the power cycle, cleared, read 0"."""
     fast_targets: bool | None = None
-    """Whether targets of `FC` are absolute to it."""
+    """Whether the drive takes `FC` targets as absolute."""
     reports: bool | None = None
-    """Whether it sends its position by itself when told, at the rate it was told."""
+    """Whether the drive, when commanded to, sends its position unasked and at the commanded rate."""
     retargets: bool | None = None
-    """Whether a new target in motion is taken, and the motion goes on."""
+    """Whether the drive accepts a new target while it moves, and moves on."""
     brakes_in_silence: bool | None = None
-    """Whether it brakes with the ramp it was told, and stands, though it hears nothing more."""
+    """Whether the drive, when it receives nothing more, brakes with the commanded ramp and then stands."""
 
     @property
     def heals(self) -> bool:
-        """Whether the arm may go on by itself after a silence of all drives.
+        """Whether this drive allows automatic recovery after a silence of all drives.
 
-        It brakes in one, proves its power, and was not found to refuse a new target in motion.
+        It brakes in such a silence, proves its power, and was not found to refuse a new target in motion.
         """
         proves = self.power_proof not in (None, PowerProof.NONE)
         return proves and self.brakes_in_silence is True and self.retargets is not False
 
     @property
     def tells(self) -> bool:
-        """Whether anything that is relied on was tried."""
+        """Whether anything that rtarm relies on was tested."""
         return any(getattr(self, name) is not None for name in ("power_proof", *_TRUTHS))
 
     def after(self, before: Commissioned | None) -> Commissioned:
-        """This with what an earlier test of the same drive and firmware has found and this one did not try.
+        """These results, completed by those of an earlier test of the same drive and firmware.
 
-        One that was found to prove nothing does so, whatever its firmware, until that is tried again.
+        A drive that was found to prove nothing still proves nothing with other firmware, until that is tested again.
         """
         if before is None:
             return self
@@ -106,14 +106,14 @@ class Commissioned:
 
 _TRUTHS = ("fast_targets", "reports", "retargets", "brakes_in_silence")
 _KEPT = TypeAdapter(dict[str, dict[str, Commissioned]], config=ConfigDict(strict=True))
-"""The file: channel → name of a joint → what was found there; another version of rtarm may say more of it, or less."""
+"""The file: channel → name of a joint → test results, of which another version of rtarm may store more or fewer."""
 
 
 def load(arm: ArmConfig) -> dict[int, Commissioned]:
-    """Joint number → what was found of the drive that the arm file gives it; empty where nothing was tried.
+    """Joint number → test results of the drive that the arm file gives it; empty if nothing was tested.
 
     Raises:
-        NotReadable: the file cannot be read, or says something else.
+        NotReadable: the file cannot be read, or holds something else.
     """
     known = _read(arm).get(channel_of(arm), {})
     numbers = {joint.name: number for number, joint in enumerate(arm.joints)}
@@ -125,7 +125,7 @@ def load(arm: ArmConfig) -> dict[int, Commissioned]:
 
 
 def unproven(arm: ArmConfig, tell: Callable[[str], object]) -> set[int]:
-    """Joints whose drive was found to prove no power; all of them where `tell` gets why that cannot be read."""
+    """Joints whose drive was found not to prove its power; all joints if the file cannot be read: `tell` gets why."""
     try:
         return {joint for joint, found in load(arm).items() if found.power_proof is PowerProof.NONE}
     except NotReadable as damaged:
@@ -134,7 +134,10 @@ def unproven(arm: ArmConfig, tell: Callable[[str], object]) -> set[int]:
 
 
 def marks(arm: ArmConfig, tell: Callable[[str], object]) -> Marks:
-    """What the arm's drives have that proves their power, kept for the next process; `tell` gets what is not kept."""
+    """The marks by which the arm's drives prove their power; each change is stored for the next process.
+
+    `tell` gets the message when that fails.
+    """
 
     def keep(changed: Mapping[int, str]) -> None:
         try:
@@ -146,10 +149,10 @@ def marks(arm: ArmConfig, tell: Callable[[str], object]) -> Marks:
 
 
 def withheld(arm: ArmConfig) -> str:
-    """Why the arm must not start: its file relies on what a drive was found not to do; empty where it does not."""
+    """Why the arm must not start: its arm file relies on something that a drive was found not to do; else empty."""
     try:
         known = load(arm)
-    except NotReadable:  # which `unproven` tells
+    except NotReadable:  # `unproven` reports it
         return ""
     relied_on = (_withheld_by(arm, joint, found) for joint, found in known.items())
     return next((sentence for sentence in relied_on if sentence), "")
@@ -181,20 +184,20 @@ def _withheld_by(arm: ArmConfig, joint: int, found: Commissioned) -> str:
 
 
 def heals(arm: ArmConfig) -> bool:
-    """Whether each drive of the arm was found to do what going on after a stall relies on (`dialogues.healing`)."""
+    """Whether each drive of the arm was found to do what recovery after a stall relies on (`dialogues.healing`)."""
     try:
         found = load(arm)
-    except NotReadable:  # which `unproven` tells
+    except NotReadable:  # `unproven` reports it
         return False
     return all(joint in found and found[joint].heals for joint in joints_on_the_bus(arm))
 
 
 def save(arm: ArmConfig, joint: int, found: Commissioned) -> None:
-    """Keep what was found of one drive, in the place of what was known of it and beside what is of the others.
+    """Store the results of one drive in place of its earlier ones; those of other drives stay.
 
     Raises:
-        NotReadable: what is there is none that was kept here, and stays.
-        NotSaved: it cannot be written.
+        NotReadable: the file is none of this module's, and stays as it is.
+        NotSaved: it cannot be stored.
     """
     if is_simulated(arm):
         return
@@ -212,7 +215,7 @@ def save(arm: ArmConfig, joint: int, found: Commissioned) -> None:
 
 
 def _read(arm: ArmConfig) -> dict[str, dict[str, Commissioned]]:
-    """Channel → name of a joint → what was found there; raises NotReadable."""
+    """Channel → name of a joint → test results; raises NotReadable."""
     if is_simulated(arm):
         return {}
     try:

@@ -1,11 +1,13 @@
-"""What is known of the drives' counts beyond the life of a control process.
+"""What is stored about the drives' counts beyond the life of a control process.
 
-Three small files an arm, in `rtarm/positions` under $XDG_STATE_HOME (~/.local/state). `<arm>.json`: where the drives
-counted when rtarm was last ended in order, to notice what happened to the arm since. It is there until a start has
-compared all of them: after a crash nothing is compared, since nothing is known. `<arm>.unreferenced`: which joints have
-lost their reference and why, until they are given one. `<arm>.power`: by what their drives prove that they have kept
-their power (`rtloop.drives.power`). Simulated arms at a pseudo-terminal begin wherever they are told
-to, so nothing is kept of them.
+Three small files an arm, in `rtarm/positions` under $XDG_STATE_HOME (~/.local/state):
+
+- `<arm>.json`: the drives' counts when rtarm was last ended in order, to detect what happened to the arm since. The
+  file exists until a start has compared all of them. After a crash nothing is compared, since nothing is known.
+- `<arm>.unreferenced`: the joints that have lost their reference, and why, until they get a new one.
+- `<arm>.power`: the marks by which their drives prove that they have kept their power (`rtloop.drives.power`).
+
+Simulated arms at a pseudo-terminal begin wherever they are told to, so nothing is stored of them.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from shm.words import Unreferenced
 
 PSEUDO_TERMINALS = "/dev/pts/"
 ANY_COUNT = 1 << 53
-"""Drives count in 32 bits; anything beyond this is no number that a float holds."""
+"""Bound of stored counts. Drives count in 32 bits; a float does not hold every integer beyond this bound."""
 OUTLIVES_THE_PROCESS = frozenset(
     {
         Unreferenced.POWER_LOST,
@@ -33,20 +35,20 @@ OUTLIVES_THE_PROCESS = frozenset(
         Unreferenced.MOVED,
     }
 )
-"""What a bring-up of the next process need not find out by itself: what no clearing of a fault forgives either."""
+"""Reasons to store: the next process' bring-up might miss them, and clearing a fault does not forgive them either."""
 COUNTS_FROM_NOWHERE = frozenset({Unreferenced.POWER_LOST, Unreferenced.NOT_HOMED})
-"""No look at the joint says that it stands where it reads; until it is homed no weaker reason takes their place."""
+"""Reasons for which no look at the joint can confirm its reading; no weaker reason replaces them until it is homed."""
 
 
 class NotSaved(Exception):
-    """What should be kept could not be written; the text is the sentence people read."""
+    """Something could not be stored; the text is the message for the operator."""
 
 
 def path_of(arm: str, kind: str = "positions") -> Path:
-    """The file with the counts of an arm, or with what else is kept of it.
+    """Path of the file with the counts of an arm, or with what else (`kind`) is stored of it.
 
     Raises:
-        NotSaved: for a user without a home.
+        NotSaved: XDG_STATE_HOME is not set and the user has no home.
     """
     base = os.environ.get("XDG_STATE_HOME")
     try:
@@ -59,10 +61,10 @@ def path_of(arm: str, kind: str = "positions") -> Path:
 
 
 def save(arm: ArmConfig, counts: Mapping[int, int]) -> None:
-    """Keep the counts (encoder counts as the drives told them) of the joints given by their numbers.
+    """Store counts (encoder counts as the drives report them), given by joint number.
 
     Raises:
-        NotSaved: with the sentence for people.
+        NotSaved: it cannot be stored.
     """
     if is_simulated(arm):
         return
@@ -80,9 +82,9 @@ def save(arm: ArmConfig, counts: Mapping[int, int]) -> None:
 
 
 def counts_before(arm: ArmConfig) -> dict[int, int]:
-    """Joint number → count that was kept of this arm at this channel.
+    """Joint number → stored count, for this arm at this channel.
 
-    Empty where nothing is known. What cannot be read says nothing, since anybody may have written it.
+    Empty if nothing is known. A file that cannot be read counts as nothing known, since anybody may have written it.
     """
     if is_simulated(arm):
         return {}
@@ -100,23 +102,24 @@ def counts_before(arm: ArmConfig) -> dict[int, int]:
 
 
 def forget_counts(arm: ArmConfig) -> None:
-    """The joints were compared with their counts of before, and may move from here on."""
+    """Remove the stored counts: the joints were compared with them, and may move from here on."""
     if not is_simulated(arm):
         with contextlib.suppress(OSError, NotSaved):
             path_of(arm.name).unlink(missing_ok=True)
 
 
 def lost_references(arm: ArmConfig, tell: Callable[[str], object] = lambda _: None) -> dict[int, Unreferenced]:
-    """Joint number → why its angle is not known, as it was last kept.
+    """Joint number → why its angle is not known, as last stored.
 
-    A file that is there and cannot be read may say so of every joint, and is taken to; `tell` gets the sentence.
+    If the file exists but cannot be read, every joint counts as not homed, since the file may name any of them; `tell`
+    gets the message.
     """
     if is_simulated(arm):
         return {}
     try:
         return _read_lost(arm)
     except NotSaved:
-        return {}  # there is no place where anything could have been kept
+        return {}  # there is no place where anything could have been stored
     except (OSError, ValueError) as problem:
         why = problem.strerror if isinstance(problem, OSError) else "it says something else"
         tell(
@@ -128,17 +131,18 @@ def lost_references(arm: ArmConfig, tell: Callable[[str], object] = lambda _: No
 
 
 def keep_lost_reference(arm: ArmConfig, joint: int, reason: Unreferenced | None) -> None:
-    """The same of one joint."""
+    """`keep_lost_references` for one joint."""
     keep_lost_references(arm, {joint: reason})
 
 
 def keep_lost_references(arm: ArmConfig, reasons: Mapping[int, Unreferenced | None]) -> None:
-    """Remember beyond this process why joints' angles are not known, or (None) that they are; one write for all.
+    """Store for later processes why joints' angles are not known, or (None) that they are; one write for all.
 
-    A count from nowhere stays one whatever else befalls the joint: a process that was told its angle may lose that.
+    A reason of COUNTS_FROM_NOWHERE stays whatever else happens to the joint: a process for which an operator has stated
+    the angle may lose that angle again, for a weaker reason.
 
     Raises:
-        NotSaved: with the sentence for people.
+        NotSaved: it cannot be stored.
     """
     if is_simulated(arm):
         return
@@ -163,17 +167,17 @@ def keep_lost_references(arm: ArmConfig, reasons: Mapping[int, Unreferenced | No
 
 
 def forgive_silence(arm: ArmConfig, joint: int) -> None:
-    """The joint's drive had power while it was silent; what else is known against its angle stays.
+    """Remove a stored reason SILENT: the joint's drive had power while it was silent. Any other reason stays.
 
     Raises:
-        NotSaved: with the sentence for people.
+        NotSaved: it cannot be stored.
     """
     if lost_references(arm).get(joint) == Unreferenced.SILENT:
         keep_lost_reference(arm, joint, None)
 
 
 def power_marks(arm: ArmConfig) -> dict[int, str]:
-    """Joint number → its drive's mark (`rtloop.drives.power`) at this channel; what cannot be read proves nothing."""
+    """Joint number → its drive's mark (`rtloop.drives.power`) at this channel; empty if the file cannot be read."""
     if is_simulated(arm):
         return {}
     try:
@@ -186,10 +190,10 @@ def power_marks(arm: ArmConfig) -> dict[int, str]:
 
 
 def keep_power_marks(arm: ArmConfig, marks: Mapping[int, str]) -> None:
-    """Keep all of them for the next process.
+    """Store all marks for the next process.
 
     Raises:
-        NotSaved: with the sentence for people.
+        NotSaved: it cannot be stored.
     """
     if is_simulated(arm):
         return
@@ -198,7 +202,7 @@ def keep_power_marks(arm: ArmConfig, marks: Mapping[int, str]) -> None:
     try:
         replace_file(path, json.dumps({"channel": channel_of(arm), "marks": named}))
     except OSError as problem:
-        with contextlib.suppress(OSError):  # what it says of before would speak against a drive that has another one
+        with contextlib.suppress(OSError):  # an old mark in it would speak against a drive with a new one
             path.unlink()
         raise NotSaved(
             f"By what the drives prove that they keep their power could not be kept in {path} ({problem.strerror}), so "
@@ -211,7 +215,7 @@ def _power_path(arm: ArmConfig) -> Path:
 
 
 def _read(path: Path) -> Any:
-    """What a file of ours holds; raises OSError (it cannot be read) and ValueError (it is no JSON)."""
+    """What one of these files holds; raises OSError (it cannot be read) and ValueError (it is no JSON)."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except RecursionError:
@@ -219,12 +223,12 @@ def _read(path: Path) -> Any:
 
 
 def _read_lost(arm: ArmConfig) -> dict[int, Unreferenced]:
-    """Raises NotSaved, OSError (it cannot be read) and ValueError (it says something else)."""
+    """Joint number → stored reason; raises NotSaved, OSError (cannot be read) and ValueError (holds something else)."""
     try:
         kept = _read(_lost_path(arm))
     except (FileNotFoundError, NotADirectoryError):
         return {}
-    reasons = [reason.name for reason in OUTLIVES_THE_PROCESS]  # what was read may not even be hashable
+    reasons = [reason.name for reason in OUTLIVES_THE_PROCESS]  # a list: what was read may not even be hashable
     if not isinstance(kept, dict) or not all(reason in reasons for reason in kept.values()):
         raise ValueError(kept)
     numbers = {config.name: joint for joint, config in enumerate(arm.joints)}
@@ -236,7 +240,7 @@ def _lost_path(arm: ArmConfig) -> Path:
 
 
 def replace_file(path: Path, text: str) -> None:
-    """Write a file whole or not at all, so that it is there even when the power goes."""
+    """Write a file whole or not at all; once written, it survives a loss of power."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=".")
     try:
@@ -251,16 +255,16 @@ def replace_file(path: Path, text: str) -> None:
         raise
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        os.fsync(folder)  # its new name is a matter of the folder's
+        os.fsync(folder)  # the new name is part of the folder
     finally:
         os.close(folder)
 
 
 def channel_of(arm: ArmConfig) -> str:
-    """How the arm's drives are reached: what is kept of them is of these drives alone."""
+    """Interface and channel of the arm's drives: what is stored of the drives is valid at this channel alone."""
     return f"{arm.bus.interface}:{arm.bus.resolved_channel}"
 
 
 def is_simulated(arm: ArmConfig) -> bool:
-    """Whether nothing is kept of the arm: its drives begin wherever they are told to."""
+    """Whether the arm is simulated: its drives begin wherever they are told to, so nothing is stored of them."""
     return arm.bus.interface == "mock" or str(arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)
