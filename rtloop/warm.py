@@ -1,7 +1,7 @@
 """`python -m rtloop.warm`: compile the cycle ahead, so that no start has to wait for it.
 
-The result is one object file in the cache folder of these very sources; older folders are removed. The control
-process loads it and never the compiler.
+The result is one object file in the cache folder of exactly these sources; older folders are removed. The control
+process loads the object file, and never the compiler.
 """
 
 import contextlib
@@ -22,9 +22,10 @@ CODE_OPTIMISATION = 3
 
 
 def compile_object() -> bytes:
-    """Compile `process.entries` and all it calls into one object file; raises NotLoadable when it wants too much.
+    """Compile `process.entries` and all it calls into one object file.
 
-    Only in a process that has not imported them: see `rtloop.process.lowered`.
+    Raises NotLoadable if the code calls more than `process.compiled` allows. Only in a process that has not imported
+    `process.entries`: see `rtloop.process.lowered`.
     """
     from numba.core.registry import cpu_target
 
@@ -32,7 +33,7 @@ def compile_object() -> bytes:
 
     module = lower()
     triple, processor, features = cpu_target.target_context.codegen().magic_tuple()
-    # As numba makes code that is loaded at once: no assumption about how far away anything else lies.
+    # The settings that numba uses for code that it loads at once: they assume nothing about how far other code lies.
     machine = llvm.Target.from_triple(triple).create_target_machine(
         cpu=processor,
         features=features,
@@ -44,7 +45,7 @@ def compile_object() -> bytes:
     builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=CODE_OPTIMISATION))
     passes = builder.getModulePassManager()
     passes.add_refprune_pass()
-    # Functions that cannot raise are found out here, and what would tell the interpreter of it falls away.
+    # This pass finds out which functions cannot raise; their code that would report it to the interpreter falls away.
     passes.add_ipsccp_pass()
     passes.add_simplify_cfg_pass()
     passes.add_global_dead_code_eliminate_pass()
@@ -55,7 +56,7 @@ def compile_object() -> bytes:
 
 
 def main(tell: Callable[[str], None] = print) -> int:
-    """Compile unless it was done for these very sources; `tell` gets the lines for people."""
+    """Compile, unless that was done for exactly these sources; `tell` gets the lines for people. The exit code."""
     with contextlib.suppress(FileNotFoundError, compiled.NotLoadable):
         compiled.load()
         return 0

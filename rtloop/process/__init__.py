@@ -1,1 +1,1 @@
-"""The control process around the cycle: its beginning, its threads, its wire, its end."""
+"""The control process around the cycle: its start, its threads, its wire, its shutdown."""

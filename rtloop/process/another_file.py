@@ -1,4 +1,4 @@
-"""After a crash, which arm file may be started under the name of the arm that died."""
+"""The check of the arm file at a start after a crash: the arm must not get another arm's values."""
 
 from config.errors import ConfigError
 from config.loader import ABSENT, differences
@@ -7,13 +7,13 @@ from rtloop.process.control_process import CannotStart
 from shm import files
 
 MOST_TOLD = 3
-"""Differences that the sentence names."""
+"""The most differences that the message names."""
 
 
 def refuse_another_file(arm: ArmConfig) -> None:
-    """Refuse an arm file under whose name a control process has died that ran another one, with other values.
+    """Refuse an arm file if the last control process of that arm name died while it ran another file with other values.
 
-    Whoever starts an arm again after a crash must not get the calibration of another arm.
+    A restart after a crash must not use the calibration of another arm.
 
     Raises:
         CannotStart: with what differs.

@@ -1,7 +1,7 @@
 """The compiled cycle as the control process uses it: one object file, loaded without the compiler.
 
-`rtloop.warm` makes the object. What it may call of the outside are the few functions of the C library named here, so
-it can neither enter the interpreter nor allocate: an object that wants anything else does not load.
+`rtloop.warm` makes the object. The only outside functions that it may call are the few of the C library named here, so
+it can neither enter the interpreter nor allocate. An object that needs any other function does not load.
 """
 
 import ctypes
@@ -28,7 +28,7 @@ CALLED = (
     "sendmmsg",
     "write",
 )
-"""Functions of the C library that compiled code may call; LLVM makes the mem* of loops."""
+"""Functions of the C library that compiled code may call; LLVM turns loops into calls of the mem*."""
 ROUNDING = ("ceil", "floor", "rint")
 """Functions of libm that LLVM calls where the processor has no instruction for them (x86-64 without SSE4.1)."""
 _SECTION, _SHT_SYMTAB = struct.Struct("<IIQQQQIIQQ"), 2
@@ -72,19 +72,19 @@ class CompiledCycle:
         except RuntimeError as problem:
             raise NotLoadable(str(problem)) from problem
         self.memory = sorted(_anonymous() - before)
-        """Address and size (bytes) of what the code lies in, its constants included."""
+        """Address and size (bytes) of each memory area that holds the code and its constants."""
         functions = {name: ctypes.CFUNCTYPE(*prototype)(self._linked[name]) for name, prototype in PROTOTYPES.items()}
         self.run, self.read_wire = functions["run"], functions["read_wire"]
         self.load_word, self.store_word = functions["load_word"], functions["store_word"]
 
 
 def path() -> Path:
-    """Where the object of these very sources lies, or will lie."""
+    """Path in the cache of the object that is compiled from exactly these sources, whether or not it exists yet."""
     return cache.folder() / "cycle.o"
 
 
 def load() -> CompiledCycle:
-    """The compiled cycle from the cache; raises FileNotFoundError when nobody has compiled it yet, and NotLoadable."""
+    """Load the compiled cycle from the cache; raises FileNotFoundError if it is not compiled yet, and NotLoadable."""
     content = path().read_bytes()
     code = content[DIGEST_BYTES:]
     if hashlib.sha256(code).digest() != content[:DIGEST_BYTES]:
@@ -93,7 +93,7 @@ def load() -> CompiledCycle:
 
 
 def check_place() -> None:
-    """Raise OSError where `store` would, before anybody spends a minute on what to store."""
+    """Raise OSError if `store` would raise it, before a minute is spent on compiling what it is to store."""
     aside = _aside()
     try:
         aside.write_bytes(b"\0")
@@ -109,13 +109,13 @@ def store(code: bytes) -> None:
 
 
 def _aside() -> Path:
-    """Where this process writes what is not whole yet, in a folder that is there."""
+    """Path to which this process writes an object before it is whole; makes the folder if it is missing."""
     path().parent.mkdir(parents=True, exist_ok=True)
     return path().with_name(f"{path().name}.{os.getpid()}.new")
 
 
 def undefined_symbols(code: bytes) -> set[str]:
-    """What an object file (64-bit ELF, little-endian) expects from outside; raises NotLoadable when it is none."""
+    """The undefined symbols of an object file (64-bit ELF, little-endian); raises NotLoadable if it is none."""
     found = set()
     try:
         (sections_at,) = struct.unpack_from("<Q", code, 0x28)
@@ -139,7 +139,7 @@ def _address(function: Any) -> int:
 
 
 def _anonymous() -> set[tuple[int, int]]:
-    """Address and size of all memory of this process that cannot be written and belongs to no file."""
+    """Address and size (bytes) of all memory areas of this process that cannot be written and belong to no file."""
     found = set()
     for line in Path("/proc/self/maps").read_text(encoding="ascii", errors="replace").splitlines():
         area, permissions, _offset, _device, inode, *name = line.split(maxsplit=5)

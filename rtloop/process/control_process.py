@@ -1,4 +1,4 @@
-"""The control process around the cycle: memory files, wire, threads, bring-up, orderly end."""
+"""The control process around the cycle: memory files, wire, threads, bring-up, orderly shutdown."""
 
 import math
 import signal
@@ -40,15 +40,18 @@ LOST_EVERY_S = 1.0
 KEEP_AGAIN_S = 1.0
 THREAD_PATIENCE_S = 5.0
 STAND_PATIENCE_S = 5.0
-"""For a drive amid its homing run to say that it has ended it."""
+"""Extra time at shutdown for a drive amid its homing run to report that it has ended it."""
 
 
 class CannotStart(Exception):
-    """The control process refuses to start; the text is the sentence people read."""
+    """The control process refuses to start; the text is the message for the operator."""
 
 
 class Ended(Exception):
-    """Work beside an offline cycle cannot go on: a signal asked for the end, or the cycle is gone."""
+    """Work beside an offline cycle cannot go on: a signal asked for shutdown, or the cycle has ended.
+
+    `code` is the exit code.
+    """
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -56,10 +59,10 @@ class Ended(Exception):
 
 
 class StopAsked:
-    """Whether a signal has asked for the end; the signals are taken over from now on."""
+    """Whether one of the signals has asked for shutdown; handles these signals from its creation on."""
 
     def __init__(self, signals: Iterable[signal.Signals]) -> None:
-        self.yes = False  # an Event has a lock, on which a second signal would wait for the first
+        self.yes = False  # not an Event, on whose lock a second signal would wait for the first
         for number in signals:
             signal.signal(number, self._take)
 
@@ -70,7 +73,7 @@ class StopAsked:
 class ControlProcess:
     """One arm's control process, from opening the wire to closing it.
 
-    `tell` gets every sentence for people. Raises CannotStart, WireRefused, SharedMemoryError or ConfigError
+    `tell` gets every message for the operator. Raises CannotStart, WireRefused, SharedMemoryError or ConfigError
     before anything has moved.
     """
 
@@ -121,30 +124,35 @@ class ControlProcess:
             raise
 
     def serve(self, ready: Callable[[], None], *, clears_protection: bool = False) -> int:
-        """Run until asked to stop.
+        """Run until a signal asks for shutdown.
 
-        `clears_protection`: a person has asked that an error which a drive has at the start be cleared.
+        `ready` is called once, after the first bring-up. `clears_protection`: an operator has requested that an error
+        which a drive has at the start be cleared.
 
-        The exit code: 0 orderly, 2 a conversation failed at the start or amid the end, 3 the cycle ended by itself.
+        Returns the exit code: 0 orderly, 2 a conversation failed at the start or during shutdown, 3 the cycle ended by
+        itself.
         """
         try:
             self._start_threads()
             code = self._supervise(ready, clears_protection)
             self._run_shutdown_dialogue()
-        except DialogueFailed as failure:  # an order that the cycle does not take any more
+        except DialogueFailed as failure:  # the cycle takes no orders any more
             self._tell(str(failure))
             return 3
         finally:
             self._end_threads()
             self._next_keep_s = 0.0
-            self._keep_newly_lost()  # what the cycle has found since it was last looked at
+            self._keep_newly_lost()  # references lost since the last call
             self._release()
-        if code == 0 and self._brought_up:  # those of before stand until they were compared
+        if code == 0 and self._brought_up:  # else the stored ones stay: they were not compared yet
             self._save_positions()
         return code
 
     def _save_positions(self) -> None:
-        """After an orderly end: the drives hold the arm, or it is limp and may be moved."""
+        """Store the counts of referenced joints after an orderly end.
+
+        The drives then hold the arm, or it is limp and may be moved.
+        """
         axes = self._loop[0]["axes"]
         counts = {
             joint: self._steps(joint)
@@ -157,7 +165,7 @@ class ControlProcess:
             self._tell(str(problem))
 
     def _steps(self, joint: int) -> int:
-        """Where the joint stands, in steps of what its drive tells."""
+        """The joint's position, from its drive's own zero, in the smallest steps of the drive's readings."""
         row, axis = self._loop[0]["joints"][joint], self._loop[0]["axes"][joint]
         step_rad = math.copysign(row["reading_step_rad"], row["reading_per_rad"])
         return round(float((axis["measured"]["position_rad"] + row["zero_rad"]) / step_rad))
@@ -165,9 +173,9 @@ class ControlProcess:
     def serve_offline(self, work: Callable[[ServicePort, Callable[[], None]], None]) -> int:
         """Do `work` beside a cycle that stays offline: nothing is brought up, and the cycle itself moves nothing.
 
-        `work` holds its conversations through the port it is given and lets time pass with the function it is given,
-        which ends it when that must be. Exit code 0, or 3 when the cycle ended by itself; raises WireRefused when the
-        adapter went away.
+        `work` gets the port for its conversations, and a function that it calls to let time pass and that raises when
+        `work` must end. Returns exit code 0, or 3 when the cycle ended by itself; raises WireRefused when the adapter
+        is gone.
         """
         try:
             self._start_threads()
@@ -197,9 +205,9 @@ class ControlProcess:
         threading.stack_size(realtime.THREAD_STACK_BYTES)
         if self._wire is not None:
             self._start_reader()
-        self._start(self._cycle)  # the last: it publishes what both were given
+        self._start(self._cycle)  # the last: it publishes the scheduling that both threads were given
         while int(self._memory["timing"]["cycle"]) == 0 and self._cycle.is_alive():
-            time.sleep(FIRST_CYCLE_POLL_S)  # compiled code is being loaded; no conversation may count that time
+            time.sleep(FIRST_CYCLE_POLL_S)  # compiled code is being loaded; no conversation's timeout may run meanwhile
         for complaint in self._obtained.complaints:
             self._tell(complaint)
         if self._arm.realtime.require and self._obtained.priority == 0:
@@ -220,13 +228,13 @@ class ControlProcess:
 
     def _run_cycle(self) -> None:
         realtime.prepare_thread(self._arm.realtime, self._obtained)
-        realtime.lock_recorder(self._files.state.rings, self._obtained)  # last, after what no cycle can do without
+        realtime.lock_recorder(self._files.state.rings, self._obtained)  # last: what no cycle can do without goes first
         words = self._files.state.record["scheduling"]
         words["policy"], words["priority"] = self._obtained.policy, self._obtained.priority
         words["memory_locked"], words["cpu"] = self._obtained.memory_locked, self._obtained.cpu
         words["dma_latency_held"] = self._obtained.dma_latency_fd >= 0
         self._prepared.set()
-        kept = self._loop, self._files.state.array, self._files.command.array  # mapped for as long as this runs
+        kept = self._loop, self._files.state.array, self._files.command.array  # keeps them mapped while this runs
         if self._compiled.run(kept[0].ctypes.data, kept[1].ctypes.data) != 0:
             self._tell("The control cycle ended by an exception, which is a defect of rtarm: please report it.")
 
@@ -274,7 +282,7 @@ class ControlProcess:
         self._store(0, "received", "arrived", "closed")  # the last: the cycle makes frames from here on
 
     def _attend_wire(self) -> None:
-        """Notice that the adapter is gone, and that it is back; what moves the arm again is a person's clear."""
+        """Detect that the adapter is gone, and reopen it when it is back; only an operator's clear moves the arm."""
         if self._arm.bus.interface == "mock":
             return
         now_s = time.monotonic()
@@ -290,7 +298,7 @@ class ControlProcess:
             self._count_lost(self._wire)
 
     def _count_lost(self, wire: OpenWire) -> None:
-        """Let the cycle know what ordinary Python alone can find out."""
+        """Pass to the cycle the counts of dropped and unsent bytes, which ordinary Python alone can find out."""
         self._store(self._dropped_before + lost_bytes(self._arm, wire), "received", "arrived", "dropped")
         self._store(self._unsent_before + unsent_bytes(wire), "received", "arrived", "unsent")
 
@@ -300,7 +308,7 @@ class ControlProcess:
         self._wire = None
 
     def _let_wire_go(self, wire: OpenWire) -> None:
-        """Close what is gone, once neither thread uses it any more."""
+        """Close a wire that is gone, once neither thread uses it any more."""
         self._store(-1, "wire", "fd")
         while self._load("wire", "fd_in_use") != -1 and self._cycle.is_alive():
             time.sleep(FIRST_CYCLE_POLL_S)
@@ -355,17 +363,21 @@ class ControlProcess:
         )
 
     def _forgive_silence(self, joint: int) -> None:
-        """The next process is to know; where it cannot be told, it will ask the drive."""
+        """Store for the next process that the silence cost no angle; if that fails, the next process asks the drive."""
         with suppress(reference_store.NotSaved):
             reference_store.forgive_silence(self._arm, joint)
 
     def _keep_lost(self, joint: int, reason: Unreferenced | None) -> None:
-        """For who homes and references; what the cycle says of the joint until it is told is no news then."""
+        """Store a reference that `Referencing` has changed, for the next process.
+
+        The reason that the cycle still has for the joint is noted as stored: until the cycle gets its order that reason
+        is out of date, and `_keep_newly_lost` must not store it.
+        """
         reference_store.keep_lost_reference(self._arm, joint, reason)
         self._lost_references[joint] = Unreferenced(self._loop[0]["axes"][joint]["reference"]["unreferenced_reason"])
 
     def _keep_newly_lost(self) -> None:
-        """The next process is to know of each reference that is lost, however this one ends."""
+        """Store each newly lost reference, so that the next process knows of it however this one ends."""
         axes = self._loop[0]["axes"][: len(self._arm.joints)]
         words = enumerate(zip(axes["reference"]["referenced"], axes["reference"]["unreferenced_reason"], strict=True))
         lost = {
@@ -374,7 +386,7 @@ class ControlProcess:
             if not referenced and reason in reference_store.OUTLIVES_THE_PROCESS
         }
         kept = {joint: reason for joint, reason in self._lost_references.items() if lost.get(joint) == reason}
-        self._lost_references = kept  # once: what was told of it since stands in the file
+        self._lost_references = kept  # each is stored once: the file may hold something newer since
         news = {joint: reason for joint, reason in lost.items() if joint not in kept}
         if not news or time.monotonic() < self._next_keep_s:
             return
@@ -388,13 +400,13 @@ class ControlProcess:
                 self._tell(str(problem))
 
     def _asked_for(self) -> Conversation | None:
-        """The conversation that the cycle asks for next, begun; None where it asks for none."""
+        """Begin the conversation that the cycle requests next, and return it; None if it requests none."""
         dialogue, now_ns = self._memory["dialogue"], time.monotonic_ns()
         if int(dialogue["bring_up_asked"]) == 1:
             dialogue["bring_up_asked"] = 0
             return self._bring_up(clears_protection=True)
         if int(dialogue["release_asked"]) == 1:
-            dialogue["release_asked"] = 0  # taken back by the cycle when the drives are enabled meanwhile
+            dialogue["release_asked"] = 0  # the cycle withdraws it when the drives are enabled meanwhile
             self._held_rad.clear()
             return Release(self._arm, self._port, now_ns=now_ns)
         if not self._stop_asked.yes and (dialogue["home_asked"] or dialogue["reference_asked"]):
@@ -404,7 +416,7 @@ class ControlProcess:
         return None
 
     def _supervise(self, ready: Callable[[], None], clears_protection: bool) -> int:
-        # fresh rings have room for its beginning
+        # the rings are still empty, so its first orders and frames have room
         talk: Conversation | None = self._bring_up(
             clears_protection=clears_protection,
             counts_before=reference_store.counts_before(self._arm),
@@ -432,9 +444,9 @@ class ControlProcess:
                     self._tell(HEALED)
                 healed = healing.succeeded(talk, time.monotonic_ns())
                 talk = self._bring_up(clears_protection=False, heals=True) if healed else None
-            # a fault before the end of the first bring-up, such as a wire that went, becomes its failure
+            # a fault before the end of the first bring-up, such as a lost wire, becomes the bring-up's failure
             if first and talk is None and int(self._memory["mode"]) not in (Mode.OFFLINE, Mode.BRINGING_UP):
-                self._keep_newly_lost()  # before that is gone by which it was found
+                self._keep_newly_lost()  # before the counts that a lost reference was found by are removed
                 reference_store.forget_counts(self._arm)
                 self._brought_up = True
                 ready()
@@ -464,7 +476,7 @@ class ControlProcess:
                 time.sleep(BUSY_POLL_S)
 
     def _run_shutdown_dialogue(self) -> None:
-        """Let drives that report their positions cease; until the end they are asked again."""
+        """Turn off the reports of drives that send positions unasked; until the end the cycle polls them instead."""
         if not self._arm.bus.reported:
             return
         self._store(0, "params", "reported")
@@ -473,7 +485,10 @@ class ControlProcess:
             time.sleep(BUSY_POLL_S)
 
     def _begin_with_gripper(self) -> None:
-        """After the first bring-up of the joints, which it must not delay; then beside whatever is said to them."""
+        """Begin the conversation with the gripper, if it is on the arm's bus.
+
+        It begins after the first bring-up of the joints, which it must not delay, and runs beside their conversations.
+        """
         if self._arm.gripper is not None and self._arm.gripper.servo is not None:
             self._gripper = GripperDialogue(
                 self._arm,
@@ -488,7 +503,7 @@ class ControlProcess:
         return self._gripper is not None and (self._gripper.busy or self._gripper.moves)
 
     def _stands(self) -> bool:
-        """Whether nothing is commanded to move any more."""
+        """Whether no joint is commanded to move any more, and no goal is active."""
         axes = self._loop[0]["axes"][: len(self._arm.joints)]
         moving = bool(np.any(axes["commanded"]["velocity_rad_s"] != 0.0))
         return not moving and int(self._memory["paths"][int(self._memory["goals"]["active"])]["phase"]) == Phase.NONE

@@ -1,4 +1,4 @@
-"""What ordinary Python calls of the compiled code, each with addresses and numbers alone.
+"""The functions of the compiled code that ordinary Python calls; they take and return addresses and numbers alone.
 
 `rtloop.warm` compiles them into one object, which `rtloop.process.compiled` loads without the compiler.
 """
@@ -29,7 +29,7 @@ record_at: Callable[[int, Any], Any] = cast(Any, _record_at)
 
 @jit
 def run(loop_address: int, state_address: int) -> int:
-    """The cycle's thread, see `rtloop.process.run.run`; 1 when it ended by an exception."""
+    """The cycle's thread, see `rtloop.process.run.run`; returns 1 if it ended by an exception, else 0."""
     try:
         threads.run(record_at(loop_address, LOOP), record_at(state_address, STATE))
     except Exception:

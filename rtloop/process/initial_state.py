@@ -24,7 +24,8 @@ from shm.words import Mode, Unreferenced
 def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.ndarray:
     """The state of a control process that has not run a cycle yet, shape (1,), dtype LOOP.
 
-    The addresses are those of mapped memory of dtypes layout.STATE and layout.COMMAND, which must outlive it.
+    The addresses are those of the mapped state and command files (dtypes layout.STATE and layout.COMMAND). The mappings
+    must outlive the returned array.
     """
     loop = np.zeros(1, LOOP)
     memory, params = loop[0], loop[0]["params"]
@@ -54,7 +55,7 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
         for measured in ("velocity_rad_s", "effort_nm", "temperature_c", "voltage_v"):
             axis["drive"][measured] = math.nan
     memory["mode"] = Mode.OFFLINE
-    memory["goals"]["epoch"] = time.monotonic_ns()  # no other control process begins with the same
+    memory["goals"]["epoch"] = time.monotonic_ns()  # no other control process begins with the same epoch
     memory["fault"]["joint"] = memory["dialogue"]["referencing_joint"] = -1
     memory["clock"]["rate"] = memory["clock"]["rate_target"] = memory["goals"]["entry_rate"] = 1.0
     memory["operator"]["speed_scale"] = 1.0
@@ -62,7 +63,7 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
 
 
 def show_limits(limits: np.void, loop: np.ndarray) -> None:
-    """Say in the state file (a record of dtype layout.LIMITS) what the arm may do."""
+    """Write the arm's limits into the state file's record for them (dtype layout.LIMITS)."""
     params, joints = loop[0]["params"], loop[0]["joints"]
     for name in layout.LIMITS.names or ():
         if name in (Params.dtype.names or ()):
@@ -72,7 +73,7 @@ def show_limits(limits: np.void, loop: np.ndarray) -> None:
 
 
 def show_drives(state: np.void, arm: ArmConfig) -> None:
-    """Say in the state file (a record of dtype layout.STATE) whose frames are whose, and which joints home by a run."""
+    """Write into the state file (dtype layout.STATE) which identifiers are which joint's, and which joints can home."""
     for joint, config in enumerate(arm.joints):
         state["limits"]["joints"]["homes"][joint] = homes_by_a_run(config.drive)
     used = [(one, joint) for joint, config in enumerate(arm.joints) for one in config.drive.identifiers]
@@ -82,7 +83,7 @@ def show_drives(state: np.void, arm: ArmConfig) -> None:
 
 
 def lay_out_messages(messages: np.ndarray, parts: np.ndarray, data: np.ndarray) -> None:
-    """Prepare a batch of messages once: the only part of each is its CAN frame in `data`."""
+    """Fill in, once, a batch of messages for the system: the only part of each is its CAN frame in `data`."""
     parts["address"] = data.ctypes.data + CAN_FRAME_BYTES * np.arange(len(parts))
     parts["length"] = CAN_FRAME_BYTES
     messages["parts"] = parts.ctypes.data + Part.dtype.itemsize * np.arange(len(parts))
@@ -116,7 +117,7 @@ def _fill_params(params: np.void, arm: ArmConfig) -> None:
 
 
 def _fill_joint(row: np.void, joint: JointConfig, arm: ArmConfig, index: int) -> None:
-    """What every family needs; a family's own file puts in, or replaces, what its codec needs."""
+    """Fill in what every family needs; a family's own file then adds, or replaces, what its codec needs."""
     drive = joint.drive
     row["family"] = FAMILIES.index(drive.family)
     row["address"] = drive.number
@@ -149,7 +150,7 @@ def _bits_from_host(joint: JointConfig, bus: BusConfig) -> int:
 
 
 def listeners(arm: ArmConfig) -> list[tuple[Identifiers, int]]:
-    """Which frames are heard, and whose drive says them: a joint's number, or GRIPPER."""
+    """The identifiers of frames that the cycle receives, each with its sender: a joint's number, or GRIPPER."""
     found = [(used, number) for number, joint in enumerate(arm.joints) for used in joint.drive.identifiers]
     if arm.gripper is not None and arm.gripper.servo is not None:
         found += [(used, GRIPPER) for used in arm.gripper.servo.identifiers]
@@ -157,6 +158,6 @@ def listeners(arm: ArmConfig) -> list[tuple[Identifiers, int]]:
 
 
 def byte_s(arm: ArmConfig) -> float:
-    """Time of one byte on the serial line; a USB device's is not worth counting, and a socket has none."""
+    """Time of one byte on the serial line; 0 for a USB device, where it is negligible, and without a serial line."""
     baud = arm.bus.serial_baud
     return 0.0 if baud == "cdc" else UART_BITS_PER_CHARACTER / float(baud)

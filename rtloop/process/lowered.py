@@ -1,8 +1,9 @@
 """All of `rtloop.process.entries` as one LLVM module, each function in it once and none optimised.
 
-numba by itself optimises each function with all that it calls, again in each of its callers, makes machine code of it
-and wraps it for the interpreter, and keeps the lot: twice the time for what is thrown away here. So a process that
-imports this uses parts of numba that are its own (pyproject.toml bounds its version), and cannot call what it compiles.
+By default numba optimises each function together with all that it calls, and again in each of its callers. It also
+makes machine code of it, wraps that for the interpreter, and keeps everything: twice the time, for results that are not
+needed here. So this module uses private parts of numba (pyproject.toml bounds its version), and a process that imports
+it cannot call what it compiles.
 """
 
 import sys
@@ -17,7 +18,7 @@ from compilation import jit
 
 
 class _Unoptimised(JITCodeLibrary):
-    """What numba made of one function, left as it is."""
+    """The code that numba made of one function, left unoptimised."""
 
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
@@ -31,14 +32,14 @@ class _Unoptimised(JITCodeLibrary):
 
 
 def lower() -> Any:
-    """The module, in which the entries bear their own names and all else is internal. Once in a process."""
+    """Make the LLVM module: the entries have their own names there, and all else is internal. Once in a process."""
     if "rtloop.process.entries" in sys.modules:
         raise RuntimeError("what was imported before is compiled the ordinary way: lower in a process of its own")
     codegen = cpu_target.target_context.codegen()
     codegen._library_class = _Unoptimised
     codegen.set_env = lambda *_: None
     record: Any = types.Record
-    record.__repr__ = lambda of: of.name  # numba asks for it all the time, and each field would be told
+    record.__repr__ = lambda of: of.name  # numba calls it often; its own lists each field
     jit.OPTIONS |= {"cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     from rtloop.process.entries import ENTRIES
 

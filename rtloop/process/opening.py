@@ -1,4 +1,4 @@
-"""Opening and closing the wire of an arm, whichever it is."""
+"""Opening and closing the wire of an arm, of whatever kind."""
 
 import os
 import time
@@ -24,7 +24,7 @@ from rtloop.wire.python_can import open_python_can
 from rtloop.wire.tty import close_port, close_slcan, open_slcan
 
 LAST_FRAMES_S = 0.05
-"""For so long the last cycle's frames may still be on their way."""
+"""Time for which the last cycle's frames may still be on their way to the bus."""
 
 
 class OpenWire(NamedTuple):
@@ -32,9 +32,9 @@ class OpenWire(NamedTuple):
 
     fd: int
     complaints: list[str]
-    """What is not as it should be, a sentence each."""
+    """One message for each thing that is not as it should be."""
     bridge: Bridge | None = None
-    """Between the descriptor and a bus of python-can."""
+    """What connects the descriptor to a bus of python-can; None for other wires."""
 
 
 def open_wire(arm: ArmConfig) -> OpenWire | None:
@@ -57,7 +57,7 @@ def open_wire(arm: ArmConfig) -> OpenWire | None:
 
 
 def close_wire(arm: ArmConfig, wire: OpenWire) -> list[str]:
-    """Close what `open_wire` has opened; an adapter that is gone already is no error. What people should know of it."""
+    """Close what `open_wire` has opened; an adapter that is gone already is no error. Returns messages to report."""
     complaints = [] if wire.bridge is None else wire.bridge.close()
     if arm.bus.interface == "slcan":
         close_slcan(wire.fd)
@@ -71,14 +71,17 @@ def close_wire(arm: ArmConfig, wire: OpenWire) -> list[str]:
 
 
 def seeed_frames(arm: ArmConfig) -> int:
-    """What a USB-CAN-A must be set to for the arm's drives, which use one kind (config.drives.together)."""
+    """The kind of frames to which a USB-CAN-A must be set: the arm's drives use one kind (config.drives.together)."""
     servo = None if arm.gripper is None else arm.gripper.servo
     used = [*(joint.drive.identifiers for joint in arm.joints), servo.identifiers if servo else ()]
     return EXTENDED_ONLY if any(of.extended for of in chain.from_iterable(used)) else STANDARD_ONLY
 
 
 def keeps_frames(arm: ArmConfig, wire: OpenWire) -> bool:
-    """Whether the system goes on keeping frames for the bus when the wire is closed, because nobody takes them."""
+    """Whether the system still keeps unsent frames when the wire is about to be closed, because the bus takes none.
+
+    Waits up to LAST_FRAMES_S for them to leave.
+    """
     if arm.bus.interface != "socketcan":
         return False
     until_s = time.monotonic() + LAST_FRAMES_S
@@ -88,12 +91,12 @@ def keeps_frames(arm: ArmConfig, wire: OpenWire) -> bool:
 
 
 def lost_bytes(arm: ArmConfig, wire: OpenWire) -> int:
-    """Bytes received that there was no room for since the wire was opened, where it tells."""
+    """Received bytes dropped for lack of room since the wire was opened; 0 if the wire does not count them."""
     if wire.bridge is not None:
         return wire.bridge.dropped_bytes
     return dropped_frames(wire.fd) * CAN_FRAME_BYTES if arm.bus.interface == "socketcan" else 0
 
 
 def unsent_bytes(wire: OpenWire) -> int:
-    """Bytes that the wire took since it was opened and did not send after all."""
+    """Bytes that the wire accepted since it was opened, and then did not send."""
     return 0 if wire.bridge is None else wire.bridge.unsent_bytes

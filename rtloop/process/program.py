@@ -1,6 +1,6 @@
-"""What the programs of a control process share: their arm, the compiled cycle, what they tell.
+"""What the programs of a control process share: their arm, the compiled cycle, their messages.
 
-To be imported before anything else: it takes the signals over.
+To be imported before anything else, since it takes the signals over.
 """
 
 import os
@@ -8,9 +8,9 @@ import signal
 
 _NOHUP = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT, *(() if _NOHUP else (signal.SIGHUP,)))
-"""The last when its terminal is closed; nohup(1) lets it outlive that."""
+"""SIGHUP comes when the terminal is closed; under nohup(1) it stays ignored, so that the process outlives that."""
 for _number in STOP_SIGNALS:
-    # While everything is loaded there is nothing to put in order, and an exception may be lost inside an import.
+    # During the imports there is nothing to clean up, and an exception from a handler may be lost inside an import.
     signal.signal(_number, lambda *_: os._exit(0))
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # numpy's threads have nothing to do here
@@ -33,7 +33,7 @@ NOBODY_READS = (errno.EPIPE, errno.EIO, errno.ENXIO, errno.EBADF)
 
 
 def arm_parser(program: str, description: str) -> argparse.ArgumentParser:
-    """For a command line that names an arm, and the settings that it changes."""
+    """The parser of a command line that names an arm, and the settings that it changes."""
     parser = argparse.ArgumentParser(prog=program, description=description)
     parser.add_argument("arm", help="name of an arm, or path of its YAML file")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change a setting")
@@ -41,14 +41,14 @@ def arm_parser(program: str, description: str) -> argparse.ArgumentParser:
 
 
 def arm_of(options: argparse.Namespace) -> ArmConfig:
-    """The arm that such a command line names; raises ConfigError."""
+    """Load the arm that such a command line names; raises ConfigError."""
     return load_arm(options.arm, overrides=parse_overrides(options.set))
 
 
 def compiled_cycle(stop_asked: StopAsked) -> compiled.CompiledCycle:
-    """The compiled cycle; where there is none, another process compiles it, so that this one never holds a compiler.
+    """Load the compiled cycle; if there is none, another process compiles it, so that this one never holds a compiler.
 
-    Raises CannotStart, and SystemExit when a signal asks for the end meanwhile.
+    Raises CannotStart, and SystemExit when a signal asks for shutdown meanwhile.
     """
     try:
         return compiled.load()
@@ -59,9 +59,9 @@ def compiled_cycle(stop_asked: StopAsked) -> compiled.CompiledCycle:
         [sys.executable, "-m", "rtloop.warm"],
         env={**os.environ, "PYTHONPATH": search},
         stdout=sys.stderr,
-        start_new_session=True,  # a Ctrl-C is for this process alone, which then ends it
+        start_new_session=True,  # a Ctrl-C reaches this process alone, which then ends the compiler
     )
-    while made.poll() is None and not stop_asked.yes:  # an exception out of a signal's handler could lose the compiler
+    while made.poll() is None and not stop_asked.yes:  # a handler that raised could leave the compiler behind
         time.sleep(COMPILER_POLL_S)
     if stop_asked.yes:
         made.kill()
@@ -77,15 +77,16 @@ def compiled_cycle(stop_asked: StopAsked) -> compiled.CompiledCycle:
 
 
 def tell(sentence: str) -> None:
-    """For people; where they have closed the terminal, or ended who listens, the arm is led and ended all the same."""
+    """Print a message for the operator; a terminal or reader that is gone disturbs neither operation nor shutdown."""
     say(f"rtloop: {sentence}", sys.stderr)
 
 
 def say(line: str, stream: TextIO) -> None:
+    """Print a line; if nobody can read the stream any more, it goes to /dev/null from now on."""
     try:
         print(line, file=stream, flush=True)
     except OSError as problem:
         if problem.errno in NOBODY_READS:
             nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, stream.fileno())  # with what its buffer keeps
+            os.dup2(nowhere, stream.fileno())  # what is left in its buffer goes there too
             os.close(nowhere)

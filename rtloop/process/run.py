@@ -1,8 +1,8 @@
 """The two threads of the control process that run without the interpreter: the cycle and the wire's reader.
 
-Deadlines are absolute; after an overrun the phase is kept, what was missed is counted and never made up.
+Deadlines are absolute. After an overrun the phase is kept; missed cycles are counted and never made up.
 The reader exists because a read of a tty can block for milliseconds even when it is non-blocking (it takes
-locks that an ordinary-priority kernel worker may hold); the cycle only looks at the ring the reader fills.
+locks that an ordinary-priority kernel worker may hold). The cycle reads only the ring that the reader fills.
 """
 
 from typing import Any
@@ -51,31 +51,32 @@ _READER_BYTES = offset_of(LOOP, "reader", "bytes")
 _READER_MESSAGES = offset_of(LOOP, "reader", "messages")
 
 POLL_MS = 20
-"""A reader that has not gone round for several of these was kept from it."""
+"""Timeout of the reader's poll; a reader whose loop has not gone round for several of these was kept from running."""
 EPOCH_WITHIN_NS = 20_000
-"""Three looks at clocks take a hundred ns; the rest is for slow ones."""
+"""Reading clocks three times takes a hundred ns; the rest is for slow clocks."""
 
 bucket = jit(histogram.bucket)
 
 
 @jit
 def clock_ns(clock: int, timespec_address: int) -> int:
-    """A clock of the system, through a timespec at the given address."""
+    """Read a clock of the system, through a timespec at the given address."""
     clock_gettime(clock, timespec_address)
     return load_relaxed(timespec_address) * 1_000_000_000 + load_relaxed(timespec_address + 8)
 
 
 @jit
 def monotonic_ns(timespec_address: int) -> int:
-    """CLOCK_MONOTONIC, through a timespec at the given address."""
+    """Read CLOCK_MONOTONIC, through a timespec at the given address."""
     return clock_ns(CLOCK_MONOTONIC, timespec_address)
 
 
 @jit
 def suspended_ns(timespec_address: int) -> int:
-    """For how long the machine has been suspended since it was started: CLOCK_MONOTONIC stands still meanwhile.
+    """For how long the machine has been suspended since it booted: CLOCK_MONOTONIC stands still while it is.
 
-    In this order a pause between the two looks can only make it less, which the next look makes good.
+    With the clocks read in this order, a pause between them can only make the result smaller; the next call corrects
+    that.
     """
     boot_ns = clock_ns(CLOCK_BOOTTIME, timespec_address)
     return boot_ns - monotonic_ns(timespec_address)
@@ -83,7 +84,7 @@ def suspended_ns(timespec_address: int) -> int:
 
 @jit
 def record(histogram_record: Any, value_ns: int) -> None:
-    """Count a duration."""
+    """Count a duration in a histogram; a negative one counts as 0."""
     value_ns = max(value_ns, 0)
     histogram_record.buckets[bucket(value_ns)] += 1
     histogram_record.count += 1
@@ -103,7 +104,7 @@ def sleep_until(loop: Loop, deadline_ns: int) -> None:
 
 @jit
 def take_over_wire(loop: Loop, shared: Shared) -> int:
-    """The descriptor that is open in this cycle; whatever was meant for another one is forgotten."""
+    """The descriptor of the wire in this cycle, -1 for none; whatever belongs to an earlier one is dropped."""
     base = loop.params.address
     # pairs with `store_word` of the ordinary thread: the wire is set up before its descriptor is seen
     fd = load_acquire(base + _FD)
@@ -120,9 +121,9 @@ def take_over_wire(loop: Loop, shared: Shared) -> int:
 
 @jit
 def send_bytes(loop: Loop, shared: Shared, fd: int) -> None:
-    """Give the transmit buffer to the wire at once: characters in one write, CAN frames in one batch.
+    """Hand the transmit buffer to the wire at once: characters in one write, CAN frames in one batch.
 
-    A batch that ends early does not say why; the next cycle's will, if the reason lasts.
+    A batch that the system accepts in part gives no error; if the reason lasts, the next cycle's batch gives it.
     """
     base = loop.params.address
     if loop.params.wire == WIRE_SOCKETCAN:
@@ -142,10 +143,11 @@ def send_bytes(loop: Loop, shared: Shared, fd: int) -> None:
 
 @jit
 def follow_epoch(loop: Loop, woke_ns: int) -> None:
-    """What CLOCK_REALTIME is ahead of CLOCK_MONOTONIC: somebody may have set it since the last cycle.
+    """Update the offset of CLOCK_REALTIME to CLOCK_MONOTONIC: the former may have been set since the last cycle.
 
-    Stamps follow the system's clock, motion never does. The looks at the other clock before and after say how far this
-    one may be off: where this thread was away in between, the last cycle's offset stands unless it is surely wrong.
+    Stamps follow the system's clock, motion never does. CLOCK_MONOTONIC is read before and after CLOCK_REALTIME; the
+    difference bounds the error of the new offset. If this thread was away in between, the last cycle's offset stays
+    unless it is surely wrong.
     """
     clock = loop.params.address + _CLOCK
     epoch_ns = clock_ns(CLOCK_REALTIME, clock)
@@ -193,7 +195,7 @@ def run(loop: Loop, shared: Shared) -> None:
 
 @jit
 def read_some(loop: Loop, fd: int) -> int:
-    """Read what is there into the reader's own buffer; the bytes read, 0 at the end of a tty, -1 with errno."""
+    """Read available bytes into the reader's own buffer; returns their number, 0 at the end of a tty, -1 with errno."""
     base = loop.params.address
     if loop.params.wire == WIRE_SOCKETCAN:
         frames = recvmmsg(fd, base + _READER_MESSAGES, RX_FRAMES, MSG_DONTWAIT, 0)
@@ -205,8 +207,8 @@ def read_some(loop: Loop, fd: int) -> int:
 def read_wire(loop: Loop) -> None:
     """Fill the receive ring from the wire that is open now, until it is gone or the stop word is set.
 
-    CAN frames are read by this thread too, although the cycle's own reads would not block on a socket: what counts of
-    a reading is when it came, and the kernel's stamps are of a clock that can be set.
+    This thread reads CAN frames too, although reads from a socket would not block the cycle: the time at which a
+    reading arrived is needed, and the kernel's time stamps are of a clock that can be set.
     """
     base = loop.params.address
     clock, request = base + _READER_CLOCK, base + _READER_POLL

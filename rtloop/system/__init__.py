@@ -1,1 +1,1 @@
-"""What the operating system is asked for: punctuality, and the few C functions of the compiled threads."""
+"""What is used of the operating system: real-time set-up, and the few C functions that the compiled threads call."""

@@ -1,7 +1,7 @@
 """The few functions of the C library that the loop's threads call without the interpreter.
 
-Addresses travel as integers; results follow the C library: `clock_nanosleep` returns the error itself, the
-others return -1 and leave it in errno, which is thread-local and must be read straight after the call.
+Addresses are passed as integers. Results follow the C library: `clock_nanosleep` returns the error itself; the
+others return -1 and leave the error in errno, which is thread-local and must be read straight after the call.
 """
 
 from collections.abc import Callable

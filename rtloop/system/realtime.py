@@ -1,8 +1,8 @@
-"""Asking the system for punctuality, reading back what was really given, and saying so.
+"""Real-time set-up: requesting it from the system, reading back what was granted, and reporting what was not.
 
 Each step may be refused (no CAP_SYS_NICE, RLIMIT_RTPRIO or RLIMIT_MEMLOCK 0, a container) or be lost
-silently, so each is read back; what was not obtained is one sentence, and fatal only where the arm's
-configuration requires it.
+silently, so each is read back. What was not obtained is reported in one message, and is fatal only where the
+arm's configuration requires it.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from pathlib import Path
 from config.schema import RealtimeConfig
 
 THREAD_STACK_BYTES = 512 * 1024
-"""Stack of the cycle's and the reader's thread, all of it locked; what they run nests a few small frames."""
+"""Stack size of the cycle's and the reader's thread, all of it locked; their code nests only a few small frames."""
 
 Range = tuple[int, int]
 """Address and size (bytes) of memory of this process."""
@@ -36,7 +36,7 @@ _C_LIBRARY = re.compile(r"/(libc|libm|libpthread|ld)(-[^/]*)?\.so[^/]*$")
 
 @dataclass
 class Obtained:
-    """What the cycle really runs with."""
+    """The scheduling and memory locking that the cycle really runs with; `complaints` are messages for the operator."""
 
     policy: int = 0
     priority: int = 0
@@ -56,15 +56,16 @@ class Obtained:
 
 
 def prepare_process(used: Iterable[Range]) -> Obtained:
-    """What concerns the whole process: memory in place, no deep sleep of the processors.
+    """Set up the whole process: lock memory, and keep the processors from deep sleep.
 
-    `used` is what the threads of the cycle and the reader touch besides their stacks (`prepare_thread`) and the C
-    libraries. It is fetched now and stays, so that no cycle waits for a page; what they never touch need not be there.
+    `used` is the memory that the threads of the cycle and the reader touch besides their stacks (`prepare_thread`) and
+    the C libraries. It is faulted in and locked now, so that no cycle waits for a page; memory that these threads never
+    touch need not be resident.
     """
     obtained = Obtained(memory_locked=True)
     if _may_lock_everything():
-        # Ordinary Python's pages stay once they were used, so that it reacts in time to a signal on a full machine.
-        # Under a limit a later allocation would fail instead, or the main thread's stack could not grow.
+        # Ordinary Python's pages stay resident once used, so that it reacts in time to a signal on a full machine.
+        # Under a memory lock limit a later allocation would fail instead, or the main thread's stack could not grow.
         _libc().mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT)
     _lock([*used, *_c_libraries()], obtained)
     try:
@@ -82,7 +83,10 @@ def prepare_process(used: Iterable[Range]) -> Obtained:
 
 
 def prepare_thread(wanted: RealtimeConfig, obtained: Obtained, *, below: int = 0) -> None:
-    """What concerns the calling thread: its stack, real-time priority (`below` the configured one) and its CPU."""
+    """Set up the calling thread: lock its stack, set its real-time priority (`below` the configured one) and its CPU.
+
+    `obtained` gets what was granted and what was refused; of priority and CPU with `below` 0 (the cycle's thread) alone.
+    """
     signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals() - _OWN_FAULTS)  # handlers are the main thread's
     _lock([_own_stack()], obtained)
     _libc().prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # else, without real-time priority, each wake-up is 50 µs late
@@ -112,9 +116,9 @@ def prepare_thread(wanted: RealtimeConfig, obtained: Obtained, *, below: int = 0
 
 
 def prepare_helper(wanted: RealtimeConfig, *, below: int) -> None:
-    """What concerns a thread of ordinary Python that the cycle's frames pass: a priority `below` the cycle's own.
+    """Set up a thread of ordinary Python that the cycle's frames pass through: its priority is `below` the cycle's own.
 
-    Not the cycle's CPU, and nothing is said where it is not given: the cycle's own thread has said so then.
+    It does not get the cycle's CPU. A refused priority is not reported, since the cycle's thread has reported it then.
     """
     signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals() - _OWN_FAULTS)  # handlers are the main thread's
     _libc().prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
@@ -124,7 +128,7 @@ def prepare_helper(wanted: RealtimeConfig, *, below: int) -> None:
 
 
 def lock_recorder(rings: Range, obtained: Obtained) -> None:
-    """Fetch the flight recorder's rings and keep them in place, if there is room within the limit for them too.
+    """Fault in the flight recorder's rings, and lock them if the memory lock limit has room for them too.
 
     Each cycle writes to them; they are the largest part of what it touches, and grow with the arm's rate.
     """
@@ -139,7 +143,7 @@ def lock_recorder(rings: Range, obtained: Obtained) -> None:
 
 
 def _lock(ranges: Iterable[Range], obtained: Obtained) -> None:
-    """Fetch memory and keep it in place; what may not be kept is fetched all the same, and that is said once."""
+    """Fault in and lock memory; what cannot be locked is faulted in all the same, and that is reported once."""
     for wanted in ranges:
         if not _keep(wanted):
             if obtained.memory_locked:
@@ -152,7 +156,7 @@ def _lock(ranges: Iterable[Range], obtained: Obtained) -> None:
 
 
 def _keep(wanted: Range) -> bool:
-    """Fetch memory and keep it in place; False (and errno says why) when it was only fetched."""
+    """Fault in and lock memory; False (and errno says why) if it was only faulted in."""
     libc = _libc()
     page = resource.getpagesize()
     address, size = wanted
@@ -160,17 +164,17 @@ def _keep(wanted: Range) -> bool:
     start, length = ctypes.c_void_p(first), ctypes.c_size_t(-(-(address + size) // page) * page - first)
     kept: bool = libc.mlock(start, length) == 0
     reason = ctypes.get_errno()
-    # Writing is refused where nothing may be written; before Linux 5.14 both are.
+    # MADV_POPULATE_WRITE is refused for memory that may not be written; before Linux 5.14 both are refused.
     if not kept and libc.madvise(start, length, _MADV_POPULATE_WRITE) != 0:
         libc.madvise(start, length, _MADV_POPULATE_READ)
-    # Pages that the kernel gathers into a huge one later fault at their next use; huge ones that are there stay.
+    # If the kernel later merges pages into a huge one, they fault at their next use; existing huge pages stay.
     libc.madvise(start, length, _MADV_NOHUGEPAGE)
     ctypes.set_errno(reason)
     return kept
 
 
 def _may_lock_everything() -> bool:
-    """Whether no limit can be met later."""
+    """Whether no later allocation can meet a memory lock limit."""
     if resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY:
         return True
     capabilities = re.search(r"^CapEff:\s*(\w+)$", Path("/proc/self/status").read_text(encoding="ascii"), re.M)
@@ -178,13 +182,13 @@ def _may_lock_everything() -> bool:
 
 
 def _c_libraries() -> list[Range]:
-    """Where the C library lies, libm, libpthread (apart before glibc 2.34) and the loader, whose data others read."""
+    """Memory of the C library, libm, libpthread (apart before glibc 2.34) and the loader, whose data others read."""
     found = []
     matched, last_end = False, 0
     for line in Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines():
         area, permissions, _offset, _device, _inode, *name = line.split(maxsplit=5)
         start, end = (int(part, 16) for part in area.split("-"))
-        # What directly follows and belongs to no file are the variables that begin as zero.
+        # An area that directly follows and belongs to no file holds the library's zero-initialised variables.
         matched = _C_LIBRARY.search(name[0]) is not None if name else matched and start == last_end
         if matched and permissions[0] == "r":
             found.append((start, end - start))
@@ -193,7 +197,7 @@ def _c_libraries() -> list[Range]:
 
 
 def _own_stack() -> Range:
-    """Where the calling thread's stack lies; not for the main thread, whose stack grows."""
+    """The calling thread's stack; not for the main thread, whose stack grows."""
     libc = _libc()
     attributes = ctypes.create_string_buffer(_PTHREAD_ATTR_BYTES)
     address, size = ctypes.c_void_p(), ctypes.c_size_t()
