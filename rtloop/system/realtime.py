@@ -85,7 +85,7 @@ def prepare_process(used: Iterable[Range]) -> Obtained:
 def prepare_thread(wanted: RealtimeConfig, obtained: Obtained, *, below: int = 0) -> None:
     """Set up the calling thread: lock its stack, set its real-time priority (`below` the configured one) and its CPU.
 
-    `obtained` gets what was granted and what was refused; of priority and CPU with `below` 0 (the cycle's thread) alone.
+    `obtained` gets what was granted and refused. Priority and CPU are noted for the cycle's thread alone (`below` 0).
     """
     signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals() - _OWN_FAULTS)  # handlers are the main thread's
     _lock([_own_stack()], obtained)
