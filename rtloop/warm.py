@@ -24,8 +24,8 @@ CODE_OPTIMISATION = 3
 def compile_object() -> bytes:
     """Compile `process.entries` and all it calls into one object file.
 
-    Raises NotLoadable if the code calls more than `process.compiled` allows. Only in a process that has not imported
-    `process.entries`: see `rtloop.process.lowered`.
+    Raises NotLoadable if the code calls more than `process.compiled` allows. Works only in a process that has not
+    imported `process.entries`: see `rtloop.process.lowered`.
     """
     from numba.core.registry import cpu_target
 
@@ -56,7 +56,10 @@ def compile_object() -> bytes:
 
 
 def main(tell: Callable[[str], None] = print) -> int:
-    """Compile, unless that was done for exactly these sources; `tell` gets the lines for people. The exit code."""
+    """Compile, unless that was done for exactly these sources; `tell` gets the lines for people.
+
+    Returns the exit code: 1 if the cache folder cannot be written.
+    """
     with contextlib.suppress(FileNotFoundError, compiled.NotLoadable):
         compiled.load()
         return 0

@@ -47,7 +47,7 @@ class PowerCheck(Conversation):
     """Asks every drive for the proof that it had power; decides and changes nothing.
 
     Attributes:
-        proven: joints whose drive has proven that it had power during the silence, or need not prove it.
+        proven: joints whose drive has proven that it had power during the silence, or needs no proof.
     """
 
     def __init__(self, arm: ArmConfig, port: ServicePort, marks: Marks, now_ns: int) -> None:

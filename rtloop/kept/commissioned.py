@@ -70,7 +70,7 @@ class Commissioned:
     reports: bool | None = None
     """Whether the drive, when commanded to, sends its position unasked and at the commanded rate."""
     retargets: bool | None = None
-    """Whether the drive accepts a new target while it moves, and moves on."""
+    """Whether the drive accepts a new target while it moves, and the motion goes on."""
     brakes_in_silence: bool | None = None
     """Whether the drive, when it receives nothing more, brakes with the commanded ramp and then stands."""
 

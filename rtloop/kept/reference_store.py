@@ -37,7 +37,7 @@ OUTLIVES_THE_PROCESS = frozenset(
 )
 """Reasons to store: the next process' bring-up might miss them, and clearing a fault does not forgive them either."""
 COUNTS_FROM_NOWHERE = frozenset({Unreferenced.POWER_LOST, Unreferenced.NOT_HOMED})
-"""Reasons for which no look at the joint can confirm its reading; no weaker reason replaces them until it is homed."""
+"""Reasons for which inspecting the joint cannot confirm its reading; until it is homed no weaker one replaces them."""
 
 
 class NotSaved(Exception):
@@ -138,8 +138,8 @@ def keep_lost_reference(arm: ArmConfig, joint: int, reason: Unreferenced | None)
 def keep_lost_references(arm: ArmConfig, reasons: Mapping[int, Unreferenced | None]) -> None:
     """Store for later processes why joints' angles are not known, or (None) that they are; one write for all.
 
-    A reason of COUNTS_FROM_NOWHERE stays whatever else happens to the joint: a process for which an operator has stated
-    the angle may lose that angle again, for a weaker reason.
+    No weaker reason replaces one of COUNTS_FROM_NOWHERE: a process to which an operator has stated the joint's angle
+    may lose that angle again.
 
     Raises:
         NotSaved: it cannot be stored.

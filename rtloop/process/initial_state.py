@@ -41,7 +41,7 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
         params["has_gripper"] = 1
         params["gripper_lower_rad"], params["gripper_upper_rad"] = arm.gripper.lower_rad, arm.gripper.upper_rad
     heard = listeners(arm)
-    assert len(heard) <= LISTENERS  # a test adds up what each family says
+    assert len(heard) <= LISTENERS  # a test adds up the identifiers of each family
     params["listener_count"] = len(heard)
     for row, (identifiers, whose) in zip(loop[0]["listeners"], heard, strict=False):
         row["match"], row["mask"], row["joint"] = identifiers.match, identifiers.mask, whose

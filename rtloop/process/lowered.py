@@ -32,14 +32,17 @@ class _Unoptimised(JITCodeLibrary):
 
 
 def lower() -> Any:
-    """Make the LLVM module: the entries have their own names there, and all else is internal. Once in a process."""
+    """Make the LLVM module, in which the entries have their own names and all else is internal.
+
+    Works once in a process: raises RuntimeError where `rtloop.process.entries` was imported before.
+    """
     if "rtloop.process.entries" in sys.modules:
         raise RuntimeError("what was imported before is compiled the ordinary way: lower in a process of its own")
     codegen = cpu_target.target_context.codegen()
     codegen._library_class = _Unoptimised
     codegen.set_env = lambda *_: None
     record: Any = types.Record
-    record.__repr__ = lambda of: of.name  # numba calls it often; its own lists each field
+    record.__repr__ = lambda of: of.name  # numba calls it often, and its own lists each field
     jit.OPTIONS |= {"cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     from rtloop.process.entries import ENTRIES
 

@@ -104,7 +104,10 @@ def sleep_until(loop: Loop, deadline_ns: int) -> None:
 
 @jit
 def take_over_wire(loop: Loop, shared: Shared) -> int:
-    """The descriptor of the wire in this cycle, -1 for none; whatever belongs to an earlier one is dropped."""
+    """The descriptor of the wire in this cycle, -1 for none.
+
+    If it is another one than before, frames that wait to be sent and half received ones are dropped.
+    """
     base = loop.params.address
     # pairs with `store_word` of the ordinary thread: the wire is set up before its descriptor is seen
     fd = load_acquire(base + _FD)

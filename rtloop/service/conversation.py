@@ -56,7 +56,7 @@ class Question(Protocol):
 
 
 def silent_amid(config: JointConfig, what: str) -> str:
-    """The message about a drive that has answered before and now does not; `what` was read."""
+    """The message about a drive that has answered before, and stopped while its `what` was read."""
     return (
         f"The drive of {config.name} stopped answering while its {what} was read: check its power and the CAN wires, "
         "then `rtarm clear-fault`, or `rtarm up` where it has ended."

@@ -74,7 +74,7 @@ class ServicePort:
         self._heard_of_gripper: deque[Frame] = deque(maxlen=SERVICE_SLOTS)
 
     def zero_rad(self, joint: int) -> float:
-        """The joint's zero, from its drive's own; not that of the arm file if an operator has stated its angle."""
+        """The joint's zero, counted from the drive's own; not the arm file's if an operator has stated the angle."""
         return float(self._record["joints"][joint]["zero_rad"])
 
     def reading_per_rad(self, joint: int) -> float:

@@ -1,4 +1,4 @@
-"""The cycle's end of the in-process rings to ordinary Python, whose end is `rtloop.service.port`."""
+"""The cycle's end of the in-process rings to ordinary Python; the other end is `rtloop.service.port`."""
 
 from compilation.jit import jit
 from rtloop.memory.link import SERVICE_SLOTS
@@ -25,7 +25,7 @@ def room(loop: Loop, ring_at: int) -> bool:
 
 @jit
 def next_slot(loop: Loop, ring_at: int, word: int) -> int:
-    """The slot to which a ring's writing or taking word points."""
+    """Index of the slot to which a ring's writing or taking word points."""
     return load_relaxed(loop.params.address + ring_at + word) & (SERVICE_SLOTS - 1)
 
 
@@ -61,7 +61,7 @@ def inbox(loop: Loop) -> int:
 
 @jit
 def inbox_slot(loop: Loop) -> int:
-    """Cycle side: the slot of the first record that ordinary Python has put in."""
+    """Cycle side: index of the slot with the first record that ordinary Python has put in."""
     return next_slot(loop, IN, TAKEN)
 
 

@@ -36,7 +36,7 @@ _C_LIBRARY = re.compile(r"/(libc|libm|libpthread|ld)(-[^/]*)?\.so[^/]*$")
 
 @dataclass
 class Obtained:
-    """The scheduling and memory locking that the cycle really runs with; `complaints` are messages for the operator."""
+    """The real-time settings that the cycle really runs with; `complaints` are messages for the operator."""
 
     policy: int = 0
     priority: int = 0
@@ -174,7 +174,7 @@ def _keep(wanted: Range) -> bool:
 
 
 def _may_lock_everything() -> bool:
-    """Whether no later allocation can meet a memory lock limit."""
+    """Whether no later allocation can hit a memory lock limit."""
     if resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY:
         return True
     capabilities = re.search(r"^CapEff:\s*(\w+)$", Path("/proc/self/status").read_text(encoding="ascii"), re.M)
@@ -197,7 +197,7 @@ def _c_libraries() -> list[Range]:
 
 
 def _own_stack() -> Range:
-    """The calling thread's stack; not for the main thread, whose stack grows."""
+    """The calling thread's stack; not to be called by the main thread, whose stack grows."""
     libc = _libc()
     attributes = ctypes.create_string_buffer(_PTHREAD_ATTR_BYTES)
     address, size = ctypes.c_void_p(), ctypes.c_size_t()
