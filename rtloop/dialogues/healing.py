@@ -4,16 +4,21 @@ A silence of all drives is a fault, whatever its cause: goals and streams are ov
 in Mode.FAULT. If only the machine, the adapter or the bus had stalled, an operator who clears that fault would find
 nothing wrong. So the fault is cleared here, without clearing any error of a drive, when every one of these holds:
 
-- all drives were silent, and readings come again within `ENDED_WITHIN_NS`;
+- all drives of a bus with more than one were silent, no other reason than silence cost a joint its reference, and
+  readings come again within `ENDED_WITHIN_NS`;
 - each drive reports that it holds, without an error, and has answered for so long that no answer can be an old one
   (`lag_ns`): whatever waited in a queue has been received;
-- each joint has stood still for `REST_NS`, between its position when the drive fell silent and its commanded position;
-- each drive proves that it had power (`rtloop.drives.power`), or has an encoder that needs no proof;
+- each joint has stood still for `REST_NS`: one that lost its reference between its position when the drive fell silent
+  and its commanded position, any other within the following error limit of its commanded position;
+- each drive proves that it had power (`rtloop.drives.power`), or needs no proof: it has an absolute encoder, and is not
+  of a family whose drives a target enables;
 - the arm is simulated, or a bench test of each drive has found that it brakes in silence and proves its power
   (`rtloop.kept.commissioned`);
 - the fault did not end anything else that was requested, such as a homing run or the release of the drives;
 - the wire stayed open all the time, and the controller stayed on the bus;
-- it is not the third time in a minute.
+- targets are not sent with FC, and no shutdown has begun;
+- all of that is decided within `DECIDED_WITHIN_NS`; it is tried once for a fault, and this is not the third in a
+  minute.
 
 The reasons against recovery are checked again once the drives have proven their power.
 
@@ -99,8 +104,8 @@ class Healing:
     def succeeded(self, talk: Conversation, now_ns: int) -> bool:
         """Whether `talk`, which has ended, was the power check, and the arm may be brought up again now.
 
-        Any other conversation that ends in a fault was requested by an operator, who is to see its result: there is no
-        recovery from that fault.
+        There is no recovery from a fault in which any other conversation ends: an operator requested it and is to see
+        its result, or it was the bring-up of a recovery or of the start.
         """
         memory = self._loop[0]
         if talk is not self._check or self._check is None:

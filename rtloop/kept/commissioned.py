@@ -1,8 +1,9 @@
 """The stored results of bench tests (`rtarm commission`) of an arm's drives; a file with anything else is refused.
 
 One small file an arm, `rtarm/commissioned/<arm>.json` under $XDG_STATE_HOME (~/.local/state): a record for each channel
-and joint. A record is valid for one drive alone: same joint, same channel, same family and number. A drive that was
-exchanged, or given other firmware, must be tested again. Nothing is stored of simulated arms at a pseudo-terminal.
+and joint. A record is valid for one drive alone: same joint, same channel, same family and number. Whoever exchanges a
+drive, or gives it other firmware, must test it again: nothing here notices that. Nothing is stored of simulated arms at
+a pseudo-terminal.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ PROTOTYPES: dict[str, Prototype] = {
 
 
 class NotLoadable(Exception):
-    """The object cannot be used: damaged, or not of these sources."""
+    """The object cannot be loaded and linked: damaged, or calling what it may not call."""
 
 
 class CompiledCycle:
