@@ -8,7 +8,7 @@ import os
 import signal
 
 for _number in (signal.SIGTERM, signal.SIGINT):
-    # Until they are waited for there is nothing to put in order, and an exception may be lost inside an import.
+    # Until `EndSignal` replaces this handler there is nothing to clean up, and an exception may be lost in an import.
     signal.signal(_number, lambda *_: os._exit(0))
 
 import argparse
@@ -59,7 +59,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _attach_now(arm: ArmConfig) -> Link | None:
-    """The control process, if it runs already; what can never work is raised."""
+    """Attach to the control process; None while it is not running. Raises what else `attach` raises."""
     try:
         return attach(arm)
     except NotRunning:

@@ -2,8 +2,8 @@
 # (rclpy annotates some of its functions and leaves the others untyped)
 """A subscription with a thread of its own.
 
-For one message rclpy's executor puts everything the node has into a wait set made anew, which costs several times what
-a stream's message needs here; and a stream waits for nothing else that the executor does.
+For each message rclpy's executor makes a new wait set of everything the node has, which costs several times what a
+stream's message costs here. Besides, a stream with its own thread does not wait for the executor's other work.
 """
 
 import threading
@@ -18,7 +18,7 @@ from rclpy.qos import QoSProfile
 
 
 class Apart(CallbackGroup):
-    """What is in it is none of the executor's, which would be woken by every message if only its events were."""
+    """A callback group that the executor skips; events of a subscription alone would wake it at every message."""
 
     def can_execute(self, entity: Any) -> bool:
         return False
@@ -31,7 +31,7 @@ class Apart(CallbackGroup):
 
 
 class SubscriptionApart(threading.Thread):
-    """Calls `take` with every serialised message until `stop`; what it raises is raised in the executor's thread."""
+    """Calls `take` with every serialised message until `stop`; its exceptions are raised in the executor's thread."""
 
     def __init__(
         self, node: Node, executor: Executor, kind: type, topic: str, qos: QoSProfile, take: Callable[[bytes], None]

@@ -1,7 +1,7 @@
-"""/diagnostics: once a second, how the arm, its bus, its cycle, each joint and this process are.
+"""/diagnostics: a report once a second on the arm, its bus, its cycle, each joint, the gripper and this process.
 
-Made in the publisher's thread between two messages, from the control process' memory alone, and only while somebody
-listens. A level speaks of now: what only happened once is told by the report that follows it.
+The publisher's thread makes it between two messages, from the control process' memory and what this process knows, and
+only while there is a subscriber. A level describes the present: a single event shows in the next report only.
 """
 
 import math
@@ -53,7 +53,7 @@ Values = Mapping[str, object]
 
 @dataclass
 class Counts:
-    """What this process has been asked since it started."""
+    """Goals and trajectory messages that this process got since it started, and how they ended."""
 
     goals_taken: int = 0
     goals_succeeded: int = 0
@@ -61,9 +61,9 @@ class Counts:
     goals_aborted: int = 0
     messages_taken: int = 0
     messages_shaped: int = 0
-    """Of those taken: what asked for more than the limits allow, and was followed as closely as they do."""
+    """Those among the taken that asked for more than the limits allow, and were followed as closely as they do."""
     largest_lag_rad: float = 0.0
-    """By which a joint has followed one of them."""
+    """The largest lag of a joint behind one of them."""
     messages_refused: int = 0
 
 
@@ -89,7 +89,7 @@ class Diagnostics:
         self._refused_before = 0
 
     def report(self, link: Link | None) -> None:
-        """Publish how everything is, if anybody listens."""
+        """Publish the report if there is a subscriber; `link` is None without a control process."""
         if not self._publisher.get_subscription_count():
             return
         now_ns = time.time_ns()
@@ -97,7 +97,7 @@ class Diagnostics:
         self._publisher.publish(DiagnosticArray(header=Header(stamp=stamp), status=self.statuses(link)))
 
     def statuses(self, link: Link | None) -> list[Any]:
-        """A status for each part that can be spoken of at present."""
+        """A status for each part of which something is known at present."""
         if link is None:
             return [self._status("arm", ERROR, self._absence(), {}), *self._gripper_status(), self._front({})]
         try:
@@ -155,7 +155,7 @@ class Diagnostics:
         return self._status("arm", level, message, values)
 
     def _of_counters(self, record: np.void) -> Iterable[Any]:
-        """Bus and cycle: totals, and levels from what has changed since the report before."""
+        """Bus and cycle: totals, and levels from what has changed since the previous report."""
         now_ns = time.monotonic_ns()
         counters = record["counters"]
         now = {name: int(counters[name]) for name in counters.dtype.names if name != "padding"}
@@ -239,7 +239,7 @@ class Diagnostics:
         return self._status(name, level, message, values)
 
     def _gripper_status(self) -> Iterable[Any]:
-        """The gripper, whatever moves it; nothing where there is none."""
+        """The gripper's status, whatever hook moves it; none for an arm without a gripper."""
         gripper = self._arm.gripper
         if gripper is None or self._gripper is None:
             return
@@ -270,5 +270,5 @@ def _word(kind: Any, number: int) -> str:
 
 
 def _figure(value: float, unit: str) -> str:
-    """What a drive measures; empty where it measures none."""
+    """A measured value with its unit; empty where the drive does not measure it (NaN)."""
     return f"{value:.3f} {unit}" if math.isfinite(value) else ""

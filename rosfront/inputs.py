@@ -26,9 +26,9 @@ from shm.words import Outcome
 WARN_EVERY_S = 1.0
 DEPTH = 10
 LONGEST_STOP_S = 0.2
-"""At the end of the program; a longer message is left to be judged by a thread that ends with the process."""
+"""How long `stop` waits; a message that takes longer to check is left to a thread that ends with the process."""
 _NO_COMPLAINTS = SubscriptionEventCallbacks(use_default_callbacks=False)
-"""That one of the two readers does not match a publisher is meant to be so."""
+"""No warning about an incompatible publisher: one of the two subscriptions is expected not to match it."""
 _USUAL_ENDS = (Outcome.NONE, Outcome.SUCCEEDED, Outcome.REPLACED, Outcome.RAN_DRY)
 
 
@@ -39,32 +39,32 @@ def _qos(durability: DurabilityPolicy, depth: int) -> QoSProfile:
 
 
 def read(data: bytes, most_points: int) -> Trajectory | JointTrajectory:
-    """A serialised message; raises TooManyPoints, TooMuchBeside, Unreadable."""
+    """Read a serialised message, by rclpy where `parse` cannot; raises TooManyPoints, TooMuchBeside, Unreadable."""
     found = parse(data, most_points)
     if found is not None:
         return found
     try:
         message: JointTrajectory = deserialize_message(data, JointTrajectory)
-    except RuntimeError as problem:  # the root of all of rclpy's own, whose classes are private
+    except RuntimeError as problem:  # the base of rclpy's own exceptions, which are private
         raise Unreadable(len(data)) from problem
     return message
 
 
 class Inputs:
-    """~/joint_trajectory, which is taken in a thread of its own, and ~/speed_scaling_input.
+    """~/joint_trajectory, which is received in a thread of its own, and ~/speed_scaling_input.
 
-    A volatile reader matches every publisher but is not given what a transient-local one said before; a transient-local
-    reader is, but matches no volatile publisher such as `ros2 topic pub`. So the factor has one of each, and what
-    comes to both counts once.
+    A volatile subscription matches every publisher but does not get what a transient-local publisher sent before. A
+    transient-local subscription does, but matches no volatile publisher such as `ros2 topic pub`. So the factor has one
+    subscription of each kind, and a message that reaches both counts once.
     """
 
     def __init__(self, node: Node, executor: Executor, serving: Serving, counts: Counts, factor: float) -> None:
-        """`factor`: the speed scaling factor to begin with."""
+        """`factor`: the initial speed scaling factor."""
         self._log = node.get_logger()
         self._serving = serving
         self._counts = counts
         self.factor = factor
-        """What was asked for last, whether or not there was a control process to ask."""
+        """The factor asked for last, whether or not there was a control process to take it."""
         self._factor_stamp_ns = 0
         volatile = DurabilityPolicy.VOLATILE
         self._streams = SubscriptionApart(
@@ -80,11 +80,11 @@ class Inputs:
             )
 
     def start(self) -> None:
-        """Take streams from now on."""
+        """Start to receive streams."""
         self._streams.start()
 
     def stop(self) -> None:
-        """Take no stream any more; returns within `LONGEST_STOP_S`."""
+        """Stop receiving streams; returns within `LONGEST_STOP_S`."""
         self._streams.stop(LONGEST_STOP_S)
 
     def _stream(self, data: bytes) -> None:
@@ -99,7 +99,7 @@ class Inputs:
                 self._tell_lag(plan, plan.reason)
 
     def _tell_lag(self, plan: GoalPlan, reason: GoalRefused) -> None:
-        """A message that asks for more than the limits allow is followed as closely as they do."""
+        """Count and log a message that asks for more than the limits allow, and is followed as closely as they do."""
         joint, lag_rad = largest_lag(plan)
         self._counts.messages_shaped += 1
         self._counts.largest_lag_rad = max(self._counts.largest_lag_rad, round(lag_rad, 6))
@@ -110,7 +110,7 @@ class Inputs:
         )
 
     def _on_verdict(self, verdict: Verdict) -> None:
-        """Streamed motion usually ends by being replaced or running dry; only what went wrong is worth a line."""
+        """Log an unusual end. Streamed motion usually ends by being replaced or by an underrun."""
         if verdict.outcome not in _USUAL_ENDS:
             self._log.warning(f"Streamed motion stopped: {verdict.sentence}", throttle_duration_sec=WARN_EVERY_S)
 
@@ -131,7 +131,7 @@ class Inputs:
         )
 
     def ask_factor(self) -> None:
-        """Ask the control process for the factor; may be called from any thread."""
+        """Send the factor to the control process; may be called from any thread."""
         self._serving.command(lambda writer: writer.scale(self.factor), self._on_reply)
 
     def _on_reply(self, done: bool, sentence: str) -> None:

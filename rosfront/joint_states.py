@@ -1,14 +1,15 @@
 """/joint_states: one snapshot becomes one message, just after the control cycle it belongs to.
 
-A thread of its own, no executor: it wakes after every n-th cycle, patches the numbers of one fresh snapshot
-into a message that was serialised once, and publishes the bytes. A late cycle is waited for until the next one
-is due; when this thread itself was late, it publishes the newest snapshot at once and goes on from there.
+A thread of its own publishes, without an executor. It wakes after every n-th cycle, patches the numbers of one fresh
+snapshot into a message that was serialised once, and publishes the bytes. When a cycle is late, the thread waits for it
+until the next message is due. When the thread itself was late, it publishes the newest snapshot at once and goes on
+from there.
 
-The numbers go through Python's floats: for an arm's few joints that costs a fraction of what numpy's reductions
-do in a thread that finds the processor's caches cold at every wake-up. The message is stamped with the time of its
-newest measurement, so the others in it are at most one round of readings older; nothing is published when
-nothing was measured since the last message, nor before every joint has been measured once: a position in
-/joint_states is never invented. Effort is NaN where a drive measures none.
+The numbers are handled as Python floats: for an arm's few joints that costs a fraction of what numpy's reductions cost
+in a thread that finds the processor's caches cold at every wake-up. The message is stamped with the time of its newest
+measurement, so the others in it are at most one round of readings older. Nothing is published when nothing was measured
+since the last message, nor before every joint has been measured once: a position in /joint_states is never invented.
+Effort is NaN where a drive measures none.
 """
 
 import math
@@ -28,24 +29,24 @@ from rosfront.serving import STALLED_NS, Serving, gone, hung, starting
 from shm.errors import NotRunning, SharedMemoryError, TornRead
 
 SETTLE_NS = 300_000
-"""What a cycle may take from its planned time until its snapshot is there; looked for again after that."""
+"""Time from a cycle's planned time to the first read of its snapshot; if it is not there yet, the thread polls."""
 LOOK_AGAIN_S = 0.0003
-"""The first pause before a late snapshot is looked for again; each later one is twice as long."""
+"""The first pause between two polls for a late snapshot; each later one is twice as long, up to a limit."""
 ATTACH_EVERY_S = 0.1
 FIRST_CYCLE_EVERY_S = 0.02
 QUIET_START_S = 5.0
-"""Both processes are usually started at once, and the loop is the slower: that is not worth a line."""
+"""Time without a message that the control process is missing: usually both start at once, and it is the slower."""
 ASIDE_EVERY_NS = NS
 
 
 @dataclass(frozen=True)
 class Beside:
-    """A joint behind the arm's own that is measured by somebody else."""
+    """A joint after the arm's own, such as the gripper's, that is not measured by the control cycle."""
 
     message: MessageBytes
-    """A JointState of one time and three rows, this joint the last in each."""
+    """A JointState with one stamp and three rows; this joint is the last in each row."""
     measured: Callable[[int], tuple[float, float, float] | None]
-    """Position, velocity and effort as known at a time (ns, CLOCK_MONOTONIC); None where they are not."""
+    """Position, velocity and effort as known at a time (ns, CLOCK_MONOTONIC); None while they are unknown."""
 
 
 class Publisher(Protocol):
@@ -56,9 +57,10 @@ class Publisher(Protocol):
 
 
 class Pulse(threading.Thread):
-    """The publisher's thread: /joint_states, the front's heartbeat, and whatever looks at every snapshot.
+    """The publisher's thread: /joint_states, the front's heartbeat, and a callback for every snapshot.
 
-    It alone maps and unmaps the control process' files, so whatever else reads them does so from here.
+    It alone unmaps the control process' files. `Serving` reads them in other threads too, from `attached` to `lost`,
+    and `lost` comes before they are unmapped.
     """
 
     def __init__(
@@ -73,11 +75,11 @@ class Pulse(threading.Thread):
         link: Link | None,
         beside: Beside | None = None,
     ) -> None:
-        """`message` is a JointState of one time and three rows; that of `beside` takes its place while that is known.
+        """`message` is a JointState with one stamp and three rows; `beside.message` replaces it while that is known.
 
-        `look` gets every new snapshot, the epoch stamp (ns) of its newest measurement, and whether a message was
-        published for it. `aside` is called once a second, between two messages, with the control process' files or
-        None. `say` is told when that process goes and comes, in a sentence.
+        `look` is called with every new snapshot, the epoch stamp (ns) of its newest measurement, and whether a message
+        was published for it. `aside` is called once a second, between two messages, with the control process' files or
+        None. `say` is called with a sentence when that process goes or comes.
         """
         super().__init__(name="joint-states", daemon=True)
         self._arm = arm
@@ -103,11 +105,11 @@ class Pulse(threading.Thread):
         self._absence_is_news = True
         self._aside_at_ns = 0
         if link is not None and link.loop_has_run():
-            serving.attached(link)  # not first in the thread: a goal may come before it gets its turn
+            serving.attached(link)  # already here: a goal may come before the thread runs
         self.published = 0
 
     def stop(self) -> None:
-        """End the thread and let go of the arm."""
+        """End the thread and close the control process' files."""
         self._leave.set()
         if self.is_alive():
             self.join()
@@ -126,7 +128,7 @@ class Pulse(threading.Thread):
                 self._turn_aside(None, time.monotonic_ns())
                 self._leave.wait(ATTACH_EVERY_S)
                 continue
-            self._absence_is_news = False  # from now on it is said when it goes
+            self._absence_is_news = False  # `_lose` says when it goes
             self._say(f"Attached to the control process of arm '{self._arm.name}' (pid {self._link.loop_pid}).")
             if self._await_first_cycle(self._link):
                 self._serving.attached(self._link)
@@ -147,7 +149,7 @@ class Pulse(threading.Thread):
             self._obstacle = ""
 
     def _await_first_cycle(self, link: Link) -> bool:
-        """Wait until there is a snapshot; False when the process ended, or this one is to, before."""
+        """Wait for the first snapshot; False when the control process ends, or this thread is to, before that."""
         if link.loop_has_run():
             return True
         reason = starting(self._arm.name, link.loop_pid)
@@ -167,7 +169,7 @@ class Pulse(threading.Thread):
         return True
 
     def _follow(self, link: Link) -> None:
-        """Serve one control process until it is gone."""
+        """Serve one control process until it is gone, or until `stop`."""
         self._cycle = 0
         self._advanced_ns = due_ns = time.monotonic_ns()
         while not self._leave.is_set():
@@ -198,7 +200,7 @@ class Pulse(threading.Thread):
             self._turn_aside(link, now_ns)
 
     def _fresh(self, link: Link, until_ns: int) -> np.ndarray | None:
-        """The snapshot of a cycle not seen yet; None when there is none by `until_ns` (CLOCK_MONOTONIC)."""
+        """A snapshot newer than the last one seen; None when there is none by `until_ns` (CLOCK_MONOTONIC)."""
         pause_s, longest_s = LOOK_AGAIN_S, self._period_ns / NS / 4
         while True:
             try:

@@ -1,4 +1,4 @@
-"""Checking a plan against the limits of its joints, along the whole way and not only at its points."""
+"""Checks a plan against the limits of its joints, along the whole path and not only at its points."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -16,29 +16,30 @@ from rosfront.refusals import AccelerationBeyondLimit, PositionBeyondLimit, Velo
 SEGMENTS_A_CHUNK = 8192  # bounds the memory of a check, whatever the number of points
 ROUNDING = 1.0 + motion_limits.ROUNDING_AHEAD
 ROUGHEST = 8.0
-"""A velocity that changes within a cycle by more than so many times what is allowed is refused at once."""
-MOST_LOOKS = 1_000_000  # at segments; bounds the time of a check, whatever the points
+"""A plan whose velocity changes within a cycle by more than so many times what is allowed is refused at once."""
+MOST_LOOKS = 1_000_000  # number of segments examined; bounds the time of a check, whatever the points
 HALVINGS = 8
-"""Where a velocity changes r times too much within a cycle, at most (r - 1) / 256 of the acceleration limit is lost."""
+"""An interval is halved so often at most. Where a velocity changes r times too much within a cycle, the check is then
+stricter than the limit by at most (r - 1) / 256 of it."""
 
 
 @dataclass(frozen=True)
 class _Limits:
-    """What the joints of the goal may do, margins included; arrays (joints,)."""
+    """Limits of the goal's joints, those of velocity and acceleration with or without margins; arrays (joints,)."""
 
     names: list[str]
     lower: np.ndarray
     upper: np.ndarray
     lowest: np.ndarray
     highest: np.ndarray
-    """Positions of the arm file, and what rounding may make of them (`motion.limits.band`)."""
+    """`lower` and `upper` are the arm file's; `lowest` and `highest` allow for rounding (`motion.limits.band`)."""
     velocity: np.ndarray
     acceleration: np.ndarray
     period_ns: int
 
 
 def _limits_of(arm: ArmConfig, mask: np.ndarray, *, margins: bool) -> _Limits:
-    """`margins`: with those of velocity and acceleration, or without them."""
+    """`margins`: whether the margins of velocity and acceleration apply."""
     joints = [joint for joint, chosen in zip(arm.joints, mask, strict=True) if chosen]
     velocity_margin, acceleration_margin = arm.limits.velocity_margin, arm.limits.acceleration_margin
     lower = np.array([joint.lower_rad for joint in joints])
@@ -58,7 +59,7 @@ def _limits_of(arm: ArmConfig, mask: np.ndarray, *, margins: bool) -> _Limits:
 
 
 def check_positions(plan: GoalPlan, arm: ArmConfig) -> None:
-    """Positions of the points alone; raises PositionBeyondLimit for the first that is outside."""
+    """Check the positions of the points only; raises PositionBeyondLimit for the first that is outside."""
     path = PlannedPath(plan)
     limits = _limits_of(arm, path.mask, margins=True)
     unlimited = np.full(len(limits.names), np.inf)
@@ -66,9 +67,9 @@ def check_positions(plan: GoalPlan, arm: ArmConfig) -> None:
 
 
 def check_limits(plan: GoalPlan, arm: ArmConfig, *, margins: bool = True) -> None:
-    """Position, velocity and acceleration of every joint of the goal, at the points and between them.
+    """Check position, velocity and acceleration of every joint of the goal, at the points and between them.
 
-    `margins`: with those of the arm file, or by the joints' limits themselves. Raises PositionBeyondLimit,
+    `margins`: whether the margins of the arm file apply, or the joints' limits themselves. Raises PositionBeyondLimit,
     VelocityBeyondLimit or AccelerationBeyondLimit for the first violation found.
     """
     path = PlannedPath(plan)
@@ -91,7 +92,7 @@ def check_limits(plan: GoalPlan, arm: ArmConfig, *, margins: bool = True) -> Non
 
 
 def _check_points(path: PlannedPath, limits: _Limits) -> None:
-    """The points by the rule of the control process; the first that breaks a limit is told, with its worst joint."""
+    """Check the points by the control process' rule; raises for the first that breaks a limit and its worst joint."""
     position, velocity, acceleration = path.waypoints[path.shift :].transpose(2, 0, 1)
     allowed = limits.lowest, limits.highest, limits.velocity, limits.acceleration
     broken = motion_limits.first_broken(position, velocity, acceleration, *allowed)
@@ -112,7 +113,7 @@ def _check_points(path: PlannedPath, limits: _Limits) -> None:
 
 
 def _check_line_beyond(path: PlannedPath, limits: _Limits) -> None:
-    """The velocity with which a stream runs on past its last point, once the acceleration there has faded."""
+    """Check the velocity with which a stream goes on past its last point, once the acceleration there has faded."""
     fade_s = stopping.fade_duration_s(limits.period_ns / NS)
     _, velocity = stopping.line_beyond(*_last_point(path), fade_s)
     if broken := _first(np.abs(velocity)[np.newaxis] / limits.velocity, 1.0):
@@ -146,7 +147,7 @@ def _acceleration(
 
 
 def _first(measure: np.ndarray, allowed: float) -> tuple[int, int] | None:
-    """The first row in which `measure` (n, joints) is not at most `allowed`, and in it the worst column."""
+    """The first row of `measure` (n, joints) with a value not at most `allowed`, and its worst column; else None."""
     inside = measure <= allowed
     if inside.all():
         return None
@@ -157,7 +158,7 @@ def _first(measure: np.ndarray, allowed: float) -> tuple[int, int] | None:
 def _check_positions(
     path: PlannedPath, limits: _Limits, index: np.ndarray, coefficients: np.ndarray, duration: np.ndarray
 ) -> None:
-    """Positions of the segments `index`: hulls first, exact extremes where a hull is not enough."""
+    """Check positions on the segments `index`: hulls first, exact extremes where a hull is not enough."""
     low, high = bounds.hull(coefficients, duration)
     inside = (low >= limits.lowest) & (high <= limits.highest)
     if inside.all():
@@ -179,10 +180,11 @@ def _exceeds(polynomials: np.ndarray, duration: np.ndarray, limit: np.ndarray) -
 
 
 def _check_velocities(path: PlannedPath, limits: _Limits, cycles: "_Cycles") -> None:
-    """Velocities around some segments, as a drive has them that is told one setpoint a cycle.
+    """Check velocities around some segments, as they are for a drive that gets one setpoint a cycle.
 
-    What counts is how far the path goes within a cycle P: between any two moments at most P apart no farther than the
-    velocity limit does. Then it holds wherever the cycles fall and at any rate of the trajectory clock up to 1.
+    What counts is how far the path goes within a cycle P: between any two moments at most P apart, no farther than the
+    velocity limit allows in P. Then the limit holds wherever the cycles fall, at any rate of the trajectory clock up
+    to 1.
     """
     allowed = limits.velocity * limits.period_ns / NS
     for _, times_ns, change in cycles.changes(cycles.position, allowed):
@@ -192,24 +194,24 @@ def _check_velocities(path: PlannedPath, limits: _Limits, cycles: "_Cycles") -> 
 
 
 def _check_accelerations(path: PlannedPath, limits: _Limits, cycles: "_Cycles") -> None:
-    """Accelerations around some segments, as a drive has them that is told one setpoint a cycle.
+    """Check accelerations around some segments, as they are for a drive that gets one setpoint a cycle.
 
-    A residual segment of 0.4 ms at the end of a plan may bend as it likes, if that changes little. What counts are
-    the setpoints: with the trajectory clock at a rate s they are h = s P of the path apart, P being the cycle, and the
-    drive accelerates with D(t, h) / P², of the second difference D(t, h) = p(t + h) - 2 p(t) + p(t - h). It must keep
-    the limit A at every t, because cycles fall anywhere, and for every h with 0 < h ≤ P, because people may set any
-    rate up to 1 and a stop passes through all those below. Slower is not safe by itself: a smooth path is strained
-    with s², but a ripple that cancels out over P need not cancel out over a shorter h.
+    A residual segment of 0.4 ms at the end of a plan may have any curvature, if that changes little. What counts are
+    the setpoints. P is the cycle. With the trajectory clock at a rate s, two setpoints are h = s P apart on the path,
+    and the drive accelerates with D(t, h) / P², where D(t, h) = p(t + h) - 2 p(t) + p(t - h) is the second difference.
+    This must keep the limit A at every t, because cycles fall anywhere, and for every h with 0 < h ≤ P, because an
+    operator may set any rate up to 1 and a stop passes through all rates below. A lower rate is not safe by itself: on
+    a smooth path the acceleration falls with s², but a ripple that cancels out over P need not do so over a shorter h.
 
-    Most paths are decided by their velocity v. D(t, h) is the integral of v(t + u) - v(t + u - h) over 0 ≤ u ≤ h, so
+    For most paths the velocity v is enough. D(t, h) is the integral of v(t + u) - v(t + u - h) over 0 ≤ u ≤ h, so
     |D| ≤ h w with the largest change w of v between two moments at most P apart, which is enough where w ≤ A P.
 
-    Noise of points that are close together makes w large and averages out in D. Where w exceeds A P, D itself is
-    judged: for h from A P² / w on, the shorter ones being safe by the same estimate, and at any t between two moments
-    whose velocities are too different, since no other D can exceed the limit. For one h the extremes over t are exact.
-    From there D gets away by |∂D/∂h| = |v(t + h) - v(t - h)| ≤ 2 w at the most, so an interval of h is decided by the
-    one in its middle, or halved. Full speed comes first, since it is what people are told of. Whether a way onto the
-    path, or a change of the rate, keeps the limits as well is judged where it is chosen, in the control process.
+    Noise of points that are close together makes w large but averages out in D. Where w exceeds A P, D itself is
+    checked: for h from A P² / w on (shorter ones are safe by the same estimate), and at any t between two moments
+    whose velocities differ too much (no other D can exceed the limit). For one h the extremes over t are exact. With
+    h, D changes by at most |∂D/∂h| = |v(t + h) - v(t - h)| ≤ 2 w. So the value in the middle of an interval of h
+    decides the interval, or it is halved. Full speed is checked first, because a refusal names it. Whether a blend onto
+    the path, or a change of the rate, keeps the limits is checked where it is chosen, in the control process.
     """
     period_ns, period_s = limits.period_ns, limits.period_ns / NS
     allowed = limits.acceleration * period_s
@@ -245,16 +247,17 @@ def _check_accelerations(path: PlannedPath, limits: _Limits, cycles: "_Cycles") 
 
 
 def _within(path: PlannedPath, time_ns: float) -> float:
-    """The moment of the path that is nearest to a time."""
+    """A time (ns), clipped to the duration of the path."""
     return float(min(max(time_ns, path.times_ns[0]), path.times_ns[-1]))
 
 
 class _Cycles:
     """How a path and its velocity change within a cycle, around some of its segments.
 
-    Before its first point the path goes in a straight line, since the way there is the control process' matter; after
-    the last one the acceleration of a stream fades (`motion.segment.fade`). A goal is at rest there; if it ends in
-    motion the control process brings the clock to rest where it ends and nothing behind counts, so it goes straight on.
+    Before its first point the path is extended by a straight line, since the control process makes the way there.
+    After its last point the acceleration of a stream fades (`motion.segment.fade`). A goal is at rest there. If a goal
+    ends in motion, the control process brings the clock to rest at its end. Nothing behind counts then, so the path is
+    extended by a straight line.
     """
 
     def __init__(self, path: PlannedPath, period_ns: int, around: np.ndarray, *, stream: bool) -> None:
@@ -273,22 +276,22 @@ class _Cycles:
         self._near = self._widened(np.concatenate([[False], around, [False]]), period_ns)
 
     def nowhere(self) -> np.ndarray:
-        """None of the segments: 0 is the one before the path, the last one that behind it."""
+        """A mask that selects no segment; the first segment is the one before the path, the last the one behind it."""
         return np.zeros(len(self._times_ns) - 1, dtype=bool)
 
     def between(self, ends: np.ndarray) -> np.ndarray:
-        """The segments from one to another, both included, for pairs of them (2, n)."""
+        """A mask of the segments from `ends[0]` to `ends[1]`, both included, for n pairs (2, n)."""
         nesting = np.zeros(len(self._times_ns), dtype=int)
         np.add.at(nesting, ends[0], 1)
         np.add.at(nesting, ends[1] + 1, -1)
         return np.cumsum(nesting)[:-1] > 0
 
     def _segment(self, times_ns: np.ndarray) -> np.ndarray:
-        """The segments of some moments."""
+        """Indices of the segments in which some times (ns) lie."""
         return np.clip(np.searchsorted(self._times_ns, times_ns, side="right") - 1, 0, len(self._times_ns) - 2)
 
     def _widened(self, chosen: np.ndarray, by_ns: int) -> np.ndarray:
-        """The chosen segments and those less than `by_ns` away."""
+        """A mask of the chosen segments and those less than `by_ns` away."""
         index = np.flatnonzero(chosen)
         first = self._segment(self._times_ns[index] - by_ns)
         last = self._segment(self._times_ns[index + 1] + by_ns - 1)
@@ -313,13 +316,13 @@ class _Cycles:
     def changes(self, curve: "_Curve", allowed: np.ndarray) -> Iterator["_Findings"]:
         """The largest changes of a curve between two moments at most a cycle apart.
 
-        The segments (2, m) of both moments, the earlier moments and the changes. Of the two moments either each is a
-        turning point of the curve, or a point of the trajectory, or they are a cycle apart.
+        Yields the segments (2, m) of both moments, the earlier moments (ns) and the changes. Either the two moments are
+        a cycle apart, or each of them is a turning point of the curve or a point of the trajectory.
         """
         return chain(self._whole(curve, allowed), self._shorter(curve))
 
     def _whole(self, curve: "_Curve", allowed: np.ndarray) -> Iterator["_Findings"]:
-        """The largest changes in a whole cycle; no more than a bound on them where that is `allowed`."""
+        """The largest changes over a whole cycle; only an upper bound of them where that bound is within `allowed`."""
         shifts = ((0, -1.0), (self._period_ns, 1.0))
         for times_ns, at_ns, change in self._combined(curve, shifts, self._near, allowed):
             yield np.stack([self._segment(times_ns), self._segment(times_ns + self._period_ns)]), at_ns, change
@@ -327,10 +330,10 @@ class _Cycles:
     def bends(
         self, apart_ns: int, where: np.ndarray, columns: np.ndarray, allowed: np.ndarray
     ) -> Iterator["_Findings"]:
-        """The largest second differences of positions `apart_ns`, at most a cycle, apart, with their middle in `where`.
+        """The largest second differences of positions `apart_ns` (at most a cycle) apart, with the middle in `where`.
 
-        The segments (m,) of the middle moments, those moments and the differences, for some columns of the joints; no
-        more than a bound on them where that is `allowed`.
+        Yields the segments (m,) of the middle moments, those moments (ns) and the differences, for the joints
+        `columns`; only an upper bound of the differences where that bound is within `allowed`.
         """
         shifts = ((0, -2.0), (-apart_ns, 1.0), (apart_ns, 1.0))
         for times_ns, at_ns, bend in self._combined(
@@ -341,10 +344,11 @@ class _Cycles:
     def _combined(
         self, curve: "_Curve", shifts: tuple[tuple[int, float], ...], where: np.ndarray, allowed: np.ndarray
     ) -> Iterator["_Findings"]:
-        """Extremes of a sum of the curve at shifted times, each with its factor, for times in the segments `where`.
+        """Extremes of the sum of the curve at shifted times, each with its factor, for times in the segments `where`.
 
-        The sum is a polynomial as long as none of the times passes a point. Yields the beginnings (m,) of such
-        pieces, and the moment and size (m, joints) of the largest value in each, or of a bound where that is `allowed`.
+        The sum is a polynomial as long as none of the times passes a point. Yields the beginnings (m,) of such pieces
+        (ns), and the time and size (m, joints) of the largest absolute value in each, or of an upper bound where that
+        is within `allowed`.
         """
         times_ns = self._times_ns
         widest_ns = max(abs(shift_ns) for shift_ns, _ in shifts)
@@ -381,7 +385,7 @@ class _Cycles:
             yield start, at_ns, most
 
     def _shorter(self, curve: "_Curve") -> Iterator["_Findings"]:
-        """Moments (m, joints) at which the curve turns, and the range of its values within a cycle from there."""
+        """The times (m, joints) at which the curve turns, and the range of its values within a cycle from there."""
         times_ns, near = self._times_ns, np.flatnonzero(self._near)
         for low in range(0, len(near), SEGMENTS_A_CHUNK):
             last = near[min(low + SEGMENTS_A_CHUNK, len(near)) - 1]
@@ -401,4 +405,4 @@ class _Cycles:
 
 _Curve = Callable[[np.ndarray], np.ndarray]
 _Findings = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Segments or moments that were looked at, and when (ns) the values found there are as large as that."""
+"""Segments or times that were examined, the times (ns) of the largest values there, and those values."""

@@ -1,4 +1,4 @@
-"""The front's hold on an arm's two memory files."""
+"""The front's mapping of an arm's two memory files."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -31,16 +31,16 @@ class Link:
         return not is_held(self.reader.memory.fd)
 
     def close(self) -> None:
-        """Let go of both files; another front may own the arm from here on."""
+        """Close both files; from then on another front may own the arm."""
         self.writer.close()
         self.reader.close()
 
 
 def attach(arm: ArmConfig) -> Link:
-    """Own the arm's command file and map its state.
+    """Take ownership of the arm's command file, map its state file, and cancel all earlier goals.
 
-    A starting control process puts its state file in place first; in the moment before its command file is
-    there too, that name still belongs to the file of a dead one, which says nothing about this one.
+    A starting control process puts its state file in place first. Until its command file follows, the file of
+    that name may still be that of a dead control process; then NotRunning is raised.
 
     Raises shm.errors.NotRunning while there is no control process, AlreadyHeld when another front serves
     the arm, WrongLayout, WrongArm or NotPermitted when the files cannot be ours.
@@ -53,10 +53,10 @@ def attach(arm: ArmConfig) -> Link:
         _await_command_of(state, arm.name)
         command = own_command(arm.name, identity)
         undo.append(command.close)
-        if not _of_one_loop(state, command):  # replaced since the look at it
+        if not _of_one_loop(state, command):  # the command file was replaced after the check
             raise _just_starting(arm.name)
         link = Link(arm.name, StateReader(state), CommandWriter(command))
-        link.writer.cancel_all()  # what a dead front left, perhaps waiting for its start, is nobody's
+        link.writer.cancel_all()  # goals of a dead front, perhaps waiting for their start, have no owner
         return link
     except BaseException:
         for close in undo:
@@ -65,10 +65,10 @@ def attach(arm: ArmConfig) -> Link:
 
 
 def _await_command_of(state: MemoryFile, arm: str) -> None:
-    """Raise NotRunning while the command file is not that of the loop whose state file this is."""
+    """Raise NotRunning unless the command file belongs to the control process that made this state file."""
     try:
         command = open_command(arm)
-    except WrongLayout as problem:  # the state file's layout is right, so this one is older
+    except WrongLayout as problem:  # the state file's layout is right, so the command file is older
         raise _just_starting(arm) from problem
     try:
         if not _of_one_loop(state, command):
@@ -78,7 +78,7 @@ def _await_command_of(state: MemoryFile, arm: str) -> None:
 
 
 def _of_one_loop(state: MemoryFile, command: MemoryFile) -> bool:
-    """Whether one control process made both: the same pid, and (as pids come back) the command file made later."""
+    """Whether one control process made both: same pid, and (pids are reused) the command file is not the older one."""
     ours, other = state.record["header"], command.record["header"]
     return bool(other["pid"] == ours["pid"] and other["start_monotonic_ns"] >= ours["start_monotonic_ns"])
 

@@ -1,11 +1,11 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""The ROS node: the action, what stands beside it, and the publisher's thread.
+"""The ROS node: the action, the other interfaces, and the publisher's thread.
 
-One single-threaded executor serves all of them; its callbacks never wait, and goals are judged in another thread. A
-goal awaits a future, which the publisher's thread fulfils when the control process has decided the goal: an idle or
-executing arm costs the executor nothing, because nothing wakes it (a timer at the rate of /joint_states would cost
-several per cent of a processor, facts: ros-from-wheels).
+One single-threaded executor runs the callbacks of the actions and services. They never wait, and goals are checked in
+another thread. A goal awaits a future, which the publisher's thread fulfils when the control process has decided the
+goal. So an idle or executing arm costs the executor nothing, because nothing wakes it (a timer at the rate of
+/joint_states would cost several per cent of a processor, facts: ros-from-wheels).
 """
 
 import threading
@@ -44,9 +44,9 @@ if TYPE_CHECKING:
 
 ACTION = "~/follow_joint_trajectory"
 GRIPPER_STOP_S = 1.0
-"""At the end of this process, for the gripper's hook to stop and close."""
+"""Time at shutdown for the gripper's hook to stop and close."""
 SIX = 6
-"""Joints that the full node's messages have room for."""
+"""Number of joints in the full node's messages."""
 WITHOUT_FULL_NODE = (
     "robot_arm_interfaces is not installed, so angle_mode, move_xyz_rotation, linear_move, read_motor_angles, "
     "set_free_mode and motor_angles are not offered: generate it with `python -m rtarm_interfaces.build`, or build "
@@ -59,7 +59,7 @@ class FrontNode:
 
     def __init__(self, arm: ArmConfig, executor: SingleThreadedExecutor, link: Link | None = None) -> None:
         """Raises rosfront.parameters.BadParameter when a parameter given at the start cannot be taken, and
-        rosfront.program.CannotServe when the gripper's hook cannot be had.
+        rosfront.program.CannotServe when the gripper's hook cannot be loaded.
         """
         self.arm = arm
         self.serving = Serving(arm)
@@ -119,7 +119,7 @@ class FrontNode:
         self.pulse.start()
 
     def _make_full_node(self, executor: SingleThreadedExecutor) -> "FullNode | None":
-        """The full node's interfaces, where their types are installed and the arm is one they fit."""
+        """The full node's interfaces; None where the arm has not six joints or their types are not installed."""
         joints = len(self.arm.joints)
         if joints != SIX:
             self.node.get_logger().debug(
@@ -136,7 +136,7 @@ class FrontNode:
         return FullNode(self.node, executor, self.serving, self._action_goals, self._services, self._goals.counts)
 
     def _idle(self) -> bool:
-        """Whether nobody waits for anything but the goals of the arm's own action."""
+        """Whether no client waits for anything but goals of the arm's own action."""
         return (
             self._services.idle
             and (self._full_node is None or self._full_node.quiet)
@@ -150,7 +150,7 @@ class FrontNode:
         self._goals.spin()
 
     def announce(self) -> None:
-        """Print `ready` once the control process is there too."""
+        """Print `ready` once the control process is attached; returns at once."""
 
         def say() -> None:
             self.serving.ever_attached.wait()
@@ -159,7 +159,7 @@ class FrontNode:
         threading.Thread(target=say, name="announcer", daemon=True).start()
 
     def _plan(self, goal: Any) -> GoalPlan:
-        """Judge a goal; raises GoalRefused."""
+        """Check a goal and plan its waypoints; raises GoalRefused."""
         if isinstance(goal, GoalRequest):
             goal = read_goal(goal.data, most_points(self.arm))
         self._other_servers.look()
@@ -175,7 +175,7 @@ class FrontNode:
     # --- every snapshot, in the publisher's thread ---
 
     def _look(self, snapshot: np.ndarray, stamp_ns: int, fresh: bool) -> None:
-        """`fresh`: something has been measured since the last snapshot, so it is worth telling."""
+        """Handle a new snapshot; `fresh`: /joint_states was published for it, so the state topics are, too."""
         if self._inputs.factor != 1.0:
             self._tell_factor(snapshot)
         self._last_cycle = int(snapshot["cycle"])
@@ -201,7 +201,7 @@ class FrontNode:
             self._full_node.aside()
 
     def _tell_factor(self, snapshot: np.ndarray) -> None:
-        """Tell a control process that is new to this node how fast it is to be, unless somebody has told it already."""
+        """Send the speed scaling factor to a control process that is new to this node, unless its factor was set."""
         is_new = self._last_cycle == 0 or int(snapshot["cycle"]) < self._last_cycle
         if is_new and snapshot["speed_scale_asked"] == 1.0:
             self._inputs.ask_factor()
@@ -209,16 +209,17 @@ class FrontNode:
     # --- the end ---
 
     def finish(self, end: EndSignal) -> None:
-        """Park, if the arm file says so and the arm stands; another end signal stops it instead."""
+        """Park, if the arm file says so and the arm is at rest; another end signal stops the arm instead."""
         self._action_goals.close()
         parking = self.arm.parking
         if parking is not None and self._own_moves.park(parking, on_end=end.give):
             end.wait(parking.timeout_s)
 
     def close(self, patience_s: float) -> None:
-        """Stop a running goal on its path, tell its client, and end; call from a thread of neither kind.
+        """Stop a running goal on its path, send its client the result, and end.
 
-        Returns when the thread in `spin` has left it, after `patience_s` and `RESULT_GRACE_S` at the latest.
+        Call from neither the executor's nor the publisher's thread. Returns when the thread in `spin` has left it,
+        after `patience_s` and `RESULT_GRACE_S` at the latest.
         """
         self._goals.closing = True
         self._action_goals.close()

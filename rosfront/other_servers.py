@@ -1,11 +1,11 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""Whether somebody else serves the arm's action too: every server of an action's name takes every goal.
+"""Whether another process serves the arm's action too: every server of an action's name takes every goal.
 
 ROS' discovery shows a server that was killed for another 20 s, and says neither whose a server is nor whether it lives.
-So where it shows more than one, all of them are asked for the result of a goal that none has. A live server answers
-that at once, whoever wrote it, and does nothing; a front of ours answers with who it is. All this has a thread of its
-own: the executor need not wake for it, and a goal can wait for it.
+So where discovery shows more than one, this module asks all of them for the result of a goal that none has. A live
+server of any implementation answers that at once and does nothing else; a front of ours answers with its identity. This
+runs in a thread of its own: the executor need not wake for it, and a goal can wait for it.
 """
 
 import json
@@ -27,31 +27,31 @@ from config.errors import legible
 from rosfront.apart import Apart
 
 EVERY_NS = 1_000_000_000
-"""How often is looked, and asked where there is somebody to ask."""
+"""Period of looking at discovery, and of asking the servers that it shows."""
 PATIENCE_NS = 500_000_000
-"""What has not answered by then counts as dead, until it answers."""
+"""A server that has not answered within this time counts as dead, until it answers."""
 AGAIN_NS = 100_000_000
-"""A newcomer is asked so often until somebody answers: one that discovery has just shown may not hear yet."""
+"""Period of asking a newcomer until an answer comes: a server just discovered may not receive requests yet."""
 LIVE_NS = 2_500_000_000
-"""So long an answer counts: two questions in a row may be lost on a busy machine."""
+"""How long a server counts as live after an answer: two requests in a row may be lost on a busy machine."""
 LONGEST_LOOK_S = 2.0
 _LONGEST_ANSWER = 1000
 _LONGEST_WORD = 60
 _PIDS = 1 << 22
-"""Linux gives lower ones."""
+"""Pids of Linux are lower."""
 _MOST_ANSWERS = 50
-"""Taken in one look."""
+"""Answers taken in one look."""
 _FAST_DDS = b"\x01\x0f"
 _MACHINE = slice(2, 4)
-"""Where Fast DDS' identifiers name the machine, the same for all of its processes."""
+"""Bytes of a Fast DDS identifier that name the machine; they are the same for all of its processes."""
 
 
 @dataclass(frozen=True)
 class Server:
-    """Who serves an action, as a front of ours says it."""
+    """The identity with which a front of ours answers."""
 
     instance: str
-    """A name of its own for each start."""
+    """Unique for each start."""
     arm: str
     pid: int
     host: str
@@ -66,7 +66,7 @@ class Server:
 
     @classmethod
     def read(cls, text: str) -> "Server | None":
-        """What somebody answers; None where that is no front of ours."""
+        """The server that gave an answer; None where that is no front of ours."""
         try:
             said = json.loads(text[:_LONGEST_ANSWER])["rtarm"]
             arm, host, node = (legible(str(said[name]), _LONGEST_WORD) for name in ("arm", "host", "node"))
@@ -77,7 +77,7 @@ class Server:
 
 
 class Watch:
-    """Which servers live, by what discovery shows beside them and what they answer; times of CLOCK_MONOTONIC (ns)."""
+    """Which servers live, by what discovery shows and what they answer; times are of CLOCK_MONOTONIC (ns)."""
 
     def __init__(self) -> None:
         self._asked: frozenset[bytes] = frozenset()
@@ -87,24 +87,26 @@ class Watch:
         self._heard_ns: dict[str, int] = {}
 
     def should_ask(self, shown: Collection[bytes], now_ns: int) -> bool:
-        """Whether it is time to ask those that discovery shows; none are shown where this server is alone."""
+        """Whether it is time to ask the servers that discovery shows; `shown` is empty where this server is alone."""
         return bool(shown) and (not self._asked.issuperset(shown) or now_ns >= self._next_question_ns)
 
     def asked(self, shown: Collection[bytes], now_ns: int) -> None:
+        """Note that the servers shown have been asked."""
         if not self._asked.issuperset(shown) or now_ns - self._since_ns >= EVERY_NS:
             self._since_ns = now_ns
         self._asked, self._asked_ns = frozenset(shown), now_ns
 
     def answered(self, text: str, now_ns: int) -> None:
+        """Note the answer of a server other than this one."""
         self._heard_ns[text] = now_ns
 
     def live(self, shown: Collection[bytes], now_ns: int) -> list[str]:
-        """The answers of those that live."""
+        """The answers of the servers that live."""
         self._heard_ns = {text: at_ns for text, at_ns in self._heard_ns.items() if shown and now_ns - at_ns < LIVE_NS}
         return sorted(self._heard_ns)
 
     def is_known(self, shown: Collection[bytes], now_ns: int) -> bool:
-        """Whether somebody lives, or everybody shown has had time to answer and has not."""
+        """Whether another server lives, or none is shown, or all shown have had time to answer and have not."""
         if self._asked and now_ns >= self._settles_ns:
             self._settled, self._settled_ns = self._asked, self._since_ns
         silent = self._settled.issuperset(shown) and now_ns - self._settled_ns < LIVE_NS
@@ -117,12 +119,12 @@ class Watch:
 
     @property
     def _settles_ns(self) -> int:
-        """When who has not answered is silent: the last question is often put late, and is to be answered as well."""
+        """When servers without an answer count as silent; the last request, often a late one, needs time as well."""
         return max(self._since_ns + PATIENCE_NS, self._asked_ns + AGAIN_NS)
 
     @property
     def _next_question_ns(self) -> int:
-        """When to ask again, if nobody comes before."""
+        """When to ask again, if no newcomer is shown before."""
         again_ns = self._asked_ns + AGAIN_NS
         has_newcomers = not self._settled.issuperset(self._asked)
         unanswered = max(self._heard_ns.values(), default=0) < self._since_ns
@@ -135,7 +137,7 @@ class OtherServers(threading.Thread):
     """Looks for other servers once a second, and for each goal that comes."""
 
     def __init__(self, node: Node, action: str, me: Server, changed: Callable[[str], None]) -> None:
-        """`changed` is told, in this thread, who else serves and what to do, in a sentence; empty for nobody."""
+        """`changed` is called in this thread with a sentence: who else serves and what to do; empty for no other."""
         super().__init__(name="other-servers", daemon=True)
         self._node, self._me, self._changed = node, me, changed
         self._controller = node.get_name()
@@ -154,7 +156,7 @@ class OtherServers(threading.Thread):
         self._leaving = False
 
     def stop(self) -> None:
-        """End the thread, and whatever waits for it."""
+        """End the thread, and every `look` that waits for it."""
         with self._concluded:
             self._leaving = True
             self._concluded.notify_all()
@@ -163,7 +165,7 @@ class OtherServers(threading.Thread):
             self.join()
 
     def look(self) -> None:
-        """Return when it is known who else lives now, after `LONGEST_LOOK_S` at the latest; from any other thread."""
+        """Wait until it is known which servers live now, `LONGEST_LOOK_S` at most; call from any other thread."""
         with self._concluded:
             self._looks_asked += 1
             mine = self._looks_asked
@@ -182,7 +184,7 @@ class OtherServers(threading.Thread):
                 wait_set.wait(max(next_ns - time.monotonic_ns(), 0))
 
     def _look_once(self) -> int:
-        """Look, take what was answered and ask if it is time; when to look again (CLOCK_MONOTONIC, ns)."""
+        """Look at discovery, take the answers, ask if it is time; returns when to look again (CLOCK_MONOTONIC, ns)."""
         with self._concluded:
             looks = self._looks_asked
         watch, now_ns = self._watch, time.monotonic_ns()
@@ -204,13 +206,13 @@ class OtherServers(threading.Thread):
         return watch.next_ns(now_ns)
 
     def _endpoints(self) -> list[Any]:
-        """What discovery shows of all servers; empty where there is none but this one, which costs least."""
+        """What discovery shows of all servers; empty where this one is the only one, which is found out cheaply."""
         if self._node.count_services(self._service) <= 1:
             return []
         return self._node.get_publishers_info_by_topic(self._status)
 
     def _answers(self) -> list[str]:
-        """What has come since the last look. Each server answers, so rclpy's one future a request will not do."""
+        """The answers since the last look. Each server answers, so rclpy's one future per request is not enough."""
         answers: list[str] = []
         for _ in range(_MOST_ANSWERS):
             header, response = self._client.handle.take_response(self._type.Response)
@@ -247,12 +249,12 @@ class OtherServers(threading.Thread):
 
 
 def nodes_beside(known: Collection[str], endpoints: Collection[Any]) -> list[str]:
-    """Names of the nodes that discovery shows, less those that are known; two nodes may have one name."""
+    """Names of the nodes that discovery shows, without those that are known; two nodes may have the same name."""
     shown = Counter(f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}" for endpoint in endpoints)
     return sorted(legible(name, _LONGEST_WORD) for name in shown - Counter(known))
 
 
 def machine_of(gids: Collection[bytes]) -> str:
-    """Where the servers with these identifiers are, one of which is in this process."""
+    """Words for where the servers with these identifiers run; one of them is in this process."""
     told = {gid[_MACHINE] for gid in gids if gid.startswith(_FAST_DDS)}
     return "on this machine" if len(told) == 1 else "perhaps on another machine"

@@ -2,9 +2,10 @@
 # (rclpy annotates some of its functions and leaves the others untyped)
 """The node's parameters: upstream's names where they mean the same, and every refusal a sentence.
 
-The arm file says the defaults, `--ros-args -p name:=value` changes them for one start, `ros2 param set` while the node
-runs. What a goal is judged by is fixed when it is taken; so that nobody expects otherwise, tolerances cannot be changed
-while one runs. rclpy's own refusals name neither the value nor a remedy, which is why this node checks first.
+The arm file sets the defaults, `--ros-args -p name:=value` changes them for one start, and `ros2 param set` while the
+node runs. The tolerances of a goal are fixed when it is taken. Therefore tolerances cannot be changed while a goal
+runs, which would suggest otherwise. rclpy's own refusals name neither the value nor a remedy, so this node checks
+first.
 """
 
 from collections.abc import Callable
@@ -38,7 +39,7 @@ class Change(Enum):
 
 @dataclass(frozen=True)
 class Rule:
-    """One parameter: what it means, which values it may have and what becomes of them."""
+    """One parameter: what it means, which values it may have and, by `adopt`, which setting it changes."""
 
     name: str
     default: Any
@@ -50,9 +51,9 @@ class Rule:
     adopt: Callable[[Settings, Any], Settings] = lambda settings, _: settings
 
     def checked(self, value: Any) -> Any:
-        """The value as the parameter's kind; raises BadParameter."""
+        """The value, converted to the parameter's type; raises BadParameter when it is not allowed."""
         if type(self.default) is float and type(value) is int:
-            value = float(value)  # what people and YAML write for a whole number
+            value = float(value)  # people and YAML write 1 for 1.0
         require_kind(self.name, value, type(self.default))
         if type(value) is float and not self.lowest <= value <= self.highest:
             raise BadParameter(
@@ -155,7 +156,7 @@ def rules(arm: ArmConfig) -> list[Rule]:
 
 
 def _of_the_start(arm: ArmConfig) -> list[Rule]:
-    """What `robot_interface` was given, as it came out; only the launcher knows whether the arm is simulated."""
+    """The start parameters of `robot_interface` as they took effect; only the launcher knows `sim`."""
     return [
         Rule(name, value, START[name][1], Change.AT_START if name == "sim" else Change.STARTED)
         for name, value in facts(arm).items()
@@ -200,10 +201,10 @@ def _as_typed(value: Any) -> str:
 
 
 class CheckedNode(Node):
-    """The arm's node: a rclpy node whose parameters obey `rules` and become the goals' settings."""
+    """The arm's node: an rclpy node whose parameters are checked by `rules` and set the goals' settings."""
 
     def __init__(self, arm: ArmConfig, serving: Serving) -> None:
-        """Raises BadParameter when one given at the start cannot be taken."""
+        """Raises BadParameter when a parameter given at the start cannot be taken."""
         self._serving = serving
         self._rules: dict[str, Rule] = {}
         super().__init__(arm.front.controller_name)
@@ -225,7 +226,7 @@ class CheckedNode(Node):
                 )
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Change parameters together, or none of them and say why."""
+        """Change all of the parameters, or none of them; the result then gives the reason."""
         try:
             admitted = [self._admitted(parameter) for parameter in parameter_list]
         except BadParameter as problem:
@@ -239,7 +240,7 @@ class CheckedNode(Node):
         return result
 
     def _admitted(self, parameter: Parameter) -> Parameter:
-        """The parameter as it may be set; raises BadParameter."""
+        """The parameter with its value converted; raises BadParameter when it cannot be set now."""
         rule = self._rules.get(parameter.name)
         if rule is None:
             if self.has_parameter(parameter.name):

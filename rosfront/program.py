@@ -1,6 +1,6 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""What the programs of this folder have in common: command line, signals, rclpy around a node, an orderly end."""
+"""What the programs of this folder share: command line, signals, running an rclpy node, an orderly shutdown."""
 
 import gc
 import os
@@ -23,10 +23,10 @@ HIGHEST_DOMAIN = 232
 """Higher ROS domains have no UDP ports."""
 SHARED_MEMORY = "/dev/shm"
 SHARED_MEMORY_BYTES = 4 << 20
-"""What Fast DDS takes of it for one participant, twice; where a page of it is not to be had, the kernel ends the
-process with SIGBUS, which is no way to be told."""
+"""Twice what Fast DDS takes of it for one participant. Where a page of it cannot be had, the kernel ends the process
+with SIGBUS, which tells the user nothing."""
 GIL_SWITCH_S = 0.0005
-"""A goal being checked holds up the publisher's thread for this long at most, instead of 5 ms."""
+"""Switch interval of the interpreter: checking a goal delays the publisher's thread by this at most, not by 5 ms."""
 
 
 class CannotServe(Exception):
@@ -34,7 +34,7 @@ class CannotServe(Exception):
 
 
 class Served(Protocol):
-    """A node at work, as the program around it sees it."""
+    """What `serve` needs of a node."""
 
     node: Any
 
@@ -42,20 +42,20 @@ class Served(Protocol):
         """Serve in a thread of its own, until `close`."""
 
     def announce(self) -> None:
-        """Say that goals can be sent, before `spin` serves any; what has to be waited for needs a thread."""
+        """Announce that goals can be sent. Called before `spin`; must not wait, so a wait needs a thread of its own."""
 
     def finish(self, end: "EndSignal") -> None:
-        """What is still to be done before the end; another end signal ends that."""
+        """Do what remains to be done before the shutdown; another end signal cuts that short."""
 
     def close(self, patience_s: float) -> None:
-        """End what runs and make `spin` return."""
+        """End what runs, with `patience_s` for the goals, and make `spin` return."""
 
 
 class EndSignal:
     """SIGTERM and SIGINT as something to wait for.
 
-    The kernel gives a signal to any thread, and a Python handler runs only when the main thread comes back to
-    the interpreter; the byte that the interpreter's C handler writes into a pipe arrives in every case.
+    The kernel may deliver a signal to any thread, and a Python handler runs only when the main thread comes back to
+    the interpreter. The byte that the interpreter's C handler writes into a pipe arrives in every case.
     """
 
     def __init__(self) -> None:
@@ -66,21 +66,22 @@ class EndSignal:
             signal.signal(number, lambda *_: None)
 
     def wait(self, timeout_s: float | None = None) -> None:
-        """Until a signal comes or has come, or `give` was called; each is waited for once."""
+        """Wait for a signal or a call of `give`, past ones included, `timeout_s` at most; each ends one wait."""
         if select.select([self._read], [], [], timeout_s)[0]:
             os.read(self._read, 1)
 
     def ignore(self) -> None:
-        """Signals do nothing any more, to the very end."""
+        """Ignore both signals until the process ends."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_IGN)
 
     def give(self) -> None:
+        """End one `wait`, as a signal does."""
         os.write(self._write, b"\0")
 
 
 def split_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """A command line as what is meant for the program and what is meant for ROS (from --ros-args to --, or the end)."""
+    """Split a command line into arguments for the program and for ROS (from --ros-args to --, or the end)."""
     own: list[str] = []
     ros: list[str] = []
     for_ros = False
@@ -94,7 +95,7 @@ def split_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 
 @contextmanager
 def needs_ros() -> Iterator[None]:
-    """Around the imports of ROS: raises CannotServe where it is missing."""
+    """A context for imports of ROS packages; raises CannotServe where one is missing."""
     try:
         yield
     except ImportError as problem:
@@ -105,7 +106,10 @@ def needs_ros() -> Iterator[None]:
 
 
 def start_ros(ros_arguments: Sequence[str], context: Any = None) -> None:
-    """Initialise rclpy by UDP and without its signal handlers; raises CannotServe when ROS refuses the arguments."""
+    """Initialise rclpy, with UDP as transport and without its signal handlers.
+
+    Raises CannotServe when ROS is missing or refuses the arguments or the domain, or when /dev/shm is too full.
+    """
     with needs_ros():
         import rclpy
         from rclpy.signals import SignalHandlerOptions
@@ -117,7 +121,7 @@ def start_ros(ros_arguments: Sequence[str], context: Any = None) -> None:
         _check_room()
     try:
         rclpy.init(args=list(ros_arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as problem:  # the root of all of rclpy's own, whose classes are private
+    except RuntimeError as problem:  # the base of rclpy's own exceptions, which are private
         reason = str(problem).removeprefix("failed to initialize rcl: ").partition(", at /")[0]
         raise CannotServe(
             f"ROS does not understand what follows {ROS_ARGS} ({reason.rstrip('.')}): correct it."
@@ -125,7 +129,7 @@ def start_ros(ros_arguments: Sequence[str], context: Any = None) -> None:
 
 
 def _check_domain(domain: str) -> None:
-    """The middleware's own words about a domain that has no ports are not for people."""
+    """Raise CannotServe for a domain without ports, since the middleware's own message is not meant for users."""
     if domain and not (domain.isascii() and domain.isdigit() and int(domain) <= HIGHEST_DOMAIN):
         raise CannotServe(
             f"ROS_DOMAIN_ID is {domain!r}, and allowed are whole numbers from 0 to {HIGHEST_DOMAIN}: correct it, or "
@@ -134,13 +138,13 @@ def _check_domain(domain: str) -> None:
 
 
 def _check_room() -> None:
-    """Without /dev/shm Fast DDS takes the network."""
+    """Raise CannotServe when /dev/shm is too full; without /dev/shm Fast DDS uses the network."""
     try:
         found = os.statvfs(SHARED_MEMORY)
     except OSError:
         return
     free = found.f_bavail * found.f_frsize
-    if found.f_blocks != 0 and free < SHARED_MEMORY_BYTES:  # no blocks: a file system without a limit
+    if found.f_blocks != 0 and free < SHARED_MEMORY_BYTES:  # 0 blocks: a file system without a limit
         raise CannotServe(
             f"{SHARED_MEMORY} has {free >> 10} KiB left, and ROS needs {SHARED_MEMORY_BYTES >> 10} KiB: free some "
             "space there (`ls -l /dev/shm` shows what takes it)."
@@ -150,12 +154,12 @@ def _check_room() -> None:
 def serve(
     make: Callable[["SingleThreadedExecutor"], Served], ros_arguments: Sequence[str], arm: ArmConfig, end: EndSignal
 ) -> None:
-    """Make a node and let it work until the end signal.
+    """Make a node and serve until the end signal.
 
-    The arm file says how far discovery reaches (`front.discovery`), which the environment may overrule. Raises
-    CannotServe, and whatever ended one of the threads: without the others it would look alive and serve nobody.
+    The arm file sets the range of discovery (`front.discovery`) unless the environment does. Raises CannotServe, and
+    the exception that ended any thread: a process that went on without it would look alive and serve no client.
     """
-    # Before rclpy is imported: an arm is a thing of its own machine until its file says otherwise.
+    # Set before rclpy is imported. Unless the arm file says otherwise, only this machine discovers the arm.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", arm.front.discovery.upper())
     start_ros(ros_arguments)
     from rclpy.executors import SingleThreadedExecutor
@@ -174,12 +178,12 @@ def serve(
         failures.append(ended.exc_value or RuntimeError(f"{ended.exc_type.__name__} ended a thread"))
         end.give()
 
-    threading.excepthook = carry_out  # a thread's exception is nobody's otherwise
+    threading.excepthook = carry_out  # otherwise the program would go on without the thread
     served.announce()
     spinner = threading.Thread(target=served.spin, name="executor", daemon=True)
     spinner.start()
     gc.collect()
-    gc.freeze()  # what is alive now stays: later collections need not walk through it
+    gc.freeze()  # objects alive now stay alive: later collections need not visit them
     end.wait()
     if not failures:
         served.finish(end)

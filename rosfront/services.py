@@ -1,10 +1,10 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""The node's services: what people ask of the arm beside goals.
+"""The node's services: what operators ask of the arm besides goals.
 
-Each Trigger is answered when what it asks for is so, or cannot become so any more; meanwhile the executor serves
-everybody else. That takes a callback group in which a waiting service holds up nobody: in the node's own one the next
-cancel would wait behind a hold.
+Each Trigger is answered when the requested state is reached or cannot be reached any more; meanwhile the executor
+serves other clients. This needs a reentrant callback group: in the node's default group the next cancel would wait
+behind a hold that is not answered yet.
 """
 
 from collections.abc import Awaitable, Callable, Sequence
@@ -35,19 +35,19 @@ CLOSING = "The ROS process was stopped before the control process had answered: 
 
 
 class Reply(NamedTuple):
-    """What a Trigger says."""
+    """The answer of a Trigger service."""
 
     success: bool
     message: str
 
 
 Judge = Callable[[np.ndarray], Reply | None]
-"""From a snapshot to the reply, None while it is not decided."""
+"""Returns the reply that a snapshot decides; None while it is not decided."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """A service and what it asks for: a request, or a store of the writer's."""
+    """A service and what it asks the control process for: a request, or a store by the command writer."""
 
     name: str
     ask: Request | Callable[[CommandWriter], None]
@@ -55,7 +55,7 @@ class Order:
     judge: Callable[[np.ndarray | None, Sequence[str]], Judge]
     """Makes the judge from the last snapshot before the request and the joints' names."""
     answer_now: Callable[[np.ndarray, Sequence[str]], Reply | None] = lambda before, joints: None
-    """The reply for which nothing need be asked."""
+    """The reply when there is nothing to ask the control process for; else None."""
 
 
 def _fault(snapshot: np.ndarray, joints: Sequence[str]) -> Reply | None:
@@ -152,7 +152,7 @@ def _stopped(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
     stops = 0 if before is None else int(before["stops"])
 
     def judge(now: np.ndarray) -> Reply | None:
-        if int(now["fault"]) == Fault.HOMING:  # the drive amid its run may still be moving
+        if int(now["fault"]) == Fault.HOMING:  # a drive in its homing run may still be moving
             return _fault(now, joints)
         if int(now["stops"]) == stops or _moves(now) or int(now["goal_id"]) != 0:
             return None
@@ -178,7 +178,7 @@ def _resumed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
 
 
 def orders(patience: Patience) -> tuple[Order, ...]:
-    """The services of an arm that are asked without arguments."""
+    """The Trigger services of an arm."""
     return (
         Order("enable", Request.ENABLE, patience.bring_up_s, _enabled, _not_with_a_fault),
         Order(
@@ -217,15 +217,15 @@ class Services:
 
     @property
     def idle(self) -> bool:
-        """Whether nobody waits for an answer."""
+        """Whether no client waits for an answer."""
         return not self._waiting
 
     async def ask(self, name: str) -> Reply:
-        """What the service ~/`name` says."""
+        """Do what the service ~/`name` does; returns its reply."""
         return await self._ask(self._orders[name])
 
     def close(self) -> None:
-        """Answer whoever waits, and from now on everybody at once."""
+        """Answer all waiting clients, and later ones at once."""
         self._closing = True
         for future in list(self._waiting):
             self._fulfil(future, Reply(False, CLOSING))
@@ -261,7 +261,7 @@ class Services:
                 self._serving.request(order.ask, on_reply, until=until, patience_s=order.patience_s)
             else:
                 self._serving.command(order.ask, on_reply, until=until, patience_s=order.patience_s)
-            if self._closing:  # since before this one was waiting
+            if self._closing:  # since before this request was in the set
                 self._fulfil(answered, Reply(False, CLOSING))
             reply: Reply = await answered
         finally:
@@ -269,7 +269,7 @@ class Services:
         return reply
 
     def _fulfil(self, future: Future, reply: Reply) -> None:
-        """Answer once, from whichever thread comes first."""
+        """Answer once; the first thread to call decides the reply."""
         if not future.done():
             future.set_result(reply)
             self._executor.wake()

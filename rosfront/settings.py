@@ -1,4 +1,4 @@
-"""What of the goal checks can be changed while the front runs, and with what it starts."""
+"""Settings of the goal checks that can be changed while the front runs, and their initial values."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from config.schema import ArmConfig
 
 @dataclass(frozen=True)
 class Settings:
-    """Defaults of every goal; replaced as a whole, so that a goal is judged by one set of them."""
+    """Defaults for every goal; replaced as a whole, so that a goal is checked by one consistent set."""
 
     path_tolerance_rad: tuple[float, ...]
-    """One a joint; 0 = off."""
+    """One per joint; 0 = off."""
     goal_tolerance_rad: tuple[float, ...]
-    """One a joint; 0 = off."""
+    """One per joint; 0 = off."""
     stopped_velocity_rad_s: float
-    """Below it a joint counts as standing; 0 = not watched."""
+    """Below this a joint counts as at rest; 0 = not checked."""
     goal_time_s: float
-    """Patience after the last point; 0 = without limit."""
+    """Time allowed after the last point until the arm has arrived; 0 = without limit."""
     allow_nonzero_end_velocity: bool
     allow_partial_joints_goal: bool
     feedback_hz: float
 
     @classmethod
     def of(cls, arm: ArmConfig) -> Settings:
-        """What the arm file says."""
+        """The values of the arm file."""
         trajectory, count = arm.trajectory, len(arm.joints)
         return cls(
             path_tolerance_rad=(trajectory.path_tolerance_rad,) * count,

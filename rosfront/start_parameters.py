@@ -3,7 +3,7 @@
 """The ROS parameters that say which arm is started and how: given to `robot_interface`, shown by the arm's node.
 
 `python -m rosfront.start_parameters [--ros-args …]` prints, as one JSON object, every parameter that a command line
-gives to the arm's node under any of the names people know it by. A launcher that shall know nothing of ROS runs it.
+gives to the arm's node under any of its names. The launcher runs it, so that the launcher itself needs no ROS.
 """
 
 import json
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 DEFAULT_ARM = "episode1"
 NODE_NAMES = ("robot_interface", "robot_interface_full", "robot_interface_node")
-"""Names by which a parameter file or a launch file may mean the arm's node, besides the controller's own."""
+"""Names that a parameter or launch file may use for the arm's node, besides the controller's own name."""
 ANY_OTHER_NODE = "any_other_node"
 NO_USB_INDEX = -1
 
@@ -38,7 +38,7 @@ START: dict[str, tuple[type, str]] = {
     "interpolation_factor": (int, "Points put between each two given ones, if interpolation_method is linear."),
     "publish_mode": (str, "What is published of the joints' positions."),
 }
-"""Name, kind and, for whoever reads them on the running node, the meaning of each."""
+"""Name, type and description of each; the running node shows the descriptions."""
 
 _KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", list: "a list of texts"}
 
@@ -54,7 +54,7 @@ def require_kind(name: str, value: Any, kind: type) -> None:
 
 
 def facts(arm: "ArmConfig") -> dict[str, Any]:
-    """The start parameters as the arm was loaded; whether it is simulated is not known to its configuration."""
+    """The start parameters of a loaded arm; its configuration does not tell whether it is simulated."""
     usb_index = arm.bus.usb_index
     return {
         "arm": arm.name,
@@ -68,18 +68,18 @@ def facts(arm: "ArmConfig") -> dict[str, Any]:
 
 
 def read_given(ros_arguments: Sequence[str]) -> dict[str, Any]:
-    """The parameters that ROS arguments give to the arm's node, by ROS's own reading of them.
+    """The parameters that ROS arguments give to the arm's node, as ROS itself parses them.
 
-    Which ones they are depends on the node's name and namespace, and ROS tells them only to a node: so one after
-    the other is made here, alone in a context. What is addressed to one of the names goes before what is
-    addressed to all nodes. Raises CannotServe when ROS does not understand the arguments.
+    They depend on the node's name and namespace, and ROS gives them only to a node. So this function makes a node
+    for each name, in a context of its own. A parameter for one of the names takes precedence over the same
+    parameter for all nodes. Raises CannotServe when ROS does not understand the arguments.
     """
     with needs_ros():
         from rclpy.context import Context
         from rclpy.node import Node
     context = Context()
     start_ros(ros_arguments, context)
-    nodes = []  # all of them live to the end: with the last one the middleware would leave the network, to join it anew
+    nodes = []  # kept to the end: with its last node the middleware would leave the network, to join it anew
 
     def given_to(name: str) -> dict[str, Any]:
         node = Node(name, context=context, enable_rosout=False, start_parameter_services=False)
@@ -112,19 +112,19 @@ def _controller_name(arm: Any) -> str | None:
     try:
         return load_arm(arm).front.controller_name if isinstance(arm, str) else None
     except ConfigError:
-        return None  # whoever starts the arm says why
+        return None  # the program that starts the arm says why
 
 
 def main() -> int:
-    """Print what is given, for the launcher."""
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"  # nobody need hear of these nodes
+    """Print the given parameters for the launcher; returns the exit code."""
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"  # these nodes need no discovery
     _, ros_arguments = split_arguments(sys.argv[1:])
     try:
         given = read_given(ros_arguments)
     except CannotServe as problem:
         print(problem, file=sys.stderr)
         return 1
-    print(json.dumps(given, default=list))  # numbers come as arrays
+    print(json.dumps(given, default=list))  # rclpy gives lists of numbers as arrays
     return 0
 
 

@@ -1,9 +1,9 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""What is said of the arm at every reading: /joint_states, ~/controller_state, /dynamic_joint_states; and feedback.
+"""Messages on the arm's state: /joint_states, ~/controller_state, /dynamic_joint_states, and the action's feedback.
 
-All are patched into messages that were serialised once. The first is the publisher's own; the next two are filled only
-while somebody listens.
+All are patched into messages that were serialised once. `rosfront.joint_states` publishes the first; the next two are
+filled only while they have subscribers.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,10 +44,11 @@ INTERFACES = (
     "drive_temperature",
     "drive_voltage",
 )
-"""Of each joint in /dynamic_joint_states; the age in seconds, the others as in shared memory (°C, V, NaN for none)."""
+"""Of each joint in /dynamic_joint_states; the age is in seconds, the others are as in shared memory (°C, V, NaN for
+none)."""
 LISTENERS_EVERY_S = 0.25
 _GOAL_PLACE = bytes(range(0xF0, 0x100))
-"""Stands for a goal's id, which a client chooses, while the places in a message are found out; never in UTF-8."""
+"""Placeholder for a goal's id while the offsets in a message are searched; these bytes never occur in UTF-8."""
 
 
 def _header(arm: ArmConfig, stamp: Instant) -> Header:
@@ -73,7 +74,7 @@ def joint_state_bytes(arm: ArmConfig, *more: str) -> MessageBytes:
 
 
 def position_bytes(arm: ArmConfig) -> MessageBytes:
-    """sensor_msgs/JointState of positions alone, in no frame."""
+    """sensor_msgs/JointState with positions only and an empty frame_id."""
 
     def serialised(times: Sequence[Instant], rows: Sequence[list[float]]) -> bytes:
         (stamp,), (position,) = times, rows
@@ -117,9 +118,9 @@ def controller_state_bytes(arm: ArmConfig) -> MessageBytes:
 
 
 def feedback_bytes(arm: ArmConfig, goal: bytes) -> MessageBytes:
-    """The action's feedback message about one goal, whose id has 16 bytes.
+    """The action's feedback message about one goal, given by its id of 16 bytes.
 
-    Times: stamp, time from start of what is desired, of what is. Rows: desired position, velocity and acceleration;
+    Times: stamp, time from start of desired, of actual. Rows: desired position, velocity and acceleration;
     actual position and velocity; error of both.
     """
 
@@ -152,7 +153,7 @@ def feedback_bytes(arm: ArmConfig, goal: bytes) -> MessageBytes:
 
 
 def dynamic_joint_state_bytes(arm: ArmConfig) -> MessageBytes:
-    """control_msgs/DynamicJointState; a row a joint, its values in the order of `INTERFACES`."""
+    """control_msgs/DynamicJointState; one row per joint, its values in the order of `INTERFACES`."""
 
     def serialised(times: Sequence[Instant], rows: Sequence[list[float]]) -> bytes:
         message = DynamicJointState(
@@ -171,16 +172,16 @@ def differences(wanted: Sequence[float], found: Sequence[float]) -> list[float]:
 
 
 class Progress:
-    """How long the goal has been running on the wall, whatever the speed scale makes of its own clock."""
+    """How long the goal has been running in real time, however the speed scale slows its trajectory clock."""
 
     def __init__(self) -> None:
         self._goal = 0
         self._begun_ns = 0
         self.ns = 0
-        """Of the running goal, else of the last one."""
+        """Time (ns) of the running goal, else of the last one."""
 
     def look(self, snapshot: np.ndarray) -> None:
-        """Take the time from a new snapshot of a running goal."""
+        """Update `ns` from a new snapshot of a running goal."""
         goal, now_ns = int(snapshot["goal_id"]), int(snapshot["monotonic_ns"])
         if goal != self._goal:
             self._goal = goal
@@ -189,19 +190,19 @@ class Progress:
 
 
 def along_ns(snapshot: np.ndarray) -> int:
-    """Time along the trajectory (ns), as the speed scale lets it pass."""
+    """Time along the trajectory (ns), which the speed scale slows down; 0 before the start."""
     return max(0, int(snapshot["trajectory_clock_ns"]))
 
 
 class Feedback:
-    """What the client of a running goal is told; used by the publisher's thread alone.
+    """Publishes the feedback on a running goal; used by the publisher's thread alone.
 
-    rclpy's own way makes and converts a deeply nested message each time, which costs more than six /joint_states. So
-    this is a second writer on the action's feedback topic, of the same type and quality, whose bytes are patched.
+    rclpy makes and converts a deeply nested message each time, which costs more than six /joint_states. So this class
+    has a second publisher on the action's feedback topic, of the same type and QoS, and patches the bytes.
     """
 
     def __init__(self, node: Node, action: str, arm: ArmConfig, progress: Progress) -> None:
-        """`action`: its name, as the server was given it."""
+        """`action`: the action's name, as its server was given it."""
         self._arm = arm
         self._progress = progress
         self._goal = b""
@@ -211,8 +212,8 @@ class Feedback:
         )
 
     def publish(self, goal: bytes, snapshot: np.ndarray, stamp_ns: int) -> None:
-        """Desired, actual and error; for each joint all three belong to the instant of its measurement, but for the
-        acceleration, which is that of now."""
+        """Publish desired, actual and error; for each joint all three belong to the instant of its measurement, except
+        the acceleration, which is the present one."""
         if goal != self._goal:
             self._goal, self._message = goal, feedback_bytes(self._arm, goal)
         joints = snapshot["joints"][: len(self._arm.joints)]
@@ -251,7 +252,7 @@ class StateTopics:
         self._ask_in = 0
 
     def publish(self, snapshot: np.ndarray, stamp_ns: int) -> None:
-        """Say what this snapshot holds, stamped with the time of its newest measurement, to whoever listens."""
+        """Publish a snapshot, stamped with the time of its newest measurement, on the topics with subscribers."""
         if self._ask_in == 0:
             self._ask_in = self._ask_every
             self._heard = [topic for topic in self._topics if topic[0].get_subscription_count()]
@@ -260,7 +261,7 @@ class StateTopics:
             publisher.publish(fill(snapshot, stamp_ns))
 
     def _fill_controller_state(self, snapshot: np.ndarray, stamp_ns: int) -> bytes:
-        """Reference, feedback and error of the instant of measurement; the acceleration and the output of now."""
+        """Reference, feedback and error of the instant of measurement; acceleration and output are the present ones."""
         joints = snapshot["joints"][: self._joints]
         wanted, wanted_velocity = joints["reference_position_rad"].tolist(), joints["reference_velocity_rad_s"].tolist()
         found, velocity = joints["measured_position_rad"].tolist(), finite(joints["measured_velocity_rad_s"].tolist())

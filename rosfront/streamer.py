@@ -1,8 +1,8 @@
-"""Writing a goal into the setpoint ring, a little at a time.
+"""Writes a goal into the setpoint ring, a part at a time.
 
-The control process enters a trajectory when enough of it is known to stop on; what lies further ahead than the horizon
-stays here, so that a newer goal never waits behind thousands of old waypoints and a trajectory of any
-length needs the same memory. When the ring is full the rest waits for the next call.
+The control process enters a trajectory when it knows enough of it to stop on. Waypoints beyond the horizon stay in this
+process, so that a newer goal never waits behind thousands of old waypoints and a trajectory of any length needs the
+same memory. When the ring is full the rest waits for the next call.
 """
 
 import numpy as np
@@ -14,17 +14,17 @@ from shm.client import CommandWriter
 from shm.errors import RingFull
 
 SPARE_S = 1.0
-"""What is known beyond all that may be needed."""
+"""Margin of the horizon beyond all that may be needed."""
 HELD_BACK_NS = 3_000_000_000
-"""A goal that starts later stays here until then, so that its waypoints do not stand before those of others."""
-WAYPOINTS_A_CALL = 256  # bounds the time a call holds up its thread, about 2 ms
+"""Nothing is written of a goal that starts further ahead, so that its waypoints are not in the way of other goals."""
+WAYPOINTS_A_CALL = 256  # bounds the time for which a call blocks its thread, about 2 ms
 
 
 def horizon_s(arm: ArmConfig) -> float:
     """How far ahead of the trajectory clock waypoints are written (s).
 
-    When this process falls silent the arm goes on for `front_timeout_s`, and the longest stop must then be known to its
-    end: a stop on less path is harder than the limits allow.
+    When this process falls silent, the arm goes on for `front_timeout_s`. The longest stop must then still be known to
+    its end, because a stop on less path is harder than the limits allow.
     """
     return way_s(arm.longest_stop_s) + arm.limits.front_timeout_s + SPARE_S
 
@@ -33,7 +33,7 @@ class Streamer:
     """One goal on its way into the ring: BEGIN, its waypoints, END."""
 
     def __init__(self, goal_id: int, plan: GoalPlan, epoch: int, horizon_s: float) -> None:
-        """`epoch` is the control process's when the goal arrived."""
+        """`epoch` is that of the control process when the goal arrived."""
         self.goal_id = goal_id
         self._epoch = epoch
         self._horizon_ns = horizon_s * NS
@@ -43,20 +43,20 @@ class Streamer:
         self.done = False
 
     def is_held_back(self, now_ns: int) -> bool:
-        """Whether its start is so far ahead that nothing of it is written yet."""
+        """Whether the goal's start is so far ahead that nothing of it is written yet."""
         return not self.begun and self._plan.start_ns > now_ns + HELD_BACK_NS
 
     def due_ns(self, now_ns: int) -> int:
-        """Time along the trajectory at which it would be entered now."""
+        """Time along the trajectory (ns) at which the goal would be entered now."""
         return max(now_ns - self._plan.start_ns, 0) if self._plan.start_ns else 0
 
     def pump(self, writer: CommandWriter, consumed: int, clock_ns: float) -> None:
-        """Write what is due: up to the horizon ahead of the trajectory clock (ns), as far as there is room.
+        """Write what is due: up to the horizon ahead of the trajectory clock (ns), as far as the ring has room.
 
         `consumed` is the number of records the control process has taken.
         """
         plan = self._plan
-        clock_ns = max(clock_ns, plan.entry_ns)  # one that is entered midway has not begun at zero
+        clock_ns = max(clock_ns, plan.entry_ns)  # a goal that is entered midway does not begin at 0
         try:
             if not self.begun:
                 writer.announce(self.goal_id)

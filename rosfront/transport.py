@@ -1,8 +1,8 @@
 """Our ROS messages go by UDP: a process that dies in the shared memory of Fast DDS makes the others wait for ever.
 
-To send into a shared-memory port, Fast DDS 2.14 waits without end for whoever began to make it, with its lock held:
-every publisher, request and heartbeat of a process then stands still behind one that was killed, or that found
-/dev/shm full.
+Before Fast DDS 2.14 sends into a shared-memory port, it waits without timeout for the process that began to make the
+port, and holds its own lock meanwhile. If that process was killed or found /dev/shm full, every publisher, request and
+heartbeat of the waiting process stands still.
 """
 
 from collections.abc import Mapping, MutableMapping
@@ -14,21 +14,21 @@ TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 UDP = "UDPv4"
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 NO_OTHER_PROFILE = "SKIP_DEFAULT_XML_FILE"
-"""Else a DEFAULT_FASTRTPS_PROFILES.xml in the folder where the process starts takes the place of the profile."""
+"""Unless this is set, a DEFAULT_FASTRTPS_PROFILES.xml in the process' start folder takes the place of the profile."""
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 STATIC_PEERS = "ROS_STATIC_PEERS"
 LOCALHOST = "LOCALHOST"
 LOCALHOST_ONLY = "ROS_LOCALHOST_ONLY"
-"""The older name for that range, which goes before it."""
+"""The older variable for the range LOCALHOST; it takes precedence over `RANGE`."""
 LOCALHOST_PROFILE = Path(__file__).with_name("localhost.xml")
 
 
 def choose_udp(environment: MutableMapping[str, str], middleware: str) -> None:
-    """Have Fast DDS use UDP alone, before a process' first node; what the user chose stays.
+    """Make Fast DDS use UDP only, by variables of `environment`; call before a process' first node.
 
-    A user chooses by naming other transports, or by a profile file of Fast DDS, which may hold anything. ROS adds
-    shared memory to the range LOCALHOST whatever else is set, so that this range is our own profile's instead, but
-    where peers are named: ROS adds these to its own ranges alone.
+    A user's choice stays: other transports, or a profile file of Fast DDS, which may hold anything. For the range
+    LOCALHOST, ROS adds shared memory whatever else is set, so our own profile provides that range instead. It does not
+    where static peers are named, because ROS adds peers to its own ranges only.
     """
     if not middleware.startswith(FAST_DDS) or environment.get(PROFILES) not in (None, "", str(LOCALHOST_PROFILE)):
         return
