@@ -1,6 +1,6 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""rclpy's action client, whose answers are not lost where one thread asks and another one serves the node."""
+"""rclpy's action client, made to lose no answers when one thread asks and another one serves the node."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 class ActionClient(client.ActionClient):
-    """rclpy's own sends a request first and notes its future then.
+    """An action client that handles an answer only after the request's future was stored.
 
-    An answer that was taken in between belongs to nobody, is dropped with a warning, and waited for for ever. Here it
-    waits until the future is noted.
+    rclpy's own client sends a request first and stores its future then. It drops an answer that was taken in between
+    with a warning, and the caller waits for ever.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -43,5 +43,5 @@ class ActionClient(client.ActionClient):
     async def execute(self, taken_data: dict[str, Any]) -> None:
         """As rclpy's."""
         with self._asking:
-            pass  # who asked for this has noted it now
+            pass  # a future that is being stored is stored now
         await super().execute(taken_data)

@@ -1,18 +1,18 @@
-"""From a FollowJointTrajectory goal to waypoints, or to the sentence that says why not.
+"""Translates a FollowJointTrajectory goal into waypoints, or refuses it with a sentence that says why.
 
-Pure functions of the message (attribute access only, so anything shaped like it will do), the arm and where
-the arm is commanded. A goal is checked completely before anything moves:
+Pure functions of the message (attribute access only, so any object of its shape will do), the arm and the arm's
+commanded state. A goal is checked completely before anything moves:
 
-- effort is refused, as the drives are told positions and ignoring a wish for force would mislead;
+- effort is refused, as the drives take positions and ignoring a wish for force would mislead;
 - a last velocity up to `REST_RAD_S` counts as rest (planners leave residues); it stays in the plan, and the
   control process ends at rest all the same; a larger one is taken where the settings allow it;
-- position limits hold along the interpolant without margin, but for the rounding to pulses and counts that
+- position limits are checked along the interpolant without margin, except for the rounding to pulses and counts that
   may put an arm standing at a limit just beyond it;
-- velocity and acceleration hold with their margins as a drive has them, from setpoints a cycle apart, wherever the
-  cycles fall: a residual segment of 0.4 ms at the end of a MoveIt plan is not judged by its curvature;
+- velocity and acceleration are checked with their margins, as they are for a drive that gets setpoints a cycle apart,
+  wherever the cycles fall: a residual segment of 0.4 ms at the end of a MoveIt plan is not judged by its curvature;
 - the way to a first point whose time is above 0 is checked as the control process would make it from the
   present commanded state;
-- a trajectory whose header stamp lies in the past is entered where it is due by now, or at the latest earlier
+- a trajectory whose header stamp lies in the past is entered at the place that is due now, or at the latest earlier
   place that is near enough to the arm; one that lies in the past as a whole is refused.
 """
 
@@ -47,14 +47,14 @@ from rosfront.shaper import shaped
 from shm.words import Entry
 
 OFF = -1.0
-OFF_WITHIN = 1.2e-7  # the spacing of single-precision numbers near 1, as upstream allows it
+OFF_WITHIN = 1.2e-7  # the spacing of single-precision numbers near 1, which upstream allows
 ENTER_WITHIN = 0.8
-"""Share of the start tolerance within which an entry is looked for: the plan moves on until it is entered."""
+"""Share of the start tolerance within which an entry must lie, because the plan moves on until it is entered."""
 LOOK_BACK_S = 60.0
-"""A goal that is later than this is not looked at for an earlier entry: nobody waits for it any more."""
+"""How far back an earlier entry is searched for: no client waits any more for a goal that is later."""
 ENTRIES_A_CHUNK = 4096
 WAYPOINTS_AHEAD = 4000
-"""The control process sees 4096 waypoints ahead; so many must last as long as the way of the longest stop."""
+"""The control process sees 4096 waypoints ahead; this many must span the path time of the longest stop."""
 
 
 def plan_goal(goal: Any, arm: ArmConfig, present: Present, settings: Settings) -> GoalPlan:
@@ -75,9 +75,9 @@ def plan_stream(
 ) -> GoalPlan:
     """Check a message of `~/joint_trajectory` and translate it into waypoints; raises GoalRefused.
 
-    Like a goal, but newer points are expected: the last one may be in motion, the way to the first one is made gently,
-    however near its time is, and what asks for more than the limits allow is followed as closely as they do
-    (`rosfront.shaper`). `earlier` is the stream that the arm follows, or is about to.
+    Unlike for a goal, newer points are expected. So the last point may be in motion, the way to the first point is made
+    gently, however near its time is, and a message that asks for more than the limits allow is followed as closely as
+    they do (`rosfront.shaper`). `earlier` is the stream that the arm follows, or is about to follow.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         names = [joint.name for joint in arm.joints]
@@ -88,10 +88,10 @@ def plan_stream(
 
 
 def plan_move(trajectory: Any, arm: ArmConfig, present: Present, settings: Settings) -> GoalPlan:
-    """Check a motion of our own making (`rosfront.full_node.moves`) and make waypoints of it; raises GoalRefused.
+    """Check a move planned by `rosfront.full_node.moves` and translate it into waypoints; raises GoalRefused.
 
-    It is judged like a goal, with the default tolerances; its points are joined as they are meant to be, whatever
-    the arm file says about those of others.
+    It is checked like a goal, with the default tolerances. Its points are joined by curves, whatever the arm file says
+    about the interpolation of goals.
     """
     names = [joint.name for joint in arm.joints]
     columns = columns_of(trajectory.joint_names, names, allow_partial=False)
@@ -127,7 +127,7 @@ def _plan(
 
 
 def most_points(arm: ArmConfig) -> int:
-    """How many points a trajectory may have."""
+    """How many points a received trajectory may have."""
     trajectory = arm.trajectory
     if trajectory.interpolation == "linear":
         return 1 + (trajectory.max_points - 1) // (trajectory.interpolation_factor + 1)
@@ -135,7 +135,7 @@ def most_points(arm: ArmConfig) -> int:
 
 
 def _read(trajectory: Any, arm: ArmConfig) -> Points:
-    """The points of a trajectory that this arm can take in."""
+    """The checked points of a trajectory; raises GoalRefused, also for too many points and for effort."""
     count = len(trajectory.points)
     if count > (allowed := most_points(arm)):
         raise TooManyPoints(count, allowed)
@@ -150,7 +150,7 @@ def _read(trajectory: Any, arm: ArmConfig) -> Points:
 
 
 def _check_density(given: Points, times_ns: np.ndarray, arm: ArmConfig) -> None:
-    """So many of the waypoints at these times as the control process sees ahead suffice for the longest stop."""
+    """Raise TooDense unless `WAYPOINTS_AHEAD` of the waypoints always last long enough for the longest stop."""
     allowed_s = stopping.way_s(arm.longest_stop_s)
     spans_ns = times_ns[WAYPOINTS_AHEAD:] - times_ns[:-WAYPOINTS_AHEAD]
     dense = np.flatnonzero(spans_ns < allowed_s * NS)
@@ -161,7 +161,7 @@ def _check_density(given: Points, times_ns: np.ndarray, arm: ArmConfig) -> None:
 
 
 def _check_end(given: Points, joint_names: Sequence[str]) -> None:
-    """The last point is at rest, but for the residues that planners leave."""
+    """Raise EndsMoving unless the last point is at rest, apart from the residues that planners leave."""
     if given.has_velocities[-1]:
         column = int(np.abs(given.velocities[-1]).argmax())
         if abs(given.velocities[-1, column]) > REST_RAD_S:
@@ -169,7 +169,7 @@ def _check_end(given: Points, joint_names: Sequence[str]) -> None:
 
 
 def _start(stamp: Any, duration_ns: int, present: Present) -> tuple[int, int]:
-    """CLOCK_MONOTONIC of the trajectory's beginning, 0 for at once, and how much of it is over by now (ns)."""
+    """The trajectory's start (CLOCK_MONOTONIC, ns; 0 = at once) and how much of it has passed by now (ns)."""
     stamp_ns = int(stamp.sec) * NS + int(stamp.nanosec)
     if stamp_ns == 0:
         return 0, 0
@@ -191,7 +191,7 @@ def _resolve(given: float, default: float, joint: str | None, field: str) -> flo
 
 
 def default_terms(settings: Settings) -> Terms:
-    """What a goal is allowed that says nothing about it."""
+    """The tolerances of a goal that names none."""
     count = len(settings.path_tolerance_rad)
     way, arrival = np.zeros((count, 3)), np.zeros((count, 3))
     way[:, 0] = settings.path_tolerance_rad
@@ -220,11 +220,11 @@ def _terms(goal: Any, settings: Settings, names: list[str]) -> Terms:
 
 
 def _from_its_entry(plan: GoalPlan, arm: ArmConfig, present: Present) -> GoalPlan:
-    """The part of a plan that is still to come, entered where the arm stands near it.
+    """The part of a plan that is still to come, from an entry near the arm on; raises TooFar.
 
-    That is the place that is due by now. Where it is too far away, it is the latest earlier one that is not, so
-    that a goal that was on its way for long is carried out late instead of with a jump. In motion the control
-    process judges the distance itself, when the time has come.
+    The entry is the place that is due now. Where that is too far away, it is the latest earlier place that is not,
+    so that a goal that took long to arrive is carried out late instead of with a jump. While the arm moves, the
+    control process checks the distance itself at the time of entry.
     """
     if plan.approach:
         return plan
@@ -265,9 +265,9 @@ def _entered_near(plan: GoalPlan, arm: ArmConfig, present: Present) -> GoalPlan:
 def _complete(
     given: Points, columns: np.ndarray, arm: ArmConfig, present: Present, entry: Entry, *, smooth: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fill in what the points lack, and put the columns into the arm's order: times, orders and waypoints.
+    """Fill in what the points lack and put the columns into the arm's order; returns times, orders and waypoints.
 
-    `smooth`: with curves, though the arm file may say `interpolation: linear`.
+    `smooth`: join the points by curves, even if the arm file says `interpolation: linear`.
     """
     times_ns, positions = given.times_ns, given.positions
     if Entry.APPROACH in entry and Entry.STREAM not in entry:
@@ -280,7 +280,7 @@ def _complete(
     orders = np.where(given.has_accelerations, 5, 3)
     orders[1:] = np.where(given.has_accelerations[1:] & given.has_accelerations[:-1], 5, 3)
     if Entry.STREAM in entry:
-        orders[0] = 3  # its acceleration says nothing of the way there, which would swing out to end with it
+        orders[0] = 3  # not a quintic, which would swing out on the way there to end with the point's acceleration
 
     waypoints = np.stack([positions, velocities, accelerations], axis=2)
     if arm.trajectory.interpolation == "linear" and Entry.STREAM not in entry and not smooth:
@@ -293,7 +293,7 @@ def _complete(
 
 
 def densify(times_ns: np.ndarray, waypoints: np.ndarray, factor: int) -> tuple[np.ndarray, np.ndarray]:
-    """`factor` linear points between each two waypoints, the way of the arm's tutorial: n to n + factor (n - 1).
+    """Put `factor` linear points between each two waypoints, as the arm's tutorial does: n become n + factor (n - 1).
 
     Times, positions and velocities are interpolated; accelerations mean nothing on straight lines and are 0.
     The path stays the polygon through the given points.

@@ -1,7 +1,7 @@
-"""A serialised request for follow_joint_trajectory as what its checks look at; nothing of it becomes a message.
+"""Reads what goal checks need from a serialised request of follow_joint_trajectory, without making a message of it.
 
-What no arm here has, multi-dof joints and components, is only counted, and nothing behind it is read: a goal that has
-any of it is refused.
+Multi-dof joints and component tolerances, which no arm here has, are only counted, and nothing behind them is read: a
+goal that has any is refused.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _TOLERANCE = struct.Struct("<3d")
 
 
 class MultiDof(NamedTuple):
-    """How much of a multi_dof_trajectory there is."""
+    """A multi_dof_trajectory of which only the lengths are known."""
 
     joint_names: Sequence[object] = ()
     points: Sequence[object] = ()
@@ -50,7 +50,7 @@ class Duration(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """What of a FollowJointTrajectory goal its checks look at."""
+    """The parts of a FollowJointTrajectory goal that its checks read."""
 
     trajectory: Trajectory
     multi_dof_trajectory: MultiDof = MultiDof()
@@ -62,7 +62,7 @@ class Goal(NamedTuple):
 
 
 def goal_id(data: np.ndarray) -> bytes:
-    """Whose request a serialised one is."""
+    """The goal id (16 bytes) in a serialised request, (n,) bytes."""
     return data[ENCAPSULATION : ENCAPSULATION + _ID_SIZE].tobytes()
 
 
@@ -81,7 +81,7 @@ def read_goal(data: np.ndarray, most_points: int) -> Goal:
 
 
 def _with_rest(body: memoryview, trajectory: Trajectory, at: int) -> Goal:
-    """The goal whose trajectory ends there; raises TooMuchBeside, struct.error, UnicodeDecodeError."""
+    """The goal whose trajectory ends at `at`; raises TooMuchBeside, struct.error, UnicodeDecodeError."""
     _, at = string_at(body, at + _STAMP_SIZE)
     names, at = count_at(body, at)
     if names:
@@ -102,7 +102,7 @@ def _with_rest(body: memoryview, trajectory: Trajectory, at: int) -> Goal:
 
 
 def _tolerances(body: memoryview, at: int) -> tuple[list[Tolerance], int]:
-    """Tolerances of joints, and where they end."""
+    """The joint tolerances at `at`, and where they end; raises TooMuchBeside, struct.error, UnicodeDecodeError."""
     found: list[Tolerance] = []
     count, at = count_at(body, at)
     begun = at

@@ -1,8 +1,8 @@
 """Messages that are serialised once and afterwards only patched: for numbers that change and names that do not.
 
 Building and serialising a Python message costs ten times what replacing its numbers does, and a front does it at the
-rate of the control cycle. Where the numbers stand is found out from a first message with unmistakable ones, so that
-nothing here knows the layout of any message; CDR is little-endian and offsets are constant while all lengths are.
+rate of the control cycle. The offsets of the numbers are found in a first message with unmistakable numbers, so this
+module needs to know the layout of no message. CDR is little-endian, and offsets are constant while all lengths are.
 """
 
 import math
@@ -27,7 +27,7 @@ class MessageBytes:
     ) -> None:
         """`serialised` makes the message of `times` instants and rows of these lengths; it is called once.
 
-        Raises ValueError when they do not stand in its result once each.
+        Raises ValueError unless its result contains each of them exactly once.
         """
         instants = [(0x5A5B5C5D + index, 0x3A2B1C0D + index) for index in range(times)]
         rows = [
@@ -45,7 +45,7 @@ class MessageBytes:
         return self._bytes.index(marker)
 
     def replace(self, place: bytes, value: bytes) -> None:
-        """Put bytes in the place of as many others; raises ValueError when those do not stand there once."""
+        """Replace the bytes `place` by as many others; raises ValueError unless they occur exactly once."""
         at = self._find(place)
         self._bytes[at : at + len(place)] = value
 
@@ -59,5 +59,5 @@ class MessageBytes:
 
 
 def finite(values: Sequence[float]) -> list[float]:
-    """The values, 0 for what is no number: a velocity is never NaN in a message."""
+    """The values, with 0 for NaN and infinity: a velocity is never NaN in a message."""
     return [value if math.isfinite(value) else 0.0 for value in values]

@@ -1,6 +1,6 @@
-"""Moves that nobody sends but the arm file asks for: to a pose after homing at the start, and to park at the end.
+"""Moves that the arm file asks for, not a client: to a pose after homing at the start, and to park at the end.
 
-They are trajectories like everybody's: planned from where the arm stands, checked, handed on through the same ring.
+They are ordinary trajectories: planned from where the arm stands, checked, and handed on through the same ring.
 """
 
 import math
@@ -22,15 +22,15 @@ Tell = Callable[[str], object]
 
 
 class OwnMoves:
-    """The moves of one arm that are its file's."""
+    """The moves that one arm's file asks for."""
 
     def __init__(self, arm: ArmConfig, serving: Serving, put: Callable[[Callable[[], None]], None], tell: Tell) -> None:
-        """`put` has something done in the thread in which goals are judged; `tell` gets sentences for people."""
+        """`put` runs a function in the thread that checks goals; `tell` is called with sentences for the operator."""
         self._arm, self._serving, self._put, self._tell = arm, serving, put, tell
         self._taken_up = False
 
     def look(self, snapshot: np.ndarray) -> None:
-        """Begin the move to the pose once the arm was homed at its start; in the publisher's thread."""
+        """Begin the move to the pose once the arm was homed at its start; call in the publisher's thread."""
         pose, due = self._arm.homing.then, bool(snapshot["pose_due"])
         if pose is not None and due and not self._taken_up and int(snapshot["mode"]) == Mode.HOLDING:
             self._put(lambda: self._go_to(pose))
@@ -39,12 +39,12 @@ class OwnMoves:
             self._taken_up = False
 
     def _go_to(self, pose: PoseMove) -> None:
-        arrival = self._serving.arrival()  # whoever begins something while this is planned wants that instead
+        arrival = self._serving.arrival()  # before planning: a goal that is begun meanwhile takes precedence
         try:
             plan = self._plan(pose)
             newest = self._serving.newest()
             if newest is not None and not newest["pose_due"]:
-                return  # and so does whoever has asked for something that is no goal
+                return  # so does a request that is no goal
             self._serving.start(plan, self._tell_end_of_pose, arrival=arrival)
         except GoalRefused as reason:
             self._tell(f"The arm does not go to its pose after homing: {reason.sentence}")
@@ -57,9 +57,9 @@ class OwnMoves:
         self._tell(f"{said} {verdict.sentence}")
 
     def park(self, parking: ParkingConfig, on_end: Callable[[], object]) -> bool:
-        """Begin to park, if the arm stands; else say why not. Whether it was begun.
+        """Begin to park if the arm is at rest, else tell why not; returns whether parking was begun.
 
-        `on_end` is called once it has ended, however.
+        `on_end` is called once parking has ended, in whatever way.
         """
 
         def ended(verdict: Verdict) -> None:
@@ -82,7 +82,7 @@ class OwnMoves:
         return True
 
     def _plan(self, pose: PoseMove) -> GoalPlan:
-        """From rest alone: who is asked for something else meanwhile does that. Raises GoalRefused."""
+        """Plan a move from rest; raises GoalRefused, InMotion when the arm moves or a goal is undecided."""
         present = self._serving.present(for_own_move=True)
         if not present.standing or not self._serving.idle:
             raise InMotion

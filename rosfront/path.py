@@ -1,4 +1,4 @@
-"""What a plan asks for between its points."""
+"""The motion of a plan between its points."""
 
 import numpy as np
 
@@ -9,8 +9,8 @@ from rosfront.plan import NS, GoalPlan
 class PlannedPath:
     """The interpolant of a plan, joints of the goal only.
 
-    A goal's approach segment belongs to it. How a stream gets to its first point is the control process' matter, which
-    takes it gently whatever its time says.
+    It includes a goal's approach segment, but not the way to a stream's first point: the control process makes that way
+    gentle, whatever the point's time.
     """
 
     def __init__(self, plan: GoalPlan) -> None:
@@ -37,7 +37,7 @@ class PlannedPath:
         result = np.zeros((6, *start.shape[:2]))
         kinds = np.unique(order)
         for kind in kinds:
-            chosen = order == kind if len(kinds) > 1 else slice(None)  # a copy of everything is dear
+            chosen = order == kind if len(kinds) > 1 else slice(None)  # a copy of everything is expensive
             p0, v0, a0 = start[chosen].transpose(2, 0, 1)
             p1, v1, a1 = end[chosen].transpose(2, 0, 1)
             if kind == 5:
@@ -53,7 +53,7 @@ class PlannedPath:
     def at(self, times_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position, velocity and acceleration (m, joints) at `times_ns` (m,).
 
-        Before and after, a goal is at rest; a stream comes and goes on in a straight line.
+        Before its first and after its last point a goal is at rest, and a stream moves in a straight line.
         """
         within_ns = np.clip(times_ns, self.times_ns[0], self.times_ns[-1])
         if self.segments == 0:
@@ -75,7 +75,7 @@ class PlannedPath:
         velocity: np.ndarray,
         acceleration: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same with what lies outside the points put right."""
+        """The same values, corrected at times outside the points."""
         outside = times_ns != within_ns
         acceleration[outside] = 0.0
         if self._stream:
@@ -85,7 +85,7 @@ class PlannedPath:
         return position, velocity, acceleration
 
     def place(self, time_ns: float) -> str:
-        """Where a moment is, in words."""
+        """Words for where a time (ns) of the path is: at which point or between which."""
         after = int(np.searchsorted(self.times_ns, time_ns, side="left"))
         at = f"at {time_ns / NS:.4f} s"
         shift = self.shift

@@ -1,4 +1,4 @@
-"""What passes between checking a goal and streaming it."""
+"""The data that passes from checking a goal to streaming it."""
 
 from dataclasses import dataclass
 
@@ -9,24 +9,24 @@ from shm.words import Entry
 
 NS = 1_000_000_000
 REST_RAD_S = 1e-3
-"""A last velocity up to this is a residue that planners leave, and rest to the control process."""
+"""A last velocity up to this is a residue that planners leave; the control process treats it as rest."""
 
 
 @dataclass(frozen=True)
 class Terms:
-    """What a goal is allowed; all in SI, 0 = off."""
+    """The tolerances of a goal; all in SI, 0 = off."""
 
     path_tolerances: np.ndarray
     """(joints, 3): largest error in position, velocity, acceleration on the way."""
     goal_tolerances: np.ndarray
     """(joints, 3): the same at the end."""
     goal_time_s: float
-    """Patience after the last point; 0 = without limit."""
+    """Time allowed after the last point until the arm has arrived; 0 = without limit."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What a trajectory asks for at one moment; arrays (joints,) in configuration order."""
+    """The setpoint of a trajectory at one moment; arrays (joints,) in configuration order."""
 
     position_rad: np.ndarray
     velocity_rad_s: np.ndarray
@@ -35,12 +35,12 @@ class Sample:
 
 @dataclass(frozen=True)
 class GoalPlan:
-    """A checked goal, ready for the setpoint ring; joints in configuration order, all of the arm's."""
+    """A checked goal, ready for the setpoint ring; with all joints of the arm, in configuration order."""
 
     times_ns: np.ndarray
     """(n,) from the start of the trajectory."""
     orders: np.ndarray
-    """(n,) order of the segment that ends in the waypoint."""
+    """(n,) order of the polynomial on the segment that ends in the waypoint: 1, 3 or 5."""
     joints: np.ndarray
     """(n, joints, 3): position rad, velocity rad/s, acceleration rad/s²."""
     joint_mask: int
@@ -53,9 +53,9 @@ class GoalPlan:
     origin: np.ndarray
     """(joints, 3): where the arm was commanded when it was planned, from where an approach segment begins."""
     wanted: "GoalPlan | None" = None
-    """What a stream's message asked for, where the plan only follows that; its start is known."""
+    """What a stream's message asked for, where this plan only follows it; its `start_ns` is not 0."""
     reason: GoalRefused | None = None
-    """Which limit that would break; None where it is only that the arm lags behind."""
+    """The limit that `wanted` would break; None where the arm only lags behind."""
 
     @property
     def approach(self) -> bool:
@@ -74,12 +74,12 @@ class GoalPlan:
 
 @dataclass(frozen=True)
 class Present:
-    """Where the arm is commanded at a moment of both clocks."""
+    """The arm's commanded state at a moment, which is given by both clocks."""
 
     commanded: np.ndarray
     """(joints, 3): position rad, velocity rad/s, acceleration rad/s²."""
     standing: bool
-    """False while a goal moves the arm: then the control process judges the first point at adoption."""
+    """False while a goal moves the arm: then the control process checks the first point when it enters the goal."""
     monotonic_ns: int
     epoch_ns: int
     awaited: bool = False

@@ -1,8 +1,8 @@
 """Goals between the action server and the control process, without any ROS in it.
 
-Threads meet here. Those of the goal worker and of the executor start and cancel goals; the publisher's, which sees
-every snapshot first, feeds the ring and finds out how goals end. What the loop says about a goal reaches its owner
-through `on_verdict`, exactly once, always from the publisher's thread.
+Several threads call it. The goal worker's and the executor's start and cancel goals. The publisher's, which sees every
+snapshot first, feeds the ring and finds out how goals end. The owner of a goal gets its verdict through `on_verdict`,
+exactly once, from the publisher's thread or, at shutdown, from the thread that calls `lost`.
 """
 
 import itertools
@@ -32,23 +32,23 @@ from shm.gripper import read_gripper
 from shm.words import Answer, Mode, Outcome, Request
 
 STALLED_NS = 400_000_000
-"""A loop whose snapshots are older counts as hung: goals are refused and running ones aborted."""
+"""A control process whose snapshots are older counts as hung: goals are refused and running ones aborted."""
 PAUSE_NS = 100_000_000
-"""When the publisher's thread has not looked for so long, this process stood still."""
+"""When the publisher's thread has seen no snapshot for so long, this process stood still."""
 FAULT_PATIENCE_NS = 500_000_000
-"""A goal that a faulted loop has not decided by then never will be."""
+"""A goal that a control process in fault has not decided by then never will be; it is aborted."""
 NEVER_BEGUN = "Canceled before it was begun; the arm was not moved."
 CLOSING = "The ROS process is shutting down and takes no goals: start it again."
 _TAKES_GOALS = (Mode.HOLDING, Mode.EXECUTING, Mode.STOPPING)
 
 
 class Arrival(NamedTuple):
-    """When a goal or a stream came."""
+    """When a goal or a stream arrived."""
 
     turn: int
-    """Its place in the order of all that came."""
+    """Its place in the order of arrival."""
     epoch: int
-    """The control process's then: where that has risen since, what came is not begun."""
+    """The control process' epoch at the arrival. When the epoch has risen since, the goal or stream is not begun."""
 
 
 @dataclass
@@ -59,16 +59,16 @@ class Execution:
     plan: GoalPlan
     on_verdict: Callable[[Verdict], None]
     action_goal: bytes = b""
-    """The action's id of it; empty for a stream."""
+    """Its id as an action goal; empty for a stream or a move that the arm file asks for."""
     epoch: int = 0
-    """The control process's when it arrived."""
+    """The control process' epoch when it arrived."""
     never_begun: bool = False
-    """Canceled before the control process heard of it."""
+    """Canceled before anything of it was written for the control process."""
     fault_since_ns: int = 0
 
     @property
     def target_rad(self) -> np.ndarray:
-        """Where the joints are to be at the end, (joints,)."""
+        """Positions of the joints at the end, (joints,)."""
         target: np.ndarray = self.plan.joints[-1, :, 0]
         return target
 
@@ -78,7 +78,7 @@ class _Request:
     """A request whose answer, or whose effect, has not been seen yet."""
 
     sequence: int
-    """0: a store, which needs no answer."""
+    """0 for a store, which gets no answer."""
     on_reply: Callable[[bool, str], None]
     until: Callable[[np.ndarray], bool] | None
     too_late_ns: int
@@ -96,36 +96,36 @@ class Serving:
         self._link: Link | None = None
         self._absence = f"The control process of arm '{arm.name}' is not running: start it with {_start_command(arm)}."
         self._undecided: dict[int, Execution] = {}
-        self._newest_goal = 0  # no number serves twice: the loop remembers a cancel that comes before its goal
+        self._newest_goal = 0  # never used twice: the control process remembers a cancel that comes before its goal
         self._turns = itertools.count()
         self._newest_turn = -1
         self._epoch = 0
-        """As the publisher's thread has seen it last, at `_looked_ns`."""
+        """The epoch that the publisher's thread has seen last, at `_looked_ns`."""
         self._looked_ns = 0
-        self._streams: dict[int, Streamer] = {}  # by goal: what is still on its way into the ring
+        self._streams: dict[int, Streamer] = {}  # by goal: those that are not in the ring completely
         self._requests: list[_Request] = []
         self.settings = Settings.of(arm)
         self.other_server = ""
-        """Who else serves the arm's action, in a sentence that says what to do; empty for nobody."""
+        """A sentence that says who else serves the arm's action and what to do; empty for no other."""
         self._closing = False
         self.ever_attached = threading.Event()
 
     # --- from the publisher's thread ---
 
     def attached(self, link: Link) -> None:
-        """Goals can be handed on from now."""
+        """Use these files of the control process from now on; goals can be handed on."""
         with self._lock:
             self._link = link
-            with suppress(TornRead):  # the next look tells
+            with suppress(TornRead):  # the next `look` sets them
                 self._epoch, self._looked_ns = int(link.reader.snapshot()["epoch"]), time.monotonic_ns()
         self.ever_attached.set()
 
     def lost(self, reason: str) -> None:
-        """The control process is gone, hangs or has not begun: goals end with the `reason`, later ones are refused."""
+        """The control process is gone, hangs or has not begun: abort goals with the `reason` and refuse later ones."""
         with self._lock:
             ended = list(self._undecided.values())
             if self._link is not None:
-                for execution in ended:  # should it only hang, it must not go on with them later
+                for execution in ended:  # if it only hangs, it must not go on with them later
                     if self._is_begun(execution):
                         self._link.writer.cancel(execution.goal_id)
             self._link, self._absence = None, reason
@@ -138,10 +138,10 @@ class Serving:
             request.on_reply(False, reason)
 
     def look(self, snapshot: np.ndarray) -> Execution | None:
-        """Feed the ring and decide what the snapshot decides; returns the execution that moves the arm."""
+        """Feed the ring, hand out the verdicts and replies of a snapshot; returns the execution that moves the arm."""
         self._epoch, self._looked_ns = int(snapshot["epoch"]), time.monotonic_ns()
         if not self._undecided and not self._requests:
-            return None  # without the lock: what comes in this moment is seen in the next snapshot
+            return None  # without the lock: a goal or request that is added now is handled with the next snapshot
         verdicts: list[tuple[Execution, Verdict]] = []
         replies: list[tuple[_Request, bool, str]] = []
         with self._lock:
@@ -164,7 +164,7 @@ class Serving:
         return moving
 
     def _answered(self, snapshot: np.ndarray) -> list[tuple[_Request, bool, str]]:
-        """Take the requests out of the list that are answered, and done or too late."""
+        """Remove the requests that are done, refused or too late; returns them with their replies."""
         replies: list[tuple[_Request, bool, str]] = []
         for request in list(self._requests):
             answer = find(snapshot["answers"], "sequence", request.sequence) if request.sequence else None
@@ -183,7 +183,7 @@ class Serving:
         return replies
 
     def _pump(self, link: Link, running_goal: int, clock_ns: float) -> None:
-        """Feed every goal that is not decided: the running one goes on until a newer one has really entered."""
+        """Write what is due of every undecided goal: the running one goes on until a newer one has been entered."""
         now_ns = time.monotonic_ns()
         for goal_id, stream in list(self._streams.items()):
             if stream.is_held_back(now_ns):
@@ -194,7 +194,7 @@ class Serving:
                 del self._streams[goal_id]
 
     def _decide(self, execution: Execution, snapshot: np.ndarray) -> Verdict | None:
-        """What a snapshot says about a goal; None while it is undecided."""
+        """The verdict that a snapshot gives on a goal; None while it is undecided."""
         goal_id, running = execution.goal_id, int(snapshot["goal_id"])
         if execution.never_begun:
             return Verdict(Status.CANCELED, 0, NEVER_BEGUN, Outcome.CANCELED)
@@ -231,9 +231,10 @@ class Serving:
     # --- from any other thread ---
 
     def present(self, *, for_own_move: bool = False) -> Present:
-        """Where the arm is commanded; raises NotServing with the reason when no goal can be taken now.
+        """The arm's commanded state; raises NotServing with the reason when no goal can be taken now.
 
-        What comes by ROS is heard by other servers of the action too; a move that nobody has sent is not.
+        Another server of the action is a reason, since it gets every goal too. It is none `for_own_move`, which no
+        client has sent.
         """
         if self.other_server and not for_own_move:
             raise NotServing(self.other_server)
@@ -262,7 +263,7 @@ class Serving:
         )
 
     def newest(self) -> np.ndarray | None:
-        """The newest snapshot; None when there is no control process to speak of."""
+        """The newest snapshot; None when there is none to read, or this process is shutting down."""
         try:
             with self._lock:
                 return self._snapshot()
@@ -271,11 +272,12 @@ class Serving:
 
     @property
     def absence(self) -> str:
-        """Why there is no control process to speak of, in a sentence; what it was last time where there is one."""
+        """A sentence that says why there is no control process; while there is one, the latest such sentence."""
         return self._absence
 
     def arrival(self) -> Arrival:
-        """Of what comes now; after a pause of this process of what came in it, as nobody knows when."""
+        """The arrival of what comes now. After a pause of this process, with the epoch before it: what comes may have
+        arrived at any time in the pause."""
         epoch = self._epoch
         if time.monotonic_ns() - self._looked_ns < PAUSE_NS:
             with suppress(NotServing), self._lock:
@@ -283,7 +285,7 @@ class Serving:
         return Arrival(next(self._turns), epoch)
 
     def refuse_outdated(self, arrival: Arrival) -> None:
-        """Raise NotServing where what arrived then is not to be begun any more."""
+        """Raise NotServing when what arrived then may not be begun any more."""
         with self._lock:
             _refuse_outdated(arrival.epoch, self._snapshot())
 
@@ -294,10 +296,11 @@ class Serving:
         action_goal: bytes = b"",
         arrival: Arrival | None = None,
     ) -> Execution:
-        """Hand a checked goal to the control process; an older one is replaced. `action_goal` is its id as an action's.
+        """Hand a checked goal to the control process, where it replaces an older one.
 
-        `arrival` None is now: judging takes its time, and what came later may have begun already.
-        `on_verdict` is called once, later, from the publisher's thread. Raises NotServing, Overtaken.
+        `action_goal` is its id as an action goal. `arrival` is when it arrived, None for now: checking takes time, and
+        something that arrived later may have begun already (Overtaken). `on_verdict` is called once, later, from the
+        publisher's thread. Raises NotServing, Overtaken.
         """
         with self._lock:
             snapshot = self._snapshot()
@@ -309,7 +312,7 @@ class Serving:
             assert self._link is not None
             writer = self._link.writer
             known = max(int(snapshot["goal_id"]), int(snapshot["results"]["goal_id"].max()), self._newest_goal)
-            announced = writer.announced_goal  # in memory that others may write to
+            announced = writer.announced_goal  # in memory that other processes may write to
             self._newest_goal = max(known, announced if announced <= known + GOALS_AHEAD else 0) + 1
             execution = Execution(self._newest_goal, plan, on_verdict, action_goal, epoch)
             self._undecided[execution.goal_id] = execution
@@ -321,7 +324,8 @@ class Serving:
     def stream(self, trajectory: object, on_verdict: Callable[[Verdict], None]) -> GoalPlan:
         """Hand a message of `~/joint_trajectory` to the control process; it replaces what runs.
 
-        Returns how it is followed. `on_verdict` is called once, later, from the publisher's thread. Raises GoalRefused.
+        Returns the plan that follows it. `on_verdict` is called once, later, from the publisher's thread. Raises
+        GoalRefused.
         """
         arrival = self.arrival()
         with self._lock:
@@ -340,10 +344,10 @@ class Serving:
         until: Callable[[np.ndarray], bool] | None = None,
         patience_s: float = 2.0,
     ) -> int:
-        """Ask the control process for something; returns the request's number, 0 where there is nobody to ask.
+        """Ask the control process for something; returns the request's number, 0 when it could not be written.
 
         `on_reply(done, sentence)` is called once: from the publisher's thread when the request is answered and
-        `until(snapshot)` holds, or is refused, or takes too long; at once when there is nobody to ask.
+        `until(snapshot)` holds, or is refused, or takes longer than `patience_s`; at once when it could not be written.
         """
         with self._lock:
             link, absence = self._link, CLOSING if self._closing else self._absence
@@ -368,7 +372,7 @@ class Serving:
         until: Callable[[np.ndarray], bool] = lambda snapshot: True,
         patience_s: float = 2.0,
     ) -> None:
-        """Stop, hold, resume or scale the arm by a store of the writer's; replies as `request` does."""
+        """Stop, hold, resume or scale the arm by a store of the command writer; replies as `request` does."""
         with self._lock:
             link, absence = self._link, CLOSING if self._closing else self._absence
             if link is not None and not self._closing:
@@ -384,19 +388,19 @@ class Serving:
         until: Callable[[np.ndarray], bool] | None,
         patience_s: float,
     ) -> None:
-        """Reply when a request is answered, which a store is not, and what was asked is so; call with the lock."""
+        """Have `look` reply when a request is answered (a store is not) and `until` holds; call with the lock."""
         too_late_ns = time.monotonic_ns() + round(patience_s * NS)
         self._requests.append(_Request(sequence, on_reply, until, too_late_ns, patience_s, answered=sequence == 0))
 
     def gripper(self) -> np.ndarray | None:
-        """The gripper on the arm's bus as it was shown last, None before it ever was; raises NotServing."""
+        """The newest published state of the gripper on the arm's bus, None before the first; raises NotServing."""
         with self._lock:
             if self._link is None:
                 raise NotServing(self._absence)
             return read_gripper(self._link.reader.memory)
 
     def sample(self, time_epoch_ns: int) -> Sample:
-        """What the running trajectory asks for at a moment of ROS time, at its present speed; raises NotServing."""
+        """The running trajectory's setpoint at a ROS time (ns), at its present speed scale; raises NotServing."""
         with self._lock:
             snapshot = self._snapshot()
             execution = self._undecided.get(int(snapshot["goal_id"]))
@@ -418,7 +422,7 @@ class Serving:
         return Sample(everything[:, 0], everything[:, 1], everything[:, 2])
 
     def cancel(self, execution: Execution) -> None:
-        """Ask for a stop on the path; the verdict follows as for any other end."""
+        """Ask for a stop of a goal on its path; the verdict follows as for any other end."""
         with self._lock:
             if self._link is not None and execution.goal_id in self._undecided:
                 if self._is_begun(execution):
@@ -428,7 +432,7 @@ class Serving:
                     self._streams.pop(execution.goal_id, None)
 
     def close(self) -> None:
-        """Take no goal any more and ask for the end of those there are."""
+        """Take no further goals and cancel the undecided ones."""
         with self._lock:
             self._closing = True
             executions = list(self._undecided.values())
@@ -436,7 +440,7 @@ class Serving:
             self.cancel(execution)
 
     def _is_begun(self, execution: Execution) -> bool:
-        """Whether the control process has been told of a goal."""
+        """Whether anything of a goal was written for the control process."""
         stream = self._streams.get(execution.goal_id)
         return not execution.never_begun and (stream is None or stream.begun)
 
@@ -458,7 +462,7 @@ class Serving:
 
 
 def _why_outdated(snapshot: np.ndarray) -> Outcome:
-    """Why what arrived in an earlier epoch does not begin."""
+    """Why a goal that arrived in an earlier epoch does not begin."""
     return Outcome.REFUSED_HELD if snapshot["held"] else Outcome.REFUSED_OUTDATED
 
 

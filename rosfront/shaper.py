@@ -1,8 +1,8 @@
-"""Streams that ask for more than the limits allow: made into motion that follows them as closely as those permit.
+"""Turns streams that ask for more than the limits allow into motion that follows them as closely as the limits permit.
 
-A message within the limits that goes on as the arm moves, or from rest leaves time for its first point, is handed on as
-it came. Otherwise the arm follows a path made here (`motion.shaping`): it begins on the path that the arm runs along,
-so entering it is no motion of its own, and ends where the message ends.
+A message within the limits is handed on as it came if it continues the arm's motion, or, from rest, leaves time for its
+first point. Otherwise the arm follows a path made here (`motion.shaping`). That path begins on the path that the arm
+runs along, so that entering it causes no motion of its own, and ends where the message ends.
 """
 
 from dataclasses import dataclass, replace
@@ -19,39 +19,41 @@ from rosfront.refusals import BeyondLimits, GoalRefused, NoRoomToStop, TooFar
 from shm.words import Entry
 
 STREAM_S = 5.0
-"""A message that ends later is a whole trajectory, which could have been planned within the limits: it is judged."""
+"""A message that ends later is a whole trajectory, which could have been planned within the limits. It is checked
+like a goal."""
 FAR_S = 0.1
-"""A stream's target may jump by the start tolerance and by what the joint can do in that time: points come at 10 Hz."""
+"""A stream's target may jump by the start tolerance plus a joint's travel in this time: points come at 10 Hz."""
 AHEAD_S, AHEAD_PERIODS = 0.01, 3.5
-"""Until then the arm goes on as it does: judging takes a while, and the control process looks once a cycle.
+"""For this time the arm goes on as it does: checking takes a while, and the control process looks once a cycle.
 
-Half a period, because a path made here changes its acceleration in steps: in a cycle's own moment rounding would say on
-which side of a step the arm is, and the entry of the next path would take it for a difference that is to fade.
+The half period is there because a path made here changes its acceleration in steps. At the time of a cycle, rounding
+would decide on which side of a step the arm is, and the entry of the next path would take the step for a difference
+that must fade.
 """
 STEP_S = 0.01
 TAIL_STEP_S, MOST_TAIL_STEPS = 0.05, 1000
 BLEND_S = 0.4
 BLEND_SHARE = 0.1
-"""What is left to a blend of the control process adds at most so much of the acceleration limit within BLEND_S."""
+"""A blend of the control process may add at most this share of the acceleration limit, within BLEND_S."""
 ARRIVED_RAD = 1e-9
 
 
 @dataclass(frozen=True)
 class _State:
-    """Where the joints of a message are at a moment, and how fast."""
+    """Positions and velocities of a message's joints, at one time or at several."""
 
     position: np.ndarray
     velocity: np.ndarray
 
     def is_at(self, position: np.ndarray) -> bool:
-        """Whether all joints stand there."""
+        """Whether all joints are at rest at `position`."""
         away, speed = np.abs(self.position - position), np.abs(self.velocity)
         return bool((away < ARRIVED_RAD).all() and (speed < ARRIVED_RAD).all())
 
 
 @dataclass(frozen=True)
 class _Limits:
-    """What the joints of a message may do, without margins; arrays (joints,)."""
+    """The limits of a message's joints, without margins; arrays (joints,)."""
 
     lower: np.ndarray
     upper: np.ndarray
@@ -69,20 +71,20 @@ class _Limits:
         )
 
     def after(self, state: _State, target: np.ndarray, target_velocity: np.ndarray, step_s: float) -> _State:
-        """The state a step later."""
+        """The state a step later, on the way to a target within the limits."""
         limits = (self.lower, self.upper, self.velocity, self.acceleration)
         velocity = shaping.next_velocity(state.position, state.velocity, target, target_velocity, limits, step_s)
         return _State(state.position + 0.5 * step_s * (state.velocity + velocity), velocity)
 
 
 def shaped(asked: GoalPlan, arm: ArmConfig, present: Present, earlier: GoalPlan | None) -> GoalPlan:
-    """The plan of a message as it can be followed: the same, or one that follows it; raises GoalRefused.
+    """The plan by which a message is followed: `asked` itself, or one that follows it; raises GoalRefused.
 
-    `earlier` is the stream that the arm follows or is about to, None where there is none. `asked` keeps the limits of
-    position at its points.
+    `earlier` is the stream that the arm follows or is about to follow, None where there is none. The points of `asked`
+    must keep the position limits.
     """
     begins_ns, follows_ns = asked.start_ns or present.monotonic_ns, _follows_ns(arm, present)
-    # what runs may run until it begins, so one that lies ahead is not followed from now on
+    # the present motion may go on until a message begins, so a message that lies ahead is not followed from now on
     if begins_ns > follows_ns or begins_ns + int(asked.times_ns[-1]) - present.monotonic_ns > STREAM_S * NS:
         check_limits(asked, arm)
         check_room_to_stop(asked, arm)
@@ -100,12 +102,12 @@ def shaped(asked: GoalPlan, arm: ArmConfig, present: Present, earlier: GoalPlan 
 
 
 def _follows_ns(arm: ArmConfig, present: Present) -> int:
-    """When the arm can begin to follow a message, CLOCK_MONOTONIC."""
+    """When the arm can begin to follow a message (CLOCK_MONOTONIC, ns)."""
     return present.monotonic_ns + round((AHEAD_S * NS) + AHEAD_PERIODS * arm.control.period_ns)
 
 
 def _why_not(plan: GoalPlan, arm: ArmConfig) -> GoalRefused | None:
-    """Which limit of its joints, without margins, a message would break; None for one that can be followed as it is."""
+    """The refusal for the first limit, without margins, that a message would break; None if it breaks none."""
     try:
         check_limits(plan, arm, margins=False)
         check_room_to_stop(plan, arm)
@@ -115,16 +117,16 @@ def _why_not(plan: GoalPlan, arm: ArmConfig) -> GoalRefused | None:
 
 
 def _has_a_way(asked: GoalPlan, present: Present, earlier: GoalPlan | None) -> bool:
-    """Whether the way to the first point is part of the motion: from rest, or where it lies far ahead.
+    """Whether the way to the first point is part of the motion: from rest, or where that point lies far ahead.
 
-    Otherwise the points before were those of the messages before, and the way is the line through the first one.
+    Otherwise the points before it came with earlier messages, and the way is the line through the first point.
     """
     begins = present.standing and earlier is None
     return asked.approach and (begins or asked.times_ns[0] - asked.entry_ns > FAR_S * NS)
 
 
 def _with_its_way(asked: GoalPlan) -> GoalPlan:
-    """The same with the way from where the arm is commanded to its first point."""
+    """The same plan with the way from the arm's commanded state to its first point."""
     return replace(
         asked,
         times_ns=np.insert(asked.times_ns, 0, asked.entry_ns),
@@ -146,7 +148,7 @@ class _Maker:
         self._from = self._going_on()
 
     def _targets(self, times_ns: np.ndarray) -> _State:
-        """What the message asks for at some times, (n, joints); a last point that is meant to be at rest is."""
+        """What the message asks for at some times, (n, joints); exact rest after a last point meant to be at rest."""
         times_ns = times_ns - self.wanted.start_ns
         position, velocity, _ = self._path.at(times_ns)
         if self._ends_at_rest:
@@ -159,7 +161,7 @@ class _Maker:
         return bool((np.abs(self._path.waypoints[-1, :, 1]) <= REST_RAD_S).all())
 
     def _going_on(self) -> _State:
-        """Where the arm will be when it begins to follow the message: by the stream before, else as it moves now."""
+        """The state in which the arm begins to follow: by the earlier stream, else by its present velocity."""
         now = self._present.commanded[self._mask]
         ahead_s = (self._from_ns - self._present.monotonic_ns) / NS
         position, velocity = now[:, 0] + now[:, 1] * ahead_s, now[:, 1].copy()
@@ -171,7 +173,7 @@ class _Maker:
         return _State(position, velocity)
 
     def _shared_joints(self, earlier: GoalPlan) -> tuple[np.ndarray, np.ndarray]:
-        """Which of this message's joints, and of an earlier one's, are the other's too."""
+        """Masks of the joints in both messages: among this message's joints, and among the earlier one's."""
         theirs = np.array([bool(earlier.joint_mask >> joint & 1) for joint in range(len(self._mask))])
         both = theirs & self._mask
         return both[self._mask], both[theirs]
@@ -179,7 +181,7 @@ class _Maker:
     def a_blend_does(self) -> bool:
         """Whether the control process can lead the arm onto the message's own path within the limits.
 
-        A quintic that takes back d rad and w rad/s within T pushes with 5.8 d / T² and 3.9 w / T at the most.
+        A quintic that removes a difference of d rad and w rad/s within T adds at most 5.8 d / T² and 3.9 w / T.
         """
         if self._present.standing and self._earlier is None and self.wanted.start_ns >= self._present.monotonic_ns:
             return True  # it waits for the arm or the arm for it, and how it begins was judged
@@ -189,9 +191,9 @@ class _Maker:
         return bool((push <= BLEND_SHARE * self._limits.acceleration).all())
 
     def refuse_jump(self) -> None:
-        """Refuse a target that is nowhere near what was asked for before; raises TooFar.
+        """Raise TooFar for a target that is not near what was asked for before.
 
-        A message of a few ms is over by then: what counts is its last point, not the line on which it runs on.
+        A message of a few ms is over at the time compared here. Then its last point counts, not the line beyond it.
         """
         target, before = _asked_at(self.wanted, self._from_ns), self._from.position.copy()
         allowed = self._arm.limits.start_tolerance_rad + FAR_S * self._limits.velocity
@@ -205,10 +207,10 @@ class _Maker:
             raise TooFar("The message", joint, float(away[worst]), float(allowed[worst]), float(target[worst]))
 
     def plan(self) -> GoalPlan:
-        """The path that follows the message, from what is commanded now on."""
+        """The path that follows the message, from the present commanded state on."""
         times_ns, orders, waypoints = self._run_up()
         state, at_ns = self._from, self._from_ns
-        # a message of a few ms is over before the arm can follow it: streams of such would never begin
+        # a message of a few ms is over before the arm can follow it: a stream of such messages would never begin
         end_ns = max(int(self._path.times_ns[-1]) + self.wanted.start_ns, 2 * at_ns - self._present.monotonic_ns)
 
         def step(to_ns: int, target: _State) -> None:
@@ -224,7 +226,7 @@ class _Maker:
         for to_ns, position, velocity in zip(steps, targets.position, targets.velocity, strict=True):
             step(int(to_ns), _State(position, velocity))
         if self._ends_at_rest:
-            # rounding may be beyond
+            # rounding may have put the last point beyond the limits
             end = np.clip(self._path.waypoints[-1, :, 0], self._limits.lower, self._limits.upper)
             goal = _State(end, np.zeros_like(end))
             for _ in range(MOST_TAIL_STEPS):
@@ -243,7 +245,7 @@ class _Maker:
         return made
 
     def _run_up(self) -> tuple[list[int], list[int], list[np.ndarray]]:
-        """What the arm does meanwhile, as times, orders, waypoints: entered anywhere in it, the path is no change."""
+        """The arm's motion until it follows, as times, orders, waypoints: an entry anywhere in it changes nothing."""
         now_ns, now = self._present.monotonic_ns, self._present.commanded[self._mask]
         times_ns, orders, waypoints = [now_ns], [3], [now.copy()]
         if self._earlier is not None and self._earlier.joint_mask == self.wanted.joint_mask:
@@ -282,18 +284,18 @@ class _Maker:
 
 
 def _at(plan: GoalPlan, time_ns: int) -> _State:
-    """What a stream that has a start asks for at a time of CLOCK_MONOTONIC."""
+    """What a stream with a known start asks for at a time of CLOCK_MONOTONIC (ns)."""
     position, velocity, _ = PlannedPath(plan).at(np.array([time_ns - plan.start_ns]))
     return _State(position[0], velocity[0])
 
 
 def _asked_at(plan: GoalPlan, time_ns: int) -> np.ndarray:
-    """Where a stream wants its joints at a time of CLOCK_MONOTONIC, or at its end if that comes before."""
+    """The positions that a stream asks for at a time of CLOCK_MONOTONIC (ns), or at its end if that is earlier."""
     return _at(plan, min(time_ns, plan.start_ns + int(plan.times_ns[-1]))).position
 
 
 def largest_lag(plan: GoalPlan) -> tuple[int, float]:
-    """The joint of the arm that is farthest from what its message asks for while that lasts, and how far (rad)."""
+    """The joint (index in the arm) with the largest lag behind its message while that lasts, and the lag (rad)."""
     if plan.wanted is None:
         return -1, 0.0
     wanted, path = PlannedPath(plan.wanted), PlannedPath(plan)
@@ -304,7 +306,7 @@ def largest_lag(plan: GoalPlan) -> tuple[int, float]:
 
 
 def check_room_to_stop(plan: GoalPlan, arm: ArmConfig) -> None:
-    """A stream that ends in motion can stop behind its last point, in a straight line and inside the limits."""
+    """Raise NoRoomToStop unless the stream can stop in a straight line behind its last point, inside the limits."""
     period_s = arm.control.period_ns / NS
     position, velocity, acceleration = plan.joints[-1].T
     fade_s = stopping.fade_duration_s(period_s)

@@ -1,9 +1,9 @@
 """A serialised trajectory_msgs/JointTrajectory as arrays, without making a message of it.
 
-rclpy makes several objects a point, with the interpreter locked; of 200,000 points that takes a second or more, in
-which this process gives no sign of life. What usually comes has one plain shape: all points have the same fields. There
-every point is laid out like the first from its positions on, because behind a row of doubles the alignment is always
-the same; so the points are one array of records. Points that differ are walked through one by one.
+rclpy makes several objects per point, with the interpreter locked. For 200,000 points that takes a second or more, in
+which this process sends no heartbeat. Usually all points of a message have the same fields. Then every point is laid
+out like the first from its positions on, because behind a row of doubles the alignment is always the same; so the
+points are read as one array of records. Points that differ are parsed one by one.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from rosfront.points import Columns, Rows
 from rosfront.refusals import TooManyPoints, TooMuchBeside
 
 LITTLE_ENDIAN_CDR = b"\x00\x01"
-ENCAPSULATION = 4  # bytes; offsets and alignment count from behind them
+ENCAPSULATION = 4  # bytes; offsets and alignment count from their end
 MOST_BESIDE = 65_536
-"""Bytes that a message may have beside its points: fifty times what the names of 32 joints take."""
+"""Bytes that a message may have besides its points: fifty times what the names of 32 joints take."""
 _STAMP = struct.Struct("<iI")
 _COUNT = struct.Struct("<I")
 _DURATION = struct.Struct("<iI")
@@ -40,7 +40,7 @@ class Header(NamedTuple):
 
 
 class Trajectory(NamedTuple):
-    """What of a trajectory message its checks look at."""
+    """The parts of a trajectory message that its checks read."""
 
     header: Header
     joint_names: list[str]
@@ -56,9 +56,9 @@ def parse(data: bytes, most_points: int) -> Trajectory | None:
 
 
 def trajectory_at(body: memoryview, at: int, most_points: int) -> tuple[Trajectory, int] | None:
-    """The trajectory that begins at a multiple of 8, and where it ends; None when it is broken.
+    """The trajectory at offset `at`, a multiple of 8, and the offset where it ends; None when it is broken.
 
-    Raises TooManyPoints, TooMuchBeside before it looks at any point, as looking takes time.
+    Raises TooManyPoints, TooMuchBeside before any point is read, as reading takes time.
     """
     try:
         stamp = Stamp(*_STAMP.unpack_from(body, at))
@@ -82,31 +82,31 @@ def trajectory_at(body: memoryview, at: int, most_points: int) -> tuple[Trajecto
 
 
 def aligned(at: int, to: int) -> int:
-    """The first multiple of `to` from there on."""
+    """The first multiple of `to` from `at` on."""
     return at + -at % to
 
 
 def count_at(body: memoryview, at: int) -> tuple[int, int]:
-    """A number of elements, and where it ends; raises struct.error when it does not."""
+    """The number of elements at `at`, and where it ends; raises struct.error when the body ends before."""
     at = aligned(at, _COUNT.size)
     return _COUNT.unpack_from(body, at)[0], at + _COUNT.size
 
 
 def string_at(body: memoryview, at: int) -> tuple[memoryview, int]:
-    """A string, without the zero at its end, and where it ends; raises struct.error."""
+    """The string at `at`, without the zero at its end, and where it ends; raises struct.error."""
     length, at = count_at(body, at)
     return body[at : at + max(length - 1, 0)], at + length
 
 
 def _row(body: memoryview, at: int) -> tuple[int, int, int]:
-    """How many doubles a row has, where they begin and where they end."""
+    """How many doubles the row at `at` has, where they begin and where they end."""
     length, at = count_at(body, at)
     first = aligned(at, 8) if length else at
     return length, first, first + 8 * length
 
 
 def _even_points(body: memoryview, at: int, points: int) -> tuple[Columns, int] | None:
-    """Points that all have the fields of the first, and where they end; None when they are others."""
+    """Points that all have the fields of the first, and where they end; None when they differ."""
     if not points:
         return None
     width, first, behind = _row(body, at)
@@ -141,9 +141,9 @@ def _even_points(body: memoryview, at: int, points: int) -> tuple[Columns, int] 
     return columns, last + record.itemsize
 
 
-@lru_cache(16)  # senders say as many widths as they like
+@lru_cache(16)  # bounded, since senders may use any number of widths
 def _record(width: int, has_velocities: bool, has_accelerations: bool) -> tuple[np.dtype, int]:
-    """A point from its positions to its time, and how far the next one's positions are from them."""
+    """The type of a point from its positions to its time, and how many bytes later the next one's positions begin."""
     names, formats, offsets = ["positions"], [f"({width},)<f8"], [0]
     at = 8 * width
     for name, given in (("velocity", has_velocities), ("acceleration", has_accelerations), ("effort", False)):
@@ -167,7 +167,7 @@ def _record(width: int, has_velocities: bool, has_accelerations: bool) -> tuple[
 
 
 def _any_points(body: memoryview, at: int, points: int) -> tuple[Columns, int]:
-    """Points of any lengths, and where they end; raises struct.error when they do not."""
+    """Points of any lengths, and where they end; raises struct.error when the body ends before."""
     rows, durations = array("q"), array("q")  # objects would keep the garbage collector busy
     for _ in range(points):
         for _ in _FIELDS:
@@ -184,6 +184,6 @@ def _any_points(body: memoryview, at: int, points: int) -> tuple[Columns, int]:
 
 
 def _gathered(doubles: np.ndarray, lengths: np.ndarray, firsts: np.ndarray) -> Rows:
-    """The rows of these lengths that begin at these places."""
+    """The rows of these lengths that begin at these indices of `doubles`."""
     before = np.cumsum(lengths) - lengths
     return lengths, doubles[np.arange(lengths.sum()) + np.repeat(firsts - before, lengths)]

@@ -27,7 +27,7 @@ class Verdict:
     code: int
     sentence: str
     outcome: Outcome = Outcome.NONE
-    """What the control process decided; NONE where it never heard of the goal."""
+    """The end in the control process' terms; NONE where it decided nothing."""
 
 
 _CODES = {
@@ -93,7 +93,7 @@ def judge(
     joint_mask: int,
     joints: Sequence[str],
 ) -> Verdict:
-    """The verdict on a goal whose result stands in the snapshot."""
+    """The verdict on a goal from its result (`outcome`, `joint`, `value`, `limit`) in the snapshot."""
     if outcome == Outcome.FAULT and int(snapshot["fault"]) != Fault.NONE:
         sentence = fault_of(snapshot, joints)
     else:
